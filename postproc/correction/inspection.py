@@ -7,7 +7,7 @@ the piece of a line between two samples every 2 mm and half a degree.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 
 import numpy as np
 from msgspec import Struct
@@ -22,23 +22,56 @@ from postproc.correction.targets import Commands
 from postproc.dialects import registry
 from postproc.errors import Issue
 from postproc.frames import M_PER_MM, MM_PER_M, RAD_PER_DEG, Array, any_column, norm, xyzabc_from_pose
-from postproc.program import CIRC, LIN, PTP, SPL, Bools, Ints, Program, distinct
+from postproc.program import CIRC, LIN, PTP, SPL, Bools, Ints, Motions, Program, distinct
 from postproc.robot import JOINTS
 from postproc.toolpath import Toolpath
 from postproc.under_load import ImpossiblePathError, MotionsUnderLoad, PathUnderLoad, unreachable
 
 _SPEED_SHARE = 0.98
-"""Share of a joint's largest speed that slowed rapid moves use."""
+"""Share of a joint's largest speed that slowed moves use."""
+_NEXT_SHARE = 0.95
+"""Factor on that share where a joint of the written program is still too fast."""
 
 
-def slowed(path: PathUnderLoad, q: Array, position: Array) -> tuple[MotionsUnderLoad, Issue] | None:
-    """Return the motions with positioning moves slowed to what the joints can do, and the remark, or None.
+class Slowing(Struct, frozen=True):
+    """Motions that were slowed.
+
+    :ivar joint: (M,) the joint that would turn too fast, counted from 0; −1 where the motion is as programmed.
+    :ivar is_capped: (M,) whether it is a move at feed, not one that positions the tool.
+    :ivar count: how often the program was slowed.
+    """
+
+    joint: Ints
+    is_capped: Bools
+    count: int
+
+    def issue(self, motions: Motions) -> Issue:
+        """Return the remark: on moves at feed if there are any, else on positioning moves."""
+        slow = np.flatnonzero(self.joint >= 0)
+        names = " and ".join(JOINTS[axis] for axis in distinct(self.joint[slow]).tolist())
+        cut = slow[self.is_capped[slow]]
+        if len(cut):
+            lowest_feed = f"{motions.feed[cut].min() * MM_PER_M * 60.0:.0f} mm/min"
+            message = f"Moves at feed in which {names} would turn too fast are slowed, to {lowest_feed} at the lowest."
+            return motions.issue("warning", "feed-capped", message, slow)
+        slowest_feed = f"{motions.feed[slow].min():.3g} m/s at the slowest"
+        message = f"Positioning moves in which {names} would turn too fast are slowed, to {slowest_feed}."
+        return motions.issue("info", "rapid-slowed", message, slow)
+
+
+def slowed(
+    path: PathUnderLoad, q: Array, position: Array, before: Slowing | None, fast_lines: Collection[int]
+) -> tuple[MotionsUnderLoad, Slowing] | None:
+    """Return the motions with positioning moves slowed to what the joints can do, and which these are, or None.
 
     Positioning moves are rapid ones, those at feed that come from `[start]`, on which no force may act, and straight
     ones at the speed of rapid moves or faster on which none acts. Only programs whose text is written anew have
     straight ones with a speed of their own. With ``[limits] feed = "cap"``, moves at feed are slowed in any program.
 
     :param q: (N, 6) commanded joint angles of the samples [rad], `position` (N, 3) commanded positions [m].
+    :param before: what was slowed already, and was not enough: the written program is a few per cent faster where it is
+        nearly singular, or has more targets. Each time these motions get a smaller share of the largest speed.
+    :param fast_lines: source lines on which a joint still turns too fast.
     """
     program, robot = path.program, path.robot_in_cell.robot
     m = program.motions
@@ -48,6 +81,7 @@ def slowed(path: PathUnderLoad, q: Array, position: Array) -> tuple[MotionsUnder
     slowable = positioning | is_capped
     if not slowable.any():
         return None
+    share_of_limit = _SPEED_SHARE * _NEXT_SHARE ** (0 if before is None else before.count)
     speed = commanded_speed(path, q, position)
     share = np.zeros(len(m))
     joint = np.zeros(len(m), dtype=np.int64)
@@ -55,7 +89,7 @@ def slowed(path: PathUnderLoad, q: Array, position: Array) -> tuple[MotionsUnder
     def take(motion: Ints, speed: Array) -> None:
         of_limit = speed / robot.speed
         worst = of_limit.max(axis=1)
-        rows = np.flatnonzero(slowable[motion] & (worst > _SPEED_SHARE))
+        rows = np.flatnonzero(slowable[motion] & (worst > share_of_limit))
         rows = rows[np.argsort(worst[rows])]
         rows = rows[worst[rows] > share[motion[rows]]]
         share[motion[rows]], joint[motion[rows]] = worst[rows], of_limit[rows].argmax(axis=1)
@@ -65,24 +99,23 @@ def slowed(path: PathUnderLoad, q: Array, position: Array) -> tuple[MotionsUnder
     _, lines = stretches_to_examine(path, q, speed)
     for close, exact, exact_position in dense_places(path, q, position, lines):
         take(close.motion, checks.joint_speed(program, close, path.motions.segments.turn, exact, exact_position))
-    fast = np.flatnonzero(share > 1.0)
+    is_fast = share > 1.0
+    if before is not None:
+        is_fast |= (share > share_of_limit) & ((before.joint >= 0) | np.isin(m.line, list(fast_lines)))
+    fast = np.flatnonzero(is_fast)
     if not len(fast):
         return None
     feed = m.feed.copy()
-    feed[fast] *= _SPEED_SHARE / share[fast]
-    names = " and ".join(JOINTS[axis] for axis in distinct(joint[fast]).tolist())
-    slowest_feed = f"{feed[fast].min():.3g} m/s at the slowest"
-    message = f"Positioning moves in which {names} would turn too fast are slowed, to {slowest_feed}."
-    issue = m.issue("info", "rapid-slowed", message, fast)
+    feed[fast] *= share_of_limit / share[fast]
+    slow_joint = np.full(len(m), -1) if before is None else before.joint.copy()
+    slow_joint[fast] = joint[fast]
     as_read = program.feed_as_read
-    if is_capped[fast].any():
-        cut = fast[is_capped[fast]]
-        lowest_feed = f"{feed[cut].min() * MM_PER_M * 60.0:.0f} mm/min"
-        message = f"Moves at feed in which {names} would turn too fast are slowed, to {lowest_feed} at the lowest."
-        issue = m.issue("warning", "feed-capped", message, fast)
-        as_read = m.feed if as_read is None else as_read
+    if as_read is None and is_capped[fast].any():
+        as_read = m.feed
     slow = replace(program, motions=replace(m, feed=feed), feed_as_read=as_read)
-    return replace(path.motions, program=slow), issue
+    return replace(path.motions, program=slow), Slowing(
+        slow_joint, is_capped, 1 if before is None else before.count + 1
+    )
 
 
 def _positioning(path: PathUnderLoad) -> Bools:
@@ -373,21 +406,30 @@ def of_holder(program: Program, cell: Cell) -> list[Issue]:
     return [m.issue("warning", "holder-of-tools", message, other_tips)]
 
 
-_SAME_BASE = 1e-6
+_SAME_FRAME = 1e-6
 """Entries of frames that differ by less [m, 1] are equal."""
 
 
-def of_base(program: Program, cell: Cell) -> list[Issue]:
-    """Return a note if the `$BASE` of a robot program is its own, and not that of the cell."""
-    m = program.motions
-    is_another = np.abs(program.bases - cell.base.pose()).max(axis=(1, 2)) > _SAME_BASE
-    motion = np.flatnonzero(is_another[m.base] & np.isnan(m.joints[:, 0]))
-    if not program.keeps_text or not len(motion):
+def of_frames(program: Program, cell: Cell) -> list[Issue]:
+    """Return notes if `$BASE` or `$TOOL` of a robot program are its own, and not those of the cell."""
+    if not program.keeps_text:
         return []
-    base = (xyzabc_from_pose(program.bases[m.base[motion[0]]]).round(4) + 0.0).tolist()
-    frame = ", ".join(f"{name} {value:.8g}" for name, value in zip("XYZABC", base, strict=True))
-    message = f"$BASE is {{{frame}}} by the program; [base] of the cell, which is another, is not used there."
-    return [m.issue("info", "own-base", message, motion)]
+    m = program.motions
+    issues = []
+    for name, section, frames, row, in_cell in (
+        ("$BASE", "[base]", program.bases, m.base, cell.base),
+        ("$TOOL", "[tool]", program.tools, m.tool, cell.tool),
+    ):
+        is_another = np.abs(frames - in_cell.pose()).max(axis=(1, 2)) > _SAME_FRAME
+        motion = np.flatnonzero(is_another[row] & np.isnan(m.joints[:, 0]))
+        if len(motion):
+            values = (xyzabc_from_pose(frames[row[motion[0]]]).round(4) + 0.0).tolist()
+            frame = ", ".join(f"{axis} {value:.8g}" for axis, value in zip("XYZABC", values, strict=True))
+            message = (
+                f"{name} is {{{frame}}} by the program; {section} of the cell, which is another, is not used there."
+            )
+            issues.append(m.issue("info", f"own-{section.strip('[]')}", message, motion))
+    return issues
 
 
 _ON_FIRST = 200

@@ -11,6 +11,7 @@ import numpy as np
 
 from postproc.cell import Cell
 from postproc.errors import Issue
+from postproc.forces.path_forces import PathForces
 from postproc.frames import MM_PER_M, Array, norm
 from postproc.program import Program, distinct
 from postproc.robot import RobotModel
@@ -20,6 +21,15 @@ _SHORT_TOOL = 0.005
 """A tip nearer to the flange [m] is none of a spindle: 0.35 is a length in metres that is read in millimetres."""
 _NEAR_BASE = 0.01
 """A base that is not zero and nearer to the robot root [m] is inside the foot of the arm."""
+
+_GRAVITY = 9.81
+"""Weight of a payload [N/kg]."""
+_LONGEST_LEVER = 0.5
+"""Moment over force [m] that no cutter has: a face mill of 250 mm has its cutting force at 0.125 m."""
+_SAME_LENGTH = 1e-6
+"""Tools whose lengths differ by less [m] are equally long."""
+_BESIDE = 0.05
+"""Width around the cuts [m] in which stock and clamps are."""
 
 
 def of_setup(program: Program, cell: Cell, robot: RobotModel) -> Iterator[Issue]:
@@ -51,6 +61,66 @@ def of_setup(program: Program, cell: Cell, robot: RobotModel) -> Iterator[Issue]
         yield Issue("warning", "payload-rating", message)
 
 
+def of_forces(program: Program, forces: PathForces, robot: RobotModel) -> Iterator[Issue]:
+    """Yield a question where a force is more than the arm carries, or a moment belongs to no cutter."""
+    m = program.motions
+    motion = np.repeat(np.arange(len(m)), np.diff(forces.first))
+    cutting = ~np.asarray(m.rapid)[motion]  # a rapid move begins with the force that ends on it
+    size, moment = (norm(forces.wrench.values[:, columns])[forces.wrench.run] for columns in (slice(3), slice(3, 6)))
+    size, moment = size * cutting, moment * cutting
+    rating = rated_payload(robot.title, robot.name)
+    if rating is not None and (too_strong := size > rating * _GRAVITY).any():
+        name = robot.title or robot.name
+        message = (
+            f"a force of {size.max():.0f} N: {name} carries {rating:g} kg, which is {rating * _GRAVITY:.0f} N. "
+            "Are the forces in N? If they are, machine with smaller ones"
+        )
+        yield m.issue("warning", "force-rating", message, distinct(motion[too_strong]))
+    too_long = moment > np.where(size > 0.0, _LONGEST_LEVER * size, np.inf)
+    if too_long.any():
+        row = int(np.argmax(np.where(too_long, moment, 0.0)))
+        message = (
+            f"a moment of {moment[row]:.4g} N·m with a force of {size[row]:.4g} N: a lever of "
+            f"{moment[row] / size[row]:.2g} m. Are these N·mm? MX, MY and MZ are read in N·m, about the tip"
+        )
+        yield m.issue("warning", "moment-unit", message, distinct(motion[too_long]))
+
+
+def tool_changes(program: Program) -> Iterator[Issue]:
+    """Yield a warning where the tip of a longer tool is among or below the cuts when it is mounted.
+
+    The flange stays where it is at a tool change, so the new tip is lower by the difference of the lengths. Lower is
+    along the new tool. It counts below the deepest cut anywhere, and below the highest one over the cuts, which are
+    widened by 50 mm.
+    """
+    m = program.motions
+    ends = m.target[:]
+    cutting = np.flatnonzero(~m.rapid)
+    changes = 1 + np.flatnonzero((m.tool[1:] != m.tool[:-1]) & (m.base[1:] == m.base[:-1]))
+    for row in changes.tolist() if len(cutting) else ():
+        before, after = program.tools[m.tool[row - 1]], program.tools[m.tool[row]]
+        tip = ends[row - 1] @ np.linalg.solve(before, after)
+        axis = tip[:3, 3] - ends[row - 1][:3, 3]
+        extra_length = float(np.linalg.norm(axis))
+        reach = np.linalg.norm(after[:3, 3]) - np.linalg.norm(before[:3, 3])
+        if reach <= _SAME_LENGTH:
+            continue
+        axis = axis / extra_length
+        points = ends[cutting[m.base[cutting] == m.base[row]], :3, 3]
+        depth = (points - tip[:3, 3]) @ axis  # of the cuts below the new tip
+        across = points - tip[:3, 3] - depth[:, None] * axis
+        is_over = (across.min(axis=0) - _BESIDE <= 0.0).all() and (across.max(axis=0) + _BESIDE >= 0.0).all()
+        if depth.max() < 0.0 or (is_over and depth.min() < 0.0):
+            message = (
+                f"the new tool is {reach * MM_PER_M:.4g} mm longer: where it is mounted its tip is at "
+                f"{_place(tip)} of $BASE, which is {'among' if depth.max() >= 0.0 else 'below all'} the cuts. Retract "
+                "further before the tool change"
+            )
+            yield m.issue("warning", "tool-change-depth", message, np.array([row]))
+
+
 def _place(pose: Array) -> str:
     """Return X, Y, Z of a pose [m] in millimetres, in words."""
-    return ", ".join(f"{name} {value:.6g}" for name, value in zip("XYZ", pose[:3, 3] * MM_PER_M, strict=True))
+    return ", ".join(
+        f"{name} {value:.6g}" for name, value in zip("XYZ", (pose[:3, 3] * MM_PER_M).round(4) + 0.0, strict=True)
+    )

@@ -167,6 +167,7 @@ class Draft(Struct, frozen=True, eq=False):
             *task.initial_issues,
             *path.program.issues,
             *path.motions.forces.issues,
+            *plausibility.of_forces(path.program, path.motions.forces, path.robot_in_cell.robot),
             *inspection.of_path(path, command),
         )
         return cls(path, command.q, command.theta, selection, issues)
@@ -430,6 +431,8 @@ def _carried(draft: Draft, readback: ReadBack) -> tuple[Knots | None, tuple[Issu
 
 _ROUNDS = 8
 """Largest number of rounds that insert targets where the simulated program exceeds the tolerance."""
+_SLOWINGS = 5
+"""Times that moves are slowed further, each by 5 %, until no joint of the written program turns too fast."""
 _MOST_PARTS = 4
 """Largest number of parts into which a piece of an arc is divided in one round."""
 
@@ -491,9 +494,10 @@ def process(
         initial_issues=(
             *inspection.of_origin(program, mode),
             *inspection.of_tools(program, cell),
-            *inspection.of_base(program, cell),
+            *inspection.of_frames(program, cell),
             *inspection.of_holder(program, cell),
             *plausibility.of_setup(program, cell, robot),
+            *plausibility.tool_changes(program),
         ),
     )
     errors = [issue for issue in task.initial_issues if issue.level == "error"]
@@ -534,15 +538,21 @@ def _settled(task: Task, motions: MotionsUnderLoad) -> tuple[Task, Draft]:
     :returns: the task, with an issue if rapid moves were slowed, and the draft.
     """
     pieces, extra_places = _first_pieces(task, motions), motions.swing_places
-    slow: Issue | None = None
+    first_issues, slowing = task.initial_issues, None
     for _ in range(_ROUNDS):
         draft = _drafted(task, PathUnderLoad.of(motions, pieces, extra_places))
-        if slow is None and any(issue.kind.startswith(checks.JOINT_SPEED) for issue in draft.issues):
-            slow_motions = inspection.slowed(draft.path, draft.q, draft.path.sample.pose[:, :3, 3])
-            if slow_motions is not None:
-                motions, slow = slow_motions
-                task = replace(task, initial_issues=(*task.initial_issues, slow))
-                draft = _drafted(task, PathUnderLoad.of(motions, pieces, extra_places))
+        for _ in range(_SLOWINGS):
+            too_fast = [issue for issue in draft.issues if issue.kind.startswith(checks.JOINT_SPEED)]
+            if not too_fast:
+                break
+            fast_lines = {line for issue in too_fast for line in (issue.source_line or 0, *issue.lines)}
+            q, position = draft.q, draft.path.sample.pose[:, :3, 3]
+            slow_motions = inspection.slowed(draft.path, q, position, slowing, fast_lines)
+            if slow_motions is None:
+                break
+            motions, slowing = slow_motions
+            task = replace(task, initial_issues=(*first_issues, slowing.issue(motions.program.motions)))
+            draft = _drafted(task, PathUnderLoad.of(motions, pieces, extra_places))
         if draft.simulation is None or task.mode == "nominal" or len(draft.simulation.missed[0]) == 0:
             break
         pieces, extra_places = _closer(task, draft.path, draft.simulation.missed, extra_places)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from postproc.cell import Rotary
 from postproc.correction import checks, inspection, process
 from postproc.under_load import MotionsUnderLoad, PathUnderLoad, RobotInCell
 from tests.corrections import read_files
@@ -93,6 +94,25 @@ def test_a_cap_lowers_the_feed_of_a_robot_program_too():
     result = converted(fast, capped, name="part.src")
     assert result.documents
     assert "feed-capped" in {issue.kind for issue in result.issues}
+
+
+def test_a_cap_lowers_the_feed_until_the_written_program_keeps_the_speeds():
+    """A tilt of 70° past the wrist singularity: the written program turns A4 faster than its draft."""
+    rotary = Rotary(axes=["C", "B"], kind="tcp")
+    gcode = replace(CELL.gcode, redundancy_deg=180.0)
+    capped = replace(CELL, limits=replace(CELL.limits, feed="cap"), rotary=rotary, gcode=gcode)
+    text = (
+        "G21 G90\nG43.4 H1\nG0 X0 Y0 Z100 B0 C0\n(FORCE FX=150 FY=-220 FZ=310)\nG1 X0 Y0 Z10 B-70 C0 F6000\n"
+        "(FORCE OFF)\nG0 Z120\nM30\n"
+    )
+    result = converted(text, capped)
+    assert result.documents
+    issue = next(issue for issue in result.issues if issue.kind == "feed-capped")
+    assert issue.lines == (5,)
+    feed = float(re.search(r"to ([\d.]+) mm/min", issue.message)[1])
+    refused = replace(capped, limits=replace(CELL.limits, feed="refuse"))
+    assert not converted(text.replace("F6000", f"F{1.08 * feed:.0f}"), refused).documents
+    assert converted(text.replace("F6000", f"F{feed:.0f}"), refused).documents
 
 
 @pytest.mark.parametrize(("value", "text"), [(1234.9, "1200"), (0.0567, "0.056"), (100.0, "100"), (99.0, "99")])

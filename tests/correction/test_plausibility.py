@@ -10,6 +10,7 @@ from postproc import correction
 from postproc.correction import plausibility
 from postproc.dialects.text import decode
 from postproc.robot.rating import rated_payload
+from postproc.under_load import MotionsUnderLoad, RobotInCell
 from tests.commands import run
 from tests.kr270 import CELL, CELL_TEXT, ROBOT
 from tests.places import ROOT
@@ -79,3 +80,44 @@ def test_the_verdict_on_a_tool_in_metres_is_amber(tmp_path):
     done = run("convert", tmp_path / "p.nc", "--cell", tmp_path / "cell.toml", "-o", tmp_path / "out")
     assert "Look before you run it" in done.output
     assert "is Z in mm?" in done.output
+
+
+FORCED = b"G21 G90\nG0 X0 Y0 Z5\n(FORCE %s)\nG1 Z0 F300\nX10\n(FORCE OFF)\nG0 Z20\nM30\n"
+
+
+@pytest.mark.parametrize(
+    ("force", "kind"),
+    [
+        (b"FX=300 FY=200 MZ=30", ""), (b"FZ=2600", ""), (b"FX=2600 FZ=600", "force-rating"),
+        (b"FX=30 MZ=16", "moment-unit"), (b"FX=30 MX=14", ""), (b"MZ=30", ""),
+    ],
+)  # fmt: skip
+def test_forces_beyond_the_rating_and_moments_in_newton_millimetres_are_asked_about(force, kind):
+    program = correction.read([decode("p", FORCED % force)], ROBOT, CELL, "p", "gcode")
+    motions = MotionsUnderLoad.of(program, RobotInCell.of(ROBOT, CELL), None)
+    issues = list(plausibility.of_forces(program, motions.forces, ROBOT))
+    assert [issue.kind for issue in issues] == ([kind] if kind else [])
+    if kind:
+        assert issues[0].lines == (4, 5)
+
+
+CHANGE = b"G21 G90\nT1 M6\nG0 X0 Y0 Z50\nG1 Z-3 F300\nX40\nG0 Z%d\nX%d\nT2 M6\nG0 Z60\nX20\nG1 Z-1 F300\nX30\nM30\n"
+
+
+@pytest.mark.parametrize(
+    ("height", "x", "length", "words"),
+    [
+        (50, 40, 400.0, ""), (40, 40, 400.0, "below all"), (48, 40, 400.0, "among"), (48, 400, 400.0, ""),
+        (40, 400, 400.0, "below all"), (40, 40, 300.0, ""),
+    ],
+)  # fmt: skip
+def test_a_longer_tool_that_is_mounted_among_the_cuts_is_a_warning(height, x, length, words):
+    """Mount a tool of `length` instead of 350 mm, with the tip at Z `height`: the new tip is that much lower."""
+    tools = {"1": cells.Frame(Z=350.0), "2": cells.Frame(Z=length)}
+    cell = replace(CELL, tools=tools)
+    program = correction.read([decode("p", CHANGE % (height, x))], ROBOT, cell, "p", "gcode")
+    issues = list(plausibility.tool_changes(program))
+    assert bool(issues) == bool(words)
+    if words:
+        assert words in issues[0].message
+        assert f"X {x}, Y 0, Z {350 + height - length:g}" in issues[0].message

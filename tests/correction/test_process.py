@@ -95,3 +95,15 @@ def test_a_base_that_is_not_that_of_the_cell_is_stated_with_its_numbers():
     ((line, count, message),) = said("$BASE={X 1400.5,Y -200,Z 700,A 0.25,B 0,C 0}")
     assert (line, count) == (4, 2)
     assert "{X 1400.5, Y -200, Z 700, A 0.25, B 0, C 0}" in message
+
+
+def test_a_tool_that_is_not_that_of_the_cell_is_stated_with_its_numbers():
+    def said(z):
+        text = f"$TOOL={{X 0,Y 0,Z {z},A 0,B 0,C 0}}"
+        result, _ = converted(text, "PTP XS", "LIN XP", dat=POINTS)
+        return [(issue.source_line, issue.message) for issue in result.issues if issue.kind == "own-tool"]
+
+    assert said(CELL.tool.Z) == []
+    ((line, message),) = said(CELL.tool.Z - 1.5)
+    assert line == 4
+    assert f"Z {CELL.tool.Z - 1.5:g}" in message
