@@ -44,6 +44,11 @@ class Frame(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
         """Return the frame as a (4, 4) pose [m]."""
         return pose_from_xyzabc([self.X, self.Y, self.Z, self.A, self.B, self.C])
 
+    @property
+    def is_turned(self) -> bool:
+        """Whether its axes are not those of the frame that it is in."""
+        return bool(self.A or self.B or self.C)
+
 
 class Tool(Frame, frozen=True):
     """`$TOOL` in the flange frame, and which of its axes points from the spindle to the tip."""
@@ -562,6 +567,10 @@ def _check_rotary(rotary: Rotary, file: str) -> None:
         raise CellError("[rotary] tcp_on without tcp_off, or the reverse", file=file, advice="Give both, or none.")
 
 
+TURNED_OFFSET = "is turned, and the rotary axes are indexed"
+TURNED_OFFSET_ADVICE = "X, Y, Z are machine axes there: turn [base] instead, so that its axes are those of the machine."
+
+
 def _check_indexed(rotary: Rotary, work_offsets: Mapping[str, Frame], file: str) -> None:
     """Check that indexed axes have a place, and that nothing contradicts them."""
     if rotary.kind != "indexed":
@@ -576,11 +585,8 @@ def _check_indexed(rotary: Rotary, work_offsets: Mapping[str, Frame], file: str)
             example = f"{letter} = {{ point = [0, 0, -120], direction = {axis} }}"
             advice = f"Give a point of the axis and its direction in $BASE: {example}."
             raise CellError(problem, file=file, advice=advice)
-    rotated_offsets = [name for name, frame in work_offsets.items() if frame.A or frame.B or frame.C]
-    if rotated_offsets:
-        problem = f"[work_offsets.{rotated_offsets[0]}] is turned, and the rotary axes are indexed"
-        advice = "X, Y, Z are machine axes there: turn [base] instead, so that its axes are those of the machine."
-        raise CellError(problem, file=file, advice=advice)
+    if work_offsets.get("G54", Frame()).is_turned:  # the others are judged where a program uses them
+        raise CellError(f"[work_offsets.G54] {TURNED_OFFSET}", file=file, advice=TURNED_OFFSET_ADVICE)
 
 
 def _check_collision(collision: Collision, file: str) -> None:

@@ -167,17 +167,28 @@ def test_tip_control_that_the_program_itself_ends_is_off() -> None:
         ('axes = ["A"]\nkind = "indexed"', "A: no place"),
         ('axes = ["A"]\nkind = "indexed"\nA = { point = [0, 0, 0], direction = [0, 0, 0] }', "direction is zero"),
         ('axes = ["A"]\nkind = "indexed"\ntcp_on = ["M128"]\ntcp_off = ["M129"]', "tcp_on with indexed axes"),
-        (
-            'axes = ["A"]\nkind = "indexed"\nA = { point = [0, 0, 0], direction = [1, 0, 0] }\n'
-            "[work_offsets.G55]\nC = 10",
-            "G55. is turned",
-        ),
     ],
 )
 def test_a_cell_that_contradicts_itself_is_refused(tmp_path: Path, lines: str, problem: str) -> None:
     file = tmp_path / "cell.toml"
     file.write_text((SAMPLES / "cell_kr270.toml").read_text() + f"\n[rotary]\n{lines}\n")
     with pytest.raises(CellError, match=problem):
+        postproc.load_cell(file)
+
+
+def test_a_turned_work_offset_is_refused_where_a_program_uses_it(tmp_path: Path) -> None:
+    axis = IndexedAxis((0.0, 0.0, 0.0), (1.0, 0.0, 0.0))
+    offsets = {"G55": Frame(X=20.0), "G56": Frame(C=10.0)}
+    own = replace(CELL, rotary=Rotary(axes=["A"], kind="indexed", A=axis), work_offsets=offsets)
+    assert read(HEAD + "G55 G0 A30\nG1 X50 Y5 Z2\nM2", own).motions.line[-1] == 4
+    with pytest.raises(ProgramError, match=r"\[work_offsets.G56\] is turned") as caught:
+        read(HEAD + "G56 G0 A30\nG1 X50 Y5 Z2\nM2", own)
+    assert "turn [base] instead" in str(caught.value)
+    file = tmp_path / "cell.toml"  # G54 is used by a program that names no work offset
+    rotary = '\n[rotary]\naxes = ["A"]\nkind = "indexed"\nA = { point = [0, 0, 0], direction = [1, 0, 0] }\n'
+    text = (SAMPLES / "cell_kr270.toml").read_text().replace("[work_offsets.G54]", "[work_offsets.G54]\nC = 10.0", 1)
+    file.write_text(text + rotary)
+    with pytest.raises(CellError, match="G54. is turned"):
         postproc.load_cell(file)
 
 

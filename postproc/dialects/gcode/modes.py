@@ -40,7 +40,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from msgspec import Struct
 
-from postproc.cell import FIXED_M_CODES, Cell, DwellUnit, Rotary
+from postproc.cell import FIXED_M_CODES, TURNED_OFFSET, TURNED_OFFSET_ADVICE, Cell, DwellUnit, Rotary
 from postproc.dialects.gcode import codes
 from postproc.dialects.gcode.words import COLUMNS, CUT_SHORT, MARK, BlockError, Fault, Source, Words, words_of
 from postproc.errors import MAX_ERRORS, Issue, Level
@@ -563,6 +563,10 @@ class _Reader:
     def _remark(self, level: Level, kind: str, message: str, row: int, subject: str = "") -> None:
         self.issues.append(Issue(level, kind, message, row + 1, subject=subject))
 
+    def _is_turned_with_indexed_axes(self, code: float) -> bool:
+        frame, rotary = self.cell.work_offsets.get(f"G{code:g}"), self.cell.rotary
+        return frame is not None and frame.is_turned and rotary is not None and rotary.kind == "indexed"
+
     def _modes(self, row: int, g: Sequence[float], _: object, values: Mapping[str, float]) -> None:
         first_refusal: tuple[str, str | None] | None = None
         for code in g:
@@ -570,6 +574,8 @@ class _Reader:
             if group == "offset" and f"G{code:g}" not in self.frame_codes.offsets:
                 advice = f"Give its frame in $BASE in the cell: [work_offsets.G{code:g}]."
                 first_refusal = first_refusal or (f"work offset G{code:g} is not in the cell", advice)
+            elif group == "offset" and self._is_turned_with_indexed_axes(code):
+                first_refusal = first_refusal or (f"[work_offsets.G{code:g}] {TURNED_OFFSET}", TURNED_OFFSET_ADVICE)
             elif group is not None:
                 self.changes[group].append((row, code))
                 if group == "units":
