@@ -188,7 +188,7 @@ def test_a_turned_work_offset_is_refused_where_a_program_uses_it(tmp_path: Path)
     rotary = '\n[rotary]\naxes = ["A"]\nkind = "indexed"\nA = { point = [0, 0, 0], direction = [1, 0, 0] }\n'
     text = (SAMPLES / "cell_kr270.toml").read_text().replace("[work_offsets.G54]", "[work_offsets.G54]\nC = 10.0", 1)
     file.write_text(text + rotary)
-    with pytest.raises(CellError, match="G54. is turned"):
+    with pytest.raises(CellError, match=r"G54\] is turned"):
         postproc.load_cell(file)
 
 
