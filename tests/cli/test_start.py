@@ -258,3 +258,14 @@ def test_a_program_of_the_robot_is_not_asked_where_it_retracts():
     assert "clearance" not in asked_keys("part.src")
     assert "clearance" in asked_keys("part.nc")
     assert "clearance" in asked_keys("part.src", "part.nc")
+
+
+def test_the_only_tool_of_a_program_may_be_given_by_its_number():
+    frame = ("--robot", "kuka_kr270", "--base", "1500,-200,700")
+    started = invoke("start", "part.nc", *ALL[:4], "--tools", "1=0,0,360", *ALL[6:], "-o", "out")
+    assert started.exit_code == 0, started.output
+    assert "not used" not in started.output
+    assert cells.load("out/cell.toml").tool.Z == 360.0
+    made = invoke("init", "part.nc", *frame, "--tools", "1=360")
+    assert made.exit_code == 0, made.output
+    assert cells.load("cell.toml").tool.Z == 360.0
