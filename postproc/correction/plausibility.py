@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from postproc.cell import Cell
-from postproc.errors import Issue
+from postproc.errors import Issue, Level
 from postproc.forces.path_forces import PathForces
 from postproc.frames import MM_PER_M, Array, norm
 from postproc.program import Program, distinct
@@ -24,6 +24,9 @@ _NEAR_BASE = 0.01
 
 _GRAVITY = 9.81
 """Weight of a payload [N/kg]."""
+_OVERLOAD = 2.0
+"""Force over the rated weight from which a program is questioned, assumed: slow arms carry more than at full dynamics,
+for which they are rated, and small ones mill with forces above their rating."""
 _LONGEST_LEVER = 0.5
 """Moment over force [m] that no cutter has: a face mill of 250 mm has its cutting force at 0.125 m."""
 _SAME_LENGTH = 1e-6
@@ -75,7 +78,8 @@ def of_forces(program: Program, forces: PathForces, robot: RobotModel) -> Iterat
             f"a force of {size.max():.0f} N: {name} carries {rating:g} kg, which is {rating * _GRAVITY:.0f} N. "
             "Are the forces in N? If they are, machine with smaller ones"
         )
-        yield m.issue("warning", "force-rating", message, distinct(motion[too_strong]))
+        level: Level = "warning" if size.max() > _OVERLOAD * rating * _GRAVITY else "info"
+        yield m.issue(level, "force-rating", message, distinct(motion[too_strong]))
     too_long = moment > np.where(size > 0.0, _LONGEST_LEVER * size, np.inf)
     if too_long.any():
         row = int(np.argmax(np.where(too_long, moment, 0.0)))

@@ -89,6 +89,7 @@ FORCED = b"G21 G90\nG0 X0 Y0 Z5\n(FORCE %s)\nG1 Z0 F300\nX10\n(FORCE OFF)\nG0 Z2
     ("force", "kind"),
     [
         (b"FX=300 FY=200 MZ=30", ""), (b"FZ=2600", ""), (b"FX=2600 FZ=600", "force-rating"),
+        (b"FX=5000 FZ=2000", "force-rating"),
         (b"FX=30 MZ=16", "moment-unit"), (b"FX=30 MX=14", ""), (b"MZ=30", ""),
     ],
 )  # fmt: skip
@@ -99,6 +100,7 @@ def test_forces_beyond_the_rating_and_moments_in_newton_millimetres_are_asked_ab
     assert [issue.kind for issue in issues] == ([kind] if kind else [])
     if kind:
         assert issues[0].lines == (4, 5)
+        assert issues[0].level == ("info" if b"FZ=600" in force else "warning")
 
 
 CHANGE = b"G21 G90\nT1 M6\nG0 X0 Y0 Z50\nG1 Z-3 F300\nX40\nG0 Z%d\nX%d\nT2 M6\nG0 Z60\nX20\nG1 Z-1 F300\nX30\nM30\n"
