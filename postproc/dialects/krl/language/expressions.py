@@ -20,6 +20,7 @@ from postproc.dialects.krl.language.tokens import (
     LOGIC,
     NAME,
     NUMBER,
+    NUMBER_PATTERN,
     STRING,
     TAG,
     after_blanks,
@@ -50,6 +51,15 @@ _MOST_TERMS = 200
 _MAX_LENGTH = 64
 """Characters of the longest INT in binary or hexadecimal notation."""
 _ENDS = ",)]}cC"
+_INDEX = re.compile(r"\[(?:([A-Za-z_$][\w$]*)|([0-9]{1,9}))\]", re.ASCII)
+"""An index that is one name or one whole number, nearly all of them."""
+_WORDS = frozenset({"TRUE", "FALSE", "NOT", "B_NOT"})
+"""Words that are no names of variables."""
+_POSE = re.compile(
+    r"\{" + ",".join(rf"[ \t]*{name}(?=[ \t+-])[ \t]*({NUMBER_PATTERN})[ \t]*" for name in "XYZABC") + r"(?=([,}]))",
+    re.ASCII | re.IGNORECASE,
+)
+"""The beginning of an aggregate that gives X, Y, Z, A, B, C as numbers, in this order."""
 _PAIRS = {"(": ")", "[": "]", "{": "}"}
 _DEEPEST = 100
 
@@ -228,21 +238,23 @@ def _in_brackets(source: Source, start: int, stop: int) -> _Read:
 
 
 def _variable(source: Source, name: re.Match[str], stop: int) -> _Read:
-    text, start, end = source.text, name.start(), name.end()
-    if name[0].upper() in ("TRUE", "FALSE"):
-        return Word(name[0].upper(), start, end), end
+    text, start, end, spelt = source.text, name.start(), name.end(), name[0].upper()
+    if spelt in ("TRUE", "FALSE"):
+        return Word(spelt, start, end), end
     next_sign = after_blanks(text, end, stop)
-    if next_sign == stop:
-        return Reference(name[0].upper(), None, None, start, end), end
+    if next_sign == stop or text[next_sign] not in "([.":
+        return Reference(spelt, None, None, start, end), end
     if text[next_sign] == "(":
         close = matching(source, next_sign, stop)
-        return Call(name[0].upper(), list_in(source, next_sign + 1, close), start, close + 1), close + 1
+        return Call(spelt, list_in(source, next_sign + 1, close), start, close + 1), close + 1
     indices: tuple[Value, ...] | None = None
     inner: tuple[Value, ...] = ()
     path: list[str] = []
     while True:
         next_sign = after_blanks(text, end, stop)
-        if next_sign < stop and text[next_sign] == "[":
+        if indices is None and not path and (index := _index(text, next_sign, stop)) is not None:
+            indices, end = index
+        elif next_sign < stop and text[next_sign] == "[":
             close = matching(source, next_sign, stop)
             if path:
                 path[-1] += text[next_sign : close + 1].upper()
@@ -257,7 +269,19 @@ def _variable(source: Source, name: re.Match[str], stop: int) -> _Read:
             end = match.end()
         else:
             break
-    return Reference(name[0].upper(), indices, ".".join(path) or None, start, end, inner), end
+    return Reference(spelt, indices, ".".join(path) or None, start, end, inner), end
+
+
+def _index(text: str, start: int, stop: int) -> tuple[tuple[Value, ...], int] | None:
+    """Return the index in the bracket at an offset, and the offset behind the bracket; None if it is not `_INDEX`."""
+    match = _INDEX.match(text, start, stop)
+    if match is None:
+        return None
+    begin, end = match.span(match.lastindex or 0)
+    if match.lastindex == 2:
+        return (Number(float(match[2]), begin, end, True),), end + 1
+    name = match[1].upper()
+    return None if name in _WORDS else ((Reference(name, None, None, begin, end),), end + 1)
 
 
 def list_in(source: Source, start: int, stop: int) -> tuple[Value, ...]:
@@ -335,10 +359,10 @@ def parse_aggregate(source: Source, start: int, stop: int) -> Aggregate:
     text = source.text
     position = start + 1
     tag = ""
-    if match := TAG.match(text, position, stop):
+    items, has_comma, position = _pose(text, start, stop)
+    if not items and (match := TAG.match(text, position, stop)):
         tag, position = match[1].upper(), match.end()
-    items: dict[str, Value] = {}
-    while True:
+    while has_comma:
         match = COMPONENT.match(text, position, stop)
         if match:
             literal = match[2]
@@ -352,10 +376,24 @@ def parse_aggregate(source: Source, start: int, stop: int) -> Aggregate:
         if name in items:
             raise source.error(f"component {name} is given twice", position - 1)
         items[name] = value
-        if not has_comma:
-            break
     position = after_blanks(text, position, stop)
     return Aggregate(source, start, position + 1, tag, items)
+
+
+def _pose(text: str, start: int, stop: int) -> tuple[dict[str, Value], bool, int]:
+    """Return X, Y, Z, A, B, C of the aggregate at `start`, whether more may follow, and from where; else nothing."""
+    match = _POSE.match(text, start, stop)
+    if match is None:
+        return {}, True, start + 1
+    items: dict[str, Value] = {}
+    for group, name in enumerate("XYZABC", 1):
+        literal = match[group]
+        number = float(literal)
+        if number - number != 0.0:
+            return {}, True, start + 1
+        items[name] = Number(number, *match.span(group), literal.lstrip("+-").isdigit())
+    has_comma = match[7] == ","
+    return items, has_comma, match.end() + has_comma
 
 
 def _component(source: Source, opening: int, position: int, stop: int) -> tuple[str, Value, bool, int]:

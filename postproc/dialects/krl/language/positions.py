@@ -51,12 +51,12 @@ class Position(Struct, frozen=True, eq=False):
     @property
     def complete(self) -> bool:
         """Whether no component is missing."""
-        return not any(value != value for value in self.values)
+        return not any([value != value for value in self.values])
 
     @property
     def farthest(self) -> float:
         """Its largest coordinate [mm, deg]; missing ones do not count."""
-        return max((abs(value) for value in self.values if value == value), default=0.0)
+        return max([abs(value) for value in self.values if value == value], default=0.0)
 
     def pose(self) -> Array:
         """Return the frame as a (4, 4) pose [m]; a missing component is 0."""
@@ -89,6 +89,9 @@ def from_aggregate(aggregate: Aggregate) -> Position:
     if aggregate.tag not in tags:
         kind = "an axis position" if axis else "a Cartesian position"
         raise aggregate.source.error(f"{aggregate.tag} is not the type of {kind}", aggregate.start)
+    values = [value.value for value in items.values() if isinstance(value, Number)]
+    if len(values) == len(CARTESIAN) and tuple(items) == CARTESIAN and aggregate.tag in _CARTESIAN_TAGS:
+        return Position(tuple(values), aggregate=None if aggregate.computed else aggregate)  # nearly all of them
     numbers = {}
     for name, value in items.items():
         if name not in components or not isinstance(value, Number):

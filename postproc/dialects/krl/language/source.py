@@ -13,6 +13,8 @@ from postproc.program import Document, Ints
 
 LONGEST = 10_000
 """Characters of the longest statement that is read; controllers write up to 1000."""
+_AROUND = " \t\r"
+"""Blanks around code."""
 
 
 class Origins(Struct, frozen=True, eq=False):
@@ -90,7 +92,10 @@ class Source(Struct, frozen=True, eq=False):
 
     def code_span(self, line: int) -> tuple[int, int]:
         """Return the span of the code of a 1-based line: without its comment and the blanks around it."""
-        return code_span(self.text, self.starts.item(line - 1), self.stops.item(line - 1))
+        text, start, stop = self.text, self.starts.item(line - 1), self.stops.item(line - 1)
+        if start < stop and text[start] not in _AROUND and text[stop - 1] not in _AROUND and text.find(";", start, stop) < 0:
+            return start, stop  # most lines: asked several times for each
+        return code_span(text, start, stop)
 
     def error(self, problem: str, offset: int, advice: str | None = None) -> ProgramError:
         """Return an error that names the file, the line of an offset, and its text."""
@@ -123,9 +128,9 @@ class Place(NamedTuple):
 def code_span(text: str, start: int, stop: int) -> tuple[int, int]:
     """Return the span of the code within a line: without its comment, stripped."""
     stop = comment_start(text, start, stop)
-    while start < stop and text[start] in " \t\r":
+    while start < stop and text[start] in _AROUND:
         start += 1
-    while stop > start and text[stop - 1] in " \t\r":
+    while stop > start and text[stop - 1] in _AROUND:
         stop -= 1
     return start, stop
 

@@ -12,7 +12,7 @@ from postproc.dialects.krl.language.names import MOTION_WORDS, OPENING
 from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.tokens import word_at, words_in
-from postproc.dialects.krl.language.tree import Bare, If
+from postproc.dialects.krl.language.tree import Bare, If, Statement
 from postproc.errors import MAX_ERRORS, ProgramError, together
 from postproc.program import Bools, Ints
 
@@ -20,6 +20,7 @@ _DEEPEST = 100
 LOOPS = frozenset({"FOR", "WHILE", "LOOP", "REPEAT"})
 _CLOSING = {closing: opening for opening, closing in OPENING.items()} | {"UNTIL": "REPEAT"}
 _DIVIDERS = {"ELSE": "IF", "CASE": "SWITCH", "DEFAULT": "SWITCH"}
+_CONTROL = OPENING.keys() | {"REPEAT", "EXIT"} | _CLOSING.keys() | _DIVIDERS.keys()
 
 
 class Part(Struct, frozen=True, eq=False):
@@ -100,8 +101,7 @@ def nodes_of(source: Source, lines: Sequence[int]) -> tuple[Node, ...]:
     nodes: list[Node] = []
     open_: list[_Open] = []
     for line in lines:
-        start, stop = source.code_span(line)
-        word = word_at(source.text, start, stop)
+        word = _word(source, line)
         innermost = open_[-1] if open_ else None
         if word in OPENING or word == "REPEAT":
             open_.append(_Open(word, line, [], line, []))
@@ -124,13 +124,21 @@ def nodes_of(source: Source, lines: Sequence[int]) -> tuple[Node, ...]:
     return tuple(nodes)
 
 
+def _word(source: Source, line: int) -> str:
+    """Return the first word of a line if it is one of control structures; else it may be empty."""
+    node = source.statements.get(line)
+    if isinstance(node, Statement) and node.word not in _CONTROL:
+        return ""  # it has been parsed, as nearly all have
+    return word_at(source.text, *source.code_span(line))
+
+
 def outside(source: Source, lines: Sequence[int], line_numbers: Ints) -> Bools:
     """Return which of other lines (n,) are outside of the control structures that some lines open and close."""
     begin_lines: list[int] = []
     end_lines: list[int] = []
     depth = 0
     for line in lines:
-        word = word_at(source.text, *source.code_span(line))
+        word = _word(source, line)
         if word in OPENING or word == "REPEAT":
             begin_lines += [] if depth else [line]
             depth += 1
@@ -161,7 +169,7 @@ def _mistakes(source: Source, nodes: Sequence[Node], *, in_loop: bool) -> Iterat
                     yield source.line_error(wrong[0], line, wrong[1])
             for part in node.parts:
                 yield from _mistakes(source, part.nodes, in_loop=in_loop or node.word in LOOPS)
-        elif not in_loop and word_at(source.text, *source.code_span(node)) == "EXIT":
+        elif not in_loop and _word(source, node) == "EXIT":
             advice = "It leaves LOOP, FOR, WHILE or REPEAT: check where these end."
             yield source.line_error("EXIT outside of a loop", node, advice)
 

@@ -88,10 +88,12 @@ class Flow:
                 continue
             if isinstance(node, Block):
                 self._block(source, node)
-            elif end := self._jumped_back(source, nodes, index):
+            elif isinstance(stmt := statement(source, node), tree.Label) and (
+                end := self._jumped_back(source, nodes, index, stmt)
+            ):
                 index, node = end, nodes[end]
             else:
-                self._statement(Place(source, node))
+                self._statement(Place(source, node), stmt)
             index = self._label(source, nodes, index) if level.jump else index + 1
             if level.broken_off:
                 if self.trace is not None and level.traced and not level.jump:
@@ -176,12 +178,11 @@ class Flow:
 
     # --- statements --------------------------------------------------------------------------------------------------
 
-    def _statement(self, at: Place) -> None:
-        level = self.run.level
+    def _statement(self, at: Place, stmt: tree.Statement) -> None:
+        level, word = self.run.level, stmt.word
         if level.traced:
             self._reach(at.line)
         self._count(at)
-        word = statement(at.source, at.line).word
         if word == "EXIT" and (level.loops or (level.traced and self.trace is None)):
             level.left = True  # of a recorded trace: a loop around the row that runs
             return
@@ -191,7 +192,7 @@ class Flow:
             self.run.is_final = False
             level.jump = at.line
             return
-        self._guarded(at)
+        self._guarded(at, stmt)
 
     def _reach(self, line: int) -> None:
         """Make a line of a traced routine the present row."""
@@ -200,9 +201,9 @@ class Flow:
             run.shift, run.offset, run.shown_line = self.trace.present(line)
         run.line = line + run.shift
 
-    def _guarded(self, at: Place) -> None:
+    def _guarded(self, at: Place, stmt: tree.Statement) -> None:
         try:
-            self.interpreter.statement(at)
+            self.interpreter.statement(at, stmt)
         except InexactError:
             raise
         except ProgramError as cause:
@@ -348,7 +349,7 @@ class Flow:
             for line in lines:
                 if self.run.level.traced:
                     self._reach(line)
-                self._guarded(Place(source, line))
+                self._guarded(Place(source, line), statement(source, line))
 
     def _exactly(self, source: Source, block: Block, trace: Trace | None) -> None:
         """Follow a control structure.
@@ -580,12 +581,12 @@ class Flow:
         if trace is not None and loop is not None:
             trace.end(loop, block, counter.assigned if counter is not None and has_ended else None)
 
-    def _jumped_back(self, source: Source, nodes: tuple[Node, ...], index: int) -> int:
+    def _jumped_back(self, source: Source, nodes: tuple[Node, ...], index: int, label: tree.Label) -> int:
         """Follow the rounds from a label to an IF that jumps back to it; return the index of this, 0 if there is none.
 
         :raises InexactError: the condition is not known before run time; under `--keep-unresolved` there is none then.
         """
-        end, trace = self._jumping_back(source, nodes, index), self.trace
+        end, trace = self._jumping_back(source, nodes, index, label), self.trace
         if not end or trace is None:
             return 0
         undo = self._undoing(trace)
@@ -599,16 +600,13 @@ class Flow:
             return 0
         return end
 
-    def _jumping_back(self, source: Source, nodes: tuple[Node, ...], index: int) -> int:
+    def _jumping_back(self, source: Source, nodes: tuple[Node, ...], index: int, label: tree.Label) -> int:
         """Return the index of the IF that does nothing but jump back to the label of a node; 0 if there is none.
 
         No other GOTO may lead to the label: the rounds may be written one after the other, without it.
         """
-        level, line = self.run.level, nodes[index]
-        if self.trace is None or isinstance(line, Block):
-            return 0
-        label = statement(source, line)
-        if not isinstance(label, tree.Label) or not level.traced or level.loops or not self.run.certain:
+        level = self.run.level
+        if self.trace is None or not level.traced or level.loops or not self.run.certain:
             return 0
         jumps = [at for at in level.routine.lines if self.label_of(source, at) == label.name]
         for number in range(index + 1, len(nodes) if len(jumps) == 1 else 0):
@@ -698,7 +696,7 @@ class Flow:
         plain = PlainRounds(begin, counter.step, first, rounds, length, source, block.first, body)
         trace.plain_rounds(loop, block, counter.name, plain)
         for line in body.triggers:  # what they write may change at any time from now on
-            self._guarded(Place(source, line))
+            self._guarded(Place(source, line), statement(source, line))
         counter.pass_over(rounds)
 
     def _endless(self, source: Source, block: Block, trace: Trace | None) -> None:

@@ -78,12 +78,11 @@ class Interpreter:
         self.run, self._motion, self._inline_call = run, motion, inline_call
         self.calls = Calls(run, run_routine)
 
-    def statement(self, at: Place) -> None:
+    def statement(self, at: Place, stmt: tree.Statement) -> None:
         """Run one statement.
 
         :raises ProgramError: it is not understood, or its effect on motion is not modelled.
         """
-        stmt = statement(at.source, at.line)
         self.run.place = at
         if isinstance(stmt, _MOVING):
             if self.run.in_main:
