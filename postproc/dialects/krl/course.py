@@ -98,11 +98,15 @@ class PlainBody(Struct, frozen=True, eq=False):
     :ivar motions: motions to points of arrays.
     :ivar settings: ``$VEL.CP=V[I]``, ``$APO.CDIS=D[I+1]``.
     :ivar triggers: TRIGGER that switches an output.
+    :ivar assignments: to variables that the round sets before it uses them.
+    :ivar is_computed: the points are computed from the counter, see `computed_rounds`.
     """
 
     motions: tuple[int, ...]
     settings: tuple[int, ...]
     triggers: tuple[int, ...]
+    assignments: tuple[int, ...] = ()
+    is_computed: bool = False
 
 
 class PlainRounds(Struct, frozen=True, eq=False):

@@ -51,7 +51,7 @@ class Position(Struct, frozen=True, eq=False):
     @property
     def complete(self) -> bool:
         """Whether no component is missing."""
-        return not any([value != value for value in self.values])
+        return not any(value != value for value in self.values)
 
     @property
     def farthest(self) -> float:

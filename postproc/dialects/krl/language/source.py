@@ -93,7 +93,12 @@ class Source(Struct, frozen=True, eq=False):
     def code_span(self, line: int) -> tuple[int, int]:
         """Return the span of the code of a 1-based line: without its comment and the blanks around it."""
         text, start, stop = self.text, self.starts.item(line - 1), self.stops.item(line - 1)
-        if start < stop and text[start] not in _AROUND and text[stop - 1] not in _AROUND and text.find(";", start, stop) < 0:
+        if (
+            start < stop
+            and text[start] not in _AROUND
+            and text[stop - 1] not in _AROUND
+            and text.find(";", start, stop) < 0
+        ):
             return start, stop  # most lines: asked several times for each
         return code_span(text, start, stop)
 

@@ -19,6 +19,7 @@ from postproc.dialects.krl.language.routines import Module, Routine
 from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.language.structures import LOOPS, Block, Node, Part
 from postproc.dialects.krl.language.values import Call, Number, Reference, Value
+from postproc.dialects.krl.read.computed_rounds import FEWEST_ROUNDS, computed_body
 from postproc.dialects.krl.read.conditions import constant_cases
 from postproc.dialects.krl.read.explanations import why_not_decided, without_value
 from postproc.dialects.krl.read.interpreter import LOOP_ADVICE, Interpreter, undecided_jump
@@ -686,10 +687,12 @@ class Flow:
     def _plainly(self, source: Source, block: Block, counter: _Counter, trace: Trace, loop: Repeated) -> None:
         """Record all rounds of a FOR at once if its body is plain."""
         if block not in self._plain:
-            self._plain[block] = plain_body(source, block)
+            self._plain[block] = plain_body(source, block) or computed_body(source, block)
         body, begin, rounds = self._plain[block], counter.now(), counter.rounds
         statement_count = rounds * (1 + len(block.parts[0].nodes))
         if body is None or not rounds or self._traced + statement_count > self._most(source):
+            return
+        if body.is_computed and rounds < FEWEST_ROUNDS:
             return
         self._traced += statement_count
         length, first = block.last - block.first, trace.count + 1
@@ -697,7 +700,10 @@ class Flow:
         trace.plain_rounds(loop, block, counter.name, plain)
         for line in body.triggers:  # what they write may change at any time from now on
             self._guarded(Place(source, line), statement(source, line))
-        counter.pass_over(rounds)
+        for passed in (rounds - 1, 1):  # only the last round leaves something
+            for line in body.assignments:
+                self._guarded(Place(source, line), statement(source, line))
+            counter.pass_over(passed)
 
     def _endless(self, source: Source, block: Block, trace: Trace | None) -> None:
         """Follow one iteration of a LOOP without EXIT; nothing after it is reached.

@@ -34,6 +34,7 @@ from postproc.dialects.krl.language.structures import Block, Node, checked, node
 from postproc.dialects.krl.language.tokens import NAME
 from postproc.dialects.krl.language.tree import CallStatement, For, Goto, Motion, Return, Statement
 from postproc.dialects.krl.read.collected import Collected
+from postproc.dialects.krl.read.computed_rounds import computed_motions
 from postproc.dialects.krl.read.flow import Flow
 from postproc.dialects.krl.read.folder import Library
 from postproc.dialects.krl.read.interpreter import JUMP_ADVICE
@@ -298,7 +299,14 @@ class MainRoutine:
     def _follow_rounds(self, rounds: PlainRounds) -> None:
         """Take plain rounds at once if possible, else one by one."""
         run = self.run
-        columns = columns_of(run, self.reader, rounds)
+        moves = computed_motions(run, self.reader, rounds) if rounds.body.is_computed else None
+        if moves is not None:
+            for move in moves:
+                self.motions.add(move, run.settings.state)
+            ends = [rows[end] for rows in map(rounds.line, (rounds.head, *rounds.body.assignments)) for end in (0, -1)]
+            self._follow_lines(np.sort(np.array(ends)), rounds)
+            return
+        columns = None if rounds.body.is_computed else columns_of(run, self.reader, rounds)
         if columns is None:
             self._follow_lines(np.arange(rounds.first, rounds.beyond), rounds)
             return

@@ -38,7 +38,7 @@ from postproc.frames import Array, inverse
 
 _COMPONENTS = frozenset({*CARTESIAN, *AXES, "S", "T"})
 _REAL = frozenset({*CARTESIAN, *AXES})
-_FUNCTIONS: dict[str, Callable[..., float]] = {
+FUNCTIONS: dict[str, Callable[..., float]] = {
     "ABS": abs,
     "SQRT": math.sqrt,
     "SIN": lambda angle: math.sin(math.radians(angle)),
@@ -47,6 +47,7 @@ _FUNCTIONS: dict[str, Callable[..., float]] = {
     "ACOS": lambda number: math.degrees(math.acos(number)),
     "ATAN2": lambda y, x: math.degrees(math.atan2(y, x)),
 }
+"""Functions of the controller that give a number of numbers; angles in degrees."""
 ZERO = Position((0.0,) * 6)
 _SCALAR = (Number, Word)
 _CONSTANT = (Number, Word, Opaque)
@@ -55,7 +56,8 @@ _WITHOUT_PARTS = (Number, Word, Position, Unknown, Opaque, Unreadable)
 ANGLES = CARTESIAN[3:]
 WHOLE = "INT or REAL"
 """Type of a parameter without ``:IN`` whose argument has the other of these types: no source says which it is."""
-_LARGEST_INT = 2.0**31
+LARGEST_INT = 2.0**31
+"""INTs are below this: they have 32 bits."""
 _BEYOND_INT = Unknown(why="what becomes of an INT beyond 32 bits is in no source")
 _HALF = 1e-5
 """REALs that are closer than this share to the middle between two INTs may be rounded to either: they have fewer
@@ -464,13 +466,13 @@ class Variables:
                 return Unknown(why="to which side the quotient of negative INTs is rounded is in no source")
             return Number(a // b, operation.start, operation.stop, True)
         value = {"+": a + b, "-": a - b, "*": a * b, "/": a / b if b else 0.0}[operation.operator]
-        if integer and abs(value) >= _LARGEST_INT:
+        if integer and abs(value) >= LARGEST_INT:
             return _BEYOND_INT
         return Number(value, operation.start, operation.stop, integer) if math.isfinite(value) else NOTHING
 
     def _function(self, call: Call) -> Known:
         """Return the value of a call (angles in degrees) if its arguments alone determine it, else `NOTHING`."""
-        function = _FUNCTIONS.get(call.name)
+        function = FUNCTIONS.get(call.name)
         if function is None and call.name != "INV_POS":
             return self.functions.value(call) if self.functions.pure(call) else NOTHING
         argument_values = [self.evaluate(argument) for argument in call.arguments]
@@ -710,7 +712,7 @@ def converted(value: Known, kind: str) -> Known:
     whole = value.value == int(value.value)
     if kind == WHOLE and not whole:
         return Unknown(why=f"whether {value.value:g} is rounded to an INT is in no source")
-    if kind in ("INT", WHOLE) and abs(value.value) >= _LARGEST_INT:
+    if kind in ("INT", WHOLE) and abs(value.value) >= LARGEST_INT:
         return _BEYOND_INT
     if kind == "INT" and not whole:
         nearest = round(value.value)

@@ -1,0 +1,347 @@
+"""Loops whose points are computed from the counter: ``LIN {X 90*COS(I),…}``, ``XT=P[I+1]`` and ``LIN XT``.
+
+The expressions are evaluated for all rounds at once, each as a column with one number a round. This holds where no
+round depends on one before: variables are set before they are used, and all else has one value throughout. Numbers are
+those that `Variables` gives one by one, since the operations are the same. Where a column would hold anything else than
+numbers, or whole positions, the rounds are followed one by one (`main_routine`), and so could all be.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+from msgspec import Struct
+from msgspec.structs import replace
+
+from postproc.dialects.krl.course import PlainBody, PlainRounds
+from postproc.dialects.krl.language.motion_statements import MotionStatement, Point
+from postproc.dialects.krl.language.names import CIRCLES, MAX_LENGTH
+from postproc.dialects.krl.language.parser import statement
+from postproc.dialects.krl.language.positions import CARTESIAN, FARTHEST, Position, from_aggregate
+from postproc.dialects.krl.language.source import Place, Source
+from postproc.dialects.krl.language.structures import Block
+from postproc.dialects.krl.language.tree import Assignment, For, Motion
+from postproc.dialects.krl.language.values import Aggregate, Call, Number, Operation, Reference, Value, walk
+from postproc.dialects.krl.read import plain_settings
+from postproc.dialects.krl.read.motion_reader import HERE, KINDS, MotionReader
+from postproc.dialects.krl.read.run import Run
+from postproc.dialects.krl.read.state import RELEVANT
+from postproc.dialects.krl.read.variables import FUNCTIONS, LARGEST_INT, converted
+from postproc.errors import ProgramError
+
+FEWEST_ROUNDS = 64
+"""Rounds from which on columns are worth a second run of the program."""
+_TAGS = ("", "E6POS", "E3POS", "POS", "FRAME")
+_SWITCHED = ("$OUT", "$ANOUT")
+
+
+def computed_body(source: Source, block: Block) -> PlainBody | None:
+    """Return the statements of a FOR that computes points and moves to them; None if it does anything else."""
+    head = statement(source, block.first)
+    if not isinstance(head, For) or head.bounds is None or head.counter is None or head.counter.indices is not None:
+        return None
+    if head.counter.field is not None or not all(isinstance(node, int) for node in block.parts[0].nodes):
+        return None
+    lines = [node for node in block.parts[0].nodes if isinstance(node, int)]
+    assigned = {s.target.name for s in (statement(source, line) for line in lines) if isinstance(s, Assignment)}
+    bounds = walk(value for value in head.bounds if value is not None)
+    if any(isinstance(value, Reference) and value.name in {*assigned, head.name} for value in bounds):
+        return None
+    motions, assignments, names = [], [], set[str]()
+    unset = assigned - {name for name in assigned if name[0] == "$"}
+    for line in lines:
+        stmt = statement(source, line)
+        if isinstance(stmt, Assignment) and stmt.target.name[0] == "$":
+            if stmt.target.name not in _SWITCHED or not plain_settings.is_plain(source, line):
+                return None
+        elif isinstance(stmt, Assignment) and _sets(stmt, head.name) and _is_computed(stmt.value, unset):
+            assignments.append(line)
+            names.add(stmt.target.name)
+            unset.discard(stmt.target.name)
+        elif isinstance(stmt, Motion) and _moves(stmt, names, unset):
+            motions.append(line)
+        else:
+            return None
+    return PlainBody((*motions,), (), (), (*assignments,), is_computed=True) if motions else None
+
+
+def _sets(stmt: Assignment, counter: str) -> bool:
+    """Return whether an assignment sets a whole variable that is not the counter."""
+    target = stmt.target
+    return target.indices is None and target.field is None and target.name not in (counter, *RELEVANT)
+
+
+def _is_computed(value: Value, unset: set[str]) -> bool:
+    """Return whether a value is made of numbers, variables and elements by arithmetic.
+
+    :param unset: names that the round sets later.
+    """
+    if isinstance(value, Number):
+        return True
+    if isinstance(value, Reference):
+        is_plain = value.field is None and value.name[0] != "$" and value.name not in unset and not value.inner
+        indices = value.indices
+        return is_plain and (indices is None or (len(indices) == 1 and _is_computed(indices[0], unset)))
+    if isinstance(value, Operation):
+        sides = (value.right,) if value.left is None else (value.left, value.right)
+        return value.operator in _OPERATIONS and all(_is_computed(side, unset) for side in sides)
+    if isinstance(value, Call):
+        is_function = value.name in FUNCTIONS and len(value.arguments) == 1 + (value.name == "ATAN2")
+        return is_function and all(_is_computed(argument, unset) for argument in value.arguments)
+    return False
+
+
+def _moves(stmt: Motion, names: set[str], unset: set[str]) -> bool:
+    """Return whether a motion leads to a variable that the round has set, or to an aggregate of computed numbers."""
+    tail, end = stmt.tail, stmt.end
+    if stmt.word not in KINDS or stmt.word in (*CIRCLES, "SPL") or stmt.angle is not None or stmt.frame:
+        return False
+    if tail.given or tail.rest is not None or tail.error is not None:
+        return False
+    if isinstance(end, Reference):
+        is_whole = end.indices is None and end.field is None and not end.bracketed
+        return is_whole and end.name in names and end.name not in HERE and len(end.name) <= MAX_LENGTH
+    if not isinstance(end, Aggregate) or end.tag not in _TAGS or set(end.items) != set(CARTESIAN):
+        return False
+    values = end.items.values()
+    return all(_is_computed(value, unset) for value in values) and not all(isinstance(v, Number) for v in values)
+
+
+class _Column(Struct, frozen=True, eq=False):
+    """Numbers, one a round; `integer` where they may be INTs."""
+
+    numbers: list[float]
+    integer: bool
+
+
+class _NoColumnError(Exception):
+    """A value is not a number in all rounds, or not one kind of number."""
+
+
+_OPERATIONS: dict[str, Callable[[float, float], float]] = {
+    "+": lambda a, b: a + b,
+    "-": lambda a, b: a - b,
+    "*": lambda a, b: a * b,
+    "/": lambda a, b: a / b,
+}
+
+
+class _Rounds:
+    """The values of rounds as columns.
+
+    :ivar columns: of the counter and of variables that are numbers, by name.
+    :ivar positions: of variables that are positions.
+    """
+
+    def __init__(self, run: Run, rounds: PlainRounds, counter: str) -> None:
+        self.run, self.count = run, rounds.count
+        self.columns = {counter: _Column([float(number) for number in rounds.numbers(0)], integer=True)}
+        self.positions: dict[str, list[Position]] = {}
+
+    def assign(self, stmt: Assignment) -> None:
+        """Give a variable its values.
+
+        :raises _NoColumnError: they are not all numbers of one kind, or not all whole positions.
+        """
+        name, key = stmt.target.name, self._stored(stmt.target.name)
+        self.columns.pop(name, None)
+        self.positions.pop(name, None)
+        if isinstance(stmt.value, Reference) and stmt.value.indices is not None:
+            values = self._elements(stmt.value)
+            if all(isinstance(value, Aggregate) for value in values):
+                self.positions[name] = [_position(value) for value in values if isinstance(value, Aggregate)]
+                return
+        column, kind = self.column(stmt.value), self.run.variables.types.get(key, "")
+        self.columns[name] = _as_column(
+            [converted(Number(number, 0, 0, column.integer), kind) for number in column.numbers]
+        )
+
+    def targets(self, end: Value | None) -> list[Position]:
+        """Return the targets of a motion.
+
+        :raises _NoColumnError: they are not all known, or out of reach.
+        """
+        if isinstance(end, Reference):
+            if end.name not in self.positions:
+                raise _NoColumnError
+            positions = self.positions[end.name]
+        elif isinstance(end, Aggregate):
+            columns = [self.column(end.items[name]).numbers for name in CARTESIAN]
+            positions = [Position(values) for values in zip(*columns, strict=True)]
+        else:
+            raise _NoColumnError
+        if not all(position.farthest <= FARTHEST for position in positions):
+            raise _NoColumnError
+        return positions
+
+    def column(self, value: Value) -> _Column:
+        """Return an expression in all rounds, as `Variables` evaluates it in one.
+
+        :raises _NoColumnError: it is not a number in one of them, or an INT in some only.
+        """
+        if isinstance(value, Number):
+            return _Column([value.value] * self.count, value.integer)
+        if isinstance(value, Reference):
+            return self._variable(value)
+        if isinstance(value, Operation):
+            left = _Column([0.0] * self.count, integer=True) if value.left is None else self.column(value.left)
+            return _joined(value.operator, left, self.column(value.right))
+        if isinstance(value, Call):
+            arguments = [self.column(argument) for argument in value.arguments]
+            function = FUNCTIONS[value.name]
+            try:
+                numbers = [function(*row) for row in zip(*(column.numbers for column in arguments), strict=True)]
+            except (ValueError, OverflowError):
+                raise _NoColumnError from None
+            return _Column(numbers, value.name == "ABS" and all(column.integer for column in arguments))
+        raise _NoColumnError
+
+    def _variable(self, reference: Reference) -> _Column:
+        if reference.indices is not None:
+            return _as_column(self._elements(reference))
+        column = self.columns.get(reference.name)
+        if column is not None:
+            return column
+        if reference.name in self.positions:
+            raise _NoColumnError
+        return _as_column([self.run.variables.value(self._stored(reference.name))] * self.count)
+
+    def _elements(self, reference: Reference) -> Sequence[object]:
+        """Return the elements of an array, one for each round."""
+        variables, name = self.run.variables, self._stored(reference.name)
+        if reference.indices is None or reference.name in self.columns or reference.name in self.positions:
+            raise _NoColumnError
+        indices = self.column(reference.indices[0]).numbers
+        if any(index != int(index) for index in indices):
+            raise _NoColumnError
+        return [variables.value(f"{name}[{int(index)}]") for index in indices]
+
+    def _stored(self, name: str) -> str:
+        """Return the name under which a variable is stored.
+
+        :raises _NoColumnError: it may change at any time, is a whole array of the caller, or the cell gives its value.
+        """
+        variables = self.run.variables
+        stored = self.run.stored(name)
+        is_given = any(key.partition("[")[0] == stored for key in variables.given)
+        if name in variables.scope.arrays or stored in variables.changing or is_given:
+            raise _NoColumnError
+        return stored
+
+
+def _as_column(values: Sequence[object]) -> _Column:
+    """Return values that are all numbers, and all INTs or none.
+
+    :raises _NoColumnError: they are not.
+    """
+    numbers = [value for value in values if isinstance(value, Number)]
+    if len(numbers) < len(values) or len({number.integer for number in numbers}) != 1:
+        raise _NoColumnError
+    return _Column([number.value for number in numbers], numbers[0].integer)
+
+
+def _joined(operator: str, left: _Column, right: _Column) -> _Column:
+    """Return sums, differences, products or quotients; a quotient of INTs only where it has no remainder.
+
+    :raises _NoColumnError: one of them is not known.
+    """
+    integer, operation = left.integer and right.integer, _OPERATIONS[operator]
+    pairs = list(zip(left.numbers, right.numbers, strict=True))
+    if operator == "/" and any(b == 0.0 or (integer and a % b != 0.0) for a, b in pairs):
+        raise _NoColumnError
+    numbers = [operation(a, b) for a, b in pairs]
+    if not all(map(math.isfinite, numbers)) or (integer and any(abs(number) >= LARGEST_INT for number in numbers)):
+        raise _NoColumnError
+    return _Column(numbers, integer)
+
+
+def _position(aggregate: Aggregate) -> Position:
+    """Return the position that a variable has which was set to an aggregate: no text of its own holds its numbers.
+
+    :raises _NoColumnError: it is not a complete Cartesian one.
+    """
+    if not aggregate.items.keys() >= set(CARTESIAN) or not all(isinstance(v, Number) for v in aggregate.items.values()):
+        raise _NoColumnError
+    try:
+        position = from_aggregate(replace(aggregate, computed=True))
+    except ProgramError:
+        raise _NoColumnError from None
+    if position.axis:
+        raise _NoColumnError
+    return position
+
+
+def computed_motions(run: Run, reader: MotionReader, rounds: PlainRounds) -> list[MotionStatement] | None:
+    """Return the motions of rounds that are computed from the counter, in order; None if they are not known.
+
+    :param run: what has run before the first round; unchanged if they are not known.
+    """
+    head, state = statement(rounds.source, rounds.head), run.settings.state
+    if state.uncertain or state.block or state.base < 0 or state.tool < 0 or not run.certain or run.level.open:
+        return None
+    if not isinstance(head, For) or not run.is_traced:
+        return None
+    motions: list[tuple[int, Motion, list[Position], bool]] = []
+    values = _Rounds(run, rounds, head.name)
+    try:
+        for line in sorted((*rounds.body.assignments, *rounds.body.motions)):
+            stmt = statement(rounds.source, line)
+            if isinstance(stmt, Assignment):
+                values.assign(stmt)
+            elif isinstance(stmt, Motion):
+                _, is_approximated = reader.tail(Place(rounds.source, line), KINDS[stmt.word], stmt.tail)
+                motions.append((line, stmt, values.targets(stmt.end), is_approximated))
+    except (_NoColumnError, ProgramError):
+        return None
+    for _, stmt, _, _ in motions:
+        if stmt.end is not None:
+            run.variables.rely(stmt.end)
+    _understand(run, rounds, head)
+    columns = (_statements(run, rounds, *motion) for motion in motions)
+    return [move for row in zip(*columns, strict=True) for move in row]
+
+
+def _begins(run: Run, rounds: PlainRounds, line: int) -> list[int]:
+    """Return by how much a line of the body begins later in the trace than in its file, for each round."""
+    begins: list[int] = (run.source.starts[rounds.line(line) - 1] - rounds.source.starts[line - 1]).tolist()
+    return begins
+
+
+def _understand(run: Run, rounds: PlainRounds, head: For) -> None:
+    """Note the names whose use is followed: the counter, what is set, and points."""
+    if head.counter is None:
+        return
+    indent = rounds.source.code_span(rounds.head)[0] - rounds.source.starts.item(rounds.head - 1)
+    run.understood.update((run.source.starts[rounds.line(rounds.head) - 1] + indent).tolist())
+    for line in (*rounds.body.assignments, *rounds.body.motions):
+        stmt = statement(rounds.source, line)
+        name = stmt.target if isinstance(stmt, Assignment) else stmt.end if isinstance(stmt, Motion) else None
+        if isinstance(name, Reference):
+            run.understood.update([name.start + begin for begin in _begins(run, rounds, line)])
+
+
+def _statements(
+    run: Run, rounds: PlainRounds, line: int, stmt: Motion, targets: list[Position], is_approximated: bool
+) -> list[MotionStatement]:
+    """Return the motions of one statement of the body, one a round."""
+    end, tail, kind = stmt.end, stmt.tail, KINDS[stmt.word]
+    if end is None:
+        return []
+    name = end.name if isinstance(end, Reference) else ""
+    start, stop, word = end.start, end.stop, (stmt.start, stmt.start + len(stmt.word))
+    return [
+        MotionStatement(
+            row,
+            kind,
+            (word[0] + begin, word[1] + begin),
+            Point(position, start + begin, stop + begin, name),
+            "",
+            None,
+            None,
+            tail.start + begin,
+            tail.stop + begin,
+            is_approximated,
+        )
+        for row, begin, position in zip(rounds.line(line).tolist(), _begins(run, rounds, line), targets, strict=True)
+    ]
