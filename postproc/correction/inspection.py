@@ -99,9 +99,9 @@ def slowed(
     _, lines = stretches_to_examine(path, q, speed)
     for close, exact, exact_position in dense_places(path, q, position, lines):
         take(close.motion, checks.joint_speed(program, close, path.motions.segments.turn, exact, exact_position))
-    is_fast = share > 1.0
-    if before is not None:
-        is_fast |= (share > share_of_limit) & ((before.joint >= 0) | np.isin(m.line, list(fast_lines)))
+    is_fast, on_fast_line = share > 1.0, slowable & np.isin(m.line, list(fast_lines))
+    if before is not None and on_fast_line.any():  # else what is too fast cannot be slowed
+        is_fast |= (share > share_of_limit) & ((before.joint >= 0) | on_fast_line)
     fast = np.flatnonzero(is_fast)
     if not len(fast):
         return None

@@ -98,19 +98,18 @@ def tool_changes(program: Program) -> Iterator[Issue]:
     widened by 50 mm.
     """
     m = program.motions
-    ends = m.target[:]
     cutting = np.flatnonzero(~m.rapid)
     changes = 1 + np.flatnonzero((m.tool[1:] != m.tool[:-1]) & (m.base[1:] == m.base[:-1]))
-    for row in changes.tolist() if len(cutting) else ():
+    for row in changes.tolist():
         before, after = program.tools[m.tool[row - 1]], program.tools[m.tool[row]]
-        tip = ends[row - 1] @ np.linalg.solve(before, after)
-        axis = tip[:3, 3] - ends[row - 1][:3, 3]
-        extra_length = float(np.linalg.norm(axis))
         reach = np.linalg.norm(after[:3, 3]) - np.linalg.norm(before[:3, 3])
-        if reach <= _SAME_LENGTH:
+        points = m.target[cutting[m.base[cutting] == m.base[row]], :3, 3]
+        if reach <= _SAME_LENGTH or not len(points):
             continue
-        axis = axis / extra_length
-        points = ends[cutting[m.base[cutting] == m.base[row]], :3, 3]
+        end = m.target[row - 1]
+        tip = end @ np.linalg.solve(before, after)
+        axis = tip[:3, 3] - end[:3, 3]
+        axis /= np.linalg.norm(axis)
         depth = (points - tip[:3, 3]) @ axis  # of the cuts below the new tip
         across = points - tip[:3, 3] - depth[:, None] * axis
         is_over = (across.min(axis=0) - _BESIDE <= 0.0).all() and (across.max(axis=0) + _BESIDE >= 0.0).all()

@@ -167,7 +167,6 @@ class Draft(Struct, frozen=True, eq=False):
             *task.initial_issues,
             *path.program.issues,
             *path.motions.forces.issues,
-            *plausibility.of_forces(path.program, path.motions.forces, path.robot_in_cell.robot),
             *inspection.of_path(path, command),
         )
         return cls(path, command.q, command.theta, selection, issues)
@@ -512,7 +511,9 @@ def process(
             program = placement.turned(program, cell.tool.axis, turn.of_motion)
     if not errors:
         try:
-            task, draft = _settled(task, MotionsUnderLoad.of(program, robot_in_cell, source))
+            motions = MotionsUnderLoad.of(program, robot_in_cell, source)
+            questions = plausibility.of_forces(program, motions.forces, robot)
+            task, draft = _settled(replace(task, initial_issues=(*task.initial_issues, *questions)), motions)
             smallest, collision_issues = collisions.of_path(draft.path, draft.q)
             draft = replace(draft, issues=(*draft.issues, *collision_issues))
             result = result_of(task, _as_read(task, draft) if mode == "predict" else draft, draft)

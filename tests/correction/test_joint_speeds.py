@@ -96,6 +96,17 @@ def test_a_cap_lowers_the_feed_of_a_robot_program_too():
     assert "feed-capped" in {issue.kind for issue in result.issues}
 
 
+def test_rapid_moves_are_not_slowed_further_where_a_cut_that_cannot_be_is_too_fast():
+    """The cut is refused; the remark on its rapid moves is that of a program whose cut is slow enough."""
+
+    def remark(feed):
+        return next(i.message for i in converted(text.format(feed=feed)).issues if i.kind == "rapid-slowed")
+
+    text = RAPIDS.replace("G1 X50 F{feed}", "(FORCE FX=100)\nG1 X50 F{feed}\n(FORCE OFF)")
+    assert not converted(text.format(feed=400000)).documents
+    assert remark(400000) == remark(900)
+
+
 def test_a_cap_lowers_the_feed_until_the_written_program_keeps_the_speeds():
     """A tilt of 70° past the wrist singularity: the written program turns A4 faster than its draft."""
     rotary = Rotary(axes=["C", "B"], kind="tcp")

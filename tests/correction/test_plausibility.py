@@ -123,3 +123,15 @@ def test_a_longer_tool_that_is_mounted_among_the_cuts_is_a_warning(height, x, le
     if words:
         assert words in issues[0].message
         assert f"X {x}, Y 0, Z {350 + height - length:g}" in issues[0].message
+
+
+def test_a_longer_tool_in_a_base_without_cuts_raises_no_question():
+    text = (
+        b"DEF P()\n$BASE={X 1500,Y -200,Z 700,A 0,B 0,C 0}\n$TOOL={X 0,Y 0,Z 350,A 0,B 0,C 0}\n"
+        b"PTP {A1 0,A2 -90,A3 100,A4 0,A5 80,A6 0}\nPTP {X 0,Y 0,Z 200,A 180,B 0,C 180}\n"
+        b"$TOOL={X 0,Y 0,Z 400,A 0,B 0,C 0}\nPTP {X 50,Y 0,Z 200,A 180,B 0,C 180}\n"
+        b"$BASE={X 1500,Y -100,Z 700,A 0,B 0,C 0}\nLIN {X 0,Y 0,Z 150,A 180,B 0,C 180}\nEND\n"
+    )
+    program = correction.read([decode("p", text)], ROBOT, CELL, "p", "krl")
+    assert (len(program.tools), len(program.bases)) == (2, 2)
+    assert list(plausibility.tool_changes(program)) == []
