@@ -250,8 +250,8 @@ def _for_programs(cell: Path, programs: list[Path], options: dict[str, Any]) -> 
     answers = guided_start.Answers()
     answers.values |= {name: options[name] for name in _SAME_OPTIONS if options[name] is not None}
     answers.values |= {f"tool.{number}": frame for number, frame in options["tools"].items()}
-    if needs.tools and not needs.changes_tools and needs.tools[0] in options["tools"]:
-        answers.values.setdefault("tool", options["tools"][needs.tools[0]])
+    if needs.only_tool in options["tools"]:
+        answers.values.setdefault("tool", options["tools"][needs.only_tool])
     answers.values |= {f"work_offset.{code}": frame for code, frame in options["work_offsets"].items()}
     answers.values |= {f"m_code.{code}": "none" for code in options["m_codes"]}
     answers.values |= {f"rotary_point.{letter}": point for letter, point in options["rotary_points"].items()}

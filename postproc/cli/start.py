@@ -136,7 +136,7 @@ def _stated(options: Mapping[str, Any], needs: ProgramNeeds) -> dict[str, str]:
     for option, name in _NUMBERED_OPTIONS.items():
         for text in options[option]:
             texts |= dict(_numbered(option, name, text, needs))
-    only_tool = f"tool.{needs.tools[0]}" if needs.tools and not needs.changes_tools else ""
+    only_tool = f"tool.{needs.only_tool}"
     if only_tool in texts and "tool" not in texts:
         texts["tool"] = texts.pop(only_tool)
     return texts

@@ -89,6 +89,11 @@ class ProgramNeeds(Struct, frozen=True):
         """Whether it mounts a second tool."""
         return len(self.tools) > 1
 
+    @property
+    def only_tool(self) -> int | None:
+        """T number of its only tool; None if it names none, or several."""
+        return self.tools[0] if len(self.tools) == 1 else None
+
     def stock_box(self, diameters: Mapping[int, float]) -> Box | None:
         """Return the stock that comments state, or a box around what the tools sweep; None: it does not cut.
 
