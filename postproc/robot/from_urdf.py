@@ -126,20 +126,20 @@ def _in_kuka_form(arm: AnyArm, file: str) -> tuple[Chain, Array, list[str]]:
     axis = np.einsum("jab,jb->ja", frames[:, :3, :3], source.axis)
     sign = np.sign(np.einsum("ja,ja->j", axis, _AXES))
     _check_zero(axis, frames[:, :3, 3], flange, file)
-    origin = np.round(_origins(frames[:, :3, 3], flange[:3, 3]), _ROUND) + 0.0
+    origin = np.round(_origins(frames[:, :3, 3], flange[:3, 3]), _ROUND)
     centre = np.einsum("jab,jb->ja", frames[:, :3, :3], source.centre) + frames[:, :3, 3] - origin
     placement = np.tile(np.eye(4), (len(JOINTS), 1, 1))
-    placement[:, :3, 3] = np.round(np.diff(origin, axis=0, prepend=0.0), _ROUND) + 0.0
+    placement[:, :3, 3] = np.round(np.diff(origin, axis=0, prepend=0.0), _ROUND)
     old_frames = np.concatenate([np.linalg.inv(base)[None], frames])
     old_frames[1:, :3, 3] -= origin
     tip = np.eye(4)
-    tip[:3, :3], tip[:3, 3] = _FLANGE_AXES, np.round(flange[:3, 3] - origin[-1], _ROUND) + 0.0
+    tip[:3, :3], tip[:3, 3] = _FLANGE_AXES, np.round(flange[:3, 3] - origin[-1], _ROUND)
     chain = replace(
         source,
         placement=placement,
         axis=_AXES,
         flange=tip,
-        centre=np.where(source.mass[:, None] < _LIGHTEST, 0.0, np.round(centre, 4)) + 0.0,
+        centre=np.where(source.mass[:, None] < _LIGHTEST, 0.0, np.round(centre, 4)),
         mass=np.where(source.mass < _LIGHTEST, 0.0, source.mass),
         lower=np.where(sign > 0, source.lower, -source.upper),
         upper=np.where(sign > 0, source.upper, -source.lower),
@@ -252,7 +252,7 @@ def _check_zero(axis: Array, origin: Array, flange: Array, file: str) -> None:
             f"stretched out, the axis of {JOINTS[row]} is {angle:.3g}° off that of a KUKA arm", file=file, advice=advice
         )
     upper_arm = origin[2] - origin[1]
-    if upper_arm[0] <= 0.0 or abs(upper_arm[2]) > _TOLERANCE or flange[0, 3] <= origin[4, 0]:
+    if upper_arm[0] <= 0.0 or flange[0, 3] <= origin[4, 0]:
         raise ModelError("the arm cannot be stretched out along +X of the root", file=file, advice=advice)
     if flange[0, 2] < 1.0 - _TOLERANCE**2:
         raise ModelError(
@@ -384,4 +384,5 @@ def _written(chain: Chain, name: str, shapes: Mapping[tuple[int, str], str]) -> 
 
 
 def _numbers(values: Array) -> str:
+    """Return numbers for an attribute; zero has no sign."""
     return " ".join(f"{value + 0.0:.10g}" for value in values)

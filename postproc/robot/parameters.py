@@ -692,7 +692,7 @@ class CompensatorSize(CompensatorStiffness, frozen=True):
     """K_c at a constant free length s₀ [N/m]: the size of the compensator's torque."""
 
     def partners(self) -> tuple[Parameter, ...]:
-        """Return no parameters: the mass in model.toml depends on no other value."""
+        """Return no parameters: the free length s₀ does not change with it."""
         return ()
 
     def effect(self, law: Compensator, q2: Array) -> tuple[Array, Array]:

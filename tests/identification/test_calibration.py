@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from postproc import elastostatics, kinematics, robot
-from postproc.errors import MeasurementError, ModelError
+from postproc.errors import MeasurementError
 from postproc.identification import Choices, calibration, geometry_folder, identify_folder
 from postproc.identification.measurement_model import kabsch
 from postproc.identification.model_folder import read_prior
@@ -242,25 +242,6 @@ def test_the_equations_that_configurations_are_left_out_of_have_the_calibration_
     np.testing.assert_allclose((state[known:] - solution.values) / half, 0.0, atol=0.01)
 
 
-def test_beyond_the_measured_angles_the_error_grows_as_that_of_a_line_through_evenly_spread_readings():
-    """The reference is the variance of a least-squares line, its mean inside taken as the square of the bound."""
-    readings = np.linspace(-0.4, 0.6, 2001)
-    design = np.stack([np.ones_like(readings), readings], axis=1)
-    places = np.array([0.0, 0.59, 0.61, 0.8, 1.6, -1.4])
-    reached = np.stack([np.ones_like(places), places], axis=1)
-    variance = np.einsum("ni,ij,nj->n", reached, np.linalg.inv(design.T @ design), reached) * len(readings)
-    error = robot.GeometryError(2e-4, np.full(6, -0.4), np.full(6, 0.6))
-    q = np.zeros((6, 6))
-    q[:, 2] = places
-    growth = (error.at(q) / 2e-4) ** 2
-    np.testing.assert_array_equal(growth[:2], 1.0)
-    at_end = 4.0  # in units of the variance of the mean of the readings, of which the mean inside is 2
-    np.testing.assert_allclose(growth[2:], 1.0 + (variance[2:] - at_end) / 2.0, rtol=2e-3)
-    both = np.array([0.8, 0.0, 0.8, 0.0, 0.0, 0.0])[None]
-    alone = (error.at(q[3:4]) / 2e-4) ** 2
-    np.testing.assert_allclose((error.at(both) / 2e-4) ** 2 - 1.0, 2.0 * (alone - 1.0))
-
-
 def test_a_joint_that_hardly_moved_is_named_and_bounds_the_error_elsewhere(tmp_path):
     """A robot with wavy gears, measured with A1 and the wrist in small ranges and used far from them."""
     rng = np.random.default_rng(3)
@@ -296,17 +277,3 @@ def error_at(true, model, used, elsewhere):
             placed.append(pose[:, :3, 3] + pose[:, :3, :3] @ points)
     base = kabsch(placed[1], placed[0])
     return np.linalg.norm(placed[2] - (placed[3] @ base[:3, :3].T + base[:3, 3]), axis=1)
-
-
-@pytest.mark.parametrize(
-    ("angles", "message"),
-    [("{ A9 = [0, 1] }", "unknown joint 'A9'"), ("{ A1 = [30, -30] }", "A1 goes from 30 to -30°")],
-)
-def test_angles_of_the_geometry_error_are_checked(tmp_path, angles, message):
-    folder = robot.find("kuka_kr270")
-    for name in ("robot.urdf", "model.toml"):
-        (tmp_path / name).write_bytes((folder / name).read_bytes())
-    with (tmp_path / "model.toml").open("a") as file:
-        file.write(f'\n[geometry_error]\nu95_mm = 0.1\nangles_deg = {angles}\nsource = "x"\n')
-    with pytest.raises(ModelError, match=message):
-        robot.load(tmp_path)
