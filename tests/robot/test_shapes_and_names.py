@@ -156,3 +156,69 @@ def test_a_surface_is_moved_by_the_pose_of_its_frame():
 )
 def test_the_payload_is_that_of_the_first_name_that_states_one(names, payload):
     assert rated_payload(*names) == payload
+
+
+def mesh_of(folder, name: str, height: float) -> None:
+    """Write a flat triangle at a height [m]."""
+    triangle = LinkShape(0, np.array([[0.0, 0, height], [1, 0, height], [0, 1, height]]), np.array([[0, 1, 2]]))
+    (folder / name).parent.mkdir(parents=True, exist_ok=True)
+    (folder / name).write_bytes(triangle.stl())
+
+
+def read_one(filename: str, place, scale: str = "1 1 1"):
+    """Surfaces and problems of one mesh of link_2 that a URDF at a place names."""
+    shape = f'<collision><geometry><mesh filename="{filename}" scale="{scale}"/></geometry></collision>'
+    return shapes.read(urdf.geometries(with_plate("", shape), "robot.urdf"), place / "robot.urdf")
+
+
+@pytest.mark.parametrize(
+    ("mesh", "filename"),
+    [
+        ("ws/arm/urdf/m.stl", "m.stl"),
+        ("ws/arm/meshes/m.stl", "../meshes/m.stl"),
+        ("ws/arm/meshes/m.stl", "..\\meshes\\m.stl"),
+        ("ws/arm/meshes/m.stl", "package://arm/meshes/m.stl"),
+        ("ws/arm/meshes/m.stl", "model://arm/meshes/m.stl"),
+        ("ws/other/meshes/m.stl", "package://other/meshes/m.stl"),
+        ("ws/arm/meshes/m.stl", "package://named/meshes/m.stl"),
+    ],
+)
+def test_a_mesh_is_found_beside_the_urdf_or_in_its_package_or_one_beside_it(tmp_path, mesh, filename):
+    """The folder `arm` is the package `named` by its package.xml."""
+    mesh_of(tmp_path, mesh, 0.25)
+    (tmp_path / "ws" / "arm" / "urdf").mkdir(parents=True, exist_ok=True)
+    (tmp_path / "ws" / "arm" / "package.xml").write_text("<package><name> named </name></package>")
+    (surface,), problems = read_one(filename, tmp_path / "ws" / "arm" / "urdf", "2 3 4")
+    assert problems == []
+    assert surface.carrier == 1
+    expected = np.array([[0.0, 0, 1], [2, 0, 1], [0, 3, 1]]) @ PLATE[:3, :3].T + PLATE[:3, 3]
+    np.testing.assert_allclose(surface.points[surface.faces[0]], expected, atol=1e-7)
+
+
+def test_a_mesh_that_is_nowhere_is_named_with_three_of_the_places(tmp_path):
+    (tmp_path / "a" / "b").mkdir(parents=True)
+    mesh_of(tmp_path, "else/m.stl", 0.0)
+    surfaces, (problem,) = read_one("package://arm/m.stl", tmp_path / "a" / "b")
+    assert surfaces == []
+    places = [str(folder / "arm" / "m.stl") for folder in (tmp_path / "a" / "b", tmp_path / "a", tmp_path)]
+    above = len(tmp_path.resolve().parents)
+    assert problem == (
+        f"package://arm/m.stl: there is no such file; looked for {', '.join(places)}, and {above} more above"
+    )
+    _, (single,) = read_one("m.stl", tmp_path / "a" / "b")
+    assert single.endswith(f"looked for {tmp_path / 'a' / 'b' / 'm.stl'}")
+
+
+def test_primitives_have_their_size_and_other_kinds_are_no_shapes(tmp_path):
+    boxes = (
+        '<collision><geometry><box size="0.2 0.4 0.6"/></geometry></collision>'
+        '<collision><geometry><sphere radius="0.5"/></geometry></collision>'
+        '<collision><geometry><cylinder radius="0.5" length="3"/></geometry></collision>'
+        "<collision><geometry><torus/></geometry></collision>"
+    )
+    text = TEXT.replace('<link name="link_1">', f'<link name="link_1">{boxes}', 1)
+    surfaces, problems = shapes.read(urdf.geometries(text, "robot.urdf"), tmp_path / "robot.urdf")
+    assert problems == ["torus: is neither a mesh nor a box, cylinder or sphere"]
+    for surface, half in zip(surfaces, ([0.1, 0.2, 0.3], [0.5] * 3, [0.5, 0.5, 1.5]), strict=True):
+        np.testing.assert_allclose([surface.points.min(axis=0), surface.points.max(axis=0)], [np.negative(half), half])
+        assert surface.carrier == 0
