@@ -273,9 +273,10 @@ def cylinder(name: str, carrier: int, of: Of, begin: Array, end: Array, radius: 
     from trimesh import creation
 
     pose, length = _along(begin, end)
-    outer_radius = radius / np.cos(np.pi / _SIDES)
-    mesh = creation.cylinder(radius=outer_radius, height=length, sections=_SIDES, transform=pose)
-    return _round(name, carrier, of, "cylinder", (radius, length), pose, mesh)
+    # of a radius near 1, then scaled: trimesh leaves out triangles of a tenth of a millimetre
+    mesh = creation.cylinder(radius=1.0 / np.cos(np.pi / _SIDES), height=length / radius, sections=_SIDES)
+    mesh.apply_scale(radius)
+    return _round(name, carrier, of, "cylinder", (radius, length), pose, mesh.apply_transform(pose))
 
 
 def inside(cutter: Body) -> Body:
@@ -291,7 +292,9 @@ def capsule(name: str, carrier: int, of: Of, begin: Array, end: Array, radius: f
     from trimesh import creation
 
     pose, length = _along(begin, end)
-    mesh = creation.capsule(height=length, radius=radius / np.cos(np.pi / _SIDES) ** 2, count=[_SIDES, _SIDES])
+    outer_radius = 1.0 / np.cos(np.pi / _SIDES) ** 2  # scaled to `radius` as that of a cylinder
+    mesh = creation.capsule(height=length / radius, radius=outer_radius, count=[_SIDES, _SIDES])
+    mesh.apply_scale(radius)
     mesh.apply_translation(-mesh.bounds.mean(axis=0))  # versions of trimesh differ in where they put the origin
     return _round(name, carrier, of, "capsule", (radius, length), pose, mesh.apply_transform(pose))
 

@@ -508,7 +508,7 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
             nominal = nominal.with_mass(link.index, difference, centre)
             bare, actual = actual, actual.with_mass(row, difference, centre)
             with_payload = actual if with_payload is bare else with_payload.with_mass(row, difference, centre)
-        return replace(self, nominal=nominal, actual=actual, loaded=with_payload) if masses else self
+        return replace(self, nominal=nominal, actual=actual, loaded=with_payload)
 
     def with_payload(self, mass: float, centre: Array) -> RobotModel:
         """Return the model carrying a further payload.

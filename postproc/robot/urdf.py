@@ -133,13 +133,12 @@ class _Reader:
         if len(roots) != 1 or len(children) != len(set(children)):
             raise _NO_TREE
         self.root = roots.pop()
-        self.visited = 0
         self.joints: list[ET.Element] = []
         self.placement: list[Array] = []
         self.moments: list[tuple[float, Array]] = []
         self.frames: dict[str, tuple[int, Array]] = {}
         self._visit(self.root, np.eye(4), -1)
-        if self.visited < len(self.links):
+        if len(self.frames) < len(self.links):
             raise _NO_TREE
 
     def chain(self) -> Chain:
@@ -199,7 +198,6 @@ class _Reader:
 
     def _visit(self, link: str, pose: Array, carrier: int) -> None:
         """Put down a link at `pose` in the frame of joint `carrier` (−1: the root), and what it carries."""
-        self.visited += 1
         inertial = self.links[link].find("inertial")
         if inertial is not None and carrier >= 0:
             mass = _numbers(_element(inertial, "mass"), "value", 1)[0]

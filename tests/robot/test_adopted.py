@@ -146,6 +146,13 @@ def test_an_arm_whose_a2_crosses_a1_is_turned_to_the_front_by_the_axis_of_a2():
         np.testing.assert_allclose(chain.placement, upright.nominal.placement, atol=1.5e-7)
 
 
+def test_an_arm_beside_the_root_keeps_its_place():
+    for signs in SIGNS:
+        beside = arm(placement=placed(0, [0.6, -0.4, 0.75]))
+        text = ros_urdf(beside, signs, np.random.default_rng(1), zero=np.radians([150.0, -90, 90, 0, 0, 0]))
+        np.testing.assert_allclose(adopt(text, "arm.urdf").chain.placement, beside.nominal.placement, atol=1.5e-7)
+
+
 def turned(joint: int, vector) -> np.ndarray:
     """Placements of the KR 270 with the frame of one joint turned [rad]."""
     placement = KR270.nominal.placement.copy()
