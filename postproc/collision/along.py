@@ -240,7 +240,7 @@ def motion_bound(solids: Solids, first: int, second: int, q: Array, frames: Arra
     moving, reference_frame = solids.frame(first, frames), solids.frame(second, frames)
     point = moving[:, :3, :3] @ centre + moving[:, :3, 3] - reference_frame[:, :3, 3]
     point = np.einsum("nji,nj->ni", reference_frame[:, :3, :3], point)
-    turning = np.abs(np.diff(q, axis=0))[:, reference.carrier + 1 : min(body.carrier, 5) + 1].sum(axis=1)
+    turning = np.abs(np.diff(q, axis=0))[:, reference.carrier + 1 : body.carrier + 1].sum(axis=1)
     links = norm(np.concatenate([chain.placement[:, :3, 3], chain.flange[None, :3, 3]]))
     reach = links[reference.carrier + 1 : body.carrier + 1].sum() + norm(centre[None])[0] + radius
     return np.asarray(norm(np.diff(point, axis=0)) + turning * radius + 0.25 * turning**2 * reach)

@@ -294,7 +294,7 @@ def capsule(name: str, carrier: int, of: Of, begin: Array, end: Array, radius: f
     pose, length = _along(begin, end)
     outer_radius = 1.0 / np.cos(np.pi / _SIDES) ** 2  # scaled to `radius` as that of a cylinder
     mesh = creation.capsule(height=length / radius, radius=outer_radius, count=[_SIDES, _SIDES])
-    mesh.apply_scale(radius)
+    mesh.apply_scale(radius)  # type: ignore[no-untyped-call]
     mesh.apply_translation(-mesh.bounds.mean(axis=0))  # versions of trimesh differ in where they put the origin
     return _round(name, carrier, of, "capsule", (radius, length), pose, mesh.apply_transform(pose))
 

@@ -262,6 +262,11 @@ def test_another_mesh_takes_the_place_of_the_last_body():
     assert other.bodies[0] is ball
 
 
+def test_bodies_of_the_arm_are_named_by_their_joint():
+    named = {body.carrier: body.name for body in Scene.of(KR270, replace(CELL, collision=Collision())).bodies}
+    assert named == {-1: "base of the robot", **{k: f"link of A{k + 1}" for k in range(5)}}
+
+
 def test_a_missing_mesh_is_refused(tmp_path):
     cell = replace(CELL, folder=str(tmp_path), collision=Collision(holder=[HolderTable(mesh="none.stl")]))
     with pytest.raises(CellError, match=r"no such file: mesh of \[collision\]"):

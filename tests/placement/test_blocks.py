@@ -1,0 +1,98 @@
+"""Blocks and bins of a path, and the turns in them, by sums over the program as it is written."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from postproc.placement import turning
+from postproc.placement.samples import PathSamples
+from postproc.placement.turn_map import Blocks
+from postproc.under_load import RobotInCell
+from tests.placement.setting import cell, read
+
+TEXT = "G21 G90\nG0 X1300 Y0 Z60\nG1 Z0 F600\n" + "".join(
+    f"G1 X{1300 + 4 * k} F{1200 + 300 * (k % 2)}\n" for k in range(1, 8)
+)
+TEXT += "G1 X1528 F3000\nG0 Z60\nG0 X1400\nG1 Z0 F1500\nG1 Y90\n"
+LENGTHS = np.array([60.0, *[4.0] * 7, 200.0, 60.0, 128.0, 60.0, 90.0]) * 1e-3
+"""Of all motions but the first, which goes to the start by joint interpolation [m]."""
+FEEDS = np.array([600, *[1200 + 300 * (k % 2) for k in range(1, 8)], 3000, np.inf, np.inf, 1500, 1500]) / 6e4
+
+
+@pytest.fixture(scope="module")
+def path():
+    own = cell()
+    program, model = read(TEXT, own)
+    samples = PathSamples.of(program, RobotInCell.of(model, own), None)
+    return samples, Blocks.of(samples)
+
+
+def test_samples_are_at_most_twenty_millimetres_apart_and_have_the_time_of_their_feed(path):
+    samples, _ = path
+    motion, t = samples.sample.motion, samples.sample.t
+    counts = np.ceil(LENGTHS / 0.020 - 1e-9).astype(int)
+    assert np.bincount(motion).tolist() == [1, *counts]
+    np.testing.assert_allclose(t, np.concatenate([[1.0], *(np.arange(1, n + 1) / n for n in counts)]), atol=1e-12)
+    times = np.repeat(LENGTHS / counts / FEEDS, counts)
+    np.testing.assert_allclose(samples.time, [np.inf, *np.where(times > 0.0, times, np.inf)], rtol=1e-9)
+    assert samples.travel[1:].sum() == pytest.approx(LENGTHS.sum())
+    np.testing.assert_array_equal(samples.cuts, [False, *np.repeat(np.isfinite(FEEDS), counts)])
+
+
+def test_blocks_are_motions_or_runs_of_ten_millimetres(path):
+    """A rapid begins another block, and so does each motion behind another 10 mm of a run."""
+    samples, blocks = path
+    number = blocks.block[np.searchsorted(blocks.first, np.arange(len(samples)), side="right") - 1]
+    of_motion = [int(number[samples.sample.motion == k][-1]) for k in range(len(LENGTHS) + 1)]
+    ends = np.flatnonzero(np.diff([*of_motion, -1]))
+    assert blocks.motion.tolist() == ends.tolist()
+    expected, begin, length, rapid = [0], 0, 0.0, None
+    for motion_length, feed in zip(LENGTHS, FEEDS, strict=True):
+        if rapid is not np.isinf(feed):
+            rapid, length, begin = np.isinf(feed), 0.0, expected[-1] + 1
+            steps = [0]
+        steps.append(int(length / 0.010 + 1e-9))
+        begin += int(steps[-1] != steps[-2])
+        expected.append(begin)
+        length += motion_length
+    assert of_motion == expected
+    of_block = np.array(of_motion[1:])
+    np.testing.assert_allclose(blocks.length, np.bincount(of_block, LENGTHS), atol=1e-12)
+    times = np.where(np.isfinite(FEEDS), LENGTHS / FEEDS, 0.0)
+    np.testing.assert_allclose(blocks.time, np.bincount(of_block, times), rtol=1e-9)
+    assert blocks.begins.tolist() == [True, *[False] * (len(blocks.length) - 1)]
+    is_cut = np.bincount(of_block, np.isfinite(FEEDS)) > 0
+    np.testing.assert_array_equal(blocks.cuts, is_cut)
+
+
+def test_bins_divide_the_samples_of_a_block_evenly_and_state_their_share_of_its_path(path):
+    samples, blocks = path
+    travelled = np.cumsum(np.where(samples.sample.motion == 0, 0.0, samples.travel))
+    for block in range(1, len(blocks.length)):
+        bins = np.flatnonzero(blocks.block == block)
+        ends = np.append(blocks.first, len(samples))[bins + 1] - 1
+        before = travelled[blocks.first[bins[0]] - 1]
+        np.testing.assert_allclose(blocks.share[bins], (travelled[ends] - before) / blocks.length[block], atol=1e-9)
+        counts = np.diff(np.append(blocks.first, len(samples)))[bins]
+        assert len(bins) == min(6, counts.sum())
+        assert np.ptp(counts) <= 1
+    np.testing.assert_array_equal(blocks.last, blocks.first[1:] - 1)
+
+
+def test_the_turn_changes_in_proportion_to_the_path_of_each_block(path):
+    samples, blocks = path
+    knots = np.random.default_rng(2).uniform(-1.0, 1.0, len(blocks.length))
+    at_motion = np.append(0.0, np.cumsum(LENGTHS))
+    begins = np.where(blocks.begins, knots, np.append(knots[0], knots[:-1]))
+    of_motion, at_samples = blocks.turn_of_motions(samples, knots), turning._at_samples(samples, blocks, knots)
+    for k in range(1, len(LENGTHS) + 1):
+        block = int(np.searchsorted(blocks.motion, k))
+        total = blocks.length[1 : block + 1].sum()
+        share = 1.0 - (total - at_motion[k]) / blocks.length[block]
+        expected = begins[block] + share * (knots[block] - begins[block])
+        assert of_motion[k] == pytest.approx(expected, abs=1e-9)
+        previous = expected if k == 1 and blocks.begins[block] else of_motion[k - 1]
+        rows = samples.sample.motion == k
+        t = samples.sample.t[rows]
+        np.testing.assert_allclose(at_samples[rows], previous + t * (expected - previous), atol=1e-9)
