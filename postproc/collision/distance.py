@@ -40,13 +40,10 @@ def clearance(scene: Scene, q: Array) -> Clearance:
 
     :param q: (n, 6) joint angles of the controller [rad].
     """
-    pairs = list(scene.pairs())
     smallest = Clearance(np.full(len(q), np.inf), np.full(len(q), -1), np.full(len(q), -1))
-    if not pairs or not len(q):
-        return smallest
     solids = Solids(scene)
     frames = link_frames(scene.robot.nominal, q)
-    for first, second in pairs:
+    for first, second in solids.pairs:
         distance = solids.distance(first, second, frames, solid=True)
         is_smaller = distance < smallest.distance
         smallest.distance[is_smaller], smallest.first[is_smaller], smallest.second[is_smaller] = (

@@ -260,6 +260,11 @@ def test_another_mesh_takes_the_place_of_the_last_body():
     np.testing.assert_allclose(other.spheres[1][0], at, atol=1e-9)
     np.testing.assert_allclose(other.spans[1], at + np.array([[-0.3, -0.3, -0.2], [0.3, 0.3, 0.2]]), atol=1e-9)
     assert other.bodies[0] is ball
+    around = solids.with_last(ring(pose(np.eye(3), at + np.array([0.25, 0.0, 0.0])), 9.0))
+    tiny = replace(ball, size=(1e-3, 1e-9), points=1e-3 * ball.points)
+    inside_it = Solids(scene(tiny, ring())).with_last(around.bodies[1])
+    assert inside_it.distance(0, 1, frames, solid=True)[0] == 0.0
+    assert inside_it.distance(0, 1, frames, solid=False)[0] > 0.01
 
 
 def test_bodies_of_the_arm_are_named_by_their_joint():

@@ -125,6 +125,8 @@ def test_one_pose_and_no_pose_are_paths_too():
     for none in (along(what, np.zeros((0, 6)), 0.2), along(scene(ball()), Q[None], 0.2)):
         assert none.closest is None
         assert len(none.row) == len(none.first) == len(none.second) == len(none.distance) == 0
+    assert hits(Solids(what), np.zeros((0, 6)), 0.2).shape == (0,)
+    assert hits(Solids(what), Q[None], 0.2).tolist() == [True]
 
 
 def test_distances_are_computed_where_they_can_count_alone():
