@@ -267,7 +267,7 @@ def _covariance(material: IdentifiedTable, file: str) -> tuple[tuple[float, ...]
     if not material.covariance:
         return None
     matrix = np.array(material.covariance) if {len(row) for row in material.covariance} == {6} else np.zeros((0, 0))
-    usable = matrix.shape == (6, 6) and np.isfinite(matrix).all() and np.allclose(matrix, matrix.T, rtol=1e-4)
+    usable = matrix.shape == (6, 6) and np.allclose(matrix, matrix.T, rtol=1e-4)
     if not usable or np.linalg.eigvalsh(matrix / max(float(np.trace(matrix)), 1e-12))[0] < -1e-4:
         advice = "Take the file as `identify forces` wrote it, or delete the key: sigma_percent is used then."
         raise ForceError("[material] covariance is no covariance of six coefficients", file=file, advice=advice)

@@ -44,15 +44,17 @@ def test_signs_and_torques_of_each_kind_of_spring():
     """Couplings and waves may be negative; lost motion ignores the torque at rest."""
     springs = [parameter for parameter, *_ in WORDS if isinstance(parameter, robot.Spring)]
     kinds = {
-        flag: {type(spring).__name__ for spring in springs if getattr(spring, flag)}
+        flag: {spring.name for spring in springs if getattr(spring, flag)}
         for flag in ("signed", "with_rest_torque", "is_compliance", "linear")
     }
-    names = {type(spring).__name__ for spring in springs}
+    names = {spring.name for spring in springs}
+    waves = {"k46", "k3.sin(A2-2A3)"}
+    links = {"base.Z", "A2.RX", "A2.end_RY"}
     assert kinds == {
-        "signed": {"GearCoupling", "PoseWave"},
-        "with_rest_torque": names - {"LostMotion"},
-        "is_compliance": {"JointCompliance", "FadingPart", "Knee", "LinkSpring"},
-        "linear": {"JointCompliance", "LinkSpring"},
+        "signed": waves,
+        "with_rest_torque": names - {"A3.lost_motion@2.5"},
+        "is_compliance": {"k3", "k3@90", "k3^90", *links},
+        "linear": {"k3", *links},
     }
 
 
