@@ -260,6 +260,13 @@ def test_another_mesh_takes_the_place_of_the_last_body():
     np.testing.assert_allclose(other.spheres[1][0], at, atol=1e-9)
     np.testing.assert_allclose(other.spans[1], at + np.array([[-0.3, -0.3, -0.2], [0.3, 0.3, 0.2]]), atol=1e-9)
     assert other.bodies[0] is ball
+    cube = bodies.box("b", -1, "obstacle", pose(TURN, [1.0, 2.0, 3.0]), np.array([0.2, 0.4, 0.6]))
+    made_anew, changed = Solids(scene(ball, cube, ring())), Solids(scene(ball, cube, ball)).with_last(ring())
+    assert changed.convex == made_anew.convex == [True, True, False]
+    for name in ("spheres", "spans"):
+        for mine, theirs in zip(getattr(changed, name), getattr(made_anew, name), strict=True):
+            for one, other in zip(mine, theirs, strict=True):
+                np.testing.assert_array_equal(one, other)
     around = solids.with_last(ring(pose(np.eye(3), at + np.array([0.25, 0.0, 0.0])), 9.0))
     tiny = replace(ball, size=(1e-3, 1e-9), points=1e-3 * ball.points)
     inside_it = Solids(scene(tiny, ring())).with_last(around.bodies[1])

@@ -176,10 +176,9 @@ def test_start_joints_beyond_a_limit_and_a5_at_zero():
 @pytest.mark.parametrize(("degrees", "told"), [(149.0, False), (151.0, True), (-151.0, True)])
 def test_a_first_move_that_turns_the_hand_far_is_told(degrees, told):
     start = NORMAL.copy()
-    start[[3, 5]] = 0.0
     q = np.tile(start, (5, 1))
-    q[0, 3] = np.radians(degrees)
-    q[1:, 5] = 3.0
+    q[0, 3] += np.radians(degrees)
+    q[1:, 5] += 3.0
     path = JointPath(q, np.zeros(5, dtype=int))
     issues = list(checks.first_move(MADE, path, start))
     assert lines(issues) == ({"first-move-A4": ("warning", 1, 1)} if told else {})
