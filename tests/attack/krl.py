@@ -33,6 +33,7 @@ from postproc.dialects.text import decode
 from postproc.errors import PostprocError
 from postproc.frames import pose_from_xyzabc, xyzabc_from_pose
 from postproc.program import CIRC, LIN, PTP, SPL
+from tests.attack.krl_deck import Deck
 from tests.attack.krl_generator import Generator
 from tests.attack.krl_interpreter import MOST_STEPS, Controller, Invalid, Unsaid, shown
 from tests.attack.krl_snippets import GIVEN, Snippets
@@ -55,6 +56,14 @@ STATES = 25_000_000
 written is divided into files."""
 SNIPPETS = STATES // 2
 """In the second half of such a piece programs hold few statements, and at most one value that is not known."""
+DECK = STATES * 3 // 4
+"""In its last quarter they hold pieces that are dealt in turn."""
+FIRST_SEEDS = (
+    *(0, 143_750_000, 137_500_000, 1_000_000, 193_750_000, 187_500_000, 100_000_000, 343_750_000, 337_500_000),
+    *(125_000_000, 143_850_000, 137_600_000, 150_000_000, 393_750_000, 387_500_000, 175_000_000, 193_850_000),
+    *(187_600_000, 325_000_000, 143_950_000, 137_700_000, 375_000_000),
+)
+"""First seeds of the kinds of programs: every other one is of few statements, and of these every other one is dealt."""
 _ORDINARY = 10
 """So many ordinary programs to one with motions that stay."""
 _CHECKED = 4, 16
@@ -236,6 +245,8 @@ def files_of(seed, rng):
     """The random program of a seed: name → text."""
     keep, harder = seed >= KEPT, seed >= MIXED and seed % MIXED >= HARDER
     states = reads_states(seed)
+    if states and seed % STATES >= DECK:
+        return Deck(rng, seed % STATES - DECK, keep=keep).programs()
     if states and seed % STATES >= SNIPPETS:
         return Snippets(rng, keep=keep).programs()
     kind = States if states else Generator

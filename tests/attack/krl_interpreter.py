@@ -624,7 +624,7 @@ class Controller:
                 self.cyclic.append((self.place(reader), -5.0, 5.0))
         elif word in ("SIGNAL", "EXT", "WAIT", "HALT", "CONTINUE", "PULSE", "LABEL", "CONST_VEL", "STOP"):
             return
-        elif word == "SPLINE":
+        elif word in ("SPLINE", "PTP_SPLINE"):
             self.outside = self.base, self.tool, self.speed, self.cdis
             self.with_settings(line)
         elif word == "ENDSPLINE":
@@ -704,7 +704,7 @@ class Controller:
             reader.take()
             index = self.sum(reader)
             reader.take("]")
-        if reader.peek() == ".":
+        while reader.peek() == ".":
             reader.take()
             part = reader.take()
         reader.take("=")

@@ -52,11 +52,6 @@ MODULES = [
     *("motion_reader", "path_settings", "plain_settings", "rounds", "run", "settings", "spline_blocks", "state"),
     *("tracing", "unresolved", "variables"),
 ]
-KINDS = (
-    *(0, 137_500_000, 1_000_000, 187_500_000, 100_000_000, 337_500_000, 125_000_000, 137_600_000, 150_000_000),
-    *(387_500_000, 175_000_000, 187_600_000, 325_000_000, 137_700_000, 375_000_000),
-)
-"""First seeds of the kinds of programs, see `tests.attack.krl`: every other one is of few statements."""
 LIMITS = re.compile(
     r"\b_MOST_(?!SETTINGS)|\b_count\(|\b_check_least\(|\b_least\.writes\(|\b_traced \+= |\+ minimum >|\.steps \+="
 )
@@ -80,7 +75,7 @@ class Endless(BaseException):
 
 def seed_of(number):
     """Seed of a random program: programs of all kinds follow in turn."""
-    return KINDS[number % len(KINDS)] + 20_000 + number // len(KINDS)
+    return krl.FIRST_SEEDS[number % len(krl.FIRST_SEEDS)] + 20_000 + number // len(krl.FIRST_SEEDS)
 
 
 def reading(seed):
