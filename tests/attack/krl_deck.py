@@ -14,7 +14,9 @@ import numpy as np
 from tests.attack.krl_cards import DOUBTFUL, KEPT, SETTLED
 from tests.attack.krl_snippets import FIXED, Snippets
 
-SETTLED_CARDS, DOUBTFUL_CARDS, KEPT_CARDS = ([*map(str.strip, text.split("\n\n"))] for text in (SETTLED, DOUBTFUL, KEPT))
+SETTLED_CARDS, DOUBTFUL_CARDS, KEPT_CARDS = (
+    [*map(str.strip, text.split("\n\n"))] for text in (SETTLED, DOUBTFUL, KEPT)
+)
 _SIGN = re.compile(r"@([PRNIVBMT])(\d?)")
 _PAIR = 4
 """Pieces that are understood in two programs: three, and one beside a piece that is not."""

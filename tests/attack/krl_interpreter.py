@@ -1073,8 +1073,8 @@ class Controller:
     def moved(self, word, file, number, line):
         reader = Reader(line)
         reader.take(word)
-        if reader.peek() in ("$POS_ACT", "$AXIS_ACT") and reader.at + 1 == reader.count:
-            return  # where it is
+        if reader.peek() in ("$POS_ACT", "$AXIS_ACT", "$POS_RET", "$AXIS_RET") and reader.at + 1 == reader.count:
+            return  # where it is, or back to its path
         via = None
         if word in ("CIRC", "SCIRC"):
             via = self.target(self.sign(reader))[:3]

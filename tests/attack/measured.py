@@ -75,7 +75,7 @@ class Endless(BaseException):
 
 def seed_of(number):
     """Seed of a random program: programs of all kinds follow in turn."""
-    return krl.FIRST_SEEDS[number % len(krl.FIRST_SEEDS)] + 20_000 + number // len(krl.FIRST_SEEDS)
+    return krl.seed_in_turn(number) + 20_000
 
 
 def reading(seed):

@@ -11,7 +11,8 @@ from postproc.dialects.krl.read.known import NOTHING
 from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.variables import Variables
 from postproc.dialects.krl.write.named_points import NamedPoints
-from tests.attack.krl import KEPT, MIXED, SNIPPETS, STATES, Wrong, attack, damaged
+from tests.attack.krl import DECK, FIRST_SEEDS, KEPT, MIXED, SNIPPETS, STATES, Wrong, attack, damaged, seed_in_turn
+from tests.attack.krl_deck import SETTLED_CARDS, dealt
 from tests.attack.krl_interpreter import Controller, abc
 
 
@@ -40,6 +41,30 @@ def test_programs_with_one_value_in_doubt_at_most_do_what_is_read_and_written():
     outcomes = Counter(attack(seed) for seed in range(first, first + 100))
     assert outcomes["accepted"] > 30
     assert outcomes["refused"] > 20
+
+
+def test_pieces_that_are_understood_are_accepted_and_most_others_refused():
+    first = MIXED + STATES + DECK
+    settled = Counter(attack(seed) for seed in range(first, first + 120, 2))
+    assert settled["accepted"] + settled["branches"] > 50
+    doubtful = Counter(attack(seed) for seed in range(first + 1, first + 61, 2))
+    assert doubtful["refused"] > 20
+
+
+def test_pieces_are_dealt_in_turn():
+    count = len(SETTLED_CARDS)
+    assert sorted(dealt(SETTLED_CARDS, 3 * count, count)) == sorted(SETTLED_CARDS)
+    assert dealt(SETTLED_CARDS, 0, count) != dealt(SETTLED_CARDS, count, count)
+
+
+def test_all_kinds_of_programs_follow_in_turn():
+    seeds = [seed_in_turn(number) for number in range(3 * len(FIRST_SEEDS))]
+    assert len({*seeds}) == len(seeds)
+    assert {*FIRST_SEEDS} <= {*seeds}
+
+
+def test_where_only_chance_leads_a_motion_elsewhere_nothing_is_wrong():
+    assert attack(337520434) == "kept"
 
 
 @pytest.mark.parametrize(
