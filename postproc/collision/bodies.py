@@ -25,9 +25,9 @@ _CARRIER_GAP = {"arm": 4, "cutter": 3, "tool": 3}
 _TUBES = (0.155, 0.12, 0.128, 0.063, 0.055, 0.03, 0.03)
 """Radii of the capsules along base and links, of the length of the arm: assumed. They and `_BALLS` hold the collision
 meshes that ROS-Industrial publishes of KR 16-2, KR 120 R2500, KR 150-2, KR 150 R3100 and IRB 6640, without balancer."""
-_BALLS = ((0.12, 0.15), (0.12, 0.155), (0.0, 0.0), (0.06, 0.12), (0.0, 0.0), (0.0, 0.062), (0.0, 0.0))
+_BALLS = ((0.12, 0.15), (0.12, 0.155), None, (0.06, 0.12), None, (0.0, 0.062), None)
 """How far balls are behind foot, shoulder (A1), elbow (A3) and wrist (A5), where plugs, counterweights and motors are,
-and their radii, of the length of the arm; 0: none. Assumed likewise."""
+and their radii, of the length of the arm; None: there is none. Assumed likewise."""
 _FORK, _FORK_LENGTH = 0.045, 0.058
 """Radius and length of the forearm's end at the wrist, narrower than its tube: the tool is compared with the forearm,
 and would touch a round end as wide as the tube, which no arm has. The ball around the wrist holds the fork."""
@@ -159,11 +159,12 @@ def arm_capsules(chain: Chain) -> Iterator[Body]:
     length = float(sum(norm(end[None])[0] for end in ends))
     ahead = _ahead(chain)
     for carrier, end in enumerate(ends, -1):
-        tube, (behind, ball) = _TUBES[carrier + 1] * length, np.array(_BALLS[carrier + 1]) * length
+        tube = _TUBES[carrier + 1] * length
         axis = np.array([0.0, 0.0, 1.0]) if carrier < 0 else chain.axis[carrier]
-        if ball > 0.0:
+        if (ball := _BALLS[carrier + 1]) is not None:
+            behind, radius = ball[0] * length, ball[1] * length
             middle = -behind * ahead.get(carrier, np.zeros(3))
-            yield capsule(_link(carrier), carrier, "arm", middle, middle + 1e-3 * axis, ball)
+            yield capsule(_link(carrier), carrier, "arm", middle, middle + 1e-3 * axis, radius)
         tubes = [(end, tube)]
         if carrier in _FOREARM:
             span = max(float(norm(end[None])[0]), 1e-9)

@@ -100,8 +100,7 @@ def singularities(
 
     wrist, elbow, shoulder, jump = (linear & is_near for is_near in in_chunks(near, np.arange(len(q))))
     jump &= (np.diff(sample.motion, prepend=sample.motion[:1]) <= 1) & ~(wrist | elbow | shoulder)
-    if len(sparse_motions):
-        jump &= ~np.isin(sample.motion, sparse_motions)
+    jump &= ~np.isin(sample.motion, sparse_motions)
     rows, flip = np.flatnonzero(jump), np.zeros(len(q), dtype=np.bool_)
     flip[rows] = np.isin(np.argmax(np.abs(q[rows] - q[rows - 1]), axis=1), (3, 5))
     advice = f"Move the part or {_turn_the_tool(program)}."

@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from postproc.collision import Solids, along, bodies, clearance, hits
@@ -77,7 +78,7 @@ def test_a_long_path_far_from_everything_costs_little():
 
 @pytest.mark.parametrize("carrier", [0, 2, 5, 6])
 def test_a_body_may_be_nearer_by_as_far_as_it_moves_to_the_commanded_angles(carrier):
-    """Corners of a box, moved by the joint frames of an arm of another library; no more than by half is too much."""
+    """Corners of a box, moved by joint frames of another library; the bound by its middle and its turn."""
     rng = np.random.default_rng(carrier)
     what = scene(
         bodies.box("b", carrier, "arm", pose(np.eye(3), [0.1, -0.2, 0.15]), np.array([0.2, 0.3, 0.1])),
@@ -86,12 +87,15 @@ def test_a_body_may_be_nearer_by_as_far_as_it_moves_to_the_commanded_angles(carr
     q = rng.uniform(KR270.lower, KR270.upper, (30, 6))
     off = rng.normal(0.0, 1e-3, (30, 6))
     corners = np.array([[x, y, z] for x in (0.0, 0.2) for y in (-0.35, -0.05) for z in (0.1, 0.2)])
-    moved = []
+    moved, bound, centre, radius = [], [], [0.1, -0.2, 0.15, 1.0], np.linalg.norm([0.1, 0.15, 0.05])
     for one, other in zip(q, q + off, strict=True):
         a, b = (frame(each, carrier) for each in (one, other))
+        angle = np.linalg.norm(pin.log3(a[:3, :3].T @ b[:3, :3]))
+        bound.append(np.linalg.norm((b - a) @ centre) + 2.0 * np.sin(0.5 * angle) * radius)
         moved.append(np.linalg.norm(corners @ (b[:3, :3] - a[:3, :3]).T + b[:3, 3] - a[:3, 3], axis=1).max())
     found = along(what, q, 0.0, commanded_q=q + off)
-    assert max(moved) <= found.largest_decrease <= 1.5 * max(moved)
+    assert max(moved) <= found.largest_decrease
+    assert found.largest_decrease == pytest.approx(1.001 * max(bound), rel=1e-6)  # of the arc, by its chord
     here = along(what, q, 0.0)
     assert here.largest_decrease == 0.0
     assert found.closest.distance == pytest.approx(here.closest.distance - found.largest_decrease, abs=1e-3)

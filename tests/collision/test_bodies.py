@@ -10,9 +10,10 @@ from msgspec.structs import replace
 
 from postproc import cell as cells
 from postproc.cell import Collision, HolderTable
-from postproc.collision import Scene, Solids, bodies, cylinders, inside
+from postproc.collision import Scene, Solids, bodies, clearance, cylinders, inside
 from postproc.collision.distance import link_frames
-from postproc.errors import CellError
+from postproc.errors import CellError, ModelError
+from postproc.robot import urdf
 from tests.collision.setting import KR270, frame, pose, scene
 from tests.places import ROOT
 
@@ -277,6 +278,35 @@ def test_another_mesh_takes_the_place_of_the_last_body():
 def test_bodies_of_the_arm_are_named_by_their_joint():
     named = {body.carrier: body.name for body in Scene.of(KR270, replace(CELL, collision=Collision())).bodies}
     assert named == {-1: "base of the robot", **{k: f"link of A{k + 1}" for k in range(5)}}
+
+
+def test_the_arm_has_the_collision_shapes_of_its_urdf_and_capsules_where_the_cell_asks_for_them(tmp_path):
+    """The drawn shape of A3 is another box; a missing file is named."""
+    for name, edge in (("drawn", 0.4), ("solid", 0.2)):
+        trimesh.creation.box((edge, edge, edge)).export(tmp_path / f"{name}.stl")
+    shapes = "".join(
+        f'<{kind}><geometry><mesh filename="{name}.stl"/></geometry></{kind}>'
+        for kind, name in (("visual", "drawn"), ("collision", "solid"))
+    )
+    text = (ROOT / "robot_models" / "kuka_kr270" / "robot.urdf").read_text(encoding="utf-8")
+    text = text.replace('<link name="link_3">', f'<link name="link_3">{shapes}', 1)
+    arm = replace(KR270, geometries=urdf.geometries(text, "robot.urdf"), urdf=str(tmp_path / "robot.urdf"))
+    placed = Scene.of(arm, replace(CELL, collision=Collision()))
+    (link,) = placed.bodies
+    assert (link.name, link.carrier, link.of, link.kind, placed.remarks) == ("link of A3", 2, "arm", "mesh", ())
+    np.testing.assert_allclose(np.ptp(link.points, axis=0), 0.2, atol=1e-7)
+    capsules = Scene.of(arm, replace(CELL, collision=Collision(arm="capsules")))
+    assert {body.kind for body in capsules.bodies} == {"capsule"}
+    assert len(capsules.remarks) == 1
+    (tmp_path / "solid.stl").unlink()
+    with pytest.raises(ModelError, match=r"a shape of the arm is missing: solid\.stl: there is no such file"):
+        Scene.of(arm, replace(CELL, collision=Collision()))
+
+
+def test_without_bodies_to_compare_no_distance_is_found():
+    found = clearance(scene(bodies.capsule("c", 6, "tool", BEGIN, END, 0.1)), np.zeros((2, 6)))
+    assert (found.distance.tolist(), found.first.tolist(), found.second.tolist()) == ([np.inf] * 2, [-1, -1], [-1, -1])
+    assert len(clearance(scene(bodies.capsule("c", 6, "tool", BEGIN, END, 0.1)), np.zeros((0, 6))).distance) == 0
 
 
 def test_a_missing_mesh_is_refused(tmp_path):

@@ -165,6 +165,29 @@ def test_status_and_turn_that_the_angles_do_not_have_are_named():
     assert list(checks.status_and_turn(none, MODEL, sample(range(4)), q)) == []
 
 
+def test_an_arc_along_which_the_tool_turns_with_the_path_does_not_turn_it_by_its_sweep():
+    """A turn of 250° on an arc of 70.1°: 179.9° are left, and 180° less a tenth may go the other way."""
+    motions = replace(MADE.motions, sweep=np.radians([np.nan, np.nan, 70.1, np.nan, np.nan]))
+    with_path = np.array([False, False, True, False, False])
+    turn = np.radians([0.0, 0.0, 250.0, 0.0, 0.0])
+    at = sample(range(5))
+    made = replace(MADE, motions=motions, with_path=with_path)
+    assert len(list(checks.half_turns(made, at, turn, at.pose))) == 1
+    small = np.radians([0.0, 0.0, 200.0, 0.0, 0.0])
+    assert list(checks.half_turns(made, at, small, at.pose)) == []
+    assert len(list(checks.half_turns(replace(made, with_path=None), at, small, at.pose))) == 1
+
+
+@pytest.mark.parametrize(("degrees", "is_wrong"), [(0.009, False), (0.011, True)])
+def test_an_angle_within_a_hundredth_of_a_degree_of_zero_has_no_sign(degrees, is_wrong):
+    """T says that A1 is negative, S that A5 is."""
+    ptp = program([("PTP", 0, 0, 50)])
+    q = angles(1, A1=np.radians(degrees), A5=np.radians(degrees))
+    for status, turn in ((-1, 0b000011), (6, -1)):
+        made = replace(ptp, motions=replace(ptp.motions, status=np.array([status]), turn=np.array([turn])))
+        assert len(list(checks.status_and_turn(made, MODEL, sample([0]), q))) == is_wrong
+
+
 def test_start_joints_beyond_a_limit_and_a5_at_zero():
     start = np.radians([0.0, 0.25, 100.0, 0.0, 0.19, 0.0])
     issues = list(checks.start_joints(MADE, MODEL, start))

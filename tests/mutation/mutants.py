@@ -11,7 +11,7 @@ exceptions and imports have none.
 | condition | negated, its boundary moved, constant; `and` for `or`, & for \\|, all for any; `not` dropped |
 | dropped | a statement left out: a call, an assignment to what has a value, an early return, raise, break, continue |
 | index | an index, a slice or an axis shifted by one, two indices of an einsum exchanged, a transposition dropped |
-| argument | two arguments of a call, one behind the other, exchanged |
+| argument | two arguments of a call, one behind the other, exchanged; not of `max` and the like |
 | unit | a factor between units, `MM_PER_M`, the other way round |
 """
 
@@ -41,6 +41,8 @@ _PAIRS = (
     "zeros_like ones_like"
 )
 OTHER_NAME = {a: b for pair in _PAIRS.split("|") for a, b in (pair.split(), pair.split()[::-1])}
+SYMMETRIC = {"min", "max", "minimum", "maximum", "fmin", "fmax", "hypot", "array_equal", "union1d", "logical_and"}
+"""Functions whose arguments may change places."""
 AXES = {"axis", "axis1", "axis2", "k"}
 _UNIT = re.compile(r"[A-Z_]*_PER_[A-Z]+")
 
@@ -260,7 +262,8 @@ class _Walk:
         if name in ("sum", "cumsum", "mean", "swapaxes", "moveaxis", "diff", "concatenate", "stack", "expand_dims"):
             for argument in node.args:
                 yield from self._shifted(argument, both=False)
-        for left, right in zip(node.args, node.args[1:], strict=False):
+        name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
+        for left, right in zip(node.args, node.args[1:], strict=False) if name not in SYMMETRIC else ():
             if not any(isinstance(argument, ast.Starred) or _is_text(argument) for argument in (left, right)):
                 (start, left_end), (right_start, end) = self._range(left), self._range(right)
                 between = self.source[left_end:right_start].decode()

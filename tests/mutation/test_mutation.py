@@ -116,6 +116,14 @@ def test_every_kind_is_planted_once_and_compiles(tmp_path):
     assert not [m for m in every if '"""' in m.after or ("below" in m.before and m.after != "pass")]
 
 
+def test_arguments_of_a_function_that_takes_them_in_any_order_are_not_exchanged(tmp_path):
+    (tmp_path / "a.py").write_text(
+        "import numpy as np\n\n\ndef f(a, b):\n    return np.maximum(a, b) + np.divide(a, b)\n"
+    )
+    after = {m.after for m in mutants_of(tmp_path / "a.py", tmp_path) if m.kind == "argument"}
+    assert after == {"return np.maximum(a, b) + np.divide(b, a)"}
+
+
 def test_the_same_seed_takes_the_same_mutants(tmp_path):
     root = project(tmp_path / "one", WEAK)
     every = mutants_of(root / "postproc/lever.py", root)
