@@ -55,6 +55,11 @@ def test_joints_beyond_either_limit_are_named_with_the_first_angle():
         "redundancy_deg) or start elsewhere."
     )
     assert "A2 = -146.250° is outside its limits -146…0°" in issues[1].message
+    limits, step = np.radians([0, 185.0, -185.0, 0, 0]), np.array([0.0, 1.0, -1.0, 0.0, 0.0])
+    at_limit = angles(A1=limits + 5e-10 * step)
+    assert list(checks.joint_limits(MADE, MODEL, sample(range(5)), at_limit)) == []
+    beyond = angles(A1=limits + 2e-9 * step)
+    assert lines(checks.joint_limits(MADE, MODEL, sample(range(5)), beyond)) == {"joint-limit-A1": ("error", 2, 2)}
     nan = angles(A1=[0, np.nan, 0, 0, 0])
     assert lines(checks.joint_limits(MADE, MODEL, sample(range(5)), nan)) == {"joint-limit-A1": ("error", 2, 1)}
     home = replace(MADE, motions=replace(MADE.motions, joints=np.zeros((5, 6))))
@@ -239,7 +244,7 @@ def test_a_first_move_below_its_target_or_clearance_is_a_warning(z, clearance, w
 
 def test_a_ptp_that_changes_the_posture_is_told_with_both_states():
     start = NORMAL.copy()
-    q = angles(A5=[-0.5, -0.5, -0.5, -0.5, 0.5])
+    q = angles(A5=[-0.5, -0.5, 0.5, -0.5, 0.5])  # the posture on the lines between is not its subject
     issues = list(checks.posture(MADE, MODEL, sample(range(5)), JointPath(q, np.zeros(5, dtype=int)), start))
     assert lines(issues) == {"posture": ("info", 1, 2)}
     assert "status S from 2 to 6" in issues[0].message
