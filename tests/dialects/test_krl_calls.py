@@ -248,10 +248,58 @@ def test_whoever_else_reads_a_point_finds_what_it_was(lines, subs):
     assert set(DATA.splitlines()) <= set(data)
 
 
-def test_a_point_that_is_copied_is_not_corrected_through_its_copy():
-    source, data = written("XP3=XP1", "LIN XP3")
+CUT = "DEF CUT(Q:IN)\nDECL E6POS Q\nLIN Q C_DIS\nEND\n"
+CORRECTED = "DECL E6POS XP1={X 100.2500,Y 200.5000,Z 301.0000,A 10.00000,B 20.00000,C 170.00000,S 2,T 10}"
+
+
+@pytest.mark.parametrize(
+    ("lines", "subs"),
+    [
+        (["XP3=XP1", "LIN XP3"], ""),
+        (["DECL FRAME FT", "FT=XP1", "LIN FT"], ""),
+        (["XP3=XP1", "LIN XP3", "LIN XP3"], ""),
+        (["DECL POS ZP", "ZP=XP1", "XP3=ZP", "LIN XP3"], ""),
+        (["CUT(XP1)"], CUT),
+        (["XP3=XP1", "CUT(XP3)", "CUT(XP3)"], CUT),
+        (["CUT(XP1)"], CUT.replace("Q:IN", "Q:OUT")),
+        (["CUT(XP1)"], CUT.replace("LIN Q C_DIS", "R=Q\nLIN R").replace("E6POS Q", "E6POS Q,R")),
+    ],
+)
+def test_a_copied_point_is_corrected_where_its_numbers_are(lines, subs):
+    source, data = written(*lines, subs=subs)
+    assert data == [CORRECTED if line.startswith("DECL E6POS XP1=") else line for line in DATA.splitlines()]
+    assert source == [line for line in (body(*lines) + subs.replace("\n", "\r\n")).splitlines()]
+
+
+@pytest.mark.parametrize(
+    ("lines", "subs"),
+    [
+        (["XP3=XP1", "OK=XP1.Z>5", "LIN XP3"], ""),
+        (["XP3=XP1", "IF XP3.Z>5 THEN", "$OUT[1]=TRUE", "ENDIF", "LIN XP3"], ""),
+        (["XP3=XP1", "XP3.Z=XP3.Z+5", "LIN XP3"], ""),
+        (["XP3=XP1", "P[1]=XP1", "P[1].X=3", "LIN XP3", "LIN P[1]"], ""),
+        (["XG=XP1", "LIN XG"], ""),
+        (["XP3=XG", "LIN XP3"], ""),
+        (["CUT(XP1)"], CUT.replace("LIN Q C_DIS", "LIN Q C_DIS\n$OUT[1]=Q.Z>5")),
+        (["CUT(XP1)", "LOOK(XP1)"], CUT + "DEF LOOK(P:IN)\nE6POS P\n$OUT[1]=P.Z>5\nEND\n"),
+        (["CUT(XP1)", "OK=HIGH(XP1)"], CUT + "DEFFCT BOOL HIGH(P:IN)\nE6POS P\nRETURN(P.Z>300)\nENDFCT\n"),
+        (["CUT(XP1)", "OTHER()"], CUT + "DEF OTHER()\n$OUT[1]=XP1.X>5\nEND\n"),
+        (["CUT(XP1)", "INTERRUPT DECL 4 WHEN $IN[1] DO CUT2(XP1)"], CUT + "DEF CUT2(P:IN)\nE6POS P\nEND\n"),
+        (["CUT(XP1)", "XP3=XP1", "CUT(FR:XP3)"], CUT),
+    ],
+)
+def test_a_copied_point_that_is_read_elsewhere_stays_as_it_was(lines, subs):
+    _, data = written(*lines, subs=subs)
     assert data == DATA.splitlines()
-    assert source[4].startswith("LIN {X 100.2500,Y 200.5000,Z 301.0000,")
+
+
+def test_a_loop_that_passes_the_points_of_an_array_to_a_routine_stays_a_loop():
+    lines = ["FOR I=1 TO 3", "CUT(P[I])", "ENDFOR"]
+    source, data = written(*lines, subs=CUT)
+    assert source == (body(*lines) + CUT.replace("\n", "\r\n")).splitlines()
+    starts = [f"P[{n}]={{X {x}.0000,Y 2.0000,Z 4.0000," for n, x in ((1, 1), (2, 11), (3, 21))]
+    points = [line for line in data if line.startswith("P[")]
+    assert all(line.startswith(start) for line, start in zip(points, starts, strict=True))
 
 
 # --- called programs of other files --------------------------------------------------------------------------------

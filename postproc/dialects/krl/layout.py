@@ -65,6 +65,7 @@ class Layout(Struct, frozen=True, eq=False):
     :param types: declared type by variable, upper case.
     :param public: variables declared GLOBAL.
     :param understood: offsets in the `.src` of names whose use the reader followed.
+    :param copies: names, upper case, of variables that got the text of a point of another one, and of that.
     :param triggers: TRIGGER statements, in order.
     :param carriage: the linear axis E1 that carries the robot.
     :param broken_off: where RESUME in another file goes back to the program; empty: nowhere.
@@ -97,6 +98,7 @@ class Layout(Struct, frozen=True, eq=False):
     types: Mapping[str, str]
     public: frozenset[str]
     understood: frozenset[int]
+    copies: frozenset[tuple[str, str]]
     triggers: tuple[Trigger, ...]
     carriage: Carriage | None = None
     broken_off: str = ""

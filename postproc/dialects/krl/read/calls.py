@@ -39,8 +39,11 @@ class Calls:
         run.variables.functions = _Pure(self)
         self.entered: list[_Bound] = []
 
-    def value(self, at: Place, value: Value) -> Known:
-        """Return the present value of an expression; run the functions in it."""
+    def value(self, at: Place, value: Value, *, is_copied: bool = False) -> Known:
+        """Return the present value of an expression; run the functions in it.
+
+        :param is_copied: of a variable that is a point, return the text that has its numbers. See `Run.copy`.
+        """
         call = value if isinstance(value, Call) else None
         for inner in calls([value] if call is None else call.arguments):
             self.call(at, inner, certain=False)
@@ -50,6 +53,8 @@ class Calls:
             return self.call(at, call, certain=self.run.certain)
         result = self.run.variables.evaluate(value)
         if isinstance(result, Aggregate) and not (isinstance(value, Aggregate) and self.run.in_main):
+            if is_copied and isinstance(value, Reference) and value.field is None:
+                return result
             return replace(result, computed=True)  # the text of its numbers belongs to another variable
         if isinstance(result, Aggregate) and not result.computed:
             return self.run.in_trace(result)
@@ -206,7 +211,7 @@ class Calls:
         if obstacle := self._obstacle(at, call, module, routine, effects):
             problem = f"{call.name} is called, which moves the robot, in a way that cannot be followed: {obstacle}"
             raise inexact(at, problem, _INLINE_ADVICE, routine)
-        self.entered.append(self._bound(at, call, module, routine))
+        self.entered.append(self._bound(at, call, module, routine, is_traced=True))
         self._begin(self.entered[-1], is_traced=True)
 
     def leave(self) -> None:
@@ -257,7 +262,7 @@ class Calls:
         kind = self.run.variables.types.get(root)
         return parameter.is_array and reference.field is None and kind == routine.types.get(parameter.name, "")
 
-    def _bound(self, at: Place, call: Call, module: Module, routine: Routine) -> _Bound:
+    def _bound(self, at: Place, call: Call, module: Module, routine: Routine, *, is_traced: bool = False) -> _Bound:
         """Return a call with the values of its parameters."""
         by_reference = self._by_reference(at, call, routine)
         arrays = {
@@ -278,7 +283,12 @@ class Calls:
         for index, argument in enumerate(call.arguments):
             is_empty = isinstance(argument, Opaque) and not at.source.text[argument.start : argument.stop].strip()
             is_array = isinstance(argument, Reference) and argument.indices == ()
-            argument_values[index] = NOTHING if is_empty or is_array else self.value(at, argument)
+            if is_empty or is_array:
+                argument_values[index] = NOTHING
+                continue
+            value = argument_values[index] = self.value(at, argument, is_copied=is_traced)
+            if is_traced and isinstance(value, Aggregate) and isinstance(argument, Reference) and not value.computed:
+                self.run.copy(argument, routine.parameters[index].name)
         volatile_names = {
             scope.stored(routine.parameters[index].name): self.run.variables.changing[root]
             for (index, _), root in zip(references, roots, strict=True)

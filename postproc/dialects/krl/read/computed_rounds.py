@@ -12,7 +12,6 @@ import math
 from collections.abc import Callable, Sequence
 
 from msgspec import Struct
-from msgspec.structs import replace
 
 from postproc.dialects.krl.course import PlainBody, PlainRounds
 from postproc.dialects.krl.language.motion_statements import MotionStatement, Point
@@ -132,16 +131,19 @@ class _Rounds:
 
     :ivar columns: of the counter and of variables that are numbers, by name.
     :ivar positions: of variables that are positions.
+    :ivar copied: elements of arrays whose text has the numbers of positions, with the variables that got it.
     """
 
     def __init__(self, run: Run, rounds: PlainRounds, counter: str) -> None:
         self.run, self.count = run, rounds.count
         self.columns = {counter: _Column([float(number) for number in rounds.numbers(0)], integer=True)}
         self.positions: dict[str, list[Position]] = {}
+        self.copied: list[tuple[int, Reference, str]] = []
 
-    def assign(self, stmt: Assignment) -> None:
+    def assign(self, line: int, stmt: Assignment) -> None:
         """Give a variable its values.
 
+        :param line: of the assignment in its file.
         :raises _NoColumnError: they are not all numbers of one kind, or not all whole positions.
         """
         name, key = stmt.target.name, self._stored(stmt.target.name)
@@ -149,8 +151,11 @@ class _Rounds:
         self.positions.pop(name, None)
         if isinstance(stmt.value, Reference) and stmt.value.indices is not None:
             values = self._elements(stmt.value)
-            if all(isinstance(value, Aggregate) for value in values):
-                self.positions[name] = [_position(value) for value in values if isinstance(value, Aggregate)]
+            points = [value for value in values if isinstance(value, Aggregate)]
+            if len(points) == len(values):
+                self.positions[name] = [_position(point) for point in points]
+                if any(not point.computed for point in points):
+                    self.copied.append((line, stmt.value, name))
                 return
         column, kind = self.column(stmt.value), self.run.variables.types.get(key, "")
         self.columns[name] = _as_column(
@@ -257,14 +262,14 @@ def _joined(operator: str, left: _Column, right: _Column) -> _Column:
 
 
 def _position(aggregate: Aggregate) -> Position:
-    """Return the position that a variable has which was set to an aggregate: no text of its own holds its numbers.
+    """Return the position that a variable has which was set to an aggregate.
 
     :raises _NoColumnError: it is not a complete Cartesian one.
     """
     if not aggregate.items.keys() >= set(CARTESIAN) or not all(isinstance(v, Number) for v in aggregate.items.values()):
         raise _NoColumnError
     try:
-        position = from_aggregate(replace(aggregate, computed=True))
+        position = from_aggregate(aggregate)
     except ProgramError:
         raise _NoColumnError from None
     if position.axis:
@@ -288,7 +293,7 @@ def computed_motions(run: Run, reader: MotionReader, rounds: PlainRounds) -> lis
         for line in sorted((*rounds.body.assignments, *rounds.body.motions)):
             stmt = statement(rounds.source, line)
             if isinstance(stmt, Assignment):
-                values.assign(stmt)
+                values.assign(line, stmt)
             elif isinstance(stmt, Motion):
                 _, is_approximated = reader.tail(Place(rounds.source, line), KINDS[stmt.word], stmt.tail)
                 motions.append((line, stmt, values.targets(stmt.end), is_approximated))
@@ -298,6 +303,9 @@ def computed_motions(run: Run, reader: MotionReader, rounds: PlainRounds) -> lis
         if stmt.end is not None:
             run.variables.rely(stmt.end)
     _understand(run, rounds, head)
+    for line, point, name in values.copied:
+        run.copies.add((point.name, name))
+        run.understood.update([point.start + begin for begin in _begins(run, rounds, line)])
     columns = (_statements(run, rounds, *motion) for motion in motions)
     return [move for row in zip(*columns, strict=True) for move in row]
 

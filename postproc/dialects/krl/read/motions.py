@@ -233,6 +233,7 @@ def _layout(
         types=dict(variables.types),
         public=frozenset(variables.public),
         understood=frozenset(main.run.understood).union(*(rows.target[part.row, 0].tolist() for part in elements)),
+        copies=frozenset(main.run.copies),
         triggers=_triggers(source, main, rows.line, motions, ends.start),
         carriage=carriage,
         broken_off="" if main.run.resumed is None else str(main.run.resumed),

@@ -14,7 +14,7 @@ from postproc.dialects.krl.language.declarations import declared_names
 from postproc.dialects.krl.language.routines import Module, Routine
 from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.language.structures import Node, checked, nodes_of
-from postproc.dialects.krl.language.values import Aggregate, moved_aggregate
+from postproc.dialects.krl.language.values import Aggregate, Reference, moved_aggregate
 from postproc.dialects.krl.read.data_lists import read_data
 from postproc.dialects.krl.read.effects import Analysis
 from postproc.dialects.krl.read.folder import Library
@@ -163,6 +163,7 @@ class Run:
     :ivar shifted: lines of calls of unfollowed routines whose first target depends on the robot position.
     :ivar unforced: line → reason: after such a line the acting force is not known.
     :ivar understood: offsets of names in the main routine whose use is followed.
+    :ivar copies: names, upper case, of variables that got the text of a point of another one, and of that.
     :ivar absent: calls of programs that are in no file: name as spelled, and line.
     :ivar reached: routines of the program itself that it calls.
     :ivar issues: warnings and remarks for the user.
@@ -190,6 +191,7 @@ class Run:
         self.shifted: set[int] = set()
         self.unforced: dict[int, str] = {}
         self.understood: set[int] = set()
+        self.copies: set[tuple[str, str]] = set()
         self.absent: list[tuple[str, int]] = []
         self.reached: set[Routine] = set()
         self.issues: list[Issue] = []
@@ -209,6 +211,11 @@ class Run:
     def in_trace(self, aggregate: Aggregate) -> Aggregate:
         """Return an aggregate of the present statement as text of the trace, where its numbers are corrected."""
         return moved_aggregate(aggregate, self.source, self.offset) if self.is_traced else aggregate
+
+    def copy(self, point: Reference, name: str) -> None:
+        """Note that the present statement gives a variable, or a parameter, the text of a point."""
+        self.understood.add(point.start + self.offset)
+        self.copies.add((point.name, name))
 
     @property
     def is_traced(self) -> bool:

@@ -6,7 +6,7 @@ Points of an array to which loops move are corrected in place all at once; motio
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from msgspec import Struct, field
@@ -33,13 +33,13 @@ class Use(Struct, frozen=True, eq=False):
     :param line: 1-based line of the statement.
     :param operand: the point.
     :param texts: component → number to be commanded; None where it stays as it is.
-    :param whole: the target as a complete literal, for a statement that cannot name a point of its own.
+    :param whole: returns the target as a complete literal, for a statement that cannot name a point of its own.
     """
 
     line: int
     operand: Point
     texts: Mapping[str, str] | None
-    whole: str
+    whole: Callable[[], str]
 
 
 class NamedPoints(Struct, eq=False):
@@ -55,7 +55,7 @@ class NamedPoints(Struct, eq=False):
     issues: list[Issue] = []
     _uses: dict[tuple[int, int], list[Use]] = field(default_factory=lambda: defaultdict(list))
     _names: Names | None = None
-    _elsewhere: dict[str, bool] = {}
+    _moved_to: dict[str, bool] = {}
 
     def use(self, use: Use) -> None:
         """Note a use; one of a point whose numbers are in no text becomes a literal at once."""
@@ -82,13 +82,14 @@ class NamedPoints(Struct, eq=False):
         correction.
         """
         name = uses[0].operand.name
-        if name not in self._elsewhere:
-            offsets = self.layout.understood
-            self._elsewhere[name] = any(offset not in offsets for offset in self.mentions.get(name, ()))
-        has_other_use = self._elsewhere[name]
         is_same = all(use.texts == uses[0].texts and use.operand.name == name for use in uses)
-        is_shared = has_other_use or name in self.layout.public  # others must find the value that they found before
-        return is_same and not is_shared and aggregate.source.index < len(self.sources)
+        return is_same and aggregate.source.index < len(self.sources) and self._only_moved_to(name)
+
+    def _only_moved_to(self, name: str) -> bool:
+        """Return whether the values of a variable are used by motions only, see `only_moved_to`."""
+        if name not in self._moved_to:
+            self._moved_to[name] = only_moved_to(name, self.layout, self.mentions)
+        return self._moved_to[name]
 
     def _correct(self, use: Use, aggregate: Aggregate) -> None:
         """Replace the numbers of a point in its declaration by the corrected ones."""
@@ -101,7 +102,9 @@ class NamedPoints(Struct, eq=False):
         for use in uses:
             text = self.sources[0].text[use.operand.start : use.operand.stop]
             is_out_of_scope = self._away(use)  # there a new point would not be seen
-            if aggregate.source.index != 1 or len(self.sources) < 2 or is_out_of_scope or not NAME.fullmatch(text):
+            is_copy = any(use.operand.name in pair for pair in self.layout.copies)
+            is_elsewhere = aggregate.source.index != 1 or len(self.sources) < 2
+            if is_elsewhere or is_copy or is_out_of_scope or not NAME.fullmatch(text):
                 self._replace(use)
                 continue
             literal = applied(literal_of(aggregate), replaced_numbers(literal_of(aggregate), use.texts or {}))
@@ -137,7 +140,7 @@ class NamedPoints(Struct, eq=False):
 
     def _replace(self, use: Use) -> None:
         """Write the target into the statement."""
-        self.replacements[0].add(use.operand.start, use.operand.stop, use.whole)
+        self.replacements[0].add(use.operand.start, use.operand.stop, use.whole())
         message = "A point that is used more than once or computed is replaced by numbers in the statement."
         self.issues.append(Issue("info", "point-replaced", message, use.line))
 
@@ -159,6 +162,21 @@ def mentions(source: Source, plain_lines: Sequence[int], course: Course) -> Mapp
             for name in NAME.findall(routine.source.text, *routine.source.code_span(line)):
                 places[name.upper()].append(-1)
     return places
+
+
+def only_moved_to(name: str, layout: Layout, mentions: Mapping[str, Sequence[int]]) -> bool:
+    """Return whether motions alone use the values of a variable, and of those that they are copied to or from.
+
+    All else must find the values that it found before.
+
+    :param mentions: see `mentions`.
+    """
+    names, count = {name}, 0
+    while len(names) > count:
+        count = len(names)
+        names |= {name for pair in layout.copies if not names.isdisjoint(pair) for name in pair}
+    is_followed = all(offset in layout.understood for name in names for offset in mentions.get(name, ()))
+    return is_followed and names.isdisjoint(layout.public)
 
 
 def settled(
@@ -184,12 +202,8 @@ def settled(
     times = Counter(literal_starts)
     left, statements, array_rows = [], dict(layout.statements), layout.within.copy()
     for elements in layout.elements:
-        is_understood = all(offset in layout.understood for offset in mentions.get(elements.name, ()))
         is_editable = (
-            is_understood
-            and elements.name not in layout.public
-            and elements.source.index < files
-            and layout.carriage is None
+            elements.source.index < files and layout.carriage is None and only_moved_to(elements.name, layout, mentions)
         )
         is_single_use = np.array(
             [times[elements.source.index, start] == 1 for start in elements.literal[:, 0].tolist()]

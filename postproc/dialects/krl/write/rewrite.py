@@ -16,6 +16,7 @@ What does not change stays to the byte. Decisions, where KUKA leaves a choice:
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from itertools import groupby
 from operator import attrgetter
 from pathlib import PurePath
@@ -25,7 +26,7 @@ from msgspec.structs import replace
 
 from postproc.chunks import chunks
 from postproc.dialects.force_comments import needed, texts
-from postproc.dialects.krl.language.motion_statements import MotionStatement, Point, Trigger
+from postproc.dialects.krl.language.motion_statements import MotionStatement, Trigger
 from postproc.dialects.krl.language.parser import is_approximated
 from postproc.dialects.krl.language.positions import CARTESIAN
 from postproc.dialects.krl.language.source import Source, comment_start
@@ -232,24 +233,21 @@ class _Rewriter:
         if differs and move.angle is not None:
             self.replacements[0].add(move.end.stop, move.tail, "")
             self._report("angle-dropped", "CA is dropped: the end point is written as where the arc ends.", move.line)
-        statements = self.statements
-        whole = statements.whole(k, move.end)
-        self._point(
-            move.line, move.end, statements.end_texts(k, move.end, copy=needs_copy) if differs else None, whole, points
-        )
+        texts = self.statements.end_texts(k, move.end, copy=needs_copy) if differs else None
+        self._point(Use(move.line, move.end, texts, partial(self.statements.whole, k, move.end)), points)
         if move.via is not None:
             via = self.commanded.via_texts(k)
-            self._point(move.line, move.via, (via or None) if differs else None, aggregate_text(via), points)
+            self._point(
+                Use(move.line, move.via, (via or None) if differs else None, partial(aggregate_text, via)), points
+            )
 
-    def _point(
-        self, line: int, operand: Point, texts: Mapping[str, str] | None, whole: str, points: NamedPoints
-    ) -> None:
+    def _point(self, use: Use, points: NamedPoints) -> None:
         """Change the numbers of a point in the statement; note the use of any other point."""
-        literal = self.statements.inline(operand)
+        literal = self.statements.inline(use.operand)
         if literal is None:
-            points.use(Use(line, operand, texts, whole))
-        elif texts:
-            for piece in replaced_numbers(literal, texts):
+            points.use(use)
+        elif use.texts:
+            for piece in replaced_numbers(literal, use.texts):
                 self.replacements[0].add(*piece)
 
     def _insert(self) -> Ints:
