@@ -268,7 +268,7 @@ CORRECTED = "DECL E6POS XP1={X 100.2500,Y 200.5000,Z 301.0000,A 10.00000,B 20.00
 def test_a_copied_point_is_corrected_where_its_numbers_are(lines, subs):
     source, data = written(*lines, subs=subs)
     assert data == [CORRECTED if line.startswith("DECL E6POS XP1=") else line for line in DATA.splitlines()]
-    assert source == [line for line in (body(*lines) + subs.replace("\n", "\r\n")).splitlines()]
+    assert source == (body(*lines) + subs.replace("\n", "\r\n")).splitlines()
 
 
 @pytest.mark.parametrize(
