@@ -332,6 +332,8 @@ def test_branches_that_end_a_turn_apart_are_an_error():
     far[5] = -3.2
     (_, from_start) = checks.joints_at_joins(made, sample(range(5)), q, far)
     assert from_start.lines == (5,)
+    (of_first,) = checks.joints_at_joins(replace(MADE, joins=((0, 2),)), sample(range(5)), q, far)
+    assert (of_first.lines, of_first.source_line) == ((1, 3), 1)
 
 
 def test_branches_that_are_corrected_differently_are_an_error():

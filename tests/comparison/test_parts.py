@@ -1,0 +1,182 @@
+"""Parts of a comparison on programs that are made up: statements between motions, speeds, missing and moved targets."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from postproc.comparison import differences, statements
+from postproc.comparison.result import Comparison, at_pairs, of_line
+from postproc.program import CIRC, SPL, Document, Unresolved
+from tests.programs import program
+
+TEXT = """DEF a( )
+$OUT[1]=TRUE
+LIN p1
+LOOP
+  FOR i=1 TO 3
+    WAIT SEC 1 ; inner
+  ENDFOR
+  LIN p2
+  TRIGGER WHEN DISTANCE=0 DELAY=-5 DO $OUT[2]=TRUE
+  ; WAIT SEC 9
+  LIN p3
+  $ANOUT[1] = 0.5
+ENDLOOP
+HALT
+END
+DEF b( )
+PULSE($OUT[3],TRUE,1)
+LIN p4
+END"""
+TEXTS = statements._Texts(SimpleNamespace(documents=(Document("a.src", TEXT), Document("b.src", "LIN p5\nHALT"))))
+
+
+@pytest.mark.parametrize(
+    ("start", "end", "expected"),
+    [
+        (8, 11, [("TRIGGERDO$OUT[2]=TRUE", 9)]),
+        (3, 8, [("WAITSEC1", 6)]),
+        (11, 8, [("$ANOUT[1]=0.5", 12), ("WAITSEC1", 6)]),  # round the LOOP, past the FOR in it
+        (1, 3, [("$OUT[1]=TRUE", 2)]),
+        (18, 3, None),  # no loop is around them
+    ],
+)
+def test_statements_between_two_motions_are_those_on_the_way(start, end, expected):
+    assert TEXTS.between(("a.src", start), ("a.src", end)) == expected
+
+
+def test_statements_between_files_are_not_known_and_a_routine_has_its_ends():
+    assert TEXTS.between(("a.src", 3), ("b.src", 1)) is None
+    assert TEXTS.between(("c.src", 1), ("c.src", 2)) is None
+    assert TEXTS.routine(("a.src", 8)) == (("a.src", 1), ("a.src", 15))
+    assert TEXTS.routine(("a.src", 18)) == (("a.src", 16), ("a.src", 19))
+    assert TEXTS.routine(("b.src", 1)) == (("b.src", 0), ("b.src", 3))
+
+
+def test_statements_of_one_side_only_are_its_surplus_and_of_another_order_all():
+    first = [("A", 1), ("B", 2), ("A", 3), ("C", 4)]
+    assert list(statements._only_in_one(first, [("A", 7), ("D", 8), ("B", 9)])) == [
+        ("A", 1, False), ("C", 4, False), ("D", 8, True),
+    ]  # fmt: skip
+    assert list(statements._only_in_one([("A", 1), ("B", 2)], [("B", 7), ("A", 8)])) == [("B", 7, True), ("A", 8, True)]
+
+
+MOVES = [("PTP", 0, 0, 50), ("LIN", 0, 0, 0), ("LIN", 100, 0, 0), ("RAPID", 100, 0, 50), ("LIN", 0, 0, 50)]
+
+
+def compared(nominal=None, corrected=None, pair=None, **fields) -> Comparison:
+    nominal, corrected = nominal or program(MOVES), corrected or program(MOVES)
+    pair = np.repeat(np.arange(5), 2).reshape(-1, 2) if pair is None else np.array(pair)
+    none = np.zeros(0, dtype=np.int64)
+    made = Comparison(
+        nominal=nominal, corrected=corrected, robot="x", pair=pair, inserted_rows=none, passed_rows=none,
+        passing_distance=np.zeros(0), only_nominal=none, missing_distance=np.zeros(0), additional_rows=none,
+        pose=corrected.motions.target[pair[:, 1]], rotation=np.zeros(len(pair)), curves=None,
+        between=np.zeros(len(pair)), cuts=None, differences=(),
+    )  # fmt: skip
+    return replace(made, **fields)
+
+
+def test_offsets_are_from_the_nominal_to_the_commanded_position():
+    pose = program(MOVES).motions.target[:].copy()
+    pose[2, :3, 3] += [3e-3, 0.0, -4e-3]
+    found = compared(pose=pose)
+    np.testing.assert_allclose(found.offset[2], [3e-3, 0.0, -4e-3], atol=1e-15)
+    np.testing.assert_allclose(found.distance, [0.0, 0.0, 5e-3, 0.0, 0.0], atol=1e-15)
+    assert found.rapid.tolist() == [True, False, False, True, False]
+
+
+def test_speeds_differ_by_more_than_a_thousandth_and_a_micrometre_a_second():
+    corrected = program(MOVES)
+    limit = 1e-3 * 0.05 + 1e-6
+    corrected.motions.feed[[1, 2, 4]] += [0.99 * limit, 1.01 * limit, -1.01 * limit]
+    found = compared(corrected=corrected, pair=[(1, 1), (2, 2), (3, 3), (4, 4)])
+    np.testing.assert_allclose(found.speeds[:, 0], [0.05, 0.05, 0.5, 0.05])
+    np.testing.assert_allclose(found.speeds[0, 1], 0.05 + 0.99 * limit)
+    assert found.speed_differs.tolist() == [False, True, False, True]
+    assert compared().speed_differs.tolist() == [False] * 5  # unknown speeds of joint interpolations are none
+
+
+def test_a_piece_of_a_spline_in_both_programs_is_not_compared():
+    nominal, corrected = program(MOVES), program(MOVES)
+    nominal.motions.kind[[1, 2]], corrected.motions.kind[[2, 4]] = SPL, SPL
+    assert compared(nominal, corrected).spline.tolist() == [False, False, True, False, False]
+
+
+def test_missing_targets_are_an_error_where_the_path_leaves_the_nominal_one_by_more_than_the_tolerance():
+    path = SimpleNamespace(robot_in_cell=SimpleNamespace(tolerance=1e-4))
+    pair = [(0, 0), (1, 1), (4, 4)]
+    off = compared(pair=pair, only_nominal=np.array([2, 3]), missing_distance=np.array([np.nan, 2.5e-4]))
+    (found,) = differences._alone(off, path)
+    assert (found.level, found.kind, found.nominal, found.corrected, found.count) == (
+        "error", "only-nominal", ("part.nc", 4), ("part.nc", 5), 2,
+    )  # fmt: skip
+    assert "leaves the nominal one by 0.2500 mm there." in found.message
+    near = replace(off, missing_distance=np.array([0.9e-4, np.nan]), additional_rows=np.array([2, 3]))
+    missing, additional = differences._alone(near, path)
+    assert (missing.level, missing.nominal) == ("warning", ("part.nc", 3))
+    assert (additional.kind, additional.nominal, additional.corrected, additional.count) == (
+        "only-corrected", None, ("part.nc", 3), 2,
+    )  # fmt: skip
+    last = compared(pair=[(0, 0)], only_nominal=np.array([4]), missing_distance=np.zeros(1))
+    assert next(differences._alone(last, path)).corrected is None
+
+
+def unresolved(*texts: str):
+    return tuple(Unresolved(f"a{k}.src", 10 + k, text, "why") for k, text in enumerate(texts))
+
+
+def test_motions_known_at_run_time_only_are_compared_by_their_text():
+    nominal = replace(program(MOVES), unresolved=unresolved("PTP p1", "LIN p2"))
+    same = replace(program(MOVES), unresolved=unresolved("ptp  P1", "LIN p2"))
+    assert list(differences._unresolved(compared(nominal, same))) == []
+    other = replace(program(MOVES), unresolved=unresolved("PTP p1", "LIN p3"))
+    (found,) = differences._unresolved(compared(nominal, other))
+    assert (found.level, found.kind, found.nominal, found.corrected, found.count) == (
+        "error", "unresolved-differs", ("a1.src", 11), ("a1.src", 11), 1,
+    )  # fmt: skip
+    (fewer,) = differences._unresolved(compared(nominal, program(MOVES)))
+    assert (fewer.nominal, fewer.corrected, fewer.count) == (("a0.src", 10), None, 2)
+    listed = list(differences._not_compared(compared(nominal, replace(same, unresolved=same.unresolved[:1]))))
+    assert [(entry.nominal, entry.corrected) for entry in listed] == [
+        (("a0.src", 10), ("a0.src", 10)), (("a1.src", 11), None),
+    ]  # fmt: skip
+    assert listed[0].message.endswith("known at run time only: 'PTP p1' (why).")
+
+
+def test_a_difference_names_the_first_of_its_pairs_and_their_number():
+    found = at_pairs(compared(pair=[(0, 0), (2, 3), (4, 4)]), "x", "words.", np.array([1, 2]))
+    assert (found.level, found.nominal, found.corrected, found.count) == ("warning", ("part.nc", 3), ("part.nc", 4), 2)
+    assert of_line(program(MOVES), None) is None
+    assert of_line(program(MOVES), 3) == ("part.nc", 3)
+    assert of_line(program(MOVES), 77) == ("part.nc", 77)
+
+
+@pytest.mark.parametrize(
+    ("degrees", "kind"), [(0.99 * np.degrees(1e-3), None), (1.01 * np.degrees(1e-3), "orientation")]
+)
+def test_a_turn_of_the_tool_beyond_the_tolerance_over_a_tenth_of_a_metre_is_listed(degrees, kind):
+    """0.1 mm over 100 mm of tool is 1 mrad."""
+    path = SimpleNamespace(robot_in_cell=SimpleNamespace(tolerance=1e-4))
+    turned = compared(rotation=np.radians([0.0, 0.0, 0.5 * degrees, degrees, 0.0]))
+    found = list(differences._orientation(turned, path, path))
+    assert [entry.kind for entry in found] == ([kind] if kind else [])
+    if kind:
+        assert (found[0].nominal, found[0].count) == (("part.nc", 4), 1)
+        assert f"turned by {degrees:.4f}° from its nominal orientation" in found[0].message
+
+
+def test_another_kind_of_motion_is_named_but_for_an_arc_that_became_lines():
+    corrected = program(MOVES)
+    corrected.motions.kind[2] = SPL
+    (found,) = differences._kind(compared(corrected=corrected))
+    assert (found.kind, found.nominal, found.corrected) == ("kind", ("part.nc", 3), ("part.nc", 3))
+    assert "is a spline (SPL) instead of a line (LIN)." in found.message
+    arcs = program(MOVES)
+    arcs.motions.kind[2] = CIRC
+    assert list(differences._kind(compared(arcs, program(MOVES)))) == []
+    assert len(list(differences._kind(compared(program(MOVES), arcs)))) == 1
