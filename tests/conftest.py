@@ -1,5 +1,6 @@
 """What holds for all tests."""
 
+import gc
 import os
 import signal
 
@@ -15,6 +16,12 @@ settings.register_profile(
     derandomize="CI" in os.environ,
 )
 settings.load_profile("postproc")
+
+
+def pytest_collection_finish():
+    """Leave modules and collected tests out of garbage collection: full ones would go through all of them."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -30,11 +30,11 @@ flutes = 3
 [stock]
 box = { X = [0.0, 60.0], Y = [0.0, 20.0], Z = [-5.0, 0.0] }
 """
-SIDES = (50, 14, 10)
-"""Of the part [mm], below the plane of the passes; its facets are divided by its longest side."""
+SIDES = (50, 14, 2)
+"""Of the part [mm], below the plane of the passes: low, since facets are divided by the longest side."""
 
 
-def box(path, sides, middle=(30, 10, -5)):
+def box(path, sides, middle=(30, 10, -1)):
     """Write a box as mesh [mm]."""
     mesh = trimesh.creation.box(extents=sides)
     mesh.apply_translation(middle)
@@ -108,7 +108,7 @@ LIN {X 0,Y 10,Z 0,A 180,B 0,C 180}
 END
 """
     Path("two.src").write_text(krl)
-    box("part.stl", (50, 30, 10), (30, 20, -5))
+    box("part.stl", (50, 30, 2), (30, 20, -1))
     assert "State the frame of the mesh" in _run("convert", "two.src", "--part", "part.stl", code=1).output
     cell = Path(CELL).read_text() + "\n[part]\nX = 1500.0\nY = -200.0\nZ = 700.0\n"
     Path("cell.toml").write_text(cell)
@@ -171,16 +171,17 @@ def test_the_cut_of_a_process_is_shown_along_the_path():
 def test_facets_are_divided_and_cover_the_same_area():
     corners, _ = read_facets(Path("part.stl"))
     edges = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    assert 0.5 * np.linalg.norm(edges, axis=1).sum() == pytest.approx(2 * (50 * 14 + 50 * 10 + 14 * 10) * 1e-6)
+    x, y, z = SIDES
+    assert 0.5 * np.linalg.norm(edges, axis=1).sum() == pytest.approx(2 * (x * y + x * z + y * z) * 1e-6)
     assert len(corners) > 3000
-    outward = np.einsum("fi,fi->f", edges, corners.mean(axis=1) - np.array([0.03, 0.01, -0.005]))
+    outward = np.einsum("fi,fi->f", edges, corners.mean(axis=1) - np.array([0.03, 0.01, -0.001]))
     assert (outward > 0.0).all()
 
 
 def test_a_mesh_that_does_not_fit_is_stated_before_anything_else():
     """A mesh 3 mm too high: depth and line in the page, the terminal and the JSON; the verdict is no all-clear."""
     Path("process.toml").write_text(PROCESS.replace("-5.0, 0.0", "-5.0, 1.0"))
-    box("high.stl", (50, 14, 13), (30, 10, -3.5))
+    box("high.stl", (50, 14, 5), (30, 10, 0.5))
     for program, options in ((PROGRAM, ()), (WITHOUT_FORCES, ("--process", "process.toml"))):
         Path("part.nc").write_text(program)
         done = _run("convert", "part.nc", "--part", "high.stl", *options)

@@ -13,11 +13,13 @@ from tests.oracle.teeth import Teeth
 ALLOWED = {"bull R5 c1 finish 0.3": 0.08}
 """RMS of the error as a share of that of the force, where contacts are a few cells wide."""
 OTHERWISE = 0.06
+PLACES = {"bull R5 c1 finish 0.3": 12}
+"""Places where the force is compared; 25 in other cases. Exact fronts of many short moves take a second each."""
 
 
 @pytest.mark.parametrize("name", CASES)
 def test_forces_on_random_surfaces_are_those_of_exact_fronts(tmp_path, name):
-    error = compared(tmp_path, CASES[name], np.random.default_rng(5), count=25).error
+    error = compared(tmp_path, CASES[name], np.random.default_rng(5), count=PLACES.get(name, 25)).error
     print(f"{name}: RMS {100 * error:.1f} %")
     assert error <= ALLOWED.get(name, OTHERWISE)
 
