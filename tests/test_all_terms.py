@@ -305,7 +305,7 @@ def test_errors_name_the_rows_that_have_no_equilibrium(monkeypatch):
     with pytest.raises(NotConvergedError, match="too large for the springs") as found:
         springs_at_target(model, x, load, balance.static_torque(model, x))
     assert found.value.rows == (1,)
-    monkeypatch.setattr(elastostatics.equilibrium, "_MAX_ITERATIONS", 1)
+    monkeypatch.setattr(elastostatics.equilibrium, "MAX_ITERATIONS", 1)
     still = wrench * [[1.0], [0.0], [1.0]]
     model, _, q, _ = arms(0, GRAVITIES[0], payload=NO_PAYLOAD)
     with pytest.raises(NotConvergedError, match="not found") as found:

@@ -46,7 +46,7 @@ _SPRING_TOLERANCE = 3e-9
 """Largest error of a spring's deflection [rad, m] left by the iterations; the correction needs 1e-8 rad."""
 _FIRST_RATIO = 0.02
 """Assumed ratio of the second step to the first; usable arms have a far smaller one."""
-_MAX_ITERATIONS = 40
+MAX_ITERATIONS = 40
 """Usable arms need under ten, each step being at most a few hundredths of the one before: more is no convergence."""
 _NOT_FOUND = "equilibrium not found: check the payload, the forces and the robot model"
 _LARGEST_DEFLECTION = 0.1
@@ -147,7 +147,7 @@ def solve_equilibrium(
     rest_torque, wrench = balanced_torque(robot, x0), np.ascontiguousarray(wrench)
     theta = np.zeros_like(x0) if guess is None else np.ascontiguousarray(guess)
     previous = np.full(x0.shape[1], np.nan)
-    for _ in range(_MAX_ITERATIONS):
+    for _ in range(MAX_ITERATIONS):
         state = Balance.at(robot, x0 + theta, rest_torque, tool, wrench)
         step = state.theta - theta
         step[robot.actuated[A2]] /= compensator_factor(robot, state.x, state.slope)
@@ -176,7 +176,7 @@ def springs_at_target(robot: RobotModel, x: Array, load: Array, weights: Array) 
     rest_torque = weights if robot.subtract_reference and robot.loaded is robot.actual else balanced_torque(robot, x)
     theta = np.zeros_like(x)
     previous = np.full(x.shape[1], np.nan)
-    for _ in range(_MAX_ITERATIONS):
+    for _ in range(MAX_ITERATIONS):
         torque = load - weights + rest_torque
         deflection, slope = spring_deflection(
             robot, x, torque, preload(robot, rest_torque), load_torque(robot, x, torque)

@@ -44,7 +44,7 @@ from tests.dialects.krl_programs import CELL, forward, targets
 from tests.oracle.arm import abc
 from tests.oracle.krl_grammar import check, takes
 
-flow._MOST_TRACED = flow._MOST_STATEMENTS = 10_000
+flow.MOST_TRACED = flow.MOST_STATEMENTS = 10_000
 KINDS = {"LIN": LIN, "PTP": PTP, "CIRC": CIRC, "SPL": SPL}
 FRAMES = {1: (900, 50, 600, 0, 0, 10), 2: (1000, 0, 500, 5, 0, 0), 3: (1200, 100, 650, 30, 0, 0)}
 TOOLS = {1: (0, 0, 200, 0, 0, 0), 2: (20, 0, 280, 0, 90, 0)}
@@ -380,7 +380,7 @@ def places_of(program):
 
 def attack(seed):
     """Try the program of a seed; what goes wrong is told with its files."""
-    limits = patch.multiple(flow, _MOST_TRACED=MOST_STEPS, _MOST_STATEMENTS=MOST_STEPS)
+    limits = patch.multiple(flow, MOST_TRACED=MOST_STEPS, MOST_STATEMENTS=MOST_STEPS)
     with limits, tempfile.TemporaryDirectory(dir=_MEMORY) as name:
         try:
             return attempt(seed, Path(name))

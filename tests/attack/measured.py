@@ -81,7 +81,7 @@ def seed_of(number):
 def reading(seed):
     """`Reading` of the program of a seed; an internal error is a message too."""
     files = krl.files_of(seed, np.random.default_rng(seed))
-    limits = patch.multiple(flow, _MOST_TRACED=MOST_STEPS, _MOST_STATEMENTS=MOST_STEPS)
+    limits = patch.multiple(flow, MOST_TRACED=MOST_STEPS, MOST_STATEMENTS=MOST_STEPS)
     with limits, tempfile.TemporaryDirectory(dir=krl._MEMORY) as name:
         try:
             program = krl.read(files, Path(name), keep=seed >= krl.KEPT)

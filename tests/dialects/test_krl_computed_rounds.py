@@ -122,7 +122,7 @@ def test_many_of_the_random_rounds_are_computed_at_once(monkeypatch):
     ],
 )
 def test_a_computed_round_costs_few_calls(lines, limit, monkeypatch):
-    monkeypatch.setattr(flow, "_MOST_TRACED", 400_000)  # random programs have a lower limit
+    monkeypatch.setattr(flow, "MOST_TRACED", 400_000)  # random programs have a lower limit
 
     def making(count):
         elements = "".join(f"P[{n}]={{X {n % 90},Y 2,Z 3,A 0,B 0,C 180}}\r\n" for n in range(1, count + 1))

@@ -185,11 +185,11 @@ def test_a_program_that_does_not_end_is_refused_with_the_line():
 
 
 def test_a_count_without_end_stops_with_a_message(monkeypatch):
-    monkeypatch.setattr("postproc.dialects.krl.read.flow._MOST_UNCOUNTED", 1000)
+    monkeypatch.setattr("postproc.dialects.krl.read.flow.MOST_UNCOUNTED", 1000)
     with pytest.raises(ProgramError, match="WHILE has not ended after 1000 statements") as caught:
         read(body(FULL, "WHILE K>-1", "K=K+1", FULL, "ENDWHILE"), DATA)
     assert caught.value.line == 5
-    monkeypatch.setattr("postproc.dialects.krl.read.flow._MOST_TRACED", 1000)
+    monkeypatch.setattr("postproc.dialects.krl.read.flow.MOST_TRACED", 1000)
     with pytest.raises(ProgramError, match=r"too long: 10\d\d statements"):
         read(body(FULL, "FOR I=1 TO 40", "FOR K=1 TO 40+I*0", FULL, "ENDFOR", "ENDFOR"), DATA)
     read(body(FULL, "FOR K=1 TO 900", "ENDFOR", "FOR I=1 TO 900", FULL, "ENDFOR"), DATA)
@@ -238,8 +238,8 @@ TOO_MUCH = {
 
 @pytest.mark.parametrize("what", TOO_MUCH)
 def test_what_runs_too_long_is_refused_after_little_work(what, monkeypatch):
-    monkeypatch.setattr("postproc.dialects.krl.read.flow._MOST_TRACED", 400_000)
-    monkeypatch.setattr("postproc.dialects.krl.read.flow._MOST_STATEMENTS", 200_000)
+    monkeypatch.setattr("postproc.dialects.krl.read.flow.MOST_TRACED", 400_000)
+    monkeypatch.setattr("postproc.dialects.krl.read.flow.MOST_STATEMENTS", 200_000)
     text, problem = TOO_MUCH[what]
 
     def reading():

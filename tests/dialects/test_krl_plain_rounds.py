@@ -239,7 +239,7 @@ def test_points_of_a_loop_are_corrected_where_they_are():
     ],
 )
 def test_a_round_costs_no_more_calls_than_a_plain_line_a_few_times_over(lines, monkeypatch):
-    monkeypatch.setattr("postproc.dialects.krl.read.flow._MOST_TRACED", 400_000)  # random programs have a lower limit
+    monkeypatch.setattr("postproc.dialects.krl.read.flow.MOST_TRACED", 400_000)  # random programs have a lower limit
 
     def making(count):
         points = "".join(f"P[{n}]={{X {n % 90},Y 2,Z 3,A 0,B 0,C 180}}\r\n" for n in range(1, count + 2))

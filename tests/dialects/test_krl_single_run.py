@@ -87,7 +87,7 @@ def test_random_programs_are_read_the_same_in_one_run(kind):
         else:
             generator = States if kind == "states" else Generator
             texts = generator(rng, more=True, mixed=True, keep=False, harder=kind == "harder").programs()
-        limits = patch.multiple(flow, _MOST_TRACED=MOST_STEPS, _MOST_STATEMENTS=MOST_STEPS)
+        limits = patch.multiple(flow, MOST_TRACED=MOST_STEPS, MOST_STATEMENTS=MOST_STEPS)
         with limits, tempfile.TemporaryDirectory() as name:
             folder = Path(name)
             single, double, is_single = both(lambda: read_files(texts, folder), written_with(seed))  # noqa: B023

@@ -32,11 +32,13 @@ from postproc.dialects.krl.read.run import Run
 from postproc.dialects.krl.read.tracing import Trace
 from postproc.errors import ProgramError, first_of
 
-_MOST_STATEMENTS = 200_000
-"""Most statements without motion followed in loops and called routines; later ones count as uncertain."""
-_MOST_TRACED = 400_000
+MOST_STATEMENTS = 200_000
+"""Most statements without motion followed in loops and called routines; later ones count as uncertain.
+
+Whoever reads many random programs may lower this and the next two limits."""
+MOST_TRACED = 400_000
 """A trace has at most this many statements more than the file has lines."""
-_MOST_UNCOUNTED = 60_000
+MOST_UNCOUNTED = 60_000
 """Most statements that a loop around motions may run if its number of iterations is not known."""
 _CASES = 4
 """Number of CASEs that count as one statement."""
@@ -215,17 +217,17 @@ class Flow:
     def _count(self, at: Place) -> None:
         if self._still or not self.run.level.traced:
             self.run.steps += 1
-            if self.run.steps > _MOST_STATEMENTS:
+            if self.run.steps > MOST_STATEMENTS:
                 raise inexact(at, "too much runs before")
             return
         self._traced += 1
-        if self._traced > _MOST_TRACED and self._traced > (limit := self._most(at.source)):
+        if self._traced > MOST_TRACED and self._traced > (limit := self._most(at.source)):
             problem = f"loops around motions are too long: {limit} statements have run when the program comes here"
             raise inexact(at, problem, _LENGTH_ADVICE)
 
     def _most(self, source: Source) -> int:
         """Return how many statements may run around motions."""
-        return _MOST_TRACED + len((source if self.trace is not None else self.run.source).starts)
+        return MOST_TRACED + len((source if self.trace is not None else self.run.source).starts)
 
     def _check_least(self, at: Place, minimum: int) -> None:
         """Refuse code that runs too many statements, before it is followed.
@@ -234,7 +236,7 @@ class Flow:
         :raises InexactError: it is above the limit.
         """
         if self._still or not self.run.level.traced:
-            if self.run.steps + minimum > _MOST_STATEMENTS:
+            if self.run.steps + minimum > MOST_STATEMENTS:
                 raise inexact(at, "too much runs before")
         elif self._traced + minimum > self._most(at.source):
             problem = f"loops and calls around motions are too long: at least {minimum} statements run from here on, "
@@ -556,8 +558,8 @@ class Flow:
                 if trace is not None and self._way[depth][1] == 2:
                     self._check_labels(source, block.lines())
                 changes = self._changes()
-                if counter is None and self._traced - start_count > _MOST_UNCOUNTED:
-                    problem = f"{block.word} has not ended after {_MOST_UNCOUNTED} statements"
+                if counter is None and self._traced - start_count > MOST_UNCOUNTED:
+                    problem = f"{block.word} has not ended after {MOST_UNCOUNTED} statements"
                     raise inexact(Place(source, block.first), problem, "Check its condition, or write FOR instead.")
                 if trace is not None and loop is not None:
                     trace.repeat(loop, block, counter.assigned if counter is not None else None)
@@ -640,8 +642,8 @@ class Flow:
                 if self._way[depth][1] == 2:
                     self._check_labels(source, range(first + 1, jump.first))
                 changes = self._changes()
-                if self._traced - start_count > _MOST_UNCOUNTED:
-                    problem = f"GOTO still leads back after {_MOST_UNCOUNTED} statements"
+                if self._traced - start_count > MOST_UNCOUNTED:
+                    problem = f"GOTO still leads back after {MOST_UNCOUNTED} statements"
                     raise inexact(at, problem, "Check its condition, or write FOR instead.")
                 trace.repeat(loop, body, None)
                 self.follow(source, nodes[1:-1])
@@ -741,7 +743,7 @@ class Flow:
 
         :raises InexactError: it has too many.
         """
-        limit = _MOST_STATEMENTS if trace is None else _MOST_TRACED + len(source.starts)
+        limit = MOST_STATEMENTS if trace is None else MOST_TRACED + len(source.starts)
         if counter.rounds > limit:
             problem = f"FOR has {counter.rounds} rounds, more than {limit}"
             raise inexact(Place(source, block.first), problem, "Check its bounds.")
