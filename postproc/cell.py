@@ -28,6 +28,7 @@ ToolAxis = Literal["+Z", "-Z", "+X", "-X"]
 
 
 _AXES, _JOINTS = 3, 6
+"""Numbers of a home position: X, Y, Z of a machine, or the angles of the six joints."""
 
 
 class Frame(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -479,6 +480,7 @@ def motion_fault(lines: Sequence[str]) -> str | None:
 
 _VARIABLE = re.compile(r"[A-Za-z_$][\w$]*(\[[0-9]{1,6}(,[0-9]{1,6}){0,2}\])?", re.ASCII)
 _LARGEST_VALUE = 2**31 - 1
+"""Largest value of an INT of KRL, which has 32 bits."""
 _EXAMPLE = """The least that a cell needs, for example:
 
 robot = "kuka_kr270"                    # a robot that `postproc robots` lists, or the path of a model folder

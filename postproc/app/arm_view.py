@@ -12,6 +12,7 @@ from postproc.jobs.cell_picture import CellPicture
 _AXIS_MM = 350.0
 """Length at which the axes of $BASE are drawn."""
 _MARGIN = 0.08
+"""Free space around the drawing, as a share of its span."""
 _MIN_NAMED_LENGTH = 0.3
 """Share of its length from which on an axis has its name: one that points to the reader has none."""
 

@@ -28,9 +28,12 @@ _SHARE, _LEAST_STEP, _MAX_ROWS = 0.25, 1e-4, 1e-3
 _STEP_TOLERANCE = 0.1
 """Of that, what steps differ by that are taken for the same at once."""
 _CAP, _WAY = 1.2, 0.5
+"""Largest cost of a change of the offset or of the length of the way, so that a jump costs less than a missing target,
+and the weight of the latter where partners follow one another (assumed)."""
 _OTHER_WAY, _EXCESS_LENGTH = 0.6, 8e-3
 """A way that is longer or shorter by the second number [m], which no correction causes, costs the first more."""
 _MISSING_COST, _PASSED_COST = 3.2, 2.0
+"""Cost of a target without a partner, and of one whose motion is continued by the next (assumed)."""
 _OTHER_KIND = 2.0
 """A PTP is no LIN or CIRC."""
 _WINDOW = 14
@@ -38,9 +41,11 @@ _WINDOW = 14
 _MAX_STATES = 48
 """Assignments followed at the same time."""
 _PASSES = 3
+"""Each pass moves a partner by one place at most: assignments are off by no more than three (assumed)."""
 _EQUAL = 5e-6
 """Targets that are this near [m], after steps that differ by no more, are the same ones."""
 _RUN, _RUN_CHUNK = 3, 4096
+"""Equal targets in a row that leave no other assignment likely, and the number of targets compared at once."""
 _NO_PARTNER = -1
 """Row that no target has."""
 

@@ -15,9 +15,11 @@ _FLAT = 1e-9
 TOLERANCE_MM = 0.02 * np.sqrt(2.0)
 """Difference of radii that is accepted [mm], as for G-code by LinuxCNC; beyond it 0.1 % of the radius."""
 _RELATIVE = 1e-3
+"""As LinuxCNC: radii may differ by a thousandth of the radius, too."""
 _SAME_MM = 1e-6
 """Start and end of a full circle that are this near are one point but for the last digits."""
 _LEAST_MM = 1e-3
+"""Radius [mm] below which start and end are the rounding of one point."""
 _OFF_CIRCLE = 100.0
 """A point whose distance from a circle is so many times that of start and first point is not of the arc."""
 

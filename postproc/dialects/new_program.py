@@ -18,6 +18,7 @@ from postproc.safe_text import one_line
 
 LINE_END = "\r\n"
 _DECIMALS = 6
+"""Of speeds [m/s]: 1e-6 m/s is 0.06 mm/min, finer than feeds are programmed."""
 _WITHOUT_VALUE = ("spindle_off", "coolant_on", "coolant_off")
 """Kinds of events whose value says nothing."""
 _FASTEST_TURN = 200.0

@@ -478,6 +478,7 @@ def _plain_stl(content: bytes) -> bytes:
 
 
 _MOST_FACETS = 60_000
+"""Limit of division: the time of a surface map grows with its facets."""
 _EDGE = np.radians(30.0)
 """Facets that meet at a smaller angle belong to one smooth surface."""
 _SIDES_PER_PART = 60.0

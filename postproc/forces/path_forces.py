@@ -402,6 +402,7 @@ def _steps(forces: PathForces) -> Array:
 _SHORTEST = 1e-7
 """Length [m] and share of the arc below which no piece is halved: the decimals of a program resolve none shorter."""
 _QUARTERS = (0.0, 0.25, 0.5, 0.75, 1.0)
+"""Shares of a piece of arc at which it is compared with its chord."""
 
 
 def refined_arcs(

@@ -34,7 +34,9 @@ _SIGMAS = tuple(f"s{name}" for name in WRENCH)
 _PERCENT = ("sigma_percent", "factor_percent")
 _OPTIONAL = (*WRENCH[3:], "frame", "line_end", "t", *_SIGMAS, *_PERCENT)
 _MOST_LINES = 1e9
+"""Line numbers beyond it are another quantity in the wrong column; they fit int32."""
 _LISTED_LINES = 5
+"""Lines that a message names; three dots stand for the others."""
 
 
 class ForceTable(Struct, frozen=True, eq=False):

@@ -23,6 +23,7 @@ from postproc.robot import JOINTS, RobotModel
 OPEN = "open"
 """Instead of a file: the station that is open in RoboDK."""
 _SAME_MM = 1.0
+"""Distance [mm] of the flanges up to which both are the same arm (assumed): data sheets round to 1 mm."""
 _ALTERNATIVE = "Or give --base, --tool and --start."
 
 

@@ -36,8 +36,11 @@ _AXES = LINK_AXES[:6]
 _USUAL_SHIFT, _USUAL_TURN, _USUAL_WAVE = 1e-3, 2e-3, 0.3e-3
 """Prior standard deviations of the errors of a joint (shift [m], turn [rad]) and its gear [rad]."""
 _STEPS = 8
+"""Gauss-Newton steps from the nominal geometry, which is close (assumed)."""
 _FOLDS = 10
+"""Parts of the cross-validation: the usual number (Hastie, Tibshirani and Friedman 2009, section 7.10)."""
 _INDEPENDENT = 1e-6
+"""Share of a column that the columns before it leave, below which it is dependent: the rounding of derivatives."""
 _PLACES = 200
 """Configurations over which the error that readings allow for is averaged."""
 

@@ -198,6 +198,7 @@ def candidates(compensator: bool) -> list[tuple[str, tuple[str, ...]]]:
 
 
 _FOLDS = 10
+"""Parts of the cross-validation: the usual number (Hastie, Tibshirani and Friedman 2009, section 7.10)."""
 _LEAST_WEIGHT = 0.02
 """Structures that weigh less are left out of the mean."""
 CLEAR = 3.0

@@ -27,6 +27,7 @@ _COLUMNS = ("q2", "marker", "repeat", "X", "Y", "Z")
 _LARGEST = (("q2", 3600.0, " deg"), ("repeat", 1e9, ""), *((axis, 1e6, " mm") for axis in "XYZ"))
 """Largest size of a cell of each column: beyond it no angle and no measuring device is."""
 _OUTLIER = 6.0
+"""Deviation of a repeat from the median of its group, in usual deviations, beyond which it is left out (assumed)."""
 _SMALL_TURN = 10.0 * RAD_PER_DEG
 """Markers that turn with A2 by less do not show where its axis is."""
 _Groups = dict[tuple[str, float], Ints]

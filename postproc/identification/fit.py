@@ -68,6 +68,7 @@ LENGTH_95 = 1.6140
 """95 % quantile of the length of normal vectors in space over their RMS length."""
 
 _ITERATIONS = 25
+"""Limit of Gauss-Newton steps (assumed)."""
 _WORSE = 1.5
 """Growth of the squares that calls for a shorter step."""
 _DEAD = 1e-6
@@ -415,6 +416,7 @@ _NARROWEST, _WIDEST = -6.0, 4.0
 _MOST_NOISE = 4.0
 """Largest logarithm of φ; its prior is normal about 0 with standard deviation `_NOISE_SPREAD`."""
 _NOISE_SPREAD = 0.5
+"""Assumed: the stated noise is right within a factor of 1.6, by one standard deviation."""
 
 
 class Regression(Struct, frozen=True, eq=False):

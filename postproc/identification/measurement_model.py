@@ -27,6 +27,7 @@ from postproc.program import Ints
 from postproc.robot import JointCompliance, LinkSpring, Parameter, RobotModel
 
 _STEPS = 20
+"""Limit of Gauss-Newton steps from a rigid fit, which begins close by (assumed)."""
 _SAME_LEVEL = 2.0 * RAD_PER_DEG
 
 

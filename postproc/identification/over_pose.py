@@ -26,6 +26,7 @@ _TURNS_OF_ARM = (-1, 0, 1)
 _TURNS_OF_ARM_JOINTS = (-2, -1, 0, 1, 2)
 """The same for A2 and A3 themselves; at most three together."""
 _TURNS_OF_JOINT = (0, 1, 2)
+"""Periods of a wave in one turn of the joint itself (assumed): none, one, and two as of out-of-round gears."""
 _SMOOTH = 1.0
 """Standard deviation of the spectrum [turns]: one over the length over which a compliance changes [rad]."""
 _WRIST = JOINTS[3:]

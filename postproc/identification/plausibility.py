@@ -165,12 +165,15 @@ _BODY = 2e-3
 _MAX_DISTANCE = 0.015
 """Distance [m] of unloaded readings from the geometry that no sag and no tolerance explains."""
 _MOST_DEFLECTION = 0.1
+"""Displacement by a load [m] beyond that of any industrial robot (assumed)."""
 _SAME_UNIT = (0.2, 5.0)
+"""Ratios of displacements to those of the prior robot that compliances explain (assumed); another unit does not."""
 _USUAL_SIZE = (0.6, 1.7)
 """Ratio of displacements to those of the prior robot outside which the scale of the forces is doubtful (assumed)."""
 _OPPOSITE = -0.7
 """Cosine between displacement and expectation below which a force has the wrong sign."""
 _KILOGRAMS = (6.0, 16.0)
+"""Ratios around 9.8, the weight [N] of a kilogram, with compliances that differ by the factor 1.6."""
 
 
 def check_points(data: Measurements) -> None:

@@ -55,6 +55,7 @@ from postproc.robot import (
 Method = Literal["enhanced", "serial"]
 Depth = Literal["auto", "joints"]
 _MOST_OUTLIERS = 0.03
+"""Share of the readings that may be left out (assumed): more are no slips, but an error of the model or the set-up."""
 _SIGNIFICANCE = 3.29
 """Standard deviations of χ² beyond which joint springs alone do not explain the readings (one in a thousand)."""
 _WORTH_A_LOOK = 1.0

@@ -324,6 +324,7 @@ _LARGEST = (
 )
 """Largest size of a cell of each column: beyond it no robot, no load and no measuring device is."""
 _SAME_ANGLE = 1e-3
+"""Difference [deg] of the angles of one configuration that is the rounding of their display."""
 _NO_LOAD = 1e-6
 """Forces below this [N, N·m] are none but for rounding."""
 

@@ -234,6 +234,7 @@ def _share(parameter: Parameter) -> float:
 SHARES = (0.05, 0.1, 0.2, 0.5, 1.0)
 """Shares of the largest load measured."""
 _POSES = 100
+"""Random poses of the workspace (assumed)."""
 _POSE_SHARE = 0.95
 """Share of the poses at which bound over deflection is below the stated value."""
 _TORQUE_SHARE = 0.02

@@ -42,9 +42,11 @@ from postproc.program import Bools, Ints
 from postproc.robot import JOINTS, RobotModel
 
 _BOUND_SHARE = 0.95
+"""Share that a 95 % bound promises."""
 _MIN_SHARE, _MIN_LOWER_LIMIT = 0.9, 0.5
 """A bound is kept if this share of the displacements is inside, and the lower limit of the share exceeds the second."""
 _DOUBT = 0.05
+"""Chance that noise alone refutes a bound: of all levels together, or of all joints and senses."""
 _NARROW = 2.0
 """Up to this ratio of errors to bound, the bound is merely too narrow."""
 _STANDARD_ERRORS = 2.0

@@ -84,12 +84,14 @@ def _differs(path: Path, content: bytes) -> bool:
 CLEARANCE_MM = 200.0
 """Z of `$BASE` to which programs retract unless something else is given: usual CAM set-ups are below it [mm]."""
 LARGEST_MM = 1e6
+"""Lengths beyond a kilometre are a mistake in the unit."""
 USUAL_START = (0.0, -70.0, 110.0, 0.0, 50.0, 0.0)
 """A1…A6 [deg] of the branch on which programs start unless something else is given: ahead, elbow up, A5 > 0."""
 _ABOVE_MM = 50.0
 """The tip starts by this much above `clearance` unless something else is given [mm]."""
 _ZERO = (0.0,) * 6
 _TURNS = (0.0, 90.0, 180.0, -90.0)
+"""Turns [deg] of the first tool that are tried: how a spindle is mounted."""
 _MARGIN = np.radians(10.0)
 """A chosen start is not nearer to a joint limit."""
 

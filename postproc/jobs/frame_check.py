@@ -45,6 +45,7 @@ Suspect = Literal["none", "tool", "base", "both", "contradiction", "undecided", 
 _MIN_POINTS = 3
 """A frame has six unknowns, a point gives three numbers: two leave the turn about their line open."""
 _CONFIDENCE = 0.95
+"""Chance with which a right frame passes the test of χ²: the usual one."""
 _INTERVAL_FACTOR = 1.96
 """Half width of a 95 % interval of a normal number, in standard deviations."""
 _LEAST_SPREAD = 0.02

@@ -11,6 +11,7 @@ from postproc.errors import InputError
 from postproc.testpart.probing import is_probed
 
 LARGEST_BYTES = 4 * 2**20
+"""Probing lists have some 100 lines: larger files are something else."""
 
 
 class ProbingList(Struct, frozen=True):

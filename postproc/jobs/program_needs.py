@@ -31,7 +31,9 @@ from postproc.robot import RobotModel
 _ROBOT = "kuka_kr270"
 """Robot of the trial readings: what a CAM program means does not depend on it."""
 _START = (0.0, -90.0, 100.0, 0.0, 80.0, 0.0)
+"""Clear of singular poses; what a program needs does not depend on it."""
 _CLEARANCE_MM = 200.0
+"""What a program needs does not depend on this height."""
 _SIDE_MM = 5.0
 """A stock that nobody states is taken this much larger on each side than what the tools sweep [mm]."""
 

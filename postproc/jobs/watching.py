@@ -463,6 +463,7 @@ class _Watcher:
 
 
 _RELOAD_S = 2
+"""A page that is looked at changes within two seconds of a run."""
 _EMPTY_OVERVIEW = b"<!DOCTYPE html><title>postproc</title><p>No program has been converted yet."
 _SERVED_FILES = (".html", ".json", ".csv", ".glb", ".src", ".dat", ".mod")
 

@@ -17,6 +17,7 @@ from postproc.machining.tool import Cutter
 from postproc.program import ForceFrame
 
 CELL_MM = 0.25
+"""Cell of the map by default (assumed): `tests.benchmarks.fronts` prints the errors of forces."""
 Newton = Annotated[float, msgspec.Meta(ge=-1e6, le=1e6)]
 
 

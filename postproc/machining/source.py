@@ -24,7 +24,9 @@ _TOOL = re.compile(r"T0*(\d+)", re.IGNORECASE)
 _BLOCK = re.compile(r"N0*(\d+)", re.IGNORECASE)
 _N_WORD = re.compile(r"\s*/?\s*N\s*0*(\d+)", re.IGNORECASE)
 _MAX_NAMES = 20
+"""Operations that a message lists."""
 _MAX_COMMENTS = 3
+"""Comments that a message quotes."""
 
 
 def by_operation(program: Program, process: Process) -> Knots:

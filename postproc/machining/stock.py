@@ -25,6 +25,7 @@ from postproc.program import Bools, Ints
 _BORDER = 2
 """Cells of air around the stock."""
 _MOST_CELLS = 60_000_000
+"""A map of as many cells takes 240 MB."""
 SLOPE = 1e-4
 """Unit of slopes in the map,"""
 _STEEPEST = 3.0
@@ -320,6 +321,7 @@ def as_trimesh(vertices: Array, faces: NDArray[np.int64]) -> Any:
 
 
 _HALVINGS = 18
+"""Golden sections: an interval of 10 mm becomes 2 µm."""
 _WHOLE = np.float32(0.999)
 """A cell that is cut over at least this share of its area counts as fully cut."""
 _CELLS = 200_000

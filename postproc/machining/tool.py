@@ -12,7 +12,9 @@ from postproc.machining.material import CuttingLaw, Floats
 BOTTOM, CORNER, SIDE = range(3)
 """Values of `Edge.part`: the end face of a flat or bull tool, the round of a ball or bull tool, the cylinder."""
 _RINGS = 3
+"""Rings of a flat face, at least (assumed)."""
 _MOST_SLICES = 160
+"""Slices of an edge, at most: time grows with them (assumed)."""
 
 
 class Cutter(Struct, frozen=True):

@@ -19,7 +19,9 @@ from postproc.plan.site import BoxShape, MeshShape, Site, along, between_segment
 from postproc.program import Bools
 
 _ROPE = 0.01
+"""Radius [m] of the rope of the load with its hooks (assumed)."""
 _STRAIGHT_SHARE = 0.8
+"""Of the gap that parts have in the arm stretched out, what must remain (assumed)."""
 _PARTS = ("column", "link 2", "elbow", "forearm", "hand")
 
 

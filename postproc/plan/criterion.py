@@ -40,6 +40,7 @@ from postproc.program import Bools, Ints
 from postproc.robot import COMPENSATOR, JOINT_COMPLIANCES, JOINTS, Parameter, RobotModel
 
 _LEVELS = 3
+"""Fewest levels of q2 with which a compensator is identifiable."""
 
 
 class Joint2(Struct, frozen=True, eq=False):
@@ -225,6 +226,7 @@ class Criterion(Struct, frozen=True, eq=False):
 
 
 _OPEN = 1e-9
+"""Added to a scaled diagonal of 1, so that what no reading determines has a large variance instead of none."""
 
 
 class Accuracy(Struct, frozen=True, eq=False):
@@ -322,6 +324,7 @@ def _chi2(freedom: float, z: float) -> float:
 _OF_POSES = 3
 """One of this many poses at least must load a joint in each direction; `MIN_CONFIGURATIONS` poses cover a direction."""
 _TYPICAL = 0.95
+"""Torques of a joint up to this quantile of the poses are typical (assumed)."""
 _RARE = 0.01
 """Share of poses below which a direction counts as out of reach."""
 _SMALLEST, _LARGEST = 0.1, 0.5

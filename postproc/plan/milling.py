@@ -23,8 +23,11 @@ from postproc.robot import JOINTS, RobotModel
 from postproc.under_load import ImpossiblePathError, MotionsUnderLoad, PathUnderLoad, RobotInCell
 
 _SAMPLES = 4000
+"""Samples of a program that test poses are chosen from: of longer ones each second, third, … counts."""
 _ROUNDS = 30
+"""Rounds of Lloyd's algorithm (assumed)."""
 _SHARE_OF_Q2 = 0.3
+"""Weight of q2 against the other features (assumed): test poses are to cover the range of joint 2 as well."""
 _FORCES = WRENCH[:3]
 
 

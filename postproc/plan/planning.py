@@ -115,6 +115,7 @@ def left_uncertain(accuracy: Accuracy, joint2: Joint2, blocked_rows: Ints) -> li
 
 _STEP = 4.0 * RAD_PER_DEG
 _SHAPES = 400
+"""Random poses among which the folded arm is looked for (assumed)."""
 _BLOCKED_COST = 1e3
 """Added seconds of a move that would hit something."""
 
@@ -314,7 +315,9 @@ class PlanResult(Struct, frozen=True, eq=False):
 
 
 _FINALISTS = 3
+"""Best starts that are improved to the end (assumed)."""
 _ANGLE_DECIMALS, _FORCE_DECIMALS = 3, 1
+"""Decimals of a plan: 0.001° as controllers show it, 0.1 N of forces, as gauges show them."""
 
 Progress = Callable[[str, float, float], None]
 """Called with the present step, the share done (0…1), and the root of the criterion of the best plan so far [m]."""

@@ -27,9 +27,13 @@ from postproc.plan.site import Site
 from postproc.program import Bools, Ints
 
 _GRID = 24
+"""Levels of q2 at which poses are drawn, besides fixed ones (assumed)."""
 _PER_LEVEL = 100
+"""Poses that are drawn for each level (assumed); the search then moves them."""
 _ROUND = 400
+"""Poses that are drawn at once."""
 _ROUNDS = 40
+"""After as many draws a level is left with the poses that it has; after a quarter of them, if it has none."""
 _LOOK = 4000
 """Poses at random by which constraints are judged when there is no candidate."""
 
@@ -138,9 +142,13 @@ def blocking(site: Site, rng: np.random.Generator) -> tuple[str]:
 _LEAST_DISTANCE = 8.0 * RAD_PER_DEG
 """Least distance of two levels of q2: the identification takes angles within 2° for one level."""
 _EXCHANGE_ROUNDS = 12
+"""Limit of the rounds of exchanges (assumed)."""
 _MIN_GAIN = 1e-3
+"""A change of the criterion below a thousandth is not worth a further round."""
 _STEPS = (0.5, 0.25, 0.12, 0.06, 0.03, 0.012, 0.004)
+"""Lengths down the gradient that are tried [rad]: by factors of two to three, down to a quarter of a degree."""
 _RANDOM = 24
+"""Random places around a pose that are tried, half of them with some joints changed only."""
 _SHIFTS = np.array([12.0, 6.0, 3.0, 1.5, 0.5]) * RAD_PER_DEG
 
 CriterionAt = Callable[[Array], Criterion]
@@ -445,7 +453,9 @@ def _move_levels(task: Task, plan: Plan) -> Plan:
 
 
 RANDOM_PLANS = 200
+"""Random plans that a plan is compared with in its page."""
 _BEST_SHARE = 0.2
+"""Of the poses of a level, the share with the largest dexterity, of which those furthest apart are taken (assumed)."""
 FACTORS = (0.4, 0.6, 0.8, 1.0, 1.4, 2.0)
 """Numbers of configurations that are tried, as factors of the one asked for."""
 

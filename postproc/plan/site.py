@@ -22,7 +22,9 @@ from postproc.robot import RobotModel
 _SPACING = 0.04
 """Spacing [m] of points on capsules and meshes; errors stay below 10 mm and are part of the clearance."""
 _MOST_VERTICES = 400_000
+"""Limit of points on a mesh (assumed): the time of a plan grows with them."""
 _SIGHT_CLEARANCE = 0.005
+"""Distance [m] from bodies that a line of sight keeps (assumed)."""
 _POINT = 1e-12
 """Square of a length [m²] below which a segment is a point."""
 

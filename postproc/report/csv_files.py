@@ -32,6 +32,7 @@ CARRIAGE = "E1"
 _NOMINAL = (6, 6, 6, 6, 6, 6)
 _WRENCH_DECIMALS = (3, 3, 3, 4, 4, 4)
 _LENGTH, _ANGLE, _PLACE = 6, 5, 9
+"""Decimals of lengths [mm], a nanometre; of angles [deg]; and of t, which is a place along a motion."""
 
 
 def targets_csv(result: Result) -> Iterator[bytes]:

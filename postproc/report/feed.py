@@ -12,6 +12,7 @@ from postproc.report.formatting import rounded, stated_mm
 
 _MM_PER_MIN = 60.0 * MM_PER_M
 _MOST_MOVES = 100
+"""Rows of the table."""
 
 
 class OperationFeed(Struct, frozen=True):

@@ -13,6 +13,7 @@ State = Literal["ok", "warning", "failed"]
 ROUNDING_MM = 1e-4
 """Deviation at a target by the rounding of written numbers (X, Y, Z to 1e-4 mm): factors below it mean nothing."""
 _PLACES = 9
+"""Decimals of millimetres that are tried: a picometre."""
 
 
 def stated_mm(length: float) -> float:

@@ -36,7 +36,9 @@ from postproc.robot.parameters import named
 _GOOD, _ROUGH, _LARGEST_SHARE = 0.1, 0.5, 1.0
 """Half width of an interval as a share of the value, up to which a parameter is well, roughly and barely known."""
 _LEAST_NUMBER, _LARGE = 1e-3, 1e5
+"""The scale of shares begins at 0.1 % or below; values from the second on are formatted as large ones."""
 _LEAST_MM = 1e-5
+"""Displacements are drawn on a logarithmic scale that begins at 0.01 µm."""
 _SPRINGS = (
     "The farther left, the better known; a hollow circle is how far off the robot's prior value was. "
     f"{WITH_LINKS}: the intervals are of that sum. Springs of links that lie alike in the chain are determined "

@@ -38,7 +38,9 @@ from postproc.robot import JOINTS, WITH_LINKS
 
 _HEADER = "config,A1,A2,A3,A4,A5,A6,Fx,Fy,Fz"
 _SPEED_PERCENT = 10
+"""Of the joint speeds, slow enough to stop by hand (assumed)."""
 _ANGLE_DECIMALS = 3
+"""0.001°, as the controller shows them."""
 
 
 def plan_csv(result: PlanResult) -> bytes:
@@ -305,7 +307,9 @@ def _box(obstacle: object) -> Array:
 
 
 _GOOD = 0.1
+"""Half width of an interval, as a share of the value, that is marked as good (assumed)."""
 _BINS = 60
+"""Bars of the histogram."""
 
 
 def expected(result: PlanResult) -> Section:

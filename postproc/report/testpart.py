@@ -36,6 +36,7 @@ from postproc.testpart.probing import TOP
 _WIDE = 900.0
 """Width of the drawing [px]."""
 _ARC = 24
+"""Chords of the half circle at the end of a slot: their height is below a pixel."""
 _LARGE_SHARE = 0.3
 """Relative change of a joint that a part should show."""
 _PRODUCT = (

@@ -15,6 +15,7 @@ from postproc.report.verdict import clearance, nothing_corrected, nothing_to_cor
 _STATES: dict[State, str] = {"failed": "failed", "warning": "to be looked at", "ok": "good"}
 _NO_FORCES = "no forces"
 _REASONS = 8
+"""Reasons of a verdict in the terminal; the page has all."""
 _ROWS = ("max", "RMS", "mean", "95 %")
 """Labels of `summary.Distances`."""
 

@@ -35,6 +35,7 @@ _ROUND = 7
 """Decimals of lengths [m]; further ones are rounding of the file."""
 _REFERENCE = "kuka_kr270"
 _REFERENCE_PAYLOAD = 270.0
+"""Payload [kg] of the reference, in its name."""
 _SCALED_SIGMA = 40.0
 """Standard deviation [%] of a compliance scaled from another arm: published values of one class of arms differ by 20 to
 50 %."""

@@ -37,6 +37,7 @@ from postproc.robot.urdf import Geometry
 GEAR_TERMS = ("sin", "cos", "sin2", "cos2")
 """Terms of a joint, in the order of `Transmission.amplitude`."""
 _ROUNDS = 60
+"""Limit of the fixed point, which ends far before at some hundredths in each round."""
 _ANGLE_TOLERANCE = 1e-14
 """Change of angles [rad] by which the iteration ends: rounding of double numbers."""
 _SAME_LAW = 1e-6

@@ -20,6 +20,7 @@ from postproc.robot.urdf import Geometry
 _FINEST = 1e-3
 """Cells [m] that simplification begins with; each further grid is coarser by `_COARSER`."""
 _COARSER = 1.25
+"""Small enough that the grid which first has few enough triangles has at least two thirds of the triangles allowed."""
 _MAX_PLACES = 3
 """Places of a missing mesh that a note names."""
 

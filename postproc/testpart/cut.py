@@ -30,7 +30,9 @@ from postproc.under_load import ImpossiblePathError, MotionsUnderLoad, PathUnder
 _SURFACE_TOLERANCE = 5e-5
 """Largest distance of a stated point from the surface that the tool makes there [m]."""
 _FLOOR_COSINE = 0.99
+"""Of the angle between normal and tool, from which a surface is a floor: up to 8° of slope."""
 _WALL_COSINE = 0.05
+"""The same, up to which it is a wall: 3° from the tool."""
 _STEP = 1e-2
 """Relative change of a parameter for the derivative by it: the model is linear in each but for the load's stiffness."""
 _SCALE_STEP = 1e-3

@@ -32,6 +32,7 @@ from postproc.testpart.readings import PATH_ERROR, RADIUS_ERROR, UNEVENNESS
 from postproc.under_load import RobotInCell
 
 _ANGLES = 12
+"""Directions of a feature that are tried: each 30°."""
 _MOST_PLACES = 60
 """Places of features that are tried in the block, over all its placements."""
 _SHARES = (1.0, 0.5)
@@ -45,7 +46,9 @@ _POSES = 7
 _MODEL = 0.005
 """Error of the prediction that is expected besides, as a share of the deflection."""
 _TESTS = 48
+"""Places of features over the whole block (assumed)."""
 _EXCHANGES = 20
+"""Limit of the rounds of exchanges (assumed)."""
 MOST_CHANGE = 1.0
 """Relative change of a parameter beyond which it counts as not shown."""
 _DETECTION_SIGMAS = 5.1

@@ -47,6 +47,7 @@ _TOUCH_EDGE, _TOUCH_WALL = 5e-3, 2e-3
 _TOUCH_PITCH = 2e-3
 """Distance of the places that are tried for touch-off points [m]."""
 _FEWEST_TOUCHES = 3
+"""Three points are a plane: height and two slopes of the touch-off."""
 RAPID = 0.1
 """Speed of rapid moves for the estimate of the time [m/s]."""
 

@@ -36,6 +36,7 @@ from postproc.testpart.readings import Lift, Readings
 from postproc.under_load import RobotInCell
 
 _ROUNDS = 12
+"""Limit of solving and cutting anew; each point left out takes a round (assumed)."""
 _CONVERGENCE_RMS, _LARGEST_RESIDUAL = 1.5e-6, 5e-6
 """RMS change by new forces of the deflected tool that ends the iteration [m], and the largest one that may remain:
 the cells of the map of the stock make some 1e-6."""
@@ -44,6 +45,7 @@ _MEDIAN = 0.6745
 _OUTLIER = 5.0
 """Error of a point predicted by all others, over its usual size, beyond which it is left out."""
 _MOST_OUTLIERS = 0.05
+"""Share of the points that may be left out (assumed): more are no slips, but another part or robot."""
 HELD_SHARE = 0.9
 """A parameter whose standard deviation stays above this share of the prior one is not determined by the part."""
 UNMODELLED_SHARE = 0.10

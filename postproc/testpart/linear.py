@@ -19,6 +19,7 @@ from postproc.testpart.readings import Readings
 from postproc.under_load import RobotInCell
 
 _ROUNDS = 12
+"""Limit of Gauss-Newton rounds (assumed); they end when the step is small."""
 _STEP_TOLERANCE = 2e-8
 """Change of a predicted deviation that ends the iteration at fixed forces [m]."""
 GAMMA = 0.005

@@ -22,6 +22,7 @@ PROGRAM, BASE = "program", "base"
 COLUMNS = ("source_line", "t", "X", "Y", "Z", "nx", "ny", "nz", "deviation_mm")
 MASS = "mass_kg"
 _MOST_MASS = 500.0
+"""Mass [kg] beyond that of any tool of a robot: another quantity or unit."""
 _UNIT = 1e-3
 """A normal in a file with three or four decimals is this near to length 1."""
 _FEWEST = 6

@@ -28,6 +28,7 @@ _READ = (
 _ABOVE_CHIPS_MM = 0.254
 """Height above the last depth from which a peck goes on, as in G73 and G83 (LinuxCNC)."""
 _MOST_PECKS = 10_000
+"""A hole with more is a mistake in a number: at 0.1 mm a peck it would be 1 m deep."""
 _OF_FEDTO = {"RAPTO": "CLEAR", "FEDTO": "DEPTH", "RTRCTO": "RETURN", "INCR": "STEP", "SUBPECK": "STEP"}
 """Words of cycles with FEDTO: those of the others."""
 _HEIGHTS = ("DEPTH", "CLEAR", "RAPTO", "RETURN", "DWELL", "STEP", "1STPECK")

@@ -46,7 +46,9 @@ from postproc.program import (
 )
 
 _SAME_MM = 1e-6
+"""Moves that are shorter [mm] are rounding: far below the last digit of a program."""
 _NO_TURN = 1e-9
+"""Change of the unit vector of the tool that is the rounding of doubles."""
 _OPPOSITE = -0.9999
 """Tool directions with a smaller component along a reference have no shortest rotation from it."""
 _BELOW_AXES = np.diag([1.0, -1.0, -1.0])

@@ -25,6 +25,8 @@ CENTRE_TOLERANCE = {21.0: 0.02 * np.sqrt(2.0), 20.0: 0.002 * np.sqrt(2.0) * 25.4
 RADIUS_TOLERANCE_MM = 0.00127
 """What a radius may be too short by: 0.00005 inch, as in LinuxCNC."""
 _RELATIVE, _CAP = 1e-3, 100.0
+"""As in LinuxCNC (interp_arc.cc): beyond the tolerance, radii may differ by a thousandth of the larger one, but by
+no more than 100 tolerances."""
 SAME_MM = 1e-6
 """Points closer than this are equal: it covers rounding in incremental programs, far below any resolution."""
 

@@ -21,6 +21,7 @@ from postproc.program import EventKind
 _CLEARANCE_MM = 0.254
 """Distance above the last depth of a peck drill, 0.010 inch, as LinuxCNC drives G83."""
 _MOST_PECKS = 10_000
+"""A hole with more is a mistake in a number: at 0.1 mm a peck it would be 1 m deep."""
 _MODES = ("G90", "G91")
 _NEEDS: Mapping[float, str] = {73.0: "Q", 82.0: "P", 83.0: "Q", 86.0: "P", 89.0: "P"}
 DWELLING = (82.0, 84.0, 86.0, 89.0)

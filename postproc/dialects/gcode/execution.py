@@ -187,6 +187,7 @@ def _stem(file: str) -> str:
 _MOST_ORDERS = 2_000_000
 """Limit of executed lines with parameters or O-words: more are reported as an endless loop."""
 _MOST_ROWS = 10_000_000
+"""Limit of all executed lines: ten times those of a program of 10⁶ motions."""
 _DEEPEST = 10
 """Limit of nested subprogram calls, as in LinuxCNC."""
 _CALL = re.compile(r"([PL])([+-]?(?:\d+\.?\d*|\.\d+))|M0*9[89]")

@@ -23,6 +23,7 @@ ARGUMENTS = 30
 """Number of numbered parameters that are local to a subprogram."""
 _LOCAL = range(1, ARGUMENTS + 1)
 _LARGEST = 5601
+"""Parameters of RS274/NGC in LinuxCNC are #1 to #5601 (RS274NGC_MAX_PARAMETERS is 5602)."""
 _OF_THE_MACHINE = 5000
 """Parameters above this number belong to the control: probed points, offsets, positions."""
 _SET_FIRST = "Set it in the program before its first use."

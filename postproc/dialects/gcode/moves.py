@@ -37,6 +37,7 @@ from postproc.frames import M_PER_MM, Array, any_column, inverse, pose_from_xyza
 from postproc.program import COMPONENTS, Bools, EventKind, Ints, constant
 
 _FEWEST = 1e-6
+"""Lengths [mm] that are shorter are rounding: far below the last digit of any program."""
 INDEX_STEP = 5.0
 """Largest turn [deg] of indexed axes in one step: a chord is then 0.1 % of the radius inside the arc."""
 LEVEL = 0.2

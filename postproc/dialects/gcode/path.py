@@ -51,6 +51,7 @@ from postproc.program import (
 )
 
 _NEAR_MM = 1e-6
+"""Heights [mm] that differ by less are equal: far below the last digit of any program."""
 
 
 def arrivals(moves: Moves) -> tuple[Bools, Bools]:

@@ -65,7 +65,9 @@ from postproc.errors import MAX_ERRORS, PostprocError
 from postproc.program import FORCE_COMMENT, PTP
 
 _MOST_STATEMENTS = 3_000_000
+"""Statements executed before a program counts as endless: three times those of 10⁶ motions."""
 _DEEPEST = 60
+"""Calls in one another before they count as endless: each takes several frames of Python."""
 
 
 class RapidError(PostprocError):

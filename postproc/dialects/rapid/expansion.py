@@ -21,7 +21,9 @@ from postproc.dialects.text import line_spans
 from postproc.program import Ints
 
 _MOST_CHARACTERS = 60_000_000
+"""Size of a module written out: a million motions of 60 characters."""
 _MOST_PASSES = 300
+"""Passes before loops and calls count as nested too deeply (assumed)."""
 
 
 class Expanded(Struct, frozen=True, eq=False):

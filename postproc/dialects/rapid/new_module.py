@@ -71,11 +71,13 @@ def _to_joints(joints: Array) -> str:
 WORDS = Words("!", "WaitTime {};", "Stop;", _to_joints, encoding="ascii")
 _INSTRUCTIONS = {LIN: b"MoveL ", CIRC: b"MoveC ", PTP: b"MoveJ "}
 _MILLIMETRES, _QUATERNION = 4, 8
+"""Decimals of positions (0.1 µm) and quaternions: 1e-8 is 0.02 µm at a lever of 1 m."""
 _REORIENTATION, _EXTERNAL = 500.0, "5000,1000"
 """Other numbers of speeddata, as in the controller's own: rotation [deg/s], external axes [mm/s, deg/s]."""
 _NO_LOAD = "[0.001,[0,0,0.001],[1,0,0,0],0,0,0]"
 """The load of tool0."""
 _SPEED_DECIMALS = 3
+"""Of speeds [mm/s]: a micrometre a second."""
 
 
 def write(

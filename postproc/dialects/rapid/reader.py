@@ -52,7 +52,9 @@ _NORM_TOLERANCE = 1e-3
 _LARGEST_COORDINATE = 1e5
 """Largest coordinate of a target or frame [mm]."""
 _TURNS = 1e-6
+"""Change of the elements of a rotation matrix that is the rounding of written quaternions."""
 _MOST_NAMES = 5
+"""Names that a message lists; the others are counted."""
 
 
 def read(document: Document, cell: Cell, forward_kinematics: Callable[[Array], Array], name: str) -> Program:

@@ -186,6 +186,7 @@ _ENDS = {"ENDIF", "ELSE", "ELSEIF", "ENDFOR", "ENDWHILE", "ENDTEST", "CASE", "DE
 _ENDS |= {"ENDTRAP", "ERROR", "UNDO", "BACKWARD", "ENDMODULE"}
 _KINDS = ("CONST", "PERS", "VAR")
 _DEEPEST = 200
+"""Beyond any program; a deeper tree is beyond Python's limit of recursion."""
 
 
 class Parser:

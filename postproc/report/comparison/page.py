@@ -48,11 +48,15 @@ from postproc.report.kit import (
 from postproc.report.kit.parts import Colour
 
 _MOST_GROUPS = 4_000
+"""Points of a curve, more than a screen has pixels."""
 _MOST_POINTS = 24_000
+"""Points that are drawn in space (assumed): browsers still turn them quickly."""
 _CHORD = np.radians(10.0)
 """Angle of a chord that an arc is drawn by."""
 _WORST = 20
+"""Rows of the table."""
 _BINS = 40
+"""Bars of the histogram."""
 _KINDS: dict[str, Kind] = {"error": "error", "warning": "warning", "info": "soft"}
 _PLACE = re.compile(r"\S+:\d+")
 """File and line at the beginning of a text: not capitalised."""

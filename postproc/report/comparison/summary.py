@@ -78,6 +78,7 @@ def _distinct_ends(nominal_folder: str, second_folder: str) -> tuple[str, str]:
 
 
 _LARGEST_PAIRS = 20
+"""Pairs in the JSON file."""
 _DIFFERENCES = (
     "speed", "kind", "approximation", "base", "tool", "external-axis", "posture", "axis-target", "orientation", "force",
     "rapid", "twice", "back", "orientation-type", "statement", "not-compared",
@@ -588,6 +589,7 @@ WORDS: dict[State, str] = {
 """Sentence for each verdict."""
 _ROWS = ("max", "RMS", "mean", "95 %")
 _PAIRS_IN_TEXT = 5
+"""Pairs in the terminal."""
 
 
 def of_comparison(content: ComparisonSummary, display: Display = PLAIN) -> str:

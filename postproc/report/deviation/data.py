@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from postproc.report.surface import Surface
 
 _BINS = 60
+"""Bars of the histogram."""
 _STOCK_CELLS = 40_000
 """Cells of the remaining stock that a page shows; larger maps are made coarser."""
 _SHARP = np.cos(np.radians(40.0))
@@ -40,9 +41,11 @@ _SHARP = np.cos(np.radians(40.0))
 _WORST = 12
 """Lines of the program with the largest values that are listed, for each measure."""
 _GOUGES = 40
+"""Rows of the table."""
 _LONGEST_TEXT = 6_000_000
 """Characters of a program whose text is in the page: some 250 000 lines, a megabyte of the page."""
 _LONGEST_LINE = 200
+"""Characters of a line of the program that are shown."""
 
 
 class Histogram(msgspec.Struct, frozen=True):
@@ -322,6 +325,7 @@ def _in_mm(pose: Array) -> list[float]:
 MAX_PLACES = 40_000
 """Places that a page holds at most, besides those that its tables name: of more, runs keep their first and worst."""
 _MOST_POINTS = 80_000
+"""Points that are drawn in space (assumed): browsers still turn them quickly."""
 _SINGULAR_AT = 1_000
 """Places at which the Jacobian is decomposed at most; between them its smallest singular value is interpolated."""
 

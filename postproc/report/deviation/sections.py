@@ -239,6 +239,7 @@ def along(data: Deviation) -> Section | None:
 
 
 _CURVE_POINTS = 600
+"""Points of a curve: the largest and the least of each group."""
 _CM3_PER_MIN = 1e6 * 60.0
 _CM3 = 1e6
 
@@ -563,6 +564,7 @@ def model(data: Deviation) -> Section:
 
 
 _MOST_LINES = 2000
+"""Texts that a page lists."""
 _KINDS: dict[str, Kind] = {"error": "error", "warning": "warning", "info": "soft"}
 
 

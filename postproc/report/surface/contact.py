@@ -33,6 +33,7 @@ _PASS_HEIGHT = 5e-4
 _STEEP = 0.7
 """Moves that are steeper (cosine to the spindle), plunges, leave no faces that are less steep."""
 _CANDIDATES = 96
+"""Samples of the path looked at for each facet: 1 cm on either side where there is one pass."""
 
 
 def contact(axis: Array, centre: Array, normal: Array, cutter: Cutter) -> Array:

@@ -26,11 +26,13 @@ from postproc.report.surface.path import CutPath
 _FACETS = 128
 """Facets that are computed at once."""
 _SEEDS = 12
+"""Samples next to the contact that give the first bound: more only shorten the search."""
 _WIDER = 1.5
 """On a convex surface with the radius of the tool, a tool touches further from a facet than on a plane by this."""
 _STEEP = 0.3
 """Facets that are steeper (cosine to the axis) are also cut by the side of a ball."""
 _STEPS = 60
+"""Limit of Newton steps to the surface of the tool (assumed): lines that graze it converge slowly."""
 _GRAZING = -1e-6
 """Lines that approach a tool at a smaller rate than this miss it."""
 _EXACT = 1e-9

@@ -18,6 +18,7 @@ from postproc.report.surface.path import CHORD, CutPath, Frames, of_tool, piece_
 from postproc.report.surface.programmed import Mesh, add_tips, cut_into
 
 _CHUNK = 20_000
+"""Facets computed at once: arrays of their candidates are 46 MB each."""
 
 
 class Surface(Struct, frozen=True, eq=False):

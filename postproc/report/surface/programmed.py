@@ -23,7 +23,9 @@ _SAMPLES_OF_FACET = 3
 _BISECTIONS = 40
 """Halvings of a distance: to 10⁻¹² of it."""
 _FACET_COUNT = 8
+"""Facets by the distance of their centres among which the nearest one is looked for."""
 _MOST_TIPS = 50_000
+"""Tips looked at for being inside of the mesh: of longer paths each second, third, … one."""
 
 
 class Mesh(Struct, frozen=True, eq=False):

@@ -48,6 +48,7 @@ from postproc.errors import ProgramError
 
 _LEAVES = (Number, Word)
 _MOST_TERMS = 200
+"""Beyond any line of a program; a tree of more is too deep for Python's limit of recursion."""
 _MAX_LENGTH = 64
 """Characters of the longest INT in binary or hexadecimal notation."""
 _ENDS = ",)]}cC"
@@ -62,6 +63,7 @@ _POSE = re.compile(
 """The beginning of an aggregate that gives X, Y, Z, A, B, C as numbers, in this order."""
 _PAIRS = {"(": ")", "[": "]", "{": "}"}
 _DEEPEST = 100
+"""Beyond any line of a program; a deeper tree is beyond Python's limit of recursion."""
 
 _Read = tuple[Value, int]
 """A value, and the offset behind it."""

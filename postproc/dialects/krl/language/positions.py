@@ -21,6 +21,7 @@ _AXIS_COMPONENTS = frozenset({*AXES, *EXTERNAL})
 _CARTESIAN_TAGS = ("", "E6POS", "E3POS", "POS", "FRAME")
 _AXIS_TAGS = ("", "E6AXIS", "E3AXIS", "AXIS")
 MAX_STATUS, MAX_TURN = 31, 63
+"""S has five bits and T six, one for each joint (KSS, Status and Turn)."""
 FARTHEST = 1e6
 """Largest coordinate [mm, deg] that is read: beyond it, numbers are slips."""
 LARGEST_B = 90.0

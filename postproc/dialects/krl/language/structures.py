@@ -17,6 +17,7 @@ from postproc.errors import MAX_ERRORS, ProgramError, together
 from postproc.program import Bools, Ints
 
 _DEEPEST = 100
+"""Beyond any program; deeper structures are beyond Python's limit of recursion."""
 LOOPS = frozenset({"FOR", "WHILE", "LOOP", "REPEAT"})
 _CLOSING = {closing: opening for opening, closing in OPENING.items()} | {"UNTIL": "REPEAT"}
 _DIVIDERS = {"ELSE": "IF", "CASE": "SWITCH", "DEFAULT": "SWITCH"}

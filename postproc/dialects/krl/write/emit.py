@@ -36,6 +36,7 @@ from postproc.program import CIRC, PTP, Bools, Document, Ints, Program, TargetFo
 from postproc.version import VERSION
 
 _FRAME_DECIMALS = 6
+"""Of `$BASE` and `$TOOL` [mm, deg]: far below the tolerance of any correction, also at a lever of some metres."""
 _PARAMETERS = ("&PARAM TEMPLATE = C:\\KRC\\Roboter\\Template\\vorgabe",)
 _PARAMETERS_KRC2 = (*_PARAMETERS, "&PARAM EDITMASK = *")
 _INITIALISATION = (

@@ -17,6 +17,7 @@ from postproc.program import Bools, Ints, Motions, Targets
 DECIMALS = np.array([4, 4, 4, 5, 5, 5])
 """Least decimals of X, Y, Z [mm] and A, B, C [deg]: 0.1 µm and, at a lever of 1 m, 0.2 µm."""
 MOST_DECIMALS = 9
+"""Decimals that numbers of the program may keep: a picometre."""
 _UPRIGHT = 1e-6
 """B closer than this to ±90° [deg] is ±90°: choosing A freely then turns the tool by less than 1e-7 rad."""
 _EQUAL = 1e-9
