@@ -155,15 +155,17 @@ def _with_wear(sigma: float) -> float:
     low, high = 0.0, 10.0 * (sigma + 0.01 * _WEAR_PERCENT)
     for _ in range(50):
         half = 0.5 * (low + high)
-        ends = ((1.0 + sign * half - growth) / growth for sign in (1.0, -1.0))
-        upper, lower = (float(np.mean([_below(end, sigma) for end in bounds.tolist()])) for bounds in ends)
-        low, high = (half, high) if upper - lower < 0.95 else (low, half)
+        lower, upper = (((1.0 + sign * half - growth) / growth).tolist() for sign in (-1.0, 1.0))
+        share = float(np.mean([_between(*bounds, sigma) for bounds in zip(lower, upper, strict=True)]))
+        low, high = (half, high) if share < 0.95 else (low, half)
     return high / _SIGMAS_OF_95
 
 
-def _below(error: float, sigma: float) -> float:
-    """Return the probability that a normally distributed error of deviation `sigma` is at most `error`."""
-    return 0.5 * (1.0 + math.erf(error / (math.sqrt(2.0) * sigma))) if sigma > 0.0 else float(error >= 0.0)
+def _between(lower: float, upper: float, sigma: float) -> float:
+    """Return the probability that a normally distributed error of deviation `sigma` is between two bounds."""
+    if sigma <= 0.0:
+        return float(lower <= 0.0 <= upper)
+    return 0.5 * (math.erf(upper / (math.sqrt(2.0) * sigma)) - math.erf(lower / (math.sqrt(2.0) * sigma)))
 
 
 _SOFTEST = 1.0

@@ -13,6 +13,7 @@ from postproc.errors import Issue
 from postproc.frames import rotation_from_vector
 from postproc.kinematics import JointPath
 from postproc.poses import Poses
+from postproc.program import LIN, PTP
 from postproc.robot import Measured
 from postproc.toolpath import Toolpath
 from tests.collision.setting import frame
@@ -58,7 +59,7 @@ def test_joints_beyond_either_limit_are_named_with_the_first_angle():
     limits, step = np.radians([0, 185.0, -185.0, 0, 0]), np.array([0.0, 1.0, -1.0, 0.0, 0.0])
     at_limit = angles(A1=limits + 5e-10 * step)
     assert list(checks.joint_limits(MADE, MODEL, sample(range(5)), at_limit)) == []
-    beyond = angles(A1=limits + 2e-9 * step)
+    beyond = angles(A1=limits + 1.5e-9 * step)
     assert lines(checks.joint_limits(MADE, MODEL, sample(range(5)), beyond)) == {"joint-limit-A1": ("error", 2, 2)}
     nan = angles(A1=[0, np.nan, 0, 0, 0])
     assert lines(checks.joint_limits(MADE, MODEL, sample(range(5)), nan)) == {"joint-limit-A1": ("error", 2, 1)}
@@ -166,6 +167,11 @@ def test_status_and_turn_that_the_angles_do_not_have_are_named():
     ]  # fmt: skip
     assert "has the status S of this target" in issues[0].message
     assert "has the turn T of this target" in issues[1].message
+    lines_too = replace(made, motions=replace(motions, kind=np.array([LIN, LIN, PTP, LIN])))
+    (issue,) = checks.status_and_turn(lines_too, MODEL, sample(range(4)), q)  # of lines the controller ignores them
+    assert issue.source_line == 3
+    inside = sample([2, 2], t=[0.5, 1.0])
+    assert len(list(checks.status_and_turn(lines_too, MODEL, inside, q[[1, 2]]))) == 1
     none = replace(ptp, motions=replace(motions, status=np.full(4, -1), turn=np.full(4, -1)))
     assert list(checks.status_and_turn(none, MODEL, sample(range(4)), q)) == []
 
@@ -252,6 +258,9 @@ def test_a_ptp_that_changes_the_posture_is_told_with_both_states():
     (issue,) = checks.posture(MADE, MODEL, sample(range(5)), JointPath(q, np.zeros(5, dtype=int)), start)
     assert (issue.source_line, issue.count) == (5, 1)
     assert "status S from 6 to 2" in issue.message
+    second = program([("LIN", 0, 0, 0), ("PTP", 100, 0, 0)])
+    turned = JointPath(angles(2, A5=[-0.5, 0.5]), np.zeros(2, dtype=int))
+    assert lines(checks.posture(second, MODEL, sample([0, 1]), turned, NORMAL)) == {"posture": ("info", 2, 1)}
 
 
 def test_joint_speeds_are_angles_over_the_time_of_the_longer_way_at_the_feed():

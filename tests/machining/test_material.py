@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import msgspec
 import numpy as np
 import pytest
 from scipy.integrate import quad
@@ -136,6 +137,21 @@ def test_identified_coefficients_have_their_covariance_in_si_units(tmp_path):
 def test_a_covariance_that_cannot_be_is_refused(tmp_path, wrong):
     with pytest.raises(ForceError, match="no covariance of six coefficients"):
         law(MaterialTable(file="m.toml"), identified(tmp_path, wrong))
+
+
+def test_coefficients_that_are_known_in_their_sum_alone_have_a_covariance(tmp_path):
+    ones = f"covariance = {np.ones((6, 6)).tolist()}"
+    assert np.array(law(MaterialTable(file="m.toml"), identified(tmp_path, ones)).covariance).shape == (6, 6)
+
+
+@pytest.mark.parametrize("key", ["Kac_N_per_mm2", "Kae_N_per_mm"])
+def test_axial_coefficients_may_be_negative_and_no_larger_than_any_material_has(key):
+    for value, is_valid in ((-1e5, True), (1e5, True), (-1.01e5, False), (1.01e5, False)):
+        if is_valid:
+            assert getattr(msgspec.convert({key: value}, MaterialTable), key) == value
+            continue
+        with pytest.raises(msgspec.ValidationError):
+            msgspec.convert({key: value}, MaterialTable)
 
 
 @pytest.mark.parametrize("more", ["[other]\nKtc_N_per_mm2 = 1.0", ""])
