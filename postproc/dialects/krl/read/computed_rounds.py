@@ -8,8 +8,7 @@ numbers, or whole positions, the rounds are followed one by one (`main_routine`)
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from msgspec import Struct
 
@@ -26,13 +25,14 @@ from postproc.dialects.krl.read import plain_settings
 from postproc.dialects.krl.read.motion_reader import HERE, KINDS, MotionReader
 from postproc.dialects.krl.read.run import Run
 from postproc.dialects.krl.read.state import RELEVANT
-from postproc.dialects.krl.read.variables import FUNCTIONS, LARGEST_INT, converted
+from postproc.dialects.krl.read.variables import FUNCTIONS, computed, converted
 from postproc.errors import ProgramError
 
 FEWEST_ROUNDS = 64
 """Rounds from which on columns are worth a second run of the program."""
 _TAGS = ("", "E6POS", "E3POS", "POS", "FRAME")
 _SWITCHED = ("$OUT", "$ANOUT")
+_OPERATORS = "+-*/"
 
 
 def computed_body(source: Source, block: Block) -> PlainBody | None:
@@ -84,7 +84,7 @@ def _is_computed(value: Value, unset: set[str]) -> bool:
         return is_plain and (indices is None or (len(indices) == 1 and _is_computed(indices[0], unset)))
     if isinstance(value, Operation):
         sides = (value.right,) if value.left is None else (value.left, value.right)
-        return value.operator in _OPERATIONS and all(_is_computed(side, unset) for side in sides)
+        return value.operator in _OPERATORS and all(_is_computed(side, unset) for side in sides)
     if isinstance(value, Call):
         is_function = value.name in FUNCTIONS and len(value.arguments) == 1 + (value.name == "ATAN2")
         return is_function and all(_is_computed(argument, unset) for argument in value.arguments)
@@ -116,14 +116,6 @@ class _Column(Struct, frozen=True, eq=False):
 
 class _NoColumnError(Exception):
     """A value is not a number in all rounds, or not one kind of number."""
-
-
-_OPERATIONS: dict[str, Callable[[float, float], float]] = {
-    "+": lambda a, b: a + b,
-    "-": lambda a, b: a - b,
-    "*": lambda a, b: a * b,
-    "/": lambda a, b: a / b,
-}
 
 
 class _Rounds:
@@ -247,16 +239,14 @@ def _as_column(values: Sequence[object]) -> _Column:
 
 
 def _joined(operator: str, left: _Column, right: _Column) -> _Column:
-    """Return sums, differences, products or quotients; a quotient of INTs only where it has no remainder.
+    """Return sums, differences, products or quotients.
 
     :raises _NoColumnError: one of them is not known.
     """
-    integer, operation = left.integer and right.integer, _OPERATIONS[operator]
-    pairs = list(zip(left.numbers, right.numbers, strict=True))
-    if operator == "/" and any(b == 0.0 or (integer and a % b != 0.0) for a, b in pairs):
-        raise _NoColumnError
-    numbers = [operation(a, b) for a, b in pairs]
-    if not all(map(math.isfinite, numbers)) or (integer and any(abs(number) >= LARGEST_INT for number in numbers)):
+    integer = left.integer and right.integer
+    values = [computed(operator, a, b, integer=integer) for a, b in zip(left.numbers, right.numbers, strict=True)]
+    numbers = [value for value in values if isinstance(value, int | float)]
+    if len(numbers) < len(values):
         raise _NoColumnError
     return _Column(numbers, integer)
 

@@ -58,6 +58,13 @@ WHOLE = "INT or REAL"
 """Type of a parameter without ``:IN`` whose argument has the other of these types: no source says which it is."""
 LARGEST_INT = 2.0**31
 """INTs are below this: they have 32 bits."""
+_OPERATIONS: dict[str, Callable[[float, float], float]] = {
+    "+": lambda a, b: a + b,
+    "-": lambda a, b: a - b,
+    "*": lambda a, b: a * b,
+    "/": lambda a, b: a / b,
+}
+_ROUNDED = Unknown(why="to which side the quotient of negative INTs is rounded is in no source")
 _BEYOND_INT = Unknown(why="what becomes of an INT beyond 32 bits is in no source")
 _HALF = 1e-5
 """REALs that are closer than this share to the middle between two INTs may be rounded to either: they have fewer
@@ -73,6 +80,26 @@ _SAME_PLACE = 1e-6
 """Frames closer than this [m] are equal: files and displays give three decimals of a millimetre."""
 _SAME_ANGLE = math.radians(1e-3)
 """The same for orientations [rad]."""
+
+
+def computed(operator: str, a: float, b: float, *, integer: bool) -> float | Known:
+    """Return a sum, difference, product or quotient of two numbers, or why it is not known.
+
+    The quotient of two INTs has no decimal places (KUKA, Expert Programming); to which side those of a negative one
+    are cut off is in no source, nor what becomes of an INT beyond 32 bits.
+
+    :param integer: both are INTs.
+    """
+    if operator == "B_NOT":
+        return -1.0 - b if integer else NOTHING
+    if operator == "/" and b == 0.0:
+        return NOTHING
+    if operator == "/" and integer and a % b != 0.0:
+        return _ROUNDED if a < 0.0 or b < 0.0 else a // b
+    value = _OPERATIONS[operator](a, b)
+    if integer and abs(value) >= LARGEST_INT:
+        return _BEYOND_INT
+    return value if math.isfinite(value) else NOTHING
 
 
 class Functions(Protocol):
@@ -447,28 +474,14 @@ class Variables:
         return next((term_value for term_value in term_values if isinstance(term_value, Unknown)), NOTHING)
 
     def _computed(self, operation: Operation) -> Known:
-        """Return a sum, difference, product or quotient.
-
-        The quotient of two INTs has no decimal places (KUKA, Expert Programming); to which side those of a negative one
-        are cut off is in no source, nor what becomes of an INT beyond 32 bits.
-        """
+        """Return a sum, difference, product or quotient, see `computed`."""
         left = Number(0.0, 0, 0, True) if operation.left is None else self.evaluate(operation.left)
         right = self.evaluate(operation.right)
         if not isinstance(left, Number) or not isinstance(right, Number):
             return next((side for side in (left, right) if isinstance(side, Unknown)), NOTHING)
-        a, b, integer = left.value, right.value, left.integer and right.integer
-        if operation.operator == "B_NOT":
-            return Number(-1.0 - b, operation.start, operation.stop, True) if right.integer else NOTHING
-        if operation.operator == "/" and b == 0.0:
-            return NOTHING
-        if operation.operator == "/" and integer and a % b != 0.0:
-            if a < 0.0 or b < 0.0:
-                return Unknown(why="to which side the quotient of negative INTs is rounded is in no source")
-            return Number(a // b, operation.start, operation.stop, True)
-        value = {"+": a + b, "-": a - b, "*": a * b, "/": a / b if b else 0.0}[operation.operator]
-        if integer and abs(value) >= LARGEST_INT:
-            return _BEYOND_INT
-        return Number(value, operation.start, operation.stop, integer) if math.isfinite(value) else NOTHING
+        integer = left.integer and right.integer
+        value = computed(operation.operator, left.value, right.value, integer=integer)
+        return Number(value, operation.start, operation.stop, integer) if isinstance(value, int | float) else value
 
     def _function(self, call: Call) -> Known:
         """Return the value of a call (angles in degrees) if its arguments alone determine it, else `NOTHING`."""
