@@ -226,7 +226,7 @@ HEIGHTS = [
     ((99.1, 120.0), 100.0, None), ((98.9, 120.0), 100.0, "begins below clearance_Z: "),
     ((60.0, 48.9, 60.0), None, "passes below the first target: "), ((60.0, 49.2, 60.0), None, None),
     ((60.0, 38.9, 60.0), 40.0, "passes below clearance_Z: "), ((60.0, 45.0, 60.0), 40.0, None),
-    ((45.0, 45.0), 40.0, "begins below the first target: "),
+    ((45.0, 45.0), 40.0, "begins below the first target: "), ((45.0, 45.0), 50.0, "begins below the first target: "),
 ]  # fmt: skip
 
 

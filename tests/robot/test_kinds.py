@@ -109,7 +109,8 @@ def test_tables_of_all_kinds_are_read_back_as_they_were_written():
     entries = {
         "k1": 0.9, "k2": 0.3, "k3": 0.4, "k4": 2.0, "k5": 3.0, "k6": 2.5, "k1@500": 0.1, "k1@90": 0.2, "k2^300": 0.05,
         "A3.backlash@3": 12.0, "A4.lost_motion@5": 7.0, "k45": -0.4, "k46": 0.3, "k3.cos(A2-A3)": 0.06,
-        "k3.sin(A2-A3)": -0.02, "k3.sin(2A2)": 0.03, "k3.cos(3A2)": 0.04, "k2.cos(A1)": -0.01, "base.RZ": 0.2,
+        "k3.sin(A2-A3)": -0.02, "k3.sin(2A2)": 0.03,
+        "k3.cos(2A2)": 0.05, "k3.cos(3A2)": 0.04, "k2.cos(A1)": -0.01, "base.RZ": 0.2,
         "A2.X": 0.01, "A2.end_RY": 0.3, "K_c": 1.5e5, "s_0": 440.0, "A2.mass": 150.0, "A6.mass": 9.0,
     }  # fmt: skip
     tables = {"name": "all", "joints": {}, "links": {}, "masses": {"source": "test"}}
@@ -122,7 +123,7 @@ def test_tables_of_all_kinds_are_read_back_as_they_were_written():
     assert tables["compensator"]["assumed"] is False
     content = msgspec.convert(tables, ModelFile)
     assert content.joints["A3"].over_pose == [
-        PoseWaveEntry((0, 1, -1, 0, 0, 0), 0.06, -0.02), PoseWaveEntry((0, 2, 0, 0, 0, 0), None, 0.03),
+        PoseWaveEntry((0, 1, -1, 0, 0, 0), 0.06, -0.02), PoseWaveEntry((0, 2, 0, 0, 0, 0), 0.05, 0.03),
         PoseWaveEntry((0, 3, 0, 0, 0, 0), 0.04, None),
     ]  # fmt: skip
     stated = parameters.stated(content)
