@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from postproc.comparison import differences, statements
+from postproc.comparison import differences, settings, statements
 from postproc.comparison.result import Comparison, at_pairs, of_line
 from postproc.program import CIRC, SPL, Document, Unresolved
 from tests.programs import program
@@ -173,10 +173,10 @@ def test_a_turn_of_the_tool_beyond_the_tolerance_over_a_tenth_of_a_metre_is_list
 def test_another_kind_of_motion_is_named_but_for_an_arc_that_became_lines():
     corrected = program(MOVES)
     corrected.motions.kind[2] = SPL
-    (found,) = differences._kind(compared(corrected=corrected))
+    (found,) = settings._kind(compared(corrected=corrected))
     assert (found.kind, found.nominal, found.corrected) == ("kind", ("part.nc", 3), ("part.nc", 3))
     assert "is a spline (SPL) instead of a line (LIN)." in found.message
     arcs = program(MOVES)
     arcs.motions.kind[2] = CIRC
-    assert list(differences._kind(compared(arcs, program(MOVES)))) == []
-    assert len(list(differences._kind(compared(program(MOVES), arcs)))) == 1
+    assert list(settings._kind(compared(arcs, program(MOVES)))) == []
+    assert len(list(settings._kind(compared(program(MOVES), arcs)))) == 1
