@@ -172,6 +172,9 @@ def test_status_and_turn_that_the_angles_do_not_have_are_named():
     assert issue.source_line == 3
     inside = sample([2, 2], t=[0.5, 1.0])
     assert len(list(checks.status_and_turn(lines_too, MODEL, inside, q[[1, 2]]))) == 1
+    zero = replace(ptp, motions=replace(motions, status=np.zeros(4, dtype=int), turn=np.full(4, -1)))
+    (issue,) = checks.status_and_turn(zero, MODEL, sample(range(4)), q)
+    assert (issue.source_line, issue.count) == (1, 3)
     none = replace(ptp, motions=replace(motions, status=np.full(4, -1), turn=np.full(4, -1)))
     assert list(checks.status_and_turn(none, MODEL, sample(range(4)), q)) == []
 
@@ -343,6 +346,8 @@ def test_branches_that_end_a_turn_apart_are_an_error():
     assert from_start.lines == (5,)
     (of_first,) = checks.joints_at_joins(replace(MADE, joins=((0, 2),)), sample(range(5)), q, far)
     assert (of_first.lines, of_first.source_line) == ((1, 3), 1)
+    alike = replace(MADE, joins=((0, 1),))
+    assert list(checks.joints_at_joins(alike, sample(range(5)), q, far)) == []
 
 
 def test_branches_that_are_corrected_differently_are_an_error():

@@ -74,6 +74,13 @@ def test_kienzle_numbers_are_shares_of_the_tangential_one():
     np.testing.assert_allclose(linear.chip(thickness), np.maximum(thickness, 0.0))
 
 
+def test_what_is_not_stated_of_a_material_is_zero_but_for_a_radial_force_of_three_tenths():
+    bare = law(MaterialTable(Ktc_N_per_mm2=700.0), "p")
+    assert (bare.cutting[1:], bare.edge) == ((0.0, 0.0), (0.0, 0.0, 0.0))
+    kienzle = law(MaterialTable(kc11_N_per_mm2=1000.0, mc=0.2), "p")
+    assert kienzle.cutting == pytest.approx((1e9, 0.3e9, 0.0))
+
+
 @pytest.mark.parametrize(
     ("changes", "unknown"),
     [({}, 0.7), ({"Kac_N_per_mm2": 5.0}, 0.0), ({"Kae_N_per_mm": -5.0}, 0.0)],

@@ -154,3 +154,29 @@ def test_of_lines_with_one_error_the_one_that_turns_on_the_longer_piece_is_taken
     found = replace(found, blocks=blocks, u95=error, deflection=error)
     line = line_through(ROBOT, found, Keep(), np.zeros(6), turn_at_feed=True, is_circle=True)
     assert np.rint((line.knots - found.offset[0]) / STEP).tolist() == columns
+
+
+@pytest.mark.parametrize("axis", [3, 5])
+@pytest.mark.parametrize(("last", "driven"), [(-20.0, True), (-5.0, False)])
+def test_a4_and_a6_are_counted_on_through_a_joint_interpolation(axis, last, driven):
+    """0°, a cut to 170°, a joint interpolation to -160°, which is 200°, a cut to 340° or 355°; the limit is 350°."""
+    found = opened(made(8, blocks=4), *[(5,)] * 4)
+    angles = np.radians([0.0, 170.0, -160.0, last])
+    q, winding = found.q.copy(), np.zeros_like(found.winding)
+    q[..., [3, 5]] = 0.0
+    q[..., axis] = angles[:, None]
+    for block, way in ((1, 170.0), (3, last + 160.0)):
+        winding[block, :, [3, 5].index(axis), 0] = winding[block, :, [3, 5].index(axis), 2] = np.radians(way)
+    blocks = replace(found.blocks, begins=np.array([True, False, True, False]))
+    found = replace(found, q=q, winding=winding, blocks=blocks)
+    line = line_through(ROBOT, found, Keep(), np.zeros(6), turn_at_feed=True, is_circle=True)
+    assert isinstance(line, Blocked) != driven
+
+
+def test_a_joint_interpolation_may_lead_to_any_turn():
+    """Two cuts at one turn each, far from each other: only a joint interpolation between them may change it."""
+    found = opened(made(9, blocks=4, closed=0.0), (2,), (2,), (8,), (8,))
+    assert isinstance(line_through(ROBOT, found, Keep(), np.zeros(6), turn_at_feed=True, is_circle=True), Blocked)
+    blocks = replace(found.blocks, begins=np.array([True, False, True, False]))
+    line = line_through(ROBOT, replace(found, blocks=blocks), Keep(), np.zeros(6), turn_at_feed=True, is_circle=True)
+    assert np.rint((line.knots - found.offset[0]) / STEP).tolist() == [2, 2, 8, 8]

@@ -96,6 +96,24 @@ def test_a_place_is_judged_as_a_program_that_is_converted_there():
     assert found.deflection == pytest.approx(result.before[cuts].max(), rel=0.03)
 
 
+def test_a_program_that_moves_the_axis_that_carries_the_robot_is_judged_as_it_is_converted():
+    """E1 carries the robot along the cut: A1 hardly turns, while it turns by 8° if E1 stays."""
+    text = (
+        "DEF part()\n$VEL.CP=0.05\nPTP {{A1 0,A2 -90,A3 110,A4 0,A5 60,A6 0,E1 0}}\n"
+        "LIN {{X 0,Y 0,Z 60,A 0,B 0,C 180,E1 0}}\nLIN {{X 0,Y 200,Z 0,A 0,B 0,C 180,E1 {0}}}\nEND\n"
+    )
+    own = replace(in_line(), external_axes={"E1": ExternalAxis(direction=(0.0, 2.0, 0.0))})
+    margins = []
+    for e1 in (0, 200):
+        program, model = read(text.format(e1), own, "krl")
+        samples = PathSamples.of(program, RobotInCell.of(model, own), None)
+        found = region.Programs([samples], Keep()).judge(np.array([1400.0, 0.0, 600.0, 0.0, 0.0]), all_samples=True)
+        result = correction.process(program, model, own, mode="predict")
+        assert found.margin == pytest.approx(result.joint_margin.min(), abs=2e-3)
+        margins.append(found.margin)
+    assert abs(margins[1] - margins[0]) > 0.01
+
+
 def test_places_out_of_reach_and_next_to_limits_are_refused_with_their_reason():
     judged, _, _ = programs(in_line())
     assert region.drive.REASONS[judged.judge(np.array([3200.0, 0.0, 600.0, 0.0, 0.0])).reason] == "out of reach"
