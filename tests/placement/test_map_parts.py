@@ -134,3 +134,26 @@ def test_the_choice_is_told_with_its_range(mode, words):
     assert said.message.endswith("the cell has no [collision].")
     checked = replace(turn, map=small_map(hit=np.zeros((5, 3), dtype=bool)), of_motion=np.full(3, 0.5))
     assert turning._said(checked).message == "The tool is turned about its axis by 29° everywhere."
+
+
+def test_the_price_of_a_way_is_that_of_the_columns_in_the_middle_of_its_bins():
+    """Block 1 has bins that end at 0.4 and 1 of its path: their middles are at 0.2 and 0.7 of the change."""
+    shape, steps = (5, 12), np.array([-4, -1, 0, 3, 5])
+    zero, wide = np.zeros(shape), np.ones(shape)
+    found = TurnMap(
+        BLOCKS, np.zeros(10), np.arange(12) * 0.1, Margins(wide, wide, wide, wide), zero, zero, zero, None,
+        np.zeros((*shape, 6)), np.zeros((*shape, 2, 3)), zero, zero,
+    )  # fmt: skip
+    cell = np.random.default_rng(5).uniform(1.0, 2.0, shape)
+    prices = [
+        turn_map._crossing(
+            found, 1, slice(1, 3), (steps, np.abs(steps) * 0.1), zero > 0.0,
+            turn_map._Costs(values, zero, np.zeros(5)), is_circle=True,
+        ).price
+        for values in (cell, zero)
+    ]  # fmt: skip
+    for target in range(12):
+        for column, step in enumerate(steps):
+            middles = [int(np.rint(target - step + share * step)) % 12 for share in (0.2, 0.7)]
+            expected = cell[1, middles[0]] + cell[2, middles[1]]
+            assert prices[0][target, column] - prices[1][target, column] == pytest.approx(expected, abs=1e-12)

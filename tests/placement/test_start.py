@@ -55,6 +55,8 @@ def test_the_branch_is_the_one_with_the_most_margin_of_all_that_convert(name):
     assert best == pytest.approx(max(margins), abs=1e-3)
     assert name != "kuka_kr270" or max(margins) > min(margins) + np.radians(5.0)  # no mere turn of the wrist
     assert f"{np.degrees(best):.1f}" in found.message
+    next_best = float(re.search(r"\(the next best has ([\d.]+)°\)", found.message)[1])
+    assert next_best == pytest.approx(np.degrees(sorted(margins)[-2]), abs=0.2)
 
 
 def test_a_branch_with_a_collision_is_taken_only_if_there_is_no_other():
