@@ -20,25 +20,24 @@ from postproc.frames import M_PER_MM
 
 
 class Settings:
-    """The state of a program.
+    """The settings of motions while a program is followed. `variables` asks them for present values.
 
     :ivar state: the present state.
     :ivar changes: (line of the program, state in force after it), in order.
     :ivar coming: plain assignments: the first and the last of them between two statements each create a state.
-    :ivar lacked_numbers: whether one was asked for nevertheless.
-    :ivar frames: the frames that are used.
     :ivar follows_numbers: whether plain assignments are followed; if not, speeds and distances have no values.
+    :ivar lacked_numbers: whether such a value was asked for nevertheless.
+    :ivar frames: the frames that are used.
     """
 
     def __init__(self, variables: Variables, cell: Cell) -> None:
         self.variables, self.cell = variables, cell
         variables.current = self.current
-        self.follows_numbers = True
-        self.lacked_numbers = False
         self.state = State()
         self.changes: list[tuple[int, State]] = [(0, self.state)]
         self.coming = Coming(no_settings())
-        self._reasons = Reasons()
+        self.follows_numbers, self.lacked_numbers = True, False
+        self._reasons = Reasons()  # shared: whichever part makes a field uncertain, its reason is found by the state
         self.frames = Frames(variables, cell, self._reasons)
         self._path = PathSettings(variables, self._reasons, has_carriage=cell.carriage is not None)
         self._bas = Bas(variables, cell, self.frames, self._path)

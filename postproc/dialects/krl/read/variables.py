@@ -219,12 +219,14 @@ class Variables:
                 self.put(key, converted(value, self.types.get(root, "")))
 
     def put(self, key: str, value: Known | Unread) -> None:
-        """Give a variable its first value."""
+        """Store a value as it is. `set` converts those of assignments to the type of the variable."""
+        is_new = key not in self._values
         self.changes += self._values.get(key) != value
         if self.reading_late:
             self.late[key] = value
-        if key not in self._values and key.endswith("]"):
-            self._elements[key[: key.index("[")]].append(key)
+        if is_new and key.endswith("]"):
+            array, _, _ = key.partition("[")
+            self._elements[array].append(key)
         self._values[key] = value
 
     def set(self, key: str, value: Known, place: Place) -> None:

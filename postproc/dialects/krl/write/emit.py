@@ -74,8 +74,11 @@ def emit(program: Program, targets: Targets, cell: Cell, comment_forces: TargetF
 class Emitter:
     """Prints all targets at once, between what `NewProgram` collects.
 
+    :param comment_forces: forces that comments state, or None.
     :param starts: rows of targets before which the program is divided into modules: the robot stops there, and force
         comments begin anew.
+    :ivar has_force_comment: (T,) targets behind which a comment states the force.
+    :ivar call_rows: targets before which lines of the cell call other programs, which may change `$BASE` and `$TOOL`.
     """
 
     def __init__(
@@ -86,11 +89,11 @@ class Emitter:
         comment_forces: TargetForces | None,
         starts: Sequence[int] = (),
     ) -> None:
-        self.program, self.targets, self.cell, self.carried = program, targets, cell, comment_forces
+        self.program, self.targets, self.cell = program, targets, cell
+        self.comment_forces, self.starts = comment_forces, starts
         self.new = NewProgram(program, targets, cell, _WORDS)
-        self.noted = np.zeros(len(targets), dtype=np.bool_)
-        self.called: list[int] = []
-        self.starts = starts
+        self.has_force_comment = np.zeros(len(targets), dtype=np.bool_)
+        self.call_rows: list[int] = []
 
     def written(self) -> Written:
         """Return the document."""
@@ -98,19 +101,21 @@ class Emitter:
         new.stops |= set(self.starts)
         head = [*self.header(self.program.name), *self.begin()]
         new.events()
-        self.called = [k for k, statements in sorted(new.own.items()) if k < count and calls(statements)]
+        self.call_rows = [k for k, statements in sorted(new.own.items()) if k < count and calls(statements)]
         changes = set(new.frame_changes())
-        for k in sorted(changes.union(self.called)):
+        for k in sorted(changes.union(self.call_rows)):
             self._set_frames(k)
         distances = new.distances()
         self._set_distances(distances)
         self._set_speeds()
         self._set_turning()
-        if self.carried is not None:
-            self.noted = force_comments.needed(self.carried, self.targets.kind, constant(-1, count), (), np.nan)
+        if self.comment_forces is not None:
+            self.has_force_comment = force_comments.needed(
+                self.comment_forces, self.targets.kind, constant(-1, count), (), np.nan
+            )
             on_path = np.flatnonzero(self.targets.kind != PTP)
             path_rows = np.searchsorted(on_path, np.array(self.starts, dtype=on_path.dtype))
-            self.noted[on_path[path_rows[path_rows < len(on_path)]]] = True
+            self.has_force_comment[on_path[path_rows[path_rows < len(on_path)]]] = True
         text, output_line = new.joined(
             head, lambda kind, rows: without_trailing_zeros(self._lines(kind, rows, distances[rows] > 0.0)), ["END"]
         )
@@ -147,7 +152,7 @@ class Emitter:
     def _set_frames(self, k: int) -> None:
         """Set the frames that change before a target; both if a program was called there."""
         base, tool = self.new.frames(k)
-        old_base, old_tool = (-1, -1) if k in self.called else self.new.frames(k - 1)
+        old_base, old_tool = (-1, -1) if k in self.call_rows else self.new.frames(k - 1)
         if base != old_base:
             self.new.before[k].append(f"$BASE={_frame(self.program.bases[base])}")
         if tool != old_tool:
@@ -155,7 +160,7 @@ class Emitter:
 
     def _again(self, rows: Ints) -> Bools:
         """Return which of some targets (n,), in order, are the first behind a program that was called."""
-        first = np.searchsorted(rows, np.array(self.called, dtype=np.int64))
+        first = np.searchsorted(rows, np.array(self.call_rows, dtype=np.int64))
         return np.isin(np.arange(len(rows)), first)
 
     def _set_distances(self, distances: Array) -> None:
@@ -191,8 +196,9 @@ class Emitter:
         spline = b"S" if self.cell.gcode.motions == "SLIN" else b""
         is_blended = is_blended & (not spline or kind != PTP)
         tail: list[Part] = [where(b" C_SPL" if spline else b" C_DIS", is_blended)]
-        if self.carried is not None and self.noted[k].any():
-            tail += [where(b" ", self.noted[k]), *force_comments.columns(b";", self.carried, k, self.noted[k])]
+        has_comment = self.has_force_comment[k]
+        if self.comment_forces is not None and has_comment.any():
+            tail += [where(b" ", has_comment), *force_comments.columns(b";", self.comment_forces, k, has_comment)]
         tail.append(b"\r\n")
         if kind == PTP:
             status, turn = self.targets.status[k], self.targets.turn[k]
