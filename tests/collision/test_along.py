@@ -68,6 +68,40 @@ def test_a_clearance_that_is_held_everywhere_is_no_hit():
     assert set(broken.row) == set(range(400))
 
 
+@pytest.mark.parametrize("axis", [0, 4, 5])
+def test_a_bar_that_turns_past_a_post_is_seen_at_every_sample(axis):
+    """Against the distance at each of 700 samples: the search leaves most of them out, by how far the bar moves."""
+    q = np.tile(np.radians([0.0, -90.0, 90.0, 0.0, 30.0, 0.0]), (700, 1))
+    q[:, axis] += np.linspace(-1.6, 1.6, 700)
+    bar = bodies.cylinder("bar", 6, "tool", np.zeros(3), np.array([0.9, 0.3, 0.2]), 0.03)
+    at = frame(q[350], 6)
+    post = bodies.box(
+        "post", -1, "obstacle", pose(np.eye(3), at[:3, :3] @ [0.8, 0.3, 0.2] + at[:3, 3]), np.full(3, 0.1)
+    )
+    what = scene(bar, post)
+    exact = clearance(what, q).distance
+    found = along(what, q, 0.05)
+    close = np.flatnonzero(exact < 0.05)
+    assert 10 < len(close) < 500
+    assert set(close.tolist()) <= set(found.row.tolist()) <= set(close.tolist()) | {int(close[-1]) + 1}
+    free = along(what, q[: close[0] - 1], 0.05)
+    assert free.closest.distance == pytest.approx(exact[: close[0] - 1].min(), abs=0.3e-3)
+    assert len(free.row) == 0
+
+
+def test_a_bar_that_turns_into_a_beam_about_the_middle_of_the_beam_is_seen():
+    """A6 turns the bar about the middle of a beam: seen from the flange that middle does not move."""
+    q = np.tile(np.radians([0.0, -90.0, 90.0, 0.0, 30.0, 0.0]), (700, 1))
+    q[:, 5] += np.linspace(-1.4, 1.4, 700)
+    bar = bodies.cylinder("bar", 6, "tool", np.array([0.4, 0.0, 0.2]), np.array([0.9, 0.0, 0.2]), 0.03)
+    at = frame(q[350], 6)
+    middle = pose(at[:3, :3], at[:3, :3] @ [0.0, 0.0, 0.2] + at[:3, 3])
+    what = scene(bar, bodies.box("beam", -1, "obstacle", middle, np.array([2.0, 0.05, 0.05])))
+    close = np.flatnonzero(clearance(what, q).distance < 0.05)
+    assert 10 < len(close) < 300
+    assert set(close.tolist()) <= set(along(what, q, 0.05).row.tolist())
+
+
 def test_a_long_path_far_from_everything_costs_little():
     turn = np.linspace(-0.5, 0.5, 20_000)
     q = np.radians([0.0, -90.0, 90.0, 0.0, 0.0, 0.0]) + turn[:, None] * np.eye(6)[0]
