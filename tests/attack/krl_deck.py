@@ -1,8 +1,8 @@
 """Random KRL of some pieces of `krl_cards`, dealt in turn: each piece comes about as often as all others.
 
 Pieces that chance draws come too rarely for faults that only one of them shows. Here they are dealt from a shuffled
-deck: after as many programs as it has pieces, each has been in some programs. Pieces that are understood come three in
-a program, often inside of control structures; of those that are refused one is in every other program.
+deck: after as many programs as it has pieces, each has been in some programs. Pieces that are understood come four in a
+program, often inside of control structures; three of four programs have one that is refused, or stays as it is.
 """
 
 from __future__ import annotations
@@ -14,13 +14,49 @@ import numpy as np
 from tests.attack.krl_cards import DOUBTFUL, KEPT, SETTLED
 from tests.attack.krl_snippets import FIXED, Snippets
 
-SETTLED_CARDS, DOUBTFUL_CARDS, KEPT_CARDS = (
-    [*map(str.strip, text.split("\n\n"))] for text in (SETTLED, DOUBTFUL, KEPT)
-)
 _SIGN = re.compile(r"@([PRNIVBMT])(\d?)")
-_PAIR = 4
-"""Pieces that are understood in two programs: three, and one beside a piece that is not."""
+_ROUND, _TOGETHER = 4, 4
+"""Of so many programs one has so many pieces that are understood; the others have a piece that is not."""
 _KINDS = {"I": "INT", "V": "REAL", "B": "BOOL"}
+
+
+def options(text):
+    """Return the first choice of a text, from its sign to the bracket that closes it, and what may be chosen.
+
+    :returns: start, stop, options; start is −1 if there is no choice.
+    """
+    start = text.find("@(")
+    if start < 0:
+        return -1, -1, []
+    depth, at, texts = 1, start + 2, [""]
+    while depth:
+        char = text[at]
+        depth += (char == "(") - (char == ")")
+        if char == "|" and depth == 1:
+            texts.append("")
+        elif depth:
+            texts[-1] += char
+        at += 1
+    return start, at, texts
+
+
+def cards_of(text, *, divided=False):
+    """Return the pieces of a text.
+
+    :param divided: a piece for each option of the first choice of a piece.
+    """
+    cards = [*map(str.strip, text.split("\n\n"))]
+    if not divided:
+        return cards
+    choices = [(card, *options(card)) for card in cards]
+    return [
+        card[:start] + option + card[stop:] if start >= 0 else card
+        for card, start, stop, texts in choices
+        for option in texts or [""]
+    ]
+
+
+SETTLED_CARDS, DOUBTFUL_CARDS, KEPT_CARDS = cards_of(SETTLED), cards_of(DOUBTFUL, divided=True), cards_of(KEPT)
 
 
 def dealt(cards, first, count):
@@ -66,18 +102,10 @@ class Deck(Snippets):
 
     def spelt_out(self, text):
         """Return a line with its signs replaced."""
-        while (start := text.find("@(")) >= 0:
-            depth, at = 1, start + 2
-            options = [""]
-            while depth:
-                char = text[at]
-                depth += (char == "(") - (char == ")")
-                if char == "|" and depth == 1:
-                    options.append("")
-                elif depth:
-                    options[-1] += char
-                at += 1
-            text = text[:start] + self.one(*options) + text[at:]
+        start, stop, texts = options(text)
+        while start >= 0:
+            text = text[:start] + self.one(*texts) + text[stop:]
+            start, stop, texts = options(text)
         return _SIGN.sub(self.sign, text)
 
     def sign(self, match):
@@ -100,15 +128,17 @@ class Deck(Snippets):
 
     def programs(self):
         """Files of the program's folder: name → text."""
-        is_doubtful = self.number % 2 == 1
-        special = KEPT_CARDS if self.keep else DOUBTFUL_CARDS
-        first = self.number // 2 * _PAIR + (_PAIR - 1) * is_doubtful
-        settled = dealt(SETTLED_CARDS, first, 1 if is_doubtful else _PAIR - 1)
+        turn, place = divmod(self.number, _ROUND)
         body = ["BAS(#INITMOV,0)", "$BASE=BASE_DATA[1]", f"LIN {self.literal('E6POS')}"]
-        pieces = [self.wrapped(self.piece(card)) for card in settled]
-        if is_doubtful:
-            card = self.piece(dealt(special, self.number // 2, 1)[0])
-            pieces.insert(self.one(0, 1), self.wrapped(card) if self.maybe(0.4) else card)
+        settled = dealt(SETTLED_CARDS, turn * _TOGETHER, _TOGETHER)
+        if place:
+            special = KEPT_CARDS if self.keep else DOUBTFUL_CARDS
+            card = self.piece(dealt(special, turn * (_ROUND - 1) + place - 1, 1)[0])
+            pieces = [self.wrapped(card) if self.maybe(0.3) else card]
+            if self.keep or self.maybe(0.3):
+                pieces.insert(self.one(0, 1), self.wrapped(self.piece(self.one(*settled))))
+        else:
+            pieces = [self.wrapped(self.piece(card)) for card in settled]
         body += [line for piece in pieces for line in piece]
         body.append(f"LIN {self.literal('E6POS')} C_DIS")
         main = ["DEF part()", *body, "END"]
