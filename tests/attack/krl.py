@@ -70,6 +70,8 @@ _ORDINARY = 10
 """So many ordinary programs to one with motions that stay."""
 _CHECKED = 4, 16
 """Of so many programs below `MORE`, and of others, one is checked by the grammar, which takes as long as all else."""
+SHIFTED = "the correction of the motion before it moves it too"
+"""What is said of motions that stay as they are and begin at a corrected pose."""
 _NAMED = re.compile(r"S?(?:LIN|PTP) [A-Z]\w*(?:\[[^]]*\])?(?: C_\w+)?$", re.IGNORECASE)
 """Motions to named points."""
 _WRITTEN = 2e-4
@@ -140,7 +142,12 @@ def executed(files, seed, program, main="PART"):
             raise Wrong(f"the robot holds the part in line {motion.line}")
         begins_uncorrected = False
         made.append(motion)
-    kept = whereabouts([one for one in motions if stays(one, stay)], program.unresolved)
+    if controller.rounds[0] and not first:
+        raise Invalid("a LOOP that stays as it is never ends")
+    shifted = {one.subject for one in program.issues if one.kind == "unresolved" and SHIFTED in one.message}
+    own_file = program.documents[0].name
+    unresolved = [one for one in program.unresolved if f"line {one.line}" not in shifted or one.file != own_file]
+    kept = whereabouts([one for one in motions if stays(one, stay)], unresolved)
     return made, kept, Unsaid.asked or rng.bit_generator.state != before
 
 

@@ -67,6 +67,10 @@ def test_where_only_chance_leads_a_motion_elsewhere_nothing_is_wrong():
     assert attack(337520434) == "kept"
 
 
+def test_motions_that_are_said_to_be_moved_and_loops_that_never_end_are_not_wrong():
+    assert [attack(seed) for seed in (337502197, 337502251)] == ["kept", "invalid"]
+
+
 @pytest.mark.parametrize(
     ("place", "name", "fault"),
     [

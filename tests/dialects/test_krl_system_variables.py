@@ -187,6 +187,14 @@ def test_a_routine_that_is_not_followed_and_begins_from_the_robot_position_is_sa
     assert "the correction of the motion before it moves it too" in message
 
 
+def test_a_point_that_may_lack_components_is_said_to_move_with_the_motion_before(tmp_path):
+    data = DATA.replace("ENDDAT", "DECL E6POS PART={X 1,Y 2,Z 3}\nENDDAT")
+    files = {"part.src": body(FULL, "PART={X 5,Y 6}", "LIN PART", FULL), "part.dat": data}
+    kept = read_files(files, tmp_path, keep=True)
+    (message,) = [issue.message for issue in kept.issues if issue.kind == "unresolved"]
+    assert "the correction of the motion before it moves it too" in message
+
+
 def test_a_routine_that_is_not_followed_and_begins_with_a_complete_target_is_not_said_to_be_moved(tmp_path):
     away = ["DEF AWAY()", "PTP $POS_ACT", FULL, "LIN_REL {Z 30}", "WHILE $IN[1]", AXES, "ENDWHILE", "END", ""]
     files = {"part.src": body(FULL, "AWAY()", AXES, FULL), "part.dat": DATA, "away.src": "\n".join(away)}

@@ -21,6 +21,7 @@ from postproc.dialects.krl.read.motion_reader import HERE, from_here
 from postproc.dialects.krl.read.motions import OrderedMotions
 from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.state import fields_used
+from postproc.dialects.krl.read.variables import PARTLY_GIVEN
 from postproc.errors import Issue, ProgramError
 from postproc.program import CIRC, PTP, SPL, Ints, Unresolved, distinct
 
@@ -246,7 +247,8 @@ def _starts_here(main: MainRoutine, line: int, reason: ProgramError) -> bool:
     stmt = statement(*main.run.source.origin(line))
     if line in main.run.shifted or (isinstance(stmt, Motion) and from_here(stmt)):
         return True
-    return isinstance(stmt, Motion) and any(name in reason.problem.upper() for name in HERE)
+    is_here = PARTLY_GIVEN in reason.problem or any(name in reason.problem.upper() for name in HERE)
+    return isinstance(stmt, Motion) and is_here
 
 
 def _opened(main: MainRoutine, sequence: OrderedMotions, begins: list[int]) -> Iterator[Issue]:

@@ -65,6 +65,8 @@ _OPERATIONS: dict[str, Callable[[float, float], float]] = {
     "/": lambda a, b: a / b,
 }
 _ROUNDED = Unknown(why="to which side the quotient of negative INTs is rounded is in no source")
+PARTLY_GIVEN = "not all of its components are given, and it had others"
+"""Why a position is not known: it may keep the others or lack them, and a motion then keeps those of the robot."""
 _BEYOND_INT = Unknown(why="what becomes of an INT beyond 32 bits is in no source")
 _HALF = 1e-5
 """REALs that are closer than this share to the middle between two INTs may be rounded to either: they have fewer
@@ -240,7 +242,7 @@ class Variables:
         if isinstance(value, Number):
             value = converted(value, self.types.get(name, ""))
         elif isinstance(value, Aggregate) and self._ambiguous(key, value):
-            value = Unknown(str(place), "not all of its components are given, and it had others")
+            value = Unknown(str(place), PARTLY_GIVEN)
         self.put(key, value)
 
     def _ambiguous(self, key: str, new: Aggregate) -> bool:
