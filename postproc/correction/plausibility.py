@@ -13,7 +13,7 @@ from postproc.cell import Cell
 from postproc.errors import Issue, Level
 from postproc.forces.path_forces import PathForces
 from postproc.frames import MM_PER_M, Array, norm
-from postproc.program import Program, distinct
+from postproc.program import Ints, Program, distinct
 from postproc.robot import RobotModel
 from postproc.robot.rating import rated_payload
 
@@ -29,6 +29,9 @@ _OVERLOAD = 2.0
 for which they are rated, and small ones mill with forces above their rating."""
 _LONGEST_LEVER = 0.5
 """Moment over force [m] that no cutter has: a face mill of 250 mm has its cutting force at 0.125 m."""
+_SLOWEST, _FASTEST = 10.0, 30e3
+"""Feeds of cuts [mm/min] that are questioned beyond, assumed: 1.2 is m/min that is read in mm/min."""
+_SWITCHING = ("spindle_on", "spindle_ccw", "spindle_off")
 _SAME_LENGTH = 1e-6
 """Tools whose lengths differ by less [m] are equally long."""
 _BESIDE = 0.05
@@ -64,8 +67,10 @@ def of_setup(program: Program, cell: Cell, robot: RobotModel) -> Iterator[Issue]
         yield Issue("warning", "payload-rating", message)
 
 
-def of_forces(program: Program, forces: PathForces, robot: RobotModel) -> Iterator[Issue]:
-    """Yield a question where a force is more than the arm carries, or a moment belongs to no cutter."""
+def of_forces(program: Program, forces: PathForces, cell: Cell, robot: RobotModel) -> Iterator[Issue]:
+    """Yield a question where a force is more than the arm carries, or a moment belongs to no cutter; where the spindle
+    is off, or the feed has another unit, in moves that have a force.
+    """
     m = program.motions
     motion = np.repeat(np.arange(len(m)), np.diff(forces.first))
     cutting = ~np.asarray(m.rapid)[motion]  # a rapid move begins with the force that ends on it
@@ -80,6 +85,8 @@ def of_forces(program: Program, forces: PathForces, robot: RobotModel) -> Iterat
         )
         level: Level = "warning" if size.max() > _OVERLOAD * rating * _GRAVITY else "info"
         yield m.issue(level, "force-rating", message, distinct(motion[too_strong]))
+    if not program.keeps_text:
+        yield from _cutting(program, cell, distinct(motion[size > 0.0]))
     too_long = moment > np.where(size > 0.0, _LONGEST_LEVER * size, np.inf)
     if too_long.any():
         row = int(np.argmax(np.where(too_long, moment, 0.0)))
@@ -88,6 +95,32 @@ def of_forces(program: Program, forces: PathForces, robot: RobotModel) -> Iterat
             f"{moment[row] / size[row]:.2g} m. Are these N·mm? MX, MY and MZ are read in N·m, about the tip"
         )
         yield m.issue("warning", "moment-unit", message, distinct(motion[too_long]))
+
+
+def _cutting(program: Program, cell: Cell, rows: Ints) -> Iterator[Issue]:
+    """Yield a warning where motions (n,) that cut have a feed that no cutter has, or the spindle does not turn.
+
+    The spindle of a cell without lines for it is switched otherwise.
+    """
+    m = program.motions
+    feed = 60.0 * MM_PER_M * m.feed[rows]
+    unusual = (feed < _SLOWEST) | (feed > _FASTEST)
+    if unusual.any():
+        message = f"a cut with a feed of {feed[np.argmax(unusual)]:.3g} mm/min: is its unit right?"
+        yield m.issue("warning", "feed-unit", message, rows[unusual])
+    if not (cell.gcode.spindle_on or cell.gcode.spindle_ccw):
+        return
+    switches = [event for event in program.events if event.kind in _SWITCHING]
+    last = np.searchsorted([event.before for event in switches], rows, side="right") - 1
+    is_off = np.array([event.kind == "spindle_off" for event in switches] + [True])[last]
+    if is_off.any():
+        index = int(last[np.argmax(is_off)])
+        cause = f"line {switches[index].line} switches it off" if index >= 0 else "nothing switches it on before"
+        message = (
+            f"a cut with the spindle off: {cause}. Switch it on in the program, or write spindle_on = [] in [gcode] of "
+            "the cell if you start it by hand"
+        )
+        yield m.issue("warning", "spindle-off", message, rows[is_off])
 
 
 def tool_changes(program: Program) -> Iterator[Issue]:

@@ -512,7 +512,7 @@ def process(
     if not errors:
         try:
             motions = MotionsUnderLoad.of(program, robot_in_cell, source)
-            questions = plausibility.of_forces(program, motions.forces, robot)
+            questions = plausibility.of_forces(program, motions.forces, cell, robot)
             task, draft = _settled(replace(task, initial_issues=(*task.initial_issues, *questions)), motions)
             smallest, collision_issues = collisions.of_path(draft.path, draft.q)
             draft = replace(draft, issues=(*draft.issues, *collision_issues))

@@ -16,7 +16,7 @@ from tests.kr270 import CELL, ROBOT
 from tests.oracle import cell_sim
 from tests.programs import program as made_of
 
-HEAD = "G90 G21 G17\nS1000 F600\nG0 X0 Y0 Z10\n"
+HEAD = "G90 G21 G17\nS1000 M3 F600\nG0 X0 Y0 Z10\n"
 
 
 def converted(text, dialect="gcode", **gcode):

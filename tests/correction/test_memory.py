@@ -37,7 +37,7 @@ def peak(count: int) -> int:
     gc.collect()
     cell, robot = load_cell(SAMPLES / "cell_kr270.toml"), load(find("kuka_kr270"))
     lines = "".join(f"X{0.1 * (n % 900):.1f} Y{0.1 * (n // 900):.1f}\n" for n in range(count))
-    text = f"G21 G90\n(FORCE FX=100 FZ=50)\nG0 X0 Y0 Z0\nG1 F1000\n{lines}M2\n"
+    text = f"G21 G90\nM3 S1000\n(FORCE FX=100 FZ=50)\nG0 X0 Y0 Z0\nG1 F1000\n{lines}M2\n"
     tracemalloc.start()
     try:
         program = correction.read([decode("part.nc", text.encode())], robot, cell, "part", "gcode")

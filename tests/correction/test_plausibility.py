@@ -82,7 +82,52 @@ def test_the_verdict_on_a_tool_in_metres_is_amber(tmp_path):
     assert "is Z in mm?" in done.output
 
 
-FORCED = b"G21 G90\nG0 X0 Y0 Z5\n(FORCE %s)\nG1 Z0 F300\nX10\n(FORCE OFF)\nG0 Z20\nM30\n"
+FORCED = b"G21 G90\nM3 S1000\nG0 X0 Y0 Z5\n(FORCE %s)\nG1 Z0 F300\nX10\n(FORCE OFF)\nG0 Z20\nM30\n"
+
+
+def cutting_questions(text, cell=CELL, dialect="gcode"):
+    """Kind, line and message of what is asked about moves with forces."""
+    program = correction.read([decode("p", text)], ROBOT, cell, "p", dialect)
+    motions = MotionsUnderLoad.of(program, RobotInCell.of(ROBOT, cell), None)
+    issues = plausibility.of_forces(program, motions.forces, cell, ROBOT)
+    return [(issue.kind, issue.source_line, issue.message) for issue in issues]
+
+
+CUT = "G21 G90\n{before}\nG0 X0 Y0 Z5\nG1 Z2 F{feed}\n(FORCE FX=100)\n{at}\nG1 Z0\nX10\n(FORCE OFF)\n{after}\nG0 Z20\n"
+
+
+@pytest.mark.parametrize(
+    ("switches", "line", "cause"),
+    [
+        (("", "", ""), 7, "nothing switches it on before"),
+        (("", "", "M3 S100"), 7, "nothing switches it on before"),
+        (("M3 S100", "M5", ""), 7, "line 6 switches it off"),
+        (("M5", "", ""), 7, "line 2 switches it off"),
+        (("M3 S100", "", "M5"), None, ""),
+        (("M4 S100", "", "M5"), None, ""),
+        (("M5", "M3 S100", ""), None, ""),
+    ],
+)
+def test_a_cut_with_the_spindle_off_is_asked_about(switches, line, cause):
+    before, at, after = switches
+    text = CUT.format(before=before, at=at, after=after, feed=300).encode()
+    issues = cutting_questions(text)
+    assert [(kind, at_line) for kind, at_line, _ in issues] == ([("spindle-off", line)] if line else [])
+    assert all(cause in message for _, _, message in issues)
+    by_hand = replace(CELL, gcode=replace(CELL.gcode, spindle_on=[], spindle_ccw=None))
+    assert cutting_questions(text, by_hand) == []
+    assert cutting_questions(text.replace(b"FX=100", b"FX=0")) == []
+
+
+@pytest.mark.parametrize(
+    ("feed", "is_asked"), [(0.6, True), (9.9, True), (10, False), (30000, False), (30100, True), (60000, True)]
+)
+def test_a_feed_in_another_unit_is_asked_about(feed, is_asked):
+    issues = cutting_questions(CUT.format(before="M3 S100", at="", after="", feed=feed).encode())
+    assert [(kind, line) for kind, line, _ in issues] == ([("feed-unit", 7)] if is_asked else [])
+    robot_program = KRL % (b"X 1500,Y -200,Z 700,A 0,B 0,C 0", b"350")
+    robot_program = robot_program.replace(b"LIN ", b"$VEL.CP=%f\n;FORCE FX=100\nLIN " % (min(feed, 1e5) / 60e3))
+    assert cutting_questions(robot_program, dialect="krl") == []
 
 
 @pytest.mark.parametrize(
@@ -96,10 +141,10 @@ FORCED = b"G21 G90\nG0 X0 Y0 Z5\n(FORCE %s)\nG1 Z0 F300\nX10\n(FORCE OFF)\nG0 Z2
 def test_forces_beyond_the_rating_and_moments_in_newton_millimetres_are_asked_about(force, kind):
     program = correction.read([decode("p", FORCED % force)], ROBOT, CELL, "p", "gcode")
     motions = MotionsUnderLoad.of(program, RobotInCell.of(ROBOT, CELL), None)
-    issues = list(plausibility.of_forces(program, motions.forces, ROBOT))
+    issues = list(plausibility.of_forces(program, motions.forces, CELL, ROBOT))
     assert [issue.kind for issue in issues] == ([kind] if kind else [])
     if kind:
-        assert issues[0].lines == (4, 5)
+        assert issues[0].lines == (5, 6)
         assert issues[0].level == ("info" if b"FZ=600" in force else "warning")
 
 
