@@ -138,6 +138,11 @@ def half_turns(program: Program, sample: Toolpath, turn: Array, pose: Poses) -> 
     may_reverse = is_corrected.any(axis=0) & (previous >= 0) & np.isnan(m.joints[previous, 0])
     problem = "this move turns the tool by about 180°: rounding decides the direction"
     advice = "Add a target between that fixes the direction."
+    if program.with_path is not None and program.with_path[motion].all():
+        advice = (
+            "The tool turns with the path of this circle: CirPathMode\\ObjectFrame (RAPID) or $CIRC_TYPE=#BASE (KRL) "
+            "keeps its orientation. Or divide the circle."
+        )
     cases: tuple[tuple[Bools, Level, str], ...] = (
         (may_reverse, "error", "and a correction may reverse it"),
         (~may_reverse, "warning", "and the joints were checked for one direction only"),

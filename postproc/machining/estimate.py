@@ -54,6 +54,10 @@ _SAME_DIAMETER = 1e-6
 """Diameters of one tool differ by less [m]."""
 _DEEP = 4.0
 """Warn beyond this depth of cut, in tool diameters: no cutter cuts that deep."""
+_THICK = 0.1
+"""Warn beyond this feed per tooth, in tool diameters (assumed): catalogues give 0.002 to 0.05."""
+_LEAST_TEETH = 1e-9
+"""Teeth per second of a spindle that stands still: its cuts are refused."""
 _LEAST_RISE = 2e-5
 """Minimum length over which the force of a motion builds up [m]."""
 _BATCH = 200_000
@@ -434,14 +438,20 @@ def _check_speed(program: Program, steps: StraightSegments, tools: ToolStates) -
     motion = distinct(steps.motion[steps.cutting])
     if len(motion) and not (tools.rpm[motion] > 0.0).any():
         starts = [event for event in program.events if event.kind in ("spindle_on", "spindle_ccw")]
-        first = int(program.motions.line[motion[0]])
-        name = program.documents[0].name
-        if starts:
+        ends = [e.line for e in program.events if e.kind == "spindle_off" and e.before <= motion[0]]
+        line = int(program.motions.line[motion[0]])
+        problem, advice = (
+            "the spindle is never started",
+            "Give S and M3 in the program, or [tools.n] rpm in the process file.",
+        )
+        if any(event.value > 0.0 for event in starts) and ends:
+            problem, advice = (
+                f"the cuts begin with the spindle off: line {ends[-1]} stops it",
+                "Stop it behind the cuts.",
+            )
+        elif starts:
             problem, line = "the spindle is started without a speed", starts[0].line
-        else:
-            problem, line = "the spindle is never started", first
-        advice = "Give S and M3 in the program, or [tools.n] rpm in the process file."
-        raise ForceError(problem, file=name, line=line, advice=advice)
+        raise ForceError(problem, file=program.documents[0].name, line=line, advice=advice)
 
 
 def _issues(
@@ -479,6 +489,7 @@ def _issues(
         )
         issues.append(Issue("info", "no-axial-force", message))
     issues += _drilled_by_mills(program, cuts, drill[place])
+    issues += _thick_chips(program, cuts, tools, process)
     drill_rows = np.flatnonzero(drill[place])
     if len(drill_rows):
         message = (
@@ -497,6 +508,23 @@ def _issues(
         )
         issues.append(Issue("warning", "deep-cut", message, int(lines[cuts.motion[worst]]), count=len(deep)))
     return issues
+
+
+def _thick_chips(program: Program, cuts: Cuts, tools: ToolStates, process: Process) -> Iterator[Issue]:
+    """Yield a warning where the feed per tooth is a large part of the tool: a wrong unit, or a move that is no cut."""
+    tables = [process.tools[key] for key in tools.keys]
+    diameter, flutes = (np.array([getattr(table, name) for table in tables]) for name in ("diameter_mm", "flutes"))
+    is_drill, place = np.array([table.shape == "drill" for table in tables]), tools.tool[cuts.motion]
+    teeth = tools.rpm[cuts.motion] / 60.0 * flutes[place]
+    chip = MM_PER_M * program.motions.feed[cuts.motion] / np.maximum(teeth, _LEAST_TEETH)
+    rows = np.flatnonzero((chip > _THICK * diameter[place]) & ~is_drill[place])
+    if len(rows):
+        worst = rows[int(np.argmax(chip[rows]))]
+        message = (
+            f"{chip[worst]:.3g} mm per tooth with a tool of {diameter[place[worst]]:.4g} mm: check feed, speed and "
+            "flutes, or whether this move is to go through the material at all"
+        )
+        yield Issue("warning", "chip-load", message, int(program.motions.line[cuts.motion[worst]]), count=len(rows))
 
 
 def _coarse(

@@ -16,6 +16,7 @@ from msgspec.structs import replace
 from postproc.errors import PlanError
 from postproc.frames import DEG_PER_RAD, MM_PER_M, RAD_PER_DEG, Array, norm
 from postproc.identification.readings import Measurements
+from postproc.kinematics.forward import GRAVITY
 from postproc.plan import constraints
 from postproc.plan.criterion import (
     Accuracy,
@@ -35,16 +36,36 @@ from postproc.plan.sensitivity import Readings, direction
 from postproc.plan.site import Site
 from postproc.program import Bools, Ints
 from postproc.robot import JOINT_COMPLIANCES, CompensatorStiffness, JointCompliance
+from postproc.robot.rating import rated_payload
 
 NO_TORQUES = (
     "static joint torques are not checked: robot.urdf states no limits (effort) and [rig] no max_torque_Nm; see that "
     "the robot may carry the load"
 )
+OVERLOAD = (
+    "the load of {load:.0f} N is more than the {kg:g} kg ({rated:.0f} N) that the robot is rated for: take a lighter "
+    "weight, or give [rig] max_torque_Nm as the manufacturer allows it"
+)
 NO_TRACKER = "line of sight is not checked: the experiment has no [tracker]"
+_OVERLOAD = 1.2
+"""Load over the rating from which a plan is questioned, assumed: arms were calibrated with loads just above it."""
 VERTICAL = 0.02
 """Largest angle [rad] of a load that counts as vertical."""
 _LEAST_SHARE, _LARGEST_SHARE = 0.1, 0.4
 """Second load over the weight: less is lost in the noise, more adds no other information than the weight."""
+
+
+def unchecked(site: Site) -> list[str]:
+    """Return warnings on what the plan cannot check for want of numbers."""
+    warnings = []
+    if site.torque_limit is None:
+        warnings.append(NO_TORQUES)
+        rating = rated_payload(site.robot.title, site.robot.name)
+        if rating is not None and site.rig.force > _OVERLOAD * rating * GRAVITY:
+            warnings.append(OVERLOAD.format(load=site.rig.force, kg=rating, rated=rating * GRAVITY))
+    if site.tracker is None:
+        warnings.append(NO_TRACKER)
+    return warnings
 
 
 def hidden_by_rig(site: Site, tests: TestPoses, scale: Array, hidden_joints: tuple[int, ...]) -> tuple[str, ...]:
@@ -450,10 +471,7 @@ def _problem(site: Site, tests: TestPoses, scale: Array, options: Options, data:
         readings, candidates = replace(readings, keep=keep), candidates.only(keep)
         earlier_data = None if data is None else measured(data, readings, site.sigma)
     _check_number(options, readings, len(site.points), levels, earlier_data)
-    if site.torque_limit is None:
-        warnings = (*warnings, NO_TORQUES)
-    if site.tracker is None:
-        warnings = (*warnings, NO_TRACKER)
+    warnings = (*warnings, *unchecked(site))
 
     torque = candidates.torque.reshape(-1, 6)
     demand = directions(

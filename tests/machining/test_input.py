@@ -39,6 +39,22 @@ def test_spindle_off_while_cutting(tmp_path):
     assert "part.nc:8: the tool moves through material while the spindle is off" in told
 
 
+def test_the_spindle_is_stopped_before_all_cuts(tmp_path):
+    told = refused(tmp_path, gcode("M5", *SLOT))
+    assert "part.nc:6: the cuts begin with the spindle off: line 4 stops it. Stop it behind the cuts." in told
+
+
+@pytest.mark.parametrize(("feed", "is_asked"), [(1900, False), (2100, True)])
+def test_a_feed_of_more_than_a_tenth_of_the_tool_for_each_tooth_is_asked_about(tmp_path, feed, is_asked):
+    rpm, flutes = 1000, 2
+    text = gcode("G0 X-10 Y0 Z5", f"G1 Z-1 F{feed}", "X110", spindle=f"S{rpm} M3")
+    _, found = forces(tmp_path, text, process(tool(10, flutes), BOX, 1.0))
+    said = [issue.message for issue in found.issues if issue.kind == "chip-load"]
+    assert [f"{feed / rpm / flutes:.3g} mm per tooth with a tool of 10 mm" in message for message in said] == [
+        True
+    ] * is_asked
+
+
 def test_a_tool_that_is_not_described(tmp_path):
     told = refused(tmp_path, gcode(*SLOT).replace("T1 M6", "T7 M6"))
     assert "part.nc:5: tool T7 is not in" in told

@@ -282,3 +282,13 @@ def test_every_exchange_has_the_value_of_its_plan_and_improves_it(tmp_path):
 def test_exchange_keeps_levels_apart(tmp_path):
     result = setting.quick(tmp_path, configurations=12, levels=6, starts=1, rounds=3)
     assert np.diff(np.sort(result.plan.q2)).min() >= search._LEAST_DISTANCE - 1e-4
+
+
+@pytest.mark.parametrize(
+    ("mass_kg", "limits", "is_asked"),
+    [(323, "", False), (325, "", True), (900, "max_torque_Nm = [9e3, 9e3, 9e3, 9e3, 9e3, 9e3]\n", False)],
+)
+def test_a_load_beyond_the_rating_is_asked_about_unless_torques_are_checked(mass_kg, limits, is_asked, tmp_path):
+    rig = RIG.replace("mass_kg = 275", f"mass_kg = {mass_kg}")
+    warnings = planning.unchecked(setting.site(tmp_path, BASIC + rig + limits))
+    assert any("more than the 270 kg (2649 N) that the robot is rated for" in text for text in warnings) == is_asked

@@ -141,7 +141,7 @@ class NamedPoints(Struct, eq=False):
     def _replace(self, use: Use) -> None:
         """Write the target into the statement."""
         self.replacements[0].add(use.operand.start, use.operand.stop, use.whole())
-        message = "A point that is used more than once or computed is replaced by numbers in the statement."
+        message = "A point that is computed, or that something else uses too, is replaced by numbers in the statement."
         self.issues.append(Issue("info", "point-replaced", message, use.line))
 
 
