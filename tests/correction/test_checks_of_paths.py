@@ -16,6 +16,7 @@ from postproc.errors import Issue
 from postproc.kinematics import JointPath
 from postproc.robot.model import Measured
 from postproc.toolpath import Toolpath
+from tests.corrections import correct_files
 from tests.oracle.arm import Arm
 from tests.programs import program
 
@@ -410,3 +411,16 @@ def test_loads_beyond_those_measured_are_warnings_with_both_torques(sign):
         assert f"up to {torque[joint]:.0f} N·m on A{joint + 1}" in found[0].message
         assert f"measured up to {measured[joint]:.0f}:" in found[0].message
     assert not list(checks.beyond_measured(MADE, replace(MODEL, measured=None), np.array([2, 3]), q, tool, wrenches))
+
+
+def test_a_circle_that_turns_the_tool_with_the_path_names_the_setting():
+    text = (
+        "DEF P( )\n$BASE={X 1500,Y -200,Z 700,A 0,B 0,C 0}\n$TOOL={X 0,Y 0,Z 350,A 0,B 0,C 0}\n"
+        "PTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}\n$VEL.CP=0.1\n$ORI_TYPE=#VAR\n$CIRC_TYPE=%s\n"
+        "LIN {X 100,Y 0,Z 50,A 180,B 0,C 180}\n"
+        "CIRC {X 130,Y 30,Z 50},{X 160,Y 0,Z 50,A 180,B 0,C 180}\nEND\n"
+    )
+    for circle, is_named in (("#PATH", True), ("#BASE", False)):
+        result = correct_files({"part.src": text % circle})
+        said = [issue.message for issue in result.issues if issue.kind == "half-turn"]
+        assert [("$CIRC_TYPE=#BASE (KRL) keeps its orientation" in message) for message in said] == [True] * is_named
