@@ -181,7 +181,7 @@ def test_facets_are_divided_and_cover_the_same_area():
 def test_a_mesh_that_does_not_fit_is_stated_before_anything_else():
     """A mesh 3 mm too high: depth and line in the page, the terminal and the JSON; the verdict is no all-clear."""
     Path("process.toml").write_text(PROCESS.replace("-5.0, 0.0", "-5.0, 1.0"))
-    box("high.stl", (50, 14, 5), (30, 10, 0.5))
+    box("high.stl", (50, 14, 7), (30, 10, -0.5))
     for program, options in ((PROGRAM, ()), (WITHOUT_FORCES, ("--process", "process.toml"))):
         Path("part.nc").write_text(program)
         done = _run("convert", "part.nc", "--part", "high.stl", *options)

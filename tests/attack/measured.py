@@ -152,6 +152,7 @@ def plant(mutant):
         code = waiting.pop()
         codes[code.co_qualname, code.co_firstlineno] = code
         waiting += [inner for inner in code.co_consts if isinstance(inner, types.CodeType)]
+    gc.unfreeze()  # pytest freezes what it has collected, and `gc.get_objects` leaves that out
     objects = gc.get_objects()
     for function in objects:
         if isinstance(function, types.FunctionType) and function.__code__.co_filename == str(path):
