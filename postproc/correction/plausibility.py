@@ -13,6 +13,7 @@ from postproc.cell import Cell
 from postproc.errors import Issue, Level
 from postproc.forces.path_forces import PathForces
 from postproc.frames import MM_PER_M, Array, norm
+from postproc.kinematics.forward import GRAVITY
 from postproc.program import Ints, Program, distinct
 from postproc.robot import RobotModel
 from postproc.robot.rating import rated_payload
@@ -21,9 +22,6 @@ _SHORT_TOOL = 0.005
 """A tip nearer to the flange [m] is none of a spindle: 0.35 is a length in metres that is read in millimetres."""
 _NEAR_BASE = 0.01
 """A base that is not zero and nearer to the robot root [m] is inside the foot of the arm."""
-
-_GRAVITY = 9.81
-"""Weight of a payload [N/kg]."""
 _OVERLOAD = 2.0
 """Force over the rated weight from which a program is questioned, assumed: slow arms carry more than at full dynamics,
 for which they are rated, and small ones mill with forces above their rating."""
@@ -32,6 +30,7 @@ _LONGEST_LEVER = 0.5
 _SLOWEST, _FASTEST = 10.0, 30e3
 """Feeds of cuts [mm/min] that are questioned beyond, assumed: 1.2 is m/min that is read in mm/min."""
 _SWITCHING = ("spindle_on", "spindle_ccw", "spindle_off")
+"""Kinds of events that switch the spindle."""
 _SAME_LENGTH = 1e-6
 """Tools whose lengths differ by less [m] are equally long."""
 _BESIDE = 0.05
@@ -77,13 +76,13 @@ def of_forces(program: Program, forces: PathForces, cell: Cell, robot: RobotMode
     size, moment = (norm(forces.wrench.values[:, columns])[forces.wrench.run] for columns in (slice(3), slice(3, 6)))
     size, moment = size * cutting, moment * cutting
     rating = rated_payload(robot.title, robot.name)
-    if rating is not None and (too_strong := size > rating * _GRAVITY).any():
+    if rating is not None and (too_strong := size > rating * GRAVITY).any():
         name = robot.title or robot.name
         message = (
-            f"a force of {size.max():.0f} N: {name} carries {rating:g} kg, which is {rating * _GRAVITY:.0f} N. "
+            f"a force of {size.max():.0f} N: {name} carries {rating:g} kg, which is {rating * GRAVITY:.0f} N. "
             "Are the forces in N? If they are, machine with smaller ones"
         )
-        level: Level = "warning" if size.max() > _OVERLOAD * rating * _GRAVITY else "info"
+        level: Level = "warning" if size.max() > _OVERLOAD * rating * GRAVITY else "info"
         yield m.issue(level, "force-rating", message, distinct(motion[too_strong]))
     if not program.keeps_text:
         yield from _cutting(program, cell, distinct(motion[size > 0.0]))

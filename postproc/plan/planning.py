@@ -42,7 +42,7 @@ NO_TORQUES = (
     "static joint torques are not checked: robot.urdf states no limits (effort) and [rig] no max_torque_Nm; see that "
     "the robot may carry the load"
 )
-OVERLOAD = (
+OVER_RATING = (
     "the load of {load:.0f} N is more than the {kg:g} kg ({rated:.0f} N) that the robot is rated for: take a lighter "
     "weight, or give [rig] max_torque_Nm as the manufacturer allows it"
 )
@@ -62,7 +62,7 @@ def unchecked(site: Site) -> list[str]:
         warnings.append(NO_TORQUES)
         rating = rated_payload(site.robot.title, site.robot.name)
         if rating is not None and site.rig.force > _OVERLOAD * rating * GRAVITY:
-            warnings.append(OVERLOAD.format(load=site.rig.force, kg=rating, rated=rating * GRAVITY))
+            warnings.append(OVER_RATING.format(load=site.rig.force, kg=rating, rated=rating * GRAVITY))
     if site.tracker is None:
         warnings.append(NO_TRACKER)
     return warnings

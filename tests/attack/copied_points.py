@@ -90,7 +90,7 @@ def files_of(rng: np.random.Generator) -> dict[str, str]:
 
 
 def attempt(seed: int, folder: Path) -> str:
-    """Return what became of the program of a seed: ``"refused"``, ``"invalid"``, ``"accepted"``, or ``"with copies"``
+    """Return what became of the program of a seed: ``"refused"``, ``"invalid"``, ``"accepted"``, or ``"with copies"``.
 
     :raises Wrong: the package is wrong.
     """

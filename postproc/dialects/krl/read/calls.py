@@ -287,8 +287,8 @@ class Calls:
                 argument_values[index] = NOTHING
                 continue
             value = argument_values[index] = self.value(at, argument, is_copied=is_traced)
-            if is_traced and isinstance(value, Aggregate) and isinstance(argument, Reference) and not value.computed:
-                self.run.copy(argument, routine.parameters[index].name)
+            if is_traced:
+                self.run.copy(argument, value, routine.parameters[index].name)
         volatile_names = {
             scope.stored(routine.parameters[index].name): self.run.variables.changing[root]
             for (index, _), root in zip(references, roots, strict=True)

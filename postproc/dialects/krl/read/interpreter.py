@@ -16,7 +16,7 @@ from postproc.dialects.krl.language.names import OPENING, WITHOUT_MOTION
 from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.source import Place
 from postproc.dialects.krl.language.structures import LOOPS
-from postproc.dialects.krl.language.values import Aggregate, Call, Opaque, Reference, Unreadable, Value, Word, walk
+from postproc.dialects.krl.language.values import Call, Opaque, Reference, Unreadable, Value, Word, walk
 from postproc.dialects.krl.read.calls import IN_ORDER, Calls
 from postproc.dialects.krl.read.data_lists import declare
 from postproc.dialects.krl.read.explanations import why_not_decided, why_unknown, without_value
@@ -263,8 +263,7 @@ class Interpreter:
             if value == NOTHING or unclear:
                 value = Unknown(str(at), why_unknown(self.run.variables, at.source, expression))
             if target.field is None:
-                if isinstance(value, Aggregate) and isinstance(expression, Reference) and not value.computed:
-                    self.run.copy(expression, name)
+                self.run.copy(expression, value, name)
                 self.run.variables.set(key, value, at)
             else:
                 self.run.variables.set_field(key, target.field, value, at)

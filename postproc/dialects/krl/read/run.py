@@ -14,7 +14,7 @@ from postproc.dialects.krl.language.declarations import declared_names
 from postproc.dialects.krl.language.routines import Module, Routine
 from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.language.structures import Node, checked, nodes_of
-from postproc.dialects.krl.language.values import Aggregate, Reference, moved_aggregate
+from postproc.dialects.krl.language.values import Aggregate, Reference, Value, moved_aggregate
 from postproc.dialects.krl.read.data_lists import read_data
 from postproc.dialects.krl.read.effects import Analysis
 from postproc.dialects.krl.read.folder import Library
@@ -212,10 +212,14 @@ class Run:
         """Return an aggregate of the present statement as text of the trace, where its numbers are corrected."""
         return moved_aggregate(aggregate, self.source, self.offset) if self.is_traced else aggregate
 
-    def copy(self, point: Reference, name: str) -> None:
-        """Note that the present statement gives a variable, or a parameter, the text of a point."""
-        self.understood.add(point.start + self.offset)
-        self.copies.add((point.name, name))
+    def copy(self, expression: Value, value: Known, name: str) -> None:
+        """Note that the present statement gives a variable, or a parameter, the text of a point, if it does.
+
+        :param value: that of the expression, see `Calls.value`.
+        """
+        if isinstance(expression, Reference) and isinstance(value, Aggregate) and not value.computed:
+            self.understood.add(expression.start + self.offset)
+            self.copies.add((expression.name, name))
 
     @property
     def is_traced(self) -> bool:
