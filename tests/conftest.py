@@ -34,11 +34,14 @@ def disk_is_not_waited_for():
 
 @pytest.fixture(scope="session", autouse=True)
 def signals_are_heard():
-    """Whoever starts the tests with signals ignored (nohup, a background job) has them heard by what these start."""
+    """Signals that the shell has ignored (nohup, a background job) are delivered, to the tests and to what they start.
+
+    SIGINT then raises KeyboardInterrupt as in the foreground: by default it would end the run.
+    """
     numbers = [getattr(signal, name) for name in ("SIGHUP", "SIGINT", "SIGTERM") if hasattr(signal, name)]
     ignored = [number for number in numbers if signal.getsignal(number) is signal.SIG_IGN]
     for number in ignored:
-        signal.signal(number, signal.SIG_DFL)
+        signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)
     yield
     for number in ignored:
         signal.signal(number, signal.SIG_IGN)
