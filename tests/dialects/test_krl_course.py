@@ -8,12 +8,14 @@ import pytest
 from msgspec.structs import replace
 
 from postproc.dialects import krl
+from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.read import reader
 from postproc.dialects.krl.read.motion_columns import merged
 from postproc.dialects.krl.read.plain_lines import gathered, plain_of
-from postproc.dialects.krl.write.edited_rows import edited_rows
+from postproc.dialects.krl.write.edited_rows import edited_rows, line_text
 from postproc.dialects.krl.write.edits import Replacements
 from postproc.errors import ProgramError
+from postproc.program import Document
 from postproc.toolpath.path import starts as starts_of
 from tests.attack.krl import confirmed
 from tests.attack.krl import read as read_files
@@ -672,14 +674,15 @@ def test_a_for_that_counts_by_a_real_is_refused_with_the_name_of_its_counter():
 
 def test_rows_of_one_line_have_equal_keys_if_they_are_written_alike():
     program = read(body("FOR I=1 TO 3", FULL, "ENDFOR", "LIN P[I]"), DATA)
-    trace, edits = program.layout.course.source, Replacements()
+    trace, edits = program.layout.course.trace, Replacements()
     rows = program.layout.line[:3].tolist()
+    assert len(set(trace.starts(np.array(rows)).tolist())) == 1
+    begin, same = trace.starts(program.layout.line[2:4]).tolist()
     for row, text in zip(rows, ("1", "2", "1"), strict=True):
-        start = int(trace.starts[row - 1]) + FULL.index("X 0") + 2
-        edits.add(start, start + 1, text)
-    same = int(trace.starts[program.layout.line[3] - 1])
-    edits.add(same, same + 3, "LIN")  # what is there
-    edits.add(int(trace.starts[rows[1] - 1]), int(trace.starts[rows[1] - 1]), "HALT\r\n")
+        start = begin + FULL.index("X 0") + 2
+        edits.add(start, start + 1, text, row)
+    edits.add(same, same + 3, "LIN", program.layout.line.item(3))  # what is there
+    edits.add(begin, begin, "HALT\r\n", rows[1])
     edited = edited_rows(trace, edits)
     assert edited.rows.tolist() == rows
     assert edited.texts == tuple(f"{before}{FULL.replace('X 0', f'X {x}')}\r\n" for before, x in
@@ -862,14 +865,17 @@ def test_a_line_that_begins_in_one_of_two_places_is_refused(lines):
         read(body(FULL, *lines), DATA)
 
 
-def test_statements_are_parsed_in_their_files_and_not_again_in_the_trace():
+def test_the_trace_has_no_text_but_that_of_the_files():
     lines = ["FOR I=1 TO 5", "Z=I", "TRIGGER WHEN PATH=1 DELAY=0 DO $OUT[1]=TRUE", "LIN {X Z,Y 1}", "SUB(I)"]
     lines += ["IF I>2 THEN", "K=I", "ELSE", "K=0", "ENDIF", "ENDFOR"]
     program = read(body(FULL, *lines) + SUB, DATA)
     course = program.layout.course
     assert len(program.motions) == 11
-    assert len(course.source.starts) > 50
-    assert not course.source.statements
+    assert len(course.trace) > 50
+    assert course.trace.sources == (course.main.source,)
+    assert course.trace.line.max() <= len(course.main.source.starts)
+    starts = [course.main.source.starts[line - 1] for line in course.trace.line[program.layout.line - 1]]
+    assert program.layout.keyword.tolist() == starts
 
 
 @pytest.mark.parametrize("literal", ["{X 4,Y 5,Z 6,A 1,B 2,C 3}", "{E6POS: X 4, Y 5, Z 6, A 1, B 2, C 3, S 2, T 10}"])
@@ -904,9 +910,17 @@ CIRCLES += "PTP {X 8,Y 1,Z 2,A 0,B 0,C 0}\r\nEND\r\n"
 @pytest.mark.parametrize("end", ["\r\n", "\n"])
 def test_plain_lines_of_a_trace_are_those_that_a_scan_of_it_finds(lines, subs, end, monkeypatch):
     def compared(trace, known, *, bulk):
-        found, scanned = gathered(trace, known, bulk=bulk), plain_of(trace)
+        lines = [line_text(*trace.place(row)) for row in range(1, len(trace) + 1)]
+        text = Source.of(Document("trace.src", "".join(lines)), 0)
+        found, scanned = gathered(trace, known, bulk=bulk), plain_of(text)
         motions = merged([*scanned.motions], np.arange(sum(map(len, scanned.motions))))
-        for ours, theirs in zip(found.motions[0].columns(), motions.columns(), strict=True):
+        later = text.starts[motions.line - 1] - trace.starts(motions.line)
+        for name, ours, theirs in zip(
+            motions.__struct_fields__, found.motions[0].columns(), motions.columns(), strict=True
+        ):
+            if name in ("keyword", "target", "tail", "via_target", "via_spans"):
+                moved = ours + later.reshape(-1, *[1] * (ours.ndim - 1))
+                ours = np.where(ours < 0, ours, moved)
             np.testing.assert_array_equal(ours, theirs)
         np.testing.assert_array_equal(found.settings.line, scanned.settings.line)
         np.testing.assert_array_equal(found.settings.values, scanned.settings.values)

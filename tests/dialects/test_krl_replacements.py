@@ -40,7 +40,7 @@ def test_insertions_at_one_place_stay_in_order():
 def test_numbers_are_printed_with_the_decimals_asked_for():
     edits = Replacements()
     starts = np.array([2, 8, 14])
-    edits.add_numbers(starts, starts + 3, np.array([1.25, -0.00001, 1e5]), np.array([4, 3, 0]))
+    edits.add_numbers(starts, starts + 3, np.array([1.25, -0.00001, 1e5]), np.array([4, 3, 0]), np.zeros(3, dtype=int))
     edits.add(0, 1, "Ω")
     assert edits.applied("X 000,Y 000,Z 000}") == "Ω 1.2500,Y 0.000,Z 100000}"
     assert not Replacements()

@@ -1,6 +1,6 @@
-"""The execution trace of a program: its lines in execution order, with loops unrolled and called routines inlined.
+"""What runs, along the execution trace of a program: loops unrolled, called routines inlined, branches.
 
-Reading and correction treat this text as a straight program; `write.folding` maps it back to the files.
+Reading and correction treat the rows of the trace as a straight program; `write.folding` maps them back to the files.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from msgspec import Struct, field
 
 from postproc.dialects.krl.language.routines import Module, Routine
 from postproc.dialects.krl.language.source import Place, Source
+from postproc.dialects.krl.language.trace import Trace
 from postproc.errors import ProgramError
 from postproc.frames import Array
 from postproc.program import Bools, Document, Ints
@@ -176,7 +177,7 @@ class Repeated(Struct, eq=False):
 class Called(Struct, eq=False):
     """An inlined routine.
 
-    :ivar line: of the trace, with the call; `name` the span of the routine's name in that line.
+    :ivar line: row of the trace with the call; `name` the span of the routine's name in its file.
     """
 
     line: int
@@ -189,7 +190,7 @@ class Course(Struct, frozen=True, eq=False):
     """The execution trace of a program.
 
     :param main: the main routine.
-    :param source: the text; that of the `.src` itself if nothing is unrolled or inlined.
+    :param trace: its rows; the lines of the `.src` itself if nothing is unrolled or inlined.
     :param steps: what runs, in execution order.
     :param body: the lines of the main routine.
     :param live: (L,) False for lines that do not run: branches that are not taken; None: all may run.
@@ -202,7 +203,7 @@ class Course(Struct, frozen=True, eq=False):
     """
 
     main: Routine
-    source: Source
+    trace: Trace
     steps: tuple[Step, ...]
     body: Body
     live: Bools | None = None
@@ -219,11 +220,6 @@ class Course(Struct, frozen=True, eq=False):
         last = self.body.parts[-1] if self.body.parts else None
         return last if isinstance(last, Repeated) and last.endless else None
 
-    @property
-    def sources(self) -> tuple[Source, ...]:
-        """The files whose lines are in the trace."""
-        return (self.source,) if self.source.origins is None else self.source.origins.sources
-
     def count(self, loop: Repeated, row: int) -> int:
         """Return what a row of the trace assigns to the counter of a FOR."""
         number = loop.plain.number(row) if loop.plain is not None and row < loop.plain.beyond else None
@@ -231,7 +227,7 @@ class Course(Struct, frozen=True, eq=False):
 
     def counted(self) -> Array:
         """Return what the rows of the trace (L,) assign to the counter of a FOR; NaN for lines of files."""
-        counter = np.full(len(self.source.starts), np.nan)
+        counter = np.full(len(self.trace), np.nan)
         rows = np.array([*self.counts], dtype=np.int64)
         counter[rows - 1] = [*self.counts.values()]
         for rounds in self.plain_rounds():
@@ -241,15 +237,14 @@ class Course(Struct, frozen=True, eq=False):
 
     def rows_of(self, source: Source, lines: Ints) -> tuple[Ints, Ints]:
         """Return the rows of the trace that are lines (n,) of a file, in order, and which of these they are."""
-        origins = self.source.origins
-        if origins is None:
+        trace = self.trace
+        if trace.is_file:
             return lines, np.arange(len(lines))
         number = np.full(len(source.starts) + 1, -1, dtype=np.int64)
         number[lines] = np.arange(len(lines))
-        in_file = (origins.source == origins.sources.index(source)) & np.isnan(self.counted())
-        rows = np.flatnonzero(in_file)
-        rows = rows[number[origins.line[rows]] >= 0]
-        return rows + 1, number[origins.line[rows]]
+        rows = np.flatnonzero((trace.file == trace.sources.index(source)) & ~trace.is_count)
+        rows = rows[number[trace.line[rows]] >= 0]
+        return rows + 1, number[trace.line[rows]]
 
     def plain_rounds(self) -> list[PlainRounds]:
         """Return the rounds of all plain bodies, in order."""
@@ -258,7 +253,7 @@ class Course(Struct, frozen=True, eq=False):
     @property
     def straight(self) -> bool:
         """Whether the trace is the `.src` itself."""
-        return self.source.origins is None
+        return self.trace.is_file
 
 
 def _plain_rounds(body: Body) -> Iterator[PlainRounds]:

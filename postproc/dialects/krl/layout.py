@@ -1,4 +1,4 @@
-"""Places of the numbers of a program in its text: what the reader passes to the writer."""
+"""Places of the numbers of a program in its files: what the reader passes to the writer."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ class Elements(Struct, frozen=True, eq=False):
 
 
 class Layout(Struct, frozen=True, eq=False):
-    """The text of M motions. Offsets count characters from the beginning of the text of the course.
+    """The text of M motions. Offsets count characters from the beginning of the file of a motion, see `source`.
 
     :param course: the program in the order in which it runs.
-    :param line: (M,) 1-based lines of the trace.
-    :param notes: lines of the trace with the force comments of the program, in order.
+    :param line: (M,) 1-based rows of the trace.
+    :param notes: rows of the trace with the force comments of the program, in order.
     :param numbers: (M, 6) X, Y, Z [mm], A, B, C [deg] that the text commands, missing ones filled in with what the
         controller keeps; for axis and relative targets the Cartesian numbers they amount to.
     :param missing: (M, 6) True where the text does not give the component.
@@ -64,7 +64,7 @@ class Layout(Struct, frozen=True, eq=False):
     :param elements: points of motions of loops; these motions are not in `statements`.
     :param types: declared type by variable, upper case.
     :param public: variables declared GLOBAL.
-    :param understood: offsets in the `.src` of names whose use the reader followed.
+    :param understood: row and offset of names whose use the reader followed.
     :param copies: names, upper case, of variables that got the text of a point of another one, and of that.
     :param triggers: TRIGGER statements, in order.
     :param carriage: the linear axis E1 that carries the robot.
@@ -97,7 +97,7 @@ class Layout(Struct, frozen=True, eq=False):
     elements: tuple[Elements, ...]
     types: Mapping[str, str]
     public: frozenset[str]
-    understood: frozenset[int]
+    understood: frozenset[tuple[int, int]]
     copies: frozenset[tuple[str, str]]
     triggers: tuple[Trigger, ...]
     carriage: Carriage | None = None
@@ -115,14 +115,11 @@ class Layout(Struct, frozen=True, eq=False):
 
     def places(self, rows: Ints) -> Places | None:
         """Return the files and lines of motions (n,); None: all in the main file."""
-        source, line = self.course.source, self.line[rows]
-        names: tuple[str, ...] = (source.document.name,)
-        file = np.zeros(len(rows), dtype=np.int64)
-        if source.origins is not None:
-            names = tuple(source_file.document.name for source_file in source.origins.sources)
-            file, line = source.origins.source[line - 1], source.origins.line[line - 1]
-        elif not self.files:
+        trace = self.course.trace
+        if trace.is_file and not self.files:
             return None
+        names = tuple(source.document.name for source in trace.sources)
+        file, line = (column[self.line[rows] - 1].astype(np.int64) for column in (trace.file, trace.line))
         if self.files:
             first = np.array([number for _, number in self.files])
             in_main = np.array([name == self.documents[0].name for name in names])[file]
@@ -131,6 +128,10 @@ class Layout(Struct, frozen=True, eq=False):
             line = np.where(in_main, line - first[part] + 1, line)
             names = (*names, *(name for name, _ in self.files))
         return Places(names, file, line)
+
+    def source(self, row: int) -> Source:
+        """Return the file that contains a motion."""
+        return self.course.trace.source(self.line.item(row))
 
     def orientation_types(self, rows: Ints) -> NDArray[np.str_]:
         """Return `$ORI_TYPE` of motions (n,)."""

@@ -11,13 +11,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from msgspec import Struct
-from msgspec.structs import replace
 
 from postproc.dialects.krl.language import tree
 from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.positions import Position
-from postproc.dialects.krl.language.source import Source
-from postproc.dialects.krl.language.values import Number, Value, moved_aggregate
+from postproc.dialects.krl.language.trace import Trace
+from postproc.dialects.krl.language.values import Number, Value
 from postproc.frames import M_PER_MM, Array
 
 
@@ -25,7 +24,7 @@ class Point(Struct, frozen=True, eq=False):
     """One point of a motion statement.
 
     :param position: its numbers, as far as they are given.
-    :param start: offset in the `.src` where its text begins.
+    :param start: offset in the file of the statement where its text begins.
     :param stop: offset behind its text.
     :param name: variable (upper case) when it is named by itself, else empty: a literal or a chain.
     """
@@ -34,13 +33,6 @@ class Point(Struct, frozen=True, eq=False):
     start: int
     stop: int
     name: str = ""
-
-    def moved(self, source: Source, offset: int) -> Point:
-        """Return the point in another text with the same statement, `offset` characters later."""
-        position, aggregate = self.position, self.position.aggregate
-        if self.inline and aggregate is not None:
-            position = replace(position, aggregate=moved_aggregate(aggregate, source, offset))
-        return Point(position, self.start + offset, self.stop + offset, self.name)
 
     @property
     def inline(self) -> bool:
@@ -52,7 +44,7 @@ class Point(Struct, frozen=True, eq=False):
 class MotionStatement(Struct, frozen=True, eq=False):
     """One motion statement.
 
-    :param line: 1-based line.
+    :param line: 1-based row of the execution trace; offsets are those of its file.
     :param kind: `LIN`, `CIRC` or `PTP`.
     :param keyword: span of the instruction, with ``_REL``.
     :param end: target.
@@ -76,18 +68,6 @@ class MotionStatement(Struct, frozen=True, eq=False):
     stop: int
     approximated: bool
     behind: tuple[int, int] | None = None
-
-    def moved(self, source: Source, offset: int) -> MotionStatement:
-        """Return the motion in another text with the same statement, `offset` characters later."""
-        return replace(
-            self,
-            keyword=(self.keyword[0] + offset, self.keyword[1] + offset),
-            end=self.end.moved(source, offset),
-            via=None if self.via is None else self.via.moved(source, offset),
-            tail=self.tail + offset,
-            stop=self.stop + offset,
-            behind=None if self.behind is None else (self.behind[0] + offset, self.behind[1] + offset),
-        )
 
     @property
     def via_incomplete(self) -> bool:
@@ -113,12 +93,12 @@ _S_PER_MS = 1e-3
 class Trigger(Struct, frozen=True):
     """A TRIGGER statement.
 
-    :param line: 1-based line.
+    :param line: 1-based row of the execution trace.
     :param row: motion that it refers to.
     :param is_attached: only comments and other TRIGGERs are between it and its motion.
     :param from_start: whether its distance counts from the start of the motion, not from the end.
     :param offset: distance along the path [m]; NaN when it is not a number.
-    :param path: span of the number of PATH in the text; None for DISTANCE.
+    :param path: span of the number of PATH in its file; None for DISTANCE.
     :param delay: DELAY [s]; NaN when it is not a number.
     :param length: of its motion along the path [m].
     """
@@ -133,15 +113,14 @@ class Trigger(Struct, frozen=True):
     length: float
 
 
-def triggers(source: Source, places: Sequence[tuple[int, int, bool]], length: Array) -> Iterator[Trigger]:
-    """Return TRIGGER statements of a `.src`.
+def triggers(trace: Trace, rows: Sequence[tuple[int, int, bool]], length: Array) -> Iterator[Trigger]:
+    """Return TRIGGER statements of an execution trace.
 
-    :param places: line, row of the motion that follows, and whether it is attached, of each.
+    :param rows: row, number of the motion that follows, and whether it is attached, of each.
     :param length: (n,) of these motions [m].
     """
-    for (line, row, is_attached), metres in zip(places, length.tolist(), strict=True):
-        at = source.origin(line)
-        node, shift = statement(*at), int(source.starts[line - 1]) - int(at.source.starts[at.line - 1])
+    for (line, row, is_attached), metres in zip(rows, length.tolist(), strict=True):
+        node = statement(*trace.place(line))
         if isinstance(node, tree.Timed):
             yield Trigger(line, row, is_attached, node.from_start, 0.0, None, 0.0, metres)
             continue
@@ -151,7 +130,7 @@ def triggers(source: Source, places: Sequence[tuple[int, int, bool]], length: Ar
             value, delay = _number(node.value), _S_PER_MS * _number(node.delay)
             from_start = node.from_start or (node.distance and value == 0.0)
             if not node.distance:
-                offset, path = value * M_PER_MM, (node.value.start + shift, node.value.stop + shift)
+                offset, path = value * M_PER_MM, (node.value.start, node.value.stop)
             elif value in (0.0, 1.0):
                 offset = 0.0
         yield Trigger(line, row, is_attached, from_start, offset, path, delay, metres)

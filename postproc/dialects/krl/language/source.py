@@ -17,21 +17,6 @@ _AROUND = " \t\r"
 """Blanks around code."""
 
 
-class Origins(Struct, frozen=True, eq=False):
-    """Where the L lines of a text that was put together come from.
-
-    :param sources: the files.
-    :param source: (L,) place in `sources`.
-    :param line: (L,) 1-based line there.
-    :param shown: (L,) line of the program's own `.src` shown for it: that of the call for lines of other files.
-    """
-
-    sources: tuple[Source, ...]
-    source: Ints
-    line: Ints
-    shown: Ints
-
-
 class Source(Struct, frozen=True, eq=False):
     """A document and where its lines are.
 
@@ -39,7 +24,6 @@ class Source(Struct, frozen=True, eq=False):
     :param index: 0 for the `.src`, 1 for the `.dat`, 2 for a `$config.dat` (which is never written).
     :param starts: (L,) offset of the first character of each line.
     :param stops: (L,) offset behind its last character, the line end not included.
-    :param origins: where its lines come from, of a text that was put together.
     :param statements: parsed statements by 1-based line: see `parser.statement`.
     :param declared: values in declarations by offset, parsed when one is first needed.
     """
@@ -49,7 +33,6 @@ class Source(Struct, frozen=True, eq=False):
     index: int
     starts: Ints
     stops: Ints
-    origins: Origins | None = None
     statements: dict[int, object] = {}
     declared: dict[int, object] = {}
 
@@ -68,19 +51,9 @@ class Source(Struct, frozen=True, eq=False):
                 raise source.line_error(problem, row + 1, "Write it as several statements.")
         return source
 
-    def origin(self, line: int) -> Place:
-        """Return where a 1-based line comes from."""
-        if self.origins is None:
-            return Place(self, line)
-        return Place(self.origins.sources[self.origins.source.item(line - 1)], self.origins.line.item(line - 1))
-
-    def own(self, line: Ints) -> Ints:
-        """Return the lines of their files that lines (n,) come from."""
-        return line if self.origins is None else self.origins.line[line - 1]
-
-    def shown(self, line: Ints) -> Ints:
-        """Return the lines of the program's own `.src` shown for lines (n,)."""
-        return line if self.origins is None else self.origins.shown[line - 1]
+    def place(self, line: int) -> Place:
+        """Return a 1-based line as a place."""
+        return Place(self, line)
 
     def line_at(self, offset: int) -> int:
         """Return the 1-based line that holds an offset."""
@@ -108,9 +81,6 @@ class Source(Struct, frozen=True, eq=False):
 
     def line_error(self, problem: str, line: int, advice: str | None = None) -> ProgramError:
         """Return an error that names the file, a 1-based line, and its text."""
-        if self.origins is not None:
-            source, line = self.origin(line)
-            return source.line_error(problem, line, advice)
         text = self.text[self.starts[line - 1] : self.stops[line - 1]]
         return ProgramError(problem, file=self.document.name, line=line, text=text, advice=advice)
 

@@ -12,6 +12,7 @@ from postproc.dialects.krl.language.names import MOTION_WORDS, OPENING
 from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.tokens import word_at, words_in
+from postproc.dialects.krl.language.trace import Trace
 from postproc.dialects.krl.language.tree import Bare, If, Statement
 from postproc.errors import MAX_ERRORS, ProgramError, together
 from postproc.program import Bools, Ints
@@ -90,8 +91,8 @@ class _Open(Struct, eq=False):
         self.head, self.nodes = line, []
 
 
-def nodes_of(source: Source, lines: Sequence[int]) -> tuple[Node, ...]:
-    """Return statements and control structures of some lines, in order.
+def nodes_of(source: Source | Trace, lines: Sequence[int]) -> tuple[Node, ...]:
+    """Return statements and control structures of some lines of a file, or rows of a trace, in order.
 
     Lines that close or divide a structure that is not open are statements, and so are those of one that is not closed.
 
@@ -108,7 +109,7 @@ def nodes_of(source: Source, lines: Sequence[int]) -> tuple[Node, ...]:
             open_.append(_Open(word, line, [], line, []))
             if len(open_) > _DEEPEST:
                 problem = f"more than {_DEEPEST} control structures are nested"
-                raise source.line_error(problem, line, "Put the inner ones into a subprogram.")
+                raise source.place(line).error(problem, "Put the inner ones into a subprogram.")
         elif innermost is not None and _CLOSING.get(word) == innermost.word:
             innermost.divide(line)
             open_.pop()
@@ -125,16 +126,20 @@ def nodes_of(source: Source, lines: Sequence[int]) -> tuple[Node, ...]:
     return tuple(nodes)
 
 
-def _word(source: Source, line: int) -> str:
-    """Return the first word of a line if it is one of control structures; else it may be empty."""
+def _word(source: Source | Trace, line: int) -> str:
+    """Return the first word of a line, or a row, if it is one of control structures; else it may be empty."""
+    if isinstance(source, Trace):
+        if source.is_count.item(line - 1):
+            return ""
+        source, line = source.place(line)
     node = source.statements.get(line)
     if isinstance(node, Statement) and node.word not in _CONTROL:
         return ""  # it has been parsed, as nearly all have
     return word_at(source.text, *source.code_span(line))
 
 
-def outside(source: Source, lines: Sequence[int], line_numbers: Ints) -> Bools:
-    """Return which of other lines (n,) are outside of the control structures that some lines open and close."""
+def outside(source: Source | Trace, lines: Sequence[int], line_numbers: Ints) -> Bools:
+    """Return which of other lines, or rows, (n,) are outside of control structures that some lines open and close."""
     begin_lines: list[int] = []
     end_lines: list[int] = []
     depth = 0

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 
 from msgspec import Struct
-from msgspec.structs import replace
 
 from postproc.dialects.krl.language.source import Source
 from postproc.errors import ProgramError
@@ -132,6 +131,7 @@ class Aggregate(Struct, frozen=True, eq=False):
     :param tag: ``E6POS`` of ``{E6POS: …}``, upper case; empty if there is none.
     :param items: component (upper case) → value.
     :param computed: True when an assignment to a component changed it, so that no text holds its numbers.
+    :param row: of the execution trace whose statement contains it; 0 in data lists, and in the statement of a motion.
     """
 
     source: Source
@@ -140,6 +140,7 @@ class Aggregate(Struct, frozen=True, eq=False):
     tag: str
     items: Mapping[str, Value]
     computed: bool = False
+    row: int = 0
 
 
 _TEXT = (Opaque, Unreadable)
@@ -181,13 +182,3 @@ def walk(values: Iterable[Value]) -> Iterator[Value]:
 def writable(argument: Value) -> Reference | None:
     """Return the variable that a routine may write if it gets an argument; None if it is none."""
     return argument if isinstance(argument, Reference) and not argument.bracketed else None
-
-
-def moved_aggregate(aggregate: Aggregate, source: Source, offset: int) -> Aggregate:
-    """Return an aggregate in another text that has it too, `offset` characters later."""
-    items = {
-        name: replace(item, start=item.start + offset, stop=item.stop + offset)
-        for name, item in aggregate.items.items()
-    }
-    start, stop = aggregate.start + offset, aggregate.stop + offset
-    return replace(aggregate, items=items, source=source, start=start, stop=stop)

@@ -14,12 +14,13 @@ import numpy as np
 
 from postproc.dialects.krl.language.expressions import parse_aggregate
 from postproc.dialects.krl.language.motion_statements import MotionStatement
-from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.language.trace import Trace
 from postproc.dialects.krl.language.values import Number
 from postproc.dialects.krl.layout import IGNORE
 from postproc.dialects.krl.read.end_poses import Led
 from postproc.dialects.krl.read.motion_columns import MotionColumns
 from postproc.dialects.krl.read.settings import Settings
+from postproc.dialects.krl.read.spline_blocks import is_spline
 from postproc.dialects.krl.read.state import State
 from postproc.frames import (
     RAD_PER_DEG,
@@ -52,7 +53,7 @@ _ON_THE_WAY = 0.01 * RAD_PER_DEG
 
 
 def left_out(
-    source: Source,
+    trace: Trace,
     rows: MotionColumns,
     circular: Ints,
     moves: Mapping[int, MotionStatement],
@@ -77,11 +78,11 @@ def left_out(
     states, state = in_force
     strict = np.array([s.auxiliary == "#INTERPOLATE" or _unknown(s) for s in states])[state]
     free = np.array([s.orientation == IGNORE or (s.auxiliary == "#IGNORE" and not _unknown(s)) for s in states])[state]
-    for i in np.flatnonzero(~free).tolist():
-        if source.text[int(rows.keyword[circular[i]])] in "sS":
-            via_angles[i] = _orientation(source, rows, int(circular[i]), moves)
-        else:
-            strict[i] = False
+    counting_circles = np.flatnonzero(~free)
+    spline = is_spline(trace, rows, circular[counting_circles])
+    strict[counting_circles[~spline]] = False
+    for i in counting_circles[spline].tolist():
+        via_angles[i] = _orientation(trace, rows, int(circular[i]), moves)
     oriented_circles = np.flatnonzero(~free & (strict | ~np.isnan(via_angles).all(axis=1)))
     if not len(oriented_circles):
         return is_left_out
@@ -107,7 +108,7 @@ def left_out(
     for i in np.flatnonzero(leads).tolist():
         settings.refuse_uncertain(states[state[oriented_circles[i]]], ["auxiliary"])
         line, is_strict = int(rows.line[circular[oriented_circles[i]]]), bool(strict[oriented_circles[i]])
-        raise source.line_error(_THROUGH_MESSAGE if is_strict else _LONGER_MESSAGE, line, _ADVICE[is_strict])
+        raise trace.error(_THROUGH_MESSAGE if is_strict else _LONGER_MESSAGE, line, _ADVICE[is_strict])
     is_left_out[oriented_circles] = True  # what lies on the whole way need not lie on those of its pieces
     return is_left_out
 
@@ -134,12 +135,12 @@ def _longer(first: Array, short: Array, via: Array) -> Bools:
     return (shorter_angle > _ON_THE_WAY) & (shorter_angle > longer_angle - _ON_THE_WAY) & (size >= _NO_TURN)
 
 
-def _orientation(source: Source, rows: MotionColumns, row: int, moves: Mapping[int, MotionStatement]) -> list[float]:
+def _orientation(trace: Trace, rows: MotionColumns, row: int, moves: Mapping[int, MotionStatement]) -> list[float]:
     """Return A, B, C [deg] of an auxiliary point, NaN where missing."""
     if row in moves:
         via = moves[row].via
         return [np.nan] * 3 if via is None else list(via.position.values[3:6])
-    items = parse_aggregate(source, *rows.via_target[row].tolist()).items
+    items = parse_aggregate(trace.source(rows.line.item(row)), *rows.via_target[row].tolist()).items
     return [item.value if isinstance(item := items.get(name), Number) else np.nan for name in "ABC"]
 
 

@@ -48,11 +48,11 @@ class Collected:
                 raise
             run.unresolved.append((run.line, cause))
             return
-        run.understood.update(name + run.offset for name in names)
+        run.understand(*names)
         if move is None:
             self.still.append(run.line)
         else:
-            self.motions.add(move.moved(run.source, run.offset) if run.is_traced else move, state)
+            self.motions.add(move, state)
 
     def _refuse(self, at: Place) -> None:
         """Refuse a motion of which it is not known whether or how often it runs, once for each control structure.

@@ -50,7 +50,7 @@ def notes_of(
     :raises ProgramError: the force on a motion is not known.
     :raises ForceError: a comment cannot be read.
     """
-    source = course.source
+    trace = course.trace
     lines, comments = _force_comments(course)
     if course.live is not None:
         live = course.live[lines - 1]
@@ -60,15 +60,15 @@ def notes_of(
         if isinstance(step, Kept):
             in_step = (lines >= step.first) & (lines <= step.last)
             if in_step.any():
-                at = source.origin(int(lines[in_step][0]))
+                at = trace.place(int(lines[in_step][0]))
                 unknown_reasons[step.last] = f"a force comment is in code that is left unchanged ({at})"
                 lines, comments = lines[~in_step], comments[~in_step]
-    rows, own_lines = np.searchsorted(motions, lines).tolist(), source.own(lines).tolist()
+    rows, own_lines = np.searchsorted(motions, lines).tolist(), trace.line[lines - 1].tolist()
     note_cache: dict[str, ForceNote | None] = {}
     notes = []
     for comment, line, own_line, row in zip(comments.tolist(), lines.tolist(), own_lines, rows, strict=True):
         if comment not in note_cache:
-            origin = source.origin(line)
+            origin = trace.place(line)
             note_cache[comment] = parse_force_note(comment, origin.line, origin.source.document.name)
         note = note_cache[comment]
         if note is not None:
@@ -127,7 +127,7 @@ class _Held:
                 entry, ends = forks.pop()
                 end_forces = [*ends[1:], (self.now, self.last), *([] if event.complete else [entry])]
                 self._meet(line, end_forces, free=event in self.free)
-        self._move(len(self.course.source.starts))
+        self._move(len(self.course.trace))
         return self.notes
 
     def _meet(self, line: int, ends: Sequence[tuple[_Force, _Force]], *, free: bool) -> None:
@@ -139,7 +139,7 @@ class _Held:
         forces, last = ([_force_of(end[index]) for end in ends] for index in (0, 1))
         if not free and any(_differ(force, last[0]) or _turns(*force) for force in last):
             problem = "the branches that end here do so under different forces: corrected, they would not meet"
-            raise self.course.source.line_error(problem, line, _JOIN_ADVICE)
+            raise self.course.trace.error(problem, line, _JOIN_ADVICE)
         is_common = all(force == forces[0] for force in forces)
         row = int(np.searchsorted(self.motions, line))
         if is_common and row < len(self.motions) and self.motions[row] == line:
@@ -152,7 +152,7 @@ class _Held:
         if isinstance(force, str) or (force is None and not self.notes):
             return
         wrench, frame = _force_of(force)
-        origin = self.course.source.origin(line).line
+        origin = self.course.trace.place(line).line
         self.notes.append((line, ForceNote(origin, wrench, frame, int(np.searchsorted(self.motions, line)))))
 
     def _move(self, line: int) -> None:
@@ -167,7 +167,7 @@ class _Held:
         cutting = np.flatnonzero(~self.rapid[first:stop])
         if isinstance(self.now, str) and len(cutting):
             problem = f"which force acts is not known: {self.now}"
-            raise self.course.source.line_error(problem, int(self.motions[first + cutting[0]]), _ADVICE)
+            raise self.course.trace.error(problem, int(self.motions[first + cutting[0]]), _ADVICE)
         self.last = None if self.rapid[stop - 1] else self.now
 
 
@@ -194,7 +194,7 @@ def _force_of(force: _Force) -> tuple[Any, ...]:
 def _force_comments(course: Course) -> tuple[Ints, NDArray[np.object_]]:
     """Return the rows of a trace with a force comment (n,), in order, and its text behind the semicolon (n,)."""
     rows, texts = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.object_)]
-    for source in course.sources:
+    for source in course.trace.sources:
         places, lines = _places(source)
         stops = source.stops[lines - 1].tolist()
         comments = [source.text[place + 1 : stop] for place, stop in zip(places.tolist(), stops, strict=True)]
@@ -233,7 +233,7 @@ _MAX_COMMENTS = 2000
 def remarks(course: Course, motions: Ints) -> tuple[Event, ...]:
     """Return the comments of a trace, each before the first motion (M,), by its row, that is behind it."""
     comment_starts = []
-    for source in course.sources:
+    for source in course.trace.sources:
         starts, lines = _lines_of_comments(source)
         rows, index = course.rows_of(source, lines)
         comment_starts += [
@@ -246,7 +246,7 @@ def remarks(course: Course, motions: Ints) -> tuple[Event, ...]:
         comment = _COMMENT.match(source.text, start)
         name = _FOLD.sub("", comment[0]).strip(" \t-=*") if comment else ""
         if comment and name and not _OF_THE_EDITOR.match(comment[0].rstrip()):
-            shown_line = int(course.source.shown(np.array([row]))[0])
+            shown_line = course.trace.shown_line(row)
             events.append(Event(int(np.searchsorted(motions, row)), "comment", shown_line, 0.0, name))
     return tuple(events)
 

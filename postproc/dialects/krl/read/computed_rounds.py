@@ -275,7 +275,7 @@ def computed_motions(run: Run, reader: MotionReader, rounds: PlainRounds) -> lis
     head, state = statement(rounds.source, rounds.head), run.settings.state
     if state.uncertain or state.block or state.base < 0 or state.tool < 0 or not run.certain or run.level.open:
         return None
-    if not isinstance(head, For) or not run.is_traced:
+    if not isinstance(head, For):
         return None
     motions: list[tuple[int, Motion, list[Position], bool]] = []
     values = _Rounds(run, rounds, head.name)
@@ -292,35 +292,30 @@ def computed_motions(run: Run, reader: MotionReader, rounds: PlainRounds) -> lis
     for _, stmt, _, _ in motions:
         if stmt.end is not None:
             run.variables.rely(stmt.end)
-    _understand(run, rounds, head)
+    _understand(run, rounds)
     for line, point, name in values.copied:
         run.copies.add((point.name, name))
-        run.understood.update([point.start + begin for begin in _begins(run, rounds, line)])
-    columns = (_statements(run, rounds, *motion) for motion in motions)
+        _understand_name(run, rounds, line, point)
+    columns = (_statements(rounds, *motion) for motion in motions)
     return [move for row in zip(*columns, strict=True) for move in row]
 
 
-def _begins(run: Run, rounds: PlainRounds, line: int) -> list[int]:
-    """Return by how much a line of the body begins later in the trace than in its file, for each round."""
-    begins: list[int] = (run.source.starts[rounds.line(line) - 1] - rounds.source.starts[line - 1]).tolist()
-    return begins
-
-
-def _understand(run: Run, rounds: PlainRounds, head: For) -> None:
-    """Note the names whose use is followed: the counter, what is set, and points."""
-    if head.counter is None:
-        return
-    indent = rounds.source.code_span(rounds.head)[0] - rounds.source.starts.item(rounds.head - 1)
-    run.understood.update((run.source.starts[rounds.line(rounds.head) - 1] + indent).tolist())
+def _understand(run: Run, rounds: PlainRounds) -> None:
+    """Note the names whose use is followed: what is set, and points."""
     for line in (*rounds.body.assignments, *rounds.body.motions):
         stmt = statement(rounds.source, line)
         name = stmt.target if isinstance(stmt, Assignment) else stmt.end if isinstance(stmt, Motion) else None
         if isinstance(name, Reference):
-            run.understood.update([name.start + begin for begin in _begins(run, rounds, line)])
+            _understand_name(run, rounds, line, name)
+
+
+def _understand_name(run: Run, rounds: PlainRounds, line: int, name: Reference) -> None:
+    """Note that the use of a name on a line of the body is followed in all rounds."""
+    run.understood.update([(row, name.start) for row in rounds.line(line).tolist()])
 
 
 def _statements(
-    run: Run, rounds: PlainRounds, line: int, stmt: Motion, targets: list[Position], is_approximated: bool
+    rounds: PlainRounds, line: int, stmt: Motion, targets: list[Position], is_approximated: bool
 ) -> list[MotionStatement]:
     """Return the motions of one statement of the body, one a round."""
     end, tail, kind = stmt.end, stmt.tail, KINDS[stmt.word]
@@ -332,14 +327,14 @@ def _statements(
         MotionStatement(
             row,
             kind,
-            (word[0] + begin, word[1] + begin),
-            Point(position, start + begin, stop + begin, name),
+            word,
+            Point(position, start, stop, name),
             "",
             None,
             None,
-            tail.start + begin,
-            tail.stop + begin,
+            tail.start,
+            tail.stop,
             is_approximated,
         )
-        for row, begin, position in zip(rounds.line(line).tolist(), _begins(run, rounds, line), targets, strict=True)
+        for row, position in zip(rounds.line(line).tolist(), targets, strict=True)
     ]

@@ -100,14 +100,17 @@ def _declare(
             variables.put(name, Unread(source, declarator.value, stop))
 
 
-def declare(variables: Variables, source: Source, declaration: Declaration) -> tuple[Declared, ...]:
-    """Take one declaration of a `.src`, with initial values; return what it declares."""
+def declare(variables: Variables, source: Source, declaration: Declaration, row: int) -> tuple[Declared, ...]:
+    """Take one declaration of a `.src`, with initial values; return what it declares.
+
+    :param row: of the execution trace; 0 if it is not in it.
+    """
     if declaration.structure is not None:
         variables.structures[declaration.structure[0]] = declaration.structure[1]
     for declarator in declaration.names:
         name = _noted(variables, declarator)
         if declarator.value >= 0:
-            variables.put(name, Unread(source, declarator.value, declaration.stop))
+            variables.put(name, Unread(source, declarator.value, declaration.stop, row))
     return declaration.names
 
 

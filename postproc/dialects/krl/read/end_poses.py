@@ -11,7 +11,7 @@ from postproc.chunks import Runs, chunks, in_chunks
 from postproc.dialects.circles import through
 from postproc.dialects.krl.language.motion_statements import MotionStatement
 from postproc.dialects.krl.language.positions import LARGEST_B, Position
-from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.language.trace import Trace
 from postproc.frames import (
     M_PER_MM,
     MM_PER_M,
@@ -87,7 +87,7 @@ class _Follower:
 
     def __init__(
         self,
-        source: Source,
+        trace: Trace,
         line: Ints,
         numbers: Array,
         frames: tuple[Ints, Ints, Array, Array],
@@ -96,7 +96,7 @@ class _Follower:
         carriage: Carriage | None,
         control: Led,
     ) -> None:
-        self.source, self.line, self.kinematics, self.carriage = source, line, kinematics, carriage
+        self.trace, self.line, self.kinematics, self.carriage = trace, line, kinematics, carriage
         self.control = control
         self.circles: dict[int, Array] = {}
         self.base, self.tool, self.bases, self.tools = frames
@@ -162,7 +162,7 @@ class _Follower:
                 f"A, B or C is missing, and the previous B is {previous_b[wrong[0]]:g}°: beyond 90° it is not certain"
             )
             problem += " which angles the controller keeps"
-            raise self.source.line_error(problem, int(self.line[first + wrong[0]]), "Write all of A, B, C.")
+            raise self.trace.error(problem, int(self.line[first + wrong[0]]), "Write all of A, B, C.")
 
     def _check_frames(self, first: int, last: int, incomplete: Bools) -> None:
         """Refuse missing components whose previous value refers to other frames."""
@@ -177,7 +177,7 @@ class _Follower:
         wrong = np.flatnonzero(has_changed & incomplete)
         if len(wrong):
             problem = "components are missing right after $BASE or $TOOL changed: the values they keep are not certain"
-            raise self.source.line_error(problem, int(self.line[first + wrong[0]]), _FRAME_ADVICE)
+            raise self.trace.error(problem, int(self.line[first + wrong[0]]), _FRAME_ADVICE)
 
     def special(self, row: int, move: MotionStatement | None) -> None:
         """Take an axis or relative target, a circle with CA, or a motion that keeps the orientation of its start."""
@@ -205,7 +205,7 @@ class _Follower:
         begin, end = start[:3] * M_PER_MM, self.numbers[row, :3] * M_PER_MM
         via = self.circles[row][0] if row in self.circles else self.control.via[row]
         via = np.where(np.isnan(via), begin, via * M_PER_MM)
-        centre, axis, sweep = circles(self.source, self.line[row : row + 1], begin[None], via[None], end[None])
+        centre, axis, sweep = circles(self.trace, self.line[row : row + 1], begin[None], via[None], end[None])
         if angle is not None:
             self.numbers[row, :3] = MM_PER_M * turned(begin, centre[0], axis[0], angle)
         if self.control.constant[row] and self.control.with_path[row]:
@@ -217,7 +217,7 @@ class _Follower:
         """Take an axis target, missing axes kept."""
         angles, previous_joints = np.array(move.end.position.values) * RAD_PER_DEG, self.present.joints
         if previous_joints is None and (move.relative or np.isnan(angles).any()):
-            raise self.source.line_error(
+            raise self.trace.error(
                 "the joint angles before this motion are not known", move.line, "Give all of A1 … A6, not relative."
             )
         if previous_joints is not None:
@@ -239,7 +239,7 @@ class _Follower:
         position = move.end.position
         offset = np.nan_to_num(np.array(position.values))
         if np.any(offset[3:] != 0.0):
-            raise self.source.line_error("relative A, B, C are not supported", move.line, "Write it with LIN or PTP.")
+            raise self.trace.error("relative A, B, C are not supported", move.line, "Write it with LIN or PTP.")
         return np.concatenate([numbers[:3] + _step(position, move.relative, numbers), numbers[3:]])
 
 
@@ -257,7 +257,7 @@ def carried(flange: Array, carriage: Carriage, place: float) -> Array:
 
 
 def end_poses(
-    source: Source,
+    trace: Trace,
     line: Ints,
     numbers: Array,
     frames: tuple[Ints, Ints, Array, Array],
@@ -288,7 +288,7 @@ def end_poses(
     if carriage is not None:
         start_flange = carried(start_flange, carriage, float(carriage.begin[0]))
     follower = _Follower(
-        source, line, numbers, frames, _RobotPosition(start_flange, start_joints), kinematics, carriage, control
+        trace, line, numbers, frames, _RobotPosition(start_flange, start_joints), kinematics, carriage, control
     )
     own_angles, is_incomplete = numbers[control.constant, 3:], any_column(np.isnan(numbers[:, 3:]))
     numbers[control.constant, 3:] = np.nan  # missing components keep their previous value
@@ -305,13 +305,13 @@ def end_poses(
     start = Starts.of(frames, pose.__getitem__, start_flange, predecessors)
     is_ignored, constant = np.zeros(len(line), dtype=np.bool_), np.flatnonzero(control.constant)
     is_ignored[constant] = any_column(np.abs(own_angles - numbers[constant, 3:]) > _ANGLE_TOLERANCE)
-    _check_ignored(source, line, is_incomplete, moves, control.constant, is_ignored)
+    _check_ignored(trace, line, is_incomplete, moves, control.constant, is_ignored)
     joints = Runs.few(numbers.shape, follower.joints)
     return EndPoses(numbers, pose, joints, start, follower.resumed, is_ignored, follower.circles)
 
 
 def _check_ignored(
-    source: Source,
+    trace: Trace,
     line: Ints,
     is_missing: Bools,
     moves: Mapping[int, MotionStatement],
@@ -330,7 +330,7 @@ def _check_ignored(
     is_missing[[at for at, move in moves.items() if move.end.position.axis]] = False
     rows = np.flatnonzero(is_missing[1:] & ~constant[1:] & (last_ignored_row > last_free_row)[:-1]) + 1
     if len(rows):
-        raise source.line_error(
+        raise trace.error(
             "A, B, C are missing behind targets under $ORI_TYPE=#CONSTANT whose own A, B, C were ignored: which of "
             "them stay is not certain",
             int(line[rows[0]]),
@@ -338,7 +338,7 @@ def _check_ignored(
         )
 
 
-def circles(source: Source, line: Ints, start: Array, via: Array, end: Array) -> tuple[Array, Array, Array]:
+def circles(trace: Trace, line: Ints, start: Array, via: Array, end: Array) -> tuple[Array, Array, Array]:
     """Return centres (n, 3), axes (n, 3) and angles (n,) > 0 [rad] of arcs through three points, (n, 3) each [m].
 
     :param line: (n,) 1-based lines, for messages.
@@ -346,7 +346,7 @@ def circles(source: Source, line: Ints, start: Array, via: Array, end: Array) ->
     """
     centre, normal, angle, flat = in_chunks(through, start, via, end)
     if flat.any():
-        raise source.line_error(
+        raise trace.error(
             "the three points of the circle lie on a line or coincide",
             int(line[np.argmax(flat)]),
             "Choose an auxiliary point well between start and end; for a full circle give CA.",

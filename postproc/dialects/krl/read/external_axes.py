@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from postproc.dialects.krl.language.positions import EXTERNAL
-from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.language.trace import Trace
 from postproc.dialects.krl.read.motion_columns import MotionColumns
 from postproc.errors import Issue, ProgramError
 from postproc.frames import M_PER_MM, Array
@@ -16,7 +16,7 @@ _AXIS_TOLERANCE = 1e-4
 
 
 def external_axes(
-    source: Source,
+    trace: Trace,
     rows: MotionColumns,
     relative: Ints,
     uses_root: Bools,
@@ -45,11 +45,11 @@ def external_axes(
         given_rows = np.flatnonzero(~np.isnan(values))
         step_rows = np.flatnonzero(np.abs(steps[:, axis]) > _AXIS_TOLERANCE)
         if len(step_rows):
-            raise _moves(source, axis, f"by {steps[step_rows[0], axis]:g}", int(rows.line[step_rows[0]]))
+            raise _moves(trace, axis, f"by {steps[step_rows[0], axis]:g}", int(rows.line[step_rows[0]]))
         moving = given_rows[np.abs(values[given_rows] - values[given_rows[:1]]) > _AXIS_TOLERANCE]
         if len(moving):
             change = f"from {values[given_rows[0]]:g} to {values[moving[0]]:g}"
-            raise _moves(source, axis, change, int(rows.line[moving[0]]))
+            raise _moves(trace, axis, change, int(rows.line[moving[0]]))
         if len(given_rows) and abs(values[given_rows[0]]) > _AXIS_TOLERANCE:
             issues.append(_fixed_axis(axis, values[given_rows[0]], int(rows.line[given_rows[0]]), len(given_rows)))
     if direction is None or (np.isnan(external[:, 0]).all() and not steps[:, 0].any()):
@@ -57,7 +57,7 @@ def external_axes(
     begin, end = _along(external[:, 0], steps[:, 0], predecessors)
     unknown = np.flatnonzero(np.isnan(end) & uses_root)
     if len(unknown):
-        raise source.line_error(
+        raise trace.error(
             "the position of E1, which carries the robot, is not known here",
             int(rows.line[unknown[0]]),
             "Give E1 in this target, or in a PTP before it.",
@@ -92,7 +92,7 @@ def _along(positions: Array, steps: Array, predecessors: Ints | None) -> tuple[A
     return begin, end
 
 
-def _moves(source: Source, axis: int, change: str, line: int) -> ProgramError:
+def _moves(trace: Trace, axis: int, change: str, line: int) -> ProgramError:
     name = EXTERNAL[axis]
     advice = "Only external axes that do not move are supported."
     if axis == 0:
@@ -100,7 +100,7 @@ def _moves(source: Source, axis: int, change: str, line: int) -> ProgramError:
             "If it is a linear axis that carries the robot, say in the cell where the robot goes for positive values, "
             "in its root: [external_axes.E1] direction = [0, 1, 0]. Others must not move."
         )
-    return source.line_error(f"the external axis {name} moves {change}", line, advice)
+    return trace.error(f"the external axis {name} moves {change}", line, advice)
 
 
 def _fixed_axis(axis: int, value: float, line: int, count: int) -> Issue:

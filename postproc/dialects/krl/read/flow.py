@@ -29,7 +29,7 @@ from postproc.dialects.krl.read.motion_reader import stays
 from postproc.dialects.krl.read.plain_rounds import plain_body
 from postproc.dialects.krl.read.rounds import carried_over
 from postproc.dialects.krl.read.run import Run
-from postproc.dialects.krl.read.tracing import Trace
+from postproc.dialects.krl.read.tracing import Recorder
 from postproc.errors import ProgramError, first_of
 
 MOST_STATEMENTS = 200_000
@@ -58,7 +58,7 @@ class Flow:
     :param run: the program as far as it has run.
     :param motion: takes a motion of the program.
     :param fault: takes the error of a statement of the program.
-    :param trace: records the execution trace; None if a recorded trace is followed.
+    :param recorder: records the execution trace; None if a recorded trace is followed.
     """
 
     def __init__(
@@ -66,9 +66,9 @@ class Flow:
         run: Run,
         motion: Callable[[Place, tree.Statement], None],
         fault: Callable[[Place, ProgramError], None],
-        trace: Trace | None = None,
+        recorder: Recorder | None = None,
     ) -> None:
-        self.run, self.trace, self._fault = run, trace, fault
+        self.run, self.recorder, self._fault = run, recorder, fault
         self.interpreter = Interpreter(run, motion, self.called, self._entered)
         self._moving: dict[tuple[Block, Module], bool] = {}
         self._plain: dict[Block, PlainBody | None] = {}
@@ -99,8 +99,8 @@ class Flow:
                 self._statement(Place(source, node), stmt)
             index = self._label(source, nodes, index) if level.jump else index + 1
             if level.broken_off:
-                if self.trace is not None and level.traced and not level.jump:
-                    self.trace.run_to(node if isinstance(node, int) else node.last)
+                if self.recorder is not None and level.traced and not level.jump:
+                    self.recorder.run_to(node if isinstance(node, int) else node.last)
                 return
 
     def label_of(self, source: Source, line: int) -> str:
@@ -115,15 +115,15 @@ class Flow:
 
     def _label(self, source: Source, nodes: tuple[Node, ...], index: int) -> int:
         """Return the index of the statement with the label of a GOTO, after a given one; execution continues there."""
-        level, trace = self.run.level, self.trace
+        level, recorder = self.run.level, self.recorder
         label = self.label_of(source, level.jump)
         for number in range(index + 1, len(nodes)):
             line = nodes[number]
-            if isinstance(line, int) and trace is not None and label in self.labels(source, [line]):
+            if isinstance(line, int) and recorder is not None and label in self.labels(source, [line]):
                 if level.loops:  # its rounds may be written one after the other, and the label with each
                     raise inexact(Place(source, level.jump), "GOTO leads to a label in a loop", _JUMP_IN_LOOP_ADVICE)
                 level.jump = 0
-                trace.pass_to(line - 1, live=False)
+                recorder.pass_to(line - 1, live=False)
                 return number
         return len(nodes)
 
@@ -186,12 +186,12 @@ class Flow:
         if level.traced:
             self._reach(at.line)
         self._count(at)
-        if word == "EXIT" and (level.loops or (level.traced and self.trace is None)):
+        if word == "EXIT" and (level.loops or (level.traced and self.recorder is None)):
             level.left = True  # of a recorded trace: a loop around the row that runs
             return
-        if word == "GOTO" and self.trace is not None and level.traced:
-            self.trace.run_to(at.line - 1)
-            self.trace.pass_to(at.line)
+        if word == "GOTO" and self.recorder is not None and level.traced:
+            self.recorder.run_to(at.line - 1)
+            self.recorder.pass_to(at.line)
             self.run.is_final = False
             level.jump = at.line
             return
@@ -200,8 +200,8 @@ class Flow:
     def _reach(self, line: int) -> None:
         """Make a line of a traced routine the present row."""
         run = self.run
-        if self.trace is not None and self.trace.is_final:
-            run.shift, run.offset, run.shown_line = self.trace.present(line)
+        if self.recorder is not None and self.recorder.is_final:
+            run.shift, run.shown_line = self.recorder.present(line)
         run.line = line + run.shift
 
     def _guarded(self, at: Place, stmt: tree.Statement) -> None:
@@ -227,7 +227,7 @@ class Flow:
 
     def _most(self, source: Source) -> int:
         """Return how many statements may run around motions."""
-        return MOST_TRACED + len((source if self.trace is not None else self.run.source).starts)
+        return MOST_TRACED + (len(source.starts) if self.recorder is not None else len(self.run.trace))
 
     def _check_least(self, at: Place, minimum: int) -> None:
         """Refuse code that runs too many statements, before it is followed.
@@ -245,22 +245,22 @@ class Flow:
 
     def _entered(self, at: Place, call: Call) -> bool:
         """Inline the call of a routine with motions; return whether this was done."""
-        run, trace = self.run, self.trace
-        if trace is None or not run.level.traced or not run.certain:
+        run, recorder = self.run, self.recorder
+        if recorder is None or not run.level.traced or not run.certain:
             return False
         callee = self.interpreter.calls.moving(call)
         if callee is None or any(self._moves_robot(inner) for inner in calls(call.arguments)):
             return False
         _, routine = callee
         self._check_least(at, self._least.of_call(*callee))
-        undo = self._undoing(trace)
+        undo = self._undoing(recorder)
         try:
-            self._inlined(at, call, trace, *callee)
+            self._inlined(at, call, recorder, *callee)
         except InexactError:
             if not run.keep or routine.source is not run.routine.source:
                 raise
             undo()
-            trace.pinned = True
+            recorder.pinned = True
             return False
         except ProgramError:
             undo()
@@ -271,40 +271,40 @@ class Flow:
         callee = self.interpreter.calls.moving(call)
         return callee is not None and self.run.analysis.of(*callee).motion is not None
 
-    def _undoing(self, trace: Trace) -> Callable[[], None]:
+    def _undoing(self, recorder: Recorder) -> Callable[[], None]:
         """Return a function that restores the present state of the run."""
         run, entered_calls = self.run, self.interpreter.calls.entered
-        marks, mark, position = run.marks(), trace.mark(), run.position()
+        marks, mark, position = run.marks(), recorder.mark(), run.position()
         calls_open, depth = len(entered_calls), len(self._way)
 
         def undo() -> None:
             run.back_to(marks)
-            trace.back_to(mark)
+            recorder.back_to(mark)
             run.return_to(position)
             del entered_calls[calls_open:], self._way[depth:]
 
         return undo
 
-    def _inlined(self, at: Place, call: Call, trace: Trace, module: Module, routine: Routine) -> None:
+    def _inlined(self, at: Place, call: Call, recorder: Recorder, module: Module, routine: Routine) -> None:
         run = self.run
-        trace.run_to(at.line - 1)
-        trace.enter(at, (call.start, call.start + len(call.name)), module, routine)
+        recorder.run_to(at.line - 1)
+        recorder.enter(at, (call.start, call.start + len(call.name)), module, routine)
         self.interpreter.calls.enter(at, call, module, routine)
         level = run.level
         self._way.append((at, 0))
         self.called()
         self._way.pop()
         if not level.returned:
-            trace.run_to(routine.last - 1)
-        trace.pass_to(routine.last - 1, live=False)
+            recorder.run_to(routine.last - 1)
+        recorder.pass_to(routine.last - 1, live=False)
         self.interpreter.calls.leave()
-        trace.leave()
+        recorder.leave()
 
     # --- control structures ------------------------------------------------------------------------------------------
 
     def _block(self, source: Source, block: Block) -> None:
-        if self.trace is not None and self.run.level.traced and self.matters(source, block):
-            self._kept(source, block, self.trace)
+        if self.recorder is not None and self.run.level.traced and self.matters(source, block):
+            self._kept(source, block, self.recorder)
             return
         marks = self.run.marks()
         self._still += 1
@@ -316,12 +316,12 @@ class Flow:
         finally:
             self._still -= 1
 
-    def _kept(self, source: Source, block: Block, trace: Trace) -> None:
+    def _kept(self, source: Source, block: Block, recorder: Recorder) -> None:
         """Follow a control structure that matters; if that fails, keep it unchanged under `--keep-unresolved`."""
         run = self.run
         if not run.keep:
             try:
-                self._exactly(source, block, trace)
+                self._exactly(source, block, recorder)
             except InexactError:
                 if self._moves(source, block):
                     raise
@@ -330,13 +330,13 @@ class Flow:
                 )
                 raise inexact(Place(source, block.first), problem, _FORCE_ADVICE) from None
             return
-        undo = self._undoing(trace)
+        undo = self._undoing(recorder)
         try:
-            self._exactly(source, block, trace)
+            self._exactly(source, block, recorder)
         except InexactError as cause:
             undo()
-            trace.run_to(block.first - 1)
-            trace.keep(block.last, cause)
+            recorder.run_to(block.first - 1)
+            recorder.keep(block.last, cause)
             self.roughly(source, block)
 
     def roughly(self, source: Source, block: Block) -> None:
@@ -354,38 +354,38 @@ class Flow:
                     self._reach(line)
                 self._guarded(Place(source, line), statement(source, line))
 
-    def _exactly(self, source: Source, block: Block, trace: Trace | None) -> None:
+    def _exactly(self, source: Source, block: Block, recorder: Recorder | None) -> None:
         """Follow a control structure.
 
         :raises InexactError: the branch taken is not known before run time.
         """
         if block.word in LOOPS:
-            self._loop(source, block, trace)
+            self._loop(source, block, recorder)
             return
         try:
             part_index = self._taken(source, block)
         except InexactError as cause:
             occasion = Occasion(Place(source, block.first), tuple(self._way))
-            if trace is None or occasion in self.run.elsewhere:
+            if recorder is None or occasion in self.run.elsewhere:
                 raise
-            self._all(source, block, trace, occasion, cause)
+            self._all(source, block, recorder, occasion, cause)
             return
         part = block.parts[part_index] if part_index >= 0 else None
-        if trace is not None:
-            trace.run_to(block.first - 1)
-            trace.pass_to(block.first)
+        if recorder is not None:
+            recorder.run_to(block.first - 1)
+            recorder.pass_to(block.first)
             if part is not None:
-                trace.pass_to(part.head - 1, live=False)
-                trace.pass_to(part.head)
+                recorder.pass_to(part.head - 1, live=False)
+                recorder.pass_to(part.head)
         if part is not None:
             self.follow(source, part.nodes)
-        if trace is not None:
+        if recorder is not None:
             if part is not None and not self.run.level.broken_off:
-                trace.run_to(part.beyond - 1)
-            trace.pass_to(block.last - 1, live=False)
-            trace.pass_to(block.last)
+                recorder.run_to(part.beyond - 1)
+            recorder.pass_to(block.last - 1, live=False)
+            recorder.pass_to(block.last)
 
-    def _all(self, source: Source, block: Block, trace: Trace, occasion: Occasion, cause: InexactError) -> None:
+    def _all(self, source: Source, block: Block, recorder: Recorder, occasion: Occasion, cause: InexactError) -> None:
         """Follow all branches of IF or SWITCH, each from the fork.
 
         :raises InexactError: one of them does not lead to the join.
@@ -398,23 +398,23 @@ class Flow:
         if self._forks > _MOST_FORKS:
             problem = f"branches whose condition is not known are reached more than {_MOST_FORKS} times"
             raise inexact(Place(source, block.first), problem, _LENGTH_ADVICE)
-        trace.run_to(block.first - 1)
-        trace.pass_to(block.first)
-        trace.divide(Fork(0, occasion))
+        recorder.run_to(block.first - 1)
+        recorder.pass_to(block.first)
+        recorder.divide(Fork(0, occasion))
         run.fork()
         for part in block.parts[block.word == "SWITCH" :]:
-            trace.pass_to(part.head)
-            trace.divide(Branch(0))
+            recorder.pass_to(part.head)
+            recorder.divide(Branch(0))
             run.branch()
             self.follow(source, part.nodes)
             if level.jump:
                 raise inexact(Place(source, level.jump), *undecided_jump(run.variables, Place(source, block.first)))
             if level.broken_off:
                 raise cause
-            trace.run_to(part.beyond - 1)
-        trace.pass_to(block.last)
+            recorder.run_to(part.beyond - 1)
+        recorder.pass_to(block.last)
         complete = statement(source, heads[-1]).word in ("ELSE", "DEFAULT")
-        trace.divide(Join(0, complete))
+        recorder.divide(Join(0, complete))
         run.join(Place(source, block.last), complete=complete)
 
     def _skipped(self, source: Source, nodes: tuple[Node, ...], index: int, *, last: bool) -> int:
@@ -424,8 +424,14 @@ class Flow:
         :returns: the index of the node after the skipped code; 0 if the IF does not jump, or its condition is known.
         :raises InexactError: a condition in one of the branches is not known before run time.
         """
-        run, block, trace = self.run, nodes[index], self.trace
-        if trace is None or not isinstance(block, Block) or not run.level.traced or run.level.loops or not run.certain:
+        run, block, recorder = self.run, nodes[index], self.recorder
+        if (
+            recorder is None
+            or not isinstance(block, Block)
+            or not run.level.traced
+            or run.level.loops
+            or not run.certain
+        ):
             return 0
         part = block.parts[0]
         if block.word != "IF" or len(block.parts) > 1 or self._changing(statement(source, block.first).values):
@@ -441,20 +447,20 @@ class Flow:
                 return 0
         else:
             return 0
-        undo = self._undoing(trace)
+        undo = self._undoing(recorder)
         try:
-            trace.run_to(block.first - 1)
-            trace.pass_to(part.head)
-            trace.divide(Fork(0, occasion))
+            recorder.run_to(block.first - 1)
+            recorder.pass_to(part.head)
+            recorder.divide(Fork(0, occasion))
             run.fork()
-            self._branch(source, part.nodes[:-1], trace, last=False)
+            self._branch(source, part.nodes[:-1], recorder, last=False)
             jump = part.nodes[-1]
-            trace.run_to((jump if isinstance(jump, int) else jump.last) - 1)
-            trace.pass_to(block.last)
+            recorder.run_to((jump if isinstance(jump, int) else jump.last) - 1)
+            recorder.pass_to(block.last)
             returns = end == run.level.routine.last - 1
-            self._branch(source, nodes[index + 1 : next_index], trace, last=returns)
-            trace.run_to(end)
-            trace.divide(Join(0, complete=True))
+            self._branch(source, nodes[index + 1 : next_index], recorder, last=returns)
+            recorder.run_to(end)
+            recorder.divide(Join(0, complete=True))
             run.join(Place(source, block.last), complete=True)
         except InexactError:
             if not run.keep:
@@ -463,13 +469,13 @@ class Flow:
             return 0
         return next_index
 
-    def _branch(self, source: Source, nodes: tuple[Node, ...], trace: Trace, *, last: bool) -> None:
+    def _branch(self, source: Source, nodes: tuple[Node, ...], recorder: Recorder, *, last: bool) -> None:
         """Follow one of the branches of an IF that skips statements.
 
         :raises InexactError: the branch is left before its end.
         """
         level = self.run.level
-        trace.divide(Branch(0))
+        recorder.divide(Branch(0))
         self.run.branch()
         self.follow(source, nodes, last=last)
         if level.broken_off:
@@ -532,41 +538,41 @@ class Flow:
                 return index
         return -1
 
-    def _loop(self, source: Source, block: Block, trace: Trace | None) -> None:
+    def _loop(self, source: Source, block: Block, recorder: Recorder | None) -> None:
         level, part = self.run.level, block.parts[0]
         words = {statement(source, line).word for line in block.lines()}
         if block.word == "LOOP" and words.isdisjoint(ENDS_LOOPS):
-            self._endless(source, block, trace)
+            self._endless(source, block, recorder)
             return
         counter = _Counter(self.run, source, block.first) if block.word == "FOR" else None
-        if trace is not None:
+        if recorder is not None:
             self._check_comments(source, block)
         name, step = (counter.name, counter.step) if counter is not None else ("", 0)
         if counter is not None and words.isdisjoint(ENDS_LOOPS):
-            self._check_rounds(source, block, counter, trace)
-        loop = trace.begin(block, name, step, left="EXIT" in words) if trace is not None else None
+            self._check_rounds(source, block, counter, recorder)
+        loop = recorder.begin(block, name, step, left="EXIT" in words) if recorder is not None else None
         start_count = self._traced
         level.loops += 1
         depth = len(self._way)
         self._way.append((Place(source, block.first), 0))
         try:
-            if counter is not None and trace is not None and loop is not None:
-                self._plainly(source, block, counter, trace, loop)
+            if counter is not None and recorder is not None and loop is not None:
+                self._plainly(source, block, counter, recorder, loop)
             while self._again(source, block, counter):
                 self._count(Place(source, block.first))
                 self._way[depth] = Place(source, block.first), self._way[depth][1] + 1
-                if trace is not None and self._way[depth][1] == 2:
+                if recorder is not None and self._way[depth][1] == 2:
                     self._check_labels(source, block.lines())
                 changes = self._changes()
                 if counter is None and self._traced - start_count > MOST_UNCOUNTED:
                     problem = f"{block.word} has not ended after {MOST_UNCOUNTED} statements"
                     raise inexact(Place(source, block.first), problem, "Check its condition, or write FOR instead.")
-                if trace is not None and loop is not None:
-                    trace.repeat(loop, block, counter.assigned if counter is not None else None)
+                if recorder is not None and loop is not None:
+                    recorder.repeat(loop, block, counter.now() if counter is not None else None)
                 self.follow(source, part.nodes)
                 going = not level.broken_off
-                if trace is not None:
-                    trace.repeated(block, whole=going)
+                if recorder is not None:
+                    recorder.repeated(block, whole=going)
                 if not going:
                     break
                 if block.word == "REPEAT" and self._holds(source, block.last):
@@ -581,21 +587,21 @@ class Flow:
             del self._way[depth:]
         has_ended = counter is not None and not level.broken_off
         level.left = False
-        if trace is not None and loop is not None:
-            trace.end(loop, block, counter.assigned if counter is not None and has_ended else None)
+        if recorder is not None and loop is not None:
+            recorder.end(loop, block, counter.now() if counter is not None and has_ended else None)
 
     def _jumped_back(self, source: Source, nodes: tuple[Node, ...], index: int, label: tree.Label) -> int:
         """Follow the rounds from a label to an IF that jumps back to it; return the index of this, 0 if there is none.
 
         :raises InexactError: the condition is not known before run time; under `--keep-unresolved` there is none then.
         """
-        end, trace = self._jumping_back(source, nodes, index, label), self.trace
-        if not end or trace is None:
+        end, recorder = self._jumping_back(source, nodes, index, label), self.recorder
+        if not end or recorder is None:
             return 0
-        undo = self._undoing(trace)
+        undo = self._undoing(recorder)
         self.run.is_final = False
         try:
-            self._rounds_of_label(source, nodes[index : end + 1], trace)
+            self._rounds_of_label(source, nodes[index : end + 1], recorder)
         except InexactError:
             if not self.run.keep:
                 raise
@@ -609,7 +615,7 @@ class Flow:
         No other GOTO may lead to the label: the rounds may be written one after the other, without it.
         """
         level = self.run.level
-        if self.trace is None or not level.traced or level.loops or not self.run.certain:
+        if self.recorder is None or not level.traced or level.loops or not self.run.certain:
             return 0
         jumps = [at for at in level.routine.lines if self.label_of(source, at) == label.name]
         for number in range(index + 1, len(nodes) if len(jumps) == 1 else 0):
@@ -618,7 +624,7 @@ class Flow:
                 return number
         return 0
 
-    def _rounds_of_label(self, source: Source, nodes: tuple[Node, ...], trace: Trace) -> None:
+    def _rounds_of_label(self, source: Source, nodes: tuple[Node, ...], recorder: Recorder) -> None:
         """Follow the statements from a label to the IF that jumps back to it, as REPEAT does.
 
         :param nodes: the label, the statements, the IF.
@@ -631,7 +637,7 @@ class Flow:
         whole = Block("REPEAT", first, jump.last, (Part(first, jump.first, nodes[1:-1]),))
         body = Block("REPEAT", first, jump.first, whole.parts)
         self._check_comments(source, whole, range(jump.first, jump.last))
-        loop = trace.begin(whole, "", 0, left=False, closing=jump.first)
+        loop = recorder.begin(whole, "", 0, left=False, closing=jump.first)
         start_count, depth = self._traced, len(self._way)
         level.loops += 1
         self._way.append((Place(source, first), 0))
@@ -645,9 +651,9 @@ class Flow:
                 if self._traced - start_count > MOST_UNCOUNTED:
                     problem = f"GOTO still leads back after {MOST_UNCOUNTED} statements"
                     raise inexact(at, problem, "Check its condition, or write FOR instead.")
-                trace.repeat(loop, body, None)
+                recorder.repeat(loop, body, None)
                 self.follow(source, nodes[1:-1])
-                trace.repeated(body, whole=not level.broken_off)
+                recorder.repeated(body, whole=not level.broken_off)
                 self.run.place = at
                 holds = self.run.variables.truth(head.condition) if isinstance(head, tree.If) else None
                 if not level.broken_off and holds is None:
@@ -659,7 +665,7 @@ class Flow:
         finally:
             level.loops -= 1
             del self._way[depth:]
-        trace.end(loop, whole, None)
+        recorder.end(loop, whole, None)
 
     def _check_labels(self, source: Source, lines: Iterable[int]) -> None:
         """Refuse labels in a loop with a second round: they would be written more than once.
@@ -686,7 +692,7 @@ class Flow:
         """Return how often variables, and how often frames, speeds and modes, have changed."""
         return self.run.variables.changes, len(self.run.settings.changes)
 
-    def _plainly(self, source: Source, block: Block, counter: _Counter, trace: Trace, loop: Repeated) -> None:
+    def _plainly(self, source: Source, block: Block, counter: _Counter, recorder: Recorder, loop: Repeated) -> None:
         """Record all rounds of a FOR at once if its body is plain."""
         if block not in self._plain:
             self._plain[block] = plain_body(source, block) or computed_body(source, block)
@@ -697,9 +703,9 @@ class Flow:
         if body.is_computed and rounds < FEWEST_ROUNDS:
             return
         self._traced += statement_count
-        length, first = block.last - block.first, trace.count + 1
+        length, first = block.last - block.first, recorder.count + 1
         plain = PlainRounds(begin, counter.step, first, rounds, length, source, block.first, body)
-        trace.plain_rounds(loop, block, counter.name, plain)
+        recorder.plain_rounds(loop, block, plain)
         for line in body.triggers:  # what they write may change at any time from now on
             self._guarded(Place(source, line), statement(source, line))
         for passed in (rounds - 1, 1):  # only the last round leaves something
@@ -707,7 +713,7 @@ class Flow:
                 self._guarded(Place(source, line), statement(source, line))
             counter.pass_over(passed)
 
-    def _endless(self, source: Source, block: Block, trace: Trace | None) -> None:
+    def _endless(self, source: Source, block: Block, recorder: Recorder | None) -> None:
         """Follow one iteration of a LOOP without EXIT; nothing after it is reached.
 
         `joins` checks later that the iteration ends in the pose and with the settings with which it began.
@@ -716,18 +722,18 @@ class Flow:
             that the next one may use.
         """
         run, level, at = self.run, self.run.level, Place(source, block.first)
-        if trace is None or level.loops or run.forked or not run.certain or len(run.stack) > 1:
+        if recorder is None or level.loops or run.forked or not run.certain or len(run.stack) > 1:
             raise inexact(at, "LOOP never ends: there is no EXIT", LOOP_ADVICE)
         self._check_comments(source, block)
         run.is_final = False
         snapshot = run.variables.as_now()
-        loop = trace.begin(block, "", 0, left=False)
+        loop = recorder.begin(block, "", 0, left=False)
         loop.endless = True
         self._way.append((at, 1))
-        trace.repeat(loop, block, None)
+        recorder.repeat(loop, block, None)
         self.follow(source, block.parts[0].nodes)
-        trace.repeated(block, whole=True)
-        trace.end(loop, block, None)
+        recorder.repeated(block, whole=True)
+        recorder.end(loop, block, None)
         self._way.pop()
         if names := carried_over(run, source, block, snapshot):
             sorted_names = sorted(
@@ -738,12 +744,12 @@ class Flow:
             raise inexact(at, problem, "Set it at the beginning of each round.")
         level.returned = block.last
 
-    def _check_rounds(self, source: Source, block: Block, counter: _Counter, trace: Trace | None) -> None:
+    def _check_rounds(self, source: Source, block: Block, counter: _Counter, recorder: Recorder | None) -> None:
         """Refuse a FOR with too many iterations before it is followed.
 
         :raises InexactError: it has too many.
         """
-        limit = MOST_STATEMENTS if trace is None else MOST_TRACED + len(source.starts)
+        limit = MOST_STATEMENTS if recorder is None else MOST_TRACED + len(source.starts)
         if counter.rounds > limit:
             problem = f"FOR has {counter.rounds} rounds, more than {limit}"
             raise inexact(Place(source, block.first), problem, "Check its bounds.")
@@ -807,11 +813,6 @@ class _Counter:
         self.last, self.step = self._bounds()
         self._set(self._whole(self.given[0]))
         self.now()
-
-    @property
-    def assigned(self) -> tuple[str, int]:
-        """Its name, as it is spelled, and its present value."""
-        return self.name, self.now()
 
     @property
     def rounds(self) -> int:

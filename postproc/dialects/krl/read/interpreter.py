@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 
 from postproc.dialects.krl.language import tree
-from postproc.dialects.krl.language.declarations import Declared
 from postproc.dialects.krl.language.expressions import calls
 from postproc.dialects.krl.language.names import OPENING, WITHOUT_MOTION
 from postproc.dialects.krl.language.parser import statement
@@ -173,9 +172,10 @@ class Interpreter:
             if isinstance(stmt, tree.Imported):
                 self.run.changes_always(at, stmt.original)
         elif isinstance(stmt, tree.Declaration):
-            names = self._declared(at, stmt)
+            row = self.run.line if self.run.in_main and self.run.has_rows else 0
+            names = declare(self.run.variables, at.source, stmt, row)
             if self.run.in_main:
-                self.run.understood.update(declarator.at + self.run.offset for declarator in names)
+                self.run.understand(*(declarator.at for declarator in names))
         elif stmt.word == "EXIT":
             self._exit(at)
         elif isinstance(stmt, tree.Outside):
@@ -186,17 +186,6 @@ class Interpreter:
             raise stmt.error
         elif not isinstance(stmt, tree.Label):
             raise at.error("the statement is not understood", "Check its spelling.")
-
-    def _declared(self, at: Place, declaration: tree.Declaration) -> tuple[Declared, ...]:
-        """Take a declaration; return what it declares. Initial values are those of the trace, as the motions are."""
-        initial = self.run.in_main and any(declarator.value >= 0 for declarator in declaration.names)
-        if not initial or self.run.source.origins is None:
-            self.run.is_final = self.run.is_final and not initial
-            return declare(self.run.variables, at.source, declaration)
-        trace_declaration = statement(self.run.source, self.run.line)
-        if isinstance(trace_declaration, tree.Declaration):
-            declare(self.run.variables, self.run.source, trace_declaration)
-        return declaration.names
 
     def _exit(self, at: Place) -> None:
         """Note that a loop that is followed may be left."""
@@ -250,7 +239,7 @@ class Interpreter:
             self.run.variables.forget(name, str(at))
             return
         if target.field is None and self.run.in_main:
-            self.run.understood.add(target.start + self.run.offset)
+            self.run.understand(target.start)
         key = self.run.variables.key_of(target)
         if key != old_key:
             self.run.variables.forget(self.run.stored(name), self._which_element(at, target, expression))

@@ -129,7 +129,7 @@ def _initial_frames(
             "warning",
             "initial-frames",
             message,
-            int(main.run.source.shown(rows.line[affected_rows])[0]) if len(affected_rows) else None,
+            main.run.trace.shown_line(rows.line.item(affected_rows[0])) if len(affected_rows) else None,
             subject=name,
             count=len(affected_rows),
         )
@@ -164,14 +164,14 @@ def refuse_loaded(run: Run, notes: Sequence[tuple[int, ForceNote]]) -> None:
 def unfollowed(run: Run) -> tuple[Unfollowed, ...]:
     """Return the calls of routines that are not followed and cut."""
     return tuple(
-        Unfollowed(int(run.source.shown(np.array([call.line]))[0]), _loaded(run, call))
+        Unfollowed(run.trace.shown_line(call.line), _loaded(run, call))
         for call in run.moved
         if run.analysis.cuts(call.module, call.routine)
     )
 
 
 def _loaded(run: Run, call: Apart, force: str = "") -> ProgramError:
-    cause, at = call.cause, run.source.origin(call.line)
+    cause, at = call.cause, run.trace.place(call.line)
     place_text = f"{at.source.document.name}, line {at.line}"
     problem = f"{cause.problem}; {call.name}(), called in {place_text}, would stay uncorrected under force{force}"
     advice = cause.advice or ""

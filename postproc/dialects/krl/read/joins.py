@@ -174,9 +174,7 @@ def branching(
             if any(fork < kept_line <= step.line for kept_line in kept_lines):
                 faults.append(_branch_error(course, forks, fork, "an uncorrected motion is inside a branch"))
             elif step not in free and (row := _by_present_joints(sequence, rows)) >= 0:
-                problem = (
-                    f"a PTP to X, Y, Z without S and T is inside a branch ({course.source.origin(int(line[row]))})"
-                )
+                problem = f"a PTP to X, Y, Z without S and T is inside a branch ({course.trace.place(int(line[row]))})"
                 faults.append(_branch_error(course, forks, fork, problem, _PTP_ADVICE))
             if step not in free:
                 joins.append(JoinedEnds(fork, tuple(sorted(set(ends)))))
@@ -255,8 +253,7 @@ def _why(sequence: OrderedMotions, row: int) -> str:
 def _branch_error(
     course: Course, forks: Mapping[int, set[Occasion]], fork: int, problem: str, advice: str = _BRANCH_ADVICE
 ) -> BranchError:
-    source = course.source
-    base = source.line_error(f"motion in branches whose condition is not known: {problem}", fork, advice)
+    base = course.trace.error(f"motion in branches whose condition is not known: {problem}", fork, advice)
     error = BranchError(base.problem, file=base.file, line=base.line, text=base.text, advice=base.advice)
     error.occasions = frozenset(forks[fork])
     return error
@@ -350,7 +347,7 @@ def _check_force(course: Course, loop: Repeated, line: int, notes: Sequence[tupl
 
 def _line(course: Course, loop: Repeated) -> int:
     """Return the line of a LOOP in its file, which precedes its body."""
-    return course.source.origin(loop.first).line - 1
+    return course.trace.place(loop.first).line - 1
 
 
 def _loop_error(course: Course, loop: Repeated, problem: str, advice: str) -> ProgramError:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import cast
 
 from msgspec import Struct, field
+from msgspec.structs import replace
 
 from postproc.dialects.krl.language.expressions import value_at
 from postproc.dialects.krl.language.positions import Position
@@ -41,11 +42,15 @@ Known = Number | Word | Aggregate | Position | Unknown
 
 
 class Unread(Struct, frozen=True):
-    """A value in a declaration, parsed on first use."""
+    """A value in a declaration, parsed on first use.
+
+    :param row: of the execution trace with the declaration; 0 in data lists.
+    """
 
     source: Source
     start: int
     stop: int
+    row: int = 0
 
     @property
     def value(self) -> Value:
@@ -56,6 +61,8 @@ class Unread(Struct, frozen=True):
         value = self.source.declared.get(self.start)
         if value is None:
             value = self.source.declared[self.start] = value_at(self.source, self.start, self.stop)[0]
+        if self.row and isinstance(value, Aggregate):
+            return replace(value, row=self.row)
         return cast("Value", value)
 
 

@@ -32,6 +32,7 @@ from postproc.dialects.krl.language.routines import Routine
 from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.language.structures import Block, Node, checked, nodes_of, outside
 from postproc.dialects.krl.language.tokens import NAME
+from postproc.dialects.krl.language.trace import Trace
 from postproc.dialects.krl.language.tree import CallStatement, For, Goto, Motion, Return, Statement
 from postproc.dialects.krl.read.collected import Collected
 from postproc.dialects.krl.read.computed_rounds import computed_motions
@@ -45,7 +46,7 @@ from postproc.dialects.krl.read.plain_settings import Coming, PlainSettings
 from postproc.dialects.krl.read.run import Run
 from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.state import FIELDS
-from postproc.dialects.krl.read.tracing import Trace
+from postproc.dialects.krl.read.tracing import Recorder
 from postproc.dialects.krl.read.variables import Variables
 from postproc.errors import MAX_ERRORS, ProgramError, together
 from postproc.program import Bools, Ints
@@ -71,13 +72,14 @@ class Start(Struct, frozen=True, eq=False):
     cell: Cell
     joints: tuple[float, ...]
 
-    def collected(self, source: Source | None = None) -> Collected:
+    def collected(self, trace: Trace | None = None, *, has_rows: bool = True) -> Collected:
         """Return motions to be collected, none yet.
 
-        :param source: the execution trace; None: the `.src` itself.
+        :param trace: the execution trace; None: that of a program whose lines run one after the other.
+        :param has_rows: see `Run.has_rows`.
         """
         settings = Settings(self.variables.copied(), self.cell)
-        run = Run(self.library, self.main, settings, source)
+        run = Run(self.library, self.main, settings, trace or Trace.of(self.main.source), has_rows=has_rows)
         run.elsewhere = self.obstacles
         return Collected(run, MotionReader(settings, self.joints))
 
@@ -91,7 +93,7 @@ def course_of(start: Start) -> tuple[Course, Collected | None]:
     :raises ProgramError: that order is not known before the program runs, or a control structure is none.
     """
     if not start.cell.krl.keep_unresolved:
-        with suppress(ProgramError):  # its message may depend on the text of the trace, which is not complete
+        with suppress(ProgramError):  # its message may depend on the trace, which is not complete
             return _course(start, collects=True)
     return _course(start, collects=False)
 
@@ -102,8 +104,8 @@ def _course(start: Start, *, collects: bool) -> tuple[Course, Collected | None]:
     :param collects: whether motions are read too.
     """
     library, main = start.library, start.main
-    trace = Trace(main)
-    collected = start.collected(trace.source if collects else None)
+    recorder = Recorder(main)
+    collected = start.collected(has_rows=collects)
     run, settings = collected.run, collected.run.settings
     settings.follows_numbers = False  # plain ones are no statements here
     reserved_names = library.programs() if settings.cell.output.lines_per_file else frozenset[str]()
@@ -113,18 +115,18 @@ def _course(start: Start, *, collects: bool) -> tuple[Course, Collected | None]:
 
     def taken(at: Place, stmt: Statement) -> None:
         flow.interpreter.follow_functions(at, stmt.values)  # they may change what a condition depends on
-        if run.is_final and trace.is_final:
+        if run.is_final and recorder.is_final:
             collected.take(at, stmt)
 
     def wrong(_at: Place, _cause: ProgramError) -> None:
         run.is_final = False  # reported when the trace is followed
 
-    flow = Flow(run, taken, wrong, trace)
+    flow = Flow(run, taken, wrong, recorder)
     control = (node for node in nodes if isinstance(node, Block) or _calls(main, node))
     if not _returns_early(main) and not any(flow.matters(main.source, node) for node in control):
         body = Body(main.first + 1, main.last)
         steps = (Lines(main.first + 1, main.last - 1),)
-        return Course(main, main.source, steps, body, taken=reserved_names), None
+        return Course(main, run.trace, steps, body, taken=reserved_names), None
     if run.is_final and len(free_settings):
         nodes = nodes_of(main.source, main.lines)
     _submitted(run)
@@ -136,18 +138,17 @@ def _course(start: Start, *, collects: bool) -> tuple[Course, Collected | None]:
             problem = f"the label {label} precedes GOTO, or is in a control structure that GOTO is not in"
         raise main.source.line_error(problem, run.level.jump, JUMP_ADVICE)
     if not run.level.returned:
-        trace.run_to(main.last - 1)
-    trace.pass_to(main.last - 1, live=False)
-    course = replace(trace.course(run.unfollowed), taken=reserved_names)
+        recorder.run_to(main.last - 1)
+    recorder.pass_to(main.last - 1, live=False)
+    course = replace(recorder.course(run.unfollowed), taken=reserved_names)
     foreign_routines = {routine for routine in course.inlined if routine.source is not main.source}
     if foreign_routines:
         course = replace(course, taken=library.names(), users=library.users(foreign_routines))
-    is_complete = run.is_final and trace.is_final and not settings.lacked_numbers
+    is_complete = run.is_final and recorder.is_final and not settings.lacked_numbers
     if not is_complete or fault_of(main.name) or collected.splines.open is not None or run.level.open:
         return course, None
     settings.follows_numbers = True
-    run.understood.update(trace.counters)
-    run.shown_line = 0
+    run.trace, run.shown_line = course.trace, 0
     return course, collected
 
 
@@ -202,7 +203,7 @@ class MainRoutine:
     @cached_property
     def _others(self) -> Bools:
         """Which lines are not plain."""
-        return not_plain(len(self.run.source.starts), self._moving, self._settings)
+        return not_plain(len(self.run.trace), self._moving, self._settings)
 
     @cached_property
     def _trigger_lines(self) -> frozenset[int]:
@@ -264,10 +265,10 @@ class MainRoutine:
 
     def _come_to_settings(self) -> dict[Lines, Sequence[int]]:
         """Apply plain settings at their lines; return the lines that are run one by one."""
-        step_lines, free = {}, np.zeros(len(self.run.source.starts) + 1, dtype=np.bool_)
+        step_lines, free = {}, np.zeros(len(self.run.trace) + 1, dtype=np.bool_)
         for step in self.course.steps:
             if isinstance(step, Lines):
-                step_lines[step], free_lines = _one_by_one(self.run.source, *self._between(step))
+                step_lines[step], free_lines = _one_by_one(self.run.trace, *self._between(step))
                 if len(free_lines):
                     free[free_lines] = True
         settings = self._settings
@@ -279,7 +280,7 @@ class MainRoutine:
         """Run the lines of a step; `lines` one by one."""
         run = self.run
         nodes: list[tuple[int, Node | PlainRounds]] = [
-            (node if isinstance(node, int) else node.first, node) for node in nodes_of(run.source, lines)
+            (node if isinstance(node, int) else node.first, node) for node in nodes_of(run.trace, lines)
         ]
         first, last = (bisect_left(self._rounds, line, key=attrgetter("first")) for line in (step.first, step.last))
         if first < last:
@@ -334,12 +335,10 @@ class MainRoutine:
             return
         stmt = statement(at.source, at.line)
         if isinstance(stmt, For) and stmt.counter is not None:
-            indent = at.source.code_span(at.line)[0] - int(at.source.starts[at.line - 1])
-            self.run.offset = int(self.run.source.starts[row - 1]) + indent - stmt.counter.start
             self._flow.count(at, stmt.counter, number)
 
     def _follow_lines(self, lines: Ints, rounds: PlainRounds | None = None) -> None:
-        for line in _coded(self.run.source, lines[self._others[lines - 1]]):
+        for line in _coded(self.run.trace, lines[self._others[lines - 1]]):
             self.run.settings.come_to(line)
             self._follow(line, None if rounds is None else rounds.number(line))
 
@@ -348,7 +347,7 @@ class MainRoutine:
         is_other = self._others.copy()
         for rounds in self._rounds:
             is_other[rounds.first - 1 : rounds.beyond - 1] = False
-        return _coded(self.run.source, np.flatnonzero(is_other) + 1)
+        return _coded(self.run.trace, np.flatnonzero(is_other) + 1)
 
     def executed(self, plain: Ints) -> Bools:
         """Return which plain motions, by their lines, are those of the course.
@@ -367,7 +366,7 @@ class MainRoutine:
             in_routine |= (plain > routine.first) & (plain < routine.last)
         outside_rows = np.flatnonzero(~in_routine)
         if len(outside_rows):
-            raise self.run.source.line_error("the motion is outside of DEF … END", int(plain[outside_rows[0]]))
+            raise self.run.trace.error("the motion is outside of DEF … END", int(plain[outside_rows[0]]))
         return is_executed
 
     def in_one_block(self, first: int, last: int) -> bool:
@@ -376,9 +375,11 @@ class MainRoutine:
 
     def only_comments(self, first: int, last: int) -> bool:
         """Return whether the lines first … last hold nothing but comments and other TRIGGERs."""
-        for line in range(first, last + 1):
-            start, stop = self.run.source.code_span(line)
-            if start < stop and line not in self._trigger_lines:
+        trace = self.run.trace
+        for row in range(first, last + 1):
+            source, line = trace.place(row)
+            start, stop = source.code_span(line)
+            if (start < stop or trace.is_count[row - 1]) and row not in self._trigger_lines:
                 return False
         return True
 
@@ -397,13 +398,13 @@ class MainRoutine:
         elif isinstance(step, Branch):
             self.run.branch()
         else:
-            self.run.join(self.run.source.origin(step.line), complete=step.complete)
+            self.run.join(self.run.trace.place(step.line), complete=step.complete)
 
     def _keep(self, step: Kept) -> None:
         """Pass over a control structure of which it is not known what runs; its motions stay as they are."""
-        source, run = self.run.source, self.run
+        run = self.run
         lines, setting_lines = self._between(step)
-        for node in nodes_of(source, sorted([*lines, *setting_lines])):
+        for node in nodes_of(run.trace, sorted([*lines, *setting_lines])):
             if isinstance(node, Block):
                 at = run.come_to(node.first)
                 self._flow.roughly(at.source, node.moved(-run.shift))
@@ -425,8 +426,11 @@ class MainRoutine:
         self._collected.take(at, stmt)
 
 
-def _one_by_one(source: Source, lines: Sequence[int], settings: Sequence[int]) -> tuple[Sequence[int], Ints]:
-    """Return the lines that are run one by one: those given and settings in control structures; and other settings."""
+def _one_by_one(source: Source | Trace, lines: Sequence[int], settings: Sequence[int]) -> tuple[Sequence[int], Ints]:
+    """Return the lines, or rows, that are run one by one, and settings that are not.
+
+    One by one: those given, and settings in control structures.
+    """
     setting_lines = np.array(settings, dtype=np.int64)
     if not settings:
         return lines, setting_lines
@@ -434,11 +438,20 @@ def _one_by_one(source: Source, lines: Sequence[int], settings: Sequence[int]) -
     return (lines if free.all() else sorted([*lines, *setting_lines[~free].tolist()])), setting_lines[free]
 
 
-def _coded(source: Source, lines: Ints) -> list[int]:
-    """Return those of some lines that have code."""
-    coded_lines = []
-    for line in lines.tolist():
-        start, stop = source.code_span(line)
-        if start < stop and source.text[start] != "&":
-            coded_lines.append(line)
-    return coded_lines
+def _coded(trace: Trace, rows: Ints) -> list[int]:
+    """Return those of some rows that have code, in order."""
+    has_code = trace.is_count[rows - 1].copy()
+    file, line = trace.file[rows - 1], trace.line[rows - 1]
+    for number, source in enumerate(trace.sources):
+        indices = np.flatnonzero((file == number) & ~has_code)
+        lines, of_row = np.unique(line[indices], return_inverse=True)
+        is_code = np.array([_is_code(source, line) for line in lines.tolist()], dtype=np.bool_)
+        has_code[indices] = is_code[of_row]
+    coded_rows: list[int] = rows[has_code].tolist()
+    return coded_rows
+
+
+def _is_code(source: Source, line: int) -> bool:
+    """Return whether a line has code; lines for the editor, as ``&ACCESS``, have none."""
+    start, stop = source.code_span(line)
+    return start < stop and source.text[start] != "&"

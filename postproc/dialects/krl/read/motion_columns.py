@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from postproc.chunks import Columns, compact
@@ -25,7 +24,7 @@ _BATCH = 1000
 class MotionColumns(Columns, frozen=True, eq=False):
     """R motions.
 
-    :param line: (R,) 1-based line.
+    :param line: (R,) 1-based line, or row of the execution trace; offsets are those of its file.
     :param kind: (R,) `LIN`, `CIRC` or `PTP`.
     :param numbers: (R, 6) X, Y, Z [mm], A, B, C [deg] as the text gives them; NaN where missing.
     :param external: (R, 6) E1…E6, likewise; `posture` (R, 2) S and T, −1 where missing.
@@ -35,7 +34,7 @@ class MotionColumns(Columns, frozen=True, eq=False):
     :param tail: (R, 2) span of what follows it: approximation, WITH.
     :param approximated: (R,) True where `$APO.CDIS` applies.
     :param via: (R, 3) X, Y, Z of the auxiliary point of a circle [mm]; NaN elsewhere.
-    :param via_spans: (R, 3, 2) spans of their texts in the line; −1 where missing.
+    :param via_spans: (R, 3, 2) spans of their texts; −1 where missing.
     :param via_target: (R, 2) span of that point; −1 where it is not in the line.
     """
 
@@ -55,21 +54,6 @@ class MotionColumns(Columns, frozen=True, eq=False):
 
     def __len__(self) -> int:
         return len(self.line)
-
-    def moved(self, line: Ints, offset: Offsets) -> MotionColumns:
-        """Return the motions on other lines (R,) of a text, in which theirs begin `offset` (R,) characters later."""
-        spans = np.where(self.via_spans < 0, self.via_spans, self.via_spans + offset[:, None, None])
-        target = np.where(self.via_target < 0, self.via_target, self.via_target + offset[:, None])
-        circles = bool((self.via_target >= 0).any())
-        return replace(
-            self,
-            line=line,
-            keyword=self.keyword + offset,
-            target=self.target + offset[:, None],
-            tail=self.tail + offset[:, None],
-            via_spans=spans if circles else self.via_spans,
-            via_target=target if circles else self.via_target,
-        )
 
     def columns(self) -> list[Any]:
         """Return all columns."""

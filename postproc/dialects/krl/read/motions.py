@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from postproc.chunks import Runs, compact
 from postproc.dialects.krl.language.motion_statements import MotionStatement, Trigger, triggers
-from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.tokens import words_in
+from postproc.dialects.krl.language.trace import Trace
 from postproc.dialects.krl.layout import CONSTANT, FREE, IGNORE, JOINT, ORIENTATIONS, Elements, Layout, Offsets
 from postproc.dialects.krl.read.auxiliary_points import left_out
 from postproc.dialects.krl.read.end_poses import EndPoses, Led, circles, end_poses, same_orientation
@@ -22,7 +22,7 @@ from postproc.dialects.krl.read.motion_columns import MotionColumns, merged
 from postproc.dialects.krl.read.plain_rounds import ElementMotions
 from postproc.dialects.krl.read.plain_settings import NUMBERS
 from postproc.dialects.krl.read.settings import Settings
-from postproc.dialects.krl.read.spline_blocks import approximated, check_words, path_unknown
+from postproc.dialects.krl.read.spline_blocks import approximated, check_words, is_spline, path_unknown
 from postproc.dialects.krl.read.state import DEFAULT_SPEED, State, fields_used
 from postproc.errors import Issue, ProgramError, together
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, angle_between, any_column, norm
@@ -98,7 +98,6 @@ def _in_order(main: MainRoutine, lines: list[Ints], statement_lines: Ints) -> tu
 
 
 def motions_and_layout(
-    source: Source,
     main: MainRoutine,
     sequence: OrderedMotions,
     start_joints: Array,
@@ -115,10 +114,10 @@ def motions_and_layout(
     :raises ProgramError: a frame, a component or an axis is not known; external axes move; an orientation or a circle
         is not what the controller could follow.
     """
-    settings = main.run.settings
+    trace, settings = main.course.trace, main.run.settings
     rows, states, state, _, moves = sequence
     block = _column(states, state, lambda s: s.block)
-    check_words(source, rows, block)
+    check_words(trace, rows, block)
     rows = replace(rows, approximated=approximated(rows, block != "", main.splines.approximated))
     base = _column(states, state, lambda s: s.base)
     tool = _column(states, state, lambda s: s.tool)
@@ -129,35 +128,35 @@ def motions_and_layout(
     relative = np.array([row for row, move in moves.items() if move.relative], dtype=np.int64)
     uses_root = np.ones(len(rows), dtype=np.bool_)
     uses_root[[row for row, move in moves.items() if move.end.position.axis]] = False
-    axis_issues, carriage = external_axes(source, rows, relative, uses_root, settings.cell.carriage, predecessors)
+    axis_issues, carriage = external_axes(trace, rows, relative, uses_root, settings.cell.carriage, predecessors)
     frames = base, tool, np.stack(settings.frames.bases), np.stack(settings.frames.tools)
-    control = _led(source, rows, states, state)
+    control = _led(trace, rows, states, state)
     is_missing, arc_ends = np.isnan(rows.numbers), rows.numbers[rows.kind == CIRC, :3]
     ends = end_poses(
-        source, rows.line, rows.numbers, frames, moves, start_joints, kinematics, control, carriage, predecessors
+        trace, rows.line, rows.numbers, frames, moves, start_joints, kinematics, control, carriage, predecessors
     )
-    by_wrist = _by_wrist(source, rows, states, state, ends, carriage)
-    _check_by_wrist(source, rows, states, state, ends, settings)
+    by_wrist = _by_wrist(trace, rows, states, state, ends, carriage)
+    _check_by_wrist(trace, rows, states, state, ends, settings)
     centre, normal, sweep, unheeded = _arcs(
-        source, rows, ends, arc_ends, moves, control, settings, (states, state), carriage
+        trace, rows, ends, arc_ends, moves, control, settings, (states, state), carriage
     )
 
     is_missing[[row for row, move in moves.items() if move.end.position.axis or move.relative]] = False
     sequence = sequence._replace(rows=rows)
-    motions = _motions(source, sequence, (base, tool), ends, (centre, normal, sweep))
+    motions = _motions(trace, sequence, (base, tool), ends, (centre, normal, sweep))
     columns = is_missing, control.with_path, by_wrist, unheeded
-    layout = _layout(source, main, sequence, motions, ends, columns, carriage)
+    layout = _layout(trace, main, sequence, motions, ends, columns, carriage)
     has_assumed_speed = _column(states, state, lambda s: s.assumed) & (rows.kind != PTP)
     assumptions = _assumptions(motions.line, is_missing, has_assumed_speed, moves)
     return (
         motions,
         layout,
-        [*axis_issues, *assumptions, *_by_speed(source, rows), *path_unknown(motions), *_wrist(motions, by_wrist)],
+        [*axis_issues, *assumptions, *_by_speed(trace, rows), *path_unknown(motions), *_wrist(motions, by_wrist)],
     )
 
 
 def _motions(
-    source: Source,
+    trace: Trace,
     sequence: OrderedMotions,
     frames: tuple[Ints, Ints],
     ends: EndPoses,
@@ -174,7 +173,7 @@ def _motions(
     return Motions(
         kind=rows.kind,
         rapid=rows.kind == PTP,
-        line=source.shown(rows.line),
+        line=trace.shown[rows.line - 1],
         target=ends.pose,
         joints=ends.joints,
         centre=centre,
@@ -191,7 +190,7 @@ def _motions(
 
 
 def _layout(
-    source: Source,
+    trace: Trace,
     main: MainRoutine,
     sequence: OrderedMotions,
     motions: Motions,
@@ -232,9 +231,9 @@ def _layout(
         elements=elements,
         types=dict(variables.types),
         public=frozenset(variables.public),
-        understood=frozenset(main.run.understood).union(*(rows.target[part.row, 0].tolist() for part in elements)),
+        understood=frozenset(main.run.understood),
         copies=frozenset(main.run.copies),
-        triggers=_triggers(source, main, rows.line, motions, ends.start),
+        triggers=_triggers(trace, main, rows.line, motions, ends.start),
         carriage=carriage,
         broken_off="" if main.run.resumed is None else str(main.run.resumed),
     )
@@ -352,7 +351,7 @@ def _unsettled(
                     yield cause
 
 
-def _led(source: Source, rows: MotionColumns, states: list[State], state: Ints) -> Led:
+def _led(trace: Trace, rows: MotionColumns, states: list[State], state: Ints) -> Led:
     """Return the orientation control: KUKA, KSS 8.x, `$ORI_TYPE` and `$CIRC_TYPE`.
 
     Under #CONSTANT the orientation of the start stays and the programmed one is disregarded. Under #PATH a circle takes
@@ -368,14 +367,14 @@ def _led(source: Source, rows: MotionColumns, states: list[State], state: Ints) 
     if is_unsupported.any():
         first = int(np.argmax(is_unsupported))
         problem = f"a circle under $ORI_TYPE={states[state[first]].orientation} and $CIRC_TYPE=#PATH"
-        raise source.line_error(problem, int(rows.line[first]), "Use $CIRC_TYPE=#BASE, or $ORI_TYPE=#VAR.")
+        raise trace.error(problem, int(rows.line[first]), "Use $CIRC_TYPE=#BASE, or $ORI_TYPE=#VAR.")
     constant = _column(states, state, lambda s: s.orientation == CONSTANT) & (rows.kind != PTP)
     with_path = _column(states, state, lambda s: s.circle == "#PATH" and s.orientation in _BY_ROTATION)
     return Led(constant, round_ & with_path, rows.via)
 
 
 def _by_wrist(
-    source: Source,
+    trace: Trace,
     rows: MotionColumns,
     states: list[State],
     state: Ints,
@@ -413,11 +412,11 @@ def _by_wrist(
         IGNORE: "the orientation changes at a target under $ORI_TYPE=#IGNORE: the controller chooses it there",
     }[kinds[first]]
     advice = "Use $ORI_TYPE=#VAR: the orientation then changes by one rotation, from target to target."
-    raise source.line_error(problem, int(rows.line[candidates[first]]), advice)
+    raise trace.error(problem, int(rows.line[candidates[first]]), advice)
 
 
 def _check_by_wrist(
-    source: Source, rows: MotionColumns, states: list[State], state: Ints, ends: EndPoses, settings: Settings
+    trace: Trace, rows: MotionColumns, states: list[State], state: Ints, ends: EndPoses, settings: Settings
 ) -> None:
     """Refuse spline motions on which the controller may lead the orientation by the wrist axes (KUKA, KSS 8.x,
     `$SPL_ORI_JOINT_AUTO` #ON: it decides so itself, of each motion under `$ORI_TYPE=#VAR`).
@@ -426,18 +425,17 @@ def _check_by_wrist(
     if not any(at_will):
         return
     is_free = _column(states, state, lambda s: s.orientation == FREE) & np.array(at_will)[state] & (rows.kind != PTP)
-    spline_rows = np.array(
-        [row for row in np.flatnonzero(is_free).tolist() if source.text[rows.keyword[row]] in "sS"], dtype=int
-    )
+    free_rows = np.flatnonzero(is_free)
+    spline_rows = free_rows[is_spline(trace, rows, free_rows)]
     turn = angle_between(ends.start.at(spline_rows)[:, :3, :3], ends.pose[spline_rows, :3, :3])
     for row in spline_rows[turn > _LITTLE].tolist():
         settings.refuse_uncertain(states[state[row]], ["by_wrist"])
         problem = "the orientation changes under $SPL_ORI_JOINT_AUTO=#ON: the wrist axes may lead it, not one rotation"
-        raise source.line_error(problem, int(rows.line[row]), "Use $SPL_ORI_JOINT_AUTO=#OFF.")
+        raise trace.error(problem, int(rows.line[row]), "Use $SPL_ORI_JOINT_AUTO=#OFF.")
 
 
 def _arcs(
-    source: Source,
+    trace: Trace,
     rows: MotionColumns,
     ends: EndPoses,
     given_ends: Array,
@@ -463,7 +461,7 @@ def _arcs(
         at = np.searchsorted(circular, row)
         text_points[0][at], text_points[1][at] = points * M_PER_MM
     via, end = (np.where(np.isnan(points), start[:, :3, 3], points) for points in text_points)
-    centre[circular], axis, angle = circles(source, line, start[:, :3, 3], via, end)
+    centre[circular], axis, angle = circles(trace, line, start[:, :3, 3], via, end)
     programmed_angles = np.full(len(rows), np.nan)
     for row, move in moves.items():
         programmed_angles[row] = np.nan if move.angle is None else move.angle * RAD_PER_DEG
@@ -472,7 +470,7 @@ def _arcs(
     turning = control.with_path[circular] | ~same_orientation(start[:, :3, :3], ends.pose[circular, :3, :3])
     turning &= has_angle & ~control.constant[circular] & ~(np.abs(programmed_angles - angle) < _AT_THE_END)
     if turning.any():
-        raise source.line_error(
+        raise trace.error(
             "the orientation changes on a circle with CA: where it is reached is not certain",
             int(line[turning][0]),
             "Give the end of the arc as its end point, without CA, or use $ORI_TYPE=#CONSTANT.",
@@ -481,7 +479,7 @@ def _arcs(
     if carriage is not None:
         riding &= np.abs(carriage.end[circular] - carriage.begin[circular]) > _AT_REST
         if riding.any():
-            raise source.line_error(
+            raise trace.error(
                 "E1 moves along a circle with CA: where it reaches its end is not certain",
                 int(line[riding][0]),
                 "Give the end of the arc as its end point, without CA, or move E1 in a motion of its own.",
@@ -490,14 +488,14 @@ def _arcs(
     arcs = centre[circular], axis, via, angle
     states, state = in_force
     unheeded[circular] = left_out(
-        source, rows, circular, moves, tools, arcs, control, settings, (states, state[circular])
+        trace, rows, circular, moves, tools, arcs, control, settings, (states, state[circular])
     )
     normal[circular] = np.where(has_angle, np.sign(programmed_angles), 1.0)[:, None] * axis
     sweep[circular] = np.where(has_angle, np.abs(programmed_angles), angle)
     return centre, normal, sweep, unheeded
 
 
-def _triggers(source: Source, main: MainRoutine, line: Ints, motions: Motions, start: Starts) -> tuple[Trigger, ...]:
+def _triggers(trace: Trace, main: MainRoutine, line: Ints, motions: Motions, start: Starts) -> tuple[Trigger, ...]:
     """Return the TRIGGERs that a motion follows."""
     lines = np.array(main.run.triggers, dtype=np.int64)
     rows = np.searchsorted(line, lines)
@@ -511,21 +509,25 @@ def _triggers(source: Source, main: MainRoutine, line: Ints, motions: Motions, s
     begin, end = start.at(rows)[:, :3, 3], motions.target[rows, :3, 3]
     arc = motions.kind[rows] == CIRC
     length = np.where(arc, norm(begin - motions.centre[rows]) * motions.sweep[rows], norm(end - begin))
-    return tuple(triggers(source, list(zip(lines.tolist(), rows.tolist(), is_attached, strict=True)), length))
+    return tuple(triggers(trace, list(zip(lines.tolist(), rows.tolist(), is_attached, strict=True)), length))
 
 
-def _by_speed(source: Source, rows: MotionColumns) -> list[Issue]:
+def _by_speed(trace: Trace, rows: MotionColumns) -> list[Issue]:
     """Return an issue if the path is approximated by a criterion other than a distance."""
     exact = np.flatnonzero((rows.kind != PTP) & ~rows.approximated & (rows.tail[:, 1] > rows.tail[:, 0]))
-    tails = zip(exact.tolist(), rows.tail[exact].tolist(), strict=True)
-    speed_rows = [row for row, tail in tails if any(word in _BY_SPEED for word, _ in words_in(source.text, *tail))]
+    tails = zip(exact.tolist(), rows.line[exact].tolist(), rows.tail[exact].tolist(), strict=True)
+    speed_rows = [
+        row
+        for row, line, tail in tails
+        if any(word in _BY_SPEED for word, _ in words_in(trace.source(line).text, *tail))
+    ]
     if not speed_rows:
         return []
     message = (
         "C_VEL and C_ORI blend by speed and orientation: how far that rounds corners is not known, and "
         "does not count in the check of the tolerance."
     )
-    line = source.shown(rows.line[speed_rows])
+    line = trace.shown[rows.line[speed_rows] - 1]
     lines = tuple(distinct(line).tolist())
     return [Issue("info", "blending-by-speed", message, int(line[0]), count=len(speed_rows), lines=lines)]
 

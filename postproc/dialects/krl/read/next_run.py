@@ -48,12 +48,12 @@ def changed_data_issues(
         course, collected = course_of(start)
         line = _elsewhere(main.course, course)
         if line is None:
-            second_run = MainRoutine(collected or start.collected(main.course.source), main.course, plain)
+            second_run = MainRoutine(collected or start.collected(main.course.trace), main.course, plain)
             if collected is None:
                 second_run.follow([])
             second = ordered_motions(second_run, plain.motions)
             line = _first_difference(main.run.settings, first, second_run.run.settings, second)
-        line = None if line is None else int(main.course.source.shown(np.array([line]))[0])
+        line = None if line is None else main.course.trace.shown_line(line)
     except ProgramError as cause:
         line = cause.line or main.run.routine.first
     if line is None:
@@ -84,7 +84,7 @@ def kept_values(main: MainRoutine) -> dict[str, str]:
 
 def _elsewhere(first: Course, second: Course) -> int | None:
     """Return the first row at which two traces differ; None if they are equal."""
-    rows = min(len(first.source.starts), len(second.source.starts))
+    rows = min(len(first.trace), len(second.trace))
     columns = [(*_places(course), course.counted()) for course in (first, second)]
     differs = np.zeros(rows, dtype=np.bool_)
     for first_column, second_column in zip(*columns, strict=True):
@@ -93,17 +93,14 @@ def _elsewhere(first: Course, second: Course) -> int | None:
         )
     if differs.any():
         return int(np.argmax(differs)) + 1
-    return None if first.steps == second.steps and len(first.source.starts) == len(second.source.starts) else 1
+    return None if first.steps == second.steps and len(first.trace) == len(second.trace) else 1
 
 
 def _places(course: Course) -> tuple[Array, Array]:
     """Return the files, as numbers, and the lines that the rows of a trace (L,) are."""
-    origins = course.source.origins
-    if origins is None:
-        count = len(course.source.starts)
-        return np.full(count, float(id(course.source))), np.arange(1.0, count + 1.0)
-    files = np.array([float(id(source)) for source in origins.sources])
-    return files[origins.source], origins.line.astype(np.float64)
+    trace = course.trace
+    files = np.array([float(id(source)) for source in trace.sources])
+    return files[trace.file], trace.line.astype(np.float64)
 
 
 def _first_difference(

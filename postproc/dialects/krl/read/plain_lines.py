@@ -15,11 +15,13 @@ from functools import cache
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc.chunks import chunks, compact
 from postproc.decimals import Bytes, numbers_in, parsed
 from postproc.dialects.krl.language.positions import COLUMNS
 from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.language.trace import Trace
 from postproc.dialects.krl.layout import Offsets
 from postproc.dialects.krl.read import plain_settings
 from postproc.dialects.krl.read.motion_columns import (
@@ -326,25 +328,21 @@ def plain_of(source: Source, *, bulk: bool = True) -> Plain:
     return Plain(scan(source), plain_settings.scan(source)) if bulk else Plain([none()], no_settings())
 
 
-def gathered(trace: Source, plain_by_source: Mapping[Source, Plain], *, bulk: bool = True) -> Plain:
-    """Return the plain lines of an execution trace, taken from the plain lines of its files: no line is scanned twice.
+def gathered(trace: Trace, plain_by_source: Mapping[Source, Plain], *, bulk: bool = True) -> Plain:
+    """Return the plain rows of an execution trace, taken from the plain lines of its files: no line is scanned twice.
 
     :param plain_by_source: plain lines of files that were scanned already.
     :param bulk: see `plain_of`.
     """
-    origins = trace.origins
-    if origins is None or not bulk:
-        return plain_of(trace, bulk=bulk)
     motions, settings = [none()], [no_settings()]
-    for index, source in enumerate(origins.sources):
+    for number, source in enumerate(trace.sources if bulk else ()):
         plain = plain_by_source.get(source) or plain_of(source)
-        rows = np.flatnonzero(origins.source == index)
-        lines = origins.line[rows]
+        rows = np.flatnonzero(trace.file == number)
+        lines = trace.line[rows]
         columns = merged([*plain.motions], np.arange(sum(map(len, plain.motions))))
         plain_rows = _numbers_of(columns.line, len(source.starts))[lines - 1]
         indices = np.flatnonzero(plain_rows >= 0)
-        offset = (trace.starts[rows[indices]] - source.starts[lines[indices] - 1]).astype(np.int32)
-        motions.append(columns.take(plain_rows[indices]).moved(compact(rows[indices] + 1, np.int32), offset))
+        motions.append(replace(columns.take(plain_rows[indices]), line=compact(rows[indices] + 1, np.int32)))
         plain_rows = _numbers_of(plain.settings.line, len(source.starts))[lines - 1]
         indices = np.flatnonzero(plain_rows >= 0)
         settings.append(PlainSettings(rows[indices] + 1, plain.settings.values[:, plain_rows[indices]]))

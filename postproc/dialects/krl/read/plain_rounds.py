@@ -201,20 +201,18 @@ def _motions(run: Run, reader: MotionReader, rounds: PlainRounds, at: int, motio
     shift = np.array([start for start, _ in spans]) - starts - len(_PREFIX)
     kind = KINDS[motion.word]
     _, is_approximated = reader.tail(Place(rounds.source, at), kind, motion.tail)
-    line = rounds.line(at)
-    begin = run.source.starts[line - 1] - rounds.source.starts[at - 1]
 
-    def moved(start: int, stop: int) -> Offsets:
-        return np.asarray(begin[:, None] + np.array([start, stop]), dtype=np.int32)
+    def in_each_round(*offsets: int) -> Offsets:
+        return np.tile(np.array(offsets, dtype=np.int32), (rounds.count, 1))
 
     literal = rows.target + shift[:, None]
     rows = replace(
         rows,
-        line=line,
+        line=rounds.line(at),
         kind=np.full(rounds.count, kind),
-        keyword=(begin + motion.start).astype(np.int32),
-        target=moved(motion.end.start, motion.end.stop),
-        tail=moved(motion.tail.start, motion.tail.stop),
+        keyword=in_each_round(motion.start)[:, 0],
+        target=in_each_round(motion.end.start, motion.end.stop),
+        tail=in_each_round(motion.tail.start, motion.tail.stop),
         approximated=np.full(rounds.count, is_approximated),
     )
     return ElementMotions(rows, source, literal, motion.end.name)

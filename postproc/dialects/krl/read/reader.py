@@ -21,6 +21,7 @@ from postproc.dialects.krl.course import Occasion
 from postproc.dialects.krl.language.positions import FARTHEST
 from postproc.dialects.krl.language.routines import Module, Routine, routines
 from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.language.trace import Trace
 from postproc.dialects.krl.read.comments import notes_of, remarks
 from postproc.dialects.krl.read.data_lists import read_data, read_shared
 from postproc.dialects.krl.read.folder import FolderFiles, Library, code_of, codes_of, needed
@@ -126,9 +127,9 @@ class _Reading(Struct, frozen=True, eq=False):
         start = Start(self.library, self.entry, obstacles, self._variables(), self.cell, joints)
         course, collected = course_of(start)
         if not course.straight:
-            plain = gathered(course.source, {self.entry.source: plain}, bulk=bulk)
+            plain = gathered(course.trace, {self.entry.source: plain}, bulk=bulk)
         if collected is None or self.faults:
-            main = MainRoutine(start.collected(course.source), course, plain)
+            main = MainRoutine(start.collected(course.trace), course, plain)
             self._follow(main, plain)
         else:
             main = MainRoutine(collected, course, plain)
@@ -151,7 +152,7 @@ class _Reading(Struct, frozen=True, eq=False):
         except RecursionError:
             problem = "calls, control structures and brackets are nested too deeply"
             advice = "Write fewer of them into each other."
-            raise main.run.source.line_error(problem, main.run.line, advice) from None
+            raise main.run.trace.error(problem, main.run.line, advice) from None
         except ProgramError as cause:
             if self.cell.krl.keep_unresolved or isinstance(cause, InexactError | BranchError):
                 raise
@@ -183,17 +184,17 @@ class _Reading(Struct, frozen=True, eq=False):
     def program(self, followed: _Followed) -> Program:
         """Return the program, with the layout of its text."""
         main, cell, separation = followed.main, self.cell, followed.separation
-        run, course, sequence, source = main.run, main.course, separation.ordered, main.course.source
+        run, course, sequence, trace = main.run, main.course, separation.ordered, main.course.trace
         free = frozenset() if cell.carriage is not None else free_joins(course, sequence)
         notes = notes_of(course, sequence.rows.line, sequence.rows.kind == PTP, run.unforced, free)
         if not cell.krl.keep_unresolved:
             refuse_loaded(run, notes)
         uncorrected_lines = [line for line, _ in run.unresolved]
         predecessors, joins = branching(course, sequence, separation.after, uncorrected_lines, free)
-        _check_size(source, sequence.rows)
+        _check_size(trace, sequence.rows)
         _check_starts(main, sequence)
         motions, layout, assumptions = motions_and_layout(
-            source, main, sequence, cell.start_joints, self.kinematics, predecessors
+            main, sequence, cell.start_joints, self.kinematics, predecessors
         )
         issues = [*run.issues, *separation.issues, *assumptions, *followed.data_issues]
         issues += issues_of(main, sequence.states, sequence.state, sequence.rows, layout)
@@ -217,7 +218,7 @@ class _Reading(Struct, frozen=True, eq=False):
             *frames,
             events=remarks(course, layout.line),
             notes=tuple(note for _, note in notes),
-            still=source.shown(distinct(np.array(main.still, dtype=np.int64))),
+            still=trace.shown[distinct(np.array(main.still, dtype=np.int64)) - 1],
             issues=(*issues, *loop_issues),
             carriage=layout.carriage,
             with_path=layout.with_path if layout.with_path.any() else None,
@@ -280,7 +281,7 @@ def _issues_of_cell(followed: _Followed) -> Iterator[Issue]:
     main, start = followed.main, followed.start
     if main.reader.home_used:
         message = "The home position is in no file of the program: the joints of [start] in the cell are taken for it."
-        line = int(main.course.source.shown(np.array([main.reader.home_used]))[0])
+        line = main.course.trace.shown_line(main.reader.home_used)
         yield Issue("info", "home-from-cell", message, line)
     if relied_names := start.variables.relied:
         given = start.cell.krl.values
@@ -348,7 +349,7 @@ def _folders(document: Document, cell: Cell) -> list[Path]:
     return own_folders + [Path(cell.folder) / folder for folder in cell.krl.search]
 
 
-def _check_size(source: Source, rows: MotionColumns) -> None:
+def _check_size(trace: Trace, rows: MotionColumns) -> None:
     """Refuse coordinates that no robot reaches."""
     (is_too_far,) = in_chunks(
         lambda numbers, via: (any_column(np.abs(numbers) > FARTHEST) | any_column(np.abs(via) > FARTHEST),),
@@ -358,7 +359,7 @@ def _check_size(source: Source, rows: MotionColumns) -> None:
     if is_too_far.any():
         row = int(np.argmax(is_too_far))
         largest = max(float(np.nanmax(np.abs(values[row]), initial=0.0)) for values in (rows.numbers, rows.via))
-        raise out_of_reach(source.origin(int(rows.line[row])), largest)
+        raise out_of_reach(trace.place(int(rows.line[row])), largest)
 
 
 def _check_starts(main: MainRoutine, sequence: OrderedMotions) -> None:

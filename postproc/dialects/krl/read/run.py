@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from contextlib import suppress
 
-import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc.dialects.krl.course import Occasion
 from postproc.dialects.krl.language.declarations import declared_names
 from postproc.dialects.krl.language.routines import Module, Routine
-from postproc.dialects.krl.language.source import Place, Source
+from postproc.dialects.krl.language.source import Place
 from postproc.dialects.krl.language.structures import Node, checked, nodes_of
-from postproc.dialects.krl.language.values import Aggregate, Reference, Value, moved_aggregate
+from postproc.dialects.krl.language.trace import Trace
+from postproc.dialects.krl.language.values import Aggregate, Reference, Value
 from postproc.dialects.krl.read.data_lists import read_data
 from postproc.dialects.krl.read.effects import Analysis
 from postproc.dialects.krl.read.folder import Library
@@ -144,10 +144,10 @@ class Run:
     """State shared by the classes that follow a program.
 
     :ivar routine: the main routine.
-    :ivar source: the execution trace of the program, see `course`.
+    :ivar trace: the rows of the program; those of the `.src` until they are complete.
+    :ivar has_rows: whether `line` is a row of the trace while statements run; else it is a line of the `.src`.
     :ivar line: present row of the trace.
     :ivar shift: what the row of the present statement has in addition to its line in the file, if it is traced.
-    :ivar offset: the same of the offset of its text in the trace and in the file.
     :ivar shown_line: line of the program's own `.src` to report for it; 0 where the trace is complete and says it.
     :ivar is_final: False where statements must run once more when the trace is complete.
     :ivar place: the statement that runs, in the file of its routine.
@@ -162,7 +162,7 @@ class Run:
     :ivar unfollowed: routines reached by calls that move the robot and are not followed.
     :ivar shifted: lines of calls of unfollowed routines whose first target depends on the robot position.
     :ivar unforced: line → reason: after such a line the acting force is not known.
-    :ivar understood: offsets of names in the main routine whose use is followed.
+    :ivar understood: row and offset of names in the trace whose use is followed.
     :ivar copies: names, upper case, of variables that got the text of a point of another one, and of that.
     :ivar absent: calls of programs that are in no file: name as spelled, and line.
     :ivar reached: routines of the program itself that it calls.
@@ -172,12 +172,12 @@ class Run:
         not followed; with the reason.
     """
 
-    def __init__(self, library: Library, routine: Routine, settings: Settings, source: Source | None = None) -> None:
+    def __init__(self, library: Library, routine: Routine, settings: Settings, trace: Trace, *, has_rows: bool) -> None:
         self.library, self.routine, self.settings = library, routine, settings
-        self.source, self.variables = source or routine.source, settings.variables
+        self.trace, self.has_rows, self.variables = trace, has_rows, settings.variables
         self.scopes = Scopes(library.program, routine, self.variables)
         self.analysis = Analysis(library, self.scopes.of)
-        self.line = self.shift = self.offset = self.shown_line = 0
+        self.line = self.shift = self.shown_line = 0
         self.is_final = True
         self.place: Place | None = None
         self.level = Level(library.program, routine, Scope(), traced=True)
@@ -190,7 +190,7 @@ class Run:
         self.unfollowed: set[Routine] = set()
         self.shifted: set[int] = set()
         self.unforced: dict[int, str] = {}
-        self.understood: set[int] = set()
+        self.understood: set[tuple[int, int]] = set()
         self.copies: set[tuple[str, str]] = set()
         self.absent: list[tuple[str, int]] = []
         self.reached: set[Routine] = set()
@@ -203,14 +203,17 @@ class Run:
 
     def come_to(self, row: int) -> Place:
         """Make a row of the trace the present one; return its place in a file."""
-        at = self.source.origin(row)
+        at = self.trace.place(row)
         self.line, self.shift = row, row - at.line
-        self.offset = self.source.starts.item(row - 1) - at.source.starts.item(at.line - 1)
         return at
 
     def in_trace(self, aggregate: Aggregate) -> Aggregate:
-        """Return an aggregate of the present statement as text of the trace, where its numbers are corrected."""
-        return moved_aggregate(aggregate, self.source, self.offset) if self.is_traced else aggregate
+        """Return an aggregate of the present statement with its row, in which its numbers are corrected."""
+        return replace(aggregate, row=self.line) if self.has_rows else aggregate
+
+    def understand(self, *offsets: int) -> None:
+        """Note that the use of names in the present statement is followed."""
+        self.understood.update([(self.line, offset) for offset in offsets])
 
     def copy(self, expression: Value, value: Known, name: str) -> None:
         """Note that the present statement gives a variable, or a parameter, the text of a point, if it does.
@@ -218,13 +221,8 @@ class Run:
         :param value: that of the expression, see `Calls.value`.
         """
         if isinstance(expression, Reference) and isinstance(value, Aggregate) and not value.computed:
-            self.understood.add(expression.start + self.offset)
+            self.understand(expression.start)
             self.copies.add((expression.name, name))
-
-    @property
-    def is_traced(self) -> bool:
-        """Whether the rows are those of an execution trace, not lines of the `.src`."""
-        return self.source is not self.routine.source
 
     def nodes(self, routine: Routine) -> tuple[Node, ...]:
         """Return the statements and control structures of a routine.
@@ -238,7 +236,7 @@ class Run:
     @property
     def here(self) -> int:
         """Line of the program's own `.src` to report for the present line."""
-        return self.shown_line or int(self.source.shown(np.array([self.line]))[0])
+        return self.shown_line or self.trace.shown_line(self.line)
 
     def fork(self) -> None:
         """Reach a fork."""

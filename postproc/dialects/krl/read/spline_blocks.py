@@ -11,8 +11,9 @@ import numpy as np
 from msgspec import Struct
 
 from postproc.dialects.krl.language.names import SPLINES
-from postproc.dialects.krl.language.source import Place, Source
+from postproc.dialects.krl.language.source import Place
 from postproc.dialects.krl.language.tokens import word_at
+from postproc.dialects.krl.language.trace import Trace
 from postproc.dialects.krl.language.tree import EndSpline, Spline, Statement
 from postproc.dialects.krl.read.motion_columns import MotionColumns
 from postproc.dialects.krl.read.motion_reader import MotionReader
@@ -20,7 +21,7 @@ from postproc.dialects.krl.read.run import SETTING_ADVICE
 from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.state import State
 from postproc.errors import Issue
-from postproc.program import SPL, Bools, Motions, distinct
+from postproc.program import SPL, Bools, Ints, Motions, distinct
 
 
 class Opened(Struct, frozen=True):
@@ -83,21 +84,31 @@ class SplineBlocks:
         self.open = None
 
 
-def check_words(source: Source, rows: MotionColumns, block: np.ndarray) -> None:
+def check_words(trace: Trace, rows: MotionColumns, block: np.ndarray) -> None:
     """Refuse motions that are not allowed inside or outside of a spline block.
 
     :param block: (R,) the block that contains each; empty outside.
     :raises ProgramError: SPL outside of a block, or an instruction in a block that is none of it.
     """
     for row in np.flatnonzero((block != "") | (rows.kind == SPL)).tolist():
-        start = int(rows.keyword[row])
-        word = word_at(source.text, start, len(source.text)).removesuffix("_REL")
+        line, start = rows.line.item(row), rows.keyword.item(row)
+        text = trace.source(line).text
+        word = word_at(text, start, len(text)).removesuffix("_REL")
         if block[row] == "":
             advice = "Write SPLINE before the first of these lines and ENDSPLINE behind the last."
-            raise source.line_error("SPL outside of a spline block", int(rows.line[row]), advice)
+            raise trace.error("SPL outside of a spline block", line, advice)
         if word not in SPLINES[block[row]]:
             advice = f"It may hold {', '.join(SPLINES[block[row]])}."
-            raise source.line_error(f"{word} in a {block[row]} block", int(rows.line[row]), advice)
+            raise trace.error(f"{word} in a {block[row]} block", line, advice)
+
+
+def is_spline(trace: Trace, rows: MotionColumns, indices: Ints) -> Bools:
+    """Return which of some motions (n,) are spline motions (n,): SLIN, SCIRC, SPL."""
+    file, spline = trace.file[rows.line[indices] - 1], np.zeros(len(indices), dtype=np.bool_)
+    for number, source in enumerate(trace.sources):
+        keywords = rows.keyword[indices[file == number]].tolist()
+        spline[file == number] = [source.text[offset] in "sS" for offset in keywords]
+    return spline
 
 
 def approximated(rows: MotionColumns, in_block: Bools, ends: list[int]) -> Bools:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from msgspec import Struct
-from msgspec.structs import force_setattr, replace
+from msgspec.structs import replace
 
 from postproc.chunks import ragged_range
 from postproc.dialects.krl.course import (
@@ -26,10 +26,9 @@ from postproc.dialects.krl.course import (
     Step,
 )
 from postproc.dialects.krl.language.routines import Module, Routine
-from postproc.dialects.krl.language.source import Origins, Place, Source
+from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.language.structures import Block
-from postproc.dialects.krl.language.tokens import indent
-from postproc.dialects.text import line_spans
+from postproc.dialects.krl.language.trace import Trace
 from postproc.errors import ProgramError
 from postproc.program import Document
 
@@ -47,26 +46,19 @@ class _OpenRoutine(Struct, eq=False):
     bodies: list[Body] = []
 
 
-class Trace:
+class Recorder:
     """The execution trace of a program so far.
 
     :param main: the main routine.
-    :ivar source: its text, which it gets when it is complete.
     :ivar pinned: True if routines may also be called unchanged.
     :ivar is_final: False after something was dropped, is kept, or forks: rows and what ran differ then.
-    :ivar counters: offsets in the text of the names of counters that are assigned.
     """
 
     def __init__(self, main: Routine) -> None:
         self.main = main
-        nowhere = np.zeros(1, dtype=np.int64)
-        self.source = Source(main.source.document, "", 0, nowhere, nowhere)
         self.count = 0
         self.pinned = False
         self.is_final = True
-        self.counters: list[int] = []
-        self._length = 0
-        self._texts: list[str] = []
         self._sources: dict[Source, int] = {main.source: 0}
         self._from: list[tuple[int, int, int, int, int, bool]] = []
         self._steps: list[Step] = []
@@ -77,14 +69,12 @@ class Trace:
         self.body = Body(self.count + 1)
         self._open = [_OpenRoutine(main.source, main.first + 1, 0, [self.body])]
 
-    def present(self, line: int) -> tuple[int, int, int]:
-        """Return what row and offset of a line of the present routine have in addition to those in its file, and the
-        line of the `.src` to report for it.
+    def present(self, line: int) -> tuple[int, int]:
+        """Return what the row of a line of the present routine has in addition to the line, and the line of the `.src`
+        to report for it.
         """
         open_routine = self._open[-1]
-        cursor = open_routine.cursor
-        offset = self._length - open_routine.source.starts.item(cursor - 1)
-        return self.count + 1 - cursor, offset, open_routine.shown_line or line
+        return self.count + 1 - open_routine.cursor, open_routine.shown_line or line
 
     def run_to(self, line: int) -> None:
         """Record lines that run, up to a line of the routine."""
@@ -113,18 +103,18 @@ class Trace:
         """Return the present length of the trace, for `back_to`."""
         open_ = [(s.cursor, len(s.bodies), [len(body.parts) for body in s.bodies]) for s in self._open]
         last = self._steps[-1] if self._steps else None
-        lengths = len(self._texts), len(self._steps), len(self._counts), len(self._inlined), len(self._files)
+        lengths = len(self._from), len(self._steps), len(self._counts), len(self._inlined), len(self._files)
         return self.count, lengths, last, open_
 
     def back_to(self, mark: tuple[Any, ...]) -> None:
         """Drop everything recorded since."""
         self.is_final = False
-        self.count, (texts, steps, counts, inlined, files), last, open_ = mark
+        self.count, (pieces, steps, counts, inlined, files), last, open_ = mark
         for routine in list(self._inlined)[inlined:]:
             del self._inlined[routine]
         for document in list(self._files)[files:]:
             del self._files[document]
-        del self._texts[texts:], self._from[texts:], self._steps[steps:], self._open[len(open_) :]
+        del self._from[pieces:], self._steps[steps:], self._open[len(open_) :]
         del self._counts[counts:]
         if steps:
             self._steps[-1] = last
@@ -141,10 +131,9 @@ class Trace:
         """
         caller = self._open[-1]
         self.pass_to(at.line)
-        start = int(at.source.starts[at.line - 1])
         self._steps.append(Enter(self.count, module, routine))
         body = Body(self.count + 1)
-        caller.bodies[-1].parts.append(Called(self.count, (name[0] - start, name[1] - start), routine, body))
+        caller.bodies[-1].parts.append(Called(self.count, name, routine, body))
         is_own = routine.source is self.main.source
         shown_line = 0 if is_own else caller.shown_line or at.line
         self._open.append(_OpenRoutine(routine.source, routine.first + 1, shown_line, [body]))
@@ -171,25 +160,21 @@ class Trace:
         self._open[-1].bodies[-1].parts.append(loop)
         return loop
 
-    def repeat(self, loop: Repeated, block: Block, assignment: tuple[str, int] | None) -> None:
-        """Begin an iteration of a loop."""
+    def repeat(self, loop: Repeated, block: Block, number: int | None) -> None:
+        """Begin an iteration of a loop.
+
+        :param number: of the counter of FOR; None for other loops.
+        """
         body = Body(self.count + 1)
         loop.bodies.append(body)
         self._open[-1].bodies.append(body)
-        self._assign(loop, block, assignment)
+        self._assign(block, number)
         self._open[-1].cursor = block.first + 1
 
-    def plain_rounds(self, loop: Repeated, block: Block, name: str, rounds: PlainRounds) -> None:
-        """Record rounds that differ in the number of the counter only.
-
-        :param name: of the counter, as it is spelled.
-        """
+    def plain_rounds(self, loop: Repeated, block: Block, rounds: PlainRounds) -> None:
+        """Record rounds that differ in the number of the counter only."""
         open_routine = self._open[-1]
         first, last = block.first + 1, block.last - 1
-        body = _lines(open_routine.source, first, last)
-        prefix, end = f"{indent(loop.opener)}{name}=", _end(loop.opener)
-        for count in range(rounds.begin, rounds.begin + rounds.count * rounds.step, rounds.step):
-            self._texts += f"{prefix}{count}{end}", body
         source = self._sources.setdefault(open_routine.source, len(self._sources))
         round_origin = (
             (source, 1, 1, open_routine.shown_line, block.first, True),
@@ -210,11 +195,14 @@ class Trace:
         self.pass_to(block.last - 1, live=False)
         self._open[-1].bodies.pop().last = self.count + 1
 
-    def end(self, loop: Repeated, block: Block, assignment: tuple[str, int] | None) -> None:
-        """End a loop."""
+    def end(self, loop: Repeated, block: Block, number: int | None) -> None:
+        """End a loop.
+
+        :param number: that the counter of FOR has then; None if the loop is left, and for other loops.
+        """
         if not loop.bodies:
             self.pass_to(block.last, live=False)
-        self._assign(loop, block, assignment)
+        self._assign(block, number)
         self._open[-1].cursor = block.last + 1
         loop.last = self.count + 1
 
@@ -231,21 +219,15 @@ class Trace:
                 self._put(main.source, line, routine.first - 1, 0, live=False)
                 line = routine.last + 1
         self._put(main.source, line, len(main.source.starts), 0, live=False)
-        text = "".join(self._texts)
-        starts, stops = line_spans(text)
         lengths = np.array([last - first + 1 for _, first, last, *_ in self._from])
         column = np.array(self._from, dtype=np.int64)
         run = ragged_range(lengths)
         source, first, _, shown_line, fixed_line, live = (np.repeat(values, lengths) for values in column.T)
         origin = np.where(fixed_line > 0, fixed_line, first + run)
-        origins = Origins(tuple(self._sources), source, origin, np.where(shown_line > 0, shown_line, origin))
-        document = replace(main.source.document, text=text)
-        complete = {"document": document, "text": text, "starts": starts, "stops": stops, "origins": origins}
-        for name, value in complete.items():
-            force_setattr(self.source, name, value)  # aggregates of statements that have run refer to it
+        shown = np.where(shown_line > 0, shown_line, origin)
         return Course(
             main,
-            self.source,
+            Trace(tuple(self._sources), source, origin, shown, fixed_line > 0),
             tuple(self._steps),
             self.body,
             live.astype(np.bool_),
@@ -267,33 +249,16 @@ class Trace:
     def _put(self, source: Source, first: int, last: int, shown_line: int, *, live: bool) -> None:
         if last < first:
             return
-        text = _lines(source, first, last)
-        self._texts.append(text)
-        self._length += len(text)
         self._from.append((self._sources.setdefault(source, len(self._sources)), first, last, shown_line, 0, live))
         self.count += last - first + 1
 
-    def _assign(self, loop: Repeated, block: Block, assignment: tuple[str, int] | None) -> None:
+    def _assign(self, block: Block, number: int | None) -> None:
         """Record an assignment to the counter of a loop."""
-        if assignment is None:
+        if number is None:
             return
         open_routine = self._open[-1]
-        name, number = assignment
-        blanks = indent(loop.opener)
-        text = f"{blanks}{name}={number}{_end(loop.opener)}"
-        self._texts.append(text)
-        self.counters.append(self._length + len(blanks))
-        self._length += len(text)
-        self._from.append(
-            (
-                self._sources.setdefault(open_routine.source, len(self._sources)),
-                1,
-                1,
-                open_routine.shown_line,
-                block.first,
-                True,
-            )
-        )
+        source = self._sources.setdefault(open_routine.source, len(self._sources))
+        self._from.append((source, 1, 1, open_routine.shown_line, block.first, True))
         self.count += 1
         self._counts.append((self.count, number))
         self._run_on(self.count)
@@ -310,7 +275,3 @@ class Trace:
 def _lines(source: Source, first: int, last: int) -> str:
     start = int(source.starts[first - 1])
     return source.text[start : int(source.starts[last]) if last < len(source.starts) else len(source.text)]
-
-
-def _end(text: str) -> str:
-    return text[len(text.rstrip("\r\n")) :]

@@ -78,7 +78,7 @@ def without_unresolved(main: MainRoutine, sequence: OrderedMotions) -> Separated
         row = int(np.searchsorted(rows.line, line, side="right"))
         while row < len(rows) and (is_dropped[row] or needs_start(sequence, row)):
             if not is_dropped[row]:
-                reasons[int(rows.line[row])] = main.run.source.line_error(_BEGIN, int(rows.line[row]))
+                reasons[int(rows.line[row])] = main.run.trace.error(_BEGIN, int(rows.line[row]))
             is_dropped[row] = True
             row += 1
         open_.add(row)
@@ -87,7 +87,7 @@ def without_unresolved(main: MainRoutine, sequence: OrderedMotions) -> Separated
     for row in np.flatnonzero(is_dropped).tolist():
         if row in sequence.moves:
             move = sequence.moves[row]
-            run.understood -= {move.end.start, *([move.via.start] if move.via else [])}
+            run.understood -= {(move.line, point.start) for point in (move.end, move.via) if point is not None}
     new = np.cumsum(~is_dropped) - 1
     predecessors = np.arange(int((~is_dropped).sum())) - 1
     begins = [int(new[row]) for row in sorted(open_) if row < len(rows)]
@@ -128,20 +128,20 @@ def _synchronised(main: MainRoutine, line: Ints) -> Iterator[tuple[int, ProgramE
 
     :param line: (R,) lines of the motions in the trace.
     """
-    source, marks = main.run.source, _marks(main)
+    trace, marks = main.run.trace, _marks(main)
     if not marks:
         return
     sections = [
-        (begin, end, f"between SYNCCMD ({source.origin(begin)}) and SYNCCMD ({source.origin(end)})")
+        (begin, end, f"between SYNCCMD ({trace.place(begin)}) and SYNCCMD ({trace.place(end)})")
         for (begin, _), (end, _) in pairwise(marks)
     ]
     last, waits = marks[-1]
     if not waits:
-        sections.append((last, len(source.starts) + 1, f"behind SYNCCMD ({source.origin(last)})"))
+        sections.append((last, len(trace) + 1, f"behind SYNCCMD ({trace.place(last)})"))
     for begin, end, section_text in sections:
         for row in np.flatnonzero((line > begin) & (line <= end)).tolist():  # the motion before a LOOP too
             problem = f"the motion is {section_text}: another robot may move in time with it"
-            yield row, source.line_error(problem, int(line[row]), _SYNC_ADVICE)
+            yield row, trace.error(problem, int(line[row]), _SYNC_ADVICE)
 
 
 def _marks(main: MainRoutine) -> list[tuple[int, bool]]:
@@ -152,7 +152,7 @@ def _marks(main: MainRoutine) -> list[tuple[int, bool]]:
     """
     run, course = main.run, main.course
     modules = [run.library.program, *run.library.read()]
-    if not any(_synchronises(source.text) for source in (run.source, *(module.source for module in modules))):
+    if not any(_synchronises(module.source.text) for module in modules):
         return []
     routines = [(module, routine) for module in modules for routine in module.routines.values()]
     words = {routine: {_word(routine.source, at) for at in routine.lines} - {""} for _, routine in routines}
@@ -170,9 +170,10 @@ def _marks(main: MainRoutine) -> list[tuple[int, bool]]:
     )
     entry_lines = {step.line for step in course.steps if isinstance(step, Enter)}
     marks = []
+    trace = course.trace
     for at in range(course.body.first, course.body.last):
-        if course.live is None or course.live[at - 1]:
-            word = _word(run.source, at, names, is_entered=at in entry_lines)
+        if not trace.is_count[at - 1] and (course.live is None or course.live[at - 1]):
+            word = _word(*trace.place(at), names, is_entered=at in entry_lines)
             marks += [(at, not at_any_time and (waiting or word == _WAITING))] if word else []
     loop = course.endless
     if loop is not None and any(loop.first <= at < loop.last for at, _ in marks):
@@ -228,10 +229,10 @@ def _reported(main: MainRoutine, reasons: dict[int, ProgramError]) -> tuple[tupl
     by_place: dict[str, Unresolved] = {}
     issues = []
     for line, reason in sorted(reasons.items()):
-        origin = main.run.source.origin(line)
+        origin = main.run.trace.place(line)
         if str(origin) in by_place:
             continue
-        shown_line: int | None = int(main.run.source.shown(np.array([line]))[0])
+        shown_line: int | None = main.run.trace.shown_line(line)
         text = origin.source.text[slice(*origin.source.code_span(origin.line))]
         by_place[str(origin)] = Unresolved(origin.source.document.name, origin.line, text, reason.problem)
         suffix = _SHIFT_TEXT if _starts_here(main, line, reason) else ""
@@ -244,7 +245,7 @@ def _reported(main: MainRoutine, reasons: dict[int, ProgramError]) -> tuple[tupl
 
 def _starts_here(main: MainRoutine, line: int, reason: ProgramError) -> bool:
     """Return whether the target of an uncorrected motion, or of a called routine, depends on the robot position."""
-    stmt = statement(*main.run.source.origin(line))
+    stmt = statement(*main.run.trace.place(line))
     if line in main.run.shifted or (isinstance(stmt, Motion) and from_here(stmt)):
         return True
     is_here = PARTLY_GIVEN in reason.problem or any(name in reason.problem.upper() for name in HERE)
@@ -252,12 +253,12 @@ def _starts_here(main: MainRoutine, line: int, reason: ProgramError) -> bool:
 
 
 def _opened(main: MainRoutine, sequence: OrderedMotions, begins: list[int]) -> Iterator[Issue]:
-    source = main.run.source
-    origins = {line: source.origin(line) for line in sequence.rows.line[begins].tolist()}
+    trace = main.run.trace
+    origins = {line: trace.place(line) for line in sequence.rows.line[begins].tolist()}
     own_lines = [line for line, origin in origins.items() if origin.source is main.run.routine.source]
     for name in {str(origin): None for line, origin in origins.items() if line not in own_lines}:
         yield Issue("warning", "start-unknown", f"{name}: {_OPEN}", subject=name)
     if own_lines:
-        lines = distinct(source.shown(np.array(own_lines))).tolist()
+        lines = distinct(trace.shown[np.array(own_lines) - 1]).tolist()
         begins = own_lines
         yield Issue("warning", "start-unknown", _OPEN, lines[0], count=len(begins), lines=tuple(lines))

@@ -321,15 +321,15 @@ class Variables:
             first, second = second, first
         if isinstance(first, Unread):
             if isinstance(second, Aggregate):
-                return (
-                    not second.computed and second.source is first.source and first.start <= second.start < first.stop
-                )
+                is_same_text = second.source is first.source and second.row == first.row
+                return is_same_text and not second.computed and first.start <= second.start < first.stop
             value = first.value
             return isinstance(value, Number) and isinstance(second, Number) and value.value == second.value
         if not isinstance(first, Aggregate) or not isinstance(second, Aggregate):
             return False
-        return (first.source, first.start, first.computed, first.items.keys()) == (
+        return (first.source, first.row, first.start, first.computed, first.items.keys()) == (
             second.source,
+            second.row,
             second.start,
             second.computed,
             second.items.keys(),
@@ -346,7 +346,7 @@ class Variables:
             value = self._values.get(f"{name}[{number}]")
             if not isinstance(value, Unread | Aggregate) or (isinstance(value, Aggregate) and value.computed):
                 return None
-            if value.source is not (source := source or value.source) or source.index == 0:
+            if value.source is not (source := source or value.source) or source.index == 0 or value.row:
                 return None
             spans.append((value.start, value.stop))
         return None if source is None else (source, spans)

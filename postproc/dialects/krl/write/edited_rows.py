@@ -1,6 +1,6 @@
 """Edits of an execution trace, by its rows: which rows read alike, and how many lines each is written as.
 
-No text of the trace is made: only rows that are edited are written, each from the line of its file.
+Only rows that are edited are written, each from the line of its file.
 """
 
 from __future__ import annotations
@@ -9,9 +9,10 @@ import numpy as np
 from msgspec import Struct
 
 from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.language.trace import Trace
 from postproc.dialects.krl.write.edits import Replacements
 from postproc.dialects.text import line_spans
-from postproc.program import Ints, distinct
+from postproc.program import Ints
 
 
 class EditedRows(Struct, frozen=True, eq=False):
@@ -30,25 +31,24 @@ class EditedRows(Struct, frozen=True, eq=False):
     begins: Ints
 
 
-def edited_rows(trace: Source, edits: Replacements) -> EditedRows:
+def edited_rows(trace: Trace, edits: Replacements) -> EditedRows:
     """Return the rows of a trace after edits, each of which is within one row."""
-    rows = distinct(trace.line_at_each(edits.starts()))
-    places = [trace.origin(row) for row in rows.tolist()]
-    pieces = [line_text(place.source, place.line) for place in places]
+    rows = edits.rows()
+    pieces = [line_text(*trace.place(row)) for row in rows.tolist()]
     begins = np.append(0, np.cumsum([len(piece) for piece in pieces], dtype=np.int64))
-    shift = begins[:-1] - trace.starts[rows - 1]
+    shift = begins[:-1] - trace.starts(rows)
     texts: list[str] = []
     if len(rows):
-        row_edits = edits.with_offsets(lambda at: at + shift[np.searchsorted(rows, trace.line_at_each(at))])
+        row_edits = edits.moved_rows(lambda pieces: shift[np.searchsorted(rows, pieces)])
         text, bounds = row_edits.applied("".join(pieces)), row_edits.moved(begins)
         texts = [text[start:stop] for start, stop in zip(bounds[:-1].tolist(), bounds[1:].tolist(), strict=True)]
     indices = [index for index, (new, old) in enumerate(zip(texts, pieces, strict=True)) if new != old]
     texts = [texts[index] for index in indices]
     rows = rows[indices]
     numbers: dict[str, int] = {}
-    keys = np.zeros(len(trace.starts), dtype=np.int64)
+    keys = np.zeros(len(trace), dtype=np.int64)
     keys[rows - 1] = [numbers.setdefault(text, len(numbers) + 1) for text in texts]
-    count = np.ones(len(trace.starts), dtype=np.int64)
+    count = np.ones(len(trace), dtype=np.int64)
     count[rows - 1] = [line_count(text) for text in texts]
     return EditedRows(rows, tuple(texts), keys.tolist(), np.append(0, np.cumsum(count)))
 

@@ -1,4 +1,4 @@
-"""Edits of a text: pieces replaced, lines inserted; what does not change stays to the byte."""
+"""Edits of files: pieces replaced, lines inserted; what does not change stays to the byte."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from postproc.chunks import compact
 from postproc.decimals import Bytes, fixed
-from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.language.trace import Trace
 from postproc.frames import Array
 from postproc.program import Ints, distinct
 
@@ -23,49 +23,59 @@ _PIECES = 1 << 16
 class Replacements(Struct, eq=False):
     """Pieces of a text to be replaced, in any order; they must not overlap.
 
-    Insertions at one place stay in the order in which they were added.
+    Insertions at one place stay in the order in which they were added. In an execution trace a piece is within the
+    line of one row, and offsets are those of its file; elsewhere the row is 0.
     """
 
     _starts: list[Ints] = []
     _stops: list[Ints] = []
     _lengths: list[Ints] = []
     _numbers: list[Bytes] = []
+    _rows: list[Ints] = []
     _single: list[tuple[int, int, str]] = []
+    _single_rows: list[int] = []
 
-    def add(self, start: int, stop: int, text: str) -> None:
+    def add(self, start: int, stop: int, text: str, row: int = 0) -> None:
         """Replace ``text[start:stop]`` by another text; ``start == stop`` inserts."""
         self._single.append((start, stop, text))
+        self._single_rows.append(row)
 
-    def add_numbers(self, starts: Ints, stops: Ints, values: Array, decimals: Ints) -> None:
+    def add_numbers(self, starts: Ints, stops: Ints, values: Array, decimals: Ints, rows: Ints) -> None:
         """Replace n pieces by numbers in fixed-point notation.
 
         :param starts: (n,) offsets; `stops` (n,) those behind.
         :param values: (n,) numbers.
         :param decimals: (n,) decimals of each.
+        :param rows: (n,) of the execution trace, or 0.
         """
         for places in distinct(decimals).tolist():
-            rows = np.flatnonzero(decimals == places)
-            digits = fixed(values[rows], places)
+            pieces = np.flatnonzero(decimals == places)
+            digits = fixed(values[pieces], places)
             has_digit = digits != 0
-            self._starts.append(compact(starts[rows], np.int32))
-            self._stops.append(compact(stops[rows], np.int32))
+            self._starts.append(compact(starts[pieces], np.int32))
+            self._stops.append(compact(stops[pieces], np.int32))
+            self._rows.append(compact(rows[pieces], np.int32))
             self._lengths.append(has_digit.sum(axis=1, dtype=np.int32))
             self._numbers.append(digits[has_digit])
 
-    def starts(self) -> Ints:
-        """Return where pieces begin (n,), in any order."""
-        return np.concatenate([*self._starts, np.array([start for start, _, _ in self._single], dtype=np.int64)])
+    def rows(self) -> Ints:
+        """Return the rows that have pieces, in order."""
+        return distinct(np.concatenate([*self._rows, np.array(self._single_rows, dtype=np.int64)]))
 
-    def with_offsets(self, new_offsets: Callable[[Ints], Ints]) -> Replacements:
-        """Return the same replacements in another text.
+    def moved_rows(self, shifts: Callable[[Ints], Ints]) -> Replacements:
+        """Return the same replacements in a text that has the lines of the rows one after the other.
 
-        :param new_offsets: offsets at which pieces begin (n,) → those in the other text.
+        :param shifts: rows (n,) → how much later they are in that text than in their files.
         """
-        starts = [np.asarray(new_offsets(begin)) for begin in self._starts]
-        stops = [new + stop - old for new, old, stop in zip(starts, self._starts, self._stops, strict=True)]
-        begins = new_offsets(np.array([start for start, _, _ in self._single], dtype=np.int64)).tolist()
-        single = [(new, new + stop - old, text) for new, (old, stop, text) in zip(begins, self._single, strict=True)]
-        return Replacements(starts, stops, self._lengths, self._numbers, single)
+        numbers = [shifts(rows) for rows in self._rows]
+        starts = [begin + shift for begin, shift in zip(self._starts, numbers, strict=True)]
+        stops = [stop + shift for stop, shift in zip(self._stops, numbers, strict=True)]
+        single_shifts = shifts(np.array(self._single_rows, dtype=np.int64)).tolist()
+        single = [
+            (start + shift, stop + shift, text)
+            for shift, (start, stop, text) in zip(single_shifts, self._single, strict=True)
+        ]
+        return Replacements(starts, stops, self._lengths, self._numbers, self._rows, single, self._single_rows)
 
     def __bool__(self) -> bool:
         return bool(self._single or self._starts)
@@ -130,9 +140,9 @@ def _joined(text: Codes, starts: Ints, stops: Ints, pieces: Codes, begin: Ints, 
 
 
 class InsertedLines(Struct, eq=False):
-    """Collects lines that come in, in order, and lines that go. Line numbers are 1-based and those of the input."""
+    """Collects lines that come in, in order, and lines that go. Lines are given by their rows in the input."""
 
-    source: Source
+    trace: Trace
     replacements: Replacements
     _at: list[int] = []
     _target: list[int] = []
@@ -141,23 +151,26 @@ class InsertedLines(Struct, eq=False):
     def add(self, at: int, text: str, target: int = -1) -> None:
         """Put a text with its line end before a line, behind what was put there already.
 
-        :param target: row of the target on it; −1 if there is none.
+        :param target: number of the target on it; −1 if there is none.
         """
-        offset = int(self.source.starts[at - 1])
-        self.replacements.add(offset, offset, text)
+        source, line = self.trace.place(at)
+        offset = source.starts.item(line - 1)
+        self.replacements.add(offset, offset, text, at)
         self._at.append(at)
         self._target.append(target)
 
     def behind(self, line: int, text: str) -> None:
         """Insert a text without line end as a line after a line, before any text inserted before the next one."""
-        stop = int(self.source.stops[line - 1])
-        self.replacements.add(stop, stop, self.source.text[stop : self.source.starts[line]] + text)
+        source, number = self.trace.place(line)
+        stop = source.stops.item(number - 1)
+        self.replacements.add(stop, stop, source.text[stop : source.starts[number]] + text, line)
         self._at.append(line + 1)
         self._target.append(-1)
 
     def move(self, line: int, at: int, text: str) -> None:
         """Take a line away and put a text, in its place, before another."""
-        self.replacements.add(int(self.source.starts[line - 1]), int(self.source.starts[line]), "")
+        source, number = self.trace.place(line)
+        self.replacements.add(source.starts.item(number - 1), source.starts.item(number), "", line)
         self._removed_lines.append(line)
         self.add(at, text)
 

@@ -152,7 +152,7 @@ class _Folder(Struct, eq=False):
             changes += [(self._line(row), key) for row, key in enumerate(keys, first) if key]
 
     def _line(self, row: int) -> int:
-        return self.course.source.origin(row).line
+        return self.course.trace.line.item(row - 1)
 
     def _loop_key(self, loop: Repeated) -> object:
         """Return what changes in a loop: in its body if that holds for all rounds, else in each round."""
@@ -161,7 +161,7 @@ class _Folder(Struct, eq=False):
             return keys[0] if keys else self._unchanged_rows(loop)
         head = loop.opener.strip()
         message = f"The rounds of {head} are corrected differently: they are written out, but for those that are alike."
-        line = int(self.course.source.shown(np.array([loop.first]))[0])
+        line = self.course.trace.shown_line(loop.first)
         self.issues.append(Issue("info", "loop-written-out", message, line, subject=f"{head} {line}"))
         end = self.course.count(loop, loop.bodies[-1].last) if self._counted_on(loop) else None
         return ("rounds", end, *zip(self._counts(loop), keys, strict=True))
@@ -278,15 +278,16 @@ class _Folder(Struct, eq=False):
             self.outside.append(call)
         if version.name == call.routine.name:
             return line
-        text = self._text(line)
-        return line._replace(content=(text[: call.name[0]] + version.name + text[call.name[1] :],))
+        text, (source, number) = self._text(line), self.course.trace.place(call.line)
+        start, stop = (offset - source.starts.item(number - 1) for offset in call.name)
+        return line._replace(content=(text[:start] + version.name + text[stop:],))
 
     # --- routines ----------------------------------------------------------------------------------------------------
 
     def _unused(self, call: Called) -> str:
         """Return a name for a copy of a routine."""
         if self.names is None:
-            sources = dict.fromkeys([*self.course.sources, *(routine.source for routine in self.versions)])
+            sources = dict.fromkeys([*self.course.trace.sources, *(routine.source for routine in self.versions)])
             words = {word.upper() for source in sources for word in NAME.findall(source.text)}
             self.names = Names(words | self.course.taken)
         routine = call.routine
@@ -297,7 +298,7 @@ class _Folder(Struct, eq=False):
         if routine in self.course.pinned:
             reason = "is also called where calls are not followed, and stays as it is there"
         message = f"{spelling}() {reason}: this one calls its copy {name}()."
-        line = int(self.course.source.shown(np.array([call.line]))[0])
+        line = self.course.trace.shown_line(call.line)
         self.issues.append(Issue("info", "routine-copied", message, line, subject=name))
         return name
 
@@ -338,7 +339,7 @@ class _Folder(Struct, eq=False):
 
     def _of_rows(self, first: int, last: int) -> str:
         """Return the text of rows first … last − 1, which are consecutive lines of a file."""
-        source, line = self.course.source.origin(first)
+        source, line = self.course.trace.place(first)
         shift = line - first
         begin, stop = np.searchsorted(self.edited.rows, [first, last]).tolist()
         texts = []

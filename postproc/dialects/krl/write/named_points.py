@@ -17,20 +17,25 @@ from postproc.dialects.krl.language.expressions import parse_aggregate
 from postproc.dialects.krl.language.motion_statements import MotionStatement, Point
 from postproc.dialects.krl.language.names import Names
 from postproc.dialects.krl.language.positions import from_aggregate
-from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.language.tokens import NAME, word_at
 from postproc.dialects.krl.language.values import Aggregate
 from postproc.dialects.krl.layout import Elements, Layout
 from postproc.dialects.krl.write.edits import Replacements
 from postproc.dialects.krl.write.target_statements import applied, literal_of, replaced_numbers
 from postproc.errors import Issue
-from postproc.program import Bools, Motions
+from postproc.program import Bools, Ints, Motions
+
+Mentions = Mapping[str, Sequence[tuple[int, int]]]
+"""Variable, upper case → rows of the trace and offsets at which its name is in code."""
+_TextPlace = tuple[Source, int, int]
+"""File, row of the trace or 0, and offset of an aggregate."""
 
 
 class Use(Struct, frozen=True, eq=False):
     """A named point in a statement.
 
-    :param line: 1-based line of the statement.
+    :param line: 1-based row of the execution trace.
     :param operand: the point.
     :param texts: component → number to be commanded; None where it stays as it is.
     :param whole: returns the target as a complete literal, for a statement that cannot name a point of its own.
@@ -51,9 +56,9 @@ class NamedPoints(Struct, eq=False):
     sources: Sequence[Source]
     layout: Layout
     replacements: Sequence[Replacements]
-    mentions: Mapping[str, Sequence[int]]
+    mentions: Mentions
     issues: list[Issue] = []
-    _uses: dict[tuple[int, int], list[Use]] = field(default_factory=lambda: defaultdict(list))
+    _uses: dict[_TextPlace, list[Use]] = field(default_factory=lambda: defaultdict(list))
     _names: Names | None = None
     _moved_to: dict[str, bool] = {}
 
@@ -61,7 +66,7 @@ class NamedPoints(Struct, eq=False):
         """Note a use; one of a point whose numbers are in no text becomes a literal at once."""
         aggregate = use.operand.position.aggregate
         if aggregate is not None and use.operand.name:
-            self._uses[aggregate.source.index, aggregate.start].append(use)
+            self._uses[_text_place(aggregate)].append(use)
         elif use.texts is not None:
             self._replace(use)
 
@@ -83,7 +88,8 @@ class NamedPoints(Struct, eq=False):
         """
         name = uses[0].operand.name
         is_same = all(use.texts == uses[0].texts and use.operand.name == name for use in uses)
-        return is_same and aggregate.source.index < len(self.sources) and self._only_moved_to(name)
+        is_written = aggregate.row > 0 or aggregate.source.index < len(self.sources)
+        return is_same and is_written and self._only_moved_to(name)
 
     def _only_moved_to(self, name: str) -> bool:
         """Return whether the values of a variable are used by motions only, see `only_moved_to`."""
@@ -93,34 +99,31 @@ class NamedPoints(Struct, eq=False):
 
     def _correct(self, use: Use, aggregate: Aggregate) -> None:
         """Replace the numbers of a point in its declaration by the corrected ones."""
+        edits = self.replacements[0 if aggregate.row else aggregate.source.index]
         for piece in replaced_numbers(literal_of(aggregate), use.texts or {}):
-            self.replacements[aggregate.source.index].add(*piece)
+            edits.add(*piece, aggregate.row)
 
     def _separate(self, uses: list[Use], aggregate: Aggregate) -> None:
         """Declare a point for each different correction; the old one stays for uncorrected uses."""
         names: dict[str, str] = {}
         for use in uses:
-            text = self.sources[0].text[use.operand.start : use.operand.stop]
-            is_out_of_scope = self._away(use)  # there a new point would not be seen
+            source = self.layout.course.trace.source(use.line)
+            text = source.text[use.operand.start : use.operand.stop]
+            is_out_of_scope = source is not self.sources[0]  # there a new point would not be seen
             is_copy = any(use.operand.name in pair for pair in self.layout.copies)
-            is_elsewhere = aggregate.source.index != 1 or len(self.sources) < 2
+            is_elsewhere = aggregate.row > 0 or aggregate.source.index != 1 or len(self.sources) < 2
             if is_elsewhere or is_copy or is_out_of_scope or not NAME.fullmatch(text):
                 self._replace(use)
                 continue
             literal = applied(literal_of(aggregate), replaced_numbers(literal_of(aggregate), use.texts or {}))
             if literal not in names:
                 names[literal] = self._declare(text, literal, aggregate)
-            self.replacements[0].add(use.operand.start, use.operand.stop, names[literal])
+            self.replacements[0].add(use.operand.start, use.operand.stop, names[literal], use.line)
             message = (
                 f"{text} is also used otherwise: this motion uses the new point {names[literal]} of the .dat. "
                 "The text of an inline form still names the old point."
             )
             self.issues.append(Issue("info", "new-point", message, use.line))
-
-    def _away(self, use: Use) -> bool:
-        """Return whether the motion of a use is in another file than the program."""
-        source = self.sources[0]
-        return source.origin(source.line_at(use.operand.start)).source.document.name != source.document.name
 
     def _declare(self, name: str, literal: str, aggregate: Aggregate) -> str:
         """Declare a new point behind the line of another; return its name."""
@@ -140,31 +143,45 @@ class NamedPoints(Struct, eq=False):
 
     def _replace(self, use: Use) -> None:
         """Write the target into the statement."""
-        self.replacements[0].add(use.operand.start, use.operand.stop, use.whole())
+        self.replacements[0].add(use.operand.start, use.operand.stop, use.whole(), use.line)
         message = "A point that is computed, or that something else uses too, is replaced by numbers in the statement."
         self.issues.append(Issue("info", "point-replaced", message, use.line))
 
 
-def mentions(source: Source, plain_lines: Sequence[int], course: Course) -> Mapping[str, Sequence[int]]:
-    """Return where the code of a trace names each variable, upper case, in lines other than some that name no points.
+def mentions(course: Course, plain_rows: Ints) -> Mentions:
+    """Return where the code of a trace names each variable, upper case, by rows and offsets.
 
-    Names in routines that also run unchanged are listed at −1, an offset that is never understood.
+    Names in routines that also run unchanged are listed in row 0, which is never understood.
+
+    :param plain_rows: rows that name no points.
     """
-    plain = set(plain_lines)
-    places: defaultdict[str, list[int]] = defaultdict(list)
-    for line in range(1, len(source.starts) + 1):
-        if line not in plain:
-            start, stop = source.code_span(line)
-            for match in NAME.finditer(source.text, start, stop):
-                places[match[0].upper()].append(match.start())
+    trace, places = course.trace, defaultdict[str, list[tuple[int, int]]](list)
+    is_left_out = trace.is_count.copy()
+    is_left_out[plain_rows - 1] = True
+    names: dict[Place, list[tuple[str, int]]] = {}
+    for row in (np.flatnonzero(~is_left_out) + 1).tolist():
+        place = trace.place(row)
+        if place not in names:
+            names[place] = _names(*place)
+        for name, offset in names[place]:
+            places[name].append((row, offset))
     for routine in course.pinned:
         for line in range(routine.first + 1, routine.last):
-            for name in NAME.findall(routine.source.text, *routine.source.code_span(line)):
-                places[name.upper()].append(-1)
+            for name, offset in _names(routine.source, line):
+                places[name].append((0, offset))
     return places
 
 
-def only_moved_to(name: str, layout: Layout, mentions: Mapping[str, Sequence[int]]) -> bool:
+def _names(source: Source, line: int) -> list[tuple[str, int]]:
+    """Return the names in the code of a line, upper case, and their offsets."""
+    return [(match[0].upper(), match.start()) for match in NAME.finditer(source.text, *source.code_span(line))]
+
+
+def _text_place(aggregate: Aggregate) -> _TextPlace:
+    return aggregate.source, aggregate.row, aggregate.start
+
+
+def only_moved_to(name: str, layout: Layout, mentions: Mentions) -> bool:
     """Return whether motions alone use the values of a variable, and of those that they are copied to or from.
 
     All else must find the values that it found before.
@@ -175,13 +192,11 @@ def only_moved_to(name: str, layout: Layout, mentions: Mapping[str, Sequence[int
     while len(names) > count:
         count = len(names)
         names |= {name for pair in layout.copies if not names.isdisjoint(pair) for name in pair}
-    is_followed = all(offset in layout.understood for name in names for offset in mentions.get(name, ()))
+    is_followed = all(place in layout.understood for name in names for place in mentions.get(name, ()))
     return is_followed and names.isdisjoint(layout.public)
 
 
-def settled(
-    layout: Layout, motions: Motions, mentions: Mapping[str, Sequence[int]], files: int, has_one_target: Bools
-) -> Layout:
+def settled(layout: Layout, motions: Motions, mentions: Mentions, files: int, has_one_target: Bools) -> Layout:
     """Return the layout with those elements only whose numbers can be edited in place; the others are statements.
 
     :param mentions: see `mentions`.
@@ -193,21 +208,17 @@ def settled(
     points = [move.end for move in layout.statements.values()]
     points += [move.via for move in layout.statements.values() if move.via is not None]
     literal_starts = [
-        (aggregate.source.index, aggregate.start)
-        for aggregate in (point.position.aggregate for point in points)
-        if aggregate is not None
+        _text_place(aggregate) for aggregate in (point.position.aggregate for point in points) if aggregate is not None
     ]
     for elements in layout.elements:
-        literal_starts += [(elements.source.index, start) for start in elements.literal[:, 0].tolist()]
+        literal_starts += [(elements.source, 0, start) for start in elements.literal[:, 0].tolist()]
     times = Counter(literal_starts)
     left, statements, array_rows = [], dict(layout.statements), layout.within.copy()
     for elements in layout.elements:
         is_editable = (
             elements.source.index < files and layout.carriage is None and only_moved_to(elements.name, layout, mentions)
         )
-        is_single_use = np.array(
-            [times[elements.source.index, start] == 1 for start in elements.literal[:, 0].tolist()]
-        )
+        is_single_use = np.array([times[elements.source, 0, start] == 1 for start in elements.literal[:, 0].tolist()])
         in_place = has_one_target[elements.row] & is_single_use & is_editable
         left.append(Elements(elements.row[in_place], elements.literal[in_place], elements.source, elements.name))
         array_rows[elements.row[~in_place]] = 0
@@ -226,7 +237,7 @@ def _statement(
     return MotionStatement(
         int(layout.line[row]),
         int(motions.kind[row]),
-        (keyword, keyword + len(word_at(layout.course.source.text, keyword, start))),
+        (keyword, keyword + len(word_at(layout.source(row).text, keyword, start))),
         Point(position, start, stop, elements.name),
         "",
         None,

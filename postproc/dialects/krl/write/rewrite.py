@@ -38,6 +38,7 @@ from postproc.dialects.krl.write.named_points import NamedPoints, Use, mentions,
 from postproc.dialects.krl.write.target_numbers import DECIMALS, target_numbers
 from postproc.dialects.krl.write.target_statements import (
     LED_BY,
+    Replacement,
     TargetStatements,
     aggregate_text,
     replaced_numbers,
@@ -78,8 +79,8 @@ class _Rewriter:
         self.documents = layout.documents or program.documents
         stem = PurePath(self.documents[0].name).stem.upper()
         data = [document for document in self.documents[1:] if PurePath(document.name).stem.upper() == stem]
-        self.sources = [layout.course.source, *(Source.of(document, 1) for document in data)]
-        self.source, self.text = self.sources[0], self.sources[0].text
+        self.trace = layout.course.trace
+        self.sources = [layout.course.main.source, *(Source.of(document, 1) for document in data)]
         self.comment_lines = set(layout.notes)
         self.replacements = [Replacements() for _ in self.sources]
         self.issues: list[Issue] = []
@@ -91,22 +92,21 @@ class _Rewriter:
         last, keep = self.last, self.targets.keep
         if (last & keep).all() and not len(_lowered(self.program)):
             return Written(self.documents, self.program.motions.line[self.row], "krl")
-        self.commanded = target_numbers(self.program.motions, self.layout, self.targets, self.text)
+        self.commanded = target_numbers(self.program.motions, self.layout, self.targets)
         moves = self.layout.statements
         has_names = self.layout.elements or any(
             move.end.name or (move.via and move.via.name) for move in moves.values()
         )
-        counts = [np.arange(loop.first, loop.beyond, loop.length) for loop in self.layout.course.plain_rounds()]
-        read = np.concatenate([np.delete(self.layout.line, list(moves)), *counts]).tolist()
-        self.mentions = mentions(self.source, read, self.layout.course) if has_names else {}
+        plain_rows = np.delete(self.layout.line, list(moves))
+        self.mentions = mentions(self.layout.course, plain_rows) if has_names else {}
         self.layout = settled(self.layout, self.program.motions, self.mentions, len(self.sources), self._alone())
-        self.statements = TargetStatements(self.source, self.layout, self.targets, self.commanded)
+        self.statements = TargetStatements(self.layout, self.targets, self.commanded)
         special = np.zeros(len(self.program.motions), dtype=np.bool_)
         special[list(self.layout.statements)] = True
         plain = last & ~special[self.row]
         straight = ~keep & (self.program.motions.kind[self.row] == CIRC) & (self.targets.kind == LIN)
         for k in np.flatnonzero(plain & straight).tolist():
-            self.replacements[0].add(*self.statements.rewritten(int(self.row[k]), k))
+            self._change(int(self.row[k]), self.statements.rewritten(int(self.row[k]), k))
         plain &= ~straight
         self._replace_numbers(np.flatnonzero(plain & ~keep))
         for k in np.flatnonzero(plain & (self._added() | self._bits())).tolist():
@@ -114,10 +114,11 @@ class _Rewriter:
         own_tail = self.commanded.is_free | self.commanded.unheeding
         has_tail = np.diff(self.layout.tail[self.row])[:, 0] > len(" WITH ")
         for k in np.flatnonzero(last & (own_tail[self.row] | (straight & has_tail))).tolist():
-            start, stop = self.layout.tail[self.row[k]].tolist()
-            tail = self.statements.tail(int(self.row[k]), k)
-            if tail != self.text[start:stop]:
-                self.replacements[0].add(start, stop, tail)
+            row = int(self.row[k])
+            start, stop = self.layout.tail[row].tolist()
+            tail = self.statements.tail(row, k)
+            if tail != self.layout.source(row).text[start:stop]:
+                self._change(row, Replacement(start, stop, tail))
         if self.layout.statements:
             self._special()
         output_line = self._insert()
@@ -135,16 +136,14 @@ class _Rewriter:
             files[source.document.name] = replace(source.document, text=edits.applied(source.text))
         if course.straight:
             main = self.documents[0]
-            files[main.name] = replace(main, text=changes.applied(self.text))
+            files[main.name] = replace(main, text=changes.applied(self.sources[0].text))
             return tuple(files.values()), line
-        new_rows = edited_rows(self.source, changes)
+        new_rows = edited_rows(self.trace, changes)
         files_of_course = folded(course, course.main, new_rows)
         files |= {document.name: document for document in files_of_course.documents}
-        issue_lines = [
-            (i, None if i.source_line is None else int(course.source.shown(np.array([i.source_line]))[0]))
-            for i in self.issues
-        ]
-        self.issues = [*(replace(issue, source_line=line) for issue, line in issue_lines), *files_of_course.issues]
+        shown_lines = [None if i.source_line is None else self.trace.shown_line(i.source_line) for i in self.issues]
+        issues = zip(self.issues, shown_lines, strict=True)
+        self.issues = [*(replace(issue, source_line=line) for issue, line in issues), *files_of_course.issues]
         origin = self.layout.line[self.row]
         first = new_rows.begins[origin - 1] + 1
         return tuple(files.values()), files_of_course.line[origin] + np.where(
@@ -168,6 +167,10 @@ class _Rewriter:
         has_bits = (self.targets.status >= 0) | (self.targets.turn >= 0)
         return np.asarray(has_bits & (self.targets.kind == PTP) & ~self.targets.keep)
 
+    def _change(self, row: int, piece: Replacement) -> None:
+        """Replace a piece of the line of a motion."""
+        self.replacements[0].add(*piece, self.layout.line.item(row))
+
     def _replace_numbers(self, k: Ints) -> None:
         """Replace the numbers in plain lines, and of points of arrays, all at once.
 
@@ -183,14 +186,16 @@ class _Rewriter:
             for index, replacements in enumerate(self.replacements):
                 in_file = (spans[:, :, 0] >= 0) & (file[self.row[targets]] == index)[:, None]
                 starts, stops = spans[:, :, 0][in_file], spans[:, :, 1][in_file]
-                replacements.add_numbers(starts, stops, numbers[in_file], decimals[in_file])
+                rows = np.broadcast_to(self.layout.line[self.row[targets], None], in_file.shape)[in_file]
+                replacements.add_numbers(starts, stops, numbers[in_file], decimals[in_file], rows)
         self._replace_via_points(k[self.targets.kind[k] == CIRC])
 
     def _replace_via_points(self, circles: Ints) -> None:
         """Replace X, Y, Z of the via points of targets that are arcs."""
         spans = self.layout.via_spans[self.row[circles]].astype(np.int64).reshape(-1, 2)
         decimals = np.tile(DECIMALS[:3], len(circles))
-        self.replacements[0].add_numbers(spans[:, 0], spans[:, 1], self.commanded.via[circles].reshape(-1), decimals)
+        numbers, rows = self.commanded.via[circles].reshape(-1), np.repeat(self.layout.line[self.row[circles]], 3)
+        self.replacements[0].add_numbers(spans[:, 0], spans[:, 1], numbers, decimals, rows)
 
     def _complete(self, row: int, k: int) -> None:
         """Add components to a plain line, and change its S and T; the other numbers of a changed one are replaced."""
@@ -202,7 +207,7 @@ class _Rewriter:
                 name: text for name, text in texts.items() if name not in replaced_names or name not in literal.places
             }
             for piece in replaced_numbers(literal, rest):
-                self.replacements[0].add(*piece)
+                self._change(row, piece)
 
     def _special(self) -> None:
         """Change statements that are not plain lines."""
@@ -224,14 +229,14 @@ class _Rewriter:
         needs_copy = straight or (split and (depends or move.kind == CIRC)) or start_differs
         differs = needs_copy or bool(self.commanded.changed[k])
         if differs and (move.relative or straight):
-            self.replacements[0].add(*self.statements.rewritten(row, k))
+            self._change(row, self.statements.rewritten(row, k))
             if move.relative:
                 if move.behind is not None:
-                    self.replacements[0].add(*move.behind, "")
+                    self._change(row, Replacement(*move.behind, ""))
                 self._report("relative-made-absolute", "A relative target is written as an absolute one.", move.line)
             return
         if differs and move.angle is not None:
-            self.replacements[0].add(move.end.stop, move.tail, "")
+            self._change(row, Replacement(move.end.stop, move.tail, ""))
             self._report("angle-dropped", "CA is dropped: the end point is written as where the arc ends.", move.line)
         texts = self.statements.end_texts(k, move.end, copy=needs_copy) if differs else None
         self._point(Use(move.line, move.end, texts, partial(self.statements.whole, k, move.end)), points)
@@ -248,12 +253,12 @@ class _Rewriter:
             points.use(use)
         elif use.texts:
             for piece in replaced_numbers(literal, use.texts):
-                self.replacements[0].add(*piece)
+                self.replacements[0].add(*piece, use.line)
 
     def _insert(self) -> Ints:
         """Put inserted targets and force comments on lines of their own; return the line of every target, (K,)."""
         line = self.layout.line[self.row]
-        lines = InsertedLines(self.source, self.replacements[0])
+        lines = InsertedLines(self.trace, self.replacements[0])
         at, trigger_texts = self._around_triggers()
         forces = self._forces(line, at)
         free, bound = self._freed()
@@ -262,13 +267,13 @@ class _Rewriter:
         for k in np.flatnonzero(~self.last | np.isin(np.arange(len(line)), line_targets)).tolist():
             next_line = at.get(k, int(line[k]))
             if k in slow:
-                lines.add(next_line, self._indent(k) + slow[k] + self.statements.line_end(int(line[k])))
+                lines.add(next_line, self._indent(k) + slow[k] + self.statements.line_end(int(self.row[k])))
             if k in free:
-                lines.add(next_line, self._indent(k) + LED_BY + FREE + self.statements.line_end(int(line[k])))
+                lines.add(next_line, self._indent(k) + LED_BY + FREE + self.statements.line_end(int(self.row[k])))
             for trigger, text in trigger_texts.get(k, ()):
                 lines.move(trigger.line, next_line, text)
             if k in forces and not self._replaced_comment(k, forces[k]):
-                lines.add(next_line, forces[k] + self.statements.line_end(int(line[k])))
+                lines.add(next_line, forces[k] + self.statements.line_end(int(self.row[k])))
             if not self.last[k]:
                 text = self.statements.inserted(int(self.row[k]), k)
                 lines.add(next_line, text, k)
@@ -306,8 +311,7 @@ class _Rewriter:
 
     def _indent(self, k: int) -> str:
         """Return the text before the instruction on the line of a motion."""
-        keyword = int(self.layout.keyword[self.row[k]])
-        return self.text[self.source.starts[self.layout.line[self.row[k]] - 1] : keyword]
+        return self.statements.indent(int(self.row[k]))
 
     def _forces(self, line: Ints, at: Mapping[int, int]) -> dict[int, str]:
         """Return the force comments that targets need beyond those of the program."""
@@ -326,8 +330,9 @@ class _Rewriter:
         line = int(self.layout.line[self.row[k]])
         if not self.last[k] or line not in self.comment_lines:
             return False
-        start, stop = int(self.source.starts[line - 1]), int(self.source.stops[line - 1])
-        self.replacements[0].add(comment_start(self.text, start, stop), stop, text)
+        source, number = self.trace.place(line)
+        start, stop = source.starts.item(number - 1), source.stops.item(number - 1)
+        self._change(int(self.row[k]), Replacement(comment_start(source.text, start, stop), stop, text))
         return True
 
     def _around_triggers(self) -> tuple[dict[int, int], dict[int, list[tuple[Trigger, str]]]]:
@@ -351,7 +356,7 @@ class _Rewriter:
                     ]
             for trigger, path in places.paths.items():
                 if trigger not in moved_triggers and trigger.path is not None:
-                    self.replacements[0].add(*trigger.path, path)
+                    self.replacements[0].add(*trigger.path, path, trigger.line)
             for trigger in places.lost:
                 message = (
                     "Targets must be inserted into the motion that follows this statement, which cannot be kept right. "
@@ -363,10 +368,11 @@ class _Rewriter:
 
     def _moved(self, trigger: Trigger, path: str | None) -> str:
         """Return the line of a TRIGGER, with its end and another PATH if there is one."""
-        start, stop = int(self.source.starts[trigger.line - 1]), int(self.source.starts[trigger.line])
+        source, line = self.trace.place(trigger.line)
+        text, start, stop = source.text, source.starts[line - 1], source.starts[line]
         if path is None or trigger.path is None:
-            return self.text[start:stop]
-        return self.text[start : trigger.path[0]] + path + self.text[trigger.path[1] : stop]
+            return text[start:stop]
+        return text[start : trigger.path[0]] + path + text[trigger.path[1] : stop]
 
     def _report(self, kind: str, message: str, line: int) -> None:
         self.issues.append(Issue("info", kind, message, line))
@@ -389,7 +395,8 @@ def _check_lowered(program: Program, layout: Layout) -> None:
     rows = _lowered(program)
     if not len(rows):
         return
-    tails = [layout.course.source.text[start:stop].upper() for start, stop in layout.tail[rows].tolist()]
+    spans = zip(rows.tolist(), layout.tail[rows].tolist(), strict=True)
+    tails = [layout.source(row).text[start:stop].upper() for row, (start, stop) in spans]
     for bad, problem in (
         (
             np.full(len(rows), not layout.course.straight),

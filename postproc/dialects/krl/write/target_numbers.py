@@ -60,17 +60,14 @@ class TargetNumbers(Struct, frozen=True, eq=False):
         return {} if np.isnan(via).any() else {name: f"{value:.4f}" for name, value in zip("XYZ", via, strict=True)}
 
 
-def target_numbers(motions: Motions, layout: Layout, targets: Targets, text: str) -> TargetNumbers:
-    """Return what has to be printed for the targets of a program.
-
-    :param text: the `.src`.
-    """
+def target_numbers(motions: Motions, layout: Layout, targets: Targets) -> TargetNumbers:
+    """Return what has to be printed for the targets of a program."""
     row = targets.motion
     last = np.append(row[1:] != row[:-1], True) if len(row) else np.zeros(0, dtype=np.bool_)
     keep = targets.keep & last
     (exact,) = in_chunks(lambda rows: (targets.pose.xyzabc(rows),), np.arange(len(row)))
     exact[:, 3:] = _nearest(exact[:, 3:], layout.numbers[row, 3:])
-    decimals = np.maximum(DECIMALS, np.minimum(_decimals(layout, text)[row], MOST_DECIMALS))
+    decimals = np.maximum(DECIMALS, np.minimum(_decimals(layout)[row], MOST_DECIMALS))
     numbers = np.where(keep[:, None], layout.numbers[row], _rounded(exact, decimals))
 
     first = np.append(True, row[1:] != row[:-1]) if len(row) else last
@@ -160,12 +157,15 @@ def _nearest(abc: Array, reference: Array) -> Array:
     return np.where(is_outside, best - 360.0 * np.sign(best), best)
 
 
-def _decimals(layout: Layout, text: str) -> Ints:
+def _decimals(layout: Layout) -> Ints:
     """Return how many decimals the numbers of M motions have in the input, (M, 6); 0 where there are none."""
-    spans = layout.spans(slice(None), slice(6))
+    trace, spans = layout.course.trace, layout.spans(slice(None), slice(6))
     for elements in layout.elements:
         spans[elements.row] = -1
-    decimals = _decimals_in(text, spans)
+    decimals = np.zeros(spans.shape[:2], dtype=np.int64)
+    file = trace.file[layout.line - 1]
+    for index, source in enumerate(trace.sources):
+        decimals[file == index] = _decimals_in(source.text, spans[file == index])
     for elements in layout.elements:
         decimals[elements.row] = _decimals_in(elements.source.text, layout.spans(elements.row, slice(6)))
     for row, move in layout.statements.items():

@@ -104,9 +104,8 @@ class TargetStatements:
     Methods take the row of a motion and the row `k` of one of its targets.
     """
 
-    def __init__(self, source: Source, layout: Layout, targets: Targets, numbers: TargetNumbers) -> None:
-        self.source, self.layout, self.targets, self.commanded = source, layout, targets, numbers
-        self.text = source.text
+    def __init__(self, layout: Layout, targets: Targets, numbers: TargetNumbers) -> None:
+        self.layout, self.targets, self.commanded = layout, targets, numbers
 
     def literal(self, row: int) -> Literal | None:
         """Return the literal of the end of a motion in its statement; None if there is none."""
@@ -117,9 +116,9 @@ class TargetStatements:
         places = {name: (start, stop) for name, (start, stop) in zip(COLUMNS, spans, strict=True) if start >= 0}
         start, stop = self.layout.target[row].tolist()
         if self.layout.carriage is not None:
-            carriage = parse_aggregate(self.source, start, stop).items.get("E1")
+            carriage = parse_aggregate(self.layout.source(row), start, stop).items.get("E1")
             places |= {} if carriage is None else {"E1": (carriage.start, carriage.stop)}
-        return Literal(self.text, start, stop, places)
+        return Literal(self.layout.source(row).text, start, stop, places)
 
     def inline(self, operand: Point) -> Literal | None:
         """Return the literal of a point whose numbers are in the statement itself."""
@@ -138,7 +137,7 @@ class TargetStatements:
         places = {
             name: (begin, end) for name, (begin, end) in zip("XYZ", self.layout.via_spans[row].tolist(), strict=True)
         }
-        return (start, stop), Literal(self.text, start, stop, places)
+        return (start, stop), Literal(self.layout.source(row).text, start, stop, places)
 
     def texts(self, k: int, literal: Literal, *, copy: bool = False) -> dict[str, str]:
         """Return the numbers to be written into a literal; for a copy of it also those that stay."""
@@ -209,8 +208,8 @@ class TargetStatements:
         return word
 
     def _word(self, row: int) -> str:
-        start = int(self.layout.keyword[row])
-        return self.text[start : start + len(word_at(self.text, start, len(self.text)))]
+        text, start = self.layout.source(row).text, self.layout.keyword.item(row)
+        return text[start : start + len(word_at(text, start, len(text)))]
 
     def points(self, row: int, k: int) -> str:
         """Return the point or points of a target as text."""
@@ -219,13 +218,13 @@ class TargetStatements:
             return end
         texts = self.commanded.via_texts(k)
         first = applied(via, replaced_numbers(via, texts)) if via is not None else aggregate_text(texts)
-        return first + self.text[span[1] : int(self.layout.target[row, 0])] + end
+        return first + self.layout.source(row).text[span[1] : int(self.layout.target[row, 0])] + end
 
     def statement(self, row: int, k: int) -> str:
         """Return instruction and points of a target as text, all of them literals."""
         span, _ = self.via(row)
         first = span[0] if span is not None else int(self.layout.target[row, 0])
-        gap = self.text[int(self.layout.keyword[row]) + len(self._word(row)) : first]
+        gap = self.layout.source(row).text[int(self.layout.keyword[row]) + len(self._word(row)) : first]
         return self.keyword(row, k) + gap + self.points(row, k)
 
     def inserted(self, row: int, k: int) -> str:
@@ -235,14 +234,12 @@ class TargetStatements:
         the target is to stop too, or the distance is not known. In a spline block it has none. No comment is repeated.
         """
         layout = self.layout
-        keyword = int(layout.keyword[row])
-        line = self.source.line_at(keyword)
         statement = self.statement(row, k)
         tail = self.tail(row, k)
         is_passed = layout.passed[row] or not layout.distant[row]
         if self.targets.blend[k] > 0.0 and not is_passed and not is_approximated(tail):
             tail += " C_SPL" if statement[:1] in "sS" else " C_PTP" if self.targets.kind[k] == PTP else " C_DIS"
-        return self.text[self.source.starts[line - 1] : keyword] + statement + tail + self.line_end(line)
+        return self.indent(row) + statement + tail + self.line_end(row)
 
     def tail(self, row: int, k: int) -> str:
         """Return the text that follows a target: what holds for all of its motion."""
@@ -250,19 +247,25 @@ class TargetStatements:
         circle = self.via(row)[0] is not None and self.is_spline(row)
         straight = circle and bool(self.targets.kind[k] == LIN)
         unheeding = circle and not straight and bool(self.commanded.unheeding[row])
-        node = statement(self.source, int(self.layout.line[row])) if free or straight or unheeding else None
+        source, line = self.layout.course.trace.place(self.layout.line.item(row))
+        node = statement(source, line) if free or straight or unheeding else None
         if not isinstance(node, Motion):
-            return self.text[slice(*self.layout.tail[row].tolist())]
-        return tail_text(self.source, node.tail, free=free, straight=straight, unheeding=unheeding)
+            return source.text[slice(*self.layout.tail[row].tolist())]
+        return tail_text(source, node.tail, free=free, straight=straight, unheeding=unheeding)
 
     def is_spline(self, row: int) -> bool:
         """Return whether a motion is a spline motion: SLIN, SCIRC, SPL."""
-        return self.text[int(self.layout.keyword[row])] in "sS"
+        return self.layout.source(row).text[self.layout.keyword.item(row)] in "sS"
 
-    def line_end(self, line: int) -> str:
-        """Return how a line ends."""
-        starts, stops = self.source.starts, self.source.stops
-        return self.text[stops[line - 1] : starts[line]]  # a motion is never the last line: END follows
+    def indent(self, row: int) -> str:
+        """Return the text before the instruction on the line of a motion."""
+        source, line = self.layout.course.trace.place(self.layout.line.item(row))
+        return source.text[source.starts[line - 1] : self.layout.keyword[row]]
+
+    def line_end(self, row: int) -> str:
+        """Return how the line of a motion ends."""
+        source, line = self.layout.course.trace.place(self.layout.line.item(row))
+        return source.text[source.stops[line - 1] : source.starts[line]]  # it is never the last line: END follows
 
     def rewritten(self, row: int, k: int) -> Replacement:
         """Return the edit that replaces instruction and points of a statement by absolute literals."""
@@ -319,8 +322,8 @@ def runs(layout: Layout, rows: Ints) -> list[tuple[int, int]]:
 
 def _adjoin(layout: Layout, row: int) -> bool:
     """Return whether a motion follows the one before in the text, in the same round of a loop and the same routine."""
-    source, previous_line, line = layout.course.source, int(layout.line[row - 1]), int(layout.line[row])
-    first, second = source.origin(previous_line), source.origin(line)
-    if first.source is not second.source or second.line - first.line != line - previous_line:
+    trace, previous_row, motion_row = layout.course.trace, int(layout.line[row - 1]), int(layout.line[row])
+    (source, first), (second_source, last) = trace.place(previous_row), trace.place(motion_row)
+    if source is not second_source or last - first != motion_row - previous_row:
         return False
-    return all(start == stop for start, stop in map(source.code_span, range(previous_line + 1, line)))
+    return all(start == stop for start, stop in map(source.code_span, range(first + 1, last)))
