@@ -226,8 +226,11 @@ def evaluate(
                 turn_map.hit[chunk.bins, j] = np.logical_or.reduceat(_hits(bodies, chunk, q), chunk.starts)
     rate = turn_map.rate
     if len(offset) > 1:
+        step = offset[1] - offset[0]
         gap = drive.wrapped(np.roll(turn_map.q, -1, axis=1) - turn_map.q)
-        rate = np.abs(gap / robot.speed).max(axis=2) / (offset[1] - offset[0])
+        if (len(offset) + 0.5) * step < _TURN:
+            gap[:, -1] = np.nan  # no turn follows the last one of a part of the circle
+        rate = np.abs(gap / robot.speed).max(axis=2) / step
         rate = np.fmax(rate, np.roll(rate, 1, axis=1))
     u95, deflection = _errors(samples, middle, base[middle][:, None] + offset, middles)
     return replace(turn_map, rate=rate, u95=u95, deflection=deflection)
@@ -395,8 +398,8 @@ def _errors(samples: PathSamples, middle: Ints, turn: Array, q: Array) -> tuple[
         return u95, deflection
     turn_count = turn.shape[1]
     rows = np.repeat(middle[cuts], turn_count)
-    errors = drive.expected_error(samples, rows, turn[cuts].ravel(), q[cuts].reshape(-1, 6))
-    u95[cuts], deflection[cuts] = (values.reshape(-1, turn_count) for values in errors)
+    errors = drive.expected_error(samples, rows, turn[cuts].ravel(), q[cuts].reshape(len(rows), 6))
+    u95[cuts], deflection[cuts] = (values.reshape(len(cuts), turn_count) for values in errors)
     return u95, deflection
 
 
@@ -621,9 +624,8 @@ def _advance(
     """
     crossing = _crossing(turn_map, b, part, changes, bad, costs, is_circle=is_circle)
     steps, turn_count = changes[0], len(turn_map.offset)
-    next_state = np.full((3, 3, turn_count), np.inf)
-    best_step = np.zeros((3, 3, turn_count), dtype=np.int64)
-    source4, source6 = best_step.copy(), best_step.copy()
+    next_state = np.empty((3, 3, turn_count))
+    best_step, source4, source6 = (np.empty((3, 3, turn_count), dtype=np.int64) for _ in range(3))
     columns_of_map = np.arange(turn_count)
     for n4 in range(3):
         for n6 in range(3):

@@ -35,8 +35,9 @@ class Bowl:
 
 
 def test_the_lowest_place_of_a_bowl_is_found_to_some_millimetres():
-    programs = Bowl((1500.0, -250.0, 500.0, 0.0))
-    search = region.search(programs, REGION)
+    programs, steps = Bowl((1500.0, -250.0, 500.0, 0.0)), []
+    search = region.search(programs, REGION, lambda done, total: steps.append((done, total)))
+    assert steps == [(min(k, 6 * 6 * 5 + 15 * 15), 6 * 6 * 5 + 15 * 15) for k in range(1, len(steps) + 1)]
     assert search.best.u95 <= 1.003 * 1e-4
     assert all(value == round(value) for value in search.best.place)
     assert search.today.place == (1500.0, -250.0, 500.0, 0.0, 0.0)
@@ -121,6 +122,7 @@ def test_the_best_of_places_that_are_alike_is_the_one_with_more_margin():
     one = Judged((0.0,) * 5, drive.FREE, 1e-4, 1.000e-4, margin=0.1)
     for cost, margin, is_better in (
         (1.005e-4, 0.2, True), (0.995e-4, 0.05, False), (0.98e-4, 0.05, True), (1.02e-4, 0.2, False),
+        (1.01005e-4, 0.2, False), (0.99005e-4, 0.05, True),
     ):  # fmt: skip
         other = replace(one, u95=cost, margin=margin)
         assert region._better(other, one) is is_better

@@ -1,0 +1,286 @@
+"""Parts of the choice of turn and start, each against its formula: margins, prices, closed cells, errors."""
+
+from __future__ import annotations
+
+import re
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from postproc import kinematics
+from postproc.errors import NotConvergedError
+from postproc.placement import drive, turn_map, turning
+from postproc.placement.drive import Keep
+from postproc.placement.samples import PathSamples
+from postproc.placement.turn_map import Blocked, Blocks, Line
+from postproc.placement.turning import chosen_start
+from postproc.under_load import RobotInCell
+from tests.placement.by_sample import SampleBySample
+from tests.placement.setting import cell, read
+
+TEXT = """G21 G90
+(FORCE FX=-110 FY=-190 FZ=130 FRAME=BASE)
+G0 X0 Y0 Z60
+G1 Z0 F600
+G1 X25 F2000
+G1 Y90
+G0 Z60
+G1 X140
+"""
+AWAY = "G21 G90\nG0 X0 Y-100 Z60\nG1 Z0 F600\nX200 Y250 Z250\n"
+
+
+def samples_of(text=TEXT, base=(1500.0, 0.0, 700.0), **gcode):
+    own = cell(base=base, **gcode)
+    program, model = read(text, own)
+    return PathSamples.of(program, RobotInCell.of(model, own), None)
+
+
+@pytest.fixture(scope="module")
+def path():
+    samples = samples_of(redundancy_deg=60.0)
+    return samples, Blocks.of(samples), turn_map.branch_of_start(samples)
+
+
+def test_the_price_of_a_line_has_the_rms_error_of_its_cuts_and_its_least_margin(path):
+    samples, blocks, branch = path
+    knots = np.random.default_rng(1).uniform(-0.4, 0.4, len(blocks.length))
+    error, margin = turning._on_line(samples, blocks, branch, Line(knots, 0.0))
+    single = SampleBySample(samples, branch, turning._at_samples(samples, blocks, knots))
+    squares, count = 0.0, 0
+    for first, end in zip(blocks.first, [*blocks.first[1:], len(samples)], strict=True):
+        if single.is_cut(first):
+            squares += (end - first) * single.errors((first + end - 1) // 2)[0] ** 2
+            count += end - first
+    assert error == pytest.approx(np.sqrt(squares / count), rel=1e-9)
+    assert margin == pytest.approx(min(single.margins(i)[:3].min() for i in range(len(samples))), abs=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_margins_are_kept_at_which_error_and_price_of_the_margin_are_least(seed, monkeypatch):
+    rng = np.random.default_rng(seed)
+    degrees = [None, 30.0, 20.0, 12.0, 7.0, 4.0]
+    errors, margins = rng.uniform(1e-4, 1.4e-4, 6), np.radians(rng.uniform(1.0, 40.0, 6))
+    blocked = rng.random(6) < 0.3
+    keeps = [Keep() if level is None else Keep(*[np.radians(level)] * 3) for level in degrees]
+    row_of = {(keep.joint, keep.wrist): k for k, keep in enumerate(keeps)}
+
+    def find(samples, whole, keep, mode, *, is_circle):
+        assert (mode, is_circle) == ("path", True)
+        row = row_of[keep.joint, keep.wrist]
+        return Blocked(0) if blocked[row] else Line(np.full(1, float(row)), 0.0)
+
+    monkeypatch.setattr(turning, "_find", find)
+    monkeypatch.setattr(
+        turning,
+        "_on_line",
+        lambda samples, blocks, branch, line: (errors[int(line.knots[0])], margins[int(line.knots[0])]),
+    )
+    totals = np.where(blocked, np.inf, errors + 5e-5 * np.exp(-np.degrees(margins) / 10.0))
+    expected = keeps[int(totals.argmin())] if not blocked.all() else Keep()
+    assert turning._priced(None, SimpleNamespace(blocks=None), 0) == expected
+
+
+def test_cells_next_to_a_line_with_collisions_are_closed_on_both_sides(path):
+    samples, blocks, _ = path
+    offset = turn_map.whole_circle(np.radians(30.0))
+    columns = turn_map._unfilled(blocks, np.zeros(len(samples)), offset, has_bodies=True)
+    columns.hit[2, 7] = True
+    knots = np.radians(np.linspace(-200.0, 230.0, len(blocks.length)))
+    turn = np.degrees(turning._at_samples(samples, blocks, knots))
+    is_hit = np.arange(len(samples)) % 3 == 1
+    expected = columns.hit.copy()
+    for i in np.flatnonzero(is_hit):
+        row = max(k for k in range(len(blocks.first)) if blocks.first[k] <= i)
+        for column in range(12):
+            gap = (turn[i] - (30.0 * column - 180.0) + 180.0) % 360.0 - 180.0
+            expected[row, column] |= abs(gap) < 30.0 - 1e-6
+    closed = turning._closed(samples, columns, Line(knots, 0.0), is_hit)
+    np.testing.assert_array_equal(closed.hit, expected)
+    assert columns.hit.sum() == 1
+
+
+class Away:
+    """Bodies that touch at given samples of a path from the start."""
+
+    def __init__(self, *rows):
+        self.rows, self.calls = list(rows), []
+
+    def along(self, q, rows, breaks):
+        self.calls.append((q, rows))
+        assert not breaks.any()
+        return np.isin(np.arange(len(q)), self.rows)
+
+
+def test_bodies_are_compared_along_every_sample_of_a_line_from_the_start(path):
+    samples, blocks, branch = path
+    knots = np.linspace(-0.2, 0.3, len(blocks.length))
+    bodies = Away(0, 4)
+    is_hit = turning._struck(samples, blocks, branch, Line(knots, 0.0), bodies)
+    assert np.flatnonzero(is_hit).tolist() == [3]
+    single = SampleBySample(samples, branch, turning._at_samples(samples, blocks, knots))
+    ((q, rows),) = bodies.calls
+    np.testing.assert_allclose(q, [samples.robot_in_cell.cell.start_joints, *single.q], atol=1e-9)
+    assert rows.tolist() == [0, *range(len(samples))]
+
+
+def test_errors_without_equilibrium_are_not_known_and_take_none_from_the_others():
+    q = np.arange(36.0).reshape(6, 6)
+    tools = np.tile(np.eye(4), (6, 1, 1))
+    tools[:, 0, 3] = np.arange(6)
+    wrench, pose = np.arange(36.0).reshape(6, 6) * 0.01, np.tile(np.eye(4), (6, 1, 1))
+    pose[:, :3, 3] = np.random.default_rng(1).normal(size=(6, 3))
+    refused = [{1, 4}, {3}]
+
+    def tip(joints, tool, load):
+        rows = (joints[:, 0] / 6).astype(int)
+        np.testing.assert_array_equal(load, wrench[rows])
+        np.testing.assert_array_equal(tool, tools[rows])
+        bad = [n for n, row in enumerate(rows) if refused and row in refused[0]]
+        if bad:
+            refused.pop(0)
+            raise NotConvergedError("too large", rows=bad)
+        return joints[:, :3] * 0.1
+
+    found = drive._deflections(SimpleNamespace(tip=tip), q, tools, wrench, pose)
+    expected = np.linalg.norm(q[:, :3] * 0.1 - pose[:, :3, 3], axis=1)
+    expected[[1, 3, 4]] = np.nan
+    np.testing.assert_allclose(found, expected)
+
+
+def margins_of_branches(samples, turns):
+    """Margins (8, J, N) at turns [deg]; −inf where limits or reach end them."""
+    result = np.full((8, len(turns), len(samples)), -np.inf)
+    for branch in range(8):
+        for n, turn in enumerate(turns):
+            single = SampleBySample(samples, branch, np.full(len(samples), np.radians(turn)))
+            for i in range(len(samples)):
+                joint, wrist, elbow, _ = single.margins(i)
+                if joint >= 0.0:
+                    result[branch, n, i] = min(joint, wrist, elbow)
+    return result
+
+
+@pytest.mark.parametrize(
+    ("text", "redundancy", "base"),
+    [
+        (TEXT, "constant", (1500.0, 0.0, 700.0)),
+        (TEXT, "path", (1500.0, 0.0, 700.0)),
+        (AWAY, "constant", (1300.0, 200.0, 600.0)),
+    ],
+)
+def test_the_start_is_on_the_branch_whose_worst_sample_has_the_most_margin(text, redundancy, base):
+    """The last sample counts as well: the robot reaches farthest there. A free turn is the best one at each sample."""
+    samples = samples_of(text, base, redundancy=redundancy, redundancy_deg=60.0)
+    found = chosen_start(samples.program, samples.robot_in_cell)
+    turns = np.zeros(1) if redundancy == "constant" else np.arange(-180.0, 180.0, 30.0)
+    margins = margins_of_branches(samples, turns)
+    worst = margins.max(axis=1).min(axis=1)
+    starts = np.isfinite(margins[:, :, 0].max(axis=1))
+    worst = np.where(starts, worst, -np.inf)
+    stated, next_best = np.degrees(np.sort(worst)[::-1][:2])
+    branch = int(kinematics.closed_form(samples.robot_in_cell.robot).branch_of(np.radians([found.joints]))[0])
+    assert worst[branch] == pytest.approx(worst.max(), abs=1e-6)
+    assert f"with the most margin to joint limits and singular poses, {stated:.1f}°" in found.message
+    assert (f"(the next best has {next_best:.1f}°)" in found.message) == np.isfinite(next_best)
+    turn = turns[int(margins[branch, :, 0].argmax())]
+    single = SampleBySample(samples, branch, np.full(len(samples), np.radians(turn)))
+    change = np.degrees(single.q[0]) - found.joints
+    np.testing.assert_allclose((change + 180.0) % 360.0 - 180.0, np.zeros(6), atol=1e-4)
+    angles = ", ".join(f"{angle:.1f}" for angle in found.joints)
+    assert f"the program starts at A1…A6 = {angles}, its first target, on the branch" in found.message
+
+
+REASONS = ("free", "out of reach", "joint limit", "singular pose", "joint speed", "collision")
+
+
+def map_of_reasons(samples, blocks, reasons):
+    """A map (K, 12) whose cells are refused for these reasons."""
+    made = turn_map._unfilled(blocks, np.zeros(len(samples)), turn_map.whole_circle(np.radians(30.0)), has_bodies=True)
+    margin = drive.Margins(*(np.where(reasons == drive.REACH, np.nan, 1.0) for _ in range(4)))
+    margin.joint[reasons == drive.LIMIT] = -1.0
+    margin.wrist[reasons == drive.SINGULAR] = 0.0
+    return replace(
+        made,
+        margin=margin,
+        speed=np.where(reasons == drive.SPEED, 2.0, 0.0),
+        hit=np.asarray(reasons == drive.COLLISION),
+    )
+
+
+@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("mode", ["best", "path"])
+def test_the_error_without_a_line_names_the_first_bin_that_is_closed_with_its_reasons(path, mode, seed):
+    """Of the block that cannot be passed; its last bin if none is closed."""
+    samples, blocks, branch = path
+    rng = np.random.default_rng(seed)
+    reasons = rng.choice(5, (len(blocks.first), 12), p=[0.6, 0.1, 0.1, 0.1, 0.1])
+    block = int(rng.integers(len(blocks.length)))
+    rows = np.flatnonzero(blocks.block == block)
+    if seed % 2:
+        reasons[rng.choice(rows, 2)] = rng.integers(1, 5, 12)
+    issue = turning._why(samples, map_of_reasons(samples, blocks, reasons), Blocked(block), mode, branch, None)
+    closed = [row for row in rows if reasons[row].all()]
+    row = closed[0] if closed else rows[-1]
+    counts = [(REASONS[k], 100.0 * np.count_nonzero(reasons[row] == k) / 12) for k in range(1, 6)]
+    words = ", ".join(f"{name} at {share:.0f} % of all turns" for name, share in counts if share)
+    line = samples.program.motions.line[samples.sample.motion[blocks.first[row]]]
+    assert (issue.level, issue.kind, issue.source_line) == ("error", "redundancy", line)
+    if closed:
+        expected = f"no turn of the tool about its axis can be driven here ({words}). Move the part or [start]."
+    elif mode == "best":
+        expected = (
+            f"no single turn of the tool about its axis can be driven through this operation ({words} here). "
+            'Set [gcode] redundancy = "path", or move the part.'
+        )
+    else:
+        expected = (
+            "the tool cannot be turned about its axis quickly enough to stay where the robot can drive "
+            f"({words} here). Lower the feed, move the part or choose other [start] joints."
+        )
+    assert issue.message == expected
+
+
+@pytest.mark.parametrize("mode", ["best", "path"])
+def test_an_error_without_a_refused_turn_has_no_reasons(path, mode):
+    samples, blocks, branch = path
+    free = map_of_reasons(samples, blocks, np.zeros((len(blocks.first), 12)))
+    assert "(" not in turning._why(samples, free, Blocked(1), mode, branch, None).message
+
+
+def test_the_error_of_collisions_names_the_bodies_at_the_turn_where_they_are_farthest(path, monkeypatch):
+    """Of each turn the sample with the smallest distance counts, of these the largest."""
+    samples, _, branch = path
+    monkeypatch.setattr(turn_map, "_BINS", 1)
+    blocks = Blocks.of(samples)
+    row = int(np.argmax(np.diff([*blocks.first, len(samples)])))
+    reasons = np.zeros((len(blocks.first), 12), dtype=int)
+    reasons[row] = drive.COLLISION
+    reasons[row, [2, 3]] = drive.LIMIT
+    base = np.random.default_rng(4).uniform(-0.1, 0.1, len(samples))
+    whole = replace(map_of_reasons(samples, blocks, reasons), base=base)
+    part = range(blocks.first[row], [*blocks.first, len(samples)][row + 1])
+    columns = [column for column in range(12) if column not in (2, 3)]
+    singles = {n: SampleBySample(samples, branch, base + whole.offset[n]) for n in columns}
+
+    def distances(q):
+        return 0.05 + 0.02 * np.sin(9.0 * np.nan_to_num(q).sum(axis=-1))
+
+    def clearance(q, rows):
+        distance = distances(q)
+        names = np.rint(distance * 1e7).astype(int)
+        return SimpleNamespace(distance=distance, first=names, second=names + 1)
+
+    bodies = SimpleNamespace(clearance=clearance, name=lambda row: f"body {row}", need=0.08)
+    issue = turning._why(samples, whole, Blocked(int(blocks.block[row])), "best", branch, bodies)
+    least = {n: min(distances(single.q[i]) for i in part) for n, single in singles.items()}
+    farthest = max(least.values())
+    name = round(farthest * 1e7)
+    assert re.search(
+        r"\(joint limit at 17 % of all turns, collision at 83 % of all turns: "
+        rf"body {name} {1e3 * farthest:.2g} mm from body {name + 1} at best, and 80 mm are needed\)",
+        issue.message,
+    ), issue.message
+    assert len(part) > 1
