@@ -330,7 +330,7 @@ def _solved(samples: PathSamples, chunk: _Chunk, base: Array, offset: Array, bra
     columns = [chunk.pose[:, k] for k in range(4)]
     local = np.zeros((3, 4, turn.shape[0]))
     local[:, :3] = np.moveaxis(turn, 0, -1)
-    flange = product([*columns[:3], columns[3]], product([local[:, k] for k in range(4)], chunk.tool))
+    flange = product(columns, product([local[:, k] for k in range(4)], chunk.tool))
     q = drive.solve(samples.robot_in_cell.robot, flange, branch)
     q[:, chunk.is_axis_target] = chunk.joints[chunk.is_axis_target].T
     step = np.diff(q, axis=1) if chunk.lead else np.diff(q, axis=1, prepend=q[:, :1])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from postproc.placement import turning
+from postproc.placement import turn_map, turning
 from postproc.placement.samples import PathSamples
 from postproc.placement.turn_map import Blocks
 from postproc.under_load import RobotInCell
@@ -64,6 +64,22 @@ def test_blocks_are_motions_or_runs_of_ten_millimetres(path):
     assert blocks.begins.tolist() == [True, *[False] * (len(blocks.length) - 1)]
     is_cut = np.bincount(of_block, np.isfinite(FEEDS)) > 0
     np.testing.assert_array_equal(blocks.cuts, is_cut)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_run_is_divided_where_another_step_of_its_length_begins(seed):
+    rng = np.random.default_rng(seed)
+    length = rng.uniform(0.0, 0.009, 40) * (rng.random(40) < 0.9)
+    starts_run = (rng.random(40) < 0.15) | (np.arange(40) == 0)
+    expected, block, step, travelled = [], -1, 0, 0.0
+    for k in range(40):
+        if starts_run[k]:
+            travelled, step, block = 0.0, 0, block + 1
+        elif int(travelled / 0.010) != step:
+            step, block = int(travelled / 0.010), block + 1
+        expected.append(block)
+        travelled += length[k]
+    assert turn_map._grouped(length, starts_run, 0.010).tolist() == expected
 
 
 def test_bins_divide_the_samples_of_a_block_evenly_and_state_their_share_of_its_path(path):

@@ -90,8 +90,10 @@ def test_a_place_that_all_samples_refuse_is_left_for_the_next_one():
 
 
 def test_a_region_in_which_nothing_can_be_driven_has_its_slice_through_the_middle():
-    search = region.search(Bowl((1500.0, -250.0, 500.0, 0.0), hole=9e3), REGION)
+    programs = Bowl((1500.0, -250.0, 500.0, 0.0), hole=9e3)
+    search = region.search(programs, REGION)
     assert search.best is None
+    assert [all_samples for _, all_samples in programs.places].count(True) == 1  # today's place
     assert search.slice_place == (1300.0, 0.0, 500.0, 0.0, 0.0)
 
 
