@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from postproc.placement import turn_map, turning
-from postproc.placement.samples import PathSamples
+from postproc.placement.samples import AXIS, PathSamples
 from postproc.placement.turn_map import Blocks
 from postproc.under_load import RobotInCell
 from tests.placement.setting import cell, read
@@ -112,3 +112,9 @@ def test_the_turn_changes_in_proportion_to_the_path_of_each_block(path):
         rows = samples.sample.motion == k
         t = samples.sample.t[rows]
         np.testing.assert_allclose(at_samples[rows], previous + t * (expected - previous), atol=1e-9)
+
+
+def test_axes_point_where_their_names_say():
+    assert AXIS.keys() == {"+X", "-X", "+Z", "-Z"}
+    for name, direction in AXIS.items():
+        assert direction == tuple(float(f"{name[0]}1") * (letter == name[1]) for letter in "XYZ")

@@ -19,7 +19,8 @@ def test_a_way_through_a_bin_is_bad_if_a_column_that_it_touches_is():
     bad = rng.random(8) < 0.3
     begin, end = rng.integers(-8, 16, (2, 200, 1)) * 0.5, rng.integers(-8, 16, (2, 200, 1)) * 0.5
     for start, stop in zip(begin, end, strict=True):
-        found = turn_map._is_bad_between(bad, np.stack([start, stop]))
+        rounding = rng.uniform(-1e-12, 1e-12, (2, *start.shape))
+        found = turn_map._is_bad_between(bad, np.stack([start, stop]) + rounding)
         for n in range(200):
             low, high = sorted((start[n, 0], stop[n, 0]))
             columns = range(int(np.floor(low)), int(np.ceil(high)) + 1)

@@ -1,0 +1,284 @@
+"""Parts of the check of collisions, each against a loop: stocks over time, rows that are compared, words of errors."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from postproc.correction import collisions
+from postproc.correction.collisions import STOCK, Contact, States
+from tests.programs import program
+
+
+class ShrinkingStock:
+    """Stock that loses some of its size at each motion."""
+
+    def __init__(self, rng, count):
+        self.size = np.sort(rng.uniform(0.0, 1.0, count))[::-1]
+        self.motions = []
+        self.accuracy = 0.0005
+
+    def mesh(self, motion):
+        self.motions.append(motion)
+        return np.full((int(self.size[motion] > 0.1), 3), self.size[motion]), np.zeros((1, 3), dtype=int)
+
+
+class Solids:
+    """The moving bodies and a stock of some size."""
+
+    def __init__(self, size):
+        self.size = size
+
+    def with_last(self, body):
+        assert (body.name, body.of, body.kind) == (STOCK, "obstacle", "mesh")
+        return Solids(body.points[0, 0])
+
+
+@pytest.fixture
+def reaching(monkeypatch):
+    """Samples touch the stock if it is larger than their joint angle A1."""
+
+    def contacts(solids, states, need):
+        for motion, angle in zip(states.motion, states.q[1:, 0], strict=True):
+            if angle < solids.size:
+                yield Contact(("spindle", STOCK), int(motion), 0.0, need)
+
+    monkeypatch.setattr(collisions, "_contacts", contacts)
+    monkeypatch.setattr(collisions, "_solids", lambda scene, moving, fixed: Solids(fixed[0].points[0, 0]))
+
+
+def states_of(rng, count=60, motions=20):
+    motion = np.sort(rng.integers(0, motions, count))
+    q = rng.uniform(0.0, 1.4, (count + 1, 6)) ** 0.5
+    return States(motion, q, None, None)
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_contacts_with_the_stock_are_those_of_its_size_before_each_motion(reaching, seed):
+    rng = np.random.default_rng(seed)
+    states, stock = states_of(rng), ShrinkingStock(rng, 20)
+    rows = rng.random(60) < 0.8
+    search = collisions._Search(None, [], states, stock, 0.003)
+    found = list(search.over(rows))
+    expected = {
+        int(states.motion[i])
+        for i in range(60)
+        if rows[i] and stock.size[states.motion[i]] > 0.1 and states.q[i + 1, 0] < stock.size[states.motion[i]]
+    }
+    assert {contact.motion for contact in found} == expected
+    assert all((contact.names, contact.need) == (("spindle", STOCK), 0.003) for contact in found)
+    assert len(stock.motions) == search.compared == len(set(stock.motions))
+
+
+def test_few_stocks_are_enough_where_nothing_comes_close(reaching):
+    """The stock before all motions decides; without a sample that is looked at, none is made."""
+    rng = np.random.default_rng(1)
+    states, stock = states_of(rng), ShrinkingStock(rng, 20)
+    states.q[:, 0] = 2.0
+    search = collisions._Search(None, [], states, stock, 0.0)
+    assert not list(search.over(np.arange(60) >= 12))
+    assert stock.motions == [states.motion[12]]
+    assert not list(search.over(np.zeros(60, dtype=bool)))
+    assert len(stock.motions) == 1
+
+
+def test_what_is_not_decided_by_the_most_stocks_counts_as_too_close(reaching, monkeypatch):
+    rng = np.random.default_rng(2)
+    states, stock = states_of(rng), ShrinkingStock(rng, 20)
+    monkeypatch.setattr(collisions, "_MOST_STOCKS", 3)
+    found = {
+        contact.motion for contact in collisions._Search(None, [], states, stock, 0.0).over(np.ones(60, dtype=bool))
+    }
+    exact = {int(m) for m, angle in zip(states.motion, states.q[1:, 0], strict=True) if angle < stock.size[m]}
+    assert found > exact
+    assert 3 <= len(stock.motions) <= 6
+    monkeypatch.setattr(collisions, "_MOST_STOCKS", 1)
+    undivided = {
+        contact.motion for contact in collisions._Search(None, [], states, stock, 0.0).over(states.q[1:, 0] > 0)
+    }
+    assert undivided == {
+        int(m) for m, angle in zip(states.motion, states.q[1:, 0], strict=True) if angle < stock.size[0]
+    }
+
+
+def body(name, of, kind="cylinder", *, fixed=False):
+    return SimpleNamespace(name=name, of=of, kind=kind, fixed=fixed)
+
+
+BODIES = [
+    body("link", "arm"), body("case", "tool", "mesh"), body("holder", "tool"), body("cutter", "cutter"),
+    body("foot", "arm", fixed=True), body("vice", "obstacle", fixed=True),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("compared", "cuts", "expected"),
+    [
+        ([1, 1, 1], [1, 1, 1], [(("link", "case"), 0.02, [1, 1, 1], True)]),
+        (
+            [1, 0, 0], [1, 1, 0],
+            [
+                (("link", "case"), 0.02, [1, 1, 1], True), (("holder",), 0.02, [0, 1, 1], True),
+                (("inner cutter",), 0.0, [0, 0, 1], False),
+            ],
+        ),
+        ([1, 0, 0], [1, 1, 1], [(("link", "case"), 0.02, [1, 1, 1], True), (("holder",), 0.02, [0, 1, 1], True)]),
+    ],
+)  # fmt: skip
+def test_the_tool_is_compared_where_it_turns_and_the_cutter_where_it_does_not_cut(
+    monkeypatch, compared, cuts, expected
+):
+    searches = []
+
+    class Search:
+        def __init__(self, scene, bodies, states, stock, need):
+            self.entry = tuple(each.name for each in bodies), need, states.commanded is not None
+
+        def over(self, rows):
+            names, need, is_commanded = self.entry
+            searches.append((names, need, rows.astype(int).tolist(), is_commanded))
+            return iter(())
+
+    monkeypatch.setattr(collisions, "_Search", Search)
+    monkeypatch.setattr(collisions.collision, "inside", lambda part: body(f"inner {part.name}", part.of))
+    states = States(np.array([0, 1, 2]), np.zeros((4, 6)), np.zeros((4, 6)), None)
+    stock = SimpleNamespace(compared=np.array(compared, dtype=bool), cuts=np.array(cuts, dtype=bool))
+    assert not list(collisions.with_stock(SimpleNamespace(bodies=BODIES), states, stock, 0.02))
+    assert searches == expected
+
+
+@pytest.mark.parametrize("shift", [None, "carried"])
+def test_parts_of_a_path_begin_before_their_first_sample(shift):
+    q, commanded = np.arange(36.0).reshape(6, 6), 100.0 + np.arange(36.0).reshape(6, 6)
+    carried = None if shift is None else np.arange(18.0).reshape(6, 3)
+    states = States(np.array([0, 0, 1, 1, 2]), q, commanded, carried)
+    part = states.part(2, 4)
+    assert part.motion.tolist() == [1, 1]
+    np.testing.assert_array_equal(part.q, q[[2, 3, 4]])
+    np.testing.assert_array_equal(part.commanded, commanded[[2, 3, 4]])
+    arrival = states.arrival()
+    assert arrival.motion.tolist() == [0]
+    np.testing.assert_array_equal(arrival.q, q[[2, 2]])
+    np.testing.assert_array_equal(arrival.commanded, commanded[[2, 2]])
+    if carried is None:
+        assert part.shift is None
+        assert arrival.shift is None
+    else:
+        np.testing.assert_array_equal(part.shift, carried[[2, 3, 4]])
+        np.testing.assert_array_equal(arrival.shift, carried[[2, 2]])
+    bare = States(states.motion, q, None, carried)
+    assert bare.part(0, 2).commanded is None
+    assert bare.arrival().commanded is None
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_runs_of_tools_and_of_samples_are_those_of_a_loop(seed):
+    rng = np.random.default_rng(seed)
+    tool, rows = rng.integers(0, 3, 15), rng.random(15) < 0.5
+    runs = [(part.start, part.stop, number) for part, number in collisions._runs(tool)]
+    expected_runs, stretches = [], []
+    for i in range(15):
+        if i and tool[i] == tool[i - 1]:
+            expected_runs[-1] = (expected_runs[-1][0], i + 1, tool[i])
+        else:
+            expected_runs.append((i, i + 1, tool[i]))
+        if rows[i]:
+            stretches += [] if i and rows[i - 1] else [[i, i]]
+            stretches[-1][1] = i + 1
+    assert runs == expected_runs
+    assert [list(stretch) for stretch in collisions._stretches(rows)] == stretches
+
+
+@pytest.mark.parametrize(
+    ("spindle", "axis"), [("+Z", (0, 0, 1)), ("-Z", (0, 0, -1)), ("+X", (1, 0, 0)), ("-X", (-1, 0, 0))]
+)
+@pytest.mark.parametrize("begin", [0, 2])
+def test_a_tool_leaves_its_cut_along_its_axis_away_from_the_part(spindle, axis, begin):
+    """Off by 0.7°, and by 0.9°; towards the part; and where it stays it does not cut either."""
+    rng = np.random.default_rng(3)
+    rotation = Rotation.random(8, random_state=1).as_matrix()
+    rotation[:] = rotation[0]
+    up = -rotation[0] @ np.array(axis)
+    across = np.cross(up, rng.normal(size=3))
+    across /= np.linalg.norm(across)
+    angles = np.radians([0.0, 0.7, 0.9, 90.0, 180.0, 0.7, 0.0])
+    pose = np.tile(np.eye(4), (8, 1, 1))
+    pose[:, :3, :3] = rotation
+    steps = 0.03 * (np.cos(angles)[:, None] * up + np.sin(angles)[:, None] * across)
+    steps[-1] = 0.0
+    pose[1:, :3, 3] = np.cumsum(steps, axis=0)
+    path = SimpleNamespace(sample=SimpleNamespace(pose=pose), robot_in_cell=SimpleNamespace(spindle=spindle))
+    expected = [True, True, True, False, False, False, True, True]
+    assert collisions._retracts(path, slice(begin, 8)).tolist() == expected[begin:]
+
+
+def test_e1_carries_the_robot_from_the_place_before_the_samples():
+    begin, end = np.array([0.0, 0.1, 0.5]), np.array([0.1, 0.5, 0.4])
+    direction = np.array([0.0, 0.6, 0.8])
+
+    def offset(motion, t):
+        return (begin[motion] + t * (end[motion] - begin[motion]))[:, None] * direction
+
+    sample = SimpleNamespace(motion=np.array([0, 0, 1, 1, 2]), t=np.array([0.5, 1.0, 0.25, 1.0, 1.0]))
+    path = SimpleNamespace(program=SimpleNamespace(carriage=SimpleNamespace(offset=offset)), sample=sample)
+    e1 = [0.05, 0.1, 0.2, 0.5, 0.4]
+    np.testing.assert_allclose(collisions._shift(path, slice(0, 3)), np.outer([0.0, *e1[:3]], direction))
+    np.testing.assert_allclose(collisions._shift(path, slice(3, 5)), np.outer([0.2, 0.5, 0.4], direction))
+    assert collisions._shift(SimpleNamespace(program=SimpleNamespace(carriage=None)), slice(0, 3)) is None
+
+
+def worst_of(notes, stock=True):
+    made = program([("RAPID", 0, 0, 0), ("LIN", 10, 0, 0), ("LIN", 20, 0, 0)])
+    worst = collisions._Worst(made.motions, SimpleNamespace(accuracy=0.00123) if stock else None)
+    for note in notes:
+        worst.note(*note)
+    return worst.issues()
+
+
+def test_the_smallest_distance_of_two_bodies_is_told_with_all_lines():
+    (issue,) = worst_of(
+        [
+            (("spindle", "vice"), 0.004, 2, 0.01, False),
+            (("spindle", "vice"), 0.00256, 3, 0.01, False),
+            (("spindle", "vice"), 0.003, 1, 0.01, True),
+        ]
+    )
+    assert (issue.level, issue.kind, issue.source_line, issue.count) == ("error", "collision", 3, 3)
+    assert issue.subject == "spindle, vice"
+    assert issue.message == (
+        "collision: spindle comes within 2.6 mm of vice; [collision] asks for 10 mm. Move the part, turn the tool, or "
+        "correct the bodies in the cell"
+    )
+
+
+def test_contact_on_the_way_from_the_start_is_told_with_another_remedy():
+    first, second = worst_of(
+        [
+            (("cutter", "part"), 0.0, 1, 0.0, True), (("cutter", "part"), 0.0, 1, 0.0, False),
+            (("link", "wall"), 0.001, 1, 0.005, False), (("link", "wall"), 0.0005, 1, 0.005, True),
+        ]
+    )  # fmt: skip
+    assert first.message == (
+        "collision: cutter touches or is inside part on the way from [start] to the first target; it may not touch it "
+        "here. Choose [start] joints with the tip above the part, lift the first target, or correct the bodies"
+    )
+    assert (first.count, second.count) == (1, 1)
+    assert "link comes within 0.5 mm of wall on the way from [start] to the first target; [coll" in second.message
+
+
+@pytest.mark.parametrize(
+    ("line", "advice"),
+    [(1, "Lift the tool before it moves rapidly, begin elsewhere"), (2, "Use a longer tool, cut here first, tilt")],
+)
+def test_a_distance_to_the_stock_is_told_with_the_size_of_its_cells(line, advice):
+    (issue,) = worst_of([(("holder", STOCK), 0.0, line, 0.0, False)])
+    assert (
+        f"holder touches or is inside stock, which is rounded up to cells of 1.2 mm; it may not touch it here. {advice}"
+        in issue.message
+    )
+    (other,) = worst_of([(("holder", STOCK), 0.0, line, 0.0, False)], stock=False)
+    assert "rounded up" not in other.message
+    assert "Move the part" in other.message
