@@ -152,3 +152,9 @@ def test_directions_without_a_middle_turn_too_far():
     along = Directions(np.array([[0.0, 0.0, 1.0]]), np.ones(1, dtype=bool), np.zeros(1, dtype=np.int64), opposite)
     with pytest.raises(ForceError, match="turns by more than 75° in one cutting move"):
         setups.setups(program([("LIN", 0, 0, 0)]), along, np.radians(WIDEST))
+
+
+@pytest.mark.parametrize(("tilt", "is_upright"), [(4e-5, True), (5e-5, False)])
+def test_a_tool_that_leans_by_rounding_has_a_map_along_the_axes(tilt, is_upright):
+    frame = setups._frame(np.array([np.sin(tilt), 0.0, np.cos(tilt)]))
+    assert (frame == np.eye(4)).all() == is_upright

@@ -1,0 +1,190 @@
+"""Parts of the verification of a written program, each against a loop: where it is looked at, and what is an error."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from postproc.correction import verify
+from postproc.correction.verify import _Probes
+from postproc.program import CIRC, LIN
+from tests.programs import program
+
+TOLERANCE = 2e-5
+
+
+def targets_of(motion, t):
+    """Targets of motions at places; a piece begins at the target before on its motion."""
+
+    def begin(rows):
+        return np.array([0.0 if row == 0 or motion[row] != motion[row - 1] else t[row - 1] for row in rows])
+
+    return SimpleNamespace(motion=motion, t=t, begin=begin)
+
+
+@pytest.mark.parametrize("rest_is_nominal", [False, True])
+def test_places_behind_steps_at_jumps_and_without_a_correction_before_them_are_known(rest_is_nominal):
+    """Motion 0 begins at the start and motion 2 at an axis target, which are not corrected."""
+    made = program([("LIN", 10, 0, 0), ("PTP", 0, 0, 0), ("LIN", 20, 0, 0), ("LIN", 30, 0, 0)])
+    joints = np.full((4, 6), np.nan)
+    joints[1] = 0.1
+    made = replace(made, motions=replace(made.motions, joints=joints))
+    motion, t = np.array([0, 0, 2, 2, 3, 3, 3]), np.array([0.5, 1.0, 0.4, 1.0, 0.5, 0.5 + 2e-6, 1.0])
+    length = np.array([0.01, 0.2, 0.3, 0.1])
+    begins = np.array([True, False, False, True])
+
+    def behind_step(row, end):
+        return begins[row] & (end < 0.6)
+
+    path = SimpleNamespace(
+        program=made,
+        motions=SimpleNamespace(
+            forces=SimpleNamespace(behind_step=behind_step), segments=SimpleNamespace(length=length)
+        ),
+        robot_in_cell=SimpleNamespace(rest_is_nominal=rest_is_nominal),
+    )
+    target = np.repeat(np.arange(7), 2)
+    share = np.tile([0.5, 1.0], 7)
+    probes = _Probes(target, share, motion[target], np.zeros(14))
+    step, jump, is_judged = verify._special(path, targets_of(motion, t), probes)
+    for n in range(14):
+        row, is_inner = target[n], share[n] < 1.0
+        end = t[row]
+        begin = 0.0 if row == 0 or motion[row] != motion[row - 1] else t[row - 1]
+        is_step = is_inner and begins[motion[row]] and end < 0.6
+        unsettled = is_inner and motion[row] in (0, 2) and not rest_is_nominal
+        assert step[n] == is_step
+        assert jump[n] == (is_inner and length[motion[row]] * (end - begin) < 1e-6)
+        assert is_judged[n] == (not is_step and not unsettled)
+    assert jump.sum() == 1
+
+
+LEFT = {
+    "force-step": ("warning", "the force changes abruptly from the end of the move before"),
+    "force-jump": ("error", "the force jumps within this move"),
+    "target": ("error", "the simulated program misses a target by"),
+    "path": ("error", "the simulated program leaves its path between targets by"),
+}
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_errors_that_are_left_are_named_with_the_largest_of_their_kind(seed):
+    rng = np.random.default_rng(seed)
+    count = 12
+    made = program([("LIN", 10 * k, 0, 0) for k in range(4)])
+    distance = rng.choice([9e-7, 1.1e-6, 1.9e-5, 2.1e-5, 5e-5], count, p=[0.3, 0.2, 0.2, 0.15, 0.15])
+    share = rng.choice([0.5, 1.0], count)
+    probes = _Probes(np.arange(count), share, rng.integers(0, 4, count), np.zeros(count))
+    step, jump, smooth = rng.random((3, count)) < 0.4
+    path = SimpleNamespace(program=made, robot_in_cell=SimpleNamespace(tolerance=TOLERANCE))
+    is_wide = [value > TOLERANCE for value in distance]
+    cases = {
+        "force-step": [n for n in range(count) if step[n] and is_wide[n]],
+        "force-jump": [n for n in range(count) if jump[n] and is_wide[n]],
+        "target": [n for n in range(count) if share[n] == 1.0 and distance[n] > 1e-6],
+        "path": [n for n in range(count) if smooth[n] and is_wide[n]],
+    }
+    issues = list(verify._left(path, probes, distance, step=step, jump=jump, smooth=smooth))
+    expected = [(name, rows) for name, rows in cases.items() if rows]
+    assert len(issues) == len(expected)
+    for issue, (name, rows) in zip(issues, expected, strict=True):
+        level, words = LEFT[name]
+        assert (issue.level, issue.message[: len(words)]) == (level, words)
+        assert issue.kind == ("tolerance" if name in ("target", "path") else name)
+        assert f"{1e3 * max(distance[n] for n in rows):.4f} mm" in issue.message
+        assert set(issue.lines or (issue.source_line,)) == {int(probes.motion[n]) + 1 for n in rows}
+        assert name not in ("force-jump", "path") or "(allowed 0.02 mm)" in issue.message
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_arcs_are_uneven_by_their_displacement_at_the_quarters(monkeypatch, seed):
+    """Against the displacement of the end of each piece; the larger one of both quarters."""
+    rng = np.random.default_rng(seed)
+    nominal, written = rng.normal(size=(2, 3, 3))
+
+    def positions(made, segments, motion, t):
+        """Curves of two programs: polynomials of the place."""
+        powers = np.stack([t, t**2, t**3], axis=-1)
+        return powers @ (nominal if made == "nominal" else written) + motion[:, None]
+
+    monkeypatch.setattr(verify.toolpath, "positions", positions)
+    motion, t = np.array([0, 1, 1, 2]), np.array([1.0, 0.4, 1.0, 1.0])
+    path = SimpleNamespace(program="nominal", motions=SimpleNamespace(segments=None))
+    readback = SimpleNamespace(program="written", segments=None, row=np.array([5, 6, 7, 9]))
+    rows, correction = np.array([1, 2, 3]), rng.normal(size=(3, 3))
+    found = verify._unevenness(path, SimpleNamespace(targets=targets_of(motion, t)), readback, rows, correction)
+    for n, row in enumerate(rows):
+        begin = 0.4 if row == 2 else 0.0
+        sizes = []
+        for share in (0.25, 0.75):
+            place = np.array([begin + share * (t[row] - begin)])
+            there = positions("written", None, readback.row[[row]], np.array([share]))
+            displaced = there - positions("nominal", None, motion[[row]], place) - correction[n]
+            sizes.append(float(np.linalg.norm(displaced)))
+        assert found[n] == pytest.approx(max(sizes))
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_written_program_is_looked_at_between_targets_where_it_may_leave_its_path(monkeypatch, seed):
+    """Long or turning runs every 5 mm or so, arcs and changes of the force at the middle, steep corrections closer."""
+    rng = np.random.default_rng(seed)
+    motion = np.array([0, 0, 1, 1, 1, 2, 3, 4])
+    t = np.array([0.4, 1.0, 0.25, 0.5, 1.0, 1.0, 1.0, 1.0])
+    kind = np.array([LIN, CIRC, LIN, LIN, CIRC])
+    output_kind = np.where(rng.random(8) < 0.3, CIRC, LIN)
+    row_in_output = np.arange(8) + 2
+    shift = np.cumsum(rng.choice([0.0, 1.5e-4, 3e-4], 8))
+    rows = np.sort(rng.choice(14, 8, replace=False))
+    nominal = rng.normal(size=(14, 3))
+    pose = np.tile(np.eye(4), (8, 1, 1))
+    pose[:, :3, 3] = nominal[rows] + shift[:, None] * [1.0, 0.0, 0.0]
+    sample_pose = np.tile(np.eye(4), (14, 1, 1))
+    sample_pose[:, :3, 3] = nominal
+    unevenness = rng.choice([0.1, 0.3], 8) * TOLERANCE
+    lengths, turns = rng.uniform(0.0, 0.03, 10), rng.uniform(0.0, 0.05, 10)
+    monkeypatch.setattr(verify, "_unevenness", lambda path, selection, readback, arcs, correction: unevenness[arcs])
+    calls = []
+
+    def number_of_places(kinds, length, turn, *, is_curved, steep):
+        calls.append((kinds.tolist(), length.tolist(), turn.tolist(), is_curved.tolist(), steep.tolist()))
+        return 1 + is_curved + 2 * steep
+
+    monkeypatch.setattr(verify, "number_of_places", number_of_places)
+    targets = targets_of(motion, t)
+    targets.pose = pose
+    Sized = type("Sized", (SimpleNamespace,), {"__len__": lambda self: len(motion)})
+    targets = Sized(**vars(targets))
+    output_motions = SimpleNamespace(kind=np.append([LIN, LIN], output_kind))
+    path = SimpleNamespace(
+        program=SimpleNamespace(motions=SimpleNamespace(kind=kind)),
+        sample=SimpleNamespace(pose=sample_pose),
+        robot_in_cell=SimpleNamespace(tolerance=TOLERANCE),
+    )
+    readback = SimpleNamespace(
+        program=SimpleNamespace(motions=output_motions), row=row_in_output,
+        segments=SimpleNamespace(travel=lengths, turn=turns),
+    )  # fmt: skip
+    probes = verify._probes(path, SimpleNamespace(targets=targets, row=rows), readback)
+    expected = []
+    for n in range(8):
+        is_arc = kind[motion[n]] == CIRC or output_kind[n] == CIRC
+        is_curved = is_arc or rows[n] - (rows[n - 1] if n else -1) > 1
+        steep = (n > 0 and abs(shift[n] - shift[n - 1]) > 2e-4) or (is_arc and unevenness[n] > 0.2 * TOLERANCE)
+        expected.append((is_curved, steep))
+    ((kinds, length, turn, curved, steep),) = calls
+    assert kinds == output_kind.tolist()
+    assert (length, turn) == (lengths[2:].tolist(), turns[2:].tolist())
+    assert list(zip(curved, steep, strict=True)) == expected
+    places = []
+    for n, (is_curved, is_steep) in enumerate(expected):
+        number = 1 + is_curved + 2 * is_steep
+        begin = 0.0 if n == 0 or motion[n] != motion[n - 1] else t[n - 1]
+        places += [(n, k / number, begin + k / number * (t[n] - begin)) for k in range(1, number + 1)]
+    assert probes.target.tolist() == [n for n, _, _ in places]
+    np.testing.assert_allclose(probes.share, [share for _, share, _ in places])
+    np.testing.assert_allclose(probes.t, [place for _, _, place in places])
+    assert probes.motion.tolist() == motion[probes.target].tolist()
+    assert probes.inside.tolist() == [share < 1.0 for _, share, _ in places]
