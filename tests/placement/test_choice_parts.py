@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from msgspec.structs import replace
+from scipy.spatial.transform import Rotation
 
 from postproc import kinematics
 from postproc.errors import NotConvergedError
@@ -16,6 +17,7 @@ from postproc.placement.drive import Keep
 from postproc.placement.samples import PathSamples
 from postproc.placement.turn_map import Blocked, Blocks, Line
 from postproc.placement.turning import chosen_start
+from postproc.poses import Poses
 from postproc.under_load import RobotInCell
 from tests.placement.by_sample import SampleBySample
 from tests.placement.setting import cell, read
@@ -284,3 +286,128 @@ def test_the_error_of_collisions_names_the_bodies_at_the_turn_where_they_are_far
         issue.message,
     ), issue.message
     assert len(part) > 1
+
+
+@pytest.mark.parametrize("has_bodies", [False, True])
+@pytest.mark.parametrize(("gain", "is_good"), [(1.019, True), (1.021, False)])
+@pytest.mark.parametrize(("is_blocked", "is_hit"), [(False, False), (True, False), (False, True)])
+def test_the_turn_of_the_cell_is_as_good_within_two_percent_where_it_can_be_driven(
+    path, monkeypatch, has_bodies, gain, is_good, is_blocked, is_hit
+):
+    """By the RMS over samples of cuts; only columns at the turn of the cell are open to its line."""
+    samples, blocks, branch = path
+    rng = np.random.default_rng(5)
+    knots = rng.uniform(-1.0, 1.0, len(blocks.length))
+    at_line = turning._at_samples(samples, blocks, knots)
+    best = rng.uniform(1e-4, 2e-4, len(blocks.first))
+    is_cut = blocks.cuts[blocks.block]
+    # the same sum of squares, times the gain, elsewhere along the path
+    counts = np.diff(np.append(blocks.first, len(samples)))
+    level = np.sqrt(sum(n * e**2 for n, e, cut in zip(counts, best, is_cut, strict=True) if cut) / counts[is_cut].sum())
+    today = np.where(is_cut, gain * level, 9.0)
+
+    def evaluate(paths, divided, number, base, offset, bodies):
+        assert (number, offset.tolist(), bodies) == (branch, [0.0], None)
+        error = today if not base.any() else best
+        assert not base.any() or np.array_equal(base, at_line)
+        return SimpleNamespace(error=error[:, None])
+
+    offset = turn_map.whole_circle(np.radians(30.0)) + 2.0 * np.pi
+    whole = replace(turn_map._unfilled(blocks, np.zeros(len(samples)), offset, has_bodies=has_bodies))
+    if has_bodies:
+        whole.hit[1, 6] = True
+    opened, struck = [], []
+
+    def find(paths, columns, keep, mode, *, is_circle):
+        opened.append((~columns.hit, keep, mode, is_circle))
+        return Blocked(0) if is_blocked else Line(np.zeros(len(knots)), 0.0)
+
+    def strike(paths, divided, number, line, bodies):
+        struck.append((line.knots.any(), bodies))
+        return np.array([False, is_hit])
+
+    for name, function in (("_find", find), ("_struck", strike)):
+        monkeypatch.setattr(turning, name, function)
+    monkeypatch.setattr(turn_map, "evaluate", evaluate)
+    bodies = "bodies" if has_bodies else None
+    found = turning._today_is_as_good(samples, whole, branch, Keep(), Line(knots, 0.0), bodies)
+    assert found == (is_good and not is_blocked and not (has_bodies and is_hit))
+    if is_good:
+        ((columns, keep, mode, is_circle),) = opened
+        expected = np.zeros(columns.shape, dtype=bool)
+        expected[:, 6] = True
+        expected[1, 6] = not has_bodies
+        np.testing.assert_array_equal(columns, expected)
+        assert (keep, mode, is_circle) == (Keep(), "best", True)
+        assert struck == ([(False, "bodies")] if has_bodies and not is_blocked else [])
+
+
+@pytest.mark.parametrize("has_fine", [True, False])
+@pytest.mark.parametrize("free_after", [0, 1, 2, 3, 7, 99])
+def test_lines_with_collisions_are_replaced_eight_times_at_most(monkeypatch, has_fine, free_after):
+    """The refined line comes first; cells of each line that collides are closed."""
+    closed, looked = [], []
+
+    def find(samples, whole, keep, mode, *, is_circle):
+        assert is_circle
+        return Line(np.array([float(len(closed))]), 0.0)
+
+    def refined(samples, blocks, branch, line, keep, mode, bodies):
+        return Line(line.knots + 0.5, 0.0) if has_fine else None
+
+    def strike(samples, blocks, branch, line, bodies):
+        looked.append(float(line.knots[0]))
+        return np.array([len(looked) <= free_after])
+
+    def close(samples, whole, line, is_hit):
+        closed.append(float(line.knots[0]))
+        return whole
+
+    for name, function in (("_find", find), ("_refined", refined), ("_struck", strike), ("_closed", close)):
+        monkeypatch.setattr(turning, name, function)
+    whole = SimpleNamespace(blocks=None)
+    line, after = turning._free_line(None, whole, 0, Keep(), "best", "bodies")
+    assert after is whole
+    expected, tries = [], 0
+    for _ in range(8):
+        base = float(tries)
+        for knot in (base + 0.5, base) if has_fine else (base,):
+            expected.append(knot)
+            tries += 1
+            if tries > free_after:
+                break
+        if tries > free_after:
+            break
+    assert looked == expected
+    assert closed == expected[: len(expected) - (free_after < len(expected))]
+    assert line.knots[0] == (expected[-1] if free_after < len(expected) else np.floor(expected[-1]))
+    looked.clear()
+    closed.clear()
+    alone, _ = turning._free_line(None, whole, 0, Keep(), "best", None)
+    assert alone.knots[0] == (0.5 if has_fine else 0.0)
+    assert not looked
+
+
+def test_a_blocked_map_has_no_line(monkeypatch):
+    monkeypatch.setattr(turning, "_find", lambda *arguments, is_circle: Blocked(3))
+    whole = SimpleNamespace(blocks=None)
+    assert turning._free_line(None, whole, 0, Keep(), "best", "bodies") == (Blocked(3), whole)
+
+
+def test_cuts_that_tilt_the_tool_are_those_whose_axis_differs_at_both_ends():
+    """By more than a micrometre a metre; rapid moves and joint interpolations may tilt it."""
+    samples = samples_of()
+    rng = np.random.default_rng(2)
+    motions = samples.program.motions
+    target = motions.target[:]
+    for k in range(len(motions)):
+        angle = [0.0, 1e-7, 1e-5, 0.3][int(rng.integers(4))]
+        target[k, :3, :3] = target[k, :3, :3] @ Rotation.from_rotvec([0.2 * k, angle, 0.0]).as_matrix()
+    tilted = replace(samples.program, motions=replace(motions, target=Poses.of(target)))
+    tilted_samples = PathSamples.of(tilted, samples.robot_in_cell, None)
+    axes = target[:, :3, 0]
+    expected = [
+        k > 0 and not motions.rapid[k] and np.linalg.norm(axes[k] - axes[k - 1]) > 1e-6 for k in range(len(motions))
+    ]
+    assert turning._tilting(tilted_samples).tolist() == expected
+    assert 0 < sum(expected) < len(expected) - 2
