@@ -1,0 +1,5 @@
+"""Tests of the package: they compute in one thread, which is set before numpy is imported."""
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as `cli` does: others would wait in a loop

@@ -18,6 +18,7 @@ import postproc
 from postproc.errors import Issue, PostprocError, ProgramError
 from postproc.kinematics import UnreachableError
 from tests.commands import invoke
+from tests.places import ROOT
 from tests.processes import CELL_16, COMMAND, programs
 
 FAULT = (
@@ -197,3 +198,13 @@ def test_one_program_is_one_thread_unless_the_user_wants_more(wanted, threads):
         check=True,
     )
     assert done.stderr.split() == [str(threads)]
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="counts threads as Linux lists them")
+def test_tests_compute_in_one_thread():
+    script = "import os; import tests.conftest; import numpy; print(len(os.listdir('/proc/self/task')))"
+    free = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
+    done = subprocess.run(
+        [sys.executable, "-c", script], cwd=ROOT, env=free, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.split() == ["1"]
