@@ -8,7 +8,7 @@ they say, interrupts never come, and all that a program can do is tried by takin
 
 from __future__ import annotations
 
-import copy
+import operator
 import re
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -35,11 +35,23 @@ TYPES = {"INT", "REAL", "BOOL", "CHAR", "FRAME", "POS", "E6POS", "AXIS", "E6AXIS
 MOTIONS = {"LIN", "PTP", "CIRC", "LIN_REL", "PTP_REL", "SLIN", "SPTP", "SCIRC", "SLIN_REL", "SPTP_REL", "SPL"}
 KINDS = {"SLIN": "LIN", "SPTP": "PTP", "SCIRC": "CIRC"}
 FORCE = re.compile(r"\s*;\s*FORCE\s+(OFF|[FM][XYZ]\s*=.*)$", re.IGNORECASE)
+HEAD = re.compile(r"(GLOBAL\s+)?DEF(?:FCT\s+(\w+))?\s+(\w+)\s*\(([^)]*)\)", re.IGNORECASE)
 LABEL = re.compile(r"([A-Za-z_]\w*)\s*:$")
 CARTESIAN = "XYZABC"
 _INPUTS = {"$IN", "$OUT", "$ANIN", "$FLAG"}
-_NO_VARIABLES = {"TRUE", "FALSE", "NOT", "$BASE", "$TOOL", "$NULLFRAME", "$VEL", "$APO", *_INPUTS}
+_BITS = ("B_OR", "B_EXOR", "B_AND")
+_NO_VARIABLES = {"TRUE", "FALSE", "NOT", "$BASE", "$TOOL", "$NULLFRAME", "$WORLD", "$ROBROOT", "$VEL", "$APO", *_INPUTS}
+_BEHIND = {(), (",",), (")",), ("}",), ("]",)}
+"""What follows a value that is a number alone."""
 MOST_STEPS = 3000
+COMPARISONS = {
+    "==": operator.eq,
+    "<>": operator.ne,
+    "<": operator.lt,
+    ">": operator.gt,
+    "<=": operator.le,
+    ">=": operator.ge,
+}
 FUNCTIONS = {
     "ABS": abs,
     "SQRT": lambda x: float(np.sqrt(abs(x))),
@@ -49,12 +61,28 @@ FUNCTIONS = {
     "ACOS": lambda x: float(np.degrees(np.arccos(x))) if abs(x) <= 1 else invalid("ACOS"),
     "ATAN2": lambda y, x: float(np.degrees(np.arctan2(y, x))),
     "SVEL_CP": lambda speed, *_: {"CP": speed},
-    "SORI_TYP": lambda data: data.get("ORI_TYP", "#VAR"),
-    "SCIRC_TYPE": lambda data: data.get("CIRC_TYP", "#BASE"),
-    "SIPO_MODE": lambda data: data.get("IPO_FRAME", "#BASE"),
-    "SAPO": lambda data: {"CDIS": data["APO_DIST"]} if "APO_DIST" in data else {},
+    "SORI_TYP": lambda data: word(data, "ORI_TYP", "#VAR"),
+    "SCIRC_TYPE": lambda data: word(data, "CIRC_TYP", "#BASE"),
+    "SIPO_MODE": lambda data: word(data, "IPO_FRAME", "#BASE"),
+    **dict.fromkeys(
+        ("SLOAD", "SACC_CP", "SJERK", "USE_CM_PRO_VALUES", "SVEL_JOINT", "SACC_JOINT", "SGEAR_JERK"), lambda *_: 0.0
+    ),
+    "SAPO": lambda data: approximation(data),
+    "SAPO_PTP": lambda data: {"CPTP": data.get("APO_DIST", 0.0)},
+    "SCIRC_M": lambda data: data.get("CB", {}),
     "INV_POS": lambda frame: components(np.linalg.inv(pose(frame))),
 }
+
+
+def word(data, field, usual):
+    """Return a mode, or what a structure has for it."""
+    return data.get(field, usual) if isinstance(data, dict) else data
+
+
+def approximation(data):
+    """Return what SAPO sets: the distance of a structure, if it has one."""
+    distance = word(data, "APO_DIST", None)
+    return {} if distance is None else {"CDIS": distance}
 
 
 class Unsaid:
@@ -98,6 +126,10 @@ class _Goto(Exception):
     pass
 
 
+class _Resume(Exception):
+    """RESUME: the calls behind that in which the interrupt was declared end (KSS 8, RESUME)."""
+
+
 class Choices:
     """What inputs are, one after the other: those of `decided`, then FALSE.
 
@@ -121,6 +153,11 @@ class Choices:
         while decided and (decided[-1] or sum(decided) >= self.most):
             decided.pop()
         return Choices([*decided[:-1], True], self.most) if decided else None
+
+
+def copied(value):
+    """Return a copy of a structure, or the value that is none."""
+    return {name: copied(item) for name, item in value.items()} if isinstance(value, dict) else value
 
 
 @dataclass
@@ -148,7 +185,7 @@ class Place:
         return value
 
     def set(self, new):
-        new = copy.deepcopy(new)
+        new = copied(new)
         members = self.variable.members
         if not self.path:
             if isinstance(new, dict) and members:
@@ -194,14 +231,7 @@ def quotient(value, other):
 
 def compared(sign, value, other):
     """Whether two values compare so; REALs that are close may be equal or not for a controller with fewer digits."""
-    holds = {
-        "==": lambda: value == other,
-        "<>": lambda: value != other,
-        "<": lambda: value < other,
-        ">": lambda: value > other,
-        "<=": lambda: value <= other,
-        ">=": lambda: value >= other,
-    }[sign]()
+    holds = COMPARISONS[sign](value, other)
     if isinstance(value, float) or isinstance(other, float):
         exact = value == other and float(np.float32(value)) == value
         if not exact and abs(value - other) <= 1e-6 * max(abs(value), abs(other)):
@@ -280,6 +310,17 @@ class Reader:
         (self.kinds, self.tokens, self.chain), self.at = tokens(text), 0
         self.count = len(self.tokens)
 
+    def number(self):
+        """Take a number that is a whole value, with its sign; None if the next tokens are none."""
+        at = self.at
+        negative = self.tokens[at : at + 1] == ("-",)
+        at += negative
+        if at >= self.count or self.kinds[at] != "number" or self.tokens[at + 1 : at + 2] not in _BEHIND:
+            return None
+        self.at, token = at + 1, self.tokens[at]
+        value = int(token) if token.isdigit() else float(token)
+        return -value if negative else value
+
     def peek(self, ahead=0):
         index = self.at + ahead
         return self.tokens[index] if index < self.count else ""
@@ -305,6 +346,63 @@ def code(line):
     return line.strip()
 
 
+@lru_cache(1000)
+def declarations(text):
+    """Return the statements of a data list."""
+    lines = map(code, re.split(r"\r\n|\n", text))
+    others = ("DEFDAT", "ENDDAT", "&", "EXT ", "EXTFCT ", "EXTP ", "SIGNAL ", "CHANNEL ")
+    return [line for line in lines if line and not line.upper().startswith(others)]
+
+
+@lru_cache(1000)
+def routines(file, text):
+    """Return name, parameters, statements, whether it is GLOBAL, and type of each routine of a file.
+
+    Control structures hold their statements; nothing of them changes while they run.
+    """
+    parsed, body, stack, opened = [], None, [], []
+    for number, raw in enumerate(re.split(r"\r\n|\n", text), 1):
+        line = code(raw)
+        word = line.split("(")[0].split(" ")[0].upper() if line else ""
+        if body is not None and (found := FORCE.match(raw)):
+            word, line = "FORCE", found[1].strip()
+        elif found := LABEL.match(line):
+            word, line = "LABEL", found[1].upper()
+        head = HEAD.match(line)
+        if head:
+            parameters = []
+            for part in filter(None, map(str.strip, head[4].split(","))):
+                name, _, way = part.partition(":")
+                parameters.append((name.replace("[]", "").strip().upper(), way.strip().upper() == "IN"))
+            body = []
+            parsed.append((head[3].upper(), parameters, body, bool(head[1]), (head[2] or "").upper()))
+            stack, opened = [body], []
+        elif word in ("END", "ENDFCT"):
+            body = None
+        elif not line or line[0] == "&" or body is None:
+            continue
+        elif word in OPENING:
+            block = [word, file, number, line, [[]], []]
+            stack[-1].append(block)
+            stack.append(block[4][0])
+            opened.append(word)
+        elif word in ("ELSE", "CASE", "DEFAULT"):
+            if opened[-1:] != (["IF"] if word == "ELSE" else ["SWITCH"]):
+                raise Invalid(f"{word} without what it belongs to")
+            stack.pop()
+            block = stack[-1][-1]
+            block[4].append([(line, number)])
+            stack.append(block[4][-1])
+        elif word in OPENING.values():
+            if not opened or OPENING[opened.pop()] != word:
+                raise Invalid(f"{word} without what it closes")
+            stack.pop()
+            stack[-1][-1][5] = line, number
+        else:
+            stack[-1].append((word, file, number, line))
+    return parsed
+
+
 class Controller:
     """Files, variables, and one run.
 
@@ -314,16 +412,18 @@ class Controller:
     :param choices: what inputs are, where nothing is left to chance.
     :param given: values of inputs and of variables that are in no file, and of parameters of the program.
     :param side: how it does what no source says.
+    :param initmov: frames behind BAS(#INITMOV,0): those of the cell, BASE(0) and TOOL_DATA[1] ("bas"), or one of both.
     :ivar rounds: motions of two rounds of a LOOP without EXIT.
     """
 
-    def __init__(self, files, rng, base, tool, system, choices=None, given=None, side=0):
+    def __init__(self, files, rng, base, tool, system, choices=None, given=None, side=0, initmov="cell"):
+        self.initmov = initmov
         self.given, self.rounds = given or {}, ([], [])
         Unsaid.side, Unsaid.asked = side, False
         self.rng, self.cell, self.choices, self.force = rng, (base, tool), choices, ""
         self.base, self.tool, self.speed, self.cdis = base, tool, 2.0, 3.0
         self.modes, self.flags = {"$ORI_TYPE": "#VAR", "$CIRC_TYPE": "#BASE", "$IPO_MODE": "#BASE"}, {}
-        self.shared = {name: Variable("", copy.deepcopy(value)) for name, value in system.items()}
+        self.shared = {name: Variable("", copied(value)) for name, value in system.items()}
         self.shared |= {name: Variable("", value) for name, value in self.given.items() if name[0] != "$"}
         self.modules, self.motions, self.submit, self.structures = {}, [], [], {}
         self.numbers = None
@@ -333,8 +433,12 @@ class Controller:
         self.conditions = {}
         self.handlers, self.active, self.pending, self.cyclic = {}, set(), [], []
         self.busy, self.steps = False, 0
-        self.here, self.callers = ("", 0), []
+        self.here, self.callers, self.imports = ("", 0), [], []
         self.frames = []
+        for name, text in files.items():
+            for line in declarations(text) if name.upper().endswith(".DAT") else ():
+                if re.match(r"(?i)(?:DECL\s+)?(?:GLOBAL\s+)?STRUC\s", line):
+                    self.declare({}, line)
         for name, text in files.items():
             stem, _, ending = name.upper().rpartition(".")
             module = self.modules.setdefault(stem, Module(stem))
@@ -344,13 +448,16 @@ class Controller:
                 self.source(module, name, text)
                 if ending == "SUB":
                     self.submit += module.routines.values()
+        for variables, line in self.imports:
+            self.imported(variables, line)
 
     # --- files ---------------------------------------------------------------------------------------------------
 
     def data(self, module, text):
-        for raw in re.split(r"\r\n|\n", text):
-            line = code(raw)
-            if line and not line.upper().startswith(("DEFDAT", "ENDDAT", "&")):
+        for line in declarations(text):
+            if line.upper().startswith("IMPORT"):
+                self.imports.append((module.variables, line))
+            else:
                 self.declare(module.variables, line, module)
 
     def declare(self, variables, line, module=None):
@@ -405,43 +512,8 @@ class Controller:
             place.set(fitting(kind, value))
 
     def source(self, module, file, text):
-        routine, stack = None, []
-        for number, raw in enumerate(re.split(r"\r\n|\n", text), 1):
-            line = code(raw)
-            word = line.split("(")[0].split(" ")[0].upper() if line else ""
-            if routine is not None and (found := FORCE.match(raw)):
-                word, line = "FORCE", found[1].strip()
-            elif found := LABEL.match(line):
-                word, line = "LABEL", found[1].upper()
-            head = re.match(r"(?i)(GLOBAL\s+)?DEF(?:FCT\s+(\w+))?\s+(\w+)\s*\(([^)]*)\)", line)
-            if head:
-                parameters = []
-                for part in filter(None, map(str.strip, head[4].split(","))):
-                    name, _, way = part.partition(":")
-                    parameters.append((name.replace("[]", "").strip().upper(), way.strip().upper() == "IN"))
-                result = (head[2] or "").upper()
-                routine = Routine(module, head[3].upper(), parameters, [], bool(head[1]), result)
-                module.routines[routine.name] = routine
-                stack = [routine.body]
-            elif word in ("END", "ENDFCT"):
-                routine = None
-            elif not line or line[0] == "&" or routine is None:
-                continue
-            elif word in OPENING:
-                block = [word, file, number, line, [[]], []]
-                stack[-1].append(block)
-                stack.append(block[4][0])
-                block[5] = stack
-            elif word in ("ELSE", "CASE", "DEFAULT"):
-                stack.pop()
-                block = stack[-1][-1]
-                block[4].append([(line, number)])
-                stack.append(block[4][-1])
-            elif word in OPENING.values():
-                stack.pop()
-                stack[-1][-1][5] = line, number
-            else:
-                stack[-1].append((word, file, number, line))
+        for name, *parts in routines(file, text):
+            module.routines[name] = Routine(module, name, *parts)
 
     # --- running -------------------------------------------------------------------------------------------------
 
@@ -449,8 +521,11 @@ class Controller:
         """Run a program to its end; its motions are in `motions`."""
         routine = self.modules[name].routines[name]
         self.frames.append((routine, {name: Variable("", self.given.get(name)) for name, _ in routine.parameters}))
-        with suppress(_Return, _Stop):
-            self.block(routine.body)
+        try:
+            with suppress(_Return, _Stop):
+                self.block(routine.body)
+        except _Resume:
+            raise Invalid("RESUME in the routine that declares the interrupt") from None
         return self.motions
 
     def block(self, body):
@@ -487,7 +562,11 @@ class Controller:
             self.evaluate_condition(number, handler[0])
             declared = public or any(handler[0] is frame for frame in self.frames)  # KSS 8, INTERRUPT DECL: GLOBAL
             if declared and self.rng.random() < 0.2:
-                self.action(*handler)
+                try:
+                    self.action(*handler)
+                except _Resume:
+                    self.busy, self.numbers = False, self.somewhere()
+                    raise _Resume(handler[0]) from None
         for routine in self.submit:
             if self.rng.random() < 0.2:
                 self.call(routine, [])
@@ -499,6 +578,10 @@ class Controller:
                 if len(self.motions) > count:
                     raise Invalid("a TRIGGER moves the robot")
         self.busy = False
+
+    def somewhere(self):
+        """Return where a motion stops that BRAKE breaks off."""
+        return self.numbers and (np.array(self.numbers) + self.rng.uniform(-5, 5, 6)).tolist()
 
     def evaluate_condition(self, number, frame):
         """Evaluate what an interrupt asks for: a function in it may do something."""
@@ -622,7 +705,7 @@ class Controller:
             reader.take(word)
             if reader.take("ON", "OFF") == "ON":
                 self.cyclic.append((self.place(reader), -5.0, 5.0))
-        elif word in ("SIGNAL", "EXT", "WAIT", "HALT", "CONTINUE", "PULSE", "LABEL", "CONST_VEL", "STOP"):
+        elif word in ("SIGNAL", "EXT", "WAIT", "HALT", "CONTINUE", "PULSE", "LABEL", "CONST_VEL", "STOP", "BRAKE"):
             return
         elif word in ("SPLINE", "PTP_SPLINE"):
             self.outside = self.base, self.tool, self.speed, self.cdis
@@ -639,16 +722,25 @@ class Controller:
             raise _Goto(line[4:].strip().upper())
         elif word == "EXIT":
             raise _Exit
+        elif word == "RESUME":
+            raise _Resume
+        elif word == "IMPORT":
+            self.imported(self.frames[-1][1], line)
         elif word == "RETURN":
             reader = Reader(line)
             reader.take()
             raise _Return(self.expression(reader) if reader.kind() else None)
         elif word == "BAS":
             self.bas(line)
-        elif word in ("DECL", "CONST") or (word in TYPES and re.match(r"\w+\s+\w", line)):
+        elif word in ("DECL", "CONST", "STRUC") or (word in TYPES and re.match(r"\w+\s+\w", line)):
             self.declare(self.frames[-1][1], line)
         else:
             self.assignment_or_call(line)
+
+    def imported(self, variables, line):
+        """IMPORT type name IS /R1/file..variable: the same variable by another name."""
+        name, file, variable = re.match(r"(?i)IMPORT\s+\w+\s+(\w+)\s+IS\s+/R1/(\w+)\s*\.\.\s*(\w+)", line).groups()
+        variables[name.upper()] = Place(self.modules[file.upper()].variables[variable.upper()])
 
     def with_settings(self, line):
         """Follow the settings behind WITH, which hold for one spline motion or one block."""
@@ -724,6 +816,8 @@ class Controller:
             self.cdis = float(value if part else value.get("CDIS", self.cdis))
         elif name in self.modes:
             self.modes[name] = value
+        elif name in self.shared:
+            self.shared[name].value = value
         elif name == "$FLAG":
             self.flags[index] = Variable("BOOL", value)
 
@@ -737,7 +831,8 @@ class Controller:
             reader.take()
             value = self.expression(reader)
         if command == "#INITMOV":
-            self.base, self.tool, self.speed, self.cdis = *self.cell, 2.0, 3.0
+            self.speed, self.cdis = 2.0, 3.0
+            self.base, self.tool = self.initial_frames()
             self.modes |= {"$ORI_TYPE": "#VAR", "$CIRC_TYPE": "#BASE", "$IPO_MODE": "#BASE"}
         elif command == "#VEL_CP":
             self.speed = float(value)
@@ -756,6 +851,14 @@ class Controller:
             setattr(self, command[1:].lower(), self.numbered(command[1:], value))
         else:
             raise Invalid(command)
+
+    def initial_frames(self):
+        """Return `$BASE` and `$TOOL` behind BAS(#INITMOV,0)."""
+        untouched = all(np.allclose(*pair) for pair in zip((self.base, self.tool), self.cell, strict=True))
+        if self.initmov == "cell" or (self.initmov is None and untouched):
+            return self.cell
+        frames = self.numbered("BASE", 0), self.numbered("TOOL", 1)
+        return frames if self.initmov == "bas" else Unsaid.choose(self.cell, frames)
 
     def numbered(self, name, number):
         """BASE_DATA[number] or TOOL_DATA[number]; what a number is that was not given, chance says."""
@@ -840,7 +943,7 @@ class Controller:
             if index >= len(arguments):
                 local[name] = Variable()
             elif by_value:
-                local[name] = Variable("", copy.deepcopy(arguments[index].get()))
+                local[name] = Variable("", copied(arguments[index].get()))
             else:
                 local[name] = arguments[index]
         self.frames.append((routine, local))
@@ -849,6 +952,9 @@ class Controller:
             self.block(routine.body)
         except _Return as result:
             return fitting(routine.result, result.args[0])
+        except _Resume as stop:
+            if not stop.args or self.frames[-2] is not stop.args[0]:
+                raise
         finally:
             self.frames.pop()
             self.here = self.callers.pop()[:2]
@@ -872,10 +978,10 @@ class Controller:
 
     def indices(self, reader):
         """The index of an element; of an array of more dimensions a tuple."""
-        found = [self.sum(reader)]
+        found = [self.bits(reader)]
         while reader.peek() == ",":
             reader.take()
-            found.append(self.sum(reader))
+            found.append(self.bits(reader))
         if any(index != int(index) for index in found):
             raise Invalid("index")
         return int(found[0]) if len(found) == 1 else tuple(map(int, found))
@@ -889,6 +995,9 @@ class Controller:
 
     def expression(self, reader):
         """Terms joined by OR, EXOR, AND, of which the last binds most (KUKA, Expert Programming: priorities)."""
+        number = reader.number()
+        if number is not None:
+            return number
         value = self.exclusion(reader)
         while reader.peek() == "OR":
             reader.take()
@@ -926,11 +1035,10 @@ class Controller:
 
     def bits(self, reader, level=0):
         """Terms joined by B_OR, B_EXOR, B_AND, of which the last binds most; they rank before comparisons."""
-        words = ("B_OR", "B_EXOR", "B_AND")
-        if level == len(words):
+        if level == len(_BITS):
             return self.sum(reader)
         value = self.bits(reader, level + 1)
-        while reader.peek() == words[level]:
+        while reader.peek() == _BITS[level]:
             reader.take()
             other = self.bits(reader, level + 1)
             if not (isinstance(value, int) and isinstance(other, int)):
@@ -939,6 +1047,9 @@ class Controller:
         return value
 
     def sum(self, reader):
+        number = reader.number()
+        if number is not None:
+            return number
         value = self.product(reader)
         while reader.peek() in ("+", "-"):
             sign = reader.take()
@@ -1027,14 +1138,14 @@ class Controller:
             reader.take(".")
             part = reader.take("CP", "CDIS")
             return self.speed if part == "CP" else self.cdis
-        if token in ("$BASE", "$TOOL", "$NULLFRAME"):
+        if token in ("$BASE", "$TOOL", "$NULLFRAME", "$WORLD", "$ROBROOT"):
             reader.take()
-            frame = {"$BASE": self.base, "$TOOL": self.tool, "$NULLFRAME": np.eye(4)}[token]
+            frame = {"$BASE": self.base, "$TOOL": self.tool}.get(token, np.eye(4))
             if reader.peek() == ".":
                 reader.take()
                 return components(frame)[reader.take()]
             return components(frame)
-        return copy.deepcopy(self.place(reader).get())
+        return copied(self.place(reader).get())
 
     def flag(self, reader):
         """A flag of the controller, as a variable: what a program wrote, else what chance left there."""
@@ -1096,6 +1207,8 @@ class Controller:
             numbers = self.relative(value, "#TOOL" in rest)
         else:
             numbers = self.target(value)
+        if kind != "PTP" and self.modes["$ORI_TYPE"] == "#CONSTANT":
+            numbers[3:] = list(self.standing().values())[3:]
         if "CA" in rest.split():
             reader.take(",")
             reader.take("CA")

@@ -34,15 +34,12 @@ import types
 from collections import Counter, defaultdict
 from pathlib import Path
 from typing import NamedTuple
-from unittest.mock import patch
 
 import numpy as np
 from msgspec.structs import replace
 
-from postproc.dialects.krl.read import flow
 from postproc.errors import Issue, PostprocError
 from tests.attack import krl
-from tests.attack.krl_interpreter import MOST_STEPS
 from tests.mutation.mutants import compiles, mutants_of
 from tests.places import ROOT
 
@@ -81,10 +78,9 @@ def seed_of(number):
 def reading(seed):
     """`Reading` of the program of a seed; an internal error is a message too."""
     files = krl.files_of(seed, np.random.default_rng(seed))
-    limits = patch.multiple(flow, MOST_TRACED=MOST_STEPS, MOST_STATEMENTS=MOST_STEPS)
-    with limits, tempfile.TemporaryDirectory(dir=krl._MEMORY) as name:
+    with krl.limited(), tempfile.TemporaryDirectory(dir=krl._MEMORY) as name:
         try:
-            program = krl.read(files, Path(name), keep=seed >= krl.KEPT)
+            program = krl.read(files, Path(name), keep=seed >= krl.KEPT, initmov=krl.initmov_of(seed))
         except PostprocError as error:
             return Reading("refused", str(error).replace(name, ""))
         except Exception as error:

@@ -587,6 +587,52 @@ def test_an_imported_variable_is_the_same_one_under_another_name():
         program("RAISE()", "LIN XP1", subs="DEF RAISE()\nIMPORT E6POS YY IS /R1/PART..XP1\nYY.Z=77\nEND\n")
 
 
+STORE = "DEFDAT store PUBLIC\nDECL INT COUNT=1\nENDDAT\n"
+TO_STORED = "DEF store()\nLIN {X COUNT,Y 2,Z 3,A 10,B 20,C 170}\nEND\n"
+HOME = "PTP {A1 5,A2 -90,A3 90,A4 0,A5 20,A6 0}"
+IMPORT_COUNT = "IMPORT INT YY IS /R1/STORE..COUNT"
+
+
+@pytest.mark.parametrize("changing", ["CHANGE()", "YY=3"])
+def test_an_imported_variable_of_another_file_changes_there(changing, tmp_path):
+    files = {"store.src": TO_STORED, "store.dat": STORE}
+    change = f"DEF CHANGE()\r\n{IMPORT_COUNT}\r\nYY=3\r\nEND\r\n"
+    data = DATA if changing == "CHANGE()" else DATA.replace("ENDDAT", f"{IMPORT_COUNT}\r\nENDDAT")
+    changed = in_folder(tmp_path, body(changing, "STORE()", HOME, FULL) + change, files, data)
+    (message,) = (issue.message for issue in changed.issues if issue.kind == "motions-elsewhere")
+    assert "COUNT is changed while the program runs" in message
+    unchanged = in_folder(tmp_path, body("STORE()", FULL) + change, files, DATA)
+    assert x_y_z(unchanged, 0) == [1, 2, 3]
+
+
+def test_a_variable_of_the_program_that_another_data_list_imports_may_change_there(tmp_path):
+    files = {
+        "store.src": "DEF store()\nYY=3\nEND\n",
+        "store.dat": "DEFDAT store PUBLIC\nIMPORT INT YY IS /R1/PART..I\nENDDAT\n",
+    }
+    with pytest.raises(ProgramError, match="I is changed while the program runs"):
+        in_folder(tmp_path, body("STORE()", "LIN P[I]"), files)
+
+
+BROKEN_OFF = ("INTERRUPT DECL 5 WHEN $IN[1] DO STOP_IT()", FULL, "CHECK()")
+CHECK = "DEF CHECK()\nINTERRUPT ON 5\nWAIT SEC 0.1\nEND\nDEF STOP_IT()\nINTERRUPT OFF 5\nBRAKE\n{}\nEND\n"
+
+
+@pytest.mark.parametrize("motion", ["LIN_REL {X 5}", "LIN {X 5}", "CIRC XP3,{X 7,Y -90,Z 30}"])
+def test_behind_a_call_that_an_interrupt_may_break_off_the_robot_may_be_anywhere(motion):
+    with pytest.raises(ProgramError, match="RESUME of an interrupt may break off CHECK and the motion before it"):
+        program(*BROKEN_OFF, motion, subs=CHECK.format("RESUME"))
+    assert len(numbers(program(*BROKEN_OFF, motion, subs=CHECK.format("WAIT SEC 0")))) == 2
+    assert x_y_z(program(*BROKEN_OFF, "LIN XP1", motion, subs=CHECK.format("RESUME")), 1) == UNTOUCHED
+
+
+def test_behind_a_call_that_an_interrupt_may_break_off_relative_motions_can_stay_as_they_are():
+    cell = replace(CELL, krl=replace(CELL.krl, keep_unresolved=True))
+    read_program = program(*BROKEN_OFF, "LIN_REL {X 5}", "LIN XP1", subs=CHECK.format("RESUME"), cell=cell)
+    assert [motion.text for motion in read_program.unresolved] == ["LIN_REL {X 5}"]
+    assert [issue.source_line for issue in read_program.issues if issue.kind == "start-unknown"] == [8]
+
+
 def test_components_of_frames_of_the_cell_can_be_computed_with():
     plain = program("LIN {X 1,Y 2,Z BASE_DATA[3].Z,A 10,B 20,C 170}")
     moved = program("BASE_DATA[3].Z=BASE_DATA[3].Z+5", "LIN {X 1,Y 2,Z BASE_DATA[3].Z,A 10,B 20,C 170}")

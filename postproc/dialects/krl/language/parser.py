@@ -202,9 +202,10 @@ def _imported(source: Source, word: str, start: int, first: int, stop: int) -> S
     name = NAME.match(text, after_blanks(text, kind.end(), stop), stop) if kind else None
     dots = text.rfind("..", first, stop)
     original = NAME.match(text, after_blanks(text, dots + 2, stop), stop) if dots >= 0 else None
+    file = text[text.rfind("/", first, dots) + 1 : dots].strip().upper()
     if name is None or original is None or key_word(text, name.end(), dots, "IS") is None:
         return Outside(word, start, stop)
-    return Imported(word, start, stop, name[0].upper(), original[0].upper())
+    return Imported(word, start, stop, name[0].upper(), original[0].upper(), file)
 
 
 # --- what moves and what follows it ----------------------------------------------------------------------------------

@@ -110,10 +110,14 @@ class Cyclic(Statement, frozen=True, eq=False):
 
 
 class Imported(Statement, frozen=True, eq=False):
-    """IMPORT: a variable of a `.dat` under another name; both are written where one of them is. Upper case."""
+    """IMPORT: a variable of a `.dat` under another name; both are written where one of them is. Upper case.
+
+    :param file: name of that `.dat` without its ending.
+    """
 
     name: str
     original: str
+    file: str
 
 
 class Tail(Struct, frozen=True, eq=False):

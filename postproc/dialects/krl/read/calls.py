@@ -24,6 +24,7 @@ from postproc.errors import Issue, ProgramError
 _DEEPEST = 20
 """Calls within each other that are followed; a deeper one is not run exactly."""
 IN_ORDER = "Motions of interrupts cannot be corrected; write them out in order."
+_COMPLETE_ADVICE = "Begin behind the call with a LIN or PTP whose target has all components."
 _INLINE_ADVICE = "Put the motions of the subprogram in place of its call."
 
 
@@ -66,6 +67,7 @@ class Calls:
         """Follow a call; return the value of a function."""
         callee = self.run.library.find(call.name, self.run.level.module)
         unknown = Unknown(str(at), f"what {call.spelt(at.source)}() gives is not known")
+        self._note_stop(at, call)
         if callee is None:
             self._absent(at, call)
             ours = call.name in PURE or call.name in STANDARD
@@ -88,6 +90,14 @@ class Calls:
         self._forget_arguments(at, call, callee[1])
         self._may_have_run(at, call.name, effects)
         return unknown
+
+    def _note_stop(self, at: Place, call: Call) -> None:
+        """Note that RESUME may break off a called routine, and with it the motion that BRAKE has stopped."""
+        if not self.run.resumable or not self.run.in_main or call.name in PURE or call.name in STANDARD:
+            return
+        problem = f"RESUME of an interrupt may break off {call.name} and the motion before it"
+        reason = at.error(f"{problem}: where the next motion begins is not known", _COMPLETE_ADVICE)
+        self.run.stops.append((self.run.line, reason))
 
     def writer(self, call: Call, name: str) -> Place | None:
         """Return where a called routine may write a variable, by its stored name; None if it does not."""

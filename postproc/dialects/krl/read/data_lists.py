@@ -10,11 +10,12 @@ from msgspec.structs import replace
 
 from postproc.dialects.krl.language import scan
 from postproc.dialects.krl.language.declarations import Declared, declared, structure
-from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.language.parser import statement
+from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.language.tokens import DECLARATION, ELEMENT, INDEX, MORE_DECLARED, NAME
-from postproc.dialects.krl.language.tree import Declaration
+from postproc.dialects.krl.language.tree import Declaration, Imported
 from postproc.dialects.krl.read.folder import FolderFiles
-from postproc.dialects.krl.read.known import Unknown, Unread
+from postproc.dialects.krl.read.known import Unknown, Unread, stored_originals
 from postproc.dialects.krl.read.variables import FRAME_ARRAYS, Variables
 from postproc.errors import ProgramError
 
@@ -57,6 +58,9 @@ def read_data(
         elif word.startswith("ENDDAT"):
             has_enddat = True
             break
+        elif word.startswith("IMPORT"):
+            if wanted_names is None:
+                _import(variables, Place(source, line))
         else:
             _declare(variables, source, line, start, stop, fill=fill, is_global=is_global, wanted_names=wanted_names)
     if not has_defdat or not has_enddat:
@@ -98,6 +102,14 @@ def _declare(
         if declarator.value >= 0 and not (fill and name in variables):
             variables.initial.add(variables.scope.stored(declarator.name))
             variables.put(name, Unread(source, declarator.value, stop))
+
+
+def _import(variables: Variables, at: Place) -> None:
+    """Note that a variable of another `.dat` has a second name here: either may be written at any time."""
+    imported = statement(at.source, at.line)
+    if isinstance(imported, Imported):
+        for name in (variables.scope.stored(imported.name), *stored_originals(imported)):
+            variables.changing.setdefault(name, Unknown(str(at)))
 
 
 def declare(variables: Variables, source: Source, declaration: Declaration, row: int) -> tuple[Declared, ...]:

@@ -37,7 +37,7 @@ from postproc.dialects.krl.language.values import Call, Reference, Value, writab
 from postproc.dialects.krl.read.bas import BAS_SETS, command_of
 from postproc.dialects.krl.read.comments import noted_lines
 from postproc.dialects.krl.read.folder import Library
-from postproc.dialects.krl.read.known import Scope
+from postproc.dialects.krl.read.known import Scope, stored_originals
 from postproc.dialects.krl.read.motion_reader import asks_position, from_here, stays
 from postproc.errors import ProgramError
 
@@ -276,7 +276,8 @@ class Analysis:
             later_statement.writes(stmt.name)
         else:
             later_statement.writes(stmt.name)
-            direct.action_effects.writes.setdefault(stmt.original, place)
+            for name in stored_originals(stmt):
+                direct.action_effects.writes.setdefault(name, place)
 
 
 class _Statement(Struct, eq=False):

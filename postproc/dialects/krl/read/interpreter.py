@@ -19,7 +19,7 @@ from postproc.dialects.krl.language.values import Call, Opaque, Reference, Unrea
 from postproc.dialects.krl.read.calls import IN_ORDER, Calls
 from postproc.dialects.krl.read.data_lists import declare
 from postproc.dialects.krl.read.explanations import why_not_decided, why_unknown, without_value
-from postproc.dialects.krl.read.known import NOTHING, Known, Unknown, inexact
+from postproc.dialects.krl.read.known import NOTHING, Known, Unknown, inexact, stored_originals
 from postproc.dialects.krl.read.run import SETTING_ADVICE, Run
 from postproc.dialects.krl.read.state import RELEVANT, STORED, State
 from postproc.dialects.krl.read.variables import Variables, converted
@@ -170,7 +170,8 @@ class Interpreter:
                 raise at.error(f"{stmt.word} changes {stmt.name} at any time", SETTING_ADVICE)
             self.run.changes_always(at, self.run.stored(stmt.name))
             if isinstance(stmt, tree.Imported):
-                self.run.changes_always(at, stmt.original)
+                for name in stored_originals(stmt):
+                    self.run.changes_always(at, name)
         elif isinstance(stmt, tree.Declaration):
             row = self.run.line if self.run.in_main and self.run.has_rows else 0
             names = declare(self.run.variables, at.source, stmt, row)

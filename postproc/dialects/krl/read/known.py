@@ -12,6 +12,7 @@ from postproc.dialects.krl.language.expressions import value_at
 from postproc.dialects.krl.language.positions import Position
 from postproc.dialects.krl.language.routines import Routine
 from postproc.dialects.krl.language.source import Place, Source
+from postproc.dialects.krl.language.tree import Imported
 from postproc.dialects.krl.language.values import Aggregate, Number, Value, Word
 from postproc.errors import ProgramError
 
@@ -86,6 +87,11 @@ class Scope(Struct, frozen=True):
             return name  # variables of the controller: no file declares its own
         local = self.local.get(name)
         return local if local is not None else self.prefix + name if name in self.own else name
+
+
+def stored_originals(imported: Imported) -> tuple[str, str]:
+    """Return the names under which the variable of an IMPORT may be stored, see `Scope`."""
+    return imported.original, f"{imported.file}/{imported.original}"
 
 
 class InexactError(ProgramError):

@@ -41,7 +41,7 @@ from postproc.dialects.krl.read.motion_columns import MotionColumns, merged
 from postproc.dialects.krl.read.motions import OrderedMotions, motions_and_layout, ordered_motions, unsettled
 from postproc.dialects.krl.read.next_run import changed_data_issues, kept_values
 from postproc.dialects.krl.read.plain_lines import Plain, gathered, plain_of
-from postproc.dialects.krl.read.unresolved import Separated, without_unresolved
+from postproc.dialects.krl.read.unresolved import Separated, needs_start, without_unresolved
 from postproc.dialects.krl.read.variables import Variables
 from postproc.dialects.text import decode
 from postproc.errors import CellError, Issue, ProgramError, together
@@ -364,6 +364,10 @@ def _check_size(trace: Trace, rows: MotionColumns) -> None:
 
 def _check_starts(main: MainRoutine, sequence: OrderedMotions) -> None:
     """Refuse a motion that begins where a called program has left the robot, unless it goes to joint angles."""
+    for line, reason in () if main.run.keep else main.run.stops:
+        row = int(np.searchsorted(sequence.rows.line, line))
+        if row < len(sequence.rows) and needs_start(sequence, row):
+            raise reason
     for call in () if main.run.keep else main.run.moved:
         row = int(np.searchsorted(sequence.rows.line, call.line))
         if row < len(sequence.rows):

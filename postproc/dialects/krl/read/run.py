@@ -159,6 +159,8 @@ class Run:
     :ivar resumed: RESUME that returns to the program or to an unknown routine; None if there is none.
     :ivar triggers: lines of TRIGGER statements of the main routine.
     :ivar moved: calls after which the robot position is not known.
+    :ivar stops: rows of calls that an interrupt may break off, and with them the motion before: why a target that
+        depends on where it begins is not known there.
     :ivar unfollowed: routines reached by calls that move the robot and are not followed.
     :ivar shifted: lines of calls of unfollowed routines whose first target depends on the robot position.
     :ivar unforced: line → reason: after such a line the acting force is not known.
@@ -187,6 +189,7 @@ class Run:
         self.resumed: Place | None = None
         self.triggers: list[int] = []
         self.moved: list[Apart] = []
+        self.stops: list[tuple[int, ProgramError]] = []
         self.unfollowed: set[Routine] = set()
         self.shifted: set[int] = set()
         self.unforced: dict[int, str] = {}
@@ -278,12 +281,13 @@ class Run:
 
     def marks(self) -> tuple[int, ...]:
         """Return the number of findings, for `back_to`."""
-        return len(self.triggers), len(self.moved), len(self.absent), len(self.issues)
+        return len(self.triggers), len(self.moved), len(self.stops), len(self.absent), len(self.issues)
 
     def back_to(self, marks: tuple[int, ...]) -> None:
         """Drop the findings since, to follow the same statements differently."""
-        triggers, moved_count, absent, issues = marks
-        del self.triggers[triggers:], self.moved[moved_count:], self.absent[absent:], self.issues[issues:]
+        triggers, moved_count, stops, absent, issues = marks
+        del self.triggers[triggers:], self.moved[moved_count:], self.stops[stops:]
+        del self.absent[absent:], self.issues[issues:]
 
     @property
     def in_main(self) -> bool:

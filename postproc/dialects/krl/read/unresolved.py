@@ -71,10 +71,11 @@ def without_unresolved(main: MainRoutine, sequence: OrderedMotions) -> Separated
     for row, reason in (*uncertain_motions, *sync_motions):
         reasons[int(rows.line[row])] = reason
         is_dropped[row] = True
-    if not reasons and not run.moved:
+    stop_lines = [line for line, _ in run.stops] if run.keep else []
+    if not reasons and not run.moved and not stop_lines:
         return Separated(sequence)
     open_: set[int] = set()
-    for line in sorted({*reasons, *(call.line for call in run.moved)}):
+    for line in sorted({*reasons, *(call.line for call in run.moved), *stop_lines}):
         row = int(np.searchsorted(rows.line, line, side="right"))
         while row < len(rows) and (is_dropped[row] or needs_start(sequence, row)):
             if not is_dropped[row]:
