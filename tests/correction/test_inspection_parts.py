@@ -1,0 +1,243 @@
+"""Places between samples and motions that are slowed, against loops; what a program states of its origin and frames."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from postproc.correction import checks, inspection
+from postproc.correction.inspection import Slowing, Stretches
+from postproc.program import CIRC, LIN
+from tests.collision.setting import frame
+from tests.correction.test_closely import CELL, arcs_and_lines
+
+PATH = arcs_and_lines()
+
+
+def corrected():
+    """Joint angles and positions (N, …) of a correction that changes from sample to sample."""
+    rng = np.random.default_rng(7)
+    q = PATH.joints.q + np.radians(0.05) * rng.normal(size=PATH.joints.q.shape)
+    return q, PATH.sample.pose[:, :3, 3] + 1e-4 * rng.normal(size=(len(PATH), 3))
+
+
+def interpolated(values, motion, t):
+    """Value at a place of a motion, linear between the samples next to it; before the first one that of its end."""
+    places = PATH.sample.motion + PATH.sample.t
+    place = motion + t
+    after = min(int(np.searchsorted(places, place)), len(places) - 1)
+    before = max(after - 1, 0)
+    if place >= places[-1] or place <= places[0]:
+        return values[after if place >= places[-1] else 0]
+    share = (place - places[before]) / (places[after] - places[before])
+    return values[before] + share * (values[after] - values[before])
+
+
+@pytest.mark.parametrize("chunk", [8192, 7, 1])
+def test_places_between_samples_have_the_pose_of_the_path_and_the_correction_between_samples(monkeypatch, chunk):
+    """The arm by Pinocchio; whole turns are those of the samples."""
+    monkeypatch.setattr(inspection, "_CHUNK", chunk)
+    stretches = Stretches(
+        np.array([1, 2, 4, 6, 8]),
+        np.array([0.0, 0.3, 0.0, 0.0, 0.5]),
+        np.array([1.0, 0.6, 1.0, 0.5, 1.0]),
+        np.array([5, 3, 4, 3, 2]),
+    )
+    q, position = corrected()
+    shift = np.array([0, 0, 0, 2 * np.pi, 0, -2 * np.pi])
+    turned = replace(PATH, joints=replace(PATH.joints, q=PATH.joints.q + shift))
+    expected = [
+        (motion, begin + (end - begin) * k / parts)
+        for motion, begin, end, parts in zip(
+            stretches.motion, stretches.begin, stretches.end, stretches.parts, strict=True
+        )
+        for k in range(parts + 1)
+    ]
+    places, joints, positions, poses = [], [], [], []
+    for close, exact, commanded in inspection.dense_places(turned, q + shift, position, stretches):
+        places += list(zip(close.motion.tolist(), close.t.tolist(), strict=True))
+        joints += list(exact)
+        positions += list(commanded)
+        poses += [close.pose[n] for n in range(len(close))]
+    np.testing.assert_allclose(np.array(places), np.array(expected), atol=1e-12)
+    program = PATH.program
+    nominal = PATH.sample.pose[:, :3, 3]
+    for (motion, t), angles, commanded, pose in zip(expected, joints, positions, poses, strict=True):
+        by_correction = interpolated(q - PATH.joints.q, motion, t)
+        base, tool = program.bases[program.motions.base[motion]], program.tools[program.motions.tool[motion]]
+        np.testing.assert_allclose(frame(angles - by_correction, 6) @ tool, base @ pose, atol=1e-9)
+        np.testing.assert_allclose(commanded, pose[:3, 3] + interpolated(position - nominal, motion, t), atol=1e-12)
+        near = interpolated(PATH.joints.q, motion, t) + shift
+        assert np.abs(angles - by_correction - near).max() < np.pi
+
+
+def slowed_by_loop(path, q, position, before, fast_lines, *, cap):
+    """Feeds and joints of slowed motions: the largest share of a joint speed at samples, and between."""
+    m, robot = path.program.motions, path.robot_in_cell.robot
+    limit = 0.98 * 0.95 ** (before.count if before else 0)
+    speed = inspection.commanded_speed(path, q, position)
+    entries = [(int(motion), row) for motion, row in zip(path.sample.motion, speed, strict=True)]
+    _, lines = inspection.stretches_to_examine(path, q, speed)
+    for close, exact, exact_position in inspection.dense_places(path, q, position, lines):
+        speeds = checks.joint_speed(path.program, close, path.motions.segments.turn, exact, exact_position)
+        entries += [(int(motion), row) for motion, row in zip(close.motion, speeds, strict=True)]
+    feed, joint = m.feed.copy(), np.full(len(m), -1) if before is None else before.joint.copy()
+    forced = {int(k) for n, k in enumerate(path.sample.motion) if path.wrench[n].any()}
+    is_fast = [k not in forced and m.feed[k] >= CELL.gcode.rapid_m_per_s for k in range(len(m))]
+    is_free = [m.rapid[k] or k in path.program.unforced or is_fast[k] for k in range(len(m))]
+    positioning = [m.kind[k] == LIN and is_free[k] for k in range(len(m))]
+    is_capped = [cap and m.kind[k] in (LIN, CIRC) and not m.rapid[k] and not positioning[k] for k in range(len(m))]
+    slowable = [is_capped[k] or positioning[k] for k in range(len(m))]
+    shares = {}
+    for k in range(len(m)):
+        rows = [row / robot.speed for motion, row in entries if motion == k] if slowable[k] else []
+        worst = max(rows, key=lambda row: row.max(), default=np.zeros(6))
+        if worst.max() > limit:
+            shares[k] = worst
+    on_line = any(slowable[k] and m.line[k] in fast_lines for k in range(len(m)))
+    for k, worst in shares.items():
+        again = before is not None and on_line and (before.joint[k] >= 0 or m.line[k] in fast_lines)
+        if worst.max() > 1.0 or again:
+            feed[k] *= limit / worst.max()
+            joint[k] = int(worst.argmax())
+    return feed, joint, is_capped
+
+
+def rapid_path(scale, *, cap):
+    """The path with some moves as rapid ones, at feeds that drive joints to about their largest speed."""
+    m = PATH.program.motions
+    rapid = m.rapid.copy()
+    rapid[[2, 5, 8]] = True
+    feed = m.feed * np.where(rapid, 60.0, 25.0) * scale
+    program = replace(PATH.program, motions=replace(m, rapid=rapid, feed=feed), notes=())
+    limits = replace(CELL.limits, feed="cap" if cap else "refuse")
+    place = replace(PATH.robot_in_cell, cell=replace(CELL, limits=limits))
+    return replace(PATH, motions=replace(PATH.motions, program=program, robot_in_cell=place))
+
+
+@pytest.mark.parametrize("cap", [False, True])
+@pytest.mark.parametrize("times", [0, 1, 3])
+@pytest.mark.parametrize("scale", [0.3, 1.0, 2.0])
+def test_motions_are_slowed_to_a_share_of_the_joint_speeds_that_falls_each_time(cap, times, scale):
+    path = rapid_path(scale, cap=cap)
+    q, position = path.joints.q, path.sample.pose[:, :3, 3]
+    m = path.program.motions
+    before = None
+    if times:
+        joint = np.full(len(m), -1)
+        joint[2] = 3
+        before = Slowing(joint, np.zeros(len(m), dtype=bool), times)
+    for fast_lines in ((), (int(m.line[5]),), (int(m.line[7]), int(m.line[8]))):
+        feed, joint, is_capped = slowed_by_loop(path, q, position, before, fast_lines, cap=cap)
+        found = inspection.slowed(path, q, position, before, fast_lines)
+        if np.array_equal(feed, m.feed, equal_nan=True):
+            assert found is None
+            continue
+        motions, slowing = found
+        np.testing.assert_allclose(motions.program.motions.feed, feed, rtol=1e-9)
+        assert slowing.joint.tolist() == joint.tolist()
+        assert slowing.is_capped.tolist() == is_capped
+        assert slowing.count == times + 1
+        is_lowered = feed < m.feed
+        as_read = motions.program.feed_as_read
+        assert (as_read is not None) == any(is_capped[k] for k in np.flatnonzero(is_lowered))
+        assert as_read is None or np.array_equal(as_read, m.feed, equal_nan=True)
+
+
+def test_a_remark_on_slowed_motions_names_joints_and_the_slowest_feed():
+    m = PATH.program.motions
+    feed = np.full(len(m), 0.5)
+    feed[[2, 5, 6]] = 0.1234, 0.0321, 0.2
+    motions = replace(m, feed=feed)
+    joint = np.full(len(m), -1)
+    joint[[2, 5]] = 3, 0
+    issue = Slowing(joint, np.zeros(len(m), dtype=bool), 1).issue(motions)
+    assert (issue.level, issue.kind) == ("info", "rapid-slowed")
+    assert (
+        issue.message
+        == "Positioning moves in which A1 and A4 would turn too fast are slowed, to 0.0321 m/s at the slowest."
+    )
+    assert set(issue.lines) == {int(m.line[2]), int(m.line[5])}
+    capped = np.zeros(len(m), dtype=bool)
+    capped[[2, 6]] = True
+    issue = Slowing(joint, capped, 1).issue(motions)
+    assert (issue.level, issue.kind) == ("warning", "feed-capped")
+    assert (
+        issue.message
+        == "Moves at feed in which A1 and A4 would turn too fast are slowed, to 7404 mm/min at the lowest."
+    )
+
+
+ORIGIN = SimpleNamespace(part_of="", mode="", state="none", version="0.1.0", line=3)
+
+
+CORRECTED, NOMINAL = {"mode": "corrected", "state": "intact"}, {"mode": "nominal", "state": "intact"}
+PART = {"part_of": "whole.src"}
+IS_PART = ("error", "part-of-program", "this file is a part of whole.src", 3)
+IS_COMMANDS = ("error", "corrected-before", "this program was corrected by postproc 0.1.0 before", 3)
+IS_CHANGED = ("warning", "changed-since", "this program was changed since postproc 0.1.0 wrote it.", 3)
+CALLS_COMMANDS = ("error", "corrected-before", "sub.src, which this program calls, was corrected by postproc 9", None)
+
+
+@pytest.mark.parametrize(
+    ("mode", "main", "called", "expected"),
+    [
+        ("convert", {}, None, None), ("convert", PART, None, IS_PART), ("predict", PART, None, IS_PART),
+        ("convert", CORRECTED, None, IS_COMMANDS), ("nominal", CORRECTED | {"state": "changed"}, None, IS_COMMANDS),
+        ("predict", CORRECTED, None, None), ("predict", CORRECTED | {"state": "changed"}, None, IS_CHANGED),
+        ("convert", NOMINAL, None, None), ("convert", NOMINAL | {"state": "changed"}, None, IS_CHANGED),
+        ("convert", {}, CORRECTED | {"version": "9"}, CALLS_COMMANDS), ("convert", {}, NOMINAL, None),
+        ("predict", {}, CORRECTED, None), ("convert", CORRECTED, CORRECTED, IS_COMMANDS),
+    ],
+)  # fmt: skip
+def test_a_program_that_was_corrected_is_not_corrected_again(monkeypatch, mode, main, called, expected):
+    documents = [SimpleNamespace(name="main.src")] + [SimpleNamespace(name="sub.src")] * (called is not None)
+    origins = {"main.src": main, "sub.src": called}
+
+    def origin(files):
+        return SimpleNamespace(**(vars(ORIGIN) | origins[files[0].name]))
+
+    writer = SimpleNamespace(writer=SimpleNamespace(origin=origin))
+    monkeypatch.setattr(inspection.registry, "by_name", lambda dialect: writer)
+    issues = inspection.of_origin(SimpleNamespace(dialect="krl", documents=documents), mode)
+    assert len(issues) == (expected is not None)
+    for issue in issues:
+        level, kind, words, line = expected
+        assert (issue.level, issue.kind, issue.source_line) == (level, kind, line)
+        assert words in issue.message
+
+
+def test_a_program_of_a_dialect_that_is_not_written_has_no_origin(monkeypatch):
+    monkeypatch.setattr(inspection.registry, "by_name", lambda dialect: SimpleNamespace(writer=None))
+    assert inspection.of_origin(SimpleNamespace(dialect="gcode", documents=()), "convert") == []
+
+
+@pytest.mark.parametrize("axis", range(6))
+@pytest.mark.parametrize(("change", "is_another"), [(0.9e-6, False), (1.1e-6, True)])
+def test_frames_that_are_not_those_of_the_cell_are_noted_with_their_numbers(axis, change, is_another):
+    """By a micrometre, or a microradian."""
+    program = replace(
+        PATH.program, dialect="krl", bases=CELL.base.pose()[None].copy(), tools=CELL.tool.pose()[None].copy()
+    )
+    motions = replace(program.motions, base=0 * program.motions.base, tool=0 * program.motions.tool)
+    assert inspection.of_frames(replace(program, motions=motions, bases=np.eye(4)[None]), CELL) == []
+    program = replace(program, motions=motions, layout=SimpleNamespace())
+    assert inspection.of_frames(program, CELL) == []
+    for name, section, frames in (("$BASE", "base", "bases"), ("$TOOL", "tool", "tools")):
+        other = getattr(program, frames).copy()
+        if axis < 3:
+            other[0, axis, 3] += change
+        else:
+            small = np.zeros(3)
+            small[axis - 3] = change
+            other[0, :3, :3] = other[0, :3, :3] @ (np.eye(3) + np.cross(np.eye(3), small))
+        issues = inspection.of_frames(replace(program, **{frames: other}), CELL)
+        assert len(issues) == is_another
+        for issue in issues:
+            assert (issue.level, issue.kind) == ("info", f"own-{section}")
+            assert issue.message.startswith(f"{name} is {{X ")
+            assert f"[{section}] of the cell" in issue.message
+            assert set(issue.lines) == set(program.motions.line.tolist())
