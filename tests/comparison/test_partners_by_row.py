@@ -1,0 +1,227 @@
+"""Partners of targets row by row: order, targets that were moved alone, those that are passed or missing."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from postproc import frames
+from postproc.comparison import loaded_path, partners
+from postproc.comparison.loaded_path import Ways
+from postproc.program import CIRC, LIN, PTP, SPL
+from tests.comparison.test_differences_by_pair import COUNT, random_pairs
+
+SEEDS = range(20)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_partners_that_are_not_behind_all_before_them_are_dropped(seed):
+    rng = np.random.default_rng(seed)
+    partner = rng.integers(-1, 12, 15)
+    expected, largest = [], -1
+    for value in partner:
+        expected.append(value if value > largest else -1)
+        largest = max(largest, value)
+    assert partners.in_order(partner).tolist() == expected
+
+
+def sides_of(found):
+    """Two paths whose Cartesian targets are all motions but some of the first program."""
+    rows = np.setdiff1d(np.arange(COUNT), np.setdiff1d(np.arange(COUNT), found.pair[:, 0])[:1])
+    return (
+        SimpleNamespace(program=found.nominal, rows=rows),
+        SimpleNamespace(program=found.corrected, rows=np.arange(COUNT)),
+    )
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_as_many_missing_as_additional_targets_between_two_pairs_were_moved(seed):
+    rng = np.random.default_rng(seed)
+    found = random_pairs(rng)
+    sides = sides_of(found)
+    for made in (found.nominal, found.corrected):
+        made.motions.kind[rng.random(COUNT) < 0.3] = PTP
+    missing = np.setdiff1d(sides[0].rows, found.pair[:, 0])
+    found = replace(found, only_nominal=missing)
+    gaps = [{}, {}]
+    for n, rows in enumerate((missing, found.additional_rows)):
+        for row in rows:
+            gaps[n].setdefault(int(sum(found.pair[:, n] < row)), []).append(int(row))
+    expected = np.full(len(sides[0].rows), -1)
+    for gap, rows in gaps[0].items():
+        others = gaps[1].get(gap, [])
+        for row, other in zip(rows, others, strict=True) if len(rows) == len(others) else ():
+            if (found.nominal.motions.kind[row] == PTP) == (found.corrected.motions.kind[other] == PTP):
+                expected[sides[0].rows.tolist().index(row)] = other
+    assert partners.moved_alone(found, *sides).tolist() == expected.tolist()
+    by_row = {int(a): int(b) for a, b in found.pair}
+    of_rows = [by_row.get(int(row), -1) for row in sides[0].rows]
+    assert partners.partners_of(found, *sides).tolist() == of_rows
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_some_additional_targets_become_inserted_ones(seed):
+    rng = np.random.default_rng(seed)
+    found = random_pairs(rng)
+    on_path = rng.random(len(found.additional_rows)) < 0.5
+    changed = partners.with_inserted(found, on_path)
+    moved = [row for row, is_moved in zip(found.additional_rows, on_path, strict=True) if is_moved]
+    assert changed.inserted_rows.tolist() == sorted([*found.inserted_rows, *moved])
+    assert changed.additional_rows.tolist() == [row for row in found.additional_rows if row not in moved]
+
+
+@pytest.mark.parametrize("with_load", [False, True])
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_target_without_partner_is_passed_within_the_tolerance_or_as_a_point_of_a_line(monkeypatch, seed, with_load):
+    """Without forces the offsets next to it may differ, and points of lines be off by 0.1 mm and thrice the offset."""
+    rng = np.random.default_rng(seed)
+    found = random_pairs(rng)
+    base = frames.pose_from_xyzabc([[1500.0, -200, 700, 30, 0, 0]])
+    missing = np.setdiff1d(np.arange(COUNT), found.pair[:, 0])
+    pose = found.pose.copy()
+    pose[:, :3, 3] += rng.normal(0.0, 6e-5, (8, 3))
+    found = replace(found, nominal=replace(found.nominal, bases=base), pose=pose, only_nominal=missing)
+    missed = rng.choice([5e-5, 1.5e-4, 4e-4, 2e-3], len(missing))
+    continued = rng.random(COUNT) < 0.5
+    calls = []
+
+    def missed_by(nominal_path, corrected_path, pair, rows, load, offset):
+        calls.append(offset)
+        return missed.copy()
+
+    monkeypatch.setattr(partners, "missed_by", missed_by)
+    path = SimpleNamespace(robot_in_cell=SimpleNamespace(tolerance=1e-4), continued=continued)
+    distances, is_passed = partners.missed_targets(found, path, None, "load" if with_load else None)
+    offsets = [base[0, :3, :3] @ (pose[k] - found.nominal.motions.target[found.pair[k, 0]])[:3, 3] for k in range(8)]
+    np.testing.assert_allclose(calls[0], offsets, atol=1e-12)
+    for n, row in enumerate(missing):
+        after = min(int(sum(found.pair[:, 0] < row)), 7)
+        before = max(int(sum(found.pair[:, 0] < row)) - 1, 0)
+        expected, passed = missed[n], missed[n] <= 1e-4
+        if not with_load:
+            largest = max(np.linalg.norm(offsets[k]) for k in (before, after))
+            expected = max(missed[n] - np.linalg.norm(offsets[after] - offsets[before]), 0.0)
+            passed = expected <= 1e-4 or (continued[row] and missed[n] <= 1e-4 + 3.0 * largest)
+        assert distances[n] == pytest.approx(expected, abs=1e-12)
+        assert is_passed[n] == passed
+
+
+def ways_of(rng, rest_is_nominal=True):
+    """Two programs with kinds by chance, their pairs and arc lengths."""
+    found = random_pairs(rng)
+    kinds = rng.choice([LIN, CIRC, PTP, SPL], (2, COUNT), p=[0.5, 0.2, 0.2, 0.1])
+    joints = np.full((2, COUNT, 6), np.nan)
+    joints[rng.random((2, COUNT)) < 0.15] = 0.2
+    sides = []
+    for n, made in enumerate((found.nominal, found.corrected)):
+        motions = replace(made.motions, kind=kinds[n], joints=joints[n])
+        after = np.arange(-1, COUNT - 1)
+        after[rng.integers(1, COUNT)] = rng.integers(0, COUNT)
+        made = replace(made, motions=motions, after=after if rng.random() < 0.5 else None)
+        arc_length = np.append(0.0, np.cumsum(rng.uniform(0.001, 0.02, COUNT)))
+        rows = np.flatnonzero(np.isnan(joints[n][:, 0]))
+        cell = SimpleNamespace(rest_is_nominal=rest_is_nominal)
+        sides.append(SimpleNamespace(program=made, arc_length=arc_length, rows=rows, robot_in_cell=cell))
+    return replace(found, nominal=sides[0].program, corrected=sides[1].program), sides
+
+
+def starts_uncorrected(side):
+    """Motions that begin at an unknown place, or where nothing was corrected."""
+    m, result = side.program.motions, []
+    for row in range(COUNT):
+        before = row - 1 if side.program.after is None else int(side.program.after[row])
+        is_axis = before < 0 or np.isfinite(m.joints[before, 0])
+        result.append(before == row or (is_axis and not side.robot_in_cell.rest_is_nominal))
+    return result
+
+
+@pytest.mark.parametrize("rest_is_nominal", [True, False])
+@pytest.mark.parametrize("seed", SEEDS)
+def test_ways_between_pairs_are_compared_where_all_of_the_nominal_way_is_known(seed, rest_is_nominal):
+    rng = np.random.default_rng(seed)
+    found, (nominal, corrected) = ways_of(rng, rest_is_nominal)
+    ways = Ways.of_pairs(found, nominal, corrected)
+    m = nominal.program.motions
+    uncorrected = starts_uncorrected(nominal)
+    assert loaded_path._uncorrected_start(nominal).tolist() == uncorrected
+    known = []
+    for k in range(8):
+        before = int(found.pair[k - 1, 0]) if k else -1
+        rows = range(before + 1, int(found.pair[k, 0]) + 1)
+        unknown = [(m.kind[row] in (PTP, SPL) or m.rapid[row]) and np.isnan(m.joints[row, 0]) for row in rows]
+        known.append(not any(unknown) and not any(uncorrected[row] for row in rows))
+        begins = [
+            side.arc_length[(found.pair[k - 1, n] if k else -1) + 1] for n, side in enumerate((nominal, corrected))
+        ]
+        ends = [side.arc_length[found.pair[k, n] + 1] for n, side in enumerate((nominal, corrected))]
+        assert (ways.begin[k], ways.end[k]) == (begins[0], ends[0])
+        assert ways.second[k].tolist() == [begins[1], ends[1]]
+    assert ways.is_comparable.tolist() == known
+    way = [int(sum(found.pair[:, 1] < row)) for row in range(COUNT)]
+    assert ways.way.tolist() == way
+    kind = corrected.program.motions.kind
+    is_known = [way[row] < 8 and known[way[row]] for row in range(COUNT)]
+    additional = [int(row) for row in found.additional_rows if is_known[row] and kind[row] in (LIN, CIRC)]
+    assert ways.targets(found).tolist() == sorted([*found.inserted_rows.tolist(), *additional])
+    begins_uncorrected = starts_uncorrected(corrected)
+    pieces = [
+        r for r in corrected.rows.tolist() if kind[r] in (LIN, CIRC) and is_known[r] and not begins_uncorrected[r]
+    ]
+    assert ways.pieces().tolist() == pieces
+    inside = np.array([row for row in range(COUNT) if way[row] < 8])
+    expected = []
+    for row in inside:
+        begin, end = ways.second[way[row]]
+        share = (corrected.arc_length[row + 1] - begin) / (end - begin)
+        expected.append(ways.begin[way[row]] + share * (ways.end[way[row]] - ways.begin[way[row]]))
+    np.testing.assert_allclose(ways.guess(inside), expected)
+    place = rng.uniform(0.0, 1.0, COUNT)
+    rows = corrected.rows[corrected.rows < found.pair[-1, 1]]
+    before = [corrected.rows[corrected.rows < row] for row in rows]
+    begins = [place[b[-1]] if len(b) else ways.begin[way[row]] for b, row in zip(before, rows, strict=True)]
+    np.testing.assert_allclose(ways.begins(rows, place), begins)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_pieces_are_steep_where_their_ends_are_displaced_differently(seed):
+    """By 0.2 mm, or where one of the two is not known."""
+    rng = np.random.default_rng(seed)
+    rows = np.sort(rng.choice(COUNT, 9, replace=False))
+    place = np.where(rng.random(COUNT) < 0.8, rng.uniform(0.0, 1.0, COUNT), np.nan)
+    displaced = np.cumsum(rng.choice([0.0, 1.5e-4, 2.5e-4], (COUNT, 1)) * np.eye(3)[rng.integers(0, 3, COUNT)], axis=0)
+    arc_length = np.arange(COUNT + 1.0)
+    nominal = SimpleNamespace(points=lambda length: np.stack([length, 2 * length, 0 * length], axis=1))
+
+    def points(length):
+        row = length.astype(int) - 1
+        return nominal.points(np.nan_to_num(place[row])) + displaced[row]
+
+    corrected = SimpleNamespace(points=points, arc_length=arc_length, rows=rows)
+    expected = []
+    for k, row in enumerate(rows):
+        before = rows[max(k - 1, 0)]
+        is_known = np.isfinite(place[[row, before]]).all()
+        expected.append(not is_known or np.linalg.norm(displaced[row] - displaced[before]) > 2e-4)
+    assert loaded_path._steep(nominal, corrected, rows, place).tolist() == expected
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_wrenches_at_pairs_are_in_the_base_of_the_nominal_program(monkeypatch, seed):
+    rng = np.random.default_rng(seed)
+    found = random_pairs(rng)
+    bases = frames.pose_from_xyzabc(rng.uniform(-180.0, 180.0, (2, 6)))
+    motions = replace(found.nominal.motions, base=rng.integers(0, 2, COUNT))
+    found = replace(found, nominal=replace(found.nominal, bases=bases, motions=motions))
+    monkeypatch.setattr(loaded_path, "_turned", lambda comparison, path, wrench: wrench[:, 0])
+    wrench, nominal, corrected = rng.normal(size=(8, 6)), rng.normal(size=(8, 3)), rng.normal(size=(8, 3))
+    cuts = loaded_path.at_pairs(found, None, None, wrench, nominal, corrected)
+    for k in range(8):
+        axes = bases[motions.base[found.pair[k, 0]], :3, :3]
+        expected = np.concatenate([axes.T @ wrench[k, :3], axes.T @ wrench[k, 3:]])
+        np.testing.assert_allclose(cuts.wrench[k], expected, atol=1e-12)
+    assert (cuts.nominal is nominal, cuts.corrected_deviation is corrected) == (True, True)
+    np.testing.assert_array_equal(cuts.rotation, wrench[:, 0])
+    assert all(len(getattr(cuts, name)) == 0 for name in ("row", "t", "nominal_distance", "length", "path_rotation"))
