@@ -443,7 +443,7 @@ def search(
         for place_x, place_y in itertools.product(x, y):
             judged(np.array([place_x, place_y, *slice_centre[2:]]))
     starts = sorted((place for place in judgements if place.reachable), key=lambda place: place.cost)[:_STARTS]
-    steps = np.array([0.5 * (line[1] - line[0]) if len(line) > 1 else 0.0 for line in lines])
+    steps = np.array([0.5 * float(np.diff(line[:2]).sum()) for line in lines])
     for start in starts:
         _descend(judged, region, start, steps)
     best = _confirmed(programs, region, judgements, assess)

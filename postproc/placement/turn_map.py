@@ -387,7 +387,7 @@ def _wound(step: Array, starts: Ints) -> Array:
     highest_turn = np.maximum.reduceat(total, starts, axis=1) - bin_start
     ends = np.append(starts[1:], step.shape[1]) - 1
     parts = [total[:, ends] - bin_start, np.minimum(lowest_turn, 0.0), np.maximum(highest_turn, 0.0)]
-    return np.stack(parts, axis=2).swapaxes(0, 1)
+    return np.stack([part.T for part in parts], axis=2)
 
 
 def _errors(samples: PathSamples, middle: Ints, turn: Array, q: Array) -> tuple[Array, Array]:
@@ -578,7 +578,7 @@ def _steps(turn_map: TurnMap, b: int, part: slice, step: float, base_change: flo
     elif turn_at_feed:
         limit = min(_PER_MM * millimetres, _PER_SECOND * float(blocks.time[b]))
     else:
-        return np.zeros(1, dtype=np.int64)
+        return np.array([0])
     limit = min(limit, _PER_BIN * (part.stop - part.start), _LARGEST)
     first_step, last_step = (
         int(np.ceil((-limit - base_change) / step - _EXACT)),

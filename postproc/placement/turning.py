@@ -165,7 +165,8 @@ def _on_line(samples: PathSamples, blocks: Blocks, branch: int, line: Line) -> t
     weight = np.where(blocks.cuts[blocks.block], np.diff(np.append(blocks.first, len(samples))), 0)
     error = np.nan_to_num(column.error[:, 0])
     margins = (column.margin.joint, column.margin.wrist, column.margin.elbow)
-    return float(np.sqrt(weight @ error**2 / max(weight.sum(), 1))), min(float(values.min()) for values in margins)
+    rms = float(np.sqrt(np.sum(weight * error**2) / max(weight.sum(), 1)))
+    return rms, min(float(values.min()) for values in margins)
 
 
 def _free_line(

@@ -97,6 +97,9 @@ class SampleBySample:
         if np.isnan(self.q[i]).any():
             return np.nan, np.nan
         q, wrench = self.q[i][None], self.wrench(i)[None]
-        bound = elastostatics.position_bound(self.robot, q, self.tool(i), wrench)
+        spring = self.samples.robot_in_cell.tool_spring
+        series = None if spring is None else spring.matrices(self.pose(i)[None, :3, :3])
+        spread = self.samples.along.spread_in_root(self.samples.sample.take(np.array([i])))
+        bound = elastostatics.position_bound(self.robot, q, self.tool(i), wrench, spread, series)
         tip = self.samples.robot_in_cell.tip(q, self.tool(i), wrench)[0]
         return float(bound[0]), float(np.linalg.norm(tip - self.pose(i)[:3, 3]))

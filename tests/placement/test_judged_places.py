@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from postproc import correction, kinematics
+from postproc import correction, forces, kinematics
 from postproc.cell import ExternalAxis, Frame, Start
 from postproc.placement import Keep, PathSamples, drive, turn_map
 from postproc.placement.drive import BARE
@@ -45,9 +45,9 @@ def gcode(own, feed=2000):
     return PathSamples.of(program, RobotInCell.of(model, own), None)
 
 
-def krl(own, e1=0.0):
+def krl(own, e1=0.0, source=None):
     program, model = read(KRL.format(e1, e1 + 70.0), own, "krl")
-    return PathSamples.of(program, RobotInCell.of(model, own), None)
+    return PathSamples.of(program, RobotInCell.of(model, own), source)
 
 
 def moved(own, place):
@@ -150,6 +150,22 @@ def test_a_place_of_e1_is_that_of_a_program_with_other_numbers_of_e1():
         reasons.add(result.reason)
     assert drive.FREE in reasons
     assert len(reasons) > 1
+
+
+def test_errors_of_forces_and_of_a_soft_tool_turn_with_the_part(tmp_path):
+    """Standard deviations along the axes of $BASE, and springs along those of the tool."""
+    (tmp_path / "in.csv").write_text(
+        "line,Fx,Fy,Fz,frame,sFx,sFy,sFz\n6,90,-150,130,BASE,90,5,20\n7,90,-50,80,BASE,3,70,20\n"
+    )
+    source = forces.read(tmp_path / "in.csv")
+    soft = replace(CARRIED, tool_compliance=replace(CARRIED.tool_compliance, X_um_per_N=0.4, Y_um_per_N=0.1))
+    judged = Programs([krl(soft, source=source)], KEEP)
+    bounds = []
+    for place in places(3, 4):
+        result = judged.judge(place, all_samples=True)
+        compare(result, one_by_one([krl(moved(soft, place), place[4], source)], 0.0, KEEP))
+        bounds.append(result.u95)
+    assert min(bounds) < 0.95 * max(bounds)
 
 
 def station_rows(samples, count):

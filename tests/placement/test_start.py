@@ -141,7 +141,7 @@ def test_what_is_written_starts_there_and_is_read_back_the_same(tmp_path):
     assert run("place", "part.nc", "--region", "X=1450:1500", "-o", str(tmp_path / "place")).exit_code == 0
 
 
-@pytest.mark.parametrize(("status", "s"), [(",S 2,T 35", 2), (",S 6,T 19", 6)])
+@pytest.mark.parametrize(("status", "s"), [(",S 2,T 35", 2), (",S 6,T 19", 6), (",S 0,T 35", 0)])
 def test_a_program_that_states_status_and_turn_starts_with_them(status, s):
     own = in_line("kuka_kr270")
     program, model = read(KRL.format(status), own, "krl")
