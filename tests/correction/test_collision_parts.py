@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from scipy.spatial.transform import Rotation
 
 from postproc.correction import collisions
@@ -282,3 +283,114 @@ def test_a_distance_to_the_stock_is_told_with_the_size_of_its_cells(line, advice
     (other,) = worst_of([(("holder", STOCK), 0.0, line, 0.0, False)], stock=False)
     assert "rounded up" not in other.message
     assert "Move the part" in other.message
+
+
+def path_of(rng, tools, from_ptp):
+    """A path of twelve samples on six motions, some of them with other tools."""
+    made = program(
+        [("PTP" if from_ptp else "LIN", 0, 0, 0), *(("LIN" if k % 2 else "RAPID", 10 * k, 0, 0) for k in range(1, 6))]
+    )
+    made = replace(made, motions=replace(made.motions, tool=np.array(tools)), tools=np.tile(np.eye(4), (3, 1, 1)))
+    motion = np.repeat(np.arange(6), 2)
+    pose = np.tile(np.eye(4), (12, 1, 1))
+    pose[:, :3, 3] = np.cumsum(rng.normal(size=(12, 3)), axis=0)
+    sample = SimpleNamespace(motion=motion, t=np.tile([0.5, 1.0], 6), pose=pose)
+    cell = SimpleNamespace(collision=SimpleNamespace(clearance_mm=5.0), start_joints=np.full(6, -1.0))
+    return SimpleNamespace(
+        program=made, sample=sample, joints=SimpleNamespace(q=rng.uniform(0.0, 1.0, (12, 6))),
+        robot_in_cell=SimpleNamespace(cell=cell, robot="robot", spindle="+Z"),
+        motions=SimpleNamespace(forces=SimpleNamespace(stock=None)),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("from_ptp", [True, False])
+@pytest.mark.parametrize("is_corrected", [True, False])
+@pytest.mark.parametrize("seed", range(6))
+def test_distances_are_those_of_the_bodies_of_each_tool_from_the_place_before(
+    monkeypatch, seed, is_corrected, from_ptp
+):
+    """By a formula of the joint angles: the smallest one, and each pair below the clearance with its lines."""
+    rng = np.random.default_rng(seed)
+    tools = np.sort(rng.integers(0, 3, 6)) if seed % 2 else np.zeros(6, dtype=int)
+    path = path_of(rng, tools, from_ptp)
+    commanded = path.joints.q + (1e-3 if is_corrected else 0.0)
+    made, line = path.program, path.program.motions.line[path.sample.motion]
+    calls = []
+
+    def scene_of(robot, cell, tool):
+        assert (robot, cell) == ("robot", path.robot_in_cell.cell)
+        return SimpleNamespace(
+            bodies=(body("link", "arm"), body("vice", "obstacle"), body("tip", "cutter")), remarks=("r",)
+        )
+
+    def distance(q):
+        return float(0.02 + 0.019 * np.sin(50.0 * q.sum()))
+
+    def along(scene, q, need, shift, commanded_q):
+        calls.append((q, shift, commanded_q))
+        assert need == pytest.approx(0.005)
+        values = [distance(row) for row in q]
+        rows = [n for n, value in enumerate(values) if value < need]
+        best = int(np.argmin(values))
+        return SimpleNamespace(
+            closest=SimpleNamespace(distance=values[best], row=best, first=0, second=1), largest_decrease=0.0002,
+            row=np.array(rows, dtype=int), first=np.zeros(len(rows), dtype=int), second=np.full(len(rows), 1),
+            distance=np.array([values[n] for n in rows]),
+        )  # fmt: skip
+
+    monkeypatch.setattr(collisions.collision, "Scene", SimpleNamespace(of=scene_of))
+    monkeypatch.setattr(collisions.collision, "along", along)
+    monkeypatch.setattr(collisions, "_too_close", lambda scene, states, stock, need: set())
+    monkeypatch.setattr(collisions, "with_parts", lambda scene, states, rapid: iter(()))
+    smallest, issues = collisions.of_path(path, commanded)
+    sample_tools = tools[path.sample.motion]
+    begins = [0, *(n for n in range(1, 12) if sample_tools[n] != sample_tools[n - 1])]
+    assert len(calls) == len(begins)
+    values, hits = [], []
+    for call, begin, end in zip(calls, begins, [*begins[1:], 12], strict=True):
+        before = path.robot_in_cell.cell.start_joints if begin == 0 else path.joints.q[begin - 1]
+        q = np.array([before, *path.joints.q[begin:end]])
+        np.testing.assert_array_equal(call[0], q)
+        assert call[1] is None
+        if is_corrected:
+            np.testing.assert_array_equal(call[2], [before, *commanded[begin:end]])
+        assert (call[2] is None) != is_corrected
+        lines = [line[begin], *line[begin:end]]
+        for n, row in enumerate(q):
+            values.append((distance(row), lines[n]))
+            is_arrival = begin == 0 and from_ptp and path.sample.motion[max(n - 1, 0)] == 0
+            hits += [(distance(row), lines[n], is_arrival)] if distance(row) < 0.005 else []
+    least, at = min(values, key=lambda value: value[0])
+    assert (smallest.distance, smallest.line, smallest.bodies) == (least, at, ("link", "vice"))
+    assert smallest.remarks[0] == "r"
+    assert "the stock is not checked" in smallest.remarks[1]
+    assert "reduced by the motion of the bodies due to the correction, 0.2 mm at most" in smallest.remarks[2]
+    if not hits:
+        assert not issues
+        return
+    (issue,) = issues
+    worst = min(hits, key=lambda hit: hit[0])
+    assert (issue.source_line, issue.count) == (worst[1], len({hit[1] for hit in hits}))
+    assert ("on the way from [start]" in issue.message) == worst[2]
+    assert f"comes within {1e3 * worst[0]:.2g} mm of vice" in issue.message
+    assert made.motions.kind[0] == (2 if from_ptp else 0)
+
+
+def test_without_the_table_nothing_is_compared():
+    path = path_of(np.random.default_rng(1), np.zeros(6, dtype=int), True)
+    path.robot_in_cell.cell.collision = None
+    assert collisions.of_path(path, path.joints.q) == (None, [])
+
+
+@pytest.mark.parametrize("reduction", [0.9e-6, 1.1e-6])
+def test_the_reduction_by_the_correction_is_stated_from_a_micrometre_on(reduction):
+    assert len(list(collisions._corrected(reduction))) == (reduction > 1e-6)
+
+
+def test_remarks_on_the_stock_say_how_it_was_compared():
+    scene = SimpleNamespace(bodies=(body("vice", "obstacle"),))
+    (unchecked,) = collisions._of_stock(scene, None)
+    assert unchecked.startswith("the stock is not checked")
+    assert not list(collisions._of_stock(SimpleNamespace(bodies=(body("blank", "part"),)), None))
+    (compared,) = collisions._of_stock(scene, SimpleNamespace(accuracy=0.00025))
+    assert "up to cells of 0.25 mm" in compared
