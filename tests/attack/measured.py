@@ -45,7 +45,19 @@ from tests.places import ROOT
 
 READER = ROOT / "postproc" / "dialects" / "krl" / "read"
 MODULES = [
-    *("bas", "calls", "conditions", "data_lists", "effects", "flow", "frames", "interpreter", "known", "main_routine"),
+    *(
+        "bas",
+        "calls",
+        "conditions",
+        "counter",
+        "data_lists",
+        "effects",
+        "flow",
+        "frames",
+        "interpreter",
+        "known",
+        "main_routine",
+    ),
     *("motion_reader", "path_settings", "plain_settings", "rounds", "run", "settings", "spline_blocks", "state"),
     *("tracing", "unresolved", "variables"),
 ]

@@ -109,9 +109,25 @@ def test_what_no_source_states_of_the_settings_is_refused(lines, problem):
         read(body(*lines), DATA)
 
 
-def test_the_speed_is_not_known_where_loops_are_decided_but_is_in_what_runs():
-    with pytest.raises(ProgramError, match="condition"):
-        read(body("$VEL.CP=0.2", "WHILE $VEL.CP>0.1", FULL, "$VEL.CP=0.1", "ENDWHILE"), DATA)
+@pytest.mark.parametrize(
+    ("lines", "feeds"),
+    [
+        (["$VEL.CP=0.2", "WHILE $VEL.CP>0.15", FULL, "$VEL.CP=0.1", "ENDWHILE", FULL], [0.2, 0.1]),
+        (["$VEL.CP=0.5", "IF $VEL.CP>0.3 THEN", FULL, "$VEL.CP=0.2", "ENDIF", FULL], [0.5, 0.2]),
+        (["$VEL.CP=0.5", FULL, "$VEL.CP=0.2", "IF $VEL.CP>0.3 THEN", FULL, "ENDIF", FULL], [0.5, 0.2]),
+        (["$VEL.CP=0.5", "V=$VEL.CP", "IF V>0.3 THEN", "$VEL.CP=0.1", FULL, "ENDIF", "$VEL.CP=V", FULL], [0.1, 0.5]),
+    ],
+)
+def test_the_speed_decides_loops_and_branches_around_motions(lines, feeds, tmp_path):
+    files = {"part.src": body(*lines, end="\n"), "part.dat": DATA}
+    assert read(body(*lines), DATA).motions.feed.tolist() == feeds
+    assert confirmed(read_files(files, tmp_path), files, tmp_path, np.random.default_rng(0)) == "accepted"
+
+
+def test_behind_more_plain_settings_than_are_followed_the_speed_decides_nothing():
+    settings = [f"$VEL.CP=0.{n}" for n in range(1001, 2100)]
+    with pytest.raises(ProgramError, match="whose condition is not known"):
+        read(body(*settings, "IF $VEL.CP>0.3 THEN", FULL, "ENDIF", "LIN XP1"), DATA)
 
 
 def test_flags_keep_what_the_program_writes(tmp_path):

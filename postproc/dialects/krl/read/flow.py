@@ -7,7 +7,7 @@ no motions, every variable that it may write becomes unknown; if it holds motion
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from postproc.dialects.krl.language.structures import LOOPS, Block, Node, Part
 from postproc.dialects.krl.language.values import Call, Number, Reference, Value
 from postproc.dialects.krl.read.computed_rounds import FEWEST_ROUNDS, computed_body
 from postproc.dialects.krl.read.conditions import constant_cases
-from postproc.dialects.krl.read.explanations import why_not_decided, without_value
+from postproc.dialects.krl.read.counter import Counter, undecided
 from postproc.dialects.krl.read.interpreter import LOOP_ADVICE, Interpreter, undecided_jump
 from postproc.dialects.krl.read.known import InexactError, inexact
 from postproc.dialects.krl.read.least_statements import ENDS_LOOPS, LeastStatements
@@ -513,10 +513,10 @@ class Flow:
         if isinstance(stmt, tree.If):
             holds = self.run.variables.truth(stmt.condition)
             if holds is None:
-                raise _undecided(self.run, at)
+                raise undecided(self.run, at)
             return 0 if holds else 1 if len(block.parts) > 1 else -1
         if not isinstance(stmt, tree.Switch) or self._changing(stmt.values):
-            raise _undecided(self.run, at)
+            raise undecided(self.run, at)
         selector = self.run.variables.evaluate(stmt.value)
         if self._still or not self.run.level.traced:
             self.run.steps += len(block.parts) // _CASES
@@ -533,7 +533,7 @@ class Flow:
             values = case.cases if isinstance(case, tree.Case) else ()
             is_chosen = case.word == "DEFAULT" or self.run.variables.chosen(selector, values)
             if is_chosen is None:
-                raise _undecided(self.run, at)
+                raise undecided(self.run, at)
             if is_chosen:
                 return index
         return -1
@@ -544,7 +544,7 @@ class Flow:
         if block.word == "LOOP" and words.isdisjoint(ENDS_LOOPS):
             self._endless(source, block, recorder)
             return
-        counter = _Counter(self.run, source, block.first) if block.word == "FOR" else None
+        counter = Counter(self.run, source, block.first) if block.word == "FOR" else None
         if recorder is not None:
             self._check_comments(source, block)
         name, step = (counter.name, counter.step) if counter is not None else ("", 0)
@@ -692,7 +692,7 @@ class Flow:
         """Return how often variables, and how often frames, speeds and modes, have changed."""
         return self.run.variables.changes, len(self.run.settings.changes)
 
-    def _plainly(self, source: Source, block: Block, counter: _Counter, recorder: Recorder, loop: Repeated) -> None:
+    def _plainly(self, source: Source, block: Block, counter: Counter, recorder: Recorder, loop: Repeated) -> None:
         """Record all rounds of a FOR at once if its body is plain."""
         if block not in self._plain:
             self._plain[block] = plain_body(source, block) or computed_body(source, block)
@@ -744,7 +744,7 @@ class Flow:
             raise inexact(at, problem, "Set it at the beginning of each round.")
         level.returned = block.last
 
-    def _check_rounds(self, source: Source, block: Block, counter: _Counter, recorder: Recorder | None) -> None:
+    def _check_rounds(self, source: Source, block: Block, counter: Counter, recorder: Recorder | None) -> None:
         """Refuse a FOR with too many iterations before it is followed.
 
         :raises InexactError: it has too many.
@@ -758,7 +758,7 @@ class Flow:
             rounds = counter.rounds * self._least.of_round(source, block, module)
             self._check_least(Place(source, block.first), rounds)
 
-    def _again(self, source: Source, block: Block, counter: _Counter | None) -> bool:
+    def _again(self, source: Source, block: Block, counter: Counter | None) -> bool:
         """Return whether the body of a loop runs once more."""
         if counter is not None:
             return counter.within()
@@ -770,109 +770,5 @@ class Flow:
         if isinstance(stmt, tree.While):
             holds = self.run.variables.truth(stmt.condition)
         if holds is None:
-            raise _undecided(self.run, Place(source, line))
+            raise undecided(self.run, Place(source, line))
         return holds
-
-
-def _undecided(run: Run, at: Place, bounds: Sequence[Value] = ()) -> InexactError:
-    """Return the error for a condition, or for the bounds of a FOR, that are not known before run time."""
-    stmt = statement(at.source, at.line)
-    values = bounds or stmt.values
-    reason = why_not_decided(run.variables, at.source, values)
-    names = without_value(run.variables, at.source, values)
-    value_advice = f" Or say in [krl.values] of the cell what {', '.join(names)} will be." if names else ""
-    subject = "bounds are" if stmt.word == "FOR" else "condition is"
-    problem = f"motion inside {stmt.word}: its {subject} not known before the program runs{reason}"
-    return inexact(at, problem, LOOP_ADVICE + value_advice)
-
-
-class _Counter:
-    """The counter of a FOR loop.
-
-    :raises InexactError: its bounds are not known before run time.
-    """
-
-    def __init__(self, run: Run, source: Source, line: int) -> None:
-        self.run, self.at = run, Place(source, line)
-        stmt = statement(source, line)
-        if isinstance(stmt, tree.For) and stmt.error is not None:
-            raise stmt.error
-        if not isinstance(stmt, tree.For) or stmt.counter is None or stmt.bounds is None:
-            raise _undecided(run, self.at)
-        self.here = stmt
-        self.name = source.text[stmt.counter.start : stmt.counter.stop]
-        key = run.variables.key_of(stmt.counter)
-        if key is None:
-            raise _undecided(run, self.at, [stmt.counter])
-        if run.variables.kind(stmt.counter) == "REAL":
-            problem = f"motion inside FOR: its counter {self.name} is a REAL"
-            raise inexact(self.at, problem, "Count by an INT, and compute the REAL from it in the loop.")
-        self.key, self.given = key, stmt.bounds
-        self._are_numbers = all(isinstance(bound, Number) for bound in stmt.bounds[1:] if bound is not None)
-        run.place = self.at
-        self.last, self.step = self._bounds()
-        self._set(self._whole(self.given[0]))
-        self.now()
-
-    @property
-    def rounds(self) -> int:
-        """Number of iterations from now on."""
-        return max(0, (self.last - self.now()) // self.step + 1)
-
-    def within(self) -> bool:
-        """Return whether the loop runs another round: its variable has not passed the end value."""
-        count = self.now()
-        return count <= self.last if self.step > 0 else count >= self.last
-
-    def advance(self) -> None:
-        """Advance by one step."""
-        self.run.place = self.at
-        if not self._are_numbers and self._bounds() != (self.last, self.step):
-            raise inexact(self.at, "motion inside FOR: its end changes while it runs", LOOP_ADVICE)
-        self._set(self.now() + self.step)
-
-    def pass_over(self, rounds: int) -> None:
-        """Advance by the steps of some rounds that leave its bounds as they are."""
-        self._set(self.now() + rounds * self.step)
-
-    def _bounds(self) -> tuple[int, int]:
-        """Return its present last value and step."""
-        first, last, width = self.given
-        bounds = [first, last, *([] if width is None else [width])]
-        if not all(map(self.run.variables.functions.pure, calls(bounds))):
-            raise self._unknown()
-        step = 1 if width is None else self._step(width)
-        return self._whole(last), step
-
-    def _step(self, width: Value) -> int:
-        """Return a step.
-
-        :raises ProgramError: it is zero or not an integer.
-        """
-        step = self.run.variables.evaluate(width)
-        if isinstance(step, Number) and (not step.integer or step.value == 0.0):
-            problem = f"FOR cannot count by STEP {step.value:g}"
-            raise self.at.error(problem, "Give a whole number other than 0, as it is or by an INT.")
-        return self._whole(width)
-
-    def _whole(self, value: Value) -> int:
-        number = self.run.variables.evaluate(value)
-        if not isinstance(number, Number):
-            raise self._unknown()
-        if not number.integer:
-            problem = f"motion inside FOR: one of its bounds is a REAL, {number.value:g}"
-            raise inexact(self.at, problem, "Give whole numbers, as they are or by an INT.")
-        return int(number.value)
-
-    def _set(self, number: int) -> None:
-        self.run.variables.set(self.key, Number(float(number), 0, 0, True), self.at)
-
-    def now(self) -> int:
-        """Return its present value."""
-        value = self.run.variables.value(self.key)
-        if not isinstance(value, Number) or not value.integer:
-            raise self._unknown()
-        return int(value.value)
-
-    def _unknown(self) -> InexactError:
-        return _undecided(self.run, self.at, [bound for bound in self.given if bound is not None])

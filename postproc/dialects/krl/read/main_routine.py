@@ -107,11 +107,11 @@ def _course(start: Start, *, collects: bool) -> tuple[Course, Collected | None]:
     recorder = Recorder(main)
     collected = start.collected(has_rows=collects)
     run, settings = collected.run, collected.run.settings
-    settings.follows_numbers = False  # plain ones are no statements here
     reserved_names = library.programs() if settings.cell.output.lines_per_file else frozenset[str]()
     lines, free_settings = _one_by_one(main.source, main.others, main.settings)
     nodes = checked(main.source, nodes_of(main.source, lines))
-    run.is_final = collects and len(free_settings) <= _MOST_SETTINGS
+    settings.follows_numbers = len(free_settings) <= _MOST_SETTINGS  # else plain ones are no statements here
+    run.is_final = collects and settings.follows_numbers
 
     def taken(at: Place, stmt: Statement) -> None:
         flow.interpreter.follow_functions(at, stmt.values)  # they may change what a condition depends on
@@ -127,7 +127,7 @@ def _course(start: Start, *, collects: bool) -> tuple[Course, Collected | None]:
         body = Body(main.first + 1, main.last)
         steps = (Lines(main.first + 1, main.last - 1),)
         return Course(main, run.trace, steps, body, taken=reserved_names), None
-    if run.is_final and len(free_settings):
+    if settings.follows_numbers and len(free_settings):
         nodes = nodes_of(main.source, main.lines)
     _submitted(run)
     flow.follow(main.source, nodes)
@@ -147,7 +147,6 @@ def _course(start: Start, *, collects: bool) -> tuple[Course, Collected | None]:
     is_complete = run.is_final and recorder.is_final and not settings.lacked_numbers
     if not is_complete or fault_of(main.name) or collected.splines.open is not None or run.level.open:
         return course, None
-    settings.follows_numbers = True
     run.trace, run.shown_line = course.trace, 0
     return course, collected
 
