@@ -34,6 +34,12 @@ def did_you_mean(name: str, valid: Iterable[str]) -> str:
     >>> did_you_mean("tolerence_mm", ["tolerance_mm", "lines_per_file"])
     'Did you mean `tolerance_mm`?'
     """
+    valid_name = nearest_name(name, valid)
+    return "" if valid_name is None else f"Did you mean `{valid_name}`?"
+
+
+def nearest_name(name: str, valid: Iterable[str]) -> str | None:
+    """Return the valid name that is nearest to an unknown one; None if none is near."""
     from difflib import get_close_matches  # needed where something is wrong
 
     name_of_lowercase = {valid_name.lower(): valid_name for valid_name in valid}
@@ -41,7 +47,7 @@ def did_you_mean(name: str, valid: Iterable[str]) -> str:
     nearest = (
         nearest or [valid_name for valid_name in name_of_lowercase if len(name) > 3 and name.lower() in valid_name][:1]
     )
-    return f"Did you mean `{name_of_lowercase[nearest[0]]}`?" if nearest else ""
+    return name_of_lowercase[nearest[0]] if nearest else None
 
 
 def choices(name: str, valid: Iterable[str], heading: str = "Valid names") -> str:

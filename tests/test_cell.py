@@ -36,10 +36,27 @@ def test_all_unknown_and_missing_keys_are_told_in_one_run(tmp_path: Path) -> Non
     error = caught.value
     assert sorted(e.problem for e in (error, *error.further_errors)) == [
         "unknown key 'axes' in [tool]",
-        "unknown key 'begin'",
         "unknown key 'tolerence_mm' in [output]",
+        "unknown table [begin]",
     ]
     assert "Valid keys: tolerance_mm, max_correction_mm" in str(error)
+
+
+def test_a_misspelt_table_is_named_with_its_line_and_not_also_called_missing(tmp_path: Path) -> None:
+    text = CELL_TEXT.replace("[base]", "[bse]")
+    with pytest.raises(CellError) as caught:
+        _load(tmp_path, text)
+    line = text[: text.index("[bse]")].count("\n") + 1
+    assert f"cell.toml:{line}: unknown table [bse]. Did you mean `base`? Valid keys: robot, base," in str(caught.value)
+    assert caught.value.further_errors == ()
+
+
+def test_where_a_key_is_unknown_and_another_missing_no_example_hides_the_first(tmp_path: Path) -> None:
+    with pytest.raises(CellError) as caught:
+        _load(tmp_path, CELL_TEXT.replace("[base]", "[workpiece]"))
+    error = caught.value
+    assert [e.problem for e in (error, *error.further_errors)] == ["missing key: [base]", "unknown table [workpiece]"]
+    assert "The least that a cell needs" not in str(error)
 
 
 @pytest.mark.parametrize(
@@ -58,7 +75,7 @@ def test_all_unknown_and_missing_keys_are_told_in_one_run(tmp_path: Path) -> Non
             "X = 1500,0",
             r"cell.toml:5: not valid TOML: .* \(column 9\). .*with a point, not a comma: 1500\.0",
         ),
-        ("[base]", "[bases]", r"missing key: \[base\]"),
+        ("[base]", "[bases]", r"unknown table \[bases\]. Did you mean `base`"),
         ("X = 1500.0", "X = 1e300", "base.X: Expected `float` <= 1000000.0"),
         ("X = 1500.0", "X = 1" + "0" * 400, "base.X: "),
         ("X = 1500.0", "X = 1" + "0" * 5000, "not valid TOML"),

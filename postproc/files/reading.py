@@ -20,7 +20,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from postproc.errors import MAX_ERRORS, InputError, choices, did_you_mean, together
+from postproc.errors import MAX_ERRORS, InputError, choices, did_you_mean, nearest_name, together
 from postproc.files.toml_lines import line_of, line_of_unknown
 from postproc.frames import M_PER_MM, Array
 
@@ -134,8 +134,8 @@ def convert(
         kind = msgspec.inspect.type_info(structure)
         wrong_keys = list(islice(_wrong_keys(data, kind, ""), MAX_ERRORS + 1))
         if wrong_keys:
-            is_missing = any(problem.startswith("missing") for problem, _ in wrong_keys)
-            advice = example if example and is_missing else None
+            are_missing = all(problem.startswith("missing") for problem, _ in wrong_keys)
+            advice = example if example and are_missing else None
             advices = [valid for _, valid in wrong_keys]
             advices[-1] = "\n".join(filter(None, (advices[-1], advice))) or None
             errors = [
@@ -217,13 +217,15 @@ def _wrong_keys(data: object, kind: Any, at: str) -> Iterator[tuple[str, str | N
     elif isinstance(kind, msgspec.inspect.StructType) and isinstance(data, Mapping):
         fields = {field.encode_name: field for field in kind.fields}
         table = f" in [{at}]" if at else ""
-        for name in data:
-            if name not in fields and kind.forbid_unknown_fields:
-                yield f"unknown key {name!r}{table}", choices(str(name), fields, "Valid keys")
+        unknown_names = [str(name) for name in data if name not in fields] if kind.forbid_unknown_fields else []
+        for name in unknown_names:
+            key = f"table [{_full_key(at, name)}]" if isinstance(data[name], Mapping) else f"key {name!r}{table}"
+            yield f"unknown {key}", choices(name, fields, "Valid keys")
+        misspelt = {nearest_name(name, fields) for name in unknown_names}
         missing_keys = [
             f"[{_full_key(at, name)}]" if isinstance(_inner(field.type), msgspec.inspect.StructType) else name
             for name, field in fields.items()
-            if field.required and name not in data
+            if field.required and name not in data and name not in misspelt
         ]
         if missing_keys:
             yield f"missing {'key' if len(missing_keys) == 1 else 'keys'}{table}: {', '.join(missing_keys)}", None

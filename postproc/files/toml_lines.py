@@ -6,15 +6,19 @@ import re
 from collections.abc import Sequence
 
 _HEADER = re.compile(r"\s*\[\[?\s*([^\[\]]+?)\s*\]\]?\s*(?:#.*)?$")
-_UNKNOWN = re.compile(r"unknown key '(?P<key>[^']*)'(?: in \[(?P<table>[^\]]*)\])?$")
+_UNKNOWN = re.compile(
+    r"unknown (?:table \[(?P<name>[^\]]*)\]|key '(?P<key>[^']*)'(?: in \[(?P<table>[^\]]*)\])?)$"
+)
 _PART = re.compile(r"\"[^\"]*\"|'[^']*'|[^.]+")
 _ANY_KEY = "*"
 
 
 def line_of_unknown(text: str, problem: str) -> int | None:
-    """Return the line of the key that a message calls unknown; None: no such message, or no single line."""
+    """Return the line of the key or table that a message calls unknown; None: no such message, or no single line."""
     unknown = _UNKNOWN.match(problem)
-    return None if unknown is None else line_of(text, ".".join(filter(None, (unknown["table"], unknown["key"]))))
+    if unknown is None:
+        return None
+    return line_of(text, unknown["name"] or ".".join(filter(None, (unknown["table"], unknown["key"]))))
 
 
 def line_of(text: str, key: str) -> int | None:
