@@ -41,21 +41,14 @@ def of_setup(program: Program, cell: Cell, robot: RobotModel) -> Iterator[Issue]
     """Yield a warning for each value of the cell, or frame of the program, to ask about."""
     m = program.motions
     cutting = np.flatnonzero(~m.rapid)
-    length, distance = norm(program.tools[:, :3, 3]), norm(program.bases[:, :3, 3])
     table = "$TOOL of the program" if program.keeps_text else "[tool] or [tools.n] of the cell"
     for row in distinct(m.tool[cutting]):
-        if length[row] < _SHORT_TOOL:
-            message = (
-                f"the tip of $TOOL ({_place(program.tools[row])}) is {length[row] * MM_PER_M:.3g} mm from the flange"
-            )
-            advice = f"is Z in mm? {table} is in mm: a tool of 0.35 m has Z = 350"
-            yield m.issue("warning", "short-tool", f"{message}: {advice}", cutting[m.tool[cutting] == row])
+        if message := short_tool(program.tools[row], table):
+            yield m.issue("warning", "short-tool", message, cutting[m.tool[cutting] == row])
     table = "$BASE of the program" if program.keeps_text else "[base] of the cell"
     for row in distinct(m.base[cutting]):
-        if 0.0 < distance[row] < _NEAR_BASE:
-            message = f"$BASE ({_place(program.bases[row])}) is {distance[row] * MM_PER_M:.3g} mm from the robot root"
-            advice = f"are X, Y, Z in mm? {table} is in mm: 1.5 m are 1500"
-            yield m.issue("warning", "near-base", f"{message}: {advice}", cutting[m.base[cutting] == row])
+        if message := near_base(program.bases[row], table):
+            yield m.issue("warning", "near-base", message, cutting[m.base[cutting] == row])
     rating = rated_payload(robot.title, robot.name)
     if rating is not None and cell.payload.mass_kg > rating:
         name = robot.title or robot.name
@@ -64,6 +57,30 @@ def of_setup(program: Program, cell: Cell, robot: RobotModel) -> Iterator[Issue]
             "is it in kg? It counts in addition to what the arm carried when the model was calibrated"
         )
         yield Issue("warning", "payload-rating", message)
+
+
+def short_tool(tool: Array, table: str) -> str:
+    """Return the question on a `$TOOL` (4, 4) whose tip is at the flange; empty if it is not.
+
+    :param table: where it is given.
+    """
+    length = float(norm(tool[:3, 3]))
+    if length >= _SHORT_TOOL:
+        return ""
+    message = f"the tip of $TOOL ({_place(tool)}) is {length * MM_PER_M:.3g} mm from the flange"
+    return f"{message}: is Z in mm? {table} is in mm: a tool of 0.35 m has Z = 350"
+
+
+def near_base(base: Array, table: str) -> str:
+    """Return the question on a `$BASE` (4, 4) inside the foot of the arm; empty if it is not there, or zero.
+
+    :param table: where it is given.
+    """
+    distance = float(norm(base[:3, 3]))
+    if not 0.0 < distance < _NEAR_BASE:
+        return ""
+    message = f"$BASE ({_place(base)}) is {distance * MM_PER_M:.3g} mm from the robot root"
+    return f"{message}: are X, Y, Z in mm? {table} is in mm: 1.5 m are 1500"
 
 
 def of_forces(program: Program, forces: PathForces, cell: Cell, robot: RobotModel) -> Iterator[Issue]:

@@ -6,9 +6,7 @@ import re
 from collections.abc import Sequence
 
 _HEADER = re.compile(r"\s*\[\[?\s*([^\[\]]+?)\s*\]\]?\s*(?:#.*)?$")
-_UNKNOWN = re.compile(
-    r"unknown (?:table \[(?P<name>[^\]]*)\]|key '(?P<key>[^']*)'(?: in \[(?P<table>[^\]]*)\])?)$"
-)
+_UNKNOWN = re.compile(r"unknown (?:table \[(?P<name>[^\]]*)\]|key '(?P<key>[^']*)'(?: in \[(?P<table>[^\]]*)\])?)$")
 _PART = re.compile(r"\"[^\"]*\"|'[^']*'|[^.]+")
 _ANY_KEY = "*"
 

@@ -20,6 +20,7 @@ from msgspec import Struct
 from postproc import correction, files, kinematics
 from postproc import robot as robots
 from postproc.cell import Cell, Frame, GCode, Rotary, Start, Tool, ToolAxis, load
+from postproc.correction.plausibility import near_base, short_tool
 from postproc.dialects.text import decode
 from postproc.errors import CellError, InputError, ModelError, OptionError, ProgramError, first_of
 from postproc.files import listed, read_text, toml, write_whole
@@ -183,8 +184,8 @@ def write_cell(request: CellRequest) -> tuple[str, ...]:
     if request.start is None and (start_joints := _start_above(cell, robot, request.clearance + _ABOVE_MM)) is not None:
         cell = msgspec.structs.replace(cell, start=msgspec.convert({"joints": start_joints}, Start))
     turn, remarks = _turn_of_tool(cell, robot)
-    remarks = (*_upside_down(cell), *remarks, *_low_start(cell, robot, request.clearance))
     tools = {number: Frame(*_six(f"$TOOL of T{number}", words, 3)) for number, words in request.tools.items()}
+    remarks = (*_in_metres(cell, tools), *_upside_down(cell), *remarks, *_low_start(cell, robot, request.clearance))
     text = _text(place, robot, cell, turn, config, request, tools)
     _check_text(text, request.output)
     files.write_whole(folder, {request.output.name: text.encode()})
@@ -310,6 +311,12 @@ def _start_above(cell: Cell, robot: RobotModel, height: float) -> tuple[float, .
 
 _LARGEST_Z = -0.1
 """Largest Z component, in the robot root, of a Z axis that points down."""
+
+
+def _in_metres(cell: Cell, tools: Mapping[int, Frame]) -> Iterator[str]:
+    """Yield a question for each of `$BASE` and the tools that seems to be given in metres."""
+    yield from filter(None, (near_base(cell.base.pose(), "--base"), short_tool(cell.tool.pose(), "--tool")))
+    yield from filter(None, (short_tool(tool.pose(), f"the tool of T{number}") for number, tool in tools.items()))
 
 
 def _upside_down(cell: Cell) -> Iterator[str]:

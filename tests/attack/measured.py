@@ -22,6 +22,7 @@ from __future__ import annotations
 import argparse
 import gc
 import hashlib
+import io
 import itertools
 import multiprocessing
 import pickle
@@ -38,6 +39,7 @@ from typing import NamedTuple
 import numpy as np
 from msgspec.structs import replace
 
+from postproc.dialects.krl.language.routines import Routine
 from postproc.errors import Issue, PostprocError
 from tests.attack import krl
 from tests.mutation.mutants import compiles, mutants_of
@@ -103,8 +105,25 @@ def reading(seed):
         issues=tuple(Issue(issue.level, issue.kind, "", _checked_line(issue)) for issue in program.issues),
         unresolved=tuple(replace(motion, why="") for motion in program.unresolved),
     )
-    digest = hashlib.sha256(pickle.dumps(program).replace(name.encode(), b"")).hexdigest()
+    digest = hashlib.sha256(_pickled(program).replace(name.encode(), b"")).hexdigest()
     return Reading(digest, str(texts).replace(name, ""))
+
+
+class _Pickler(pickle.Pickler):
+    """Pickles sets in an order that does not depend on where their elements are in memory."""
+
+    def persistent_id(self, item):
+        """Return what a set holds; None for anything else."""
+        if not isinstance(item, set | frozenset):
+            return None
+        return sorted(f"{one.name}:{one.first}" if isinstance(one, Routine) else repr(one) for one in item)
+
+
+def _pickled(program):
+    """Return the bytes of all that is kept of a program."""
+    buffer = io.BytesIO()
+    _Pickler(buffer).dump(program)
+    return buffer.getvalue()
 
 
 def _checked_line(issue):

@@ -246,6 +246,15 @@ def test_a_base_upside_down_gets_a_warning(angles):
         assert "points down" not in done.stderr
 
 
+def test_a_tool_or_a_base_in_metres_is_asked_about():
+    done = invoke("init", "--robot", "kuka_kr270", "--base", "1.5,0,0.7", "--tool", "0,0,0.35")
+    assert done.exit_code == 0
+    assert "is 1.66 mm from the robot root: are X, Y, Z in mm? --base is in mm: 1.5 m are 1500" in done.stderr
+    assert "is 0.35 mm from the flange: is Z in mm? --tool is in mm: a tool of 0.35 m has Z = 350" in done.stderr
+    done = invoke("init", "--robot", "kuka_kr270", "--base", "1500,0,700", "--tool", "0,0,350", "--overwrite")
+    assert "in mm?" not in done.stderr
+
+
 def test_without_a_terminal_what_is_missing_is_wrong_usage():
     done = invoke("init", "--base", "0,0,0")
     assert done.exit_code == 2

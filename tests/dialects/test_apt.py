@@ -390,9 +390,9 @@ def test_points_that_divide_an_arc_of_creo_belong_to_it():
 def test_a_chord_behind_an_arc_is_not_guessed():
     """A half disc: the straight line back ends on the circle too."""
     text = HEAD + "GOTO/10,0,9\nCIRCLE/0,0,9,0,0,1,10\nGOTO/-10,0,9\nGOTO/10,0,9\n"
-    with pytest.raises(ProgramError, match=r"part.apt:8: the points behind CIRCLE are all on it"):
+    with pytest.raises(ProgramError, match=r"part.apt:8: all GOTO after CIRCLE end on this circle"):
         read(text)
-    with pytest.raises(ProgramError, match=r"part.apt:8: the points behind CIRCLE are all on it"):
+    with pytest.raises(ProgramError, match=r"part.apt:8: all GOTO after CIRCLE end on this circle"):
         read(text.replace("9\nGOTO/10,0,9\n", "9\nGOTO/10,0,9E0\n"))  # not read in bulk
     program = read(text.replace("10\nGOTO/-10,0,9\n", "10\nGOTO/-10,0,9\nPAINT/COLOR,31\n"))
     assert program.motions.kind.tolist() == [PTP, LIN, CIRC, LIN]
@@ -414,7 +414,7 @@ def test_a_point_beside_the_circle_is_not_of_an_arc_whose_ends_are_on_it():
     """As in files of Creo: the line behind an arc ends 0.01 mm beside the circle, start and end are on it."""
     program = read(HEAD + "GOTO/10,0,9\n" + creo_circle((0, 10, 9), (-10.01, 0, 9)))
     assert program.motions.kind.tolist() == [PTP, LIN, CIRC, LIN]
-    with pytest.raises(ProgramError, match="the points behind CIRCLE are all on it"):
+    with pytest.raises(ProgramError, match="all GOTO after CIRCLE end on this circle"):
         read(HEAD + "GOTO/10,0,9\n" + creo_circle((0, 10, 9), (-10.0005, 0, 9)))
 
 
@@ -426,7 +426,7 @@ def test_an_arc_with_one_point_shows_that_the_sequence_does_not_divide_arcs():
     program = read(head + single + wall)
     assert program.motions.kind.tolist() == [PTP, LIN, CIRC, LIN, LIN, CIRC, LIN]
     for text in (head + wall, head + single + "$$-> FEATNO / 2\n" + wall):
-        with pytest.raises(ProgramError, match="the points behind CIRCLE are all on it"):
+        with pytest.raises(ProgramError, match="all GOTO after CIRCLE end on this circle"):
             read(text)
 
 
@@ -664,7 +664,7 @@ def test_inserted_stop_halts_and_the_word_in_brackets_does_not():
         ("GOTO/1,2,3,1,1,1", 5, "not a direction of length 1"),
         ("GOTO/1,2,1E9", 5, "3 or 6 numbers"),
         ("GOTO/1,2,99999999", 5, "3 or 6 numbers"),
-        ("GOTO/1,2,3,0,0,-1", 4, "from above and from below"),
+        ("GOTO/1,2,3,0,0,-1", 5, "the tool comes from below, and from above in line 4"),
         ("GODLTA/5", 5, "GODLTA is not supported"),
         ("CIRCLE/0,0,9,0,0,1,10\nGOTO/0,10,9", 6, "the start of the arc is 0.0000 mm from the axis"),
         ("CIRCLE/-10,0,9,0,0,1,10\nGOTO/-10,11,9", 6, "the end of the arc is 11.0000 mm"),
@@ -739,6 +739,18 @@ def test_what_is_not_understood_is_an_error_at_its_line(text, line, problem):
     with pytest.raises(InputError) as caught:
         read(HEAD + text + "\n")
     assert (caught.value.line, problem in str(caught.value)) == (line, True), str(caught.value)
+
+
+def test_holes_of_a_refused_cycle_are_no_moves_without_a_feed():
+    text = "UNITS/MM\nRAPID\nGOTO/0,0,30\nCYCLE/TAP,DEPTH,10,MMPM,100,CLEAR,3\nGOTO/1,1,1\nGOTO/2,1,1\nCYCLE/OFF\n"
+    with pytest.raises(ProgramError) as caught:
+        read(f"{text}RAPID\nGOTO/0,0,30\nFINI\n")
+    assert (caught.value.line, caught.value.further_errors) == (4, ())
+    with pytest.raises(ProgramError) as caught:
+        read(f"{text}GOTO/5,5,5\nFINI\n")
+    assert [(error.line, error.problem) for error in caught.value.further_errors] == [
+        (8, "cutting move without a feed")
+    ]
 
 
 def test_all_errors_are_raised_together_and_a_feed_in_inches_needs_units():

@@ -20,7 +20,7 @@ from msgspec.structs import replace
 from postproc.cell import Cell
 from postproc.chunks import Runs
 from postproc.dialects.apt import statements, systems
-from postproc.dialects.apt.course import ARC, RAPID, Course, Part
+from postproc.dialects.apt.course import ARC, RAPID, Course, Fault, Part
 from postproc.dialects.apt.statements import Statements
 from postproc.dialects.apt.survey import survey
 from postproc.dialects.apt.walk import executed
@@ -73,12 +73,9 @@ def read(document: Document, cell: Cell, forward_kinematics: Callable[[Array], A
     wrong += [_changed_system(source, line) for line in systems.changed_axis_systems(source.comments)]
     moves = _Moves(course.parts, start)
     faults = list(course.faults)
-    opposite = np.flatnonzero(moves.axis @ _reference(moves.axis)[:, 2] < _OPPOSITE)
-    if faults or wrong or len(opposite):
-        texts = [(fault.row, fault.problem, fault.advice) for fault in faults]
-        problem, advice = "the tool comes from above and from below", "Write one file for each clamping of the part."
-        texts += [(int(moves.row[n]), problem, advice) for n in opposite[:1].tolist()]
-        raise together([*(_error(source, *text) for text in texts), *wrong])
+    faults += _opposite_directions(moves, source)
+    if faults or wrong:
+        raise together([*(_error(source, fault.row, fault.problem, fault.advice) for fault in faults), *wrong])
     if not course.parts:
         advice = "Check that the file is the right one and complete."
         raise ProgramError("the program moves nothing", file=document.name, advice=advice)
@@ -223,6 +220,18 @@ def _reference(axis: Array) -> Array:
     It is that of `$BASE`, unless the tool comes straight from below somewhere.
     """
     return _BELOW_AXES if (axis[:, 2] < _OPPOSITE).any() else np.eye(3)
+
+
+def _opposite_directions(moves: _Moves, source: Statements) -> list[Fault]:
+    """Return the fault of a tool that comes straight from above and straight from below, where it does the second."""
+    sides = (("above", moves.axis[:, 2] > -_OPPOSITE), ("below", moves.axis[:, 2] < _OPPOSITE))
+    first_moves = sorted((int(np.argmax(is_side)), side) for side, is_side in sides if is_side.any())
+    if len(first_moves) < len(sides):
+        return []
+    (earlier, earlier_side), (later, later_side) = first_moves
+    line = int(source.line[moves.row[earlier]])
+    problem = f"the tool comes from {later_side}, and from {earlier_side} in line {line}"
+    return [Fault(int(moves.row[later]), problem, "Write one file for each clamping of the part.")]
 
 
 def _placed(notes: Sequence[ForceNote], motions: Motions) -> tuple[ForceNote, ...]:

@@ -83,7 +83,7 @@ _COMPENSATION_FAULT = (
     'write radius_offsets = "wear" in [gcode] of the cell.',
 )
 _AMBIGUOUS = (
-    "the points behind CIRCLE are all on it: they may be of the arc, or ends of straight lines",
+    "all GOTO after CIRCLE end on this circle: they may divide the arc, or be straight moves from one to the next",
     "Let the CAM system write one GOTO for each arc, or points only (Creo: CIRC_INTERPOLATION).",
 )
 
@@ -106,6 +106,7 @@ class _Walk:
         self.sequences, self.undivided = sequence_lines(statements.comments), set[int]()
         self.leaving: Array | None = None
         self.cycle: Cycle | None = None
+        self.is_cycle_refused = False
         self.system: list[float | str] | None = None
         self.in_fixture = self.is_tilted_setup = False
         self.system_of_file = system_of(statements.comments)
@@ -191,6 +192,8 @@ class _Walk:
             for n in range(at, len(row)):
                 self._drill(int(row[n]), end[n], axis[n], self.cycle)
             self.rapid = False
+        elif self.is_cycle_refused:  # these are holes: a missing feed would be an error that is none
+            self.place, self.known, self.rapid = end[-1], True, False
         elif at < len(row):
             if self.rapid or not self.known:
                 self._single(int(row[at]), end[at], axis[at])
@@ -530,9 +533,11 @@ class _Walk:
     def _cycles(self, row: int, values: list[float | str]) -> None:
         if values == ["INIT"]:
             return
+        self.is_cycle_refused = False
         if values[:1] in (["OFF"], ["CLEAR"]):
             self.cycle = None
             return
+        self.cycle, self.is_cycle_refused = None, True
         words = cycle_words(values, (*_PER_MINUTE, *_PER_TURN))
         if words.rates:
             rate, per_turn = self._rate(row, list(words.rates), "the feed of the cycle")
@@ -541,7 +546,7 @@ class _Walk:
             feed = self._fed(row)
         if not feed > 0.0:
             raise StatementError("a feed per turn, but no speed of the spindle", "Write SPINDL/n,RPM before.")
-        self.cycle = words.cycle(self.unit, feed)
+        self.cycle, self.is_cycle_refused = words.cycle(self.unit, feed), False
 
     def _spin(self, row: int, words: list[float | str]) -> None:
         unknown = {value for value in words if isinstance(value, str)} - _SPINDLE

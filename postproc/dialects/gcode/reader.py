@@ -52,11 +52,18 @@ from postproc.dialects.gcode.survey import survey
 from postproc.dialects.gcode.words import Fault
 from postproc.dialects.text import decode, line_spans
 from postproc.errors import ForceError, InputError, Issue, ProgramError, together
-from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, inverse
+from postproc.frames import M_PER_MM, MM_PER_M, RAD_PER_DEG, Array, inverse
 from postproc.program import Document, Event, ForceNote, Program, distinct, parse_force_note
 
 __all__ = ["decode", "read"]
 
+_INCH_DECIMALS, _INCH_SIZE, _INCH_FEED = 4, 40.0, 150.0
+"""Decimals of coordinates in inches; size of cuts and feed below which a program without G20 and G21 is questioned,
+assumed: a part of 40 mm cut at 150 mm/min needs no robot, one of 40 inches does.
+"""
+_DECIMALS = re.compile(r"[XYZ][ \t]*[-+]?[0-9]*\.([0-9]+)", re.IGNORECASE)
+_SAMPLE = 100_000
+"""Characters in which decimals are looked for."""
 SPINDLE_ON = ("spindle_on", "spindle_ccw")
 
 
@@ -165,7 +172,7 @@ def _executed_program(
     notes, events = _events(run, path, modes, comments)
     line = run.main[path.row]
     line.flags.writeable = False
-    issues = (*_issues(path, modes), *modes.issues, *_brackets(run, comments))
+    issues = (*_issues(path, modes, document.text), *modes.issues, *_brackets(run, comments))
     return Program(
         name=name,
         dialect="gcode",
@@ -332,9 +339,29 @@ def _speed(modes: Modes, row: int, kind: str) -> float:
     return next((h.value for h in reversed(modes.row_events) if h.row <= row and h.kind in SPINDLE_ON), 0.0)
 
 
-def _issues(path: MotionPath, modes: Modes) -> Iterator[Issue]:
+def _unit(path: MotionPath, text: str) -> Issue:
+    """Return the remark on a program without G20 and G21; a warning if its coordinates and feeds are those in inches.
+
+    Posts write four decimals of inches, three of millimetres.
+    """
+    message = "Neither G20 nor G21 is programmed: millimetres are assumed."
+    is_cut = ~path.motions.rapid
+    position = path.motions.target[is_cut, :2, 3] * MM_PER_M
+    size = np.ptp(position, axis=0) if len(position) else np.zeros(2)
+    feed = 60.0 * MM_PER_M * float(path.motions.feed[is_cut].max(initial=0.0))
+    decimals = max((len(digits) for digits in _DECIMALS.findall(_COMMENT.sub("", text[:_SAMPLE]))), default=0)
+    if decimals != _INCH_DECIMALS or not 0.0 < size.max() < _INCH_SIZE or feed > _INCH_FEED:
+        return Issue("info", "units", message)
+    message += (
+        f" The numbers fit inches: four decimals, cuts of {size[0]:.3g} by {size[1]:.3g} in X and Y, F{feed:.3g}. "
+        "Write G20 if they are inches, else G21."
+    )
+    return Issue("warning", "units", message)
+
+
+def _issues(path: MotionPath, modes: Modes, text: str) -> Iterator[Issue]:
     if not modes.changes["units"]:
-        yield Issue("info", "units", "Neither G20 nor G21 is programmed: millimetres are assumed.")
+        yield _unit(path, text)
     for row, level, kind, message in path.remarks:
         yield Issue(level, kind, message, row + 1)
     if len(path.held_back):
