@@ -5,7 +5,8 @@ They are asked about, not refused: a touch probe on the flange may be short, and
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -31,6 +32,10 @@ _SLOWEST, _FASTEST = 10.0, 30e3
 """Feeds of cuts [mm/min] that are questioned beyond, assumed: 1.2 is m/min that is read in mm/min."""
 _SWITCHING = ("spindle_on", "spindle_ccw", "spindle_off")
 """Kinds of events that switch the spindle."""
+_SET_SIGNAL = re.compile(
+    r"\s*(?:(\$?\w+(?:\s*\[[^\]]*\])?)\s*=(?!=)|(?:Set[DAG]O|Set|Reset)\s+(?:\\[^,]*,\s*)?(\w+))", re.IGNORECASE
+)
+"""KRL ``$OUT[1]=TRUE``, RAPID ``SetDO doSpindle,1;``."""
 _SAME_LENGTH = 1e-6
 """Tools whose lengths differ by less [m] are equally long."""
 _BESIDE = 0.05
@@ -126,9 +131,11 @@ def _cutting(program: Program, cell: Cell, rows: Ints) -> Iterator[Issue]:
         yield m.issue("warning", "feed-unit", message, rows[unusual])
     if not (cell.gcode.spindle_on or cell.gcode.spindle_ccw):
         return
-    switches = [event for event in program.events if event.kind in _SWITCHING]
+    effects = {code: _spindle_effect(cell, lines) for code, lines in cell.m_codes.items()}
+    kinds = [effects[f"M{event.value:g}"] if event.kind == "m_code" else event.kind for event in program.events]
+    switches = [event for event, kind in zip(program.events, kinds, strict=True) if kind in _SWITCHING]
     last = np.searchsorted([event.before for event in switches], rows, side="right") - 1
-    is_off = np.array([event.kind == "spindle_off" for event in switches] + [True])[last]
+    is_off = np.array([kind == "spindle_off" for kind in kinds if kind in _SWITCHING] + [True])[last]
     if is_off.any():
         index = int(last[np.argmax(is_off)])
         cause = f"line {switches[index].line} switches it off" if index >= 0 else "nothing switches it on before"
@@ -137,6 +144,30 @@ def _cutting(program: Program, cell: Cell, rows: Ints) -> Iterator[Issue]:
             "the cell if you start it by hand"
         )
         yield m.issue("warning", "spindle-off", message, rows[is_off])
+
+
+def _spindle_effect(cell: Cell, lines: Sequence[str]) -> str:
+    """Return what lines of `[m_codes]` do to the spindle, as a kind of event; empty for nothing.
+
+    They switch it if they set one of the signals that spindle_on and spindle_ccw set: off by a line of spindle_off.
+    """
+    gcode = cell.gcode
+    signals = {signal for line in (*(gcode.spindle_on or ()), *(gcode.spindle_ccw or ())) if (signal := _signal(line))}
+    switching = [_plain(line) for line in lines if _signal(line) in signals]
+    if not switching:
+        return ""
+    return "spindle_off" if switching[-1] in map(_plain, gcode.spindle_off or ()) else "spindle_on"
+
+
+def _signal(line: str) -> str:
+    """Return the signal that a line of KRL or RAPID sets, upper case; empty for none."""
+    match = _SET_SIGNAL.match(line)
+    return _plain(match[1] or match[2]) if match else ""
+
+
+def _plain(line: str) -> str:
+    """Return a line without blanks, upper case."""
+    return "".join(line.split()).upper()
 
 
 def tool_changes(program: Program) -> Iterator[Issue]:

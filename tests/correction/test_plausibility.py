@@ -120,6 +120,27 @@ def test_a_cut_with_the_spindle_off_is_asked_about(switches, line, cause):
 
 
 @pytest.mark.parametrize(
+    ("on", "off", "lines", "is_asked"),
+    [
+        ("$OUT[1]=TRUE", "$OUT[1]=FALSE", ["$OUT[ 1 ] = true"], False),
+        ("$OUT[1]=TRUE", "$OUT[1]=FALSE", ["$OUT[1]=FALSE", "WAIT SEC 1", "$OUT[1]=TRUE"], False),
+        ("$OUT[1]=TRUE", "$OUT[1]=FALSE", ["$OUT[2]=TRUE"], True),
+        ("$OUT[1]=TRUE", "$OUT[1]=FALSE", ["$OUT[1]=FALSE"], True),
+        ("$OUT[1]=TRUE", "$OUT[1]=FALSE", ["IF $OUT[1]==TRUE THEN", "ENDIF"], True),
+        ("$ANOUT[1]={S}/24000.0", "$ANOUT[1]=0.0", ["$ANOUT[1]=0.5"], False),
+        ("SetDO doSpindle,1;", "SetDO doSpindle,0;", ["SetDO doSpindle, 1;"], False),
+        ("SetDO doSpindle,1;", "SetDO doSpindle,0;", ["SetDO doCoolant,1;"], True),
+        ("Set doSpindle;", "Reset doSpindle;", ["Reset doSpindle;"], True),
+    ],
+)
+def test_an_m_code_of_the_cell_that_sets_the_signal_of_the_spindle_switches_it(on, off, lines, is_asked):
+    gcode = replace(CELL.gcode, spindle_on=[on], spindle_off=[off], spindle_ccw=None)
+    text = CUT.format(before="M52", at="", after="", feed=300).encode()
+    issues = cutting_questions(text, replace(CELL, gcode=gcode, m_codes={"M52": lines}))
+    assert [kind for kind, _, _ in issues] == ["spindle-off"] * is_asked
+
+
+@pytest.mark.parametrize(
     ("feed", "is_asked"), [(0.6, True), (9.9, True), (10, False), (30000, False), (30100, True), (60000, True)]
 )
 def test_a_feed_in_another_unit_is_asked_about(feed, is_asked):
