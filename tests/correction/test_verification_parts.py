@@ -188,3 +188,75 @@ def test_a_written_program_is_looked_at_between_targets_where_it_may_leave_its_p
     np.testing.assert_allclose(probes.t, [place for _, _, place in places])
     assert probes.motion.tolist() == motion[probes.target].tolist()
     assert probes.inside.tolist() == [share < 1.0 for _, share, _ in places]
+
+
+def simulated(monkeypatch, seed, *, is_corrected, keeps_text, near_limit=False):
+    """The simulation of ten targets from distances at places between and at them."""
+    rng = np.random.default_rng(seed)
+    target = np.repeat(np.arange(10), 3)
+    share = np.tile([0.4, 0.7, 1.0], 10)
+    motion = target // 2
+    distance = rng.choice([1e-7, 1.5e-5, 1.7e-5, 3e-5], 30, p=[0.4, 0.2, 0.2, 0.2])
+    step, jump, is_judged = rng.random((3, 30)) < [[0.2], [0.2], [0.8]]
+    probes = _Probes(target, share, motion, 0.1 * target + share)
+    made = program([("LIN", 10 * k, 0, 0) for k in range(6)])
+    made = replace(made, layout=SimpleNamespace() if keeps_text else None)
+    rounding, programmed = rng.uniform(0.0, 6e-5, (2, 10))
+    corners = SimpleNamespace(rounding=lambda blend: rounding + 0.0 * blend)
+    deviation = rng.normal(size=(10, 3))
+    marks = []
+
+    def left(path, places, far, *, step, jump, smooth):
+        marks.append((step.tolist(), jump.tolist(), smooth.tolist()))
+        yield "left"
+
+    def blending(program, motions, extra, tolerance):
+        marks.append((motions.tolist(), extra.tolist(), tolerance))
+        yield "blending"
+
+    for name, function in (
+        ("corners_of_motions", lambda made, segments, row: corners), ("_probes", lambda *parts: probes),
+        ("_deviation", lambda *parts: (deviation, distance, near_limit)), ("_left", left),
+        ("_special", lambda *parts: (step, jump, is_judged)), ("_joint_speeds", lambda *parts: iter(["fast"])),
+    ):  # fmt: skip
+        monkeypatch.setattr(verify, name, function)
+    monkeypatch.setattr(verify.checks, "blending", blending)
+    path = SimpleNamespace(program=made, robot_in_cell=SimpleNamespace(tolerance=TOLERANCE))
+    Sized = type("Sized", (SimpleNamespace,), {"__len__": lambda self: 10})
+    selection = SimpleNamespace(targets=Sized(motion=np.arange(10) // 2), programmed=programmed)
+    output = SimpleNamespace(motions=SimpleNamespace(blend=np.zeros(12)))
+    readback = SimpleNamespace(program=output, segments=None, row=np.arange(2, 12), text="text", numbers="numbers")
+    result = verify.simulate(path, selection, None, readback, is_corrected=is_corrected)
+    return result, (target, share, motion, distance, step, jump, is_judged, rounding, programmed, marks, probes)
+
+
+@pytest.mark.parametrize("is_corrected", [True, False])
+@pytest.mark.parametrize("keeps_text", [True, False])
+@pytest.mark.parametrize("seed", range(6))
+def test_places_that_use_up_four_fifths_of_the_tolerance_are_missed(monkeypatch, seed, keeps_text, is_corrected):
+    """Between targets, where more of them help; not where the force jumps, or where nothing was corrected."""
+    result, parts = simulated(monkeypatch, seed, is_corrected=is_corrected, keeps_text=keeps_text)
+    target, share, motion, distance, step, jump, is_judged, rounding, programmed, marks, probes = parts
+    bad = [n for n in range(30) if is_judged[n] and not jump[n] and share[n] < 1.0 and distance[n] > 0.8 * TOLERANCE]
+    assert result.missed[0].tolist() == [motion[n] for n in bad]
+    np.testing.assert_array_equal(result.missed[1], probes.t[bad])
+    np.testing.assert_array_equal(result.missed[2], distance[bad])
+    for k in range(10):
+        rows = [n for n in range(30) if target[n] == k and is_judged[n]]
+        assert result.path_distance[k] == max((distance[n] for n in rows), default=0.0)
+    assert result.between == result.path_distance.max()
+    np.testing.assert_array_equal(result.rounding, rounding)
+    assert (result.text, result.numbers) == ("text", "numbers")
+    if not is_corrected:
+        assert result.issues == ()
+        return
+    assert result.issues == ("left", "blending") if keeps_text else ("left",)
+    assert marks[0] == (step.tolist(), (is_judged & jump).tolist(), (is_judged & ~jump).tolist())
+    if keeps_text:
+        assert marks[1] == ((np.arange(10) // 2).tolist(), (rounding - programmed).tolist(), TOLERANCE)
+
+
+@pytest.mark.parametrize("near_limit", [True, False])
+def test_joint_speeds_of_the_text_are_looked_at_where_one_comes_near_its_limit(monkeypatch, near_limit):
+    result, _ = simulated(monkeypatch, 1, is_corrected=True, keeps_text=False, near_limit=near_limit)
+    assert result.issues == (("left", "fast") if near_limit else ("left",))
