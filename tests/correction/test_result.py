@@ -8,7 +8,7 @@ from msgspec.structs import replace
 
 from postproc import cell as cells
 from postproc import correction, files, robot
-from postproc.correction.result import Result, statistics
+from postproc.correction.result import HeldFeed, Result, statistics
 from postproc.elastostatics import Reversals
 from postproc.errors import Issue, ModelError
 from postproc.robot import urdf
@@ -102,3 +102,13 @@ def test_deflection_is_by_the_force_alone_and_deviation_is_from_nominal(referenc
     np.testing.assert_allclose(result.deflection[row], loaded - rest, atol=1e-8)
     np.testing.assert_allclose(result.deviation_before[row], loaded - base - [0.03, 0.0, 0.0], atol=1e-8)
     assert np.linalg.norm(result.deviation_before[row] - result.deflection[row]) > 2e-5
+
+
+def test_feeds_are_lowered_below_the_programmed_one_and_miss_the_tolerance_above_it():
+    columns = {name: np.zeros(4) for name in ("length", "without_feed")}
+    held = HeldFeed(
+        tolerance=1e-4, least=1e-3, unheld="lowest", programmed=np.array([0.05, 0.05, 0.05, np.nan]),
+        feed=np.array([0.05, 0.04, 0.03, np.nan]), expected=np.array([1e-4, 1.1e-4, 0.9e-4, 0.0]), **columns,
+    )  # fmt: skip
+    assert held.lowered.tolist() == [False, True, True, False]
+    assert held.missed.tolist() == [False, True, False, False]
