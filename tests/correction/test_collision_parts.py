@@ -394,3 +394,15 @@ def test_remarks_on_the_stock_say_how_it_was_compared():
     assert not list(collisions._of_stock(SimpleNamespace(bodies=(body("blank", "part"),)), None))
     (compared,) = collisions._of_stock(scene, SimpleNamespace(accuracy=0.00025))
     assert "up to cells of 0.25 mm" in compared
+
+
+def test_without_two_bodies_to_compare_the_distance_is_infinite(monkeypatch):
+    path = path_of(np.random.default_rng(1), np.zeros(6, dtype=int), True)
+    none = np.zeros(0, dtype=int)
+    nothing = SimpleNamespace(closest=None, largest_decrease=0.0, row=none, first=none, second=none, distance=none)
+    scene = SimpleNamespace(bodies=(), remarks=())
+    monkeypatch.setattr(collisions.collision, "Scene", SimpleNamespace(of=lambda *parts: scene))
+    monkeypatch.setattr(collisions.collision, "along", lambda *parts: nothing)
+    smallest, issues = collisions.of_path(path, path.joints.q)
+    assert (smallest.distance, smallest.bodies, smallest.line) == (np.inf, ("", ""), 1)
+    assert not issues

@@ -10,6 +10,7 @@ from msgspec.structs import replace
 
 from postproc.correction import verify
 from postproc.correction.verify import _Probes
+from postproc.errors import ProgramError
 from postproc.program import CIRC, LIN
 from tests.programs import program
 
@@ -260,3 +261,72 @@ def test_places_that_use_up_four_fifths_of_the_tolerance_are_missed(monkeypatch,
 def test_joint_speeds_of_the_text_are_looked_at_where_one_comes_near_its_limit(monkeypatch, near_limit):
     result, _ = simulated(monkeypatch, 1, is_corrected=True, keeps_text=False, near_limit=near_limit)
     assert result.issues == (("left", "fast") if near_limit else ("left",))
+
+
+def modules_of(change=None):
+    """A program of nine motions in three modules, which begin where the one before ends; one may be changed."""
+    rng = np.random.default_rng(5)
+    whole = program([("LIN", *rng.uniform(-50.0, 50.0, 3)) for _ in range(9)], bases=np.tile(np.eye(4), (2, 1, 1)))
+    motions = replace(
+        whole.motions, base=np.array([0] * 5 + [1] * 4), blend=np.where(np.isin(np.arange(9), [0, 2, 5]), 0.0, 5e-4)
+    )
+    bases = whole.bases.copy()
+    bases[1, 0, 3] = 0.3
+    whole = replace(whole, motions=motions, bases=bases)
+    parts = {}
+    for name, rows in (("m1", range(3)), ("m2", range(2, 6)), ("m3", range(5, 9))):
+        columns = {field: getattr(motions, field)[np.array(rows)] for field in motions.__struct_fields__}
+        part = replace(motions, **columns)
+        used = np.unique(part.base)
+        made = replace(whole, motions=replace(part, base=np.searchsorted(used, part.base)), bases=bases[used])
+        parts[name] = change(made) if change is not None and name == "m2" else made
+    documents = [SimpleNamespace(name=name) for name in parts]
+    return whole, parts, SimpleNamespace(documents=documents, first=(0, 3, 6))
+
+
+def other_module(monkeypatch, whole, parts, modules):
+    def read(documents, cell, forward, name):
+        made = parts[documents[0].name]
+        if isinstance(made, Exception):
+            raise made
+        return made
+
+    monkeypatch.setattr(verify.registry, "by_name", lambda dialect: SimpleNamespace(read=read))
+    monkeypatch.setattr(verify, "led_by_wrist", lambda made, place: made)
+    path = SimpleNamespace(robot_in_cell=SimpleNamespace(cell=None, forward=None))
+    return verify._other_module(path, whole, np.arange(9), modules, "krl")
+
+
+def shifted(made, row, distance):
+    target = made.motions.target[:]
+    target[row, 0, 3] += distance
+    return replace(made, motions=replace(made.motions, target=target))
+
+
+CHANGES = {
+    "the same": (lambda made: made, None),
+    "a first place that rounding moves": (lambda made: shifted(made, 0, 0.9e-5), None),
+    "another first place": (lambda made: shifted(made, 0, 1.1e-5), "m2"),
+    "another target": (lambda made: shifted(made, 2, 1e-12), "m2"),
+    "another feed": (lambda made: replace(made, motions=replace(made.motions, feed=1.0001 * made.motions.feed)), "m2"),
+    "another line": (lambda made: replace(made, motions=replace(made.motions, line=made.motions.line + 7)), None),
+    "another base": (lambda made: replace(made, bases=made.bases + 1e-9), "m2"),
+    "another tool": (lambda made: replace(made, tools=made.tools + 1e-9), "m2"),
+    "a fault": (lambda made: ProgramError("unreadable", file="m2"), "m2"),
+}
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_modules_move_as_the_program_in_one_piece_from_where_the_one_before_ends(monkeypatch, name):
+    change, expected = CHANGES[name]
+    assert other_module(monkeypatch, *modules_of(change)) == expected
+
+
+def test_a_module_ends_at_an_exact_stop(monkeypatch):
+    whole, parts, modules = modules_of()
+    blend = whole.motions.blend.copy()
+    blend[2] = 5e-4
+    for made in (whole, *parts.values()):
+        rows = made.motions.line - 1
+        made.motions.blend[:] = blend[rows]
+    assert other_module(monkeypatch, whole, parts, modules) == "m2"
