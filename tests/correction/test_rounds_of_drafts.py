@@ -133,3 +133,19 @@ def test_slowed_motions_stay_slow_in_the_rounds_that_follow(monkeypatch):
     made = [entry[1:3] for entry in script.log if entry[0] == "draft"]
     assert made == [("as read", "pieces 0"), ("slow 1", "pieces 0"), ("slow 1", "pieces 1"), ("slow 2", "pieces 1")]
     assert task.initial_issues == ("first", "slow 2 of motions 2")
+
+
+@pytest.mark.parametrize("uncertain", [[False, False], [True, False], [True, True]])
+def test_arcs_are_divided_by_the_error_of_larger_pieces_where_one_is_uncertain(monkeypatch, uncertain):
+    pieces = SimpleNamespace(uncertain=np.array(uncertain))
+    motions = SimpleNamespace(pieces=lambda *, linearize_arcs: pieces if linearize_arcs else None)
+    for name, function in (
+        ("PathUnderLoad", SimpleNamespace(of=lambda *parts: parts)), ("_commands", lambda task, path: (task.mode, path)),
+        ("CommandedPath", SimpleNamespace(of=lambda path, command: (path, command))),
+        ("pieces_needed", lambda commanded: ("needed", commanded)),
+    ):  # fmt: skip
+        monkeypatch.setattr(process, name, function)
+    task = SimpleNamespace(mode="convert", linearize_arcs=True)
+    found = process._first_pieces(task, motions)
+    path = (motions, pieces)
+    assert found == (("needed", (path, ("convert", path))) if any(uncertain) else pieces)
