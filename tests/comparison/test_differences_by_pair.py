@@ -603,3 +603,113 @@ def test_the_first_pair_with_another_speed_is_named_in_millimetres_a_second(seed
     if bad:
         a, b = found.pair[bad[0]]
         assert f"is {1e3 * feeds[1][b]:.4g} mm/s instead of {1e3 * feeds[0][a]:.4g} mm/s." in message
+
+
+@pytest.mark.parametrize("has_cuts", [False, True])
+@pytest.mark.parametrize("seed", SEEDS)
+def test_ways_that_leave_the_nominal_path_by_more_than_their_targets_are_named(monkeypatch, seed, has_cuts):
+    """By 0.1 mm and three offsets at their ends; not where forces are checked, or a missing target is."""
+    rng = np.random.default_rng(seed)
+    found = random_pairs(rng)
+    found.corrected.motions.kind[rng.random(COUNT) < 0.3] = CIRC
+    pose = found.pose.copy()
+    pose[:, :3, 3] += rng.normal(0.0, 3e-5, (8, 3))
+    between = np.where(rng.random(8) < 0.1, np.nan, rng.choice([5e-5, 3e-4, 1e-3], 8))
+    between[0] = np.nan
+    missing = np.setdiff1d(np.arange(COUNT), found.pair[:, 0])[: int(rng.integers(0, 3))]
+    found = replace(found, pose=pose, between=between, only_nominal=missing, curves=SimpleNamespace())
+    cuts = cuts_of(rng, found, row=np.sort(rng.choice(found.pair[:2, 1], 20)))
+    found = replace(found, cuts=cuts if has_cuts else None)
+    exact = rng.choice([1e-5, 4e-4, 8e-4, 9e-4], 8)
+    monkeypatch.setattr(differences, "_distance_of_way", lambda comparison, one, other, k: exact[k])
+    offsets = [np.linalg.norm(pose[k, :3, 3] - found.nominal.motions.target[found.pair[k, 0]][:3, 3]) for k in range(8)]
+    checked = {
+        int(sum(found.pair[:, 1] < row)) for row, t in zip(cuts.row, cuts.t, strict=True) if t < 1.0 and has_cuts
+    }
+    gaps = {int(sum(found.pair[:, 0] < row)) for row in missing}
+    limits = [1e-4 + 3.0 * max(offsets[k], offsets[k - 1]) for k in range(8)]
+    bad = [
+        k for k in range(8)
+        if between[k] > limits[k] and k not in checked and k not in gaps and exact[k] > limits[k]
+    ]  # fmt: skip
+    worst = max(bad, key=lambda k: exact[k], default=None)
+    expected = None if worst is None else ("between", found.pair[worst], len(bad))
+    message = the_only(differences._off_path(found, SIDE, SIDE), expected)
+    if bad:
+        assert f"the path is {1e3 * exact[worst]:.4f} mm from the nominal one" in message
+        way = range(found.pair[worst - 1, 1] + 1, found.pair[worst, 1] + 1)
+        assert ("Check the auxiliary point" in message) == any(found.corrected.motions.kind[row] == CIRC for row in way)
+    assert not list(differences._off_path(replace(found, curves=None), SIDE, SIDE))
+    assert differences._checked(found).tolist() == sorted(checked)
+
+
+def test_calls_of_one_program_alone_are_named_by_whether_the_other_has_the_file():
+    found = compared()
+    issue = [
+        Issue("info", "external-call", "x", line, subject=name) for name, line in (("P1", 2), ("P2", 3), ("P3", 4))
+    ]
+    text = "DEF part()\nP1 ()\n; P3()\nEND\n"
+    document = found.corrected.documents[0]
+    other = replace(found.corrected, issues=(issue[1],), documents=(type(document)("part.nc", text),))
+    both = replace(found, nominal=replace(found.nominal, issues=tuple(issue)), corrected=other)
+    first, second = differences._calls(both)
+    assert (first.level, first.kind) == ("warning", "not-compared")
+    assert first.message.startswith("the file of P1() is in the folder of the other program only")
+    assert second.message == "P3(), which is in no file, is called by this program only: its effect is not compared."
+    assert [(d.nominal, d.corrected) for d in (first, second)] == [(("part.nc", 2), None), (("part.nc", 4), None)]
+    swapped = replace(both, nominal=both.corrected, corrected=both.nominal)
+    assert [(d.nominal, d.corrected) for d in differences._calls(swapped)] == [
+        (None, ("part.nc", 2)),
+        (None, ("part.nc", 4)),
+    ]
+
+
+def test_ways_that_begin_at_an_unknown_place_are_counted():
+    found = compared()
+    after = np.array([-1, 1, 1, 3, 3])
+    known = replace(found, nominal=replace(found.nominal, after=after))
+    (difference,) = differences._not_compared(known)
+    assert (difference.kind, difference.count) == ("not-compared", 2)
+    assert (difference.nominal, difference.corrected) == (line(1), line(1))
+    assert not list(differences._not_compared(found))
+
+
+@pytest.mark.parametrize("pairs_certain", [True, False])
+@pytest.mark.parametrize("same_origin", [True, False])
+@pytest.mark.parametrize("is_off", [True, False])
+def test_programs_of_one_conversion_are_compared_by_their_targets_and_forces_alone(
+    monkeypatch, pairs_certain, same_origin, is_off
+):
+    """Corners that are cut count only where no path difference explains them."""
+    names = {
+        "_unresolved": "unresolved", "_not_compared": "not compared", "_calls": "calls", "settings": "settings",
+        "statement_differences": "statements", "forces": "forces", "_rapid": "rapid", "_twice": "twice",
+        "_backward_moves": "back", "_alone": "alone", "axis_targets": "axis", "_orientation": "orientation",
+        "_off_path": "off", "_under_forces": "under", "_cut_corners": "corners", "_ambiguous": "ambiguous",
+    }  # fmt: skip
+    for name, word in names.items():
+        is_empty = name in ("_off_path", "_under_forces") and not is_off
+        monkeypatch.setattr(
+            differences, name, lambda *parts, word=word, empty=is_empty, **options: [] if empty else [word]
+        )
+    found = differences.differences(
+        None, None, None, in_file=True, same_origin=same_origin, pairs_certain=pairs_certain
+    )
+    uncertain = [] if pairs_certain else ["ambiguous"]
+    if same_origin:
+        assert list(found) == ["not compared", "alone", *(["under"] if is_off else []), *uncertain]
+        return
+    whole = [
+        "unresolved",
+        "not compared",
+        "calls",
+        "settings",
+        "statements",
+        "forces",
+        "rapid",
+        "twice",
+        "back",
+        "alone",
+    ]
+    paths = ["off", "under"] if is_off else ["corners"]
+    assert list(found) == [*whole, "axis", "orientation", *paths, *uncertain]

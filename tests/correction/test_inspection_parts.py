@@ -241,3 +241,101 @@ def test_frames_that_are_not_those_of_the_cell_are_noted_with_their_numbers(axis
             assert issue.message.startswith(f"{name} is {{X ")
             assert f"[{section}] of the cell" in issue.message
             assert set(issue.lines) == set(program.motions.line.tolist())
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_pieces_of_lines_are_examined_where_a_state_may_reach_its_limit_between_two_samples(monkeypatch, seed):
+    """Each of nine states alone comes near to its bound: by its step, the way and the turn of the piece."""
+    rng = np.random.default_rng(seed)
+    rows = [
+        n for n in range(len(PATH)) if PATH.program.motions.kind[PATH.sample.motion[n]] == LIN
+    ]  # fmt: skip
+    segments = PATH.motions.segments
+    begin = [
+        0.0 if n == 0 or PATH.sample.motion[n - 1] != PATH.sample.motion[n] else PATH.sample.t[n - 1]
+        for n in range(len(PATH))
+    ]
+    part = [PATH.sample.t[n] - begin[n] for n in range(len(PATH))]
+    way = [segments.travel[PATH.sample.motion[n]] * part[n] for n in range(len(PATH))]
+    turn = [segments.turn[PATH.sample.motion[n]] * part[n] for n in range(len(PATH))]
+    rows = [n for n in rows if way[n] > 0.002 or turn[n] > np.radians(0.5)]
+    step = rng.uniform(0.0, 0.02, (9, len(rows)))
+    limits = np.array([
+        [*(2.0 * step[k, i] + way[n] / 0.15 + 6.0 * turn[n] for k in range(7)),
+         2.0 * step[7, i] + way[n] + 0.5 * turn[n] + checks.SHOULDER, 5.0 * way[n] + 3.0 * turn[n]]
+        for i, n in enumerate(rows)
+    ]).T  # fmt: skip
+    rooms = limits * 1.001
+    near = rng.random(len(rows)) < 0.5
+    for i in np.flatnonzero(near):
+        rooms[rng.integers(9), i] *= 0.999 / 1.001
+    before, after = (np.where(rng.random(rooms.shape) < 0.5, rooms, rooms + 1.0) for _ in range(2))
+    before = np.where((before > rooms) & (after > rooms), rooms, before)
+    fast = rng.random(len(PATH)) < 0.1
+    calls = []
+
+    def states(path, q, chunk):
+        calls.append(chunk.tolist())
+        return before, after, step
+
+    monkeypatch.setattr(inspection, "_states", states)
+    found = inspection._lines(PATH, None, fast)
+    assert calls == [rows]
+    expected = [n for i, n in enumerate(rows) if near[i] or fast[n]]
+    assert found.motion.tolist() == [PATH.sample.motion[n] for n in expected]
+    np.testing.assert_allclose(found.begin, [begin[n] for n in expected])
+    np.testing.assert_allclose(found.end, [PATH.sample.t[n] for n in expected])
+    parts = [int(np.ceil(max(way[n] / 0.002, turn[n] / np.radians(0.5)) - 1e-9)) for n in expected]
+    assert found.parts.tolist() == parts
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_arcs_are_examined_where_a_state_may_reach_its_limit_by_twice_their_largest_step(monkeypatch, seed):
+    rng = np.random.default_rng(seed)
+    motion = PATH.sample.motion
+    rows = [n for n in range(len(PATH)) if PATH.program.motions.kind[motion[n]] == CIRC]
+    arcs = sorted({int(motion[n]) for n in rows})
+    step = rng.uniform(0.0, 0.1, (9, len(rows)))
+    step[:6, rng.random(len(rows)) < 0.02] = np.radians(10.1)
+    room = np.full((9, len(rows)), 9.0)
+    near = {arc: rng.random() < 0.5 for arc in arcs}
+    for arc in arcs:
+        own = [i for i, n in enumerate(rows) if motion[n] == arc]
+        largest = 2.0 * step[:, own].max(axis=1)
+        limit = [*largest[:6], max(largest[6], np.radians(1.0)), largest[7] + checks.SHOULDER, np.radians(20.0)]
+        for k in range(9):
+            room[k, own[rng.integers(len(own))]] = limit[k] * 1.001
+        if near[arc]:
+            k = int(rng.integers(9))
+            room[k, own[rng.integers(len(own))]] = limit[k] * 0.999
+    fast = rng.random(len(PATH)) < 0.02
+    monkeypatch.setattr(inspection, "_states", lambda path, q, chunk: (room + 1.0, room, step))
+    found = inspection._arcs(PATH, None, fast)
+    turns = {int(motion[n]) for i, n in enumerate(rows) if fast[n] or step[:6, i].max() > np.radians(10.0)}
+    expected = [arc for arc in arcs if near[arc] or arc in turns]
+    assert found.motion.tolist() == expected
+    assert found.parts.tolist() == [{1: 36, 4: 18, 6: 108}[arc] for arc in expected]
+    assert (found.begin == 0.0).all()
+    assert (found.end == 1.0).all()
+
+
+def test_states_are_distances_of_joints_to_their_limits_and_of_the_arm_to_singular_poses():
+    """The first sample follows the start; the wrist ahead of A1 and the angle of A3 by Pinocchio's frames."""
+    rng = np.random.default_rng(5)
+    robot, start = PATH.robot_in_cell.robot, CELL.start_joints
+    q = rng.uniform(0.6 * robot.lower, 0.6 * robot.upper, (len(PATH), 6))
+    rows = np.array([0, 3, 7])
+    before, after, step = inspection._states(PATH, q, rows)
+
+    def states(angles):
+        shoulder, elbow, wrist = (frame(angles, carrier)[:3, 3] for carrier in (1, 2, 4))
+        upper, fore = elbow - shoulder, wrist - elbow
+        stretched = np.arccos(upper @ fore / np.linalg.norm(upper) / np.linalg.norm(fore))
+        room = np.minimum(angles - robot.lower, robot.upper - angles)
+        return [*room, abs(angles[4]), np.hypot(*wrist[:2]), stretched]
+
+    for n, row in enumerate(rows):
+        previous = start if row == 0 else q[row - 1]
+        np.testing.assert_allclose(before[:, n], states(previous), atol=1e-6)
+        np.testing.assert_allclose(after[:, n], states(q[row]), atol=1e-6)
+        np.testing.assert_allclose(step[:7, n], np.abs([*(q[row] - previous), q[row, 4] - previous[4]]), atol=1e-12)

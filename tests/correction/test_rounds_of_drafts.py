@@ -140,7 +140,8 @@ def test_arcs_are_divided_by_the_error_of_larger_pieces_where_one_is_uncertain(m
     pieces = SimpleNamespace(uncertain=np.array(uncertain))
     motions = SimpleNamespace(pieces=lambda *, linearize_arcs: pieces if linearize_arcs else None)
     for name, function in (
-        ("PathUnderLoad", SimpleNamespace(of=lambda *parts: parts)), ("_commands", lambda task, path: (task.mode, path)),
+        ("PathUnderLoad", SimpleNamespace(of=lambda *parts: parts)),
+        ("_commands", lambda task, path: (task.mode, path)),
         ("CommandedPath", SimpleNamespace(of=lambda path, command: (path, command))),
         ("pieces_needed", lambda commanded: ("needed", commanded)),
     ):  # fmt: skip
