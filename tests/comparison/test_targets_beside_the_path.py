@@ -1,0 +1,122 @@
+"""Targets without a partner against dense points of the paths: which are on the way, and by how much others miss it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from postproc.comparison import partners
+from postproc.comparison.paths import PlacedProgram
+from postproc.program import LIN, PTP
+from postproc.under_load import RobotInCell
+from tests.comparison.test_named import CELL, ROBOT
+from tests.programs import program
+
+PLACE = RobotInCell.of(ROBOT, CELL)
+DOWN = CELL.tool_pose_in_program()
+DENSE = np.linspace(0.0, 1.0, 801)
+
+
+def zigzag(rng, count):
+    """Corners of a path in millimetres, the first one by joints."""
+    return np.cumsum(np.vstack([[0.0, 0.0, 50.0], rng.uniform(-30.0, 30.0, (count - 1, 3))]), axis=0)
+
+
+def placed(points, kinds):
+    names = {LIN: "LIN", PTP: "PTP"}
+    made = program([(names[int(kind)], *point) for point, kind in zip(points, kinds, strict=True)], orientation=DOWN)
+    made = replace(made, bases=CELL.base.pose()[None], tools=CELL.tool.pose()[None])
+    return PlacedProgram.of(made, PLACE)
+
+
+def on_the_way(path, first, last):
+    """Dense points of a path [m], from the end of a motion to that of another, in the cell."""
+    lengths = path.arc_length[first + 1] + DENSE * (path.arc_length[last + 1] - path.arc_length[first + 1])
+    return path.points(np.maximum(lengths, 1e-12))
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_target_is_on_the_path_within_a_tenth_of_a_millimetre_and_three_offsets(seed):
+    """Of the pairs next to it; on lines of the way to a pair on which no joint interpolation is."""
+    rng = np.random.default_rng(seed)
+    points = zigzag(rng, 7)
+    nominal_kinds = np.where(rng.random(7) < 0.15, PTP, LIN)
+    nominal_kinds[0] = PTP
+    inserted, rows, pair, kinds = [], [], [], []
+    distance = rng.choice([2e-5, 1e-4], 7)
+    for k, point in enumerate(points):
+        if k and rng.random() < 0.7:
+            share, off = rng.uniform(0.2, 0.8), rng.choice([0.05, 0.09, 0.2, 0.35, 0.6, 3.0])
+            along = point - points[k - 1]
+            across = np.cross(along, rng.normal(size=3))
+            rows.append(len(inserted))
+            inserted.append(points[k - 1] + share * along + off * across / np.linalg.norm(across))
+            kinds.append(PTP if rng.random() < 0.2 else LIN)
+        pair.append((k, len(inserted)))
+        inserted.append(point)
+        kinds.append(int(nominal_kinds[k]))
+    nominal, second = placed(points, nominal_kinds), placed(np.array(inserted), kinds)
+    pairs, rows = np.array(pair), np.array(rows, dtype=int)
+    found = partners._on_path(nominal, second, pairs, distance, rows)
+    for n, row in enumerate(rows):
+        k = int(sum(pairs[:, 1] < row))
+        if kinds[row] == PTP or nominal_kinds[k] == PTP:
+            assert not found[n]
+            continue
+        spot = second.points(second.arc_length[[row + 1]])
+        gap = np.linalg.norm(on_the_way(nominal, pairs[k - 1, 0], pairs[k, 0]) - spot, axis=1).min()
+        limit = 1e-4 + 3.0 * max(distance[k - 1], distance[k])
+        if abs(gap - limit) > 1e-5:
+            assert found[n] == (gap <= limit)
+    behind = np.array([len(inserted) - 1])
+    assert not partners._on_path(nominal, second, pairs[:-1], distance[:-1], behind)[0]
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_missing_target_is_missed_by_its_distance_from_the_way_between_its_pairs(seed):
+    """Moved by the offset that the pairs next to it have in proportion to the path; unknown for joint targets."""
+    rng = np.random.default_rng(seed)
+    points = zigzag(rng, 9)
+    kinds = np.where(rng.random(9) < 0.15, PTP, LIN)
+    kinds[0] = PTP
+    kept = np.sort(rng.choice(np.arange(1, 8), 4, replace=False))
+    offset_mm = rng.normal(0.0, 0.5, (4, 3))
+    others = points[kept] + offset_mm
+    nominal, second = placed(points, kinds), placed(others, [PTP, *[LIN] * 3])
+    pairs = np.stack([kept, np.arange(4)], axis=1)
+    missing = np.setdiff1d(np.arange(9), kept)
+    turn = nominal.program.bases[0][:3, :3]
+    offset = 1e-3 * offset_mm @ turn.T
+    found = partners.missed_by(nominal, second, pairs, missing, None, offset)
+    lengths = nominal.arc_length[kept + 1]
+    for n, row in enumerate(missing):
+        if kinds[row] == PTP:
+            assert np.isnan(found[n])
+            continue
+        at = nominal.arc_length[row + 1]
+        moved = nominal.points(np.array([at]))[0] + [np.interp(at, lengths, column) for column in offset.T]
+        after = int(sum(kept < row))
+        begin = second.arc_length[after] if after else 0.0
+        end = second.arc_length[after + 1] if after < 4 else second.arc_length[-1]
+        way = second.points(np.maximum(begin + DENSE * (end - begin), 1e-12))
+        assert found[n] == pytest.approx(np.linalg.norm(way - moved, axis=1).min(), abs=3e-5)
+    assert np.isnan(partners.missed_by(nominal, second, pairs[:0], missing, None, offset[:0])).all()
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_path_has_the_positions_of_its_corners_at_its_arc_lengths(seed):
+    rng = np.random.default_rng(seed)
+    points = zigzag(rng, 6)
+    path = placed(points, [PTP, *[LIN] * 5])
+    base = path.program.bases[0]
+    corners = 1e-3 * points @ base[:3, :3].T + base[:3, 3]
+    steps = np.linalg.norm(np.diff(corners, axis=0), axis=1)
+    np.testing.assert_allclose(np.diff(path.arc_length)[1:], steps, rtol=1e-9)
+    for k in range(1, 6):
+        for share in (0.25, 1.0):
+            length = path.arc_length[k + 1] if share == 1.0 else path.arc_length[k] + share * steps[k - 1]
+            expected = corners[k - 1] + share * (corners[k] - corners[k - 1])
+            np.testing.assert_allclose(path.points(np.array([length]))[0], expected, atol=1e-9)
+            motion, t = path.at(np.array([length]))
+            assert (motion[0], t[0]) == (k, pytest.approx(share))
