@@ -406,3 +406,86 @@ def test_without_two_bodies_to_compare_the_distance_is_infinite(monkeypatch):
     smallest, issues = collisions.of_path(path, path.joints.q)
     assert (smallest.distance, smallest.bodies, smallest.line) == (np.inf, ("", ""), 1)
     assert not issues
+
+
+@pytest.mark.parametrize(
+    ("kinds", "rapid", "expected"),
+    [
+        ("part cutter", [0, 1, 1, 0, 1], [(1, 3), (4, 5)]), ("part cutter", [0, 0, 0, 0, 0], []),
+        ("part", [1, 1, 1, 1, 1], []), ("cutter", [1, 1, 1, 1, 1], []),
+    ],
+)  # fmt: skip
+def test_the_cutter_is_compared_with_parts_on_rapid_moves_on_its_nominal_path(monkeypatch, kinds, rapid, expected):
+    of = kinds.split()
+    scene = SimpleNamespace(bodies=[body("link", "arm"), *(body(f"a {kind}", kind) for kind in of)])
+    monkeypatch.setattr(collisions.collision, "inside", lambda part: body(f"inner {part.name}", part.of))
+    pairs = []
+
+    def solids(scene, moving, fixed):
+        pairs.append(([part.name for part in moving], [part.name for part in fixed]))
+        return "solids"
+
+    def contacts(found, states, need):
+        assert (found, need, states.commanded) == ("solids", 0.0, None)
+        yield tuple(states.q[:, 0].astype(int).tolist())
+
+    monkeypatch.setattr(collisions, "_solids", solids)
+    monkeypatch.setattr(collisions, "_contacts", contacts)
+    q = np.tile(np.arange(6.0)[:, None], (1, 6))
+    states = States(np.arange(5), q, q + 0.1, None)
+    found = list(collisions.with_parts(scene, states, np.array(rapid, dtype=bool)))
+    assert found == [tuple(range(low, high + 1)) for low, high in expected]
+    assert pairs == ([(["inner a cutter"], ["a part"])] if expected else [])
+
+
+def test_moving_bodies_are_compared_with_all_fixed_ones_and_contacts_name_their_motion(monkeypatch):
+    moving = [
+        SimpleNamespace(name="spindle", carrier=6),
+        SimpleNamespace(name="foot", carrier=-1),
+        SimpleNamespace(name="link", carrier=2),
+    ]
+    fixed = [SimpleNamespace(name="vice", carrier=-1), SimpleNamespace(name="stock", carrier=-1)]
+    monkeypatch.setattr(collisions, "Solids", lambda scene, pairs: SimpleNamespace(bodies=scene.bodies, pairs=pairs))
+    monkeypatch.setattr(collisions, "Scene", lambda robot, bodies: SimpleNamespace(bodies=bodies))
+    solids = collisions._solids(SimpleNamespace(robot="robot"), moving, fixed)
+    assert [body.name for body in solids.bodies] == ["spindle", "foot", "link", "vice", "stock"]
+    assert solids.pairs == [(0, 3), (0, 4), (2, 3), (2, 4)]
+    hits = SimpleNamespace(
+        row=np.array([0, 1, 3]),
+        first=np.array([0, 2, 0]),
+        second=np.array([3, 4, 4]),
+        distance=np.array([0.1, 0.2, 0.0]),
+    )
+    calls = []
+
+    def among(*parts):
+        calls.append(parts)
+        return hits
+
+    monkeypatch.setattr(collisions.collision, "among", among)
+    states = States(np.array([4, 5, 7]), np.zeros((4, 6)), np.ones((4, 6)), np.full((4, 3), 2.0))
+    found = list(collisions._contacts(solids, states, 0.25))
+    assert found == [
+        Contact(("spindle", "vice"), 4, 0.1, 0.25), Contact(("link", "stock"), 4, 0.2, 0.25),
+        Contact(("spindle", "stock"), 7, 0.0, 0.25),
+    ]  # fmt: skip
+    assert calls == [(solids, states.q, 0.25, states.shift, states.commanded)]
+
+
+@pytest.mark.parametrize("has_stock", [True, False])
+def test_what_is_too_close_where_the_robot_arrives_is_too_close_with_all_bodies(monkeypatch, has_stock):
+    scene = SimpleNamespace(bodies=[body("link", "arm"), body("vice", "obstacle"), body("tip", "cutter")])
+    states = States(np.array([0, 0]), np.zeros((3, 6)), None, None)
+    hits = SimpleNamespace(first=np.array([0, 2]), second=np.array([1, 1]))
+    monkeypatch.setattr(collisions.collision, "along", lambda *parts: hits)
+    rows = []
+
+    def with_parts(scene, states, rapid):
+        rows.append(rapid.tolist())
+        yield Contact(("tip", "blank"), 0, 0.0, 0.0)
+
+    monkeypatch.setattr(collisions, "with_parts", with_parts)
+    monkeypatch.setattr(collisions, "with_stock", lambda *parts: iter([Contact(("link", STOCK), 0, 0.0, 0.0)]))
+    found = collisions._too_close(scene, states, "stock" if has_stock else None, 0.005)
+    assert found == {("link", "vice"), ("tip", "vice"), ("tip", "blank")} | ({("link", STOCK)} if has_stock else set())
+    assert rows == [[True, True]]

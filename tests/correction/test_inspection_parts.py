@@ -10,7 +10,8 @@ from msgspec.structs import replace
 
 from postproc.correction import checks, inspection
 from postproc.correction.inspection import Slowing, Stretches
-from postproc.program import CIRC, LIN
+from postproc.poses import Poses
+from postproc.program import CIRC, LIN, Event
 from tests.collision.setting import frame
 from tests.correction.test_closely import CELL, arcs_and_lines
 
@@ -339,3 +340,77 @@ def test_states_are_distances_of_joints_to_their_limits_and_of_the_arm_to_singul
         np.testing.assert_allclose(before[:, n], states(previous), atol=1e-6)
         np.testing.assert_allclose(after[:, n], states(q[row]), atol=1e-6)
         np.testing.assert_allclose(step[:7, n], np.abs([*(q[row] - previous), q[row, 4] - previous[4]]), atol=1e-12)
+
+
+CHECKS = (
+    "start_joints", "first_move", "height_of_start", "half_turns", "posture", "status_and_turn", "joint_limits",
+    "singularities", "joint_speeds", "joints_at_joins", "joins", "correction_size",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("clearance", [None, 45.0])
+def test_a_path_has_the_issues_of_all_checks_and_between_samples_those_of_other_kinds(monkeypatch, clearance):
+    """Stretches of arcs come first: what they find is not looked for again on lines."""
+    calls, between = {}, []
+    for name in CHECKS:
+
+        def check(*parts, name=name):
+            calls[name] = parts
+            yield SimpleNamespace(kind=name)
+
+        monkeypatch.setattr(inspection.checks, name, check)
+    arcs, lines = SimpleNamespace(motion=np.array([1, 4])), SimpleNamespace(motion=np.array([2, 5]))
+    monkeypatch.setattr(inspection, "stretches_to_examine", lambda path, q, speed: (arcs, lines))
+
+    def between_samples(path, q, position, stretches, sparse):
+        between.append((stretches, sparse.tolist()))
+        of_arcs = ["joint_limits", "new", "new", "other"]
+        yield from (
+            SimpleNamespace(kind=kind) for kind in (of_arcs if stretches is arcs else ["other", "last", "posture"])
+        )
+
+    monkeypatch.setattr(inspection, "between_samples", between_samples)
+    q, position = corrected()
+    pose = PATH.sample.pose[:]
+    pose[:, :3, 3] = position
+    output = replace(CELL.output, max_correction_mm=7.5)
+    cell = replace(CELL, output=output, machine=replace(CELL.machine, clearance_Z=clearance))
+    path = replace(PATH, motions=replace(PATH.motions, robot_in_cell=replace(PATH.robot_in_cell, cell=cell)))
+    command = SimpleNamespace(q=q, pose=Poses.of(pose))
+    issues = inspection.of_path(path, command)
+    assert [issue.kind for issue in issues] == [*CHECKS, "new", "new", "other", "last"]
+    assert between == [(arcs, []), (lines, [2, 5])]
+    assert calls["height_of_start"][2] == (None if clearance is None else pytest.approx(0.045))
+    np.testing.assert_array_equal(calls["singularities"][4], arcs.motion)
+    np.testing.assert_allclose(
+        calls["correction_size"][2], np.linalg.norm(position - PATH.sample.pose[:, :3, 3], axis=1), atol=1e-12
+    )
+    assert calls["correction_size"][3] == pytest.approx(0.0075)
+    assert calls["joint_limits"][3] is q
+    tips = calls["height_of_start"][1]
+    assert len(tips) == 201
+    base = path.program.bases[path.program.motions.base[0]]
+    end = PATH.program.motions.target[0][:3, 3]
+    start = np.linalg.inv(base) @ frame(CELL.start_joints, 6) @ path.program.tools[path.program.motions.tool[0]]
+    np.testing.assert_allclose(tips[-1], end, atol=1e-9)
+    np.testing.assert_allclose(tips[0], start[:3, 3], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("numbers", "keeps_text", "change", "expected"),
+    [
+        ([1, 1, 2], False, None, (1, 2)), ([1, 1, 1], False, None, None), ([1, 2], False, [], None),
+        ([1, 2], True, None, None), ([], False, None, None), ([3, 5, 4], False, None, (3, 5)),
+    ],
+)  # fmt: skip
+def test_another_tool_needs_lines_for_its_change(numbers, keeps_text, change, expected):
+    events = tuple(Event(before=k, kind="tool_change", value=float(n), line=7 + k) for k, n in enumerate(numbers))
+    other = Event(before=0, kind="coolant_on", value=9.0, line=1)
+    made = replace(PATH.program, events=(other, *events), layout=SimpleNamespace() if keeps_text else None)
+    cell = replace(CELL, gcode=replace(CELL.gcode, tool_change=change))
+    issues = inspection.of_tools(made, cell)
+    assert len(issues) == (expected is not None)
+    if expected:
+        row = next(k for k, n in enumerate(numbers) if n != numbers[0])
+        assert (issues[0].level, issues[0].kind, issues[0].source_line) == ("error", "tool-change", 7 + row)
+        assert f"changes from tool {expected[0]} to tool {expected[1]}, but" in issues[0].message
