@@ -8,7 +8,8 @@ from msgspec.structs import replace
 
 from postproc import correction, forces, kinematics
 from postproc.cell import ExternalAxis, Frame, Start
-from postproc.placement import Keep, PathSamples, drive, turn_map
+from postproc.errors import InputError
+from postproc.placement import Keep, PathSamples, drive, region, turn_map
 from postproc.placement.drive import BARE
 from postproc.placement.region import Judged, Programs
 from postproc.under_load import RobotInCell
@@ -327,3 +328,89 @@ def test_the_turn_of_the_cell_stays_unless_another_saves_two_percent_and_the_bes
         best = each if (each.margin > best.margin if alike else each.u95 < best.u95) else best
     stays = judgements[0.0].reason == drive.FREE and judgements[0.0].u95 <= 1.02 * best.u95
     assert found == (judgements[0.0] if stays else best)
+
+
+def test_a_program_without_cuts_has_no_error_and_its_singular_value():
+    text = "G21 G90\nG0 X0 Y-100 Z60\nG0 X100\n"
+    program, model = read(text, STATED)
+    samples = PathSamples.of(program, RobotInCell.of(model, STATED), None)
+    place = np.array([1500.0, 0.0, 700.0, 0.0, 0.0])
+    found = Programs([samples], BARE)._judge(place, -0.8, 2, [Programs([samples], BARE).full_stations[0]])
+    assert (found.reason, found.deflection, found.u95) == (drive.FREE, 0.0, 0.0)
+    single = SampleBySample(samples, 2, np.full(len(samples), -0.8))
+    values = [np.linalg.svd(jacobian(single.q[i], single.tool(i)))[1][-1] for i in range(len(samples))]
+    assert found.singular == pytest.approx(min(values), rel=1e-5)
+
+
+@pytest.mark.parametrize("order", [0, 1])
+def test_a_place_without_equilibrium_of_one_program_is_refused_as_singular(monkeypatch, order):
+    judged = Programs([gcode(STATED), gcode(STATED)], BARE)
+    place, calls = np.array([1500.0, 0.0, 700.0, 0.0, 0.0]), []
+    free = judged._judge(place, -0.8, judged.branch, judged.full_stations)
+    assert free.reason == drive.FREE
+    original = drive.errors
+
+    def errors(*parts):
+        u95, deflection = original(*parts)
+        deflection[-1] = np.nan if len(calls) == order else deflection[-1]
+        calls.append(order)
+        return u95, deflection
+
+    monkeypatch.setattr(drive, "errors", errors)
+    found = judged._judge(place, -0.8, judged.branch, judged.full_stations)
+    assert (found.reason, found.margin) == (drive.SINGULAR, free.margin)
+    assert np.isnan(found.u95)
+
+
+def test_a_status_that_todays_place_does_not_reach_leaves_the_branch_of_the_start():
+    there = moved(CARRIED, [5000.0, 0.0, 700.0, 0.0])
+    program, model = read(STATUS.format(0.0, 70.0, 6), there, "krl")
+    judged = Programs([PathSamples.of(program, RobotInCell.of(model, there), None)], BARE)
+    assert (judged.full_stations[0].branch == -1).all()
+    assert (judged.full_stations[0].shift[:, 1] <= 0.07).all()
+    found = judged.judge(np.array([1500.0, 0.0, 700.0, 0.0, 0.0]), all_samples=True)
+    assert found.branch == judged.branch == int(kinematics.closed_form(model).branch_of(CARRIED_START[None])[0])
+
+
+def test_stations_know_the_sample_before_them_and_how_far_e1_carries_the_robot():
+    samples = krl(CARRIED)
+    (group,) = Programs([samples], BARE).full_stations
+    motion, t = samples.sample.motion, samples.sample.t
+    assert group.row.tolist() == list(range(len(samples)))
+    assert group.before.tolist() == [max(i - 1, 0) for i in range(len(samples))]
+    carriage = samples.program.carriage
+    e1 = [
+        carriage.begin[motion[i]] + t[i] * (carriage.end - carriage.begin)[motion[i]]
+        for i in [*group.before, *group.row]
+    ]
+    np.testing.assert_allclose(group.shift, np.outer(e1, [0.0, 1.0, 0.0]), atol=1e-12)
+    assert group.cuts.tolist() == [not samples.program.motions.rapid[k] for k in motion]
+
+
+@pytest.mark.parametrize("change", [0.9e-6, 1.1e-6])
+@pytest.mark.parametrize("moves_with_cell", [None, True, False])
+def test_programs_in_a_base_of_their_own_would_not_move_with_the_cell(change, moves_with_cell):
+    program, model = read(GCODE.format(2000), STATED)
+    base = STATED.base.pose()
+    own = base.copy()
+    own[1, 3] += change
+    program = replace(
+        program, bases=np.stack([base, own]), motions=replace(program.motions, base=np.array([0, 0, 0, 1, 1]))
+    )
+    shifted = None
+    if moves_with_cell is not None:
+        bases = program.bases.copy()
+        bases[:, 0, 3] += 0.1
+        if not moves_with_cell:
+            bases[1] = own
+        shifted = replace(program, bases=bases)
+    robot_in_cell = RobotInCell.of(model, STATED)
+    if change < 1e-6 and moves_with_cell is not False:
+        region.check_base(program, robot_in_cell, shifted)
+        return
+    if moves_with_cell is True:
+        with pytest.raises(InputError, match="line 6: "):
+            region.check_base(program, robot_in_cell, shifted)
+        return
+    with pytest.raises(InputError, match="line 6: the motions are in a"):
+        region.check_base(program, robot_in_cell, shifted)
