@@ -2,4 +2,5 @@
 
 import os
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as `cli` does: others would wait in a loop
+# as `cli` does: others would wait in a loop
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
