@@ -18,6 +18,20 @@ settings.register_profile(
 settings.load_profile("postproc")
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """Give all tests of the documentation to one worker: they share the folder in which the pages are followed."""
+    if config.getoption("dist") != "loadfile":
+        return None
+    from xdist.scheduler import LoadFileScheduling
+
+    class Scheduling(LoadFileScheduling):
+        def _split_scope(self, nodeid):
+            return "tests/documentation" if nodeid.startswith("tests/documentation/") else super()._split_scope(nodeid)
+
+    return Scheduling(config, log)
+
+
 def pytest_collection_finish():
     """Leave modules and collected tests out of garbage collection: full ones would go through all of them."""
     gc.collect()
