@@ -1,13 +1,15 @@
-"""A window on an empty folder."""
+"""A window on an empty folder, and a folder with a corrected program."""
 
 from __future__ import annotations
 
 import contextlib
+import shutil
 from threading import Thread
 
 import pytest
 
 from postproc.app.server import Window
+from tests.test_currency import made
 
 
 @pytest.fixture
@@ -17,6 +19,18 @@ def window(tmp_path):
     folder.mkdir()
     with Window(folder, 0) as served, answering(served):
         yield served
+
+
+@pytest.fixture(scope="session")
+def original(tmp_path_factory):
+    """A folder with a corrected program: tests work on copies."""
+    return made(tmp_path_factory.mktemp("original") / "shop")
+
+
+@pytest.fixture
+def shop(original, tmp_path):
+    """A copy of the folder with a corrected program."""
+    return shutil.copytree(original, tmp_path / "made")
 
 
 @contextlib.contextmanager

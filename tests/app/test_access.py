@@ -15,7 +15,6 @@ from postproc.app import server
 from postproc.app.workspace import LARGEST_BYTES, Workspace
 from postproc.errors import InputError
 from tests.places import ROOT
-from tests.test_currency import made
 
 POCKET = (ROOT / "samples" / "pocket.nc").read_bytes()
 REFUSED = 403
@@ -154,9 +153,9 @@ def test_other_kinds_of_files_are_not_added(window):
         assert ask(window, "POST", f"/add?name={name}", b"x")[0] == 400
 
 
-def test_results_of_earlier_inputs_are_not_current(tmp_path):
+def test_results_of_earlier_inputs_are_not_current(shop):
     """Contents count, never dates: an edited file may be older than its result, and a touched one is the same."""
-    workspace = Workspace(made(tmp_path / "shop"))
+    workspace = Workspace(shop)
     path = workspace.folder / "part.nc"
 
     def current():

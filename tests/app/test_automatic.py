@@ -16,17 +16,12 @@ from postproc.jobs.arrivals import Arrivals
 from tests.app.conftest import answering
 from tests.app.test_window import looked_at, opened
 from tests.pages.browser import needs_chromium
-from tests.test_currency import PROGRAM, made
-
-
-@pytest.fixture(scope="module")
-def corrected(tmp_path_factory):
-    return made(tmp_path_factory.mktemp("corrected") / "shop")
+from tests.test_currency import PROGRAM
 
 
 @pytest.fixture
-def folder(corrected, tmp_path):
-    return shutil.copytree(corrected, tmp_path / "shop").resolve()
+def folder(shop):
+    return shop.resolve()
 
 
 @pytest.fixture

@@ -14,14 +14,13 @@ from tests.app.conftest import answering
 from tests.app.test_window import looked_at, opened
 from tests.pages.browser import needs_chromium
 from tests.places import ROOT
-from tests.test_currency import made
 
 pytestmark = needs_chromium
 
 
 @pytest.fixture(scope="module")
-def corrected(tmp_path_factory):
-    folder = made(tmp_path_factory.mktemp("corrected") / "shop")
+def corrected(original, tmp_path_factory):
+    folder = shutil.copytree(original, tmp_path_factory.mktemp("corrected") / "shop")
     (folder / "demo").mkdir()
     for name in ("experiment.toml", "measurements.csv"):
         shutil.copy(ROOT / "samples" / "demo" / name, folder / "demo")

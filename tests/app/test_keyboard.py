@@ -14,7 +14,7 @@ from tests.app.conftest import answering
 from tests.app.test_window import looked_at, opened
 from tests.pages.browser import needs_chromium
 from tests.places import ROOT
-from tests.test_currency import PROGRAM, made
+from tests.test_currency import PROGRAM
 
 pytestmark = needs_chromium
 
@@ -45,9 +45,9 @@ _BROKEN_REFERENCES = """() => [...document.querySelectorAll('[aria-labelledby], 
 
 
 @pytest.fixture(scope="module")
-def window(tmp_path_factory):
+def window(original, tmp_path_factory):
     """A window on a folder with a corrected program, a new one, readings, and commands that have ended."""
-    folder = made(tmp_path_factory.mktemp("keyboard") / "shop")
+    folder = shutil.copytree(original, tmp_path_factory.mktemp("keyboard") / "shop")
     (folder / "new.nc").write_text("(T1 D=12. CR=0. - ZMIN=-2. - flat end mill)\n" + PROGRAM)
     (folder / "demo").mkdir()
     for name in ("experiment.toml", "measurements.csv"):
@@ -105,16 +105,15 @@ def test_faults_of_the_set_up_are_read_with_their_fields(browser, window):
         looked_at(page, "61-faults")
 
 
-def test_a_change_of_the_list_keeps_the_focus_and_the_chooser_of_files(browser, tmp_path):
-    folder = made(tmp_path / "shop")
-    with Window(folder, 0) as window, answering(window), opened(browser, window) as page:
+def test_a_change_of_the_list_keeps_the_focus_and_the_chooser_of_files(browser, shop):
+    with Window(shop, 0) as window, answering(window), opened(browser, window) as page:
         page.evaluate("document.querySelector('.drop input').dataset.same = 'yes'")
         page.get_by_role("link", name="part.nc", exact=True).focus()
-        (folder / "other.nc").write_text(PROGRAM)
+        (shop / "other.nc").write_text(PROGRAM)
         page.get_by_role("row", name="other.nc").wait_for()
         assert page.evaluate("document.activeElement.textContent") == "part.nc"
         assert page.evaluate("document.querySelector('.drop input').dataset.same") == "yes"
-        (folder / "other.nc").unlink()
+        (shop / "other.nc").unlink()
         page.get_by_role("row", name="other.nc").wait_for(state="detached")
         page.locator("input[type=file]").set_input_files(ROOT / "samples" / "plate.nc")
         page.wait_for_url("**/setup?*")

@@ -16,7 +16,7 @@ from tests.app.conftest import answering
 from tests.app.test_access import ask
 from tests.app.test_window import looked_at, opened
 from tests.pages.browser import needs_chromium
-from tests.test_currency import CELL, PROCESS, PROGRAM, made
+from tests.test_currency import CELL, PROCESS, PROGRAM
 
 FUSION = "(T1 D=12. CR=0. - ZMIN=-2. - flat end mill 3 flutes)\n" + PROGRAM
 STATED = {"material.name": "al_7075_hss"}
@@ -153,10 +153,9 @@ def test_the_process_is_not_changed_while_a_command_runs(window):
     run.stop()
 
 
-def test_the_process_for_all_programs_is_that_of_a_program_without_one(tmp_path):
-    folder = made(tmp_path / "shop")
-    results = folder / "corrected"
-    with Window(folder, 0) as window:
+def test_the_process_for_all_programs_is_that_of_a_program_without_one(shop):
+    results = shop / "corrected"
+    with Window(shop, 0) as window:
         assert window.workspace.process("part.nc") == results / "part.process.toml"
         assert window.workspace.process("other.nc") is None
         shutil.copy(results / "part.process.toml", results / "process.toml")

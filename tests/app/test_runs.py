@@ -19,7 +19,7 @@ import pytest
 from postproc.app.runs import Run, Runs
 from postproc.errors import InputError
 from tests.app.test_access import ask
-from tests.test_currency import PROGRAM, made
+from tests.test_currency import PROGRAM
 
 WATCH = ("watch", "idle", "--cell", "corrected/cell.toml")
 """A command that runs until it is stopped; of an empty folder: one that prints ends by its closed stdout anyway."""
@@ -27,12 +27,11 @@ PATIENCE_S = 60.0
 
 
 @pytest.fixture
-def shop(tmp_path):
-    folder = made(tmp_path / "made")
-    (folder / "idle").mkdir()
-    (folder / "corrected" / "place-part").mkdir()
-    (folder / "corrected" / "place-part" / "place.toml").write_text("[base]\nX = 1600.0\nY = 0.0\nZ = 700.0\nA = 0.0\n")
-    return folder
+def shop(shop):
+    (shop / "idle").mkdir()
+    (shop / "corrected" / "place-part").mkdir()
+    (shop / "corrected" / "place-part" / "place.toml").write_text("[base]\nX = 1600.0\nY = 0.0\nZ = 700.0\nA = 0.0\n")
+    return shop
 
 
 def until(condition):
