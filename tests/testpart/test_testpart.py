@@ -93,6 +93,20 @@ def identify(folder, *options, code=0):
                "--program", folder / "testpart.nc", *options, code=code)  # fmt: skip
 
 
+@pytest.fixture(scope="module")
+def identified(folder, cut):
+    """The result of the command that identified the robot from the part."""
+    return identify(folder, "-o", folder / "my_robot")
+
+
+@pytest.fixture(scope="module")
+def fitted(folder, cut):
+    """Prior, fit and the points left out, of the same part."""
+    given, robot_in_cell, states = readings(folder, "probed.csv")
+    prior = Prior.of(robot_in_cell.robot, 0.1)
+    return prior, *fit(prior, given, robot_in_cell, states())
+
+
 def test_the_part_is_in_the_block_and_its_krl_is_marked_as_nominal(folder):
     rows = list(csv.DictReader((folder / "probing.csv").read_text().splitlines()))
     names = {f"F{k:02d}" for k in range(1, FEATURES + 1)} | {f"T{k:02d}" for k in range(1, 5)}
@@ -123,11 +137,10 @@ def test_the_model_predicts_the_surfaces_that_the_simulator_cuts(folder):
     assert np.abs(off).max() < 1.5e-5
 
 
-def test_errors_on_other_jobs_are_less_and_inside_the_bound(folder, cut):
+def test_errors_on_other_jobs_are_less_and_inside_the_bound(folder, cut, identified):
     arm, scale = cut
-    done = identify(folder, "-o", folder / "my_robot")
-    assert "the model may be used" in done.output
-    (held,) = [line for line in done.output.splitlines() if "the part does not determine" in line]
+    assert "the model may be used" in identified.output
+    (held,) = [line for line in identified.output.splitlines() if "the part does not determine" in line]
     assert "k6" in held
     model = robot.load(folder / "my_robot")
     material = machining.load(_with(folder)).law()
@@ -162,9 +175,8 @@ M30
 
 
 @pytest.fixture(scope="module")
-def found(folder, cut):
+def found(folder, identified):
     """The cell with the model that was identified from the part."""
-    identify(folder, "-o", folder / "my_robot", "--overwrite")
     path = folder / "cell.toml"
     path.write_text(Path(CELL).read_text().replace('robot = "kuka_kr270"', f'robot = "{folder / "my_robot"}"'))
     return path
@@ -252,12 +264,10 @@ def test_deviations_of_another_sign_or_unit_are_named(folder, cut, factor, advic
     assert advice in str(error.value)
 
 
-def test_true_values_are_where_the_covariance_says(folder, cut):
+def test_true_values_are_where_the_covariance_says(cut, fitted):
     """Compliances and scale of the simulated robot: 99.9 % are nearer than this to the values found (χ² of 8)."""
     _, scale = cut
-    given, robot_in_cell, states = readings(folder, "probed.csv")
-    prior = Prior.of(robot_in_cell.robot, 0.1)
-    found, _ = fit(prior, given, robot_in_cell, states())
+    prior, found, _ = fitted
     true = prior.values.copy()
     for k, parameter in enumerate(prior.parameters):
         if isinstance(parameter, robot.JointCompliance):
@@ -292,9 +302,8 @@ def test_compare_says_that_it_is_blind_to_a_common_factor_if_the_forces_are_of_a
     assert done.output.startswith("the model holds")
 
 
-def test_forces_far_from_their_prior_are_a_warning(folder, cut):
-    given, robot_in_cell, states = readings(folder, "probed.csv")
-    found, left_out = fit(Prior.of(robot_in_cell.robot, 0.1), given, robot_in_cell, states())
+def test_forces_far_from_their_prior_are_a_warning(fitted):
+    _, found, left_out = fitted
     for scale, doubt in ((1.29, False), (1.31, True), (0.69, True), (0.71, False)):
         data = summary(msgspec.structs.replace(found, scale=scale), left_out)
         assert any("more than three standard deviations" in text for text in data.warnings) == doubt
