@@ -10,18 +10,18 @@ from tests.machining.setting import AL7075
 from tests.oracle import fronts
 from tests.oracle.teeth import Teeth
 
-ALLOWED = {"bull R5 c1 finish 0.3": 0.08}
-"""RMS of the error as a share of that of the force, where contacts are a few cells wide."""
-OTHERWISE = 0.06
-PLACES = {"bull R5 c1 finish 0.3": 12}
-"""Places where the force is compared; 25 in other cases. Exact fronts of many short moves take a second each."""
+ALLOWED = 0.035
+"""RMS of the error as a share of that of the force; the largest of these cases is 0.024."""
+PLACES = {"bull R5 c1 finish 0.3": 6}
+"""Places where the force is compared; 12 in other cases, `tests.benchmarks.fronts` has more. Exact fronts of many short
+moves take a second each."""
 
 
 @pytest.mark.parametrize("name", CASES)
 def test_forces_on_random_surfaces_are_those_of_exact_fronts(tmp_path, name):
-    error = compared(tmp_path, CASES[name], np.random.default_rng(5), count=PLACES.get(name, 25)).error
+    error = compared(tmp_path, CASES[name], np.random.default_rng(5), count=PLACES.get(name, 12)).error
     print(f"{name}: RMS {100 * error:.1f} %")
-    assert error <= ALLOWED.get(name, OTHERWISE)
+    assert error <= ALLOWED
 
 
 def test_a_thin_pass_down_a_slope_has_no_contact_behind_its_ridge(tmp_path):

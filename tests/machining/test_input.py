@@ -129,7 +129,7 @@ def test_a_cut_that_takes_more_than_the_spindle_has(tmp_path, limit, exceeded):
 
 
 def test_a_mesh_that_is_25_times_too_large(tmp_path):
-    mesh = trimesh.creation.box(bounds=np.array([[0, 0, 0], [20, 16, 20]]) * 25.4)
+    mesh = trimesh.creation.box(bounds=np.array([[0, 0, 0], [6, 4, 20]]) * 25.4)
     mesh.export(tmp_path / "stock.stl")
     text = gcode("G0 X10 Y20 Z700", "Z25", "G1 Z17 F2400", "X90")
     _, found = forces(tmp_path, text, mesh_process("stock.stl"))

@@ -52,7 +52,7 @@ def test_the_best_place_is_within_two_percent_of_a_brute_force_grid(name):
     judged, _, _ = programs(in_line(name))
     bounds = Region((700.0, -400.0, 600.0, -30.0, 0.0), (2600.0, 400.0, 600.0, 30.0, 0.0))
     found = region.search(judged, bounds)
-    sides = [np.linspace(bounds.low[k], bounds.high[k], {0: 9, 1: 7, 2: 1, 3: 5}[k]) for k in range(4)]
+    sides = [np.linspace(bounds.low[k], bounds.high[k], {0: 9, 1: 5, 2: 1, 3: 3}[k]) for k in range(4)]
     grid = [judged.judge(np.array([*place, 0.0])) for place in product(*sides)]
     assert any(not place.reachable for place in grid)
     assert found.best.cost <= 1.02 * min(place.cost for place in grid)
