@@ -175,8 +175,7 @@ def step_of(name):
     return 1e-11 if name[-2] == "." and name[-1] in "XYZ" else 5e-10
 
 
-@STATES
-@pytest.mark.parametrize("seed", [0, 7])
+@pytest.mark.parametrize(("seed", "gravity"), [(0, GRAVITIES[1]), *((7, gravity) for gravity in GRAVITIES)], ids=str)
 def test_what_the_tool_moves_with_each_parameter_is_that_by_differences_of_the_oracle(seed, gravity):
     model, arm, q, wrench = arms(seed, gravity)
     q, wrench = q[:2], wrench[:2]
@@ -227,8 +226,12 @@ def at_first_order(arm, q, tool, wrench):
     return jacobian[:3] @ theta
 
 
-@STATES
-@pytest.mark.parametrize(("seed", "payload"), [(0, NO_PAYLOAD), (1, PAYLOAD), (7, NO_PAYLOAD)], ids=["0", "1", "7"])
+@pytest.mark.parametrize(
+    ("seed", "payload", "gravity"),
+    [(0, NO_PAYLOAD, GRAVITIES[1]), (1, PAYLOAD, GRAVITIES[0]), (1, PAYLOAD, GRAVITIES[3])]
+    + [(7, NO_PAYLOAD, gravity) for gravity in GRAVITIES],
+    ids=str,
+)
 def test_sensitivity_of_the_bound_is_that_of_the_deflection_at_first_order(payload, seed, gravity):
     model, arm, q, wrench = arms(seed, gravity, payload)
     if payload is PAYLOAD:  # what it bends is no small load to gears that stiffen

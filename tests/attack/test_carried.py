@@ -4,5 +4,5 @@ from tests.attack import carried
 
 
 def test_random_programs_are_confirmed_as_written():
-    results = {carried.try_program(seed) for seed in range(25)}
+    results = {carried.try_program(seed) for seed in range(15)}
     assert {"carried by a file", "carried by comments"} <= results

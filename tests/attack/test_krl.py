@@ -17,30 +17,30 @@ from tests.attack.krl_interpreter import Controller, abc
 
 
 def test_random_programs_do_what_is_read_and_what_is_written():
-    outcomes = Counter(attack(seed) for seed in range(120))
-    assert outcomes["accepted"] > 30
+    outcomes = Counter(attack(seed) for seed in range(70))
+    assert outcomes["accepted"] > 18
 
 
 def test_what_enters_variables_of_other_types_is_what_the_controller_makes_of_it():
-    outcomes = Counter(attack(seed) for seed in range(1_000_000, 1_000_060))
-    assert outcomes["accepted"] > 12
+    outcomes = Counter(attack(seed) for seed in range(1_000_000, 1_000_040))
+    assert outcomes["accepted"] > 8
 
 
 def test_nested_loops_splines_and_synchronised_robots_are_what_the_controller_makes_of_them():
-    outcomes = Counter(attack(seed) for seed in range(MIXED, MIXED + 80))
-    assert outcomes["accepted"] > 25
+    outcomes = Counter(attack(seed) for seed in range(MIXED, MIXED + 50))
+    assert outcomes["accepted"] > 15
 
 
 def test_routines_that_save_change_and_restore_what_the_controller_keeps_do_what_is_read_and_written():
-    outcomes = Counter(attack(seed) for seed in range(MIXED + STATES, MIXED + STATES + 60))
-    assert outcomes["accepted"] > 12
+    outcomes = Counter(attack(seed) for seed in range(MIXED + STATES, MIXED + STATES + 40))
+    assert outcomes["accepted"] > 8
 
 
 def test_programs_with_one_value_in_doubt_at_most_do_what_is_read_and_written():
     first = MIXED + STATES + SNIPPETS
-    outcomes = Counter(attack(seed) for seed in range(first, first + 100))
-    assert outcomes["accepted"] > 30
-    assert outcomes["refused"] > 20
+    outcomes = Counter(attack(seed) for seed in range(first, first + 60))
+    assert outcomes["accepted"] > 18
+    assert outcomes["refused"] > 12
 
 
 def test_pieces_that_are_understood_are_accepted_and_most_others_refused():
@@ -131,9 +131,9 @@ def test_programs_that_call_one_routine_both_followed_and_not_followed():
 
 
 def test_damaged_programs_are_refused_with_a_message_or_read():
-    outcomes = Counter(damaged(seed) for seed in range(150))
-    assert outcomes["read"] > 6
-    assert outcomes["refused: True"] > 60
+    outcomes = Counter(damaged(seed) for seed in range(100))
+    assert outcomes["read"] > 4
+    assert outcomes["refused: True"] > 40
     assert outcomes["refused: False"] == 0
 
 

@@ -24,14 +24,14 @@ def test_the_loaded_tool_goes_where_the_job_said_whatever_inputs_say():
 
 
 def test_jumps_over_statements_and_routines_left_early_do_what_the_job_said():
-    outcomes = Counter(attack(seed).partition(":")[0] for seed in range(1_000_000, 1_000_030))
-    assert sum(number for name, number in outcomes.items() if name != "refused") > 15
+    outcomes = Counter(attack(seed).partition(":")[0] for seed in range(1_000_000, 1_000_020))
+    assert sum(number for name, number in outcomes.items() if name != "refused") > 10
     assert attack(4_000_071) == "branches, in files"  # a force behind branches that meet where a routine ends
     assert attack(4_000_130) == "kept"  # a function of another file that moves
 
 
 def test_jobs_that_inputs_choose_do_what_they_said_each_from_its_home_position():
-    outcomes = Counter(attack(seed).partition(",")[0] for seed in range(10_000_000, 10_000_030))
+    outcomes = Counter(attack(seed).partition(",")[0] for seed in range(10_000_000, 10_000_020))
     assert outcomes["branches"] > 2
 
 

@@ -265,6 +265,7 @@ def tried(row: Row, seed: int, validated: bool = False) -> dict[str, Any]:
         "error": error,
         "bound": bound,
         "refused": done.data.verdict.refused,
+        "text": done.text,
         "validation": checked,
         "structure": "" if done.data.structure is None else done.data.structure.reason,
         "seconds": used,

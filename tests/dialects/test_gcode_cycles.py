@@ -80,7 +80,7 @@ def holes(draw: st.DrawFn) -> str:
 
 
 @needs_rs274
-@settings(max_examples=60, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=35, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
 @given(holes())
 def test_random_holes_have_the_moves_of_rs274(text: str) -> None:
     assert_same_moves(read(text), canonical(text), 1.0, digits=1e-4)

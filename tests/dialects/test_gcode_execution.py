@@ -215,7 +215,7 @@ EXPRESSIONS = st.recursive(NUMBERS | st.sampled_from(["#1", "#2", "##2"]), _larg
 
 
 @needs_rs274
-@settings(max_examples=60, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=35, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
 @given(st.lists(EXPRESSIONS, min_size=1, max_size=3))
 def test_random_expressions_have_the_values_of_rs274(expressions: list[str]) -> None:
     text = "G21 G90 G0 X0 Y0 Z0\n#1=4.5 #2=1 F60\n" + "\n".join(f"G1 Z{n + 1} X{e}" for n, e in enumerate(expressions))
@@ -276,7 +276,7 @@ def structures(draw: st.DrawFn) -> str:
 
 
 @needs_rs274
-@settings(max_examples=50, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=30, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
 @given(structures())
 def test_random_structures_are_executed_as_by_rs274(text: str) -> None:
     try:

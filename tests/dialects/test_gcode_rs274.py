@@ -130,7 +130,7 @@ def programs(draw: st.DrawFn) -> Writer:
     return writer
 
 
-@settings(max_examples=50, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=30, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
 @given(programs())
 def test_generated_programs_have_the_moves_of_rs274(writer: Writer) -> None:
     assert_same_moves(read(writer.text(1)), canonical(writer.text(SCALE)), SCALE)
@@ -161,7 +161,7 @@ BLOCK = st.lists(st.sampled_from(WORDS.split(" ")) | LENGTHS | LENGTHS, min_size
 SOUP = st.lists(BLOCK.filter(lambda block: block.count("G80") < 2), min_size=1, max_size=3)
 
 
-@settings(max_examples=80, deadline=None, derandomize=True)
+@settings(max_examples=50, deadline=None, derandomize=True)
 @given(SOUP)
 def test_random_blocks_are_refused_exactly_when_rs274_refuses_them(blocks: list[str]) -> None:
     text = "G21 G90 G0 X0 Y0 Z0 F10\n" + "\n".join(blocks) + "\nM2\n"

@@ -1,13 +1,16 @@
 """FOR whose points are computed from the counter: taken at once, it means what it means round by round."""
 
+import contextlib
+
 import numpy as np
 import pytest
 from msgspec.structs import replace
 
 from postproc.dialects import krl
 from postproc.dialects.krl.read import flow, main_routine
+from postproc.errors import PostprocError
 from tests.dialects.krl_programs import CELL, body, read, targets
-from tests.dialects.test_krl_plain_rounds import KEEPING, POINTS, START, data, outcome
+from tests.dialects.test_krl_plain_rounds import KEEPING, POINTS, START, SUB, data, outcome
 from tests.effort import calls_for_each
 
 GIVING = replace(CELL, krl=replace(CELL.krl, values={"G": 2.5, "G2[2]": 3.0}))
@@ -84,7 +87,7 @@ def points(seed):
     return data(form).replace("ENDDAT", "\r\n".join([*VARIABLES, "ENDDAT"]))
 
 
-@pytest.mark.parametrize("seed", range(150))
+@pytest.mark.parametrize("seed", range(100))
 def test_rounds_computed_at_once_mean_what_they_mean_one_by_one(seed, monkeypatch):
     monkeypatch.setattr(flow, "FEWEST_ROUNDS", 1)
     case = random_lines(seed), points(seed), (CELL, CELL, KEEPING, GIVING)[seed % 4]
@@ -109,7 +112,8 @@ def test_many_of_the_random_rounds_are_computed_at_once(monkeypatch):
     computed_motions = main_routine.computed_motions
     monkeypatch.setattr(main_routine, "computed_motions", noting)
     for seed in range(100):
-        outcome(random_lines(seed), points(seed), CELL)
+        with contextlib.suppress(PostprocError):
+            read(body(START, *random_lines(seed)) + SUB, points(seed))
     assert sum(taken) > 20
     assert taken.count(False) > 5
 
@@ -136,4 +140,4 @@ def test_a_computed_round_costs_few_calls(lines, limit, monkeypatch):
 
         return work
 
-    assert calls_for_each(making, 4000, 5000) < limit
+    assert calls_for_each(making, 3000, 3600) < limit

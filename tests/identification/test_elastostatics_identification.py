@@ -54,7 +54,7 @@ def test_95_percent_intervals_cover_the_truth_and_leave_no_bias(tmp_path):
     scores = []
     for _ in range(12):
         noisy = harness.with_readings(data, simulator.readings(exact, rng, SIGMA, 3))
-        _, values, covariance = to_file_units(identify(harness.PRIOR, noisy).fit)
+        _, values, covariance = to_file_units(identify(harness.PRIOR, noisy, depth="joints").fit)
         scores.append((values - expected) / np.sqrt(np.diag(covariance)))
     scores = np.array(scores)
     assert 0.88 < np.mean(np.abs(scores) < 1.96) < 1.0  # 96 intervals

@@ -235,18 +235,16 @@ def test_too_few_configurations_are_refused_in_the_first_line_and_the_model_says
 
 
 @pytest.mark.parametrize(("name", "poses"), [("two loads", 4), ("two loads, varied", 4)])
-def test_few_configurations_of_a_real_robot_are_a_reservation_since_priors_and_bound_hold(tmp_path, name, poses):
-    truth.experiment(dataclasses.replace(row(name), poses=poses), 821, tmp_path)
-    done = identify_folder(tmp_path / "measurements.csv", tmp_path / "experiment.toml", tmp_path / "model")
+def test_few_configurations_of_a_real_robot_are_a_reservation_since_priors_and_bound_hold(name, poses):
     result = truth.tried(dataclasses.replace(row(name), poses=poses), 821)
-    assert not done.data.verdict.refused
-    assert f"with a reservation: {poses} configurations show little" in done.text
+    assert not result["refused"]
+    assert f"with a reservation: {poses} configurations show little" in result["text"]
     assert result["inside"] >= 0.9
     assert result["factor"] > 5.0
 
 
 @pytest.mark.parametrize("case", [{"sigma": 1e-3, "poses": 10}, {"levels": (0.02,)}])
-def test_links_that_noise_hides_are_in_the_bound(tmp_path, case):
+def test_links_that_noise_hides_are_in_the_bound(case):
     """Joint springs suffice for the readings, and the bound of least squares held at 14 % of the places."""
     noisy = dataclasses.replace(row("two loads"), **case)
     for seed in (801, 805):
