@@ -1546,6 +1546,31 @@ LIN @P C_ORI
 LIN @P C_VEL
 SLIN @P C_SPL
 @M
+
+DATA BASE_DATA[2]={@(X 1000,Y 0|Z 500,A 5,B 0,C 0|X 1000)}
+DATA TOOL_DATA[2]={@(X 20,Z 280|A 0,B 90,C 0)}
+$BASE=BASE_DATA[@(1|3)]
+@M
+
+IF ($IN[1] EXOR (J==@N)) AND (J==@(1|3)) THEN
+LIN XA
+ENDIF
+IF ($IN[2] EXOR FALSE) OR NOT (J==@(1|3)) THEN
+LIN XB
+ENDIF
+@M
+
+SUB~(J)
+SUB~(NC)
+SUB~(I)
+LIN P[J]
+DEF SUB~(K:OUT)
+DECL INT K
+DECL E6POS X
+X=P[K]
+X.Z=X.Z+@R
+LIN X
+END
 """
 """Pieces that are understood."""
 
@@ -2619,6 +2644,50 @@ FOR IV~=1 TO 4
 LIN {X RX~,Y IV~,Z @(RX~|GONE()|1/IV~|IV~/2.0),A 3,B 4,C 5}
 RX~=RX~+1
 ENDFOR
+
+@(MOVE XA|J==3|XA|$OUT[1]|LINX {X 1}|J+1)
+@M
+
+DATA BASE_DATA[2]={X 1000,Y @(0|1|0.5),Z 500,A 5,B 0,C 0}
+BAS(#BASE,2)
+@M
+
+DATA TOOL_DATA[2]={X 20,Y 0,Z @(280|281),A 0,B @(90|89),C 0}
+$TOOL=TOOL_DATA[2]
+@M
+
+LOOP
+PTP XHOME
+SUB~()
+@(J=3|J=2|N[2]=1|SX.N=3|SX.N=1|$VEL.CP=0.4|XA.X=XA.X+1|R[1]=R[1]+1|I=I)
+PTP XHOME
+ENDLOOP
+DEF SUB~()
+@(LIN P[J]|LIN P[N[2]]|LIN P[SX.N]|LIN XA|LIN P[FN~()]|LIN {X R[1],Y 2,Z 3,A 4,B 5,C 6})
+END
+DEFFCT INT FN~()
+RETURN (J)
+ENDFCT
+
+LOOP
+PTP XHOME
+IF J==2 THEN
+LIN XA
+ENDIF
+@(J=3|J=2|GOTO LABEL~|FOR J=1 TO 2)
+@(ENDFOR|I=I)
+LABEL~:
+PTP XHOME
+ENDLOOP
+
+DATA DECL INT IV~=1
+LOOP
+PTP XHOME
+@(IV~=1|IV~=IV~+1|XA={X 5,Y 7}|XA=@P)
+@(LIN P[1]|LIN P[IV~]|LIN XA|LIN XA:XB)
+IV~=@(2|IV~)
+PTP XHOME
+ENDLOOP
 """
 """Pieces whose motions depend on what is not known, or that a controller does not accept: most are refused."""
 
