@@ -10,7 +10,7 @@ from collections.abc import Collection, Iterator
 
 from msgspec import Struct
 
-from postproc.dialects.krl.language.tokens import NAME
+from postproc.dialects.krl.language.tokens import names_in
 
 _FIRST = r"(?:\A|(?<=[\r\n]))[ \t]*"
 """The beginning of a line, whatever ends the one before."""
@@ -78,7 +78,7 @@ def global_variables(text: str) -> frozenset[str]:
 
 def assigned(text: str) -> frozenset[str]:
     """Return the names, upper case, of variables that statements of a `.src` set and it does not declare itself."""
-    local_names = {name.upper() for line in _DECLARATION.findall(text) for name in NAME.findall(line)}
+    local_names = set().union(*map(names_in, _DECLARATION.findall(text)))
     return frozenset(name.upper() for name in _ASSIGNMENT.findall(text)) - local_names
 
 
@@ -119,7 +119,7 @@ def words(text: str) -> Iterator[tuple[str, int]]:
 
 def names(text: str) -> set[str]:
     """Return the names in a text, upper case, those in strings included, those in comments not."""
-    return {name.upper() for word, _ in words(text) for name in NAME.findall(word)}
+    return set().union(*(names_in(word) for word, _ in words(text)))
 
 
 def places(text: str, names_to_find: Collection[str]) -> Iterator[tuple[str, int]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Iterator
 
 from msgspec import Struct
@@ -143,6 +144,11 @@ class Occurrence(Struct, frozen=True):
     stop: int
     name: str
     called: bool
+
+
+def names_in(text: str, start: int = 0, stop: int = sys.maxsize) -> set[str]:
+    """Return the names in ``text[start:stop]``, upper case: words of KRL, components and those in comments too."""
+    return {name.upper() for name in NAME.findall(text, start, stop)}
 
 
 def occurrences(text: str, start: int, stop: int) -> Iterator[Occurrence]:

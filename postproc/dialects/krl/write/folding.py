@@ -24,7 +24,7 @@ from postproc.dialects.krl.language.names import Names
 from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.routines import Routine
 from postproc.dialects.krl.language.source import Source
-from postproc.dialects.krl.language.tokens import NAME, indent
+from postproc.dialects.krl.language.tokens import indent, names_in
 from postproc.dialects.krl.language.tree import Definition
 from postproc.dialects.krl.write.edited_rows import EditedRows, line_count, line_text
 from postproc.errors import Issue
@@ -288,8 +288,8 @@ class _Folder(Struct, eq=False):
         """Return a name for a copy of a routine."""
         if self.names is None:
             sources = dict.fromkeys([*self.course.trace.sources, *(routine.source for routine in self.versions)])
-            words = {word.upper() for source in sources for word in NAME.findall(source.text)}
-            self.names = Names(words | self.course.taken)
+            words = (names_in(source.text) for source in sources)
+            self.names = Names(set(self.course.taken).union(*words))
         routine = call.routine
         head = statement(routine.source, routine.first)
         spelling = head.name if isinstance(head, Definition) else routine.name

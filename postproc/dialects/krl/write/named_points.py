@@ -18,7 +18,7 @@ from postproc.dialects.krl.language.motion_statements import MotionStatement, Po
 from postproc.dialects.krl.language.names import Names
 from postproc.dialects.krl.language.positions import from_aggregate
 from postproc.dialects.krl.language.source import Place, Source
-from postproc.dialects.krl.language.tokens import NAME, word_at
+from postproc.dialects.krl.language.tokens import NAME, names_in, word_at
 from postproc.dialects.krl.language.values import Aggregate
 from postproc.dialects.krl.layout import Elements, Layout
 from postproc.dialects.krl.write.edits import Replacements
@@ -129,7 +129,7 @@ class NamedPoints(Struct, eq=False):
         """Declare a new point behind the line of another; return its name."""
         source = aggregate.source
         if self._names is None:
-            self._names = Names({word.upper() for file in self.sources for word in NAME.findall(file.text)})
+            self._names = Names(set().union(*(names_in(file.text) for file in self.sources)))
         new = self._names.unused(name)
         line = source.line_at(aggregate.start)
         start, stop, following = int(source.starts[line - 1]), int(source.stops[line - 1]), int(source.starts[line])

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from postproc.dialects.krl.language import scan
 from postproc.dialects.krl.language.names import MAX_LENGTH, fault_of, unused
 from postproc.dialects.krl.language.parts import MAIN, beyond, called
-from postproc.dialects.krl.language.tokens import BLANKS, NAME, after_blanks, after_sign
+from postproc.dialects.krl.language.tokens import BLANKS, NAME, after_blanks, after_sign, names_in
 from postproc.program import Document
 
 
@@ -155,7 +155,7 @@ def _with_other_routines(text: str, new: Mapping[str, str]) -> str | None:
     last = next_sign = 0
     last_word = ""
     for word, start in scan.words(text):
-        if word[0] == '"' and any(name.upper() in new for name in NAME.findall(word)):
+        if word[0] == '"' and not new.keys().isdisjoint(names_in(word)):
             return None
         head = last_word in _HEADS and not text[next_sign:start].strip(BLANKS)
         last_word, next_sign = word.upper(), start + len(word)

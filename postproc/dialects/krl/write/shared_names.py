@@ -18,7 +18,15 @@ from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.parts import MAIN
 from postproc.dialects.krl.language.routines import Routine
 from postproc.dialects.krl.language.source import Source
-from postproc.dialects.krl.language.tokens import NAME, after_blanks, after_word, key_word, occurrences, word_at
+from postproc.dialects.krl.language.tokens import (
+    NAME,
+    after_blanks,
+    after_word,
+    key_word,
+    names_in,
+    occurrences,
+    word_at,
+)
 from postproc.dialects.krl.language.tree import Assignment, Cyclic, Declaration, Definition, Event, For
 from postproc.dialects.krl.write.division import ADVICE, undivided
 from postproc.dialects.krl.write.edits import Replacements
@@ -113,7 +121,7 @@ class Sharing:
         for routine in (self.main, *self.others):
             for line in range(routine.first + 1, routine.last):
                 start, stop = self.source.code_span(line)
-                names = variables & {word.upper() for word in NAME.findall(self.source.text, start, stop)}
+                names = variables & names_in(self.source.text, start, stop)
                 if not names or (routine is self.main and line in declaration_lines):
                     continue
                 names &= {item.name for item in occurrences(self.source.text, start, stop)}
@@ -141,7 +149,7 @@ class Sharing:
         if isinstance(node, For):
             return {node.name}
         if isinstance(node, Event) or (isinstance(node, Cyclic) and node.word != "SIGNAL"):
-            return {name.upper() for name in NAME.findall(source.text, node.start, node.stop)}
+            return names_in(source.text, node.start, node.stop)
         names = {node.target.name} if isinstance(node, Assignment) else set()
         for call in calls(node.values):
             if call.name != "BAS":
@@ -149,7 +157,7 @@ class Sharing:
                 open_ = [
                     a for k, a in enumerate(call.arguments) if not (k < len(parameters) and parameters[k].by_value)
                 ]
-                names |= {name.upper() for item in open_ for name in NAME.findall(source.text, item.start, item.stop)}
+                names = names.union(*(names_in(source.text, item.start, item.stop) for item in open_))
         return names
 
     def _check_types(self, local_names: Collection[str], data_names: Mapping[str, Declared]) -> None:
@@ -236,9 +244,7 @@ class Sharing:
             all_names = names.keys() | routines.keys()
             for line in range(routine.first, routine.last):
                 start, stop = self.source.code_span(line)
-                if line in removed_lines or all_names.isdisjoint(
-                    word.upper() for word in NAME.findall(text, start, stop)
-                ):
+                if line in removed_lines or all_names.isdisjoint(names_in(text, start, stop)):
                     continue
                 for item in occurrences(text, start, stop):
                     is_call = item.called or line == routine.first

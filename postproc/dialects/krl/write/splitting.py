@@ -30,7 +30,7 @@ from postproc.dialects.krl.language.parts import MAIN, joined, taken_apart
 from postproc.dialects.krl.language.routines import Module, routines
 from postproc.dialects.krl.language.scan import with_name
 from postproc.dialects.krl.language.source import Source
-from postproc.dialects.krl.language.tokens import NAME, word_at
+from postproc.dialects.krl.language.tokens import names_in, word_at
 from postproc.dialects.krl.language.tree import Definition
 from postproc.dialects.krl.write.division import bounds, places, undivided
 from postproc.dialects.krl.write.shared_names import Sharing
@@ -76,11 +76,11 @@ def _needed(lines: Sequence[DataLine], document: Document) -> set[int]:
         for name in data_line.names:
             lines_of_name.setdefault(name, []).append(data_line)
     numbers: set[int] = set()
-    waiting = {word.upper() for word in NAME.findall(document.text)} & lines_of_name.keys()
+    waiting = names_in(document.text) & lines_of_name.keys()
     while waiting:
         new = [data_line for data_line in lines_of_name[waiting.pop()] if data_line.line not in numbers]
         numbers |= {data_line.line for data_line in new}
-        waiting |= {word.upper() for data_line in new for word in NAME.findall(data_line.text)} & lines_of_name.keys()
+        waiting |= set().union(*(names_in(data_line.text) for data_line in new)) & lines_of_name.keys()
     return numbers
 
 
@@ -171,7 +171,7 @@ class _Splitter:
             raise undivided(self.source, "its DEF has parameters, which are not known in other files", main.first)
         self.main = main
         self.others = [routine for routine in routine_of.values() if routine is not main]
-        program_words = {word.upper() for word in _code_names(self.source)}
+        program_words = set(_code_names(self.source))
         self.base = self._base(name, program_words)
         self.taken = {*program_words, *used_names, *(f"{self.base}{part}".upper() for part in (MAIN, *lines))}
         starts, stops = self.source.starts, self.source.stops
@@ -307,8 +307,8 @@ class _Splitter:
 
 
 def _code_names(source: Source) -> Iterator[str]:
-    """Yield the names in the code of a file; those of plain targets are none."""
+    """Yield the names, upper case, in the code of a file; those of plain targets are none."""
     for line in range(1, len(source.starts) + 1):
         start, stop = source.code_span(line)
         if word_at(source.text, start, stop) not in MOTION_WORDS or "(" in source.text[start:stop]:
-            yield from NAME.findall(source.text, start, stop)
+            yield from names_in(source.text, start, stop)
