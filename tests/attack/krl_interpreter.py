@@ -426,7 +426,7 @@ class Controller:
         self.shared = {name: Variable("", copied(value)) for name, value in system.items()}
         self.shared |= {name: Variable("", value) for name, value in self.given.items() if name[0] != "$"}
         self.modules, self.motions, self.submit, self.structures = {}, [], [], {}
-        self.numbers = None
+        self.numbers = self.joints = None
         self.synchronised = 0
         self.outside = base, tool, 0.0
         self.stood = base, tool
@@ -1198,9 +1198,9 @@ class Controller:
         force = "" if kind == "PTP" else self.force
         mode = self.modes["$IPO_MODE"]
         state = (self.base, self.tool, self.speed, cdis, force, tuple(self.callers), mode, self.synchronised)
-        if "A1" in value:
-            joints = [float(value[f"A{n}"]) for n in range(1, 7)]
-            self.numbers = None
+        if any(f"A{number}" in value for number in range(1, 7)):
+            joints = self.joints_of(value, relative=word.endswith("_REL"))
+            self.numbers, self.joints = None, joints
             self.motions.append(Motion(file, number, kind, None, None, joints, *state))
             return
         if word.endswith("_REL"):
@@ -1215,9 +1215,18 @@ class Controller:
             arc = list(self.standing().values())[:3], via, numbers[:3]
             angle = self.sum(reader)
             via, numbers[:3] = turned(*arc, 0.5 * angle), turned(*arc, angle)
-        self.numbers = numbers
+        self.numbers, self.joints = numbers, None
         self.stood = self.base, self.tool
         self.motions.append(Motion(file, number, kind, list(numbers), via, None, *state))
+
+    def joints_of(self, value, *, relative):
+        """Return A1 … A6 of a target [deg]: those that are not given stay as they are."""
+        names = [f"A{number}" for number in range(1, 7)]
+        if self.joints is None and (relative or any(name not in value for name in names)):
+            raise Invalid("joint angles that are not known")
+        if relative:
+            return [angle + float(value.get(name, 0.0)) for name, angle in zip(names, self.joints, strict=True)]
+        return [float(value[name]) if name in value else self.joints[at] for at, name in enumerate(names)]
 
     def standing(self):
         """Where the robot is, in the frames of now."""

@@ -64,7 +64,7 @@ MODULES = [
     *("tracing", "unresolved", "variables"),
 ]
 LIMITS = re.compile(
-    r"\b_MOST_(?!SETTINGS)|\b_count\(|\b_check_least\(|\b_least\.writes\(|\b_traced \+= |\+ minimum >|\.steps \+="
+    r"\b_?MOST_(?!SETTINGS)|\b_count\(|\b_check_least\(|\b_least\.writes\(|\b_traced \+= |\+ minimum >|\.steps \+="
 )
 """Statements that limit how much is followed: a fault there changes how long a program may be, not what it does."""
 SEEN, MOST = 10, 60

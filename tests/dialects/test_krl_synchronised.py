@@ -130,3 +130,11 @@ def test_motions_driven_with_those_of_another_robot_are_refused():
 def test_a_word_that_synchronises_is_found_wherever_it_is_in_a_text(before: int):
     assert unresolved._synchronises(" " * before + "SyncCmd(#X)", 4)
     assert not unresolved._synchronises(" " * before + "SyncCm(#X)", 4)
+
+
+def test_a_loop_over_points_of_which_no_motion_is_corrected_stays_as_it_is():
+    data = f"DEFDAT part\nDECL INT I=0\nDECL E6POS P[2]\nP[1]={lin(1)[4:]}\nP[2]={lin(2)[4:]}\nENDDAT\n"
+    program = read(body(lin(1), DRIVE, "FOR I=1 TO 2", "LIN P[I]", "ENDFOR"), data.replace("\n", "\r\n"), KEEP)
+    written = krl.rewrite(program, targets(program, np.array([[1e-3, 0.0, 0.0]])))
+    assert [document.text for document in written.documents][1] == program.documents[1].text
+    assert "LIN {X 2.0000," in written.documents[0].text

@@ -218,7 +218,9 @@ def settled(layout: Layout, motions: Motions, mentions: Mentions, files: int, ha
         is_editable = (
             elements.source.index < files and layout.carriage is None and only_moved_to(elements.name, layout, mentions)
         )
-        is_single_use = np.array([times[elements.source, 0, start] == 1 for start in elements.literal[:, 0].tolist()])
+        is_single_use = np.array(
+            [times[elements.source, 0, at] == 1 for at in elements.literal[:, 0].tolist()], np.bool_
+        )
         in_place = has_one_target[elements.row] & is_single_use & is_editable
         left.append(Elements(elements.row[in_place], elements.literal[in_place], elements.source, elements.name))
         array_rows[elements.row[~in_place]] = 0
