@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,6 +15,7 @@ from postproc.comparison.loaded_path import Ways
 from postproc.program import CIRC, LIN, PTP, SPL
 from tests.comparison.test_differences_by_pair import COUNT, random_pairs
 
+compare = importlib.import_module("postproc.comparison.compare")
 SEEDS = range(20)
 
 
@@ -225,3 +227,72 @@ def test_wrenches_at_pairs_are_in_the_base_of_the_nominal_program(monkeypatch, s
     assert (cuts.nominal is nominal, cuts.corrected_deviation is corrected) == (True, True)
     np.testing.assert_array_equal(cuts.rotation, wrench[:, 0])
     assert all(len(getattr(cuts, name)) == 0 for name in ("row", "t", "nominal_distance", "length", "path_rotation"))
+
+
+@pytest.mark.parametrize(
+    ("ends", "count", "expected"),
+    [
+        ([1, 0, 1, 1, 0], 3, [0, 2, 3]), ([0, 1, 1, 0, 1], 3, [1, 2, 4]), ([1, 0, 1, 1, 0], 4, None),
+        ([1, 0, 1, 1], 3, None), (None, 3, None),
+    ],
+)  # fmt: skip
+def test_pairs_that_a_conversion_states_are_the_ends_of_motions(ends, count, expected):
+    sides = SimpleNamespace(rows=np.arange(count)), SimpleNamespace(rows=np.arange(5))
+    found = compare._stated_partners(*sides, None if ends is None else np.array(ends, dtype=bool))
+    assert (None if found is None else found.tolist()) == expected
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_targets_without_a_partner_in_one_conversion_were_inserted_or_passed(seed):
+    rng = np.random.default_rng(seed)
+    found = random_pairs(rng)
+    rest = np.setdiff1d(np.arange(COUNT), found.pair[:, 0])
+    found = replace(
+        found, passed_rows=rest[:1], passing_distance=np.array([1e-5]), only_nominal=rest[1:],
+        missing_distance=rng.uniform(0.0, 1e-3, len(rest) - 1),
+    )  # fmt: skip
+    changed = compare._all_inserted(found, SimpleNamespace(rows=np.arange(COUNT)))
+    assert changed.passed_rows.tolist() == rest.tolist()
+    np.testing.assert_array_equal(changed.passing_distance, [1e-5, *found.missing_distance])
+    assert (len(changed.only_nominal), len(changed.missing_distance), len(changed.additional_rows)) == (0, 0, 0)
+    assert changed.inserted_rows.tolist() == sorted([*found.inserted_rows, *found.additional_rows])
+
+
+@pytest.mark.parametrize("has_load", [True, False])
+@pytest.mark.parametrize("seed", SEEDS)
+def test_points_of_lines_are_paired_only_where_the_other_path_misses_them(monkeypatch, seed, has_load):
+    """Under a load a point that divides a line may be divided elsewhere; missing ones get their partner back."""
+    rng = np.random.default_rng(seed)
+    rows = np.arange(COUNT)
+    partner = np.where(rng.random(COUNT) < 0.8, np.arange(COUNT), -1)
+    certain, continued = rng.random(COUNT) < 0.3, rng.random(COUNT) < 0.5
+    missing = rows[rng.random(COUNT) < 0.3]
+    moved = np.where(rng.random(COUNT) < 0.1, np.arange(COUNT) // 2, -1)
+    asked = []
+
+    def paired(nominal, corrected, partners, is_certain):
+        asked.append((partners.tolist(), is_certain.tolist()))
+        return SimpleNamespace(partner=partners)
+
+    def judged(pairs, nominal, corrected, load):
+        assert load == ("forces" if has_load else None)
+        return SimpleNamespace(only_nominal=missing, partner=pairs.partner)
+
+    for name, function in (
+        ("paired", paired), ("judged", judged), ("moved_alone", lambda *parts: moved.copy()),
+        ("partners_of", lambda comparison, *parts: comparison.partner),
+    ):  # fmt: skip
+        monkeypatch.setattr(compare, name, function)
+    loads = SimpleNamespace(path="forces") if has_load else None
+    sides = SimpleNamespace(rows=rows, continued=continued), SimpleNamespace(rows=rows)
+    found = compare._all_pairs(*sides, partner, certain, loads)
+    divides = [bool(continued[k] and partner[k] >= 0 and not certain[k] and has_load) for k in range(COUNT)]
+    first = [-1 if divides[k] else int(partner[k]) for k in range(COUNT)]
+    assert asked[0] == (first, certain.tolist())
+    displaced = [int(partner[k]) if k in missing and divides[k] else int(moved[k]) for k in range(COUNT)]
+    if max(displaced) < 0:
+        assert len(asked) == 1
+        return
+    both = [max(a, b) for a, b in zip(first, displaced, strict=True)]
+    assert asked[1] == (partners.in_order(np.array(both)).tolist(), [True] * COUNT)
+    assert found.partner.tolist() == asked[1][0]
