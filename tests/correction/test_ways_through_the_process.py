@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -23,16 +24,16 @@ MODES = ["convert", "nominal", "predict"]
 
 @pytest.mark.parametrize("mode", MODES)
 def test_a_language_that_the_controller_does_not_read_is_refused_where_it_would_be_written(mode):
-    program, robot = read_files({"part.nc": TEXT}), replace(ROBOT, language="rapid")
+    made, robot = read_files({"part.nc": TEXT}), replace(ROBOT, language="rapid")
     if mode == "predict":
-        assert not correction.process(program, robot, CELL, None, mode).failed
+        assert not correction.process(made, robot, CELL, None, mode).failed
         return
     with pytest.raises(InputError) as refused:
-        correction.process(program, robot, CELL, None, mode)
+        correction.process(made, robot, CELL, None, mode)
     assert f"a program in krl for {ROBOT.title}, whose controller reads rapid" in str(refused.value)
     assert "or convert G-code with --to rapid" in str(refused.value)
-    assert not correction.process(program, robot, CELL, None, mode, to="rapid").failed
-    assert not correction.process(program, replace(ROBOT, language="krl"), CELL, None, mode).failed
+    assert not correction.process(made, robot, CELL, None, mode, to="rapid").failed
+    assert not correction.process(made, replace(ROBOT, language="krl"), CELL, None, mode).failed
 
 
 def test_a_robot_program_in_another_language_is_not_read():
@@ -47,6 +48,15 @@ def test_a_robot_program_in_another_language_is_not_read():
 def test_a_program_without_a_motion_is_refused(name, text):
     with pytest.raises(ProgramError, match=r"moves nothing|no motion"):
         read_files({name: text})
+
+
+def test_a_reader_of_another_package_that_returns_no_motion_is_refused(monkeypatch):
+    empty = SimpleNamespace(motions=())
+    dialect = SimpleNamespace(writer=None, read=lambda documents, cell, forward, name: empty)
+    monkeypatch.setattr(process.registry, "by_name", lambda name: dialect)
+    with pytest.raises(ProgramError, match="no motion in this program") as refused:
+        process.read([SimpleNamespace(name="part.xyz")], ROBOT, CELL, "part", "xyz")
+    assert refused.value.file == "part.xyz"
 
 
 def cell_of(redundancy):
@@ -83,6 +93,7 @@ def test_an_error_that_is_known_before_spares_the_choice_of_a_turn(monkeypatch):
     text = "G21 G90\nT1 M6\nG0 X1300 Y0 Z60\nG1 Z0 F600\nT2 M6\nG1 Y20 F2000\n"
     result = setting.convert(text, cell_of("best"))
     assert [issue.kind for issue in result.issues if issue.level == "error"] == ["tool-change"]
+    assert (len(result), result.documents) == (0, ())
 
 
 def impossible(path):
@@ -103,20 +114,20 @@ def test_what_cannot_be_corrected_can_be_predicted_and_written_as_it_is(monkeypa
 
 @pytest.mark.parametrize("mode", MODES)
 def test_what_cannot_be_written_can_be_predicted(monkeypatch, mode):
-    program = read_files({"part.nc": TEXT})
-    _, writer = process.registry.written_in(program.dialect, None)
+    made = read_files({"part.nc": TEXT})
+    _, writer = process.registry.written_in(made.dialect, None)
 
     def write(*parts):
         raise ProgramError("no such letter", file="part.nc", line=3)
 
     monkeypatch.setattr(type(writer), "write", write)
     if mode == "predict":
-        result = correction.process(program, ROBOT, CELL, None, mode)
+        result = correction.process(made, ROBOT, CELL, None, mode)
         assert not result.failed
         assert set(result.source_line) == {2, 4, 5, 6}
         return
     with pytest.raises(ProgramError, match="no such letter"):
-        correction.process(program, ROBOT, CELL, None, mode)
+        correction.process(made, ROBOT, CELL, None, mode)
 
 
 def test_an_expected_error_that_is_no_number_is_an_error_with_its_line(monkeypatch):
@@ -151,8 +162,8 @@ def test_a_place_between_samples_that_is_out_of_reach_is_an_error(monkeypatch):
         q[len(q) // 2] = np.nan
         return q
 
-    program = read_files({"part.nc": TEXT.replace("X60", "X600")})
-    motions = process.MotionsUnderLoad.of(program, RobotInCell.of(ROBOT, CELL), None)
+    made = read_files({"part.nc": TEXT.replace("X60", "X600")})
+    motions = process.MotionsUnderLoad.of(made, RobotInCell.of(ROBOT, CELL), None)
     path = process.PathUnderLoad.of(motions, motions.pieces(linearize_arcs=False))
     stretches = inspection.Stretches(np.array([2]), np.zeros(1), np.ones(1), np.array([8]))
     command: Commands = process.as_programmed(path)
