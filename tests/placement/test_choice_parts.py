@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from postproc import kinematics
 from postproc.errors import NotConvergedError
 from postproc.placement import drive, turn_map, turning
-from postproc.placement.drive import Keep
+from postproc.placement.drive import BARE, Keep
 from postproc.placement.samples import PathSamples
 from postproc.placement.turn_map import Blocked, Blocks, Line
 from postproc.placement.turning import chosen_start
@@ -411,3 +411,126 @@ def test_cuts_that_tilt_the_tool_are_those_whose_axis_differs_at_both_ends():
     ]
     assert turning._tilting(tilted_samples).tolist() == expected
     assert 0 < sum(expected) < len(expected) - 2
+
+
+def line_of(number):
+    return Line(np.full(3, float(number)), 0.0)
+
+
+@pytest.mark.parametrize("mode", ["best", "path"])
+@pytest.mark.parametrize("has_bodies", [True, False])
+@pytest.mark.parametrize("today_is_as_good", [True, False])
+@pytest.mark.parametrize(
+    ("wide", "bare"),
+    [(line_of(1), line_of(2)), (Blocked(4), line_of(2)), (Blocked(4), Blocked(2)), (Blocked(2), Blocked(4))],
+)
+def test_the_turn_keeps_wide_margins_if_a_line_does_else_the_least_ones(
+    monkeypatch, mode, has_bodies, today_is_as_good, wide, bare
+):
+    """The turn of the cell stays where it is as good; the error is about the block farthest along the program."""
+    asked, priced = [], Keep(joint=0.3)
+    Sized = type("Sized", (), {"__len__": lambda self: 5})
+    samples = Sized()
+    blocks = SimpleNamespace(turn_of_motions=lambda paths, knots: 10.0 + knots)
+    own = cell(redundancy_deg=20.0)
+    if has_bodies:
+        own = replace(own, collision=SimpleNamespace(clearance_mm=7.0))
+
+    def free_line(paths, whole, branch, keep, asked_mode, bodies):
+        asked.append((whole, branch, keep, asked_mode, bodies))
+        return (wide if len(asked) == 1 else bare), f"map {len(asked)}"
+
+    def evaluate(paths, divided, branch, base, offset, bodies):
+        assert (paths, divided, branch, base.tolist(), bodies) == (samples, blocks, 3, [0.0] * 5, asked_bodies)
+        np.testing.assert_allclose(np.degrees(offset), np.arange(-180.0, 180.0, 5.0), atol=1e-9)
+        return "map 0"
+
+    asked_bodies = ("bodies", samples, 7.0) if has_bodies else None
+    for name, function in (
+        ("PathSamples", SimpleNamespace(of=lambda program, place, source: samples)), ("_free_line", free_line),
+        ("Blocks", SimpleNamespace(of=lambda paths: blocks)), ("_tilting", lambda paths: np.zeros(3, dtype=bool)),
+        ("Bodies", lambda paths, need: ("bodies", paths, need)), ("_priced", lambda paths, whole, branch: priced),
+        ("_today_is_as_good", lambda *parts: today_is_as_good), ("_said", lambda turn: "said"),
+        ("_why", lambda paths, whole, block, asked_mode, branch, bodies: (whole, block, asked_mode, branch, bodies)),
+    ):  # fmt: skip
+        monkeypatch.setattr(turning, name, function)
+    monkeypatch.setattr(turn_map, "evaluate", evaluate)
+    monkeypatch.setattr(turn_map, "branch_of_start", lambda paths: 3)
+    turn, issues = turning.chosen(SimpleNamespace(swivel=None), SimpleNamespace(cell=own), "source", mode)
+    first_keep = Keep() if mode == "best" else priced
+    expected = [("map 0", 3, first_keep, mode, asked_bodies)]
+    if isinstance(wide, Blocked):
+        expected.append(("map 1", 3, turning.BARE, mode, asked_bodies))
+    assert asked == expected
+    if isinstance(wide, Blocked) and isinstance(bare, Blocked):
+        assert turn is None
+        assert issues == (("map 2", Blocked(4), mode, 3, asked_bodies),)
+        return
+    is_bare = isinstance(wide, Blocked)
+    knots = bare.knots if is_bare else 0.0 * wide.knots if today_is_as_good else wide.knots
+    assert (turn.mode, turn.map, turn.keep) == (mode, f"map {len(asked)}", turning.BARE if is_bare else Keep())
+    np.testing.assert_array_equal(turn.knots, knots)
+    np.testing.assert_array_equal(turn.of_motion, 10.0 + knots)
+    assert turn.constant == pytest.approx(np.radians(20.0))
+    assert issues == ("said",)
+
+
+@pytest.mark.parametrize(("mode", "is_refused"), [("best", False), ("path", True)])
+def test_tilting_cuts_are_refused_along_the_path_alone(monkeypatch, path, mode, is_refused):
+    samples, _, _ = path
+    tilts = np.arange(6) == 4
+    monkeypatch.setattr(turning, "_tilting", lambda paths: tilts)
+    monkeypatch.setattr(turning, "_free_line", lambda *parts: (Blocked(0), None))
+    monkeypatch.setattr(turning, "_why", lambda *parts: "why")
+    monkeypatch.setattr(turning, "_priced", lambda *parts: Keep())
+    monkeypatch.setattr(turn_map, "evaluate", lambda *parts: None)
+    turn, (issue,) = turning.chosen(samples.program, samples.robot_in_cell, None, mode)
+    assert turn is None
+    assert (issue == "why") != is_refused
+    assert not is_refused or (issue.kind, issue.source_line) == ("redundancy", samples.program.motions.line[4])
+
+
+@pytest.mark.parametrize(
+    ("axis", "direction"), [("+X", (1, 0, 0)), ("-X", (-1, 0, 0)), ("+Z", (0, 0, 1)), ("-Z", (0, 0, -1))]
+)
+def test_a_program_is_turned_about_the_axis_of_its_tool_but_for_axis_targets(axis, direction):
+    """About the direction from the tip to the spindle; five axes spin between the ends."""
+    samples = samples_of()
+    motions = samples.program.motions
+    joints = np.full((6, 6), np.nan)
+    joints[2] = 0.1
+    made = replace(samples.program, motions=replace(motions, joints=joints))
+    turn = np.linspace(-1.0, 2.0, 6)
+    turned = turning.turned(made, axis, turn)
+    for k in range(6):
+        rotation = Rotation.from_rotvec(-turn[k] * np.array(direction, dtype=float)).as_matrix()
+        expected = motions.target[k].copy()
+        expected[:3, :3] = expected[:3, :3] @ (np.eye(3) if k == 2 else rotation)
+        np.testing.assert_allclose(turned.motions.target[k], expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("mode", ["best", "path"])
+def test_the_fine_map_lies_around_the_line_and_is_no_circle(monkeypatch, path, mode):
+    samples, blocks, branch = path
+    knots = np.linspace(-0.3, 0.4, len(blocks.length))
+    calls = []
+
+    def evaluate(paths, divided, number, base, offset, bodies):
+        calls.append((number, bodies))
+        np.testing.assert_allclose(base, turning._at_samples(samples, blocks, knots))
+        np.testing.assert_allclose(np.degrees(offset), np.arange(-6.0, 7.0), atol=1e-12)
+        return "fine"
+
+    def line_through(robot, whole, keep, start, *, turn_at_feed, is_circle):
+        calls.append((robot, whole, keep, turn_at_feed, is_circle))
+        np.testing.assert_array_equal(start, samples.robot_in_cell.cell.start_joints)
+        return answers.pop(0)
+
+    answers = [line_of(5), Blocked(1)]
+    monkeypatch.setattr(turn_map, "evaluate", evaluate)
+    monkeypatch.setattr(turn_map, "line_through", line_through)
+    line = Line(knots, 0.0)
+    found = turning._refined(samples, blocks, branch, line, BARE, mode, "bodies")
+    assert found.knots[0] == 5.0
+    assert calls == [(branch, "bodies"), (samples.robot_in_cell.robot, "fine", BARE, mode == "path", False)]
+    assert turning._refined(samples, blocks, branch, line, BARE, mode, "bodies") is None
