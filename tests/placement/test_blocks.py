@@ -118,3 +118,47 @@ def test_axes_point_where_their_names_say():
     assert AXIS.keys() == {"+X", "-X", "+Z", "-Z"}
     for name, direction in AXIS.items():
         assert direction == tuple(float(f"{name[0]}1") * (letter == name[1]) for letter in "XYZ")
+
+
+@pytest.mark.parametrize(("blocks_at_most", "bins_at_most"), [(1000, 2500), (7, 2500), (1000, 30), (5, 12), (1000, 1)])
+def test_long_paths_have_longer_blocks_and_fewer_bins(path, monkeypatch, blocks_at_most, bins_at_most):
+    """A block is a share of the whole path at least; the bins of all blocks together are limited, one each at least."""
+    samples, _ = path
+    monkeypatch.setattr(turn_map, "_MOST_BLOCKS", blocks_at_most)
+    monkeypatch.setattr(turn_map, "_MOST_BINS", bins_at_most)
+    blocks = Blocks.of(samples)
+    step = max(0.010, LENGTHS.sum() / blocks_at_most)
+    rapid = [True, *np.isinf(FEEDS)]
+    block, begin, number, expected = 0, 0.0, 0, [0]
+    for k, length in enumerate(LENGTHS, 1):
+        if k == 1 or rapid[k] != rapid[k - 1]:
+            block, begin, number = block + 1, 0.0, 0
+        elif int(begin / step + 1e-9) != number:
+            block, number = block + 1, int(begin / step + 1e-9)
+        expected.append(block)
+        begin += length
+    assert np.repeat(np.arange(len(blocks.motion)), np.diff([-1, *blocks.motion])).tolist() == expected
+    counts = np.bincount(np.array(expected)[samples.sample.motion])
+    most = min(6, max(1, bins_at_most // len(counts)))
+    assert np.bincount(blocks.block).tolist() == [min(most, count) for count in counts]
+
+
+def test_joint_interpolations_are_blocks_of_their_own_without_length(path):
+    """Between them the path is divided anew; a block after one continues from it."""
+    text = "DEF part()\n$VEL.CP=0.05\n" + "".join(
+        f"{word} {{X {x},Y 0,Z 0,A 180,B 0,C 180}}\n"
+        for word, x in [("PTP", 0), ("LIN", 4), ("LIN", 8), ("PTP", 30), ("PTP", 50), ("LIN", 54), ("LIN", 80)]
+    )
+    own = cell(base=(1500.0, 0.0, 700.0))
+    program, model = read(text + "END\n", own, "krl")
+    samples = PathSamples.of(program, RobotInCell.of(model, own), None)
+    blocks = Blocks.of(samples)
+    assert blocks.motion.tolist() == [0, 2, 3, 4, 6]
+    assert blocks.begins.tolist() == [True, False, True, True, False]
+    np.testing.assert_allclose(blocks.length, [0.0, 0.008, 0.0, 0.0, 0.030], atol=1e-9)
+    np.testing.assert_allclose(blocks.time, [0.0, 0.16, 0.0, 0.0, 0.6], atol=1e-9)
+    assert blocks.cuts.tolist() == [False, True, False, False, True]
+    assert np.isinf(samples.time[samples.program.motions.kind[samples.sample.motion] == 2]).all()
+    knots = np.array([0.1, 0.3, -0.5, 0.7, 0.2])
+    turn = blocks.turn_of_motions(samples, knots)
+    np.testing.assert_allclose(turn, [0.1, 0.2, 0.3, -0.5, 0.7, 0.7 - 0.5 * 4 / 30, 0.2], atol=1e-9)
