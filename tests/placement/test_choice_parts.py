@@ -534,3 +534,72 @@ def test_the_fine_map_lies_around_the_line_and_is_no_circle(monkeypatch, path, m
     assert found.knots[0] == 5.0
     assert calls == [(branch, "bodies"), (samples.robot_in_cell.robot, "fine", BARE, mode == "path", False)]
     assert turning._refined(samples, blocks, branch, line, BARE, mode, "bodies") is None
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_branches_on_which_some_turn_is_free_at_each_sample_have_no_collision(monkeypatch, seed):
+    """Of those that reach the whole program; all count where none is free, or where one alone can be taken."""
+    rng = np.random.default_rng(seed)
+    turns, count = 3, 7
+    worst = np.where(rng.random(8) < 0.5, rng.uniform(0.1, 1.0, 8), -np.inf)
+    hits = rng.random((8, turns, count)) < rng.choice([0.15, 0.4, 0.8])
+    q = [[np.full((6, count), 10.0 * branch + turn) for turn in range(turns)] for branch in range(8)]
+
+    class Bodies:
+        def __init__(self, samples, need):
+            assert need == 7.0
+
+        def along(self, path, rows, breaks, *, between_samples):
+            assert not between_samples
+            assert breaks.all()
+            assert rows.tolist() == list(range(20, 20 + count))
+            branch, turn = divmod(int(path[0, 0]), 10)
+            return hits[branch, turn]
+
+    monkeypatch.setattr(turning, "Bodies", Bodies)
+    table = SimpleNamespace(clearance_mm=7.0)
+    samples = SimpleNamespace(robot_in_cell=SimpleNamespace(cell=SimpleNamespace(collision=table)))
+    found = turning._free_of_collisions(samples, np.arange(20, 20 + count), q, worst)
+    able = [k for k in range(8) if np.isfinite(worst[k])]
+    free = [k in able and all(any(not hits[k, t, n] for t in range(turns)) for n in range(count)) for k in range(8)]
+    assert found == (free if len(able) > 1 and any(free) else [True] * 8)
+    samples.robot_in_cell.cell.collision = None
+    assert turning._free_of_collisions(samples, np.arange(20, 20 + count), q, worst) == [True] * 8
+
+
+def test_a_start_is_stated_with_four_decimals_and_no_negative_zero():
+    start = turning._start(np.radians([-0.00004, 12.34567, -90.0, 180.0, 0.05, -0.04]), "because")
+    assert start.joints == (0.0, 12.3457, -90.0, 180.0, 0.05, -0.04)
+    assert str(start.joints[0]) == "0.0"
+    words = "A1…A6 = 0.0, 12.3, -90.0, 180.0, 0.1, -0.0, its first target, because."
+    assert start.message == f"The cell has no [start]: the program starts at {words}"
+
+
+STATED = "DEF part()\n$VEL.CP=0.05\nPTP {{{0}}}\nLIN {{X 20,Y 0,Z 0,A 180,B 0,C 180}}\n{1}END\n"
+POSE = "X 0,Y 0,Z 60,A 180,B 0,C 180"
+
+
+def krl_samples(first, rest=""):
+    own = cell(base=(1500.0, 0.0, 700.0))
+    program, model = read(STATED.format(first, rest), own, "krl")
+    return program, RobotInCell.of(model, own)
+
+
+def test_a_program_that_states_its_joints_starts_there():
+    joints = "A1 3,A2 -91.5,A3 110,A4 0.25,A5 60,A6 -10"
+    found = chosen_start(*krl_samples(joints))
+    assert found.joints == (3.0, -91.5, 110.0, 0.25, 60.0, -10.0)
+    assert found.message.endswith("its first target, whose joint angles it states.")
+
+
+@pytest.mark.parametrize(
+    "later", ["PTP {A1 0,A2 -90,A3 110,A4 0,A5 60,A6 0}\n", f"PTP {{{POSE.replace('X 0', 'X 10')},S 2,T 35}}\n"]
+)
+def test_only_motions_before_one_that_states_joints_or_a_status_decide_on_the_branch(later):
+    """What follows is far out of reach: it does not count."""
+    away = "LIN {X 5000,Y 0,Z 0,A 180,B 0,C 180}\n"
+    alone, followed = (chosen_start(*krl_samples(POSE, rest)) for rest in ("", later + away))
+    assert followed == alone
+    unreached = chosen_start(*krl_samples(POSE, away))
+    assert "on the branch that reaches most of the program" in unreached.message
+    assert "on the branch with the most margin" in alone.message
