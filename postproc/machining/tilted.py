@@ -305,34 +305,42 @@ def _rounded(
 
     :param square: squares of the horizontal distances from the tip.
     """
-    flat, corner = cutter.radius - cutter.corner, cutter.corner
-
-    def outside(z: Array) -> Array:
-        """Distance from the surface of the tool, < 0 inside: convex along a line."""
-        height = axial + z * az
-        radial_excess = np.sqrt(np.maximum(square + z * z - height * height, 0.0)) - flat
-        axial_excess = corner - height
-        return np.asarray(
-            np.hypot(np.maximum(radial_excess, 0.0), np.maximum(axial_excess, 0.0))
-            + np.minimum(np.maximum(radial_excess, axial_excess), 0.0)
-            - corner
-        )
-
+    lower_side, meets = np.where(meets, low, 0.0), meets.copy()
+    rows = np.flatnonzero(meets)  # lines that miss the tool need no search
+    lines = [np.broadcast_to(part, meets.shape).ravel()[rows] for part in (axial, az, square)]
+    begin = low.ravel()[rows]
+    a, b = begin, np.minimum(high.ravel()[rows], begin + 4.0 * cutter.radius / lines[1])
     ratio = 0.5 * (math.sqrt(5.0) - 1.0)
-    a, b = np.where(meets, low, 0.0), np.where(meets, np.minimum(high, low + 4.0 * cutter.radius / az), 0.0)
-    begin = a
     for _ in range(_HALVINGS):  # the innermost place on the line
         first, second = b - ratio * (b - a), a + ratio * (b - a)
-        left = outside(first) < outside(second)
+        left = _outside(cutter, first, *lines) < _outside(cutter, second, *lines)
         a, b = np.where(left, a, first), np.where(left, second, b)
     inner = 0.5 * (a + b)
-    meets = meets & (outside(inner) < 0.0)
-    a, b = begin, inner
+    has_inside = _outside(cutter, inner, *lines) < 0.0
+    meets.ravel()[rows] = has_inside
+    lines = [part[has_inside] for part in lines]
+    a, b = begin[has_inside], inner[has_inside]
     for _ in range(_HALVINGS):
         middle = 0.5 * (a + b)
-        is_inside = outside(middle) < 0.0
+        is_inside = _outside(cutter, middle, *lines) < 0.0
         a, b = np.where(is_inside, a, middle), np.where(is_inside, middle, b)
-    return b, meets
+    lower_side.ravel()[rows[has_inside]] = b
+    return lower_side, meets
+
+
+def _outside(cutter: Cutter, z: Array, axial: Array, az: Array, square: Array) -> Array:
+    """Return the distances (n,) from the surface of a tool with a rounded corner, < 0 inside: convex along a line.
+
+    :param z: (n,) heights on vertical lines above the tip [m]; see `_sides` and `_rounded`.
+    """
+    height = axial + z * az
+    radial_excess = np.sqrt(np.maximum(square + z * z - height * height, 0.0)) - (cutter.radius - cutter.corner)
+    axial_excess = cutter.corner - height
+    return np.asarray(
+        np.hypot(np.maximum(radial_excess, 0.0), np.maximum(axial_excess, 0.0))
+        + np.minimum(np.maximum(radial_excess, axial_excess), 0.0)
+        - cutter.corner
+    )
 
 
 def engaged(stock: Stock, turn: Turn, point: Array, axes: Array) -> Engaged:
