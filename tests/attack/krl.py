@@ -121,7 +121,7 @@ def executed(files, seed, program, main="PART", initmov="cell"):
     controller = Controller(named, rng, *frames, data, given=GIVEN, side=seed % 2, initmov=initmov)
     motions = controller.run(main)
     course = program.layout.course
-    origins = [(course.trace.place(each.line), each.routine) for each in course.steps if isinstance(each, Enter)]
+    origins = [(course.trace.place(each.row), each.routine) for each in course.steps if isinstance(each, Enter)]
     followed = {(at.source.document.name, at.line, routine.name.upper()) for at, routine in origins}
     reported = {("part.src", issue.source_line) for issue in program.issues if issue.kind == "motions-elsewhere"}
     stay = {(one.file, one.line) for one in program.unresolved}

@@ -45,32 +45,32 @@ class Occasion(NamedTuple):
 
 
 class Fork(Struct, frozen=True):
-    """Branches follow this line; the branch taken is not known before run time."""
+    """Branches follow this row; the branch taken is not known before run time."""
 
-    line: int
+    row: int
     occasion: Occasion
 
 
 class Branch(Struct, frozen=True):
-    """One of the branches begins after this line."""
+    """One of the branches begins after this row."""
 
-    line: int
+    row: int
 
 
 class Join(Struct, frozen=True):
-    """Control-flow join: branches end at this line.
+    """Control-flow join: branches end at this row.
 
     :ivar complete: False if possibly none of them runs.
     """
 
-    line: int
+    row: int
     complete: bool
 
 
 class Enter(Struct, frozen=True):
-    """The call on a line of the trace: the steps up to its `Leave` run in the routine."""
+    """The call on a row of the trace: the steps up to its `Leave` run in the routine."""
 
-    line: int
+    row: int
     module: Module
     routine: Routine
 
@@ -177,10 +177,10 @@ class Repeated(Struct, eq=False):
 class Called(Struct, eq=False):
     """An inlined routine.
 
-    :ivar line: row of the trace with the call; `name` the span of the routine's name in its file.
+    :ivar row: of the trace with the call; `name` the span of the routine's name in its file.
     """
 
-    line: int
+    row: int
     name: tuple[int, int]
     routine: Routine
     body: Body

@@ -97,7 +97,7 @@ class Calls:
             return
         problem = f"RESUME of an interrupt may break off {call.name} and the motion before it"
         reason = at.error(f"{problem}: where the next motion begins is not known", _COMPLETE_ADVICE)
-        self.run.stops.append((self.run.line, reason))
+        self.run.stops.append((self.run.row, reason))
 
     def writer(self, call: Call, name: str) -> Place | None:
         """Return where a called routine may write a variable, by its stored name; None if it does not."""
@@ -138,7 +138,7 @@ class Calls:
             if reference.name in FIELDS:
                 problem = f"{reference.name} is given to {call.name}, which may change it"
                 self.run.settings.make_uncertain(
-                    self.run.line, [FIELDS[reference.name]], at.error(problem, SETTING_ADVICE)
+                    self.run.row, [FIELDS[reference.name]], at.error(problem, SETTING_ADVICE)
                 )
             else:
                 self.run.variables.forget(self.run.stored(reference.name), str(at))
@@ -159,14 +159,14 @@ class Calls:
             if variable in RELEVANT:
                 problem = f"{name} may change {variable} ({place})"
                 fields = [FIELDS[variable]] if variable in FIELDS else ["base", "tool"]
-                self.run.settings.make_uncertain(self.run.line, fields, at.error(problem, SETTING_ADVICE))
+                self.run.settings.make_uncertain(self.run.row, fields, at.error(problem, SETTING_ADVICE))
             else:
                 self.run.variables.forget(variable, str(place))
 
     def _check_motion(self, at: Place, call: Call, module: Module, routine: Routine, effects: Effects) -> None:
         """Refuse motions in routines of the program itself; after those of another file the position is not known."""
         if effects.force is not None and self.run.in_main:
-            self.run.unforced[self.run.line] = f"{call.name} is called, which holds a force comment ({effects.force})"
+            self.run.unforced[self.run.row] = f"{call.name} is called, which holds a force comment ({effects.force})"
         place = effects.motion
         if place is None or not self.run.in_main:
             return
@@ -176,9 +176,9 @@ class Calls:
             raise at.error(f"{problem} and calls this program again", _INLINE_ADVICE)
         begins = self.run.analysis.from_here(module, routine)
         if begins is not None:
-            self.run.shifted.add(self.run.line)
+            self.run.shifted.add(self.run.row)
         if self.run.keep and (place.source is self.run.routine.source or self.run.level.open):
-            self.run.unresolved.append((self.run.line, at.error(problem)))
+            self.run.unresolved.append((self.run.row, at.error(problem)))
             return
         if place.source is self.run.routine.source:
             raise at.error(problem, _INLINE_ADVICE)
@@ -189,7 +189,7 @@ class Calls:
         unseen = at.error(f"{problem}, in a way that cannot be followed", _INLINE_ADVICE)
         cause = self.run.elsewhere.get(routine, unseen)
         reason = at.error(f"{problem}: where the next motion begins is not known", advice)
-        self.run.moved.append(Apart(self.run.line, reason, name, module, routine, cause))
+        self.run.moved.append(Apart(self.run.row, reason, name, module, routine, cause))
         cause_text = f"{cause.file}, line {cause.line}: {cause.problem}"
         message = f"{name}() moves the robot ({place}): its motions are not corrected here, because of {cause_text}."
         if begins is not None:

@@ -36,21 +36,21 @@ class Collected:
         """
         run = self.run
         if not isinstance(stmt, Motion):
-            self.splines.statement(at, stmt, run.line)
+            self.splines.statement(at, stmt, run.row)
             return
         if run.level.open and not stays(stmt):
             self._refuse(at)
             return
         try:
-            move, state, names = self.reader.read(at, stmt, run.line)
+            move, state, names = self.reader.read(at, stmt, run.row)
         except UnresolvedError as cause:
             if not run.keep:
                 raise
-            run.unresolved.append((run.line, cause))
+            run.unresolved.append((run.row, cause))
             return
         run.understand(*names)
         if move is None:
-            self.still.append(run.line)
+            self.still.append(run.row)
         else:
             self.motions.add(move, state)
 
@@ -64,7 +64,7 @@ class Collected:
         place = Place(at.source, open_line)
         problem = f"motion inside {opener} ({place})"
         if run.keep:
-            run.unresolved.append((run.line, at.error(problem)))
+            run.unresolved.append((run.row, at.error(problem)))
         elif place not in self._refused:
             self._refused.add(place)
             raise at.error(problem, LOOP_ADVICE)

@@ -106,7 +106,7 @@ class _Held:
         events: list[tuple[int, int, _Force | Fork | Branch | Join]] = [
             *((line, 0, note) for line, note in notes),
             *((line, 1, reason) for line, reason in unknown_reasons.items()),
-            *((mark.line, 2, mark) for mark in marks),
+            *((mark.row, 2, mark) for mark in marks),
         ]
         forks: list[tuple[tuple[_Force, _Force], list[tuple[_Force, _Force]]]] = []
         for line, _, event in sorted(events, key=lambda event: event[:2]):

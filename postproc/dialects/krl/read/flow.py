@@ -202,7 +202,7 @@ class Flow:
         run = self.run
         if self.recorder is not None and self.recorder.is_final:
             run.shift, run.shown_line = self.recorder.present(line)
-        run.line = line + run.shift
+        run.row = line + run.shift
 
     def _guarded(self, at: Place, stmt: tree.Statement) -> None:
         try:

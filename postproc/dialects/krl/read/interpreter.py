@@ -129,7 +129,7 @@ class Interpreter:
         if stmt.word != "STOP" and not self.run.settings.state.block:
             raise at.error(f"{stmt.word} outside of a spline block", "Write it between SPLINE and ENDSPLINE.")
         if stmt.word in _TRIGGER_WORDS:
-            self.run.triggers.append(self.run.line)
+            self.run.triggers.append(self.run.row)
 
     def _return(self, at: Place, stmt: tree.Return) -> None:
         level = self.run.level
@@ -163,7 +163,7 @@ class Interpreter:
                 self.calls.call(at, stmt.call, certain=self.run.certain)
         elif isinstance(stmt, tree.Event):
             if isinstance(stmt, tree.Trigger) and self.run.in_main:
-                self.run.triggers.append(self.run.line)
+                self.run.triggers.append(self.run.row)
             self._event(at, stmt)
         elif isinstance(stmt, (tree.Cyclic, tree.Imported)):
             if stmt.name in RELEVANT:
@@ -173,7 +173,7 @@ class Interpreter:
                 for name in stored_originals(stmt):
                     self.run.changes_always(at, name)
         elif isinstance(stmt, tree.Declaration):
-            row = self.run.line if self.run.in_main and self.run.has_rows else 0
+            row = self.run.row if self.run.in_main and self.run.has_rows else 0
             names = declare(self.run.variables, at.source, stmt, row)
             if self.run.in_main:
                 self.run.understand(*(declarator.at for declarator in names))
@@ -209,11 +209,11 @@ class Interpreter:
     def _set(self, at: Place, state: State) -> None:
         """Put a state into force, or into doubt where it is not certain that it comes into force."""
         if self.run.certain:
-            self.run.settings.change(self.run.line, state)
+            self.run.settings.change(self.run.row, state)
         else:
             word, open_line = self.run.level.open[-1]
             problem = f"what motions depend on is changed inside {word} ({Place(at.source, open_line)})"
-            self.run.settings.may_become(self.run.line, state, at.error(problem, SETTING_ADVICE))
+            self.run.settings.may_become(self.run.row, state, at.error(problem, SETTING_ADVICE))
 
     def assign(self, at: Place, target: Reference, expression: Value) -> None:
         """Follow an assignment.

@@ -156,7 +156,7 @@ def refuse_loaded(run: Run, notes: Sequence[tuple[int, ForceNote]]) -> None:
     :raises ProgramError: there is one; it names the statement that cannot be followed.
     """
     for call in run.moved:
-        acting_notes = [note for line, note in notes if line < call.line][-1:]
+        acting_notes = [note for line, note in notes if line < call.row][-1:]
         if acting_notes and any(acting_notes[0].wrench) and run.analysis.cuts(call.module, call.routine):
             raise _loaded(run, call, ": a force comment holds there")
 
@@ -164,14 +164,14 @@ def refuse_loaded(run: Run, notes: Sequence[tuple[int, ForceNote]]) -> None:
 def unfollowed(run: Run) -> tuple[Unfollowed, ...]:
     """Return the calls of routines that are not followed and cut."""
     return tuple(
-        Unfollowed(run.trace.shown_line(call.line), _loaded(run, call))
+        Unfollowed(run.trace.shown_line(call.row), _loaded(run, call))
         for call in run.moved
         if run.analysis.cuts(call.module, call.routine)
     )
 
 
 def _loaded(run: Run, call: Apart, force: str = "") -> ProgramError:
-    cause, at = call.cause, run.trace.place(call.line)
+    cause, at = call.cause, run.trace.place(call.row)
     place_text = f"{at.source.document.name}, line {at.line}"
     problem = f"{cause.problem}; {call.name}(), called in {place_text}, would stay uncorrected under force{force}"
     advice = cause.advice or ""

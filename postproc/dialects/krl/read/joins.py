@@ -79,8 +79,8 @@ class _Following:
     def _to_joints(self, number: int) -> bool:
         lines, step = self._ordered.rows.line, self.steps[number]
         next_step = self.steps[number + 1] if number + 1 < len(self.steps) else None
-        row = int(np.searchsorted(lines, step.line, side="right"))
-        if row < len(lines) and (next_step is None or lines[row] <= next_step.line):
+        row = int(np.searchsorted(lines, step.row, side="right"))
+        if row < len(lines) and (next_step is None or lines[row] <= next_step.row):
             return _to_joints(self._ordered, row)
         if next_step is None:
             return self._next_round()
@@ -111,7 +111,7 @@ class _Following:
         if loop is None:
             return True
         row = int(np.searchsorted(lines, loop.first))
-        first = row < len(lines) and not any(loop.first <= step.line < lines[row] for step in self.steps)
+        first = row < len(lines) and not any(loop.first <= step.row < lines[row] for step in self.steps)
         return first and _to_joints(self._ordered, row)
 
 
@@ -159,10 +159,10 @@ def branching(
             previous_row, row_count = row - 1, row
 
     for step in steps:
-        run_to(int(np.searchsorted(line, step.line, side="right")))
-        fork_of[row_count] = open_[-1][0] if open_ else step.line
+        run_to(int(np.searchsorted(line, step.row, side="right")))
+        fork_of[row_count] = open_[-1][0] if open_ else step.row
         if isinstance(step, Fork):
-            open_.append((step.line, previous_row, [], False))
+            open_.append((step.row, previous_row, [], False))
         elif isinstance(step, Branch):
             fork, entry, ends, is_begun = open_.pop()
             open_.append((fork, entry, [*ends, previous_row] if is_begun else ends, True))
@@ -170,8 +170,8 @@ def branching(
         else:
             fork, entry, ends, _ = open_.pop()
             ends = [*ends, previous_row, *([] if step.complete else [entry])]
-            rows = slice(*np.searchsorted(line, [fork, step.line], side="right"))
-            if any(fork < kept_line <= step.line for kept_line in kept_lines):
+            rows = slice(*np.searchsorted(line, [fork, step.row], side="right"))
+            if any(fork < kept_line <= step.row for kept_line in kept_lines):
                 faults.append(_branch_error(course, forks, fork, "an uncorrected motion is inside a branch"))
             elif step not in free and (row := _by_present_joints(sequence, rows)) >= 0:
                 problem = f"a PTP to X, Y, Z without S and T is inside a branch ({course.trace.place(int(line[row]))})"
@@ -225,7 +225,7 @@ def _forks(course: Course) -> Mapping[int, set[Occasion]]:
     visits: dict[int, set[Occasion]] = {}
     for step in course.steps:
         if isinstance(step, Fork):
-            visits.setdefault(step.line, set()).add(step.occasion)
+            visits.setdefault(step.row, set()).add(step.occasion)
     return visits
 
 

@@ -383,7 +383,7 @@ class MainRoutine:
         return True
 
     def _enter(self, step: Enter) -> None:
-        at = self.run.come_to(step.line)
+        at = self.run.come_to(step.row)
         stmt = statement(at.source, at.line)
         if isinstance(stmt, CallStatement):
             for inner in calls(stmt.call.arguments):
@@ -391,13 +391,13 @@ class MainRoutine:
             self._flow.interpreter.calls.enter(at, stmt.call, step.module, step.routine)
 
     def _divide(self, step: Fork | Branch | Join) -> None:
-        self.run.line = step.line
+        self.run.row = step.row
         if isinstance(step, Fork):
             self.run.fork()
         elif isinstance(step, Branch):
             self.run.branch()
         else:
-            self.run.join(self.run.trace.place(step.line), complete=step.complete)
+            self.run.join(self.run.trace.place(step.row), complete=step.complete)
 
     def _keep(self, step: Kept) -> None:
         """Pass over a control structure of which it is not known what runs; its motions stay as they are."""

@@ -152,7 +152,7 @@ class _Reading(Struct, frozen=True, eq=False):
         except RecursionError:
             problem = "calls, control structures and brackets are nested too deeply"
             advice = "Write fewer of them into each other."
-            raise main.run.trace.error(problem, main.run.line, advice) from None
+            raise main.run.trace.error(problem, main.run.row, advice) from None
         except ProgramError as cause:
             if self.cell.krl.keep_unresolved or isinstance(cause, InexactError | BranchError):
                 raise
@@ -369,7 +369,7 @@ def _check_starts(main: MainRoutine, sequence: OrderedMotions) -> None:
         if row < len(sequence.rows) and needs_start(sequence, row):
             raise reason
     for call in () if main.run.keep else main.run.moved:
-        row = int(np.searchsorted(sequence.rows.line, call.line))
+        row = int(np.searchsorted(sequence.rows.line, call.row))
         if row < len(sequence.rows):
             move = sequence.moves.get(row)
             position = move.end.position if move is not None and not move.relative else None

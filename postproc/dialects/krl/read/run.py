@@ -113,13 +113,13 @@ class Level(Struct, eq=False):
 class Apart(Struct, frozen=True, eq=False):
     """A call of a routine of another file whose motions are not in the execution trace.
 
-    :param line: of the trace; after it the robot position is not known.
+    :param row: of the trace; after it the robot position is not known.
     :param reason: why a motion must not begin there.
     :param name: of the routine, as it is spelled; `routine` itself, in `module`.
     :param cause: why it is not followed.
     """
 
-    line: int
+    row: int
     reason: ProgramError
     name: str
     module: Module
@@ -145,8 +145,8 @@ class Run:
 
     :ivar routine: the main routine.
     :ivar trace: the rows of the program; those of the `.src` until they are complete.
-    :ivar has_rows: whether `line` is a row of the trace while statements run; else it is a line of the `.src`.
-    :ivar line: present row of the trace.
+    :ivar has_rows: whether `row` is a row of the trace while statements run; else it is a line of the `.src`.
+    :ivar row: the present row of the trace.
     :ivar shift: what the row of the present statement has in addition to its line in the file, if it is traced.
     :ivar shown_line: line of the program's own `.src` to report for it; 0 where the trace is complete and says it.
     :ivar is_final: False where statements must run once more when the trace is complete.
@@ -179,7 +179,7 @@ class Run:
         self.trace, self.has_rows, self.variables = trace, has_rows, settings.variables
         self.scopes = Scopes(library.program, routine, self.variables)
         self.analysis = Analysis(library, self.scopes.of)
-        self.line = self.shift = self.shown_line = 0
+        self.row = self.shift = self.shown_line = 0
         self.is_final = True
         self.place: Place | None = None
         self.level = Level(library.program, routine, Scope(), traced=True)
@@ -207,16 +207,16 @@ class Run:
     def come_to(self, row: int) -> Place:
         """Make a row of the trace the present one; return its place in a file."""
         at = self.trace.place(row)
-        self.line, self.shift = row, row - at.line
+        self.row, self.shift = row, row - at.line
         return at
 
     def in_trace(self, aggregate: Aggregate) -> Aggregate:
         """Return an aggregate of the present statement with its row, in which its numbers are corrected."""
-        return replace(aggregate, row=self.line) if self.has_rows else aggregate
+        return replace(aggregate, row=self.row) if self.has_rows else aggregate
 
     def understand(self, *offsets: int) -> None:
         """Note that the use of names in the present statement is followed."""
-        self.understood.update([(self.line, offset) for offset in offsets])
+        self.understood.update([(self.row, offset) for offset in offsets])
 
     def copy(self, expression: Value, value: Known, name: str) -> None:
         """Note that the present statement gives a variable, or a parameter, the text of a point, if it does.
@@ -239,7 +239,7 @@ class Run:
     @property
     def here(self) -> int:
         """Line of the program's own `.src` to report for the present line."""
-        return self.shown_line or self.trace.shown_line(self.line)
+        return self.shown_line or self.trace.shown_line(self.row)
 
     def fork(self) -> None:
         """Reach a fork."""
@@ -252,7 +252,7 @@ class Run:
             fork.ends.append((self.variables.as_now(), self.settings.state))
         fork.is_begun = True
         self.variables.as_then(fork.values)
-        self.settings.change(self.line, fork.state)
+        self.settings.change(self.row, fork.state)
 
     def join(self, at: Place, *, complete: bool) -> None:
         """Continue after a join; values that differ between the branches become unknown."""
@@ -260,7 +260,7 @@ class Run:
         for values, state in [*fork.ends, *([] if complete else [(fork.values, fork.state)])]:
             self.variables.meet(values, str(at))
             problem = "what motions depend on differs behind the branches that meet here"
-            self.settings.may_become(self.line, state, at.error(problem, SETTING_ADVICE))
+            self.settings.may_become(self.row, state, at.error(problem, SETTING_ADVICE))
 
     @property
     def forked(self) -> bool:

@@ -96,7 +96,7 @@ class Recorder:
 
     def divide(self, step: Fork | Branch | Join) -> None:
         """Record a fork, the begin of a branch or a join after the recorded lines."""
-        self._steps.append(replace(step, line=self.count))
+        self._steps.append(replace(step, row=self.count))
         self.is_final = False
 
     def mark(self) -> tuple[Any, ...]:

@@ -75,7 +75,7 @@ def without_unresolved(main: MainRoutine, sequence: OrderedMotions) -> Separated
     if not reasons and not run.moved and not stop_lines:
         return Separated(sequence)
     open_: set[int] = set()
-    for line in sorted({*reasons, *(call.line for call in run.moved), *stop_lines}):
+    for line in sorted({*reasons, *(call.row for call in run.moved), *stop_lines}):
         row = int(np.searchsorted(rows.line, line, side="right"))
         while row < len(rows) and (is_dropped[row] or needs_start(sequence, row)):
             if not is_dropped[row]:
@@ -169,7 +169,7 @@ def _marks(main: MainRoutine) -> list[tuple[int, bool]]:
         for _, routine in routines
         for at in routine.lines
     )
-    entry_lines = {step.line for step in course.steps if isinstance(step, Enter)}
+    entry_lines = {step.row for step in course.steps if isinstance(step, Enter)}
     marks = []
     trace = course.trace
     for at in range(course.body.first, course.body.last):

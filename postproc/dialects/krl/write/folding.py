@@ -113,7 +113,7 @@ class _Folder(Struct, eq=False):
                 self._warn_users(source)
         for call in self.outside:
             rows = line[call.body.first : call.body.last]
-            rows[rows == 0] = line[call.line]
+            rows[rows == 0] = line[call.row]
         return Folded(tuple(documents), line, is_inside, tuple(self.issues))
 
     def _warn_users(self, source: Source) -> None:
@@ -135,7 +135,7 @@ class _Folder(Struct, eq=False):
             changes: list[tuple[int, object]] = []
             row = body.first
             for part in body.parts:
-                first, last = (part.line, part.body.last) if isinstance(part, Called) else (part.first, part.last)
+                first, last = (part.row, part.body.last) if isinstance(part, Called) else (part.first, part.last)
                 self._changed(changes, row, first)
                 change = self._call_key(part) if isinstance(part, Called) else self._loop_key(part)
                 if change:
@@ -180,7 +180,7 @@ class _Folder(Struct, eq=False):
         """Return what changes in a call: the line itself, and the name of the version that is called."""
         version = self._version(call)
         name = "" if version.name == call.routine.name else version.name
-        key = self.edited.keys[call.line - 1]
+        key = self.edited.keys[call.row - 1]
         return (key, name) if key or name else ()
 
     def _version(self, call: Called) -> _Version:
@@ -206,7 +206,7 @@ class _Folder(Struct, eq=False):
         pieces, row = [], begin or body.first
         for part in body.parts:
             if isinstance(part, Called):
-                pieces += [self._lines(row, part.line), self._call(part)]
+                pieces += [self._lines(row, part.row), self._call(part)]
                 row = part.body.last
             else:
                 pieces += [self._lines(row, part.first), self._loop(part)]
@@ -273,12 +273,12 @@ class _Folder(Struct, eq=False):
         if version.piece is None:
             version.piece = body
         version.places.extend(body.places)
-        line = self._lines(call.line, call.line + 1)
+        line = self._lines(call.row, call.row + 1)
         if call.routine.source is not self.main.source:
             self.outside.append(call)
         if version.name == call.routine.name:
             return line
-        text, (source, number) = self._text(line), self.course.trace.place(call.line)
+        text, (source, number) = self._text(line), self.course.trace.place(call.row)
         start, stop = (offset - source.starts.item(number - 1) for offset in call.name)
         return line._replace(content=(text[:start] + version.name + text[stop:],))
 
@@ -298,7 +298,7 @@ class _Folder(Struct, eq=False):
         if routine in self.course.pinned:
             reason = "is also called where calls are not followed, and stays as it is there"
         message = f"{spelling}() {reason}: this one calls its copy {name}()."
-        line = self.course.trace.shown_line(call.line)
+        line = self.course.trace.shown_line(call.row)
         self.issues.append(Issue("info", "routine-copied", message, line, subject=name))
         return name
 
