@@ -545,7 +545,7 @@ def load(path: str | Path) -> Cell:
         raise CellError(f"[machine] home has {len(cell.machine.home)} numbers", file=str(path), advice=advice)
     if cell.rotary is not None:
         _check_rotary(cell.rotary, str(path))
-        _check_indexed(cell.rotary, cell.work_offsets, str(path))
+        _check_indexed_axes(cell.rotary, cell.work_offsets, str(path))
     if cell.collision is not None:
         _check_collision(cell.collision, str(path))
     content = {name: getattr(cell, name) for name in cell.__struct_fields__}
@@ -557,6 +557,10 @@ def load(path: str | Path) -> Cell:
 
 
 def _check_rotary(rotary: Rotary, file: str) -> None:
+    """Check that [rotary] names its axes, signs and codes completely.
+
+    :raises CellError: a key is missing or contradicts another one.
+    """
     if rotary.kind == "vector":
         if rotary.axes:
             advice = "I, J, K of the program are the direction of the tool: leave axes out."
@@ -573,7 +577,7 @@ TURNED_OFFSET = "is turned, and the rotary axes are indexed"
 TURNED_OFFSET_ADVICE = "X, Y, Z are machine axes there: turn [base] instead, so that its axes are those of the machine."
 
 
-def _check_indexed(rotary: Rotary, work_offsets: Mapping[str, Frame], file: str) -> None:
+def _check_indexed_axes(rotary: Rotary, work_offsets: Mapping[str, Frame], file: str) -> None:
     """Check that indexed axes have a place, and that nothing contradicts them."""
     if rotary.kind != "indexed":
         return
@@ -592,6 +596,10 @@ def _check_indexed(rotary: Rotary, work_offsets: Mapping[str, Frame], file: str)
 
 
 def _check_collision(collision: Collision, file: str) -> None:
+    """Check that each holder part and obstacle of [collision] has exactly one kind of shape.
+
+    :raises CellError: a shape is missing, stated twice or empty.
+    """
     for number, part in enumerate(collision.holder, start=1):
         sizes = {"diameter_mm": part.diameter_mm, "length_mm": part.length_mm}
         stated_keys = [key for key, value in sizes.items() if value is not None]

@@ -41,7 +41,9 @@ class Columns(Struct, frozen=True, eq=False):
         whole = {}
         for name, first in columns[0].items():
             pieces = [part[name] for part in columns]
-            whole[name] = first.joined(pieces, order) if isinstance(first, Columns) else _rows(_joined(pieces), order)
+            whole[name] = (
+                first.joined(pieces, order) if isinstance(first, Columns) else _rows(_concatenation(pieces), order)
+            )
         return replace(parts[0], **whole)
 
     def _columns(self) -> dict[str, Any]:
@@ -57,7 +59,7 @@ def _rows(array: NDArray[Any], rows: NDArray[Any] | slice) -> NDArray[Any]:
     return np.broadcast_to(array[0], (count, *array.shape[1:]))
 
 
-def _joined(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
+def _concatenation(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
     """Return arrays one after the other; if all have the same one value, the result takes no memory either."""
     arrays = [part for part in parts if len(part)] or parts[:1]
     first = arrays[0]

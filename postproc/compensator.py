@@ -34,6 +34,10 @@ class Compensator(Struct, frozen=True):
     ay: float
 
     def __post_init__(self) -> None:
+        """Check the geometry.
+
+        :raises ModelError: no such compensator can be built.
+        """
         if not (self.L > 0 and np.hypot(self.ax, self.ay) > self.L and self.free_length >= 0 and self.stiffness >= 0):
             raise ModelError(
                 "compensator geometry is impossible",

@@ -238,9 +238,10 @@ def group_issues(issues: Iterable[Issue]) -> tuple[Issue, ...]:
     for issue in issues:
         groups.setdefault((issue.level, issue.kind, issue.subject), []).append(issue)
     order = {"error": 0, "warning": 1, "info": 2}
-    return tuple(sorted(map(_together, groups.values()), key=lambda issue: order[issue.level]))
+    return tuple(sorted(map(_merge_issues, groups.values()), key=lambda issue: order[issue.level]))
 
 
-def _together(issues: Sequence[Issue]) -> Issue:
+def _merge_issues(issues: Sequence[Issue]) -> Issue:
+    """Return issues of one kind as one, with the sum of their counts and all their lines."""
     lines = {line for issue in issues for line in (issue.lines or (issue.source_line,)) if line is not None}
     return replace(issues[0], count=sum(issue.count for issue in issues), lines=tuple(sorted(lines)))

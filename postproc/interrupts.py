@@ -55,7 +55,7 @@ def held_back() -> Iterator[None]:
         return
     if not _State.holding:
         _State.number = None
-        with _handled(lambda handler: handler in (_leave, signal.default_int_handler), _note):
+        with _handlers(lambda handler: handler in (_leave, signal.default_int_handler), _note):
             _State.holding = True
             try:
                 yield
@@ -111,7 +111,7 @@ def came() -> bool:
 
 
 @contextlib.contextmanager
-def _handled(by: Callable[[object], bool], handler: _Handler) -> Iterator[None]:
+def _handlers(by: Callable[[object], bool], handler: _Handler) -> Iterator[None]:
     """Handle those signals whose present handler is such a one."""
     handlers = {number: signal.getsignal(number) for number in _ENDING}
     numbers = [number for number in _ENDING if by(handlers[number])]

@@ -72,7 +72,7 @@ def operations(program: Program, *, at_retracts: bool = False) -> tuple[Operatio
     candidates: tuple[Operation, ...] = ()
     choices: tuple[Names, ...] = ("retracts",) if at_retracts else ("all", "retracts", "none")
     for names in choices:
-        candidates = tuple(_joined(program, list(_starts(program, names))))
+        candidates = tuple(_join_operations(program, list(_starts(program, names))))
         if len(candidates) <= _LONGEST_NAME:
             break
     return candidates
@@ -115,7 +115,7 @@ def passed_over(program: Program) -> tuple[Event, ...]:
         return ()
     for event in _on_own_lines(comments, lines):
         name = title(event.text)
-        is_name = _named([event], None, first=False, explicit=False) is not None
+        is_name = _naming_comment([event], None, first=False, explicit=False) is not None
         is_remark = name and not is_name and not FORCE_COMMENT.match(event.text) and not _END.match(event.text)
         if is_name != _at_retract(program, event.before, [event], None, lines) and (is_name or is_remark):
             comments_without_operation.append(event)
@@ -154,7 +154,7 @@ def _starts(program: Program, names: Names) -> Iterator[tuple[int, str, int, int
             candidates = events_at_row if explicit else _on_own_lines(events_at_row, lines)
             if names == "retracts" and not explicit and not _at_retract(program, row, candidates, change, lines):
                 candidates = []
-            name_event = _named(candidates, change, first=row == 0, explicit=explicit)
+            name_event = _naming_comment(candidates, change, first=row == 0, explicit=explicit)
         if name_event is not None:
             starts[row] = (title(name_event.text), name_event.line)
         elif change is not None:
@@ -211,7 +211,7 @@ def _at_retract(program: Program, row: int, events: list[Event], change: int | N
     return any(event.line in lines and not lines.get(event.line - 1, "none").strip() for event in events)
 
 
-def _named(events: list[Event], change: int | None, *, first: bool, explicit: bool) -> Event | None:
+def _naming_comment(events: list[Event], change: int | None, *, first: bool, explicit: bool) -> Event | None:
     """Return the comment that names an operation, or None.
 
     :param events: comments and tool changes before a motion; change: index of the last tool change among them, or None.
@@ -236,7 +236,7 @@ def _named(events: list[Event], change: int | None, *, first: bool, explicit: bo
     return None if not names_before_change else names_before_change[-1] if first else names_before_change[0]
 
 
-def _joined(program: Program, starts: list[tuple[int, str, int, int]]) -> Iterator[Operation]:
+def _join_operations(program: Program, starts: list[tuple[int, str, int, int]]) -> Iterator[Operation]:
     """Yield operations: starts without a cut join the next one, and runs with one name and tool are one."""
     cuts = np.concatenate([[0], np.cumsum(~program.motions.rapid)])
     total = len(program.motions)

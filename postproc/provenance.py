@@ -125,7 +125,7 @@ def marked(
     entries = {
         "version": origin.version,
         "mode": origin.mode,
-        "text": digest_of([_without(main, start, stop), *other_documents]),
+        "text": digest_of([_cut_out(main, start, stop), *other_documents]),
         "source": origin.source,
         "cell": origin.cell,
         "model": origin.model,
@@ -158,10 +158,10 @@ def _patterns(comment: str) -> tuple[re.Pattern[str], re.Pattern[str]]:
 
 
 def _text(documents: Sequence[Document], line: re.Match[str]) -> str:
-    return digest_of([_without(documents[0], *line.span()), *documents[1:]])
+    return digest_of([_cut_out(documents[0], *line.span()), *documents[1:]])
 
 
-def _without(document: Document, start: int, stop: int) -> Document:
+def _cut_out(document: Document, start: int, stop: int) -> Document:
     if start == stop:
         return document
     return replace(document, text=document.text[:start] + document.text[stop:])

@@ -58,7 +58,7 @@ def check_ends(program: Program, robot: RobotModel) -> None:
     :raises ImpossiblePathError: a target is out of reach.
     """
     cartesian = np.flatnonzero(np.isnan(program.motions.joints[:, 0]))
-    distance = _away(program, cartesian, program.motions.target[cartesian], 1.0)
+    distance = _root_distance(program, cartesian, program.motions.target[cartesian], 1.0)
     reach = _reach(robot)
     largest_distance = float(np.nanmax(distance, initial=0.0))
     message = (
@@ -85,7 +85,7 @@ def check_between(program: Program, robot: RobotModel, path: Segments) -> None:
     wide = np.flatnonzero((turns < 1.0) & (path.length[arcs] > _WIDE * reach))
     for share in (0.25, 0.5, 0.75):
         spot = toolpath.at(program, path, arcs[wide], np.full(len(wide), share)).pose[:]
-        bad[wide] |= ~(_away(program, arcs[wide], spot, share) <= reach)
+        bad[wide] |= ~(_root_distance(program, arcs[wide], spot, share) <= reach)
     message = (
         f"out of reach: the arc leaves the reach of the flange, {reach * MM_PER_M:.0f} mm from the robot's root. "
         "Check its centre or radius, and its plane."
@@ -100,7 +100,7 @@ def check_between(program: Program, robot: RobotModel, path: Segments) -> None:
         raise ImpossiblePathError(Issue("error", "path-length", message, source_line=int(m.line[0])))
 
 
-def _away(program: Program, motion: Ints, pose: Array, t: float) -> Array:
+def _root_distance(program: Program, motion: Ints, pose: Array, t: float) -> Array:
     """Return the distance of the flange from the robot's root (n,) [m] for tool frames in `$BASE` (n, 4, 4)."""
     return norm(toolpath.flange_points(program, motion, pose, np.zeros(3), t))
 

@@ -345,7 +345,7 @@ def test_a_command_is_not_done_while_any_component_of_the_pose_is_off(row):
     most = equilibrium._AT_TARGET if row < 3 else equilibrium._ORIENTATION_TOLERANCE
     left = np.zeros((6, 3))
     left[row] = np.array([0.0, 0.999, 1.001]) * most
-    assert equilibrium._beyond(left).tolist() == [False, False, True]
+    assert equilibrium._exceeds_tolerance(left).tolist() == [False, False, True]
 
 
 def test_links_that_hardly_deflect_do_not_end_the_search_before_the_tool_is_at_its_target():

@@ -33,9 +33,10 @@ class Automatic:
         """Number of the first command that may have run since the last step."""
         self._end = threading.Event()
         self._state = workspace.results / _STATE
-        self.is_on = self._stated()
+        self.is_on = self._read_state()
 
-    def _stated(self) -> bool:
+    def _read_state(self) -> bool:
+        """Return whether automatic conversion is on; True without a readable state file."""
         try:
             return bool(json.loads(self._state.read_bytes())["automatic"])
         except (OSError, ValueError, KeyError, TypeError):

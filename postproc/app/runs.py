@@ -63,6 +63,7 @@ class Run:
         self._reader.start()
 
     def _read(self) -> None:
+        """Read the output of the command until it ends, and keep its progress and its last characters."""
         assert self._process.stdout is not None
         with self._process.stdout as stream:
             for data in stream:

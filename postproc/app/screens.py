@@ -58,6 +58,7 @@ class Page(Struct, frozen=True):
 
 @cache
 def _environment() -> Environment:
+    """Return the template environment with the style and the script of the pages."""
     environment = Environment(
         autoescape=True,
         loader=PackageLoader("postproc.app"),
@@ -323,12 +324,12 @@ def running(run: Run) -> Page:
     )
 
 
-def _filled(fields: Sequence[FormField], texts: Mapping[str, str]) -> list[FormField]:
+def _posted_fields(fields: Sequence[FormField], texts: Mapping[str, str]) -> list[FormField]:
     """Return fields with the texts that were posted, which are not in the file."""
     return [replace(field, text=texts.get(field.name, field.text)) for field in fields]
 
 
-def _shown(fields: Sequence[FormField]) -> str:
+def _hidden_text(fields: Sequence[FormField]) -> str:
     """Return what a form shows of the file, for the form to send along; see `shown_texts`."""
     return json.dumps({field.name: field.text for field in fields})
 
@@ -365,7 +366,7 @@ def cell(
     :param texts: posted numbers that were not written, by name of the field.
     :param tools: numbers of tools that the form has fields for, with commas between.
     """
-    filled_fields = _filled(fields, texts)
+    filled_fields = _posted_fields(fields, texts)
     tables = [
         {"name": name, "help": table_help(name), "fields": [field for field in filled_fields if field.table == name]}
         for name in dict.fromkeys(field.table for field in filled_fields)
@@ -376,7 +377,7 @@ def cell(
         here="cell",
         title="Cell",
         tables=tables,
-        shown=_shown(fields),
+        shown=_hidden_text(fields),
         fault=fault,
         saved=is_saved,
         file=file,
@@ -437,8 +438,8 @@ def process(
         is_there=path.is_file(),
         shared=path.name == "process.toml",
         has_cell=workspace.cell.is_file(),
-        tables=[_shown_table(replace(item, fields=tuple(_filled(item.fields, texts)))) for item in tables],
-        shown=_shown([field for item in tables for field in item.fields]),
+        tables=[_shown_table(replace(item, fields=tuple(_posted_fields(item.fields, texts)))) for item in tables],
+        shown=_hidden_text([field for item in tables for field in item.fields]),
         fault=fault,
         saved=is_saved,
         command=command_line(["convert", name, "--cell", f"{RESULTS}/cell.toml", "--process", file, "-o", RESULTS]),
@@ -505,6 +506,7 @@ def robots(name: str, workspace: Workspace, readings: Sequence[Readings]) -> Pag
 
 
 def _readings_row(workspace: Workspace, entry: Readings) -> dict[str, Any]:
+    """Return the template's entry for one experiment: its name, its files of readings and the verdict on its model."""
     model = model_of(workspace.model(entry.experiment))
     verdict = "not identified yet" if model is None else model.verdict or "geometry only"
     return {

@@ -113,6 +113,7 @@ class _Handler(BaseHTTPRequestHandler):
         return self._page(screens.message("That did not work", text), status)
 
     def _route(self, routes: dict[str, Callable[[_Handler], None]], *, changes: bool) -> None:
+        """Answer a request by the function for its address, or refuse it. `changes`: it may change files."""
         address = urlsplit(self.path)
         self.query = dict(parse_qsl(address.query, keep_blank_values=True, max_num_fields=20))
         token = self.query.pop("token", "")
@@ -152,6 +153,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._send(303, b"", "text/plain", ("Location", path), *headers)
 
     def _send(self, status: int, content: bytes, kind: str, *headers: tuple[str, str]) -> None:
+        """Send a response with its content, which no browser may store or guess the type of."""
         self.send_response(status)
         for name, value in (
             ("Content-Type", kind),
@@ -283,6 +285,7 @@ class _Handler(BaseHTTPRequestHandler):
         return self._page(page, 400 if fault else 200)
 
     def _process_in_words(self, name: str) -> str:
+        """Return where the forces of a program come from."""
         path = self.server.workspace.process(name)
         if path is not None:
             return f"{RESULTS}/{path.name}"
@@ -339,9 +342,9 @@ class _Handler(BaseHTTPRequestHandler):
             is_automatic = self.server.automatic.is_on and workspace.cell.is_file() and self._has_forces(name)
             return "/" if is_automatic else f"/setup?name={quote(name)}"
 
-        self._added(lambda: workspace.add(name, self.rfile, self._size()), page)
+        self._add_upload(lambda: workspace.add(name, self.rfile, self._size()), page)
 
-    def _added(self, add: Callable[[], object], page: Callable[[], str]) -> None:
+    def _add_upload(self, add: Callable[[], object], page: Callable[[], str]) -> None:
         """Take a file that was dropped, and send the address of the page that comes next."""
         try:
             add()
@@ -357,7 +360,7 @@ class _Handler(BaseHTTPRequestHandler):
     def convert(self) -> None:
         """Correct a program again, by options."""
         form = self.form()
-        arguments = self.server.workspace.conversion(self._named(form))
+        arguments = self.server.workspace.conversion(self._program_name(form))
         for option in screens.FORM_OPTIONS:
             text = form.get(option.name, "").strip()
             if text and option.kind == "flag":
@@ -368,13 +371,13 @@ class _Handler(BaseHTTPRequestHandler):
 
     def place(self) -> None:
         """Look for the best place of the part."""
-        name = self._named(self.form())
+        name = self._program_name(self.form())
         folder = f"{RESULTS}/place-{Path(name).stem}"
         self.begin(name, f"Best place for {name}", self.server.workspace.with_cell("place", name, output=folder))
 
     def take_place(self) -> None:
         """Write the base of the best place into the cell, and correct again; both, or nothing."""
-        name = self._named(self.form())
+        name = self._program_name(self.form())
         workspace = self.server.workspace
         base = tomllib.loads(workspace.place(name).read_text(encoding="utf-8"))["base"]
         numbers = {f"base.{axis}": str(base[axis]) for axis in "XYZABC" if axis in base}
@@ -384,7 +387,7 @@ class _Handler(BaseHTTPRequestHandler):
     def feed(self) -> None:
         """Lower feeds where the tolerance of the part would be exceeded, or keep them, and correct again."""
         form, workspace = self.form(), self.server.workspace
-        name, rule = self._named(form), "hold" if form.get("rule") == "hold" else "program"
+        name, rule = self._program_name(form), "hold" if form.get("rule") == "hold" else "program"
         cell = workspace.stated_cell()
         self.begin(name, f"Correct {name}", workspace.conversion(name), lambda: set_feed_rule(cell, rule))
 
@@ -396,7 +399,7 @@ class _Handler(BaseHTTPRequestHandler):
     def compare(self) -> None:
         """Compare a program with another."""
         form = self.form()
-        name, other_program = self._named(form), form.get("other", "")
+        name, other_program = self._program_name(form), form.get("other", "")
         if other_program.startswith(f"{RESULTS}/"):
             self.server.workspace.result(other_program.removeprefix(f"{RESULTS}/"))
         else:
@@ -440,7 +443,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def add_probed(self) -> None:
         """Take a probing file that was filled in."""
-        self._added(lambda: self.server.part.add_probed(self.rfile, self._size()), lambda: "/testpart")
+        self._add_upload(lambda: self.server.part.add_probed(self.rfile, self._size()), lambda: "/testpart")
 
     def identify_part(self) -> None:
         """Make a model of the test part, or check that of the cell."""
@@ -517,7 +520,7 @@ class _Handler(BaseHTTPRequestHandler):
         run: Run = self.server.runs.begin(key, title, arguments, change, page)
         self._lead(f"/run?number={run.number}")
 
-    def _named(self, form: dict[str, str]) -> str:
+    def _program_name(self, form: dict[str, str]) -> str:
         return self.server.workspace.sole_program(form.get("name", "")).name
 
 

@@ -96,7 +96,7 @@ class Workspace(Struct, frozen=True):
 
         :raises InputError: there is none of this name in it.
         """
-        return _inside(self.folder, name)
+        return _path_in_folder(self.folder, name)
 
     def sole_program(self, name: str) -> Path:
         """Return the path of a program whose results are its own.
@@ -132,7 +132,7 @@ class Workspace(Struct, frozen=True):
             raise InputError(f"no result {name!r}")
         if Path(file).suffix.lower() not in MEDIA_TYPES:
             raise InputError(f"no result {name!r}")
-        path = _inside(root, file)
+        path = _path_in_folder(root, file)
         return self.of_folder(path)
 
     def stated_cell(self) -> Path:
@@ -140,14 +140,14 @@ class Workspace(Struct, frozen=True):
 
         :raises InputError: it is not, or it is elsewhere.
         """
-        return self.of_folder(_inside(self.results, self.cell.name))
+        return self.of_folder(_path_in_folder(self.results, self.cell.name))
 
     def place(self, name: str) -> Path:
         """Return the file of the best place for a program.
 
         :raises InputError: there is none.
         """
-        return self.of_folder(_inside(self.results / f"place-{Path(name).stem}", "place.toml"))
+        return self.of_folder(_path_in_folder(self.results / f"place-{Path(name).stem}", "place.toml"))
 
     def of_folder(self, path: Path) -> Path:
         """Return a path that no link of a folder leads out of `folder`."""
@@ -201,7 +201,7 @@ class Workspace(Struct, frozen=True):
 
         :raises InputError: there is none.
         """
-        return self.of_folder(_inside(model, "report.html"))
+        return self.of_folder(_path_in_folder(model, "report.html"))
 
     def relative(self, path: Path) -> str:
         """Return the path of a file of the folder as commands name it, with ``/``."""
@@ -276,7 +276,7 @@ def _written_stems(name: str) -> frozenset[str]:
     )
 
 
-def _inside(folder: Path, name: str) -> Path:
+def _path_in_folder(folder: Path, name: str) -> Path:
     """Return the path of a file of a folder.
 
     :raises InputError: the name leads elsewhere, also by a symbolic link, or there is no such file.

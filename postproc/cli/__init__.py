@@ -93,7 +93,7 @@ class LazyGroup(click.Group):
             os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # more would wait in a loop, for matrices of 6 × 6
         with warnings.catch_warnings():
             if _DEBUG not in (sys.argv if args is None else args):
-                warnings.showwarning = _not_shown
+                warnings.showwarning = _ignore_warning
             try:
                 return super().main(args, *settings, **options)
             finally:
@@ -137,7 +137,7 @@ class LazyGroup(click.Group):
             raise click.ClickException(text) from cause
 
 
-def _not_shown(*_: object, **__: object) -> None:
+def _ignore_warning(*_: object, **__: object) -> None:
     """Show no warning."""
 
 

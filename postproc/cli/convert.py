@@ -92,6 +92,10 @@ def _check_part(options: dict[str, Any], jobs: Sequence[Job]) -> None:
 
 
 def _cluster(scheduler: str | None, *certificates: Path | None) -> Cluster | None:
+    """Return the Dask scheduler that the options name, or None.
+
+    :raises click.UsageError: certificates without a scheduler.
+    """
     if scheduler is not None:
         from postproc.jobs.workers import Cluster
 

@@ -22,7 +22,7 @@ _PATH = click.Path(path_type=Path)
 _HOME = "Where X, Y, Z are before the first move and after G28 and G53, in $BASE"
 
 
-def _checked(kind: str, text: Any) -> Any:
+def _option_value(kind: str, text: Any) -> Any:
     """Return the value of a text, by the function of this name in `jobs.answers`; the error is one of the option."""
     from postproc.errors import InputError
     from postproc.jobs import answers
@@ -34,22 +34,23 @@ def _checked(kind: str, text: Any) -> Any:
 
 
 def _words(kind: str) -> Callable[[str], Any]:
-    """Return a function for texts with blanks or commas between, see `_checked`."""
-    return lambda text: _checked(kind, text.split())
+    """Return a function for texts with blanks or commas between, see `_option_value`."""
+    return lambda text: _option_value(kind, text.split())
 
 
-def _parsed(kind: str) -> Any:
-    return lambda _ctx, _param, text: None if text is None else _checked(kind, text)
+def _callback(kind: str) -> Any:
+    """Return a click callback that turns the text of an option into its value."""
+    return lambda _ctx, _param, text: None if text is None else _option_value(kind, text)
 
 
 @click.command()
 @click.argument("files", nargs=-1, type=_PATH, metavar="[CELL] [PROGRAM]...", shell_complete=complete_files)
 @click.option("--robot", shell_complete=complete_robots, help="Robot: a name of `postproc robots`, or a model folder.")
 @click.option(
-    "--base", callback=_parsed("frame"), metavar="X,Y,Z[,A,B,C]", help="$BASE in the robot root, or a number."
+    "--base", callback=_callback("frame"), metavar="X,Y,Z[,A,B,C]", help="$BASE in the robot root, or a number."
 )
 @click.option(
-    "--tool", callback=_parsed("frame"), metavar="X,Y,Z[,A,B,C]", help="$TOOL in the flange frame, or a number."
+    "--tool", callback=_callback("frame"), metavar="X,Y,Z[,A,B,C]", help="$TOOL in the flange frame, or a number."
 )
 @click.option(
     "--axis",
@@ -60,7 +61,7 @@ def _parsed(kind: str) -> Any:
 )
 @click.option(
     "--start",
-    callback=_parsed("numbers"),
+    callback=_callback("numbers"),
     metavar="A1,…,A6",
     help="Where programs start, in deg; default: the tip 50 mm above --clearance, over the origin of $BASE.",
 )
@@ -70,14 +71,14 @@ def _parsed(kind: str) -> Any:
 )
 @click.option(
     "--tool-change",
-    callback=_parsed("line"),
+    callback=_callback("line"),
     metavar="LINE",
     help="Line for M6, with {T}; 'hand': the program stops (default); 'none': no line.",
 )
 @click.option(
     "--tools",
     multiple=True,
-    callback=lambda _ctx, _param, texts: _checked("tools", texts),
+    callback=lambda _ctx, _param, texts: _option_value("tools", texts),
     metavar="N=X,Y,Z[,A,B,C]",
     help="$TOOL after T n M6, or its Z alone; once for each tool. Default: --tool for all.",
 )
@@ -85,7 +86,7 @@ def _parsed(kind: str) -> Any:
     "--work-offset",
     "work_offsets",
     multiple=True,
-    callback=lambda _ctx, _param, texts: _checked("work_offsets", texts),
+    callback=lambda _ctx, _param, texts: _option_value("work_offsets", texts),
     metavar="G55=X,Y,Z[,A,B,C]",
     help="Frame of a work offset in $BASE; once for each. G54 is $BASE itself.",
 )
@@ -93,7 +94,7 @@ def _parsed(kind: str) -> Any:
     "--m-code",
     "m_codes",
     multiple=True,
-    callback=lambda _ctx, _param, texts: _checked("m_codes", texts),
+    callback=lambda _ctx, _param, texts: _option_value("m_codes", texts),
     metavar="M31",
     help="M code of the machine that has no effect on the robot; once for each.",
 )
@@ -109,14 +110,14 @@ def _parsed(kind: str) -> Any:
     type=Choice(["s", "ms"]),
     help="What the control counts in P of G4 and of cycles: s (LinuxCNC) or ms (Fanuc, Haas, Mach3).",
 )
-@click.option("--home", callback=_parsed("place"), metavar="X,Y,Z", help=f"{_HOME}.")
-@click.option("--rotary", callback=_parsed("rotary_axes"), metavar="C,B", help="Rotary axes from the part outwards.")
+@click.option("--home", callback=_callback("place"), metavar="X,Y,Z", help=f"{_HOME}.")
+@click.option("--rotary", callback=_callback("rotary_axes"), metavar="C,B", help="Rotary axes from the part outwards.")
 @click.option("--rotary-kind", type=Choice(["tcp", "indexed"]), help="What X, Y, Z are where rotary axes turn.")
 @click.option(
     "--rotary-point",
     "rotary_points",
     multiple=True,
-    callback=lambda _ctx, _param, texts: _checked("points", texts),
+    callback=lambda _ctx, _param, texts: _option_value("points", texts),
     metavar="A=X,Y,Z",
     help="A point of an indexed axis in $BASE; once for each.",
 )
@@ -128,19 +129,19 @@ def _parsed(kind: str) -> Any:
 )
 @click.option(
     "--payload",
-    callback=_parsed("payload"),
+    callback=_callback("payload"),
     metavar="KG[,X,Y,Z]",
     help="Mass that the flange carries, and its centre in the flange frame; RAPID states it as load of the tool.",
 )
 @click.option(
     "--spindle",
-    callback=_parsed("switch"),
+    callback=_callback("switch"),
     metavar="ON|OFF",
     help="Lines for M3, with {S}, and for M5, with | between; 'hand': you start it. Default: a warning.",
 )
 @click.option(
     "--coolant",
-    callback=_parsed("switch"),
+    callback=_callback("switch"),
     metavar="ON|OFF",
     help="Lines for M7 and M8, and for M9, likewise.",
 )
@@ -180,7 +181,7 @@ def init(files: tuple[Path, ...], robodk: str | None, **options: Any) -> None:
     if programs:
         request = _for_programs(cell, programs, options)
     else:
-        values = {key: value for key, value in _asked(options).items() if not key.startswith("rotary")}
+        values = {key: value for key, value in _ask(options).items() if not key.startswith("rotary")}
         request = CellRequest(
             output=cell, **values | {"m_codes": {code: [] for code in options["m_codes"]}}, **_rotary(options)
         )
@@ -322,7 +323,7 @@ def _of_station(station: Station, robot: str) -> tuple[str, ...]:
     return (*station.remarks, *(() if warning is None else (warning,)))
 
 
-def _asked(options: dict[str, Any]) -> dict[str, Any]:
+def _ask(options: dict[str, Any]) -> dict[str, Any]:
     """Ask for values without an option; without a terminal take the default, or raise if there is none."""
     from postproc.jobs import answers, first_steps
 
@@ -335,9 +336,9 @@ def _asked(options: dict[str, Any]) -> dict[str, Any]:
     def ask(name: str, text: str, default: Any, kind: str) -> None:
         if options[name] is None:
             options[name] = (
-                click.prompt(text, default=default, value_proc=partial(_checked, kind))
+                click.prompt(text, default=default, value_proc=partial(_option_value, kind))
                 if absent_names
-                else _checked(kind, str(default))
+                else _option_value(kind, str(default))
             )
 
     if absent_names:
@@ -375,12 +376,12 @@ def _ask_for_program(options: dict[str, Any]) -> None:
             text,
             default="",
             show_default=False,
-            value_proc=lambda text: _checked("m_codes", text.replace(",", " ").split()),
+            value_proc=lambda text: _option_value("m_codes", text.replace(",", " ").split()),
         )
     if options["start"] is None:
         text = "Joints where programs start: A1,…,A6 (empty: chosen with the tip above the part)"
         options["start"] = (
-            click.prompt(text, default="", show_default=False, value_proc=partial(_checked, "numbers")) or None
+            click.prompt(text, default="", show_default=False, value_proc=partial(_option_value, "numbers")) or None
         )
 
 
@@ -388,14 +389,14 @@ def _ask_for_shop(options: dict[str, Any], by_hand: str) -> None:
     """Ask for the lines that switch spindle and coolant, and for the tolerance of parts."""
     if options["spindle"] is None:
         text = "Spindle: lines for M3, with {S}, and M5, with | between, or hand"
-        options["spindle"] = click.prompt(text, default=by_hand, value_proc=partial(_checked, "switch"))
+        options["spindle"] = click.prompt(text, default=by_hand, value_proc=partial(_option_value, "switch"))
     if options["coolant"] is None:
         text = "Coolant: lines for M7 and M8, and for M9, with | between, or hand"
-        options["coolant"] = click.prompt(text, default=by_hand, value_proc=partial(_checked, "switch"))
+        options["coolant"] = click.prompt(text, default=by_hand, value_proc=partial(_option_value, "switch"))
     if options["part_tolerance"] is None:
         text = "What the part may be off (95 %) (empty: nothing is judged by it)"
         options["part_tolerance"] = click.prompt(
-            text, default="", show_default=False, value_proc=partial(_checked, "tolerance")
+            text, default="", show_default=False, value_proc=partial(_option_value, "tolerance")
         )
 
 

@@ -325,6 +325,7 @@ def part(
 
 
 def _show(folder: IdentifiedFolder, output: Path, as_json: bool) -> None:
+    """Print the result, its warnings and the output folder; with `as_json` only the result as JSON."""
     if as_json:
         click.echo(folder.data.as_json().decode())
         return
@@ -335,6 +336,7 @@ def _show(folder: IdentifiedFolder, output: Path, as_json: bool) -> None:
 
 
 def _say(message: str) -> None:
+    """Report a step of the work as progress: as a line for the app, else on a terminal only."""
     import sys
 
     from postproc import progress

@@ -76,6 +76,10 @@ def several_programs(text: str, *, is_required: bool = False) -> Callable[[Calla
 
 
 def _dialect(_ctx: click.Context, _param: click.Parameter, value: str | None) -> str | None:
+    """Return the dialect with this name or alias; a click callback.
+
+    :raises click.BadParameter: no dialect has it.
+    """
     from postproc.dialects import registry
     from postproc.errors import InputError
 

@@ -164,6 +164,7 @@ def print_failures(outcomes: Iterable[Outcome]) -> None:
 
 
 def _as_entry(outcome: Outcome) -> dict[str, object]:
+    """Return the outcome as an entry of the JSON output."""
     import msgspec
 
     from postproc.report import issue_entry
@@ -180,6 +181,7 @@ def _as_entry(outcome: Outcome) -> dict[str, object]:
 
 
 def _word(outcome: Outcome) -> str:
+    """Return the outcome in a few words: written, skipped, not to be run or FAILED."""
     if outcome.summary is None:
         return "skipped: a subprogram" if outcome.skipped else "FAILED"
     issues = outcome.summary.issues

@@ -140,7 +140,7 @@ def poses(programs: tuple[str, ...], other_programs: tuple[str, ...], as_json: b
         raise click.UsageError("Give either --program (one or several) or --poses.")
     if plan_request.output.suffix.lower() != ".csv":
         raise click.BadParameter("give a file that ends in .csv", param_hint="-o")
-    with _shown() as progress:
+    with _progress_display() as progress:
         files = make_plan(plan_request, progress)
     for warning in files.result.warnings:
         click.echo(f"warning: {warning}", err=True)
@@ -153,7 +153,7 @@ def poses(programs: tuple[str, ...], other_programs: tuple[str, ...], as_json: b
 
 
 @contextlib.contextmanager
-def _shown() -> Iterator[Progress | None]:
+def _progress_display() -> Iterator[Progress | None]:
     """Yield the function that draws the progress of the search; None if stderr is no terminal."""
     if as_lines():
         show_line = lines()

@@ -95,14 +95,14 @@ def start(ctx: click.Context, /, program: Path, output: Path | None, no_open: bo
     answers = Answers()
     kept_files = [file for file, is_kept in (("cell", keep_cell), ("process", keep_process)) if is_kept]
     asking = {"cell": not keep_cell, "process": not keep_process and process is not None}
-    _ask(needs, answers, answer_file, answers_path, _stated(options, needs), asking, kept_files)
+    _ask(needs, answers, answer_file, answers_path, _option_answers(options, needs), asking, kept_files)
     files = write_files(
         needs, answers, answer_file, cell=cell, process=process, keep_cell=keep_cell, keep_process=keep_process
     )
     _keep(answers_path, answer_file)
     for remark in files.remarks:
         click.echo(f"warning: {remark}", err=True)
-    outcome = _converted(ctx, program, folder, files.cell, files.process, options)
+    outcome = _convert_now(ctx, program, folder, files.cell, files.process, options)
     _offer_place(outcome, program, files.cell, files.process)
     page = (
         folder / f"{Path(outcome.written_files[0]).name.partition('.')[0]}.report.html"
@@ -130,19 +130,25 @@ def print_needs(needs: ProgramNeeds) -> None:
     click.echo("\n  ".join([f"{needs.file.name}:", *facts]))
 
 
-def _stated(options: Mapping[str, Any], needs: ProgramNeeds) -> dict[str, str]:
+def _option_answers(options: Mapping[str, Any], needs: ProgramNeeds) -> dict[str, str]:
     """Return the answers that options give, as texts by name."""
     texts = {_KEYS.get(name, name): value for name, value in options.items() if isinstance(value, str) and name != "to"}
     for option, name in _NUMBERED_OPTIONS.items():
         for text in options[option]:
-            texts |= dict(_numbered(option, name, text, needs))
+            texts |= dict(_answers_of_option(option, name, text, needs))
     only_tool = f"tool.{needs.only_tool}"
     if only_tool in texts and "tool" not in texts:
         texts["tool"] = texts.pop(only_tool)
     return texts
 
 
-def _numbered(option: str, name: str, text: str, needs: ProgramNeeds) -> Iterator[tuple[str, str]]:
+def _answers_of_option(option: str, name: str, text: str, needs: ProgramNeeds) -> Iterator[tuple[str, str]]:
+    """Yield the names and texts of the answers that an option gives.
+
+    `KEY=VALUE` answers for one tool, axis or code, `VALUE` of a cutter option for all tools.
+
+    :raises click.BadParameter: the option needs a key.
+    """
     key, equals, value = text.partition("=")
     key = key.strip().upper()
     if option == "m_code":
@@ -231,12 +237,12 @@ def prompted(question: Question, *, first: bool) -> str:
         question.text,
         default=question.default,
         show_default=bool(question.default),
-        value_proc=_checking(question.parse),
+        value_proc=_prompt_check(question.parse),
     )
     return answer
 
 
-def _checking(parse: Callable[[str], Any]) -> Callable[[str], str]:
+def _prompt_check(parse: Callable[[str], Any]) -> Callable[[str], str]:
     """Return a function that passes texts on that `parse` takes."""
     from postproc.errors import InputError
 
@@ -250,7 +256,7 @@ def _checking(parse: Callable[[str], Any]) -> Callable[[str], str]:
     return check
 
 
-def _converted(
+def _convert_now(
     ctx: click.Context, program: Path, folder: Path, cell: Path, process: Path | None, options: Mapping[str, Any]
 ) -> Outcome:
     """Convert the program, print what came of it, and return it."""
@@ -302,6 +308,7 @@ _OF_PLACE = ("joint-limit", "joint-speed", "singular", "reach", "branch", "colli
 
 
 def _gain_of_place(outcome: Outcome) -> str | None:
+    """Return why another place of the part would help, or None."""
     issues = outcome.issues if outcome.summary is None else outcome.summary.issues
     if any(issue.kind.startswith(_OF_PLACE) and issue.level != "info" for issue in issues):
         return "The robot is near a limit here"

@@ -23,6 +23,7 @@ class _Terminal:
     def table(
         self, head: Sequence[str], rows: Sequence[Sequence[str]], right: Collection[int] = (), indent: str = ""
     ) -> str:
+        """Return a table as text; `right`: columns that are aligned to the right and not wrapped."""
         from rich import box
         from rich.console import Console
         from rich.padding import Padding

@@ -76,7 +76,7 @@ def among(solids: Solids, q: Array, need: float, shift: Array | None = None, com
     """Return what `along` does, for the pairs of some bodies."""
     search = _Search(solids, q, need, shift, needs_minimum=True)
     if commanded_q is not None:
-        search.less = _displaced(solids, q, commanded_q)
+        search.less = _largest_displacement(solids, q, commanded_q)
     if len(q):
         for pair in solids.pairs:
             search.look(*pair)
@@ -142,7 +142,7 @@ class _Search:
             self._measure(first, second, distinct(middle), distance)
             low, high = np.concatenate([low, middle]), np.concatenate([middle, high])
         if between_samples and open_rows:
-            self._between(first, second, np.sort(np.concatenate(open_rows)), distance)
+            self._halve(first, second, np.sort(np.concatenate(open_rows)), distance)
 
     def _length(self, first: int, second: int) -> Array:
         """Return how far one body has moved against the other at each sample (n,) [m], the same for all fixed ones."""
@@ -160,9 +160,9 @@ class _Search:
 
     def _open(self, bound: Array) -> np.ndarray:
         """Return which lower bounds decide neither whether the distance is kept nor that a smaller one was found."""
-        return np.asarray((bound < self.need) | (bound < self._least() - _EXACT))
+        return np.asarray((bound < self.need) | (bound < self._smallest_distance() - _EXACT))
 
-    def _least(self) -> float:
+    def _smallest_distance(self) -> float:
         """Return the smallest distance so far [m]; nothing is below it if none is wanted."""
         if not self.needs_minimum:
             return -np.inf
@@ -189,7 +189,7 @@ class _Search:
         self.hits[key] = min(distance, self.hits.get(key, np.inf))
         self._nearer(first, second, row, distance)
 
-    def _between(self, first: int, second: int, rows: Ints, distance: Array) -> None:
+    def _halve(self, first: int, second: int, rows: Ints, distance: Array) -> None:
         """Halve the motions from samples to the next ones."""
         begin, end = self.states[rows], self.states[rows + 1]
         begin_distance, end_distance = distance[rows], distance[rows + 1]
@@ -199,7 +199,7 @@ class _Search:
             bound = 0.5 * (begin_distance + end_distance - length)
             smaller = np.minimum(begin_distance, end_distance)
             is_noted = (smaller < self.need) | (smaller <= 0.0)  # reported already
-            open_ = ((bound < self.need) & ~is_noted | (bound < self._least() - _EXACT)) & (length > _SHORT)
+            open_ = ((bound < self.need) & ~is_noted | (bound < self._smallest_distance() - _EXACT)) & (length > _SHORT)
             rows, begin, end, begin_distance, end_distance = (
                 rows[open_],
                 begin[open_],
@@ -250,7 +250,7 @@ _CHUNK = 4096
 """Poses whose link frames are computed at once: 4096 of them are 4 MB."""
 
 
-def _displaced(solids: Solids, q: Array, commanded_q: Array) -> Array:
+def _largest_displacement(solids: Solids, q: Array, commanded_q: Array) -> Array:
     """Return how far any point of each body (b,) moves at most between joint angles (n, 6) and others [m].
 
     That is how far its middle moves, and by how much it turns, times its radius; the arc of so short a motion is longer

@@ -115,7 +115,7 @@ class Scene(Struct, frozen=True, eq=False):
         base = cell.base.pose() if base is None else base
         arm, remarks = _arm(robot, table.arm)
         folder = Path(cell.folder)
-        holder = _held(table.holder, tool, cell.tool.axis, folder)
+        holder = _flange_bodies(table.holder, tool, cell.tool.axis, folder)
         obstacles = [
             replace(_obstacle(table_row, number, base, folder), with_base=table_row.frame == "base")
             for number, table_row in enumerate(table.obstacles, 1)
@@ -133,6 +133,10 @@ class Scene(Struct, frozen=True, eq=False):
 
 
 def _arm(robot: RobotModel, source: str) -> tuple[list[Body], list[str]]:
+    """Return the bodies of the arm, from its meshes or as capsules, and remarks.
+
+    :raises ModelError: a mesh is missing.
+    """
     if source == "urdf" and robot.geometries:
         shapes, problems = robot.link_shapes(for_drawing=False)
         if problems:
@@ -157,7 +161,7 @@ def arm_capsules(chain: Chain) -> Iterator[Body]:
     """
     ends = [*chain.placement[:, :3, 3], chain.flange[:3, 3]]
     length = float(sum(norm(end[None])[0] for end in ends))
-    ahead = _ahead(chain)
+    ahead = _forward_directions(chain)
     for carrier, end in enumerate(ends, -1):
         tube = _TUBES[carrier + 1] * length
         axis = np.array([0.0, 0.0, 1.0]) if carrier < 0 else chain.axis[carrier]
@@ -176,7 +180,7 @@ def arm_capsules(chain: Chain) -> Iterator[Body]:
                     yield capsule(_link(carrier), carrier, "arm", begin, to, radius)
 
 
-def _ahead(chain: Chain) -> dict[int, Array]:
+def _forward_directions(chain: Chain) -> dict[int, Array]:
     """Return for base, A1 and A3 the unit vector (3,) in the frame of the carrier that points away from its back.
 
     A1 points to A2, the base where A1 points at zero, A3 along the axis of A4 to the wrist.
@@ -217,7 +221,7 @@ def cylinders(parts: Sequence[HolderTable]) -> Iterator[Cylinder]:
             height = top
 
 
-def _held(parts: Sequence[HolderTable], tool: Array, axis: str, folder: Path) -> Iterator[Body]:
+def _flange_bodies(parts: Sequence[HolderTable], tool: Array, axis: str, folder: Path) -> Iterator[Body]:
     """Yield what the flange carries: cylinders stacked from the tip upwards, and meshes in the flange frame."""
     sign, letter = axis[0], axis[1]
     up = -(1.0 if sign == "+" else -1.0) * tool[:3, "XYZ".index(letter)]
@@ -239,6 +243,9 @@ def _held(parts: Sequence[HolderTable], tool: Array, axis: str, folder: Path) ->
 
 
 def _obstacle(table: ObstacleTable, number: int, base: Array, folder: Path) -> Body:
+    """Return an obstacle of the cell as a body at the root; `base` (4, 4) [m]: $BASE, in which its table may be
+    given.
+    """
     frame = np.eye(4) if table.frame == "root" else base
     of: Of = "part" if table.part else "obstacle"
     name = table.name or (f"obstacle {number}" if table.mesh is None else Path(table.mesh).name)
@@ -273,7 +280,7 @@ def cylinder(name: str, carrier: int, of: Of, begin: Array, end: Array, radius: 
     """Return a cylinder between two points (3,) [m]."""
     from trimesh import creation
 
-    pose, length = _along(begin, end)
+    pose, length = _line_pose(begin, end)
     # of a radius near 1, then scaled: trimesh leaves out triangles of a tenth of a millimetre
     mesh = creation.cylinder(radius=1.0 / np.cos(np.pi / _SIDES), height=length / radius, sections=_SIDES)
     mesh.apply_scale(radius)
@@ -292,7 +299,7 @@ def capsule(name: str, carrier: int, of: Of, begin: Array, end: Array, radius: f
     """Return all points within `radius` of the line between two points (3,) [m]."""
     from trimesh import creation
 
-    pose, length = _along(begin, end)
+    pose, length = _line_pose(begin, end)
     outer_radius = 1.0 / np.cos(np.pi / _SIDES) ** 2  # scaled to `radius` as that of a cylinder
     mesh = creation.capsule(height=length / radius, radius=outer_radius, count=[_SIDES, _SIDES])
     mesh.apply_scale(radius)  # type: ignore[no-untyped-call]
@@ -300,7 +307,7 @@ def capsule(name: str, carrier: int, of: Of, begin: Array, end: Array, radius: f
     return _round(name, carrier, of, "capsule", (radius, length), pose, mesh.apply_transform(pose))
 
 
-def _along(begin: Array, end: Array) -> tuple[Array, float]:
+def _line_pose(begin: Array, end: Array) -> tuple[Array, float]:
     """Return the pose (4, 4) of the middle of a line, z along it, and its length [m]."""
     line = end - begin
     length = float(np.sqrt(line @ line))

@@ -116,6 +116,7 @@ class Solids:
         return solids
 
     def _geometry(self, body: Body, convex: bool) -> Any:
+        """Return the body as a geometry of FCL; `convex`: the convex hull of a mesh."""
         fcl, size = self.fcl, body.size
         if body.kind == "box":
             return fcl.Box(*size)
@@ -187,10 +188,10 @@ class Solids:
         if solid:
             for inner, outer in ((first, second), (second, first)):
                 if not self.convex[outer]:
-                    distances[self._inside(inner, outer, frames)] = 0.0
+                    distances[self._contains(inner, outer, frames)] = 0.0
         return distances
 
-    def _inside(self, inner: int, outer: int, frames: Array) -> NDArray[np.bool_]:
+    def _contains(self, inner: int, outer: int, frames: Array) -> NDArray[np.bool_]:
         """Return where (n,) a point of a body is in a mesh, by the solid angle of its triangles.
 
         Source: van Oosterom and Strackee, "The solid angle of a plane triangle", IEEE Trans. Biomed. Eng. 30, 1983.

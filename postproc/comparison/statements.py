@@ -136,6 +136,7 @@ def _only_in_one(first: Sequence[Statement], second: Sequence[Statement]) -> Ite
 def _listed(
     comparison: Comparison, occurrences: dict[tuple[str, bool], list[tuple[int, int]]], texts: Sequence[_Texts]
 ) -> Iterator[Difference]:
+    """Yield the statements that only one program has, the first of each text; further ones as one count."""
     order = sorted(occurrences.items(), key=lambda entry: entry[1][0])
     for (_, in_second), places in order[:_MAX_STATEMENTS]:
         k, line = places[0]

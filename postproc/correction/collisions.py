@@ -349,6 +349,7 @@ def _solids(scene: Scene, moving: Sequence[Body], fixed_bodies: Sequence[Body]) 
 
 
 def _contacts(solids: Solids, states: States, need: float) -> Iterator[Contact]:
+    """Yield the contacts of bodies closer than `need` [m] at, or before, the states."""
     hits = collision.among(solids, states.q, need, states.shift, states.commanded)
     motion = np.append(states.motion[:1], states.motion)
     for row, first, second, distance in zip(hits.row, hits.first, hits.second, hits.distance, strict=True):

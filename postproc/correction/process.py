@@ -206,6 +206,7 @@ class Draft(Struct, frozen=True, eq=False):
         return replace(draft, carried=knots, unlike=unlike)
 
     def _text(self, task: Task) -> Written:
+        """Return the program with the targets of this draft, as its dialect writes it."""
         path, row = self.path, self.selection.row
         comments = self.forces_at_targets() if path.program.notes and not task.in_file else None
         q = self.q[row]
@@ -524,6 +525,10 @@ def process(
 
 
 def _check_language(file: str, robot: RobotModel, language: str) -> None:
+    """Check that the controller reads the language.
+
+    :raises InputError: it reads another one.
+    """
     if robot.language not in ("", language):
         raise InputError(
             f"a program in {language} for {robot.title}, whose controller reads {robot.language}",

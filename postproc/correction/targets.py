@@ -213,6 +213,7 @@ def _corners(bend: Array, length: Array, is_continuous: Bools) -> Corners:
 
 
 def _joined(program: Program, motion: Ints, kind: Ints) -> Bools:
+    """Return whether (n,) targets continue on a path: the next motion is none of PTP or SPL and has the same frames."""
     m = program.motions
     following = np.append(motion[1:], -1)
     is_same_frame = (

@@ -149,11 +149,11 @@ class NewProgram:
         if event.kind == "spindle_ccw" and cell_lines and not gcode.spindle_ccw:
             message = "M4 uses the lines of spindle_on: give spindle_ccw in [gcode] if the direction is to change."
             self.issues.append(Issue("warning", "spindle-direction", message, event.line))
-        if not cell_lines and event.kind != "m_code" and not self._stated(event):
+        if not cell_lines and event.kind != "m_code" and not self._has_lines(event):
             self.without_lines.append(event)
         return cell_lines
 
-    def _stated(self, event: Event) -> bool:
+    def _has_lines(self, event: Event) -> bool:
         """Return whether the cell says what an event needs; an empty list says that it needs nothing."""
         gcode = self.cell.gcode
         kinds = ("spindle_ccw", "spindle_on") if event.kind == "spindle_ccw" else (event.kind,)

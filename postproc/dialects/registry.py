@@ -59,7 +59,7 @@ def by_name(name: str) -> Dialect:
     """
     if name in _OURS:
         return _ours(name)
-    dialect = _others().get(name)
+    dialect = _plugins().get(name)
     if dialect is None:
         raise InputError(
             f"unknown dialect {name!r}",
@@ -72,18 +72,18 @@ def by_name(name: str) -> Dialect:
 
 def names() -> tuple[str, ...]:
     """Return the names of all dialects that can be used: our own first."""
-    return (*_OURS, *(name for name, dialect in _others().items() if not isinstance(dialect, str)))
+    return (*_OURS, *(name for name, dialect in _plugins().items() if not isinstance(dialect, str)))
 
 
 def broken() -> dict[str, str]:
     """Return the dialects of other packages that cannot be used, and why."""
-    return {name: reason for name, reason in _others().items() if isinstance(reason, str)}
+    return {name: reason for name, reason in _plugins().items() if isinstance(reason, str)}
 
 
 def extensions() -> dict[str, str]:
     """Return the extension of every kind of program (lower case) and the name of its dialect; ours win."""
     dialect_names = dict(_EXTENSIONS)
-    for dialect in _others().values():
+    for dialect in _plugins().values():
         if not isinstance(dialect, str):
             for extension in dialect.extensions:
                 dialect_names.setdefault(extension, dialect.name)
@@ -143,14 +143,15 @@ def _ours(name: str) -> Dialect:
 
 
 @cache
-def _others() -> dict[str, Dialect | str]:
+def _plugins() -> dict[str, Dialect | str]:
     """Return the dialects of other packages by name, or why one of them cannot be used."""
     from importlib.metadata import entry_points  # needed where a dialect is asked for that is not ours
 
-    return {entry.name: _other(entry) for entry in entry_points(group=GROUP) if entry.name not in _OURS}
+    return {entry.name: _plugin(entry) for entry in entry_points(group=GROUP) if entry.name not in _OURS}
 
 
-def _other(entry: EntryPoint) -> Dialect | str:
+def _plugin(entry: EntryPoint) -> Dialect | str:
+    """Return the dialect of an entry point, or why it cannot be used."""
     origin = f"of {entry.dist.name} {entry.dist.version}" if entry.dist else f"({entry.value})"
     try:
         plugin = entry.load()

@@ -298,12 +298,12 @@ def compensate(robot: RobotModel, target: Array, q_nominal: Array, tool: Array, 
         jacobian, missing_twist = state.jacobian(), kinematics.twist_between(state.pose, goal)
         left = np.abs(missing_twist)
         # without link springs the deflection matters at the target only
-        if len(passive) or not _beyond(left).any():
+        if len(passive) or not _exceeds_tolerance(left).any():
             load = np.einsum("ikn,in->kn", jacobian, wrench)
             theta = springs_at_target(robot, x, load, static_torque(robot, x, state))
             link_twist = np.einsum("ikn,kn->in", jacobian[:, passive], (theta - x)[passive])
             left, missing_twist = left + np.abs(link_twist), missing_twist - link_twist
-        rows = np.flatnonzero(_beyond(left))
+        rows = np.flatnonzero(_exceeds_tolerance(left))
         if len(rows) == 0:
             q = joint_angles(robot, x - theta)
             pose = kinematics.posture(robot.nominal, q, tools).pose
@@ -314,7 +314,7 @@ def compensate(robot: RobotModel, target: Array, q_nominal: Array, tool: Array, 
     raise NotConvergedError("no loaded equilibrium at the target: pose singular or load too large", rows.tolist())
 
 
-def _beyond(left: Array) -> Bools:
+def _exceeds_tolerance(left: Array) -> Bools:
     """Return where twists (6, n) exceed the tolerances."""
     return np.asarray(~((left[:3].max(axis=0) <= _AT_TARGET) & (left[3:].max(axis=0) <= _ORIENTATION_TOLERANCE)))
 

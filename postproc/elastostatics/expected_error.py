@@ -120,7 +120,7 @@ class ChanceOfGain:
         self._covariance = errors.covariance
         self._by_parameter = self._by_parameter + by_parameter
         self._by_forces = [total + addend for total, addend in zip(self._by_forces, by_forces, strict=True)]
-        for name, sigma in _along(errors.other, change, counts).items():
+        for name, sigma in _sums_by_source(errors.other, change, counts).items():
             self._other[name] = self._other.get(name, 0.0) + sigma
 
     @property
@@ -136,7 +136,7 @@ class ChanceOfGain:
         return 0.5 * math.erfc(-self._gain / math.sqrt(2.0 * variance))
 
 
-def _along(covariances: Mapping[str, Array], change: Array, counts: Bools) -> dict[str, float]:
+def _sums_by_source(covariances: Mapping[str, Array], change: Array, counts: Bools) -> dict[str, float]:
     """Return the sums over targets of the standard deviations of errors along the corrections (n, 3), by source."""
     squares = {
         name: np.einsum("ni,nij,nj->n", change, covariance[counts], change) for name, covariance in covariances.items()

@@ -93,7 +93,7 @@ def loads(
         turning = np.zeros((len(q), 6), dtype=bool)
     if is_proportional is None:
         is_proportional = np.zeros(len(q), dtype=bool)
-    forces = _given(q, force_spread, in_series)
+    forces = _optional_spread(q, force_spread, in_series)
     return (q, np.broadcast_to(tool, (len(q), 4, 4)), wrench, turning, is_proportional, *forces)
 
 
@@ -133,7 +133,7 @@ def sources_of_error(
     """
     forces = _reaction(robot, q, tool, wrench, *forces)
     slopes, covariance = _with_factor(robot, sensitivity(robot, q, tool, wrench), wrench, is_proportional, *forces)
-    other_covariances = _others(robot, q, tool, wrench, turning)
+    other_covariances = _other_covariances(robot, q, tool, wrench, turning)
     return SourcesOfError(slopes, covariance, _by_forces(wrench, is_proportional, *forces), other_covariances)
 
 
@@ -142,7 +142,8 @@ def largest_length(covariances: Sequence[Array], mean: Array | None = None) -> A
     return np.asarray(np.max([length_bound(covariance, mean) for covariance in covariances], axis=0))
 
 
-def _given(q: Array, force_spread: Array | None, in_series: Array | None) -> tuple[Array, ...]:
+def _optional_spread(q: Array, force_spread: Array | None, in_series: Array | None) -> tuple[Array, ...]:
+    """Return the spread of the forces, and of those in series (zero by default); empty without a spread."""
     if force_spread is None:
         return ()
     return force_spread, np.zeros((len(q), 6, 6)) if in_series is None else in_series
@@ -171,7 +172,7 @@ def _with_factor(
     return np.concatenate([s, by_factor[:, :, None]], axis=2), joint
 
 
-def _others(robot: RobotModel, q: Array, tool: Array, wrench: Array, turning: Bools) -> dict[str, Array]:
+def _other_covariances(robot: RobotModel, q: Array, tool: Array, wrench: Array, turning: Bools) -> dict[str, Array]:
     """Return the covariances (N, 3, 3) [m²] of the position that come from neither parameters nor forces."""
     covariances = {}
     if robot.geometry_error is not None:

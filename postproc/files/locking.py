@@ -38,15 +38,21 @@ def locked(folders: Iterable[Path], waiting: Callable[[str], None] | None = None
         for folder in sorted(
             {folder.resolve() for folder in folders} - _locked_folders
         ):  # the same order in each process
-            locks.enter_context(_locked(folder, waiting))
+            locks.enter_context(_lock_folder(folder, waiting))
         yield
 
 
 @contextlib.contextmanager
-def _locked(folder: Path, waiting: Callable[[str], None] | None) -> Iterator[None]:
+def _lock_folder(folder: Path, waiting: Callable[[str], None] | None) -> Iterator[None]:
+    """Lock a folder inside the context; make it if it is missing, and remove it afterwards if nothing was written.
+
+    Goes on without a lock on drives that have none.
+
+    :param waiting: is called with a message if another process has the lock.
+    """
     from filelock import FileLock, Timeout  # takes 15 ms, where files are written only
 
-    new_folders = _missing(folder)
+    new_folders = _missing_folders(folder)
     lock = FileLock(folder / _NAME)
     attempts = attempts_without_folder = 0
     with warnings.catch_warnings():
@@ -88,7 +94,7 @@ def _locked(folder: Path, waiting: Callable[[str], None] | None) -> Iterator[Non
                 path.rmdir()  # where nothing was written
 
 
-def _missing(folder: Path) -> list[Path]:
+def _missing_folders(folder: Path) -> list[Path]:
     """Return the missing folders of a path, innermost first."""
     return [path for path in (folder, *folder.parents) if not path.exists()]
 

@@ -498,7 +498,7 @@ def read_facets(path: Path) -> tuple[Array, Array]:
     coarse = _chord_heights(mesh) * M_PER_MM
     if mesh.is_watertight and mesh.volume < 0.0:
         corners = corners[:, ::-1]
-    return _divided(corners, coarse)
+    return _subdivide(corners, coarse)
 
 
 def _chord_heights(mesh: Any) -> Array:
@@ -518,7 +518,7 @@ def _chord_heights(mesh: Any) -> Array:
     return height
 
 
-def _divided(corners: Array, coarse: Array) -> tuple[Array, Array]:
+def _subdivide(corners: Array, coarse: Array) -> tuple[Array, Array]:
     """Return facets whose longest side is short compared with the part, up to a number of them, and their `coarse`."""
     limit = float(np.ptp(corners.reshape(-1, 3), axis=0).max()) / _SIDES_PER_PART
     while True:

@@ -308,6 +308,7 @@ _LIST_OF_NUMBERS = re.compile(r"\[\n\s*([-+.\deE]+(?:,\s+[-+.\deE]+)*),?\s*\]")
 
 
 def _plain(value: Any) -> Any:
+    """Return a record as builtins without its defaults; floats have ten digits."""
     if isinstance(value, msgspec.Struct):
         fields = ((field, getattr(value, field.name)) for field in msgspec.structs.fields(value))
         return {

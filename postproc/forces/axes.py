@@ -140,13 +140,16 @@ class Axes(Struct, frozen=True, eq=False):
 
     def into_base(self, columns: Array, frame: Ints, sample: Toolpath) -> Array:
         """Return columns (n, 2, 3, m) in `$BASE` axes that are given in frames (n,) at samples."""
-        return self._turned(columns, frame, sample, "nij,nhjm->nhim")
+        return self._rotate_to_base(columns, frame, sample, "nij,nhjm->nhim")
 
     def out_of_base(self, columns: Array, frame: Ints, sample: Toolpath) -> Array:
         """Return columns (n, 2, 3, m) in frames (n,) at samples that are given in `$BASE` axes."""
-        return self._turned(columns, frame, sample, "nji,nhjm->nhim")
+        return self._rotate_to_base(columns, frame, sample, "nji,nhjm->nhim")
 
-    def _turned(self, columns: Array, frame: Ints, sample: Toolpath, product: str) -> Array:
+    def _rotate_to_base(self, columns: Array, frame: Ints, sample: Toolpath, product: str) -> Array:
+        """Return columns (N, 2, 3, m) of force and moment in $BASE axes; `frame` (N,): their axes, `product`: of
+        einsum.
+        """
         rotated_columns = columns.copy()
         for code in (TOOL, FEED):
             rows = np.flatnonzero(frame == code)

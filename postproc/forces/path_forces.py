@@ -73,18 +73,18 @@ class PathForces(Struct, frozen=True, eq=False):
             return self.wrench.take(knots).reshape(-1, 2, 3, 1)
 
         def in_chunk(rows: Ints) -> tuple[Array]:
-            return (self._between(wrench, sample.take(rows)).reshape(-1, 6),)
+            return (self._columns_in_base(wrench, sample.take(rows)).reshape(-1, 6),)
 
         return in_chunks(in_chunk, np.arange(len(sample)))[0]
 
     def spread_at(self, sample: Toolpath) -> Array | None:
         """Return L (N, 2, 3, 3) of the covariances L·Lᵀ of force and moment at samples; None if all are zero."""
         spread = self.spread
-        return None if spread is None else self._between(lambda knots: spread.take(knots, axis=0), sample)
+        return None if spread is None else self._columns_in_base(lambda knots: spread.take(knots, axis=0), sample)
 
     def factor_at(self, sample: Toolpath) -> Array:
         """Return `factor` (N,) at samples: that of the next knot."""
-        return np.asarray(self.factor[self._next(sample)])
+        return np.asarray(self.factor[self._next_knot(sample)])
 
     def spread_in_root(self, sample: Toolpath) -> Array | None:
         """Return L of covariances L·Lᵀ of the wrench at samples, root axes; None if forces are certain.
@@ -98,7 +98,10 @@ class PathForces(Struct, frozen=True, eq=False):
             return None
         halves = [independent]
         if self.factor.any():
-            halves += [self._between(self._without_factor, sample), self._between(self._by_factor, sample)]
+            halves += [
+                self._columns_in_base(self._without_factor, sample),
+                self._columns_in_base(self._by_factor, sample),
+            ]
         in_root = [columns_in_root(self.axes.program, sample.motion, root_columns) for root_columns in halves]
         factors = np.zeros((len(sample), 6, 13 if len(halves) > 1 else 6))
         for place, root_columns in enumerate(in_root[:2]):
@@ -120,23 +123,23 @@ class PathForces(Struct, frozen=True, eq=False):
 
     def before(self) -> Array:
         """Return the wrench (M, 6) at the end of the motion before each, `$BASE` axes; zero before the first."""
-        return _before(self.wrench.take(self.first[1:] - 1), self.frame, self.axes)
+        return _wrench_before(self.wrench.take(self.first[1:] - 1), self.frame, self.axes)
 
     def behind_step(self, motion: Ints, t: Array) -> Bools:
         """Return which places (n,) are just behind the start of a motion whose force may start with a step."""
         return np.asarray(~self.ramped[motion] & (self.axes.path.length[motion] * t < 1.5 * BEHIND_STEP))
 
-    def _next(self, sample: Toolpath) -> Ints:
+    def _next_knot(self, sample: Toolpath) -> Ints:
         """Return the knot (N,) at or after each sample on its motion, the last one where there is none."""
         first, last = self.first[sample.motion], self.first[sample.motion + 1] - 1
         return np.clip(np.searchsorted(self.place, sample.motion + sample.t), first, last)
 
-    def _between(self, columns: Callable[[Ints], Array], sample: Toolpath) -> Array:
+    def _columns_in_base(self, columns: Callable[[Ints], Array], sample: Toolpath) -> Array:
         """Return columns (N, 2, 3, m) of force and moment in `$BASE` axes at samples.
 
         :param columns: returns those (n, 2, 3, m) at knots (n,).
         """
-        t, right = sample.t, self._next(sample)
+        t, right = sample.t, self._next_knot(sample)
         left = np.where(self.t[right] > t, np.maximum(right - 1, self.first[sample.motion]), right)
         values, frame = columns(right), self.knot_frame[right]
         inner = np.flatnonzero(left != right)
@@ -185,7 +188,7 @@ def assign(program: Program, path: Segments, source: ForceSource | None, axis: s
         Knots.throughout(forceless, np.zeros((len(forceless), 6)), np.full(len(forceless), BASE))
     )
     travel, lead = _travel(program, path, knots_of_motions, axis)
-    path_forces = _resolved(knots_of_motions, Axes(program, path, axis, travel), ramp, (*issues, *lead), by_law)
+    path_forces = _resolve(knots_of_motions, Axes(program, path, axis, travel), ramp, (*issues, *lead), by_law)
     return replace(path_forces, stock=stock)
 
 
@@ -211,14 +214,14 @@ def _warning(program: Program, motion: Ints, kind: str, message: str) -> list[Is
     return [program.motions.issue("warning", kind, message, motion)] if len(motion) else []
 
 
-def _resolved(knots: Knots, axes: Axes, ramp: float, issues: tuple[Issue, ...], by_law: ByLaw | None) -> PathForces:
+def _resolve(knots: Knots, axes: Axes, ramp: float, issues: tuple[Issue, ...], by_law: ByLaw | None) -> PathForces:
     """Return the forces from knots that cover every motion, with ramps inserted."""
     motions = np.arange(len(axes.program.motions))
     first = np.searchsorted(knots.motion, np.append(motions, len(motions)))
     last = first[1:] - 1
     has_ramp, frame = knots.ramped[last], knots.frame[last]
     wrench = knots.wrench.take(last, axis=0)
-    start, start_frame = _before(wrench, frame, axes), np.full(len(motions), BASE)
+    start, start_frame = _wrench_before(wrench, frame, axes), np.full(len(motions), BASE)
     steady = _continuous(wrench, frame, start, axes)
     steady = steady[has_ramp[steady]]
     start[steady], start_frame[steady] = wrench[steady], frame[steady]
@@ -259,7 +262,7 @@ def _resolved(knots: Knots, axes: Axes, ramp: float, issues: tuple[Issue, ...], 
     )
 
 
-def _before(wrench: Array, frame: Ints, axes: Axes) -> Array:
+def _wrench_before(wrench: Array, frame: Ints, axes: Axes) -> Array:
     """Return the wrench (M, 6) before each motion, `$BASE` axes, from that at the end of each, in `frame`."""
     return axes.at_start(wrench.reshape(-1, 2, 3, 1), frame).reshape(-1, 6)
 
@@ -423,7 +426,7 @@ def refined_arcs(
     while len(left.motion):
         share = left.end - left.begin
         long = np.minimum(share, share * length[left.motion]) > _SHORTEST
-        too_coarse = long & (_missed(forces, left, compliance) > limit)
+        too_coarse = long & (_circle_deviation(forces, left, compliance) > limit)
         pieces.append(left.take(~too_coarse))
         left = left.take(too_coarse)
         left = left.cut(np.full(len(left.motion), 2))
@@ -463,7 +466,7 @@ def swing_places(forces: PathForces, compliance: tuple[float, float], limit: flo
     return np.concatenate(motions), np.concatenate(places)
 
 
-def _missed(forces: PathForces, arcs: Pieces, compliance: tuple[float, float]) -> Array:
+def _circle_deviation(forces: PathForces, arcs: Pieces, compliance: tuple[float, float]) -> Array:
     """Return the largest deviation (n,) [m] of circles through start, middle and end at the quarters of pieces."""
     spots = []
     for share in _QUARTERS:

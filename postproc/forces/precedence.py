@@ -34,7 +34,7 @@ def combined(program: Program, source: Knots, name: str) -> tuple[Knots, list[Is
     cutting = ~program.motions.rapid
     has_source = np.zeros(len(cutting), dtype=np.bool_)
     has_source[source.motion] = True
-    has_comment = _stated(comments, len(cutting)) & cutting
+    has_comment = _has_force(comments, len(cutting)) & cutting
     if has_comment.any():
         by_source, by_comment = int(np.count_nonzero(has_source & cutting)), has_comment & ~has_source
         message = (
@@ -42,7 +42,7 @@ def combined(program: Program, source: Knots, name: str) -> tuple[Knots, list[Is
             "where both state one, the comment is not used"
         )
         issues.append(program.motions.issue("info", "force-sources", message, np.flatnonzero(has_comment)))
-    conflicts = _replaced(source, comments, has_comment)
+    conflicts = _replaced_motions(source, comments, has_comment)
     if len(conflicts):
         message = f"{name} states another force than the comment of the program: the comment is not used here"
         issues.append(program.motions.issue("warning", "force-replaced", message, conflicts))
@@ -89,14 +89,14 @@ def _notes(program: Program) -> Ints:
     return np.asarray(np.searchsorted(first, np.arange(len(program.motions)), side="right") - 1)
 
 
-def _stated(knots: Knots, count: int) -> Bools:
+def _has_force(knots: Knots, count: int) -> Bools:
     """Return which motions (count,) have a force other than zero."""
     has_force = np.zeros(count, dtype=np.bool_)
     has_force[knots.motion[any_column(knots.wrench != 0.0)]] = True
     return has_force
 
 
-def _replaced(source: Knots, comments: Knots, has_comment: Bools) -> Ints:
+def _replaced_motions(source: Knots, comments: Knots, has_comment: Bools) -> Ints:
     """Return the motions (n,) on which a source has another force than a comment that states one.
 
     :param has_comment: (M,) True where a comment states a force on a cutting move.

@@ -78,7 +78,7 @@ class ForceTable(Struct, frozen=True, eq=False):
         for call in program.unfollowed:
             if np.any(self.wrench[(self.first <= call.line) & (call.line <= self.last)]):
                 raise call.error
-        self._find_each(program)
+        self._check_rows(program)
         begins = np.flatnonzero(np.diff(self.first, prepend=-1))
         line, number = program.motions.line, np.diff(np.append(begins, len(self.row)))
         block = np.searchsorted(self.first[begins], line, side="right") - 1
@@ -92,9 +92,9 @@ class ForceTable(Struct, frozen=True, eq=False):
         t = np.where(is_constant, 1.0, self.t[row])
         knot_motion, wrench, frame = np.repeat(motion, count), self.wrench[row], self.frame[row]
         knots = Knots(knot_motion, t, wrench, frame, self.sigma[row], self.factor[row], is_constant)
-        return replace(knots, issues=tuple(self._on_still(program)))
+        return replace(knots, issues=tuple(self._zero_length_issues(program)))
 
-    def _on_still(self, program: Program) -> Iterator[Issue]:
+    def _zero_length_issues(self, program: Program) -> Iterator[Issue]:
         """Yield a warning if rows with a force cover only moves of zero length."""
         starts = np.sort(program.motions.line)
         has_no_motion = np.searchsorted(starts, self.first, side="left") == np.searchsorted(
@@ -106,7 +106,7 @@ class ForceTable(Struct, frozen=True, eq=False):
             message = f"a move of zero length carries no force: its row of {self.name} is not used"
             yield Issue("warning", "force-on-still", message, lines[0], count=len(lines), lines=lines)
 
-    def _find_each(self, program: Program) -> None:
+    def _check_rows(self, program: Program) -> None:
         """Check that every row names at least one line on which a motion starts."""
         lines = np.sort(np.concatenate([program.motions.line, program.still]))
         empty = np.searchsorted(lines, self.first, side="left") == np.searchsorted(lines, self.last, side="right")
@@ -318,7 +318,7 @@ def of_pieces(forces: PathForces, targets: Targets, at_end: TargetForces, output
     sigma = np.zeros_like(wrench)
     if spread is not None:
         sigma = norm(output_axes.out_of_base(spread, frame, output_place)).reshape(-1, 6)
-    return _shortened(Knots(target, share, wrench, frame, sigma, forces.factor_at(nominal), whole))
+    return _merge_knots(Knots(target, share, wrench, frame, sigma, forces.factor_at(nominal), whole))
 
 
 def once_a_line(knots: Knots, line: Ints) -> tuple[Knots, Ints]:
@@ -368,7 +368,7 @@ def _places(forces: PathForces, targets: Targets) -> tuple[Ints, Array]:
     return target, np.where(last, 1.0, np.where(index == 0, 0.0, share))
 
 
-def _shortened(knots: Knots) -> Knots:
+def _merge_knots(knots: Knots) -> Knots:
     """Return fewer knots: of a piece with constant force only the last one."""
     last = np.flatnonzero(np.diff(knots.motion, append=-1) != 0)
     end = last[np.searchsorted(last, np.arange(len(knots)))]

@@ -311,13 +311,14 @@ def _compare_postures(conversion: Converted, joints: dict[int, list[float]]) -> 
                 for path in conversion.files:
                     path.unlink()
                 raise HostError(
-                    f"Line {row['source_line']}: RoboDK has the robot at A1-A6 {_rounded(station_angles)}, but from "
-                    f"[start] of the cell it arrives with {_rounded(angles)}. Begin the program with a MoveJ, or state "
+                    f"Line {row['source_line']}: RoboDK has the robot at A1-A6 {_angles(station_angles)}, but from "
+                    f"[start] of the cell it arrives with {_angles(angles)}. Begin the program with a MoveJ, or state "
                     "the joint angles before its first motion under [start]."
                 )
 
 
-def _rounded(joints: list[float]) -> str:
+def _angles(joints: list[float]) -> str:
+    """Return the first six joint angles [deg] as text."""
     return ", ".join(f"{value:.1f}" for value in joints[:6])
 
 

@@ -73,17 +73,21 @@ def export(objectslist: list[Any], filename: str, argstring: str) -> str:
     import FreeCAD
 
     try:
-        return _posted(FreeCAD, objectslist, filename, argstring)
+        return _post(FreeCAD, objectslist, filename, argstring)
     except HostError as cause:
         _show(FreeCAD, str(cause))
         raise
 
 
-def _posted(FreeCAD: Any, objects: list[Any], filename: str, argstring: str) -> str:
+def _post(FreeCAD: Any, objects: list[Any], filename: str, argstring: str) -> str:
+    """Convert the objects; return the text of the program and print verdict and warnings.
+
+    :raises HostError: arguments exclude each other, or the program does not fit into one text.
+    """
     options = _options(argstring)
     blocks = _blocks(objects)
     document = FreeCAD.ActiveDocument
-    folder, name = _where(options, filename, document, objects)
+    folder, name = _folder_and_name(options, filename, document, objects)
     flags = [("--cell", _file(options.cell, document)), ("--lines-per-file", "0")]  # FreeCAD takes one text
     if sum(bool(source) for source in (options.forces, options.process, options.material)) > 1:
         raise HostError("Arguments of the post: --forces, --process and --material exclude each other.")
@@ -136,7 +140,7 @@ def _file(path: str, document: Any) -> str:
     return str((folder / path.strip("\"'")).resolve())
 
 
-def _where(options: argparse.Namespace, filename: str, document: Any, objects: list[Any]) -> tuple[Path, str]:
+def _folder_and_name(options: argparse.Namespace, filename: str, document: Any, objects: list[Any]) -> tuple[Path, str]:
     """Return the folder to write into and the name of the program."""
     target = None if filename in ("", "-") else Path(filename)
     if options.out_dir:
@@ -302,7 +306,7 @@ def _word(letter: str, value: float) -> str:
     return f"{letter}{value * (60.0 if letter == 'F' else 1.0):.7f}".rstrip("0").rstrip(".")
 
 
-def _machine_based() -> type | None:
+def _machine_class() -> type | None:
     """Return the class that FreeCAD 1.2 looks for; None in older versions, which call `export` as they do here.
 
     FreeCAD 1.2 posts a job that names a machine by `export2`. That of its wrapper for scripts like this one writes
@@ -341,5 +345,5 @@ def _machine_based() -> type | None:
     return MachineBased
 
 
-if (_class := _machine_based()) is not None:
+if (_class := _machine_class()) is not None:
     Kuka_Compensated = _class  # the name that FreeCAD makes of that of the file

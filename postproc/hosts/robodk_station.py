@@ -83,7 +83,7 @@ def read(station: str) -> Station:
         raise InputError("no such file", file=station)
     try:
         with contextlib.redirect_stdout(io.StringIO()):  # robolink prints what it is doing
-            return _asked(robolink, station)
+            return _read_station(robolink, station)
     except InputError:
         raise
     except Exception as cause:  # robolink raises plain exceptions
@@ -92,7 +92,11 @@ def read(station: str) -> Station:
         ) from cause
 
 
-def _asked(robolink: Any, station: str) -> Station:
+def _read_station(robolink: Any, station: str) -> Station:
+    """Return the robot, frames and start angles of a RoboDK station.
+
+    :raises InputError: it does not have exactly one robot with six joints.
+    """
     rdk = robolink.Robolink()
     if station != OPEN:
         rdk.AddFile(str(Path(station).resolve()))

@@ -182,7 +182,7 @@ def identify_geometry(content: ModelFile, nominal: Chain, name: str, data: Measu
             solution = _solve(base, nominal, name, data, free)
         except PostprocError:  # a model that cannot carry its own weight, or parameters that the readings do not hold
             continue
-        fold_errors = _held_out(solution, data)
+        fold_errors = _cross_validation_error(solution, data)
         fits[label] = solution, fold_errors
         rms[label] = (
             float(np.sqrt(np.mean(np.sum(solution.residual**2, axis=2)))),
@@ -316,12 +316,16 @@ def _usual(parameters: tuple[GeometryParameter, ...]) -> Array:
 def _solve(
     content: ModelFile, nominal: Chain, name: str, data: Measurements, parameters: tuple[GeometryParameter, ...]
 ) -> _Solution:
+    """Fit the geometry parameters, the frame of the tracker and the points to unloaded readings.
+
+    Gauss-Newton with the priors of the parameters as a ridge; the covariance grows with the misfit.
+    """
     mean, count = data.means()
     readings, weight = mean[data.unloaded], count[data.unloaded]
     scale = np.repeat(np.sqrt(weight).ravel(), 3) / data.sigma
     values, points = np.zeros(len(parameters)), data.guess.copy()
     robot = assemble(name, _with_geometry(content, parameters, values, "", None), nominal)
-    root = kabsch(_placed(_at_rest(robot, data.q)[0], points).reshape(-1, 3), readings.reshape(-1, 3))
+    root = kabsch(_point_positions(_at_rest(robot, data.q)[0], points).reshape(-1, 3), readings.reshape(-1, 3))
     for _ in range(_STEPS):
         robot = assemble(name, _with_geometry(content, parameters, values, "", None), nominal)
         flange, angles = _at_rest(robot, data.q)
@@ -332,7 +336,7 @@ def _solve(
         by_joint = np.einsum("ij,cpjab->cpiab", root[:3, :3], by_joint)
         parameter_columns = [_column(parameter, by_joint, chain, data.q) for parameter in parameters]
         design = np.concatenate([base, tool, *parameter_columns], axis=1) * scale[:, None]
-        left = (readings - _placed(root @ flange, points)).ravel() * scale
+        left = (readings - _point_positions(root @ flange, points)).ravel() * scale
         frame_count = 6 + 3 * len(points)
         ridge = np.diag(np.concatenate([np.zeros(frame_count), 1.0 / _usual(parameters)]))[frame_count:]
         right = np.concatenate([left, -values / _usual(parameters)])
@@ -344,7 +348,7 @@ def _solve(
             break
     robot = assemble(name, _with_geometry(content, parameters, values, "", None), nominal)
     flange, _ = _at_rest(robot, data.q)
-    residual = (readings - _placed(root @ flange, points)) * (weight > 0.0)[..., None]
+    residual = (readings - _point_positions(root @ flange, points)) * (weight > 0.0)[..., None]
     covariance = np.linalg.pinv(design.T @ design + ridge.T @ ridge, hermitian=True)
     white = residual.ravel() * scale
     dof = max(1, len(white) - design.shape[1])
@@ -392,12 +396,13 @@ def _geometric(nominal: Chain, robot: RobotModel) -> Chain:
     return nominal
 
 
-def _placed(frames: Array, points: Array) -> Array:
+def _point_positions(frames: Array, points: Array) -> Array:
+    """Return the positions (C, P, 3) of points (P, 3) of the flange frames (C, 4, 4)."""
     positions: Array = np.einsum("cij,pj->cpi", frames[:, :3, :3], points) + frames[:, None, :3, 3]
     return positions
 
 
-def _held_out(solution: _Solution, data: Measurements) -> Array:
+def _cross_validation_error(solution: _Solution, data: Measurements) -> Array:
     """Return the mean square cross-validation error (C,) [m²] of each configuration."""
     rows = 3 * len(data.points)
     readings = len(data.q) * rows
@@ -417,6 +422,10 @@ def _held_out(solution: _Solution, data: Measurements) -> Array:
 def _with_geometry(
     content: ModelFile, parameters: tuple[GeometryParameter, ...], values: Array, source: str, half: Array | None
 ) -> ModelFile:
+    """Return the model with values (p,) of geometry parameters [SI]; `half` (p,): half 95 % intervals for its sources.
+
+    :raises MeasurementError: a value is beyond any arm.
+    """
     tables: dict[bool, dict[str, dict[str, float | str]]] = {False: {}, True: {}}
     intervals: dict[tuple[bool, str], list[str]] = {}
     for index, (parameter, value) in enumerate(zip(parameters, values, strict=True)):
@@ -437,7 +446,7 @@ def _with_geometry(
 
 def warnings(result: Geometry) -> list[str]:
     """Return what the user must know before the calibrated geometry is used."""
-    return [*_contradictions(result), *_hardly_moved(result)]
+    return [*_contradictions(result), *_small_motion_warnings(result)]
 
 
 def _contradictions(result: Geometry) -> list[str]:
@@ -465,7 +474,7 @@ _SPAN_FEW = 30.0
 """Span of a joint [deg] that programs usually leave: a part of half a metre two metres away turns A1 by 15°."""
 
 
-def _hardly_moved(result: Geometry) -> list[str]:
+def _small_motion_warnings(result: Geometry) -> list[str]:
     """Return a warning if joints turned so little in the readings that programs will leave what was measured."""
     error = result.content.geometry_error
     assert error is not None, "a calibration states its error"

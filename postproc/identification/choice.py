@@ -288,7 +288,7 @@ class Member(Struct, frozen=True, eq=False):
     def of(cls, name: str, nonlinear: bool, equations: Linearised, prior: Prior, columns: Ints, fold: Ints) -> Member:
         """Learn the regression on some columns of the equations; `fold` (C,) as of `folds`."""
         regression = learn(equations, prior, columns)
-        return cls(name, nonlinear, regression, _left_out(regression, equations, fold))
+        return cls(name, nonlinear, regression, _fold_residuals(regression, equations, fold))
 
 
 class Mean(Struct, frozen=True, eq=False):
@@ -350,7 +350,7 @@ def choose(robot: RobotModel, data: Measurements, placement: Placement) -> Choic
     fits: list[_Settled] = []
     for in_gears in (False, True) if weights_matter else (False,):
         try:
-            fits.append(_settled(robot, data, placement, in_gears, compensator=False))
+            fits.append(_weigh_candidates(robot, data, placement, in_gears, compensator=False))
         except PostprocError:
             if not fits and in_gears == weights_matter:
                 raise
@@ -358,10 +358,10 @@ def choose(robot: RobotModel, data: Measurements, placement: Placement) -> Choic
     best = fits[-1] if fits[-1].whole.evidence > fits[0].whole.evidence + CLEAR else fits[0]
     if has_compensator(robot, data):
         try:
-            with_compensator = _settled(robot, data, placement, best.structure.in_gears, compensator=True)
+            with_compensator = _weigh_candidates(robot, data, placement, best.structure.in_gears, compensator=True)
             if with_compensator.whole.evidence > best.whole.evidence + CLEAR:
-                choice = _chosen(
-                    *_extended(_mean(with_compensator, compensator=True), with_compensator, data, placement),
+                choice = _choice_of_mean(
+                    *_extend(_mean(with_compensator, compensator=True), with_compensator, data, placement),
                     data,
                     placement,
                 )
@@ -369,7 +369,7 @@ def choose(robot: RobotModel, data: Measurements, placement: Placement) -> Choic
                     return choice
         except PostprocError:
             pass
-    return _chosen(*_extended(_mean(best, compensator=False), best, data, placement), data, placement)
+    return _choice_of_mean(*_extend(_mean(best, compensator=False), best, data, placement), data, placement)
 
 
 def evidence_of(structure: Structure, values: Array, data: Measurements, placement: Placement) -> float:
@@ -387,9 +387,10 @@ def _open(choice: Choice) -> bool:
     return bool(fit.ci95[index] > UNCERTAIN * fit.values[index])
 
 
-def _settled(
+def _weigh_candidates(
     robot: RobotModel, data: Measurements, placement: Placement, in_gears: bool, compensator: bool
 ) -> _Settled:
+    """Return the structure with all candidates, linearised at the mean that the evidence gives, and its prior."""
     structure, kinds = everything(robot, data, in_gears, compensator)
     prior, values, columns = prior_of(structure), structure.start(), np.arange(len(structure.parameters))
     for _ in range(_ROUNDS):
@@ -413,7 +414,10 @@ def _mean(solution: _Settled, compensator: bool) -> Mean:
     linear = np.array([not member.nonlinear for member in members])
     is_candidate = linear if evidence.max() < evidence[linear].max() + CLEAR else np.ones(len(members), dtype=bool)
     return Mean(
-        solution.structure, equations, tuple(members), _stacked(equations, members, np.flatnonzero(is_candidate))
+        solution.structure,
+        equations,
+        tuple(members),
+        _stacking_weights(equations, members, np.flatnonzero(is_candidate)),
     )
 
 
@@ -422,7 +426,7 @@ def folds(equations: Linearised) -> Ints:
     return np.random.default_rng(0).permutation(equations.configs) % min(_FOLDS, equations.configs)
 
 
-def _extended(mean: Mean, solution: _Settled, data: Measurements, placement: Placement) -> tuple[Mean, _Settled]:
+def _extend(mean: Mean, solution: _Settled, data: Measurements, placement: Placement) -> tuple[Mean, _Settled]:
     """Return the mean of structures, with couplings and compliances over the pose if the evidence is for them.
 
     Both are tried on the structure with the most evidence: first the couplings, then the waves over the pose.
@@ -454,7 +458,7 @@ def _extended(mean: Mean, solution: _Settled, data: Measurements, placement: Pla
     wide = [replace(member, regression=replace(member.regression, size=size)) for member in mean.members]
     members = (*wide, *extensions)
     stacked_rows = np.flatnonzero([*(mean.weights > 0.0), *(True for _ in extensions)])
-    weights = _stacked(equations, members, stacked_rows)
+    weights = _stacking_weights(equations, members, stacked_rows)
     kinds = (*solution.kinds, *(COUPLING for _ in couplings), *(OVER_POSE for _ in waves))
     solution = replace(
         solution, structure=structure, kinds=kinds, prior=prior, equations=equations, whole=base.regression
@@ -462,7 +466,7 @@ def _extended(mean: Mean, solution: _Settled, data: Measurements, placement: Pla
     return Mean(structure, equations, members, weights), solution
 
 
-def _left_out(regression: Regression, equations: Linearised, fold: Ints) -> Array:
+def _fold_residuals(regression: Regression, equations: Linearised, fold: Ints) -> Array:
     """Return the residuals (rows,) of each configuration from fits to the other folds; `fold` (C,)."""
     residual = np.empty(len(equations.target))
     for index in np.unique(fold):
@@ -471,7 +475,7 @@ def _left_out(regression: Regression, equations: Linearised, fold: Ints) -> Arra
     return residual
 
 
-def _stacked(equations: Linearised, members: Sequence[Member], rows_of_members: Ints) -> Array:
+def _stacking_weights(equations: Linearised, members: Sequence[Member], rows_of_members: Ints) -> Array:
     """Return non-negative weights with sum one that minimise the cross-validation error of some members."""
     from scipy.optimize import nnls
 
@@ -487,7 +491,8 @@ def _stacked(equations: Linearised, members: Sequence[Member], rows_of_members: 
     return weights
 
 
-def _chosen(mean: Mean, solution: _Settled, data: Measurements, placement: Placement) -> Choice:
+def _choice_of_mean(mean: Mean, solution: _Settled, data: Measurements, placement: Placement) -> Choice:
+    """Return the chosen structure with its fit, its cross-validation errors and its covariance."""
     # once more at the mean: the effect of nonlinear parameters depends on it a little
     mean = replace(mean, equations=linearise(mean.structure, mean.solve(), data, placement))
     equations, parameters = mean.equations, mean.structure.parameters
@@ -604,6 +609,7 @@ def _table(mean: Mean) -> tuple[Candidate, ...]:
 
 
 def _reason(table: Sequence[Candidate], square_error: float) -> str:
+    """Return the chosen structures and their cross-validation error in words."""
     rows = sorted((row for row in table if row.weight > 0.0), key=lambda row: -row.weight)
     parts = "; ".join(f"{row.weight:.0%} {row.name}" for row in rows)
     return (

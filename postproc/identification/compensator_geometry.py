@@ -325,6 +325,7 @@ def identify(readings: MarkerReadings) -> CompensatorGeometry:
 
 
 def _remedy(markers: MarkerPlacement, ci95: Array) -> str:
+    """Return how to measure the compensator more accurately; `ci95` (3,) [m]."""
     even_ci = markers.ci95_even[1:]
     if np.linalg.norm(even_ci) > _WORTH * np.linalg.norm(ci95[1:]):
         return "Measure more markers, more repeats, and the angles q2 that `postproc plan compensator` proposes."
@@ -362,6 +363,10 @@ def _residuals(readings: MarkerReadings) -> tuple[Array, Array]:
 
 
 def _refuse_impossible(readings: MarkerReadings, left_p1: Array, left_p0: Array) -> None:
+    """Check residuals of the marker circles [m] and the distances of the markers.
+
+    :raises MeasurementError: names are swapped, or a marker is off its circle.
+    """
     if len(readings.markers) > 2:  # the markers sit on one rigid body: their distances do not change
         distances = np.linalg.norm(readings.p0[:, None] - readings.p0[None], axis=3)
         usual = np.median(distances, axis=2)
@@ -370,7 +375,7 @@ def _refuse_impossible(readings: MarkerReadings, left_p1: Array, left_p0: Array)
         if change[angle] > _IMPOSSIBLE:
             at_angle = distances[:, :, angle]
             k = len(readings.markers)
-            swaps = [_swapped(k, i, j) for i in range(k) for j in range(i)]
+            swaps = [_swapped_order(k, i, j) for i in range(k) for j in range(i)]
             wrong = [float(np.abs(at_angle[np.ix_(order, order)] - usual).max()) for order in swaps]
             best = int(np.argmin(wrong))
             names = [readings.markers[i] for i in range(k) if swaps[best][i] != i]
@@ -393,7 +398,8 @@ def _refuse_impossible(readings: MarkerReadings, left_p1: Array, left_p0: Array)
         )
 
 
-def _swapped(count: int, i: int, j: int) -> list[int]:
+def _swapped_order(count: int, i: int, j: int) -> list[int]:
+    """Return 0 … count − 1 with i and j exchanged."""
     order = list(range(count))
     order[i], order[j] = j, i
     return order
@@ -459,6 +465,10 @@ def read(path: Path) -> MarkerReadings:
 
 
 def _check_angles(angles: Array, file_name: str) -> None:
+    """Check that q2 [deg] is in degrees and covers an arc.
+
+    :raises MeasurementError: it does not.
+    """
     if len(angles) >= 3 and np.abs(angles).max() <= 2.0 * np.pi:
         raise MeasurementError(
             f"all q2 lie between {angles.min():g} and {angles.max():g}: these look like radians",

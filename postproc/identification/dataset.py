@@ -66,7 +66,7 @@ def check(folder: Path) -> list[Finding]:
     """
     if not folder.is_dir():
         raise InputError("no such folder", file=str(folder), advice="Give the folder with experiment.toml.")
-    findings = _about(folder)
+    findings = _origin_statements(folder)
     try:
         setup = read_experiment(folder / EXPERIMENT)
         data = read(folder / READINGS, setup)
@@ -84,7 +84,7 @@ def check(folder: Path) -> list[Finding]:
     ]
 
 
-def _about(folder: Path) -> list[Finding]:
+def _origin_statements(folder: Path) -> list[Finding]:
     """Return the statements on licence and source."""
     findings = []
     try:
@@ -123,6 +123,7 @@ def _of_readings(data: Measurements) -> list[Finding]:
 
 
 def _of_setup(setup: Experiment) -> list[Finding]:
+    """Return the findings on the stated errors of load and load point."""
     has_load_error = setup.load_error_percent is not None
     return [
         Finding("load_error_percent of the load cell or the scales", has_load_error),

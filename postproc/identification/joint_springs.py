@@ -106,6 +106,11 @@ def not_observable(fit: Fit, data: Measurements, with_misfit: bool = False) -> l
 
 
 def _compensator(fit: Fit, data: Measurements, wider: float, k2_is_open: bool) -> NotObservable | None:
+    """Return why the compensator is not observable, and what to measure; None if it is.
+
+    :param wider: factor of its interval.
+    :param k2_is_open: the compliance of joint 2 is not observable.
+    """
     index = fit.structure.parameters.index(CompensatorStiffness())
     value, half = float(fit.values[index]), float(fit.ci95[index] * wider)
     levels = int(levels_of(data).max()) + 1
@@ -143,6 +148,12 @@ def is_physical(fit: Fit) -> bool:
 def _joint_reason(
     parameter: JointCompliance, torque: Array, fit: Fit, index: int, half: float, correlation: Array
 ) -> NotObservable:
+    """Return why a joint compliance is not observable, and what to measure.
+
+    :param torque: (L, 6) of the loads [N·m].
+    :param half: half 95 % interval [rad/(N·m)].
+    :param correlation: (p, p) of the parameters.
+    """
     joint = parameter.index
     largest = float(np.abs(torque[:, joint]).max())
     reference = float(np.abs(torque).max())
@@ -198,12 +209,12 @@ def held_by_prior(fit: Fit, open_entries: list[NotObservable]) -> Fit:
         index = order.index(joint)
         values[index] = robot.value(joint)
         covariance[index] = covariance[:, index] = 0.0
-        covariance[index, index] = _stated(robot, joint) ** 2
+        covariance[index, index] = _prior_spread(robot, joint) ** 2
     structure = replace(fit.structure, parameters=order)
     return replace(fit, structure=structure, values=values, covariance=covariance, design=design)
 
 
-def _stated(robot: RobotModel, joint: Parameter) -> float:
+def _prior_spread(robot: RobotModel, joint: Parameter) -> float:
     """Return the standard deviation of a joint compliance of the prior [rad/(N·m)]."""
     covariance = robot.covariance
     if covariance is not None and joint in covariance.parameters:
@@ -308,7 +319,7 @@ def fit_joints(
         if (
             left
             and left[0].parameter in COMPENSATOR
-            and (is_prior_refuted or _prior_spring_refuted(fit, data, placement))
+            and (is_prior_refuted or _refutes_prior_spring(fit, data, placement))
         ):
             is_prior_refuted, left = True, left[1:]
         if not left:
@@ -324,7 +335,7 @@ def fit_joints(
             )
 
 
-def _prior_spring_refuted(fit: Fit, data: Measurements, placement: Placement) -> bool:
+def _refutes_prior_spring(fit: Fit, data: Measurements, placement: Placement) -> bool:
     """Return whether the readings contradict the prior's compensator: an uncertain value is then better than that.
 
     The fit is repeated without the two parameters; the growth of χ² is compared with the residual of the full fit.

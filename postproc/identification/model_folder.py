@@ -114,6 +114,7 @@ def model_file(result: Identification, prior: ModelFile, source: str, geometry_s
 def _compensator(
     result: Identification, prior: ModelFile, spring_table: dict[str, Any], source: str, geometry_source: str | None
 ) -> CompensatorEntry | None:
+    """Return the [compensator] of the identified model; None if it has none."""
     law = result.fit.structure.prior.compensator
     old = prior.compensator
     if law is None or (old is None and not spring_table):
@@ -278,6 +279,7 @@ def report_data(result: Identification) -> record.Identified:
 
 
 def _levels(levels: Levels | None) -> list[record.Level]:
+    """Return the compliances of joint 2 by level, as `identification.json` has them."""
     if levels is None:
         return []
     deviation = np.sqrt(np.diag(levels.covariance))
@@ -290,6 +292,7 @@ def _levels(levels: Levels | None) -> list[record.Level]:
 
 
 def _from_levels(spring: SpringOfJoint2 | None) -> dict[str, record.FromLevels] | None:
+    """Return the spring of joint 2 from the levels, with half 95 % intervals; None without one."""
     if spring is None:
         return None
     half = (NORMAL_95 * np.sqrt(np.diag(spring.covariance))).tolist()
@@ -300,6 +303,7 @@ def _from_levels(spring: SpringOfJoint2 | None) -> dict[str, record.FromLevels] 
 
 
 def _residual(result: Identification) -> record.Residual:
+    """Return the residuals as `identification.json` has them [mm]."""
     without_model, with_model = before_and_after(result)
     return record.Residual(
         rms_mm=result.fit.rms * MM_PER_M,
@@ -482,6 +486,10 @@ def identify_folder(
 
 
 def _require_positions(data: Measurements, path: Path) -> None:
+    """Check that readings are positions.
+
+    :raises MeasurementError: they are displacements.
+    """
     if data.are_displacements:
         raise MeasurementError(
             "displacements do not show the geometry",

@@ -392,12 +392,13 @@ def up_and_down(data: Measurements) -> tuple[Ints, Ints]:
         for second in np.flatnonzero(config == config[first]).tolist()
         if number[first] < number[second]
         and norm(load[first] - load[second]) < _SAME_LOAD * size[first]
-        and _larger_between(size, number, config, first, second)
+        and _has_larger_load(size, number, config, first, second)
     ]
     up, down_rows = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
     return up, down_rows
 
 
-def _larger_between(size: Array, number: Array, config: Ints, first: int, second: int) -> bool:
+def _has_larger_load(size: Array, number: Array, config: Ints, first: int, second: int) -> bool:
+    """Return whether a larger load was applied between two states of a configuration."""
     rows = (config == config[first]) & (number > number[first]) & (number < number[second])
     return bool((size[rows] > _LARGER * size[first]).any())

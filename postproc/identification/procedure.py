@@ -137,12 +137,12 @@ def identify(
         fit = replace(fit, covariance=fit.covariance * ratio)
     elif depth == "auto" and (_is_hidden(fit) or _is_worth_a_look(fit)):
         progress(f"{_left_by_joints(fit)}: trying link springs and gears that are not linear")
-        clean_data, richer, names = _chosen(prior, data, placement)
+        clean_data, richer, names = _choose_springs(prior, data, placement)
         if _unexplained(fit) or _is_hidden(fit) or _clearly_better(richer, fit, clean_data, placement):
             data, choice, fit, outliers = clean_data, richer, richer.fit, outliers + names
             if not prior.subtract_reference:
                 placement = locate(fit.robot, data)
-            open_entries = _still_missing(choice, data, open_entries)
+            open_entries = _open_springs(choice, data, open_entries)
     if choice is None:
         fit = held_by_prior(fit, open_entries)
     warnings += [str(entry) for entry in open_entries] + [f"outlier: {name}" for name in outliers]
@@ -202,7 +202,7 @@ def _located_joints(
         placement = locate(joints.fit.robot, data)
         joints = _joints(prior, data, placement)
     if _unexplained(joints.fit):
-        clean_data, fewer, names = _cleaned(prior, data, placement, joints.fit)
+        clean_data, fewer, names = _remove_outliers(prior, data, placement, joints.fit)
         if names and not _unexplained(fewer):
             placement = locate(prior if prior.subtract_reference else fewer.robot, clean_data)
             return _joints(prior, clean_data, placement), clean_data, placement, names
@@ -228,7 +228,9 @@ def _clearly_better(richer: Choice, fit: Fit, data: Measurements, placement: Pla
     return richer.evidence > evidence_of(fit.structure, fit.values, data, placement) + CLEAR
 
 
-def _chosen(prior: RobotModel, data: Measurements, placement: Placement) -> tuple[Measurements, Choice, list[str]]:
+def _choose_springs(
+    prior: RobotModel, data: Measurements, placement: Placement
+) -> tuple[Measurements, Choice, list[str]]:
     """Choose the springs, leave out gross errors against them, and choose again, three times at most."""
     choice = choose(prior, data, placement)
     outliers: list[str] = []
@@ -241,7 +243,7 @@ def _chosen(prior: RobotModel, data: Measurements, placement: Placement) -> tupl
     return data, choice, outliers
 
 
-def _still_missing(choice: Choice, data: Measurements, open_entries: list[NotObservable]) -> list[NotObservable]:
+def _open_springs(choice: Choice, data: Measurements, open_entries: list[NotObservable]) -> list[NotObservable]:
     """Return what the mean of structures leaves open: joints without load, and the compensator's spring.
 
     What the fit of joint springs alone said of other parameters applies to a model that was given up.
@@ -271,6 +273,7 @@ class _Joints(Struct, frozen=True, eq=False):
 
 
 def _joints(prior: RobotModel, data: Measurements, placement: Placement) -> _Joints:
+    """Fit the springs of the joints, and the compensator from the levels of q2 where there are enough."""
     level_fit = extended_set(prior, data, placement)
     levels = level_fit[1] if level_fit else None
     spring = None
@@ -283,6 +286,7 @@ def _joints(prior: RobotModel, data: Measurements, placement: Placement) -> _Joi
 def _serial(
     prior: RobotModel, data: Measurements, placement: Placement, outliers: list[str], warnings: list[str]
 ) -> Identification:
+    """Identify joint springs one by one (`method = "serial"`), with bound and verdict."""
     fit = fit_serial(prior, data, placement)
     open_entries = not_observable(fit, data, with_misfit=True)
     fit = held_by_prior(fit, open_entries)
@@ -345,13 +349,13 @@ def _is_hidden(fit: Fit) -> bool:
     return bool(visible_chi2 < _VISIBLE_SIGMAS * np.sqrt(2.0 * max(fit.dof, 0)))
 
 
-def _cleaned(
+def _remove_outliers(
     prior: RobotModel, data: Measurements, placement: Placement, fit: Fit
 ) -> tuple[Measurements, Fit, list[str]]:
     """Leave out gross errors against the joint model, one at a time, as long as they explain the misfit."""
     names: list[str] = []
     limit = max(1, int(_MOST_OUTLIERS * len(data.state)))
-    if not _explained_without(fit, limit * (len(data.loaded) // len(data.q))):
+    if not _is_explained(fit, limit * (len(data.loaded) // len(data.q))):
         return data, fit, names
     for _ in range(limit):
         clean_data, new_names = plausibility.without_worst_residual(data, placement, fit)
@@ -364,7 +368,7 @@ def _cleaned(
     return data, fit, names
 
 
-def _explained_without(fit: Fit, limit: int) -> bool:
+def _is_explained(fit: Fit, limit: int) -> bool:
     """Return whether the rest is noise when the largest residuals, of that many points, are left out.
 
     By the derivatives at the fit: a robot that is more than its joint springs needs no fits to find out.

@@ -343,7 +343,7 @@ def read(path: Path, experiment: Experiment, loads: bool = True) -> Measurements
         raise MeasurementError("no readings", file=file_name, advice="Fill in X, Y and Z.")
     files.check_sizes(path, numbers, lines, _LARGEST, MeasurementError)
     if experiment.readings == "displacements":
-        numbers, texts, lines = _with_unloaded(numbers, texts, lines, file_name)
+        numbers, texts, lines = _add_unloaded_states(numbers, texts, lines, file_name)
     names = tuple(experiment.points)
     for row, name in enumerate(texts["point"]):
         if name not in names:
@@ -361,8 +361,8 @@ def read(path: Path, experiment: Experiment, loads: bool = True) -> Measurements
     )
     state = state.ravel()
     first_of_config = np.array([np.flatnonzero(inverse == c)[0] for c in range(len(config))])
-    _check_same(angles, first_of_config[inverse], _SAME_ANGLE, JOINTS, numbers["config"], lines, file_name)
-    _check_same(wrench, first[state], 0.05, WRENCH, numbers["config"], lines, file_name)
+    _check_equal(angles, first_of_config[inverse], _SAME_ANGLE, JOINTS, numbers["config"], lines, file_name)
+    _check_equal(wrench, first[state], 0.05, WRENCH, numbers["config"], lines, file_name)
     q = angles[first_of_config]
     data = Measurements(
         file=path.name,
@@ -421,7 +421,7 @@ _LARGEST_DISPLACEMENT = 0.2
 """Largest difference of displacements under loads [m]."""
 
 
-def _with_unloaded(
+def _add_unloaded_states(
     numbers: dict[str, Array], texts: dict[str, list[str]], lines: Array, file_name: str
 ) -> tuple[dict[str, Array], dict[str, list[str]], Array]:
     """Return the columns with a state without load for each configuration and point, whose displacement is zero.
@@ -448,7 +448,7 @@ def _with_unloaded(
     )
 
 
-def _check_same(
+def _check_equal(
     values: Array,
     reference: Ints,
     tolerance: float,
@@ -457,6 +457,10 @@ def _check_same(
     lines: Array,
     file_name: str,
 ) -> None:
+    """Check that values (n, k) equal those of their reference rows (n,).
+
+    :raises MeasurementError: one differs by more than the tolerance.
+    """
     differs = np.abs(values - values[reference]) > tolerance
     if differs.any():
         row, column = np.argwhere(differs)[0]
@@ -470,6 +474,10 @@ def _check_same(
 
 
 def _check_units(q: Array, data: Measurements, file_name: str) -> None:
+    """Check that angles are in degrees and positions in mm.
+
+    :raises MeasurementError: their size speaks against it.
+    """
     if len(q) >= 2 and np.abs(q).max() <= 2.0 * np.pi:
         raise MeasurementError(
             f"no joint angle is larger than {np.abs(q).max():.3f}: these look like radians",
@@ -494,6 +502,10 @@ def _check_units(q: Array, data: Measurements, file_name: str) -> None:
 
 
 def _check_complete(data: Measurements, file_name: str, loads: bool) -> None:
+    """Check that no reading is repeated, and that loads and unloaded states belong together.
+
+    :raises MeasurementError: names the line.
+    """
     for row in range(len(data.state)):
         state = data.state[row]
         if data.load[state] == 0 and np.abs(data.wrench[state]).max() > _NO_LOAD:
@@ -562,6 +574,10 @@ def gaps(data: Measurements) -> list[str]:
 
 
 def _check_loads(data: Measurements, file_name: str, loads: bool) -> None:
+    """Check that each configuration has an unloaded state and, with `loads`, loaded ones with a force.
+
+    :raises MeasurementError: names the line.
+    """
     for index, config in enumerate(data.config):
         config_loads = data.load[data.state_config == index]
         line = int(data.line[data.state_config[data.state] == index][0])

@@ -497,6 +497,7 @@ def _numbers_of_a_configuration(data: Measurements) -> float:
 
 
 def _notes(data: Measurements, fit: Fit, choice: Choice | None) -> list[str]:
+    """Return notes on misfit, load levels, backlash and compliances at zero."""
     # the posterior, not the wider covariance of the bound, tells whether a value is there
     posterior_fit = fit if choice is None else choice.fit
     notes, half = [], dict(zip(posterior_fit.structure.parameters, posterior_fit.ci95.tolist(), strict=True))
@@ -514,7 +515,7 @@ def _notes(data: Measurements, fit: Fit, choice: Choice | None) -> list[str]:
                 f"one level of loads ({np.median(load):.0f} N): gears that stiffen or have breakpoints are seen only "
                 "near the cutting force. Measure each configuration under a second load of about that force."
             )
-        notes += _held(choice)
+        notes += _open_parameters(choice)
     for parameter, value in fit.given.items():
         if isinstance(parameter, JointCompliance) and parameter.in_file(fit.given)[0] <= 0.0:
             notes.append(f"{parameter.joint} has no compliance of its own: springs of the links take its place")
@@ -523,7 +524,7 @@ def _notes(data: Measurements, fit: Fit, choice: Choice | None) -> list[str]:
     return notes
 
 
-def _held(choice: Choice) -> list[str]:
+def _open_parameters(choice: Choice) -> list[str]:
     """Return one sentence on the parameters that the readings do not narrow, by kind."""
     kinds: dict[str, list[str]] = {}
     for parameter in choice.held_by_prior:

@@ -153,7 +153,7 @@ class Validation(Struct, frozen=True, eq=False):
             f"are inside its bound, so the share of all is {low:.0%} to {high:.0%}"
         )
         if self.held:
-            return self._held(share)
+            return self._validity_text(share)
         if not refuted_levels:
             return (
                 f"IT IS NOT KNOWN whether the model holds: {share}; {_BOUND_SHARE:.0%} are promised. The readings "
@@ -172,7 +172,10 @@ class Validation(Struct, frozen=True, eq=False):
             )
         return f"THE MODEL DOES NOT HOLD: {share}; {_BOUND_SHARE:.0%} are promised. {advice}"
 
-    def _held(self, share: str) -> str:
+    def _validity_text(self, share: str) -> str:
+        """Return for which programs or torques the model holds; `share` is the share of displacements inside the
+        bound, as text.
+        """
         if not self.jobs:
             return f"the model holds for the torques listed below: {share}"
         parts = [f"{_percent(job.share)} of the cutting path of {job.program}" for job in self.jobs if job.share > 0.0]
@@ -202,7 +205,7 @@ def validate(model: Path, measurements: Path, experiment: Path) -> Validation:
     data, placement, outliers = plausibility.placed(robot, as_positions(robot, read(measurements, setup)))
     warnings = [f"outlier: {name}" for name in outliers]
     model_data = record.measured(folder)
-    fresh = ~_known(data, model_data.as_array())
+    fresh = ~_is_known_state(data, model_data.as_array())
     if not fresh.any():
         raise MeasurementError(
             f"the model was identified from these states ({len(fresh)} of configuration and load): that it agrees with "
@@ -212,7 +215,7 @@ def validate(model: Path, measurements: Path, experiment: Path) -> Validation:
         )
     if not fresh.all():
         warnings.append(f"{np.count_nonzero(~fresh)} of {len(fresh)} loaded states are the model's own: left out")
-    comparison = _compared(robot, data, placement, fresh)
+    comparison = _comparison(robot, data, placement, fresh)
     return Validation(
         tuple(_levels(comparison)),
         _coverage(joint_torques(robot, data), comparison),
@@ -221,7 +224,7 @@ def validate(model: Path, measurements: Path, experiment: Path) -> Validation:
     )
 
 
-def _known(data: Measurements, states: Array) -> Bools:
+def _is_known_state(data: Measurements, states: Array) -> Bools:
     """Return which loaded states (L,) of configuration and load are among others (m, 12)."""
     q, wrench = data.q[data.state_config[data.loaded]], data.wrench[data.loaded]
     is_same_pose = np.abs(q[:, None] - states[None, :, :6]).max(axis=2) < _SAME_ANGLE
@@ -251,9 +254,10 @@ class _Compared(Struct, frozen=True, eq=False):
     has_bound: bool
 
 
-def _compared(robot: RobotModel, data: Measurements, placement: Placement, fresh: Bools) -> _Compared:
+def _comparison(robot: RobotModel, data: Measurements, placement: Placement, fresh: Bools) -> _Compared:
+    """Return measured and predicted displacements [m], those that count (fresh, visible), and their bound."""
     displacement = measured_displacements(data, placement)
-    prediction, bound = _predicted(robot, data, placement)
+    prediction, bound = _prediction(robot, data, placement)
     left, noise = norm(displacement - prediction), noise_of(data)
     return _Compared(
         is_compared=(visible(data)[..., 0] > 0.0) & fresh[:, None],
@@ -354,7 +358,7 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _predicted(robot: RobotModel, data: Measurements, placement: Placement) -> tuple[Array, Array]:
+def _prediction(robot: RobotModel, data: Measurements, placement: Placement) -> tuple[Array, Array]:
     """Return predicted displacements (L, P, 3) of the points and their bounds (L, P) [m]."""
     q, wrench = data.q[data.state_config[data.loaded]], data.wrench[data.loaded]
     at_load = np.eye(4)
@@ -555,6 +559,7 @@ def torque_lines(torque_range: Coverage, model_ranges: Sequence[record.TorqueRan
 
 
 def _cell(torque_range: Coverage, joint: int, side: int) -> str:
+    """Return the largest torque on a side of a joint and the number of configurations, as text of a table."""
     count = int(torque_range.configurations[joint, side])
     if count == 0:
         return "none"

@@ -64,7 +64,7 @@ def full_frame(text: str) -> Numbers | int:
     return value if isinstance(value, int) else _finite(value, text)
 
 
-def _once(frames: dict[Any, Numbers], key: Any, value: Numbers, name: str) -> None:
+def _add_frame(frames: dict[Any, Numbers], key: Any, value: Numbers, name: str) -> None:
     """Add a frame; refuse a second, different one."""
     if (first_value := frames.setdefault(key, value)) != value:
         first, second = (",".join(f"{word:g}" for word in words) for words in (first_value, value))
@@ -80,7 +80,7 @@ def tools(texts: Sequence[str]) -> dict[int, Numbers]:
         name = name.strip().upper().removeprefix("T")
         if not equals or not name.isdecimal() or not values:
             raise InputError(f"{text!r}: give the number of the tool and its $TOOL, such as 1=0,0,412.5")
-        _once(frames, int(name), (0.0, 0.0, *values) if len(values) == 1 else values, f"tool {int(name)}")
+        _add_frame(frames, int(name), (0.0, 0.0, *values) if len(values) == 1 else values, f"tool {int(name)}")
     return frames
 
 
@@ -93,7 +93,7 @@ def work_offsets(texts: Sequence[str]) -> dict[str, Numbers]:
         code = name.strip().upper()
         if not re.fullmatch(r"G5[4-9]|G59\.[1-3]", code) or not values:
             raise InputError(f"{text!r}: give G54 to G59.3 and its frame in $BASE, such as G55=300,0,0")
-        _once(offsets, code, values, code)
+        _add_frame(offsets, code, values, code)
     return offsets
 
 
@@ -184,7 +184,7 @@ def points(texts: Sequence[str]) -> dict[str, Numbers]:
         letter, _, words = text.partition("=")
         if letter.strip().upper() not in ("A", "B", "C"):
             raise InputError(f"{text!r}: give the axis and its point, such as A=0,0,-120")
-        _once(places, letter.strip().upper(), place(words), letter.strip().upper())
+        _add_frame(places, letter.strip().upper(), place(words), letter.strip().upper())
     return places
 
 

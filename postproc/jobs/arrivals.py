@@ -68,13 +68,14 @@ class Arrivals:
             elif time_s - self._seen[path][1] >= QUIET and self._has_forces(path) and _opens(path):
                 ready_paths.append(path)
         self._forget(paths)
-        return self._not_called(ready_paths) if ready_paths else []
+        return self._main_programs(ready_paths) if ready_paths else []
 
     def finish(self, path: Path) -> None:
         """Note that a program that was ready has been begun, or needs nothing: it is not ready before it changes."""
         self._finished[path] = self._seen[path][0]
 
     def _forget(self, paths: Collection[Path]) -> None:
+        """Forget programs that are no longer in the folder."""
         for path in self._program_files.keys() - set(paths):
             self._program_files.pop(path)
             self._seen.pop(path, None)
@@ -82,6 +83,7 @@ class Arrivals:
             self._busy.discard(path)
 
     def _programs(self) -> list[Path]:
+        """Return the programs of the folder, sorted; hidden and temporary files are none."""
         extensions = registry.extensions()
         return sorted(
             path
@@ -107,7 +109,7 @@ class Arrivals:
     def _has_forces(self, path: Path) -> bool:
         return process_of(path, self.output) is not None or states_forces(path)
 
-    def _not_called(self, paths: list[Path]) -> list[Path]:
+    def _main_programs(self, paths: list[Path]) -> list[Path]:
         """Return programs without those that others call; where that is unknown, without all that may be called."""
         try:
             jobs = find_jobs([str(self.folder)], output=self.output)
@@ -128,6 +130,7 @@ def _signature(paths: Collection[Path]) -> Signature:
 
 
 def _stamp(path: Path) -> tuple[str, int, int]:
+    """Return name, size and time of change [ns] of a file; size −1 if it is missing."""
     try:
         status = path.stat()
     except OSError:

@@ -95,7 +95,7 @@ def compare_programs(request: CompareRequest) -> ComparisonFiles:
         )
     for path, program in ((request.nominal, nominal), (request.corrected, second_program)):
         _refuse_part(path, program)
-    _refuse_corrected(request.nominal, nominal)
+    _refuse_corrected_program(request.nominal, nominal)
     cell = _with_stated_tolerance(cell, request, second_program)
     folder = request.output or request.nominal.parent / "corrected"
     stem = f"{request.corrected.stem}.compare"
@@ -104,7 +104,7 @@ def compare_programs(request: CompareRequest) -> ComparisonFiles:
     if not request.overwrite:
         refuse(foreign(folder, names, record))
     source = force_source(request.forces, cell)
-    file_origin = _made_from(request, cell, nominal, second_program)
+    file_origin = _origin_of_second(request, cell, nominal, second_program)
     if file_origin.without_forces:
         _ask_for_forces(request, file_origin.origin)
     ends = _stated_ends(request.corrected) if file_origin.same_origin else None
@@ -184,7 +184,7 @@ def _refuse_part(path: Path, program: Program) -> None:
         )
 
 
-def _refuse_corrected(path: Path, program: Program) -> None:
+def _refuse_corrected_program(path: Path, program: Program) -> None:
     """Raise for a nominal program that postproc corrected, or that calls one: its targets are corrected already."""
     writer = registry.by_name(program.dialect).writer
     if writer is None:
@@ -207,7 +207,7 @@ def _origin(program: Program) -> provenance.Provenance:
     return provenance.Provenance("none") if writer is None else writer.origin(program.documents)
 
 
-def _made_from(request: CompareRequest, cell: Cell, nominal: Program, second_program: Program) -> MadeFrom:
+def _origin_of_second(request: CompareRequest, cell: Cell, nominal: Program, second_program: Program) -> MadeFrom:
     """Return the origin of the second program, as far as it states it."""
     origin, first = _origin(second_program), _origin(nominal)
     if not origin.sums:

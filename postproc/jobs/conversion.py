@@ -61,8 +61,8 @@ def marked(
     origin = origin_of(result.program.documents, settings.cell, cell, job.forces, mode)
     origin = replace(origin, options=options_of(settings))
     if result.modules:
-        return _modules_marked(result, job, origin)
-    documents, first_shifted_line = job.writer.marked(_subprograms_marked(result, job, origin, own_names or {}), origin)
+        return _mark_modules(result, job, origin)
+    documents, first_shifted_line = job.writer.marked(_mark_subprograms(result, job, origin, own_names or {}), origin)
     line = result.output_line
     return replace(
         result, documents=documents, output_line=line + (line >= first_shifted_line) if first_shifted_line else line
@@ -74,7 +74,7 @@ def _contents(documents: Sequence[Document]) -> list[tuple[bytes, str, str]]:
     return [(document.bom, document.encoding, document.text) for document in documents]
 
 
-def _modules_marked(result: Result, job: Job, origin: provenance.Origin) -> Result:
+def _mark_modules(result: Result, job: Job, origin: provenance.Origin) -> Result:
     """Return a result each of whose modules states where it comes from, and which of them it is."""
     documents, line, count = list[Document](), result.output_line.copy(), len(result.modules)
     for index, (document, first) in enumerate(zip(result.documents, result.modules, strict=True)):
@@ -93,7 +93,7 @@ def subprograms(result: Result, job: Job, own_names: Mapping[str, str]) -> list[
     ]
 
 
-def _subprograms_marked(
+def _mark_subprograms(
     result: Result, job: Job, origin: provenance.Origin, own_names: Mapping[str, str]
 ) -> list[Document]:
     """Return the files of a program; those of subprograms that differ from what was read state their own origin.
@@ -195,7 +195,7 @@ def convert(
         if result.failed:
             return Outcome(str(job.program), FAILED, issues=result.issues)
         result, subprogram_files, copies = _with_subprograms(task, settings, cell, robot, result)
-        output = _made(job, settings, cell, result, subprogram_files, copies, process)
+        output = _output_of(job, settings, cell, result, subprogram_files, copies, process)
         _check_unchanged(origin, output.summary)
         is_computed = True
         staged_files = files.stage(job.output, output.contents)
@@ -327,7 +327,7 @@ class _Made(Struct, frozen=True, eq=False):
     read: tuple[str, ...]
 
 
-def _made(
+def _output_of(
     job: Job,
     settings: Settings,
     cell: Cell,

@@ -62,16 +62,17 @@ def changes(report: Path, program: Path, setup: Setup, forces: Path | None) -> t
 
 
 def _changes(stated_inputs: _Reported, folder: Path, program: Path, setup: Setup, forces: Path | None) -> Iterator[str]:
+    """Yield what has changed since the results of a program were written."""
     if stated_inputs.inputs.version != VERSION:
         yield "postproc"
     sources = [folder / name for name in stated_inputs.inputs.program_files]
     kind = registry.of_file(program)
     present = {path.resolve() for path in (program, *kind.companions(program))}
-    if not present <= {path.resolve() for path in sources} or _sum_of_all(sources) != stated_inputs.inputs.program:
+    if not present <= {path.resolve() for path in sources} or _checksum(sources) != stated_inputs.inputs.program:
         yield "the program"
     if stated_inputs.inputs.needed_files:
         needed_files = [folder / name for name in stated_inputs.inputs.needed_files]
-        if _sum_of_all(needed_files) != stated_inputs.inputs.needed:
+        if _checksum(needed_files) != stated_inputs.inputs.needed:
             yield "a file that the program needs"
     if setup.cell is None or inputs.sum_of(inputs.of_cell(setup.path, setup.cell)) != stated_inputs.inputs.cell:
         yield "the cell"
@@ -85,6 +86,6 @@ def _changes(stated_inputs: _Reported, folder: Path, program: Path, setup: Setup
             yield f"{entry.name}, edited after it was written,"
 
 
-def _sum_of_all(paths: list[Path]) -> str:
+def _checksum(paths: list[Path]) -> str:
     """Return the sum of files; empty: one is gone."""
     return inputs.sum_of(paths) if all(path.is_file() for path in paths) else ""

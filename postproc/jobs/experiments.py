@@ -62,6 +62,7 @@ def _is_hidden(path: Path) -> bool:
 
 
 def _readings(experiment: Path) -> Readings:
+    """Return the files of readings next to an experiment, and those of its compensator."""
     folder = experiment.parent
     files = [path for path in sorted(folder.glob("*.csv")) if set(_header(path)) >= _COLUMNS]
     files.sort(key=lambda path: path.stem.lower() != "measurements")

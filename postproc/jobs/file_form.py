@@ -139,6 +139,7 @@ def _field(table: str, key: str, part: Mapping[str, Any], value: Any, *, is_requ
 
 
 def _text(value: Any) -> str:
+    """Return a value of a TOML file as the text of a form field."""
     if value is None:
         return ""
     if isinstance(value, bool):
@@ -189,6 +190,10 @@ def _remove(document: Any, field: FormField) -> None:
 
 
 def _value(field: FormField, text: str) -> Any:
+    """Return the value that the text of a form field stands for.
+
+    :raises InputError: it is no number.
+    """
     if field.kind == "span":
         words = [word.strip() for word in text.split(",")]
         if len(words) != 2 or not all(words):
@@ -200,6 +205,10 @@ def _value(field: FormField, text: str) -> Any:
 
 
 def _number(name: str, text: str) -> float | int:
+    """Return the number in a text, also with a decimal comma; whole ones as int.
+
+    :raises InputError: it is none.
+    """
     try:
         value = float(text.replace(",", "."))
     except ValueError:

@@ -181,11 +181,14 @@ def write_cell(request: CellRequest) -> tuple[str, ...]:
     config = None if request.config_dat is None else relative_path(folder, request.config_dat)
     tool_frame = Tool(**dict(zip("XYZABC", tool, strict=True)), axis=request.axis)
     cell = Cell(robot=place, base=Frame(*base), tool=tool_frame, start=msgspec.convert({"joints": start}, Start))
-    if request.start is None and (start_joints := _start_above(cell, robot, request.clearance + _ABOVE_MM)) is not None:
+    if (
+        request.start is None
+        and (start_joints := _start_joints(cell, robot, request.clearance + _ABOVE_MM)) is not None
+    ):
         cell = msgspec.structs.replace(cell, start=msgspec.convert({"joints": start_joints}, Start))
     turn, remarks = _turn_of_tool(cell, robot)
     tools = {number: Frame(*_six(f"$TOOL of T{number}", words, 3)) for number, words in request.tools.items()}
-    remarks = (*_in_metres(cell, tools), *_upside_down(cell), *remarks, *_low_start(cell, robot, request.clearance))
+    remarks = (*_in_metres(cell, tools), *_base_warnings(cell), *remarks, *_low_start(cell, robot, request.clearance))
     text = _text(place, robot, cell, turn, config, request, tools)
     _check_text(text, request.output)
     files.write_whole(folder, {request.output.name: text.encode()})
@@ -225,6 +228,10 @@ def usual_base(robot: str) -> Numbers:
 
 
 def _six(title: str, values: Numbers, min_count: int) -> Numbers:
+    """Return values filled up to six by zeros.
+
+    :raises OptionError: too few, too many, or not finite.
+    """
     if not np.isfinite(values).all():
         raise OptionError(f"{title}: {', '.join(f'{value:g}' for value in values)}", advice="Give finite numbers.")
     if not min_count <= len(values) <= 6:
@@ -293,7 +300,7 @@ def _upright(cell: Cell, robot: RobotModel, turn: float, height: float) -> Array
     return joints
 
 
-def _start_above(cell: Cell, robot: RobotModel, height: float) -> tuple[float, ...] | None:
+def _start_joints(cell: Cell, robot: RobotModel, height: float) -> tuple[float, ...] | None:
     """Return A1…A6 [deg] with the tip above the origin of `$BASE`, A4 and A6 near 0; None if it is out of reach.
 
     :param height: Z of the tip in `$BASE` [mm].
@@ -319,7 +326,7 @@ def _in_metres(cell: Cell, tools: Mapping[int, Frame]) -> Iterator[str]:
     yield from filter(None, (short_tool(tool.pose(), f"the tool of T{number}") for number, tool in tools.items()))
 
 
-def _upside_down(cell: Cell) -> Iterator[str]:
+def _base_warnings(cell: Cell) -> Iterator[str]:
     """Yield a warning if Z of `$BASE` points down, so that the tool comes from below."""
     if cell.base.pose()[2, 2] < _LARGEST_Z:
         angles = f"A {cell.base.A:g}, B {cell.base.B:g}, C {cell.base.C:g}"
@@ -382,11 +389,12 @@ def _text(
     request: CellRequest,
     tools: Mapping[int, Frame],
 ) -> str:
+    """Return the text of a new cell file, with comments; `turn` [deg]: the constant turn of the tool."""
     language = robot.language if robot.language in _LINES else "krl"
     return f"""\
 #:schema {schema_file("cell").as_uri()}
 # Cell file of postproc: mm, degrees, N. docs/reference describes every key; what follows # is optional.
-robot = {_quoted(place)}    # {robot.title}
+robot = {_toml_string(place)}    # {robot.title}
 {_config_line(config)}
 
 [base]                           # $BASE in the robot root: where the part lies
@@ -424,22 +432,22 @@ def _config_line(config: str | None) -> str:
     return (
         '# config_dat = "$config.dat"    # KRL: a $config.dat of the controller, for BASE_DATA and TOOL_DATA'
         if config is None
-        else f"config_dat = {_quoted(config)}    # KRL: frames that programs name by number"
+        else f"config_dat = {_toml_string(config)}    # KRL: frames that programs name by number"
     )
 
 
 def _gcode(request: CellRequest, turn: float, language: str) -> str:
     """Return the table that says how G-code becomes a program of the robot."""
     change = {BY_HAND: _TOOL_BY_HAND[language], NO_LINES: []}.get(request.tool_change, [request.tool_change])
-    change_line = f"tool_change = [{', '.join(map(_quoted, change))}]"
+    change_line = f"tool_change = [{', '.join(map(_toml_string, change))}]"
     dwell = "s" if request.dwell_unit is None else request.dwell_unit
     comment = "# " if request.dwell_unit is None else ""
     dwell_line = (
-        f'{comment}dwell_unit = {_quoted(dwell)}               # P of G4 and cycles: "ms" for Fanuc, Haas, Mach3'
+        f'{comment}dwell_unit = {_toml_string(dwell)}               # P of G4 and cycles: "ms" for Fanuc, Haas, Mach3'
     )
     return f"""\
 [gcode]                          # how G-code becomes {language.upper()}
-radius_offsets = {_quoted(request.radius_offsets)}        # "wear": D holds wear, the path is of the tool centre
+radius_offsets = {_toml_string(request.radius_offsets)}        # "wear": D holds wear, the path is of the tool centre
 {dwell_line}
 redundancy_deg = {_number(turn)}             # turn of the tool about its axis: so that A4 and A6 stay near their start
 rapid_m_per_s = 0.5              # speed of G0
@@ -458,7 +466,9 @@ def _switching(
         return "\n".join(line for line in _LINES[language].splitlines() if line.startswith(f"# {device}"))
     by_hand = "" if any(lines) else "    # by hand"
     keys = zip(("on", "off"), lines, strict=True)
-    return "\n".join(f"{device}_{key} = [{', '.join(map(_quoted, statements))}]{by_hand}" for key, statements in keys)
+    return "\n".join(
+        f"{device}_{key} = [{', '.join(map(_toml_string, statements))}]{by_hand}" for key, statements in keys
+    )
 
 
 def _part(tolerance: float | None) -> str:
@@ -514,7 +524,7 @@ def _rotary(rotary: Rotary | None) -> str:
     if rotary is None:
         return ""
     lines = ["", "[rotary]                         # rotary axes from the part outwards; A, B, C turn about X, Y, Z"]
-    lines += [f"axes = [{', '.join(map(_quoted, rotary.axes))}]", f"kind = {_quoted(rotary.kind or '')}"]
+    lines += [f"axes = [{', '.join(map(_toml_string, rotary.axes))}]", f"kind = {_toml_string(rotary.kind or '')}"]
     for letter, axis in zip(rotary.axes, rotary.places, strict=True):
         if axis is not None:
             point, direction = (", ".join(map(_number, values)) for values in (axis.point, axis.direction))
@@ -525,7 +535,7 @@ def _rotary(rotary: Rotary | None) -> str:
 def _m_codes(codes: Mapping[str, Sequence[str]]) -> str:
     """Return the table of M codes, or an example of one."""
     if codes:
-        lines = "\n".join(f"{code} = [{', '.join(map(_quoted, texts))}]" for code, texts in codes.items())
+        lines = "\n".join(f"{code} = [{', '.join(map(_toml_string, texts))}]" for code, texts in codes.items())
         return f"[m_codes]                        # lines for M codes of the machine; []: without effect here\n{lines}"
     return """\
 # [m_codes]                      # lines for M codes of the machine; []: without effect here
@@ -537,10 +547,11 @@ def _keys(frame: Frame) -> str:
 
 
 def _table_key(name: str) -> str:
-    return _quoted(name) if "." in name else name
+    return _toml_string(name) if "." in name else name
 
 
-def _quoted(text: str) -> str:
+def _toml_string(text: str) -> str:
+    """Return a text as a TOML string (JSON strings are valid in TOML)."""
     return json.dumps(text, ensure_ascii=False)
 
 
@@ -619,7 +630,7 @@ _READERS = {"no reader of .dae is installed": "pip install pycollada gives one"}
 _MOST_NAMES = 8
 
 
-def _left_out(problems: Sequence[str]) -> Iterator[str]:
+def _shape_notes(problems: Sequence[str]) -> Iterator[str]:
     """Yield a note for each reason why shapes are left out, with their files.
 
     :param problems: ``FILE: reason``.
@@ -656,7 +667,7 @@ def _meshes(
     drawings = visuals + [shape for shape in solid if shape.carrier not in with_drawing]
     simple = [shapes.simplified(shape, _TRIANGLES) for shape in drawings]
     link_shapes = [shape for shape, _ in simple]
-    notes = [*_left_out(problems + solid_problems)]
+    notes = [*_shape_notes(problems + solid_problems)]
     if link_shapes:
         count, old_count = (sum(len(shape.faces) for shape in group) for group in (link_shapes, drawings))
         points = sum(len(shape.points) for shape in link_shapes)

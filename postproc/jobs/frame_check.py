@@ -132,10 +132,10 @@ def check_frames(path: Path, cell_file: Path, sigma_mm: float) -> FrameCheck:
     base = cell.base.pose()
     nominal_point = touches.point @ base[:3, :3].T + base[:3, 3]
     check = judged(touches, flange[:, :3, :3], nominal_point, tip[:, :3, 3], sigma_mm * M_PER_MM)
-    return replace(check, new_frames=dict(_corrected(check, cell.tool.pose(), base, nominal_point.mean(axis=0))))
+    return replace(check, new_frames=dict(_frames_by_points(check, cell.tool.pose(), base, nominal_point.mean(axis=0))))
 
 
-def _corrected(check: FrameCheck, tool: Array, base: Array, centre: Array) -> Iterator[tuple[str, Array]]:
+def _frames_by_points(check: FrameCheck, tool: Array, base: Array, centre: Array) -> Iterator[tuple[str, Array]]:
     """Yield the frames that agree with the points; `centre` of the points in the root (3,) [m]."""
     if check.tool is not None:
         pose = tool.copy()

@@ -107,6 +107,7 @@ def next_question(
 
 
 def _cell_questions(needs: ProgramNeeds, answers: Answers) -> Iterator[Question]:
+    """Yield the questions whose answers make the cell."""
     yield Question(
         "robot",
         "Robot, or the path of a model folder",
@@ -121,7 +122,7 @@ def _cell_questions(needs: ProgramNeeds, answers: Answers) -> Iterator[Question]
         for number in needs.tools:
             yield Question(
                 f"tool.{number}",
-                f"$TOOL of T{number}{_named(needs, number)}, tip in the flange frame: X,Y,Z[,A,B,C]",
+                f"$TOOL of T{number}{_remark(needs, number)}, tip in the flange frame: X,Y,Z[,A,B,C]",
                 f"--tools {number}=X,Y,Z",
                 parse.full_frame,
                 "0,0,350",
@@ -160,13 +161,14 @@ def _usual_base(answers: Answers) -> str | None:
     return None if robot is None else ",".join(f"{value:g}" for value in usual_base(robot))
 
 
-def _named(needs: ProgramNeeds, number: int) -> str:
+def _remark(needs: ProgramNeeds, number: int) -> str:
     """Return what comments say of a tool, in brackets."""
     comment = needs.cutters[number].text if number in needs.cutters else ""
     return f" ({comment})" if comment else ""
 
 
 def _rotary_questions(needs: ProgramNeeds, answers: Answers) -> Iterator[Question]:
+    """Yield the questions on rotary axes, if the programs use some."""
     if not needs.rotary:
         return
     usual = ",".join(letter for letter in "CBA" if letter in needs.rotary)
@@ -184,6 +186,7 @@ def _rotary_questions(needs: ProgramNeeds, answers: Answers) -> Iterator[Questio
 
 
 def _setting_questions(needs: ProgramNeeds) -> Iterator[Question]:
+    """Yield the questions on settings of the control that the programs rely on."""
     if "home" in needs.settings:
         text = "Where X, Y, Z are before the first move and after G28, G53, in $BASE: X,Y,Z"
         yield Question("home", text, "--home X,Y,Z", parse.place)
@@ -196,13 +199,15 @@ def _setting_questions(needs: ProgramNeeds) -> Iterator[Question]:
 
 
 def _process_questions(needs: ProgramNeeds, answers: Answers) -> Iterator[Question]:
+    """Yield the questions on material, tools and stock."""
     yield Question("material", "Material", "--material NAME", parse.material, hint=f"Materials: {', '.join(table())}")
     for number in needs.tools or (NO_NUMBER,):
         name = f"T{number}" if number else "the tool"
         comment = needs.cutters.get(number, CommentedTool())
         yield Question(
             f"cutter.{number}",
-            f"Cutter of {name}{_named(needs, number)}: shape and diameter, such as flat,12; bull,12,1; ball,6; drill,8",
+            f"Cutter of {name}{_remark(needs, number)}: shape and diameter, such as flat,12; bull,12,1; "
+            "ball,6; drill,8",
             f"--cutter {number}=flat,12" if number else "--cutter flat,12",
             parse.cutter,
             _cutter_text(comment),
@@ -310,7 +315,7 @@ def process_head(needs: ProgramNeeds, material: str | None) -> Iterator[str]:
     yield f"# Process of {needs.file.name} for postproc: mm, 1/min. docs/reference/forces.md describes every key."
     yield "[material]"
     if material is not None:
-        yield f"name = {_quoted(material)}    # postproc forces --materials lists them, with sources"
+        yield f"name = {_toml_string(material)}    # postproc forces --materials lists them, with sources"
 
 
 def tool_head(number: int, needs: ProgramNeeds) -> str:
@@ -321,6 +326,7 @@ def tool_head(number: int, needs: ProgramNeeds) -> str:
 
 
 def _tool_lines(number: int, shape: CutterShape, needs: ProgramNeeds, answers: Answers) -> Iterator[str]:
+    """Yield the lines of a tool in the process file."""
     yield tool_head(number, needs)
     yield f'shape = "{shape.shape}"'
     yield f"diameter_mm = {shape.diameter_mm:g}"
@@ -341,7 +347,7 @@ def stock_lines(folder: Path, stock: StockTable, *, is_assumed: bool) -> Iterato
     if is_assumed:
         yield "assumed = true                   # from what the tools sweep: check it, then remove this line"
     if stock.box is None:
-        yield f"file = {_quoted(relative_path(folder, Path(stock.file or '')))}    # closed mesh, mm, in $BASE"
+        yield f"file = {_toml_string(relative_path(folder, Path(stock.file or '')))}    # closed mesh, mm, in $BASE"
         return
     spans = {axis: getattr(stock.box, axis) for axis in "XYZ"}
     yield "box = { " + ", ".join(f"{axis} = [{low:g}, {high:g}]" for axis, (low, high) in spans.items()) + " }"
@@ -349,7 +355,8 @@ def stock_lines(folder: Path, stock: StockTable, *, is_assumed: bool) -> Iterato
     yield f"resolution_mm = {min(max(largest_span / _CELL_COUNT, _RESOLUTIONS[0]), _RESOLUTIONS[1]):.2g}"
 
 
-def _quoted(text: str) -> str:
+def _toml_string(text: str) -> str:
+    """Return a text as a TOML string (JSON strings are valid in TOML)."""
     return json.dumps(text, ensure_ascii=False)
 
 

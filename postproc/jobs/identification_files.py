@@ -68,7 +68,7 @@ def identify_elastostatics(
     """
     if not request.overwrite:
         model_folder.protect(request.output)
-    _check_installed(request.experiment)
+    _check_packages(request.experiment)
     return identify_folder(request.measurements, request.experiment, request.output, request, progress, page)
 
 
@@ -83,11 +83,11 @@ def identify_geometry(
     """
     if not overwrite:
         model_folder.protect(output)
-    _check_installed(experiment)
+    _check_packages(experiment)
     return geometry_folder(measurements, experiment, output, model, page)
 
 
-def _check_installed(experiment: Path) -> None:
+def _check_packages(experiment: Path) -> None:
     """Raise an error before any work if the experiment needs a package that is not installed."""
     robot = load_robot(read_experiment(experiment).robot, experiment.parent)
     if robot.has_weight:

@@ -72,6 +72,7 @@ def code_sum(package: Path = _PACKAGE) -> str:
 
 
 def _contents(package: Path) -> Iterator[bytes]:
+    """Yield names and contents of the package's code and of the shipped robot models."""
     for name, path in sorted((path.relative_to(package).as_posix(), path) for path in package.rglob("*")):
         if path.suffix in (".py", ".toml") and not name.startswith("robot_models/"):
             yield name.encode()

@@ -90,7 +90,7 @@ def needed_copies(task: Task, needed_files: Sequence[Needed], names: Collection[
         if path.parent.resolve() == job.output.resolve():
             continue
         group = [Path(sibling.path) for sibling in needed_files if Path(sibling.path).stem.lower() == path.stem.lower()]
-        if needed_file.moves or not _corrected_from(task, group):
+        if needed_file.moves or not _has_same_sources(task, group):
             copies[path.name] = path.read_bytes()
     return copies
 
@@ -113,7 +113,7 @@ def needed_warnings(
             )
             yield Issue("warning", "uncorrected-file", message, subject=path.name)
         is_in_folder = path.stem.lower() in task.names or (job.output / path.name).exists()
-        if needed_file.program and not is_in_folder and _named(needed_file.variables, contents):
+        if needed_file.program and not is_in_folder and _mentions(needed_file.variables, contents):
             names = ", ".join(needed_file.variables) or "variables"
             message = (
                 f"{path.name}, from which {job.stem} takes {names}, is not written: it belongs to "
@@ -123,13 +123,13 @@ def needed_warnings(
             yield Issue("warning", "data-not-written", message, subject=path.name)
 
 
-def _named(names: Sequence[str], contents: Mapping[str, bytes]) -> bool:
+def _mentions(names: Sequence[str], contents: Mapping[str, bytes]) -> bool:
     """Return whether files may name one of some variables; True if none is given."""
     text = b"\n".join(contents.values()).upper()
     return not names or any(name.upper().encode() in text for name in names)
 
 
-def _corrected_from(task: Task, paths: Sequence[Path]) -> bool:
+def _has_same_sources(task: Task, paths: Sequence[Path]) -> bool:
     """Return whether files were corrected for other programs from these sources, and are intact."""
     writer = task.job.writer
     paths = sorted(paths, key=lambda path: path.suffix.lower() != writer.extension)
@@ -308,16 +308,16 @@ class OutputPlan:
         folder.converted(task.job)
         final: list[Outcome] = []
         if outcome.staged_files is None:
-            final.append(self._failed(task.job, outcome))
+            final.append(self._failure(task.job, outcome))
         else:
             try:
-                self._complete.append(self._checked(task, outcome))
+                self._complete.append(self._complete_program(task, outcome))
                 folder.written(task.job, outcome)
             except InputError as cause:
                 files.discard(outcome.staged_files)
-                final.append(self._failed(task.job, Outcome(outcome.program, FAILED, message=str(cause))))
-        for group in self._groups():
-            final += self._replaced(group)
+                final.append(self._failure(task.job, Outcome(outcome.program, FAILED, message=str(cause))))
+        for group in self._take_groups():
+            final += self._replace_files(group)
         return final
 
     def _check(self, cell: Path) -> None:
@@ -342,12 +342,12 @@ class OutputPlan:
         for folder, file_names in names.items():
             protect(inputs, folder, file_names)
         for job in self.jobs:
-            self._refuse_called(job, job.writes(self._mode))
+            self._refuse_called_names(job, job.writes(self._mode))
         if not self._overwrite:
             foreign_files = [path for job in self.jobs for path in self._not_ours(job, job.writes(self._mode))]
             refuse(foreign_files + [path for folder in self.overviews for path in foreign_single(folder / OVERVIEW)])
 
-    def _refuse_called(self, job: Job, names: Iterable[str]) -> None:
+    def _refuse_called_names(self, job: Job, names: Iterable[str]) -> None:
         """Refuse to replace files that a program of an earlier run calls: it would call another program.
 
         :raises InputError: names the first of them, and that program.
@@ -362,7 +362,7 @@ class OutputPlan:
                     "name with --name.",
                 )
 
-    def _checked(self, task: Task, outcome: Outcome) -> _Complete:
+    def _complete_program(self, task: Task, outcome: Outcome) -> _Complete:
         """Return a converted program with the files that it retires.
 
         :raises InputError: its files must not replace those in their places.
@@ -376,7 +376,7 @@ class OutputPlan:
         unplanned_names = [name for name in names if name not in planned_names]
         for name in unplanned_names:
             divided_program = next(
-                (divided_program for divided_program in task.names if _of_divided(name, divided_program)), None
+                (divided_program for divided_program in task.names if _is_part_name(name, divided_program)), None
             )
             if divided_program is not None:
                 raise InputError(
@@ -384,7 +384,7 @@ class OutputPlan:
                     "written in this run",
                     advice="Rename one, or convert them one by one with different -o folders.",
                 )
-        self._refuse_called(job, [name for name in unplanned_names if name not in outcome.shared_files])
+        self._refuse_called_names(job, [name for name in unplanned_names if name not in outcome.shared_files])
         sums = {entry.name: entry.sha256 for entry in outcome.summary.files or ()}
         changed_names = [name for name in outcome.shared_files if _sum(job.output / name) not in ("", sums[name])]
         if not self._overwrite:
@@ -402,7 +402,7 @@ class OutputPlan:
         inputs = {_key(path) for path in job.reads()}
         obsolete = [
             name
-            for name in _existing(job, recorded(job.output / job.report(mode)))
+            for name in _existing_names(job, recorded(job.output / job.report(mode)))
             if name.lower() not in lower_names and PurePath(name).name == name and _key(job.output / name) not in inputs
         ]
         obsolete = [name for name in obsolete if not folder.owners(job, name)]
@@ -411,7 +411,7 @@ class OutputPlan:
         partners = folder.needing(changed_names) - {job.report(mode)} if changed_names else frozenset()
         return _Complete(task, outcome, tuple(obsolete), partners)
 
-    def _groups(self) -> list[list[_Complete]]:
+    def _take_groups(self) -> list[list[_Complete]]:
         """Remove and return groups of programs whose files belong together and are all complete."""
         waiting, ready, incomplete = self._complete, [], []
         while waiting:
@@ -420,7 +420,7 @@ class OutputPlan:
                 group += [
                     candidate
                     for candidate in waiting
-                    if candidate not in group and self._belong_together(program, candidate)
+                    if candidate not in group and self._are_partners(program, candidate)
                 ]
             waiting = [program for program in waiting if program not in group]
             if any(self._folders[program.task.job.output].waits(program.partners) for program in group):
@@ -430,12 +430,13 @@ class OutputPlan:
         self._complete = incomplete
         return ready
 
-    def _belong_together(self, program_a: _Complete, program_b: _Complete) -> bool:
+    def _are_partners(self, program_a: _Complete, program_b: _Complete) -> bool:
+        """Return whether the reports of two programs must be replaced together."""
         reports = [program.task.job.report(self._mode) for program in (program_a, program_b)]
         same_folder = program_a.task.job.output == program_b.task.job.output
         return same_folder and (reports[1] in program_a.partners or reports[0] in program_b.partners)
 
-    def _replaced(self, group: Sequence[_Complete]) -> list[Outcome]:
+    def _replace_files(self, group: Sequence[_Complete]) -> list[Outcome]:
         """Move the staged files of programs to their places together; return the outcomes."""
         folder = group[0].task.job.output
         staged_files = [member.outcome.staged_files for member in group if member.outcome.staged_files is not None]
@@ -447,7 +448,7 @@ class OutputPlan:
             failures = [
                 Outcome(member.outcome.program, FAILED, message=str(cause), keeps_old_files=True) for member in group
             ]
-            return [self._failed(member.task.job, outcome) for member, outcome in zip(group, failures, strict=True)]
+            return [self._failure(member.task.job, outcome) for member, outcome in zip(group, failures, strict=True)]
         for member in group:
             self._folders[folder].in_place(member.task.job)
         return [
@@ -468,21 +469,21 @@ class OutputPlan:
         ]
         return [path for path in foreign_files if path.name not in _intact(job, self._mode)] if foreign_files else []
 
-    def _failed(self, job: Job, outcome: Outcome) -> Outcome:
+    def _failure(self, job: Job, outcome: Outcome) -> Outcome:
         """Return the outcome of a program that was not written, with a sentence on its earlier results."""
         if outcome.skipped:
             return outcome
         return replace(
-            outcome, earlier_remark=left([job], self._mode) if outcome.keeps_old_files else self._set_aside(job)
+            outcome, earlier_remark=left([job], self._mode) if outcome.keeps_old_files else self._retire_results(job)
         )
 
-    def _set_aside(self, job: Job) -> str:
+    def _retire_results(self, job: Job) -> str:
         """Rename the earlier results of a program that failed now, so they are not mistaken for new ones.
 
         :returns: a sentence for the user; empty if there was nothing.
         """
         mode, folder = self._mode, self._folders[job.output]
-        names = _existing(job, _of_run(job, mode))
+        names = _existing_names(job, _of_run(job, mode))
         owners = {name: folder.owners(job, name) for name in names}
         own_names = [name for name in names if not owners[name]]
         changed_files = self._not_ours(job, own_names)
@@ -526,7 +527,7 @@ class _Folder:
         return frozenset(job.stem.lower() for job in self.jobs)
 
     @cached_property
-    def _earlier(self) -> dict[str, Record]:
+    def _earlier_records(self) -> dict[str, Record]:
         """The records in the folder, by the names of their reports, with the files that still exist."""
         records: dict[str, Record] = {}
         file_names = {path.name for path in self._path.glob("*")}
@@ -538,7 +539,7 @@ class _Folder:
 
     def _records(self) -> dict[str, Record]:
         """The records after all complete programs are in their places."""
-        return self._earlier | self._new
+        return self._earlier_records | self._new
 
     def task(self, job: Job) -> Task:
         """Return the task of a job, with the other records if the program may share files with them."""
@@ -557,12 +558,12 @@ class _Folder:
             if report != job.report(self._mode)
         ]
         stems_in_use = {PurePath(name).stem.lower() for record in records for name in record.files} | names
-        stems_in_use |= {path.stem.lower() for path in self._path.glob("*") if path.name not in self._own(job)}
+        stems_in_use |= {path.stem.lower() for path in self._path.glob("*") if path.name not in self._job_files(job)}
         return Task(job, names, tuple(record for record in records if record.files), frozenset(stems_in_use))
 
-    def _own(self, job: Job) -> Mapping[str, str]:
+    def _job_files(self, job: Job) -> Mapping[str, str]:
         """Return the files that an earlier run wrote for a job, with their sums."""
-        record = self._earlier.get(job.report(self._mode))
+        record = self._earlier_records.get(job.report(self._mode))
         return {} if record is None else record.files
 
     def converted(self, job: Job) -> None:
@@ -591,7 +592,7 @@ class _Folder:
         return frozenset(
             report
             for report in self._pending
-            if report in self._earlier and not self._earlier[report].files.keys().isdisjoint(names)
+            if report in self._earlier_records and not self._earlier_records[report].files.keys().isdisjoint(names)
         )
 
     def owners(self, job: Job, name: str, *, only_pending: bool = False) -> list[Record]:
@@ -616,7 +617,7 @@ class _Folder:
         pending = self.owners(job, path.name, only_pending=True)
         records = [record for record in self.owners(job, path.name) if record not in pending]
         file_digest = _sum(path) if records else ""
-        if not file_digest or self._own(job).get(path.name) == file_digest:
+        if not file_digest or self._job_files(job).get(path.name) == file_digest:
             return None
         if job.keeps_text and any(source.name == path.name and _sum(source) == file_digest for source in job.reads()):
             return None
@@ -655,7 +656,7 @@ def _programs(job: Job, mode: Mode) -> list[str]:
     """Return the names of earlier programs of a job that exist: the main file, or its modules."""
     digests = recorded(job.output / job.report(mode))
     modules = [name for name in digests if name.endswith(job.writer.extension)]
-    return _existing(job, job.mains(mode)) or _existing(job, modules)
+    return _existing_names(job, job.mains(mode)) or _existing_names(job, modules)
 
 
 def _overviews(jobs: Sequence[Job]) -> list[Path]:
@@ -678,7 +679,7 @@ def _may_share(job: Job) -> bool:
     return any(_key(path) not in own_files for path in job.program.parent.glob("*") if path.is_file())
 
 
-def _of_divided(name: str, program_stem: str) -> bool:
+def _is_part_name(name: str, program_stem: str) -> bool:
     """Return whether a file may be a part of a divided program."""
     stem = PurePath(name).stem.lower()
     return stem.startswith(program_stem) and (
@@ -686,7 +687,7 @@ def _of_divided(name: str, program_stem: str) -> bool:
     )
 
 
-def _existing(job: Job, names: Iterable[str]) -> list[str]:
+def _existing_names(job: Job, names: Iterable[str]) -> list[str]:
     return [name for name in names if (job.output / name).exists()]
 
 
@@ -698,7 +699,7 @@ def _of_run(job: Job, mode: Mode) -> list[str]:
 
 def _intact(job: Job, mode: Mode) -> list[str]:
     """Return the files of an earlier result whose own provenance line states that it is intact."""
-    program = next((job.output / name for name in _existing(job, job.mains(mode))), None)
+    program = next((job.output / name for name in _existing_names(job, job.mains(mode))), None)
     if mode == "predict" or program is None or not program.is_file():
         return []
     try:

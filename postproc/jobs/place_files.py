@@ -76,7 +76,7 @@ def make_place(request: PlaceRequest, progress: Callable[[int, int], None] | Non
     if not request.overwrite:
         refuse(foreign(request.output, FILES, FILES[-1]))
     assess = partial(_assessment, request, cell, robot)
-    cell, start_message = _started(request, cell, robot)
+    cell, start_message = _cell_with_start(request, cell, robot)
     samples, names = _samples(request, cell, robot)
     turns = cell.gcode.redundancy != "constant" and not any(path.program.keeps_text for path in samples)
     keep, clearance = Keep(joint=request.margin_deg * RAD_PER_DEG), _clearance(request, cell)
@@ -141,7 +141,7 @@ def _bounds(part: str) -> tuple[str, float, float]:
     return axis, lower, upper
 
 
-def _started(request: PlaceRequest, cell: Cell, robot: RobotModel) -> tuple[Cell, str | None]:
+def _cell_with_start(request: PlaceRequest, cell: Cell, robot: RobotModel) -> tuple[Cell, str | None]:
     """Return a cell with [start]: its own, or the one of the first program, and how that was chosen."""
     if cell.start is not None:
         return cell, None
@@ -201,6 +201,10 @@ def _cell_at(cell: Cell, place: Judged) -> Cell:
 
 
 def _samples(request: PlaceRequest, cell: Cell, robot: RobotModel) -> tuple[Sequence[PathSamples], list[str]]:
+    """Read the programs; return samples of their paths and their names.
+
+    :raises InputError: a program has frames of its own, so that moving $BASE would not move it.
+    """
     robot_in_cell, samples, names = RobotInCell.of(robot, cell), list[PathSamples](), []
     shifted_cell = msgspec.structs.replace(cell, base=msgspec.structs.replace(cell.base, X=cell.base.X + 1.0))
     for path, program, source in programs_under_force(request.programs, request.forces or request.process, robot, cell):

@@ -51,7 +51,7 @@ def process_tables(path: Path, needs: ProgramNeeds) -> list[ProcessTable]:
     document, new_tools = _document(text, path, needs)
     tables = [_table(document, "material", "material")]
     for key in document.get("tools", {}):
-        comment = _commented(needs, key).text
+        comment = _tool_comment(needs, key).text
         is_new = not path.is_file() or key in new_tools
         tables.append(replace(_table(document, f"tools.{key}"), comment=comment, is_new=is_new))
     stock = [field for name in _STOCK for field in _table(document, name).fields]
@@ -61,6 +61,7 @@ def process_tables(path: Path, needs: ProgramNeeds) -> list[ProcessTable]:
 
 
 def _table(document: Any, name: str, *choices_of: str) -> ProcessTable:
+    """Return a table of the process file as form fields; `choices_of`: its name is one of the materials."""
     fields = tuple(fields_of_table(document, "process", name))
     if choices_of:
         names = tuple(material_table())
@@ -137,6 +138,6 @@ def _document(text: str, path: Path, needs: ProgramNeeds) -> tuple[Any, frozense
     return document, frozenset(str(number or "default") for number in missing_tools)
 
 
-def _commented(needs: ProgramNeeds, key: str) -> CommentedTool:
+def _tool_comment(needs: ProgramNeeds, key: str) -> CommentedTool:
     number = int(key) if key.isdecimal() else NO_NUMBER
     return needs.cutters.get(number, CommentedTool())

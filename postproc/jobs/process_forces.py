@@ -260,11 +260,11 @@ def predicted(program: Program, robot: RobotModel, cell: Cell, source: ProcessSo
         change = _deviation(replace(path, wrench=path_forces.at(path.sample))) - deviation
         deviation = deviation + change
         residual, last_residual = deviation - offset, residual
-        moves = residual - _taken_back(residual, residual - last_residual, weight) * change
+        moves = residual - _overshoot(residual, residual - last_residual, weight) * change
         limit = max(_CONVERGENCE, _SHARE * _rms(deviation, weight))
-        is_settled = _next(change, last_shift, moves, weight) < limit
+        is_settled = _next_change(change, last_shift, moves, weight) < limit
         if rounds > 1 and not is_settled:
-            is_settled = _next(change, last_shift, moves, _without_contact(weight, residual)) < limit
+            is_settled = _next_change(change, last_shift, moves, _without_contact(weight, residual)) < limit
         last_shift, offset = moves, offset + moves
     result = correction.process(program, robot, cell, cut, "predict")
     if result.failed or source.found is None:
@@ -314,7 +314,7 @@ def with_held_feed(
     return held(program, path.length, cell, source.process.law().exponent, trial)
 
 
-def _taken_back(residual: Array, change: Array, weight: Array) -> float:
+def _overshoot(residual: Array, change: Array, weight: Array) -> float:
     """Return the share of the last change of the deflection that overshoots the fixed point of force and deflection.
 
     Anderson's acceleration of a fixed point with one step of memory (Walker and Ni, SIAM J. Numer. Anal. 49, 2011).
@@ -327,7 +327,7 @@ def _taken_back(residual: Array, change: Array, weight: Array) -> float:
     return float(np.clip(share, 0.0, _LARGEST))
 
 
-def _next(change: Array, shift: Array, next_shift: Array, weight: Array) -> float:
+def _next_change(change: Array, shift: Array, next_shift: Array, weight: Array) -> float:
     """Return an estimate [m] of the change of the deflection in the next round.
 
     :param change: (n, 3) change of the deflection in this round, when the cut was displaced by `shift` (n, 3) more.
@@ -426,6 +426,10 @@ def make_forces(request: ForcesRequest, progress: Callable[[int, int], None] | N
 
 
 def _names(request: ForcesRequest) -> tuple[Path, list[str]]:
+    """Return the output folder and the names of the files to write.
+
+    :raises InputError: two folders, or an unknown kind of mesh.
+    """
     folder, names = request.output.parent, [request.output.name]
     if request.stock_out is not None:
         if request.stock_out.parent.resolve() != folder.resolve():

@@ -112,7 +112,7 @@ class ProgramNeeds(Struct, frozen=True):
             low[2] = min(low[2], max(high[2], 0.0) - self.stock_mm[2])
         else:
             low[2] -= _SIDE_MM
-            _leave_out(low, high, self.low_rapids, margin)
+            _exclude_points(low, high, self.low_rapids, margin)
         high[2] = max(high[2], 0.0)
         low, high = np.floor(low) + 0.0, np.ceil(high) + 0.0
         if low[2] >= high[2]:
@@ -191,7 +191,7 @@ def _low_rapids(motions: Motions) -> tuple[tuple[float, float], ...]:
     return tuple(points)
 
 
-def _leave_out(low: Array, high: Array, points: Sequence[tuple[float, float]], margin: float) -> None:
+def _exclude_points(low: Array, high: Array, points: Sequence[tuple[float, float]], margin: float) -> None:
     """Move the nearest side of a box inwards so far that a tool at these points does not touch it.
 
     Points that are farther inside than the path is wide are in what the program has cut before: they are left.
@@ -266,6 +266,7 @@ class _Trial:
             return None, str(cause)
 
     def _cell(self, answers: Mapping[str, Any], kind: str) -> Cell:
+        """Return a cell in which the program can be read before the real one exists; its frames do not count."""
         letters = [letter for letter in "CBA" if letter in self.survey.rotary][:2]
         points = dict.fromkeys(letters, (0.0, 0.0, 0.0))
         gcode = GCode(

@@ -145,7 +145,7 @@ def find_jobs(
     programs = _without_parts(programs, {resolved(Path(name)) for name in inputs}, dialect)
     callers = _callers([path for path in programs if str(path) not in inputs], programs, dialect)
     main_programs = [path for path in programs if path not in callers]
-    csv = _forces_for(main_programs, forces)
+    csv = _force_files(main_programs, forces)
     if name is not None and len(main_programs) > 1:
         raise OptionError(f"one name for {len(main_programs)} programs", advice="Give --name with one program.")
     jobs = []
@@ -172,6 +172,10 @@ def read_documents(path: Path, dialect: str) -> list[Document]:
 
 
 def _expand(name: str, dialect: str | None) -> Iterator[Path]:
+    """Yield the programs of a folder, a pattern or a file name.
+
+    :raises InputError: there are none.
+    """
     path = Path(name)
     extensions = registry.extensions() if path.is_dir() or glob.has_magic(name) else {}
     if path.is_dir():
@@ -219,7 +223,7 @@ def _unique(paths: Iterable[Path]) -> list[Path]:
     return list(by_location.values())
 
 
-def _forces_for(programs: Sequence[Path], forces: Path | None) -> dict[Path, Path | None]:
+def _force_files(programs: Sequence[Path], forces: Path | None) -> dict[Path, Path | None]:
     """Return the force file of each program."""
     if forces is None:
         return dict.fromkeys(programs)

@@ -64,8 +64,8 @@ def read_started(
     first_motions, motions = first.motions, program.motions
     is_same = (
         len(first_motions) == len(motions)
-        and _same(first_motions.target[:], motions.target[:])
-        and _same(first_motions.joints[:], motions.joints[:])
+        and _are_equal(first_motions.target[:], motions.target[:])
+        and _are_equal(first_motions.joints[:], motions.joints[:])
     )
     if not is_same or start.joints == _PROVISIONAL_START.joints:
         raise ProgramError(
@@ -76,5 +76,5 @@ def read_started(
     return replace(program, issues=(*program.issues, Issue("info", "start", start.message))), cell
 
 
-def _same(first: Array, second: Array) -> bool:
+def _are_equal(first: Array, second: Array) -> bool:
     return bool(np.allclose(first, second, rtol=0.0, atol=1e-9, equal_nan=True))

@@ -237,6 +237,7 @@ def _prior(robot_in_cell: RobotInCell, process: Process) -> Prior:
 def _data(
     selection: Design, prior: Prior, cutting: Cutting, parts: dict[Placement, features.Program]
 ) -> dict[str, object]:
+    """Return the design of a test part as the data of its JSON file."""
     names = [*(parameter.name for parameter in prior.parameters), "forces"]
     return {
         "placements": [
@@ -261,6 +262,7 @@ def _data(
 
 
 def _tests(request: TestPartRequest, robot_in_cell: RobotInCell, candidates: design.Candidates) -> Tests:
+    """Return the states whose error the part should reduce: those of the programs, else of cuts in the block."""
     if not request.programs:
         return design.tests_in_block(candidates)
     from postproc.jobs.plan_files import cutting_states  # readers of programs come with it
@@ -342,7 +344,7 @@ class _Given(Struct, frozen=True, eq=False):
         return fit(prior, self.readings, self.parts[0].robot_in_cell, CutForces(self.parts))
 
 
-def _given(request: PartRequest, model: str | None = None) -> _Given:
+def _read_part(request: PartRequest, model: str | None = None) -> _Given:
     """Read a probed part.
 
     :param model: name or folder of the model, instead of that of the cell.
@@ -386,6 +388,10 @@ def _check_top(probe_data: Probed, process: Process) -> None:
 
 
 def _placements(cell: Cell, numbers: tuple[int, ...]) -> dict[Placement, Cell]:
+    """Return the placements and a cell for each.
+
+    :raises InputError: a number is given twice.
+    """
     cell_of = {Placement(): cell}
     for placement in map(Placement, map(str, numbers)):
         if placement in cell_of:
@@ -439,7 +445,7 @@ def compare_part(request: PartRequest, model: str | None = None) -> tuple[PartId
     :param model: name or folder of the model, instead of that of the cell.
     :raises PostprocError: an input is unusable.
     """
-    part_data = _given(request, model)
+    part_data = _read_part(request, model)
     fit, rejected_rows = part_data.fit(part_data.prior.widened())
     part_agreement = agreement(fit, part_data.prior, rejected_rows)
     return replace(summary(fit, rejected_rows), agreement=part_agreement), part_agreement
@@ -460,7 +466,7 @@ def identify_part(request: PartRequest, output: Path | None, *, overwrite: bool 
             raise InputError("would overwrite the prior model", file=str(output), advice="Give another folder with -o.")
     if output is None:
         return PartFiles(compare_part(request)[0], ())
-    part_data = _given(request)
+    part_data = _read_part(request)
     fit, rejected_rows = part_data.fit(part_data.prior)
     data = summary(fit, rejected_rows)
     prior = files.read_toml(folder / "model.toml", ModelFile, ModelError)

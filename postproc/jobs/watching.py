@@ -103,6 +103,7 @@ def watch(
 
 
 def _outcomes(watcher: _Watcher, stop: Event) -> Iterator[tuple[Outcome, Job]]:
+    """Yield outcomes of the programs that arrive in the folder, until `stop` is set."""
     pause = _pause(watcher.folder, stop)
     while not stop.is_set():
         ready = watcher.scan(time.monotonic())
@@ -174,7 +175,7 @@ class _Watcher:
         self.workers, self.say = workers, say
         self.seen: dict[Path, tuple[Signature, float]] = {}
         self.finished: dict[Path, Signature] = {}
-        self.entries = self._known()
+        self.entries = self._read_entries()
         self.reported: set[str] = set()
         self.code, self.setup = inputs.code_sum(), ""
         self.setup_paths: list[Path] = []
@@ -191,7 +192,7 @@ class _Watcher:
             self.force_files = {} if self.force_folder is None else force_files(self.force_folder)
             signatures = {path: self._signature(path) for path in self._programs()}
         except OSError as cause:
-            self._say_once(f"{cause.filename or self.folder} cannot be read at present. Waiting for it.")
+            self._report_new(f"{cause.filename or self.folder} cannot be read at present. Waiting for it.")
             return []
         self.reported -= {f"{folder} cannot be read at present. Waiting for it." for folder in folders}
         quiet = self._is_setup_quiet(time_s)
@@ -221,7 +222,7 @@ class _Watcher:
                 self.reported.discard(waiting)
                 return True
         except OSError:
-            self._say_once(waiting)
+            self._report_new(waiting)
             return False
 
     def _is_setup_quiet(self, time_s: float) -> bool:
@@ -272,7 +273,7 @@ class _Watcher:
         jobs: list[Job] = []
         try:
             jobs = self._jobs(ready)
-            yield from self._converted(jobs, states)
+            yield from self._convert_jobs(jobs, states)
         except PostprocError as cause:
             if len(ready) == 1:
                 remark = left(jobs or self._jobs_without_forces(ready[0]), self.settings.mode)
@@ -292,7 +293,7 @@ class _Watcher:
     def _write_overview(self) -> None:
         """Write the overview of the output folder, with the programs that could not be converted."""
         if files.foreign_single(self.output / OVERVIEW) and not self.settings.overwrite:
-            self._say_once(f"{self.output / OVERVIEW} was not written by postproc: there is no overview.")
+            self._report_new(f"{self.output / OVERVIEW} was not written by postproc: there is no overview.")
             return
         failures = [
             index.Entry(name, "", None, entry.reason)
@@ -302,11 +303,12 @@ class _Watcher:
         try:
             write_overview(self.output, failures)
         except InputError as cause:
-            self._say_once(str(cause))
+            self._report_new(str(cause))
 
-    def _converted(
+    def _convert_jobs(
         self, jobs: Sequence[Job], states: Mapping[Path, tuple[Signature, str | None]]
     ) -> Iterator[tuple[Outcome, Job]]:
+        """Convert jobs; yield each outcome, and record it with the state of the program's inputs before."""
         by_name = {str(job.program): job for job in jobs}
         for outcome in convert_all(jobs, self.settings, workers=self.workers, waiting=self.say):
             job = by_name[outcome.program]
@@ -364,12 +366,13 @@ class _Watcher:
             return False
         if (self.output / f"{path.stem}.report.json").is_file():
             return False
-        self._say_once(
+        self._report_new(
             f"{path} waits for its forces: {path.stem}.csv or {path.stem}.forces.csv in {self.force_folder}."
         )
         return True
 
     def _programs(self) -> list[Path]:
+        """Return the programs of the folder; report names that are not UTF-8 once."""
         extensions = registry.extensions()
         programs = []
         for path in self.folder.iterdir():
@@ -377,7 +380,7 @@ class _Watcher:
                 if is_utf8(path.name):
                     programs.append(path)
                 else:
-                    self._say_once(f"{path}: its name is not UTF-8. Rename the file.")
+                    self._report_new(f"{path}: its name is not UTF-8. Rename the file.")
         return programs
 
     def _reads(self, path: Path) -> list[Path]:
@@ -400,7 +403,7 @@ class _Watcher:
         try:
             return provenance.digest(file.read_bytes() for file in self._reads(path))
         except OSError:
-            self._say_once(f"{path} cannot be opened at present, another program may be writing it. Waiting for it.")
+            self._report_new(f"{path} cannot be opened at present, another program may be writing it. Waiting for it.")
             return None
 
     def _is_new(self, path: Path, signature: Signature) -> bool:
@@ -449,13 +452,14 @@ class _Watcher:
             self.entries[path.name] = Entry(total, outcome.code, self.setup, cause)
             files.write_whole(self.output, {STATE: msgspec.json.encode(self.entries)})
 
-    def _known(self) -> dict[str, Entry]:
+    def _read_entries(self) -> dict[str, Entry]:
+        """Return the entries of the state file; empty without a readable one."""
         try:
             return msgspec.json.decode((self.output / STATE).read_bytes(), type=dict[str, Entry])
         except (OSError, msgspec.MsgspecError):
             return {}
 
-    def _say_once(self, sentence: str) -> None:
+    def _report_new(self, sentence: str) -> None:
         """Report a sentence once."""
         if sentence not in self.reported:
             self.reported.add(sentence)

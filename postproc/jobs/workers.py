@@ -79,17 +79,22 @@ class LocalWorkers:
             process.wait()
 
     def _work(self, task: Task) -> Outcome:
+        """Run a task in a free process; return its outcome, a failure if the process ends meanwhile."""
         process = self._process()
         try:
             outcome = process.work(task, self._settings)
         except EOFError:
             with self._lock:
                 self._all.discard(process)
-            return _died(task, process.wait())
+            return _crash_outcome(task, process.wait())
         self._free.put(process)
         return outcome
 
     def _process(self) -> _Process:
+        """Return a free process or a new one.
+
+        :raises OSError: the workers are ending.
+        """
         with contextlib.suppress(Empty):
             return self._free.get_nowait()
         with self._lock:
@@ -106,7 +111,7 @@ def work_alone(task: Task, settings: Settings) -> Outcome:
     try:
         return process.work(task, settings)
     except EOFError:
-        return _died(task, process.wait())
+        return _crash_outcome(task, process.wait())
     finally:
         process.kill()
         process.wait()
@@ -161,7 +166,8 @@ class _Process:
         return code
 
 
-def _died(task: Task, code: int) -> Outcome:
+def _crash_outcome(task: Task, code: int) -> Outcome:
+    """Return the failure of a task whose process ended with an exit code, negative for a signal."""
     exit_text = f"signal {-code}" if code < 0 else f"exit code {code}"
     program = task.job.program
     message = f"{program}: its worker process ended ({exit_text}), perhaps for lack of memory. Use fewer --jobs."
@@ -181,7 +187,7 @@ def main() -> None:
     code = 0
     try:
         while True:
-            pickle.dump(_converted(*tasks.get()), outcomes)
+            pickle.dump(_convert_task(*tasks.get()), outcomes)
             outcomes.flush()
     except BrokenPipeError:
         pass
@@ -205,7 +211,8 @@ def _setup(settings: Settings) -> tuple[Cell, RobotModel]:
     return load_setup(settings)
 
 
-def _converted(task: Task, settings: Settings) -> Outcome:
+def _convert_task(task: Task, settings: Settings) -> Outcome:
+    """Run a task in this process; return its outcome, also if the set-up cannot be read."""
     try:
         cell, robot = _setup(settings)
     except Exception as cause:
@@ -251,7 +258,7 @@ class ClusterWorkers:
     def __init__(self, cluster: Cluster, settings: Settings) -> None:
         self._cluster = cluster
         self._settings = replace(settings, cell=settings.cell.resolve())
-        self._client = _connected(cluster)
+        self._client = _connect(cluster)
         self._code = inputs.code_sum()
         self._alive = self._looked = time.monotonic()
         self._begun: dict[Path, Any] = {}
@@ -270,7 +277,7 @@ class ClusterWorkers:
         self._alive = time.monotonic()
         program = str(task.job.program)
         if future.cancelled():
-            return self._gone(task)
+            return self._loss_outcome(task)
         try:
             outcome: Outcome | OtherCode = future.result(timeout=PATIENCE)
         except Exception as cause:
@@ -290,7 +297,7 @@ class ClusterWorkers:
         """Return a failure if the cluster, or the worker that has the task, has not been there for some time."""
         self._look()
         if time.monotonic() > self._alive + PATIENCE:
-            return self._gone(task)
+            return self._loss_outcome(task)
         worker = self._holder.get(self._begun[task.job.program].key)
         if worker is None or time.monotonic() < self._signs[worker][1] + _SIGN_TIMEOUT:
             return None
@@ -321,13 +328,14 @@ class ClusterWorkers:
             self._client.cancel([future for future in self._begun.values() if not future.done()])
         self._client.close(timeout=2)
 
-    def _gone(self, task: Task) -> Outcome:
+    def _loss_outcome(self, task: Task) -> Outcome:
+        """Return the failure of a task whose scheduler or workers are gone."""
         program = task.job.program
         message = f"{program}: the Dask scheduler at {self._cluster.address} or all its workers are gone."
         return Outcome(str(program), FAILED, message=message, keeps_old_files=True)
 
 
-def _connected(cluster: Cluster) -> Any:
+def _connect(cluster: Cluster) -> Any:
     """Return a client of a scheduler that has workers."""
     try:
         import distributed

@@ -86,7 +86,7 @@ def follow(
     """
     jumps, status, turn = np.flatnonzero(free), status.astype(np.int64), turn.astype(np.int64)
     by_axes = np.isfinite(axis_target[:, 0])
-    slots = _branches_along(robot, flange(jumps), start, axis_target, status)
+    slots = _path_branches(robot, flange(jumps), start, axis_target, status)
     branch = np.repeat(slots, np.diff(jumps, prepend=0, append=len(free)))
     q = np.zeros((len(branch), 6))
     start_angles, wound = np.asarray(start, dtype=float), np.zeros(6)
@@ -99,7 +99,7 @@ def follow(
         exact[at[is_axis_target]] = axis_target[targets][is_axis_target]
         unreached += (part.start + np.flatnonzero(any_column(np.isnan(exact)))).tolist()
         has_turn = ~is_axis_target & (turn[targets] >= 0)
-        exact[at[has_turn]] = _turned(robot, exact[at[has_turn]], turn[targets][has_turn])
+        exact[at[has_turn]] = _whole_turns(robot, exact[at[has_turn]], turn[targets][has_turn])
         if len(rows) and not unreached:
             q[part], wound = _continuous(exact, start_angles, wound, at[is_axis_target | has_turn])
             start_angles = exact[-1]
@@ -108,7 +108,7 @@ def follow(
     return JointPath(q, branch)
 
 
-def _branches_along(robot: RobotModel, flange: Array, start: Array, axis_target: Array, status: Ints) -> Ints:
+def _path_branches(robot: RobotModel, flange: Array, start: Array, axis_target: Array, status: Ints) -> Ints:
     """Return the branch before the first PTP move, and from each of them on (J + 1,)."""
     form = closed_form(robot)
     branch = np.full(len(status) + 1, -1)
@@ -148,7 +148,7 @@ def on_branch(robot: RobotModel, pose_flange_in_root: Array, branch: Ints) -> Ar
     return closed_form(robot).solve(components(pose_flange_in_root), int(branch[0]) if is_uniform else branch).T
 
 
-def _turned(robot: RobotModel, angles: Array, turn: Ints) -> Array:
+def _whole_turns(robot: RobotModel, angles: Array, turn: Ints) -> Array:
     """Return angles (J, 6) with the whole turns that T (J,) asks for: inside the limits if that is possible."""
     options = angles[..., None] + _TURN * np.arange(-2, 3)
     within_limits = (options >= robot.lower[:, None] - _ANGLE_TOLERANCE) & (
@@ -265,7 +265,7 @@ class ByWrist(Struct, frozen=True, eq=False):
         :raises UnreachableError: the tip cannot be held on its line on one branch; `rows` are motions.
         """
         row = np.searchsorted(self.motion, motion)
-        q, pose = in_chunks(self._solved, row, t)
+        q, pose = in_chunks(self._solution, row, t)
         tip_error = largest(pose[:, :3, 3] - self._tip(row, t))
         form = closed_form(self.robot)
         failed_rows = np.flatnonzero(
@@ -278,7 +278,7 @@ class ByWrist(Struct, frozen=True, eq=False):
     def _tip(self, row: Ints, t: Array) -> Array:
         return np.asarray(self.tip[row, 0] + t[:, None] * (self.tip[row, 1] - self.tip[row, 0]))
 
-    def _solved(self, row: Ints, t: Array) -> tuple[Array, Array]:
+    def _solution(self, row: Ints, t: Array) -> tuple[Array, Array]:
         """Return the joint angles (n, 6) [rad] and the poses (n, 4, 4) in the root [m].
 
         A1 to A3 are found by Newton's method, from the line between their values at start and end.

@@ -36,6 +36,7 @@ def depth_inside(stock: Stock, cutter: Cutter, tip: Array, axis: Array) -> float
 
 
 def _deepest(stock: Stock, cutter: Cutter, tip: Array, axis: Array) -> float:
+    """Return how deep [m] points inside the cutter, one cell from its surface, are in material; 0 if none is."""
     radius = max(cutter.radius - stock.cell, 0.0)
     place, distance, height = _rings(stock, cutter, tip, axis, radius)
     if not len(place):

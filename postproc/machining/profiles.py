@@ -281,6 +281,7 @@ def _is_cycle(program: Program, path: Segments, column: int, moves: Ints, text: 
 
 
 def _differing(program: Program, two: Ints, count: int, text: str) -> ForceError:
+    """Return the error for motions of one line whose forces differ; `two`: rows of two of them."""
     line, file = int(program.motions.line[two[0]]), program.documents[0].name
     places = program.places(two)
     at = [f"{name}:{number}" for name, number in map(places.of, range(2)) if (name, number) != (file, line)]

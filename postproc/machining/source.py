@@ -251,6 +251,7 @@ class ProcessSource:
         return self._knots
 
     def _made(self, program: Program, path: Segments) -> Knots:
+        """Return the forces of the cutting law, and of the entries of operations, which take precedence."""
         process = self.process
         law_knots = None
         if process.material is not None:

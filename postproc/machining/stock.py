@@ -150,6 +150,10 @@ def level(high: Floats) -> NDArray[np.int16]:
 
 
 def _empty(lower: Array, upper: Array, cell: float, file: str) -> tuple[float, float, int, int]:
+    """Return origin x, y [m] and numbers of cells in x, y of a map with a border.
+
+    :raises ForceError: it would be too large.
+    """
     count = np.ceil((upper[:2] - lower[:2]) / cell - 1e-6).astype(int) + 2 * _BORDER
     if int(count[0]) * int(count[1]) > _MOST_CELLS:
         min_cell = float(np.sqrt((upper[0] - lower[0]) * (upper[1] - lower[1]) / _MOST_CELLS)) * 1e3

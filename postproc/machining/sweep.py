@@ -288,6 +288,7 @@ class Sweep(Struct, eq=False):
         )  # fmt: skip
 
     def _cut(self, segments: StraightSegments, begin: int, end: int, number: int) -> Iterator[Cuts]:
+        """Yield the loads at stations one cell apart along segments of tool `number`, in chunks that limit memory."""
         cell = self.stock.cell
         length = np.linalg.norm(segments.end[begin:end] - segments.begin[begin:end], axis=1)
         count = np.maximum(1, np.ceil(length / cell - 1e-6)).astype(np.int64)
@@ -331,6 +332,7 @@ class Sweep(Struct, eq=False):
         return float(stock.high[rows, columns].max(initial=-np.inf))
 
     def _loads(self, turn: Turn, number: int, position: Array, heading: Array, motion: Ints, t: Array) -> Cuts:
+        """Return the loads at positions (n, 3) [m] with headings (n, 3) (unit), places t (n,) on their motions."""
         cutter = self._cutter(number)
         axis_sine = np.hypot(heading[:, 0], heading[:, 1])
         is_axial = axis_sine < _AXIAL
@@ -382,6 +384,9 @@ class Sweep(Struct, eq=False):
     def _inside(
         self, turn: Turn, cutter: Cutter, position: Array, axes: tuple[Array, Array, Ints], descent: Floats
     ) -> Engaged:
+        """Return the cutting edge in material; `axes`: direction x, y (n,) of the feed, and the hand of the tool (n,)
+        ±1.
+        """
         ux, uy, hand = (component.astype(np.float32)[:, None] for component in axes)
         feed_offset = np.sin(turn.phi).astype(np.float32) * turn.radius
         side_offset = np.cos(turn.phi).astype(np.float32) * turn.radius

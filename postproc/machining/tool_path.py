@@ -67,6 +67,10 @@ def tool_states(program: Program, process: Process) -> ToolStates:
 
 
 def _refuse(program: Program, process: Process, number: Ints, lacks_tool: Bools) -> None:
+    """Raise for the tools of cutting motions that the process file lacks.
+
+    :raises ForceError: always, one error for each tool.
+    """
     errors = []
     for value in distinct(number[lacks_tool]).tolist()[: MAX_ERRORS + 1]:
         line = int(program.motions.line[np.flatnonzero(lacks_tool & (number == value))[0]])

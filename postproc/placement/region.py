@@ -225,6 +225,7 @@ class Programs:
         return nearest if best is None else best
 
     def _judge(self, place: Array, turn: float, branch: int, stations: Sequence[_Stations]) -> Judged:
+        """Return the judgement of a place (5,): the first reason to refuse it, or its largest expected error."""
         base_motion, e1_shift = self._moved(place)
         coordinates = tuple(map(float, place))
         joint_paths: list[tuple[_Stations, Array]] = []

@@ -98,6 +98,7 @@ class PathSamples(Struct, frozen=True, eq=False):
         return wrench, spread, toolpath.pose_in_root(self.program, motion, pose, t), is_scaled
 
     def _turned(self, rows: Ints, turn: Array) -> Array:
+        """Return the tool poses (n, 4, 4) of samples (n,), turned about the tool axis by `turn` (n,) [rad]."""
         pose = self.sample.pose[rows]
         if turn.any():
             pose[:, :3, :3] = pose[:, :3, :3] @ self.rotation(turn)

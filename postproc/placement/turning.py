@@ -282,6 +282,7 @@ def _at_samples(samples: PathSamples, blocks: Blocks, knots: Array) -> Array:
 
 
 def _said(turn: Turn) -> Issue:
+    """Return the information on the chosen turn of the tool."""
     low, high = (f"{angle:.0f}°" for angle in turn.range_deg())
     mode_text = "by one angle for each operation" if turn.mode == "best" else "along the path"
     if low == high:

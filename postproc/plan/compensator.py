@@ -87,7 +87,7 @@ def plan_compensator(robot: RobotModel, sigma: float, options: CompensatorOption
         )
     beta = geometry.even_angles(options.markers)
     even_angles = grid[np.round(np.linspace(0, len(grid) - 1, options.angles)).astype(np.int64)]
-    angles = _exchanged(value, grid, even_angles, beta)
+    angles = _exchange(value, grid, even_angles, beta)
     q2 = np.sort(angles)[::-1] * RAD_PER_DEG
     return CompensatorPlan(
         robot=robot.name,
@@ -116,7 +116,7 @@ def expected_intervals(value: Array, q2: Array, beta: Array, sigma: float, repea
     return np.asarray(geometry.student_95(dof) * np.sqrt(np.diag(covariance)))
 
 
-def _exchanged(value: Array, grid: Array, start: Array, beta: Array) -> Array:
+def _exchange(value: Array, grid: Array, start: Array, beta: Array) -> Array:
     """Return angles (m,) [deg] of the grid that the exchange of no single one improves."""
     result, radius = start.copy(), np.full(len(beta), _RADIUS)
 

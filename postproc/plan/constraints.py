@@ -147,12 +147,13 @@ def _torque(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
 
 
 def _itself(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
+    """Yield the names of robot parts, and where (n,) nothing comes too close to them."""
     if len(state.q) == 0:
         return
-    pairs = _near_and_far(site, state)
+    pairs = _capsule_pairs(site, state)
     min_gap = np.array([part.radius + counterpart.radius + site.clearance for part, counterpart in pairs])
     # parts that are this near with the arm stretched out overlap by their coarse shape, not by a collision
-    straight_gap = _stretched(site)
+    straight_gap = _straight_distances(site)
     min_gap[: len(straight_gap)] = np.minimum(min_gap[: len(straight_gap)], _STRAIGHT_SHARE * straight_gap)
     free = _gaps(pairs) >= min_gap[:, None]
     for name in _PARTS[:4]:
@@ -160,7 +161,7 @@ def _itself(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
         yield f"tool, load and arm against the robot's {name}", np.asarray(free[rows].all(axis=0))
 
 
-def _near_and_far(site: Site, state: State) -> list[tuple[Capsule, Capsule]]:
+def _capsule_pairs(site: Site, state: State) -> list[tuple[Capsule, Capsule]]:
     """Return the parts that could meet, those with the load last."""
     column, link, elbow, forearm, hand = arm_parts(site, state)
     tool, load = tool_parts(site, state), load_parts(site, state)
@@ -183,9 +184,9 @@ def _gaps(pairs: list[tuple[Capsule, Capsule]]) -> Array:
 
 
 @lru_cache(maxsize=8)
-def _stretched(site: Site) -> Array:
+def _straight_distances(site: Site) -> Array:
     """Return the distances of the pairs without load, all joints at 0 [m]."""
-    return np.asarray(_gaps(_near_and_far(site, State.of(site, np.zeros((1, 6)), None)))[:, 0])
+    return np.asarray(_gaps(_capsule_pairs(site, State.of(site, np.zeros((1, 6)), None)))[:, 0])
 
 
 def _room(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
@@ -195,6 +196,7 @@ def _room(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
 
 
 def _clear(site: Site, parts: tuple[Capsule, ...], obstacle: BoxShape | MeshShape, count: int) -> Bools:
+    """Return where (n,) parts keep their clearance from an obstacle."""
     good = np.ones(count, dtype=bool)
     for part in parts:
         rows = np.flatnonzero(good)
@@ -205,6 +207,7 @@ def _clear(site: Site, parts: tuple[Capsule, ...], obstacle: BoxShape | MeshShap
 
 
 def _acceptance(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
+    """Yield the markers with a normal, and where (n,) the tracker is inside their acceptance angle."""
     if site.tracker is None:
         return
     point = state.posed.point(site.points)

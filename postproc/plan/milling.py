@@ -103,11 +103,11 @@ def from_program(program: Program, robot: RobotModel, cell: Cell, source: ForceS
             file=name,
             advice="Give forces with --forces, or as comments (FORCE FX= FY= FZ=), or test poses with --poses.",
         )
-    rows, shares = _merged(cutting, way[cutting])
+    rows, shares = _thin_rows(cutting, way[cutting])
     return evaluated(robot, path.joints.q[rows], program.tools[m.tool[motion[rows]]], in_root[rows], shares, name)
 
 
-def _merged(rows: Ints, way: Array) -> tuple[Ints, Array]:
+def _thin_rows(rows: Ints, way: Array) -> tuple[Ints, Array]:
     """Return every n-th of the rows (n,) of a long path, and the lengths [m] with those of the rows left out.
 
     :param way: (n,) length before each row [m].

@@ -181,7 +181,7 @@ def least_travel(site: Site, q: Array) -> tuple[Ints, float, Ints]:
         left = [node for node in range(len(stops)) if node not in tour]
         tour.append(min(left, key=lambda node: (cost[tour[-1], node], node)))
     while True:
-        better = _improved(tour, cost)
+        better = _shorter_tour(tour, cost)
         if better is None:
             break
         tour = better
@@ -195,7 +195,8 @@ def _length(tour: list[int], cost: Array) -> float:
     return float(cost[tour[:-1], tour[1:]].sum())
 
 
-def _improved(tour: list[int], cost: Array) -> list[int] | None:
+def _shorter_tour(tour: list[int], cost: Array) -> list[int] | None:
+    """Return a shorter tour by reversing a piece (2-opt) or moving up to three poses (Or-opt), or None."""
     length = _length(tour, cost)
     for i in range(1, len(tour)):
         for j in range(i + 1, len(tour) + 1):
@@ -380,8 +381,8 @@ def plan_measurements(
     sample = thinned(tests, scale, options.test_poses, options.seed)
     report("drawing poses that can be measured", 0.0, np.nan)
     problem = _problem(site, sample, scale, options, data)
-    plan, is_interrupted = _searched(problem.task, options, report)
-    plan, force, seconds, via, blocked_rows = _ordered(problem, plan)
+    plan, is_interrupted = _search(problem.task, options, report)
+    plan, force, seconds, via, blocked_rows = _order_plan(problem, plan)
     information = problem.readings.information_of(plan.q, force)
     accuracy = expected_accuracy(sample, problem.readings, problem.joint2, plan.q, information, problem.known)
     prior_accuracy = None
@@ -446,6 +447,10 @@ def _other_plans(task: Task, options: Options, plan: Plan, report: Progress) -> 
 
 
 def _problem(site: Site, tests: TestPoses, scale: Array, options: Options, data: Measurements | None) -> _Problem:
+    """Return the task to search in, from candidates, readings already made and what the load can excite.
+
+    :raises PlanError: too few levels of q2 can be measured.
+    """
     # loaded minus unloaded, each the mean of the repeats
     noise = site.sigma * np.sqrt(2.0 / options.repeats)
     readings = Readings(site.arm, site.load_point, site.points, site.rig.force, noise, scale)
@@ -519,7 +524,11 @@ def _joint2(
     return prior if CompensatorStiffness() in accuracy.uncertain else free
 
 
-def _searched(task: Task, options: Options, report: Progress) -> tuple[Plan, bool]:
+def _search(task: Task, options: Options, report: Progress) -> tuple[Plan, bool]:
+    """Return the best plan, and whether Ctrl-C ended the search.
+
+    :raises KeyboardInterrupt: before there is a plan.
+    """
     best: Plan | None = None
     steps = options.starts + _FINALISTS * options.rounds // 2
     try:
@@ -534,7 +543,7 @@ def _searched(task: Task, options: Options, report: Progress) -> tuple[Plan, boo
     return best, False
 
 
-def _ordered(problem: _Problem, plan: Plan) -> tuple[Plan, Array, float, tuple[Array, ...], Ints]:
+def _order_plan(problem: _Problem, plan: Plan) -> tuple[Plan, Array, float, tuple[Array, ...], Ints]:
     """Round the plan as printed, order it by travel, and check the paths between its poses."""
     site = problem.task.site
     q2 = np.round(plan.q2 * DEG_PER_RAD, _ANGLE_DECIMALS) * RAD_PER_DEG

@@ -94,7 +94,6 @@ def draw_candidates(
     """Draw candidates on a grid of levels over the range of q2, and at `fixed_levels` levels (first among them).
 
     :param readings: with all six compliances.
-
     :raises PlanError: no pose can be measured; the message names the constraints that block.
     """
     lower, upper = site.lower[1], site.upper[1]
@@ -275,7 +274,7 @@ def first_levels(task: Task, rng: np.random.Generator, spread: bool) -> Ints:
     if spread and task.fixed == 0:
         return free[np.round(np.linspace(0, len(free) - 1, free_levels)).astype(np.int64)]
     for candidate in rng.permutation(free):
-        if len(row) < task.levels and _apart(task.candidates.q2[row], task.candidates.q2[candidate]):
+        if len(row) < task.levels and _is_distant(task.candidates.q2[row], task.candidates.q2[candidate]):
             row.append(int(candidate))
     for candidate in rng.permutation(free):  # too many levels for the distance: nearer ones, but different
         if len(row) < task.levels and int(candidate) not in row:
@@ -283,7 +282,7 @@ def first_levels(task: Task, rng: np.random.Generator, spread: bool) -> Ints:
     return np.array(row)
 
 
-def _apart(levels: Array, q2: float) -> bool:
+def _is_distant(levels: Array, q2: float) -> bool:
     return bool((np.abs(levels - q2) >= _LEAST_DISTANCE - 1e-9).all())
 
 
@@ -344,7 +343,7 @@ def _exchange_level(task: Task, choice: _Choice, group: int) -> _Choice:
     other_rows = np.delete(choice.row, group)
     best = choice
     for candidate in range(task.fixed, len(candidates)):
-        if candidate in choice.row or not _apart(candidates.q2[other_rows], candidates.q2[candidate]):
+        if candidate in choice.row or not _is_distant(candidates.q2[other_rows], candidates.q2[candidate]):
             continue
         row, pick = choice.row.copy(), choice.pick.copy()
         row[group] = candidate
@@ -380,6 +379,10 @@ def refine(task: Task, plan: Plan, rng: np.random.Generator, rounds: int) -> Ite
 
 
 def _move_poses(task: Task, plan: Plan, rng: np.random.Generator, scale: float) -> Plan:
+    """Return the plan with each pose moved to its best feasible neighbour, if that is better.
+
+    `scale`: size of the steps, 1 at the start of the search.
+    """
     q, tilt = plan.q.copy(), plan.tilt.copy()
     criterion = task.criterion_at(plan.q2)
     value = plan.value
@@ -434,7 +437,7 @@ def _move_levels(task: Task, plan: Plan) -> Plan:
             q2 = plan.q2.copy()
             q2[group] += shift
             is_in_range = task.site.lower[1] <= q2[group] <= task.site.upper[1]
-            if not is_in_range or not _apart(np.delete(q2, group), q2[group]):
+            if not is_in_range or not _is_distant(np.delete(q2, group), q2[group]):
                 continue
             criterion = task.criterion_at(q2)
             for follow in (0.0, -shift):
@@ -486,7 +489,7 @@ def serial_plan(task: Task) -> Plan:
         members = np.flatnonzero(level == group)
         dexterity = _dexterity(task, candidates.q[row[group]])
         count = max(len(members), int(_BEST_SHARE * len(dexterity)))
-        pick[members] = _far_apart(
+        pick[members] = _distant_rows(
             candidates.q[row[group]], np.argsort(-dexterity, kind="stable")[:count], len(members)
         )
     value = task.criterion_at(candidates.q2[row]).value(candidates.information[row[level], pick], level)
@@ -503,7 +506,8 @@ def _dexterity(task: Task, q: Array) -> Array:
     return np.asarray(singular[:, -1] / singular[:, 0])
 
 
-def _far_apart(q: Array, rows: Ints, count: int) -> list[int]:
+def _distant_rows(q: Array, rows: Ints, count: int) -> list[int]:
+    """Return rows whose joint angles are far apart: each the farthest from those before."""
     selection = [int(rows[0])]
     while len(selection) < count:
         distance = np.linalg.norm(q[rows][:, None] - q[selection][None], axis=2).min(axis=1)

@@ -261,6 +261,10 @@ def site_of(robot: RobotModel, experiment: Experiment, folder: Path, start: Arra
 
 
 def _normals(experiment: Experiment) -> Array:
+    """Return unit normals (P, 3) of the points in the flange frame; NaN without one.
+
+    :raises PlanError: one is zero.
+    """
     normals = np.full((len(experiment.points), 3), np.nan)
     for row, (name, point) in enumerate(experiment.points.items()):
         if point.normal is not None:

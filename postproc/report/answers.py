@@ -182,6 +182,7 @@ def _on_better(mode: Mode, better: Better | None) -> str:
 
 
 def _on_tolerance(tolerance: Tolerance | None) -> str:
+    """Return a sentence on the tolerance of the part, empty without one."""
     if tolerance is None or tolerance.of != "part":
         return ""
     if tolerance.held is None:
@@ -204,14 +205,15 @@ QUESTIONS = ("May it be driven?", "Is it better than uncorrected?", "Does it hol
 def in_words(drive: Drive, better: Better | None, tolerance: Tolerance | None) -> list[tuple[str, str, State]]:
     """Return question, answer and state of each of the three answers."""
     answers: tuple[tuple[str, State], ...] = (
-        (_driven(drive), drive.state),
-        (_compared(better), "ok" if better is None else better.state),
-        (_held(tolerance), "ok" if tolerance is None else tolerance.state),
+        (_drive_text(drive), drive.state),
+        (_comparison_text(better), "ok" if better is None else better.state),
+        (_tolerance_text(tolerance), "ok" if tolerance is None else tolerance.state),
     )
     return [(question, *answer) for question, answer in zip(QUESTIONS, answers, strict=True)]
 
 
-def _driven(drive: Drive) -> str:
+def _drive_text(drive: Drive) -> str:
+    """Return whether the program can be driven, and what was not checked."""
     answer = {"ok": "yes", "warning": "see the reasons", "failed": "no"}[drive.state]
     unchecked_names = ", ".join(
         f"{name} ({UNCHECKED[name]})" if name in UNCHECKED else name for name in drive.unchecked
@@ -219,7 +221,8 @@ def _driven(drive: Drive) -> str:
     return f"{answer}; not checked: {unchecked_names}" if unchecked_names else answer
 
 
-def _compared(better: Better | None) -> str:
+def _comparison_text(better: Better | None) -> str:
+    """Return uncorrected and corrected error in words, with the chance that the correction helps."""
     if better is None or better.uncorrected_mm is None or better.corrected_mm is None:
         return "not known"
     if better.chance is None:
@@ -231,7 +234,8 @@ def _compared(better: Better | None) -> str:
     return f"chance {chance_in_words(better.chance)}: uncorrected {uncorrected_text}; corrected {corrected_text} (95 %)"
 
 
-def _held(tolerance: Tolerance | None) -> str:
+def _tolerance_text(tolerance: Tolerance | None) -> str:
+    """Return whether the tolerance is held."""
     if tolerance is None:
         return "none is given"
     answer = {None: "not known", True: "held", False: "not held"}[tolerance.held]

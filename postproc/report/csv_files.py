@@ -64,6 +64,7 @@ def _rows(
     q: Array,
     carriage: Array | None,
 ) -> bytes:
+    """Return the rows of targets.csv, one for each target (K,)."""
     (output_line, source_line, t, rapid), (nominal, written_command, places, wrench) = origin, command
     deflection, *distances = deviation
     columns: list[Number | Bytes] = [
@@ -99,13 +100,13 @@ def forces_csv(result: Result) -> bytes | None:
 
     Neighbouring lines with the same force share a row. None where the program needs no such file.
     """
-    knots = _carried(result)
+    knots = _carried_forces(result)
     return None if knots is None else _forces(knots, result.output_line)
 
 
 def forces_by_module(result: Result) -> dict[str, bytes]:
     """Return forces.csv of each module of a written program, by its own lines: file name → content."""
-    contents, first_line, knots = dict[str, bytes](), 0, _carried(result)
+    contents, first_line, knots = dict[str, bytes](), 0, _carried_forces(result)
     if knots is None:
         return contents
     for document, (first, last) in zip(result.documents, pairwise((*result.modules, len(result))), strict=True):
@@ -115,7 +116,7 @@ def forces_by_module(result: Result) -> dict[str, bytes]:
     return contents
 
 
-def _carried(result: Result) -> Knots | None:
+def _carried_forces(result: Result) -> Knots | None:
     """Return the forces that a file must give to the written program."""
     if result.carried is None:
         return None
@@ -127,7 +128,7 @@ def _forces(knots: Knots, output_line: Ints) -> bytes:
     halves = [half for wrench in (knots.wrench, knots.sigma) for half in np.split(wrench, 2, axis=1)]
     values = np.hstack([np.round(half, places) for half, places in zip(halves, _DECIMALS[[0, 3, 0, 3]], strict=True)])
     values = np.column_stack([values, np.round(100.0 * knots.factor, 3)])
-    first, last = _shared(knots, values)
+    first, last = _row_knots(knots, values)
     line = output_line[knots.motion].astype(float)
     names = np.array([list(name.ljust(4).encode()) for name in FORCE_FRAMES], dtype=np.uint8)
     columns: list[Number | Bytes] = [Number.of(line[rows], 0) for rows in (first, last)]
@@ -147,7 +148,7 @@ def _forces(knots: Knots, output_line: Ints) -> bytes:
     return (",".join(header) + "\n").encode() + rows_of_csv(columns)
 
 
-def _shared(knots: Knots, values: Array) -> tuple[Ints, Ints]:
+def _row_knots(knots: Knots, values: Array) -> tuple[Ints, Ints]:
     """Return the first and the last knot of each row of forces.csv.
 
     Neighbouring targets share one if each has but one knot, and these are the same.

@@ -85,11 +85,11 @@ def feed_summary(result: Result) -> FeedSummary | None:
         time_after_s=float(written_time.sum()),
         operations=rows,
         missed_moves=int(np.count_nonzero(feeds.missed)),
-        missed=_missed(result, feeds),
+        missed=_missed_moves(result, feeds),
     )
 
 
-def _missed(result: Result, feeds: HeldFeed) -> list[MissedMove]:
+def _missed_moves(result: Result, feeds: HeldFeed) -> list[MissedMove]:
     """Return the moves that do not hold the tolerance, the worst first."""
     rows = np.flatnonzero(feeds.missed)
     rows = rows[np.argsort(-feeds.expected[rows], kind="stable")][:_MOST_MOVES]

@@ -141,6 +141,7 @@ def parameters(data: Identified) -> Section | None:
 
 
 def _intervals(entries: Mapping[str, Parameter], note: str) -> tuple[Part, ...]:
+    """Return a plot and a table of the parameters' 95 % intervals."""
     titles = [_title(name) for name in entries]
     shares = [(row, share) for row, entry in enumerate(entries.values()) if (share := entry.share) is not None]
     priors = [
@@ -183,7 +184,7 @@ def _intervals(entries: Mapping[str, Parameter], note: str) -> tuple[Part, ...]:
         note=note,
     )
     rows = tuple(
-        Row((title, *valued(entry), _judged(entry))) for title, entry in zip(titles, entries.values(), strict=True)
+        Row((title, *valued(entry), _judgement(entry))) for title, entry in zip(titles, entries.values(), strict=True)
     )
     table = Table(("Parameter", "Value", "95 %", "Unit", ""), rows, "Values and intervals", texts=(3, 4))
     return plot, table
@@ -210,7 +211,8 @@ def valued(entry: Parameter) -> tuple[str, str, str]:
     )
 
 
-def _judged(entry: Parameter) -> Cell:
+def _judgement(entry: Parameter) -> Cell:
+    """Return how well a parameter is known, by the half width of its interval."""
     kinds: tuple[tuple[float, str, Kind], ...] = (
         (_GOOD, "well known", "good"),
         (_ROUGH, "roughly known", ""),

@@ -158,6 +158,7 @@ def _rank(entry: Entry) -> tuple[int, float, str]:
 
 
 def _table(entries: Sequence[Entry], reports: Sequence[Reported]) -> Table:
+    """Return the table of the programs of a folder."""
     head = (
         "Program",
         "Verdict",

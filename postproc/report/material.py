@@ -23,7 +23,7 @@ def as_text(material: IdentifiedMaterial) -> str:
     if np.isfinite(material.residual):
         lines.append(f"residual {_residual(material)} N RMS")
     if np.isfinite(material.left_out):
-        lines.append(f"error by leaving one feed out: {_left_out(material)} %")
+        lines.append(f"error by leaving one feed out: {_left_out_text(material)} %")
     lines.append(f"forces computed with them: sigma {material.sigma_percent:.2g} %")
     return "\n".join(lines)
 
@@ -33,7 +33,7 @@ def _residual(material: IdentifiedMaterial) -> str:
     return f"{round(material.residual, 6):.3g}"
 
 
-def _left_out(material: IdentifiedMaterial) -> str:
+def _left_out_text(material: IdentifiedMaterial) -> str:
     """Return the error of a feed left out [%] as text, without rounding errors of exact readings."""
     return f"{round(100 * material.left_out, 6):.2g}"
 
@@ -45,7 +45,7 @@ def material_page(material: IdentifiedMaterial, readings: CutReadings, name: str
     """
     tiles = [Tile("Residual, RMS", _residual(material), "N")] if np.isfinite(material.residual) else []
     if np.isfinite(material.left_out):
-        tiles.append(Tile("Error by leaving one feed out", _left_out(material), "%"))
+        tiles.append(Tile("Error by leaving one feed out", _left_out_text(material), "%"))
     tiles.append(Tile("Sigma of computed forces", f"{material.sigma_percent:.2g}", "%"))
     sections = [Section("numbers", "How well it fits", (Tiles(tuple(tiles)),))]
     if material.warnings:

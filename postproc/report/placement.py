@@ -120,6 +120,7 @@ def _in_mm(value: float | None) -> float | None:
 
 
 def _entry(place: Judged) -> PlaceEntry:
+    """Return a judged place as an entry of place.json [mm, deg]."""
     assessment = Assessment(deflection=place.deflection) if place.assessment is None else place.assessment
     x, y, z, a, e1 = (round(value, 4) for value in place.place)
     return PlaceEntry(
@@ -220,6 +221,7 @@ def as_text(content: PlaceSummary) -> str:
 
 
 def _line(name: str, entry: PlaceEntry | None) -> str:
+    """Return a place with its error and margin as one line."""
     if entry is None:
         return f"  {name}: none"
     place = f"X {entry.X:.1f} Y {entry.Y:.1f} Z {entry.Z:.1f} A {entry.A:.2f}"
@@ -259,6 +261,7 @@ def _collisions(content: PlaceSummary) -> str:
 
 
 def _verdict(search: Search, content: PlaceSummary) -> Section:
+    """Return the section with today's and the best place."""
     tiles = []
     for title, place in (("Today", search.today), ("Best place", search.best)):
         if place is None or not place.reachable:
@@ -314,6 +317,7 @@ def _map(
     y: Sequence[float],
     title: str,
 ) -> Plot:
+    """Return a map of the expected error over two axes of the place, with today's and the best one marked."""
     values = [
         [judged_place.cost * MM_PER_M if judged_place.reachable else None for judged_place in row] for row in rows
     ]

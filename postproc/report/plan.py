@@ -47,8 +47,8 @@ def plan_csv(result: PlanResult) -> bytes:
     """Return ``config,A1…A6,Fx,Fy,Fz``: deg; N, root axes, at the load point; in the order of least travel."""
     rows = [_HEADER]
     for number, (q, force) in enumerate(zip(result.plan.q * DEG_PER_RAD, result.force, strict=True), 1):
-        angles = ",".join(_fixed(value, 3) for value in q)
-        rows.append(f"{number},{angles},{','.join(_fixed(value, 1) for value in force)}")
+        angles = ",".join(_decimal_text(value, 3) for value in q)
+        rows.append(f"{number},{angles},{','.join(_decimal_text(value, 1) for value in force)}")
     return ("\n".join(rows) + "\n").encode()
 
 
@@ -232,7 +232,8 @@ def plan_lines(result: PlanResult) -> list[str]:
     return lines
 
 
-def _fixed(value: float, decimals: int) -> str:
+def _decimal_text(value: float, decimals: int) -> str:
+    """Return a number with so many decimals, never -0."""
     text = f"{value:.{decimals}f}"
     return text if float(text) != 0.0 else f"{0.0:.{decimals}f}"
 
@@ -505,6 +506,7 @@ def plan_page(result: PlanResult, name: str) -> bytes:
 
 
 def _subtitle(result: PlanResult) -> str:
+    """Return robot, poses, load and test poses of the plan in one line."""
     levels = len(np.unique(result.plan.level))
     interruption = " · search interrupted: the best plan so far" if result.interrupted else ""
     addition = " in addition to those measured" if result.before is not None else ""

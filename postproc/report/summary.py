@@ -244,17 +244,17 @@ def summary(
         inserted_targets=result.inserted,
         before=_distances(uncorrected),
         after=_distances(prediction),
-        u95=None if bound is None else _expected(result, bound),
+        u95=None if bound is None else _expected_error(result, bound),
         part=_on_part(result, part_tolerance),
         feed=feed_summary(result),
         improvement=Ratios(
             max=improvement(uncorrected.largest * MM_PER_M, prediction.largest * MM_PER_M),
             rms=improvement(uncorrected.rms * MM_PER_M, prediction.rms * MM_PER_M),
         ),
-        compensated_percent=_compensated(uncorrected.rms * MM_PER_M, prediction.rms * MM_PER_M),
+        compensated_percent=_compensated_percent(uncorrected.rms * MM_PER_M, prediction.rms * MM_PER_M),
         between_max_mm=_finite(result.between * MM_PER_M),
         tolerance_mm=None if tolerance is None else stated_mm(tolerance),
-        tolerance_held=_held(result, prediction, tolerance),
+        tolerance_held=_is_tolerance_held(result, prediction, tolerance),
         blending=_blending(result),
         size_bytes=sum(len(piece) for document in result.documents for piece in document.pieces()) or None,
         provenance=_origin(result),
@@ -285,6 +285,7 @@ def _modules(result: Result) -> list[ModuleEntry]:
 
 
 def _redundancy(result: Result) -> Redundancy | None:
+    """Return the turn of the tool about its axis, chosen or constant; None if the program fixes it."""
     if result.turn is None:
         constant = result.redundancy_deg
         return None if constant is None else Redundancy(mode="constant", min_deg=constant, max_deg=constant)
@@ -292,7 +293,8 @@ def _redundancy(result: Result) -> Redundancy | None:
     return Redundancy(mode=result.turn.mode, min_deg=round(low, 3), max_deg=round(high, 3))
 
 
-def _held(result: Result, prediction: Statistics, tolerance: float | None) -> bool | None:
+def _is_tolerance_held(result: Result, prediction: Statistics, tolerance: float | None) -> bool | None:
+    """Return whether the path keeps a tolerance [m]; None if only the approximation of corners exceeds it."""
     if tolerance is None:
         return None
     path_deviation = max(prediction.largest, result.between) if math.isfinite(result.between) else math.inf
@@ -303,6 +305,7 @@ def _held(result: Result, prediction: Statistics, tolerance: float | None) -> bo
 
 
 def _blending(result: Result) -> Blending:
+    """Return how far corners are cut by approximation at most [mm], and where."""
     cuts = np.flatnonzero(_cuts(result))
     worst = cuts[np.argmax(result.rounding[cuts])] if len(cuts) else None
     file_name = result.documents[0].name if result.documents else None
@@ -319,6 +322,7 @@ def _blending(result: Result) -> Blending:
 
 
 def _origin(result: Result) -> Origin:
+    """Return what the program states about its origin."""
     writer = registry.by_name(result.program.dialect).writer
     origin = None if writer is None else writer.origin(result.program.documents)
     if origin is None or origin.state == "none":
@@ -338,7 +342,8 @@ def issue_entry(issue: Issue) -> IssueEntry:
     )
 
 
-def _expected(result: Result, bound: Statistics) -> Expected:
+def _expected_error(result: Result, bound: Statistics) -> Expected:
+    """Return the expected error on the part (95 %) in mm."""
     return Expected(max_mm=bound.largest * MM_PER_M, rms_mm=bound.rms * MM_PER_M, basis=result.robot.basis)
 
 
@@ -347,6 +352,7 @@ def _bound(values: Statistics | None) -> Bound | None:
 
 
 def _reversals(result: Result) -> list[Reversal]:
+    """Return the largest reversals of joints on cuts, with their lost motion [mm]."""
     reversals = result.reversals
     if reversals is None:
         return []
@@ -377,6 +383,7 @@ def _on_part(result: Result, tolerance: float | None) -> OnPart:
 
 
 def _surface_entry(result: Result, surface: Surface) -> OnSurface:
+    """Return how deep the programmed path cuts into the part, how much it leaves [mm], and how much it reaches [%]."""
     cut = np.flatnonzero(surface.programmed_row >= 0)
     deepest = cut[np.argmin(surface.programmed[cut])] if len(cut) else None
     area, left = surface.area, surface.programmed[surface.touched & (surface.programmed_row < 0)]
@@ -390,6 +397,7 @@ def _surface_entry(result: Result, surface: Surface) -> OnSurface:
 
 
 def _distances(values: Statistics) -> Distances:
+    """Return statistics [m] in mm."""
     return Distances(
         max_mm=values.largest * MM_PER_M,
         rms_mm=values.rms * MM_PER_M,
@@ -403,7 +411,8 @@ def improvement(before_mm: float, after_mm: float) -> float | None:
     return _finite(before_mm / after_mm) if after_mm >= ROUNDING_MM else None
 
 
-def _compensated(before_mm: float, after_mm: float) -> float | None:
+def _compensated_percent(before_mm: float, after_mm: float) -> float | None:
+    """Return the share of the deviation that is compensated [%]; None if there was none to speak of."""
     return _finite(100.0 * (1.0 - after_mm / before_mm)) if before_mm >= ROUNDING_MM else None
 
 
@@ -412,6 +421,7 @@ def _finite(value: float) -> float | None:
 
 
 def _clearance(result: Result) -> Clearance | None:
+    """Return the smallest distance of bodies [mm], and where; None without a check."""
     clearance = result.clearance
     if clearance is None:
         return None

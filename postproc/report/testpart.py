@@ -96,7 +96,7 @@ def design_page(
             "parameters",
             "What each parameter will be known to",
             (
-                _known(design, prior),
+                _parameter_table(design, prior),
                 Notes(tuple(Note(text) for text in _remarks(design, prior))),
             ),
         ),
@@ -108,15 +108,17 @@ def design_page(
 
 
 def _remarks(design: Design, prior: Prior) -> list[str]:
+    """Return remarks on what the part cannot show."""
     remarks = [_PRODUCT]
     if design.sigma_without_weight is not None:
         remarks.append(f"Here {_by_weight(design, design.sigma_without_weight)}.")
-    if (text := _hidden(design, prior)) is not None:
+    if (text := _unseen_joints(design, prior)) is not None:
         remarks.append(f"{text[0].upper()}{text[1:]}.")
     return remarks
 
 
-def _known(design: Design, prior: Prior) -> Table:
+def _parameter_table(design: Design, prior: Prior) -> Table:
+    """Return the table of standard deviations before and after the part is measured."""
     rows = []
     names = [parameter.title for parameter in prior.parameters]
     for name, value, sigma, share, change in zip(
@@ -144,7 +146,7 @@ def _row(name: str, prior_sigma: float, sigma_with_part: float, share: float, ch
     return Row((name, f"{prior_sigma:.2g}", f"{sigma_with_part:.2g}", change_text, text))
 
 
-def _hidden(design: Design, prior: Prior) -> str | None:
+def _unseen_joints(design: Design, prior: Prior) -> str | None:
     """Return which joints may change by 30 % unseen although the part shows them, and what shows them."""
     names = [
         f"{parameter.name} ({100.0 * change:.0f} %)" if change < MOST_CHANGE else parameter.name
@@ -171,6 +173,7 @@ def _touch_texts(parts: dict[Placement, Program]) -> str:
 
 
 def _cutting_steps(parts: dict[Placement, Program]) -> list[Note]:
+    """Return how to cut the part, for each placement of the block."""
     uncorrected = "uncorrected, in one clamping, with a sharp tool."
     if len(parts) == 1:
         return [Note(f"Cut testpart.src, or testpart.nc by your own post: {uncorrected}")]
@@ -186,6 +189,7 @@ def _cutting_steps(parts: dict[Placement, Program]) -> list[Note]:
 
 
 def _weight_steps(parts: dict[Placement, Program]) -> list[Note]:
+    """Return how to hang a weight on the tool; empty if the part has no gauge readings."""
     masses = [float(part.mass.max(initial=0.0)) for part in parts.values()]
     if not max(masses) > 0.0:
         return []
@@ -199,6 +203,7 @@ def _weight_steps(parts: dict[Placement, Program]) -> list[Note]:
 
 
 def _features(design: Design, parts: dict[Placement, Program]) -> Table:
+    """Return the table of the features, in mm and degrees of `$BASE`."""
     rows = []
     frames = [placement.title for placement, program in parts.items() for _ in range(program.features)]
     has_placements = len(parts) > 1
@@ -376,7 +381,7 @@ def design_lines(design: Design, prior: Prior, cutting: Cutting, parts: dict[Pla
         )
     if hidden_names:
         lines.append(f"not shown by this part: {', '.join(hidden_names)}")
-    if (hidden_changes := _hidden(design, prior)) is not None:
+    if (hidden_changes := _unseen_joints(design, prior)) is not None:
         lines.append(hidden_changes)
     if design.sigma_without_weight is not None:
         lines.append(_by_weight(design, design.sigma_without_weight))
@@ -450,7 +455,7 @@ def part_page(data: PartIdentification, name: str) -> bytes:
     notes.append(Note(_PRODUCT))
     sections = [
         Section("verdict", "Verdict", (verdict, Tiles(tiles))),
-        Section("measured", "Measured and predicted", (_against(data),), "half"),
+        Section("measured", "Measured and predicted", (_surprise_plot(data),), "half"),
         Section("errors", "Remaining errors", (_errors(data),), "half"),
         Section("parameters", "Parameters", (_intervals(data), _values(data))),
         Section("issues", "What to know", (Notes(tuple(notes), marked=True),)),
@@ -459,7 +464,8 @@ def part_page(data: PartIdentification, name: str) -> bytes:
     return b"".join(Page("Model from a test part", name, f"{len(data.points)} probed points", tuple(sections)).render())
 
 
-def _against(data: PartIdentification) -> Plot:
+def _surprise_plot(data: PartIdentification) -> Plot:
+    """Return measured over predicted deviations [mm], by the model before and by this one."""
     measured_mm = [point.measured_mm for point in data.points]
     names = [point.feature for point in data.points]
     span = [min(measured_mm), max(measured_mm)]
@@ -477,6 +483,7 @@ def _against(data: PartIdentification) -> Plot:
 
 
 def _errors(data: PartIdentification) -> Plot:
+    """Return the plot of the error of each point predicted from all others [µm], with 95 % bars."""
     order = list(range(len(data.points)))
     names = [point.feature for point in data.points]
     return Plot(
@@ -518,6 +525,7 @@ def _intervals(data: PartIdentification) -> Plot:
 
 
 def _values(data: PartIdentification) -> Table:
+    """Return the table of the parameters with their 95 % intervals and prior values."""
     rows = []
     for name, entry in {**data.parameters, "scale of the forces": data.force_scale}.items():
         origin = "prior" if entry.source == "prior" else "part"
@@ -532,6 +540,7 @@ def _values(data: PartIdentification) -> Table:
 
 
 def _points(data: PartIdentification) -> Table:
+    """Return the table of the probed points [mm]."""
     rows = tuple(
         Row(
             (

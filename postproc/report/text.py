@@ -156,7 +156,7 @@ def of_many(rows: Sequence[tuple[str, Summary | None, str]], display: Display = 
             counts.insert(0, f"{len(rows) - len(summaries)} not written")
         target_count = str(sum(content.targets for content in summaries))
         cells.append((f"all {len(rows)}, at most", target_count, *worst, "", "", "", ", ".join(counts)))
-    return "\n".join([display.table(head, cells, right=range(1, 6)), *_why(rows)])
+    return "\n".join([display.table(head, cells, right=range(1, 6)), *_reason_lines(rows)])
 
 
 def _pair(verdict: Verdict) -> tuple[str, str, str]:
@@ -183,7 +183,7 @@ def _verdict_word(content: Summary) -> str:
     return _NO_FORCES if state == "warning" and content.max_force_N == 0.0 else _STATES[state]
 
 
-def _why(rows: Sequence[tuple[str, Summary | None, str]]) -> list[str]:
+def _reason_lines(rows: Sequence[tuple[str, Summary | None, str]]) -> list[str]:
     """Return a line for each different reason of a verdict that is not "ok", with the programs that it concerns.
 
     :param rows: name and summary of each program (the third entry is not used). Only the first reason counts.

@@ -235,7 +235,7 @@ def _holds(result: Result, content: Summary) -> list[Finding]:
     """Return what to expect, and what was checked and holds."""
     holds = list[Finding]()
     if content.targets:
-        holds = [*_on_surface(content)[1], *_expected(result, content), *_margin(content), *_clear(content)]
+        holds = [*_on_surface(content)[1], *_expected_findings(result, content), *_margin(content), *_clear(content)]
     if content.mode != "predict" and result.documents:
         text = "the program was read back as it is written, and simulated with its rounded numbers"
         holds.append(Finding(_NO_SIZE, text))
@@ -245,6 +245,7 @@ def _holds(result: Result, content: Summary) -> list[Finding]:
 
 
 def _of_issues(issues: Sequence[Issue], mode: Mode) -> list[Finding]:
+    """Return issues as findings; those that matter most in this mode come first."""
     return [
         Finding(
             _FIRST if issue.kind in _FOREMOST[mode] else _NO_SIZE,
@@ -289,6 +290,7 @@ def _two_digits(percent: float | None) -> str:
 
 
 def _without_forces(result: Result, content: Summary) -> str:
+    """Return a sentence for a program without forces: what remains to be corrected, up to how much."""
     if content.before.max_mm < NOTHING_MM:
         return "no cutting move carries a force: nothing is corrected (postproc forces computes forces)"
     is_corrected = content.mode == "convert"
@@ -301,14 +303,14 @@ def _without_forces(result: Result, content: Summary) -> str:
     )
 
 
-def _expected(result: Result, content: Summary) -> list[Finding]:
+def _expected_findings(result: Result, content: Summary) -> list[Finding]:
     """Return what to expect on the part, in millimetres."""
     findings = []
     bound, part, blending = content.u95, content.part, content.blending
     if bound is not None:
         quantity, largest = "uncertainty of the prediction", bound.max_mm
         if content.mode != "predict":
-            quantity, largest = "expected error on the part", max(bound.max_mm, _largest_after(result))
+            quantity, largest = "expected error on the part", max(bound.max_mm, _largest_expected(result))
         findings.append(Finding(largest, f"{quantity} (95 %): up to {rounded(largest)} mm, {bound.basis}"))
     if part.held and part.expected_mm is not None:
         text = (
@@ -334,7 +336,7 @@ def _expected(result: Result, content: Summary) -> list[Finding]:
     return findings
 
 
-def _largest_after(result: Result) -> float:
+def _largest_expected(result: Result) -> float:
     """Return the largest expected error on the part (95 %) after correction [mm], corners and path included."""
     errors = result.errors
     return 0.0 if errors is None else statistics(errors.after, result.rapid).largest * MM_PER_M
@@ -385,6 +387,7 @@ def _clear(content: Summary) -> list[Finding]:
 
 
 def _near_limits(content: Summary) -> list[Finding]:
+    """Return a finding for each joint that comes close to a limit."""
     margins = content.limits.joint_margins_deg
     return [
         Finding(_NO_SIZE, f"{name} comes within {margin:.1f}° of a limit")
@@ -394,6 +397,7 @@ def _near_limits(content: Summary) -> list[Finding]:
 
 
 def _margin(content: Summary) -> list[Finding]:
+    """Return a finding that all joints keep their distance from their limits; empty if one does not."""
     margin_deg = content.limits.min_joint_margin_deg
     return (
         []
@@ -409,6 +413,7 @@ def assumed(robot: RobotModel) -> tuple[str, ...]:
 
 
 def _assumptions(result: Result) -> list[str]:
+    """Return what the numbers of the report rely on."""
     force = np.abs(result.wrench.values).max(axis=1)[result.wrench.run].max(initial=0.0)
     bodies = [] if result.clearance is None else list(result.clearance.remarks)
     assumptions = [

@@ -213,6 +213,7 @@ def _covariance(content: ModelFile) -> tuple[Covariance | None, tuple[Parameter,
 
 
 def _force_factor(content: ModelFile, covariance: Covariance | None) -> ForceFactor | None:
+    """Return the cutting law that the model was identified with, and the covariance of its factor; None without one."""
     law, table = content.forces, content.covariance
     if law is None or table is None or covariance is None:
         return None
@@ -229,6 +230,7 @@ def _discrepancy(entry: DiscrepancyEntry | None) -> Discrepancy | None:
 
 
 def _geometry_error(entry: GeometryErrorEntry | None) -> GeometryError | None:
+    """Return [geometry_error] in SI; a joint without angles has no limits."""
     if entry is None:
         return None
     ranges = [entry.angles_deg.get(joint, (-np.inf, np.inf)) for joint in JOINTS]
@@ -244,6 +246,10 @@ def _placement(entry: Displacement) -> Array:
 
 
 def _check_angles(entry: GeometryErrorEntry | None, file_name: str) -> None:
+    """Check the joint ranges of [geometry_error].
+
+    :raises ModelError: an unknown joint, or angles out of order.
+    """
     for joint, (low, high) in ({} if entry is None else entry.angles_deg).items():
         if joint not in JOINTS:
             raise ModelError(f"[geometry_error] unknown joint {joint!r}", file=file_name, advice=choices(joint, JOINTS))
@@ -253,6 +259,10 @@ def _check_angles(entry: GeometryErrorEntry | None, file_name: str) -> None:
 
 
 def _check_covariance(content: ModelFile, file_name: str) -> None:
+    """Check [covariance] against the model.
+
+    :raises ModelError: names, size or values do not fit.
+    """
     covariance = content.covariance
     if (content.forces is not None) != (covariance is not None and FORCES in covariance.parameters):
         advice = "Give both or none: the factor of forces is known for one cutting law."

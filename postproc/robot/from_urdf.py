@@ -69,7 +69,7 @@ class Adopted(Struct, frozen=True, eq=False):
 
         :param shapes: (carrier, "visual" or "collision") → name of the mesh, see `shapes.LinkShape`.
         """
-        return _written(self.chain, self.content.name, shapes or {})
+        return _model_text(self.chain, self.content.name, shapes or {})
 
 
 _REACHES = 0.1, 20.0
@@ -334,7 +334,8 @@ def _reach(chain: Chain) -> float:
     return float(step[1, 0] + np.linalg.norm(step[2]) + np.linalg.norm(step[3] + step[4]))
 
 
-def _written(chain: Chain, name: str, shapes: Mapping[tuple[int, str], str]) -> bytes:
+def _model_text(chain: Chain, name: str, shapes: Mapping[tuple[int, str], str]) -> bytes:
+    """Return robot.urdf of an arm in KUKA's conventions; `shapes`: the mesh of each carrier and use."""
     lines = [
         '<?xml version="1.0"?>',
         "<!-- Joints A1..A6 with KUKA's signs; root frame = $ROBROOT; at zero the arm is stretched out along +X. -->",

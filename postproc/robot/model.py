@@ -364,10 +364,10 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
         """
         if isinstance(parameter, LinkSpring):
             if parameter not in self.link_springs:
-                raise _missing(parameter)
+                raise _missing_parameter(parameter)
             return self.passive[self.link_springs.index(parameter)]
         if isinstance(parameter, CompensatorTorque) and self.compensator is None:
-            raise _missing(parameter)
+            raise _missing_parameter(parameter)
         joint: str = parameter.joint  # type: ignore[attr-defined]  # all other kinds belong to a joint
         row = self.actuated[JOINTS.index(joint)]
         if isinstance(parameter, LinkMass):  # after the springs at the beginning of the link
@@ -383,7 +383,7 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
         if isinstance(parameter, LinkSpring) and parameter not in self.link_springs:
             return 0.0
         if not isinstance(parameter, Spring):
-            raise _missing(parameter)
+            raise _missing_parameter(parameter)
         return float(self.steady[self.row(parameter)]) if parameter.linear else dict(self.terms).get(parameter, 0.0)
 
     def prior_sigma(self, parameter: Parameter) -> float:
@@ -527,5 +527,5 @@ def waves(q: Array) -> Array:
     return np.stack([np.sin(q), np.cos(q), np.sin(2.0 * q), np.cos(2.0 * q)])
 
 
-def _missing(parameter: Parameter) -> ModelError:
+def _missing_parameter(parameter: Parameter) -> ModelError:
     return ModelError(f"[covariance] names {parameter.name!r}, which the model does not have")

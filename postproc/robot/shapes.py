@@ -80,7 +80,7 @@ def _mesh(geometry: Geometry, urdf: Path) -> Any:
         places = _places(geometry.file, urdf)
         path = next((place for place in places if place.is_file()), None)
         if path is None:
-            raise ModelError(f"there is no such file; looked for {_listed(places)}", file=geometry.file)
+            raise ModelError(f"there is no such file; looked for {_place_list(places)}", file=geometry.file)
         mesh = read_mesh(path, ModelError, "mesh")
         if path.suffix.lower() == ".dae":  # the only one of these formats that states its unit
             mesh.convert_units("meters")
@@ -97,7 +97,7 @@ def _mesh(geometry: Geometry, urdf: Path) -> Any:
     raise ModelError("is neither a mesh nor a box, cylinder or sphere")
 
 
-def _listed(places: list[Path]) -> str:
+def _place_list(places: list[Path]) -> str:
     suffix = f", and {len(places) - _MAX_PLACES} more above" if len(places) > _MAX_PLACES else ""
     return f"{', '.join(str(place) for place in places[:_MAX_PLACES])}{suffix}"
 
@@ -134,12 +134,16 @@ def simplified(surface: LinkShape, face_limit: int) -> tuple[LinkShape, float]:
     """
     result, displacement, cell = surface, 0.0, _FINEST
     while len(result.faces) > face_limit:
-        result, displacement = _clustered(surface, cell)
+        result, displacement = _cluster(surface, cell)
         cell *= _COARSER
     return result, displacement
 
 
-def _clustered(surface: LinkShape, cell: float) -> tuple[LinkShape, float]:
+def _cluster(surface: LinkShape, cell: float) -> tuple[LinkShape, float]:
+    """Return the surface with one point for each cell of a grid, and the largest displacement of a point [m].
+
+    Vertex clustering (Rossignac and Borrel 1993).
+    """
     key = np.floor(surface.points / cell).astype(np.int64)
     _, of, count = np.unique(key, axis=0, return_inverse=True, return_counts=True)
     points = np.stack([np.bincount(of, weights=values) for values in surface.points.T], axis=1) / count[:, None]

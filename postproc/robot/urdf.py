@@ -180,6 +180,7 @@ class _Reader:
                         yield Geometry(carrier, place, tag == "visual", element.tag, size, name, scale)
 
     def _chain(self, flange: Array) -> Chain:
+        """Return the chain that was read, up to `flange` (4, 4) in the last link [m]."""
         mass = np.array([mass for mass, _ in self.moments])
         moment = np.array([moment for _, moment in self.moments])
         limits = np.array([_limits(joint) for joint in self.joints]).T
@@ -227,6 +228,9 @@ class _Reader:
             self._visit(child, np.eye(4), len(self.joints) - 1)
 
     def _origin(self, parent: ET.Element) -> Array:
+        """Return the frame (4, 4) of a joint or link in its parent [m]; angles close to right ones are rounded to
+        them.
+        """
         pose, origin = np.eye(4), parent.find("origin")
         if origin is not None:
             angles = _numbers(origin, "rpy", 3, "0 0 0")[::-1]
@@ -251,6 +255,10 @@ def _element(parent: ET.Element, tag: str) -> ET.Element:
 
 
 def _numbers(element: ET.Element, name: str, count: int, default: str | None = None) -> Array:
+    """Return the numbers (count,) of an attribute; without a default it must exist.
+
+    :raises _RefusedError: missing, of another number, or not finite.
+    """
     text = element.get(name, default) if default is not None else _attribute(element, name)
     try:
         values = np.array([float(word) for word in str(text).split()])
@@ -264,6 +272,10 @@ def _numbers(element: ET.Element, name: str, count: int, default: str | None = N
 
 
 def _axis(joint: ET.Element) -> Array:
+    """Return the unit axis (3,) of a joint, x by default.
+
+    :raises _RefusedError: it has no length.
+    """
     element = joint.find("axis")
     axis = np.array([1.0, 0.0, 0.0]) if element is None else _numbers(element, "xyz", 3)
     length = float(np.sqrt(axis @ axis))

@@ -320,7 +320,7 @@ class CutForces:
             self._begin()
         else:
             self._cuts = [
-                _cut_again(part, last_cut.shift(part.robot_in_cell, robot, scale, lift))
+                _recut(part, last_cut.shift(part.robot_in_cell, robot, scale, lift))
                 for part, last_cut, lift in zip(self._parts, self._cuts, lifts, strict=True)
             ]
         return States.joined(
@@ -334,10 +334,10 @@ class CutForces:
         """Cut with a rigid robot, at the height of the program and above it."""
         for part in self._parts:
             rigid = cut(part.program, part.robot_in_cell, part.source, part.surfaces)
-            upper_cut = _cut_again(part, rigid.lifted(LIFT_STEP))
+            upper_cut = _recut(part, rigid.lifted(LIFT_STEP))
             self._cuts.append(rigid)
             self._by_lift.append((upper_cut.at.wrench - rigid.at.wrench) / LIFT_STEP)
 
 
-def _cut_again(part: Clamped, shift: Shift) -> Cut:
+def _recut(part: Clamped, shift: Shift) -> Cut:
     return cut(part.program, part.robot_in_cell, part.source.shifted(shift), part.surfaces)

@@ -216,7 +216,7 @@ def candidates(
         loads_by_kind = loads(kinds, cutting, process, placements[0])
         all_features = _inside_block(kinds, cutting, (low, high), max(1, _MOST_PLACES // len(placements)))
         by_placement = [
-            _placed(prior, robot_in_cell, kinds, all_features, loads_by_kind, cutting, sigma)
+            _reachable_features(prior, robot_in_cell, kinds, all_features, loads_by_kind, cutting, sigma)
             for robot_in_cell in placements
         ]
         largest_deflection = max(deflection for reachable in by_placement for _, _, deflection, _ in reachable)
@@ -224,7 +224,7 @@ def candidates(
         if trim <= cutting.trim:
             break
         cutting = replace(cutting, trim=trim)
-    return _joined(by_placement, cutting), cutting
+    return _join_candidates(by_placement, cutting), cutting
 
 
 def _inside_block(kinds: list[Kind], cutting: Cutting, box: tuple[Array, Array], max_places: int) -> list[Feature]:
@@ -247,7 +247,7 @@ def _inside_block(kinds: list[Kind], cutting: Cutting, box: tuple[Array, Array],
         for y in spots[1]
         for angle in angles
     ]
-    fitting = [feature for feature in all_features if _inside(feature, cutting, box)]
+    fitting = [feature for feature in all_features if _is_in_box(feature, cutting, box)]
     if not fitting:
         raise PlanError(
             f"no feature fits into the block: each takes {2 * long * MM_PER_M:.0f} mm and the tool's diameter",
@@ -261,7 +261,7 @@ _Reachable = list[tuple[Feature, Array, float, States]]
 """Reachable features with their information, displacement and most loaded state."""
 
 
-def _joined(by_placement: list[_Reachable], cutting: Cutting) -> Candidates:
+def _join_candidates(by_placement: list[_Reachable], cutting: Cutting) -> Candidates:
     """Return the candidates of all placements: the position of the part in each is an unknown of its own."""
     entries = [entry for placement in by_placement for entry in placement]
     number = np.repeat(np.arange(len(by_placement)), [len(placement) for placement in by_placement])
@@ -279,13 +279,13 @@ def _joined(by_placement: list[_Reachable], cutting: Cutting) -> Candidates:
         number,
         information,
         np.array([seconds[feature.kind] for feature in features_in_order]),
-        _apart(features_in_order, cutting),
+        _do_not_touch(features_in_order, cutting),
         np.array([deflection for _, _, deflection, _ in entries]),
         States.joined([state for _, _, _, state in entries]),
     )
 
 
-def _placed(
+def _reachable_features(
     prior: Prior,
     robot_in_cell: RobotInCell,
     kinds: list[Kind],
@@ -437,12 +437,12 @@ def _states(
     return states, reachable, rotation
 
 
-def _inside(feature: Feature, cutting: Cutting, box: tuple[Array, Array]) -> bool:
+def _is_in_box(feature: Feature, cutting: Cutting, box: tuple[Array, Array]) -> bool:
     *ends, half = features.middle_line(feature, cutting)
     return all(bool(((end - half >= box[0][:2]) & (end + half <= box[1][:2])).all()) for end in ends)
 
 
-def _apart(all_features: tuple[Feature, ...], cutting: Cutting) -> Bools:
+def _do_not_touch(all_features: tuple[Feature, ...], cutting: Cutting) -> Bools:
     """Return which features (c, c) do not touch: their middle lines are further apart than their halves are wide."""
     outlines = [(feature.kind.side, feature.x, feature.y, feature.angle) for feature in all_features]
     distinct = dict(zip(outlines, all_features, strict=True))  # depths and placements have the same outlines

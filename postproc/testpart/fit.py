@@ -226,9 +226,9 @@ def fit(prior: Prior, readings: Readings, robot_in_cell: RobotInCell, cut_at: Cu
     max_outliers = int(_MOST_OUTLIERS * len(readings.probed))
     at_prior, change = None, np.inf
     for _ in range(_ROUNDS):
-        estimate = _solved(prior, robot_in_cell, estimate)
+        estimate = _solve(prior, robot_in_cell, estimate)
         if (
-            smaller_estimate := _without_outlier(estimate, whole, max_outliers) or _with_held(estimate, whole)
+            smaller_estimate := _without_outlier(estimate, whole, max_outliers) or _hold_parameters(estimate, whole)
         ) is not None:
             estimate = smaller_estimate
             continue
@@ -248,7 +248,7 @@ def fit(prior: Prior, readings: Readings, robot_in_cell: RobotInCell, cut_at: Cu
         )
     prior_linear, prior_rows = at_prior
     prior_linear = prior_linear.take(np.searchsorted(prior_rows, estimate.rows))
-    return _fitted(prior, estimate, prior_linear, exchanged_pair), estimate.outliers
+    return _fit_at_end(prior, estimate, prior_linear, exchanged_pair), estimate.outliers
 
 
 def _local(estimate: _Estimate) -> Linear:
@@ -256,7 +256,7 @@ def _local(estimate: _Estimate) -> Linear:
     return estimate.local
 
 
-def _solved(prior: Prior, robot_in_cell: RobotInCell, estimate: _Estimate) -> _Estimate:
+def _solve(prior: Prior, robot_in_cell: RobotInCell, estimate: _Estimate) -> _Estimate:
     """Return the solution for fixed forces."""
     local, z, scale, gamma = solved(
         prior, estimate.readings, estimate.states, robot_in_cell, estimate.z, estimate.scale, estimate.free
@@ -282,7 +282,7 @@ def _without_outlier(estimate: _Estimate, whole: Array, max_outliers: int) -> _E
     )
 
 
-def _with_held(estimate: _Estimate, whole: Array) -> _Estimate | None:
+def _hold_parameters(estimate: _Estimate, whole: Array) -> _Estimate | None:
     """Return the estimate with the parameters held that the part does not determine; None if there is none more."""
     all_free = np.ones_like(estimate.free)
     sigma = np.sqrt(np.diag(posterior(estimate.readings, _local(estimate), estimate.gamma, whole, all_free)))
@@ -311,7 +311,7 @@ def _heights(lifts: Sequence[Lift], limit: float) -> list[Heights]:
     return [limited(lift) for lift in lifts]
 
 
-def _fitted(prior: Prior, estimate: _Estimate, prior_linear: Linear, exchanged_pair: tuple[str, str] | None) -> Fit:
+def _fit_at_end(prior: Prior, estimate: _Estimate, prior_linear: Linear, exchanged_pair: tuple[str, str] | None) -> Fit:
     """Return the fit at the end of the iteration.
 
     :param prior_linear: the prior model, under the forces of the last but one round.

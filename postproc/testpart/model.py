@@ -230,7 +230,7 @@ def summary(fit: Fit, outliers: tuple[str, ...]) -> PartIdentification:
             )
             for level, bound in zip(load, u95, strict=True)
         ],
-        touch_off=_touch_off(fit),
+        touch_off=_touch_off_errors(fit),
         points=points,
         held_by_prior=held_names,
         outliers=list(outliers),
@@ -258,10 +258,10 @@ def _parameters(fit: Fit) -> tuple[dict[str, Parameter], list[str]]:
     return parameters, held_names
 
 
-def _touch_off(fit: Fit) -> list[TouchOffError]:
+def _touch_off_errors(fit: Fit) -> list[TouchOffError]:
     """Return the touch-off error of each placement in which something was cut."""
     errors = []
-    for top, lift in _touched(fit):
+    for top, lift in _cut_tops(fit):
         frame = Placement("" if top.base < 0 else str(top.base)).title
         height, half = float(lift.height[0]), NORMAL_95 * float(np.sqrt(lift.covariance[0, 0]))
         tilt = float(np.linalg.norm(lift.height[1:]))
@@ -277,7 +277,7 @@ def _touch_off(fit: Fit) -> list[TouchOffError]:
     return errors
 
 
-def _touched(fit: Fit) -> list[tuple[Top, Lift]]:
+def _cut_tops(fit: Fit) -> list[tuple[Top, Lift]]:
     """Return the top and the lift of each placement in which something was cut."""
     lift_of = {lift.base: lift for lift in fit.lifts}
     return [(top, lift_of[top.base]) for top in fit.readings.tops]
@@ -286,7 +286,7 @@ def _touched(fit: Fit) -> list[tuple[Top, Lift]]:
 def _touch_off_fault(fit: Fit) -> str:
     """Return why the depth of the cuts is not known, or is too far from that of the program; empty if it is neither."""
     depth = fit.readings.least_depth
-    for (top, lift), error in zip(_touched(fit), _touch_off(fit), strict=True):
+    for (top, lift), error in zip(_cut_tops(fit), _touch_off_errors(fit), strict=True):
         points = fit.readings.probed.point[fit.readings.probed.base == top.base]
         if top.is_contradictory:
             return (
@@ -333,6 +333,7 @@ def _part_fault(fit: Fit, outliers: tuple[str, ...]) -> str:
 
 
 def _verdict(fit: Fit, outliers: tuple[str, ...]) -> Verdict:
+    """Return whether the fitted model may be used, with the first reason against it."""
     size = len(fit.prior.parameters)
     sigma = fit.prior.sigma
     shift = np.abs(fit.z) / np.where(sigma > 0.0, sigma, np.inf)[:-1]
@@ -354,11 +355,12 @@ def _verdict(fit: Fit, outliers: tuple[str, ...]) -> Verdict:
 
 
 def _remarks(fit: Fit, held_names: list[str], outliers: tuple[str, ...]) -> list[str]:
+    """Return remarks on parameters held, outliers, touch-off and forces."""
     remarks = []
     if held_names:
         remarks.append(f"the part does not determine {', '.join(held_names)}: they keep their prior")
     remarks += [f"outlier: {name}" for name in outliers]
-    for error in _touch_off(fit):
+    for error in _touch_off_errors(fit):
         if abs(error.lift_mm) > max(_STATED_LIFT * MM_PER_M, error.ci95):
             remarks.append(
                 f"the program ran {_too_high(error.lift_mm)} over the block at {error.frame} (± {error.ci95:.2f} mm): "
@@ -455,7 +457,7 @@ def _discrepancy(fit: Fit) -> tuple[Array, Array]:
 
 def _forces(fit: Fit, process: Process, source: str) -> ForcesEntry | None:
     """Return the law of `material`, as its numbers are read; None where the scale is certain or says too little."""
-    numbers = cutting_law(_scaled(fit, process, source), process.path).numbers
+    numbers = cutting_law(_scaled_process(fit, process, source), process.path).numbers
     if not numbers or not numbers[-1] > 0.0:
         return None
     return ForcesEntry(
@@ -470,10 +472,11 @@ def _forces(fit: Fit, process: Process, source: str) -> ForcesEntry | None:
 def material(fit: Fit, process: Process, source: str) -> bytes:
     """Return `material.toml`: the cutting law of the process with the scale of the forces found."""
     comment = "Written by `postproc identify part`; process.toml takes it by [material] file."
-    return files.toml({"material": _scaled(fit, process, source)}, comment)
+    return files.toml({"material": _scaled_process(fit, process, source)}, comment)
 
 
-def _scaled(fit: Fit, process: Process, source: str) -> IdentifiedTable:
+def _scaled_process(fit: Fit, process: Process, source: str) -> IdentifiedTable:
+    """Return the cutting law with its forces multiplied by the fitted scale, as [material] of a process file."""
     law: CuttingLaw = process.law()
     chip, radial, axial, *edge = (fit.scale * value for value in (*law.cutting, *law.edge))
     table = IdentifiedTable(

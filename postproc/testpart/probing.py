@@ -143,7 +143,7 @@ def read(path: Path) -> Probed:
         base[filled_rows].astype(np.int64),
         row_numbers[filled_rows],
         str(path),
-        _touch_off(
+        _touch_off_points(
             numbers, texts["feature"], normal, base, mass, np.flatnonzero(is_filled & is_top), row_numbers, str(path)
         ),
     )
@@ -163,7 +163,7 @@ def _normals(numbers: dict[str, Array], rows: Ints, lines: Ints, file: str) -> A
     return normal
 
 
-def _touch_off(
+def _touch_off_points(
     numbers: dict[str, Array],
     names: Sequence[str],
     normal: Array,

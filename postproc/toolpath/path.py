@@ -168,7 +168,7 @@ def segments(program: Program, start_flange_in_root: Array) -> Segments:
     if program.with_path is not None:
         turn = turn.copy()
         rows = np.flatnonzero(program.with_path)
-        relative = _turned_back(program, rows, m.sweep[rows], m.target[rows, :3, :3])
+        relative = _turn_back(program, rows, m.sweep[rows], m.target[rows, :3, :3])
         turn[rows] = m.sweep[rows] + angle_between(start.at(rows)[:, :3, :3], relative)
     arcs = _arcs(program, start)
     length[arcs.motion] = np.hypot(norm(arcs.radial) * arcs.sweep, norm(arcs.climb))
@@ -239,12 +239,12 @@ def _with_path(program: Program, path: Segments, rows: Ints, t: Array) -> Array:
     """Return the orientations (n, 3, 3) on arcs with which the tool turns."""
     m = program.motions
     end = m.target[rows]
-    end[:, :3, :3] = _turned_back(program, rows, m.sweep[rows], end[:, :3, :3])
+    end[:, :3, :3] = _turn_back(program, rows, m.sweep[rows], end[:, :3, :3])
     relative = interpolated(path.start.at(rows), end, t)[:, :3, :3]
-    return _turned_back(program, rows, -t * m.sweep[rows], relative)
+    return _turn_back(program, rows, -t * m.sweep[rows], relative)
 
 
-def _turned_back(program: Program, rows: Ints, angle: Array, orientation: Array) -> Array:
+def _turn_back(program: Program, rows: Ints, angle: Array, orientation: Array) -> Array:
     """Return orientations (n, 3, 3) turned back by angles (n,) about the axes of arcs (n,)."""
     return np.asarray(rotation_from_vector(-angle[:, None] * program.motions.normal[rows]) @ orientation)
 
@@ -360,12 +360,12 @@ def _frames_of_rows(frames: Array, row: Ints) -> Array:
 
 def pose_in_root(program: Program, motion: Ints, pose_in_base: Array, t: Place = 1.0) -> Array:
     """Return poses (n, 4, 4) in the root of poses in `$BASE` of their motions, at places t on them."""
-    return _moved(program, motion, t, product(base_of(program, motion), pose_in_base), -1.0)
+    return _move_by_track(program, motion, t, product(base_of(program, motion), pose_in_base), -1.0)
 
 
 def pose_in_base(program: Program, motion: Ints, pose_in_root: Array, t: Place = 1.0) -> Array:
     """Return poses (n, 4, 4) in `$BASE` of their motions of poses in the root, at places t on them."""
-    return product(inverse(base_of(program, motion)), _moved(program, motion, t, pose_in_root, 1.0))
+    return product(inverse(base_of(program, motion)), _move_by_track(program, motion, t, pose_in_root, 1.0))
 
 
 def points_in_base(program: Program, motion: Ints, point_in_root: Array, t: Place = 1.0) -> Array:
@@ -377,7 +377,7 @@ def points_in_base(program: Program, motion: Ints, point_in_root: Array, t: Plac
     return offset @ rotation if rotation.ndim == 2 else np.asarray(np.einsum("ni,nij->nj", offset, rotation))
 
 
-def _moved(program: Program, motion: Ints, t: Place, pose: Array, sign: float) -> Array:
+def _move_by_track(program: Program, motion: Ints, t: Place, pose: Array, sign: float) -> Array:
     """Return poses (n, 4, 4) as seen from the robot where its carriage has brought it (`sign` −1), or back (1)."""
     if program.carriage is not None and t is not None:
         pose = pose.copy()
@@ -406,7 +406,7 @@ def flange_from_tcp(program: Program, motion: Ints, pose_tcp_in_base: Array, t: 
     """Return flange poses in the root (N, 4, 4) for tool frames in `$BASE` of motions (N,), at places t on them."""
     from_tool = _frames_of_rows(inverse(program.tools), program.motions.tool[motion])
     pose = product(base_of(program, motion), pose_tcp_in_base, from_tool)
-    return _moved(program, motion, t, pose, -1.0)
+    return _move_by_track(program, motion, t, pose, -1.0)
 
 
 def flange_points(program: Program, motion: Ints, pose_tcp_in_base: Array, point: Array, t: Place = 1.0) -> Array:

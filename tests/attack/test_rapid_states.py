@@ -79,7 +79,7 @@ def first_case_only(execution_, statement, condition, scope):
 
 
 def data_of_all_routines(execution_, declaration, scope, routine):
-    variable = execution._declared(declaration)
+    variable = execution._initial_variable(declaration)
     variable.value = values.evaluated(declaration.value, scope)[0]
     execution_.data[declaration.name] = variable
 

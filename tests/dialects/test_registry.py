@@ -24,10 +24,10 @@ def others(monkeypatch):
         monkeypatch.setattr(
             "importlib.metadata.entry_points", lambda group: [entry for entry in found if entry.group == group]
         )
-        registry._others.cache_clear()
+        registry._plugins.cache_clear()
 
     yield pretend
-    registry._others.cache_clear()
+    registry._plugins.cache_clear()
 
 
 FANUC = """

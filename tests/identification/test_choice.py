@@ -188,8 +188,8 @@ def test_all_structures_whose_parameters_a_robot_has_are_tried(gears, compensato
     monkeypatch.setattr(
         choice, "learn", lambda _, __, columns: (learnt.append(columns), SimpleNamespace(evidence=0.0))[1]
     )
-    monkeypatch.setattr(choice, "_left_out", lambda *_: np.zeros(CONFIGS * ROWS))
-    monkeypatch.setattr(choice, "_stacked", lambda *_: None)
+    monkeypatch.setattr(choice, "_fold_residuals", lambda *_: np.zeros(CONFIGS * ROWS))
+    monkeypatch.setattr(choice, "_stacking_weights", lambda *_: None)
     whole = SimpleNamespace(configs=CONFIGS)
     mean = choice._mean(SimpleNamespace(equations=whole, kinds=tuple(kinds), prior=None, structure=None), compensator)
     words = {"fading": "stiffen", "breakpoint": "breakpoints", "backlash": "backlash", "lost motion": "lost motion"}

@@ -120,7 +120,8 @@ def two_structures(seed=0):
     one, other = regression([0, 1, 2]), regression([0, 2, 3, 4], noise=1.1)
     fold = np.array([0, 1, 0, 2, 1, 2])
     members = tuple(
-        Member(name, False, each, choice._left_out(each, equations, fold)) for name, each in (("a", one), ("b", other))
+        Member(name, False, each, choice._fold_residuals(each, equations, fold))
+        for name, each in (("a", one), ("b", other))
     )
     structure = Structure(JOINT_COMPLIANCES[:P], harness.PRIOR)
     return Mean(structure, equations, members, np.array([0.3, 0.7])), fold
@@ -166,7 +167,7 @@ def test_weights_of_structures_have_the_least_cross_validation_error(seed):
     left = [shared + scale * rng.normal(size=len(shared)) for scale in (0.5, 0.6, 0.9, 0.1)]
     left[1] *= 1.0 + 0.3 * seed
     members = [Member("", False, regression([0]), each) for each in left]
-    found = choice._stacked(equations, members, np.array([0, 1, 2]))
+    found = choice._stacking_weights(equations, members, np.array([0, 1, 2]))
     assert found[3] == 0.0
     assert found.sum() == pytest.approx(1.0)
     assert found.min() >= 0.0

@@ -378,14 +378,14 @@ def test_displacements_and_bounds_of_a_point_are_the_same_from_whichever_point_t
     model = replace(harness.PRIOR, covariance=robot.Covariance(robot.JOINT_COMPLIANCES, np.diag(sigma**2)))
     wrench = forces(4, 900.0, 200.0)
     data = readings(wrench, count=4)
-    moved, bound = validation._predicted(model, data, placed(data))
+    moved, bound = validation._prediction(model, data, placed(data))
     assert bound.min() > 1e-6
     for index, point in enumerate(POINTS):
         about = data.wrench.copy()
         for n, angles in enumerate(data.q):
             lever = ARM.tcp(angles, np.eye(4))[:3, :3] @ (point - LOAD_POINT)
             about[2 * n + 1, 3:] -= np.cross(lever, wrench[n, :3])
-        there = validation._predicted(model, replace(data, wrench=about, load_point=point), placed(data))
+        there = validation._prediction(model, replace(data, wrench=about, load_point=point), placed(data))
         np.testing.assert_allclose(bound[:, index], there[1][:, index], rtol=1e-9)
         # the moment turns with the arm from there on: a small share of what it moves
         np.testing.assert_allclose(there[0][:, index], moved[:, index], atol=5e-3 * np.abs(moved).max())

@@ -117,7 +117,7 @@ def test_as_many_largest_residuals_as_are_wrong_explain_a_misfit(experiment):
 
     data = loaded(experiment, change, "three")
     fit = procedure._joints(harness.PRIOR, data, locate(harness.PRIOR, data)).fit
-    assert [procedure._explained_without(fit, most) for most in (1, 2, 3, 4)] == [False, False, True, True]
+    assert [procedure._is_explained(fit, most) for most in (1, 2, 3, 4)] == [False, False, True, True]
 
 
 @pytest.mark.parametrize("method", ["enhanced", "serial"])

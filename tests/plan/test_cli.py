@@ -203,7 +203,7 @@ def test_ctrl_c_writes_the_best_plan_so_far(tmp_path, monkeypatch):
         yield tell
 
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("postproc.cli.plan._shown", stopping)
+    monkeypatch.setattr("postproc.cli.plan._progress_display", stopping)
     result = run(tmp_path, "--poses", "tests.csv", *QUICK)
     assert result.exit_code == 0, result.output
     assert "interrupted: this is the best plan so far" in result.output

@@ -90,7 +90,7 @@ def test_poses_with_another_angle_of_a2_stand_for_themselves_though_they_are_loa
 @pytest.mark.parametrize("count", [1, 4000, 4001, 8001, 11999, 12001])
 def test_of_a_long_path_every_nth_sample_has_the_length_of_those_left_out(count):
     rows, way = 7 + 2 * np.arange(count), np.random.default_rng(count).uniform(0.1, 1.0, count)
-    kept, length = milling._merged(rows, way)
+    kept, length = milling._thin_rows(rows, way)
     step = -(-count // 4000)
     groups = [range(begin, min(begin + step, count)) for begin in range(0, count, step)]
     assert len(kept) == len(groups) <= 4000

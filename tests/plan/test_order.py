@@ -73,7 +73,7 @@ def test_no_turn_of_a_part_and_no_other_place_for_a_short_piece_makes_an_order_s
         def length(order, cost=cost):
             return sum(cost[a, b] for a, b in pairwise(order))
 
-        while (better := planning._improved(tour, cost)) is not None:
+        while (better := planning._shorter_tour(tour, cost)) is not None:
             assert length(better) < length(tour)
             assert sorted(better) == list(range(9))
             tour, changed = better, changed + 1

@@ -91,7 +91,7 @@ def read(document: Document, cell: Cell, forward_kinematics: Callable[[Array], A
         motions=motions,
         bases=base[None],
         tools=np.stack(tool_frames),
-        notes=_placed(notes, motions),
+        notes=_notes_before_motions(notes, motions),
         events=tuple(_events(course, comments, source, motion_moves, motions)),
         unforced=np.zeros(int(course.unforced), dtype=np.int64),
         still=distinct(source.line[np.delete(moves.row, motion_moves)]),
@@ -234,7 +234,8 @@ def _opposite_directions(moves: _Moves, source: Statements) -> list[Fault]:
     return [Fault(int(moves.row[later]), problem, "Write one file for each clamping of the part.")]
 
 
-def _placed(notes: Sequence[ForceNote], motions: Motions) -> tuple[ForceNote, ...]:
+def _notes_before_motions(notes: Sequence[ForceNote], motions: Motions) -> tuple[ForceNote, ...]:
+    """Return the force notes with the index of the motion that each precedes."""
     motion_rows = np.searchsorted(motions.line, [note.line for note in notes]).tolist()
     return tuple(replace(note, before=at) for note, at in zip(notes, motion_rows, strict=True))
 
@@ -256,6 +257,7 @@ def _events(
 
 
 def _issues(course: Course, source: Statements, moves: _Moves, motion_moves: Ints) -> Iterator[Issue]:
+    """Yield information and warnings on how the file was read."""
     if not course.stated:
         yield Issue("info", "units", "No UNITS are programmed: millimetres are assumed.")
     csys_lines = [line for line, text in source.comments if systems.is_moved(text)]

@@ -103,7 +103,7 @@ def split(document: Document) -> Statements:
     keep[stops] = True
     chars[stops] = _LF
     lines = chars[keep].tobytes().upper()
-    code, line = _joined(np.frombuffer(lines, dtype=np.uint8))
+    code, line = _join_lines(np.frombuffer(lines, dtype=np.uint8))
     ends = np.concatenate([[0], np.flatnonzero(np.frombuffer(code, dtype=np.uint8) == _LF) + 1])
     points, numbers = _points(np.frombuffer(code, dtype=np.uint8), ends)
     empty = np.diff(ends) == 1
@@ -116,7 +116,7 @@ def _comment(text: str) -> str:
     return _CONTINUATION.sub(" ", text).strip() if "\n" in text or "\r" in text else text.strip()
 
 
-def _joined(chars: np.typing.NDArray[np.uint8]) -> tuple[bytes, Ints]:
+def _join_lines(chars: np.typing.NDArray[np.uint8]) -> tuple[bytes, Ints]:
     """Return lines joined where they end with ``$``, and the 1-based first line of each statement."""
     ends = np.flatnonzero(chars == _LF)
     goes_on = chars[ends - 1] == _DOLLAR

@@ -199,7 +199,7 @@ class _Walk:
                 self._single(int(row[at]), end[at], axis[at])
                 at += 1
             if at < len(row):
-                self._add(row[at:], end[at:], axis[at:], LINE, self._fed(int(row[at])))
+                self._add(row[at:], end[at:], axis[at:], LINE, self._feed_per_minute(int(row[at])))
         self.axis = axis[-1]
         self.doubt = False
 
@@ -224,7 +224,7 @@ class _Walk:
         """Make one move that is rapid, or whose start is not known."""
         rapid, self.rapid = self.rapid, False
         if self.known:
-            self._one(row, end, axis, RAPID if rapid else LINE, 0.0 if rapid else self._fed(row))
+            self._add_move(row, end, axis, RAPID if rapid else LINE, 0.0 if rapid else self._feed_per_minute(row))
             return
         has_motions = bool(self.course.parts)
         if not rapid:
@@ -235,18 +235,18 @@ class _Walk:
             )
             self.course.remarks.append((row, "warning", "from-start", message))
             self.course.unforced = True
-            feed, self.known = self._fed(row), True
-            self._one(row, end, axis, LINE, feed)
+            feed, self.known = self._feed_per_minute(row), True
+            self._add_move(row, end, axis, LINE, feed)
             return
         clearance = self.cell.machine.clearance_Z
         if has_motions and clearance is not None and end[2] < clearance - NEAR_MM and axis[2] > _LEVEL:
-            self._one(row, end + axis * ((clearance - end[2]) / axis[2]), axis, RAPID, 0.0, free=True)
-            self._one(row, end, axis, RAPID, 0.0)
+            self._add_move(row, end + axis * ((clearance - end[2]) / axis[2]), axis, RAPID, 0.0, free=True)
+            self._add_move(row, end, axis, RAPID, 0.0)
         else:
-            self._one(row, end, axis, RAPID, 0.0, free=True)
+            self._add_move(row, end, axis, RAPID, 0.0, free=True)
         self.known = True
 
-    def _fed(self, row: int) -> float:
+    def _feed_per_minute(self, row: int) -> float:
         """Return the feed of a move [mm/min]."""
         if not self.feed > 0.0:
             raise StatementError("cutting move without a feed", "Write FEDRAT before it.", row)
@@ -288,7 +288,7 @@ class _Walk:
         if self.compensation is not None and self.compensation.shows_centre(circle, self.axis, self.cutter_radius):
             self.compensation = replace(self.compensation, is_centre=True)
         arc_circle = Circle(circle.at_height_of(self.place), circle.axis, circle.radius)
-        self._one(row, end, axis, ARC, self._fed(row), circle=arc_circle, sweep=sweep)
+        self._add_move(row, end, axis, ARC, self._feed_per_minute(row), circle=arc_circle, sweep=sweep)
 
     def _drill(self, row: int, top: Array, axis: Array, cycle: Cycle) -> None:
         """Drill a hole."""
@@ -297,25 +297,26 @@ class _Walk:
         self._swing(row, axis)
         start_height = float((self.place - top) @ axis)
         if start_height < cycle.clear - NEAR_MM:
-            self._one(row, self.place + axis * (cycle.clear - start_height), axis, RAPID, 0.0)
+            self._add_move(row, self.place + axis * (cycle.clear - start_height), axis, RAPID, 0.0)
         height = max(start_height, cycle.clear)
         for to in (height, cycle.clear, cycle.near):
-            self._one(row, top + axis * to, axis, RAPID, 0.0)
+            self._add_move(row, top + axis * to, axis, RAPID, 0.0)
         for bottom in cycle.pecks():
-            self._one(row, top + axis * bottom, axis, LINE, cycle.feed, exact=True)
+            self._add_move(row, top + axis * bottom, axis, LINE, cycle.feed, exact=True)
             for to in cycle.retracts(bottom):
-                self._one(row, top + axis * to, axis, RAPID, 0.0, exact=True)
-        self._one(row, top - axis * cycle.depth, axis, LINE, cycle.feed, exact=True)
+                self._add_move(row, top + axis * to, axis, RAPID, 0.0, exact=True)
+        self._add_move(row, top - axis * cycle.depth, axis, LINE, cycle.feed, exact=True)
         if cycle.dwell > 0.0:
             self._event(row, "dwell", cycle.dwell)
-        self._one(row, top + axis * (height if cycle.back is None else cycle.back), axis, RAPID, 0.0)
+        self._add_move(row, top + axis * (height if cycle.back is None else cycle.back), axis, RAPID, 0.0)
 
     def _swing(self, row: int, axis: Array) -> None:
         """Refuse a direction of the tool that changes on the way to a hole."""
         if norm(np.cross(axis, self.axis)) > UNIT_LENGTH or axis @ self.axis < 0.0:
             raise StatementError("the tool turns in a cycle", "Write a GOTO with the new direction before CYCLE.", row)
 
-    def _one(self, row: int, end: Array, axis: Array, code: int, feed: float, **properties: Any) -> None:
+    def _add_move(self, row: int, end: Array, axis: Array, code: int, feed: float, **properties: Any) -> None:
+        """Add one move to `end` (3,) [mm] with a tool axis (3,)."""
         self._add(np.array([row]), end[None], axis[None], code, feed, **properties)
         self.axis = axis
 
@@ -346,7 +347,7 @@ class _Walk:
             self._event(row, "comment", text=self._text(row, "TOOL"))
             return
         if major == "TLON,GOFWD":
-            self._along(row, rest)
+            self._leave_by_arc(row, rest)
             return
         if major == "CSI_INSERT_CUSTOM_GCODE":
             self._insert(row, major)
@@ -375,6 +376,7 @@ class _Walk:
         return numbers[0]
 
     def _goto_odd(self, row: int, words: list[float | str]) -> None:
+        """Read a GOTO with several points, or whose direction of the tool needs a check."""
         points = numbers_of(words, *((3, 6) if self.pending is None else range(3, 301, 3)))
         if len(points) in (3, 6) and (len(points) == 3 or abs(norm(points[3:]) - 1.0) < UNIT_LENGTH):
             numbers = np.append(points, np.full(6 - len(points), np.nan))[None]
@@ -382,9 +384,10 @@ class _Walk:
             numbers = np.hstack([points.reshape(-1, 3), np.full((len(points) // 3, 3), np.nan)])
         else:
             numbers = points[None]
-        self._guarded(np.full(len(numbers), row), numbers)
+        self._goto_or_fault(np.full(len(numbers), row), numbers)
 
-    def _guarded(self, row: Ints, numbers: Array) -> None:
+    def _goto_or_fault(self, row: Ints, numbers: Array) -> None:
+        """Add moves to points; an error loses the row that `_goto` names, because all points are in this statement."""
         try:
             self._goto(row, numbers)
         except StatementError as cause:
@@ -394,9 +397,13 @@ class _Walk:
         step = numbers_of(words, 3) * self.unit
         if not self.known:
             raise StatementError("GODLTA before the position is known", "Write RAPID and a GOTO before it.")
-        self._guarded(np.array([row]), np.append((self.place + step) / self.unit, np.full(3, np.nan))[None])
+        self._goto_or_fault(np.array([row]), np.append((self.place + step) / self.unit, np.full(3, np.nan))[None])
 
-    def _from(self, row: int, words: list[float | str]) -> None:
+    def _start_place(self, row: int, words: list[float | str]) -> None:
+        """Read FROM: a first move to the place, if the position of the tool is unknown.
+
+        :raises StatementError: the tool is elsewhere.
+        """
         numbers = numbers_of(words, 3, 6)
         place = numbers[:3] * self.unit
         if self.known:
@@ -404,13 +411,17 @@ class _Walk:
                 raise StatementError("FROM at another place than the tool", "Write RAPID and GOTO instead.")
             return
         self.rapid = True
-        self._guarded(np.array([row]), np.append(numbers, np.full(6 - len(numbers), np.nan))[None])
+        self._goto_or_fault(np.array([row]), np.append(numbers, np.full(6 - len(numbers), np.nan))[None])
 
     def _home(self, row: int, words: list[float | str]) -> None:
+        """Read GOHOME: retract to clearance_Z, then go to the home position of the cell.
+
+        :raises StatementError: the cell states neither.
+        """
         machine = self.cell.machine
         if words:
             self.rapid = True
-            self._guarded(np.array([row]), np.append(numbers_of(words, 3), np.full(3, np.nan))[None])
+            self._goto_or_fault(np.array([row]), np.append(numbers_of(words, 3), np.full(3, np.nan))[None])
             return
         if machine.home_joints is None and machine.clearance_Z is None:
             advice = "Give [machine] home or clearance_Z in the cell."
@@ -418,10 +429,14 @@ class _Walk:
         if self.known and machine.clearance_Z is not None:
             self._retract(row, machine.clearance_Z)
         if machine.home_joints is not None:
-            self._one(row, self.place, self.axis, RAPID, 0.0, free=True, home=True)
+            self._add_move(row, self.place, self.axis, RAPID, 0.0, free=True, home=True)
             self.known = False
 
     def _rise(self, row: int, words: list[float | str]) -> None:
+        """Read RETRCT: retract to clearance_Z of the cell.
+
+        :raises StatementError: the cell states none.
+        """
         clearance = self.cell.machine.clearance_Z
         if words or clearance is None:
             advice = "Give [machine] clearance_Z in the cell, and write RETRCT without values."
@@ -430,12 +445,16 @@ class _Walk:
             self._retract(row, clearance)
 
     def _retract(self, row: int, clearance: float) -> None:
+        """Add a rapid move along the tool axis up to the height `clearance` [mm], if the tool is below it.
+
+        :raises StatementError: the tool axis is nearly horizontal.
+        """
         if self.place[2] >= clearance - NEAR_MM:
             return
         if self.axis[2] < _LEVEL:
             raise StatementError("retract with a nearly horizontal tool", "Retract along the tool by GOTO before.")
         rise = (clearance - self.place[2]) / self.axis[2]
-        self._one(row, self.place + self.axis * rise, self.axis, RAPID, 0.0)
+        self._add_move(row, self.place + self.axis * rise, self.axis, RAPID, 0.0)
 
     def _next_rapid(self, row: int, words: list[float | str]) -> None:
         del row
@@ -444,6 +463,7 @@ class _Walk:
         self.rapid = True
 
     def _feed(self, row: int, words: list[float | str]) -> None:
+        """Read FEDRAT: the feed, per minute or per turn."""
         units = [value for value in words if isinstance(value, str)]
         if units == ["INVERS", "OFF"]:
             return
@@ -465,6 +485,10 @@ class _Walk:
         return numbers[0] * factors[word], word in (*_PER_TURN, "PERREV")
 
     def _units(self, row: int, words: list[float | str]) -> None:
+        """Read UNITS.
+
+        :raises StatementError: the unit is unknown, or changes after a motion.
+        """
         del row
         unit = _UNITS.get(str(words[0])) if len(words) == 1 else None
         if unit is None:
@@ -475,6 +499,7 @@ class _Walk:
         self.course.stated = True
 
     def _multiaxis(self, row: int, words: list[float | str]) -> None:
+        """Read MULTAX: whether GOTO has a direction of the tool."""
         del row
         if words not in ([], ["ON"], ["OFF"]):
             raise StatementError("MULTAX is not understood", "Write MULTAX/ON or MULTAX/OFF.")
@@ -482,17 +507,19 @@ class _Walk:
             self.is_axis_open = bool(self.axis[2] < 1.0 - UNIT_LENGTH**2)
 
     def _tool_axis(self, row: int, words: list[float | str]) -> None:
+        """Read a direction of the tool, a unit vector (3,)."""
         axis = numbers_of(words, 3)
         if abs(norm(axis) - 1.0) > UNIT_LENGTH:
             raise StatementError("the direction of the tool does not have length 1", "Check i, j, k.")
         del row
-        self._point_along(axis / norm(axis))
+        self._set_axis(axis / norm(axis))
 
-    def _point_along(self, axis: Array) -> None:
+    def _set_axis(self, axis: Array) -> None:
         """Set the direction of the moves to come; the tool turns there with the next move."""
         self.axis, self.is_axis_open = axis, False
 
     def _circle(self, row: int, words: list[float | str]) -> None:
+        """Read a circle, which the next GOTO follows: 6, 7 or 11 numbers, by the writer of the file."""
         turns = 1
         if words[-2:-1] == ["TIMES"]:
             turns, words = turns_of(words[-1]), words[:-2]
@@ -521,7 +548,7 @@ class _Walk:
         del row
         self.leaving = numbers_of(words, 3)
 
-    def _along(self, row: int, code: str) -> None:
+    def _leave_by_arc(self, row: int, code: str) -> None:
         """Read TLON,GOFWD/(CIRCLE/x,y,z,r),ON,(LINE/…): an arc that leaves along INDIRV."""
         direction, self.leaving = self.leaving, None
         circle, end = arc_along(code, direction, self.place if self.known else None, self.unit)
@@ -531,6 +558,7 @@ class _Walk:
             raise StatementError(*cause.args[:2]) from cause
 
     def _cycles(self, row: int, values: list[float | str]) -> None:
+        """Read CYCLE: begin or end drilling at the points of GOTO."""
         if values == ["INIT"]:
             return
         self.is_cycle_refused = False
@@ -543,12 +571,13 @@ class _Walk:
             rate, per_turn = self._rate(row, list(words.rates), "the feed of the cycle")
             feed = rate * self.speed if per_turn else rate
         else:
-            feed = self._fed(row)
+            feed = self._feed_per_minute(row)
         if not feed > 0.0:
             raise StatementError("a feed per turn, but no speed of the spindle", "Write SPINDL/n,RPM before.")
         self.cycle, self.is_cycle_refused = words.cycle(self.unit, feed), False
 
     def _spin(self, row: int, words: list[float | str]) -> None:
+        """Read SPINDL: speed [1/min], direction, or OFF."""
         unknown = {value for value in words if isinstance(value, str)} - _SPINDLE
         if unknown:
             raise StatementError(f"SPINDL with {min(unknown)} is not supported", "Give the speed as SPINDL/n,RPM,CLW.")
@@ -571,6 +600,10 @@ class _Walk:
         self._event(row, "coolant_on" if self.coolant else "coolant_off")
 
     def _load(self, row: int, words: list[float | str]) -> None:
+        """Read LOADTL: a tool change, which stops the spindle.
+
+        :raises StatementError: the number is invalid, or the cell has no such tool.
+        """
         if words[:1] == ["TOOL"]:
             words = words[1:]
         if self.cycle is not None:
@@ -590,7 +623,7 @@ class _Walk:
         tool_differs = tools and number != self.tool
         self.tool = number
         if tool_differs and self.known:
-            self._one(row, self.place, self.axis, RAPID, 0.0)
+            self._add_move(row, self.place, self.axis, RAPID, 0.0)
 
     def _wait(self, row: int, words: list[float | str]) -> None:
         words = [value for value in words if value != "DWELL"]
@@ -611,6 +644,7 @@ class _Walk:
         self._machine_code(row, f"M{self._one_number(words, 'AUXFUN'):g}")
 
     def _insert(self, row: int, word: str) -> None:
+        """Read INSERT: a comment, a stop or a machine code for one control."""
         text = self._text(row, word).upper()
         if "".join(text.split()) != self.statements.of(row)[len(word) :].lstrip("/").strip("'"):
             raise StatementError("INSERT in more than one line", "Write the text in one line.")
@@ -623,6 +657,10 @@ class _Walk:
         self._machine_code(row, text)
 
     def _machine_code(self, row: int, code: str) -> None:
+        """Execute an M code as the APT statement of the same meaning, or as the lines that the cell gives for it.
+
+        :raises StatementError: neither exists.
+        """
         code = _LEADING_ZEROS.sub("M", code)
         if code in _STATEMENTS:
             statement, words = _STATEMENTS[code]
@@ -640,6 +678,7 @@ class _Walk:
             self._event(row, "m_code", float(code[1:]))
 
     def _compensate(self, row: int, words: list[float | str]) -> None:
+        """Read CUTCOM: begin or end radius compensation."""
         self._end_compensation()
         if words[:1] == ["OFF"]:
             return
@@ -664,7 +703,11 @@ class _Walk:
         del row
         self.cutter_radius = words[0] * self.unit / 2.0 if words and isinstance(words[0], float) else np.nan
 
-    def _transformed(self, row: int, words: list[float | str]) -> None:
+    def _check_transformation(self, row: int, words: list[float | str]) -> None:
+        """Check that TRNTYP is WORLD.
+
+        :raises StatementError: it is another one.
+        """
         del row
         if words[:1] != ["WORLD"]:
             raise StatementError("TRNTYP other than WORLD", "Let the CAM system write all coordinates in one system.")
@@ -681,7 +724,7 @@ class _Walk:
             raise StatementError("CSYS without TRNTYP: the system of the coordinates is not known", advice)
         axis = rows[:, 2] / norm(rows[:, 2])
         self.is_tilted_setup = bool(axis[2] < 1.0 - UNIT_LENGTH**2)
-        self._point_along(axis)
+        self._set_axis(axis)
 
     def _mode(self, row: int, words: list[float | str]) -> None:
         del row
@@ -689,6 +732,10 @@ class _Walk:
             raise StatementError("MODE is not understood", "Only milling programs (MODE/MILL) are supported.")
 
     def _coordinate_system(self, row: int, words: list[float | str]) -> None:
+        """Read MSYS, which is $BASE of the cell.
+
+        :raises StatementError: it changes within the program.
+        """
         if self.system is not None and words != self.system:
             advice = "Write one file for each MSYS, and give its place as [base] of a cell."
             raise StatementError("MSYS changes within the program", advice)
@@ -704,6 +751,10 @@ class _Walk:
             raise StatementError("MCS: the coordinates of this section are in axes of its own", COORDINATES_ADVICE)
 
     def _work_offset(self, row: int, words: list[float | str]) -> None:
+        """Read ZERO: the work offset, which is $BASE of the cell.
+
+        :raises StatementError: it changes within the program.
+        """
         offset = self._one_number(words, "ZERO")
         if self.work_offset not in (None, offset):
             advice = "Write one file for each work offset, and give its place as [base] of a cell."
@@ -714,6 +765,7 @@ class _Walk:
         self.work_offset = offset
 
     def _end(self, row: int, words: list[float | str]) -> None:
+        """Read FINI: switch spindle and coolant off."""
         del words
         self.ended = row
         if self.spindle != "spindle_off":
@@ -721,7 +773,8 @@ class _Walk:
         if self.coolant:
             self._event(row, "coolant_off")
 
-    def _nothing(self, row: int, words: list[float | str]) -> None:
+    def _ignore(self, row: int, words: list[float | str]) -> None:
+        """Ignore a statement that has no effect on the motion."""
         del row, words
 
 
@@ -740,7 +793,7 @@ _STATEMENTS: Mapping[str, tuple[Any, list[float | str]]] = {
 _HANDLERS: Mapping[str, Any] = {
     "GOTO": _Walk._goto_odd,
     "GODLTA": _Walk._step,
-    "FROM": _Walk._from,
+    "FROM": _Walk._start_place,
     "GOHOME": _Walk._home,
     "RETRCT": _Walk._rise,
     "RAPID": _Walk._next_rapid,
@@ -749,8 +802,8 @@ _HANDLERS: Mapping[str, Any] = {
     "UNIT": _Walk._units,
     "CUTTER": _Walk._cutter,
     "CSYS": _Walk._setup,
-    "TRNTYP": _Walk._transformed,
-    "SETUP": _Walk._nothing,
+    "TRNTYP": _Walk._check_transformation,
+    "SETUP": _Walk._ignore,
     "MULTAX": _Walk._multiaxis,
     "TLAXIS": _Walk._tool_axis,
     "CIRCLE": _Walk._circle,
@@ -774,7 +827,7 @@ _HANDLERS: Mapping[str, Any] = {
     "ZERO": _Walk._work_offset,
     "END": _Walk._end,
     "FINI": _Walk._end,
-    "REWIND": _Walk._nothing,
+    "REWIND": _Walk._ignore,
 }
 
 

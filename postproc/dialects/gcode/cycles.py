@@ -127,11 +127,11 @@ class Cycle:
             steps.append(Step(0.0, (u, v, start)))
             if start > r:
                 steps.append(Step(0.0, (u, v, r)))
-            self._down((u, v, z), r, steps)
+            self._add_descent((u, v, z), r, steps)
             self._up((u, v, clear), r, steps, events, spindle)
         return steps, events
 
-    def _down(self, bottom: Point, r: float, steps: list[Step]) -> None:
+    def _add_descent(self, bottom: Point, r: float, steps: list[Step]) -> None:
         """Append to `steps` the moves from the R plane to the bottom, in pecks where the cycle has them."""
         u, v, z = bottom
         if self.code in (73.0, 83.0):

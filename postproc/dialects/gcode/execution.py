@@ -81,6 +81,7 @@ def put_together(units: Sequence[Unit], pieces: Sequence[Piece], faults: Sequenc
 
 
 def _bytes(units: Sequence[Unit], pieces: Sequence[Piece]) -> Iterator[bytes]:
+    """Yield the text of the pieces in execution order."""
     sources = [(unit.source.code, unit.source.ends.tolist()) for unit in units]
     for piece in pieces:
         if piece.text is not None:
@@ -132,7 +133,7 @@ class Library:
             place = (self.units[n].subs if own else self.units[n].numbers).get(label)
             if place is not None:
                 return n, place + 1
-        unit_index = self._loaded(label)
+        unit_index = self._load(label)
         if unit_index is None:
             return None
         unit = self.units[unit_index]
@@ -141,7 +142,7 @@ class Library:
             raise BlockError(f"{unit.document.name} has no O<{label}> SUB", None)
         return unit_index, place + 1
 
-    def _loaded(self, label: str) -> int | None:
+    def _load(self, label: str) -> int | None:
         """Return the index of the file of the folder that contains a subprogram; read it on the first call."""
         for n, unit in enumerate(self.units):
             if n and _stem(unit.document.name) == label:
@@ -163,6 +164,7 @@ class Library:
         return len(self.units) - 1
 
     def _file(self, label: str) -> Path | None:
+        """Return the file of the program's folder that contains a subprogram, or None."""
         main = self.units[0].document
         if self._files is None:
             self._files = {}
@@ -258,6 +260,10 @@ class _Run:
         return put_together(self.units, self.pieces, list(self.wrong.values()), self.end)
 
     def _step(self) -> None:
+        """Execute the lines up to the next one with a parameter or an O word, and that one.
+
+        :raises _EndError: the program ends, or cannot be followed any further.
+        """
         unit, row = self.units[self.unit], self.row
         at = unit.following[row]
         if at > row:
@@ -313,6 +319,7 @@ class _Run:
                 raise _EndError
 
     def _execute(self, row: int, line: Block) -> None:
+        """Execute a line of words: parameters are replaced, M98 and M99 followed, M2 and M30 end the program."""
         text = line.text(self.known)
         orders = ordered(text) if "M" in text else {}
         if not orders:
@@ -334,6 +341,7 @@ class _Run:
         raise _EndError
 
     def _call_number(self, row: int, number: dict[str, float]) -> None:
+        """Execute M98: call a subprogram by its number, `L` times."""
         if "P" not in number:
             raise BlockError("M98 without P", "Write, for example, M98 P100 L3: subprogram O100, three times.")
         label, times = str(whole(number["P"])), whole(number.get("L", 1.0))
@@ -346,6 +354,7 @@ class _Run:
             self.known.enter(None)
 
     def _return_number(self, row: int, number: dict[str, float]) -> None:
+        """Execute M99: repeat the subprogram, or return from it."""
         if not self.frames:
             advice = "End a program with M30. If this is a subprogram, convert the program that calls it."
             raise BlockError("M99 in a main program: it would repeat forever", advice)
@@ -363,6 +372,10 @@ class _Run:
         self._leave()
 
     def _enter(self, frame: _Frame, unit: int, row: int) -> None:
+        """Continue in a subprogram; `row`: the line of the call.
+
+        :raises BlockError: calls are nested too deeply.
+        """
         if len(self.frames) >= _DEEPEST - 1:
             advice = "Does a subprogram call itself?"
             raise BlockError(f"subprogram calls are nested more than {_DEEPEST - 1} levels deep", advice)
@@ -377,6 +390,7 @@ class _Run:
         self.known.leave()
 
     def _obey(self, row: int, order: Order) -> None:
+        """Execute an O word: a call, a branch or a loop (LinuxCNC's O codes)."""
         unit, keyword = self.units[self.unit], order.keyword
         if self.wrong and keyword in ("IF", "ELSEIF", "WHILE", "REPEAT"):
             raise _EndError  # the condition may depend on an earlier fault
@@ -406,6 +420,7 @@ class _Run:
             self._repeat(order, link)
 
     def _branch(self, order: Order, link: tuple[int, ...]) -> None:
+        """Continue after the first IF, ELSEIF or ELSE of `link` (rows) whose condition holds, else after ENDIF."""
         unit = self.units[self.unit]
         for row in link[:-1]:
             branch = unit.at(row)
@@ -415,6 +430,7 @@ class _Run:
         self.row = link[-1] + 1
 
     def _repeat(self, order: Order, link: tuple[int, ...]) -> None:
+        """Count a REPEAT loop, and continue at its begin or after its end."""
         key = (len(self.frames), self.unit, link[0])
         if order.keyword == "REPEAT":
             self.counts[key] = int(np.floor(order.values[0](self.known) + 0.5))
@@ -423,6 +439,10 @@ class _Run:
         self.row = (link[0] if self.counts[key] > 0 else link[-1]) + 1
 
     def _call(self, row: int, order: Order) -> None:
+        """Execute O CALL with its arguments.
+
+        :raises BlockError: there is no such subprogram.
+        """
         label = order.label if isinstance(order.label, str) else str(whole(order.label(self.known)))
         arguments = [value(self.known) for value in order.values]
         location = self.library.find(label, self.unit, own=True)
@@ -432,6 +452,7 @@ class _Run:
         self.known.enter(arguments)
 
     def _return(self, order: Order) -> None:
+        """Execute ENDSUB or RETURN, and store the value that it returns."""
         frame = self.frames[-1] if self.frames else None
         if frame is None or not frame.own or (order.keyword == "ENDSUB" and frame.label != order.label):
             raise BlockError(f"O{order.label} {order.keyword} outside of O{order.label} SUB", None)

@@ -56,7 +56,7 @@ class Parameters:
         if value is not None:
             return value
         if isinstance(key, int):
-            is_machine_value = _checked(key) > _OF_THE_MACHINE
+            is_machine_value = _check_number(key) > _OF_THE_MACHINE
             raise BlockError(f"parameter #{key} has no value", _MACHINE if is_machine_value else _SET_FIRST)
         raise BlockError(f"parameter #<{key}> has no value", _MACHINE if key.startswith("_") else _SET_FIRST)
 
@@ -69,7 +69,7 @@ class Parameters:
 
         :raises BlockError: the parameter belongs to the control.
         """
-        if isinstance(key, int) and _checked(key) > _OF_THE_MACHINE:
+        if isinstance(key, int) and _check_number(key) > _OF_THE_MACHINE:
             raise BlockError(f"parameter #{key} belongs to the control", "Use G10, G52 or G54 … instead.")
         self._place(key)[key] = value
 
@@ -95,7 +95,11 @@ class Parameters:
         return self._own if isinstance(key, str) and not key.startswith("_") else self._common
 
 
-def _checked(number: int) -> int:
+def _check_number(number: int) -> int:
+    """Return the number of a parameter.
+
+    :raises BlockError: it is out of range.
+    """
     if not 0 < number <= _LARGEST:
         raise BlockError(f"there is no parameter #{number}", f"Numbers are 1 to {_LARGEST}.")
     return number
@@ -177,6 +181,7 @@ class Reader:
         return result
 
     def _value(self) -> Value:
+        """Return the next value: a number, [expression], parameter or function, with its sign."""
         number = self._match(_NUMBER)
         if number is not None:
             constant = float(number[0])
@@ -210,6 +215,7 @@ class Reader:
         return lambda parameters: whole(index(parameters))
 
     def _operation(self, weakest: int) -> Value:
+        """Return the operations from here on that bind at least as tightly as `weakest` (precedence climbing)."""
         left = self.value()
         while True:
             match = _OPERATOR.match(self.code, self.at)
@@ -217,9 +223,13 @@ class Reader:
                 return left
             self.at = match.end()
             precedence, function = _BINARY[match[0]]
-            left = _joined(match[0], function, left, self._operation(precedence + 1))
+            left = _binary_value(match[0], function, left, self._operation(precedence + 1))
 
     def _function(self) -> Value:
+        """Return the value of the next function, such as SIN[…] or ATAN[…]/[…].
+
+        :raises BlockError: there is none.
+        """
         name = self._match(_FUNCTION)
         if name is None:
             rest = self.code[self.at : self.at + 12]
@@ -234,7 +244,7 @@ class Reader:
             self._expect("/")
             divisor = self.expression()
             return lambda parameters: math.degrees(math.atan2(inner(parameters), divisor(parameters)))
-        return _applied(name[1], inner)
+        return _unary_value(name[1], inner)
 
     def _match(self, pattern: re.Pattern[str]) -> re.Match[str] | None:
         match = pattern.match(self.code, self.at)
@@ -243,6 +253,10 @@ class Reader:
         return match
 
     def _expect(self, character: str) -> None:
+        """Skip a character.
+
+        :raises BlockError: another one is here.
+        """
         if not self.code.startswith(character, self.at):
             rest = self.code[self.at : self.at + 12]
             raise BlockError(
@@ -255,7 +269,8 @@ def _looked_up(key: Callable[[Parameters], Key]) -> Value:
     return lambda parameters: parameters.get(key(parameters))
 
 
-def _applied(name: str, inner: Value) -> Value:
+def _unary_value(name: str, inner: Value) -> Value:
+    """Return a value that applies the function `name` to another one."""
     function = _UNARY[name]
 
     def apply(parameters: Parameters) -> float:
@@ -268,7 +283,9 @@ def _applied(name: str, inner: Value) -> Value:
     return apply
 
 
-def _joined(name: str, function: Callable[[float, float], float], left: Value, right: Value) -> Value:
+def _binary_value(name: str, function: Callable[[float, float], float], left: Value, right: Value) -> Value:
+    """Return a value that combines two others by an operator."""
+
     def apply(parameters: Parameters) -> float:
         a, b = left(parameters), right(parameters)
         try:

@@ -144,6 +144,10 @@ class Switching:
         self._event(row, "dwell", seconds)
 
     def _change(self, row: int) -> None:
+        """Record a tool change, which stops the spindle.
+
+        :raises BlockError: the cell has no such tool.
+        """
         if self._spindle != "spindle_off":
             self._spindle = "spindle_off"
             self._event(row, "spindle_off")
@@ -178,6 +182,7 @@ class Switching:
         self._remark("warning", "spindle-speed", message, row)
 
     def _turn(self, row: int, m: Sequence[float], speed: float | None) -> None:
+        """Record the spindle speed [1/min], and M3, M4 or M5."""
         if speed is not None:
             if speed < 0.0:
                 raise BlockError("negative spindle speed", None)
@@ -194,6 +199,7 @@ class Switching:
                 )
 
     def _end(self, row: int) -> None:
+        """End the program: switch spindle and coolant off after the motion of the block."""
         self.ended = True
         if self._spindle != "spindle_off":
             self.events.append(RowEvent(row, True, "spindle_off"))
@@ -311,6 +317,10 @@ class FrameCodes:
             self._shift(row, code, axes)
 
     def _shift(self, row: int, code: float, axes: Mapping[int, float]) -> None:
+        """Record G52, G92 or G92.1 to G92.3.
+
+        :raises BlockError: words or an earlier G92 are missing.
+        """
         if code in (codes.LOCAL, codes.SHIFT) and not axes:
             raise BlockError(f"G{code:g} without X, Y or Z", None)
         if code == codes.SHIFT_ON and not self._shifted:
@@ -321,6 +331,10 @@ class FrameCodes:
         self.origins.append(Origin(row, code, axes))
 
     def _return(self, row: int, code: float, motion: float, axes: Mapping[int, float]) -> None:
+        """Record G28, G30 or G53.
+
+        :raises BlockError: the cell does not state where the robot retracts to.
+        """
         machine, name = self.machine, f"G{code:g}"
         if machine.home is None and machine.clearance_Z is None:
             advice = "Give [machine] clearance_Z or home in the cell, or remove the block."
@@ -331,6 +345,10 @@ class FrameCodes:
         self.returns[row] = Return(row, code, axes)
 
     def _store(self, row: int, axes: Mapping[int, float], values: dict[str, float]) -> None:
+        """Record G10 L2 or L20: a work offset that the program sets.
+
+        :raises BlockError: it sets something else.
+        """
         kind, system, turn = values.pop("L", 0.0), values.pop("P", -1.0), values.pop("R", None)
         if kind not in (2.0, 20.0) or (kind == 20.0 and turn is not None):
             raise BlockError(f"G10 L{kind:g} is not supported", "Tools are in the cell: [tools.1] …")
@@ -490,6 +508,10 @@ class _Reader:
         return self.taped or self.switching.ended
 
     def read(self, row: int, code: str) -> None:
+        """Read the codes and words of a block.
+
+        :raises BlockError: the first fault; the valid words still count.
+        """
         if code.lstrip(MARK).startswith("%"):
             self.taped = row != self.tape
             return
@@ -509,7 +531,7 @@ class _Reader:
         values = {letter: value for letter, value in words if letter not in "GM"}
         first_error: BlockError | None = None
         for step in (
-            self._smoothing,
+            self._ignore_smoothing,
             self._modes,
             self._radius,
             self._frames,
@@ -541,6 +563,10 @@ class _Reader:
         return code
 
     def _coordinates(self, row: int, g: Sequence[float], _: Sequence[float], values: dict[str, float]) -> None:
+        """Record coordinates and other numbers of a block.
+
+        :raises BlockError: a letter has no meaning here.
+        """
         if codes.TOOL_LENGTH in g or (43.4 in g and self.frame_codes.rotary) or (43.5 in g and self.takes_directions):
             self.switching.tool_length(row, values.pop("H", None))
             values.pop("D", None)  # a radius, which only G41 and G42 use
@@ -568,6 +594,10 @@ class _Reader:
         return frame is not None and frame.is_turned and rotary is not None and rotary.kind == "indexed"
 
     def _modes(self, row: int, g: Sequence[float], _: object, values: Mapping[str, float]) -> None:
+        """Record the modal codes of a block.
+
+        :raises BlockError: a code is not supported.
+        """
         first_refusal: tuple[str, str | None] | None = None
         for code in g:
             group = codes.GROUP_OF.get(code)
@@ -590,7 +620,7 @@ class _Reader:
                     raise BlockError("G84 reverses the spindle at the bottom, but the cell has no spindle_ccw", advice)
             elif (
                 self.tip.read(row, f"G{code:g}")
-                or self._said_before(code)
+                or self._repeats_units(code)
                 or code in codes.RADIUS
                 or (row in self.smooth and code in codes.SMOOTHING_MODES)
             ):
@@ -601,6 +631,7 @@ class _Reader:
             raise BlockError(*first_refusal)
 
     def _frames(self, row: int, g: Sequence[float], _: Sequence[float], values: dict[str, float]) -> None:
+        """Read the codes of work offsets, shifts and machine positions."""
         if codes.MACHINE in g and not set(values) & {"X", "Y", "Z", *self.frame_codes.rotary}:
             g = [code for code in g if code != codes.MACHINE]
             message = "G53 without X, Y or Z has no effect: it holds for its own block only."
@@ -610,7 +641,7 @@ class _Reader:
     def _switching(self, row: int, _: Sequence[float], m: Sequence[float], values: dict[str, float]) -> None:
         self.switching.read(row, m, values)
 
-    def _smoothing(self, row: int, g: Sequence[float], _: object, values: dict[str, float]) -> None:
+    def _ignore_smoothing(self, row: int, g: Sequence[float], _: object, values: dict[str, float]) -> None:
         """Ignore look-ahead modes: the cell says how exactly corners are cut."""
         for code in g:
             code_words = codes.SMOOTHING_MODES.get(code)
@@ -622,7 +653,7 @@ class _Reader:
                 message = f"G{code:g} is ignored: [gcode] corner_tolerance_mm says how exactly corners are cut."
                 self._remark("info", "smoothing", message, row, f"G{code:g}")
 
-    def _said_before(self, code: float) -> bool:
+    def _repeats_units(self, code: float) -> bool:
         """Return whether G70 or G71 repeats the last G20 or G21, as Vectric's posts write it."""
         return bool(self.changes["units"]) and self.changes["units"][-1][1] == _UNIT_SYNONYMS.get(code)
 
@@ -631,6 +662,10 @@ class _Reader:
         return float(self.words.column("G")[row])
 
     def _dwell(self, row: int, g: Sequence[float], _: Sequence[float], values: dict[str, float]) -> None:
+        """Record G4 with its time in seconds.
+
+        :raises BlockError: the time is missing or ambiguous.
+        """
         if codes.DWELL not in g:
             return
         if self._motion(row) in (2.0, 3.0):
@@ -668,6 +703,7 @@ class _Reader:
                 self._remark("info", "radius-compensation", message, row)
 
     def _blending(self, row: int, g: Sequence[float], _: Sequence[float], values: dict[str, float]) -> None:
+        """Record G64, G61 and G9: how far corners may be cut [m], and from which row on."""
         if codes.BLENDING in g:
             limit = values.pop("P", None)
             values.pop("Q", None)

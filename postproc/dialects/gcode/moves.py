@@ -147,7 +147,7 @@ def below_top(rows: LineStates, first: int, complete: int) -> Bools:
     return is_below
 
 
-def _repeated(values: Sequence[int], count: Ints) -> Ints:
+def _repetition(values: Sequence[int], count: Ints) -> Ints:
     """Return whole numbers, each `count` (n,) times, n ≥ 1."""
     return constant(values[0], int(count.sum())) if len(set(values)) == 1 else np.repeat(values, count)
 
@@ -217,8 +217,8 @@ class _Walk:
                 self._index(begin)
             else:
                 self._straight(begin, end)
-        self._check_parked()
-        return self._written()
+        self._check_return()
+        return self._moves()
 
     def _indexing(self) -> Ints:
         """Return the rows (n,) with words of indexed axes."""
@@ -229,6 +229,7 @@ class _Walk:
     def _bounds(
         self, origins: Mapping[int, object], tools: Mapping[int, object], indexing: Collection[int]
     ) -> list[int]:
+        """Return the rows between which lines can be added at once: frames, modes and tools do not change there."""
         rows = self.rows
         is_bound = (self.offset[1:] != self.offset[:-1]) | (rows.incremental[1:] != rows.incremental[:-1])
         is_bound |= rows.drilling[1:] != rows.drilling[:-1]
@@ -241,7 +242,9 @@ class _Walk:
         rows = self.rows
         if (rows.named[begin:end]).any() or (rows.motion[begin:end] == codes.CANCEL_CYCLE).any():
             self.cycle.end()
-        last_swing = max(self._some(begin + part.start, min(begin + part.stop, end)) for part in chunks(end - begin))
+        last_swing = max(
+            self._add_lines(begin + part.start, min(begin + part.stop, end)) for part in chunks(end - begin)
+        )
         if (
             last_swing >= 0 and (self.angles == self.cell_frames.rotary.upright).all()
         ):  # without tool-centre-point control the tip may be anywhere
@@ -249,7 +252,7 @@ class _Walk:
             self.losses.append((row, np.ones(3, dtype=bool)))
             self.known = np.asarray(~np.isnan(rows.xyz[row:end]).all(axis=0))
 
-    def _some(self, begin: int, end: int) -> int:
+    def _add_lines(self, begin: int, end: int) -> int:
         """Add the moves of some lines; return the last on which axes turn without tool-centre-point control, or −1."""
         rows = self.rows
         positions = np.empty((end - begin, 3))
@@ -262,7 +265,7 @@ class _Walk:
                 positions[:, axis] = carried(words, self.position[axis])
                 self.known[axis] |= not np.isnan(words).all()
         self._check_height(begin, end)
-        turn = self._turned(begin, end)
+        turn = self._rotary_angles(begin, end)
         moving = np.flatnonzero(rows.moving[begin:end])
         self._add(begin + moving, rows.motion[begin + moving], positions[moving], turn[moving])
         self.position = positions[-1].copy()
@@ -306,7 +309,7 @@ class _Walk:
         self.angles = angles
         self._reframe(float(self.offset[row]))
 
-    def _turned(self, begin: int, end: int) -> Array:
+    def _rotary_angles(self, begin: int, end: int) -> Array:
         """Return the angles of the rotary axes (n, 2, k) before and after lines."""
         words = self.rows.rotary[begin:end]
         end_angles = np.empty((end - begin, len(self.angles)))
@@ -324,7 +327,7 @@ class _Walk:
         self._check_drilling(begin, end)
         self._check_height(begin, end)
         spindle = self._spindle(begin, end)
-        is_position_only = self._alike(begin, end, spindle)
+        is_position_only = self._is_next_hole(begin, end, spindle)
         other_rows = np.append(np.flatnonzero(~is_position_only), end - begin) + begin
         row, has_steps = begin, False
         while row < end:
@@ -336,7 +339,7 @@ class _Walk:
                 self._holes(row, stop, steps, events)
                 row = stop
 
-    def _alike(self, begin: int, end: int, spindle: Sequence[EventKind]) -> Bools:
+    def _is_next_hole(self, begin: int, end: int, spindle: Sequence[EventKind]) -> Bools:
         """Return which lines (n,) give only the position of the next hole."""
         rows = self.rows
         is_position_only = np.append(False, np.array(spindle[1:]) == spindle[:-1])
@@ -375,7 +378,7 @@ class _Walk:
             self.known[axes[:2]] |= ~np.isnan(rows.xyz[row][axes[:2]])
         places = np.empty((len(steps), 3))
         places[:, axes] = np.reshape([step.end for step in steps], (-1, 3))
-        self._drilled(np.full(len(steps), row), places, steps, events)
+        self._add_holes(np.full(len(steps), row), places, steps, events)
         return steps, events
 
     def _holes(self, row: int, stop: int, steps: Sequence[Step], cycle_events: Sequence[CycleEvent]) -> None:
@@ -392,9 +395,9 @@ class _Walk:
             places[:, :, axis] = at[:, None]
             if self.cycle.lifts:
                 places[:, 0, axis] = np.append(self.position[axis], at[:-1])
-        self._drilled(np.repeat(np.arange(row, stop), len(steps)), places.reshape(-1, 3), steps, cycle_events)
+        self._add_holes(np.repeat(np.arange(row, stop), len(steps)), places.reshape(-1, 3), steps, cycle_events)
 
-    def _drilled(self, row: Ints, places: Array, steps: Sequence[Step], cycle_events: Sequence[CycleEvent]) -> None:
+    def _add_holes(self, row: Ints, places: Array, steps: Sequence[Step], cycle_events: Sequence[CycleEvent]) -> None:
         """Add the moves (n,) of holes that all have the same steps."""
         if not len(row):
             return
@@ -409,7 +412,7 @@ class _Walk:
 
     def _check_drilling(self, begin: int, end: int) -> None:
         """Check that no rotary axis turns in lines with cycles, and that the tool points along the hole."""
-        turns = self._turned(begin, end)
+        turns = self._rotary_angles(begin, end)
         row = begin + int(np.argmax((turns[:, 0] != turns[:, 1]).any(axis=1)))
         if (turns[:, 0] != turns[:, 1]).any():
             self.faults.append(
@@ -521,7 +524,7 @@ class _Walk:
             self.faults.append((begin + int(np.argmax(wrong)), problem, advice))
             self.away[2] = self.lifted = False
 
-    def _check_parked(self) -> None:
+    def _check_return(self) -> None:
         """Check that X and Y are programmed, at the height of the retract, after G28 and G53 have moved them away.
 
         The machine is elsewhere then, and the robot is not.
@@ -577,6 +580,7 @@ class _Walk:
             self.machine_frames.append(machine)
 
     def _shift(self, origin: Origin, current: float) -> None:
+        """Apply G52, G92, their inverse or G10 to the shift (3,) of coordinates."""
         shift = self.shift.copy()
         if origin.code == codes.STORE:
             self._store(origin, current)
@@ -587,14 +591,14 @@ class _Walk:
         else:
             for axis, word in origin.axes.items():
                 if origin.code == codes.SHIFT:
-                    self._check_known(origin, "G92", [axis])
+                    self._check_position(origin, "G92", [axis])
                 shift[axis] = word if origin.code == codes.LOCAL else shift[axis] + self.position[axis] - word
         self.shift = shift
         if origin.code != codes.SHIFT_OFF:
             self.kept_shift = shift.copy()
         self._reframe(current)
 
-    def _check_known(self, origin: Origin, name: str, axes: Sequence[int]) -> None:
+    def _check_position(self, origin: Origin, name: str, axes: Sequence[int]) -> None:
         """Check that the position is known that a code gives coordinates to."""
         advice = (
             "Remove it if X, Y, Z of the program are those of $BASE, or give the origin in the cell, "
@@ -616,7 +620,7 @@ class _Walk:
         elif origin.turn is not None:
             place[:3, :3] = pose_from_xyzabc([0.0, 0.0, 0.0, origin.turn, 0.0, 0.0])[:3, :3]
         if origin.here:
-            self._check_known(origin, "G10 L20", list(origin.axes))
+            self._check_position(origin, "G10 L20", list(origin.axes))
             old = self.frames[-1]
             base = old[:3, :3] @ self.position * M_PER_MM + old[:3, 3]
             offset = place[:3, :3].T @ (base - place[:3, 3]) / M_PER_MM - self.shift
@@ -629,7 +633,8 @@ class _Walk:
                 place[axis, 3] = word * M_PER_MM
         self.places[system] = place
 
-    def _written(self) -> Moves:
+    def _moves(self) -> Moves:
+        """Return the moves of all lines."""
         flags = np.zeros((2, self.number), dtype=bool)
         flags[0, self.bottoms] = True
         flags[1, self.homes] = True
@@ -644,8 +649,8 @@ class _Walk:
             **columns,
             first=np.array(self.first)[indices],
             start=np.stack(position)[indices],
-            frame=_repeated(frame, count),
-            tool=_repeated(tool, count),
+            frame=_repetition(frame, count),
+            tool=_repetition(tool, count),
             bottom=flags[0],
             home=flags[1],
             frames=np.stack(self.frames),

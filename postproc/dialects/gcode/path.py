@@ -112,7 +112,7 @@ def chords(moves: Moves, circular: Ints, arcs: Arcs, tolerance: float) -> tuple[
         move = circular[n]
         rows = slice(first[move], first[move] + count[move])
         share = np.linspace(0.0, 1.0, count[move] + 1)[:, None]
-        path = _along(begin[n], moves.end[move], radial[n], arcs.normal[n], arcs.sweep[n] * share)
+        path = _helix_points(begin[n], moves.end[move], radial[n], arcs.normal[n], arcs.sweep[n] * share)
         path[-1] = moves.end[move]
         angles = moves.turn[move, 0] + share * (moves.turn[move, 1] - moves.turn[move, 0])
         code[rows], end[rows] = 1, path[1:]
@@ -120,7 +120,7 @@ def chords(moves: Moves, circular: Ints, arcs: Arcs, tolerance: float) -> tuple[
     return replace(new_moves, code=code, end=end, turn=turn), count
 
 
-def _along(begin: Array, end: Array, radial: Array, normal: Array, angle: Array) -> Array:
+def _helix_points(begin: Array, end: Array, radial: Array, normal: Array, angle: Array) -> Array:
     """Return the points (n, 3) of a helix at angles (n, 1) from 0 to its whole; the radius may grow."""
     share = angle / angle[-1]
     climb = normal * (normal @ (end - begin))
@@ -432,6 +432,7 @@ def read_path(
 
 
 def _arcs(rows: LineStates, moves: Moves, circular: Ints) -> Arcs:
+    """Return the arcs of the moves `circular` (n,)."""
     row = moves.row[circular]
     return read_arcs(
         ArcWords(
@@ -471,7 +472,7 @@ def _motions(
     frame = taken(moves.frame, motion_moves)
     joints = np.broadcast_to(np.nan, (len(motion_moves), 6))  # takes no memory
     rotation = _rotations(moves.frames, frame, swivel, cell_frames.orientation)
-    target = Poses(_placed(moves.frames, frame, moves.end[motion_moves]), rotation)
+    target = Poses(_points_in_base(moves.frames, frame, moves.end[motion_moves]), rotation)
     if home.any() and cell_frames.home is not None:
         joints = joints.copy()
         joints[home] = speeds.home
@@ -534,7 +535,7 @@ def _arcs_in_base(
     circular, arcs = circles
     at = np.searchsorted(circular, motion_moves[is_arc])
     centre, normal, sweep = empty.copy(), empty.copy(), empty[:, 0].copy()
-    centre[is_arc] = _placed(frames, frame[is_arc], arcs.centre[at])
+    centre[is_arc] = _points_in_base(frames, frame[is_arc], arcs.centre[at])
     normal[is_arc] = np.einsum("nij,nj->ni", frames[frame[is_arc], :3, :3], arcs.normal[at])
     sweep[is_arc] = arcs.sweep[at]
     return centre, normal, sweep
@@ -559,7 +560,7 @@ def _lengths(moves: Moves, circular: Ints, arcs: Arcs) -> Array:
     return lengths
 
 
-def _placed(frames: Array, frame: Ints, mm: Array) -> Array:
+def _points_in_base(frames: Array, frame: Ints, mm: Array) -> Array:
     """Return points (n, 3) [mm] of program frames, by their rows (n,) of `frames` (nf, 4, 4), in `$BASE` [m]."""
     if len(frames) == 1:
         points: Array = np.einsum("nj,ij->ni", mm, frames[0, :3, :3] * M_PER_MM) + frames[0, :3, 3]

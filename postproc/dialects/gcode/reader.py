@@ -91,6 +91,7 @@ def read(document: Document, cell: Cell, forward_kinematics: Callable[[Array], A
 def _read(
     document: Document, cell: Cell, forward_kinematics: Callable[[Array], Array], name: str, *, bulk: bool
 ) -> Program:
+    """Read a document; if all its arcs disagree with their ends, read their centres as absolute coordinates."""
     inner, issues = _without_leader(document)
     try:
         program = _executed_program(inner, cell, forward_kinematics, name, bulk=bulk)
@@ -360,6 +361,7 @@ def _unit(path: MotionPath, text: str) -> Issue:
 
 
 def _issues(path: MotionPath, modes: Modes, text: str) -> Iterator[Issue]:
+    """Yield information and warnings on how the program was read."""
     if not modes.changes["units"]:
         yield _unit(path, text)
     for row, level, kind, message in path.remarks:

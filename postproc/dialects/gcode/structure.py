@@ -185,6 +185,7 @@ class Unit(Struct, eq=False):
             self.links[row] = self.links.get(opening, (row, row))
 
     def _close(self, row: int, open_: list[tuple[str, str, list[int]]], at: int) -> None:
+        """Link the rows of a block of O words that ends at `row`; blocks inside that are open have no end."""
         for keyword, label, rows in open_[at + 1 :]:
             self.faults.append(Fault(rows[0], f"O{label} {keyword} without its end"))
         link = (*open_[at][2], row)
@@ -192,6 +193,7 @@ class Unit(Struct, eq=False):
         del open_[at:]
 
     def _orders(self, notable: Ints) -> Iterator[tuple[int, Order]]:
+        """Yield the O words of those rows, with their rows."""
         for row in notable.tolist():
             if "O" in self.source.line(row):
                 try:
@@ -210,6 +212,10 @@ def _read(code: str) -> Order | Block | None:
 
 
 def _order(code: str, at: int) -> Order:
+    """Return the O word that begins at character `at`.
+
+    :raises BlockError: its name, keyword or values are invalid.
+    """
     reader = Reader(code, at)
     name = _LABEL.match(code, at)
     label: str | Value
@@ -237,6 +243,10 @@ def _order(code: str, at: int) -> Order:
 
 
 def _block(code: str) -> Block:
+    """Return a line as assignments of parameters, and words with their values.
+
+    :raises BlockError: it is invalid.
+    """
     settings: list[tuple[Callable[[Parameters], Key], Value]] = []
     parts: list[str | tuple[str, Value]] = []
     reader = Reader(code)

@@ -340,6 +340,10 @@ def words_of(code: str) -> list[tuple[str, float]]:
 
 
 def _split(code: str) -> list[tuple[str, str]]:
+    """Return the letters and numbers of a block.
+
+    :raises BlockError: a character, number or word is invalid.
+    """
     pairs: list[tuple[str, str]] = []
     position, stop = 0, len(code.rstrip(MARK))
     while position < stop:
@@ -371,6 +375,7 @@ def _plain(letter: str, number: str) -> str:
 
 
 def _not_a_word(rest: str) -> tuple[str, str | None]:
+    """Return problem and advice for text that does not begin with a word."""
     character = rest[0]
     if character in "()":
         return "a bracket outside of comments", "Close each comment in its line. Do not nest comments."

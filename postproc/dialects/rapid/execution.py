@@ -155,13 +155,13 @@ class Execution:
         self.data |= {name: replace(variable) for name, variable in loaded.data.items()}
         for module in self.modules:
             for declaration in module.data:
-                self.data[declaration.name] = _declared(declaration)
+                self.data[declaration.name] = _initial_variable(declaration)
         self.done = Executed()
         self.setting = Setting()
         self.count = 0
         self._moving: dict[str, bool] = {}
         self._checked_functions: set[str] = set()
-        reachable_names = self._reached(entry)
+        reachable_names = self._reachable_routines(entry)
         for routine in self.effects.routines.values():
             is_followed = routine.name in reachable_names or routine.kind == "FUNC"  # these count where they are called
             for name in self.effects.changed_by_handler(routine):
@@ -189,7 +189,7 @@ class Execution:
 
     # --- what is not followed
 
-    def _reached(self, entry: Routine) -> set[str]:
+    def _reachable_routines(self, entry: Routine) -> set[str]:
         """Return the names of the routines that the entry may call."""
         names, waiting = {entry.name}, [entry]
         while waiting:
@@ -303,6 +303,7 @@ class Execution:
         return None
 
     def _routine_moves(self, routine: Routine) -> bool:
+        """Return whether a routine, or one that it calls, moves the robot."""
         has_moves = self._moving.get(routine.name)
         if has_moves is None:
             self._moving[routine.name] = False  # a call of itself adds nothing
@@ -312,6 +313,10 @@ class Execution:
     # --- statements
 
     def _routine(self, routine: Routine, scope: Scope, depth: int) -> None:
+        """Execute the statements of a routine.
+
+        :raises RapidError: calls are nested too deeply.
+        """
         if depth > _DEEPEST:
             raise RapidError(f"{routine.name} calls itself", routine.start, _KEEP)
         self.done.followed.add(routine.name)
@@ -319,6 +324,10 @@ class Execution:
             self._block(routine.body, scope, routine, depth)
 
     def _block(self, statements: tuple[Statement, ...], scope: Scope, routine: Routine, depth: int) -> None:
+        """Execute statements.
+
+        :raises RapidError: more than `_MOST_STATEMENTS` were executed.
+        """
         for statement in statements:
             self.count += 1
             if self.count > _MOST_STATEMENTS:
@@ -327,6 +336,7 @@ class Execution:
             self._statement(statement, scope, routine, depth)
 
     def _statement(self, statement: Statement, scope: Scope, routine: Routine, depth: int) -> None:
+        """Execute a statement by its kind."""
         if self.effects.has_functions:
             self._functions(statement, scope)
         match statement:
@@ -356,6 +366,10 @@ class Execution:
         raise _Return
 
     def _jump(self, jump: Jump, routine: Routine, scope: Scope) -> None:
+        """Execute RETURN; leave a routine without moves at GOTO.
+
+        :raises RapidError: moves would be skipped.
+        """
         if jump.word == "RETURN":
             raise _Return
         if jump.word in ("EXIT", ":"):
@@ -366,7 +380,8 @@ class Execution:
         raise RapidError(f"{jump.word} changes the order of execution", jump.start, advice)
 
     def _declare(self, declaration: Declaration, scope: Scope, routine: Routine) -> None:
-        variable = _declared(declaration)
+        """Declare local data with its initial value, if that is known."""
+        variable = _initial_variable(declaration)
         if declaration.value is not None:
             try:
                 variable.value, _ = evaluated(declaration.value, scope)
@@ -377,6 +392,7 @@ class Execution:
         scope.inner[declaration.name] = variable
 
     def _assign(self, statement: Assignment, scope: Scope) -> None:
+        """Assign a value; data gets unknown if the value or the element is."""
         try:
             value, _ = evaluated(statement.value, scope)
             assigned(statement.target, value, scope)
@@ -386,6 +402,7 @@ class Execution:
                 variable.forget(cause.problem if isinstance(cause, UnknownValueError) else "its place is not known")
 
     def _conditional(self, statement: Conditional, scope: Scope, routine: Routine, depth: int) -> None:
+        """Execute the branch taken; where that is unknown, make unknown what the branches may change."""
         for number_of_branch, (condition, body) in enumerate(statement.branches):
             try:
                 is_taken = condition is None or self._holds(statement, condition, scope)
@@ -425,11 +442,14 @@ class Execution:
                 self._leave(routine, scope, reason)
 
     def _loop(self, loop: Loop, scope: Scope, routine: Routine, depth: int) -> None:
+        """Execute a loop; one with moves is recorded with the values of its rounds."""
         if self.moves(loop.body) is None:
             self._loop_without_moves(loop, scope, routine, depth)
             return
         first = len(self.done.moves)
-        values = self._for(loop, scope, routine, depth) if loop.name else self._while(loop, scope, routine, depth)
+        values = (
+            self._for_loop(loop, scope, routine, depth) if loop.name else self._while_loop(loop, scope, routine, depth)
+        )
         if len(self.done.moves) > first:
             self.done.rounds.setdefault(loop.start, []).append((loop, values))
 
@@ -438,7 +458,7 @@ class Execution:
         reason = "it is too long"
         try:
             if loop.name:
-                values = _counted(loop, scope)
+                values = _loop_values(loop, scope)
                 if len(values) <= _MOST_ROUNDS:
                     self._rounds(loop, values, scope, routine, depth)
                     return
@@ -462,16 +482,24 @@ class Execution:
         if outer_variable is not None:
             scope.inner[loop.name] = outer_variable
 
-    def _for(self, loop: Loop, scope: Scope, routine: Routine, depth: int) -> list[float]:
+    def _for_loop(self, loop: Loop, scope: Scope, routine: Routine, depth: int) -> list[float]:
+        """Execute FOR; return the values of its variable.
+
+        :raises RapidError: its bounds are unknown.
+        """
         try:
-            values = _counted(loop, scope)
+            values = _loop_values(loop, scope)
         except UnknownValueError as cause:
             problem = f"the number of rounds of FOR is not known before the program runs: {cause.problem}"
             raise RapidError(problem, loop.start, "Write its bounds as numbers.") from None
         self._rounds(loop, values, scope, routine, depth)
         return values
 
-    def _while(self, loop: Loop, scope: Scope, routine: Routine, depth: int) -> list[float]:
+    def _while_loop(self, loop: Loop, scope: Scope, routine: Routine, depth: int) -> list[float]:
+        """Execute WHILE; return the numbers of its rounds.
+
+        :raises RapidError: its condition is unknown.
+        """
         (condition,) = loop.bounds
         if condition.kind == "bool" and condition.value:
             self._endless(loop, scope, routine, depth)
@@ -523,6 +551,10 @@ class Execution:
     # --- instructions
 
     def _instruction(self, statement: Instruction, scope: Scope, depth: int) -> None:
+        """Execute an instruction: a move, a setting, a call, or one whose effect on data is known.
+
+        :raises RapidError: it may move the robot in an unknown way.
+        """
         name = statement.name.removeprefix("%")
         if statement.name in _LATE_CALLS:
             problem = "the name of the routine that is called here is known at run time only"
@@ -543,7 +575,7 @@ class Execution:
         elif moves_unfollowed(name):
             self._refuse(statement, f"{name} moves the robot or changes how it moves, which is not followed", _KEEP)
         elif name in self.effects.routines:
-            self._call_elsewhere(statement, self.effects.routines[name], scope)
+            self._call_other_module(statement, self.effects.routines[name], scope)
         elif self._is_foreign_move(statement):
             problem = f"{name} is in no module of this file and takes a target: it may move the robot"
             self._refuse(statement, problem, _FOREIGN)
@@ -563,6 +595,7 @@ class Execution:
             raise self.done.errors.pop()
 
     def _connect(self, statement: Instruction) -> None:
+        """Check that an interrupt does not move the robot."""
         value = statement.arguments[0].value
         routine = self.effects.routines.get(value.value) if value is not None else None
         if routine is not None and self._routine_moves(routine):
@@ -570,6 +603,7 @@ class Execution:
             self._refuse(statement, problem, _KEEP)
 
     def _count(self, statement: Instruction, scope: Scope) -> None:
+        """Execute Incr, Decr, Add or Clear."""
         target = next(changed_by(statement.arguments), None)
         variable = None if target is None else scope.find(base_name(target))
         if target is None or variable is None:
@@ -583,6 +617,7 @@ class Execution:
             variable.forget(f"{statement.name} changes it")
 
     def _set(self, statement: Instruction, scope: Scope) -> None:
+        """Execute an instruction that changes how moves are executed: ConfJ, SingArea, CirPathMode, VelSet."""
         switches = {argument.name for argument in statement.arguments if argument.name}
         setting, name = self.setting, statement.name
         fields = {"follows": setting.follows, "area": setting.area, "circles": setting.circles, "speed": setting.speed}
@@ -602,6 +637,7 @@ class Execution:
         self.setting = Setting(**fields)  # type: ignore[arg-type]
 
     def _call(self, statement: Instruction, routine: Routine, scope: Scope, depth: int) -> None:
+        """Call a routine: bind its parameters, execute it, and forget data that it may have changed."""
         inner = Scope(self.data)
         bound = list(bound_arguments(routine, statement.arguments, scope))
         handler_names = self.effects.changed_by_handler(routine)
@@ -628,7 +664,7 @@ class Execution:
             if parameter.changeable and expression is not None and not _is_plain(expression, scope):
                 _forget_variable(scope.find(base_name(expression)), f"{routine.name} may change it")
 
-    def _call_elsewhere(self, statement: Instruction, routine: Routine, scope: Scope) -> None:
+    def _call_other_module(self, statement: Instruction, routine: Routine, scope: Scope) -> None:
         """Make unknown what a routine of another loaded module may change; refuse one that moves the robot."""
         if self._routine_moves(routine):
             problem = f"{routine.name} of another file moves the robot or changes how it moves"
@@ -688,7 +724,7 @@ def _interrupt_variable(variable: Variable | None, name: str) -> None:
         variable.interrupt = name
 
 
-def _counted(loop: Loop, scope: Scope) -> list[float]:
+def _loop_values(loop: Loop, scope: Scope) -> list[float]:
     """Return the values of the variable of FOR.
 
     :raises UnknownValueError: they are not known, or their number depends on rounding.
@@ -714,7 +750,7 @@ def _forget_variable(variable: Variable | None, reason: str) -> None:
         variable.forget(reason)
 
 
-def _declared(declaration: Declaration) -> Variable:
+def _initial_variable(declaration: Declaration) -> Variable:
     """Return data as they are when the program begins."""
     variable = Variable(declaration.type, declaration=declaration, literal=declaration.value is not None)
     if declaration.value is None and not declaration.dimensions:

@@ -76,7 +76,7 @@ def expanded(
                 copies.append(change.copied)
             elif change.start < change.stop:
                 loops.append(int(line[np.searchsorted(starts, change.start, side="right") - 1]))
-        text, line = _changed(text, line, changes)
+        text, line = _apply_changes(text, line, changes)
         if len(text) > _MOST_CHARACTERS:
             raise RapidError("the loops of the program are too long to be written out", entry.start)
     raise RapidError("the loops and calls of the program are nested too deeply", entry.start)
@@ -108,7 +108,7 @@ def _changes(text: str, whole: Sequence[Module], execution: Executed) -> list[_C
         if not any(outer.start < loop.start and loop.stop <= outer.stop for outer, _ in single_runs)
     ]
     if outermost:
-        return [_unrolled(text, loop, values) for loop, values in outermost]
+        return [_unroll(text, loop, values) for loop, values in outermost]
     routines = {routine.name: routine for module in whole for routine in module.routines}
     changes: list[_Change] = []
     for name, calls in execution.calls.items():
@@ -147,7 +147,7 @@ def _line_end(text: str) -> str:
     return match[0] if match else "\n"
 
 
-def _unrolled(text: str, loop: Loop, values: Sequence[float]) -> _Change:
+def _unroll(text: str, loop: Loop, values: Sequence[float]) -> _Change:
     """Return the text of a loop, written out."""
     begin, end = loop.inside
     body = text[begin:end]
@@ -193,7 +193,7 @@ def _uses(text: str, loop: Loop) -> list[tuple[int, int]]:
     return spans
 
 
-def _changed(text: str, line: Ints, changes: Sequence[_Change]) -> tuple[str, Ints]:
+def _apply_changes(text: str, line: Ints, changes: Sequence[_Change]) -> tuple[str, Ints]:
     """Return the text with changes, and the line of the file that each of its lines comes from."""
     pieces: list[tuple[int, str]] = []
     at = 0

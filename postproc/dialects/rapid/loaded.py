@@ -85,6 +85,10 @@ def named_like_rapid(modules_of_task: Iterable[Module]) -> Routine | None:
 
 
 def _modules_of(file: Path) -> tuple[Module, ...]:
+    """Return the modules of a file.
+
+    :raises ProgramError: it is no valid RAPID.
+    """
     document = _document(file)
     try:
         return modules(document.text)
@@ -97,6 +101,10 @@ def _modules_of(file: Path) -> tuple[Module, ...]:
 
 
 def _document(file: Path) -> Document:
+    """Return the text of a module file.
+
+    :raises CellError: it cannot be read.
+    """
     try:
         return decode(file.name, file.read_bytes())
     except OSError as cause:

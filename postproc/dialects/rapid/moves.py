@@ -119,6 +119,10 @@ def stated_move(statement: Instruction, form: Form, scope: Scope, setting: Setti
 
 
 def _target(expression: Expression, scope: Scope, *, joints: bool) -> Target:
+    """Return the numbers of a target and where they are written.
+
+    :raises UnknownValueError: they are unknown, or of another type.
+    """
     if expression.kind == "numbers":
         if joints:
             raise UnknownValueError("MoveAbsJ goes to joint angles, not to a robtarget")
@@ -157,6 +161,10 @@ def _speed(expression: Expression, options: dict[str, Argument], scope: Scope, s
 
 
 def _zone(expression: Expression, options: dict[str, Argument], scope: Scope) -> float:
+    """Return the radius [mm] of a zone, 0 for a stop point.
+
+    :raises UnknownValueError: it is unknown.
+    """
     argument = options.get("Z")
     if argument is not None and argument.value is not None:
         return max(number(argument.value, scope), 0.0)

@@ -80,7 +80,7 @@ class _Reader:
 
     def program(self, forward_kinematics: Callable[[Array], Array], name: str) -> Program:
         """Return the program."""
-        whole = self._expanded(name)
+        whole = self._expand(name)
         execution = whole.executed
         line = self._lines(whole, np.array([move.statement.start for move in execution.moves], dtype=np.int64))
         if execution.errors:
@@ -112,7 +112,11 @@ class _Reader:
 
     # --- text
 
-    def _expanded(self, name: str) -> Expanded:
+    def _expand(self, name: str) -> Expanded:
+        """Return the program executed, each motion in a statement of its own.
+
+        :raises ProgramError: it is invalid or cannot be followed.
+        """
         text = self.document.text
         try:
             without_effect = self.cell.rapid.without_effect
@@ -168,6 +172,7 @@ class _Reader:
         return self.frames[type_]
 
     def _notes(self, whole: Expanded) -> tuple[tuple[Comment, ...], tuple[ForceNote, ...]]:
+        """Return the force comments, and the force notes with the motion that each precedes."""
         comments: list[Comment] = []
         notes: list[ForceNote] = []
         errors: list[InputError] = []
@@ -269,6 +274,10 @@ class _Reader:
 
     @staticmethod
     def _tool(value: Value) -> Array:
+        """Return the frame (4, 4) of a tool in the flange.
+
+        :raises UnknownValueError: it is no tool of the robot.
+        """
         if isinstance(value, _FromCell):
             return value.pose
         if not isinstance(value, list) or len(value) != 3 or not isinstance(value[0], bool):
@@ -281,6 +290,10 @@ class _Reader:
 
     @staticmethod
     def _wobj(value: Value) -> Array:
+        """Return the frame (4, 4) of a work object in the world.
+
+        :raises UnknownValueError: it moves, or the robot holds it.
+        """
         if isinstance(value, _FromCell):
             return value.pose
         if not isinstance(value, list) or len(value) != 5:
@@ -387,6 +400,7 @@ class _Reader:
     # --- issues
 
     def _issues(self, whole: Expanded, line: Ints) -> Iterator[Issue]:
+        """Yield information and warnings on how the module was read."""
         del line
         execution = whole.executed
         for name, (start, count) in execution.foreign.items():
@@ -415,6 +429,7 @@ class _Reader:
 
     @staticmethod
     def _from_cell_issues(execution: Executed) -> Iterator[Issue]:
+        """Yield a warning for each tool and work object that is taken from the cell."""
         for name, type_ in execution.assumed.items():
             section = "[tool]" if type_ == "TOOLDATA" else "[base]"
             message = (

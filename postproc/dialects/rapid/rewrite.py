@@ -89,13 +89,14 @@ class _Rewriter:
         q = np.asarray(joints.q[np.arange(len(self.row))])
         self.degrees = abb_from_joints(q)
         self.conf = configuration(q, np.asarray(joints.status[np.arange(len(self.row))]))
-        self.lowered = self._lowered()
+        self.lowered = self._lowered_moves()
         self.shared: dict[int, tuple[Target, list[Edit], str]] = {}
         """Data with numbers that moves name: offset of the numbers → (target, its edits, its text)."""
         self.places: dict[int, Expression] = {}
         """Arguments that name data, by offset."""
 
-    def _lowered(self) -> set[int]:
+    def _lowered_moves(self) -> set[int]:
+        """Return the rows of moves whose feed was lowered."""
         as_read = self.program.feed_as_read
         if as_read is None:
             return set()
@@ -113,7 +114,7 @@ class _Rewriter:
         for k in np.flatnonzero(self.last).tolist():
             row = int(self.row[k])
             if is_divided[row] or k in forces:
-                self._lines_before(row, range(int(begin[row]), k), k, forces)
+                self._add_lines(row, range(int(begin[row]), k), k, forces)
             needs_speed = self.moves[row].duration > 0.0 and (
                 is_divided[row] or is_corrected[k] or bool(start_differs[row])
             )
@@ -127,7 +128,7 @@ class _Rewriter:
         if not self.edits:
             line = self._line_of_moves()
             return Written((document,), line, "rapid", tuple(self.issues))
-        text, line = self._applied()
+        text, line = self._edited_text()
         return Written((replace(document, text=text),), line, "rapid", tuple(self.issues))
 
     def _line_of_moves(self) -> Ints:
@@ -148,7 +149,7 @@ class _Rewriter:
         rows = np.flatnonzero(force_comments.needed(self.carried, self.targets.kind, note, self.program.notes, 0.0))
         return dict(zip(rows.tolist(), force_comments.texts(b"!", self.carried, rows), strict=True))
 
-    def _lines_before(self, row: int, inserted_rows: range, k: int, forces: dict[int, str]) -> None:
+    def _add_lines(self, row: int, inserted_rows: range, k: int, forces: dict[int, str]) -> None:
         """Add the lines of inserted targets and of force comments before a move."""
         start = self.moves[row].statement.start
         line = int(np.searchsorted(self.starts, start, side="right")) - 1
@@ -168,8 +169,8 @@ class _Rewriter:
             if target in forces:
                 add(forces[target])
             targets.append((target, length))
-            add(self._inserted(row, target))
-        if k in forces and not self._replaced_comment(row, forces[k]):
+            add(self._inserted_statement(row, target))
+        if k in forces and not self._replace_comment(row, forces[k]):
             add(forces[k])
         if inserted_rows and MOVES[self.moves[row].statement.name].before_zone:
             message = (
@@ -183,7 +184,7 @@ class _Rewriter:
         if pieces:
             self.edits.append(Edit(start, start, "".join(pieces), tuple(targets)))
 
-    def _replaced_comment(self, row: int, text: str) -> bool:
+    def _replace_comment(self, row: int, text: str) -> bool:
         """Put a force comment in place of the one in the line of a move; return whether there is one."""
         for note, comment in zip(self.program.notes, self.layout.notes, strict=True):
             if comment.trailing and note.before == row:
@@ -195,7 +196,7 @@ class _Rewriter:
         following = int(self.starts[line + 1]) if line + 1 < len(self.starts) else len(self.text)
         return self.text[int(self.stops[line]) : following] or "\n"
 
-    def _inserted(self, row: int, k: int) -> str:
+    def _inserted_statement(self, row: int, k: int) -> str:
         """Return the statement of an inserted target."""
         move = self.moves[row]
         form = MOVES[move.statement.name]
@@ -332,11 +333,11 @@ class _Rewriter:
             return [Edit(literal.start, literal.stop, self._whole(target.numbers, place, k, turn))]
         edits: list[Edit] = []
         for column, value in enumerate(place.tolist()):
-            edits.append(self._printed(spans[column], value, _MILLIMETRES))
+            edits.append(self._number_edit(spans[column], value, _MILLIMETRES))
         if turn is not None:
             quaternion = turn if float(turn @ np.array(target.numbers[3:7])) >= 0.0 else -turn
             for column, value in enumerate(quaternion.tolist(), 3):
-                edits.append(self._printed(spans[column], value, _QUATERNION))
+                edits.append(self._number_edit(spans[column], value, _QUATERNION))
             for column, number in enumerate(conf, 7):
                 if moved_axis and number != target.numbers[column]:
                     edits.append(Edit(*spans[column], str(number)))
@@ -358,11 +359,11 @@ class _Rewriter:
             return spans + [(item.start, item.stop) for item in conf.items]
         return spans
 
-    def _printed(self, span: tuple[int, int], value: float, min_decimals: int) -> Edit:
+    def _number_edit(self, span: tuple[int, int], value: float, min_decimals: int) -> Edit:
         """Return the edit of a number, with the decimals that it has, but no fewer than `min_decimals`."""
         mantissa = self.text[slice(*span)].upper().partition("E")[0]
         decimals = min(max(len(mantissa.partition(".")[2]), min_decimals), _MOST_DECIMALS)
-        return Edit(*span, _fixed(value, decimals))
+        return Edit(*span, _decimal_text(value, decimals))
 
     def _whole(self, numbers: Sequence[float], place: Array, k: int, turn: Array | None = None) -> str:
         """Return a target as numbers; configuration and external axes are those of the move."""
@@ -370,8 +371,8 @@ class _Rewriter:
         conf = self._configuration(numbers, k)
         axes = ["9E+09" if abs(value) >= NONE else f"{value:g}" for value in numbers[11:17]]
         return (
-            f"[[{','.join(_fixed(v, _MILLIMETRES) for v in place.tolist())}],"
-            f"[{','.join(_fixed(v, _QUATERNION) for v in turn.tolist())}],"
+            f"[[{','.join(_decimal_text(v, _MILLIMETRES) for v in place.tolist())}],"
+            f"[{','.join(_decimal_text(v, _QUATERNION) for v in turn.tolist())}],"
             f"[{','.join(map(str, conf))}],[{','.join(axes)}]]"
         )
 
@@ -393,7 +394,7 @@ class _Rewriter:
             offsets[c] = offset - nearest
         return [*(int(self.conf[k, c]) + offsets[c] for c in range(3)), programmed_conf[3]]
 
-    def _applied(self) -> tuple[str, Ints]:
+    def _edited_text(self) -> tuple[str, Ints]:
         """Return the text with all edits, and the line of every target (K,)."""
         edits = sorted(set(self.edits), key=lambda edit: (edit.start, edit.stop))
         pieces: list[str] = []
@@ -419,5 +420,6 @@ class _Rewriter:
         return text, np.searchsorted(line_spans(text)[0], offset, side="right")
 
 
-def _fixed(value: float, decimals: int) -> str:
+def _decimal_text(value: float, decimals: int) -> str:
+    """Return a number with so many decimals, never -0."""
     return f"{round(value, decimals) + 0.0:.{decimals}f}"

@@ -281,6 +281,7 @@ class Parser:
         return left
 
     def _factor(self) -> Expression:
+        """Parse a number, string, aggregate, bracket or reference."""
         start, kind = self.start, self.kind
         if kind == "number":
             value = float(self.word)
@@ -303,6 +304,7 @@ class Parser:
         return self._reference()
 
     def _list(self) -> Expression:
+        """Parse an aggregate in [ ]; plain numbers by one pattern, for speed."""
         start = self.start
         if (match := _PLAIN.match(self.text, start)) is not None:
             self.stop = match.end()
@@ -390,7 +392,9 @@ class Parser:
             return self._plain_move(match)
         if word in ("LOCAL", "TASK", *_KINDS):
             return self.declaration()
-        handler = {"IF": self._if, "TEST": self._test, "FOR": self._for, "WHILE": self._while}.get(word)
+        handler = {"IF": self._if, "TEST": self._test, "FOR": self._for_statement, "WHILE": self._while_statement}.get(
+            word
+        )
         if handler is not None:
             self.step()
             return handler(start)
@@ -401,6 +405,7 @@ class Parser:
         return self._simple(start)
 
     def _plain_move(self, match: re.Match[str]) -> Statement:
+        """Return the move that a pattern matched at once: numbers as target, names as speed, zone and tool."""
         groups = match.groups()
         target = Expression("numbers", match.start(_FIRST), match.end(_FIRST), groups[_FIRST : _FIRST + _NUMBERS])
         arguments = [Argument("", target, target.start, target.stop)]
@@ -424,6 +429,7 @@ class Parser:
         return Expression("list", start, stop, None, items)
 
     def _jump(self, start: int, word: str) -> Statement:
+        """Parse CONNECT, RETURN, GOTO and the like."""
         self.step()
         if word == "CONNECT":
             self.expression()
@@ -457,7 +463,7 @@ class Parser:
         if self.kind == "symbol" and self.word in (":=", "{", "."):
             target = name
             if self.word != ":=":
-                target = self._continued(name)
+                target = self._components(name)
             self.take(":=")
             value = self.expression()
             self.take(";")
@@ -466,7 +472,8 @@ class Parser:
         self.take(";")
         return Instruction(start, self.behind, name.value, arguments)
 
-    def _continued(self, expression: Expression) -> Expression:
+    def _components(self, expression: Expression) -> Expression:
+        """Parse indices { } and components . after an expression."""
         start = expression.start
         while self.kind == "symbol" and self.word in "{.":
             if self.accept("{"):
@@ -481,6 +488,7 @@ class Parser:
         return expression
 
     def _if(self, start: int) -> Statement:
+        """Parse IF with its branches."""
         condition = self.expression()
         if not self.accept("THEN"):  # compact IF: one statement
             return Conditional(start, self.behind, ((condition, (self.statement(),)),))
@@ -495,6 +503,7 @@ class Parser:
         return Conditional(start, self.behind, tuple(branches))
 
     def _test(self, start: int) -> Statement:
+        """Parse TEST with its cases."""
         subject = self.expression()
         branches: list[tuple[Expression | None, tuple[Statement, ...]]] = []
         while self.word in ("CASE", "DEFAULT"):
@@ -510,7 +519,8 @@ class Parser:
         self.take("ENDTEST")
         return Conditional(start, self.behind, tuple(branches), subject)
 
-    def _for(self, start: int) -> Statement:
+    def _for_statement(self, start: int) -> Statement:
+        """Parse FOR with its bounds."""
         name = self.identifier()
         self.take("FROM")
         bounds = [self.expression()]
@@ -520,10 +530,12 @@ class Parser:
             bounds.append(self.expression())
         return self._loop(start, name, tuple(bounds), "ENDFOR")
 
-    def _while(self, start: int) -> Statement:
+    def _while_statement(self, start: int) -> Statement:
+        """Parse WHILE."""
         return self._loop(start, "", (self.expression(),), "ENDWHILE")
 
     def _loop(self, start: int, name: str, bounds: tuple[Expression, ...], end: str) -> Statement:
+        """Parse the body of a loop from DO to `end`."""
         begin = self.stop
         self.take("DO")
         body = self.block()
@@ -570,6 +582,7 @@ class Parser:
             yield self._module()
 
     def _module(self) -> Module:
+        """Parse a module: data, routines and types."""
         name = self.identifier()
         if self.accept("("):
             while not self.accept(")"):
@@ -608,6 +621,7 @@ class Parser:
         self.step()
 
     def _routine(self) -> Routine:
+        """Parse a routine with its parameters, body and error handlers."""
         start = self.start
         self.accept("LOCAL")
         kind = self.word
@@ -631,6 +645,7 @@ class Parser:
         return Routine(kind, name, span, parameters, body, tuple(handler), start, self.behind)
 
     def _parameters(self) -> tuple[Parameter, ...]:
+        """Parse the parameters of a routine up to the closing bracket."""
         parameters: list[Parameter] = []
         while not self.accept(")"):
             self.accept(",")

@@ -225,6 +225,10 @@ def shaped(value: Value, *sizes: int) -> list[float]:
 
 
 def _name(expression: Expression, scope: Scope) -> tuple[Value, str]:
+    """Return value and type of data.
+
+    :raises UnknownValueError: it has no known value.
+    """
     variable = scope.variable(expression.value)
     if variable.value is None and variable.declaration is not None and variable.literal:
         initial = variable.declaration.value
@@ -243,6 +247,10 @@ def _numbers(expression: Expression, scope: Scope) -> tuple[Value, str]:
 
 
 def _index(expression: Expression, scope: Scope) -> tuple[Value, str]:
+    """Return value and type of an element of an array.
+
+    :raises UnknownValueError: there is none.
+    """
     value, type_ = evaluated(expression.items[0], scope)
     for item in expression.items[1:]:
         place = number(item, scope)
@@ -253,6 +261,10 @@ def _index(expression: Expression, scope: Scope) -> tuple[Value, str]:
 
 
 def _field(expression: Expression, scope: Scope) -> tuple[Value, str]:
+    """Return value and type of a component of a record.
+
+    :raises UnknownValueError: there is none.
+    """
     value, type_ = evaluated(expression.items[0], scope)
     for place, (name, inner) in enumerate(FIELDS.get(type_, ())):
         if name == expression.value and isinstance(value, list) and place < len(value):
@@ -288,6 +300,10 @@ _COMPARISONS: dict[str, Callable[[Value, Value], bool]] = {
 
 
 def _operation(expression: Expression, scope: Scope) -> tuple[Value, str]:
+    """Return value and type of an operation.
+
+    :raises UnknownValueError: an operand is unknown, or rounding decides.
+    """
     word, items = expression.value, expression.items
     if len(items) == 1:
         if word == "NOT":
@@ -309,7 +325,7 @@ def _operation(expression: Expression, scope: Scope) -> tuple[Value, str]:
     if isinstance(left, str) and isinstance(right, str) and word == "+":
         return left + right, "STRING"
     try:
-        return _calculated(word, left, right), type_ or right_type
+        return _arithmetic_value(word, left, right), type_ or right_type
     except (ZeroDivisionError, OverflowError, ValueError):
         raise UnknownValueError("the expression cannot be calculated") from None
 
@@ -321,7 +337,7 @@ def _is_decided(left: float, right: float) -> bool:
     return left == right == float(np.float32(left))
 
 
-def _calculated(word: str, left: Value, right: Value) -> Value:
+def _arithmetic_value(word: str, left: Value, right: Value) -> Value:
     """Return the value of an arithmetic operation: numbers, and the vectors of `pos`."""
     pair = isinstance(left, list), isinstance(right, list)
     if pair == (False, False):
@@ -339,6 +355,10 @@ def _calculated(word: str, left: Value, right: Value) -> Value:
 
 
 def _call(expression: Expression, scope: Scope) -> tuple[Value, str]:
+    """Return value and type of a function call.
+
+    :raises UnknownValueError: its value is known at run time only.
+    """
     if expression.value == "PRESENT" and expression.items and expression.items[0].value is not None:
         is_given = scope.presence.get(base_name(expression.items[0].value))
         if is_given is not None:
@@ -406,6 +426,8 @@ def _orient_zyx(values: list[Value], options: dict[str, float]) -> tuple[Value, 
 
 
 def _plain(function: Callable[..., float]) -> Callable[[list[Value], dict[str, float]], tuple[Value, str]]:
+    """Return a function of numbers as a RAPID function without options."""
+
     def call(values: list[Value], options: dict[str, float]) -> tuple[Value, str]:
         if options or any(isinstance(value, bool) or not isinstance(value, float) for value in values):
             raise ValueError
@@ -481,13 +503,13 @@ def assigned(target: Expression, value: Value, scope: Scope) -> None:
             path.insert(0, [name for name, _ in FIELDS.get(type_, ())].index(inner.value))
         inner = inner.items[0]
     whole, _ = evaluated(inner, scope)
-    variable.value, variable.literal = _with(whole, path, value), False
+    variable.value, variable.literal = _replace_component(whole, path, value), False
 
 
-def _with(whole: Value, path: list[int], value: Value) -> Value:
+def _replace_component(whole: Value, path: list[int], value: Value) -> Value:
     """Return a record with another value at a place."""
     if not path:
         return value
     if not isinstance(whole, list) or not 0 <= path[0] < len(whole):
         raise UnknownValueError("the index is outside of the array")
-    return [_with(item, path[1:], value) if k == path[0] else item for k, item in enumerate(whole)]
+    return [_replace_component(item, path[1:], value) if k == path[0] else item for k, item in enumerate(whole)]

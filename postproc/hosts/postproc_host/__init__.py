@@ -113,9 +113,9 @@ def convert(
             value = str(Path(scratch) / value) if inputs and value in inputs else value
             words += [option, value] if value else [option]
         entry = _run(["convert", *words, "--json"])["programs"][0]
-    issues = [(issue["level"], _described(issue, program, blocks)) for issue in entry["issues"]]
+    issues = [(issue["level"], _issue_text(issue, program, blocks)) for issue in entry["issues"]]
     if not entry["written"]:
-        faults = [_placed(entry["error"], program, blocks)] if entry["error"] else []
+        faults = [_with_host_places(entry["error"], program, blocks)] if entry["error"] else []
         raise HostError("\n".join(faults + [text for level, text in issues if level == "error"]))
     verdict = entry["verdict"]
     paths = [_from_linux(path) for path in entry["written"]]
@@ -123,7 +123,7 @@ def convert(
         for path in paths:
             path.unlink()
         faults = [verdict["headline"], *verdict["drive"]["reasons"]]
-        raise HostError("\n".join(_placed(fault, program, blocks) for fault in faults))
+        raise HostError("\n".join(_with_host_places(fault, program, blocks) for fault in faults))
     warnings = [text for level, text in issues if level == "warning"]
     lines = [verdict["headline"], *verdict["answers"], *(verdict["reasons"] if verdict["state"] != "ok" else [])]
     moves = folder / f"{name}.moves.txt"
@@ -131,7 +131,7 @@ def convert(
     for input_name, content in (inputs or {}).items():
         (folder / input_name).write_bytes(content)
     left = [moves, *(folder / input_name for input_name in inputs or ())]
-    lines = [_placed(line, program, blocks) for line in lines]
+    lines = [_with_host_places(line, program, blocks) for line in lines]
     return Converted([*paths, *left], entry, warnings, verdict["state"], lines)
 
 
@@ -189,13 +189,14 @@ def _from_linux(path: str) -> Path:
     return Path(f"{match[1].upper()}:/{match[2]}" if match else path)
 
 
-def _described(issue: dict[str, Any], program: Path, blocks: Sequence[Block]) -> str:
+def _issue_text(issue: dict[str, Any], program: Path, blocks: Sequence[Block]) -> str:
+    """Return an issue as text, with the host's name of its place."""
     line: int | None = issue.get("source_line")
     place = f"{blocks[line - 1].place}: " if line and line <= len(blocks) else ""
-    return f"{place}{_placed(issue['message'], program, blocks)}"
+    return f"{place}{_with_host_places(issue['message'], program, blocks)}"
 
 
-def _placed(text: str, program: Path, blocks: Sequence[Block]) -> str:
+def _with_host_places(text: str, program: Path, blocks: Sequence[Block]) -> str:
     """Return a text with program lines replaced by the host's names of places."""
 
     def place(match: re.Match[str]) -> str:

@@ -80,11 +80,11 @@ def comparison_page(comparison: Comparison, content: ComparisonSummary) -> Itera
     """Yield the page of a comparison as HTML in UTF-8, one file that loads nothing."""
     sections = [_verdict(content), _numbers(content)]
     names = names_of(comparison)
-    pair_rows = _shown(comparison, _named(comparison, content, names[0]))
+    pair_rows = _page_rows(comparison, _linked_rows(comparison, content, names[0]))
     if len(pair_rows):
         sections += [
             _path(comparison, pair_rows),
-            _along(comparison, content, pair_rows, names[0]),
+            _program_plots(comparison, content, pair_rows, names[0]),
             _histogram(comparison, pair_rows),
         ]
         sections += [_operations(comparison, content, pair_rows, names), _worst_pairs(comparison, pair_rows, names)]
@@ -111,6 +111,7 @@ def comparison_page(comparison: Comparison, content: ComparisonSummary) -> Itera
 
 
 def _verdict(content: ComparisonSummary) -> Section:
+    """Return the section with the verdict and its reasons."""
     verdict = content.verdict
     names = (content.nominal, content.corrected)
     reasons = tuple(
@@ -125,6 +126,7 @@ def _verdict(content: ComparisonSummary) -> Section:
 
 
 def _numbers(content: ComparisonSummary) -> Section:
+    """Return the section with offsets and deviations."""
     cut = content.cut
     tiles = [
         Tile("Largest offset", millimetres(content.offset.max_mm), "mm"),
@@ -152,7 +154,7 @@ def _numbers(content: ComparisonSummary) -> Section:
     return Section("numbers", "Offsets and deviations, mm", tuple(parts))
 
 
-def _shown(comparison: Comparison, linked_rows: Ints) -> Ints:
+def _page_rows(comparison: Comparison, linked_rows: Ints) -> Ints:
     """Return the pairs (s,) to show: largest offsets and deviations of each group, the worst and the linked ones."""
     if not len(comparison.pair):
         return np.zeros(0, dtype=np.int64)
@@ -181,7 +183,7 @@ def _worst(comparison: Comparison) -> Ints:
     return np.asarray(order[size[order] >= 0.0])
 
 
-def _named(comparison: Comparison, content: ComparisonSummary, nominal: Names) -> Ints:
+def _linked_rows(comparison: Comparison, content: ComparisonSummary, nominal: Names) -> Ints:
     """Return the pairs that table rows link to: thinning must keep them."""
     places = [(entry.nominal_file, entry.nominal_line) for entry in content.operations]
     lines = [*places, *((entry.source_file, entry.source_line) for entry in content.issues)]
@@ -208,6 +210,7 @@ def _place_of(comparison: Comparison, pair_rows: Ints, names: Names, file: str |
 
 
 def _facts(comparison: Comparison, content: ComparisonSummary, pair_rows: Ints, names: Sequence[Names]) -> Facts:
+    """Return the facts for the script of the page: names, files and the pair with the largest offset."""
     size = np.where(comparison.rapid, -1.0, comparison.distance)[pair_rows]
     nominal_files, corrected_files = (
         [name.prefix + file for file in program.places(comparison.pair[:1, k]).files] if name.several else []
@@ -217,6 +220,7 @@ def _facts(comparison: Comparison, content: ComparisonSummary, pair_rows: Ints, 
 
 
 def _columns(comparison: Comparison, pair_rows: Ints) -> Columns:
+    """Return the columns of the pairs (s,) for the script of the page: mm, degrees, N, mm/s."""
     nominal_places, corrected_places = (
         comparison.nominal.places(comparison.pair[pair_rows, 0]),
         comparison.corrected.places(comparison.pair[pair_rows, 1]),
@@ -248,7 +252,8 @@ def _place() -> Section:
 
 
 def _path(comparison: Comparison, rows: Ints) -> Section:
-    nominal, offset, place = _drawn(comparison, rows)
+    """Return the section with both paths in space, offsets exaggerated to a tenth of the extent."""
+    nominal, offset, place = _drawn_path(comparison, rows)
     extent = float(np.ptp(nominal, axis=0).max())
     largest = float(norm(offset).max())
     factor = _round(0.1 * extent / largest) if largest * MM_PER_M > ROUNDING_MM and extent > 0.0 else 1.0
@@ -279,7 +284,7 @@ def _round(factor: float) -> float:
     return max(1.0, float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= factor)))
 
 
-def _drawn(comparison: Comparison, rows: Ints) -> tuple[Array, Array, Ints]:
+def _drawn_path(comparison: Comparison, rows: Ints) -> tuple[Array, Array, Ints]:
     """Return points of the nominal path (n, 3) and offsets of the other one (n, 3), both [m], and their places (n,).
 
     Between pairs that follow one another, both paths are followed: arcs are drawn as arcs.
@@ -303,7 +308,8 @@ def _line(points: Array, name: str, colour: str, place: Ints) -> Lines:
     return Lines(x, y, z, name, "before" if colour == "before" else "after", places=place.tolist())
 
 
-def _along(comparison: Comparison, content: ComparisonSummary, rows: Ints, nominal: Names) -> Section:
+def _program_plots(comparison: Comparison, content: ComparisonSummary, rows: Ints, nominal: Names) -> Section:
+    """Return the section with offsets and deviations along the program."""
     places = [*range(len(rows))]
     order = (rows + 1.0).tolist()  # lines go back where a program repeats some
     offset = (comparison.offset[rows] * MM_PER_M).T.tolist()
@@ -337,6 +343,7 @@ def _along(comparison: Comparison, content: ComparisonSummary, rows: Ints, nomin
 
 
 def _histogram(comparison: Comparison, pair_rows: Ints) -> Section:
+    """Return the section with the distribution of the offset."""
     counts, edges = np.histogram(comparison.distance[~comparison.rapid] * MM_PER_M, bins=_BINS)
     size = np.where(comparison.rapid, -1.0, comparison.distance)[pair_rows] * MM_PER_M
     order = np.argsort(size)
@@ -353,6 +360,7 @@ def _histogram(comparison: Comparison, pair_rows: Ints) -> Section:
 
 
 def _operations(comparison: Comparison, content: ComparisonSummary, pair_rows: Ints, names: Sequence[Names]) -> Section:
+    """Return the section with the largest values of each operation."""
     head = ["Operation", "Tool", "First line", "Cutting targets", "Offset, mm"]
     head += ["Nominal cuts, mm", "Corrected cuts, mm"] if content.cut is not None else []
     rows = []
@@ -375,6 +383,7 @@ def _operations(comparison: Comparison, content: ComparisonSummary, pair_rows: I
 
 
 def _worst_pairs(comparison: Comparison, pair_rows: Ints, names: Sequence[Names]) -> Section:
+    """Return the section with the pairs with the largest offsets."""
     head = [
         *(f"Line of {name.main}" for name in names),
         "Offset, mm",
@@ -402,6 +411,7 @@ def _worst_pairs(comparison: Comparison, pair_rows: Ints, names: Sequence[Names]
 
 
 def _issues(comparison: Comparison, content: ComparisonSummary, pair_rows: Ints, names: Names) -> Section:
+    """Return the section with the differences besides positions."""
     if not content.issues:
         return Section("issues", "Differences besides positions", (Notes((Note("None.", "good"),)),))
     rows = tuple(

@@ -56,13 +56,13 @@ def names_of(comparison: Comparison) -> tuple[Names, Names]:
         _distinct_ends(*(program.documents[0].folder for program in programs)) if files[0] & files[1] else ("", "")
     )
     nominal, corrected_names = (
-        Names(prefix + program.documents[0].name, prefix, _several(program, rows))
+        Names(prefix + program.documents[0].name, prefix, _has_several_files(program, rows))
         for program, prefix, rows in zip(programs, prefixes, comparison.pair.T, strict=True)
     )
     return nominal, corrected_names
 
 
-def _several(program: Program, rows: Ints) -> bool:
+def _has_several_files(program: Program, rows: Ints) -> bool:
     places = program.places(rows)
     return bool(len(places.file)) and bool((places.file != places.file[0]).any())
 
@@ -249,15 +249,15 @@ def comparison_summary(
         splines=int(np.count_nonzero(comparison.spline)),
         only_nominal=len(comparison.only_nominal),
         passed=len(comparison.passed_rows),
-        passed_within_mm=_passed_within(comparison),
+        passed_within_mm=_largest_passing_distance(comparison),
         only_corrected=len(comparison.additional_rows),
         offset=_distances(distance, rapid),
         rotation=Rotations(max_deg=rotation.largest * DEG_PER_RAD, rms_deg=rotation.rms * DEG_PER_RAD),
-        between_targets=_apart(comparison, names),
+        between_targets=_largest_gap(comparison, names),
         largest=_largest(comparison, names),
         differences={name.replace("-", "_"): count.get(name, 0) for name in _DIFFERENCES},
         cut=_cut(comparison, names, slice(0, len(comparison.pair))),
-        between=_between(comparison, second_names),
+        between=_deviation_between_targets(comparison, second_names),
         tolerance_mm=stated_mm(tolerance),
         operations=[*_operations(comparison, names)],
         provenance=OriginEntry(
@@ -269,7 +269,7 @@ def comparison_summary(
         issues=[_entry(difference, nominal, second_names) for difference in comparison.differences],
         verdict=UNJUDGED,
     )
-    errors, doubtful = [*_failed(content, limit * MM_PER_M, file_origin)], [*_doubtful(content, file_origin)]
+    errors, doubtful = [*_failures(content, limit * MM_PER_M, file_origin)], [*_doubtful(content, file_origin)]
     drive = Drive(
         "failed" if errors else "warning" if doubtful else "ok", [*errors, *doubtful], [LIMITS_AND_COLLISIONS]
     )
@@ -288,13 +288,14 @@ def comparison_summary(
     return replace(content, verdict=verdict)
 
 
-def _passed_within(comparison: Comparison) -> float | None:
+def _largest_passing_distance(comparison: Comparison) -> float | None:
     """Return the largest distance at which the second path passes targets that it leaves out [mm]; None if unknown."""
     distances = comparison.passing_distance[np.isfinite(comparison.passing_distance)]
     return float(distances.max()) * MM_PER_M if len(distances) else None
 
 
 def _entry(difference: Difference, nominal: Names, second_names: Names) -> DifferenceEntry:
+    """Return a difference as an entry of the summary."""
     return DifferenceEntry(
         level=difference.level,
         kind=difference.kind,
@@ -316,18 +317,19 @@ def where_of(entry: DifferenceEntry) -> str:
     return " and ".join(f"{file}:{line}" for file, line in places if file is not None)
 
 
-def _failed(content: ComparisonSummary, limit_mm: float, file_origin: MadeFrom) -> Iterator[str]:
+def _failures(content: ComparisonSummary, limit_mm: float, file_origin: MadeFrom) -> Iterator[str]:
+    """Yield reasons why the corrected program must not be run."""
     if content.provenance.state == "changed":
         yield f"{content.corrected} was changed since postproc wrote it: convert the program again"
     # without forces the correction is too uncertain to distinguish a target from an inserted one next to it
     explains_offsets = content.cut is not None or not file_origin.same_origin
     if explains_offsets and not content.offset.max_mm <= limit_mm:
         offset = above(content.offset.max_mm, limit_mm)
-        place = _where(content.largest[0])
+        place = _pair_text(content.largest[0])
         yield f"{place}: this target is {offset} mm off: more than max_correction_mm = {limit_mm:g}"
     if not content.pairs:
         yield "no target of one program belongs to one of the other"
-    yield from (_described(issue) for issue in content.issues if issue.level == "error")
+    yield from (_issue_text(issue) for issue in content.issues if issue.level == "error")
 
 
 def _tolerance(content: ComparisonSummary) -> Tolerance | None:
@@ -335,7 +337,7 @@ def _tolerance(content: ComparisonSummary) -> Tolerance | None:
     cut, between_targets, tolerance, reasons = content.cut, content.between, content.tolerance_mm, list[str]()
     if cut is not None and not cut.corrected.max_mm <= tolerance:
         reasons.append(
-            f"{_where(cut)}: the corrected program leaves {above(cut.corrected.max_mm, tolerance)} mm at this "
+            f"{_pair_text(cut)}: the corrected program leaves {above(cut.corrected.max_mm, tolerance)} mm at this "
             f"target under the forces given (tolerance {tolerance:g} mm)"
         )
     if between_targets is not None and not between_targets.corrected_max_mm <= tolerance:
@@ -347,12 +349,13 @@ def _tolerance(content: ComparisonSummary) -> Tolerance | None:
     return Tolerance("failed", "path", tolerance, False, None, [], reasons) if reasons else None
 
 
-def _where(pair: Lines | Worst) -> str:
+def _pair_text(pair: Lines | Worst) -> str:
     """Return files and lines of a pair in both programs."""
     return f"{pair.nominal_file}:{pair.nominal_line} and {pair.corrected_file}:{pair.corrected_line}"
 
 
 def _doubtful(content: ComparisonSummary, file_origin: MadeFrom) -> Iterator[str]:
+    """Yield reasons to look at the corrected program before it is run."""
     origin = content.provenance
     changed_inputs = [name for name, is_same in origin.made_from_these.items() if not is_same]
     if changed_inputs:
@@ -366,19 +369,21 @@ def _doubtful(content: ComparisonSummary, file_origin: MadeFrom) -> Iterator[str
         and not content.differences["base"]
     ):
         yield (
-            f"{_where(content.largest[0])}: this target is {content.offset.max_mm:.4f} mm off, and no forces "
+            f"{_pair_text(content.largest[0])}: this target is {content.offset.max_mm:.4f} mm off, and no forces "
             "are known that explain it: give --forces"
         )
-    yield from (_described(issue) for issue in content.issues if issue.level == "warning")
+    yield from (_issue_text(issue) for issue in content.issues if issue.level == "warning")
 
 
-def _described(issue: DifferenceEntry) -> str:
+def _issue_text(issue: DifferenceEntry) -> str:
+    """Return a difference as text, with its first place and its count."""
     count = f" ({issue.count} times)" if issue.count > 1 else ""
     place = where_of(issue)
     return f"{place}{': ' if place else ''}{issue.message.rstrip('.')}{count}"
 
 
 def _distances(values: Array, rapid: Bools) -> Distances:
+    """Return the statistics of distances (n,) [m] in mm."""
     measures = statistics(values, rapid)
     return Distances(
         max_mm=measures.largest * MM_PER_M,
@@ -389,6 +394,7 @@ def _distances(values: Array, rapid: Bools) -> Distances:
 
 
 def _cut(comparison: Comparison, names: Sequence[Names], rows: slice) -> Cut | None:
+    """Return what both programs cut on some pairs [mm], with the worst place; None without forces."""
     if comparison.cuts is None:
         return None
     rapid = comparison.rapid[rows]
@@ -400,7 +406,8 @@ def _cut(comparison: Comparison, names: Sequence[Names], rows: slice) -> Cut | N
     return Cut(**lines, nominal=_distances(nominal, rapid), corrected=_distances(corrected_mm, rapid))
 
 
-def _apart(comparison: Comparison, names: Sequence[Names]) -> Apart:
+def _largest_gap(comparison: Comparison, names: Sequence[Names]) -> Apart:
+    """Return the largest distance of the paths between targets [mm], and where."""
     size = np.where(comparison.rapid | np.isnan(comparison.between), -1.0, comparison.between)
     worst = int(np.argmax(size)) if len(size) else -1
     if worst < 0 or size[worst] < 0.0:
@@ -408,7 +415,8 @@ def _apart(comparison: Comparison, names: Sequence[Names]) -> Apart:
     return Apart(max_mm=float(size[worst]) * MM_PER_M, **asdict(_lines(comparison, names, worst)))
 
 
-def _between(comparison: Comparison, second_names: Names) -> Between | None:
+def _deviation_between_targets(comparison: Comparison, second_names: Names) -> Between | None:
+    """Return the largest deviations between targets of cutting moves [mm]; None if there are none."""
     cuts = comparison.cuts
     motions = comparison.corrected.motions
     if cuts is None or not len(cuts.row):
@@ -427,6 +435,7 @@ def _between(comparison: Comparison, second_names: Names) -> Between | None:
 
 
 def _largest(comparison: Comparison, names: Sequence[Names]) -> list[PairEntry]:
+    """Return the pairs with the largest offsets, largest first."""
     size = np.where(comparison.rapid, -1.0, comparison.distance)
     order = np.argsort(-size, kind="stable")[:_LARGEST_PAIRS]
     return [
@@ -455,6 +464,7 @@ def _lines(comparison: Comparison, names: Sequence[Names], pair: int) -> Lines:
 
 
 def _operations(comparison: Comparison, names: Sequence[Names]) -> Iterator[OperationEntry]:
+    """Yield an entry for each operation with cutting targets."""
     starts = operation_starts(comparison.nominal, comparison.pair[:, 0])
     for first, end in pairwise([*sorted(starts), len(comparison.pair)]):
         rows = slice(first, end)

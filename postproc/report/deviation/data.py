@@ -142,7 +142,7 @@ class Deviation(Struct, frozen=True, dict=True):
     @cached_property
     def places(self) -> ShownTargets:
         """The places that the page shows; only where there are targets."""
-        return places(self.result, self._named())
+        return places(self.result, self._linked_rows())
 
     @cached_property
     def links(self) -> list[LinkShape]:
@@ -186,7 +186,7 @@ class Deviation(Struct, frozen=True, dict=True):
         rows = np.flatnonzero(self.result.source_line == issue.source_line)
         return int(rows[0]) if len(rows) else None
 
-    def _named(self) -> Ints:
+    def _linked_rows(self) -> Ints:
         """Return the rows that tables of the page lead to: thinning must keep them."""
         result = self.result
         rows = [self.worst_rows, np.array([operation.first for operation in self.operations], dtype=np.int64)]
@@ -430,7 +430,7 @@ def places(result: Result, linked_rows: Ints) -> ShownTargets:
             columns[f"{name}{axis}"] = vector[:, index] * MM_PER_M
         for index, axis in enumerate(("along", "across", "normal")):
             columns[f"{name}_{axis}"] = components[:, index] * MM_PER_M
-    return ShownTargets(row, path_length, Columns.of(columns), _drawn(result, position, leads_to, row))
+    return ShownTargets(row, path_length, Columns.of(columns), _path_columns(result, position, leads_to, row))
 
 
 _NAMES = {
@@ -441,7 +441,7 @@ _NAMES = {
 }
 
 
-def _drawn(result: Result, position: Array, leads_to: Ints, row: Ints) -> Columns:
+def _path_columns(result: Result, position: Array, leads_to: Ints, row: Ints) -> Columns:
     """Return the points of the nominal path, each with the place that it leads to."""
     show = np.isin(leads_to, row)
     if np.count_nonzero(show) > _MOST_POINTS:

@@ -94,6 +94,7 @@ def numbers(data: Deviation) -> Section | None:
 
 
 def _table(data: Deviation) -> Table:
+    """Return the table of predicted deviations, before and after compensation."""
     content = data.content
     u95 = None if content.u95 is None else content.u95.max_mm
     if not data.compared:
@@ -158,7 +159,7 @@ def surface(data: Deviation) -> Section | None:
         return Section("surface", "Surface of the part", (Notes((Note(text, "warning"),)),))
     deviation = surface.after if data.compared else surface.before
     words = "with the program as written" if data.compared else "as programmed"
-    tiles = [_programmed(measures, data)]
+    tiles = [_programmed_tile(measures, data)]
     if contact.any():
         tiles += [
             _depth("Gouged before, at most", -surface.before[contact].min(), _DEFLECTION),
@@ -181,7 +182,7 @@ def surface(data: Deviation) -> Section | None:
 _DEFLECTION = "from the programmed path"
 
 
-def _programmed(measures: OnSurface, data: Deviation) -> Tile:
+def _programmed_tile(measures: OnSurface, data: Deviation) -> Tile:
     """Return what the programmed path itself does to the mesh."""
     label, cut, left = "Programmed path cuts into the part", measures.cut_into_mm, measures.left_mm
     limit = data.content.part.tolerance_mm or data.content.tolerance_mm or CUT_MM
@@ -281,7 +282,7 @@ def _cut_plots(data: Deviation, cuts: Cuts) -> list[Plot]:
         colours: tuple[Colour, ...] = ("before", "after")
         for (name, values, factor), colour in zip(curves, colours, strict=False):
             y = values * factor
-            shown_rows = _kept(y, run)
+            shown_rows = _drawn_rows(y, run)
             gaps = np.flatnonzero(np.diff(run[shown_rows])) + 1  # no line where nothing is cut
             length_mm, value = (
                 np.insert(values_of_axis[shown_rows].astype(float), gaps, np.nan).tolist() for values_of_axis in (x, y)
@@ -345,7 +346,7 @@ def _contact(cuts: Cuts) -> tuple[Ints, Ints, Ints, Array]:
     return run[contact], rows[contact], motion[contact], t[contact]
 
 
-def _kept(values: Array, run: Ints) -> Ints:
+def _drawn_rows(values: Array, run: Ints) -> Ints:
     """Return which of many values are drawn: of every few the smallest and the largest, and the ends of each run."""
     group_size = -(-2 * len(values) // _CURVE_POINTS)
     if group_size <= 2:

@@ -66,7 +66,7 @@ def remaining(path: CutPath, centre: Array, normal: Array, cutter: Cutter) -> Re
         facets = _Facets.of(centre[rows], normal[rows], path.axis[nearest], cutter)
         highest, offset = _seeds(path, facets, cutter)
         pairs = _Pairs(*grid.inside(*_region(facets, cutter, highest + 2.0 * max(largest), offset)))
-        parts.append(_lowest(path, facets, cutter, pairs, highest, largest))
+        parts.append(_lowest_entries(path, facets, cutter, pairs, highest, largest))
     return Remaining(
         np.concatenate([part.programmed for part in parts]),
         np.concatenate([part.deflected for part in parts], axis=1),
@@ -98,7 +98,7 @@ class _Pairs(NamedTuple):
         return _Pairs(self.facet[is_chosen], self.sample[is_chosen])
 
 
-def _lowest(
+def _lowest_entries(
     path: CutPath, facets: _Facets, cutter: Cutter, pairs: _Pairs, highest: Array, largest: list[float]
 ) -> Remaining:
     """Return the lowest entries of samples that are paired with facets.
@@ -271,6 +271,7 @@ class _Grid(Struct, frozen=True, eq=False):
 
     @classmethod
     def of(cls, point: Array, size: float) -> _Grid:
+        """Sort points (n, 3) into cubic cells of a size [m]."""
         corner = point.min(axis=0)
         cell = np.floor((point - corner) / size).astype(np.int64)
         shape = cell.max(axis=0) + 1

@@ -81,7 +81,7 @@ def cut_into(mesh: Mesh, path: CutPath, centre: Array, normal: Array, cutter: Cu
         index = index.reshape(len(centre), -1)
         point, _ = path.near(probe_point, index)
         direction = path.axis[index]
-        is_inside = _inside(centre[:, None] - point, direction, cutter)
+        is_inside = _is_inside(centre[:, None] - point, direction, cutter)
         is_inside &= np.einsum("nki,ni->nk", direction, normal) >= OVERHANG
         at, sample = np.nonzero(is_inside)
         facet.append(at)
@@ -96,7 +96,7 @@ def cut_into(mesh: Mesh, path: CutPath, centre: Array, normal: Array, cutter: Cu
     low, high = np.zeros(len(of)), np.full(len(of), 2.0 * LONG * cutter.radius)
     for _ in range(_BISECTIONS):  # the tool is convex: the normal leaves it once
         middle = 0.5 * (low + high)
-        stays_inside = _inside(from_tip + middle[:, None] * inward, directions, cutter)
+        stays_inside = _is_inside(from_tip + middle[:, None] * inward, directions, cutter)
         low, high = np.where(stays_inside, middle, low), np.where(stays_inside, high, middle)
     end, _ = mesh.distance(centre[of] + low[:, None] * inward)
     facet_depth = np.minimum(low, np.abs(end))
@@ -105,7 +105,7 @@ def cut_into(mesh: Mesh, path: CutPath, centre: Array, normal: Array, cutter: Cu
     return depth, best
 
 
-def _inside(from_tip: Array, axis: Array, cutter: Cutter) -> Bools:
+def _is_inside(from_tip: Array, axis: Array, cutter: Cutter) -> Bools:
     """Return whether points relative to the tip (..., 3) are inside the tool."""
     height = np.einsum("...i,...i->...", from_tip, axis)
     distance = np.linalg.norm(from_tip - height[..., None] * axis, axis=-1)
