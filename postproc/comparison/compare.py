@@ -75,7 +75,7 @@ def compare(
         if same_origin:
             comparison = _all_inserted(comparison, nominal_path)
         if corrected_program.notes:
-            comparison = _with_cuts_of_corrected(comparison, nominal_path, corrected_path)
+            comparison = _add_cuts(comparison, nominal_path, corrected_path)
     has_pairs = loads is not None or stated_pairs is not None
     options = {"in_file": source is not None, "same_origin": same_origin, "pairs_certain": has_pairs}
     return replace(comparison, differences=differences(comparison, nominal_path, corrected_path, **options))
@@ -164,9 +164,7 @@ def _all_inserted(comparison: Comparison, nominal_path: PlacedProgram) -> Compar
     return with_inserted(comparison, np.ones(len(comparison.additional_rows), dtype=bool))
 
 
-def _with_cuts_of_corrected(
-    comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram
-) -> Comparison:
+def _add_cuts(comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram) -> Comparison:
     """Return a comparison with where both programs cut under the forces that the corrected one states."""
     first, second = comparison.pair.T
     wrench = corrected_path.wrench(corrected_path.forces(None), second)

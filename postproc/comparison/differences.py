@@ -92,7 +92,7 @@ def differences(
 def _unresolved(comparison: Comparison) -> Iterator[Difference]:
     """Yield motions known at run time only that differ in their text, or in the statements before them."""
     motions = [program.unresolved for program in (comparison.nominal, comparison.corrected)]
-    texts = [[_squeezed(motion.text) for motion in side] for side in motions]
+    texts = [[_normal_text(motion.text) for motion in side] for side in motions]
     if texts[0] != texts[1]:
         first = next(
             (k for k, pair in enumerate(zip(*texts, strict=False)) if pair[0] != pair[1]), min(map(len, texts))
@@ -142,10 +142,10 @@ def _statements(lines: Sequence[str], line: int) -> Iterator[str]:
         if _ENDS.match(text):
             yield ""
         elif text and not _NO_STATEMENT.match(text):
-            yield _squeezed(text)
+            yield _normal_text(text)
 
 
-def _squeezed(text: str) -> str:
+def _normal_text(text: str) -> str:
     return "".join(text.split()).upper()
 
 
@@ -207,7 +207,7 @@ def _alone(comparison: Comparison, nominal_path: PlacedProgram) -> Iterator[Diff
             )
         place = place_of(comparison.nominal, rows[worst])
         level: Level = "error" if is_off_path else "warning"
-        yield Difference(level, "only-nominal", message, place, _next(comparison, rows[worst]), len(rows))
+        yield Difference(level, "only-nominal", message, place, _next_partner(comparison, rows[worst]), len(rows))
     rows = comparison.additional_rows
     if len(rows):
         message = "an additional target, not on the nominal path."
@@ -244,7 +244,7 @@ def _ambiguous(
         yield at_pairs(comparison, "pairing", message, pairs)
 
 
-def _next(comparison: Comparison, row: int) -> tuple[str, int] | None:
+def _next_partner(comparison: Comparison, row: int) -> tuple[str, int] | None:
     """Return where the second program has the partner of the next target after a nominal motion."""
     pair_index = int(np.searchsorted(comparison.pair[:, 0], row))
     return place_of(comparison.corrected, comparison.pair[pair_index, 1]) if pair_index < len(comparison.pair) else None
@@ -265,7 +265,7 @@ def _orientation(
     if comparison.cuts is None and any(difference.kind == "base" for difference in bases_and_tools(comparison)):
         return
     pairs = np.flatnonzero(pair_angles > limit)
-    inserted_rows, inserted_angles = _inserted_turned(comparison, nominal_path, corrected_path)
+    inserted_rows, inserted_angles = _inserted_rotations(comparison, nominal_path, corrected_path)
     inserted_indices = np.flatnonzero(inserted_angles > limit)
     if not len(pairs) and not len(inserted_indices):
         return
@@ -280,7 +280,7 @@ def _orientation(
     yield at_rows(comparison, "orientation", message, rows, len(pairs) + len(inserted_indices))
 
 
-def _inserted_turned(
+def _inserted_rotations(
     comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram
 ) -> tuple[Ints, Array]:
     """Return inserted targets (n,) and the angles by which they turn the tool from the nominal path there (n,) [rad].

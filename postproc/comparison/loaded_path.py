@@ -192,7 +192,7 @@ class Ways(Struct, frozen=True, eq=False):
             count[first + 1] == count[start_index],
         )
 
-    def _of_known(self, row: Ints) -> Bools:
+    def _is_known(self, row: Ints) -> Bools:
         """Return which motions (n,) of the second program are on a known way."""
         return np.append(self.is_comparable, False)[self.way[row]]
 
@@ -200,7 +200,7 @@ class Ways(Struct, frozen=True, eq=False):
         """Return the motions (n,) whose ends, without partner, are compared with the nominal path."""
         additional_rows = comparison.additional_rows
         kind = self.corrected_path.program.motions.kind
-        additional_rows = additional_rows[self._of_known(additional_rows) & np.isin(kind[additional_rows], (LIN, CIRC))]
+        additional_rows = additional_rows[self._is_known(additional_rows) & np.isin(kind[additional_rows], (LIN, CIRC))]
         return np.sort(np.append(comparison.inserted_rows, additional_rows))
 
     def pieces(self) -> Ints:
@@ -208,7 +208,7 @@ class Ways(Struct, frozen=True, eq=False):
         rows = self.corrected_path.rows[
             np.isin(self.corrected_path.program.motions.kind[self.corrected_path.rows], (LIN, CIRC))
         ]
-        return rows[self._of_known(rows) & ~_uncorrected_start(self.corrected_path)[rows]]
+        return rows[self._is_known(rows) & ~_uncorrected_start(self.corrected_path)[rows]]
 
     def guess(self, row: Ints) -> Array:
         """Return arc lengths (n,) on the nominal path at the same share of the way as the ends of motions (n,)."""
@@ -307,24 +307,26 @@ class Search(Struct, frozen=True, eq=False):
             way, displacement = self.ways.way[row], self.corrected_path.carried(row, t)
             low, high = self.ways.begin[way], self.ways.end[way]
             low = np.minimum(low + _SHORTEST * 1e-4, high)  # behind the end of the motion before
-            length, distance = self._improved(q, displacement, np.clip(guess, low, high), (low, high), enough)
+            length, distance = self._newton_steps(q, displacement, np.clip(guess, low, high), (low, high), enough)
             distant_rows = np.flatnonzero(distance > max(enough, _CLOSE * self.nominal_path.robot_in_cell.tolerance))
             if len(distant_rows):
                 limits = low[distant_rows], high[distant_rows]
                 new_length = self._anywhere(q[distant_rows], displacement[distant_rows], limits)
-                new_length, new_distance = self._improved(
+                new_length, new_distance = self._newton_steps(
                     q[distant_rows], displacement[distant_rows], new_length, limits, _EXACT
                 )
                 better = new_distance < distance[distant_rows]
                 length[distant_rows[better]], distance[distant_rows[better]] = new_length[better], new_distance[better]
             motion, t = self.nominal_path.at(length)
-            mine = norm(self._off(self.nominal_path.joints_at(motion, t), self.nominal_path.carried(motion, t), length))
+            mine = norm(
+                self._tip_offset(self.nominal_path.joints_at(motion, t), self.nominal_path.carried(motion, t), length)
+            )
             return length, mine, distance
 
         length, mine, distance = in_chunks(in_chunk, row, t, q, guess)
         return length, mine, distance
 
-    def _off(self, q: Array, displacement: Array, length: Array) -> Array:
+    def _tip_offset(self, q: Array, displacement: Array, length: Array) -> Array:
         """Return the tips (n, 3) under the forces at arc lengths (n,), minus the nominal path, in the cell [m]."""
         motion, t = self.nominal_path.at(length)
         return self._tip(
@@ -337,13 +339,13 @@ class Search(Struct, frozen=True, eq=False):
         except NotConvergedError as cause:
             raise no_equilibrium(self.nominal_path.program, motion, cause) from None
 
-    def _improved(
+    def _newton_steps(
         self, q: Array, displacement: Array, length: Array, limits: tuple[Array, Array], accuracy: float
     ) -> tuple[Array, Array]:
         """Return arc lengths (n,) on the path nearest to the tip, by Newton's method from start values, and distances
         (n,).
         """
-        deviations = self._off(q, displacement, length)
+        deviations = self._tip_offset(q, displacement, length)
         best, distance = length.copy(), norm(deviations)
         rows = np.flatnonzero(distance > accuracy)
         for _ in range(_ROUNDS):
@@ -351,12 +353,14 @@ class Search(Struct, frozen=True, eq=False):
                 break
             low, high = limits[0][rows], limits[1][rows]
             step = np.where(length[rows] + _DIFFERENCE_STEP < high, _DIFFERENCE_STEP, -_DIFFERENCE_STEP)
-            change = (self._off(q[rows], displacement[rows], length[rows] + step) - deviations[rows]) / step[:, None]
+            change = (self._tip_offset(q[rows], displacement[rows], length[rows] + step) - deviations[rows]) / step[
+                :, None
+            ]
             square = np.einsum("ni,ni->n", change, change)
             moves = square > _NO_LENGTH**2  # else the path only turns the tool here
             step = np.where(moves, -np.einsum("ni,ni->n", deviations[rows], change) / np.where(moves, square, 1.0), 0.0)
             length[rows] = np.clip(length[rows] + step, low, high)
-            deviations[rows] = self._off(q[rows], displacement[rows], length[rows])
+            deviations[rows] = self._tip_offset(q[rows], displacement[rows], length[rows])
             new = norm(deviations[rows])
             better = new < distance[rows]
             best[rows[better]], distance[rows[better]] = length[rows[better]], new[better]

@@ -242,7 +242,7 @@ class Curves(Struct, frozen=True, eq=False):
             self._kind == PTP
         )
         largest = np.maximum(self._distance(begin + 1e-9 * (end - begin)), self._distance(end))
-        curve_indices = np.flatnonzero(~unknown[pair] & self._curved(end))
+        curve_indices = np.flatnonzero(~unknown[pair] & self._is_curved(end))
         if len(curve_indices):
             largest[curve_indices] = np.maximum(
                 largest[curve_indices], in_chunks(self._largest, begin[curve_indices], end[curve_indices])[0]
@@ -271,7 +271,7 @@ class Curves(Struct, frozen=True, eq=False):
         tools = (self.nominal_chain.program.tools, self.corrected_chain.program.tools)
         return len(tools[0]) == len(tools[1]) == 1 and bool(np.abs(twist_between(*tools)).max() <= SAME_FRAME)
 
-    def _curved(self, u: Array) -> Bools:
+    def _is_curved(self, u: Array) -> Bools:
         """Return where (n,) the distance of the paths may be largest inside a piece: at arcs, not between two lines."""
         if not self._same_tool:
             return np.ones(len(u), dtype=bool)

@@ -50,14 +50,14 @@ class _Texts:
         if start[0] != end[0] or start[0] not in self.lines:
             return None
         if start[1] < end[1]:
-            return self._compared(start[0], range(start[1] + 1, end[1]))
+            return self._compared_statements(start[0], range(start[1] + 1, end[1]))
         tail = self._edge(start[0], range(start[1] + 1, len(self.lines[start[0]]) + 1), _HEAD, _TAIL)
         head = self._edge(end[0], range(end[1] - 1, 0, -1), _TAIL, _HEAD)
         if tail is None or head is None:
             return None
         return [
-            *self._compared(start[0], range(start[1] + 1, tail)),
-            *self._compared(end[0], range(head + 1, end[1])),
+            *self._compared_statements(start[0], range(start[1] + 1, tail)),
+            *self._compared_statements(end[0], range(head + 1, end[1])),
         ]
 
     def routine(self, place: tuple[str, int]) -> tuple[tuple[str, int], tuple[str, int]]:
@@ -85,12 +85,12 @@ class _Texts:
         """Return the text of a line without its comment."""
         return self.lines[file][number - 1].partition(";")[0].strip()
 
-    def _compared(self, file: str, numbers: range) -> list[Statement]:
+    def _compared_statements(self, file: str, numbers: range) -> list[Statement]:
         texts = ((self.statement(file, number), number) for number in numbers)
-        return [(_squeezed(text), number) for text, number in texts if _STATEMENT_WORDS.match(text)]
+        return [(_normal_text(text), number) for text, number in texts if _STATEMENT_WORDS.match(text)]
 
 
-def _squeezed(text: str) -> str:
+def _normal_text(text: str) -> str:
     return _DISTANCE.sub("DO", "".join(text.split()).upper())
 
 
@@ -111,7 +111,7 @@ def statement_differences(comparison: Comparison) -> Iterator[Difference]:
             continue
         for statement, line, in_second in _only_in_one(spans[0], spans[1]):
             occurrences.setdefault((statement, in_second), []).append((min(k, len(comparison.pair) - 1), line))
-    yield from _listed(comparison, occurrences, texts)
+    yield from _list_differences(comparison, occurrences, texts)
 
 
 def _places(program: Program, rows: Ints) -> list[tuple[str, int]]:
@@ -133,7 +133,7 @@ def _only_in_one(first: Sequence[Statement], second: Sequence[Statement]) -> Ite
                 yield statement, line, bool(in_second)
 
 
-def _listed(
+def _list_differences(
     comparison: Comparison, occurrences: dict[tuple[str, bool], list[tuple[int, int]]], texts: Sequence[_Texts]
 ) -> Iterator[Difference]:
     """Yield the statements that only one program has, the first of each text; further ones as one count."""

@@ -235,18 +235,18 @@ def _arcs(path: PathUnderLoad, q: Array, fast: Bools) -> Stretches:
         _, room, step = _states(path, q, rows)
         certain = motion[rows[fast[rows] | (step[:6].max(axis=0) > _LARGE_STEP)]]
         # what comes near by the largest step of any arc may come near by that of its own
-        may_be = (room < _near(step.max(axis=1, keepdims=True))).any(axis=0)
+        may_be = (room < _state_changes(step.max(axis=1, keepdims=True))).any(axis=0)
         in_reach = np.isin(motion[rows], motion[rows[may_be]])
         rows, room, step = rows[in_reach], room[:, in_reach], step[:, in_reach]
         first = np.flatnonzero(np.diff(motion[rows], prepend=-1))
-        threshold = _near(np.maximum.reduceat(step, first, axis=1))
+        threshold = _state_changes(np.maximum.reduceat(step, first, axis=1))
         close = (np.minimum.reduceat(room, first, axis=1) < threshold).any(axis=0)
         rows = distinct(np.append(certain, motion[rows[first[close]]]))
     parts = np.ceil(m.sweep[rows] / _SPACING - 1e-9).clip(1).astype(np.int64)
     return Stretches(rows, np.zeros(len(rows)), np.ones(len(rows)), parts)
 
 
-def _near(step: Array) -> Array:
+def _state_changes(step: Array) -> Array:
     """Return possible changes of the states between samples of an arc (9, n), from their largest steps on it (9, n)."""
     change = _STEPS * step
     change[_WRIST] = np.maximum(change[_WRIST], _NEAR_WRIST)

@@ -66,7 +66,7 @@ def corrected(path: PathUnderLoad) -> Commands:
         return command[:, :3, 3], xyzabc_from_pose(command)[:, 3:]
 
     movable, unmoved = np.flatnonzero(~stays), np.flatnonzero(stays)
-    position, angles = _balanced(path, in_chunk, movable)
+    position, angles = _in_equilibrium(path, in_chunk, movable)
     if len(unmoved):
         q[unmoved] = path.joints.q[unmoved]
         parts, nominal = (position, angles), path.sample.pose
@@ -92,11 +92,13 @@ def uncorrected(path: PathUnderLoad, rows: Ints, theta: Array) -> tuple[Array, A
         by_wrench = () if rest_is_nominal else (tip - path.tip_in_base(row, q, np.zeros_like(wrench), guess)[0],)
         return (deviation, *by_wrench) if rigid else (deviation, *by_wrench, by_tool)
 
-    columns = _balanced(path, in_chunk, rows)
+    columns = _in_equilibrium(path, in_chunk, rows)
     return columns[0], columns[0 if rest_is_nominal else 1], None if rigid else columns[-1]
 
 
-def _balanced(path: PathUnderLoad, function: Callable[[Ints], tuple[Array, ...]], rows: Ints) -> tuple[Array, ...]:
+def _in_equilibrium(
+    path: PathUnderLoad, function: Callable[[Ints], tuple[Array, ...]], rows: Ints
+) -> tuple[Array, ...]:
     """Return the results of a function of samples (n,), in chunks; the error lists all motions without equilibrium."""
     try:
         return in_chunks(function, rows)
@@ -202,7 +204,7 @@ class Draft(Struct, frozen=True, eq=False):
         draft = replace(draft, simulation=simulation, issues=(*draft.issues, *new_issues))
         if draft.failed or not task.in_file:
             return draft
-        knots, unlike = _carried(draft, readback)
+        knots, unlike = _readback_forces(draft, readback)
         return replace(draft, carried=knots, unlike=unlike)
 
     def _text(self, task: Task) -> Written:
@@ -417,7 +419,7 @@ def _uncertain(path: PathUnderLoad, row: Ints) -> tuple[Array | None, Array | No
     return spread, None if spring is None else spring.matrices(path.pose_in_root(row)[:, :3, :3])
 
 
-def _carried(draft: Draft, readback: ReadBack) -> tuple[Knots | None, tuple[Issue, ...]]:
+def _readback_forces(draft: Draft, readback: ReadBack) -> tuple[Knots | None, tuple[Issue, ...]]:
     """Return the forces that a file gives to the written program, None with a warning if it cannot hold them."""
     path_forces, targets = draft.path.motions.forces, draft.selection.targets
     travel, _ = forces.last_travel(readback.program, readback.segments, path_forces.axes.spindle)
@@ -600,7 +602,7 @@ def _commands(task: Task, path: PathUnderLoad) -> Commands:
 
 def _drafted(task: Task, path: PathUnderLoad) -> Draft:
     """Draft the program with targets at some of the samples; write it and read it back unless there is an error."""
-    draft = _chosen(task, path)
+    draft = _selection_of(task, path)
     try:
         return draft if draft.failed else draft.written(task)
     except ProgramError:
@@ -609,7 +611,7 @@ def _drafted(task: Task, path: PathUnderLoad) -> Draft:
         raise
 
 
-def _chosen(task: Task, path: PathUnderLoad) -> Draft:
+def _selection_of(task: Task, path: PathUnderLoad) -> Draft:
     """Draft the program with targets at some of the samples."""
     command = _commands(task, path)
     selection = choose_targets(path, command, task.writer.least_arc, linearize_arcs=task.linearize_arcs)

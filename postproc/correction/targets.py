@@ -90,7 +90,7 @@ def choose(
     count = np.bincount(sample.motion, minlength=len(kind))
     lines = np.flatnonzero((count > 1) & (kind == LIN) & ~whole)
     if len(lines):
-        is_target[_divided(path, lines)] = True
+        is_target[_divide_lines(path, lines)] = True
     circles = np.flatnonzero(((kind == CIRC) & ~whole)[arcs.motion])
     if len(circles):
         start, middle, end = _ends(path, circles)
@@ -137,7 +137,7 @@ def _ends(path: CommandedPath, stretch: Ints) -> tuple[Array, Ints, Ints]:
     return begin, row + samples_of_piece // 2 - 1, row + samples_of_piece - 1
 
 
-def _divided(path: CommandedPath, motions: Ints) -> Ints:
+def _divide_lines(path: CommandedPath, motions: Ints) -> Ints:
     """Divide lines at their largest error until every piece fits; return the samples (n,) at which pieces end."""
     count = np.bincount(path.sample.motion, minlength=len(path.start))
     size = count[motions] + 1  # the start of each motion is put before its samples
@@ -303,12 +303,12 @@ def approximation_distances(program: Program, targets: Targets, corners: Corners
     else:
         inner_distance = np.maximum(at_end, cell.gcode.approximation_mm * M_PER_MM)
         narrow = limit < np.minimum(inner_distance, corners.reach)
-        inner_distance[narrow] = _rounded_down(limit[narrow])
+        inner_distance[narrow] = _round_down(limit[narrow])
     distance = np.where(targets.t == 1.0, np.where(stop, 0.0, at_end), inner_distance)
     return np.where(targets.kind == PTP, 0.0, distance)
 
 
-def _rounded_down(distance: Array) -> Array:
+def _round_down(distance: Array) -> Array:
     """Return distances [m] as 1, 2 or 5 times a power of ten millimetres, so that few of them are different."""
     step = _STEPS * 10.0 ** np.floor(np.log10(distance / M_PER_MM))[:, None]
     smaller = np.where(step * M_PER_MM <= distance[:, None] * (1.0 + 1e-9), step, 0.0)

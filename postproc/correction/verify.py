@@ -117,7 +117,7 @@ def _other_module(path: PathUnderLoad, whole: Program, row: Ints, modules: Modul
     return None
 
 
-def _carried_elsewhere(program: Program, targets: Targets, output_program: Program, row: Ints) -> Bools:
+def _other_track_position(program: Program, targets: Targets, output_program: Program, row: Ints) -> Bools:
     """Return which targets (K,) have the robot carried elsewhere than they were to have."""
     if program.carriage is None or output_program.carriage is None:
         return np.full(len(targets), program.carriage is not output_program.carriage)
@@ -143,7 +143,7 @@ def _mismatch(program: Program, targets: Targets, output_program: Program, row: 
         differ = np.abs(twist_between(frames[:, None], expected_frames[None])).max(axis=2) > _PRECISION
         wrong |= differ[frame, expected_frame]
     wrong |= np.abs(m.feed[row] - nominal.feed[targets.motion]) > _PRECISION  # of PTP it is NaN, which is not more
-    wrong |= _carried_elsewhere(program, targets, output_program, row)
+    wrong |= _other_track_position(program, targets, output_program, row)
     if wrong.any():
         first = int(np.argmax(wrong))
         line = int(program.motions.line[targets.motion[first]])

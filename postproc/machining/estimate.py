@@ -229,7 +229,7 @@ def _estimate(task: _Task, widest: float, cell_factors: dict[int, int]) -> tuple
     segments = task.segments(in_order[0].frame, cell)
     _check_speed(program, segments, tools)
     swept = _swept_setups(task, in_order, material, segments)
-    _refuse_tilted(program, swept.sweeps)
+    _refuse_unknown_forces(program, swept.sweeps)
     if not any(sweep.contact for sweep in swept.sweeps):
         raise _no_contact(program, segments, bounds, process, task.stock)
     cuts = Cuts.joined(swept.cuts)
@@ -289,7 +289,7 @@ def _swept_setups(task: _Task, in_order: list[Setup], material: Stock, segments:
         poses = ToolPoses(program, task.path, setup.frame, task.axis, leans)
         has_shift = task.shift is not None
         sweep = Sweep(material, process, tools, feed, law, poses, swing, by_cells, has_shift, task.guard, ceiling)
-        cuts = _thinned(sweep, steps, _offset(task.progress, segment_count, len(segments.motion)))
+        cuts = _thin(sweep, steps, _offset(task.progress, segment_count, len(segments.motion)))
         segment_count += len(steps.motion)
         sweeps.append(sweep)
         parts.append(cuts)
@@ -299,7 +299,7 @@ def _swept_setups(task: _Task, in_order: list[Setup], material: Stock, segments:
     return _SweptSetups(sweeps, parts, knots, material, removed_volume, issues, is_compared, by_cells)
 
 
-def _refuse_tilted(program: Program, sweeps: list[Sweep]) -> None:
+def _refuse_unknown_forces(program: Program, sweeps: list[Sweep]) -> None:
     """Refuse cuts of tools that lean or turn of which a map of the stock cannot tell the force.
 
     :raises ForceError: a tool that only turns has no speed, or what it leaves above itself counts.
@@ -341,7 +341,7 @@ def _offset(progress: Callable[[int, int], None] | None, first: int, total: int)
     return None if progress is None else lambda count: progress(first + count, total)
 
 
-def _thinned(sweep: Sweep, steps: StraightSegments, progress: Callable[[int], None] | None) -> Cuts:
+def _thin(sweep: Sweep, steps: StraightSegments, progress: Callable[[int], None] | None) -> Cuts:
     """Return the stations that are needed. They are thinned out batch by batch to limit memory."""
     thin_cuts: list[Cuts] = []
     open_: list[Cuts] = []
@@ -574,15 +574,16 @@ def _collisions(program: Program, depth_of_motion: dict[int, float], guard: Guar
         motion = np.array(sorted(depth_of_motion))
         hit = distinct(m.line[motion]).tolist()
         deep = f"{max(depth_of_motion.values()) * MM_PER_M:.2g} mm deep"
-        tool_note = _longer(program, max(depth_of_motion, key=lambda row: (depth_of_motion[row], -row)))
+        tool_note = _tool_length_advice(program, max(depth_of_motion, key=lambda row: (depth_of_motion[row], -row)))
         if guard is None:
             place = f"line {', '.join(map(str, hit[:5]))}{' …' if len(hit) > 5 else ''}"
-            message = f"a rapid move goes through material ({place}), {deep}. {_way_out(program, motion)}{tool_note}"
+            message = (
+                f"a rapid move goes through material ({place}), {deep}. {_rapid_advice(program, motion)}{tool_note}"
+            )
             issues.append(replace(m.issue("error", "rapid-in-material", message, motion), count=len(hit)))
         else:
-            message = (
-                f"collision: cutter goes {deep} into the stock in a rapid move. {_way_out(program, motion)}{tool_note}"
-            )
+            advice = f"{_rapid_advice(program, motion)}{tool_note}"
+            message = f"collision: cutter goes {deep} into the stock in a rapid move. {advice}"
             issues.append(replace(m.issue("error", "collision", message, motion), subject="cutter, stock"))
     if guard is None:
         return issues
@@ -602,7 +603,7 @@ def _collisions(program: Program, depth_of_motion: dict[int, float], guard: Guar
     return issues
 
 
-def _way_out(program: Program, motion: Ints) -> str:
+def _rapid_advice(program: Program, motion: Ints) -> str:
     """Return what to do about rapid motions (n,) through material: the first move begins at [start] of the cell."""
     first = int(motion[0])
     if first == 0 and program.motions.kind[0] == PTP and not program.keeps_text:
@@ -615,7 +616,7 @@ def _way_out(program: Program, motion: Ints) -> str:
     return "Retract, or cut here first"
 
 
-def _longer(program: Program, motion: int) -> str:
+def _tool_length_advice(program: Program, motion: int) -> str:
     """Return what to add to a message on a rapid motion that a longer tool begins: its tip is lower from the start."""
     tool = program.motions.tool
     reach = norm(program.tools[:, :3, 3])

@@ -198,7 +198,7 @@ def identify(readings: CutReadings, tool: ToolTable, prior: MaterialTable | None
     predictor, readout, sigma = rows.predictor, rows.readout, rows.sigma
     is_excited = np.abs(predictor).max(axis=0) > 1e-9 * np.abs(predictor).max()
     _check_separable(readings, tool, predictor, sigma, is_excited, file)
-    estimate, fixed_sigma, warnings = _not_measured(prior, is_excited, file)
+    estimate, fixed_sigma, warnings = _prior_coefficients(prior, is_excited, file)
     fitted_part = readout - predictor @ estimate
     freedom = len(readout) - int(is_excited.sum())
     if freedom < 1:
@@ -346,7 +346,7 @@ def _check_separable(
         raise ForceError(f"these readings do not separate {open_names}", file=file, advice=advice)
 
 
-def _not_measured(prior: MaterialTable | None, is_excited: Bools, file: str) -> tuple[Array, Array, list[str]]:
+def _prior_coefficients(prior: MaterialTable | None, is_excited: Bools, file: str) -> tuple[Array, Array, list[str]]:
     """Return values (6,) and standard deviations (6,) from the process for coefficients without readings, and warnings.
 
     :raises ForceError: the process has no linear material.

@@ -156,12 +156,12 @@ def _with_wear(sigma: float) -> float:
     for _ in range(50):
         half = 0.5 * (low + high)
         lower, upper = (((1.0 + sign * half - growth) / growth).tolist() for sign in (-1.0, 1.0))
-        share = float(np.mean([_between(*bounds, sigma) for bounds in zip(lower, upper, strict=True)]))
+        share = float(np.mean([_interval_probability(*bounds, sigma) for bounds in zip(lower, upper, strict=True)]))
         low, high = (half, high) if share < 0.95 else (low, half)
     return high / _SIGMAS_OF_95
 
 
-def _between(lower: float, upper: float, sigma: float) -> float:
+def _interval_probability(lower: float, upper: float, sigma: float) -> float:
     """Return the probability that a normally distributed error of deviation `sigma` is between two bounds."""
     if sigma <= 0.0:
         return float(lower <= 0.0 <= upper)

@@ -111,7 +111,7 @@ def without_steps(
     start_deviation[follows] = _turn_deviation(np.swapaxes(starts, 1, 2), loose_ends[follows - 1])
     reach = np.minimum(1.0, rise[cut_motions] / np.maximum(path.length[cut_motions], 1e-9))
     rows = np.arange(len(cut_motions))
-    reach[_alike(start_wrench, _at(motion, t, wrench, cut_motions, reach), wrench, first)] = 1.0
+    reach[_begins_with_last_force(start_wrench, _at(motion, t, wrench, cut_motions, reach), wrench, first)] = 1.0
     # at 0 the force of the motion before, within a turn its own, then its stations, and its own at the end
     row = np.repeat(rows, last - first + 1)
     inner = (t > np.where(reach < 1.0, reach, 0.0)[row] + 1e-9) & (t < 1.0) & ~single[row]
@@ -143,7 +143,7 @@ def without_steps(
     return Knots.along(motions, places, values, np.where(in_base, BASE, FEED), deviation, factor)
 
 
-def _alike(start_wrench: Array, wrench_at_rise: Array, wrench: Array, first: Ints) -> Bools:
+def _begins_with_last_force(start_wrench: Array, wrench_at_rise: Array, wrench: Array, first: Ints) -> Bools:
     """Return which motions begin with a force (k, 6) that is about that at the end of the motion before."""
     is_alike = np.ones(len(wrench_at_rise), dtype=bool)
     for half, least_tolerance in zip((slice(0, 3), slice(3, 6)), _LEAST_TOLERANCE, strict=True):
@@ -230,12 +230,12 @@ def one_move_a_line(program: Program, path: Segments, axis: str, knots: Knots) -
         if not has_force.any():
             continue
         first = _profile(knots, low[0], high[0])
-        odd = [k for k in range(1, len(moves)) if not _same(first, _profile(knots, low[k], high[k]))]
+        odd = [k for k in range(1, len(moves)) if not _are_equal(first, _profile(knots, low[k], high[k]))]
         largest = int(np.argmax(has_force))
         if odd:
             text = texts[int(m.line[moves[0]]) - 1]
             if not _is_cycle(program, path, "XYZ".index(axis[1]), moves, text):
-                raise _differing(program, moves[[0, odd[0]]], len(moves), text)
+                raise _profile_conflict(program, moves[[0, odd[0]]], len(moves), text)
             largest = int(np.argmax([size[a:b].max(initial=-1.0) for a, b in zip(low, high, strict=True)]))
         for k in np.flatnonzero(has_force).tolist():
             keep[low[k] : high[k]] = k == largest
@@ -254,7 +254,7 @@ def _profile(knots: Knots, low: int, high: int) -> _Profile:
     return t, np.hstack([knots.wrench[rows], knots.sigma[rows]]), knots.frame[rows]
 
 
-def _same(first: _Profile, second: _Profile) -> bool:
+def _are_equal(first: _Profile, second: _Profile) -> bool:
     """Whether the forces along two moves, linear between their places, are equal."""
     (t, values, frame), (t_, values_, frame_) = first, second
     if np.abs(values).max() <= _SAME_FORCE and np.abs(values_).max() <= _SAME_FORCE:
@@ -280,7 +280,7 @@ def _is_cycle(program: Program, path: Segments, column: int, moves: Ints, text: 
     return bool(((m.kind[moves] == LIN) & (np.abs(cosine) > _PARALLEL)).all())
 
 
-def _differing(program: Program, two: Ints, count: int, text: str) -> ForceError:
+def _profile_conflict(program: Program, two: Ints, count: int, text: str) -> ForceError:
     """Return the error for motions of one line whose forces differ; `two`: rows of two of them."""
     line, file = int(program.motions.line[two[0]]), program.documents[0].name
     places = program.places(two)

@@ -222,24 +222,24 @@ class Guard(Struct, eq=False):
             reach, cell = part.radius + self.need + ceiling.cell, ceiling.stock.cell
             if ceiling.top(low - reach, high + reach) <= low[2] + part.height - self.need:
                 continue
-            if self._behind(part, cutter, cell) or sum(name == part.name for name, _ in self.close) >= _MOST_HITS:
+            if self._is_in_sweep(part, cutter, cell) or sum(name == part.name for name, _ in self.close) >= _MOST_HITS:
                 continue
-            if touches(ceiling.stock, *self._swept(part, begin, end, self.need)).any():
-                self._divided(part, ceiling.stock, segments, rows, cutter, removes=removes)
+            if touches(ceiling.stock, *self._swept_volume(part, begin, end, self.need)).any():
+                self._compare_pieces(part, ceiling.stock, segments, rows, cutter, removes=removes)
 
-    def _behind(self, part: Part, cutter: Cutter, cell: float) -> bool:
+    def _is_in_sweep(self, part: Part, cutter: Cutter, cell: float) -> bool:
         """Return whether a part, with its clearance, is inside the volume that the cutter sweeps at the same time."""
         reach = part.radius + self.need
         if reach > cutter.radius - 2.0 * cell:
             return False
         return part.height - self.need >= float(cutter.height(np.array([reach]))[0])
 
-    def _swept(self, part: Part, begin: Array, end: Array, need: float) -> tuple[Cutter, Array, Array]:
+    def _swept_volume(self, part: Part, begin: Array, end: Array, need: float) -> tuple[Cutter, Array, Array]:
         """Return all points within `need` [m] of a part as a body along z, and the path of its lower end."""
         up = np.array([0.0, 0.0, part.height - need])
         return Cutter(part.radius + need, need, 1), begin + up, end + up
 
-    def _divided(
+    def _compare_pieces(
         self, part: Part, stock: Stock, segments: StraightSegments, rows: slice, cutter: Cutter, *, removes: bool
     ) -> None:
         """Compare a part piece by piece, removing the material of each piece from a copy of the map.
@@ -257,7 +257,7 @@ class Guard(Struct, eq=False):
                 self._note(part, left, row_motion, (start[None], stop[None]))
                 continue
             for piece in _pieces(start, stop, step):
-                if touches(left, *self._swept(part, *piece, self.need))[0]:
+                if touches(left, *self._swept_volume(part, *piece, self.need))[0]:
                     for little in _pieces(piece[0][0], piece[1][0], stock.cell):
                         self._note(part, left, row_motion, little)
                         remove(left, cutter, *little)
@@ -269,7 +269,7 @@ class Guard(Struct, eq=False):
         key = part.name, motion
 
         def hit(need: float) -> bool:
-            return bool(touches(stock, *self._swept(part, *segment, need))[0])
+            return bool(touches(stock, *self._swept_volume(part, *segment, need))[0])
 
         low, high = 0.0, self.close.get(key, self.need)
         if not hit(high):

@@ -48,9 +48,9 @@ def by_operation(program: Program, process: Process) -> Knots:
     titles = {_plain(name): k for k, name in enumerate(names) if k not in {*tools.values(), *blocks.values()}}
     changes = [event for event in program.events if event.kind == "tool_change"]
     tool_marks = [(event.before, 0, tools.get(int(event.value), -1)) for event in changes]
-    name_marks = _named(program, program_operations, titles, blocks)
-    by_name = _since(name_marks, len(program.motions))
-    place = np.where(by_name >= 0, by_name, _since(tool_marks, len(program.motions)))
+    name_marks = _named_marks(program, program_operations, titles, blocks)
+    by_name = _last_entry(name_marks, len(program.motions))
+    place = np.where(by_name >= 0, by_name, _last_entry(tool_marks, len(program.motions)))
     used_entries = {entry_number for _, _, entry_number in [*tool_marks, *name_marks]}
     unused = [name for k, name in enumerate(names) if k not in used_entries]
     if unused:
@@ -62,7 +62,7 @@ def by_operation(program: Program, process: Process) -> Knots:
     share = np.array([entry.sigma_percent / 100.0 for entry in entries])
     rows = place[motion]
     sigma = np.abs(wrench[rows]) * share[rows, None]
-    issues = tuple(_passed(program, by_name, names))
+    issues = tuple(_passed_comments(program, by_name, names))
     return replace(Knots.throughout(motion, wrench[rows], frame[rows], sigma, share[rows]), issues=issues)
 
 
@@ -70,12 +70,12 @@ _Mark = tuple[int, int, int]
 """Row of the first motion, rank among marks of one row, entry that begins (−1: none)."""
 
 
-def _named(
+def _named_marks(
     program: Program, program_operations: tuple[Operation, ...], titles: dict[str, int], blocks: dict[str, int]
 ) -> list[_Mark]:
     """Return where entries that a comment or an N word names begin and end."""
     marks = [(operation.first, 1, titles.get(_plain(operation.name), -1)) for operation in program_operations]
-    cuts = _cuts_before(program)
+    cuts = _cut_counts(program)
     row, running = 0, -1  # the last comment that names an entry
     new_tool: float | None = None  # the tool changed to since then
     for event in _with_tools(program):
@@ -111,12 +111,12 @@ def _with_tools(program: Program) -> list[Event]:
     return sorted(events, key=lambda event: event.before)
 
 
-def _cuts_before(program: Program) -> Ints:
+def _cut_counts(program: Program) -> Ints:
     """Return the number of cutting motions before each motion, and of all (M + 1,)."""
     return np.concatenate([[0], np.cumsum(~program.motions.rapid)])
 
 
-def _passed(program: Program, place: Ints, names: list[str]) -> Iterator[Issue]:
+def _passed_comments(program: Program, place: Ints, names: list[str]) -> Iterator[Issue]:
     """Yield a note for each entry whose force goes on after comments that could be names of operations.
 
     Those are alone on their line and after a retract, but are remarks to `postproc.operations` ("pass 2"); or they are
@@ -125,7 +125,7 @@ def _passed(program: Program, place: Ints, names: list[str]) -> Iterator[Issue]:
     :param place: (M,) entry of each motion that a comment or a block names, −1: none.
     """
     cutting = np.flatnonzero(~program.motions.rapid)
-    cuts, comments_of = _cuts_before(program), dict[int, list[Event]]()
+    cuts, comments_of = _cut_counts(program), dict[int, list[Event]]()
     for comment in passed_over(program):
         next_cut = int(cuts[comment.before])
         if 0 < next_cut < len(cutting):
@@ -144,7 +144,7 @@ def _passed(program: Program, place: Ints, names: list[str]) -> Iterator[Issue]:
         yield Issue("info", "operation-goes-on", message, comments[0].line, count=len(comments), subject=names[entry])
 
 
-def _since(marks: list[_Mark], count: int) -> Ints:
+def _last_entry(marks: list[_Mark], count: int) -> Ints:
     """Return the entry (M,) of the last mark at or before each motion, −1 before the first mark.
 
     :param marks: those of one row and rank in the order in which they count, the last one wins.
@@ -247,10 +247,10 @@ class ProcessSource:
         """
         refuse_comments(program, self.name)
         if self._knots is None or self._of is not program:
-            self._knots, self._of = self._made(program, path), program
+            self._knots, self._of = self._forces(program, path), program
         return self._knots
 
-    def _made(self, program: Program, path: Segments) -> Knots:
+    def _forces(self, program: Program, path: Segments) -> Knots:
         """Return the forces of the cutting law, and of the entries of operations, which take precedence."""
         process = self.process
         law_knots = None
@@ -268,7 +268,7 @@ class ProcessSource:
             law_knots = replace(
                 self.found.along,
                 issues=self.found.issues,
-                by_law=ByLaw(process.law().numbers, self._scaled(self.found)),
+                by_law=ByLaw(process.law().numbers, self._scaled_motions(self.found)),
                 stock=self.found.over_time,
             )
         if not process.operations:
@@ -276,7 +276,7 @@ class ProcessSource:
         entry_knots = by_operation(program, process)
         if law_knots is None or self.found is None:
             return entry_knots
-        by_law = ByLaw(process.law().numbers, np.setdiff1d(self._scaled(self.found), entry_knots.motion))
+        by_law = ByLaw(process.law().numbers, np.setdiff1d(self._scaled_motions(self.found), entry_knots.motion))
         return replace(
             entry_knots.over(law_knots),
             issues=(*law_knots.issues, *entry_knots.issues),
@@ -284,7 +284,7 @@ class ProcessSource:
             stock=law_knots.stock,
         )
 
-    def _scaled(self, process_forces: ProcessForces) -> Ints:
+    def _scaled_motions(self, process_forces: ProcessForces) -> Ints:
         """Return the motions of which the errors of the cutting law are one common factor."""
         law = self.process.law()
         by_factor = law.covariance is None and law.sigma > 0.0

@@ -457,7 +457,7 @@ def depth_of(stock: Stock, cutter: Cutter, begin: Array, end: Array) -> float:
 def _footprints(stock: Stock, cutter: Cutter, begin: Array, end: Array) -> Iterator[Footprint]:
     """Yield the cells under segments, a few segments at a time, small ones first."""
     for rows, corner, window in windows(stock, cutter.radius + stock.cell, begin, end):
-        footprint = _under(stock, cutter, begin, end, rows, corner, window)
+        footprint = _footprint(stock, cutter, begin, end, rows, corner, window)
         if footprint is not None:
             yield footprint
 
@@ -484,7 +484,7 @@ def windows(stock: Stock, reach: float, begin: Array, end: Array) -> Iterator[tu
         yield rows, corner, window
 
 
-def _under(
+def _footprint(
     stock: Stock, cutter: Cutter, begin: Array, end: Array, rows: Ints, corner: Ints, window: Ints
 ) -> Footprint | None:
     """Return the cells under some segments (L), each within a window of the map that begins at `corner` (L, 2)."""
@@ -548,13 +548,15 @@ def tool_over(cutter: Cutter, begin: Array, end: Array, px: Floats, py: Floats) 
     elif cutter.corner >= cutter.radius * (1.0 - 1e-9):  # a ball: where its normal is square to the segment
         t = travel - slope_ / np.sqrt(1.0 + slope_ * slope_) * half
     else:
-        t = _lowest(cutter, travel, square, half, length, slope_)
+        t = _lowest_position(cutter, travel, square, half, length, slope_)
     t = np.minimum(np.maximum(t, 0.0), length)
     axis_distance = np.sqrt(square + (travel - t) ** 2)
     return distance, np.asarray(z + slope_ * t + cutter.height(axis_distance), dtype=np.float32)
 
 
-def _lowest(cutter: Cutter, travel: Floats, square: Floats, half: Floats, length: Floats, slope: Floats) -> Floats:
+def _lowest_position(
+    cutter: Cutter, travel: Floats, square: Floats, half: Floats, length: Floats, slope: Floats
+) -> Floats:
     """Return the position t on the segment where a bull-nose tool is lowest above each cell, by golden section."""
     a = np.minimum(np.maximum(travel - half, 0.0), length).astype(float)
     b = np.minimum(np.maximum(travel + half, 0.0), length).astype(float)

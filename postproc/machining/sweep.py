@@ -143,7 +143,7 @@ class Sweep(Struct, eq=False):
         :param progress: called with the number of segments done.
         """
         self.top = self.stock.top
-        may_touch = self._near(segments, self.top)
+        may_touch = self._can_touch(segments, self.top)
         left = Footprint.none()  # under the front of the tool where a group of segments ends
         for begin, end in self._groups(segments, may_touch):
             if progress is not None:
@@ -151,10 +151,10 @@ class Sweep(Struct, eq=False):
             leans, cuts = bool(segments.leans[begin]), bool(segments.cutting[begin])
             if leans and not cuts:
                 if may_touch[begin] and not self.is_deflected:
-                    self._leaning(segments, begin, end)
+                    self._record_turning_rapids(segments, begin, end)
                 continue
             if not leans:
-                self._guarded(segments, begin, end)
+                self._check_holder(segments, begin, end)
             if not may_touch[begin]:
                 if cuts:
                     yield self._in_air(segments, begin, end)
@@ -183,7 +183,7 @@ class Sweep(Struct, eq=False):
             if self.ceiling is not None:
                 self.ceiling.sink(*_extent(segments, begin, end, cutter), int(segments.motion[end - 1]))
 
-    def _guarded(self, segments: StraightSegments, begin: int, end: int) -> None:
+    def _check_holder(self, segments: StraightSegments, begin: int, end: int) -> None:
         """Compare the parts of the tool that do not cut with the stock, before segments remove material."""
         if self.guard is not None and self.ceiling is not None:
             cutter = self._cutter(int(self.tools.tool[segments.motion[begin]]))
@@ -206,7 +206,7 @@ class Sweep(Struct, eq=False):
                 self.collisions[motion] = max(depth, self.collisions.get(motion, 0.0))
             remove(self.stock, cutter, start[row], stop[row])
 
-    def _leaning(self, segments: StraightSegments, begin: int, end: int) -> None:
+    def _record_turning_rapids(self, segments: StraightSegments, begin: int, end: int) -> None:
         """Record rapid motions that turn the tool and move it through material, which is left where it is."""
         length = np.linalg.norm(segments.end[begin:end] - segments.begin[begin:end], axis=1)
         cutter = self._cutter(int(self.tools.tool[segments.motion[begin]]))
@@ -218,7 +218,7 @@ class Sweep(Struct, eq=False):
             if depth > 0.0:
                 self.collisions[motion] = max(depth, self.collisions.get(motion, 0.0))
 
-    def _near(self, segments: StraightSegments, top: float) -> Bools:
+    def _can_touch(self, segments: StraightSegments, top: float) -> Bools:
         """Return which segments (L,) can touch the stock at all; a tool that leans may do so beside its tip."""
         x0, x1, y0, y1 = self.stock.bounds
         reach = np.zeros(len(segments.motion))

@@ -262,7 +262,7 @@ def _sides(cutter: Cutter, axis: Array, x: Array, y: Array, shift: Array, turn: 
     if flat <= 1e-9 * cutter.radius:
         low, meets = _ball(cutter.radius, axis, (x, y), axial, low, high, meets)
     elif corner > 0.0:
-        low, meets = _rounded(cutter, axial, az, x * x + y * y, low, high, meets)
+        low, meets = _corner_side(cutter, axial, az, x * x + y * y, low, high, meets)
     height = axial + low * az
     px, py, pz = (component - height * a for component, a in ((x, ax), (y, ay), (low, az)))
     distance = np.sqrt(px * px + py * py + pz * pz)
@@ -298,7 +298,7 @@ def _ball(
     return np.where(meets, lower_side, 0.0), meets
 
 
-def _rounded(
+def _corner_side(
     cutter: Cutter, axial: Array, az: Array, square: Array, low: Array, high: Array, meets: Bools
 ) -> tuple[Array, Bools]:
     """Return the lower side of a tool with a rounded corner, and where there is one: it is inside of a flat tool.

@@ -226,12 +226,12 @@ class Programs:
 
     def _judge(self, place: Array, turn: float, branch: int, stations: Sequence[_Stations]) -> Judged:
         """Return the judgement of a place (5,): the first reason to refuse it, or its largest expected error."""
-        base_motion, e1_shift = self._moved(place)
+        base_motion, e1_shift = self._motion_to(place)
         coordinates = tuple(map(float, place))
         joint_paths: list[tuple[_Stations, Array]] = []
         margin = np.inf
         for group in stations:
-            q, reason, group_margin = self._driven(group, base_motion, e1_shift, turn, branch)
+            q, reason, group_margin = self._joint_path(group, base_motion, e1_shift, turn, branch)
             margin = min(margin, group_margin)
             if reason != FREE:
                 return Judged(coordinates, reason, margin=group_margin, turn=turn, branch=branch)
@@ -250,14 +250,14 @@ class Programs:
             singular = min(singular, value)
         return Judged(coordinates, FREE, deflection, u95, margin, singular, turn, branch)
 
-    def _moved(self, place: Array) -> tuple[Array, Array]:
+    def _motion_to(self, place: Array) -> tuple[Array, Array]:
         """Return the motion (4, 4) of the part from its place in the cell, and how far E1 carries the robot (3,)."""
         base = self.robot_in_cell.cell.base
         pose = pose_from_xyzabc([*place[:4], base.B, base.C])
         direction = self.robot_in_cell.cell.carriage
         return pose @ self.today, np.zeros(3) if direction is None else direction * (place[4] / MM_PER_M)
 
-    def _driven(
+    def _joint_path(
         self, group: _Stations, base_motion: Array, e1_shift: Array, turn: float, branch: int
     ) -> tuple[Array, int, float]:
         """Return joint angles (n, 6), the worst reason to refuse, and the smallest joint margin [rad]."""
@@ -417,7 +417,7 @@ def search(
     """
     cell = programs.robot_in_cell.cell
     today = programs.judge(np.array([cell.base.X, cell.base.Y, cell.base.Z, cell.base.A, 0.0]), all_samples=True)
-    today = _assessed(today, assess)
+    today = _assess(today, assess)
     lines = [
         np.linspace(region.low[k], region.high[k], _COARSE[axis]) if k in region.free else np.array([region.low[k]])
         for k, axis in enumerate(AXES)
@@ -447,14 +447,14 @@ def search(
     steps = np.array([0.5 * float(np.diff(line[:2]).sum()) for line in lines])
     for start in starts:
         _descend(judged, region, start, steps)
-    best = _confirmed(programs, region, judgements, assess)
+    best = _best_by_conversion(programs, region, judgements, assess)
     limit = np.inf if best is None else (1.0 + drive.REAL) * best.stated_cost
-    if _inside(region, today) and today.reachable and today.stated_cost <= limit:
+    if _contains(region, today) and today.reachable and today.stated_cost <= limit:
         best = today
     return Search(today, best, tuple(judgements), (tuple(x.tolist()), tuple(y.tolist())), tuple(slice_centre.tolist()))
 
 
-def _assessed(place: Judged, assess: Assess | None) -> Judged:
+def _assess(place: Judged, assess: Assess | None) -> Judged:
     """Return a place with the assessment of a conversion there, if the programs can be driven."""
     return place if assess is None or not place.reachable else replace(place, assessment=assess(place))
 
@@ -480,7 +480,7 @@ def _descend(judge: Callable[[Array], Judged], region: Region, start: Judged, st
         steps = 0.5 * steps
 
 
-def _inside(region: Region, place: Judged) -> bool:
+def _contains(region: Region, place: Judged) -> bool:
     """Return whether a place is in a region."""
     return bool(np.allclose(region.clipped(np.array(place.place)), place.place, rtol=0.0, atol=1e-9))
 
@@ -491,7 +491,7 @@ _MAX_ASSESSMENTS = 6
 """Places at which the programs are converted until all can be."""
 
 
-def _confirmed(
+def _best_by_conversion(
     programs: Programs, region: Region, judgements: Sequence[Judged], assess: Assess | None
 ) -> Judged | None:
     """Return the best place by every sample of the programs, at which they are converted; None if there is none.
@@ -505,7 +505,7 @@ def _confirmed(
     for place in order[:_MAX_CHECKS]:
         by_all_samples = programs.judge(region.settable(np.array(place.place)), all_samples=True)
         if by_all_samples.reachable:
-            assessment = _assessed(by_all_samples, assess)
+            assessment = _assess(by_all_samples, assess)
             assessments += 1
             if assessment.reachable:
                 return assessment

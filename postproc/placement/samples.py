@@ -81,7 +81,7 @@ class PathSamples(Struct, frozen=True, eq=False):
     def flange(self, rows: Ints, turn: Array) -> Array:
         """Return the flange (n, 4, 4) in the root at samples (n,) with the tool turned by angles (n,) [rad]."""
         motion, t = self.sample.motion[rows], self.sample.t[rows]
-        return toolpath.flange_from_tcp(self.program, motion, self._turned(rows, turn), t)
+        return toolpath.flange_from_tcp(self.program, motion, self._turned_poses(rows, turn), t)
 
     def load(self, rows: Ints, turn: Array) -> Load:
         """Return the load at samples (n,) with the tool turned by angles (n,) [rad], root axes.
@@ -89,7 +89,7 @@ class PathSamples(Struct, frozen=True, eq=False):
         :returns: wrench (n, 6) [N, N·m]; `force_spread` of `elastostatics.position_bound`; the tool frame (n, 4, 4) in
             the root [m]; `is_scaled` (n,) of `position_bound`.
         """
-        pose = self._turned(rows, turn)
+        pose = self._turned_poses(rows, turn)
         motion, t = self.sample.motion[rows], self.sample.t[rows]
         samples = Toolpath(motion, t, Poses.of(pose), self.sample.distance[rows])
         wrench = toolpath.wrench_in_root(self.program, motion, self.along.at(samples))
@@ -97,7 +97,7 @@ class PathSamples(Struct, frozen=True, eq=False):
         is_scaled = self.robot_in_cell.scaled(self.along, motion)
         return wrench, spread, toolpath.pose_in_root(self.program, motion, pose, t), is_scaled
 
-    def _turned(self, rows: Ints, turn: Array) -> Array:
+    def _turned_poses(self, rows: Ints, turn: Array) -> Array:
         """Return the tool poses (n, 4, 4) of samples (n,), turned about the tool axis by `turn` (n,) [rad]."""
         pose = self.sample.pose[rows]
         if turn.any():

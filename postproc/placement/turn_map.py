@@ -218,7 +218,7 @@ def evaluate(
     middles = np.empty(turn_map.q.shape)
     for chunk in _chunks(samples, blocks):
         for j in range(len(offset)):
-            q, step = _solved(samples, chunk, base, offset[j : j + 1], branch)
+            q, step = _solve(samples, chunk, base, offset[j : j + 1], branch)
             _fill(turn_map, j, samples, chunk, q, step)
             q = q[:, chunk.lead :]
             middles[chunk.bins, j] = q[:, middle[chunk.bins] - chunk.begin].T
@@ -319,7 +319,7 @@ def _chunks(samples: PathSamples, blocks: Blocks) -> Iterator[_Chunk]:
         from_bin = to_bin
 
 
-def _solved(samples: PathSamples, chunk: _Chunk, base: Array, offset: Array, branch: int) -> tuple[Array, Array]:
+def _solve(samples: PathSamples, chunk: _Chunk, base: Array, offset: Array, branch: int) -> tuple[Array, Array]:
     """Return joint angles (6, lead + n) of a chunk at a turn, and their steps (6, n) from sample to sample [rad].
 
     :param base: (N,) turn of each sample [rad]; `offset` (1,) added to it.
@@ -472,7 +472,7 @@ def line_through(
         if not np.isfinite(state).any():
             return Blocked(b)
         last_q = turn_map.q[part.stop - 1]
-    return _traced(turn_map, state, sources, base)
+    return _trace_line(turn_map, state, sources, base)
 
 
 class _Costs(NamedTuple):
@@ -722,7 +722,7 @@ _STEP_MARK = 1_000_000
 """Added to changes of the turn, to distinguish them from turns of the block before."""
 
 
-def _traced(turn_map: TurnMap, state: Array, sources: list[tuple[Ints, Ints, Ints]], base: Array) -> Line:
+def _trace_line(turn_map: TurnMap, state: Array, sources: list[tuple[Ints, Ints, Ints]], base: Array) -> Line:
     """Return the line that ends in the cheapest state."""
     turn_count = len(turn_map.offset)
     at = np.unravel_index(int(np.argmin(state)), state.shape)

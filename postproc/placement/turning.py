@@ -307,7 +307,7 @@ def _why(samples: PathSamples, whole: TurnMap, block: Blocked, mode: Mode, branc
     motion = np.array([int(samples.sample.motion[blocks.first[rows[row]]])])
     if bodies is not None and counts[drive.COLLISION]:
         columns = np.flatnonzero(reasons[row] == drive.COLLISION)
-        parts[-1] += f": {_closest(samples, whole, int(rows[row]), columns, branch, bodies)}"
+        parts[-1] += f": {_closest_bodies(samples, whole, int(rows[row]), columns, branch, bodies)}"
     if is_closed.any():
         problem = (
             f"no turn of the tool about its axis can be driven here ({', '.join(parts)}). Move the part or [start]."
@@ -327,7 +327,7 @@ def _why(samples: PathSamples, whole: TurnMap, block: Blocked, mode: Mode, branc
     return samples.program.motions.issue("error", "redundancy", problem, motion)
 
 
-def _closest(samples: PathSamples, whole: TurnMap, row: int, columns: Ints, branch: int, bodies: Bodies) -> str:
+def _closest_bodies(samples: PathSamples, whole: TurnMap, row: int, columns: Ints, branch: int, bodies: Bodies) -> str:
     """Return in words which bodies are too close in a bin of the map, at that of some turns where they are farthest."""
     first = whole.blocks.first
     last = int(first[row + 1]) if row + 1 < len(first) else len(samples)
@@ -402,7 +402,7 @@ def chosen_start(program: Program, robot_in_cell: RobotInCell) -> ChosenStart:
     ]
     turn_is_free = robot_in_cell.cell.gcode.redundancy != "constant" and not program.keeps_text
     turns = drive.TURNS if turn_is_free else np.zeros(1)
-    found_q = [[_solved(samples, rows, turn, branch) for turn in turns] for branch in range(_BRANCHES)]
+    found_q = [[_solve(samples, rows, turn, branch) for turn in turns] for branch in range(_BRANCHES)]
     margin = np.array([[_margin(robot_in_cell, q) for q in branch_paths] for branch_paths in found_q])
     at_best_turn = margin.max(axis=1)
     worst, reach_count = at_best_turn.min(axis=1), np.isfinite(at_best_turn).sum(axis=1)
@@ -461,7 +461,7 @@ def _start(q: Array, reason: str) -> ChosenStart:
     return ChosenStart((joints[0], joints[1], joints[2], joints[3], joints[4], joints[5]), message)
 
 
-def _solved(samples: PathSamples, rows: Ints, turn: float, branch: int) -> Array:
+def _solve(samples: PathSamples, rows: Ints, turn: float, branch: int) -> Array:
     flange = samples.flange(rows, np.full(len(rows), turn))
     return drive.solve(samples.robot_in_cell.robot, components(flange), branch)
 
