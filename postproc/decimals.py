@@ -160,9 +160,11 @@ def parsed(text: Bytes, starts: Ints, stops: Ints) -> Array | None:
 
 
 _ZEROS, _HIGH = np.uint64(0x3030303030303030), np.uint64(0xF0F0F0F0F0F0F0F0)
+"""Eight ASCII digits "0", which are 0x30, and the upper four bits of each byte: those of a digit are 3."""
 _LAST = np.array([(2**64 - 1) >> 8 * k << 8 * k for k in range(8, -1, -1)], dtype=np.uint64)
 """Masks of the last 0 … 8 of eight bytes."""
 _POWER = np.array([10**k for k in range(9)], dtype=np.uint64)
+"""Powers of ten, for up to eight digits at once."""
 
 
 def _number(words: NDArray[np.uint64]) -> NDArray[np.uint64]:

@@ -38,7 +38,7 @@ _END_MILLING = re.compile(r"end ?mill(?:ing)? +\D+$", re.IGNORECASE)
 """Milling with an end mill: a name after a retract, though comments that begin with "end" are none."""
 _LINE_OF_COMMENT = re.compile(r"\s*/?\s*(?:N\s*\d+)?\s*[(;]", re.IGNORECASE)
 _LONGEST_NAME = 60
-"""More operations than this are remarks on single moves."""
+"""More operations than this are remarks on single moves (assumed)."""
 _PIECE = 2**20
 """Characters that are divided into lines at once: a text of 100 MB then needs no second copy of itself."""
 

@@ -16,7 +16,7 @@ MARK = "\x1eprogress"
 _UNKNOWN = "-"
 """Share of a step that cannot be counted."""
 _STEP = 0.01
-"""Smallest change of the share that is worth a line."""
+"""Smallest change of the share that is worth a line (assumed)."""
 
 
 @contextlib.contextmanager

@@ -24,6 +24,7 @@ from msgspec.structs import replace
 from postproc.program import Document
 
 FORMAT = 1
+"""Version of the line; lines of others are not understood."""
 State = Literal["intact", "changed", "none"]
 _END = re.compile(r"\r{0,2}\n|\r")
 _CONTENT = re.compile(r"\s*(\d+)((?:\s+\w+=\S+)*)\s*")

@@ -21,9 +21,9 @@ _LONG, _MAX_ROTATION = 0.005, 0.02
 """Pieces of a path that are longer [m] or turn the tool by more [rad] are looked at between their ends: on shorter ones
 the deflection is linear."""
 _SPACING = 0.010
-"""Distance of places looked at on them [m]."""
+"""Distance of places looked at on them [m] (assumed)."""
 _ON_RAMPS = 4
-"""Number of places looked at where the correction changes much over a piece, or unevenly along an arc."""
+"""Number of places looked at where the correction changes much over a piece, or unevenly along an arc (assumed)."""
 
 
 class DrivenProgram(Struct, frozen=True, eq=False, dict=True):

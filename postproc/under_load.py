@@ -28,6 +28,7 @@ from postproc.robot import RobotModel
 from postproc.toolpath import DisplacementEstimate, Pieces, Segments, Toolpath
 
 _GRID = np.radians(np.arange(-180.0, 180.0, 30.0))
+"""Angles of A2, A3 and A5 [rad] that the reach is sought over; `_MARGIN` covers what is between."""
 _MARGIN = 1.15
 """Factor on the reach found on a grid of joint angles: between points it is larger by up to 1 / cos(15°) per joint."""
 _MOST_TURNS = 1000
@@ -35,7 +36,7 @@ _MOST_TURNS = 1000
 _MOST_REACHES = 10_000
 """A path longer than this many times the reach is refused: it would take two days at 10 m/min."""
 _WIDE = 0.1
-"""Arcs shorter than this share of the reach are checked only at their ends."""
+"""Arcs shorter than this share of the reach are checked only at their ends (assumed)."""
 
 
 class ImpossiblePathError(PostprocError):

@@ -17,11 +17,11 @@ from postproc.frames import Array, norm
 from postproc.program import Bools, Ints, distinct
 
 _FIRST = 64
-"""Samples of one interval at first."""
+"""Samples of one interval at first (assumed)."""
 _EXACT = 0.25e-3
-"""The smallest distance is found to this [m]."""
+"""The smallest distance is found to this [m] (assumed)."""
 _SHORT = 0.05e-3
-"""Motions between poses that are shorter [m] are not halved."""
+"""Motions between poses that are shorter [m] are not halved (assumed)."""
 
 
 class Closest(Struct, frozen=True):

@@ -17,9 +17,9 @@ from postproc.program import Ints
 from postproc.robot.chain import Chain
 
 _TOUCH = 1e-6
-"""Bodies that are certainly farther apart [m] do not touch."""
+"""Bodies that are certainly farther apart [m] do not touch (assumed)."""
 _CONVEX = 1e-3
-"""A mesh is convex if its volume is at least that of its hull, less this share."""
+"""A mesh is convex if its volume is at least that of its hull, less this share (assumed)."""
 
 
 class Clearance(Struct, frozen=True, eq=False):

@@ -31,11 +31,11 @@ from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, angle_between, norm
 from postproc.program import CIRC, PTP, Ints, Program, distinct
 
 _EXCESS_MARGIN = 5e-6
-"""A deviation between targets is reported if it exceeds those at the targets by the tolerance and this [m]."""
+"""A deviation between targets is reported if it exceeds those at the targets by the tolerance and this [m]; assumed."""
 _NO_TRAVEL = 1e-9
-"""A move [m, rad] that is none."""
+"""A move [m, rad] that is none (assumed)."""
 _BACKWARD_STEP = 1e-3
-"""A correction moves a target back along the path by less than this [m]."""
+"""A correction moves a target back along the path by less than this [m] (assumed)."""
 LEVER = 0.1
 """Length of tool [m] over which the tolerance must hold when the tool is turned."""
 
@@ -384,9 +384,9 @@ def _off_path(
 
 
 _MAX_WAYS = 1000
-"""Ways whose distance from the nominal path is computed."""
+"""Ways whose distance from the nominal path is computed (assumed)."""
 _PLACES = 65
-"""Places of the second path looked at on each of them."""
+"""Places of the second path looked at on each of them (assumed)."""
 
 
 def _checked(comparison: Comparison) -> Ints:

@@ -23,11 +23,11 @@ _ROUNDS, _DIFFERENCE_STEP, _NO_LENGTH = 4, 1e-6, 0.05
 """Gauss-Newton steps to the nearest place of the path; the step of its finite differences [m]; a rate of change per
 length below which the place does not matter."""
 _EXACT = 1e-8
-"""A distance at targets that is not improved further [m]."""
+"""A distance at targets that is not improved further [m] (assumed)."""
 _CLOSE = 0.2
-"""A distance at targets, as a share of the tolerance, that is not sought elsewhere."""
+"""A distance at targets, as a share of the tolerance, that is not sought elsewhere (assumed)."""
 _START_VALUES, _RAMPS, _SAMPLES, _REFINEMENTS = 65, 3.0, 9, 3
-"""Places tried on the whole way, and on this many times the ramp of a force; then refined so often."""
+"""Places tried on the whole way, and on this many times the ramp of a force; then refined so often (assumed)."""
 _FIRST = np.geomspace(1e-5, 1e-2, 13)
 """And these shares of the way: where a move begins with a step, the force may change over some micrometres."""
 _PROBE = np.array([100.0, 100.0, 100.0, 10.0, 10.0, 10.0])
@@ -35,7 +35,7 @@ _PROBE = np.array([100.0, 100.0, 100.0, 10.0, 10.0, 10.0])
 _MIN_PARTS = 2
 """Places at which pieces of the second program are checked at least: it may leave its path between targets."""
 _STEEP = 2e-4
-"""A piece is steep if what its ends are displaced by differs by more than this [m]."""
+"""A piece is steep if what its ends are displaced by differs by more than this [m] (assumed)."""
 _SHORTEST = 2.0 * BEHIND_STEP
 """Nominal way [m] below which a piece is not checked between its ends."""
 

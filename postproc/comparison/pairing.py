@@ -24,7 +24,7 @@ from postproc.frames import Array, norm
 from postproc.program import Bools, Ints
 
 _SHARE, _LEAST_STEP, _MAX_ROWS = 0.25, 1e-4, 1e-3
-"""A step changes noticeably by this share of it, but by so much [m] at least and at most."""
+"""A step changes noticeably by this share of it, but by so much [m] at least and at most (assumed)."""
 _STEP_TOLERANCE = 0.1
 """Of that, what steps differ by that are taken for the same at once."""
 _CAP, _WAY = 1.2, 0.5
@@ -35,17 +35,17 @@ _OTHER_WAY, _EXCESS_LENGTH = 0.6, 8e-3
 _MISSING_COST, _PASSED_COST = 3.2, 2.0
 """Cost of a target without a partner, and of one whose motion is continued by the next (assumed)."""
 _OTHER_KIND = 2.0
-"""A PTP is no LIN or CIRC."""
+"""Cost of a PTP as the partner of a LIN or CIRC (assumed)."""
 _WINDOW = 14
-"""Partners looked at on either side of the place at the same length of path."""
+"""Partners looked at on either side of the place at the same length of path (assumed)."""
 _MAX_STATES = 48
-"""Assignments followed at the same time."""
+"""Assignments followed at the same time (assumed)."""
 _PASSES = 3
 """Each pass moves a partner by one place at most: assignments are off by no more than three (assumed)."""
 _EQUAL = 5e-6
-"""Targets that are this near [m], after steps that differ by no more, are the same ones."""
+"""Targets that are this near [m], after steps that differ by no more, are the same ones (assumed)."""
 _RUN, _RUN_CHUNK = 3, 4096
-"""Equal targets in a row that leave no other assignment likely, and the number of targets compared at once."""
+"""Equal targets in a row that leave no other assignment likely, and the number of targets compared at once; assumed."""
 _NO_PARTNER = -1
 """Row that no target has."""
 

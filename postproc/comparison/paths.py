@@ -26,10 +26,10 @@ from postproc.toolpath import Segments
 from postproc.under_load import RobotInCell
 
 SAME_FRAME = 1e-6
-"""Frames that differ by less [m, rad] are the same."""
+"""Frames that differ by less [m, rad] are the same (assumed)."""
 _PLACES, _REFINEMENTS, _FINE_SAMPLES = 33, 6, 9
 """The nearest place of a path is sought among this many, then so often between the neighbours of the best, among as
-many as the last number says."""
+many as the last number says (assumed)."""
 _SAMPLES, _ROUNDS = 9, 4
 """Search for the largest distance of two arcs: places per round, and rounds between the neighbours of the best."""
 _NO_DISTANCE = 1e-12

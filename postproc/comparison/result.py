@@ -15,7 +15,7 @@ from postproc.program import SPL, Bools, Ints, Program
 TIMES_OFFSET = 3.0
 """A target is on the path within this many times the offsets of the pairs next to it,"""
 OFF_PATH = 1e-4
-"""and at least within this [m]."""
+"""and at least within this [m] (assumed)."""
 
 
 class Cuts(Struct, frozen=True, eq=False):

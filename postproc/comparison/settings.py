@@ -16,13 +16,14 @@ from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm, twist_between
 from postproc.program import CIRC, FORCE_FRAMES, LIN, PTP, SPL, Ints, Program
 
 SAME_LENGTH = 1e-5
-"""Positions of the axis that carries the robot, and approximation distances, that differ by less [m] are the same."""
+"""Positions of the axis that carries the robot, and approximation distances, that differ by less [m] are the same
+(assumed)."""
 _SAME_POSTURE = np.radians(20.0)
-"""Larger than any turn of a joint by a correction."""
+"""Larger than any turn of a joint by a correction (assumed)."""
 _SAME_ANGLE = np.radians(0.001)
-"""Axis targets that differ by less are the same."""
+"""Axis targets that differ by less are the same (assumed)."""
 _NO_SIGN = np.radians(0.01)
-"""A joint angle nearer to zero has no sign that T could state."""
+"""A joint angle nearer to zero has no sign that T could state (assumed)."""
 _SAME_FORCE, _SAME_SHARE = 0.05, (1e-3, 0.05)
 """Forces that differ by less [N, N·m] are the same, or by a smaller share of themselves: texts round them. The second
 share is for TOOL and FEED axes, which the correction turns slightly."""

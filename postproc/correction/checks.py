@@ -19,17 +19,17 @@ from postproc.toolpath import Toolpath
 _SAME_POSE = 8e-7
 """Branches corrected more alike than this [m, rad] where they meet are read as meeting there, digits and all."""
 _WRIST = 0.2 * RAD_PER_DEG
-"""|A5| below this is in the wrist singularity."""
+"""|A5| below this is in the wrist singularity (assumed)."""
 _ELBOW = 0.2 * RAD_PER_DEG
-"""A3 nearer than this to the stretched arm is in the elbow singularity."""
+"""A3 nearer than this to the stretched arm is in the elbow singularity (assumed)."""
 SHOULDER = 0.005
-"""A wrist centre nearer than this to the A1 axis [m] is in the shoulder singularity."""
+"""A wrist centre nearer than this to the A1 axis [m] is in the shoulder singularity (assumed)."""
 _TURNS = 1e-9
-"""A motion that turns the tool by less than this [rad] does not turn it."""
+"""A motion that turns the tool by less than this [rad] does not turn it (assumed)."""
 _JUMP = 45.0 * RAD_PER_DEG
-"""A joint that turns more than this between neighbouring samples passes (nearly) through a singularity."""
+"""A joint that turns more than this between neighbouring samples passes (nearly) through a singularity (assumed)."""
 _CORRECTED_TWIST = 1e-9
-"""Targets that are commanded nearer than this to where they were [m, rad] are as they were."""
+"""Targets that are commanded nearer than this to where they were [m, rad] are as they were (assumed)."""
 _OPEN_WAY = 0.2 * RAD_PER_DEG
 """Turns by 180° less this may become turns the other way by the correction, which turns the tool by less than that."""
 _HALF_TURN = 150.0 * RAD_PER_DEG
@@ -37,16 +37,17 @@ _HALF_TURN = 150.0 * RAD_PER_DEG
 _LIMIT_ROUNDING = 1e-9
 """Angles beyond a limit by less [rad] are at it: rounding of the inverse kinematics."""
 _START_DEPTH = 1e-3
-"""Starts that are lower than they should be by less [m] are not reported."""
+"""Starts that are lower than they should be by less [m] are not reported (assumed)."""
 _ORIENTATION_SPEED = 200.0 * RAD_PER_DEG
 """$VEL.ORI1 and $VEL.ORI2 of a KUKA controller by default [rad/s]."""
 _TORQUE_FACTOR = 1.1
-"""Torque of a load, over the largest that was measured, beyond which the model is extrapolated."""
+"""Torque of a load, over the largest that was measured, beyond which the model is extrapolated (assumed)."""
 _MM_PER_MIN = 60e3
+"""mm/min of one m/s."""
 JOINT_SPEED = "joint-speed-"
 """Kinds of issues about joint speeds begin so."""
 _NO_SIGN = 0.01 * RAD_PER_DEG
-"""A joint angle nearer to zero than this has no sign that T could name."""
+"""A joint angle nearer to zero than this has no sign that T could name (assumed)."""
 
 
 def _first(

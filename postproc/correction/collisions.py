@@ -25,12 +25,12 @@ from postproc.program import PTP, Bools, Ints, Motions
 from postproc.under_load import PathUnderLoad
 
 _AXIS_SHARE = 1e-4
-"""Steps whose cosine of the angle to the tool axis is less than 1 by this at most are along it."""
+"""Steps whose cosine of the angle to the tool axis is less than 1 by this at most are along it (assumed)."""
 _NO_REDUCTION = 1e-6
-"""Corrections that move bodies by less [m] are not worth a word."""
+"""Corrections that move bodies by less [m] are not worth a word (assumed)."""
 STOCK = "stock"
 _MOST_STOCKS = 200
-"""Stocks of one group of bodies that are compared; pairs not decided by then count as too close."""
+"""Stocks of one group of bodies that are compared; pairs not decided by then count as too close (assumed)."""
 
 
 class SmallestClearance(Struct, frozen=True, eq=False):

@@ -28,9 +28,9 @@ from postproc.toolpath import Toolpath
 from postproc.under_load import ImpossiblePathError, MotionsUnderLoad, PathUnderLoad, unreachable
 
 _SPEED_SHARE = 0.98
-"""Share of a joint's largest speed that slowed moves use."""
+"""Share of a joint's largest speed that slowed moves use (assumed)."""
 _NEXT_SHARE = 0.95
-"""Factor on that share where a joint of the written program is still too fast."""
+"""Factor on that share where a joint of the written program is still too fast (assumed)."""
 
 
 class Slowing(Struct, frozen=True):
@@ -156,7 +156,7 @@ _SPACING = 5.0 * RAD_PER_DEG
 _SHARE_OF_SPEED = 0.75
 """Share of a joint's largest speed at samples: between two that are 60° apart a sine is up to 1 / cos 30° steeper."""
 _LARGE_STEP = 10.0 * RAD_PER_DEG
-"""Rotation from one sample to the next; a joint turns by more only near a wrist or shoulder singularity."""
+"""Rotation from one sample to the next; a joint turns by more only near a wrist or shoulder singularity (assumed)."""
 _NEAR_WRIST = 1.0 * RAD_PER_DEG
 """Change of A5 between two samples that is counted at least: an arc may pass the wrist singularity between them."""
 _NEAR_ELBOW = 20.0 * RAD_PER_DEG
@@ -166,16 +166,16 @@ _CHUNK = 8192
 _STEPS = 2.0
 """A smooth quantity exceeds its values at the samples by less than one step between them; two for safety."""
 _LONG, _TURNS = 0.002, 0.5 * RAD_PER_DEG
-"""Spacing of the places on a line; pieces that are shorter and turn the tool less are not examined."""
+"""Spacing of the places on a line; pieces that are shorter and turn the tool less are not examined (assumed)."""
 _NEAREST = 0.15
 """From the wrist, and the wrist from the axes of A1 to A3 [m], about: a joint turns by no more than the way through it,
 unless the arm is nearly singular."""
 _PER_TURN = 6.0
-"""Largest ratio of joint rotation to tool rotation, unless the wrist is nearly singular."""
+"""Largest ratio of joint rotation to tool rotation, unless the wrist is nearly singular (assumed)."""
 _ELBOW_PER_M, _ELBOW_PER_TURN = 5.0, 3.0
-"""Largest change of A3 towards the stretched arm within a piece of a line, per length [rad/m] and per turn."""
+"""Largest change of A3 towards the stretched arm within a piece of a line, per length [rad/m] and per turn; assumed."""
 _REACH_PER_TURN = 0.5
-"""How far the wrist may move by turning the tool [m/rad]."""
+"""How far the wrist may move by turning the tool [m/rad] (assumed)."""
 
 
 class Stretches(Struct, frozen=True, eq=False):
@@ -384,7 +384,7 @@ def of_tools(program: Program, cell: Cell) -> list[Issue]:
 
 
 _SAME_LENGTH = 1e-4
-"""Tips of tools that are less [m] apart count as one."""
+"""Tips of tools that are less [m] apart count as one (assumed)."""
 
 
 def of_holder(program: Program, cell: Cell) -> list[Issue]:
@@ -407,7 +407,7 @@ def of_holder(program: Program, cell: Cell) -> list[Issue]:
 
 
 _SAME_FRAME = 1e-6
-"""Entries of frames that differ by less [m, 1] are equal."""
+"""Entries of frames that differ by less [m, 1] are equal (assumed)."""
 
 
 def of_frames(program: Program, cell: Cell) -> list[Issue]:

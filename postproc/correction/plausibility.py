@@ -37,7 +37,7 @@ _SET_SIGNAL = re.compile(
 )
 """KRL ``$OUT[1]=TRUE``, RAPID ``SetDO doSpindle,1;``."""
 _SAME_LENGTH = 1e-6
-"""Tools whose lengths differ by less [m] are equally long."""
+"""Tools whose lengths differ by less [m] are equally long (assumed)."""
 _BESIDE = 0.05
 """Width around the cuts [m] in which stock and clamps are."""
 

@@ -108,6 +108,7 @@ def _in_equilibrium(
 
 
 _MB = 1e6
+"""Bytes of a megabyte, as controllers state their memory."""
 _NO_BOUND = "the forces have standard deviations, but the robot model has no covariance: u95_mm is not computed."
 
 _NOT_FINITE = (
@@ -116,7 +117,7 @@ _NOT_FINITE = (
 )
 
 _NO_DEVIATION = 1e-6
-"""Uncorrected deviations below this everywhere leave nothing to judge on a part [m]."""
+"""Uncorrected deviations below this everywhere leave nothing to judge on a part [m] (assumed)."""
 _BY_PASS = (
     "passes of this line have different forces: no force file can hold them, and none is written. `predict` of the "
     "written program needs the process, or forces as comments."
@@ -432,9 +433,9 @@ def _readback_forces(draft: Draft, readback: ReadBack) -> tuple[Knots | None, tu
 
 
 _ROUNDS = 8
-"""Largest number of rounds that insert targets where the simulated program exceeds the tolerance."""
+"""Largest number of rounds that insert targets where the simulated program exceeds the tolerance (assumed)."""
 _SLOWINGS = 5
-"""Times that moves are slowed further, each by 5 %, until no joint of the written program turns too fast."""
+"""Times that moves are slowed further, each by 5 %, until no joint of the written program turns too fast (assumed)."""
 _MOST_PARTS = 4
 """Largest number of parts into which a piece of an arc is divided in one round."""
 

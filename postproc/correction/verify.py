@@ -160,7 +160,7 @@ def _mismatch(program: Program, targets: Targets, output_program: Program, row: 
 _SPEED_SHARE = 0.75
 """Share of a joint's largest speed from which on the written path is examined closely."""
 _NO_TRAVEL = 1e-6
-"""Pieces shorter than this [m] have no speed."""
+"""Pieces shorter than this [m] have no speed (assumed)."""
 _TARGET_TOLERANCE = 1e-6
 """Largest distance of the tip from nominal at a target of a corrected program [m], including rounding."""
 _SAFE = 0.8
@@ -173,7 +173,7 @@ at there as often as on such runs; else at its middle and end."""
 _JUMP_LENGTH = 1e-6
 """Length of a piece [m] on which a force that changes jumps: it is divided no more."""
 _SAME_SAMPLE = 1e-10
-"""Places of a motion (t) that are no farther apart are the same."""
+"""Places of a motion (t) that are no farther apart are the same (assumed)."""
 
 _STEP = (
     "the force changes abruptly from the end of the move before to the start of this one: the tool leaves its path by "

@@ -11,7 +11,7 @@ from postproc.frames import Array, norm
 from postproc.program import Bools
 
 _FLAT = 1e-9
-"""Three points whose triangle is lower than this, in its longest side, lie on a line."""
+"""Three points whose triangle is lower than this, in its longest side, lie on a line (assumed)."""
 TOLERANCE_MM = 0.02 * np.sqrt(2.0)
 """Difference of radii that is accepted [mm], as for G-code by LinuxCNC; beyond it 0.1 % of the radius."""
 _RELATIVE = 1e-3
@@ -21,7 +21,7 @@ _SAME_MM = 1e-6
 _LEAST_MM = 1e-3
 """Radius [mm] below which start and end are the rounding of one point."""
 _OFF_CIRCLE = 100.0
-"""A point whose distance from a circle is so many times that of start and first point is not of the arc."""
+"""A point whose distance from a circle is so many times that of start and first point is not of the arc (assumed)."""
 
 
 def through(start: Array, via: Array, end: Array) -> tuple[Array, Array, Array, Bools]:

@@ -24,7 +24,7 @@ _WITHOUT_VALUE = ("spindle_off", "coolant_on", "coolant_off")
 _FASTEST_TURN = 200.0
 """Largest rotational speed written [deg/s]; above it the controller chooses."""
 _NOMINAL_TOLERANCE = 1e-9
-"""Commands whose matrices differ by less than this from the programmed ones are nominal."""
+"""Commands whose matrices differ by less than this from the programmed ones are nominal (assumed)."""
 
 
 class Words(Struct, frozen=True):

@@ -58,7 +58,7 @@ _ORIENTATION_TOLERANCE = 1e-11
 _MOST_STEPS = 30
 """Enough for a joint to turn by 6 rad in largest steps; Newton's method then squares the error with each."""
 _LARGEST_STEP = 0.2
-"""Of a joint in one iteration [rad]."""
+"""Of a joint in one iteration [rad] (assumed)."""
 
 
 class Deflection(Struct, frozen=True, eq=False):

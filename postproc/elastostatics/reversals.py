@@ -19,7 +19,7 @@ from postproc.robot import Backlash, RobotModel
 _NO_DIRECTION = 0.01
 """A torque below this share of the joint's largest one along the path counts as zero: the gear is between flanks."""
 _NO_TORQUE = 1e-3
-"""So does a torque below this [N·m]."""
+"""So does a torque below this [N·m] (assumed)."""
 
 
 class Reversals(Struct, frozen=True, eq=False):

@@ -14,9 +14,9 @@ from pathlib import Path
 _NAME = ".postproc.lock"
 _POSIX = os.name == "posix"
 _POLL = 0.1
-"""Seconds between two attempts to take a lock that another process has."""
+"""Seconds between two attempts to take a lock that another process has (assumed)."""
 _ATTEMPTS_BEFORE_MESSAGE = 3
-"""Attempts before a message is shown."""
+"""Attempts before a message is shown (assumed)."""
 _ATTEMPTS_WITHOUT_FOLDER = 100
 """Attempts to lock a folder that does not exist: on a missing drive it cannot be made."""
 _locked_folders: set[Path] = set()

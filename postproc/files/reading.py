@@ -482,9 +482,9 @@ def _plain_stl(content: bytes) -> bytes:
 _MOST_FACETS = 60_000
 """Limit of division: the time of a surface map grows with its facets."""
 _EDGE = np.radians(30.0)
-"""Facets that meet at a smaller angle belong to one smooth surface."""
+"""Facets that meet at a smaller angle belong to one smooth surface (assumed)."""
 _SIDES_PER_PART = 60.0
-"""Facets are divided until the longest is this share of the part, or there are too many."""
+"""Facets are divided until the longest is this share of the part, or there are too many (assumed)."""
 
 
 def read_facets(path: Path) -> tuple[Array, Array]:

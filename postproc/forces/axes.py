@@ -14,10 +14,12 @@ _SPINDLE = {"+Z": (2, 1.0), "-Z": (2, -1.0), "+X": (0, 1.0), "-X": (0, -1.0)}
 _PARALLEL = 1e-3
 """Sine of the angle between travel and spindle below which the travel has no direction across the spindle."""
 TURNS = 1e-6
-"""Rotations of the tool below this [rad] count as none."""
+"""Rotations of the tool below this [rad] count as none (assumed)."""
 _LEAST_ANGLE = 45.0 * RAD_PER_DEG
+"""Smallest angle between travel and spindle at which the path runs across the spindle (assumed)."""
 _TANGENT_OFFSET = 0.01
-"""Where an arc is tangent to the spindle, its direction is taken at this distance from there (share of the arc)."""
+"""Where an arc is tangent to the spindle, its direction is taken at this distance from there (share of the arc)
+(assumed)."""
 
 
 def feed_axes(program: Program, path: Segments, sample: Toolpath, axis: str, last: Array) -> Array:

@@ -316,7 +316,7 @@ def _travel(program: Program, path: Segments, knots: Knots, axis: str) -> tuple[
 
 
 _NO_CHANGE = 1e-9
-"""Changes of the force below this [N, N·m] count as none."""
+"""Changes of the force below this [N, N·m] count as none (assumed)."""
 _STEP = 1e-8
 """Displacement [m] below which a change of the force from motion to motion does not count as a step."""
 

@@ -263,7 +263,7 @@ _STEP = "Sort the rows of a move by t; give a step as two positions close to eac
 
 
 _SAME_PLACE = 1e-9
-"""Positions on a motion that differ by less count as one."""
+"""Positions on a motion that differ by less count as one (assumed)."""
 _NO_CHANGE = 1e-6
 """Changes of the force below this [N, N·m] count as none: the file has three decimals."""
 

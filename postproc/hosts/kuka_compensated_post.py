@@ -178,7 +178,7 @@ def _output_file(document: Any, objects: list[Any]) -> Path | None:
 _SHAPES = {"endmill": "flat", "ballend": "ball", "bullnose": "bull", "drill": "drill"}
 """Tool shapes of FreeCAD and their names in a process file."""
 _CELLS = 4e6
-"""Cells of the map of the stock."""
+"""Cells of the map of the stock (assumed)."""
 
 
 def _process(job: Any, name: str, material: str) -> dict[str, bytes]:

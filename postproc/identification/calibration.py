@@ -34,7 +34,7 @@ from postproc.robot.model_file import (
 
 _AXES = LINK_AXES[:6]
 _USUAL_SHIFT, _USUAL_TURN, _USUAL_WAVE = 1e-3, 2e-3, 0.3e-3
-"""Prior standard deviations of the errors of a joint (shift [m], turn [rad]) and its gear [rad]."""
+"""Prior standard deviations of the errors of a joint (shift [m], turn [rad]) and its gear [rad] (assumed)."""
 _STEPS = 8
 """Gauss-Newton steps from the nominal geometry, which is close (assumed)."""
 _FOLDS = 10

@@ -79,9 +79,9 @@ _FADE_AT = (0.2, 0.6, 2.0)
 _BREAKPOINTS_AT = (0.02, 0.04, 0.08, 0.16, 0.32, 0.64, 1.28)
 """Breakpoints of a gear, over the largest torque: milling torques are some hundredths of those of an experiment."""
 _TURNS_OVER_AT = (0.01,)
-"""Torque that moves a gear with backlash to its other flank, over the largest."""
+"""Torque that moves a gear with backlash to its other flank, over the largest (assumed)."""
 _ONE_LINE = 1e-3
-"""Distance [m] between axes that count as one line."""
+"""Distance [m] between axes that count as one line (assumed)."""
 _LEAST_TORQUE = 1.0
 """Largest torque [N·m] on a joint below which its gear has no parameters of its own."""
 
@@ -200,13 +200,13 @@ def candidates(compensator: bool) -> list[tuple[str, tuple[str, ...]]]:
 _FOLDS = 10
 """Parts of the cross-validation: the usual number (Hastie, Tibshirani and Friedman 2009, section 7.10)."""
 _LEAST_WEIGHT = 0.02
-"""Structures that weigh less are left out of the mean."""
+"""Structures that weigh less are left out of the mean (assumed)."""
 CLEAR = 3.0
 """Gain of log evidence (odds of one in twenty) that a richer model must show."""
 _PRIOR_SHARE = 0.9
-"""Least ratio of posterior to prior standard deviation of a parameter that only its prior determines."""
+"""Least ratio of posterior to prior standard deviation of a parameter that only its prior determines (assumed)."""
 _ROUNDS = 3
-"""Number of linearisations in the fit of all parameters together."""
+"""Number of linearisations in the fit of all parameters together (assumed)."""
 
 
 class Candidate(Struct, frozen=True):

@@ -29,12 +29,12 @@ _LARGEST = (("q2", 3600.0, " deg"), ("repeat", 1e9, ""), *((axis, 1e6, " mm") fo
 _OUTLIER = 6.0
 """Deviation of a repeat from the median of its group, in usual deviations, beyond which it is left out (assumed)."""
 _SMALL_TURN = 10.0 * RAD_PER_DEG
-"""Markers that turn with A2 by less do not show where its axis is."""
+"""Markers that turn with A2 by less do not show where its axis is (assumed)."""
 _Groups = dict[tuple[str, float], Ints]
 _IMPOSSIBLE = 2e-3
 """Residual [m] that no tracker makes: a point has the wrong name, or an angle is wrong."""
 _WIDE = 0.05
-"""Warn if the half width of a_x or a_y exceeds this share of the distance P0 … P2."""
+"""Warn if the half width of a_x or a_y exceeds this share of the distance P0 … P2 (assumed)."""
 _WORTH = 0.8
 """Half width with evenly spread markers over the present one below which spreading them is advised."""
 

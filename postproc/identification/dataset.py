@@ -32,7 +32,7 @@ NAME, EXPERIMENT, READINGS, SUMS, LICENCE = (
     "LICENSE",
 )
 _CONFIGURATIONS, _REPEATS = 30, 3
-"""Usual numbers of configurations and of repeats."""
+"""Usual numbers of configurations and of repeats (assumed)."""
 _TORQUE_SHARE = 0.02
 """Share of the largest torque on any joint below which a joint is not loaded."""
 

@@ -314,9 +314,9 @@ def linearise(structure: Structure, values: Array, data: Measurements, placement
 
 
 _LEAST_COMPLIANCE = 1e-9
-"""Smallest compliance of a joint [rad/(N·m)] that sets a scale."""
+"""Smallest compliance of a joint [rad/(N·m)] that sets a scale (assumed)."""
 _OF_JOINT = 0.1
-"""Usual compliance of a part of a gear, and of a link's rotation, over that of the joint."""
+"""Usual compliance of a part of a gear, and of a link's rotation, over that of the joint (assumed)."""
 
 JOINT, STATED_SPREAD = "joint", ""
 FACTORS: dict[str, tuple[float, float]] = {
@@ -412,9 +412,9 @@ def _entry(parameter: Parameter, robot: RobotModel) -> tuple[str, float]:
 
 
 _NARROWEST, _WIDEST = -6.0, 4.0
-"""Limits of the logarithms of factors."""
+"""Limits of the logarithms of factors (assumed)."""
 _MOST_NOISE = 4.0
-"""Largest logarithm of φ; its prior is normal about 0 with standard deviation `_NOISE_SPREAD`."""
+"""Largest logarithm of φ; its prior is normal about 0 with standard deviation `_NOISE_SPREAD` (assumed)."""
 _NOISE_SPREAD = 0.5
 """Assumed: the stated noise is right within a factor of 1.6, by one standard deviation."""
 

@@ -57,7 +57,7 @@ _PRIOR_SPREAD = 0.5
 """Standard deviation of a prior compliance over its value, where the prior states none: published sets for one class
 of arm differ by 20 to 50 %."""
 _LONGEST_SPRING = 3.0
-"""Free length [m] that no compensator has."""
+"""Free length [m] that no compensator has (assumed)."""
 
 
 class NotObservable(Struct, frozen=True):

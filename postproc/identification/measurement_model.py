@@ -29,6 +29,7 @@ from postproc.robot import JointCompliance, LinkSpring, Parameter, RobotModel
 _STEPS = 20
 """Limit of Gauss-Newton steps from a rigid fit, which begins close by (assumed)."""
 _SAME_LEVEL = 2.0 * RAD_PER_DEG
+"""Sorted angles of A2 belong to one level while each is less than this from the one before (assumed)."""
 
 
 class Placement(Struct, frozen=True, eq=False):
@@ -162,7 +163,7 @@ def _place(frames: Array, points: Array) -> Array:
 
 
 _MIN_WEIGHT = 1e-12
-"""Weight of a point whose readings are all left out."""
+"""Weight of a point whose readings are all left out (assumed)."""
 
 
 def measured_displacements(data: Measurements, placement: Placement) -> Array:

@@ -14,15 +14,15 @@ from postproc.identification.readings import Measurements
 from postproc.robot import JOINTS, RobotModel
 
 _SPARE_OF_STEP = 12
-"""Fewest degrees of freedom that a step is judged by."""
+"""Fewest degrees of freedom that a step is judged by (assumed)."""
 _RARE = 1e-4
-"""Chance of a step as clear as this one in readings of one set-up, at any of the configurations."""
+"""Chance of a step as clear as this one in readings of one set-up, at any of the configurations (assumed)."""
 _RANK_TOLERANCE = 1e-6
-"""Least singular value, over the largest, of a direction that the readings determine."""
+"""Least singular value, over the largest, of a direction that the readings determine (assumed)."""
 _MAX_CORRELATION = 0.5
 """Correlation of a joint angle with a step beyond which errors of the geometry look like the step."""
 _MIN_MOVEMENT = 2e-4
-"""Smallest movement [m] that is reported."""
+"""Smallest movement [m] that is reported (assumed)."""
 
 
 def moved_device(robot: RobotModel, data: Measurements, placement: Placement) -> list[str]:

@@ -161,9 +161,9 @@ def _worst_repeat(data: Measurements, rows: Ints, residual: Array, placement: Pl
 
 
 _BODY = 2e-3
-"""Change of the distance between two points of one rigid body [m] that exceeds any noise."""
+"""Change of the distance between two points of one rigid body [m] that exceeds any noise (assumed)."""
 _MAX_DISTANCE = 0.015
-"""Distance [m] of unloaded readings from the geometry that no sag and no tolerance explains."""
+"""Distance [m] of unloaded readings from the geometry that no sag and no tolerance explains (assumed)."""
 _MOST_DEFLECTION = 0.1
 """Displacement by a load [m] beyond that of any industrial robot (assumed)."""
 _SAME_UNIT = (0.2, 5.0)
@@ -343,7 +343,7 @@ _TORQUE = 0.05
 _CERTAIN = 4.0
 """Standard errors beyond which a loop is no noise."""
 _MIN_LOOP = 1e-5
-"""Smallest half width of a loop [rad] that is reported."""
+"""Smallest half width of a loop [rad] that is reported (assumed)."""
 
 
 def loops(robot: RobotModel, data: Measurements, placement: Placement) -> list[str]:

@@ -418,7 +418,7 @@ def _with_reading(
 
 
 _LARGEST_DISPLACEMENT = 0.2
-"""Largest difference of displacements under loads [m]."""
+"""Largest difference of displacements under loads [m] (assumed)."""
 
 
 def _add_unloaded_states(

@@ -68,13 +68,13 @@ from postproc.robot import (
 )
 
 _SAME_LEVEL = 1.25
-"""Sorted loads belong to one level while each is less than this times the one before."""
+"""Sorted loads belong to one level while each is less than this times the one before (assumed)."""
 _LOADS = 10
-"""Fewest loads of a level that is part of a wider range without gaps."""
+"""Fewest loads of a level that is part of a wider range without gaps (assumed)."""
 _SHARE = 0.001
-"""Median of δ over the displacements (RMS of a component) before any reading."""
+"""Median of δ over the displacements (RMS of a component) before any reading (assumed)."""
 WIDTH = 1.5
-"""Standard deviation of the logarithm of δ before any reading."""
+"""Standard deviation of the logarithm of δ before any reading (assumed)."""
 _STEPS, _SPAN = 241, (-5.0, 4.5)
 """Values of δ that are tried, and between which standard deviations of its prior."""
 _CLEAR_SCATTER = 30
@@ -416,7 +416,7 @@ _NUMBERS = {1: 3, 2: 5}
 _SPARE = 2.0
 """Least numbers measured for each parameter of least squares."""
 _PLAY = 1e-5
-"""Smallest backlash [rad] that is reported."""
+"""Smallest backlash [rad] that is reported (assumed)."""
 _KINDS: tuple[tuple[type[Parameter], str], ...] = (
     (JointCompliance, "joints"),
     (LinkSpring, "link springs"),

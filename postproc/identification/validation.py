@@ -44,20 +44,21 @@ from postproc.robot import JOINTS, RobotModel
 _BOUND_SHARE = 0.95
 """Share that a 95 % bound promises."""
 _MIN_SHARE, _MIN_LOWER_LIMIT = 0.9, 0.5
-"""A bound is kept if this share of the displacements is inside, and the lower limit of the share exceeds the second."""
+"""A bound is kept if this share of the displacements is inside, and the lower limit of the share exceeds the second
+(assumed)."""
 _DOUBT = 0.05
 """Chance that noise alone refutes a bound: of all levels together, or of all joints and senses."""
 _NARROW = 2.0
-"""Up to this ratio of errors to bound, the bound is merely too narrow."""
+"""Up to this ratio of errors to bound, the bound is merely too narrow (assumed)."""
 _STANDARD_ERRORS = 2.0
 """Standard errors by which the residual must exceed the noise for a factor; else its lower limit is stated."""
 _SAME_ANGLE = 1e-4
-"""Angles that differ by less [rad] are those of one pose."""
+"""Angles that differ by less [rad] are those of one pose (assumed)."""
 _SAME_LOAD = 0.01
-"""Largest differences [rad, relative] between equal states."""
+"""Largest differences [rad, relative] between equal states (assumed)."""
 SIGNS = ("negative", "positive")
 LEAST_TORQUE = 1.0
-"""Smallest torque [N·m] that counts as having a sign."""
+"""Smallest torque [N·m] that counts as having a sign (assumed)."""
 MIN_CONFIGURATIONS = 5
 """Configurations needed to cover one sign of torque. If all of them are inside the bound, the share inside is above one
 half, with 95 % confidence."""

@@ -89,12 +89,12 @@ LARGEST_MM = 1e6
 USUAL_START = (0.0, -70.0, 110.0, 0.0, 50.0, 0.0)
 """A1…A6 [deg] of the branch on which programs start unless something else is given: ahead, elbow up, A5 > 0."""
 _ABOVE_MM = 50.0
-"""The tip starts by this much above `clearance` unless something else is given [mm]."""
+"""The tip starts by this much above `clearance` unless something else is given [mm] (assumed)."""
 _ZERO = (0.0,) * 6
 _TURNS = (0.0, 90.0, 180.0, -90.0)
 """Turns [deg] of the first tool that are tried: how a spindle is mounted."""
 _MARGIN = np.radians(10.0)
-"""A chosen start is not nearer to a joint limit."""
+"""A chosen start is not nearer to a joint limit (assumed)."""
 
 
 class CellRequest(Struct, frozen=True, kw_only=True):
@@ -317,7 +317,7 @@ def _start_joints(cell: Cell, robot: RobotModel, height: float) -> tuple[float, 
 
 
 _LARGEST_Z = -0.1
-"""Largest Z component, in the robot root, of a Z axis that points down."""
+"""Largest Z component, in the robot root, of a Z axis that points down (assumed)."""
 
 
 def _in_metres(cell: Cell, tools: Mapping[int, Frame]) -> Iterator[str]:
@@ -628,6 +628,7 @@ def _file(carrier: int, kind: str) -> str:
 _READERS = {"no reader of .dae is installed": "pip install pycollada gives one"}
 """What helps where a mesh cannot be read."""
 _MOST_NAMES = 8
+"""Names that a note lists; the others are counted."""
 
 
 def _shape_notes(problems: Sequence[str]) -> Iterator[str]:

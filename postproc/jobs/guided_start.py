@@ -32,10 +32,11 @@ from postproc.machining.process import load as load_process
 from postproc.machining.tool_comments import CommentedTool
 
 _ABOVE_MM = 50.0
-"""Retract this much above the highest cutting move unless something else is said [mm]."""
+"""Retract this much above the highest cutting move unless something else is said [mm] (assumed)."""
 _CELL_COUNT = 500.0
-"""The map of the stock has at most this many cells across, between the limits of `_RESOLUTIONS` [mm]."""
+"""The map of the stock has at most this many cells across, between the limits of `_RESOLUTIONS` [mm] (assumed)."""
 _RESOLUTIONS = (0.25, 1.0)
+"""Finest and coarsest cells that are proposed [mm] (assumed)."""
 NO_NUMBER = 0
 """Number of the tool of a program that names none: ``[tools.default]``."""
 MACHINE_QUESTION = "m_code."

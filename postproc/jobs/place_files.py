@@ -31,7 +31,7 @@ FILES = ("place.csv", "place.html", "place.toml", "place.json")
 _DEFAULT_REACH = {"X": 400.0, "Y": 400.0, "Z": 200.0, "A": 45.0}
 """Without a region the place may change by this [mm, deg]."""
 _LARGEST_COORDINATE = 1e5
-"""Largest bound of a region [mm, deg]."""
+"""Largest bound of a region [mm, deg] (assumed)."""
 _BOUNDS = re.compile(r"\s*(\w+)\s*=\s*([-+.\deE]+)\s*:\s*([-+.\deE]+)\s*")
 
 

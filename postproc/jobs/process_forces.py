@@ -43,11 +43,11 @@ from postproc.robot import RobotModel
 from postproc.under_load import ImpossiblePathError, MotionsUnderLoad, PathUnderLoad, RobotInCell, segments_in_cell
 
 _TRIALS = 10
-"""Largest number of trials between the programmed feeds and the least ones."""
+"""Largest number of trials between the programmed feeds and the least ones (assumed)."""
 _AIM = 0.997
 """Trials are this share of the feed at which the tolerance would be reached, so that most hold it at once."""
 _CLOSE = 0.01
-"""A feed that could be higher by this share at most is high enough."""
+"""A feed that could be higher by this share at most is high enough (assumed)."""
 _BACKSTEP = 0.99
 """Share of its feed that a motion gets if it exceeds the tolerance at a feed at which it did not before."""
 _FEED_FLOOR = 1e-3
@@ -195,7 +195,7 @@ def _of_motions(result: Result) -> Array:
 
 
 _ROUNDS = 8
-"""Largest number of sweeps with a displaced tip."""
+"""Largest number of sweeps with a displaced tip (assumed)."""
 _FIRST = 0.9
 """Share of the deflection on the nominal path that is tried first: the tool that deflects cuts less."""
 _LARGEST = 0.8

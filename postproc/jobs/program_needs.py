@@ -35,11 +35,11 @@ _START = (0.0, -90.0, 100.0, 0.0, 80.0, 0.0)
 _CLEARANCE_MM = 200.0
 """What a program needs does not depend on this height."""
 _SIDE_MM = 5.0
-"""A stock that nobody states is taken this much larger on each side than what the tools sweep [mm]."""
+"""A stock that nobody states is taken this much larger on each side than what the tools sweep [mm] (assumed)."""
 
 
 _LOW_M = 1e-4
-"""A rapid move that ends this much below the highest cut is beside the stock [m]."""
+"""A rapid move that ends this much below the highest cut is beside the stock [m] (assumed)."""
 
 
 class ProgramNeeds(Struct, frozen=True):

@@ -40,13 +40,13 @@ from postproc.testpart.readings import Readings
 from postproc.under_load import RobotInCell
 
 _CHIP = 0.006
-"""Feed per tooth by the diameter of the tool, if none is given."""
+"""Feed per tooth by the diameter of the tool, if none is given (assumed)."""
 _SPEED = 150.0
-"""Cutting speed if the process states no rpm [m/min]."""
+"""Cutting speed if the process states no rpm [m/min] (assumed)."""
 _DEPTH = 0.2
-"""Depth of cut by the diameter of the tool, if none is given."""
+"""Depth of cut by the diameter of the tool, if none is given (assumed)."""
 _MOST_TESTS = 200
-"""Poses of the programs that count, evenly taken."""
+"""Poses of the programs that count, evenly taken (assumed)."""
 _SAME_HEIGHT = 1e-3
 """Difference of heights that are the same as written [mm]."""
 PROCESS = "testpart.process.toml"

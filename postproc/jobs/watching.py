@@ -53,7 +53,7 @@ from postproc.version import VERSION
 QUIET = 1.0
 """Time for which a file must not have changed [s]."""
 SCAN = 0.5
-"""Time between two scans [s]."""
+"""Time between two scans [s] (assumed)."""
 STATE = ".postproc-watch.json"
 
 Signature = tuple[tuple[str, int, int], ...]

@@ -227,7 +227,7 @@ PATIENCE = 10.0
 _SIGN_TIMEOUT = 60.0
 """Seconds without a sign of life of a worker after which its tasks are given up."""
 _LOOK = 5.0
-"""Seconds between two looks at the workers."""
+"""Seconds between two looks at the workers (assumed)."""
 _ADDRESS = re.compile(r"(tcp|tls)://(\[[\da-fA-F:.]+\]|[\w.-]+):\d{1,5}")
 
 

@@ -21,7 +21,8 @@ from postproc.robot import RobotModel
 
 _TURN = 2.0 * np.pi
 _TOLERANCE = 1e-6
-"""Angles [rad] that the closed form must return to count as solved, and sin² between axes that count as parallel."""
+"""Angles [rad] that the closed form must return to count as solved, and sin² between axes that count as parallel
+(assumed)."""
 _IN_LINE = 1e-6
 """A5 within this of where A4 and A6 are in line [rad] counts as on the side of A5 > 0: its sign is rounding."""
 _NO_TURN = 1e-12

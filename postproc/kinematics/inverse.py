@@ -162,7 +162,7 @@ def _whole_turns(robot: RobotModel, angles: Array, turn: Ints) -> Array:
 
 
 _LOOKED_AT = 2_000
-"""Rows of a path that are evaluated in the first pass."""
+"""Rows of a path that are evaluated in the first pass (assumed)."""
 
 
 def joint_margin(robot: RobotModel, q: Array) -> Array:

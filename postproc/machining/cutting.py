@@ -49,7 +49,7 @@ from postproc.machining.tool import Turn
 _NO_CONTACT = 1e-6
 """Engaged edge lengths below this [m] are rounding errors,"""
 _NO_CHIP = 1e-12
-"""and changes of the chip along a piece of edge below this [m]."""
+"""and changes of the chip along a piece of edge below this [m] (assumed)."""
 
 
 class Engaged(Struct, frozen=True, eq=False):

@@ -47,11 +47,11 @@ _OVERHANG = 0.02
 """Share of what tools that turn remove that may be lost above them: later cuts of it would have no force."""
 _INCH = 25.4
 _HOLLOW = 0.02
-"""Warn if the map of the stock exceeds its volume by more than this share."""
+"""Warn if the map of the stock exceeds its volume by more than this share (assumed)."""
 _LARGE = 5.0
-"""Warn if the path is this many times as large as the stock in X and in Y."""
+"""Warn if the path is this many times as large as the stock in X and in Y (assumed)."""
 _SAME_DIAMETER = 1e-6
-"""Diameters of one tool differ by less [m]."""
+"""Diameters of one tool differ by less [m] (assumed)."""
 _DEEP = 4.0
 """Warn beyond this depth of cut, in tool diameters: no cutter cuts that deep."""
 _THICK = 0.1

@@ -36,7 +36,7 @@ _LEAST_SCATTER = 1e-3
 """Least scatter of readings that do not state theirs, as a share of their RMS. Assumed: the linearity of dynamometers
 is 0.1 to 0.5 % of their range."""
 _LEAST_SIGMA = 2.0
-"""Minimum standard deviation [%] of forces from identified coefficients."""
+"""Minimum standard deviation [%] of forces from identified coefficients (assumed)."""
 
 
 class CutReadings(Struct, frozen=True, eq=False):

@@ -17,7 +17,7 @@ from postproc.program import Ints
 _FLUSH = 2e-5
 """Ends of tools that are less [m] below a surface touch it only: levels are single precision, cuts end there."""
 _LEAST_ANGLES, _MOST_ANGLES = 12, 48
-"""Number of points around the tool; between those limits they are a cell apart."""
+"""Number of points around the tool; between those limits they are a cell apart (assumed)."""
 _PLACES = 128
 """Places of the tool that are compared at once."""
 

@@ -23,17 +23,17 @@ from postproc.machining.tool_path import StraightSegments
 from postproc.program import Bools, Ints
 
 _SIDE_CELLS = 128
-"""Coarse cells along a side of the stock."""
+"""Coarse cells along a side of the stock (assumed)."""
 _HALF_DIAGONAL = 0.7072
 """Half of the diagonal of a cell, √2 / 2 of its width, rounded up: a tool that touches a cell reaches its middle."""
 _FLUSH = 1e-6
-"""Bodies that reach into material by less [m] are flush with it."""
+"""Bodies that reach into material by less [m] are flush with it (assumed)."""
 _EXACT = 5e-5
 """To which the distance of a part that is too close is found [m]."""
 _MOST_HITS = 20
 """Motions on which a part of the tool is too close, after which it is not compared any more."""
 _LEVELS = 0.5
-"""Levels of a mesh are rounded up to multiples of this share of a coarse cell."""
+"""Levels of a mesh are rounded up to multiples of this share of a coarse cell (assumed)."""
 
 
 class Part(Struct, frozen=True):
@@ -174,6 +174,7 @@ class StockInTime(Struct, frozen=True, eq=False):
 
 
 _CORNERS = np.array([[k & 1, k >> 1 & 1, k >> 2] for k in range(8)], dtype=bool)
+"""Whether each corner of a box is at its upper end in x, y, z."""
 _FACES = np.array([
     [0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4],
     [2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6], [1, 3, 5], [3, 7, 5],

@@ -327,7 +327,7 @@ def as_trimesh(vertices: Array, faces: NDArray[np.int64]) -> Any:
 _HALVINGS = 18
 """Golden sections: an interval of 10 mm becomes 2 µm."""
 _WHOLE = np.float32(0.999)
-"""A cell that is cut over at least this share of its area counts as fully cut."""
+"""A cell that is cut over at least this share of its area counts as fully cut (assumed)."""
 _CELLS = 200_000
 """Cells under segments that are processed together."""
 

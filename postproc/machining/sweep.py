@@ -29,9 +29,9 @@ from postproc.program import Bools, Ints, distinct
 from postproc.toolpath import even_places
 
 _STRAIGHT = np.cos(np.radians(10.0))
-"""Segments that turn by less are processed together."""
+"""Segments that turn by less are processed together (assumed)."""
 _GROUP_LENGTH = 20.0
-"""Maximum length of segments that are processed together, in radii of the tool."""
+"""Maximum length of segments that are processed together, in radii of the tool (assumed)."""
 _AXIAL = 1e-3
 """Sine of the angle to the spindle below which a segment is along it."""
 _ELEMENTS = 200_000
@@ -39,21 +39,21 @@ _ELEMENTS = 200_000
 _SLOPES = 16
 """Steps of the sine of the slope for which the part of the edge that can cut is found."""
 _FINE = 0.5
-"""Distance of sample points at the rim, in cells, if only the cylinder cuts."""
+"""Distance of sample points at the rim, in cells, if only the cylinder cuts (assumed)."""
 _TALLER = 4
 """Edges of tools that lean are divided up to multiples of this many cells,"""
 _TILT_KEY = -1
 """and kept under this number instead of a slope."""
 _AXES = np.cos(np.radians(3.0))
-"""Tools that turn while they cut are processed together while their axis turns by less."""
+"""Tools that turn while they cut are processed together while their axis turns by less (assumed)."""
 _ON_LINE = 1e-6
-"""Directions that differ by less count as one straight line."""
+"""Directions that differ by less count as one straight line (assumed)."""
 _LITTLE = 0.05
 """Share of an edge in material below which it does not count for angles and width of engagement."""
 _SAGITTA = 1e-3
-"""The path of a tool that leans leaves its chords by less [m]."""
+"""The path of a tool that leans leaves its chords by less [m] (assumed)."""
 _ON_CHORD = 4
-"""Smallest number of places on such a chord where the tool is compared with the stock."""
+"""Smallest number of places on such a chord where the tool is compared with the stock (assumed)."""
 _LEAST_DEPTH = 2e-5
 """Depth [m] to which a rapid move, or a move with the spindle off, may touch material without a warning."""
 

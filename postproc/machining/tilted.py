@@ -28,13 +28,13 @@ from postproc.toolpath import even_places
 _HALVINGS = 28
 """Steps of the search for the lower side of a rounded corner: it is found to 10⁻⁸ of the size of the tool."""
 _RIDGE = 1e-6
-"""Ridges between two poses of a tool are at most this high [m]."""
+"""Ridges between two poses of a tool are at most this high [m] (assumed)."""
 _RESTS = 1e-9
-"""Moves of the tip that are shorter [m] only turn the tool."""
+"""Moves of the tip that are shorter [m] only turn the tool (assumed)."""
 _PARALLEL = 1e-7
-"""Square of the sine of a tilt that is not told from 0."""
+"""Square of the sine of a tilt that is not told from 0 (assumed)."""
 _FLUSH = 2e-6
-"""An end face that is less [m] below the surface is flush with it."""
+"""An end face that is less [m] below the surface is flush with it (assumed)."""
 _STEEPEST = 2.0
 """Levels around a point of the edge count up to this many cells above and below it: surfaces that are less steep are
 interpolated, and steeper walls are located between two cells."""

@@ -141,7 +141,7 @@ _SAMPLING = {"ball": 1.0, "flat": 1.7, "bull": 5.1}
 """Error of forces by the cells of the map, relative to that of a ball with a contact of the same area: RMS against
 exact fronts on random surfaces with cells of 0.25 mm. The contact of a bull-nose tool is a strip along its corner."""
 _LEAST_POINTS = 8
-"""Minimum number of sample points in half a turn."""
+"""Minimum number of sample points in half a turn (assumed)."""
 
 
 class Turn(Struct, frozen=True, eq=False):

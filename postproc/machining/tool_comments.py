@@ -53,7 +53,7 @@ _POINT = re.compile(r"\bTAPER\s*=\s*1\d\d(?:\.\d*)?\s*(?:deg)?", re.IGNORECASE)
 """Point angle of a twist drill [deg], which Fusion calls a taper."""
 _CUTTER = re.compile(r"mill|drill|cutter|fr[aä]ser|bohrer", re.IGNORECASE)
 _LINES_TO_CHANGE = 8
-"""A comment without a tool number belongs to the tool change at most this many lines after it."""
+"""A comment without a tool number belongs to the tool change at most this many lines after it (assumed)."""
 
 
 class CommentedTool(Struct, frozen=True):

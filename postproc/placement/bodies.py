@@ -11,7 +11,7 @@ from postproc.placement.samples import PathSamples
 from postproc.program import Bools, Ints, distinct
 
 _ALLOWANCE = 2.0
-"""How much softer than at the start the arm may be elsewhere, and how much more a body moves than the tip."""
+"""How much softer than at the start the arm may be elsewhere, and how much more a body moves than the tip (assumed)."""
 
 
 class Bodies:

@@ -22,7 +22,7 @@ REASONS = ("free", "out of reach", "joint limit", "singular pose", "joint speed"
 """Why a pose is refused, in the order in which they are checked."""
 FREE, REACH, LIMIT, SINGULAR, SPEED, COLLISION = range(6)
 REAL = 0.02
-"""Share of the expected error that another place or turn must save, or today's stays."""
+"""Share of the expected error that another place or turn must save, or today's stays (assumed)."""
 TURNS = np.arange(-180.0, 180.0, 30.0) * RAD_PER_DEG
 """Turns of the tool about its axis that are tried where the cell leaves the turn open [rad]."""
 WINDING = (3, 5)

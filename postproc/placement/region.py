@@ -30,11 +30,11 @@ from postproc.under_load import RobotInCell
 AXES = ("X", "Y", "Z", "A", "E1")
 """What a place is given by: mm, A in degrees."""
 _STATIONS = 120
-"""Samples of all programs together that a place is judged by; the best place is judged by all."""
+"""Samples of all programs together that a place is judged by; the best place is judged by all (assumed)."""
 _COARSE = {"X": 6, "Y": 6, "Z": 4, "A": 5, "E1": 4}
 """Places along each axis of the coarse grid: 720 for X, Y, Z and A together."""
 _SLICE = 15
-"""Places along each side of the finer slice."""
+"""Places along each side of the finer slice (assumed)."""
 _STARTS, _HALVINGS = 4, 5
 """Places from which the compass search starts, and how often its steps are halved."""
 _SAME_FRAME = 1e-6
@@ -486,7 +486,7 @@ def _contains(region: Region, place: Judged) -> bool:
 
 
 _MAX_CHECKS = 40
-"""Places that are judged by all samples until one can be driven."""
+"""Places that are judged by all samples until one can be driven (assumed)."""
 _MAX_ASSESSMENTS = 6
 """Places at which the programs are converted until all can be."""
 

@@ -14,9 +14,9 @@ from postproc.toolpath import Segments, Toolpath
 from postproc.under_load import RobotInCell
 
 _STEP = 0.020
-"""Largest spacing of samples [m]."""
+"""Largest spacing of samples [m] (assumed)."""
 _TURN = np.radians(5.0)
-"""Largest rotation of the tool between samples [rad]."""
+"""Largest rotation of the tool between samples [rad] (assumed)."""
 AXIS = {"+Z": (0.0, 0.0, 1.0), "-Z": (0.0, 0.0, -1.0), "+X": (1.0, 0.0, 0.0), "-X": (-1.0, 0.0, 0.0)}
 
 

@@ -31,11 +31,11 @@ from postproc.robot import RobotModel
 from postproc.toolpath import flange_from_tcp
 
 _BLOCK = 0.010
-"""Shortest block of several motions [m]; the length of the path over `_MOST_BLOCKS` if that is longer."""
+"""Shortest block of several motions [m]; the length of the path over `_MOST_BLOCKS` if that is longer (assumed)."""
 _MOST_BLOCKS = 1000
 """Most blocks of a path: time and memory of the map are in proportion to them."""
 _BINS = 6
-"""Most bins of a block."""
+"""Most bins of a block (assumed)."""
 _MOST_BINS = 2500
 """Most bins of all blocks together: each is solved for every turn of the tool."""
 _CHUNK = 4096
@@ -44,11 +44,11 @@ _MOST_POSES = 2500
 """Samples of a path at which collisions are looked for with every turn; more only where the line goes."""
 _TURN = 2.0 * np.pi
 _PER_MM = 1.0 * RAD_PER_DEG
-"""Largest change of the turn at feed per millimetre [rad]."""
+"""Largest change of the turn at feed per millimetre [rad] (assumed)."""
 _PER_SECOND = 30.0 * RAD_PER_DEG
 """Largest turning speed at feed [rad/s]: well below any wrist's."""
 _RAPID_PER_MM = 3.0 * RAD_PER_DEG
-"""Largest change per millimetre on rapid moves [rad]; those are slowed if a joint would be too fast."""
+"""Largest change per millimetre on rapid moves [rad]; those are slowed if a joint would be too fast (assumed)."""
 _PER_BIN = 60.0 * RAD_PER_DEG
 """Largest change in one bin: which way round A4 and A6 go is then certain."""
 _LARGEST = 170.0 * RAD_PER_DEG

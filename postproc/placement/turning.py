@@ -30,7 +30,7 @@ from postproc.under_load import RobotInCell
 
 Mode = Literal["best", "path"]
 _COARSE = 5.0 * RAD_PER_DEG
-"""Step of the turns in the first map, of the whole circle; `_FINE` covers a step to both sides."""
+"""Step of the turns in the first map, of the whole circle; `_FINE` covers a step to both sides (assumed)."""
 _SAME_TURN = 1e-6
 """Turns [rad] and lengths [m] below this are none but for rounding."""
 _TILT_PROBLEM = (
@@ -46,7 +46,7 @@ _MARGIN_SCALE = 10.0 * RAD_PER_DEG
 _LEVELS = tuple(np.array([30.0, 20.0, 12.0, 7.0, 4.0]) * RAD_PER_DEG)
 """Margins of joints, wrist and elbow at which a turn along the path is looked for, in addition to the least ones."""
 _ROUNDS = 8
-"""How often a line with collisions that the map did not show is replaced."""
+"""How often a line with collisions that the map did not show is replaced (assumed)."""
 _MAX_ROWS = 8
 """Samples of a bin of the map at which the bodies of an error are looked for."""
 _FINE = np.arange(-6.0, 7.0) * RAD_PER_DEG

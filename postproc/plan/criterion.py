@@ -322,7 +322,8 @@ def _chi2(freedom: float, z: float) -> float:
 
 
 _OF_POSES = 3
-"""One of this many poses at least must load a joint in each direction; `MIN_CONFIGURATIONS` poses cover a direction."""
+"""One of this many poses at least must load a joint in each direction; `MIN_CONFIGURATIONS` poses cover a direction
+(assumed)."""
 _TYPICAL = 0.95
 """Torques of a joint up to this quantile of the poses are typical (assumed)."""
 _RARE = 0.01

@@ -50,7 +50,7 @@ NO_TRACKER = "line of sight is not checked: the experiment has no [tracker]"
 _OVERLOAD = 1.2
 """Load over the rating from which a plan is questioned, assumed: arms were calibrated with loads just above it."""
 VERTICAL = 0.02
-"""Largest angle [rad] of a load that counts as vertical."""
+"""Largest angle [rad] of a load that counts as vertical (assumed)."""
 _LEAST_SHARE, _LARGEST_SHARE = 0.1, 0.4
 """Second load over the weight: less is lost in the noise, more adds no other information than the weight."""
 
@@ -135,10 +135,12 @@ def left_uncertain(accuracy: Accuracy, joint2: Joint2, blocked_rows: Ints) -> li
 
 
 _STEP = 4.0 * RAD_PER_DEG
+"""Largest turn of a joint between two poses that are checked on the way from one configuration to the next
+(assumed)."""
 _SHAPES = 400
 """Random poses among which the folded arm is looked for (assumed)."""
 _BLOCKED_COST = 1e3
-"""Added seconds of a move that would hit something."""
+"""Added seconds of a move that would hit something (assumed)."""
 
 
 def travel_times(site: Site, q: Array) -> Array:

@@ -33,7 +33,7 @@ _PER_LEVEL = 100
 _ROUND = 400
 """Poses that are drawn at once."""
 _ROUNDS = 40
-"""After as many draws a level is left with the poses that it has; after a quarter of them, if it has none."""
+"""After as many draws a level is left with the poses that it has; after a quarter of them, if it has none (assumed)."""
 _LOOK = 4000
 """Poses at random by which constraints are judged when there is no candidate."""
 
@@ -143,12 +143,13 @@ _LEAST_DISTANCE = 8.0 * RAD_PER_DEG
 _EXCHANGE_ROUNDS = 12
 """Limit of the rounds of exchanges (assumed)."""
 _MIN_GAIN = 1e-3
-"""A change of the criterion below a thousandth is not worth a further round."""
+"""A change of the criterion below a thousandth is not worth a further round (assumed)."""
 _STEPS = (0.5, 0.25, 0.12, 0.06, 0.03, 0.012, 0.004)
 """Lengths down the gradient that are tried [rad]: by factors of two to three, down to a quarter of a degree."""
 _RANDOM = 24
-"""Random places around a pose that are tried, half of them with some joints changed only."""
+"""Random places around a pose that are tried, half of them with some joints changed only (assumed)."""
 _SHIFTS = np.array([12.0, 6.0, 3.0, 1.5, 0.5]) * RAD_PER_DEG
+"""Changes of the levels of q2 that are tried, both ways (assumed)."""
 
 CriterionAt = Callable[[Array], Criterion]
 """Levels q2 (m,) [rad] → the criterion there."""
@@ -456,7 +457,7 @@ def _move_levels(task: Task, plan: Plan) -> Plan:
 
 
 RANDOM_PLANS = 200
-"""Random plans that a plan is compared with in its page."""
+"""Random plans that a plan is compared with in its page (assumed)."""
 _BEST_SHARE = 0.2
 """Of the poses of a level, the share with the largest dexterity, of which those furthest apart are taken (assumed)."""
 FACTORS = (0.4, 0.6, 0.8, 1.0, 1.4, 2.0)

@@ -61,6 +61,8 @@ class Posed(Columns, frozen=True, eq=False):
 
 _FIRST = np.minimum.outer(np.arange(6), np.arange(6))
 _LAST = np.maximum.outer(np.arange(6), np.arange(6))
+"""The joint of a pair that is nearer to the base, and the one that is nearer to the tool: axes move with joints
+before them."""
 
 
 def direction(tilt: Array) -> Array:

@@ -31,6 +31,7 @@ CARRIAGE = "E1"
 
 _NOMINAL = (6, 6, 6, 6, 6, 6)
 _WRENCH_DECIMALS = (3, 3, 3, 4, 4, 4)
+"""Decimals of poses [mm, deg], and of forces [N] and moments [N·m]."""
 _LENGTH, _ANGLE, _PLACE = 6, 5, 9
 """Decimals of lengths [mm], a nanometre; of angles [deg]; and of t, which is a place along a motion."""
 
@@ -92,6 +93,7 @@ FORCE_COLUMNS = ("line", "line_end", "Fx", "Fy", "Fz", "Mx", "My", "Mz", "frame"
 """Columns of the file, in order, where the force is one for each line; t follows where it is not, then sigmas."""
 _SIGMAS = ("sFx", "sFy", "sFz", "sMx", "sMy", "sMz")
 _DECIMALS = np.array([3, 3, 3, 4, 4, 4])
+"""Decimals of forces [N] and moments [N·m], as in force comments."""
 _PLACE = 9
 
 

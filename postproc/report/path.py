@@ -14,11 +14,11 @@ from postproc.operations import operations as program_operations
 from postproc.program import CIRC, Ints, Program
 
 _STEP = tuple(np.radians([10.0, 20.0]))
-"""Smallest and largest angle of a chord that an arc is drawn by."""
+"""Smallest and largest angle of a chord that an arc is drawn by (assumed)."""
 _FINEST = 1e-4
-"""Smallest angle of a chord where its distance from the arc is given [rad]."""
+"""Smallest angle of a chord where its distance from the arc is given [rad] (assumed)."""
 _UNSEEN = 1.0 / 2000.0
-"""Of the extent of the path, what a chord may leave the arc by."""
+"""Of the extent of the path, what a chord may leave the arc by (assumed)."""
 
 
 def drawn_path(result: Result, chord: float | None = None) -> tuple[Array, Ints]:

@@ -24,6 +24,7 @@ COLUMNS = (
 )  # fmt: skip
 """Columns of forces.csv, in order."""
 _MM3 = 1e9
+"""mm³ of one m³."""
 
 
 class ToolSummary(Struct, frozen=True, omit_defaults=True, kw_only=True):

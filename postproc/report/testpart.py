@@ -38,7 +38,7 @@ _WIDE = 900.0
 _ARC = 24
 """Chords of the half circle at the end of a slot: their height is below a pixel."""
 _LARGE_SHARE = 0.3
-"""Relative change of a joint that a part should show."""
+"""Relative change of a joint that a part should show (assumed)."""
 _PRODUCT = (
     "Forces and compliances scale against each other: twice the force on a robot half as compliant leaves the same "
     "surfaces. The part shows their product well; the scale alone is known only by its prior and by those of the "

@@ -32,11 +32,11 @@ if TYPE_CHECKING:
     from postproc.report.summary import Summary
 
 NOTHING_MM = 1e-6
-"""Deviations below this everywhere are noise of the arithmetic."""
+"""Deviations below this everywhere are noise of the arithmetic (assumed)."""
 _UNCORRECTED_KINDS = ("unresolved", "motions-elsewhere")
 """Kinds of issues about motions and calls that stay as they are."""
 NARROW_DEG = 5.0
-"""A joint that comes nearer to its limit is something to look at."""
+"""A joint that comes nearer to its limit is something to look at (assumed)."""
 _FOREMOST: dict[Mode, tuple[str, ...]] = {
     "convert": ("motions-elsewhere",),
     "nominal": ("motions-elsewhere",),
@@ -53,9 +53,9 @@ _OF_FORCES = frozenset(
 )  # fmt: skip
 """Kinds of warnings about forces and model, which decide whether the part is better, and not whether to drive it."""
 CUT_MM = 0.01
-"""Without a stated tolerance, a cut of the programmed path into the mesh below this is none."""
+"""Without a stated tolerance, a cut of the programmed path into the mesh below this is none (assumed)."""
 LEFT_MM = 0.1
-"""Material that a finishing path may leave on most of a part, between passes and by the facets of the mesh."""
+"""Material that a finishing path may leave on most of a part, between passes and by the facets of the mesh; assumed."""
 SOLID = "link masses"
 """An assumed value that only weights, and with them calibrated geometry, depend on: see `assumed`."""
 _FIRST = np.inf
@@ -201,7 +201,7 @@ def _tolerance(result: Result, content: Summary, other_remedies: Sequence[Remedy
 
 _UNKNOWN = "whether [part] tolerance_mm is held is unknown: the robot model states no uncertainty of its parameters"
 _GAIN = 0.95
-"""A remedy is named if the expected error is below this share of today's with it."""
+"""A remedy is named if the expected error is below this share of today's with it (assumed)."""
 
 
 def _remedies(result: Result, content: Summary) -> list[Remedy]:

@@ -40,14 +40,14 @@ _SCALED_SIGMA = 40.0
 """Standard deviation [%] of a compliance scaled from another arm: published values of one class of arms differ by 20 to
 50 %."""
 _LIGHTEST = 0.01
-"""A link below this [kg] has no mass: some files need a number larger than zero there."""
+"""A link below this [kg] has no mass: some files need a number larger than zero there (assumed)."""
 _MASS_BY_LOAD = (12.0, 0.69)
 """Mass of the links [kg] is about 12·(payload [kg] · reach [m])^0.69: fitted to the ten arms that are shipped (KR 6 to
 KR 500), which lie within a factor of 1.75 of it."""
 _MASS_BY_REACH = 46.0
 """Without a known payload: about 46·reach³ [kg, m], the same arms within a factor of 1.7."""
 _IMPLAUSIBLE = 2.0
-"""Link masses that differ from these by more than this factor are not believed."""
+"""Link masses that differ from these by more than this factor are not believed (assumed)."""
 
 
 class Adopted(Struct, frozen=True, eq=False):

@@ -41,7 +41,7 @@ _ROUNDS = 60
 _ANGLE_TOLERANCE = 1e-14
 """Change of angles [rad] by which the iteration ends: rounding of double numbers."""
 _SAME_LAW = 1e-6
-"""Relative difference of the numbers of two cutting laws that are one."""
+"""Relative difference of the numbers of two cutting laws that are one (assumed)."""
 
 
 Basis = Literal["published", "scaled", "assumed"]

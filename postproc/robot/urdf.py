@@ -19,7 +19,7 @@ from postproc.robot.chain import Chain
 from postproc.robot.model_file import FLANGE, JOINTS
 
 _LARGEST = 1e9
-"""A number beyond this is a mistake, whatever its unit."""
+"""A number beyond this is a mistake, whatever its unit (assumed)."""
 
 
 _SIZES = {"box": (("size", 3),), "cylinder": (("radius", 1), ("length", 1)), "sphere": (("radius", 1),)}

@@ -28,7 +28,7 @@ from postproc.testpart.probing import Probed
 from postproc.under_load import ImpossiblePathError, MotionsUnderLoad, PathUnderLoad, RobotInCell
 
 _SURFACE_TOLERANCE = 5e-5
-"""Largest distance of a stated point from the surface that the tool makes there [m]."""
+"""Largest distance of a stated point from the surface that the tool makes there [m] (assumed)."""
 _FLOOR_COSINE = 0.99
 """Of the angle between normal and tool, from which a surface is a floor: up to 8° of slope."""
 _WALL_COSINE = 0.05

@@ -34,17 +34,17 @@ from postproc.under_load import RobotInCell
 _ANGLES = 12
 """Directions of a feature that are tried: each 30°."""
 _MOST_PLACES = 60
-"""Places of features that are tried in the block, over all its placements."""
+"""Places of features that are tried in the block, over all its placements (assumed)."""
 _SHARES = (1.0, 0.5)
-"""Depths that are tried, as shares of the largest."""
+"""Depths that are tried, as shares of the largest (assumed)."""
 _LEAST_FLOOR = 2e-3
-"""Least thickness of the block below the features [m]."""
+"""Least thickness of the block below the features [m] (assumed)."""
 _POSITION = 1e-2, 1e-1
 """Standard deviations of the position of the part where it is probed [m, rad]: free."""
 _POSES = 7
 """Numbers of a position, and the height of the uncut top."""
 _MODEL = 0.005
-"""Error of the prediction that is expected besides, as a share of the deflection."""
+"""Error of the prediction that is expected besides, as a share of the deflection (assumed)."""
 _TESTS = 48
 """Places of features over the whole block (assumed)."""
 _EXCHANGES = 20
@@ -55,7 +55,7 @@ _DETECTION_SIGMAS = 5.1
 """Size of a change, in standard deviations of the readings, that `identify part --compare` sees in 95 of 100 cases:
 3.4 raise its alarm."""
 _TRIM = 1.3
-"""First trimming passes take off this multiple of the largest deflection expected."""
+"""First trimming passes take off this multiple of the largest deflection expected (assumed)."""
 
 
 def read_text(text: str, robot_in_cell: RobotInCell) -> Motions:

@@ -25,31 +25,31 @@ _HALF = 1.6
 _PROBE_SHARE = 0.5
 """Where in each half is probed, as a share of its length from the middle of the groove."""
 _STEP = 0.4
-"""Width of a step, in tool diameters."""
+"""Width of a step, in tool diameters (assumed)."""
 _LAST_SIDE, _LAST_FLOOR = 0.1e-3, 0.05e-3
-"""What the last trimming passes take off walls and floor [m]."""
+"""What the last trimming passes take off walls and floor [m] (assumed)."""
 _FLOOR = 0.4
-"""What the first trimming passes take off the floor, as a share of what they take off walls."""
+"""What the first trimming passes take off the floor, as a share of what they take off walls (assumed)."""
 LEAST_TRIM = 0.3e-3
-"""Least value of `Cutting.trim` [m]."""
+"""Least value of `Cutting.trim` [m] (assumed)."""
 _CLEAR = 5e-3
-"""Height of rapid moves above the block [m]."""
+"""Height of rapid moves above the block [m] (assumed)."""
 _ENTRY = 0.2e-3
-"""Height above the block at which the tool begins to descend into it [m]."""
+"""Height above the block at which the tool begins to descend into it [m] (assumed)."""
 _WALL = 0.5
-"""Wall left between features, in tool diameters."""
+"""Wall left between features, in tool diameters (assumed)."""
 _PLUNGE = 0.5
-"""Feed of ramps and entries, as a share of the feed."""
+"""Feed of ramps and entries, as a share of the feed (assumed)."""
 _HANG_HEIGHT = 0.2
-"""Height above the block at which a weight is hung on the tool [m]."""
+"""Height above the block at which a weight is hung on the tool [m] (assumed)."""
 _TOUCH_EDGE, _TOUCH_WALL = 5e-3, 2e-3
-"""Distance of touch-off points from the edge of the block, and from the walls of features [m]."""
+"""Distance of touch-off points from the edge of the block, and from the walls of features [m] (assumed)."""
 _TOUCH_PITCH = 2e-3
-"""Distance of the places that are tried for touch-off points [m]."""
+"""Distance of the places that are tried for touch-off points [m] (assumed)."""
 _FEWEST_TOUCHES = 3
 """Three points are a plane: height and two slopes of the touch-off."""
 RAPID = 0.1
-"""Speed of rapid moves for the estimate of the time [m/s]."""
+"""Speed of rapid moves for the estimate of the time [m/s] (assumed)."""
 
 
 class Cutting(Struct, frozen=True):

@@ -43,21 +43,23 @@ the cells of the map of the stock make some 1e-6."""
 _MEDIAN = 0.6745
 """Median of the size of a standard normal number."""
 _OUTLIER = 5.0
-"""Error of a point predicted by all others, over its usual size, beyond which it is left out."""
+"""Error of a point predicted by all others, over its usual size, beyond which it is left out (assumed)."""
 _MOST_OUTLIERS = 0.05
 """Share of the points that may be left out (assumed): more are no slips, but another part or robot."""
 HELD_SHARE = 0.9
-"""A parameter whose standard deviation stays above this share of the prior one is not determined by the part."""
+"""A parameter whose standard deviation stays above this share of the prior one is not determined by the part
+(assumed)."""
 UNMODELLED_SHARE = 0.10
 """Unmodelled error (95 %) at other places than those of the part, as a share of the deflection. Assumed: simulated
 robots whose gears bend and whose links are flexible are off there by 5 % (RMS), mostly along the force, which their
 parts do not show: 1.96 of these."""
 _SWAP_DECREASE = 25.0
-"""Decrease of χ², over the usual χ² of a point, by which two features were probed in each other's place."""
+"""Decrease of χ², over the usual χ² of a point, by which two features were probed in each other's place (assumed)."""
 MOST_LIFT = 0.5
-"""Lift of a program over the block that is counted, as a share of the flattest cut."""
+"""Lift of a program over the block that is counted, as a share of the flattest cut (assumed)."""
 _FACTOR = 5.0
-"""Probed deviations beyond this factor of the predicted ones, or below its inverse, are a mistake of the user's."""
+"""Probed deviations beyond this factor of the predicted ones, or below its inverse, are a mistake of the user's
+(assumed)."""
 
 
 class Fit(Struct, frozen=True, eq=False):

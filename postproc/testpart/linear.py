@@ -21,13 +21,13 @@ from postproc.under_load import RobotInCell
 _ROUNDS = 12
 """Limit of Gauss-Newton rounds (assumed); they end when the step is small."""
 _STEP_TOLERANCE = 2e-8
-"""Change of a predicted deviation that ends the iteration at fixed forces [m]."""
+"""Change of a predicted deviation that ends the iteration at fixed forces [m] (assumed)."""
 GAMMA = 0.005
-"""Median of γ before any reading."""
+"""Median of γ before any reading (assumed)."""
 _LIGHT = 0.25
-"""Displacements below this share of the largest are those of light passes."""
+"""Displacements below this share of the largest are those of light passes (assumed)."""
 _LIGHT_PASS_ERROR = 0.15
-"""Relative error of the displacement by a light pass: its chip is the difference of the deflections before."""
+"""Relative error of the displacement by a light pass: its chip is the difference of the deflections before; assumed."""
 
 
 class Linear(Columns, frozen=True, eq=False):

@@ -31,23 +31,25 @@ from postproc.testpart.prior import MIN_SHARE, Prior
 from postproc.testpart.readings import Lift, Top
 
 _DRIFT_SIGMAS = 3.0
-"""Change of a parameter that is named, in standard deviations."""
+"""Change of a parameter that is named, in standard deviations (assumed)."""
 _CHANCE = 0.005
-"""Chance of deviations that look like a drift, below which it is one."""
+"""Chance of deviations that look like a drift, below which it is one (assumed)."""
 _MISFIT = 0.25
-"""Unmodelled error, as a share of the deflection, beyond which the model should not be used."""
+"""Unmodelled error, as a share of the deflection, beyond which the model should not be used (assumed)."""
 _PLAUSIBLE_SIGMAS = 4.0
-"""Distance of a parameter from its prior, in prior standard deviations, that is not plausible."""
+"""Distance of a parameter from its prior, in prior standard deviations, that is not plausible (assumed)."""
 _LEAST_CORRELATION = 0.01
-"""Correlation with any other parameter below which one that the part does not determine stays out of [covariance]."""
+"""Correlation with any other parameter below which one that the part does not determine stays out of [covariance]
+(assumed)."""
 _DOUBTFUL = 3.0
-"""Distance of the scale of the forces from 1, in its standard deviations, that is worth a warning."""
+"""Distance of the scale of the forces from 1, in its standard deviations, that is worth a warning (assumed)."""
 _STATED_LIFT = 1e-4
-"""Lift of a program over the block that is worth a warning [m]."""
+"""Lift of a program over the block that is worth a warning [m] (assumed)."""
 _MOST_TILT = 3e-3
 """Tilt of a program against the uncut top [rad]. Assumed: more is a wrong touch-off point, or a wrong `$BASE`."""
 _VAGUE_LIFT = 0.25
-"""Half width of the 95 % interval of the lift, as a share of the flattest cut, beyond which its depth is not known."""
+"""Half width of the 95 % interval of the lift, as a share of the flattest cut, beyond which its depth is not known
+(assumed)."""
 _CHECKABLE = 4
 """Fewest touch-off points that can contradict each other."""
 _SURPRISE = 3.29

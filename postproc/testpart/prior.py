@@ -11,9 +11,9 @@ from postproc.frames import Array
 from postproc.robot import Parameter, RobotModel, Spring, file_slopes
 
 _UNMEASURED = 0.3
-"""Relative standard deviation of a parameter of a robot that may have changed."""
+"""Relative standard deviation of a parameter of a robot that may have changed (assumed)."""
 MIN_SHARE = 0.02
-"""Least value of a compliance, and of the scale of the forces, as a share of its prior."""
+"""Least value of a compliance, and of the scale of the forces, as a share of its prior (assumed)."""
 
 
 class Prior(Struct, frozen=True, eq=False):

@@ -24,7 +24,7 @@ MASS = "mass_kg"
 _MOST_MASS = 500.0
 """Mass [kg] beyond that of any tool of a robot: another quantity or unit."""
 _UNIT = 1e-3
-"""A normal in a file with three or four decimals is this near to length 1."""
+"""A normal in a file with three or four decimals is this near to length 1 (assumed)."""
 _FEWEST = 6
 """Fewest probed points that can be compared: the position of the part alone takes six numbers."""
 

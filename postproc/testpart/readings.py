@@ -23,9 +23,9 @@ from postproc.testpart.cut import Surfaces
 from postproc.testpart.probing import Probed, TouchOff
 
 PATH_ERROR = 1e-4
-"""Standard deviation of the path of the robot without force from one feature to another [m]."""
+"""Standard deviation of the path of the robot without force from one feature to another [m] (assumed)."""
 RADIUS_ERROR = 5e-5
-"""Standard deviation of the radius at which the tool cuts, run-out included [m]."""
+"""Standard deviation of the radius at which the tool cuts, run-out included [m] (assumed)."""
 UNEVENNESS = 2e-5
 """Standard deviation of the uncut top from a plane [m]. Assumed: a faced block."""
 SHIFT, TURN = 1e-2, 1e-1
@@ -33,10 +33,12 @@ SHIFT, TURN = 1e-2, 1e-1
 _FEWEST = 3
 """Fewest touch-off points of a placement: height and two slopes of the top."""
 _SMALLEST_SPREAD = 5e-3
-"""Least spread of the touch-off points across their longest line, RMS [m]."""
+"""Least spread of the touch-off points across their longest line, RMS [m] (assumed)."""
 _CONTRADICTION = 4.0
-"""Distance of the touch-off points from a plane, in standard deviations, beyond which they contradict each other."""
+"""Distance of the touch-off points from a plane, in standard deviations, beyond which they contradict each other
+(assumed)."""
 _Z = np.array([0.0, 0.0, 1.0])
+"""Direction away from the block, in `$BASE`."""
 
 
 class Top(Struct, frozen=True, eq=False):

@@ -27,9 +27,9 @@ _LEAST_TURN = 1e-6
 
 _SAME_LINE, _SAME_RATE = 5e-6, 1e-3
 """A motion continues the line before it if the corner between them is nearer to one line than this [m]; and any motion
-only if it turns the tool by the same angle per length, to within this [rad/m]."""
+only if it turns the tool by the same angle per length, to within this [rad/m] (assumed)."""
 _SAME_TANGENT, _SAME_AXIS, _SAME_RADIUS = np.radians(5.0), np.radians(40.0), 0.1
-"""It continues an arc if tangent and axis differ by less [rad], and the radius by less than this share."""
+"""It continues an arc if tangent and axis differ by less [rad], and the radius by less than this share (assumed)."""
 
 
 class JointMoves(Protocol):

@@ -24,7 +24,7 @@ _STEP = 0.020
 _REFERENCE_TOLERANCE = 1e-5
 """Tolerance [m] that `_STEP` is for."""
 _TURN = 3.0 * RAD_PER_DEG
-"""Largest rotation of the tool between samples."""
+"""Largest rotation of the tool between samples (assumed)."""
 _LEVER = 0.1
 """Length of tool [m] along which it must not lean from where its axes hold it by more than the tolerance."""
 _MOST_SWIVEL = 60.0 * RAD_PER_DEG
@@ -40,9 +40,10 @@ size)."""
 _ARM = 1.0
 """Length [m] over which the deflection changes by its own size."""
 _LEAST_SHARE = 0.1
-"""Of the tolerance, by how much the displacement must change along an arc that is divided where the force bends."""
+"""Of the tolerance, by how much the displacement must change along an arc that is divided where the force bends
+(assumed)."""
 _CERTAIN = 0.2
-"""Of the tolerance, what a piece may miss by this estimate without being measured."""
+"""Of the tolerance, what a piece may miss by this estimate without being measured (assumed)."""
 
 
 _Row = TypeVar("_Row", bound=np.integer[Any])

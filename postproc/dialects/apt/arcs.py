@@ -28,7 +28,7 @@ from postproc.frames import Array, norm
 _MOST_TURNS = 10_000
 """A helix of more turns would be kilometres long: a number that means something else."""
 _DIFFERENCE_MM = 0.1
-"""More than the last digits of an angle amount to at the end of an arc, and less than a whole turn."""
+"""More than the last digits of an angle amount to at the end of an arc, and less than a whole turn (assumed)."""
 _COINCIDENT_MM = 1e-3
 """Centre of a circle and beginning of its line: the same digits."""
 ARC_ADVICE = "Let the CAM system write arcs as GOTO statements."

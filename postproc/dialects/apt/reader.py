@@ -50,7 +50,7 @@ _SAME_MM = 1e-6
 _NO_TURN = 1e-9
 """Change of the unit vector of the tool that is the rounding of doubles."""
 _OPPOSITE = -0.9999
-"""Tool directions with a smaller component along a reference have no shortest rotation from it."""
+"""Tool directions with a smaller component along a reference have no shortest rotation from it (assumed)."""
 _BELOW_AXES = np.diag([1.0, -1.0, -1.0])
 """Reference orientation of programs whose tool comes from below: half a turn about X."""
 _S_PER_MIN = 60.0

@@ -21,6 +21,7 @@ _HEADS: Sequence[tuple[str, System]] = (("CATIA APT", "CATIA"), ("*CATIA0", "CAT
 _WORDS = re.compile(r"[,/$\s]+")
 _CATIA_SYSTEM = "*CATIA0"
 _ROWS = 3
+"""A coordinate system is three comments, one for each axis."""
 
 
 def system_of(comments: Sequence[tuple[int, str]]) -> System | None:

@@ -67,12 +67,16 @@ _PER_MINUTE = {
     "IPM": _MM_PER_INCH,
     "FPM": 12 * _MM_PER_INCH,
 }
+"""Feeds per minute: mm in one unit."""
 _PER_TURN = {"MMPR": 1.0, "IPR": _MM_PER_INCH, "FPR": 12 * _MM_PER_INCH}
+"""Feeds per turn of the spindle: mm in one unit."""
 _UNITS = {"MM": 1.0, "INCH": _MM_PER_INCH, "INCHES": _MM_PER_INCH, "IN": _MM_PER_INCH, "CM": 10.0}
+"""mm in one unit of length."""
 _UPRIGHT, _IS_DIRECTION = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0]), np.arange(6) >= 3
 """A direction along z in the numbers of a GOTO."""
 _SAGITTA_MM = 0.1
-"""An arc higher than this above its chord that has one point shows that Creo does not divide the arcs of a sequence."""
+"""An arc higher than this above its chord that has one point shows that Creo does not divide the arcs of a sequence
+(assumed)."""
 _DIGIT = 1e-3
 """More than the last digits of coordinates may amount to, in the unit of the file: files have four decimals or more."""
 _LEVEL = 0.2

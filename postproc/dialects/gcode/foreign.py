@@ -10,7 +10,7 @@ _POST = "In the CAM system choose a post-processor for LinuxCNC, or for plain Fa
 _SKIPPED_PARTS = re.compile(r'\([^()"]*\)|;.*|(?<=[#Oo])<[^<>]*>')
 """Parts of a line that are not searched: comments, and the names of parameters and subprograms."""
 _SEARCH_LENGTH = 300
-"""Number of characters of a line that are searched."""
+"""Number of characters of a line that are searched (assumed)."""
 
 
 class Foreign(NamedTuple):

@@ -331,9 +331,9 @@ class _Doubt:
 
 
 CHORD = 0.1
-"""Share of the tolerance that chords of arcs may use."""
+"""Share of the tolerance that chords of arcs may use (assumed)."""
 _NO_ROTATION = 1e-9
-"""Rotations of the tool below this [rad] are ignored."""
+"""Rotations of the tool below this [rad] are ignored (assumed)."""
 
 
 class Speeds(Struct, frozen=True):

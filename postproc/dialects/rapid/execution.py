@@ -86,7 +86,7 @@ class RapidError(PostprocError):
 _LATE_CALLS = ("%", "CALLBYVAR")
 """Calls of routines by a name that the program puts together."""
 _MOST_ROUNDS = 10_000
-"""Rounds of a loop without moves that are followed."""
+"""Rounds of a loop without moves that are followed (assumed)."""
 _KEEP = "Leave it out, or convert the G-code or APT of this part."
 _NUMBERS = "Give the data as numbers in this file, or name the module that has them in [rapid] modules of the cell."
 _COPIED = (

@@ -53,6 +53,7 @@ MOVING = re.compile(
 """First letters of instructions that move the robot or change how it moves."""
 _SIGN = np.array([-1.0, 1.0, 1.0, -1.0, 1.0, -1.0])
 _ZERO = np.array([0.0, 90.0, -90.0, 0.0, 0.0, 0.0])
+"""Signs and zeros [deg] of ABB's joint angles against KUKA's, in which joint angles are here."""
 _SAME_QUADRANT = 1e-6
 """An angle this close below a quadrant [deg] counts as its beginning (rounding)."""
 

@@ -59,7 +59,7 @@ DECLARATION = re.compile(
     r"LOCAL (?:PERS|CONST) (tooldata|wobjdata|speeddata|zonedata) ([A-Za-z]\w*):=(\[[^;]*\]);", re.ASCII
 )
 _LARGEST_COORDINATE = 1e6
-"""Largest coordinate of a frame [mm]."""
+"""Largest coordinate of a frame [mm] (assumed)."""
 
 
 def _to_joints(joints: Array) -> str:

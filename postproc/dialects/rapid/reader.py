@@ -50,7 +50,7 @@ from postproc.program import (
 _NORM_TOLERANCE = 1e-3
 """What the sum of the squares of a quaternion may differ from 1: three decimals of each."""
 _LARGEST_COORDINATE = 1e5
-"""Largest coordinate of a target or frame [mm]."""
+"""Largest coordinate of a target or frame [mm] (assumed)."""
 _TURNS = 1e-6
 """Change of the elements of a rotation matrix that is the rounding of written quaternions."""
 _MOST_NAMES = 5

@@ -34,9 +34,9 @@ from postproc.program import CIRC, LIN, PTP, Ints, Program, TargetForces, Target
 _MILLIMETRES, _QUATERNION, _MOST_DECIMALS = 4, 8, 9
 """Least decimals of positions and quaternions, as of new modules, and the most that numbers of the program keep."""
 _SPEED_DECIMALS = 6
-"""Of speeds [mm/s]; zeros at the end are left out."""
+"""Of speeds [mm/s]; zeros at the end are left out (assumed)."""
 _AT_QUADRANT = 3.0
-"""A configuration may differ by one quadrant where the axis is that close to its border [deg]."""
+"""A configuration may differ by one quadrant where the axis is that close to its border [deg] (assumed)."""
 _NUMBER = re.compile(r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?")
 _STRAIGHT = {"MOVEC": "MoveL", "MOVECDO": "MoveLDO", "MOVECSYNC": "MoveLSync", "TRIGGC": "TriggL"}
 _PLAIN = {LIN: "MoveL", CIRC: "MoveC", PTP: "MoveJ"}

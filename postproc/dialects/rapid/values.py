@@ -88,6 +88,7 @@ FASTEST = 5000.0
 """vmax [mm/s]: the manual says "max. TCP speed for the used robot type, normally 5000 mm/s"."""
 _ZONES = {0: 0.3, 1: 1, 5: 5, 10: 10, 15: 15, 20: 20, 30: 30, 40: 40, 50: 50, 60: 60, 80: 80, 100: 100, 150: 150}
 _ZONES[200] = 200
+"""Predefined zonedata: number in the name and radius [mm] (RAPID manual, zonedata)."""
 NONE = 8.9e9
 """External axes from here on are not connected (9E9)."""
 ROUNDING = 1e-5

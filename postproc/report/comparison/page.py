@@ -52,7 +52,7 @@ _MOST_GROUPS = 4_000
 _MOST_POINTS = 24_000
 """Points that are drawn in space (assumed): browsers still turn them quickly."""
 _CHORD = np.radians(10.0)
-"""Angle of a chord that an arc is drawn by."""
+"""Angle of a chord that an arc is drawn by (assumed)."""
 _WORST = 20
 """Rows of the table."""
 _BINS = 40

@@ -492,6 +492,7 @@ _NUMBERS = (
     "cut_nominal_mm", "cut_corrected_mm", "between_mm",
 )  # fmt: skip
 _PLACES = (6,) * 13 + (6, 3, 3, 6, 6, 6)
+"""Decimals of `_NUMBERS`."""
 PAIR_COLUMNS = ("state", "nominal_file", "nominal_line", "corrected_file", "corrected_line", "rapid", *_NUMBERS)
 """Columns of the file, in order."""
 _STATES = ("pair", "inserted", "only_nominal", "only_corrected", "passed")

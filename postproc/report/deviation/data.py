@@ -37,7 +37,7 @@ _BINS = 60
 _STOCK_CELLS = 40_000
 """Cells of the remaining stock that a page shows; larger maps are made coarser."""
 _SHARP = np.cos(np.radians(40.0))
-"""Facets that meet at a larger angle have an edge between them in the picture."""
+"""Facets that meet at a larger angle have an edge between them in the picture (assumed)."""
 _WORST = 12
 """Lines of the program with the largest values that are listed, for each measure."""
 _GOUGES = 40

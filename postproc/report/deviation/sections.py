@@ -243,6 +243,7 @@ _CURVE_POINTS = 600
 """Points of a curve: the largest and the least of each group."""
 _CM3_PER_MIN = 1e6 * 60.0
 _CM3 = 1e6
+"""cm³/min of one m³/s, and cm³ of one m³."""
 
 
 def cut(data: Deviation) -> Section | None:

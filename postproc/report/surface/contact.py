@@ -15,23 +15,24 @@ from postproc.program import Bools, Ints
 from postproc.report.surface.path import CutPath
 
 LONG = 4.0
-"""Length of a tool above its tip, in radii."""
+"""Length of a tool above its tip, in radii (assumed)."""
 OVERHANG = -0.05
-"""Facets whose normal points away from the spindle by more (cosine) are not cut from above."""
+"""Facets whose normal points away from the spindle by more (cosine) are not cut from above (assumed)."""
 FLAT, UPRIGHT = 1e-3, 0.999
-"""Faces are level or walls if the part of their normal square to the spindle is smaller or larger."""
+"""Faces are level or walls if the part of their normal square to the spindle is smaller or larger (assumed)."""
 _CONTACT_SHARE = 0.35
 """Share of the tool's radius, and at least `_LEAST_CONTACT` [m], by which the path may pass next to the place of
 contact: the next pass is never further than that where a surface is finished."""
 _LEAST_CONTACT = 3e-4
+"""For small tools, whose share would be less than what passes are apart (assumed)."""
 _LEVEL = 1e-6
-"""The tip is not above what its side touches [m]."""
+"""The tip is not above what its side touches [m] (assumed)."""
 _REACH = 0.025
 """Tools of unknown shape have a radius of at most this [m]. The nearest place counts from which one can touch."""
 _PASS_HEIGHT = 5e-4
-"""Passes next to the place of contact may be this much higher or lower, or further in [m]."""
+"""Passes next to the place of contact may be this much higher or lower, or further in [m] (assumed)."""
 _STEEP = 0.7
-"""Moves that are steeper (cosine to the spindle), plunges, leave no faces that are less steep."""
+"""Moves that are steeper (cosine to the spindle), plunges, leave no faces that are less steep (assumed)."""
 _CANDIDATES = 96
 """Samples of the path looked at for each facet: 1 cm on either side where there is one pass."""
 

@@ -10,6 +10,7 @@ from postproc.frames import MM_PER_M, Array
 from postproc.report.surface.map import Surface
 
 _UNTOUCHED = (150, 150, 150)
+"""Grey (red, green, blue) of facets that no tool reaches."""
 _STOPS = np.array([[179, 88, 6], [247, 247, 247], [5, 48, 97]], dtype=float)
 """Orange where the tool gouges, white, blue where it leaves material: distinct for colour-blind eyes."""
 _HEAD = """ply
@@ -31,6 +32,7 @@ end_header
 """
 _VERTEX = np.dtype([("at", "<f4", 3), ("colour", "u1", 3), ("values", "<f4", 3)])
 _FACE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
+"""Vertices and faces of a binary PLY file."""
 
 
 def ply(surface: Surface, limit: float) -> bytes:

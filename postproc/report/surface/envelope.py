@@ -28,13 +28,14 @@ _FACETS = 128
 _SEEDS = 12
 """Samples next to the contact that give the first bound: more only shorten the search."""
 _WIDER = 1.5
-"""On a convex surface with the radius of the tool, a tool touches further from a facet than on a plane by this."""
+"""On a convex surface with the radius of the tool, a tool touches further from a facet than on a plane by this
+(assumed)."""
 _STEEP = 0.3
-"""Facets that are steeper (cosine to the axis) are also cut by the side of a ball."""
+"""Facets that are steeper (cosine to the axis) are also cut by the side of a ball (assumed)."""
 _STEPS = 60
 """Limit of Newton steps to the surface of the tool (assumed): lines that graze it converge slowly."""
 _GRAZING = -1e-6
-"""Lines that approach a tool at a smaller rate than this miss it."""
+"""Lines that approach a tool at a smaller rate than this miss it (assumed)."""
 _EXACT = 1e-9
 """Distance from the tool at which a line enters it [m]."""
 

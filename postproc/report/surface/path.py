@@ -14,11 +14,11 @@ from postproc.program import Bools, Ints
 from postproc.report.path import drawn_path, operations
 
 CHORD = 1e-6
-"""Distance [m] of the samples on an arc from it."""
+"""Distance [m] of the samples on an arc from it (assumed)."""
 _SPACING = 2e-4
 """Distance of samples along the path [m]: places between them are interpolated."""
 _BALL_SPACING = 0.1
-"""Largest distance of samples of the path of a ball, in radii."""
+"""Largest distance of samples of the path of a ball, in radii (assumed)."""
 _MOST_SAMPLES = 1_500_000
 """Samples of long programs: their distance grows so that memory does not."""
 
