@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+from typing import Any
+
 from click.testing import CliRunner, Result
 
 from postproc.cli import main
@@ -30,3 +33,11 @@ def run(*arguments: object, code: int | tuple[int, ...] = 0, cell: object = None
 def printed(*arguments: object, code: int | tuple[int, ...] = 0, cell: object = None) -> str:
     """Run a command and return what it prints; see `run`."""
     return run(*arguments, code=code, cell=cell).output
+
+
+def comparison(
+    nominal: object, corrected: object, *arguments: object, code: int | tuple[int, ...] = 0, cell: object = None
+) -> dict[str, Any]:
+    """Run `compare` into the folder `found` and return the summary that it prints as JSON; see `run`."""
+    words = ("compare", nominal, corrected, "-o", "found", "--json", "--overwrite", *arguments)
+    return json.loads(printed(*words, code=code, cell=cell))

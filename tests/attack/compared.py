@@ -28,9 +28,9 @@ from postproc.provenance import Provenance
 from postproc.report.comparison import MadeFrom, comparison_summary
 from tests.attack import carried
 from tests.benchmarks import programs
+from tests.comparison.krl_moves import TURNED
 
 LEAST_MM, LEAST_DEG = 0.03, 0.05
-TURNED = "A 180,B 0,C 180"
 HEAD = """DEF part( )
 $VEL.CP=0.05
 $APO.CDIS=0.5

@@ -19,9 +19,9 @@ import numpy as np
 from postproc.errors import PostprocError
 from postproc.jobs import Settings, convert_all, find_jobs
 from postproc.jobs.comparison_files import CompareRequest, compare_programs
+from tests.comparison.krl_moves import TURNED
 from tests.places import CELL_FILE
 
-TURNED = "A 180,B 0,C 180"
 FRAMES = ("BASE", "FEED", "TOOL")
 
 

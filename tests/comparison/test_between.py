@@ -12,10 +12,9 @@ import numpy as np
 import pytest
 
 from tests.commands import invoke, run
+from tests.comparison.krl_moves import TURNED, circ, lin
 from tests.kr270 import CELL_TEXT
 from tests.places import SAMPLES
-
-TURNED = "A 180,B 0,C 180"
 
 
 @pytest.fixture(autouse=True)
@@ -37,14 +36,6 @@ def program(name, *moves, tool="Z 350", at=""):
     ]
     Path(f"{name}.src").write_text("\n".join([*head, *moves, "END", ""]))
     return f"{name}.src"
-
-
-def lin(x, y, z=0.0, more=""):
-    return f"LIN {{X {x:.4f},Y {y:.4f},Z {z:.4f},{TURNED}{more}}}"
-
-
-def circ(via, end):
-    return f"CIRC {{X {via[0]:.5f},Y {via[1]:.5f},Z 0}},{{X {end[0]:.5f},Y {end[1]:.5f},Z 0,{TURNED}}}"
 
 
 def compared(nominal, corrected, *more, code=None, cell=CELL_TEXT):

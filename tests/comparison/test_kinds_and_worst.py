@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from functools import partial
 from pathlib import Path
@@ -10,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from tests import commands
+from tests.comparison.krl_moves import TURNED
 from tests.places import CELL_FILE
 
 CELL = str(CELL_FILE)
-TURNED = "A 180,B 0,C 180"
 PART = f"""DEF part( )
 $BASE={{X 1500,Y -200,Z 700,A 0,B 0,C 0}}
 $TOOL={{X 0,Y 0,Z 350,A 0,B 0,C 0}}
@@ -57,7 +56,7 @@ def lines(*options):
 def compared(text):
     Path("edited").mkdir()
     Path("edited/part.src").write_text("\n".join([*text, ""]))
-    return json.loads(run("compare", "nominal/part.src", "edited/part.src", "-o", "found", "--json"))
+    return commands.comparison("nominal/part.src", "edited/part.src", cell=CELL, code=(0, 3))
 
 
 def line_of(text, part):

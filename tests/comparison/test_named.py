@@ -15,10 +15,10 @@ from postproc.comparison.partners import in_order, missed_targets, paired, partn
 from postproc.comparison.paths import Chain, PlacedProgram, nearest
 from postproc.program import PTP
 from postproc.under_load import RobotInCell
+from tests.comparison.krl_moves import TURNED
 from tests.corrections import read_files
 from tests.kr270 import CELL, ROBOT
 
-TURNED = "A 180,B 0,C 180"
 HEAD = """DEF part( )
 $VEL.CP=0.05
 $APO.CDIS=0.5

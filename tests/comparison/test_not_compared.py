@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from tests import commands
+from tests.comparison.krl_moves import TURNED
 from tests.places import CELL_FILE
 
-TURNED = "A 180,B 0,C 180"
 JOB = """DEF job( )
 BAS (#INITMOV,0 )
 $VEL.CP=0.05
@@ -39,11 +39,7 @@ def folder(tmp_path, monkeypatch):
 
 
 run = partial(commands.printed, cell=CELL_FILE)
-
-
-def compared(*more, code=0, cell=CELL_FILE):
-    arguments = ("compare", "nominal/job.src", "corrected/job.src", "-o", "found", "--json", "--overwrite", *more)
-    return json.loads(run(*arguments, code=code, cell=cell))
+comparison = partial(commands.comparison, "nominal/job.src", "corrected/job.src", cell=CELL_FILE)
 
 
 def line_of(path, part):
@@ -53,7 +49,7 @@ def line_of(path, part):
 def test_motions_that_stay_as_they_are_are_named_with_both_lines():
     assert "--keep-unresolved" in run("compare", "nominal/job.src", "nominal/job.src", "-o", "found", code=1)
     run("convert", "nominal/job.src", "-o", "corrected", "--keep-unresolved")
-    content = compared("--keep-unresolved")
+    content = comparison("--keep-unresolved")
     told = [issue for issue in content["issues"] if issue["kind"] == "not-compared"]
     for text in ("LIN $POS_ACT", "LIN {X 80"):
         (issue,) = [issue for issue in told if text in issue["message"]]
@@ -71,7 +67,7 @@ def test_motions_that_stay_as_they_are_are_named_with_both_lines():
 def test_the_key_of_the_cell_tells_them_as_the_option_does():
     Path("cell.toml").write_text(CELL_FILE.read_text(encoding="utf-8") + "\n[krl]\nkeep_unresolved = true\n")
     run("convert", "nominal/job.src", "-o", "corrected", cell="cell.toml")
-    assert compared(cell="cell.toml")["differences"]["not_compared"] == 4
+    assert comparison(cell="cell.toml")["differences"]["not_compared"] == 4
 
 
 @pytest.mark.parametrize(
@@ -82,7 +78,7 @@ def test_one_that_was_changed_must_not_be_run(before, after):
     path = Path("corrected/job.src")
     lines = [line for line in path.read_text().splitlines(keepends=True) if "POSTPROC" not in line]
     path.write_text("".join(lines).replace(before, after))
-    content = compared("--keep-unresolved", code=3)
+    content = comparison("--keep-unresolved", code=3)
     assert content["verdict"]["state"] == "failed"
     (issue,) = [issue for issue in content["issues"] if issue["kind"] == "unresolved-differs"]
     assert issue["source_line"] == line_of("nominal/job.src", before.strip())
@@ -105,9 +101,9 @@ def test_a_call_of_a_program_that_is_nowhere_is_told_where_one_program_alone_mak
     Path("nominal/job.src").write_text(JOB[: JOB.index("LIN $POS")] + "SPINDLE_ON( )\nEND\n")
     Path("corrected").mkdir()
     Path("corrected/job.src").write_text(JOB[: JOB.index("LIN $POS")] + "SPINDLE_ON( )\nEND\n")
-    assert compared(code=3)["issues"] == []
+    assert comparison(code=3)["issues"] == []
     Path("corrected/job.src").write_text(JOB[: JOB.index("LIN $POS")] + "END\n")
-    (issue,) = compared(code=3)["issues"]
+    (issue,) = comparison(code=3)["issues"]
     assert (issue["kind"], issue["source_line"], issue["corrected_line"]) == ("not-compared", 10, None)
 
 
@@ -134,6 +130,6 @@ def test_statements_that_feed_or_guard_one_must_be_the_same(before, after, motio
     path = Path("corrected/job.src")
     lines = [line for line in path.read_text().splitlines(keepends=True) if "POSTPROC" not in line]
     path.write_text("".join(lines).replace(before, after, 1))
-    content = compared("--keep-unresolved", code=0 if motion is None else 3)
+    content = comparison("--keep-unresolved", code=0 if motion is None else 3)
     told = [issue for issue in content["issues"] if issue["kind"] == "unresolved-differs"]
     assert [issue["corrected_line"] for issue in told] == ([] if motion is None else [line_of(path, motion)])

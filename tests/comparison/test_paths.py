@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 
 from tests import commands
+from tests.comparison.krl_moves import TURNED, circ, lin
 from tests.places import CELL_FILE
 
 CELL = str(CELL_FILE)
-TURNED = "A 180,B 0,C 180"
 HEAD = """DEF {name}( )
 $VEL.CP=0.05
 $BASE={{X 1500,Y -200,Z 700,A 0,B 0,C 0}}
@@ -35,19 +35,8 @@ def program(name, *moves):
     return f"{name}.src"
 
 
-def lin(x, y, z=0.0):
-    return f"LIN {{X {x:.4f},Y {y:.4f},Z {z:.4f},{TURNED}}}"
-
-
-def circ(via, end):
-    return f"CIRC {{X {via[0]:.4f},Y {via[1]:.4f},Z 0}},{{X {end[0]:.4f},Y {end[1]:.4f},Z 0,{TURNED}}}"
-
-
 run = partial(commands.printed, cell=CELL)
-
-
-def compared(nominal, corrected, *more, code=0):
-    return json.loads(run("compare", nominal, corrected, "-o", "found", "--json", "--overwrite", *more, code=code))
+comparison = partial(commands.comparison, cell=CELL)
 
 
 def unmarked(path):
@@ -62,7 +51,7 @@ def unmarked(path):
 def test_a_missing_corner_of_a_square_fails_by_the_distance_of_the_corner(corner, force):
     one = program("ONE", force, *(lin(*spot) for spot in SQUARE))
     other = program("OTHER", force, *(lin(*spot) for k, spot in enumerate(SQUARE) if k != corner))
-    content = compared(one, other, code=3)
+    content = comparison(one, other, code=3)
     assert content["only_nominal"] == 1
     (issue,) = [issue for issue in content["issues"] if issue["kind"] == "only-nominal"]
     height = 40.0 * 30.0 / math.hypot(40.0, 30.0)  # of the corner over the diagonal
@@ -81,7 +70,7 @@ def test_a_missing_corner_of_a_corrected_square_fails_too():
     lines = Path(path).read_text().splitlines(keepends=True)
     corner = [k for k, line in enumerate(lines) if line.startswith("LIN")][2]
     Path(path).write_text("".join([*lines[:corner], *lines[corner + 1 :]]))
-    content = compared(one, path, code=3)
+    content = comparison(one, path, code=3)
     (issue,) = [issue for issue in content["issues"] if issue["kind"] == "only-nominal"]
     assert float(re.search(r"by ([\d.]+) mm", issue["message"])[1]) == pytest.approx(24.0, abs=0.5)
 
@@ -93,12 +82,12 @@ def test_a_point_of_a_line_or_an_arc_may_be_left_out():
         lin(0, 0), lin(25, 0), lin(60, 0), circ((60 + half, 20 - half), (80, 20)),
         circ((60 + half, 20 + half), (60, 40)), lin(0, 40),
     ]  # fmt: skip
-    content = compared(program("ONE", *divided), program("OTHER", *whole))
+    content = comparison(program("ONE", *divided), program("OTHER", *whole))
     assert (content["pairs"], content["only_nominal"], content["verdict"]["state"]) == (4, 0, "ok")
     assert content["passed"] == 2
     assert content["passed_within_mm"] < 0.001
     assert "every target has its partner, or the path passes it" in content["verdict"]["reasons"]
-    content = compared(program("ONE", *whole), program("OTHER", *divided))
+    content = comparison(program("ONE", *whole), program("OTHER", *divided))
     assert (content["pairs"], content["inserted"], content["only_corrected"]) == (4, 2, 0)
     assert content["verdict"]["state"] == "ok"
 
@@ -109,7 +98,7 @@ def test_targets_that_are_left_out_and_passed_are_stated_with_their_distance(bul
     points = [(20.0 * k, bulge) for k, bulge in enumerate(bulges, 1)]
     ends = [lin(0, 0), lin(80, 0), lin(80, 40)]
     one, other = program("ONE", ends[0], *(lin(*spot) for spot in points), *ends[1:]), program("OTHER", *ends)
-    content = compared(one, other)
+    content = comparison(one, other)
     assert (content["passed"], content["only_nominal"]) == (len(bulges), 0)
     assert content["passed_within_mm"] == pytest.approx(0.008, abs=1e-6)
     is_not, them = ("is not", "it") if len(bulges) == 1 else ("are not", "them")
@@ -122,14 +111,14 @@ def test_targets_that_are_left_out_and_passed_are_stated_with_their_distance(bul
 
 def test_nothing_is_said_of_passed_targets_if_every_target_has_its_partner():
     one, other = (program(name, *(lin(*spot) for spot in SQUARE)) for name in ("ONE", "OTHER"))
-    content = compared(one, other)
+    content = comparison(one, other)
     assert (content["passed"], content["passed_within_mm"]) == (0, None)
     assert "passes" not in run("compare", one, other, "-o", "found", "--overwrite", code=0)
 
 
 def test_a_slit_that_is_left_out_fails_though_the_path_stays_on_the_nominal_one():
     moves = [lin(0, 0), lin(40, 0), lin(40, 25), lin(40, 0), lin(80, 0)]
-    content = compared(program("ONE", *moves), program("OTHER", moves[0], moves[1], moves[4]), code=3)
+    content = comparison(program("ONE", *moves), program("OTHER", moves[0], moves[1], moves[4]), code=3)
     (issue,) = [issue for issue in content["issues"] if issue["kind"] == "only-nominal"]
     assert "by 25.0000 mm" in issue["message"]
 
@@ -142,12 +131,12 @@ def test_a_nominal_and_a_corrected_program_of_gcode_belong_together_without_sayi
     )
     run("convert", "part.nc", "-o", "corrected", code=0)
     run("convert", "part.nc", "--nominal", "-o", "nominal", code=0)
-    content = compared("nominal/part.src", "corrected/part.src")
+    content = comparison("nominal/part.src", "corrected/part.src")
     assert content["verdict"]["state"] == "ok"
     assert content["provenance"]["made_from_these"]["program"] is True
     offset = json.loads(Path("corrected/part.report.json").read_text())["max_correction_mm"]
     assert content["offset"]["max_mm"] == pytest.approx(offset, rel=0.05)
-    content = compared(unmarked("nominal/part.src"), unmarked("corrected/part.src"))
+    content = comparison(unmarked("nominal/part.src"), unmarked("corrected/part.src"))
     assert (content["only_nominal"], content["only_corrected"]) == (0, 0)
     assert content["cut"]["corrected"]["max_mm"] < 0.001
     assert content["between"]["corrected_max_mm"] < 0.01
@@ -159,27 +148,27 @@ def test_forces_in_a_file_that_is_not_given_are_asked_for_in_an_ok_verdict():
     run("convert", one, "--forces", "forces.csv", "-o", "out", code=0)
     Path("elsewhere").mkdir()
     Path("forces.csv").rename("elsewhere/forces.csv")
-    content = compared(one, "out/ONE.src")
+    content = comparison(one, "out/ONE.src")
     assert content["verdict"]["state"] == "ok"
     assert content["offset"]["max_mm"] > 0.1
     assert any("--forces" in reason for reason in content["verdict"]["reasons"])
     assert "force file" not in content["provenance"]["made_from_these"]
-    assert compared(one, "out/ONE.src", "--forces", "elsewhere/forces.csv")["cut"]["corrected"]["max_mm"] < 0.001
+    assert comparison(one, "out/ONE.src", "--forces", "elsewhere/forces.csv")["cut"]["corrected"]["max_mm"] < 0.001
     Path("forces.csv").write_text("line,Fx,Fy,Fz,line_end\n7,-100,180,120,12\n")
-    content = compared(one, "out/ONE.src", "--forces", "forces.csv", code=3)
+    content = comparison(one, "out/ONE.src", "--forces", "forces.csv", code=3)
     assert "another force file" in " ".join(content["verdict"]["reasons"])
 
 
 def test_another_orientation_type_is_reported_but_for_the_one_that_the_correction_needs():
     moves = [lin(*spot) for spot in SQUARE]
     one = program("ONE", *moves)
-    content = compared(one, program("OTHER", *moves[:2], "$ORI_TYPE=#CONSTANT", *moves[2:]))
+    content = comparison(one, program("OTHER", *moves[:2], "$ORI_TYPE=#CONSTANT", *moves[2:]))
     (issue,) = content["issues"]
     assert (issue["kind"], issue["count"]) == ("orientation-type", 3)
     assert "$ORI_TYPE is #CONSTANT instead of #VAR" in issue["message"]
     assert content["verdict"]["state"] == "warning"
     assert content["differences"]["orientation_type"] == 3
-    content = compared("OTHER.src", one)
+    content = comparison("OTHER.src", one)
     assert content["verdict"]["state"] == "ok"
 
 
@@ -188,8 +177,8 @@ def test_another_turn_of_a_point_to_point_target_is_reported():
         return [lin(0, 0), f"PTP {{X 60,Y 0,Z 30,{TURNED}{turn}}}", lin(80, 0)]
 
     one = program("ONE", *moves(",S 2,T 2"))
-    assert compared(one, program("SAME", *moves(",S 2,T 2")))["issues"] == []
+    assert comparison(one, program("SAME", *moves(",S 2,T 2")))["issues"] == []
     for turn in (",S 2,T 18", ",S 2", ""):
-        content = compared(one, program("OTHER", *moves(turn)))
+        content = comparison(one, program("OTHER", *moves(turn)))
         assert "posture" in {issue["kind"] for issue in content["issues"]}, turn
         assert content["verdict"]["state"] == "warning"

@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 
 from tests import commands
+from tests.comparison.krl_moves import TURNED
 from tests.html_page import read_page
 from tests.places import CELL_FILE
 
 CELL = str(CELL_FILE)
-TURNED = "A 180,B 0,C 180"
 HEAD = """DEF {name}( )
 BAS (#INITMOV,0 )
 $VEL.CP=0.05
@@ -31,10 +31,7 @@ def folder(tmp_path, monkeypatch):
 
 
 run = partial(commands.printed, cell=CELL)
-
-
-def compared(nominal, corrected, *more, code=0):
-    return json.loads(run("compare", nominal, corrected, "-o", "found", "--json", "--overwrite", *more, code=code))
+comparison = partial(commands.comparison, cell=CELL)
 
 
 def krl(path, count=30):
@@ -56,7 +53,7 @@ def test_programs_of_one_name_are_told_apart_by_their_folders():
     krl("nominal/part.src")
     krl("corrected/part.src")
     line = moved("corrected/part.src")
-    content = compared("nominal/part.src", "corrected/part.src")
+    content = comparison("nominal/part.src", "corrected/part.src")
     assert (content["nominal"], content["corrected"]) == ("nominal/part.src", "corrected/part.src")
     worst = content["largest"][0]
     assert (worst["nominal_file"], worst["corrected_file"]) == ("nominal/part.src", "corrected/part.src")
@@ -68,16 +65,16 @@ def test_programs_of_one_name_are_told_apart_by_their_folders():
     assert "Line of corrected/part.src" in page.text("worst")
     krl("a/deep/down/part.src")
     krl("b/deep/down/part.src")
-    content = compared("a/deep/down/part.src", "b/deep/down/part.src")
+    content = comparison("a/deep/down/part.src", "b/deep/down/part.src")
     assert (content["nominal"], content["corrected"]) == ("a/deep/down/part.src", "b/deep/down/part.src")
 
 
 def test_programs_of_several_names_are_called_by_these():
     krl("nominal/one.src")
     krl("corrected/two.src")
-    content = compared("nominal/one.src", "corrected/two.src")
+    content = comparison("nominal/one.src", "corrected/two.src")
     assert (content["nominal"], content["corrected"]) == ("one.src", "two.src")
-    content = compared("nominal/one.src", "nominal/one.src")
+    content = comparison("nominal/one.src", "nominal/one.src")
     assert (content["nominal"], content["corrected"]) == ("one.src", "one.src")
 
 
@@ -92,7 +89,7 @@ def divided():
 def test_a_line_of_a_divided_program_is_named_with_its_file_and_its_own_number(divided):
     part = divided / "part3.src"
     line = moved(part, which=4)
-    content = compared("part.src", divided / "partMain.src", "--forces", "forces.csv", code=3)
+    content = comparison("part.src", divided / "partMain.src", "--forces", "forces.csv", code=3)
     assert content["provenance"]["state"] == "changed"
     with Path("found/partMain.compare.pairs.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
@@ -119,7 +116,7 @@ def test_a_line_of_a_subprogram_in_another_file_is_named_with_it():
         Path(f"{folder}/cut.src").write_text("DEF cut( )\n" + text[text.index("LIN") :])
         Path(f"{folder}/job.src").write_text(HEAD.format(name="job") + f"LIN {{X 0,Y 0,Z 9,{TURNED}}}\ncut()\nEND\n")
     line = moved("two/cut.src", which=6)
-    content = compared("one/job.src", "two/job.src")
+    content = comparison("one/job.src", "two/job.src")
     worst = content["largest"][0]
     assert (worst["nominal_file"], worst["nominal_line"]) == ("one/cut.src", line)
     assert (worst["corrected_file"], worst["corrected_line"]) == ("two/cut.src", line)
@@ -128,7 +125,7 @@ def test_a_line_of_a_subprogram_in_another_file_is_named_with_it():
 def test_names_with_commas_stay_one_field():
     krl("part.src")
     Path("a,b.src").write_text(Path("part.src").read_text())
-    compared("a,b.src", "part.src")
+    comparison("a,b.src", "part.src")
     with Path("found/part.compare.pairs.csv").open(newline="") as file:
         assert {row["nominal_file"] for row in csv.DictReader(file)} == {"a,b.src"}
 

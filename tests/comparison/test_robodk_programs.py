@@ -6,7 +6,6 @@ digits, speeds and approximation as statements of their own, external axes at th
 
 from __future__ import annotations
 
-import json
 import re
 from functools import partial
 from pathlib import Path
@@ -90,15 +89,12 @@ def line_of(text, part):
 
 
 run = partial(commands.printed, cell="cell.toml", code=(0, 3))
-
-
-def compared(corrected, *more, nominal="Milling.src"):
-    return json.loads(run("compare", nominal, corrected, "-o", "found", "--json", "--overwrite", *more))
+comparison = partial(commands.comparison, cell="cell.toml", code=(0, 3))
 
 
 def test_a_corrected_one_belongs_to_the_one_of_robodk():
     run("convert", "Milling.src", "--forces", "forces.csv", "-o", "out")
-    content = compared("out/Milling.src", "--forces", "forces.csv")
+    content = comparison("Milling.src", "out/Milling.src", "--forces", "forces.csv")
     assert content["verdict"]["state"] != "failed"
     assert (content["only_nominal"], content["only_corrected"]) == (0, 0)
     assert content["provenance"]["state"] == "intact"
@@ -133,7 +129,7 @@ PLANTED = {
 def test_every_difference_planted_in_a_program_of_robodk_is_found(fault):
     before, after = PLANTED[fault]
     line = edited(HEAD + BODY, before, after)
-    content = compared("Edited.src")
+    content = comparison("Milling.src", "Edited.src")
     found = {issue["kind"]: issue for issue in content["issues"]}
     if fault == "moved point":
         assert content["largest"][0]["corrected_line"] == content["largest"][0]["nominal_line"] == line
@@ -166,7 +162,7 @@ def test_a_changed_e1_in_a_program_of_robodk_is_found():
         "LIN {X 15.000,Y 40.000,Z -2.000,A 180.000,B 0.000,C 180.000,E1 100",
         "LIN {X 15.000,Y 40.000,Z -2.000,A 180.000,B 0.000,C 180.000,E1 120",
     )
-    content = compared("Edited.src")
+    content = comparison("Milling.src", "Edited.src")
     (issue,) = content["issues"]
     assert (issue["kind"], issue["source_line"], issue["count"]) == ("external-axis", line, 1)
     assert "120.0000 mm instead of 100.0000 mm" in issue["message"]
@@ -181,7 +177,7 @@ def test_a_corrected_one_edited_by_hand_is_called_changed(begin):
     number = [k for k, line in enumerate(lines) if line.startswith(begin or "LIN {X")][-1]
     lines[number] = re.sub(r"\.(\d)", lambda d: f".{(int(d[1]) + 1) % 10}", lines[number], count=1) if begin else ""
     path.write_text("".join(lines))
-    content = compared("out/Milling.src", "--forces", "forces.csv")
+    content = comparison("Milling.src", "out/Milling.src", "--forces", "forces.csv")
     origin = content["provenance"]
     assert origin["state"] == "changed"
     assert content["verdict"]["state"] == "failed"
@@ -247,7 +243,7 @@ def test_a_program_of_the_krc4_post_is_corrected_and_belongs_to_the_nominal_one(
     run("convert", "Milling.src", "--forces", "forces.csv", "-o", "out")
     written = Path("out/Milling.src").read_text()
     assert written.count("S 'B010', T 'B000010'") >= 4
-    content = compared("out/Milling.src", "--forces", "forces.csv")
+    content = comparison("Milling.src", "out/Milling.src", "--forces", "forces.csv")
     assert (content["only_nominal"], content["only_corrected"], content["issues"]) == (0, 0, [])
     assert content["cut"]["corrected"]["max_mm"] < 0.01 < 0.1 < content["cut"]["nominal"]["max_mm"]
 
@@ -265,7 +261,7 @@ def test_every_difference_planted_in_a_program_of_the_krc4_post_is_found(fault):
                         "orientation"),
     }[fault]  # fmt: skip
     line = edited(text, before, after)
-    content = compared("Edited.src")
+    content = comparison("Milling.src", "Edited.src")
     assert content["verdict"]["state"] != "ok"
     if kind is None:
         assert (content["largest"][0]["corrected_line"], content["largest"][0]["mm"]) == (line, pytest.approx(0.5))
@@ -283,7 +279,7 @@ def test_pages_of_the_krc4_post_are_compared_by_their_own_lines():
         Path(f"{folder}/Milling1.src").write_text("DEF Milling1 ( )\n" + body)
     page = Path("two/Milling1.src")
     page.write_text(page.read_text().replace("X 0.000,Y 30.000", "X 0.000,Y 30.400"))
-    content = compared("two/MillingMain.src", nominal="one/MillingMain.src")
+    content = comparison("one/MillingMain.src", "two/MillingMain.src")
     worst = content["largest"][0]
     assert worst["mm"] == pytest.approx(0.4)
     line = line_of(page.read_text(), "X 0.000,Y 30.400")

@@ -8,10 +8,10 @@ from functools import partial
 import pytest
 
 from tests import commands
+from tests.comparison.krl_moves import TURNED
 from tests.places import CELL_FILE
 
 CELL = str(CELL_FILE)
-TURNED = "A 180,B 0,C 180"
 PROGRAM = f"""DEF part( )
 DECL INT n
 $VEL.CP=0.05

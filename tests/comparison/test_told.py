@@ -17,7 +17,8 @@ from postproc import correction, jobs
 from postproc import robot as robots
 from postproc.comparison import compare
 from tests import commands
-from tests.attack.compared import HEAD, TURNED
+from tests.attack.compared import HEAD
+from tests.comparison.krl_moves import TURNED
 from tests.corrections import read_back
 from tests.kr270 import CELL_TEXT
 from tests.places import SAMPLES
@@ -50,10 +51,7 @@ def folder(tmp_path, monkeypatch):
 
 
 run = partial(commands.printed, cell="cell.toml", code=(0, 3))
-
-
-def compared(corrected, nominal="part.src"):
-    return json.loads(run("compare", nominal, corrected, "-o", "found", "--json", "--overwrite"))
+comparison = partial(commands.comparison, cell="cell.toml", code=(0, 3))
 
 
 def corrected():
@@ -66,7 +64,7 @@ def edited(text, before, after):
     new = re.sub(before, after, text, count=1, flags=re.MULTILINE)
     assert new != text
     Path("edited.src").write_text(new.replace("DEF part", "DEF edited"))
-    return compared("edited.src")
+    return comparison("part.src", "edited.src")
 
 
 def kinds(content):
@@ -176,7 +174,7 @@ def test_the_row_between_counts_a_calibrated_geometry():
         file.write(GEOMETRY)
     Path("cell.toml").write_text(CELL_TEXT.replace('"kuka_kr270"', '"model"'), encoding="utf-8")
     run("convert", str(SAMPLES / "inline.src"), "-o", "out")
-    content = compared("out/inline.src", nominal=str(SAMPLES / "inline.src"))
+    content = comparison(SAMPLES / "inline.src", "out/inline.src")
     with Path("out/inline.targets.csv").open(newline="") as file:
         rows = [row for row in csv.DictReader(file) if float(row["t"]) < 1.0 and row["rapid"] == "0"]
     largest = max(float(row["before_mm"]) for row in rows)
