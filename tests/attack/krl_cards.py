@@ -2877,6 +2877,52 @@ LIN P[I]
 @(EXIT|J=3|HALT)
 @(ENDIF|ENDWHILE|ENDFOR)
 LIN P[J]
+
+CUT~()
+@M
+LIB~()
+PTP XHOME
+LIN P[J]
+FILE CUT~
+DEF CUT~()
+LIN {X 11,Y 2,Z 3,A 4,B 5,C 6}
+LIN OWN
+END
+LIST CUT~
+DECL E6POS OWN={X 1,Y 2,Z 3,A 4,B 5,C 6}
+ENDDAT
+FILE LIB~
+DEF LIB~()
+WHILE $IN[3]
+CUT~()
+PTP {A1 0,A2 -80,A3 95,A4 0,A5 45,A6 0}
+ENDWHILE
+END
+
+CUT~(XA)
+IF $IN[1] THEN
+LIB~()
+ENDIF
+PTP XHOME
+CUT~(XB)
+FILE CUT~
+DEF CUT~(X:IN)
+DECL E6POS X
+LIN X
+LIN {X 11,Y 2,Z 3,A 4,B 5,C 6}
+END
+FILE LIB~
+DEF LIB~()
+PTP {A1 0,A2 -80,A3 95,A4 0,A5 45,A6 0}
+@(CUT~({X 1,Y 2,Z 3,A 4,B 5,C 6})|INNER())
+END
+DEF INNER()
+CUT~({X 1,Y 2,Z 7,A 4,B 5,C 6})
+END
+
+DATA BASE_DATA[9]={X 5,Y 7}
+@($BASE=BASE_DATA[9]|BAS(#BASE,9)|$BASE=BASE_DATA[9]:XA)
+@M
 """
 """Pieces whose motions depend on what is not known, or that a controller does not accept: most are refused."""
 
@@ -3153,5 +3199,49 @@ LIN_REL {X 5}
 @M
 XV~=XA
 LIN XV~
+
+$ORI_TYPE=#CONSTANT
+@M
+LIN $POS_ACT:@P
+LIN @(XA|P[J])
+$ORI_TYPE=#VAR
+PTP XHOME
+LIN XA
+LIN P[2]
+
+@M
+LIN $POS_ACT:@P
+CIRC XA,XB
+LIN XA
+LIN XB@T
+LIN P[1]
+
+@M
+LIN $POS_ACT:@P
+CIRC P[1],P[2]
+FOR J=1 TO 3
+LIN P[J]@T
+ENDFOR
+J=2
+
+CUT~()
+@M
+WHILE $IN[3]
+CUT~()
+ENDWHILE
+PTP XHOME
+CUT~()
+DEF CUT~()
+LIN {X 11,Y 2,Z 3,A 4,B 5,C 6}
+LIN @(XA|P[1])
+END
+
+IF $IN[4] THEN
+J=3
+ENDIF
+LIN P[J]
+LIN P[@(2|3)]
+J=2
+LIN XA
 """
 """Pieces with motions that stay as they are under `--keep-unresolved`."""

@@ -1266,7 +1266,8 @@ def shown(motion):
     """What a motion does, to compare it with another."""
     numbers = np.round(motion.numbers if motion.joints is None else motion.joints, 6).tolist()
     frames = np.round([motion.base, motion.tool], 9).tolist()
-    return motion.kind, numbers, frames, motion.speed, motion.cdis
+    via = None if motion.via is None else np.round(motion.via, 6).tolist()
+    return motion.kind, numbers, via, frames, motion.speed, motion.cdis
 
 
 def turned(start, via, end, angle):

@@ -81,14 +81,12 @@ class Effects(Struct, eq=False):
         """Add the effects of a called routine."""
         for name, place in effects.writes.items():
             self.writes.setdefault(name, place)
-        for name, place in effects.anytime.items():
-            self.anytime.setdefault(name, place)
         self.force = self.force or effects.force
         self._add_rest(effects)
 
     def add_action(self, effects: Effects) -> None:
         """Add the effects of an interrupt or a trigger."""
-        for name, place in (effects.writes | effects.anytime).items():
+        for name, place in effects.writes.items():
             self.anytime.setdefault(name, place)
         self._add_rest(effects)
 
