@@ -49,6 +49,18 @@ def test_statements_between_two_motions_are_those_on_the_way(start, end, expecte
     assert TEXTS.between(("a.src", start), ("a.src", end)) == expected
 
 
+def test_the_way_round_a_loop_goes_from_its_last_line_to_its_first():
+    """Its motions are next to its begin and end, or statements are between; other loops in them are passed."""
+    text = "DEF c( )\nLOOP\nLIN p1\nHALT\nFOR i=1 TO 2\nWAIT SEC 1\nENDFOR\nLIN p2\nENDLOOP\nEND"
+    texts = statements._Texts(SimpleNamespace(documents=(Document("c.src", text),)))
+    assert texts.between(("c.src", 8), ("c.src", 3)) == []
+    assert texts.between(("c.src", 3), ("c.src", 3)) == [("HALT", 4), ("WAITSEC1", 6)]
+    assert texts.between(("c.src", 3), ("c.src", 8)) == [("HALT", 4), ("WAITSEC1", 6)]
+    farther = text.replace("LOOP\nLIN p1", "LOOP\nHALT\nLIN p1").replace("LIN p2\n", "LIN p2\nPULSE(1)\n")
+    texts = statements._Texts(SimpleNamespace(documents=(Document("c.src", farther),)))
+    assert texts.between(("c.src", 9), ("c.src", 4)) == [("PULSE(1)", 10), ("HALT", 3)]
+
+
 def test_statements_between_files_are_not_known_and_a_routine_has_its_ends():
     assert TEXTS.between(("a.src", 3), ("b.src", 1)) is None
     assert TEXTS.between(("c.src", 1), ("c.src", 2)) is None

@@ -120,3 +120,19 @@ def test_a_path_has_the_positions_of_its_corners_at_its_arc_lengths(seed):
             np.testing.assert_allclose(path.points(np.array([length]))[0], expected, atol=1e-9)
             motion, t = path.at(np.array([length]))
             assert (motion[0], t[0]) == (k, pytest.approx(share))
+
+
+def test_a_path_that_begins_with_a_line_has_places_on_it():
+    path = placed(np.array([[0.0, 0.0, 50.0], [30.0, 0.0, 50.0]]), [LIN, LIN])
+    begin = (PLACE.start_flange @ path.program.tools[0])[:3, 3]
+    corner = (path.program.bases[0] @ [0.0, 0.0, 0.05, 1.0])[:3]
+    size = np.linalg.norm(corner - begin)
+    assert path.arc_length[1] == pytest.approx(size)
+    for share in (0.0, 0.3, 1.0):
+        motion, t = path.at(np.array([share * path.arc_length[1]]))
+        assert (motion[0], t[0]) == (0, pytest.approx(max(share, 1e-9)))
+        np.testing.assert_allclose(
+            path.points(np.array([share * size]))[0], begin + share * (corner - begin), atol=1e-8
+        )
+    motion, t = path.at(np.array([path.arc_length[2] + 1.0]))
+    assert (motion[0], t[0]) == (1, 1.0)
