@@ -96,10 +96,15 @@ class SampleBySample:
             return 0.0, 0.0
         if np.isnan(self.q[i]).any():
             return np.nan, np.nan
-        q, wrench = self.q[i][None], self.wrench(i)[None]
-        spring = self.samples.robot_in_cell.tool_spring
-        series = None if spring is None else spring.matrices(self.pose(i)[None, :3, :3])
-        spread = self.samples.along.spread_in_root(self.samples.sample.take(np.array([i])))
-        bound = elastostatics.position_bound(self.robot, q, self.tool(i), wrench, spread, series)
-        tip = self.samples.robot_in_cell.tip(q, self.tool(i), wrench)[0]
-        return float(bound[0]), float(np.linalg.norm(tip - self.pose(i)[:3, 3]))
+        return self.errors_of([i])[0]
+
+    def errors_of(self, rows):
+        """Expected errors and deflections [m] of samples that cut and are reached."""
+        samples, q = self.samples, self.q[rows]
+        tool, wrench, pose = (np.array([function(i) for i in rows]) for function in (self.tool, self.wrench, self.pose))
+        spring = samples.robot_in_cell.tool_spring
+        series = None if spring is None else spring.matrices(pose[:, :3, :3])
+        spread = samples.along.spread_in_root(samples.sample.take(np.array(rows)))
+        bound = elastostatics.position_bound(self.robot, q, tool, wrench, spread, series)
+        tip = samples.robot_in_cell.tip(q, tool, wrench)
+        return list(zip(bound.tolist(), np.linalg.norm(tip - pose[:, :3, 3], axis=1).tolist(), strict=True))
