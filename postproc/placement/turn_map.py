@@ -243,15 +243,15 @@ def _unfilled(blocks: Blocks, base: Array, offset: Array, *, has_bodies: bool) -
         blocks,
         base,
         offset,
-        margin=Margins(*(np.full(shape, np.nan) for _ in range(4))),
-        speed=np.zeros(shape),
-        jump=np.zeros(shape),
+        margin=Margins(*(np.empty(shape) for _ in range(4))),
+        speed=np.empty(shape),
+        jump=np.empty(shape),
         rate=np.zeros(shape),
         hit=np.zeros(shape, dtype=bool) if has_bodies else None,
         q=np.empty((*shape, 6)),
-        winding=np.zeros((*shape, 2, 3)),
-        u95=np.zeros(shape),
-        deflection=np.zeros(shape),
+        winding=np.empty((*shape, 2, 3)),
+        u95=np.empty(shape),
+        deflection=np.empty(shape),
     )
 
 

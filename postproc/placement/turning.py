@@ -274,10 +274,7 @@ def _at_samples(samples: PathSamples, blocks: Blocks, knots: Array) -> Array:
     """Return the turn (N,) [rad] at samples for turns at the ends of blocks."""
     ends = blocks.turn_of_motions(samples, knots)
     motion, t = samples.sample.motion, samples.sample.t
-    begin = np.append(ends[0], ends[:-1])
-    starts = np.zeros(len(ends), dtype=bool)
-    starts[np.append(0, blocks.motion[:-1] + 1)[blocks.begins]] = True
-    begin = np.where(starts, ends, begin)
+    begin = np.append(ends[0], ends[:-1])  # of a joint interpolation the end is the only sample
     return np.asarray(begin[motion] + t * (ends - begin)[motion])
 
 

@@ -208,6 +208,7 @@ def map_of_reasons(samples, blocks, reasons):
         made,
         margin=margin,
         speed=np.where(reasons == drive.SPEED, 2.0, 0.0),
+        jump=np.zeros(reasons.shape),
         hit=np.asarray(reasons == drive.COLLISION),
     )
 
