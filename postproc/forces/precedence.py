@@ -56,7 +56,7 @@ def of_comments(program: Program) -> Knots:
     """
     index = _notes(program)
     motion = np.flatnonzero(index >= 0)
-    values = np.array([note.wrench for note in program.notes]).reshape(-1, 6)
+    values = np.array([note.wrench for note in program.notes]).reshape(len(program.notes), 6)
     frames = np.array([FORCE_FRAMES.index(note.frame) for note in program.notes], dtype=np.int64)
     return Knots.throughout(motion, values[index[motion]], frames[index[motion]])
 

@@ -262,3 +262,12 @@ def test_a_call_that_is_not_followed_refuses_forces_on_its_line(tmp_path):
                 source.along(with_call, None)
         else:
             assert len(source.along(with_call, None)) == 3
+
+
+def test_an_unknown_frame_is_refused_with_those_that_are_known(tmp_path):
+    (tmp_path / "f.csv").write_text("line,Fx,Fy,Fz,frame\n1,1,0,0,FED\n2,1,0,0,tool\n")
+    with pytest.raises(ForceError) as refused:
+        forces.read_force_csv(tmp_path / "f.csv")
+    assert (refused.value.problem, refused.value.line) == ("unknown frame 'FED'", 2)
+    assert all(name in refused.value.advice for name in FORCE_FRAMES)
+    assert "Valid frames" in refused.value.advice
