@@ -80,3 +80,29 @@ def test_compliances_over_the_pose_are_identified_and_a_place_far_from_all_readi
         moved = np.linalg.norm(elastostatics.deflect(model, place, harness.TOOL, wrench).twist[:, :3], axis=1)
         share.append(elastostatics.position_bound(model, place, harness.TOOL, wrench) / moved)
     assert np.median(share[1]) > 1.5 * np.median(share[0])
+
+
+@pytest.mark.parametrize("joint", range(6))
+def test_waves_turn_up_to_twice_with_their_joint_and_once_with_the_arm(joint):
+    """Each wave once, with n or −n; of A2 and A3 three turns together at most."""
+    expected = set()
+    for own in range(3):
+        for second in range(-2, 3):
+            for third in range(-2, 3):
+                turns = [0] * 6
+                turns[1], turns[2] = second, third
+                if joint in (1, 2):
+                    if own or abs(second) + abs(third) > 3:
+                        continue
+                else:
+                    turns[joint] = own
+                    if max(abs(second), abs(third)) > 1:
+                        continue
+                mirrored = tuple(-n for n in turns)
+                if any(turns) and mirrored not in expected:
+                    expected.add(tuple(turns))
+    found = {wave.turns for wave in over_pose.waves([robot.JOINT_COMPLIANCES[joint]])}
+    assert {frozenset((n, tuple(-k for k in n))) for n in found} == {
+        frozenset((n, tuple(-k for k in n))) for n in expected
+    }
+    assert len(found) == len(expected)

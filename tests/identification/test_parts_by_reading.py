@@ -15,7 +15,7 @@ from postproc.errors import MeasurementError
 from postproc.frames import pose_from_xyzabc
 from postproc.identification import moved_device, plausibility, validation
 from postproc.identification.measurement_model import Placement
-from postproc.identification.readings import Measurements
+from postproc.identification.readings import Measurements, _check_sets
 from postproc.identification.validation import ValidatedLevel, _Compared
 from tests.collision.setting import KR270, frame
 
@@ -391,7 +391,7 @@ def test_states_of_configuration_and_load_that_a_model_knows_are_those_within_th
             change = share * np.linalg.norm(wrench[n]) * direction / np.linalg.norm(direction)
             states.append([*(q[n] + turn * np.eye(6)[rng.integers(6)]), *(wrench[n] + change)])
             expected[n] = turn < 1e-4 and share < 0.01
-    assert validation._known(data, np.array(states).reshape(-1, 12)).tolist() == expected.tolist()
+    assert validation._is_known_state(data, np.array(states).reshape(-1, 12)).tolist() == expected.tolist()
 
 
 def test_a_gross_reading_names_its_line_configuration_load_and_point():
@@ -402,3 +402,25 @@ def test_a_gross_reading_names_its_line_configuration_load_and_point():
     numbers = [float(value) for value in re.findall(r"[\d.]+", words)]
     assert {float(data.line[row]), float(config), float(load)} <= set(numbers)
     assert data.points[data.point[row]] in words
+
+
+def test_a_load_without_a_point_that_was_read_without_it_is_refused_with_its_line():
+    """One common point is enough; a configuration that has no reading without load is another error's."""
+    data = readings(np.random.default_rng(1))
+    _check_sets(data, data.file)
+    first = np.flatnonzero((data.state_config == 2) & (data.load == 0))[0]
+    loaded = np.flatnonzero((data.state_config == 2) & (data.load == 1))[0]
+    for kept, is_refused in (((0,), False), ((1,), True), ((), True)):
+        removed = (data.state == first) & ~np.isin(data.point, kept)
+        removed |= (data.state == loaded) & (data.point != 0)
+        other = replace(data, used=~removed)
+        if not is_refused:
+            _check_sets(other, data.file)
+            continue
+        with pytest.raises(MeasurementError, match=r"config 12, load [12]: no point has readings with and") as refused:
+            _check_sets(other, data.file)
+        assert data.state_config[data.state[refused.value.line - 2]] == 2
+    without_rest = replace(data, load=np.where(data.state_config == 2, 1, data.load))
+    _check_sets(without_rest, data.file)
+    with pytest.raises(MeasurementError, match="no reading of point P4"):
+        _check_sets(replace(data, points=(*data.points, "P4")), data.file)

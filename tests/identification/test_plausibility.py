@@ -186,3 +186,25 @@ def test_forces_in_another_unit_than_newton_are_refused(experiment, factor, unit
     plausibility.check_loads(harness.PRIOR, data, placement)
     with pytest.raises(MeasurementError, match=f"the forces look like {unit}"):
         plausibility.check_loads(harness.PRIOR, replace(data, wrench=data.wrench * factor), placement)
+
+
+def test_a_fit_without_a_gross_residual_leaves_out_nothing(experiment):
+    data = loaded(experiment, lambda raw: None, "clean")
+    placement = locate(harness.PRIOR, data)
+    fit = procedure._joints(harness.PRIOR, data, placement).fit
+    cleaned, lines = plausibility.without_worst_residual(data, placement, fit)
+    assert cleaned is data
+    assert lines == []
+
+
+def test_what_joint_springs_leave_unexplained_is_a_warning_with_its_size(tmp_path):
+    """Links deflect too, and the fit is to be one of joint springs: the covariance grows by the misfit."""
+    rng = np.random.default_rng(3)
+    true, (q, f) = simulator.hard(rng), simulator.plan(rng, 12)
+    _, raw = simulator.measure(true, q, f, rng, SIGMA)
+    data = harness.load(simulator.write(tmp_path, q, f, raw, SIGMA))
+    found = procedure.identify(harness.PRIOR, data, depth="joints")
+    (warning,) = [text for text in found.warnings if text.startswith("joint springs and compensator leave")]
+    ratio = found.fit.chi2 / found.fit.dof
+    assert f"leave {1e3 * found.fit.rms:.3f} mm RMS, {ratio:.1f} times the noise variance" in warning
+    assert ratio > 2.0
