@@ -1,7 +1,7 @@
 """Ctrl-C and the signals that end a process: heard where nothing can be left half-done, held back elsewhere.
 
 A `KeyboardInterrupt` that may come between any two statements cannot be cleaned up after with certainty. So it comes
-only inside `heard`; inside `held_back` a signal is noted, and is raised when all that belongs together is done.
+only inside `allow`; inside `defer` a signal is noted, and is raised when all that belongs together is done.
 
 Signals reach the main thread alone; in other threads nothing here does anything.
 """
@@ -48,7 +48,7 @@ def leave_at_once() -> None:
 
 
 @contextlib.contextmanager
-def held_back() -> Iterator[None]:
+def defer() -> Iterator[None]:
     """Note signals that ask for the end; raise `Interrupt` when all that belongs together is done."""
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -73,8 +73,8 @@ def held_back() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def heard() -> Iterator[None]:
-    """Inside `held_back`: raise `Interrupt` at once, but only once, so that nothing disturbs the cleaning up.
+def allow() -> Iterator[None]:
+    """Inside `defer`: raise `Interrupt` at once, but only once, so that nothing disturbs the cleaning up.
 
     Also where the exception got lost (a destructor and some libraries swallow it) or became another one.
     """
@@ -105,7 +105,7 @@ def ending_a_search() -> Iterator[None]:
         signal.signal(signal.SIGINT, _leave)
 
 
-def came() -> bool:
+def is_pending() -> bool:
     """Return whether a signal has been noted."""
     return _State.number is not None
 

@@ -69,7 +69,7 @@ def check_ends(program: Program, robot: RobotModel) -> None:
     _check(program, cartesian, ~(distance <= reach), "unreachable", message)
 
 
-def check_between(program: Program, robot: RobotModel, path: Segments) -> None:
+def check_arcs(program: Program, robot: RobotModel, path: Segments) -> None:
     """Check that arcs are within reach, and that their numbers of turns and the length of the path are plausible.
 
     :raises ImpossiblePathError: a check fails.
@@ -384,7 +384,7 @@ class MotionsUnderLoad(Struct, frozen=True, eq=False):
         """
         check_ends(program, robot_in_cell.robot)
         segments = segments_in_cell(program, robot_in_cell)
-        check_between(program, robot_in_cell.robot, segments)
+        check_arcs(program, robot_in_cell.robot, segments)
         path_forces = forces.assign(program, segments, source, robot_in_cell.spindle, robot_in_cell.ramp)
         compliance = robot_in_cell.tip_compliance(program.tools[0])
         swing_places = forces.swing_places(path_forces, compliance, SHARE_OF_TOLERANCE * robot_in_cell.tolerance)

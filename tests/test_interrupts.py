@@ -23,15 +23,15 @@ def interrupt() -> None:
 def nothing_stays():
     yield
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    with interrupts.held_back():
-        assert not interrupts.came()
+    with interrupts.defer():
+        assert not interrupts.is_pending()
 
 
 def test_what_is_held_back_is_raised_at_the_end():
     done = []
-    with pytest.raises(interrupts.Interrupt) as caught, interrupts.held_back():
+    with pytest.raises(interrupts.Interrupt) as caught, interrupts.defer():
         interrupt()
-        done.append(interrupts.came())
+        done.append(interrupts.is_pending())
     assert done == [True]
     assert caught.value.number == signal.SIGINT
     assert isinstance(caught.value, KeyboardInterrupt)
@@ -39,16 +39,16 @@ def test_what_is_held_back_is_raised_at_the_end():
 
 def test_what_came_before_is_heard_at_once():
     done = []
-    with pytest.raises(KeyboardInterrupt), interrupts.held_back():
+    with pytest.raises(KeyboardInterrupt), interrupts.defer():
         interrupt()
-        with interrupts.heard():
+        with interrupts.allow():
             done.append("computed")
     assert done == []
 
 
 def test_a_second_one_does_not_disturb_the_cleaning_up():
     done = []
-    with pytest.raises(KeyboardInterrupt), interrupts.held_back(), interrupts.heard():
+    with pytest.raises(KeyboardInterrupt), interrupts.defer(), interrupts.allow():
         try:
             interrupt()
         finally:
@@ -59,8 +59,8 @@ def test_a_second_one_does_not_disturb_the_cleaning_up():
 
 def test_one_that_got_lost_in_a_destructor_is_raised_when_the_work_is_left():
     done = []
-    with pytest.raises(KeyboardInterrupt), interrupts.held_back():
-        with interrupts.heard():
+    with pytest.raises(KeyboardInterrupt), interrupts.defer():
+        with interrupts.allow():
             try:
                 interrupt()
             except BaseException:  # as Python does where it cannot raise
@@ -70,7 +70,7 @@ def test_one_that_got_lost_in_a_destructor_is_raised_when_the_work_is_left():
 
 
 def test_one_that_became_another_exception_is_an_interrupt_again():
-    with pytest.raises(KeyboardInterrupt), interrupts.held_back(), interrupts.heard():
+    with pytest.raises(KeyboardInterrupt), interrupts.defer(), interrupts.allow():
         try:
             interrupt()
         except KeyboardInterrupt:
@@ -79,8 +79,8 @@ def test_one_that_became_another_exception_is_an_interrupt_again():
 
 def test_inside_what_is_heard_files_may_be_held_back_again():
     done = []
-    with pytest.raises(KeyboardInterrupt), interrupts.held_back(), interrupts.heard():
-        with interrupts.held_back():
+    with pytest.raises(KeyboardInterrupt), interrupts.defer(), interrupts.allow():
+        with interrupts.defer():
             interrupt()
             done.append("whole")
         done.append("computed")
@@ -91,7 +91,7 @@ def test_other_threads_neither_hear_nor_hold():
     seen = []
 
     def work():
-        with interrupts.held_back(), interrupts.heard():
+        with interrupts.defer(), interrupts.allow():
             seen.append(signal.getsignal(signal.SIGINT))
 
     thread = threading.Thread(target=work)
@@ -104,9 +104,9 @@ def test_signals_that_the_caller_handles_are_left_to_it():
     came = []
     before = signal.signal(signal.SIGINT, lambda *_: came.append(1))
     try:
-        with interrupts.held_back():
+        with interrupts.defer():
             interrupt()
-            assert not interrupts.came()
+            assert not interrupts.is_pending()
     finally:
         signal.signal(signal.SIGINT, before)
     assert came == [1]

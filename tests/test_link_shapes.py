@@ -176,7 +176,7 @@ def test_an_arm_without_shapes_says_so():
 def test_a_fine_mesh_is_simplified_within_the_distance_stated():
     sphere = trimesh.creation.icosphere(subdivisions=5, radius=0.4)
     surface = LinkShape(0, np.asarray(sphere.vertices), np.asarray(sphere.faces))
-    kept, moved = shapes.simplified(surface, 4000)
+    kept, moved = shapes.simplify(surface, 4000)
     assert 1500 < len(kept.faces) <= 4000
     assert 0.0 < moved < 0.04
     radius = np.linalg.norm(kept.points, axis=1)
@@ -187,7 +187,7 @@ def test_a_fine_mesh_is_simplified_within_the_distance_stated():
 def test_what_is_simple_stays_as_it_is():
     box = trimesh.creation.box((0.1, 0.2, 0.3))
     surface = LinkShape(0, np.asarray(box.vertices), np.asarray(box.faces))
-    kept, moved = shapes.simplified(surface, 4000)
+    kept, moved = shapes.simplify(surface, 4000)
     assert kept is surface
     assert moved == 0.0
 

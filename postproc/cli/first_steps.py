@@ -238,7 +238,7 @@ _SAME_OPTIONS = (
 
 def _for_programs(cell: Path, programs: list[Path], options: dict[str, Any]) -> CellRequest:
     """Return the request for a cell that these programs need; ask for what no option says."""
-    from postproc.cli.start import print_needs, prompted
+    from postproc.cli.start import print_needs, prompt
     from postproc.jobs import guided_start
     from postproc.jobs.program_needs import needs_of
 
@@ -268,7 +268,7 @@ def _for_programs(cell: Path, programs: list[Path], options: dict[str, Any]) -> 
         needs, answers, {item.key for item in unanswered_questions}, process=False
     ):
         if is_terminal():
-            answers.put(question, prompted(question, first=not answers.values))
+            answers.put(question, prompt(question, first=not answers.values))
         elif question.optional and question.default is not None:
             answers.put(question, question.default)
         else:

@@ -28,11 +28,11 @@ def work(
     cluster: Cluster | None = None,
 ) -> None:
     """Work through jobs and print what came of them; end the command with the exit code of the worst."""
-    outcomes = work_through(ctx, jobs, settings, as_json=as_json, workers=workers, cluster=cluster)
+    outcomes = run_jobs(ctx, jobs, settings, as_json=as_json, workers=workers, cluster=cluster)
     ctx.exit(worst_code(outcomes))
 
 
-def work_through(
+def run_jobs(
     ctx: click.Context,
     jobs: Sequence[Job],
     settings: Settings,

@@ -183,7 +183,7 @@ def _ask(
         question_keys.add(question.key)
         text = option_texts.get(question.key, answer_file.answers.get(question.key))
         if text is None and on_terminal:
-            text = prompted(question, first=not answers.values)
+            text = prompt(question, first=not answers.values)
         elif text is None and question.optional and question.default is not None:
             text = question.default
         if text is None:
@@ -227,7 +227,7 @@ def _keep(path: Path, answer_file: Any) -> None:
     save_answers(path, answer_file)
 
 
-def prompted(question: Question, *, first: bool) -> str:
+def prompt(question: Question, *, first: bool) -> str:
     """Ask on the terminal until the answer can be used; return its text."""
     if first:
         click.echo("Lengths in mm, angles in degrees. Enter takes the value in brackets. Ctrl-C keeps the answers.")
@@ -260,7 +260,7 @@ def _convert_now(
     ctx: click.Context, program: Path, folder: Path, cell: Path, process: Path | None, options: Mapping[str, Any]
 ) -> Outcome:
     """Convert the program, print what came of it, and return it."""
-    from postproc.cli.outcomes import work_through
+    from postproc.cli.outcomes import run_jobs
     from postproc.jobs import Settings, find_jobs
     from postproc.jobs.programs import load_setup
 
@@ -268,7 +268,7 @@ def _convert_now(
     to = options["to"] or (language if language not in ("", "krl") else None)
     jobs = find_jobs([str(program)], forces=process, output=folder, to=to)
     settings = Settings(cell=cell, overwrite=options["overwrite"])
-    (outcome,) = work_through(ctx, jobs, settings, as_json=False)
+    (outcome,) = run_jobs(ctx, jobs, settings, as_json=False)
     return outcome
 
 

@@ -19,9 +19,9 @@ from postproc.comparison.result import (
     Comparison,
     Difference,
     at_pairs,
-    at_rows,
     of_line,
     place_of,
+    warning_at,
 )
 from postproc.comparison.settings import SAME_LENGTH, axis_targets, bases_and_tools, forces, settings
 from postproc.comparison.statements import statement_differences
@@ -277,7 +277,7 @@ def _orientation(
         worst = pairs[np.argmax(pair_angles[pairs])]
         rows, angle = comparison.pair[worst].tolist(), float(pair_angles[worst])
     message = f"the tool is turned by {angle * DEG_PER_RAD:.4f}° from its nominal orientation."
-    yield at_rows(comparison, "orientation", message, rows, len(pairs) + len(inserted_indices))
+    yield warning_at(comparison, "orientation", message, rows, len(pairs) + len(inserted_indices))
 
 
 def _inserted_rotations(
@@ -317,7 +317,7 @@ def _rapid(comparison: Comparison, nominal_path: PlacedProgram) -> Iterator[Diff
     if len(pairs) and not any(difference.kind == "base" for difference in bases_and_tools(comparison)):
         worst = pairs[np.argmax(offsets[pairs])]
         message = f"a rapid target is {offsets[worst] * MM_PER_M:.4f} mm off."
-        yield at_rows(comparison, "rapid", message, comparison.pair[worst].tolist(), len(pairs))
+        yield warning_at(comparison, "rapid", message, comparison.pair[worst].tolist(), len(pairs))
 
 
 def _twice(comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram) -> Iterator[Difference]:
@@ -330,7 +330,7 @@ def _twice(comparison: Comparison, nominal_path: PlacedProgram, corrected_path: 
     pairs = np.flatnonzero(is_stop)
     if len(pairs):
         message = "the same target twice in succession: the robot stops there."
-        yield at_rows(comparison, "twice", message, (-1, int(pairs[0])), len(pairs))
+        yield warning_at(comparison, "twice", message, (-1, int(pairs[0])), len(pairs))
 
 
 def _backward_moves(comparison: Comparison) -> Iterator[Difference]:
@@ -346,7 +346,7 @@ def _backward_moves(comparison: Comparison) -> Iterator[Difference]:
         message = (
             f"the robot goes {(lengths[reversals[0] - 1] - lengths[reversals[0]]) * MM_PER_M:.4f} mm back on its path."
         )
-        yield at_rows(comparison, "back", message, (-1, int(cuts.row[ends[reversals[0]]])), len(reversals))
+        yield warning_at(comparison, "back", message, (-1, int(cuts.row[ends[reversals[0]]])), len(reversals))
 
 
 def _off_path(
@@ -380,7 +380,7 @@ def _off_path(
         message = f"the path is {distances[worst] * MM_PER_M:.4f} mm from the nominal one on the way to this target."
         first, last = comparison.pair[bad[worst] - 1, 1], comparison.pair[bad[worst], 1]
         message += _advice(comparison, np.arange(first + 1, last + 1))
-        yield at_rows(comparison, "between", message, comparison.pair[bad[worst]].tolist(), len(bad))
+        yield warning_at(comparison, "between", message, comparison.pair[bad[worst]].tolist(), len(bad))
 
 
 _MAX_WAYS = 1000
@@ -446,7 +446,7 @@ def _under_forces(comparison: Comparison, nominal_path: PlacedProgram) -> Iterat
             "nominal path before this target."
         )
         message += _advice(comparison, np.array([row]))
-        yield at_rows(
+        yield warning_at(
             comparison, "between", message, (int(comparison.pair[way[worst], 0]), row), len(distinct(cuts.row[bad]))
         )
 
@@ -493,7 +493,7 @@ def _cut_corners(
             f"approximation (C_DIS) cuts the corner by {rounding[worst] * MM_PER_M:.4f} mm; the nominal program allows "
             f"{nominal_rounding[worst] * MM_PER_M:.4g} mm. {remedy}"
         )
-        yield at_rows(comparison, "between", message, (int(comparison.pair[way, 0]), int(rows[worst])), len(bad))
+        yield warning_at(comparison, "between", message, (int(comparison.pair[way, 0]), int(rows[worst])), len(bad))
 
 
 def _advice(comparison: Comparison, rows: Ints) -> str:

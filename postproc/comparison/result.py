@@ -158,7 +158,7 @@ def of_line(program: Program, line: int | None) -> tuple[str, int] | None:
     return place_of(program, rows[0]) if len(rows) else (program.documents[0].name, line)
 
 
-def at_rows(comparison: Comparison, kind: str, message: str, rows: Sequence[int], count: int) -> Difference:
+def warning_at(comparison: Comparison, kind: str, message: str, rows: Sequence[int], count: int) -> Difference:
     """Return a warning at a motion of each program; −1 where one has none."""
     nominal_place, corrected_place = (
         None if row < 0 else place_of(program, row)
@@ -169,4 +169,4 @@ def at_rows(comparison: Comparison, kind: str, message: str, rows: Sequence[int]
 
 def at_pairs(comparison: Comparison, kind: str, message: str, pairs: Ints) -> Difference:
     """Return a warning at pairs (n,); the first of them is named."""
-    return at_rows(comparison, kind, message, comparison.pair[pairs[0]].tolist(), len(pairs))
+    return warning_at(comparison, kind, message, comparison.pair[pairs[0]].tolist(), len(pairs))

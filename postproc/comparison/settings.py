@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from postproc.comparison.paths import SAME_FRAME, PlacedProgram
-from postproc.comparison.result import Comparison, Difference, at_pairs, at_rows, of_line
+from postproc.comparison.result import Comparison, Difference, at_pairs, of_line, warning_at
 from postproc.errors import Issue
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm, twist_between
 from postproc.program import CIRC, FORCE_FRAMES, LIN, PTP, SPL, Ints, Program
@@ -71,7 +71,7 @@ def _kind(comparison: Comparison) -> Iterator[Difference]:
             f"the way to this target is "
             f"{_KINDS[int(corrected_kind[first])]} instead of {_KINDS[int(nominal_kind[first])]}."
         )
-        yield at_rows(comparison, "kind", message, (int(motion[first]), int(rows[first])), len(indices))
+        yield warning_at(comparison, "kind", message, (int(motion[first]), int(rows[first])), len(indices))
 
 
 def _approximation(comparison: Comparison) -> Iterator[Difference]:
@@ -257,7 +257,7 @@ def forces(comparison: Comparison, corrected_path: PlacedProgram, *, in_file: bo
                 min(side[first].before, len(program.motions) - 1) if first < len(side) else -1
                 for side, program in ((nominal_notes, comparison.nominal), (notes, comparison.corrected))
             ]
-            yield at_rows(comparison, "force", f"{text}.", rows, 1)
+            yield warning_at(comparison, "force", f"{text}.", rows, 1)
         return
     load, two = corrected_path.forces(None), comparison.pair[:, 1]
     theirs, mine = _in_base(comparison, corrected_path.wrench(load, two)), comparison.cuts.wrench
@@ -311,7 +311,7 @@ def axis_targets(
             side.joints[r, joint] * DEG_PER_RAD for side, r in ((nominal_path, row), (corrected_path, partner))
         )
         message = f"an axis target is another one: A{joint + 1} {corrected_angle:.4f}° instead of {nominal_angle:.4f}°."
-        yield at_rows(comparison, "axis-target", message, (row, partner), len(differ))
+        yield warning_at(comparison, "axis-target", message, (row, partner), len(differ))
     if unpaired_rows:
         message = "an axis target (PTP {A1 …}) is in one of the programs only."
-        yield at_rows(comparison, "axis-target", message, unpaired_rows[0], len(unpaired_rows))
+        yield warning_at(comparison, "axis-target", message, unpaired_rows[0], len(unpaired_rows))

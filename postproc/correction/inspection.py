@@ -335,7 +335,7 @@ def dense_places(
         yield close, exact, close.pose[:, :3, 3] + neighbour_values[:, 12:]
 
 
-def of_origin(program: Program, mode: Mode) -> list[Issue]:
+def origin_issues(program: Program, mode: Mode) -> list[Issue]:
     """Return the issues of a program that postproc wrote: it must not be corrected a second time."""
     writer = registry.by_name(program.dialect).writer
     if writer is None:

@@ -495,7 +495,7 @@ def process(
         writer=writer,
         in_file=source is not None,
         initial_issues=(
-            *inspection.of_origin(program, mode),
+            *inspection.origin_issues(program, mode),
             *inspection.of_tools(program, cell),
             *inspection.of_frames(program, cell),
             *inspection.of_holder(program, cell),

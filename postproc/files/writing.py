@@ -172,12 +172,12 @@ def write_whole(folder: Path, contents: Mapping[str, bytes | Iterable[bytes]]) -
     :returns: the paths written.
     :raises InputError: the folder or a file cannot be written; the message names it.
     """
-    with interrupts.held_back():
-        with interrupts.heard():
+    with interrupts.defer():
+        with interrupts.allow():
             lock = contextlib.ExitStack()
             lock.enter_context(locked([folder]))
         with lock:
-            with interrupts.heard():
+            with interrupts.allow():
                 file_set = stage(folder, contents)
             return replace(folder, [file_set])
 
@@ -220,7 +220,7 @@ def replace(folder: Path, file_sets: Sequence[Staged], obsolete: Sequence[str] =
     """
     firsts = [file_set.names[0] for file_set in file_sets]
     names = list(dict.fromkeys([*firsts, *(name for file_set in file_sets for name in file_set.names)]))
-    with interrupts.held_back():
+    with interrupts.defer():
         try:
             with _naming(folder, names):
                 _replace(file_sets, folder, names, obsolete)

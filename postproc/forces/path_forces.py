@@ -17,8 +17,8 @@ from msgspec.structs import replace
 
 from postproc.chunks import Runs, compact, in_chunks
 from postproc.errors import MAX_ERRORS, ForceError, Issue, together
-from postproc.forces.axes import TURNS, Axes, last_travel, lines_run_across, runs_across
-from postproc.forces.precedence import combined, of_comments, small_forces, unused_comments
+from postproc.forces.axes import TURNS, Axes, arcs_across, last_travel, lines_across
+from postproc.forces.precedence import combine, of_comments, small_forces, unused_comments
 from postproc.forces.sources import BASE, FEED, ByLaw, ForceSource, Knots, StockInTime
 from postproc.frames import Array, any_column, largest, norm
 from postproc.program import CIRC, LIN, SPL, Bools, Ints, Program, constant, distinct
@@ -169,7 +169,7 @@ def assign(program: Program, path: Segments, source: ForceSource | None, axis: s
         knots_of_motions, issues = of_comments(program), list[Issue]()
     else:
         knots = source.along(program, path).checked(program, source.name)
-        knots_of_motions, issues = combined(program, knots, source.name)
+        knots_of_motions, issues = combine(program, knots, source.name)
         issues += knots.issues
         by_law, stock = knots.by_law, knots.stock
         has_force = any_column(knots.wrench != 0.0) & m.rapid[knots.motion]
@@ -351,7 +351,7 @@ def displacement_estimate(forces: PathForces, compliance: tuple[float, float]) -
         acts = np.zeros(len(m), dtype=np.bool_)
         acts[motion[any_column(lateral != 0.0)]] = True
         arcs = np.flatnonzero(turning & acts)
-        swings[arcs] = ~runs_across(forces.axes.program, path, arcs, forces.axes.spindle)
+        swings[arcs] = ~arcs_across(forces.axes.program, path, arcs, forces.axes.spindle)
     knot_rows = np.flatnonzero(bends | (m.kind[motion] == CIRC))
     places = np.append(motion[knot_rows], step), np.append(forces.t[knot_rows], step_place)
     order = np.lexsort(places[::-1])
@@ -444,7 +444,7 @@ def swing_places(forces: PathForces, compliance: tuple[float, float], limit: flo
     program, path = forces.axes.program, forces.axes.path
     turns = (program.motions.kind == LIN) & (forces.frame == FEED) & (path.turn > TURNS) & (path.length > 0.0)
     motion = np.flatnonzero(turns)
-    motion = motion[~lines_run_across(program, path, motion, forces.axes.spindle)]
+    motion = motion[~lines_across(program, path, motion, forces.axes.spindle)]
     begin, end = np.zeros(len(motion)), np.ones(len(motion))
     motions, places = [motion[:0]], [begin[:0]]
     while len(motion):

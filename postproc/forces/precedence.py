@@ -22,7 +22,7 @@ _NEWTONS = 3.0
 micrometres, a twentieth of what it repeats to; in kN, it is the force of a heavy cut."""
 
 
-def combined(program: Program, source: Knots, name: str) -> tuple[Knots, list[Issue]]:
+def combine(program: Program, source: Knots, name: str) -> tuple[Knots, list[Issue]]:
     """Return the forces of a source and, on motions that it does not cover, of the comments of a program.
 
     :param name: of the source, for messages.

@@ -124,7 +124,7 @@ def _gears(
                 yield kind(joint.joint, float(f"{step * largest[joint.index]:.2g}"))
 
 
-def everything(
+def full_structure(
     robot: RobotModel, data: Measurements, in_gears: bool, compensator: bool
 ) -> tuple[Structure, tuple[str, ...]]:
     """Return the structure with all candidate parameters, and the kind of each.
@@ -391,7 +391,7 @@ def _weigh_candidates(
     robot: RobotModel, data: Measurements, placement: Placement, in_gears: bool, compensator: bool
 ) -> _Settled:
     """Return the structure with all candidates, linearised at the mean that the evidence gives, and its prior."""
-    structure, kinds = everything(robot, data, in_gears, compensator)
+    structure, kinds = full_structure(robot, data, in_gears, compensator)
     prior, values, columns = prior_of(structure), structure.start(), np.arange(len(structure.parameters))
     for _ in range(_ROUNDS):
         equations = linearise(structure, values, data, placement)

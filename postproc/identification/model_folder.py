@@ -24,7 +24,7 @@ from postproc.identification.fit import NORMAL_95, to_file_units
 from postproc.identification.joint_springs import Levels, SpringOfJoint2
 from postproc.identification.measurement_model import MIN_COMPLIANCE, describe, describe_points, joint_torques
 from postproc.identification.moved_device import moved_device
-from postproc.identification.procedure import Depth, Identification, Method, before_and_after, identify
+from postproc.identification.procedure import Depth, Identification, Method, identify, rms_distances
 from postproc.identification.readings import Experiment, Measurements, Payload, read, read_experiment
 from postproc.identification.uncertainty import Discrepancy
 from postproc.robot import (
@@ -304,7 +304,7 @@ def _from_levels(spring: SpringOfJoint2 | None) -> dict[str, record.FromLevels] 
 
 def _residual(result: Identification) -> record.Residual:
     """Return the residuals as `identification.json` has them [mm]."""
-    without_model, with_model = before_and_after(result)
+    without_model, with_model = rms_distances(result)
     return record.Residual(
         rms_mm=result.fit.rms * MM_PER_M,
         max_mm=float(norm(result.fit.residual).max()) * MM_PER_M,

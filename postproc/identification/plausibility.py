@@ -350,7 +350,7 @@ def loops(robot: RobotModel, data: Measurements, placement: Placement) -> list[s
     """Return the hysteresis of each joint in sentences; none if no load was measured before and after a larger one."""
     from scipy.optimize import nnls
 
-    up, down_rows = up_and_down(data)
+    up, down_rows = load_loops(data)
     if len(up) == 0:
         return []
     displacement, visibility = measured_displacements(data, placement), visible(data)[..., 0]
@@ -382,7 +382,7 @@ def loops(robot: RobotModel, data: Measurements, placement: Placement) -> list[s
     ]
 
 
-def up_and_down(data: Measurements) -> tuple[Ints, Ints]:
+def load_loops(data: Measurements) -> tuple[Ints, Ints]:
     """Return pairs of rows of the loaded states: the same load of a configuration before and after a larger one."""
     load, config = data.wrench[data.loaded], data.state_config[data.loaded]
     number, size = data.load[data.loaded], norm(load)

@@ -385,7 +385,7 @@ def _is_explained(fit: Fit, limit: int) -> bool:
     return False
 
 
-def before_and_after(result: Identification) -> tuple[Array, Array]:
+def rms_distances(result: Identification) -> tuple[Array, Array]:
     """Return the RMS distance (C,) of the points of each configuration without and with the model [m]."""
     square = np.sum(measured_displacements(result.data, result.placement) ** 2, axis=2).mean(axis=1)
     left = np.sum(result.fit.residual**2, axis=2).mean(axis=1)

@@ -233,7 +233,7 @@ class Measured(Struct, frozen=True):
         return np.array(rows).reshape(-1, 12)
 
 
-def measured(folder: Path) -> Measured:
+def measured_states(folder: Path) -> Measured:
     """Return states and torques that the model of a folder was identified with; empty without `identification.json`.
 
     :raises MeasurementError: the file is damaged.

@@ -205,7 +205,7 @@ def validate(model: Path, measurements: Path, experiment: Path) -> Validation:
     robot = robots.load(folder)
     data, placement, outliers = plausibility.placed(robot, as_positions(robot, read(measurements, setup)))
     warnings = [f"outlier: {name}" for name in outliers]
-    model_data = record.measured(folder)
+    model_data = record.measured_states(folder)
     fresh = ~_is_known_state(data, model_data.as_array())
     if not fresh.any():
         raise MeasurementError(

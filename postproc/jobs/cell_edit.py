@@ -11,7 +11,7 @@ from postproc import cell as cells
 from postproc import files
 from postproc import robot as robots
 from postproc.errors import CellError, PostprocError
-from postproc.jobs.file_form import FormField, edited, fields_of_table, parsed, table_schema, write_checked
+from postproc.jobs.file_form import FormField, edit_text, fields_of_table, parsed, table_schema, write_valid
 from postproc.jobs.first_steps import relative_path
 from postproc.jobs.programs import load_robot
 
@@ -75,10 +75,10 @@ def edit(path: Path, texts: Mapping[str, str], tools: Sequence[int] = ()) -> boo
     """
     old_text = files.read_text(path, CellError)
     document = parsed(old_text, str(path), CellError)
-    new_text = edited(old_text, document, fields_of(path, tools), texts)
+    new_text = edit_text(old_text, document, fields_of(path, tools), texts)
     if new_text == old_text:
         return False
-    write_checked(path, new_text, cells.load)
+    write_valid(path, new_text, cells.load)
     return True
 
 
@@ -110,7 +110,7 @@ def set_feed_rule(path: Path, rule: str) -> bool:
     document.setdefault("output", tomlkit.table())["feed"] = rule
     new_text = tomlkit.dumps(document)
     if new_text != old_text:
-        write_checked(path, new_text, cells.load)
+        write_valid(path, new_text, cells.load)
     return new_text != old_text
 
 
@@ -139,5 +139,5 @@ def set_robot(path: Path, robot: str) -> bool:
         cell = cells.load(trial_path)
         load_robot(cell.robot, cell.folder)
 
-    write_checked(path, new_text, check)
+    write_valid(path, new_text, check)
     return True

@@ -22,8 +22,8 @@ from postproc.frames import M_PER_MM
 from postproc.jobs import inputs
 from postproc.jobs.conversion import force_source, origin_of
 from postproc.jobs.output_plan import protect
-from postproc.jobs.programs import EXCEEDED, GOOD, PROCESS, Settings, as_stated, load_setup
-from postproc.jobs.started_program import read_program, read_started
+from postproc.jobs.programs import EXCEEDED, GOOD, PROCESS, Settings, load_setup, with_settings
+from postproc.jobs.started_program import read_program, read_with_start
 from postproc.program import Bools, Program
 from postproc.report.comparison import (
     ComparisonSummary,
@@ -85,7 +85,7 @@ def compare_programs(request: CompareRequest) -> ComparisonFiles:
     :raises PostprocError: an input is unusable, or an output must not be written.
     """
     cell, robot = load_setup(request.settings)
-    nominal, cell = read_started(request.nominal, robot, cell)
+    nominal, cell = read_with_start(request.nominal, robot, cell)
     second_program = read_program(request.corrected, robot, cell)
     if not second_program.keeps_text:
         raise InputError(
@@ -135,7 +135,7 @@ def _with_stated_tolerance(cell: Cell, request: CompareRequest, second_program: 
     except ValueError:
         problem, advice = f"its line of origin states tolerance_mm={text}", "Convert the program again."
         raise InputError(problem, file=str(request.corrected), line=origin.line, advice=advice) from None
-    return as_stated(cell, replace(request.settings, tolerance_mm=tolerance))
+    return with_settings(cell, replace(request.settings, tolerance_mm=tolerance))
 
 
 def _ask_for_forces(request: CompareRequest, origin: provenance.Provenance) -> None:

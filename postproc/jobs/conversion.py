@@ -18,7 +18,7 @@ from postproc.errors import InputError, Issue, PostprocError, ProgramError, Subp
 from postproc.forces import ForceSource
 from postproc.frames import M_PER_MM, Array
 from postproc.jobs import inputs
-from postproc.jobs.output_plan import Task, differing, needed_copies, needed_warnings, with_own_copies
+from postproc.jobs.output_plan import Task, differing_files, needed_copies, needed_warnings, with_own_copies
 from postproc.jobs.programs import (
     FAILED,
     GOOD,
@@ -29,7 +29,7 @@ from postproc.jobs.programs import (
     check_utf8,
     find_jobs,
 )
-from postproc.jobs.started_program import read_program, read_started
+from postproc.jobs.started_program import read_program, read_with_start
 from postproc.program import Document, Motions, Program
 from postproc.report import Summary
 from postproc.report.record import Record, today
@@ -48,7 +48,7 @@ def options_of(settings: Settings) -> dict[str, str]:
     return {name: repr(value) if isinstance(value, float) else f"{value:d}" for name, value in values.items()}
 
 
-def marked(
+def mark_origin(
     result: Result, job: Job, settings: Settings, cell: Cell, own_names: Mapping[str, str] | None = None
 ) -> Result:
     """Return a result whose program states where it comes from; one that is unchanged to the byte states nothing new.
@@ -190,7 +190,7 @@ def convert(
         check_utf8(job.program)
         name = None if job.keeps_text else job.stem
         origin = origin_of((), settings.cell, cell, job.forces, "corrected")
-        program, cell = read_started(job.program, robot, cell, job.dialect, name)
+        program, cell = read_with_start(job.program, robot, cell, job.dialect, name)
         result, process = converted(job, settings, cell, robot, program, progress)
         if result.failed:
             return Outcome(str(job.program), FAILED, issues=result.issues)
@@ -266,7 +266,7 @@ def converted(
 
         process = process_forces.read(job.process, cell, progress)
         if mode == "predict":
-            result, process = process_forces.predicted(program, robot, cell, process)
+            result, process = process_forces.predict_in_material(program, robot, cell, process)
         elif mode == "convert" and cell.output.feed == "hold":
             result = process_forces.with_held_feed(program, robot, cell, process, linearize_arcs=linearize, to=job.to)
         else:
@@ -435,14 +435,14 @@ def _with_subprograms(
     job, read = task.job, result.program.documents
     own_names: dict[str, str] = {}
     while True:
-        marked_result = marked(result, job, settings, cell, own_names)
+        marked_result = mark_origin(result, job, settings, cell, own_names)
         subprogram_files = subprograms(result, job, own_names)
         if not marked_result.documents or settings.mode == "predict":
             return marked_result, subprogram_files, {}
         names = [document.name for document in marked_result.documents]
         copies = needed_copies(task, result.program.needed, [*names, *own_names.values()])
         texts = {document.name: document.to_bytes() for document in marked_result.documents} if job.keeps_text else {}
-        conflicts = differing(task, texts | copies, subprogram_files, copies, read)
+        conflicts = differing_files(task, texts | copies, subprogram_files, copies, read)
         if not conflicts:
             warnings = needed_warnings(task, result.program.needed, copies, texts | copies)
             return replace(marked_result, issues=(*marked_result.issues, *warnings)), subprogram_files, copies

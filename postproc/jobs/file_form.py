@@ -147,7 +147,7 @@ def _text(value: Any) -> str:
     return ", ".join(map(str, value)) if isinstance(value, list) else str(value)
 
 
-def edited(text: str, document: Any, fields: Sequence[FormField], texts: Mapping[str, str]) -> str:
+def edit_text(text: str, document: Any, fields: Sequence[FormField], texts: Mapping[str, str]) -> str:
     """Return the text of a document with other values: only what differs is touched, comments and all else stay.
 
     :param text: returned if nothing differs.
@@ -238,7 +238,7 @@ def own_changes(fields: Sequence[FormField], texts: Mapping[str, str], shown: Ma
     return changes
 
 
-def write_checked(path: Path, text: str, check: Callable[[Path], object]) -> None:
+def write_valid(path: Path, text: str, check: Callable[[Path], object]) -> None:
     """Write a file that is usable; nothing is written if it is not.
 
     :param check: reads a file of this text, in the same folder.

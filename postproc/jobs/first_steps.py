@@ -666,7 +666,7 @@ def _meshes(
     with_solid = {shape.carrier for shape in solid}
     solids = solid + [shape.hull() for shape in visuals if shape.carrier not in with_solid]
     drawings = visuals + [shape for shape in solid if shape.carrier not in with_drawing]
-    simple = [shapes.simplified(shape, _TRIANGLES) for shape in drawings]
+    simple = [shapes.simplify(shape, _TRIANGLES) for shape in drawings]
     link_shapes = [shape for shape, _ in simple]
     notes = [*_shape_notes(problems + solid_problems)]
     if link_shapes:

@@ -95,7 +95,7 @@ class FrameCheck(Struct, frozen=True, eq=False):
     hidden: float | None = None
 
 
-def read_touched(path: Path) -> Touched:
+def read_touches(path: Path) -> Touched:
     """Read touched points: point, X, Y, Z in `$BASE` [mm], A1 … A6 [deg].
 
     :raises InputError: it cannot be read, has fewer than three points, or all are on a line.
@@ -120,18 +120,18 @@ def read_touched(path: Path) -> Touched:
 def check_frames(path: Path, cell_file: Path, sigma_mm: float) -> FrameCheck:
     """Return which frame of a cell is off.
 
-    :param path: touched points, see `read_touched`.
+    :param path: touched points, see `read_touches`.
     :param sigma_mm: standard deviation of a coordinate of a touch, with the accuracy of the robot.
     :raises PostprocError: an input is unusable.
     """
     cell = cells.load(cell_file)
     robot = load_robot(cell.robot, cell.folder)
-    touches = read_touched(path)
+    touches = read_touches(path)
     flange = kinematics.tcp(robot.nominal, touches.joints, np.eye(4))[0]
     tip = flange @ cell.tool.pose()
     base = cell.base.pose()
     nominal_point = touches.point @ base[:3, :3].T + base[:3, 3]
-    check = judged(touches, flange[:, :3, :3], nominal_point, tip[:, :3, 3], sigma_mm * M_PER_MM)
+    check = judge(touches, flange[:, :3, :3], nominal_point, tip[:, :3, 3], sigma_mm * M_PER_MM)
     return replace(check, new_frames=dict(_frames_by_points(check, cell.tool.pose(), base, nominal_point.mean(axis=0))))
 
 
@@ -148,7 +148,7 @@ def _frames_by_points(check: FrameCheck, tool: Array, base: Array, centre: Array
         yield "base", xyzabc_from_pose(pose[None])[0]
 
 
-def judged(touches: Touched, flange: Array, nominal_point: Array, tip: Array, sigma: float) -> FrameCheck:
+def judge(touches: Touched, flange: Array, nominal_point: Array, tip: Array, sigma: float) -> FrameCheck:
     """Return the simplest explanation of touched points.
 
     :param flange: (n, 3, 3) orientation of the flange in the root.

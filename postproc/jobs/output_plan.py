@@ -3,7 +3,7 @@
 `OutputPlan` is made before work begins, from the list of programs and from the reports in the output folders. It alone
 knows the files of several programs, and puts files in their places. Programs are converted into folders of their own
 (`files.stage`), in any process and on any machine. A `Task` hands a program to its process together with the files of
-other programs; `needed_copies`, `differing` and `with_own_copies` decide from the task alone. The plan decides what the
+other programs; `needed_copies`, `differing_files` and `with_own_copies` decide from the task alone. The plan decides what the
 staged files replace, and when. Its process has locked the output folders from the plan to the last replacement
 (`files.locked`).
 
@@ -150,7 +150,7 @@ def _has_same_sources(task: Task, paths: Sequence[Path]) -> bool:
         return False
 
 
-def differing(
+def differing_files(
     task: Task,
     texts: Mapping[str, bytes],
     subprograms: Sequence[str],
@@ -197,7 +197,7 @@ def with_own_copies(
     """Return the files of a program that calls subprograms under names of their own, where others need them different.
 
     :param documents: files of the program and of its subprograms; `subprograms`: names of the latter.
-    :param program_of_file: see `differing`.
+    :param program_of_file: see `differing_files`.
     :param copies: unchanged files: name → content.
     :returns: the files, and the new name of each copied file → its name in the source.
     :raises InputError: a subprogram cannot have another name.

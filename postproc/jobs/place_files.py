@@ -18,7 +18,7 @@ from postproc.frames import M_PER_MM, RAD_PER_DEG
 from postproc.jobs.conversion import converted, programs_under_force
 from postproc.jobs.output_plan import protect
 from postproc.jobs.programs import Settings, find_jobs, load_robot
-from postproc.jobs.started_program import read_program, read_started
+from postproc.jobs.started_program import read_program, read_with_start
 from postproc.placement import Keep, PathSamples, region
 from postproc.placement.region import AXES, Assessment, Judged, Region
 from postproc.report import placement as report
@@ -146,7 +146,7 @@ def _cell_with_start(request: PlaceRequest, cell: Cell, robot: RobotModel) -> tu
     if cell.start is not None:
         return cell, None
     job = next(job for job in find_jobs(list(request.programs)) if not job.callers)
-    program, cell = read_started(job.program, robot, cell, job.dialect)
+    program, cell = read_with_start(job.program, robot, cell, job.dialect)
     return cell, next(issue.message for issue in program.issues if issue.kind == "start")
 
 
@@ -160,7 +160,7 @@ def _assessment(request: PlaceRequest, cell: Cell, robot: RobotModel, place: Jud
         if job.callers:
             continue
         try:
-            program, started_cell = read_started(job.program, robot, cell, job.dialect)
+            program, started_cell = read_with_start(job.program, robot, cell, job.dialect)
             result, _ = converted(job, settings, started_cell, robot, program)
         except PostprocError as cause:
             return Assessment(problem=str(cause))

@@ -14,7 +14,7 @@ from msgspec.structs import replace
 
 from postproc import files
 from postproc.errors import ForceError
-from postproc.jobs.file_form import FormField, edited, fields_of_table, parsed, table_schema, write_checked
+from postproc.jobs.file_form import FormField, edit_text, fields_of_table, parsed, table_schema, write_valid
 from postproc.jobs.guided_start import NO_NUMBER, process_head, stock_lines, tool_head
 from postproc.jobs.program_needs import ProgramNeeds
 from postproc.machining.material import table as material_table
@@ -83,13 +83,13 @@ def edit_process(path: Path, needs: ProgramNeeds, texts: Mapping[str, str]) -> b
     old_text = _text_of(path, needs)
     document, new_tools = _document(old_text, path, needs)
     fields = [field for item in process_tables(path, needs) for field in item.fields]
-    new_text = edited(old_text, document, fields, texts)
+    new_text = edit_text(old_text, document, fields, texts)
     if path.is_file() and new_text == old_text and not new_tools:
         return False
     if new_tools and new_text == old_text:
         new_text = document.as_string()
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_checked(path, new_text, _check)
+    write_valid(path, new_text, _check)
     return True
 
 

@@ -31,7 +31,7 @@ from postproc.forces import Knots
 from postproc.frames import M_PER_MM, MM_PER_M, Array, norm
 from postproc.jobs.output_plan import protect
 from postproc.jobs.programs import load_robot
-from postproc.jobs.started_program import read_started
+from postproc.jobs.started_program import read_with_start
 from postproc.machining import Process, ProcessForces, ProcessSource, Shift, identification
 from postproc.machining.identification import IdentifiedMaterial
 from postproc.machining.remaining import Guard, Part
@@ -60,7 +60,7 @@ Trial = Callable[[Program], Result]
 _MESHES = (".stl", ".glb", ".ply", ".obj")
 
 
-def held(program: Program, length: Array, cell: Cell, exponent: float, trial: Trial) -> Result:
+def hold_tolerance(program: Program, length: Array, cell: Cell, exponent: float, trial: Trial) -> Result:
     """Return the result with the highest feeds, at most the programmed ones, that hold the tolerance of the part.
 
     A motion that the least feed does not hold keeps its feed, or gets the least one: `[output] unheld` of the cell.
@@ -232,7 +232,9 @@ def stock(process: ProcessForces) -> bytes:
     return bytes(as_trimesh(*process.mesh()).export(file_type="glb"))
 
 
-def predicted(program: Program, robot: RobotModel, cell: Cell, source: ProcessSource) -> tuple[Result, ProcessSource]:
+def predict_in_material(
+    program: Program, robot: RobotModel, cell: Cell, source: ProcessSource
+) -> tuple[Result, ProcessSource]:
     """Predict a program whose tool cuts where it really is: force and deflection are iterated until they agree.
 
     The deflection of the tool leaves material or removes more; force and remaining stock are those of this cut. A round
@@ -299,7 +301,7 @@ def _weights(path: PathUnderLoad) -> Array:
 def with_held_feed(
     program: Program, robot: RobotModel, cell: Cell, source: ProcessSource, *, linearize_arcs: bool, to: str | None
 ) -> Result:
-    """Convert a program with feeds that hold the tolerance of the part, see `held`.
+    """Convert a program with feeds that hold the tolerance of the part, see `hold_tolerance`.
 
     :raises InputError: the program or the process does not allow that.
     """
@@ -311,7 +313,7 @@ def with_held_feed(
     def trial(slow_program: Program) -> Result:
         return correction.process(slow_program, robot, cell, source, linearize_arcs=linearize_arcs, to=to)
 
-    return held(program, path.length, cell, source.process.law().exponent, trial)
+    return hold_tolerance(program, path.length, cell, source.process.law().exponent, trial)
 
 
 def _overshoot(residual: Array, change: Array, weight: Array) -> float:
@@ -391,7 +393,7 @@ def make_forces(request: ForcesRequest, progress: Callable[[int, int], None] | N
     process = machining.load(request.process)
     cell = cells.load(request.cell)
     robot = load_robot(cell.robot, cell.folder)
-    program, cell = read_started(request.program, robot, cell, request.dialect)
+    program, cell = read_with_start(request.program, robot, cell, request.dialect)
     place = RobotInCell.of(robot, cell)
     path = segments_in_cell(program, place)
     folder, names = _names(request)

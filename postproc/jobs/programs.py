@@ -373,11 +373,11 @@ def load_setup(settings: Settings) -> tuple[Cell, RobotModel]:
     :raises CellError: the cell is unusable.
     :raises ModelError: its robot is.
     """
-    cell = as_stated(cells.load(settings.cell), settings)
+    cell = with_settings(cells.load(settings.cell), settings)
     return cell, load_robot(cell.robot, cell.folder)
 
 
-def as_stated(cell: Cell, settings: Settings) -> Cell:
+def with_settings(cell: Cell, settings: Settings) -> Cell:
     """Return a cell with the values that the settings of a run replace."""
     output_values = {name: getattr(settings, name) for name in ("tolerance_mm", "lines_per_file")}
     output_values = {name: value for name, value in output_values.items() if value is not None}

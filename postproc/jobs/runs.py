@@ -71,8 +71,8 @@ def convert_all(
     :param progress: is called during sweeps of a stock in this process, see `process_forces.read`.
     :raises PostprocError: the cell or the robot is unusable, an output must not be written, or there is no cluster.
     """
-    with interrupts.held_back(), contextlib.ExitStack() as lock:
-        with interrupts.heard():
+    with interrupts.defer(), contextlib.ExitStack() as lock:
+        with interrupts.allow():
             lock.enter_context(files.locked({job.output for job in jobs}, waiting))
             plan = OutputPlan(jobs, settings)
             cell, robot = load_setup(settings)
@@ -115,10 +115,10 @@ def _outcomes(
         yield from _outcomes_of(plan, LocalWorkers(min(count, len(plan.jobs)), settings), settings, cell, robot)
     else:
         for task in plan.ready():
-            with interrupts.heard():
+            with interrupts.allow():
                 outcome = convert(task, settings, cell, robot, progress)
             yield from plan.finished(task, outcome)
-            if interrupts.came():
+            if interrupts.is_pending():
                 return
 
 
@@ -138,7 +138,7 @@ def _outcomes_of(
     try:
         begin()
         while running:
-            is_interrupted = interrupts.came()  # then only the programs converted already are put in place
+            is_interrupted = interrupts.is_pending()  # then only the programs converted already are put in place
             try:
                 future = results.get(not is_interrupted, _POLL)
             except Empty:
@@ -153,7 +153,7 @@ def _outcomes_of(
                 continue
             outcome = workers.outcome(future, finished_task)
             if outcome is None:
-                with interrupts.heard():
+                with interrupts.allow():
                     outcome = convert(finished_task, settings, cell, robot)
             yield from plan.finished(finished_task, outcome)
             if not is_interrupted:

@@ -44,7 +44,7 @@ _PROVISIONAL_START = Start((0.3257, -88.6413, 91.7269, 2.8391, 43.4173, -1.6427)
 """A start from which a program is read until its own is known: angles that no program states."""
 
 
-def read_started(
+def read_with_start(
     path: str | Path, robot: RobotModel, cell: Cell, dialect: str | None = None, name: str | None = None
 ) -> tuple[Program, Cell]:
     """Read a program as `read_program` does; a cell without [start] gets the one that is chosen for the program.

@@ -20,7 +20,7 @@ from postproc.errors import ForceError, InputError, MeasurementError, ModelError
 from postproc.files import FileEntry
 from postproc.frames import M_PER_MM, MM_PER_M, Array
 from postproc.identification import model_folder, record
-from postproc.jobs.conversion import marked
+from postproc.jobs.conversion import mark_origin
 from postproc.jobs.output_plan import protect
 from postproc.jobs.programs import Settings, find_jobs, load_robot
 from postproc.jobs.started_program import read_program
@@ -165,7 +165,7 @@ def make_testpart(request: TestPartRequest, progress: Callable[[str], None] = la
     progress("choice of features")
     low, high = (np.array([span[k] for span in (box.X, box.Y, box.Z)]) * M_PER_MM for k in (0, 1))
     weight_places = features.hanging_places(low, high, cutting.top) if request.weight_kg else np.zeros((0, 3))
-    weight_readings = design.weighed(
+    weight_readings = design.gauge_information(
         prior, robots_in_cell, cutting, request.weight_kg, weight_places, request.sigma_mm * M_PER_MM
     )
     selection = design.choose(candidates, prior, robot_in_cell, tests, request.count, weight_readings)
@@ -292,7 +292,7 @@ def _krl(request: TestPartRequest, name: str, text: str, cell: Cell) -> dict[str
         if result.failed:
             problem = next(issue for issue in result.issues if issue.level == "error")
             raise InputError(problem.message, file=name, line=problem.source_line)
-        return {document.name: document.to_bytes() for document in marked(result, job, settings, cell).documents}
+        return {document.name: document.to_bytes() for document in mark_origin(result, job, settings, cell).documents}
 
 
 def _process(process: Process, box: Box) -> bytes:
@@ -358,7 +358,7 @@ def _read_part(request: PartRequest, model: str | None = None) -> _Given:
     _check_top(probe_data, process)
     rows, parts = [], []
     for path, base in programs_of(probe_data, request.programs).items():
-        its_cell = clamped(cell, Placement("" if base < 0 else str(base)), probe_data.file)
+        its_cell = cell_of_placement(cell, Placement("" if base < 0 else str(base)), probe_data.file)
         program, robot_in_cell = read_program(path, robot, its_cell), RobotInCell.of(robot, its_cell)
         rows.append(np.flatnonzero(probe_data.base == base))
         contact_surfaces = surfaces(
@@ -396,11 +396,11 @@ def _placements(cell: Cell, numbers: tuple[int, ...]) -> dict[Placement, Cell]:
     for placement in map(Placement, map(str, numbers)):
         if placement in cell_of:
             raise InputError(f"{placement.title} is given twice", file="--placement", advice="Give each number once.")
-        cell_of[placement] = clamped(cell, placement, "--placement")
+        cell_of[placement] = cell_of_placement(cell, placement, "--placement")
     return cell_of
 
 
-def clamped(cell: Cell, placement: Placement, source: str) -> Cell:
+def cell_of_placement(cell: Cell, placement: Placement, source: str) -> Cell:
     """Return a cell whose `[base]` is that of a placement of the block.
 
     :param source: file or option that names the placement.

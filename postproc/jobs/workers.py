@@ -105,7 +105,7 @@ class LocalWorkers:
             return process
 
 
-def work_alone(task: Task, settings: Settings) -> Outcome:
+def work_in_process(task: Task, settings: Settings) -> Outcome:
     """Run a task in a process of its own; return its outcome."""
     process = _Process()
     try:
@@ -381,9 +381,9 @@ def _task() -> Callable[[str, bytes], Outcome | OtherCode]:
             is_same, version = False, ""
         if not is_same:
             return get_worker().address, version
-        from postproc.jobs.workers import work_alone
+        from postproc.jobs.workers import work_in_process
 
-        return work_alone(*pickle.loads(content))
+        return work_in_process(*pickle.loads(content))
 
     return work
 

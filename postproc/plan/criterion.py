@@ -110,7 +110,7 @@ class Measured(Struct, frozen=True, eq=False):
     level: Ints
 
 
-def measured(data: Measurements, readings: Readings, sigma: float) -> Measured:
+def measured_information(data: Measurements, readings: Readings, sigma: float) -> Measured:
     """Weigh each loaded state by how often it and its unloaded state were read.
 
     :param readings: with the compliances to be identified.

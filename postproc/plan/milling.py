@@ -62,7 +62,7 @@ class TestPoses(Columns, frozen=True, eq=False):
         return np.asarray(np.einsum("t,tki,tkj->ij", self.weight, self.regressor, self.regressor))
 
 
-def evaluated(robot: RobotModel, q: Array, tool: Array, wrench: Array, weight: Array, source: str) -> TestPoses:
+def evaluate(robot: RobotModel, q: Array, tool: Array, wrench: Array, weight: Array, source: str) -> TestPoses:
     """Make test poses of configurations (T, 6), tools (4, 4) or (T, 4, 4), wrenches (T, 6) in root axes, weights."""
     _, jacobian = kinematics.tcp(robot.nominal, q, tool)
     torque = np.einsum("nij,ni->nj", jacobian, wrench)
@@ -104,7 +104,7 @@ def from_program(program: Program, robot: RobotModel, cell: Cell, source: ForceS
             advice="Give forces with --forces, or as comments (FORCE FX= FY= FZ=), or test poses with --poses.",
         )
     rows, shares = _thin_rows(cutting, way[cutting])
-    return evaluated(robot, path.joints.q[rows], program.tools[m.tool[motion[rows]]], in_root[rows], shares, name)
+    return evaluate(robot, path.joints.q[rows], program.tools[m.tool[motion[rows]]], in_root[rows], shares, name)
 
 
 def _thin_rows(rows: Ints, way: Array) -> tuple[Ints, Array]:
@@ -132,7 +132,7 @@ def from_file(path: Path, robot: RobotModel, cell: Cell) -> TestPoses:
         if bad.any():
             raise PlanError(problem, file=str(path), line=int(lines[np.argmax(bad)]))
     q = np.column_stack([numbers[name] for name in JOINTS]) * RAD_PER_DEG
-    return evaluated(robot, q, cell.tool.pose(), wrench, weight, path.name)
+    return evaluate(robot, q, cell.tool.pose(), wrench, weight, path.name)
 
 
 def joined(parts: Sequence[TestPoses]) -> TestPoses:
@@ -149,7 +149,7 @@ def joined(parts: Sequence[TestPoses]) -> TestPoses:
     )
 
 
-def thinned(tests: TestPoses, scale: Array, count: int, seed: int) -> TestPoses:
+def representatives(tests: TestPoses, scale: Array, count: int, seed: int) -> TestPoses:
     """Return at most `count` poses that represent all, with weights.
 
     Clusters (k-means, Lloyd 1982) of the criterion's inputs: A₀ᵀA₀ in units of the robot's compliances, and

@@ -26,12 +26,12 @@ from postproc.plan.criterion import (
     Measured,
     directions,
     expected_accuracy,
-    measured,
+    measured_information,
     not_visible,
     out_of_reach,
 )
-from postproc.plan.milling import TestPoses, thinned
-from postproc.plan.search import Plan, Task, by_number, draw_candidates, exchange, improved, random_values, serial_plan
+from postproc.plan.milling import TestPoses, representatives
+from postproc.plan.search import Plan, Task, by_number, draw_candidates, exchange, improve, random_values, serial_plan
 from postproc.plan.sensitivity import Readings, direction
 from postproc.plan.site import Site
 from postproc.program import Bools, Ints
@@ -55,7 +55,7 @@ _LEAST_SHARE, _LARGEST_SHARE = 0.1, 0.4
 """Second load over the weight: less is lost in the noise, more adds no other information than the weight."""
 
 
-def unchecked(site: Site) -> list[str]:
+def unchecked_warnings(site: Site) -> list[str]:
     """Return warnings on what the plan cannot check for want of numbers."""
     warnings = []
     if site.torque_limit is None:
@@ -380,7 +380,7 @@ def plan_measurements(
         )
     report = progress or (lambda *_: None)
     scale = site.robot.compliance[list(site.robot.actuated)]
-    sample = thinned(tests, scale, options.test_poses, options.seed)
+    sample = representatives(tests, scale, options.test_poses, options.seed)
     report("drawing poses that can be measured", 0.0, np.nan)
     problem = _problem(site, sample, scale, options, data)
     plan, is_interrupted = _search(problem.task, options, report)
@@ -456,7 +456,7 @@ def _problem(site: Site, tests: TestPoses, scale: Array, options: Options, data:
     # loaded minus unloaded, each the mean of the repeats
     noise = site.sigma * np.sqrt(2.0 / options.repeats)
     readings = Readings(site.arm, site.load_point, site.points, site.rig.force, noise, scale)
-    earlier_data = None if data is None else measured(data, readings, site.sigma)
+    earlier_data = None if data is None else measured_information(data, readings, site.sigma)
     fixed_levels = 0 if earlier_data is None else len(earlier_data.q2)
     levels = min(max(options.levels, fixed_levels), fixed_levels + options.configurations)
     rng = np.random.default_rng([options.seed, 1 << 16])
@@ -476,9 +476,9 @@ def _problem(site: Site, tests: TestPoses, scale: Array, options: Options, data:
     if hidden_joints:
         keep = tuple(j for j in range(6) if j not in hidden_joints)
         readings, candidates = replace(readings, keep=keep), candidates.only(keep)
-        earlier_data = None if data is None else measured(data, readings, site.sigma)
+        earlier_data = None if data is None else measured_information(data, readings, site.sigma)
     _check_number(options, readings, len(site.points), levels, earlier_data)
-    warnings = (*warnings, *unchecked(site))
+    warnings = (*warnings, *unchecked_warnings(site))
 
     torque = candidates.torque.reshape(-1, 6)
     demand = directions(
@@ -534,7 +534,7 @@ def _search(task: Task, options: Options, report: Progress) -> tuple[Plan, bool]
     best: Plan | None = None
     steps = options.starts + _FINALISTS * options.rounds // 2
     try:
-        for step, plan in enumerate(improved(task, options.seed, options.starts, _FINALISTS, options.rounds)):
+        for step, plan in enumerate(improve(task, options.seed, options.starts, _FINALISTS, options.rounds)):
             best = plan
             report("searching", 0.65 * min(1.0, (step + 1) / steps), np.sqrt(plan.value))
     except KeyboardInterrupt:

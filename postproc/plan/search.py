@@ -208,7 +208,7 @@ class Task(Struct, frozen=True, eq=False):
         return np.sort(np.arange(self.count) % self.levels)
 
 
-def improved(task: Task, seed: int, starts: int, finalists: int, rounds: int) -> Iterator[Plan]:
+def improve(task: Task, seed: int, starts: int, finalists: int, rounds: int) -> Iterator[Plan]:
     """Yield better and better plans; the last one is the result.
 
     :param starts: number of starts from other levels and poses.
@@ -527,6 +527,6 @@ def by_number(task: Task, seed: int, best: Plan) -> Iterator[tuple[int, float, f
         resized_task = replace(task, count=count)
         value = best.value
         if count != task.count:
-            for plan in improved(resized_task, seed, starts=2, finalists=1, rounds=8):
+            for plan in improve(resized_task, seed, starts=2, finalists=1, rounds=8):
                 value = plan.value
         yield count, value, float(np.median(random_values(resized_task, seed, 60)))

@@ -184,7 +184,8 @@ def _intervals(entries: Mapping[str, Parameter], note: str) -> tuple[Part, ...]:
         note=note,
     )
     rows = tuple(
-        Row((title, *valued(entry), _judgement(entry))) for title, entry in zip(titles, entries.values(), strict=True)
+        Row((title, *value_texts(entry), _judgement(entry)))
+        for title, entry in zip(titles, entries.values(), strict=True)
     )
     table = Table(("Parameter", "Value", "95 %", "Unit", ""), rows, "Values and intervals", texts=(3, 4))
     return plot, table
@@ -194,7 +195,7 @@ def _percent(share: float) -> str:
     return f"{100.0 * share:.2g} %" if share < 1.0 else f"{100.0 * share:.0f} %"
 
 
-def valued(entry: Parameter) -> tuple[str, str, str]:
+def value_texts(entry: Parameter) -> tuple[str, str, str]:
     """Return value, interval and unit as texts: as many decimals as the interval has, large values in millions."""
     large = entry.value is not None and abs(entry.value) >= _LARGE
     scale, unit = (1e6, f"10⁶ {entry.unit}") if large else (1.0, entry.unit)

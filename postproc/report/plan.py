@@ -313,7 +313,7 @@ _BINS = 60
 """Bars of the histogram."""
 
 
-def expected(result: PlanResult) -> Section:
+def expected_section(result: PlanResult) -> Section:
     """Return the expected accuracy."""
     low, high = (value * MM_PER_M for value in result.accuracy.interval)
     uncompensated = float(np.sqrt(result.tests.weight @ result.tests.deflection**2))
@@ -471,7 +471,7 @@ def _percent(half: float) -> str:
 
 
 SECTIONS: tuple[Callable[[PlanResult], Section | None], ...] = (
-    expected,
+    expected_section,
     warnings,
     poses,
     angles,

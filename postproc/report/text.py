@@ -10,7 +10,7 @@ from postproc.report.answers import Verdict, chance_in_words
 from postproc.report.feed import seconds, sentences
 from postproc.report.formatting import PLAIN, ROUNDING_MM, Display, State, estimate, rounded
 from postproc.report.summary import IssueEntry, Summary, improvement
-from postproc.report.verdict import clearance, nothing_corrected, nothing_to_correct
+from postproc.report.verdict import clearance, nothing_to_correct, uncorrected_sentence
 
 _STATES: dict[State, str] = {"failed": "failed", "warning": "to be looked at", "ok": "good"}
 _NO_FORCES = "no forces"
@@ -27,7 +27,7 @@ def of_one(content: Summary, display: Display = PLAIN) -> str:
     """
     verdict = content.verdict
     lines = [
-        f"{content.program}  on {content.robot}: {nothing_corrected(content) or targets(content)}",
+        f"{content.program}  on {content.robot}: {uncorrected_sentence(content) or targets(content)}",
         display.verdict(verdict.headline, verdict.state),
         *(f"  {answer}" for answer in verdict.answers),
     ]

@@ -119,7 +119,7 @@ def _better(result: Result, content: Summary, doubts: list[Finding], tolerance: 
     judged_result = result if result.engagement_result is None else result.engagement_result
     errors, failures = judged_result.errors, list[Finding]()
     corrects = content.mode != "predict"
-    if (sentence := nothing_corrected(content)) is not None:
+    if (sentence := uncorrected_sentence(content)) is not None:
         doubts.insert(0, Finding(_FIRST, sentence))
     if content.targets and content.max_force_N == 0.0 and corrects:
         doubts.append(Finding(_FIRST, _without_forces(result, content)))
@@ -255,7 +255,7 @@ def _of_issues(issues: Sequence[Issue], mode: Mode) -> list[Finding]:
     ]
 
 
-def nothing_corrected(content: Summary) -> str | None:
+def uncorrected_sentence(content: Summary) -> str | None:
     """Return a sentence that says so if motions stay as they are and no other one was corrected."""
     count = sum(issue.count for issue in content.issues if issue.kind in _UNCORRECTED_KINDS)
     if content.mode != "convert" or not count or content.before.max_mm >= NOTHING_MM:
@@ -266,7 +266,7 @@ def nothing_corrected(content: Summary) -> str | None:
 
 def nothing_to_correct(content: Summary) -> str | None:
     """Return a sentence that says so if the tool deviates nowhere, with or without correction."""
-    if (sentence := nothing_corrected(content)) is not None:
+    if (sentence := uncorrected_sentence(content)) is not None:
         return sentence
     if not (content.targets and content.before.max_mm < NOTHING_MM):
         return None

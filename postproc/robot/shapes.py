@@ -126,7 +126,7 @@ def _places(name: str, urdf: Path) -> list[Path]:
     return paths
 
 
-def simplified(surface: LinkShape, face_limit: int) -> tuple[LinkShape, float]:
+def simplify(surface: LinkShape, face_limit: int) -> tuple[LinkShape, float]:
     """Return a surface with at most `face_limit` triangles, and the largest displacement of its corners [m].
 
     Corners in one cell of a grid become one at their mean; the grid is as fine as the number allows. Source: Rossignac

@@ -512,7 +512,7 @@ def _prior_information(prior: Prior, size: int) -> Array:
     return information
 
 
-def weighed(
+def gauge_information(
     prior: Prior, placements: tuple[RobotInCell, ...], cutting: Cutting, mass: float, places: Array, sigma: float
 ) -> Array:
     """Return the information (m, m) of a gauge that reads how far a weight moves the tool down in each placement.
@@ -588,12 +588,12 @@ def choose(
                 rows[place], is_changed = best, True
         if not is_changed:
             break
-    return evaluated(
+    return evaluate(
         candidates_in_block, prior, robot_in_cell, tests, np.array(rows, dtype=np.int64), weight_information
     )
 
 
-def evaluated(
+def evaluate(
     candidates_in_block: Candidates,
     prior: Prior,
     robot_in_cell: RobotInCell,

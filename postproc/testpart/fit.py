@@ -30,7 +30,7 @@ from postproc.identification.uncertainty import levels, unmodelled
 from postproc.program import Bools, Ints
 from postproc.robot import RobotModel
 from postproc.testpart.cut import Heights, States
-from postproc.testpart.linear import GAMMA, Linear, left_out, linearised, noise_of, of_light, posterior, solved
+from postproc.testpart.linear import GAMMA, Linear, left_out, linearise, noise_of, of_light, posterior, solve
 from postproc.testpart.prior import Prior
 from postproc.testpart.readings import Lift, Readings
 from postproc.under_load import RobotInCell
@@ -221,9 +221,9 @@ def fit(prior: Prior, readings: Readings, robot_in_cell: RobotInCell, cut_at: Cu
     whole = prior.covariance
     start = np.zeros(len(prior.parameters))
     states = cut_at(prior.robot, 1.0, ())
-    local = linearised(prior, readings, states, robot_in_cell, start, 1.0)
+    local = linearise(prior, readings, states, robot_in_cell, start, 1.0)
     _check_size(readings, local)
-    exchanged_pair = swapped(prior, readings, local)
+    exchanged_pair = swapped_features(prior, readings, local)
     estimate = _Estimate(readings, np.arange(len(readings.probed)), (), np.diag(whole) > 0.0, states, start, 1.0)
     max_outliers = int(_MOST_OUTLIERS * len(readings.probed))
     at_prior, change = None, np.inf
@@ -238,8 +238,8 @@ def fit(prior: Prior, readings: Readings, robot_in_cell: RobotInCell, cut_at: Cu
         heights = _heights(_lifts(estimate, whole), MOST_LIFT * readings.least_depth)
         states = cut_at(prior.moved(z), scale, heights).take(estimate.rows)
         if at_prior is None:  # the tool of the prior model deflects by nearly as much
-            at_prior = linearised(prior, estimate.readings, states, robot_in_cell, start, 1.0), estimate.rows
-        value = linearised(prior, estimate.readings, states, robot_in_cell, z, scale).value
+            at_prior = linearise(prior, estimate.readings, states, robot_in_cell, start, 1.0), estimate.rows
+        value = linearise(prior, estimate.readings, states, robot_in_cell, z, scale).value
         change = float(np.sqrt(np.mean((value - local.value) ** 2)))
         estimate = replace(estimate, states=states)
         if change < _CONVERGENCE_RMS:
@@ -260,7 +260,7 @@ def _local(estimate: _Estimate) -> Linear:
 
 def _solve(prior: Prior, robot_in_cell: RobotInCell, estimate: _Estimate) -> _Estimate:
     """Return the solution for fixed forces."""
-    local, z, scale, gamma = solved(
+    local, z, scale, gamma = solve(
         prior, estimate.readings, estimate.states, robot_in_cell, estimate.z, estimate.scale, estimate.free
     )
     return replace(estimate, local=local, z=z, scale=scale, gamma=gamma)
@@ -348,7 +348,7 @@ def _fit_at_end(prior: Prior, estimate: _Estimate, prior_linear: Linear, exchang
     )
 
 
-def swapped(prior: Prior, readings: Readings, local: Linear) -> tuple[str, str] | None:
+def swapped_features(prior: Prior, readings: Readings, local: Linear) -> tuple[str, str] | None:
     """Return two features whose readings agree with the model if they are exchanged, and do not as they are.
 
     :param local: the prior model; χ² counts its covariance, so a robot that differs from it is no exchange.

@@ -45,7 +45,7 @@ class Linear(Columns, frozen=True, eq=False):
     displacement: Array
 
 
-def linearised(
+def linearise(
     prior: Prior, readings: Readings, states: States, robot_in_cell: RobotInCell, z: Array, scale: float
 ) -> Linear:
     """Return predicted deviations and their derivatives at values of the unknowns.
@@ -78,7 +78,7 @@ def of_light(readings: Readings, displacement: Array) -> Array:
     return np.where(cut & (displacement < _LIGHT * displacement.max()), (_LIGHT_PASS_ERROR * displacement) ** 2, 0.0)
 
 
-def solved(
+def solve(
     prior: Prior, readings: Readings, states: States, robot_in_cell: RobotInCell, z: Array, scale: float, free: Bools
 ) -> tuple[Linear, Array, float, float]:
     """Return the model linearised at the solution for fixed forces, and z, the scale and γ there.
@@ -91,7 +91,7 @@ def solved(
     whole = prior.covariance
     gamma = 0.0
     for _ in range(_ROUNDS):
-        local = linearised(prior, readings, states, robot_in_cell, z, scale)
+        local = linearise(prior, readings, states, robot_in_cell, z, scale)
         x = np.append(z, scale - 1.0)
         target = readings.probed.deviation - local.value + local.slopes @ x
         gamma = unmodelled_share(readings, local, whole, target)
@@ -101,7 +101,7 @@ def solved(
         z, scale = solution[:-1], max(1.0 + float(solution[-1]), MIN_SHARE)
         if float(np.abs(local.slopes @ (solution - x)).max()) < _STEP_TOLERANCE:
             break
-    return linearised(prior, readings, states, robot_in_cell, z, scale), z, scale, gamma
+    return linearise(prior, readings, states, robot_in_cell, z, scale), z, scale, gamma
 
 
 def unmodelled_share(readings: Readings, local: Linear, whole: Array, target: Array) -> float:

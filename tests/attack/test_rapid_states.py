@@ -75,12 +75,12 @@ def rounds_that_keep_the_counter(execution_, loop, values_, scope, routine, dept
 def first_case_only(execution_, statement, condition, scope):
     if statement.subject is None:
         return values.truth(condition, scope)
-    return values.evaluated(statement.subject, scope)[0] == values.evaluated(condition.items[0], scope)[0]
+    return values.evaluate(statement.subject, scope)[0] == values.evaluate(condition.items[0], scope)[0]
 
 
 def data_of_all_routines(execution_, declaration, scope, routine):
     variable = execution._initial_variable(declaration)
-    variable.value = values.evaluated(declaration.value, scope)[0]
+    variable.value = values.evaluate(declaration.value, scope)[0]
     execution_.data[declaration.name] = variable
 
 

@@ -28,7 +28,7 @@ from postproc import cell as cells
 from postproc import placement
 from postproc.errors import PostprocError
 from postproc.frames import Array, xyzabc_from_pose
-from postproc.jobs.started_program import read_started
+from postproc.jobs.started_program import read_with_start
 from postproc.under_load import RobotInCell
 from tests.places import ROOT
 
@@ -121,7 +121,7 @@ def outcome(cell: cells.Cell, robot: postproc.RobotModel, folder: Path, base: ce
         folder=str(folder),
     )
     try:
-        read, started = read_started(folder / "part.nc", robot, inside)
+        read, started = read_with_start(folder / "part.nc", robot, inside)
         turn, issues = placement.chosen(read, RobotInCell.of(robot, started), None, "path")
     except PostprocError as error:
         return str(error).splitlines()[0][:160]

@@ -51,7 +51,7 @@ def main() -> None:
             rng, tests = np.random.default_rng(7), design.tests_in_block(part.found)
             others = [trial.at_random(part.found, chosen.seconds, rng) for _ in range(given.random)]
             after = [
-                design.evaluated(part.found, part.prior, part.robot_in_cell, tests, other).after for other in others
+                design.evaluate(part.found, part.prior, part.robot_in_cell, tests, other).after for other in others
             ]
             print(f"{given.random} random parts: best {1e6 * min(after):.2f}, median {1e6 * np.median(after):.2f} µm")
         rows = []

@@ -203,7 +203,7 @@ def test_a_program_that_was_corrected_is_not_corrected_again(monkeypatch, mode, 
 
     writer = SimpleNamespace(writer=SimpleNamespace(origin=origin))
     monkeypatch.setattr(inspection.registry, "by_name", lambda dialect: writer)
-    issues = inspection.of_origin(SimpleNamespace(dialect="krl", documents=documents), mode)
+    issues = inspection.origin_issues(SimpleNamespace(dialect="krl", documents=documents), mode)
     assert len(issues) == (expected is not None)
     for issue in issues:
         level, kind, words, line = expected
@@ -213,7 +213,7 @@ def test_a_program_that_was_corrected_is_not_corrected_again(monkeypatch, mode, 
 
 def test_a_program_of_a_dialect_that_is_not_written_has_no_origin(monkeypatch):
     monkeypatch.setattr(inspection.registry, "by_name", lambda dialect: SimpleNamespace(writer=None))
-    assert inspection.of_origin(SimpleNamespace(dialect="gcode", documents=()), "convert") == []
+    assert inspection.origin_issues(SimpleNamespace(dialect="gcode", documents=()), "convert") == []
 
 
 @pytest.mark.parametrize("axis", range(6))

@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from postproc.cell import Rapid
 from postproc.dialects.rapid.dialect import RAPID
 from postproc.dialects.rapid.syntax import modules
-from postproc.dialects.rapid.values import Scope, Variable, evaluated
+from postproc.dialects.rapid.values import Scope, Variable, evaluate
 from postproc.dialects.text import decode
 from postproc.errors import PostprocError
 from postproc.program import CIRC, LIN, PTP
@@ -392,7 +392,7 @@ def test_expressions(text, value):
         "N": Variable("NUM", [5.0, 6.0]),
         "P": Variable("ROBTARGET", [[10.0, 20.0, 30.0], [1.0, 0.0, 0.0, 0.0], [0.0] * 4, [9e9] * 6]),
     }
-    assert evaluated(parsed, scope)[0] == value
+    assert evaluate(parsed, scope)[0] == value
 
 
 def test_a_program_gets_another_name_with_its_file_and_its_module():

@@ -17,7 +17,7 @@ from postproc import cell, forces, machining, robot
 from postproc.errors import InputError
 from postproc.identification import compensator_geometry
 from postproc.identification.readings import Experiment, Measurements, read, read_experiment
-from postproc.jobs.frame_check import read_touched
+from postproc.jobs.frame_check import read_touches
 from postproc.machining.process import ProcessFile
 from postproc.plan import milling
 from postproc.program import parse_force_note
@@ -60,7 +60,7 @@ CSV = {
     "measurements.csv": readings,
     "compensator.csv": compensator_geometry.read,
     "probing.csv": probing.read,
-    "points.csv": read_touched,
+    "points.csv": read_touches,
     "poses.csv": lambda path: milling.from_file(path, ROBOT, CELL),
 }
 

@@ -15,7 +15,7 @@ from msgspec.structs import replace
 from postproc import forces, frames, toolpath
 from postproc.chunks import Runs
 from postproc.forces import Knots
-from postproc.forces.axes import lines_run_across, runs_across
+from postproc.forces.axes import arcs_across, lines_across
 from postproc.poses import Poses
 from postproc.program import CIRC, ForceNote, Targets
 from tests.programs import program
@@ -184,7 +184,7 @@ def test_the_displacement_by_the_force_is_estimated_from_its_changes(seed):
         if not turning:
             assert not found.swings[k]
         else:
-            runs = runs_across(made, path, np.array([k]), "+Z")[0]
+            runs = arcs_across(made, path, np.array([k]), "+Z")[0]
             assert found.swings[k] == (across.any() and not runs)
         begin[k] = load.before()[k]
     rows = sorted((row for row in rows if row[3] or made.motions.kind[row[0]] == CIRC), key=lambda row: row[:2])
@@ -215,7 +215,7 @@ def test_arcs_run_across_the_spindle_up_to_45_degrees(begin, end, climb):
         pitch = np.degrees(np.arctan2(climb, 40 * np.radians(150.0)))
         apart = max(abs(angle - begin), abs(angle - end)) + 0.5 * abs(end - begin) + pitch
         if abs(apart - 45.0) > 0.01:
-            assert runs_across(made, path, np.array([1]), "+Z")[0] == (apart < 45.0)
+            assert arcs_across(made, path, np.array([1]), "+Z")[0] == (apart < 45.0)
 
 
 @pytest.mark.parametrize(("begin", "end"), [(0.0, 0.0), (20.0, 0.0), (0.0, 20.0), (10.0, -10.0)])
@@ -227,7 +227,7 @@ def test_lines_run_across_the_spindle_up_to_45_degrees(begin, end):
         # the spindle leans as the tool does, about X: across it the travel would be at the same angle
         nearest = min(90.0 - abs(angle - begin), 90.0 - abs(angle - end)) - 0.5 * abs(end - begin)
         if abs(nearest - 45.0) > 0.01:
-            assert lines_run_across(made, path, np.array([1]), "+Z")[0] == (nearest > 45.0)
+            assert lines_across(made, path, np.array([1]), "+Z")[0] == (nearest > 45.0)
 
 
 def displaced_circle(load, piece, compliance, shares):

@@ -167,7 +167,7 @@ def test_the_same_load_before_and_after_a_larger_one_is_a_pair(seed):
             is_same = config[first] == config[second] and abs(wrench[first, 2] - wrench[second, 2]) < 0.02 * size
             if is_same and number[first] < number[second] and between:
                 expected.add((a, b))
-    up, down = plausibility.up_and_down(data)
+    up, down = plausibility.load_loops(data)
     assert set(zip(up.tolist(), down.tolist(), strict=True)) == expected
 
 

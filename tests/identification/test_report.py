@@ -5,7 +5,7 @@ import pytest
 
 from postproc.identification import identify_folder
 from postproc.identification.record import Parameter
-from postproc.report.identification import page, valued
+from postproc.report.identification import page, value_texts
 from postproc.robot import parameters
 from samples.paper_study import simulator
 from tests.html_page import read_page
@@ -49,4 +49,4 @@ def test_report_shows_every_configuration_and_parameter_and_loads_nothing(tmp_pa
     ],
 )
 def test_a_value_has_the_decimals_of_its_interval(value, ci95, shown):
-    assert valued(Parameter(value, ci95, "urad/(N·m)", True)) == shown
+    assert value_texts(Parameter(value, ci95, "urad/(N·m)", True)) == shown

@@ -143,7 +143,7 @@ def test_without_need_nothing_is_lowered_and_nothing_is_tried(tmp_path):
         tried.append(changed)
         return correction.process(changed, ROBOT, given, None)
 
-    result = process_forces.held(program, np.ones(len(program.motions)), given, 0.0, trial)
+    result = process_forces.hold_tolerance(program, np.ones(len(program.motions)), given, 0.0, trial)
     assert tried == [program]
     np.testing.assert_array_equal(result.held_feed.feed, program.motions.feed)
 
@@ -202,7 +202,7 @@ def test_each_feed_is_that_of_bisection(tmp_path, seed):
     def trial(changed):
         return Fake(changed, np.arange(count), np.where(changed.motions.rapid, 0.0, error(changed.motions.feed)))
 
-    held = process_forces.held(program, np.ones(count), given, 0.0, trial).held_feed
+    held = process_forces.hold_tolerance(program, np.ones(count), given, 0.0, trial).held_feed
     low, high = np.full(count, LEAST / 60e3), program.motions.feed.copy()
     for _ in range(60):
         middle = 0.5 * (low + high)

@@ -31,7 +31,7 @@ def test_force_and_deflection_agree_as_in_closed_form(tmp_path):
     (tmp_path / "process.toml").write_text(process(tool(16, 3), BOX, 0.25))
     source = process_forces.read(tmp_path / "process.toml", CELL)
     nominal = correction.process(program, ROBOT, CELL, source, "predict")
-    result, _ = process_forces.predicted(program, ROBOT, CELL, source)
+    result, _ = process_forces.predict_in_material(program, ROBOT, CELL, source)
     row = int(np.argmin(np.abs(result.t - 0.5) + (program.motions.line[result.motion] != 6)))
     other = int(np.argmin(np.abs(nominal.t - result.t[row]) + (nominal.motion != result.motion[row])))
     # how the tip gives way in y and z: by the response to three forces that differ a little
@@ -154,6 +154,6 @@ def test_the_cut_of_a_deflected_tool_costs_three_times_a_conversion_at_most(tmp_
     correction.process(program, ROBOT, CELL, source())  # imports
     convert = calls(lambda: correction.process(program, ROBOT, CELL, source()))
     groups.clear()
-    predict = calls(lambda: process_forces.predicted(program, ROBOT, CELL, source()))
+    predict = calls(lambda: process_forces.predict_in_material(program, ROBOT, CELL, source()))
     assert predict <= 3.0 * convert
     assert max(groups) <= 1.25 * groups[0] + 1

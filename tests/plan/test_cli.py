@@ -39,7 +39,7 @@ def run(folder, *arguments, text=BASIC + RIG + AROUND):
 
 def briefly(task, seed, *_, rounds):
     """Search from one start."""
-    return search.improved(task, seed, 1, 1, rounds)
+    return search.improve(task, seed, 1, 1, rounds)
 
 
 @pytest.fixture(scope="module")

@@ -290,5 +290,5 @@ def test_exchange_keeps_levels_apart(tmp_path):
 )
 def test_a_load_beyond_the_rating_is_asked_about_unless_torques_are_checked(mass_kg, limits, is_asked, tmp_path):
     rig = RIG.replace("mass_kg = 275", f"mass_kg = {mass_kg}")
-    warnings = planning.unchecked(setting.site(tmp_path, BASIC + rig + limits))
+    warnings = planning.unchecked_warnings(setting.site(tmp_path, BASIC + rig + limits))
     assert any("more than the 270 kg (2649 N) that the robot is rated for" in text for text in warnings) == is_asked

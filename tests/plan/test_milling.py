@@ -47,7 +47,7 @@ def test_regressor_is_that_of_an_independent_arm():
 def test_a_few_poses_stand_for_all():
     tests = setting.job(7, count=2000)
     scale = setting.ROBOT.compliance
-    few = milling.thinned(tests, scale, 20, 0)
+    few = milling.representatives(tests, scale, 20, 0)
     assert len(few) <= 20
     assert few.weight.sum() == pytest.approx(1.0)
     all_of_them, those = (t.second_moment * np.outer(scale, scale) for t in (tests, few))
@@ -59,13 +59,13 @@ def test_of_clusters_the_pose_nearest_to_the_mean_is_kept_with_the_weight_of_all
     """Three poses far from each other, each under five sizes of force: the middle one stands for them."""
     q = np.radians([[0, -70, 110, 0, 50, 0], [40, -30, 60, 20, 40, 0], [-60, -110, 130, -30, 70, 0]])
     tool, scale = setting.CELL.tool.pose(), setting.ROBOT.compliance
-    alone = milling.evaluated(setting.ROBOT, q, tool, np.eye(3, 6), np.ones(3), "units")
+    alone = milling.evaluate(setting.ROBOT, q, tool, np.eye(3, 6), np.ones(3), "units")
     force = np.eye(3, 6) / np.linalg.norm(alone.regressor * scale, axis=(1, 2))[:, None]  # each counts the same
     size, pose = np.tile([0.98, 0.99, 1.0, 1.01, 1.02], 3), np.repeat(np.arange(3), 5)
     weight = np.array([2.0, 1.0, 3.0])[pose]
-    tests = milling.evaluated(setting.ROBOT, q[pose], tool, force[pose] * size[:, None], weight, "three")
+    tests = milling.evaluate(setting.ROBOT, q[pose], tool, force[pose] * size[:, None], weight, "three")
     for seed in range(6):
-        few = milling.thinned(tests, scale, 3, seed)
+        few = milling.representatives(tests, scale, 3, seed)
         order = [int(np.abs(few.q - each).sum(axis=1).argmin()) for each in q]
         np.testing.assert_allclose(few.weight[order], np.array([2.0, 1.0, 3.0]) / 6.0)
         # scaled a little, all by one factor, so that the sum of squares is kept
@@ -83,7 +83,7 @@ def test_poses_with_another_angle_of_a2_stand_for_themselves_though_they_are_loa
     q[:, 1] = np.repeat([-1.5, -0.5], 20)
     same = {"wrench": np.ones((40, 6)), "torque": np.ones((40, 6)), "regressor": np.ones((40, 3, 6))}
     tests = milling.TestPoses(q=q, weight=np.full(40, 1 / 40), deflection=np.ones(40), source="alike", **same)
-    few = milling.thinned(tests, np.ones(6), 2, 0)
+    few = milling.representatives(tests, np.ones(6), 2, 0)
     assert sorted(few.q[:, 1]) == [-1.5, -0.5]
 
 
@@ -101,7 +101,7 @@ def test_of_a_long_path_every_nth_sample_has_the_length_of_those_left_out(count)
 
 def test_few_poses_are_left_as_they_are():
     tests = setting.job(7, count=12)
-    assert milling.thinned(tests, setting.ROBOT.compliance, 20, 0) is tests
+    assert milling.representatives(tests, setting.ROBOT.compliance, 20, 0) is tests
 
 
 def test_programs_without_force_are_refused_with_advice():

@@ -114,7 +114,7 @@ def test_a_move_is_looked_at_every_four_degrees_between_its_ends(tmp_path, monke
 
 
 def test_plans_of_other_sizes_are_from_two_fifths_to_twice_as_many_poses(monkeypatch):
-    monkeypatch.setattr(search, "improved", lambda task, seed, **_: iter([SimpleNamespace(value=float(task.count))]))
+    monkeypatch.setattr(search, "improve", lambda task, seed, **_: iter([SimpleNamespace(value=float(task.count))]))
     monkeypatch.setattr(search, "random_values", lambda task, seed, count: np.array([1.0, 2.0, 9.0]) * task.count)
 
     class Task(Struct, frozen=True):

@@ -114,7 +114,7 @@ def test_corners_in_one_cell_become_their_mean_and_flat_and_equal_triangles_vani
         [0.2, 0.2, 0.2], [0.6, 0.4, 0.2], [5.1, 0.5, 0.5], [5.9, 0.5, 0.9], [0.5, 7.5, 0.5], [9.5, 9.5, 9.5],
     ])  # fmt: skip
     faces = np.array([[0, 1, 4], [0, 2, 4], [4, 1, 3], [2, 3, 5], [1, 5, 4]])
-    coarse, displacement = shapes.simplified(LinkShape(2, points, faces), 4)
+    coarse, displacement = shapes.simplify(LinkShape(2, points, faces), 4)
     expected = 1e-3 * np.array([[0.4, 0.3, 0.2], [5.5, 0.5, 0.7], [0.5, 7.5, 0.5], [9.5, 9.5, 9.5]])
     triangles = coarse.points[coarse.faces]
     np.testing.assert_allclose(triangles, expected[np.array([[0, 1, 2], [0, 3, 2]])], atol=1e-12)

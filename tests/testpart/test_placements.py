@@ -14,7 +14,7 @@ from postproc.errors import MeasurementError
 from postproc.jobs.testpart_files import programs_of
 from postproc.testpart import probing
 from postproc.testpart.cut import Clamped, CutForces, Surfaces, surfaces
-from postproc.testpart.linear import linearised
+from postproc.testpart.linear import linearise
 from postproc.testpart.prior import Prior
 from postproc.testpart.readings import Readings
 from tests.commands import run
@@ -96,7 +96,7 @@ def test_the_model_predicts_the_surfaces_of_both_placements(folder):
     prior = Prior.of(robot_in_cell.robot, 0.1)
     states = CutForces(parts)
     states(robot_in_cell.robot, 1.0)
-    found = linearised(
+    found = linearise(
         prior, given, states(robot_in_cell.robot, 1.0), robot_in_cell, np.zeros(len(prior.parameters)), 1.0
     )
     off = found.value - read.deviation

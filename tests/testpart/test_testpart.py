@@ -16,8 +16,8 @@ from postproc.errors import MeasurementError
 from postproc.machining import ProcessSource
 from postproc.testpart import design, probing
 from postproc.testpart.cut import Clamped, CutForces, surfaces
-from postproc.testpart.fit import fit, swapped
-from postproc.testpart.linear import linearised
+from postproc.testpart.fit import fit, swapped_features
+from postproc.testpart.linear import linearise
 from postproc.testpart.model import agreement, summary
 from postproc.testpart.prior import Prior
 from postproc.testpart.readings import Readings
@@ -130,7 +130,7 @@ def test_the_model_predicts_the_surfaces_that_the_simulator_cuts(folder):
     zero = np.zeros(len(prior.parameters))
     states = states()
     states(robot_in_cell.robot, 1.0)
-    found = linearised(prior, given, states(robot_in_cell.robot, 1.0), robot_in_cell, zero, 1.0)
+    found = linearise(prior, given, states(robot_in_cell.robot, 1.0), robot_in_cell, zero, 1.0)
     off = found.value - given.probed.deviation
     assert np.abs(given.probed.deviation).max() > 3e-4
     assert np.sqrt(np.mean(off**2)) < 4e-6
@@ -231,8 +231,8 @@ def test_features_probed_in_each_others_place_are_named(folder, cut):
     """No pair is named where none was exchanged; each pair that was exchanged is."""
     given, robot_in_cell, states = readings(folder, "probed.csv")
     prior, here = Prior.of(robot_in_cell.robot, 0.1), states()(robot_in_cell.robot, 1.0)
-    local = linearised(prior, given, here, robot_in_cell, np.zeros(len(prior.parameters)), 1.0)
-    assert swapped(prior, given, local) is None
+    local = linearise(prior, given, here, robot_in_cell, np.zeros(len(prior.parameters)), 1.0)
+    assert swapped_features(prior, given, local) is None
     rows = {name: row for row, name in enumerate(given.probed.name)}
     features = sorted({name.partition(".")[0] for name in rows})
     named = []
@@ -245,7 +245,7 @@ def test_features_probed_in_each_others_place_are_named(folder, cut):
             first, second = (rows[f"{each}.{surface}"] for each in pair)
             order[first], order[second] = second, first
         probed = msgspec.structs.replace(given.probed, deviation=given.probed.deviation[order])
-        named.append((pair, swapped(prior, msgspec.structs.replace(given, probed=probed), local)))
+        named.append((pair, swapped_features(prior, msgspec.structs.replace(given, probed=probed), local)))
     assert named
     assert all(pair == said for pair, said in named), named
 
@@ -331,11 +331,11 @@ def test_derivatives_are_those_of_finite_differences(folder, cut):
     at = states()(robot_in_cell.robot, 1.0)
     sigma = prior.sigma[:-1]
     z = 0.2 * sigma
-    slopes = linearised(prior, given, at, robot_in_cell, z, 1.1).slopes
+    slopes = linearise(prior, given, at, robot_in_cell, z, 1.1).slopes
     for k in range(len(z) + 1):
         step = np.append(sigma, 1.0) * 0.02 * (np.arange(len(z) + 1) == k)
         more, less = (
-            linearised(prior, given, at, robot_in_cell, z + sign * step[:-1], 1.1 + sign * step[-1]).value
+            linearise(prior, given, at, robot_in_cell, z + sign * step[:-1], 1.1 + sign * step[-1]).value
             for sign in (1, -1)
         )
         expected = (more - less) / (2.0 * step[k])
@@ -347,7 +347,7 @@ def test_the_chosen_part_is_better_than_parts_at_random(folder):
     (found, prior, robot_in_cell, tests, *_), chosen = CHOICE
     rng = np.random.default_rng(1)
     others = [trial.at_random(found, chosen.seconds, rng) for _ in range(60)]
-    assert chosen.after < min(design.evaluated(found, prior, robot_in_cell, tests, other).after for other in others)
+    assert chosen.after < min(design.evaluate(found, prior, robot_in_cell, tests, other).after for other in others)
 
 
 def test_what_the_tool_does_not_make_is_refused(folder):

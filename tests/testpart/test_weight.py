@@ -9,7 +9,7 @@ from postproc.errors import MeasurementError
 from postproc.report.testpart import design_lines
 from postproc.testpart import design, probing
 from postproc.testpart.cut import Clamped, CutForces, surfaces
-from postproc.testpart.linear import linearised
+from postproc.testpart.linear import linearise
 from postproc.testpart.readings import Readings
 from tests.oracle.whole_arm import WholeArm
 from tests.testpart import trial
@@ -56,7 +56,7 @@ def test_the_gauge_reads_what_the_independent_arm_deflects_under_the_weight(part
     source = trial.ProcessSource(part.process, trial.CELL.tool.axis)
     states = CutForces([Clamped(only(part), part.robot_in_cell, source, where)])(part.robot_in_cell.robot, 1.0)
     given = Readings.of(read, where, trial.SIGMA)
-    found = linearised(part.prior, given, states, part.robot_in_cell, np.zeros(len(part.prior.parameters)), 1.0)
+    found = linearise(part.prior, given, states, part.robot_in_cell, np.zeros(len(part.prior.parameters)), 1.0)
     assert min(exact) > 5e-5
     np.testing.assert_allclose(found.value, exact, atol=2e-7)
     np.testing.assert_array_equal(found.slopes[:, -1], 0.0)  # the cutting forces have no part in it
@@ -81,7 +81,7 @@ def test_the_weight_tells_forces_from_compliances(part):
 
 def test_the_weight_shows_changes_of_joint_2_that_cutting_hides(part):
     tests = design.tests_in_block(part.found)
-    without = design.evaluated(part.found, part.prior, part.robot_in_cell, tests, part.chosen.chosen)
+    without = design.evaluate(part.found, part.prior, part.robot_in_cell, tests, part.chosen.chosen)
     (k2,) = [k for k, parameter in enumerate(part.prior.parameters) if parameter.name == "k2"]
     assert part.chosen.change[k2] < 0.3 < 0.6 < without.change[k2]
     said = [" ".join(design_lines(each, part.prior, part.cutting, part.made)) for each in (part.chosen, without)]

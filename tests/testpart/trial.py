@@ -66,7 +66,7 @@ def part(folder, box=((0, 300), (0, 200), (-40, 0)), count=12, resolution=0.5, d
     found, cutting = design.candidates(prior, settings, process, cutting, depth, Box(*box), SIGMA)
     low, high = (1e-3 * np.array([span[k] for span in box]) for k in (0, 1))
     hung = features.hanging_places(low, high, cutting.top) if mass else np.zeros((0, 3))
-    weighed = design.weighed(prior, settings, cutting, mass, hung, SIGMA)
+    weighed = design.gauge_information(prior, settings, cutting, mass, hung, SIGMA)
     chosen = design.choose(found, prior, robot_in_cell, design.tests_in_block(found), count, weighed)
     touches = features.touch_off_places(chosen.features, cutting, low, high)
     made, programs = {}, {}

@@ -49,7 +49,7 @@ def test_flat_arcs_of_large_radius_and_threads_are_fine() -> None:
     for made in (flat, thread):
         path = toolpath.segments(made, np.eye(4))
         under_load.check_ends(made, ROBOT)
-        under_load.check_between(made, ROBOT, path)
+        under_load.check_arcs(made, ROBOT, path)
 
 
 @pytest.mark.parametrize("zero_of_A5", [0.0, np.pi], ids=["outstretched", "folded back"])
@@ -74,7 +74,7 @@ def refused(made):
     """Return the issue with which a program is refused, or None."""
     try:
         under_load.check_ends(made, ROBOT)
-        under_load.check_between(made, ROBOT, toolpath.segments(made, np.eye(4)))
+        under_load.check_arcs(made, ROBOT, toolpath.segments(made, np.eye(4)))
     except ImpossiblePathError as error:
         return error.issue
     return None

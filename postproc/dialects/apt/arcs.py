@@ -103,7 +103,7 @@ def stated_angle(words: list[float | str]) -> tuple[Array, float]:
     return numbers[:7], float(np.deg2rad(numbers[7]))
 
 
-def arc_along(code: str, direction: Array | None, place: Array | None, unit: float) -> tuple[Circle, Array]:
+def tangent_arc(code: str, direction: Array | None, place: Array | None, unit: float) -> tuple[Circle, Array]:
     """Return circle and end (3,) [mm] of TLON,GOFWD/(CIRCLE/x,y,z,r),ON,(LINE/…).
 
     :param code: behind the slash of GOFWD.

@@ -33,10 +33,10 @@ from postproc.dialects.apt.arcs import (
     UNKNOWN_START,
     Compensation,
     PendingArc,
-    arc_along,
     circle_of,
     radius_from,
     stated_angle,
+    tangent_arc,
     turns_of,
 )
 from postproc.dialects.apt.course import ARC, LINE, RAPID, Course, Fault, Happening, Part
@@ -555,7 +555,7 @@ class _Walk:
     def _leave_by_arc(self, row: int, code: str) -> None:
         """Read TLON,GOFWD/(CIRCLE/x,y,z,r),ON,(LINE/…): an arc that leaves along INDIRV."""
         direction, self.leaving = self.leaving, None
-        circle, end = arc_along(code, direction, self.place if self.known else None, self.unit)
+        circle, end = tangent_arc(code, direction, self.place if self.known else None, self.unit)
         try:
             self._turn(row, PendingArc(row, circle), end, self.axis)
         except StatementError as cause:

@@ -61,7 +61,7 @@ class Piece(NamedTuple):
     text: str | None = None
 
 
-def put_together(units: Sequence[Unit], pieces: Sequence[Piece], faults: Sequence[Fault], end: int) -> Executed:
+def assemble(units: Sequence[Unit], pieces: Sequence[Piece], faults: Sequence[Fault], end: int) -> Executed:
     """Return pieces, given in execution order, as one program.
 
     :param units: the files of the pieces.
@@ -196,7 +196,7 @@ _CALL = re.compile(r"([PL])([+-]?(?:\d+\.?\d*|\.\d+))|M0*9[89]")
 _ENDLESS = "Is it an endless loop? Check its end condition."
 
 
-def executed(document: Document) -> Executed:
+def execute(document: Document) -> Executed:
     """Return a program in execution order.
 
     :raises SubprogramError: the file only defines subprograms.
@@ -257,7 +257,7 @@ class _Run:
                 self._step()
         except _EndError:
             pass
-        return put_together(self.units, self.pieces, list(self.wrong.values()), self.end)
+        return assemble(self.units, self.pieces, list(self.wrong.values()), self.end)
 
     def _step(self) -> None:
         """Execute the lines up to the next one with a parameter or an O word, and that one.

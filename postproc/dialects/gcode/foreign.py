@@ -109,7 +109,7 @@ FOREIGN = (
 """Kinds of programs that are recognised and refused."""
 
 
-def recognised(lines: Sequence[str]) -> tuple[int, Foreign] | None:
+def recognise(lines: Sequence[str]) -> tuple[int, Foreign] | None:
     """Return index and kind of the first unreadable line that reveals the kind of the program, or None.
 
     :param lines: with their comments, in order.

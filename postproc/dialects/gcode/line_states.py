@@ -55,7 +55,7 @@ class LineStates(Struct, frozen=True, eq=False):
     repeats: Array
 
 
-def carried(values: Array, initial: float) -> Array:
+def carry_forward(values: Array, initial: float) -> Array:
     """Return values (L,) with NaN replaced by the last value before, or by `initial`."""
     filled_values = np.empty(len(values))
     for part in chunks(len(values)):
@@ -75,7 +75,7 @@ def in_force(changes: Sequence[tuple[int, float]], initial: float, rows: int) ->
     return np.repeat(np.array(values, dtype=float), np.diff(at))
 
 
-def taken(column: NDArray[Any], rows: Ints) -> NDArray[Any]:
+def take_rows(column: NDArray[Any], rows: Ints) -> NDArray[Any]:
     """Return rows (n,) of a column; one of one value still takes no memory."""
     if len(column) and column.strides[0] == 0:
         return np.broadcast_to(column[0], (len(rows), *column.shape[1:]))
@@ -95,7 +95,7 @@ def line_states_of(words: Words, modes: Modes, rotary: Rotary | None) -> LineSta
 
     xyz, ijk = mm("XYZ"), mm("IJK")
     code = words.column("G")[:count]
-    motion = carried(code, codes.CANCEL_CYCLE).astype(np.int8)
+    motion = carry_forward(code, codes.CANCEL_CYCLE).astype(np.int8)
     circular = (motion == 2.0) | (motion == 3.0)
     has_motion_code = ~np.isnan(code) & (code != codes.CANCEL_CYCLE)
     if rotary is not None and rotary.kind == "vector":  # I, J, K of arcs are their centres
@@ -114,7 +114,7 @@ def line_states_of(words: Words, modes: Modes, rotary: Rotary | None) -> LineSta
     drilling = np.isin(motion, codes.CYCLES) & axes
     moving = ~drilling & (axes | (circular & (has_motion_code | any_column(~np.isnan(ijk)))))
     inverse_time = state["feed"] == 93.0
-    rate = carried(words.column("F")[:count], 0.0)
+    rate = carry_forward(words.column("F")[:count], 0.0)
     needs_conversion = factor is not None or inverse_time.any()
     return LineStates(
         xyz=xyz,
@@ -144,7 +144,7 @@ def line_states_of(words: Words, modes: Modes, rotary: Rotary | None) -> LineSta
 def _feeds(mm: Array, words: Array, inverse_time: Bools) -> Array:
     """Return the modal feed of each line [mm/min]; in G93 the feed of the line itself [1/min], or 0."""
     if not inverse_time.any():
-        return carried(mm, 0.0)
+        return carry_forward(mm, 0.0)
     is_after_g93 = np.append(False, inverse_time[:-1] & ~inverse_time[1:])  # the feed before G93 is not valid after it
     plain = np.where(inverse_time, np.nan, np.where(is_after_g93 & np.isnan(mm), 0.0, mm))
-    return np.where(inverse_time, np.nan_to_num(words), carried(plain, 0.0))
+    return np.where(inverse_time, np.nan_to_num(words), carry_forward(plain, 0.0))

@@ -28,7 +28,7 @@ from postproc.chunks import chunks, compact
 from postproc.dialects.gcode import codes
 from postproc.dialects.gcode.arcs import PLANE_AXES
 from postproc.dialects.gcode.cycles import DWELLING, Cycle, CycleEvent, Step
-from postproc.dialects.gcode.line_states import LineStates, carried, in_force, taken
+from postproc.dialects.gcode.line_states import LineStates, carry_forward, in_force, take_rows
 from postproc.dialects.gcode.modes import Modes, Origin, Return, dwell_time
 from postproc.dialects.gcode.rotary import RotaryAxes
 from postproc.dialects.gcode.words import BlockError
@@ -120,7 +120,7 @@ class Moves(Struct, frozen=True, eq=False):
         index = np.repeat(np.arange(len(count)), count)
         offsets = np.append(0, np.cumsum(count))
         names = ("row", "code", "end", "frame", "tool", "turn", "bottom", "home")
-        columns = {name: taken(getattr(self, name), index) for name in names}
+        columns = {name: take_rows(getattr(self, name), index) for name in names}
         events = [(int(offsets[at]), row, event) for at, row, event in self.events]
         return replace(self, **columns, first=offsets[self.first], events=events)
 
@@ -262,7 +262,7 @@ class _Walk:
                 steps = np.append(self.position[axis], np.where(np.isnan(words), 0.0, words))
                 positions[:, axis] = np.cumsum(steps)[1:]
             else:
-                positions[:, axis] = carried(words, self.position[axis])
+                positions[:, axis] = carry_forward(words, self.position[axis])
                 self.known[axis] |= not np.isnan(words).all()
         self._check_height(begin, end)
         turn = self._rotary_angles(begin, end)
@@ -317,7 +317,7 @@ class _Walk:
             if self.rows.incremental[begin] and len(self.angles) != COMPONENTS:  # directions are never incremental
                 end_angles[:, axis] = np.cumsum(np.append(angle, np.nan_to_num(words[:, axis])))[1:]
             else:
-                end_angles[:, axis] = carried(words[:, axis], angle)
+                end_angles[:, axis] = carry_forward(words[:, axis], angle)
         start_angles = np.concatenate([self.angles[None], end_angles[:-1]])
         self.angles = end_angles[-1].copy()
         return np.stack([start_angles, end_angles], axis=1)
@@ -391,7 +391,7 @@ class _Walk:
             if self.rows.incremental[row - 1]:
                 at = self.position[axis] + np.cumsum(np.nan_to_num(words))
             else:
-                at = carried(words, self.position[axis])
+                at = carry_forward(words, self.position[axis])
             places[:, :, axis] = at[:, None]
             if self.cycle.lifts:
                 places[:, 0, axis] = np.append(self.position[axis], at[:-1])

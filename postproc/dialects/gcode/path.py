@@ -25,7 +25,7 @@ from postproc.cell import Rotary
 from postproc.chunks import Runs, in_chunks
 from postproc.dialects.gcode.arcs import SAME_MM, ArcFault, Arcs, ArcWords, read_arcs
 from postproc.dialects.gcode.cycles import CycleEvent
-from postproc.dialects.gcode.line_states import LineStates, in_force, taken
+from postproc.dialects.gcode.line_states import LineStates, in_force, take_rows
 from postproc.dialects.gcode.modes import MM_PER_UNIT, Modes, tip_codes
 from postproc.dialects.gcode.moves import LEVEL, CellFrames, Moves, below_top, moves_of
 from postproc.dialects.gcode.rotary import RotaryAxes, kind_faults
@@ -64,7 +64,7 @@ def arrivals(moves: Moves) -> tuple[Bools, Bools]:
     return is_held_back, is_arrival
 
 
-def approached(moves: Moves, cell_frames: CellFrames) -> tuple[Moves, Bools, Bools]:
+def add_approaches(moves: Moves, cell_frames: CellFrames) -> tuple[Moves, Bools, Bools]:
     """Return the moves with separate approaches, and the result of `arrivals` for them.
 
     The first move from `[start]` has no separate approach: the user chose that position.
@@ -136,7 +136,7 @@ _STEPS = 32
 _S_PER_MIN = 60.0
 
 
-def turned(moves: Moves, axes: Array) -> Array:
+def rotation_bound(moves: Moves, axes: Array) -> Array:
     """Return an upper bound of the rotation of the tool in each move (N,) [rad]."""
     angles = np.zeros(len(moves.row))
     rows = np.flatnonzero((moves.turn[:, 0] != moves.turn[:, 1]).any(axis=1))
@@ -384,7 +384,7 @@ def read_path(
     :param rows: words and modal state of all lines.
     :param modes: modal state and events of the blocks that are not plain.
     """
-    moves, is_held_back, is_arrival = approached(moves_of(rows, modes, cell_frames), cell_frames)
+    moves, is_held_back, is_arrival = add_approaches(moves_of(rows, modes, cell_frames), cell_frames)
     circular = np.flatnonzero(moves.code >= 2.0)
     arcs = _arcs(rows, moves, circular)
     faults = faults_of(rows, moves, modes, moves.row[circular], arcs.faults)
@@ -405,7 +405,7 @@ def read_path(
     whole = count[circular] == 1
     circular, arcs = np.flatnonzero(moves.code >= 2.0), arcs.of(whole)
     other_tool = np.diff(moves.tool, prepend=moves.tool[:1]) != 0
-    turns = turned(moves, cell_frames.rotary.directions) > _NO_ROTATION
+    turns = rotation_bound(moves, cell_frames.rotary.directions) > _NO_ROTATION
     stays = ~turns & (length <= SAME_MM) & (moves.code < 2.0) & ~moves.home & ~other_tool & ~is_arrival & ~is_held_back
     motion_moves = np.flatnonzero(~stays & ~is_held_back)
     free = is_arrival[motion_moves] | moves.home[motion_moves]
@@ -469,7 +469,7 @@ def _motions(
     swivel, is_rotation, length = turning
     row, code, home = moves.row[motion_moves], moves.code[motion_moves], moves.home[motion_moves]
     kind = np.where(free, PTP, np.where(code < 2.0, LIN, CIRC))
-    frame = taken(moves.frame, motion_moves)
+    frame = take_rows(moves.frame, motion_moves)
     joints = np.broadcast_to(np.nan, (len(motion_moves), 6))  # takes no memory
     rotation = _rotations(moves.frames, frame, swivel, cell_frames.orientation)
     target = Poses(_points_in_base(moves.frames, frame, moves.end[motion_moves]), rotation)
@@ -483,7 +483,7 @@ def _motions(
     centre, normal, sweep = _arcs_in_base(circles, motion_moves, kind, moves.frames, frame)
     feed = _speeds_of(rows, row, code == 0.0, is_rotation, length, speeds)
     feed[kind == PTP] = np.nan
-    blend = taken(in_force(modes.blends, speeds.approximation, modes.rows), row)
+    blend = take_rows(in_force(modes.blends, speeds.approximation, modes.rows), row)
     bottom = moves.bottom[motion_moves]
     if bottom.any():
         blend = np.where(bottom, 0.0, blend)
@@ -502,7 +502,7 @@ def _motions(
         sweep=sweep,
         feed=feed,
         base=constant(0, len(motion_moves)),
-        tool=taken(moves.tool, motion_moves),
+        tool=take_rows(moves.tool, motion_moves),
         blend=blend,
         rounding=rounding,
         status=unset,

@@ -42,7 +42,7 @@ from postproc.cell import Cell
 from postproc.dialects.dialect import CamFormat
 from postproc.dialects.gcode import words
 from postproc.dialects.gcode.codes import WORK_OFFSETS
-from postproc.dialects.gcode.execution import Executed, executed
+from postproc.dialects.gcode.execution import Executed, execute
 from postproc.dialects.gcode.line_states import line_states_of
 from postproc.dialects.gcode.modes import Modes, read_modes
 from postproc.dialects.gcode.moves import CellFrames
@@ -148,7 +148,7 @@ def _executed_program(
     absolute: bool = False,
 ) -> Program:
     """Read a program, see `read`; `absolute`: centres of arcs are coordinates, though the program does not say so."""
-    run = executed(document)
+    run = execute(document)
     source = run.source
     rotary = "" if cell.rotary is None else "".join(cell.rotary.axes)
     plain, odd = words.read_plain(source, rotary) if bulk else words.leave_all(source)
@@ -244,7 +244,7 @@ def _line(run: Executed, line: int | None) -> int | None:
 
 def _errors(run: Executed, faults: Sequence[Fault]) -> list[InputError]:
     """Return faults as errors; a single error if they show that the program is for another control."""
-    from postproc.dialects.gcode.foreign import recognised  # its patterns are compiled where there are faults
+    from postproc.dialects.gcode.foreign import recognise  # its patterns are compiled where there are faults
 
     spans = [line_spans(document.text) for document in run.documents]
     places: dict[tuple[int, int], Fault] = {}
@@ -252,7 +252,7 @@ def _errors(run: Executed, faults: Sequence[Fault]) -> list[InputError]:
         places.setdefault((int(run.document[fault.row]), int(run.line[fault.row])), fault)
     texts = [run.documents[n].text[spans[n][0][line - 1] : spans[n][1][line - 1]] for n, line in places]
     names = [document.name for document in run.documents]
-    kind = recognised(texts)
+    kind = recognise(texts)
     if kind is not None:
         at, control = kind
         n, line = list(places)[at]

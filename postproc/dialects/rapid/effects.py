@@ -20,8 +20,8 @@ from postproc.dialects.rapid.syntax import (
     Parameter,
     Routine,
     Statement,
+    all_statements,
     calls,
-    nested,
 )
 from postproc.dialects.rapid.values import Scope, base_name, changed_by
 
@@ -47,7 +47,7 @@ class Effects:
         self.has_functions = any(
             call.value in routines or call.value not in PURE
             for body in bodies
-            for statement in nested(body)
+            for statement in all_statements(body)
             for call in calls(statement)
         )
         self._changed_data: dict[tuple[str, bool], frozenset[str]] = {}
@@ -59,7 +59,7 @@ class Effects:
 
     def changed(self, statements: tuple[Statement, ...]) -> Iterator[str]:
         """Yield the names of data that statements may change themselves, as their own routine names them."""
-        for statement in nested(statements):
+        for statement in all_statements(statements):
             for call in calls(statement):
                 yield from self.changed_arguments(call.value, call.items)
             if isinstance(statement, Assignment):
@@ -106,7 +106,7 @@ class Effects:
                     continue
                 statements = (*routine.body, *routine.handler)
                 local_names = {parameter.name for parameter in routine.parameters}
-                local_names |= {item.name for item in nested(statements) if isinstance(item, Declaration)}
+                local_names |= {item.name for item in all_statements(statements) if isinstance(item, Declaration)}
                 names |= set(self.changed(statements)) - local_names
                 waiting += (names_called := called(statements) - looked_at)
                 looked_at |= names_called
@@ -129,8 +129,8 @@ def results(instruction: Instruction) -> Iterator[Expression]:
 
 def called(statements: tuple[Statement, ...]) -> set[str]:
     """Return the names of the instructions and functions in statements, those of routines among them."""
-    names = {call.value for statement in nested(statements) for call in calls(statement)}
-    instructions = (statement for statement in nested(statements) if isinstance(statement, Instruction))
+    names = {call.value for statement in all_statements(statements) for call in calls(statement)}
+    instructions = (statement for statement in all_statements(statements) if isinstance(statement, Instruction))
     return names | {instruction.name.removeprefix("%") for instruction in instructions}
 
 

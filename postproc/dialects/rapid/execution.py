@@ -29,7 +29,7 @@ from postproc.dialects.rapid.instructions import (
     STOPPING,
     moves_unfollowed,
 )
-from postproc.dialects.rapid.loaded import LoadedModules, named_like_rapid, twice_declared
+from postproc.dialects.rapid.loaded import LoadedModules, name_clash, named_like_rapid
 from postproc.dialects.rapid.moves import Move, Setting, equal, stated_move
 from postproc.dialects.rapid.syntax import (
     Assignment,
@@ -44,8 +44,8 @@ from postproc.dialects.rapid.syntax import (
     Parameter,
     Routine,
     Statement,
+    all_statements,
     calls,
-    nested,
 )
 from postproc.dialects.rapid.values import (
     ROUNDING,
@@ -53,10 +53,10 @@ from postproc.dialects.rapid.values import (
     UnknownValueError,
     Value,
     Variable,
-    assigned,
+    assign,
     base_name,
     changed_by,
-    evaluated,
+    evaluate,
     number,
     predefined,
     truth,
@@ -193,7 +193,7 @@ class Execution:
         """Return the names of the routines that the entry may call."""
         names, waiting = {entry.name}, [entry]
         while waiting:
-            for statement in nested(waiting.pop().body):
+            for statement in all_statements(waiting.pop().body):
                 if isinstance(statement, Instruction):
                     name = statement.name.removeprefix("%")
                     if name in self.routines and name not in names:
@@ -246,7 +246,7 @@ class Execution:
         waiting, names = [statements], set[str]()
         while waiting:
             block = waiting.pop()
-            for statement in nested(block):
+            for statement in all_statements(block):
                 if isinstance(statement, Comment) and FORCE_COMMENT.match(statement.text):
                     problem = f"it is not known whether this force acts: {reason}"
                     raise RapidError(problem, statement.start, "Put the comment before the move on which it acts.")
@@ -284,7 +284,7 @@ class Execution:
         """Return the first instruction among statements that moves the robot or changes how it moves, or that calls
         a routine which does.
         """
-        for statement in nested(statements):
+        for statement in all_statements(statements):
             for call in calls(statement):
                 function = self.effects.routines.get(call.value)
                 if function is not None and self._routine_moves(function):
@@ -384,7 +384,7 @@ class Execution:
         variable = _initial_variable(declaration)
         if declaration.value is not None:
             try:
-                variable.value, _ = evaluated(declaration.value, scope)
+                variable.value, _ = evaluate(declaration.value, scope)
             except UnknownValueError as cause:
                 variable.forget(cause.problem)
         if declaration.name in self.effects.changed_by_handler(routine):
@@ -394,8 +394,8 @@ class Execution:
     def _assign(self, statement: Assignment, scope: Scope) -> None:
         """Assign a value; data gets unknown if the value or the element is."""
         try:
-            value, _ = evaluated(statement.value, scope)
-            assigned(statement.target, value, scope)
+            value, _ = evaluate(statement.value, scope)
+            assign(statement.target, value, scope)
         except (UnknownValueError, ValueError) as cause:
             variable = scope.find(base_name(statement.target))
             if variable is not None:
@@ -417,8 +417,8 @@ class Execution:
     def _holds(self, statement: Conditional, condition: Expression, scope: Scope) -> bool:
         if statement.subject is None:
             return truth(condition, scope)
-        subject, _ = evaluated(statement.subject, scope)
-        return any(subject == evaluated(item, scope)[0] for item in condition.items)
+        subject, _ = evaluate(statement.subject, scope)
+        return any(subject == evaluate(item, scope)[0] for item in condition.items)
 
     def _skip(self, statements: tuple[Statement, ...], reason: str, scope: Scope, routine: Routine) -> None:
         """Pass over statements of which it is not known whether they run."""
@@ -432,7 +432,7 @@ class Execution:
             raise RapidError(problem, moving.start, advice)
         self._check_forces(statements, reason)
         self._forget(statements, f"it may be changed where it is not known whether: {reason}", scope)
-        for statement in nested(statements):
+        for statement in all_statements(statements):
             if isinstance(statement, Jump) and statement.word not in (*STOPPING, ":"):
                 if statement.word == "RETURN" and routine is self.entry:
                     continue  # the program ends early, and what ran before is as it was
@@ -612,7 +612,7 @@ class Execution:
             step = {"INCR": 1.0, "DECR": -1.0}.get(statement.name, 0.0)
             if statement.name == "ADD" and statement.arguments[1].value is not None:
                 step = number(statement.arguments[1].value, scope)
-            assigned(target, 0.0 if statement.name == "CLEAR" else number(target, scope) + step, scope)
+            assign(target, 0.0 if statement.name == "CLEAR" else number(target, scope) + step, scope)
         except (UnknownValueError, ValueError, IndexError):
             variable.forget(f"{statement.name} changes it")
 
@@ -650,7 +650,7 @@ class Execution:
                 _forget_variable(scope.find(base_name(expression)), variable.why)
             elif expression is not None:
                 try:
-                    variable.value, _ = evaluated(expression, scope)
+                    variable.value, _ = evaluate(expression, scope)
                 except UnknownValueError as cause:
                     variable.why = cause.problem
             if parameter.name in handler_names:
@@ -699,7 +699,7 @@ def _check_names(modules: tuple[Module, ...]) -> None:
 
     :raises RapidError: two do; then it is LOCAL, and which one is meant depends on the module.
     """
-    clash = twice_declared(modules)
+    clash = name_clash(modules)
     if clash is not None:
         item, names = clash
         problem = f"{item.name} is declared in two modules, {names[0]} and {names[1]}"

@@ -42,7 +42,7 @@ class Expanded(Struct, frozen=True, eq=False):
     copies: tuple[str, ...]
 
 
-def expanded(
+def expand(
     text: str,
     entry_of: Callable[[Sequence[Module]], Routine],
     cell_value: Callable[[str, str], Value | None],

@@ -19,7 +19,7 @@ from postproc.dialects.rapid.values import (
     Scope,
     UnknownValueError,
     Variable,
-    evaluated,
+    evaluate,
     predefined,
 )
 from postproc.dialects.text import decode, line_spans
@@ -37,7 +37,7 @@ class LoadedModules(Struct, frozen=True, eq=False):
     data: dict[str, Variable] = {}
 
 
-def loaded(cell: Cell) -> LoadedModules:
+def load_modules(cell: Cell) -> LoadedModules:
     """Return the modules that a cell names.
 
     :raises CellError: a file cannot be read, or a name in it has another meaning too.
@@ -45,7 +45,7 @@ def loaded(cell: Cell) -> LoadedModules:
     """
     files = [Path(cell.folder) / name for name in cell.rapid.modules]
     loaded_modules = tuple(module for file in files for module in _modules_of(file))
-    clash = twice_declared(loaded_modules)
+    clash = name_clash(loaded_modules)
     if clash is not None:
         item, names = clash
         advice = "Name those modules only that the controller loads with the program."
@@ -58,7 +58,7 @@ def loaded(cell: Cell) -> LoadedModules:
     return LoadedModules(loaded_modules, _data(loaded_modules))
 
 
-def twice_declared(
+def name_clash(
     modules_of_task: Iterable[Module],
 ) -> tuple[Declaration | Routine, tuple[str, str]] | None:
     """Return what the second of two modules declares again, and the names of both; None: all names differ.
@@ -131,7 +131,7 @@ def _data(loaded_modules: tuple[Module, ...]) -> dict[str, Variable]:
             variable.why = "its module gives it no value"
         else:
             try:
-                variable.value, _ = evaluated(item.value, scope)
+                variable.value, _ = evaluate(item.value, scope)
             except (UnknownValueError, RecursionError) as cause:
                 variable.why = cause.problem if isinstance(cause, UnknownValueError) else "it refers to itself"
         data[name] = variable

@@ -17,10 +17,10 @@ from postproc.dialects.rapid.values import (
     UnknownValueError,
     Value,
     base_name,
-    evaluated,
+    evaluate,
     number,
     predefined,
-    shaped,
+    record_numbers,
 )
 
 Frames = Callable[[str, str], Value | None]
@@ -127,7 +127,7 @@ def _target(expression: Expression, scope: Scope, *, joints: bool) -> Target:
         if joints:
             raise UnknownValueError("MoveAbsJ goes to joint angles, not to a robtarget")
         return Target([float(text) for text in expression.value], expression, expression)
-    value, type_ = evaluated(expression, scope)
+    value, type_ = evaluate(expression, scope)
     if type_ not in ("", "JOINTTARGET" if joints else "ROBTARGET"):
         raise UnknownValueError(f"a {type_.lower()} is no target of {'MoveAbsJ' if joints else 'this move'}")
     numbers = _numbers(value, joints=joints)
@@ -151,7 +151,7 @@ def _speed(expression: Expression, options: dict[str, Argument], scope: Scope, s
             if not 0.0 < value < 1e6:
                 raise UnknownValueError(f"\\{name} must be more than 0")
             return (0.0, value / share) if name == "T" else (min(value * share, limit), 0.0)
-    value, _ = evaluated(expression, scope)
+    value, _ = evaluate(expression, scope)
     if not isinstance(value, list) or len(value) != len(FIELDS["SPEEDDATA"]):
         raise UnknownValueError("the speed is no speeddata")
     tcp = value[0]
@@ -170,7 +170,7 @@ def _zone(expression: Expression, options: dict[str, Argument], scope: Scope) ->
         return max(number(argument.value, scope), 0.0)
     if "INPOS" in options:
         return 0.0
-    value, _ = evaluated(expression, scope)
+    value, _ = evaluate(expression, scope)
     if not isinstance(value, list) or len(value) != len(FIELDS["ZONEDATA"]) or not isinstance(value[0], bool):
         raise UnknownValueError("the zone is no zonedata")
     distance = value[1]
@@ -185,14 +185,14 @@ def _frame(expression: Expression, type_: str, scope: Scope, frames: Frames) -> 
         value = frames(expression.value, type_)
         if value is not None:
             return value
-    value, value_type = evaluated(expression, scope)
+    value, value_type = evaluate(expression, scope)
     if value_type not in ("", type_):
         raise UnknownValueError(f"a {value_type.lower()} is no {type_.lower()}")
     return value
 
 
 def _numbers(value: Value, *, joints: bool) -> list[float]:
-    return shaped(value, 6, 6) if joints else shaped(value, 3, 4, 4, 6)
+    return record_numbers(value, 6, 6) if joints else record_numbers(value, 3, 4, 4, 6)
 
 
 def _element(expression: Expression, initial: Expression | None, scope: Scope) -> Expression | None:

@@ -21,14 +21,14 @@ from postproc.cell import Cell
 from postproc.chunks import Runs
 from postproc.dialects import circles
 from postproc.dialects.rapid.execution import Executed, RapidError
-from postproc.dialects.rapid.expansion import Expanded, expanded
+from postproc.dialects.rapid.expansion import Expanded, expand
 from postproc.dialects.rapid.language import joints_from_abb, poses, status_from_cfx
 from postproc.dialects.rapid.layout import Layout
-from postproc.dialects.rapid.loaded import loaded
+from postproc.dialects.rapid.loaded import load_modules
 from postproc.dialects.rapid.moves import Move
-from postproc.dialects.rapid.syntax import Comment, Module, RapidSyntaxError, Routine, nested
+from postproc.dialects.rapid.syntax import Comment, Module, RapidSyntaxError, Routine, all_statements
 from postproc.dialects.rapid.syntax import Instruction as RapidInstruction
-from postproc.dialects.rapid.values import NONE, UnknownValueError, Value, shaped
+from postproc.dialects.rapid.values import NONE, UnknownValueError, Value, record_numbers
 from postproc.dialects.text import line_spans
 from postproc.errors import InputError, Issue, ProgramError, first_of, line_names, together
 from postproc.frames import M_PER_MM, Array, inverse, norm, xyzabc_from_pose
@@ -74,7 +74,7 @@ class _Reader:
 
     def __init__(self, document: Document, cell: Cell) -> None:
         self.document, self.cell = document, cell
-        self.loaded = loaded(cell)
+        self.loaded = load_modules(cell)
         self.names: dict[str, set[str]] = {}
         self.frames: dict[str, _FromCell] = {}
 
@@ -121,7 +121,7 @@ class _Reader:
         try:
             without_effect = self.cell.rapid.without_effect
             entry_of = partial(self._entry, name=name)
-            return expanded(text, entry_of, self._from_cell, without_effect, self.loaded)
+            return expand(text, entry_of, self._from_cell, without_effect, self.loaded)
         except RapidSyntaxError as cause:
             advice = "Check the file in RobotStudio. If it is accepted there, please report this."
             line = int(np.searchsorted(line_spans(text)[0], cause.start, side="right"))
@@ -143,7 +143,7 @@ class _Reader:
         called_names = {
             statement.name.removeprefix("%")
             for routine in routines.values()
-            for statement in nested(routine.body)
+            for statement in all_statements(routine.body)
             if isinstance(statement, RapidInstruction)
         }
         free = [routine for routine in routines.values() if routine.name not in called_names and not routine.parameters]
@@ -411,7 +411,11 @@ class _Reader:
         for module in whole.modules:
             for routine in module.routines:
                 moving = next(
-                    (s for s in nested(routine.body) if isinstance(s, RapidInstruction) and s.name.startswith("MOVE")),
+                    (
+                        s
+                        for s in all_statements(routine.body)
+                        if isinstance(s, RapidInstruction) and s.name.startswith("MOVE")
+                    ),
                     None,
                 )
                 if moving is not None and routine.name not in execution.followed:
@@ -456,7 +460,7 @@ def _single(values: list[float]) -> Array:
 
 def _pose(value: Value) -> Array:
     """Return a `pose` (4, 4) [m]."""
-    numbers = np.array(shaped(value, 3, 4))
+    numbers = np.array(record_numbers(value, 3, 4))
     if (np.abs(numbers[:3]) > _LARGEST_COORDINATE).any():
         raise UnknownValueError("the frame is beyond any cell")
     if abs(float(numbers[3:] @ numbers[3:]) - 1.0) > _NORM_TOLERANCE:

@@ -685,15 +685,15 @@ def names(expression: Expression) -> Iterator[str]:
             yield from names(inner)
 
 
-def nested(statements: tuple[Statement, ...]) -> Iterator[Statement]:
+def all_statements(statements: tuple[Statement, ...]) -> Iterator[Statement]:
     """Yield statements and all inside of them."""
     for statement in statements:
         yield statement
         if isinstance(statement, Conditional):
             for _, body in statement.branches:
-                yield from nested(body)
+                yield from all_statements(body)
         elif isinstance(statement, Loop):
-            yield from nested(statement.body)
+            yield from all_statements(statement.body)
 
 
 def calls(statement: Statement) -> Iterator[Expression]:

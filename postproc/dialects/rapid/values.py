@@ -171,7 +171,7 @@ class Scope:
         return data
 
 
-def evaluated(expression: Expression, scope: Scope) -> tuple[Value, str]:
+def evaluate(expression: Expression, scope: Scope) -> tuple[Value, str]:
     """Return the value of an expression and its type, empty if that does not show.
 
     :raises UnknownValueError: it is not known before the program runs.
@@ -184,7 +184,7 @@ def number(expression: Expression, scope: Scope) -> float:
 
     :raises UnknownValueError: it is not known, or no number.
     """
-    value, _ = evaluated(expression, scope)
+    value, _ = evaluate(expression, scope)
     if isinstance(value, bool) or not isinstance(value, float):
         raise UnknownValueError("a number is expected")
     return value
@@ -195,7 +195,7 @@ def truth(expression: Expression, scope: Scope) -> bool:
 
     :raises UnknownValueError: that is not known.
     """
-    value, _ = evaluated(expression, scope)
+    value, _ = evaluate(expression, scope)
     if not isinstance(value, bool):
         raise UnknownValueError("a condition is expected")
     return value
@@ -212,7 +212,7 @@ def flat(value: Value) -> Iterator[float]:
         raise UnknownValueError("a number is expected")
 
 
-def shaped(value: Value, *sizes: int) -> list[float]:
+def record_numbers(value: Value, *sizes: int) -> list[float]:
     """Return the numbers of a record of records of these sizes.
 
     :raises UnknownValueError: it has another form.
@@ -234,7 +234,7 @@ def _name(expression: Expression, scope: Scope) -> tuple[Value, str]:
     if variable.value is None and variable.declaration is not None and variable.literal:
         initial = variable.declaration.value
         if initial is not None:
-            variable.value, _ = evaluated(initial, Scope(scope.outer))
+            variable.value, _ = evaluate(initial, Scope(scope.outer))
     if variable.value is None:
         prefix = f"{expression.value} is not known: "
         raise UnknownValueError(prefix + (variable.why.removeprefix(prefix) or "it has no value yet"))
@@ -252,7 +252,7 @@ def _index(expression: Expression, scope: Scope) -> tuple[Value, str]:
 
     :raises UnknownValueError: there is none.
     """
-    value, type_ = evaluated(expression.items[0], scope)
+    value, type_ = evaluate(expression.items[0], scope)
     for item in expression.items[1:]:
         place = number(item, scope)
         if not isinstance(value, list) or not place.is_integer() or not 1 <= place <= len(value):
@@ -266,7 +266,7 @@ def _field(expression: Expression, scope: Scope) -> tuple[Value, str]:
 
     :raises UnknownValueError: there is none.
     """
-    value, type_ = evaluated(expression.items[0], scope)
+    value, type_ = evaluate(expression.items[0], scope)
     for place, (name, inner) in enumerate(FIELDS.get(type_, ())):
         if name == expression.value and isinstance(value, list) and place < len(value):
             return value[place], inner
@@ -274,7 +274,7 @@ def _field(expression: Expression, scope: Scope) -> tuple[Value, str]:
 
 
 def _list(expression: Expression, scope: Scope) -> tuple[Value, str]:
-    return [item.value if item.kind == "number" else evaluated(item, scope)[0] for item in expression.items], ""
+    return [item.value if item.kind == "number" else evaluate(item, scope)[0] for item in expression.items], ""
 
 
 def _literal(expression: Expression, scope: Scope) -> tuple[Value, str]:
@@ -309,14 +309,14 @@ def _operation(expression: Expression, scope: Scope) -> tuple[Value, str]:
     if len(items) == 1:
         if word == "NOT":
             return not truth(items[0], scope), "BOOL"
-        value, type_ = evaluated(items[0], scope)
+        value, type_ = evaluate(items[0], scope)
         sign = -1.0 if word == "-" else 1.0
         return ([sign * v for v in flat(value)] if isinstance(value, list) else sign * number(items[0], scope)), type_
     if word in ("AND", "OR", "XOR"):
         a, b = truth(items[0], scope), truth(items[1], scope)
         return {"AND": a and b, "OR": a or b, "XOR": a != b}[word], "BOOL"
-    left, type_ = evaluated(items[0], scope)
-    right, right_type = evaluated(items[1], scope)
+    left, type_ = evaluate(items[0], scope)
+    right, right_type = evaluate(items[1], scope)
     if word in _COMPARISONS:
         if type(left) is not type(right) or (isinstance(left, list) and word not in ("=", "<>")):
             raise UnknownValueError("values of different types are compared")
@@ -367,7 +367,7 @@ def _call(expression: Expression, scope: Scope) -> tuple[Value, str]:
     function = _FUNCTIONS.get(expression.value)
     if function is None:
         raise UnknownValueError(f"the function {expression.value} gives its value at run time")
-    positional = [evaluated(a.value, scope) for a in expression.items if not a.name and a.value is not None]
+    positional = [evaluate(a.value, scope) for a in expression.items if not a.name and a.value is not None]
     options = {a.name: number(a.value, scope) for a in expression.items if a.name and a.value is not None}
     try:
         return function([value for value, _ in positional], options)
@@ -383,7 +383,7 @@ def _quaternion(rotation: Array) -> list[float]:
     return [float(value) for value in quaternions(rotation[None])[0]]
 
 
-def about(axis: int, degrees: float) -> Array:
+def axis_rotation(axis: int, degrees: float) -> Array:
     """Return the rotation (3, 3) about an axis, 0 for x."""
     rotation, angle = np.eye(3), degrees * RAD_PER_DEG
     i, j = (axis + 1) % 3, (axis + 2) % 3
@@ -398,7 +398,7 @@ def _offs(values: list[Value], options: dict[str, float]) -> tuple[Value, str]:
     point, *offset = values
     if options or len(offset) != 3:
         raise ValueError
-    shaped(point, 3, 4, 4, 6)
+    record_numbers(point, 3, 4, 4, 6)
     return [[a + b for a, b in zip(point[0], offset, strict=True)], *point[1:]], "ROBTARGET"
 
 
@@ -407,13 +407,13 @@ def _reltool(values: list[Value], options: dict[str, float]) -> tuple[Value, str
     point, *offset = values
     if set(options) - {"RX", "RY", "RZ"} or len(offset) != 3:
         raise ValueError
-    shaped(point, 3, 4, 4, 6)
+    record_numbers(point, 3, 4, 4, 6)
     rotation = _rotation(point[1])
     position = np.array(point[0]) + rotation @ np.array(offset, dtype=np.float64)
     orientation = point[1]
     if options:
         for axis, name in enumerate(("RX", "RY", "RZ")):
-            rotation = rotation @ about(axis, options.get(name, 0.0))
+            rotation = rotation @ axis_rotation(axis, options.get(name, 0.0))
         orientation = _quaternion(rotation)
     return [position.tolist(), orientation, *point[2:]], "ROBTARGET"
 
@@ -423,7 +423,7 @@ def _orient_zyx(values: list[Value], options: dict[str, float]) -> tuple[Value, 
     z, y, x = values
     if options:
         raise ValueError
-    return _quaternion(about(2, z) @ about(1, y) @ about(0, x)), "ORIENT"
+    return _quaternion(axis_rotation(2, z) @ axis_rotation(1, y) @ axis_rotation(0, x)), "ORIENT"
 
 
 def _plain(function: Callable[..., float]) -> Callable[[list[Value], dict[str, float]], tuple[Value, str]]:
@@ -482,7 +482,7 @@ def base_name(expression: Expression) -> str:
     return expression.value if expression.kind == "name" else ""
 
 
-def assigned(target: Expression, value: Value, scope: Scope) -> None:
+def assign(target: Expression, value: Value, scope: Scope) -> None:
     """Give data, an element or a component another value.
 
     :raises UnknownValueError: the place is not known.
@@ -500,10 +500,10 @@ def assigned(target: Expression, value: Value, scope: Scope) -> None:
         if inner.kind == "index":
             path[:0] = [int(number(item, scope)) - 1 for item in inner.items[1:]]
         else:
-            _, type_ = evaluated(inner.items[0], scope)
+            _, type_ = evaluate(inner.items[0], scope)
             path.insert(0, [name for name, _ in FIELDS.get(type_, ())].index(inner.value))
         inner = inner.items[0]
-    whole, _ = evaluated(inner, scope)
+    whole, _ = evaluate(inner, scope)
     variable.value, variable.literal = _replace_component(whole, path, value), False
 
 

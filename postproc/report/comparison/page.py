@@ -17,8 +17,8 @@ from postproc.report.comparison.summary import (
     Names,
     counted,
     names_of,
-    of_passed,
     of_splines,
+    passed_sentence,
     where_of,
 )
 from postproc.report.formatting import ROUNDING_MM, millimetres
@@ -147,7 +147,7 @@ def _numbers(content: ComparisonSummary) -> Section:
         largest = (millimetres(between_targets.nominal_max_mm), millimetres(between_targets.corrected_max_mm))
         rows += (Row(("Maximum between targets, from the path", "-", *largest)),)
     parts: list[Part] = [Tiles(tuple(tiles)), Table(tuple(head), rows, "Numbers")]
-    pair_rows = ((content.passed, of_passed), (content.splines, of_splines))
+    pair_rows = ((content.passed, passed_sentence), (content.splines, of_splines))
     texts = [words(content) for count, words in pair_rows if count]
     if texts:
         parts.append(Notes(tuple(Note(f"{text[:1].upper()}{text[1:]}.") for text in texts)))

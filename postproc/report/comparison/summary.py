@@ -637,7 +637,7 @@ def of_comparison(content: ComparisonSummary, display: Display = PLAIN) -> str:
             f"{path_gap.nominal_file}:{path_gap.nominal_line} and {path_gap.corrected_file}:{path_gap.corrected_line}"
         )
     if content.passed:
-        lines.append(f"  {of_passed(content)}")
+        lines.append(f"  {passed_sentence(content)}")
     if content.splines:
         lines.append(f"  {of_splines(content)}")
     for pair in content.largest[:_PAIRS_IN_TEXT]:
@@ -659,7 +659,7 @@ def of_splines(content: ComparisonSummary) -> str:
     return f"of splines ({count} SPL) the targets are compared, the way between them is not"
 
 
-def of_passed(content: ComparisonSummary) -> str:
+def passed_sentence(content: ComparisonSummary) -> str:
     """Return a sentence on nominal targets that the second program leaves out and whose path passes them."""
     count, distance = content.passed, content.passed_within_mm
     count_text, it = ("1 target", "it") if count == 1 else (f"{count} targets", "them")

@@ -24,7 +24,7 @@ SECTIONS: tuple[Callable[[Deviation], Section | None], ...] = (
     sections.view3d,
     sections.numbers,
     sections.surface,
-    sections.along,
+    sections.program_section,
     sections.turn,
     sections.cut,
     sections.histogram,

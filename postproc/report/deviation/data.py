@@ -354,7 +354,7 @@ def correction(result: Result, row: Ints) -> Array:
     return np.asarray(result.printed[row, :3] / MM_PER_M - result.nominal[row, :3, 3])
 
 
-def kept(result: Result, linked_rows: Ints) -> Ints:
+def page_rows(result: Result, linked_rows: Ints) -> Ints:
     """Return the rows (P,) that a page shows, in order.
 
     Of each run of targets these are the first, and the largest deviation before and after, correction, force and bound.
@@ -396,7 +396,7 @@ def places(result: Result, linked_rows: Ints) -> ShownTargets:
     step = in_chunks(lambda point: (norm(position[point] - position[np.maximum(point - 1, 0)]),), points)[0]
     path_length = np.cumsum(step)[np.flatnonzero(np.diff(leads_to, append=len(result)))]
     seconds = np.cumsum(_durations(result, np.diff(path_length, prepend=0.0)))
-    row = kept(result, linked_rows)
+    row = page_rows(result, linked_rows)
     correction_mm, at = correction(result, row) * MM_PER_M, xyzabc_from_pose(result.nominal[row])
     axes = _feed_axes(result, row)
     columns: dict[str, Array | Ints | Bools] = {

@@ -227,7 +227,7 @@ _ALONG_LABEL = (
 )
 
 
-def along(data: Deviation) -> Section | None:
+def program_section(data: Deviation) -> Section | None:
     """Return the view of the plots."""
     if not len(data.result) or data.nothing is not None:
         return None

@@ -56,7 +56,7 @@ class Remaining(Struct, frozen=True, eq=False):
     share: Array
 
 
-def remaining(path: CutPath, centre: Array, normal: Array, cutter: Cutter) -> Remaining:
+def remaining_surface(path: CutPath, centre: Array, normal: Array, cutter: Cutter) -> Remaining:
     """Return the surfaces that the path of a tool leaves at facets with centres and outward normals (n, 3)."""
     largest = [float(norm(deviation).max(initial=0.0)) for deviation in path.deviation]
     grid = _Grid.of(path.point + cutter.corner * path.axis, 0.25 * cutter.radius)

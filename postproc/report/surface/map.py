@@ -13,9 +13,9 @@ from postproc.frames import Array, norm
 from postproc.machining.tool import Cutter
 from postproc.program import Bools, Ints, distinct
 from postproc.report.surface.contact import nearest_place
-from postproc.report.surface.envelope import Remaining, remaining
+from postproc.report.surface.envelope import Remaining, remaining_surface
 from postproc.report.surface.path import CHORD, CutPath, Frames, of_tool, piece_start, tool_numbers
-from postproc.report.surface.programmed import Mesh, add_tips, cut_into
+from postproc.report.surface.programmed import Mesh, add_tips, cut_depths
 
 _CHUNK = 20_000
 """Facets computed at once: arrays of their candidates are 46 MB each."""
@@ -97,7 +97,7 @@ def surface(
         )
         left = np.where(place.row >= 0, 0.0, np.nan)
     else:
-        surfaces = [remaining(path, centre, normal, cutter) for path, cutter in paths if cutter is not None]
+        surfaces = [remaining_surface(path, centre, normal, cutter) for path, cutter in paths if cutter is not None]
         left, before, after, place = _deepest(surfaces, len(corners))
     return Surface(
         corners=corners,
@@ -145,7 +145,7 @@ def _cuts(paths: list[tuple[CutPath, Cutter | None]], corners: Array, normal: Ar
             continue
         for first in range(0, len(centre), _CHUNK):
             part = slice(first, first + _CHUNK)
-            tool_depth, tool_row = cut_into(mesh, path, centre[part], normal[part], cutter)
+            tool_depth, tool_row = cut_depths(mesh, path, centre[part], normal[part], cutter)
             deeper = tool_depth > depth[part]
             row[part] = np.where(deeper, tool_row, row[part])
             depth[part] = np.where(deeper, tool_depth, depth[part])

@@ -69,7 +69,7 @@ def _dot(a: Array, b: Array) -> Array:
     return np.asarray(np.einsum("nki,nki->nk", a, b))
 
 
-def cut_into(mesh: Mesh, path: CutPath, centre: Array, normal: Array, cutter: Cutter) -> tuple[Array, Ints]:
+def cut_depths(mesh: Mesh, path: CutPath, centre: Array, normal: Array, cutter: Cutter) -> tuple[Array, Ints]:
     """Return the depth [m] by which the programmed path cuts into each of n facets (0: it does not), and the row."""
     _, nearest = path.tree.query(centre)
     contact_point = contact(path.axis[nearest], centre, normal, cutter)
