@@ -251,7 +251,7 @@ def converted(
 ) -> tuple[Result, ProcessForces | None]:
     """Return the result of one program, before anything is written, and what a process makes of it.
 
-    :param program: of the job, as `read_started` returns it with the cell.
+    :param program: of the job, as `read_with_start` returns it with the cell.
     :param progress: of sweeps of the stock, see `process_forces.read`.
     :raises PostprocError: forces are unusable, or the program cannot be corrected.
     """

@@ -3,8 +3,8 @@
 `OutputPlan` is made before work begins, from the list of programs and from the reports in the output folders. It alone
 knows the files of several programs, and puts files in their places. Programs are converted into folders of their own
 (`files.stage`), in any process and on any machine. A `Task` hands a program to its process together with the files of
-other programs; `needed_copies`, `differing_files` and `with_own_copies` decide from the task alone. The plan decides what the
-staged files replace, and when. Its process has locked the output folders from the plan to the last replacement
+other programs; `needed_copies`, `differing_files` and `with_own_copies` decide from the task alone. The plan decides
+what the staged files replace, and when. Its process has locked the output folders from the plan to the last replacement
 (`files.locked`).
 
 Programs may call one subprogram. Its corrected file is shared by the programs for which it is equal. For another

@@ -47,7 +47,7 @@ def written(tmp_path_factory):
     folder = tmp_path_factory.mktemp("plan")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("postproc.plan.search.FACTORS", (0.5, 1.0, 2.0))  # three sizes of six
-        patch.setattr("postproc.plan.planning.improved", functools.partial(briefly, rounds=8))
+        patch.setattr("postproc.plan.planning.improve", functools.partial(briefly, rounds=8))
         result = run(folder, "--program", str(SAMPLES / "pocket.nc"), str(SAMPLES / "inline.src"), *QUICK)
     assert result.exit_code == 0, result.output
     return folder / "out", result
@@ -185,7 +185,7 @@ def test_an_input_is_never_overwritten(tmp_path):
 def test_a_rig_that_cannot_show_a_parameter_is_told_before_anyone_measures(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("postproc.plan.planning.by_number", lambda *_: ())  # the fixture has those
-    monkeypatch.setattr("postproc.plan.planning.improved", functools.partial(briefly, rounds=1))
+    monkeypatch.setattr("postproc.plan.planning.improve", functools.partial(briefly, rounds=1))
     result = run(tmp_path, "--poses", "tests.csv", *QUICK, text=BASIC + "\n[rig]\nmass_kg = 275\n")
     assert result.exit_code == 0, result.output
     assert "warning: k1 is not observable with this rig" in result.output
