@@ -680,6 +680,19 @@ def test_the_cell_says_which_frames_initmov_gives():
 # --- errors --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize(
+    "lines",
+    [["LOOP", FULL], ["WHILE $IN[1]", FULL], ["IF $IN[1] THEN", FULL, "ELSE"], ["FOR I=1 TO 2", FULL], ["REPEAT", FULL]]
+    + [["SWITCH I", "CASE 1", FULL], ["IF $IN[1] THEN", "LOOP", FULL, "ENDIF"]],
+)
+def test_a_called_routine_with_a_structure_that_is_not_closed_is_refused_at_its_line(lines):
+    text = "\r\n".join(["DEF part()", FULL, "SUB()", FULL, "END", "DEF SUB()", "INT I", *lines, "END", ""])
+    opener = next(line for line in lines if line not in (FULL, "CASE 1"))
+    with pytest.raises(ProgramError, match=f"{opener.split()[0]} is not closed") as caught:
+        read(text, "DEFDAT part\r\nENDDAT\r\n")
+    assert caught.value.line == 8
+
+
 def test_all_errors_of_a_program_are_told_in_order_of_lines():
     with pytest.raises(ProgramError) as caught:
         program("LIN {X 1,,Y 2}", FULL, "FOO BAR BAZ", "XP1={X 1,,Z}", "LIN XP1", "LIN {X}", "FOR I=1 TO 9", FULL, FULL)

@@ -165,6 +165,17 @@ def checked(source: Source, nodes: tuple[Node, ...]) -> tuple[Node, ...]:
     return nodes
 
 
+def check_closed(source: Source, nodes: tuple[Node, ...]) -> None:
+    """Refuse statements and control structures of a routine of which one is not closed.
+
+    :raises ProgramError: the first that is not.
+    """
+    for node in nodes:
+        word = "" if isinstance(node, Block) else _word(source, node)
+        if word in OPENING or word == "REPEAT":
+            raise source.place(node).error(f"{word} is not closed", "Check that the file is complete.")
+
+
 def _mistakes(source: Source, nodes: Sequence[Node], *, in_loop: bool) -> Iterator[ProgramError]:
     """Yield the errors in control structures; EXIT is allowed in a loop only."""
     for node in nodes:

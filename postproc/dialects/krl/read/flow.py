@@ -252,6 +252,7 @@ class Flow:
         if callee is None or any(self._moves_robot(inner) for inner in calls(call.arguments)):
             return False
         _, routine = callee
+        self._check_structure(routine)
         self._check_least(at, self._least.of_call(*callee))
         undo = self._undoing(recorder)
         try:
@@ -266,6 +267,17 @@ class Flow:
             undo()
             raise
         return True
+
+    def _check_structure(self, routine: Routine) -> None:
+        """Refuse a routine that no controller loads.
+
+        :raises InexactError: a control structure is not closed properly.
+        """
+        try:
+            self.run.nodes(routine)
+        except ProgramError as cause:
+            at = Place(routine.source, cause.line or routine.first)
+            raise inexact(at, cause.problem, cause.advice, routine) from None
 
     def _moves_robot(self, call: Call) -> bool:
         callee = self.interpreter.calls.moving(call)

@@ -12,7 +12,7 @@ from postproc.dialects.krl.course import Occasion
 from postproc.dialects.krl.language.declarations import declared_names
 from postproc.dialects.krl.language.routines import Module, Routine
 from postproc.dialects.krl.language.source import Place
-from postproc.dialects.krl.language.structures import Node, checked, nodes_of
+from postproc.dialects.krl.language.structures import Node, check_closed, checked, nodes_of
 from postproc.dialects.krl.language.trace import Trace
 from postproc.dialects.krl.language.values import Aggregate, Reference, Value
 from postproc.dialects.krl.read.data_lists import read_data
@@ -233,7 +233,10 @@ class Run:
         :raises ProgramError: a control structure is not closed properly.
         """
         if routine not in self._nodes:
-            self._nodes[routine] = checked(routine.source, nodes_of(routine.source, routine.lines))
+            nodes = checked(routine.source, nodes_of(routine.source, routine.lines))
+            if routine is not self.routine:  # whose errors are reported together
+                check_closed(routine.source, nodes)
+            self._nodes[routine] = nodes
         return self._nodes[routine]
 
     @property
