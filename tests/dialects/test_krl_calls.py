@@ -682,8 +682,15 @@ def test_the_cell_says_which_frames_initmov_gives():
 
 @pytest.mark.parametrize(
     "lines",
-    [["LOOP", FULL], ["WHILE $IN[1]", FULL], ["IF $IN[1] THEN", FULL, "ELSE"], ["FOR I=1 TO 2", FULL], ["REPEAT", FULL]]
-    + [["SWITCH I", "CASE 1", FULL], ["IF $IN[1] THEN", "LOOP", FULL, "ENDIF"]],
+    [
+        ["LOOP", FULL],
+        ["WHILE $IN[1]", FULL],
+        ["IF $IN[1] THEN", FULL, "ELSE"],
+        ["FOR I=1 TO 2", FULL],
+        ["REPEAT", FULL],
+        ["SWITCH I", "CASE 1", FULL],
+        ["IF $IN[1] THEN", "LOOP", FULL, "ENDIF"],
+    ],
 )
 def test_a_called_routine_with_a_structure_that_is_not_closed_is_refused_at_its_line(lines):
     text = "\r\n".join(["DEF part()", FULL, "SUB()", FULL, "END", "DEF SUB()", "INT I", *lines, "END", ""])
