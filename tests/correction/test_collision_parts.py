@@ -211,9 +211,9 @@ def test_a_tool_leaves_its_cut_along_its_axis_away_from_the_part(spindle, axis, 
     steps = 0.03 * (np.cos(angles)[:, None] * up + np.sin(angles)[:, None] * across)
     steps[-1] = 0.0
     pose[1:, :3, 3] = np.cumsum(steps, axis=0)
-    path = SimpleNamespace(sample=SimpleNamespace(pose=pose), robot_in_cell=SimpleNamespace(spindle=spindle))
+    path, sample = SimpleNamespace(robot_in_cell=SimpleNamespace(spindle=spindle)), SimpleNamespace(pose=pose)
     expected = [True, True, True, False, False, False, True, True]
-    assert collisions._retracts(path, slice(begin, 8)).tolist() == expected[begin:]
+    assert collisions._retracts(path, sample, slice(begin, 8)).tolist() == expected[begin:]
 
 
 def test_e1_carries_the_robot_from_the_place_before_the_samples():
@@ -224,11 +224,11 @@ def test_e1_carries_the_robot_from_the_place_before_the_samples():
         return (begin[motion] + t * (end[motion] - begin[motion]))[:, None] * direction
 
     sample = SimpleNamespace(motion=np.array([0, 0, 1, 1, 2]), t=np.array([0.5, 1.0, 0.25, 1.0, 1.0]))
-    path = SimpleNamespace(program=SimpleNamespace(carriage=SimpleNamespace(offset=offset)), sample=sample)
+    path = SimpleNamespace(program=SimpleNamespace(carriage=SimpleNamespace(offset=offset)))
     e1 = [0.05, 0.1, 0.2, 0.5, 0.4]
-    np.testing.assert_allclose(collisions._shift(path, slice(0, 3)), np.outer([0.0, *e1[:3]], direction))
-    np.testing.assert_allclose(collisions._shift(path, slice(3, 5)), np.outer([0.2, 0.5, 0.4], direction))
-    assert collisions._shift(SimpleNamespace(program=SimpleNamespace(carriage=None)), slice(0, 3)) is None
+    np.testing.assert_allclose(collisions._shift(path, sample, slice(0, 3)), np.outer([0.0, *e1[:3]], direction))
+    np.testing.assert_allclose(collisions._shift(path, sample, slice(3, 5)), np.outer([0.2, 0.5, 0.4], direction))
+    assert collisions._shift(SimpleNamespace(program=SimpleNamespace(carriage=None)), sample, slice(0, 3)) is None
 
 
 def worst_of(notes, stock=True):
@@ -285,6 +285,9 @@ def test_a_distance_to_the_stock_is_told_with_the_size_of_its_cells(line, advice
     assert "Move the part" in other.message
 
 
+NO_ARCS = SimpleNamespace(motion=np.zeros(0, dtype=int), sweep=np.zeros(0), radial=np.zeros((0, 3)))
+
+
 def path_of(rng, tools, from_ptp):
     """A path of twelve samples on six motions, some of them with other tools."""
     made = program(
@@ -299,7 +302,7 @@ def path_of(rng, tools, from_ptp):
     return SimpleNamespace(
         program=made, sample=sample, joints=SimpleNamespace(q=rng.uniform(0.0, 1.0, (12, 6))),
         robot_in_cell=SimpleNamespace(cell=cell, robot="robot", spindle="+Z"),
-        motions=SimpleNamespace(forces=SimpleNamespace(stock=None)),
+        motions=SimpleNamespace(forces=SimpleNamespace(stock=None), segments=SimpleNamespace(arcs=NO_ARCS)),
     )  # fmt: skip
 
 

@@ -7,6 +7,7 @@ import re
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 import trimesh
 
@@ -72,6 +73,41 @@ def test_contact_on_a_rapid_move_is_found_between_its_ends():
     assert code == 1
     assert "cutter touches or is inside post" in output
     assert "part.nc:9: collision" in output
+
+
+@pytest.mark.parametrize(("radius", "angle"), [(17.0, 22.5), (25.0, 67.5), (60.0, 11.25)])
+@pytest.mark.parametrize("gap", [0.2, 2.0, -1.0])
+def test_arcs_without_force_are_compared_as_arcs(radius, angle, gap):
+    """The tool, D 20, drives over half a circle past a pin outside of it, and one inside; chords would be off."""
+    tool = "holder = [ { diameter_mm = 20, length_mm = 80 } ]"
+    for sign in (1, -1):
+        reach = radius + sign * (10.0 + 2.0 + gap)
+        x, y = 60.0 + reach * np.cos(np.radians(angle)), reach * np.sin(np.radians(angle))
+        pin = trimesh.creation.cylinder(radius=2.0, height=80.0, sections=1440)
+        pin.apply_translation([x, y, 40.0])
+        pin.export("pin.stl")
+        lines = [
+            f"G0 X{60.0 + radius} Y-80 Z60",
+            "G1 Z30 F1200",
+            "G1 Y0 (to the arc)",
+            f"G3 X{60.0 - radius} Y0 I{-radius} J0",
+            "G0 Z60",
+        ]
+        if sign < 0 and reach < 14.0:
+            continue  # the pin would be in the way of the tool on another part of the arc
+        Path("part.nc").write_text("\n".join(["G21 G90 G17 G94", "S9000 M3", *lines, "M30", ""]))
+        code, output, report = converted(
+            f"clearance_mm = 0.1\n{tool}\nobstacles = [ {{ mesh = 'pin.stl', part = false }} ]",
+            "--nominal",
+            "--overwrite",
+        )
+        if gap < 0:
+            assert code == 1, output
+            assert "part.nc:6: collision: cutter touches or is inside pin" in output
+        else:
+            assert code == 0, output
+            assert gap - 0.06 <= report["collision"]["min_clearance_mm"] <= gap + 0.01
+            assert report["collision"]["source_line"] in (5, 6)
 
 
 def test_the_cutter_may_touch_the_part_and_the_spindle_may_not():

@@ -171,9 +171,11 @@ def check_closed(source: Source, nodes: tuple[Node, ...]) -> None:
     :raises ProgramError: the first that is not.
     """
     for node in nodes:
-        word = "" if isinstance(node, Block) else _word(source, node)
+        if isinstance(node, Block):
+            continue
+        word = _word(source, node)
         if word in OPENING or word == "REPEAT":
-            raise source.place(node).error(f"{word} is not closed", "Check that the file is complete.")
+            raise source.line_error(f"{word} is not closed", node, "Check that the file is complete.")
 
 
 def _mistakes(source: Source, nodes: Sequence[Node], *, in_loop: bool) -> Iterator[ProgramError]:
