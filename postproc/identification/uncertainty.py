@@ -407,6 +407,9 @@ def _joint(parameter: Parameter) -> str:
 
 _MAX_SQUARE_ERROR = 4.0
 """Mean square cross-validation error, in σ², beyond which the model is incomplete: its bound contains what it lacks."""
+_MOST_UNEXPLAINED = 0.3
+"""Cross-validation error over displacement (RMS) beyond which the set-up is in question: exchanged axes of the forces
+left half of the displacements of a measured robot, true ones less than a tenth (assumed)."""
 _FEWEST = 3
 """Fewest configurations whose scatter can be estimated."""
 _FEW_CONFIGURATIONS = 5
@@ -456,10 +459,10 @@ class Judgement(Struct, frozen=True):
 
 def judge(data: Measurements, fit: Fit, choice: Choice | None, workspace: Workspace) -> Judgement:
     """Return whether a model may be used."""
-    reservations = [workspace.reservation]
+    reservations = [_unexplained(data, fit, choice), workspace.reservation]
     if len(data.q) < _FEW_CONFIGURATIONS:
         reservations.insert(
-            0,
+            1,
             f"{len(data.q)} configurations show little of what the model lacks: measure {_FEW_CONFIGURATIONS} or more "
             "(30 are usual)",
         )
@@ -468,6 +471,27 @@ def judge(data: Measurements, fit: Fit, choice: Choice | None, workspace: Worksp
         "; ".join(filter(None, reservations)),
         _notes(data, fit, choice),
     )
+
+
+def _unexplained(data: Measurements, fit: Fit, choice: Choice | None) -> str:
+    """Return that a model describes too little of what was measured; empty if it describes most of it."""
+    mean, _ = data.means()
+    measured = mean[data.loaded] - mean[data.unloaded[data.state_config[data.loaded]]]
+    error, size = (
+        float(np.sqrt(np.sum((displacement * visible(data)) ** 2) / max(1.0, visible(data).sum())))
+        for displacement in (fit.residual if choice is None else choice.left_out, np.nan_to_num(measured))
+    )
+    if error <= _MOST_UNEXPLAINED * size or _square_error(fit, choice) <= _MAX_SQUARE_ERROR:
+        return ""
+    return (
+        f"the model is off by {error * MM_PER_M:.2g} mm RMS of displacements of {size * MM_PER_M:.2g} mm: check axes, "
+        "signs and units of forces and positions"
+    )
+
+
+def _square_error(fit: Fit, choice: Choice | None) -> float:
+    """Return the mean square error in σ², on configurations left out if a structure was chosen by them."""
+    return fit.chi2 / max(fit.dof, 1) if choice is None else float(choice.held_out.mean())
 
 
 def _distrust(data: Measurements, fit: Fit, choice: Choice | None) -> str:
@@ -502,7 +526,7 @@ def _notes(data: Measurements, fit: Fit, choice: Choice | None) -> list[str]:
     posterior_fit = fit if choice is None else choice.fit
     notes, half = [], dict(zip(posterior_fit.structure.parameters, posterior_fit.ci95.tolist(), strict=True))
     load = norm(data.wrench[data.loaded])
-    square_error = fit.chi2 / max(fit.dof, 1) if choice is None else float(choice.held_out.mean())
+    square_error = _square_error(fit, choice)
     if square_error > _MAX_SQUARE_ERROR:
         basis = "on configurations left out" if choice is not None else "on the readings"
         notes.append(
