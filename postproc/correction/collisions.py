@@ -34,6 +34,9 @@ _SAGITTA = 0.01e-3
 """Arcs are compared by chords that are off by this [m] at most: far below what clearances are asked for (assumed)."""
 _ROUNDING = 1e-9
 """Parts of an arc: a whole number but for rounding is not divided once more."""
+_SMALLEST_MESH = 5e-3
+"""Meshes of obstacles and holders whose largest edge is shorter [m] are questioned: in metres a part of 5 m has it
+(assumed)."""
 STOCK = "stock"
 _MOST_STOCKS = 200
 """Stocks of one group of bodies that are compared; pairs not decided by then count as too close (assumed)."""
@@ -110,7 +113,19 @@ def of_path(path: PathUnderLoad, commanded_q: Array) -> tuple[SmallestClearance 
         for contact in contacts:
             begins = from_start and contact.motion == 0 and contact.names not in arrival
             worst.note(contact.names, contact.distance, int(program.motions.line[contact.motion]), contact.need, begins)
-    return smallest, worst.issues()
+    units = [] if smallest is None else list(_units(smallest.scene))
+    return smallest, [*worst.issues(), *units]
+
+
+def _units(scene: Scene) -> Iterator[Issue]:
+    """Yield a question for each mesh that is too small to be in millimetres."""
+    for body in scene.bodies:
+        size = float(np.ptp(body.points, axis=0).max())
+        if body.kind == "mesh" and body.of != "arm" and size < _SMALLEST_MESH:
+            message = (
+                f"The mesh of {body.name} is {size * MM_PER_M:.2g} mm large: is it in mm? Scale one in metres by 1000."
+            )
+            yield Issue("warning", "mesh-units", message, subject=body.name)
 
 
 def _on_arcs(path: PathUnderLoad, commanded_q: Array) -> tuple[Toolpath, Array, Array]:

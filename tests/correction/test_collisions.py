@@ -75,6 +75,23 @@ def test_contact_on_a_rapid_move_is_found_between_its_ends():
     assert "part.nc:9: collision" in output
 
 
+@pytest.mark.parametrize(("size", "is_asked"), [(0.2, True), (4.9, True), (5.1, False), (200.0, False)])
+@pytest.mark.parametrize("is_holder", [True, False])
+def test_a_mesh_that_is_too_small_is_asked_for_its_unit(size, is_asked, is_holder):
+    trimesh.creation.box(extents=[0.5 * size, size, 0.1 * size]).apply_translation(
+        [0, 0, 300] if is_holder else [0, -500, -100]
+    ).export("clamp.stl")
+    mesh = f"holder = [ {HOLDER.partition('[')[2].rpartition(']')[0]}, {{ name = 'clamp', mesh = 'clamp.stl' }} ]"
+    table = mesh if is_holder else f"{HOLDER}\nobstacles = [ {{ name = 'clamp', mesh = 'clamp.stl' }} ]"
+    code, output, report = converted(table)
+    asked = [issue for issue in (report or {"issues": []})["issues"] if issue["kind"] == "mesh-units"]
+    assert bool(asked) == is_asked, output
+    if is_asked:
+        assert code == 0
+        assert f"The mesh of clamp is {size:.2g} mm large: is it in mm?" in asked[0]["message"]
+        assert report["verdict"]["state"] != "ok"
+
+
 @pytest.mark.parametrize(("radius", "angle"), [(17.0, 22.5), (25.0, 67.5), (60.0, 11.25)])
 @pytest.mark.parametrize("gap", [0.2, 2.0, -1.0])
 def test_arcs_without_force_are_compared_as_arcs(radius, angle, gap):
