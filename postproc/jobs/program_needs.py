@@ -25,10 +25,10 @@ from postproc.frames import MM_PER_M, Array
 from postproc.jobs import answers as parse
 from postproc.jobs.programs import load_robot, read_documents
 from postproc.machining.tool_comments import Comment, CommentedTool, commented_tools, stock_size
-from postproc.program import Document, Motions, Program
+from postproc.program import FORCE_COMMENT, Document, Ints, Motions, Program
 from postproc.robot import RobotModel
 
-_ROBOT = "kuka_kr270"
+_ROBOT, _RAPID_ROBOT = "kuka_kr270", "abb_irb6700_200_260"
 """Robot of the trial readings: what a CAM program means does not depend on it."""
 _START = (0.0, -90.0, 100.0, 0.0, 80.0, 0.0)
 """Clear of singular poses; what a program needs does not depend on it."""
@@ -38,6 +38,8 @@ _SIDE_MM = 5.0
 """A stock that nobody states is taken this much larger on each side than what the tools sweep [mm] (assumed)."""
 
 
+_COMMENT_SIGNS = {"krl": ";", "rapid": "!"}
+"""Dialect of a robot program → what its comments begin with."""
 _LOW_M = 1e-4
 """A rapid move that ends this much below the highest cut is beside the stock [m] (assumed)."""
 
@@ -151,7 +153,16 @@ def needs_of(path: Path, dialect: str | None = None) -> ProgramNeeds:
         stock_mm=stock_size(comments, inches=survey.inches),
         refusal=refusal,
     )
-    return needs if program is None else _with_content(needs, program)
+    if program is None:
+        return replace(needs, has_forces=needs.is_of_robot and _states_forces(documents[0], name))
+    return _with_content(needs, program)
+
+
+def _states_forces(document: Document, dialect: str) -> bool:
+    """Return whether the text of a robot program that cannot be read yet, as its frames lack, has force comments."""
+    sign = _COMMENT_SIGNS[dialect]
+    comments = (line.partition(sign)[2] for line in document.text.splitlines())
+    return any(FORCE_COMMENT.match(comment) for comment in comments)
 
 
 def _with_content(needs: ProgramNeeds, program: Program) -> ProgramNeeds:
@@ -165,7 +176,9 @@ def _with_content(needs: ProgramNeeds, program: Program) -> ProgramNeeds:
         tools=tools,
         has_forces=bool(program.notes),
         has_speeds=any(event.kind in ("spindle_on", "spindle_ccw") and event.value > 0.0 for event in program.events),
-        span=None if needs.rotary and not needs.tip_controlled else _span(motions),  # it may be that of machine axes
+        span=None
+        if needs.rotary and not needs.tip_controlled
+        else _span(motions, _cutting(program)),  # it may be that of machine axes
         low_rapids=_low_rapids(motions),
     )
 
@@ -206,9 +219,18 @@ def _exclude_points(low: Array, high: Array, points: Sequence[tuple[float, float
                 high[axis] = (x, y)[axis] - margin
 
 
-def _span(motions: Motions) -> tuple[tuple[float, float, float], tuple[float, float, float]] | None:
+def _cutting(program: Program) -> Ints:
+    """Return the motions that cut: not rapid and, if comments state forces, under one."""
+    is_cutting = ~np.asarray(program.motions.rapid)
+    if program.notes:
+        begins = np.array([note.before for note in program.notes])
+        is_loaded = np.array([False, *(any(note.wrench) for note in program.notes)])
+        is_cutting &= is_loaded[np.searchsorted(begins, np.arange(len(is_cutting)), side="right")]
+    return np.flatnonzero(is_cutting)
+
+
+def _span(motions: Motions, cutting: Ints) -> tuple[tuple[float, float, float], tuple[float, float, float]] | None:
     """Return the smallest and largest X, Y, Z of cutting moves [mm]; of their starts X and Y only: they come down."""
-    cutting = np.flatnonzero(~np.asarray(motions.rapid))
     if not len(cutting):
         return None
     points: Array = motions.target[:][:, :3, 3]
@@ -232,7 +254,8 @@ class _Trial:
 
     def __init__(self, documents: Sequence[Document], dialect: str, name: str, survey: Survey) -> None:
         self.documents, self.dialect, self.name, self.survey = documents, dialect, name, survey
-        self.robot: RobotModel = load_robot(_ROBOT)
+        self.robot_name = _RAPID_ROBOT if dialect == "rapid" else _ROBOT
+        self.robot: RobotModel = load_robot(self.robot_name)
 
     def outcome(self) -> tuple[Program | None, str, tuple[str, ...]]:
         """Return the program as it is read with every answer, why it is refused then, and the settings it needs."""
@@ -275,7 +298,7 @@ class _Trial:
             dwell_unit=answers.get("dwell_unit"),
         )
         return Cell(
-            robot=_ROBOT,
+            robot=self.robot_name,
             base=Frame(X=1500.0, Z=700.0),
             tool=Tool(Z=350.0),
             start=Start(_START),

@@ -67,6 +67,45 @@ def folder(tmp_path, monkeypatch):
     Path("many.nc").write_text(MANY)
 
 
+KRL = """DEF part()
+BAS(#INITMOV,0)
+{frame}
+$TOOL={{X 0,Y 0,Z 350,A 0,B 0,C 0}}
+PTP {{A1 0,A2 -90,A3 100,A4 0,A5 80,A6 0}}
+LIN {{X -70,Y 200,Z 50,A 0,B 0,C 180}}
+LIN {{X 0,Y 0,Z -1,A 0,B 0,C 180}}
+;FORCE FX=100 FY=-40
+LIN {{X 80,Y 5,Z -2,A 0,B 0,C 180}}
+; FORCE OFF
+LIN {{X 80,Y 5,Z 90,A 0,B 0,C 180}}
+END
+"""
+RAPID = """MODULE part
+PROC main()
+! FORCE FX=-200 FZ=100
+MoveL pA,v20,fine,tMill;
+ENDPROC
+ENDMODULE
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "span"),
+    [
+        ("a.src", KRL.format(frame="$BASE={X 1500,Y 0,Z 700,A 0,B 0,C 0}"), ((0.0, 0.0, -2.0), (80.0, 5.0, -2.0))),
+        ("b.src", KRL.format(frame="$BASE=BASE_DATA[3]"), None),
+        ("c.mod", RAPID, None),
+    ],
+)
+def test_forces_in_comments_of_robot_programs_count_also_where_frames_are_not_known_yet(name, text, span):
+    Path(name).write_text(text)
+    needs = needs_of(Path(name))
+    assert needs.has_forces
+    assert needs.span == span
+    Path(name).write_text("".join(line for line in text.splitlines(keepends=True) if "FORCE" not in line))
+    assert not needs_of(Path(name)).has_forces
+
+
 def test_a_program_shows_what_it_needs():
     needs = needs_of(Path("many.nc"))
     assert (needs.tools, needs.work_offsets, needs.m_codes) == ((1, 3), ("G55",), ("M31",))
