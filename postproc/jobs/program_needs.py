@@ -16,7 +16,7 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from postproc import correction
+from postproc import correction, toolpath
 from postproc.cell import Box, Cell, Frame, GCode, Machine, Start, Tool
 from postproc.dialects import registry
 from postproc.dialects.dialect import CamFormat, Survey
@@ -25,7 +25,7 @@ from postproc.frames import MM_PER_M, Array
 from postproc.jobs import answers as parse
 from postproc.jobs.programs import load_robot, read_documents
 from postproc.machining.tool_comments import Comment, CommentedTool, commented_tools, stock_size
-from postproc.program import FORCE_COMMENT, Document, Ints, Motions, Program
+from postproc.program import CIRC, FORCE_COMMENT, Document, Ints, Motions, Program
 from postproc.robot import RobotModel
 
 _ROBOT, _RAPID_ROBOT = "kuka_kr270", "abb_irb6700_200_260"
@@ -40,6 +40,8 @@ _SIDE_MM = 5.0
 
 _COMMENT_SIGNS = {"krl": ";", "rapid": "!"}
 """Dialect of a robot program → what its comments begin with."""
+_ARC_STEP = np.radians(3.0)
+"""Points on arcs: the widest ones are missed by a third of a thousandth of the radius."""
 _LOW_M = 1e-4
 """A rapid move that ends this much below the highest cut is beside the stock [m] (assumed)."""
 
@@ -176,9 +178,7 @@ def _with_content(needs: ProgramNeeds, program: Program) -> ProgramNeeds:
         tools=tools,
         has_forces=bool(program.notes),
         has_speeds=any(event.kind in ("spindle_on", "spindle_ccw") and event.value > 0.0 for event in program.events),
-        span=None
-        if needs.rotary and not needs.tip_controlled
-        else _span(motions, _cutting(program)),  # it may be that of machine axes
+        span=None if needs.rotary and not needs.tip_controlled else _span(program),  # it may be that of machine axes
         low_rapids=_low_rapids(motions),
     )
 
@@ -229,16 +229,29 @@ def _cutting(program: Program) -> Ints:
     return np.flatnonzero(is_cutting)
 
 
-def _span(motions: Motions, cutting: Ints) -> tuple[tuple[float, float, float], tuple[float, float, float]] | None:
+def _span(program: Program) -> tuple[tuple[float, float, float], tuple[float, float, float]] | None:
     """Return the smallest and largest X, Y, Z of cutting moves [mm]; of their starts X and Y only: they come down."""
+    cutting = _cutting(program)
     if not len(cutting):
         return None
-    points: Array = motions.target[:][:, :3, 3]
-    ends, starts = points[cutting] * MM_PER_M, points[np.maximum(cutting - 1, 0)] * MM_PER_M
-    starts[:, 2] = ends[:, 2]
-    x, y, z = (np.round(np.minimum(ends, starts).min(axis=0), 3) + 0.0).tolist()
-    u, v, w = (np.round(np.maximum(ends, starts).max(axis=0), 3) + 0.0).tolist()
+    targets: Array = program.motions.target[:][:, :3, 3]
+    starts = targets[np.maximum(cutting - 1, 0)]
+    starts[:, 2] = targets[cutting, 2]
+    points = np.concatenate([targets[cutting], _on_arcs(program, cutting), starts]) * MM_PER_M
+    x, y, z = (np.round(points.min(axis=0), 3) + 0.0).tolist()
+    u, v, w = (np.round(points.max(axis=0), 3) + 0.0).tolist()
     return (x, y, z), (u, v, w)
+
+
+def _on_arcs(program: Program, cutting: Ints) -> Array:
+    """Return points on the arcs among some motions (n, 3) [m], `$BASE`: a full circle ends where it begins."""
+    arcs = cutting[program.motions.kind[cutting] == CIRC]
+    parts = np.ceil(program.motions.sweep[arcs] / _ARC_STEP).astype(np.int64)
+    motion, t = toolpath.even_places(arcs, parts)
+    path = toolpath.segments(
+        program, np.eye(4)
+    )  # where the robot stands does not matter: a move precedes the first arc
+    return np.asarray(toolpath.at(program, path, motion, t).pose[:][:, :3, 3])
 
 
 _DWELL_UNITS = ("ms", "s")

@@ -6,6 +6,7 @@ import json
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from postproc import cell as cells
@@ -87,6 +88,21 @@ MoveL pA,v20,fine,tMill;
 ENDPROC
 ENDMODULE
 """
+
+
+@pytest.mark.parametrize(
+    ("moves", "low", "high"),
+    [
+        (["G0 X50 Y0 Z10", "G1 Z-2", "G3 X50 Y0 I-50 J0"], (-50, -50, -2), (50, 50, -2)),
+        (["G0 X0 Y0 Z10", "G1 Z-2", "G2 X40 Y0 R20", "G1 X60"], (0, 0, -2), (60, 20, -2)),
+        (["G0 X0 Y5 Z10", "G1 Z-2", "G18", "G3 X40 Z-2 I20 K0", "G17"], (0, 5, -2), (40, 5, 18)),
+        (["G0 X0 Y5 Z10", "G1 Z-2", "G18", "G2 X40 Z-2 I20 K0", "G17"], (0, 5, -22), (40, 5, -2)),
+        (["G0 X0 Y0 Z10", "G1 Z-2 X10", "G0 Z10", "G0 X-500", "G0 X0"], (0, 0, -2), (10, 0, -2)),
+    ],
+)
+def test_the_cuts_of_a_program_include_what_arcs_reach_between_their_ends(moves, low, high):
+    Path("arc.nc").write_text("\n".join(["G21 G90 G17 G94", "S9000 M3", "F1000", *moves, "M30", ""]))
+    np.testing.assert_allclose(needs_of(Path("arc.nc")).span, (low, high), atol=0.02)
 
 
 @pytest.mark.parametrize(
