@@ -468,3 +468,27 @@ def test_random_programs_make_the_same_motions_in_files(seed, tmp_path):
             continue
         new = others | {document.name: document.text for document in written.documents}
         assert seen(run(new, written.documents[0].name.split(".")[0].upper(), chance)) == seen(one)
+
+
+def test_data_of_the_controller_in_a_data_list_of_the_program_keep_their_name(tmp_path):
+    """Parts share BASE_DATA, whoever states it: it is neither renamed nor repeated."""
+    point = "LIN {{X {0},Y {0},Z 30,A 10,B 20,C 170}} C_DIS"
+    lines = ["BAS(#BASE,7)", *(point.format(n) for n in range(9)), "BASE_DATA[2].X=0.8", "$BASE=BASE_DATA[2]", "SUB()"]
+    lines += [point.format(n) for n in range(9)]
+    text = "\n".join(
+        ["DEF part()", "BAS(#INITMOV,0)", *lines, "END", "DEF SUB()", "$BASE=BASE_DATA[2]", point.format(3)]
+    )
+    files = {
+        "part.src": f"{text}\nEND\n",
+        "part.dat": "DEFDAT part\nBASE_DATA[7]={X 11,Y 2,Z 3,A 40,B 5,C 6}\nENDDAT\n",
+    }
+    program = attack.read(files, tmp_path)
+    cell = attack.cell(tmp_path)
+    written = attack.divided(program, attack.moved(program, np.random.default_rng(0)), 12, cell)
+    assert len(written.documents) > 3
+    texts = {document.name: document.text for document in written.documents}
+    assert not any("part_BASE_DATA" in text for text in texts.values())
+    assert [name for name, text in texts.items() if "BASE_DATA[7]" in text] == ["partMain.dat"]
+    again = KRL.read(written.documents, cell, forward, "partMain")
+    assert len(again.motions) >= len(program.motions)
+    np.testing.assert_array_equal(np.unique(again.bases, axis=0), np.unique(program.bases, axis=0))

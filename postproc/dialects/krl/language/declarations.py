@@ -9,7 +9,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc.dialects.krl.language.expressions import split, value_at
-from postproc.dialects.krl.language.names import DECLARING
+from postproc.dialects.krl.language.names import CONTROLLER_DATA, DECLARING
 from postproc.dialects.krl.language.source import Source, code_span
 from postproc.dialects.krl.language.tokens import (
     DECLARATION,
@@ -124,7 +124,7 @@ class DataLine(Struct, frozen=True, eq=False):
 
 
 def data_lines(data: Source) -> list[DataLine]:
-    """Return the lines of a `.dat` but for its header, DEFDAT and ENDDAT."""
+    """Return the lines of a `.dat` but for its header, DEFDAT and ENDDAT; data of the controller count as GLOBAL."""
     lines = []
     for line in range(1, len(data.starts) + 1):
         start, stop = data.code_span(line)
@@ -136,6 +136,7 @@ def data_lines(data: Source) -> list[DataLine]:
         declarations = list(declared(data, start, stop)) if word not in DECLARING else []
         names = frozenset(item.name for item in declarations) or _declared_otherwise(data.text[start:stop], word)
         public = any(item.public for item in declarations) or _is_public(data.text, start, stop)
+        public = public or not names.isdisjoint(CONTROLLER_DATA)
         text = data.text[begin:next_start] if next_start > end else data.text[begin:end] + "\r\n"
         lines.append(DataLine(line, text, names, public))
     public_names = frozenset().union(*(item.names for item in lines if item.public))

@@ -12,6 +12,8 @@ MAX_LENGTH = 24
 """Longest name the controller accepts."""
 
 _UMLAUTS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "Ä": "Ae", "Ö": "Oe", "Ü": "Ue", "ß": "ss"})
+CONTROLLER_DATA = frozenset({"BASE_DATA", "TOOL_DATA", "FDAT_ACT", "LDAT_ACT", "PDAT_ACT"})
+"""Data of the controller, which all files share."""
 
 
 def words(text: str) -> frozenset[str]:

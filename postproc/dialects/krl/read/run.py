@@ -10,6 +10,7 @@ from msgspec.structs import replace
 
 from postproc.dialects.krl.course import Occasion
 from postproc.dialects.krl.language.declarations import declared_names
+from postproc.dialects.krl.language.names import CONTROLLER_DATA
 from postproc.dialects.krl.language.routines import Module, Routine
 from postproc.dialects.krl.language.source import Place
 from postproc.dialects.krl.language.structures import Node, check_closed, checked, nodes_of
@@ -25,10 +26,6 @@ from postproc.dialects.krl.read.variables import Variables
 from postproc.errors import Issue, ProgramError
 
 SETTING_ADVICE = "Set $BASE, $TOOL, speeds and modes outside of loops, branches and interrupts."
-
-
-_OF_THE_CONTROLLER = frozenset({"BASE_DATA", "TOOL_DATA", "FDAT_ACT", "LDAT_ACT", "PDAT_ACT"})
-"""Data that all files share."""
 
 
 class Scopes:
@@ -72,7 +69,7 @@ class Scopes:
         variables, data = self.variables, module.data
         own_names, public = (frozenset(), frozenset()) if data is None else declared_names(data)
         main_names = (frozenset(variables.types) - variables.public) | self.main.local
-        scope = Scope(own=(main_names | own_names) - public - _OF_THE_CONTROLLER, prefix=f"{module.name}/")
+        scope = Scope(own=(main_names | own_names) - public - CONTROLLER_DATA, prefix=f"{module.name}/")
         if data is not None:
             caller_scope, variables.scope, variables.reading_late = variables.scope, scope, True
             with suppress(ProgramError):  # its variables have no values then
