@@ -23,6 +23,8 @@ Numbers = tuple[float, ...]
 BY_HAND, NO_LINES = "hand", "none"
 """Tool changes: the program stops, or does nothing; anything else is a line of the cell."""
 _AXES = "XYZ"
+_FRAME_LENGTHS = (3, 6)
+"""X, Y, Z alone, or with A, B, C: of four or five numbers one was left out."""
 
 
 def numbers(text: str) -> Numbers:
@@ -57,9 +59,9 @@ def frame(text: str) -> Numbers | int:
 
 
 def full_frame(text: str) -> Numbers | int:
-    """Return a frame as `frame` does; three to six numbers."""
+    """Return a frame as `frame` does; three numbers or six."""
     value = frame(text)
-    if not isinstance(value, int) and not 3 <= len(value) <= 6:
+    if not isinstance(value, int) and len(value) not in _FRAME_LENGTHS:
         raise InputError(f"{text!r}: {len(value)} numbers", advice="Give X,Y,Z or X,Y,Z,A,B,C in mm and degrees.")
     return value if isinstance(value, int) else _finite(value, text)
 
@@ -78,7 +80,7 @@ def tools(texts: Sequence[str]) -> dict[int, Numbers]:
         name, equals, words = text.partition("=")
         values = numbers(words)
         name = name.strip().upper().removeprefix("T")
-        if not equals or not name.isdecimal() or not values:
+        if not equals or not name.isdecimal() or len(values) not in (1, *_FRAME_LENGTHS):
             raise InputError(f"{text!r}: give the number of the tool and its $TOOL, such as 1=0,0,412.5")
         _add_frame(frames, int(name), (0.0, 0.0, *values) if len(values) == 1 else values, f"tool {int(name)}")
     return frames
@@ -91,7 +93,7 @@ def work_offsets(texts: Sequence[str]) -> dict[str, Numbers]:
         name, _, words = text.partition("=")
         values = numbers(words)
         code = name.strip().upper()
-        if not re.fullmatch(r"G5[4-9]|G59\.[1-3]", code) or not values:
+        if not re.fullmatch(r"G5[4-9]|G59\.[1-3]", code) or len(values) not in (4, *_FRAME_LENGTHS):
             raise InputError(f"{text!r}: give G54 to G59.3 and its frame in $BASE, such as G55=300,0,0")
         _add_frame(offsets, code, values, code)
     return offsets

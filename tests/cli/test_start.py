@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from postproc import cell as cells
-from postproc.jobs import guided_start
+from postproc.errors import InputError
+from postproc.jobs import answers, guided_start
 from postproc.jobs.program_needs import needs_of
 from postproc.machining import process as processes
 from tests.commands import invoke
@@ -324,3 +325,18 @@ def test_the_only_tool_of_a_program_may_be_given_by_its_number():
     made = invoke("init", "part.nc", *frame, "--tools", "1=360")
     assert made.exit_code == 0, made.output
     assert cells.load("cell.toml").tool.Z == 360.0
+
+
+@pytest.mark.parametrize("words", ["1500,-200", "1500,-200,700,0", "1500,-200,700,0,0", "1,2,3,4,5,6,7"])
+def test_frames_of_another_length_than_three_or_six_numbers_are_refused(words):
+    """A work offset may also be turned about Z alone, by a fourth number."""
+    with pytest.raises(InputError):
+        answers.full_frame(words)
+    with pytest.raises(InputError):
+        answers.tools([f"1={words}"])
+    if words.count(",") != 3:
+        with pytest.raises(InputError):
+            answers.work_offsets([f"G55={words}"])
+    whole = "1500,-200,700,0,90,0"
+    values = answers.full_frame(whole)
+    assert values == answers.tools([f"1={whole}"])[1] == answers.work_offsets([f"G55={whole}"])["G55"]
