@@ -9,7 +9,7 @@ import pytest
 
 from postproc import jobs
 from postproc.errors import ForceError, InputError, Issue, PostprocError, ProgramError, SubprogramError
-from postproc.jobs import Job, Settings, convert_all, find_jobs
+from postproc.jobs import Job, Settings, convert_all, find_jobs, programs
 from tests import fabricated
 from tests.places import CELL_FILE
 
@@ -285,3 +285,21 @@ def test_an_unusable_cell_is_one_error_for_all(folder):
     _touch("a.nc", "b.nc")
     with pytest.raises(PostprocError, match="no such file"):
         list(convert_all(find_jobs(["a.nc", "b.nc"]), Settings(Path("none.toml")), workers=2))
+
+
+@pytest.mark.parametrize(
+    ("text", "is_stated"),
+    [
+        (";FORCE FX=1", True),
+        ("(FORCE FX=1)", True),
+        ("! FORCE OFF", True),
+        ("PPRINT/'FORCE FX=3'", True),
+        ("; force the door\n; FORCE FX=2", True),
+        ("; Force exact path", False),
+        ("FORCE FX=1", False),
+    ],
+)
+def test_comments_on_forces_are_told_from_prose_as_the_readers_do(tmp_path, text, is_stated):
+    (tmp_path / "part.nc").write_text(text)
+    assert programs.states_forces(tmp_path / "part.nc") == is_stated
+    assert not programs.states_forces(tmp_path / "absent.nc")

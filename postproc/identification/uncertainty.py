@@ -407,7 +407,7 @@ def _joint(parameter: Parameter) -> str:
 
 _MAX_SQUARE_ERROR = 4.0
 """Mean square cross-validation error, in σ², beyond which the model is incomplete: its bound contains what it lacks."""
-_MOST_UNEXPLAINED = 0.3
+_LARGE_MISFIT = 0.3
 """Cross-validation error over displacement (RMS) beyond which the set-up is in question: exchanged axes of the forces
 left half of the displacements of a measured robot, true ones less than a tenth (assumed)."""
 _FEWEST = 3
@@ -459,7 +459,7 @@ class Judgement(Struct, frozen=True):
 
 def judge(data: Measurements, fit: Fit, choice: Choice | None, workspace: Workspace) -> Judgement:
     """Return whether a model may be used."""
-    reservations = [_unexplained(data, fit, choice), workspace.reservation]
+    reservations = [_large_misfit(data, fit, choice), workspace.reservation]
     if len(data.q) < _FEW_CONFIGURATIONS:
         reservations.insert(
             1,
@@ -473,7 +473,7 @@ def judge(data: Measurements, fit: Fit, choice: Choice | None, workspace: Worksp
     )
 
 
-def _unexplained(data: Measurements, fit: Fit, choice: Choice | None) -> str:
+def _large_misfit(data: Measurements, fit: Fit, choice: Choice | None) -> str:
     """Return that a model describes too little of what was measured; empty if it describes most of it."""
     mean, _ = data.means()
     measured = mean[data.loaded] - mean[data.unloaded[data.state_config[data.loaded]]]
@@ -481,7 +481,7 @@ def _unexplained(data: Measurements, fit: Fit, choice: Choice | None) -> str:
         float(np.sqrt(np.sum((displacement * visible(data)) ** 2) / max(1.0, visible(data).sum())))
         for displacement in (fit.residual if choice is None else choice.left_out, np.nan_to_num(measured))
     )
-    if error <= _MOST_UNEXPLAINED * size or _square_error(fit, choice) <= _MAX_SQUARE_ERROR:
+    if error <= _LARGE_MISFIT * size or _square_error(fit, choice) <= _MAX_SQUARE_ERROR:
         return ""
     return (
         f"the model is off by {error * MM_PER_M:.2g} mm RMS of displacements of {size * MM_PER_M:.2g} mm: check axes, "

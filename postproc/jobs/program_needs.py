@@ -23,9 +23,9 @@ from postproc.dialects.dialect import CamFormat, Survey
 from postproc.errors import InputError
 from postproc.frames import MM_PER_M, Array
 from postproc.jobs import answers as parse
-from postproc.jobs.programs import load_robot, read_documents
+from postproc.jobs.programs import load_robot, read_documents, states_forces
 from postproc.machining.tool_comments import Comment, CommentedTool, commented_tools, stock_size
-from postproc.program import CIRC, FORCE_COMMENT, Document, Ints, Motions, Program
+from postproc.program import CIRC, Document, Ints, Motions, Program
 from postproc.robot import RobotModel
 
 _ROBOT, _RAPID_ROBOT = "kuka_kr270", "abb_irb6700_200_260"
@@ -38,8 +38,6 @@ _SIDE_MM = 5.0
 """A stock that nobody states is taken this much larger on each side than what the tools sweep [mm] (assumed)."""
 
 
-_COMMENT_SIGNS = {"krl": ";", "rapid": "!"}
-"""Dialect of a robot program → what its comments begin with."""
 _ARC_STEP = np.radians(3.0)
 """Points on arcs: the widest ones are missed by a third of a thousandth of the radius."""
 _LOW_M = 1e-4
@@ -156,15 +154,8 @@ def needs_of(path: Path, dialect: str | None = None) -> ProgramNeeds:
         refusal=refusal,
     )
     if program is None:
-        return replace(needs, has_forces=needs.is_of_robot and _states_forces(documents[0], name))
+        return replace(needs, has_forces=needs.is_of_robot and states_forces(path))
     return _with_content(needs, program)
-
-
-def _states_forces(document: Document, dialect: str) -> bool:
-    """Return whether the text of a robot program that cannot be read yet, as its frames lack, has force comments."""
-    sign = _COMMENT_SIGNS[dialect]
-    comments = (line.partition(sign)[2] for line in document.text.splitlines())
-    return any(FORCE_COMMENT.match(comment) for comment in comments)
 
 
 def _with_content(needs: ProgramNeeds, program: Program) -> ProgramNeeds:

@@ -21,7 +21,7 @@ from postproc.dialects.text import decode
 from postproc.errors import ForceError, InputError, Issue, OptionError, ProgramError
 from postproc.files import Staged, read_bytes, resolved
 from postproc.forces.sources import extensions
-from postproc.program import Document
+from postproc.program import FORCE_COMMENT, Document
 from postproc.report import Summary
 from postproc.robot import RobotModel
 
@@ -288,13 +288,14 @@ def process_of(program: Path, output: Path, common: Path | None = None) -> Path 
     return common if common is not None or not shared_file.is_file() else shared_file
 
 
-_FORCE = re.compile(rb"[;(!][ \t]*FORCE\b|\bPPRINT[^\r\n]{0,80}FORCE\b", re.IGNORECASE)
+_FORCE = re.compile(rb"(?:[;(!][ \t]*|\bPPRINT[^\r\n]{0,80}?)(FORCE\b[^\r\n]*)", re.IGNORECASE)
 
 
 def states_forces(program: Path) -> bool:
     """Return whether the text of a program seems to have force comments."""
     try:
-        return _FORCE.search(program.read_bytes()) is not None
+        comments = (match[1].decode("latin-1") for match in _FORCE.finditer(program.read_bytes()))
+        return any(FORCE_COMMENT.match(comment) for comment in comments)
     except OSError:
         return False
 
