@@ -120,8 +120,10 @@ def of_path(path: PathUnderLoad, commanded_q: Array) -> tuple[SmallestClearance 
 def _units(scene: Scene) -> Iterator[Issue]:
     """Yield a question for each mesh that is too small to be in millimetres."""
     for body in scene.bodies:
+        if body.kind != "mesh" or body.of == "arm":
+            continue
         size = float(np.ptp(body.points, axis=0).max())
-        if body.kind == "mesh" and body.of != "arm" and size < _SMALLEST_MESH:
+        if size < _SMALLEST_MESH:
             message = (
                 f"The mesh of {body.name} is {size * MM_PER_M:.2g} mm large: is it in mm? Scale one in metres by 1000."
             )

@@ -85,9 +85,10 @@ def test_identify_a_model_and_use_it(browser, window):
         page.get_by_role("link", name=NAME).click()
         looked_at(page, "51-readings")
         page.get_by_role("button", name="Identify the model").click()
-        page.locator("#step", has_text="springs").wait_for()
+        result = page.get_by_role("link", name="See the result")
+        page.locator("#step", has_text="springs").or_(result).wait_for()  # a fast machine is past its steps
         looked_at(page, "52-identifying")
-        page.get_by_role("link", name="See the result").click()
+        result.click()
         assert page.get_by_role("heading", name="May it be used? Yes").is_visible()
         page.frame_locator("iframe").locator("h1").wait_for()
         looked_at(page, "53-model")

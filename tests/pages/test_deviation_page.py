@@ -179,14 +179,14 @@ def _pointing_finds_a_place(page):
     for across in np.linspace(0.25, 0.65, 60):
         page.mouse.move(box["x"] + across * box["width"], box["y"] + 0.68 * box["height"])
         page.evaluate("new Promise((next) => requestAnimationFrame(() => requestAnimationFrame(next)))")
-        pointed = page.evaluate("selection.place")
-        if pointed:
+        if page.evaluate("selection.place"):
             break
+    page.wait_for_timeout(200)  # on a busy machine the last turn of the view is drawn later
+    pointed = page.evaluate("selection.place")
     assert pointed
     page.mouse.down()
     page.mouse.up()
-    page.wait_for_timeout(200)
-    assert page.evaluate("selection.chosen") == pointed
+    page.wait_for_function("(place) => selection.chosen === place", arg=pointed, timeout=20_000)
     assert _chosen(page) == page.evaluate("(i) => places.at.source_line[i]", pointed)
 
 
