@@ -36,8 +36,8 @@ def moved_device(robot: RobotModel, data: Measurements, placement: Placement) ->
     rows = np.concatenate(columns, axis=3) * is_visible[..., None]
     chance, first, twist = _clearest_step(rows, placement.residual, data.q)
     at = np.append(np.mean(placement.points, axis=0), 1.0)
-    middle = np.mean((placement.root_in_device @ unloaded_flange(robot, data.q) @ at)[:, :3], axis=0)
-    size = float(np.linalg.norm(twist[:3] + np.cross(twist[3:], middle - placement.root_in_device[:3, 3])))
+    middle = np.mean((unloaded_flange(robot, data.q) @ at)[:, :3], axis=0)
+    size = float(np.linalg.norm(twist[:3] + np.cross(twist[3:], middle)))
     if chance * len(data.q) > _RARE or size < _MIN_MOVEMENT:
         return []
     return [
@@ -47,7 +47,7 @@ def moved_device(robot: RobotModel, data: Measurements, placement: Placement) ->
 
 
 def _clearest_step(rows: Array, residual: Array, q: Array) -> tuple[float, int, Array]:
-    """Return the smallest chance of a step in readings of one set-up, its configuration, and its twist (6,).
+    """Return the smallest chance of a step in readings of one set-up, its configuration, and its twist (6,), root axes.
 
     By F-test (Draper and Smith, "Applied Regression Analysis", 1998, ch. 6). Points of a configuration share the error
     of the geometry, so they count as one.
@@ -93,7 +93,10 @@ def _by_order(q: Array, first: int) -> bool:
 
 
 def _by_frames(robot: RobotModel, data: Measurements, placement: Placement) -> Array:
-    """Return the derivatives (C, P, 3, 42) of the points by twists of root and joint frames, device axes."""
+    """Return the derivatives (C, P, 3, 42) of the points, device axes, by twists of root and joint frames.
+
+    A twist has the axes of its frame.
+    """
     x = elastostatics.coordinates(robot, data.q)
     turn = placement.root_in_device[:3, :3]
     slopes = np.zeros((len(data.q), len(placement.points), 3, 42))
