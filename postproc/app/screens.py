@@ -37,7 +37,7 @@ from postproc.report.verdict import ASSUMED_STOCK, STOCK_REMARK
 
 FORM_OPTIONS = tuple(option for option in actions.CONVERSION if option.label)
 """Options of `convert` that its form has."""
-_FRAME_KEYS = ("base", "tool", "work_offset")
+_FRAME_KEYS = ("base", "tool", "work_offset", "base_data", "tool_data")
 _NUMBER_KEYS = ("flutes", "rpm", "clearance", "part_tolerance")
 _WORDS = {
     "rotary_kind": ("tcp", "indexed"),

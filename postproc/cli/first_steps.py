@@ -91,6 +91,20 @@ def _callback(kind: str) -> Any:
     help="Frame of a work offset in $BASE; once for each. G54 is $BASE itself.",
 )
 @click.option(
+    "--base-data",
+    multiple=True,
+    callback=lambda _ctx, _param, texts: _option_value("numbered_frames", texts),
+    metavar="N=X,Y,Z[,A,B,C]",
+    help="BASE_DATA[N] of KRL programs, in the robot root; once for each.",
+)
+@click.option(
+    "--tool-data",
+    multiple=True,
+    callback=lambda _ctx, _param, texts: _option_value("numbered_frames", texts),
+    metavar="N=X,Y,Z[,A,B,C]",
+    help="TOOL_DATA[N] of KRL programs, in the flange frame; once for each.",
+)
+@click.option(
     "--m-code",
     "m_codes",
     multiple=True,
@@ -238,6 +252,8 @@ _SAME_OPTIONS = (
 
 def _for_programs(cell: Path, programs: list[Path], options: dict[str, Any]) -> CellRequest:
     """Return the request for a cell that these programs need; ask for what no option says."""
+    from msgspec.structs import replace
+
     from postproc.cli.start import print_needs, prompt
     from postproc.jobs import guided_start
     from postproc.jobs.program_needs import needs_of
@@ -248,12 +264,16 @@ def _for_programs(cell: Path, programs: list[Path], options: dict[str, Any]) -> 
         if needs.refusal:
             click.echo(f"no answer makes this program readable: {needs.refusal}", err=True)
     needs = guided_start.merged(item)
+    if options["config_dat"] is not None:
+        needs = replace(needs, frames=())  # the file of the controller states them
     answers = guided_start.Answers()
     answers.values |= {name: options[name] for name in _SAME_OPTIONS if options[name] is not None}
     answers.values |= {f"tool.{number}": frame for number, frame in options["tools"].items()}
     if needs.only_tool in options["tools"]:
         answers.values.setdefault("tool", options["tools"][needs.only_tool])
     answers.values |= {f"work_offset.{code}": frame for code, frame in options["work_offsets"].items()}
+    for table in ("base_data", "tool_data"):
+        answers.values |= {f"{table}.{number}": frame for number, frame in options[table].items()}
     answers.values |= {f"m_code.{code}": "none" for code in options["m_codes"]}
     answers.values |= {f"rotary_point.{letter}": point for letter, point in options["rotary_points"].items()}
     texts = {

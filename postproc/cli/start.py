@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 _PATH = click.Path(path_type=Path)
 _KEYS = {"rotary": "rotary_axes"}
 """Options whose answers have another name."""
-_NUMBERED_OPTIONS = {"tools": "tool", "work_offset": "work_offset", "m_code": "m_code", "rotary_point": "rotary_point",
+_NUMBERED_OPTIONS = {"tools": "tool", "work_offset": "work_offset", "base_data": "base_data",
+             "tool_data": "tool_data", "m_code": "m_code", "rotary_point": "rotary_point",
              "cutter": "cutter", "flutes": "flutes", "rpm": "rpm"}  # fmt: skip
 """Options that may be given several times: option → first part of the name of its answers."""
 _OF_PROCESS = ("material", "cutter", "flutes", "rpm", "stock")
@@ -37,6 +38,8 @@ _OF_PROCESS = ("material", "cutter", "flutes", "rpm", "stock")
 @click.option("--tool", metavar="X,Y,Z[,A,B,C]", help="$TOOL in the flange frame.")
 @click.option("--tools", multiple=True, metavar="N=X,Y,Z", help="$TOOL of tool N; once for each that is changed to.")
 @click.option("--work-offset", multiple=True, metavar="G55=X,Y,Z", help="Frame of a work offset in $BASE.")
+@click.option("--base-data", multiple=True, metavar="N=X,Y,Z", help="BASE_DATA[N], which a KRL program names.")
+@click.option("--tool-data", multiple=True, metavar="N=X,Y,Z", help="TOOL_DATA[N], likewise.")
 @click.option("--m-code", multiple=True, metavar="M31[=LINE]", help="M code: without effect, or the line to write.")
 @click.option("--rotary", metavar="C,B", help="Rotary axes from the part outwards.")
 @click.option("--rotary-kind", metavar="KIND", help="What X, Y, Z are: tcp or indexed.")
@@ -121,6 +124,7 @@ def print_needs(needs: ProgramNeeds) -> None:
     ]
     facts = [f"tools: {', '.join(parts)}"] if parts else []
     facts += [f"work offsets: G54, {', '.join(needs.work_offsets)}"] if needs.work_offsets else []
+    facts += [f"frames by number: {', '.join(map(_frame_name, needs.frames))}"] if needs.frames else []
     facts += [f"rotary axes: {', '.join(needs.rotary)}"] if needs.rotary else []
     facts += [f"M codes of the machine: {', '.join(needs.m_codes)}"] if needs.m_codes else []
     facts += ["cutting forces in comments"] if needs.has_forces else []
@@ -128,6 +132,12 @@ def print_needs(needs: ProgramNeeds) -> None:
         spans = (f"{axis} {low:g} to {high:g}" for axis, low, high in zip("XYZ", *needs.span, strict=True))
         facts.append(f"cuts {', '.join(spans)} mm")
     click.echo("\n  ".join([f"{needs.file.name}:", *facts]))
+
+
+def _frame_name(table: str) -> str:
+    """Return the name in KRL of a frame that a table of the cell states: BASE_DATA[3] for base_data.3."""
+    name, _, number = table.upper().partition(".")
+    return f"{name}[{number}]"
 
 
 def _option_answers(options: Mapping[str, Any], needs: ProgramNeeds) -> dict[str, str]:

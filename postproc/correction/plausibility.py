@@ -129,7 +129,16 @@ def _cutting(program: Program, cell: Cell, rows: Ints) -> Iterator[Issue]:
     if unusual.any():
         message = f"a cut with a feed of {feed[np.argmax(unusual)]:.3g} mm/min: is its unit right?"
         yield m.issue("warning", "feed-unit", message, rows[unusual])
-    if not (cell.gcode.spindle_on or cell.gcode.spindle_ccw):
+    gcode = cell.gcode
+    if not (gcode.spindle_on or gcode.spindle_ccw):
+        is_by_hand = gcode.spindle_on is not None or gcode.spindle_ccw is not None
+        if len(rows) and not is_by_hand and not any(event.kind in _SWITCHING for event in program.events):
+            codes = f"{' or '.join(cell.m_codes)} starts it, or if " if cell.m_codes else ""
+            message = (
+                "nothing is known to start the spindle: the program does not. Write spindle_on = [] in [gcode] of the "
+                f"cell if {codes}you start it by hand"
+            )
+            yield m.issue("warning", "spindle-off", message, rows)
         return
     effects = {code: _spindle_effect(cell, lines) for code, lines in cell.m_codes.items()}
     kinds = [effects[f"M{event.value:g}"] if event.kind == "m_code" else event.kind for event in program.events]

@@ -109,6 +109,15 @@ class Dialect(Protocol):
         ...
 
 
+@runtime_checkable
+class WithNumberedFrames(Protocol):
+    """Additional interface of a dialect whose programs name frames of the controller by number."""
+
+    def numbered_frames(self, documents: Sequence[Document]) -> tuple[str, ...]:
+        """Return the tables of the cell that state frames which a program may name, such as ``"base_data.3"``."""
+        ...
+
+
 class Survey(Struct, frozen=True):
     """What the text of a CAM program shows before it is read: the basis for the questions of `start` and `init`.
 

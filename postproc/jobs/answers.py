@@ -66,6 +66,25 @@ def full_frame(text: str) -> Numbers | int:
     return value if isinstance(value, int) else _finite(value, text)
 
 
+def stated_frame(text: str) -> Numbers:
+    """Return X, Y, Z or X, Y, Z, A, B, C: a number of a frame is no answer to what that frame is."""
+    value = full_frame(text)
+    if isinstance(value, int):
+        raise InputError(f"{text!r}: one number", advice="Give X,Y,Z or X,Y,Z,A,B,C in mm and degrees.")
+    return value
+
+
+def numbered_frames(texts: Sequence[str]) -> dict[int, Numbers]:
+    """Return frames by number from texts such as ``3=1500,0,700``."""
+    frames: dict[int, Numbers] = {}
+    for text in texts:
+        name, _, words = text.partition("=")
+        if not name.strip().isdecimal() or int(name) == 0:
+            raise InputError(f"{text!r}: give the number of the frame and the frame, such as 3=1500,0,700")
+        _add_frame(frames, int(name), stated_frame(words), f"frame {int(name)}")
+    return frames
+
+
 def _add_frame(frames: dict[Any, Numbers], key: Any, value: Numbers, name: str) -> None:
     """Add a frame; refuse a second, different one."""
     if (first_value := frames.setdefault(key, value)) != value:

@@ -113,6 +113,8 @@ class CellRequest(Struct, frozen=True, kw_only=True):
     :param coolant: lines for M7 and M8, and for M9; likewise.
     :param tools: T number → `$TOOL` in the flange frame, as `tool`; none: `tool` holds for all.
     :param work_offsets: code of a work offset (``G55``) → its frame in `$BASE`, as `base`.
+    :param base_data: number → frame that KRL programs name as BASE_DATA[n], in the robot root, as `base`.
+    :param tool_data: number → frame that they name as TOOL_DATA[n], in the flange frame.
     :param m_codes: M codes that programs use (``M31``) → lines to write for them; none: no effect on the robot.
     :param home: X, Y, Z of `$BASE` where the machine is first, and after G28 and G53 [mm]; None: not stated.
     :param rotary: rotary axes of the programs; None: there are none.
@@ -136,6 +138,8 @@ class CellRequest(Struct, frozen=True, kw_only=True):
     coolant: tuple[Sequence[str], Sequence[str]] | None = None
     tools: Mapping[int, Numbers] = {}
     work_offsets: Mapping[str, Numbers] = {}
+    base_data: Mapping[int, Numbers] = {}
+    tool_data: Mapping[int, Numbers] = {}
     m_codes: Mapping[str, Sequence[str]] = {}
     home: Numbers | None = None
     rotary: Rotary | None = None
@@ -420,6 +424,7 @@ clearance_Z = {_number(request.clearance)}              # Z of $BASE to which th
 {_home(request.home)}
 {_tools(tools)}
 {_work_offsets(request.work_offsets)}
+{_numbered_frames("base_data", request.base_data)}{_numbered_frames("tool_data", request.tool_data)}\
 {_rotary(request.rotary)}
 {_m_codes(request.m_codes)}
 
@@ -499,6 +504,15 @@ def _work_offsets(frame_values: Mapping[str, Numbers]) -> str:
     return """\
 # [work_offsets.G55]             # G54 is $BASE itself; others must be given to be used
 # X = 0.0"""
+
+
+def _numbered_frames(table: Literal["base_data", "tool_data"], values: Mapping[int, Numbers]) -> str:
+    """Return the tables of frames that KRL programs name by number; empty where there are none."""
+    frames = {number: Frame(*_six(f"{table.upper()}[{number}]", words, 3)) for number, words in values.items()}
+    return "".join(
+        f"\n{f'[{table}.{number}]':<33}# {table.upper()}[{number}] of KRL programs\n{_keys(frame)}\n"
+        for number, frame in frames.items()
+    )
 
 
 def _payload(values: Numbers | None) -> str:

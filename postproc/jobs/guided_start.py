@@ -37,6 +37,8 @@ _CELL_COUNT = 500.0
 """The map of the stock has at most this many cells across, between the limits of `_RESOLUTIONS` [mm] (assumed)."""
 _RESOLUTIONS = (0.25, 1.0)
 """Finest and coarsest cells that are proposed [mm] (assumed)."""
+_USUAL_TOOL = "0,0,350"
+"""X, Y, Z of a tool tip in the flange frame that is offered [mm] (assumed)."""
 NO_NUMBER = 0
 """Number of the tool of a program that names none: ``[tools.default]``."""
 MACHINE_QUESTION = "m_code."
@@ -118,7 +120,10 @@ def _cell_questions(needs: ProgramNeeds, answers: Answers) -> Iterator[Question]
         hint=f"Robots: {', '.join(robots.shipped())}",
     )
     base = _usual_base(answers)
-    yield Question("base", "$BASE in the robot root: X,Y,Z[,A,B,C]", "--base X,Y,Z", parse.full_frame, base)
+    yield from _frame_questions(needs, base)
+    stated_tables = {frame.partition(".")[0] for frame in needs.frames} if needs.is_of_robot else ()
+    if "base_data" not in stated_tables:
+        yield Question("base", "$BASE in the robot root: X,Y,Z[,A,B,C]", "--base X,Y,Z", parse.full_frame, base)
     if needs.changes_tools:
         for number in needs.tools:
             yield Question(
@@ -126,11 +131,11 @@ def _cell_questions(needs: ProgramNeeds, answers: Answers) -> Iterator[Question]
                 f"$TOOL of T{number}{_remark(needs, number)}, tip in the flange frame: X,Y,Z[,A,B,C]",
                 f"--tools {number}=X,Y,Z",
                 parse.full_frame,
-                "0,0,350",
+                _USUAL_TOOL,
             )
-    else:
+    elif "tool_data" not in stated_tables:
         text = "$TOOL, the tool tip in the flange frame: X,Y,Z[,A,B,C]"
-        yield Question("tool", text, "--tool X,Y,Z", parse.full_frame, "0,0,350")
+        yield Question("tool", text, "--tool X,Y,Z", parse.full_frame, _USUAL_TOOL)
     for code in needs.work_offsets:
         text = f"{code}, which the program uses, in $BASE: X,Y,Z[,A,B,C]"
         yield Question(f"work_offset.{code}", text, f"--work-offset {code}=X,Y,Z", parse.full_frame)
@@ -155,6 +160,16 @@ def _cell_questions(needs: ProgramNeeds, answers: Answers) -> Iterator[Question]
     if "robot" in answers.values and load_robot(answers.values["robot"]).language == "rapid":
         text = "Spindle, holder and tool on the flange: kg,X,Y,Z of the centre of mass; empty: set in the controller"
         yield Question("payload", text, "--payload KG,X,Y,Z", parse.payload, "", optional=True)
+
+
+def _frame_questions(needs: ProgramNeeds, base: str | None) -> Iterator[Question]:
+    """Yield the questions on frames that the program names by number; `base`: an example of a place for a part."""
+    for frame in needs.frames:
+        name, _, number = frame.partition(".")
+        place, example = ("robot root", base) if name == "base_data" else ("flange frame", _USUAL_TOOL)
+        text = f"{name.upper()}[{number}], which the program uses, in the {place}: X,Y,Z[,A,B,C]"
+        option = f"--{name.replace('_', '-')} {number}=X,Y,Z"
+        yield Question(frame, text, option, parse.stated_frame, example)
 
 
 def _usual_base(answers: Answers) -> str | None:
@@ -269,15 +284,20 @@ def cell_request(output: Path, answers: Answers, **fields: Any) -> CellRequest:
     :param fields: further fields of the request, such as ``axis``.
     """
     values = answers.values
-    tools: dict[int, Numbers] = answers.numbered("tool")
+    tools, bases = answers.numbered("tool"), answers.numbered("base_data")
+    first_tools: dict[int, Numbers] = {**tools, **(tool_data := answers.numbered("tool_data"))}
     request: dict[str, Any] = {
-        "tool": values["tool"] if "tool" in values else next(iter(tools.values())),
+        "tool": values["tool"] if "tool" in values else next(iter(first_tools.values())),
         "tools": tools,
+        "base_data": bases,
+        "tool_data": tool_data,
         "work_offsets": answers.of_codes("work_offset"),
         "m_codes": {
             code: [] if text == parse.NO_LINES else [text] for code, text in answers.of_codes("m_code").items()
         },
     }
+    if bases:
+        request["base"] = next(iter(bases.values()))
     names = ("robot", "base", "clearance", "tool_change", "spindle", "coolant", "part_tolerance", "home", "payload")
     request |= {name: values[name] for name in (*names, "radius_offsets", "dwell_unit") if name in values}
     if "rotary_axes" in values:
@@ -447,7 +467,7 @@ def merged(programs: list[ProgramNeeds]) -> ProgramNeeds:
                for side, choose in enumerate((min, max))] if spans else None  # fmt: skip
     union: dict[str, Any] = {
         name: tuple(dict.fromkeys(value for program in programs for value in getattr(program, name)))
-        for name in ("tools", "work_offsets", "m_codes", "rotary", "settings")
+        for name in ("tools", "work_offsets", "frames", "m_codes", "rotary", "settings")
     }
     return ProgramNeeds(
         first.file,

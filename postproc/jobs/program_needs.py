@@ -7,7 +7,7 @@ answer and without it: a setting without which the reader refuses the program is
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from msgspec.structs import replace
 from postproc import correction, toolpath
 from postproc.cell import Box, Cell, Frame, GCode, Machine, Start, Tool
 from postproc.dialects import registry
-from postproc.dialects.dialect import CamFormat, Survey
+from postproc.dialects.dialect import CamFormat, Survey, WithNumberedFrames
 from postproc.errors import InputError
 from postproc.frames import MM_PER_M, Array
 from postproc.jobs import answers as parse
@@ -52,6 +52,7 @@ class ProgramNeeds(Struct, frozen=True):
     :param tools: T numbers of its tool changes, in order of first use.
     :param cutters: T number → cutter as comments describe it; 0 for a program without tool numbers.
     :param work_offsets: codes of work offsets other than G54.
+    :param frames: tables of the cell for frames of the controller that it names by number, such as ``"base_data.3"``.
     :param m_codes: M codes of the machine.
     :param rotary: letters of its rotary axes.
     :param tip_controlled: it switches tool-centre-point control on.
@@ -71,6 +72,7 @@ class ProgramNeeds(Struct, frozen=True):
     tools: tuple[int, ...] = ()
     cutters: Mapping[int, CommentedTool] = {}
     work_offsets: tuple[str, ...] = ()
+    frames: tuple[str, ...] = ()
     m_codes: tuple[str, ...] = ()
     rotary: tuple[str, ...] = ()
     tip_controlled: bool = False
@@ -137,6 +139,7 @@ def needs_of(path: Path, dialect: str | None = None) -> ProgramNeeds:
         survey = reader.survey(documents[0])
     trial = _Trial(documents, name, path.stem, survey)
     program, refusal, settings = trial.outcome()
+    frames = trial.needed_frames()
     changes = survey.tool_changes
     comments = [Comment(line, text) for line, text in survey.comments]
     needs = ProgramNeeds(
@@ -145,6 +148,7 @@ def needs_of(path: Path, dialect: str | None = None) -> ProgramNeeds:
         tools=tuple(dict.fromkeys(number for _, number in changes)),
         cutters=commented_tools(comments, changes, inches=survey.inches),
         work_offsets=survey.work_offsets,
+        frames=frames,
         m_codes=survey.m_codes,
         rotary=survey.rotary,
         tip_controlled=survey.tip_controlled,
@@ -260,6 +264,8 @@ class _Trial:
         self.documents, self.dialect, self.name, self.survey = documents, dialect, name, survey
         self.robot_name = _RAPID_ROBOT if dialect == "rapid" else _ROBOT
         self.robot: RobotModel = load_robot(self.robot_name)
+        reader = registry.by_name(dialect)
+        self.frames = reader.numbered_frames(documents) if isinstance(reader, WithNumberedFrames) else ()
 
     def outcome(self) -> tuple[Program | None, str, tuple[str, ...]]:
         """Return the program as it is read with every answer, why it is refused then, and the settings it needs."""
@@ -282,17 +288,30 @@ class _Trial:
         ]
         return program, "", tuple(settings)
 
+    def needed_frames(self) -> tuple[str, ...]:
+        """Return the frames by number without which the program is refused; its own data may state the others."""
+        if not self.frames or self._read({})[0] is None:
+            return ()
+        return tuple(frame for frame in self.frames if self._read({}, frames={*self.frames} - {frame})[0] is None)
+
     def _of_robot(self) -> tuple[Program | None, str, tuple[str, ...]]:
-        """Return a robot program; its own frames may be missing here, which is no refusal."""
+        """Return a robot program; frames of its files that are not there may be missing here, which is no refusal."""
         return self._read({})[0], "", ()
 
-    def _read(self, answers: Mapping[str, Any], kind: str = _ROTARY_KINDS[0]) -> tuple[Program | None, str]:
+    def _read(
+        self, answers: Mapping[str, Any], kind: str = _ROTARY_KINDS[0], frames: Collection[str] | None = None
+    ) -> tuple[Program | None, str]:
+        """Return the program as it is read with some answers, and why it is refused.
+
+        :param frames: frames by number that the cell states; None: all that the program names.
+        """
+        cell = self._cell(answers, kind, self.frames if frames is None else frames)
         try:
-            return correction.read(self.documents, self.robot, self._cell(answers, kind), self.name, self.dialect), ""
+            return correction.read(self.documents, self.robot, cell, self.name, self.dialect), ""
         except InputError as cause:
             return None, str(cause)
 
-    def _cell(self, answers: Mapping[str, Any], kind: str) -> Cell:
+    def _cell(self, answers: Mapping[str, Any], kind: str, frames: Collection[str]) -> Cell:
         """Return a cell in which the program can be read before the real one exists; its frames do not count."""
         letters = [letter for letter in "CBA" if letter in self.survey.rotary][:2]
         points = dict.fromkeys(letters, (0.0, 0.0, 0.0))
@@ -310,5 +329,12 @@ class _Trial:
             machine=Machine(home=answers.get("home"), clearance_Z=_CLEARANCE_MM),
             m_codes={code: [] for code in self.survey.m_codes},
             work_offsets={code: Frame() for code in self.survey.work_offsets},
+            base_data={number: Frame(X=1500.0, Z=700.0) for number in _numbers(frames, "base_data")},
+            tool_data={number: Tool(Z=350.0) for number in _numbers(frames, "tool_data")},
             rotary=parse.rotary(letters, kind, points if kind == "indexed" else {}) if letters else None,
         )
+
+
+def _numbers(frames: Collection[str], table: str) -> Iterator[str]:
+    """Yield the numbers of the frames of one table."""
+    return (number for name, _, number in (frame.partition(".") for frame in frames) if name == table)

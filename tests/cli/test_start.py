@@ -110,7 +110,8 @@ def test_the_cuts_of_a_program_include_what_arcs_reach_between_their_ends(moves,
     ("name", "text", "span"),
     [
         ("a.src", KRL.format(frame="$BASE={X 1500,Y 0,Z 700,A 0,B 0,C 0}"), ((0.0, 0.0, -2.0), (80.0, 5.0, -2.0))),
-        ("b.src", KRL.format(frame="$BASE=BASE_DATA[3]"), None),
+        ("b.src", KRL.format(frame="$BASE=BASE_DATA[3]"), ((0.0, 0.0, -2.0), (80.0, 5.0, -2.0))),
+        ("d.src", KRL.format(frame="$BASE=TABLE"), None),
         ("c.mod", RAPID, None),
     ],
 )
@@ -340,3 +341,83 @@ def test_frames_of_another_length_than_three_or_six_numbers_are_refused(words):
     whole = "1500,-200,700,0,90,0"
     values = answers.full_frame(whole)
     assert values == answers.tools([f"1={whole}"])[1] == answers.work_offsets([f"G55={whole}"])["G55"]
+
+
+NUMBERED = """DEF part()
+; BASE_DATA[9] is not used
+$BASE=BASE_DATA[{base}]
+FDAT_ACT=FP1
+BAS(#FRAMES)
+$TOOL=TOOL_DATA[2]
+BAS(#VEL_PTP,20)
+PTP {{A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}}
+$VEL.CP=0.02
+; FORCE FX=100
+LIN {{X 0,Y 0,Z 10,A 90,B 0,C 180}}
+LIN {{X 60,Y 0,Z 10,A 90,B 0,C 180}}
+END
+"""
+DATA = "DEFDAT part\nDECL FDAT FP1={{TOOL_NO {tool},BASE_NO 3,IPO_FRAME #BASE}}\n{more}ENDDAT\n"
+
+
+def write_numbered(*, base=3, tool=2, more=""):
+    Path("part.src").write_text(NUMBERED.format(base=base))
+    Path("part.dat").write_text(DATA.format(tool=tool, more=more))
+
+
+@pytest.mark.parametrize(
+    ("content", "frames"),
+    [
+        ({}, ("base_data.3", "tool_data.2")),
+        ({"base": 4}, ("base_data.3", "tool_data.2")),  # another frame is in force before the first motion
+        ({"more": "TOOL_DATA[2]={X 0,Y 0,Z 350,A 0,B 0,C 0}\n"}, ("base_data.3",)),
+        ({"more": "DECL FDAT FP2={TOOL_NO 7,BASE_NO 8,IPO_FRAME #BASE}\n"}, ("base_data.3", "tool_data.2")),
+        ({"base": 0}, ("base_data.3", "tool_data.2")),
+    ],
+)
+def test_frames_of_the_controller_are_needed_where_a_program_cannot_be_read_without_them(content, frames):
+    write_numbered(**content)
+    assert needs_of(Path("part.src")).frames == frames
+
+
+def test_start_asks_for_the_frames_by_number_instead_of_base_and_tool():
+    write_numbered()
+    asked = invoke("start", "part.src", "--robot", "kuka_kr270")
+    assert asked.exit_code == 2
+    assert "frames by number: BASE_DATA[3], TOOL_DATA[2]" in asked.output
+    assert "--base-data 3=X,Y,Z    BASE_DATA[3], which the program uses, in the robot root" in asked.output
+    assert "--base X" not in asked.output
+    assert "--tool X" not in asked.output
+    frames = ("--base-data", "3=1500,100,700,10,0,0", "--tool-data", "2=0,0,350")
+    started = invoke("start", "part.src", "--robot", "kuka_kr270", *frames, "-o", "out")
+    assert started.exit_code == 0, started.output
+    cell = cells.load("out/cell.toml")
+    assert (cell.base_data["3"].Y, cell.base_data["3"].A, cell.tool_data["2"].Z) == (100.0, 10.0, 350.0)
+    assert (cell.base.Y, cell.tool.Z) == (100.0, 350.0), "what [start] and the part are seen from"
+    written = invoke("start", "part.src", "--robot", "kuka_kr270", *frames, "-o", "out")
+    assert written.exit_code == 0, "the same answers again"
+
+
+def test_init_takes_frames_by_number_and_asks_for_the_base_of_other_programs():
+    write_numbered()
+    frames = ("--base-data", "3=1500,100,700", "--tool-data", "2=0,0,350")
+    made = invoke("init", "part.src", "--robot", "kuka_kr270", *frames)
+    assert made.exit_code == 0, made.output
+    assert cells.load("cell.toml").base_data["3"].X == 1500.0
+    both = invoke("init", "both.toml", "part.src", "part.nc", "--robot", "kuka_kr270", *frames)
+    assert both.exit_code == 2
+    assert "--base X,Y,Z" in both.output
+    Path("$config.dat").write_text(
+        "DEFDAT $CONFIG\nBASE_DATA[3]={X 1400,Y 0,Z 600,A 0,B 0,C 0}\nTOOL_DATA[2]={X 0,Y 0,Z 300,A 0,B 0,C 0}\nENDDAT\n"
+    )
+    own = ("--config-dat", "$config.dat", "--base", "3", "--tool", "2")
+    stated = invoke("init", "own.toml", "part.src", "--robot", "kuka_kr270", *own)
+    assert stated.exit_code == 0, stated.output
+    cell = cells.load("own.toml")
+    assert (cell.base.X, cell.tool.Z, cell.base_data) == (1400.0, 300.0, {})
+
+
+@pytest.mark.parametrize("text", ["3", "3=1500,0", "x=1500,0,700", "0=1,2,3", "3=7", "3=1,2,3,4"])
+def test_a_frame_by_number_is_given_whole(text):
+    with pytest.raises(InputError):
+        answers.numbered_frames([text])

@@ -141,6 +141,26 @@ def test_an_m_code_of_the_cell_that_sets_the_signal_of_the_spindle_switches_it(o
 
 
 @pytest.mark.parametrize(
+    ("m_codes", "words"),
+    [({}, "if you start it by hand"), ({"M103": ["$OUT[3]=TRUE"]}, "if M103 starts it, or if you start it by hand")],
+)
+def test_a_cut_is_asked_about_where_neither_program_nor_cell_says_how_the_spindle_starts(m_codes, words):
+    cell = replace(CELL, gcode=replace(CELL.gcode, spindle_on=None, spindle_ccw=None), m_codes=m_codes)
+    text = CUT.format(before=" ".join(m_codes), at="", after="", feed=300).encode()
+    (issue,) = cutting_questions(text, cell)
+    assert issue[:2] == ("spindle-off", 7)
+    assert words in issue[2]
+    for spindle_on in ([], ["$OUT[3]=TRUE"]):
+        stated = replace(cell, gcode=replace(cell.gcode, spindle_on=spindle_on))
+        assert [kind for kind, _, _ in cutting_questions(text, stated)] == ["spindle-off"] * (
+            bool(spindle_on) and not m_codes
+        )
+    assert cutting_questions(text.replace(b"FX=100", b"FX=0"), cell) == []
+    switching = CUT.format(before="M3 S1000", at="", after="", feed=300).encode()
+    assert cutting_questions(switching, cell) == [], "lines that are missing are a question of their own"
+
+
+@pytest.mark.parametrize(
     ("feed", "is_asked"), [(0.6, True), (9.9, True), (10, False), (30000, False), (30100, True), (60000, True)]
 )
 def test_a_feed_in_another_unit_is_asked_about(feed, is_asked):

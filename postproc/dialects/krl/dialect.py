@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path, PurePath
 
@@ -27,6 +28,8 @@ from postproc.program import Document, Program, TargetForces, TargetJoints, Targ
 _SELECTION_FILE = "cell"
 """KUKA's CELL.SRC chooses programs by the number that comes from outside: they are main programs."""
 _COMMENT = ";"
+_NUMBERED_FRAME = re.compile(r"\b(BASE|TOOL)_(?:DATA[ \t]*\[[ \t]*|NO[ \t]+)([0-9]{1,3})\b", re.IGNORECASE)
+"""``BASE_DATA[3]``, and ``TOOL_NO 2`` of a FDAT."""
 
 
 def _parts(path: Path, names: Sequence[str]) -> list[str]:
@@ -145,6 +148,18 @@ class Krl:
             if key in file_names and (key not in path_of or PurePath(name).stem in stems):
                 path_of[key] = path.with_name(name)
         return [path_of[key] for key in file_names if key in path_of]
+
+    def numbered_frames(self, documents: Sequence[Document]) -> tuple[str, ...]:
+        """Return the tables of the cell for frames by number that the texts of a program name, comments left out.
+
+        Number 0 is `$NULLFRAME` and needs none.
+        """
+        frames = {
+            (kind.lower(), int(number))
+            for document in documents
+            for kind, number in _NUMBERED_FRAME.findall(scan.without_comments(document.text))
+        }
+        return tuple(f"{kind}_data.{number}" for kind, number in sorted(frames) if number)
 
     def callers(self, paths: Sequence[Path]) -> dict[Path, list[Path]]:
         """Return which of some files of a folder are but called by others of them, and by which."""
