@@ -408,7 +408,8 @@ def test_init_takes_frames_by_number_and_asks_for_the_base_of_other_programs():
     assert both.exit_code == 2
     assert "--base X,Y,Z" in both.output
     Path("$config.dat").write_text(
-        "DEFDAT $CONFIG\nBASE_DATA[3]={X 1400,Y 0,Z 600,A 0,B 0,C 0}\nTOOL_DATA[2]={X 0,Y 0,Z 300,A 0,B 0,C 0}\nENDDAT\n"
+        "DEFDAT $CONFIG\nBASE_DATA[3]={X 1400,Y 0,Z 600,A 0,B 0,C 0}\n"
+        "TOOL_DATA[2]={X 0,Y 0,Z 300,A 0,B 0,C 0}\nENDDAT\n"
     )
     own = ("--config-dat", "$config.dat", "--base", "3", "--tool", "2")
     stated = invoke("init", "own.toml", "part.src", "--robot", "kuka_kr270", *own)
