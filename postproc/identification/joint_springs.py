@@ -319,15 +319,18 @@ def fit_joints(
         if (
             left
             and left[0].parameter in COMPENSATOR
+            and is_physical(fit)  # a spring that cannot be built is no better than the prior's
             and (is_prior_refuted or _refutes_prior_spring(fit, data, placement))
         ):
             is_prior_refuted, left = True, left[1:]
         if not left:
             return fit, open_entries
         worst = left[0]
-        open_entries.append(worst)
-        removal = COMPENSATOR if worst.parameter in COMPENSATOR else (worst.parameter,)
-        parameters = [parameter for parameter in parameters if parameter not in removal]
+        if worst.parameter in COMPENSATOR:  # without it the joints left out before may be determined
+            parameters, open_entries = list(JOINT_COMPLIANCES), [worst]
+        else:
+            parameters.remove(worst.parameter)
+            open_entries.append(worst)
         first = False
         if not parameters:
             raise MeasurementError(
@@ -341,7 +344,7 @@ def _refutes_prior_spring(fit: Fit, data: Measurements, placement: Placement) ->
     The fit is repeated without the two parameters; the growth of χ² is compared with the residual of the full fit.
     """
     spring = fit.structure.parameters.index(CompensatorStiffness())
-    if not is_physical(fit) or not np.isfinite(fit.covariance[spring, spring]):
+    if not np.isfinite(fit.covariance[spring, spring]):
         return False
     rest = tuple(p for p in fit.structure.parameters if p not in COMPENSATOR)
     structure = Structure(rest, fit.structure.prior)
