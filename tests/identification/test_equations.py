@@ -180,6 +180,21 @@ def test_weights_of_structures_have_the_least_cross_validation_error(seed):
     assert error(found[:3]) < best * (1.0 + 2e-3 + (found[:3] == 0.0).any() * 2e-2)
 
 
+def test_structures_with_the_same_errors_share_the_weight_that_one_of_them_would_have():
+    rng, equations = np.random.default_rng(7), made()
+    shared = rng.normal(size=len(equations.target))
+    left = [shared + scale * rng.normal(size=len(shared)) for scale in (0.8, 0.9)]
+
+    def weights(*errors):
+        members = [Member("", False, regression([0]), error) for error in errors]
+        return choice._stacking_weights(equations, members, np.arange(len(members)))
+
+    once, twice = weights(*left), weights(left[0], *left)
+    assert 0.2 < once[0] < 0.8
+    assert twice[:2].sum() == pytest.approx(once[0], abs=1e-4)
+    np.testing.assert_allclose(weights(left[1], left[1], left[1]).sum(), 1.0)
+
+
 def test_dropped_parameters_are_replaced_by_the_best_combination_of_those_kept():
     equations, spread, keep = made(), np.array([0.5, 2.0, 1.0, 0.2, 3.0]), np.array([0, 2, 4])
     onto = projection(equations, keep, spread)

@@ -26,8 +26,8 @@ WEIGHTS = np.array([0.3, 0.7, 0.0])
 def settled():
     """Readings with errors that configurations share, and the mean of two structures among three."""
     rng = np.random.default_rng(21)
-    data = readings(forces(CONFIGS, 900.0))
-    shared = 2e-5 * rng.normal(size=(2 * CONFIGS, 3))[data.state]
+    data = readings(forces(CONFIGS, 90.0))  # so light that links hide in the noise
+    shared = 1e-5 * rng.normal(size=(2 * CONFIGS, 3))[data.state]
     data = replace(data, position=data.position + shared + rng.normal(0.0, 1e-5, data.position.shape))
     placement = placed(data)
     structure = Structure((*JOINT_COMPLIANCES, *LINKS), harness.PRIOR)
@@ -98,7 +98,7 @@ def test_the_fit_of_a_mean_is_that_of_dense_matrices(settled):
     np.testing.assert_allclose(found.fit.covariance, onto @ posterior @ onto.T, rtol=1e-5, atol=1e-22)
     wider = onto @ (2.0 * effect * posterior + jackknife) @ onto.T
     np.testing.assert_allclose(found.wider, wider, rtol=1e-4, atol=1e-20)
-    assert np.trace(jackknife) > 0.05 * np.trace(wider)
+    assert jackknife[0, 0] > 0.3 * wider[0, 0]
     assert effect > 1.5
     np.testing.assert_allclose(found.influence, onto @ influence, rtol=1e-5, atol=1e-9 * np.abs(influence).max())
     assert found.determined == pytest.approx(dof, rel=1e-6)
@@ -115,6 +115,7 @@ def test_the_fit_of_a_mean_is_that_of_dense_matrices(settled):
     wide = np.sqrt(np.diag(posterior)) > 0.9 * np.sqrt(spread2)
     held = [mean.structure.parameters[index] for index in np.flatnonzero(wide & (spread2 > 0.0))]
     assert list(found.held_by_prior) == held
+    assert 0 < len(held) < np.count_nonzero(spread2)
     assert found.evidence == mean.members[2].regression.evidence
 
 

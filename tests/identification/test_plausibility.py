@@ -59,6 +59,16 @@ def test_a_reading_far_from_its_repeats_and_one_at_a_wrong_distance_are_left_out
     assert ["repeats" in line for line in told] == [True, False, False, False]
 
 
+def test_half_of_the_repeats_are_not_left_out_since_none_of_them_is_the_usual_one():
+    """Two of four to either side of the others, and one of three, which is left out."""
+    four, off = rigid(repeats=4, points=2), np.array([0.5e-3, 0.0, 0.0])
+    rows = np.flatnonzero((four.state == 2) & (four.point == 1))
+    _, told = plausibility.without_gross_errors(moved(moved(four, rows[0], off), rows[3], -off))
+    assert told == []
+    cleaned, _ = plausibility.without_gross_errors(moved(four, rows[0], off))
+    assert np.flatnonzero(~cleaned.used).tolist() == [rows[0]]
+
+
 @pytest.mark.parametrize(("factor", "count"), [(0.8, 0), (1.3, 1)])
 def test_a_reading_is_gross_from_nine_standard_deviations_on(factor, count):
     off = factor * 9.0 * SIGMA * np.array([0.0, 0.6, 0.8])

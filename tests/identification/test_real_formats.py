@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from postproc.errors import MeasurementError
+from postproc.identification import dataset
 from postproc.identification.procedure import checked, identify
 from postproc.identification.readings import read, read_experiment
 from samples.paper_study import harness, simulator
@@ -160,6 +161,41 @@ def test_a_folder_to_publish_says_what_it_has_and_lacks(measured, tmp_path):
     assert re.search(r"lacks loads of \d+ to \d+ N on 1 levels", run.output)
     assert "lacks load_error_percent" in run.output
     assert "(required)" not in run.output
+
+
+def test_each_statement_on_readings_is_one_that_a_folder_has_or_lacks():
+    """Numbers of the readings by hand: one point, 14 configurations, one load, three repeats."""
+    torque = np.array([100.0, 2000.0, 900.0, 41.0, 300.0, 39.0])
+    found = dataset._of_torques(torque)
+    assert found.text == "torques up to 100, 2000, 900, 41, 300, 39 N·m on A1 … A6: A6 hardly loaded"
+    assert not found.has
+    found = dataset._of_torques(np.maximum(torque, 41.0))
+    assert (found.text, found.has) == ("torques up to 100, 2000, 900, 41, 300, 41 N·m on A1 … A6", True)
+
+
+def test_what_readings_have_is_counted(measured, tmp_path):
+    data = changed(measured[0], tmp_path, lambda cells: cells)
+    found = {finding.text: finding.has for finding in dataset._of_readings(data)}
+    force = np.linalg.norm(data.wrench[data.load > 0.0, :3], axis=1)
+    assert list(found.values()) == [True, False, False, True, False, True, True]
+    texts = list(found)
+    assert texts[0] == f"measurements.csv: {14 * 2 * 3} readings of positions, each state and point named"
+    assert texts[1] == "14 configurations; 30 are usual"
+    assert texts[2].startswith(f"loads of {force.min():.0f} to {force.max():.0f} N on 1 levels; two show")
+    assert texts[3] == "3 repeats; 3 show the noise"
+    assert texts[4] == "1 points; three show all six directions of a link"
+    assert texts[6] == "every repeat has all points"
+
+    def row(cells):
+        if cells[1] == "0":
+            return None
+        return [*cells[:16], "0.1", "0.2", "0.3"] if cells[2] != "3" else None
+
+    data = changed(measured[0], tmp_path, row, 'readings = "displacements"\n')
+    found = dataset._of_readings(data)
+    assert [finding.has for finding in found] == [True, False, False, False, False, False, True]
+    assert "readings of displacements" in found[0].text
+    assert "2 repeats; 3 show the noise" in found[3].text
 
 
 @pytest.mark.parametrize(

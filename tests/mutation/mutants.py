@@ -263,7 +263,13 @@ class _Walk:
             for argument in node.args:
                 yield from self._shifted(argument, both=False)
         name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
+        if name == "reshape":  # numpy takes any negative length for the one that it computes
+            lengths = [length for each in node.args for length in getattr(each, "elts", [each]) if _whole(length) == -1]
+            self.indices |= {id(getattr(length, "operand", length)) for length in lengths}
+        equal_factors = _equal_factors(node) if name == "einsum" else set()
         for left, right in zip(node.args, node.args[1:], strict=False) if name not in SYMMETRIC else ():
+            if (id(left), id(right)) in equal_factors:
+                continue
             if not any(isinstance(argument, ast.Starred) or _is_text(argument) for argument in (left, right)):
                 (start, left_end), (right_start, end) = self._range(left), self._range(right)
                 between = self.source[left_end:right_start].decode()
@@ -352,6 +358,16 @@ def _other_number(value: object) -> str | None:
     if isinstance(value, float):
         return repr(value * 2.0) if value else "1.0"
     return None
+
+
+def _equal_factors(einsum: ast.Call) -> set[tuple[int, int]]:
+    """Return the neighbours with the same subscripts among the factors of an einsum: they may change places."""
+    first = einsum.args[0]
+    if not (isinstance(first, ast.Constant) and isinstance(first.value, str)):
+        return set()
+    subscripts, factors = first.value.partition("->")[0].split(","), einsum.args[1:]
+    pairs = zip(subscripts, subscripts[1:], factors, factors[1:], strict=False)
+    return {(id(left), id(right)) for of_left, of_right, left, right in pairs if of_left == of_right}
 
 
 def _walk(top: ast.AST) -> Iterator[ast.AST]:
