@@ -10,6 +10,7 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
+from postproc import placement
 from postproc.cell import Cell
 from postproc.comparison.differences import differences
 from postproc.comparison.loaded_path import at_pairs, between, deviation
@@ -46,6 +47,8 @@ def compare(
 ) -> Comparison:
     """Compare two programs for one part.
 
+    The tool of a nominal G-code program is turned about its axis as `convert` turns it in this cell.
+
     :param nominal: the program as it should be cut.
     :param corrected_program: the program to compare with it.
     :param robot: the robot model.
@@ -59,6 +62,7 @@ def compare(
     :raises ForceError: forces that cannot be assigned to the motions, or without an equilibrium of the arm.
     """
     place = RobotInCell.of(robot, cell)
+    nominal, _, _ = placement.in_chosen_turn(nominal, place, source)
     nominal_path, corrected_path = PlacedProgram.of(nominal, place), PlacedProgram.of(corrected_program, place)
     stated_pairs = _stated_partners(nominal_path, corrected_path, ends)
     if source is None and not nominal.notes:

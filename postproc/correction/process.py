@@ -505,14 +505,10 @@ def process(
     )
     errors = [issue for issue in task.initial_issues if issue.level == "error"]
     robot_in_cell = RobotInCell.of(robot, cell)
-    if not errors and cell.gcode.redundancy != "constant" and not program.keeps_text:
-        turn, issues = placement.chosen(program, robot_in_cell, source, cell.gcode.redundancy)
-        task, errors = (
-            replace(task, turn=turn, initial_issues=(*task.initial_issues, *issues)),
-            [turn_issue for turn_issue in issues if turn is None],
-        )
-        if turn is not None:
-            program = placement.turned(program, cell.tool.axis, turn.of_motion)
+    if not errors:
+        program, turn, turn_issues = placement.in_chosen_turn(program, robot_in_cell, source)
+        task = replace(task, turn=turn, initial_issues=(*task.initial_issues, *turn_issues))
+        errors = [issue for issue in turn_issues if issue.level == "error"]
     if not errors:
         try:
             motions = MotionsUnderLoad.of(program, robot_in_cell, source)

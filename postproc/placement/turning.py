@@ -111,6 +111,24 @@ def turned(program: Program, axis: str, turn: Array) -> Program:
     return read_only(replace(program, motions=replace(m, target=target), swivel=swivel))
 
 
+def in_chosen_turn(
+    program: Program, robot_in_cell: RobotInCell, source: ForceSource | None
+) -> tuple[Program, Turn | None, tuple[Issue, ...]]:
+    """Return a program with its tool turned as the cell asks, the turn, and issues.
+
+    A robot program states its orientations, and with `redundancy = "constant"` the program has its turn as it is read:
+    both are returned as they are. So is a program that no turn lets the robot drive; the issue of level error says why.
+
+    :raises ForceError: the forces do not match the motions.
+    :raises CellError: a body of [collision] cannot be read.
+    """
+    cell = robot_in_cell.cell
+    if cell.gcode.redundancy == "constant" or program.keeps_text:
+        return program, None, ()
+    turn, issues = chosen(program, robot_in_cell, source, cell.gcode.redundancy)
+    return program if turn is None else turned(program, cell.tool.axis, turn.of_motion), turn, issues
+
+
 def chosen(
     program: Program, robot_in_cell: RobotInCell, source: ForceSource | None, mode: Mode
 ) -> tuple[Turn | None, tuple[Issue, ...]]:

@@ -89,7 +89,7 @@ def test_an_error_that_is_known_before_spares_the_choice_of_a_turn(monkeypatch):
     def never(*parts):
         raise AssertionError("chosen")
 
-    monkeypatch.setattr(process.placement, "chosen", never)
+    monkeypatch.setattr(process.placement, "in_chosen_turn", never)
     text = "G21 G90\nT1 M6\nG0 X1300 Y0 Z60\nG1 Z0 F600\nT2 M6\nG1 Y20 F2000\n"
     result = setting.convert(text, cell_of("best"))
     assert [issue.kind for issue in result.issues if issue.level == "error"] == ["tool-change"]
