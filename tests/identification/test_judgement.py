@@ -8,7 +8,8 @@ from msgspec.structs import replace
 from scipy.spatial.transform import Rotation
 
 from postproc import elastostatics, robot
-from postproc.identification import joint_springs, moved_device, procedure, uncertainty
+from postproc.identification import compensator_geometry, joint_springs, moved_device, procedure, uncertainty
+from postproc.identification.compensator_geometry import MarkerPlacement
 from postproc.identification.fit import Fit, linearise
 from postproc.identification.measurement_model import Placement, Structure, locate, measured_displacements
 from postproc.identification.uncertainty import Workspace, WorkspaceLevel, judge
@@ -340,3 +341,29 @@ def test_a_placement_states_the_rms_of_the_points_that_were_read():
     residual = np.zeros((2, 2, 3))
     residual[0, 0], residual[1, 1] = [3e-4, 0.0, 4e-4], [0.0, 1e-4, 0.0]
     assert Placement(np.eye(4), POINTS[:2], np.eye(12), residual).rms == pytest.approx(np.sqrt((25 + 1) / 2) * 1e-4)
+
+
+def test_a_wrong_load_cell_makes_springs_softer_compensators_stiffer_and_masses_as_they_are():
+    """All loads 2 % too large (95 %) shift the values together: by outer products of their signed shares."""
+    parameters = (JOINT_COMPLIANCES[2], robot.CompensatorStiffness(), robot.Backlash("A4", 30.0), robot.LinkMass("A3"))
+    values = np.array([3e-7, 8e4, 2e-5, 300.0])
+    data = readings(forces(6, 500.0), count=6)
+    fit = fit_of(data, values, covariance=np.diag((0.01 * values) ** 2), parameters=parameters)
+    for error in (0.02, 0.0):
+        wider = uncertainty.with_stated_errors(fit, replace(data, load_error=error), placed(data), None)
+        shift = error / 1.959964 * values * [1.0, -1.0, 0.0, 0.0]
+        np.testing.assert_allclose(wider.covariance, fit.covariance + np.outer(shift, shift), rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("even", "advice"), [(0.81, "plan compensator"), (0.79, "Spread the markers evenly around P0")]
+)
+def test_spreading_markers_is_advised_where_it_narrows_the_intervals_by_a_fifth(even, advice):
+    """Of a_x and a_y together; that of L does not count."""
+    ci95 = np.array([1.0, 4e-3, 3e-3])
+    ci95_even = np.array([9.0, 3e-3 * even, 4e-3 * even])
+    markers = MarkerPlacement(("P01",), np.array([0.1]), np.zeros(1), np.zeros(3), ci95_even)
+    text = compensator_geometry._remedy(markers, ci95)
+    assert advice in text
+    if "Spread" in advice:
+        assert f"a_x ± {3.0 * even:.1f} mm, a_y ± {4.0 * even:.1f} mm with as many readings" in text
