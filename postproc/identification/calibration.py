@@ -286,7 +286,7 @@ def _unmeasured(solution: _Solution, nominal: Chain) -> float:
     first_parameter = len(solution.whole_covariance) - len(solution.values)
     kept = [*range(9), *range(first_parameter, len(solution.whole_covariance))]  # base, first point, parameters
     variance = np.einsum("ni,ij,nj->n", design, solution.whole_covariance[np.ix_(kept, kept)], design)
-    return float(LENGTH_95 * np.sqrt(np.mean(variance)))
+    return float(LENGTH_95 * np.sqrt(3.0 * np.mean(variance)))  # of a point, whose three coordinates are rows
 
 
 class _Solution(Struct, frozen=True, eq=False):
