@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from postproc.plan import constraints, search
 from postproc.plan.sensitivity import direction
@@ -128,6 +129,16 @@ def test_markers_with_a_normal_look_at_the_tracker_within_their_acceptance(poses
     failures = constraints.failures(site, q, tilt)
     compare(name, ~failures[f"acceptance angle of marker {name}"], np.array(margins))
     assert "acceptance angle of marker P3" not in failures
+
+
+def test_without_a_tracker_neither_sight_nor_acceptance_is_a_constraint(poses):
+    site, q, tilt = poses
+    names = set(constraints.failures(replace(site, tracker=None), q, tilt))
+    assert not any(name.startswith(("line of sight", "acceptance")) for name in names)
+    assert set(constraints.failures(site, q, tilt)) - names == {
+        "acceptance angle of marker P1", "acceptance angle of marker P2",
+        *(f"line of sight to marker P{number}" for number in (1, 2, 3)),
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize("marker", [0, 1, 2])

@@ -270,13 +270,16 @@ def test_every_exchange_has_the_value_of_its_plan_and_improves_it(tmp_path):
 
     criterion = task.criterion_at(task.candidates.q2[row])
     choice = search._Choice(row, level, pick, criterion, value(row, level, pick))
+    improved = []
     steps = [lambda one, group=group: search._exchange_level(task, one, group) for group in range(3)]
     for step in (*steps, lambda one: search._exchange_poses(task, one)):
         found = step(choice)
         assert found.value == pytest.approx(value(found.row, found.level, found.pick), rel=1e-3)
         assert found.value <= choice.value
+        improved.append(found.value < 0.99 * choice.value)
         choice = found
     assert choice.value < 0.5 * value(row, level, pick)
+    assert sum(improved[:3]) >= 2  # a level that moves brings its poses along
 
 
 def test_exchange_keeps_levels_apart(tmp_path):

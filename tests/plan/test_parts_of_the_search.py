@@ -525,3 +525,24 @@ def test_relative_compliance_of_joint_2_follows_gear_and_spring_in_series():
     np.testing.assert_array_equal(bare.relative(q2), 1.0)
     np.testing.assert_array_equal(bare.columns(q2), [[1.0, 0.0, 0.0]] * 3)
     np.testing.assert_array_equal(bare.from_levels(q2[:2], q2), np.full((3, 2), 0.5))
+
+
+def test_parts_of_the_arm_stretched_out_are_not_too_close_to_each_other(site):
+    """Their coarse shapes, here of a thick arm, overlap there without a collision."""
+    site = replace(site, radius=3.0 * site.radius)
+    state = constraints.State.of(site, np.zeros((1, 6)), None)
+    pairs = constraints._capsule_pairs(site, state)
+    gaps = constraints._gaps(pairs)[:, 0]
+    overlapping = [
+        one.radius + other.radius + site.clearance > gap for (one, other), gap in zip(pairs, gaps, strict=True)
+    ]
+    assert any(overlapping)
+    assert all(allowed.all() for _, allowed in constraints._itself(site, state))
+
+
+def test_more_levels_than_can_be_measured_are_refused(site, monkeypatch):
+    task, _ = task_of(site, GRID[::9])
+    monkeypatch.setattr(planning, "draw_candidates", lambda *_: task.candidates)
+    options = planning.Options(configurations=8, levels=4)
+    with pytest.raises(PlanError, match="poses can be measured at 3 of the levels of q2 tried only, 4 are asked for"):
+        planning._problem(site, setting.job(), setting.ROBOT.compliance, options, None)
