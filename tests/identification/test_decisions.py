@@ -1,0 +1,332 @@
+"""Decisions of an identification on both sides of their limits: parameters, structure, what is left open."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from postproc import robot
+from postproc.compensator import Compensator
+from postproc.errors import MeasurementError
+from postproc.identification import choice, joint_springs, procedure
+from postproc.identification.fit import Fit
+from postproc.identification.joint_springs import NotObservable
+from postproc.identification.measurement_model import Structure
+from postproc.robot import JOINT_COMPLIANCES, CompensatorPreload, CompensatorStiffness
+from samples.paper_study import harness
+from tests.identification.test_joint_springs import ARM, SPRINGS, TOOL, forces, placed, posed, readings
+from tests.identification.test_judgement import fit_of
+
+BARE = replace(harness.PRIOR, compensator=None)
+SPRING = (CompensatorStiffness(), CompensatorPreload())
+
+
+def fit_with_spring(data, stiffness, length, half, k2_half=0.02):
+    """A fit of joint springs and of a compensator of this stiffness [N/m], free length [m] and 95 % interval."""
+    values = np.array([*SPRINGS, stiffness, stiffness * length])
+    sigma = np.array([*(0.02 * SPRINGS), half / 1.959964, 1.0])
+    sigma[1] = k2_half * harness.PRIOR.compliance[1] / 1.959964
+    return fit_of(data, values, covariance=np.diag(sigma**2), parameters=(*JOINT_COMPLIANCES, *SPRING))
+
+
+def at_levels(angles):
+    data = readings(forces(len(angles), 500.0), count=len(angles))
+    q = data.q.copy()
+    q[:, 1] = np.radians(angles)
+    return replace(data, q=q)
+
+
+FIVE = at_levels([-50.0, -60.0, -70.0, -80.0, -90.0])
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "length", "half", "reason"),
+    [
+        (8e4, 0.45, 3.9e4, ""),
+        (8e4, 0.45, 4.1e4, "its effect on joint 2 is too small against the noise (K_c 8e+04 ± 4.1e+04 N/m)"),
+        (-8e4, 0.45, 1e4, "the fit gives K_c -8e+04 N/m, which no spring has"),
+        (8e4, 2.9, 1e4, ""),
+        (8e4, 3.1, 1e4, "which no spring has"),
+        (8e4, -0.1, 1e4, "which no spring has"),
+    ],
+)
+def test_a_compensator_that_is_uncertain_by_half_or_cannot_be_built_is_open(stiffness, length, half, reason):
+    entries = joint_springs.not_observable(fit_with_spring(FIVE, stiffness, length, half), FIVE)
+    assert len(entries) == bool(reason)
+    if reason:
+        assert entries[0].parameter == CompensatorStiffness()
+        assert reason in entries[0].reason
+    assert joint_springs.is_physical(fit_with_spring(FIVE, stiffness, length, half)) == ("no spring" not in reason)
+
+
+def test_a_compensator_needs_three_levels_and_a_known_second_joint():
+    two = at_levels([-50.0, -50.5, -80.0, -80.5, -81.0])
+    (entry,) = joint_springs.not_observable(fit_with_spring(two, 8e4, 0.45, 1e3), two)
+    assert entry.reason == "K_theta2_0, K_c and s_0 are three unknowns, and there are 2 levels of q2"
+    three = at_levels([-50.0, -50.5, -65.0, -80.5, -81.0])
+    assert joint_springs.not_observable(fit_with_spring(three, 8e4, 0.45, 1e3), three) == []
+    entries = joint_springs.not_observable(fit_with_spring(FIVE, 8e4, 0.45, 1e3, k2_half=0.9), FIVE)
+    # without the compensator k2 is determined again, so that comes first
+    assert [entry.parameter for entry in entries] == [CompensatorStiffness(), JOINT_COMPLIANCES[1]]
+    assert "there are 5 levels" in entries[0].reason
+
+
+def test_a_fit_without_a_compensator_is_physical():
+    assert joint_springs.is_physical(fit_of(FIVE))
+
+
+def test_loads_without_a_lever_are_the_reason_before_the_interval_is():
+    """Of 2 % of the largest torque on; A1 by vertical loads, A6 by loads on its axis, others by their lever."""
+    data = readings(forces(4, 500.0), count=4)
+    torque = np.full((4, 6), 1000.0)
+    wide = np.diag((2.0 * SPRINGS) ** 2)
+    for joint, words in ((0, "vertical"), (2, "has a lever about A3"), (5, "on its axis")):
+        for size, named in ((19.0, True), (21.0, False)):
+            small = torque.copy()
+            small[:, joint] = -size
+            entry = joint_springs._joint_reason(
+                JOINT_COMPLIANCES[joint], small, fit_of(data, covariance=wide), joint, 1e-6, np.eye(6)
+            )
+            assert (words in entry.reason + entry.advice) == named
+            assert (f"the loads put at most {size:.2g} N·m on A{joint + 1}" in entry.reason) == named
+
+
+def test_joints_without_torque_are_those_below_a_fiftieth_of_the_largest():
+    data = readings(forces(5, 500.0), count=5)
+    wrench = np.zeros_like(data.wrench)
+    wrench[1::2, 2] = -500.0  # vertical: nothing on A1
+    data = replace(data, wrench=wrench)
+    torque = np.max([np.abs(ARM.gradient(lambda x: -500.0 * ARM.tcp(x, TOOL)[2, 3], q)) for q in data.q], axis=0)
+    expected = [joint for joint in range(6) if torque[joint] < 0.02 * torque.max()]
+    assert 0 in expected
+    assert [JOINT_COMPLIANCES.index(joint) for joint in joint_springs.unloaded(BARE, data)] == expected
+
+
+def test_all_candidates_have_their_kind_and_gears_have_torques_of_their_joint():
+    """Vertical loads: A1 has none, so that its gear has no parameters of its own."""
+    data = readings(forces(6, 500.0), count=6)
+    wrench = np.zeros_like(data.wrench)
+    wrench[1::2, 2] = -500.0
+    data = replace(data, wrench=wrench)
+    torque = np.max([np.abs(ARM.gradient(lambda x: -500.0 * ARM.tcp(x, TOOL)[2, 3], q)) for q in data.q], axis=0)
+    loaded = [joint for joint in range(6) if torque[joint] >= 0.02 * torque.max()]
+    assert 0 not in loaded
+    for in_gears in (False, True):
+        for compensator in (False, True):
+            structure, kinds = choice.full_structure(harness.PRIOR, data, in_gears, compensator)
+            of_kind = {
+                kind: [p for p, k in zip(structure.parameters, kinds, strict=True) if k == kind] for kind in kinds
+            }
+            assert of_kind["joint"] == list(JOINT_COMPLIANCES)
+            assert structure.in_gears == in_gears
+            assert of_kind.get("compensator", []) == (list(robot.COMPENSATOR) if compensator else [])
+            assert ("lost motion" in of_kind) == in_gears
+            assert ("at rest" in of_kind) == (in_gears and not compensator)
+            for kind, steps in (
+                ("fading", (0.2, 0.6, 2.0)), ("breakpoint", (0.02, 0.04, 0.08, 0.16, 0.32, 0.64, 1.28)),
+                ("backlash", (0.01,)), ("lost motion", (0.01,)),
+            ):  # fmt: skip
+                if kind not in of_kind:
+                    continue
+                names = [f"A{joint + 1}" for joint in loaded for _ in steps]
+                assert [parameter.joint for parameter in of_kind[kind]] == names
+                at = [step * torque[joint] for joint in loaded for step in steps]
+                torques = [parameter.torque for parameter in of_kind[kind]]
+                np.testing.assert_allclose(torques, at, rtol=0.06)  # two digits
+                assert all(float(f"{value:.2g}") == value for value in torques)
+            assert set(of_kind["link"]).isdisjoint(of_kind["end"])
+            assert not any(spring.at_end or spring.link == "base" for spring in of_kind["link"])
+            assert len(set(structure.parameters)) == len(structure.parameters)
+    light = replace(data, wrench=data.wrench * (0.9 / torque[loaded].max()))  # below 1 N·m on every joint
+    _, kinds = choice.full_structure(harness.PRIOR, light, True, False)
+    assert "fading" not in kinds
+
+
+def test_sources_of_torque_at_rest_are_uncertain_masses_and_the_compensator():
+    sources = list(choice._at_rest(harness.PRIOR))
+    assert sources[-1] == robot.CompensatorSize()
+    assert {source.joint for source in sources[:-1]} == {f"A{n}" for n in range(2, 7)} - {
+        f"A{n}" for n in range(2, 7) if harness.PRIOR.prior_sigma(robot.LinkMass(f"A{n}")) <= 0.0
+    }
+    assert robot.CompensatorSize() not in list(choice._at_rest(BARE))
+
+
+@pytest.mark.parametrize(("angles", "enough"), [([-50.0, -60.0, -60.5], False), ([-50.0, -60.0, -70.0], True)])
+def test_a_compensator_is_looked_for_from_three_levels_on(angles, enough):
+    data = at_levels(angles)
+    assert choice.has_compensator(harness.PRIOR, data) == enough
+    assert not choice.has_compensator(BARE, data)
+
+
+@pytest.mark.parametrize(("half", "is_open"), [(0.49, False), (0.51, True)])
+def test_a_spring_is_open_from_half_its_value_on(half, is_open):
+    fit = fit_with_spring(FIVE, 8e4, 0.45, half * 8e4)
+    assert choice._open(SimpleNamespace(fit=fit)) == is_open
+    assert not choice._open(SimpleNamespace(fit=fit_of(FIVE)))
+
+
+def chi_of(dof, chi2, target=0.0):
+    return SimpleNamespace(dof=dof, chi2=chi2, target=np.array([np.sqrt(target)]))
+
+
+@pytest.mark.parametrize(("deviations", "look"), [(0.99, False), (1.01, True)])
+def test_richer_structures_are_looked_at_from_one_standard_deviation_of_the_squares_on(deviations, look):
+    """χ² of n degrees of freedom has a standard deviation of √(2n)."""
+    assert procedure._is_worth_a_look(chi_of(98, 98 + deviations * 14.0)) == look
+
+
+@pytest.mark.parametrize(("share", "hidden"), [(0.99, True), (1.01, False)])
+def test_links_of_a_sixteenth_of_the_displacements_are_hidden_below_ten_standard_deviations(share, hidden):
+    """Links that add 6 % would add .06² of the squares; noise hides less than ten standard deviations of χ²."""
+    assert procedure._is_hidden(chi_of(50, 50.0, share * 100.0 / 0.06**2)) == hidden
+
+
+@pytest.mark.parametrize(("gain", "better"), [(2.9, False), (3.1, True)])
+def test_a_richer_structure_needs_odds_of_one_in_twenty(gain, better, monkeypatch):
+    monkeypatch.setattr(procedure, "evidence_of", lambda *_: 100.0)
+    fit = SimpleNamespace(structure=None, values=None)
+    assert procedure._clearly_better(SimpleNamespace(evidence=100.0 + gain), fit, None, None) == better
+
+
+def test_what_a_mean_of_structures_leaves_open_are_joints_without_load_and_the_compensator():
+    wrench = forces(6, 500.0)
+    wrench[:, :2] = 0.0  # vertical: nothing on A1
+    data = replace(readings(wrench, count=6), load_point=np.array([0.4, -0.3, 0.35]))  # with a lever about A6
+    earlier = NotObservable(JOINT_COMPLIANCES[0], "said before", "do this")
+    gone = NotObservable(JOINT_COMPLIANCES[3], "of a model that was given up", "")
+
+    def left(prior, parameters):
+        fit = SimpleNamespace(structure=SimpleNamespace(prior=prior), given=dict.fromkeys(parameters, 1.0))
+        return procedure._open_springs(SimpleNamespace(fit=fit), data, [earlier, gone])
+
+    assert left(BARE, ()) == [earlier]
+    assert left(harness.PRIOR, SPRING) == [earlier]
+    first, second = left(harness.PRIOR, ())
+    assert (first, second.parameter) == (earlier, CompensatorStiffness())
+    assert second.reason == "next to link springs its effect on joint 2 is too small"
+    _, second = left(harness.PRIOR, (robot.CompensatorSize(),))
+    assert second.parameter == CompensatorPreload()
+    assert "the torque on the gears at rest shows how strong it is" in second.reason
+    fit = SimpleNamespace(structure=SimpleNamespace(prior=BARE), given={})
+    (new,) = procedure._open_springs(SimpleNamespace(fit=fit), data, [])
+    assert (new.parameter, new.reason) == (JOINT_COMPLIANCES[0], "the loads put no torque on it")
+
+
+def test_readings_are_as_many_as_unknowns_at_least():
+    data = readings(forces(2, 500.0), count=2, points=np.array([[0.1, 0.0, 0.2]]))
+    with pytest.raises(MeasurementError, match="6 loaded coordinates for 6 compliances"):
+        joint_springs.fit_joints(BARE, data, placed(data), None)
+    three = readings(forces(3, 500.0), count=3, points=np.array([[0.1, 0.0, 0.2]]))
+    fit, _ = joint_springs.fit_joints(BARE, three, placed(three), None)
+    assert fit.dof == 9 - len(fit.values)
+
+
+def test_the_extended_set_has_the_compliance_of_joint_2_at_each_level():
+    """Readings of a robot whose second joint is another at each level of q2: each is found, with its angle."""
+    angles = np.radians([-50.0, -70.0, -90.0])
+    wrench, level = forces(9, 300.0), np.arange(9) % 3
+    data = readings(wrench, count=9)
+    q, k2 = posed(1, 9), np.array([0.2, 0.3, 0.5]) * 1e-6
+    q[:, 1] = angles[level]
+    position = data.position.copy()
+    for n in range(9):
+        springs = SPRINGS.copy()
+        springs[1] = k2[level[n]]
+        torque = ARM.gradient(lambda x, n=n: wrench[n, :3] @ ARM.tcp(x, TOOL)[:3, 3], q[n])
+        for state, x in ((2 * n, q[n]), (2 * n + 1, q[n] + springs * torque)):
+            flange = ARM.tcp(x, np.eye(4))
+            rows = np.flatnonzero(data.state == state)
+            position[rows] = data.guess[data.point[rows]] @ flange[:3, :3].T + flange[:3, 3]
+    data = replace(data, q=q, position=position)
+    fit, levels = joint_springs.extended_set(harness.PRIOR, data, placed(data))
+    order = np.argsort(angles)
+    np.testing.assert_allclose(levels.q2, angles[order])
+    np.testing.assert_allclose(levels.compliance, k2[order], rtol=5e-3)
+    np.testing.assert_allclose(np.delete(fit.values, [1, 2, 3]), np.delete(SPRINGS, 1), rtol=5e-3)
+    np.testing.assert_array_equal(levels.covariance, fit.covariance[1:4, 1:4])
+    few = data.only(np.array([0]))
+    rows = ("state", "point", "repeat", "position", "line", "used")
+    one = replace(few, points=few.points[:2], guess=few.guess[:2], **{n: getattr(few, n)[few.point < 2] for n in rows})
+    assert joint_springs.extended_set(harness.PRIOR, one, placed(one)) is None  # 6 coordinates for 6 values
+
+
+@pytest.mark.parametrize(("growth", "refuted"), [(13.7, False), (13.9, True)])
+@pytest.mark.parametrize("misfit", [1.0, 2.5])
+def test_the_prior_spring_is_refuted_where_the_squares_grow_as_noise_makes_them_once_in_a_thousand(
+    growth, refuted, misfit, monkeypatch
+):
+    """χ² of two degrees of freedom exceeds 13.8 in one of a thousand; a misfit counts as noise."""
+    assert np.exp(-13.8 / 2.0) == pytest.approx(1e-3, rel=0.01)
+    fit = fit_with_spring(FIVE, 8e4, 0.45, 1e4)
+    fit = replace(fit, chi2=misfit * fit.dof)
+    tried = []
+
+    def attempt(structure, *_):
+        tried.append(structure.parameters)
+        return SimpleNamespace(chi2=fit.chi2 + growth * misfit)
+
+    monkeypatch.setattr(joint_springs, "_attempt", attempt)
+    assert joint_springs._refutes_prior_spring(fit, FIVE, placed(FIVE)) == refuted
+    assert tried == [tuple(JOINT_COMPLIANCES)]
+    unknown = replace(fit, covariance=np.where(np.eye(8) * (np.arange(8) == 6) > 0, np.inf, fit.covariance))
+    assert not joint_springs._refutes_prior_spring(unknown, FIVE, placed(FIVE))
+
+
+def test_a_compensator_of_the_levels_is_where_the_fit_begins(monkeypatch):
+    """K⁰_θ2, K_c and s₀·K_c of the two steps of the paper."""
+    starts = []
+
+    def attempt(structure, data, placement, values):
+        starts.append((structure.parameters, values.copy()))
+        return fit_of(FIVE, values, parameters=structure.parameters)
+
+    monkeypatch.setattr(joint_springs, "_attempt", attempt)
+    monkeypatch.setattr(joint_springs, "not_observable", lambda *_: [])
+    law = Compensator(stiffness=8e4, free_length=0.45, L=0.184, ax=0.685, ay=0.12)
+    prior = replace(harness.PRIOR, compensator=law)
+    spring = joint_springs.SpringOfJoint2(np.array([4e6, 9e4, 3e4]), np.eye(3))
+    joint_springs.fit_joints(prior, FIVE, placed(FIVE), spring)
+    parameters, values = starts[-1]
+    assert parameters == (*JOINT_COMPLIANCES, *robot.COMPENSATOR)
+    np.testing.assert_allclose(values[[1, 6, 7]], [1 / 4e6, 9e4, 3e4])
+    usual = Structure(parameters, prior).start()
+    np.testing.assert_array_equal(np.delete(values, [1, 6, 7]), np.delete(usual, [1, 6, 7]))
+    for start in (None, joint_springs.SpringOfJoint2(np.array([-4e6, 9e4, 3e4]), np.eye(3))):
+        joint_springs.fit_joints(prior, FIVE, placed(FIVE), start)
+        np.testing.assert_array_equal(starts[-1][1], usual)
+
+
+def test_open_parameters_are_left_out_one_after_the_other(monkeypatch):
+    """Compensator first with both its numbers; joints one by one, until all are known or none is left."""
+    told = {
+        8: [NotObservable(CompensatorStiffness(), "c", ""), NotObservable(JOINT_COMPLIANCES[3], "d", "")],
+        6: [NotObservable(JOINT_COMPLIANCES[3], "e", ""), NotObservable(JOINT_COMPLIANCES[5], "f", "")],
+        5: [],
+    }  # fmt: skip
+    tried = []
+
+    def attempt(structure, *_):
+        tried.append(structure.parameters)
+        return fit_of(FIVE, np.ones(len(structure.parameters)), parameters=structure.parameters)
+
+    monkeypatch.setattr(joint_springs, "_attempt", attempt)
+    monkeypatch.setattr(joint_springs, "_refutes_prior_spring", lambda *_: False)
+    monkeypatch.setattr(joint_springs, "not_observable", lambda fit, _: told[len(fit.values)])
+    fit, missing = joint_springs.fit_joints(harness.PRIOR, FIVE, placed(FIVE), None)
+    assert [entry.reason for entry in missing] == ["c", "e"]
+    assert fit.structure.parameters == tuple(np.delete(np.array(JOINT_COMPLIANCES, dtype=object), 3))
+    assert [len(parameters) for parameters in tried] == [8, 6, 5]
+    # readings that refute the prior's spring: the uncertain one is better than that
+    monkeypatch.setattr(joint_springs, "_refutes_prior_spring", lambda *_: True)
+    told[7] = [told[8][0]]
+    fit, missing = joint_springs.fit_joints(harness.PRIOR, FIVE, placed(FIVE), None)
+    assert [entry.reason for entry in missing] == ["d"]
+    assert CompensatorStiffness() in fit.structure.parameters
+    monkeypatch.setattr(
+        joint_springs, "not_observable",
+        lambda fit, _: [NotObservable(fit.structure.parameters[0], "x", "measure")],
+    )  # fmt: skip
+    with pytest.raises(MeasurementError, match="none of the compliances can be determined"):
+        joint_springs.fit_joints(BARE, FIVE, placed(FIVE), None)
+    assert isinstance(fit, Fit)
