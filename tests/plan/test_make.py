@@ -295,3 +295,19 @@ def test_a_load_beyond_the_rating_is_asked_about_unless_torques_are_checked(mass
     rig = RIG.replace("mass_kg = 275", f"mass_kg = {mass_kg}")
     warnings = planning.unchecked_warnings(setting.site(tmp_path, BASIC + rig + limits))
     assert any("more than the 270 kg (2649 N) that the robot is rated for" in text for text in warnings) == is_asked
+
+
+def test_earlier_readings_inform_the_compliances_that_the_rig_can_show(tmp_path):
+    """A weight that hangs shows nothing of A1: neither does the plan count it in the readings that are there."""
+    data, *_ = measured_so_far(tmp_path)
+    hanging = setting.site(tmp_path, BASIC + "\n[rig]\nmass_kg = 275\n")
+    vertical = replace(data, wrench=data.wrench * [0.0, 0, 1, 0, 0, 0])
+    options = Options(configurations=4, levels=3)
+    problem = planning._problem(hanging, setting.job(), setting.ROBOT.compliance, options, vertical)
+    assert problem.readings.keep == (1, 2, 3, 4, 5)
+    assert problem.known.information.shape[1:] == (5, 5)
+    assert (np.diagonal(problem.known.information, axis1=1, axis2=2).sum(axis=0) > 0.0).all()
+    assert problem.task.candidates.information.shape[2:] == (5, 5)
+    assert problem.task.fixed == 2
+    whole = planning._problem(setting.site(tmp_path), setting.job(), setting.ROBOT.compliance, options, data)
+    assert whole.known.information.shape[1:] == (6, 6)

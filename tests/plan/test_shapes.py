@@ -110,6 +110,19 @@ def test_a_line_of_sight_is_blocked_by_a_mesh_between(stl):
     assert stl.blocks(eye, ends).tolist() == [True, False, False]
 
 
+def test_lines_of_sight_in_rows_and_columns_are_those_one_by_one(stl):
+    start, end = np.random.default_rng(9).uniform([0.2, -0.8, -0.9], [1.8, 0.8, 0.9], (2, 4, 6, 3))
+    for shape in (stl, box()):
+        found = shape.blocks(start, end)
+        assert found.shape == (4, 6)
+        assert 0 < found.sum() < 24
+        alone = [
+            bool(shape.blocks(a[None], b[None])[0])
+            for a, b in zip(start.reshape(-1, 3), end.reshape(-1, 3), strict=True)
+        ]
+        assert found.ravel().tolist() == alone
+
+
 def test_meshes_that_cannot_be_used_are_named(tmp_path):
     with pytest.raises(PlanError, match="no such file"):
         MeshShape.of(MeshFile(file="absent.stl"), tmp_path)
