@@ -22,6 +22,7 @@ from postproc.robot import JOINT_COMPLIANCES
 from tests.plan import setting
 from tests.plan.setting import BASIC, RIG
 
+VARIANCE = 2 * setting.SIGMA**2 / 3
 LOAD, MARKERS = np.array(setting.LOAD_POINT), np.array(list(setting.POINTS.values()))
 
 
