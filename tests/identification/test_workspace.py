@@ -76,3 +76,45 @@ def test_forces_too_small_to_correct_are_stated_but_refuse_nothing(data):
     assert found.refusal == found.reservation == ""
     assert found.levels[0].worst > 1.0
     assert "N and below the bound can exceed the deflection" in found.line
+
+
+def test_each_level_has_the_median_and_the_quantile_of_its_poses(data):
+    """Deflections by the linear springs of another arm; bounds of two deviations of one compliance, which is larger."""
+    from tests.identification.test_joint_springs import ARM
+
+    percent = [0.01, 0.01, 20.0, 0.01, 0.01, 0.01]
+    bare = replace(model(percent, off=1e-9), compensator=None)
+    found = over_workspace(bare, data)
+    tool = np.eye(4)
+    tool[:3, 3] = data.load_point
+    q, direction = uncertainty._poses(bare, tool)
+    slopes = np.array(
+        [np.array([ARM.gradient(lambda x, a=a: ARM.tcp(x, tool)[a, 3], row) for a in range(3)]) for row in q]
+    )  # (n, 3, 6)
+    measured = []
+    for state in np.flatnonzero(data.load > 0.0):
+        row = data.q[data.state_config[state]]
+        lever = np.array([ARM.gradient(lambda x, a=a: ARM.tcp(x, tool)[a, 3], row) for a in range(3)])
+        measured.append(np.abs(lever.T @ data.wrench[state, :3]))
+    measured = np.max(measured, axis=0)
+    largest = np.linalg.norm(data.wrench[:, :3], axis=1).max()
+    torque = np.einsum("nij,ni->nj", slopes, direction)
+    loaded = measured > 0.02 * measured.max()
+    size = largest * np.minimum(1.0, (measured[loaded] / np.abs(torque[:, loaded] * largest)).min(axis=1))
+    moved = np.einsum("nij,nj->ni", slopes, torque * harness.PRIOR.compliance)
+    third = slopes[:, :, 2] * (torque[:, 2] * harness.PRIOR.compliance[2])[:, None]
+    smallest = found.levels[0]
+    assert smallest.load == pytest.approx(np.median(0.05 * size), rel=1e-6)
+    assert smallest.deflection == pytest.approx(np.median(0.05 * size * np.linalg.norm(moved, axis=1)), rel=2e-3)
+    bound = 1.96 * 0.2 * 0.05 * size * np.linalg.norm(third, axis=1)
+    assert smallest.bound == pytest.approx(np.median(bound), rel=0.02)
+    ratio = bound / (0.05 * size * np.linalg.norm(moved, axis=1))
+    assert smallest.worst == pytest.approx(np.quantile(ratio, 0.95), rel=0.03)
+    loads = np.array([level.load for level in found.levels])
+    np.testing.assert_allclose(loads / loads[-1], [0.05, 0.1, 0.2, 0.5, 1.0])
+    assert found.least == pytest.approx(np.linalg.norm(data.wrench[data.load > 0.0, :3], axis=1).min())
+    assert "A3" in found.cause
+    angles = np.array(found.pose)
+    at = int(np.argmin(np.abs(q - angles).sum(axis=1)))
+    np.testing.assert_array_equal(q[at], angles)
+    assert ratio[at] == pytest.approx(np.quantile(ratio, 0.95), rel=0.05)
