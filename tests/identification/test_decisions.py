@@ -330,3 +330,92 @@ def test_open_parameters_are_left_out_one_after_the_other(monkeypatch):
     with pytest.raises(MeasurementError, match="none of the compliances can be determined"):
         joint_springs.fit_joints(BARE, FIVE, placed(FIVE), None)
     assert isinstance(fit, Fit)
+
+
+@pytest.mark.parametrize("gross", range(6))
+def test_gross_errors_against_the_springs_are_left_out_three_times_at_most(gross, monkeypatch):
+    """Each time the springs are chosen again from what is left."""
+    chosen = []
+
+    def choose(prior, data, placement):
+        chosen.append(data)
+        return SimpleNamespace(fit=len(data))
+
+    monkeypatch.setattr(procedure, "choose", choose)
+    monkeypatch.setattr(
+        procedure.plausibility, "without_worst_residual",
+        lambda data, _, fit: (data[:-1], [f"reading {fit}"]) if fit > 10 - gross else (data, []),
+    )  # fmt: skip
+    data, found, outliers = procedure._choose_springs(None, "0123456789", None)
+    rounds = min(gross, 3)
+    assert data == "0123456789"[: 10 - rounds]
+    assert found.fit == 10 - rounds
+    assert outliers == [f"reading {10 - n}" for n in range(rounds)]
+    assert [len(one) for one in chosen] == [10 - n for n in range(rounds + 1)]
+
+
+@pytest.mark.parametrize("weightless", [True, False])
+@pytest.mark.parametrize(
+    ("unexplained", "names", "clean_explained", "left_out"),
+    [(False, ["x"], True, False), (True, [], True, False), (True, ["x"], False, False), (True, ["x"], True, True)],
+)
+def test_readings_are_left_out_only_if_the_others_are_then_explained(
+    weightless, unexplained, names, clean_explained, left_out, monkeypatch
+):
+    """The pose without load depends on the springs unless the geometry is a weightless robot's."""
+    prior = SimpleNamespace(subtract_reference=weightless)
+    explained = {"first": not unexplained, "second": not unexplained, "clean": clean_explained}
+    fits, located = iter(["first", "second", "third"]), []
+
+    def joints(_prior, data, placement):
+        name = next(fits) if data == "all" else "again"
+        return SimpleNamespace(fit=SimpleNamespace(name=name, robot=f"robot of {name}"), placement=placement)
+
+    def locate(robot, data):
+        located.append((robot, data))
+        return f"placement {len(located)}"
+
+    monkeypatch.setattr(procedure, "_joints", joints)
+    monkeypatch.setattr(procedure, "locate", locate)
+    monkeypatch.setattr(procedure, "_unexplained", lambda fit: not explained[fit.name])
+    clean = SimpleNamespace(name="clean", robot="robot of clean")
+    monkeypatch.setattr(procedure, "_remove_outliers", lambda *_: ("fewer", clean, names))
+    found, data, placement, left = procedure._located_joints(prior, "all", "placement 0")
+    expected = [] if weightless else [("robot of first", "all")]
+    if left_out:
+        expected.append((prior if weightless else "robot of clean", "fewer"))
+        assert (found.fit.name, data, left) == ("again", "fewer", ["x"])
+    else:
+        assert (found.fit.name, data, left) == ("first" if weightless else "second", "all", [])
+    assert located == expected
+    assert placement == f"placement {len(expected)}" == found.placement
+
+
+@pytest.mark.parametrize(
+    ("readings_count", "wrong", "explained", "taken"),
+    [(100, 5, True, 3), (100, 2, True, 2), (20, 5, True, 1), (100, 5, False, 0), (100, 0, True, 0)],
+)
+def test_three_of_a_hundred_readings_are_left_out_at_most(readings_count, wrong, explained, taken, monkeypatch):
+    """One at least; only if that many residuals explain the misfit; no longer than it is not explained."""
+    data = SimpleNamespace(state=np.zeros(readings_count), loaded=np.zeros(8), q=np.zeros(4), wrong=wrong)
+    limits = []
+
+    def is_explained(_fit, limit):
+        limits.append(limit)
+        return explained
+
+    monkeypatch.setattr(procedure, "_is_explained", is_explained)
+    monkeypatch.setattr(
+        procedure.plausibility, "without_worst_residual",
+        lambda data, _, fit: (SimpleNamespace(**(vars(data) | {"wrong": data.wrong - 1})), [f"{data.wrong}"])
+        if data.wrong > 0 else (data, []),
+    )  # fmt: skip
+    monkeypatch.setattr(
+        procedure, "_joints", lambda _, data, __: SimpleNamespace(fit=SimpleNamespace(wrong=data.wrong))
+    )
+    monkeypatch.setattr(procedure, "_unexplained", lambda fit: fit.wrong > 0)
+    first = SimpleNamespace(wrong=wrong)
+    left, fit, names = procedure._remove_outliers(None, data, None, first)
+    assert names == [str(wrong - n) for n in range(taken)]
+    assert (left.wrong, fit.wrong) == (wrong - taken, wrong - taken)
+    assert limits == [max(1, readings_count * 3 // 100) * 2]  # of two loads in each configuration
