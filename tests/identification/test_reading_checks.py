@@ -270,3 +270,21 @@ def test_names_of_the_dataset_that_are_empty_are_listed(tmp_path):
     (tmp_path / "dataset.toml").write_text("name = 3\n")
     statement, _ = dataset._origin_statements(tmp_path)
     assert (statement.has, statement.required) == (False, True)
+
+
+@pytest.mark.parametrize(
+    ("percent", "share"), [("load_error_percent = 2.5\n", 0.025), ("", 0.01), ("load_error_percent = 0\n", 0.0)]
+)
+def test_a_stated_error_of_the_loads_is_a_share_and_one_per_cent_if_it_is_not_stated(tmp_path, percent, share):
+    text = 'robot = "kuka_kr270"\nsigma_mm = 0.04\n' + percent
+    text += "[load_point]\nX = 1\nY = 2\nZ = 300\n[points.P1]\nX = 10\nY = -20\nZ = 30\n"
+    (tmp_path / "experiment.toml").write_text(text)
+    setup = files.read_experiment(tmp_path / "experiment.toml")
+    assert setup.load_error == pytest.approx(share)
+    assert setup.sigma == pytest.approx(4e-5)
+    assert len(setup.assumptions) == (percent == "")
+    np.testing.assert_allclose(setup.load_point.position(), [1e-3, 2e-3, 0.3])
+    np.testing.assert_allclose(setup.points["P1"].position(), [0.01, -0.02, 0.03])
+    (tmp_path / "experiment.toml").write_text(text[: text.index("[points")])
+    with pytest.raises(MeasurementError, match="points"):
+        files.read_experiment(tmp_path / "experiment.toml")

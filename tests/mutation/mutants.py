@@ -268,7 +268,8 @@ class _Walk:
             self.indices |= {id(getattr(length, "operand", length)) for length in lengths}
         equal_factors = _equal_factors(node) if name == "einsum" else set()
         for left, right in zip(node.args, node.args[1:], strict=False) if name not in SYMMETRIC else ():
-            if (id(left), id(right)) in equal_factors:
+            is_clipped = name == "clip" and left is node.args[0]  # the middle one of three numbers in any order
+            if is_clipped or (id(left), id(right)) in equal_factors:
                 continue
             if not any(isinstance(argument, ast.Starred) or _is_text(argument) for argument in (left, right)):
                 (start, left_end), (right_start, end) = self._range(left), self._range(right)

@@ -125,12 +125,14 @@ def test_arguments_of_a_function_that_takes_them_in_any_order_are_not_exchanged(
 
 
 def test_what_numpy_takes_for_the_same_is_not_planted(tmp_path):
-    """Any negative length of a reshape is computed; factors with the same subscripts may change places."""
+    """Any negative length of a reshape is computed; factors with the same subscripts, a number and its lower limit may
+    change places.
+    """
     path = tmp_path / "same.py"
     path.write_text(
         "def f(a, b, c):\n"
         "    x = a.reshape(-1, 3) + b.reshape((2, -1))\n"
-        "    return np.einsum('ij,ij,jk->ik', a, b, c) + x\n"
+        "    return np.einsum('ij,ij,jk->ik', a, b, c) + np.clip(x, 0, 1)\n"
     )
     texts = {mutant.after for mutant in mutants_of(path, tmp_path)}
     assert not any("-2" in text for text in texts)
@@ -138,6 +140,8 @@ def test_what_numpy_takes_for_the_same_is_not_planted(tmp_path):
     assert any("a.reshape(-1, 4)" in text for text in texts)
     assert not any("b, a, c" in text for text in texts)
     assert any("a, c, b" in text for text in texts)
+    assert not any("np.clip(0, x, 1)" in text for text in texts)
+    assert any("np.clip(x, 1, 0)" in text for text in texts)
 
 
 def test_the_same_seed_takes_the_same_mutants(tmp_path):

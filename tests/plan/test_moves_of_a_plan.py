@@ -92,6 +92,8 @@ def test_refining_never_raises_the_criterion_and_ends_where_nothing_is_gained(ta
     assert len(values) == 5
     assert (np.diff([plan.value, *values]) <= 1e-9 * plan.value).all()
     assert values[-1] < 0.7 * plan.value
+    rounds = sum(1 for _ in search.refine(task, plan, np.random.default_rng(2), 80))
+    assert 5 < rounds < 80
 
 
 def test_poses_go_to_the_level_where_they_help_most_if_levels_were_measured(tmp_path):

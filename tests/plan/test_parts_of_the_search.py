@@ -58,6 +58,7 @@ def test_proposals_go_down_the_gradient_and_around_the_pose_within_the_limits(si
     q, tilt = np.radians([-30.0, -80.0, 95.0, 40.0, 60.0, 20.0]), np.array([0.1, -0.2])
     slope = np.array([2.0, 50.0, -1.0, 0.5, 0.0, -4.0, 1.0, 3.0])
     new_q, new_tilt = search._proposals(site, q, tilt, slope, rng, 0.01)
+    assert slope[1] == 50.0  # of the caller: it stays
     steps = np.array([0.5, 0.25, 0.12, 0.06, 0.03, 0.012, 0.004])
     # the largest component of a step is its length; A2 stays at its level
     unit = -np.array([2.0, 0.0, -1.0, 0.5, 0.0, -4.0, 1.0, 3.0]) / 4.0
