@@ -208,6 +208,27 @@ def test_all_structures_whose_parameters_a_robot_has_are_tried(gears, compensato
         assert {kind for kind in gears if kind in used} == {k for k in gears if words[k] in member.name}
 
 
+def test_each_arm_is_tried_with_linear_gears_first_and_no_structure_twice():
+    names = [name for name, _ in choice.candidates(False)]
+    kinds = [frozenset(kinds) for _, kinds in choice.candidates(False)]
+    assert len(set(names)) == len(set(kinds)) == len(names) == 2 + 10 + 6
+    arms = {"joint springs": {"joint"}, "link springs": {"joint", "link"}}
+    arms["link springs, link ends and base"] = {"joint", "link", "end"}
+    for arm, of_arm in arms.items():
+        own = [
+            (name, set(one) - of_arm)
+            for name, one in choice.candidates(False)
+            if set(one) - set(choice.GEARS) == of_arm
+        ]
+        assert own[0] == (arm, set())
+        assert all(name.startswith(arm) for name, _ in own)
+        sizes = [len(gears) for _, gears in own]
+        assert sizes[0] == 0
+        assert min(sizes[1:]) >= 1
+        assert not any({"backlash", "lost motion"} <= gears for _, gears in own)  # one is the other with weights
+        assert arm == "joint springs" or max(sizes) == 3
+
+
 def test_members_count_as_non_linear_by_their_gears():
     assert choice.candidates(True)[0] == ("joint springs, compensator", ("joint", "compensator"))
     assert all(

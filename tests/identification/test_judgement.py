@@ -11,7 +11,14 @@ from postproc import elastostatics, robot
 from postproc.identification import compensator_geometry, joint_springs, moved_device, procedure, uncertainty
 from postproc.identification.compensator_geometry import MarkerPlacement
 from postproc.identification.fit import Fit, linearise
-from postproc.identification.measurement_model import Placement, Structure, locate, measured_displacements
+from postproc.identification.measurement_model import (
+    Placement,
+    Structure,
+    describe,
+    describe_points,
+    locate,
+    measured_displacements,
+)
 from postproc.identification.uncertainty import Workspace, WorkspaceLevel, judge
 from postproc.robot import JOINT_COMPLIANCES
 from samples.paper_study import harness
@@ -367,3 +374,15 @@ def test_spreading_markers_is_advised_where_it_narrows_the_intervals_by_a_fifth(
     assert advice in text
     if "Spread" in advice:
         assert f"a_x ± {3.0 * even:.1f} mm, a_y ± {4.0 * even:.1f} mm with as many readings" in text
+
+
+def test_frames_and_points_are_written_in_millimetres_and_degrees():
+    root = np.eye(4)
+    root[:3, :3] = Rotation.from_euler("ZYX", [30.0, -20.0, 10.0], degrees=True).as_matrix()
+    root[:3, 3] = [1.2, -3.4, 0.8]
+    placement = Placement(root, POINTS[:2], np.eye(12), np.zeros((1, 2, 3)))
+    frame = {"X": 1200.0, "Y": -3400.0, "Z": 800.0, "A": 30.0, "B": -20.0, "C": 10.0}
+    assert describe(placement) == pytest.approx(frame)
+    found = describe_points(placement, ("P1", "P2"))
+    assert found["P1"] == pytest.approx({"X": 0.0, "Y": 0.0, "Z": 120.0})
+    assert found["P2"] == pytest.approx({"X": 300.0, "Y": 0.0, "Z": 50.0})

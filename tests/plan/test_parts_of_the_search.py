@@ -77,7 +77,8 @@ def test_proposals_go_down_the_gradient_and_around_the_pose_within_the_limits(si
     size = np.linalg.norm(far_tilt, axis=1)
     assert size.max() == pytest.approx(site.rig.largest_tilt)
     hanging = replace(site, rig=replace(site.rig, largest_tilt=0.0))
-    hung_q, hung_tilt = search._proposals(hanging, q, np.zeros(2), slope, rng, 0.01)
+    steep = np.append(slope[:6], [9.0, -20.0])  # a load that hangs does not turn, however much that would help
+    hung_q, hung_tilt = search._proposals(hanging, q, np.zeros(2), steep, rng, 0.01)
     assert not hung_tilt.any()
     np.testing.assert_allclose(hung_q[:7] - q, steps[:, None] * unit[:6], atol=1e-12)
 
