@@ -106,3 +106,28 @@ def test_waves_turn_up_to_twice_with_their_joint_and_once_with_the_arm(joint):
         frozenset((n, tuple(-k for k in n))) for n in expected
     }
     assert len(found) == len(expected)
+
+
+@pytest.mark.parametrize("joint", range(6))
+def test_waves_of_a_joint_have_the_spectrum_of_a_squared_exponential_over_a2_and_a3(joint):
+    """Of length 1 rad: variances exp(−n²/2) of n turns, together one; half of all pairs of n and −n."""
+    own = [
+        wave
+        for wave in over_pose.waves(robot.JOINT_COMPLIANCES)
+        if wave.joint == f"A{joint + 1}" and wave.wave == "cos"
+    ]
+    share = {wave.turns: over_pose.share(wave) for wave in own}
+    assert len(share) == len(own)
+    assert sum(value**2 for value in share.values()) == pytest.approx(1.0)
+    first = own[0].turns
+    for turns, value in share.items():
+        square = {n: n[1] ** 2 + n[2] ** 2 for n in (first, turns)}
+        assert value / share[first] == pytest.approx(np.exp(-(square[turns] - square[first]) / 4.0))
+        assert tuple(-n for n in turns) not in share
+        assert all(n == 0 for axis, n in enumerate(turns) if axis not in (joint, 1, 2))
+    if joint in (1, 2):
+        assert {abs(n[1]) + abs(n[2]) for n in share} == {1, 2, 3}
+        assert len(share) == (5 * 5 - 4 - 1) // 2  # pairs up to 2 turns, without the corners and the mean
+    else:
+        assert {n[joint] for n in share} == {0, 1, 2}
+        assert len(share) == 4 + 2 * 9

@@ -175,3 +175,33 @@ def test_poses_count_by_joint_and_side():
     assert demand.counted(torque)[0].tolist() == expected
     count = np.array([[2, 1], [1, 1], [0, 5], [3, 0], [2, 2], [0, 0]])
     assert demand.missing(count) == 0 + 1 + 2 + 1 + 0 + 3
+
+
+def test_steps_get_shorter_where_nothing_is_gained_until_they_are_a_degree_or_so(task, monkeypatch):
+    """By the factor .4 from .3 rad on; a round with a gain keeps them."""
+    scales, gains = [], iter([0.5, 0.0, 0.004, 0.0, 0.002, 0.0, 0.0, 0.0])
+
+    def move(_task, plan, _rng, scale):
+        scales.append(scale)
+        return replace(plan, value=plan.value * (1.0 - next(gains)))
+
+    monkeypatch.setattr(search, "_move_poses", move)
+    monkeypatch.setattr(search, "_move_levels", lambda _, plan: plan)
+    plans = list(search.refine(task, replace(start_of(task), value=1.0), None, 99))
+    # 0.3 % is the least gain
+    np.testing.assert_allclose(scales, [0.3, 0.3, 0.12, 0.12, 0.048, 0.0192])
+    assert len(plans) == 6
+    assert plans[-1].value == pytest.approx(0.5 * 0.996 * 0.998)
+
+
+def test_the_search_is_two_thirds_of_the_work_by_starts_and_half_of_the_rounds(monkeypatch):
+    """Of three plans that are refined; rounds beyond that do not count."""
+    plans = [Plan(np.zeros((1, 6)), np.zeros((1, 2)), np.zeros(1), np.zeros(1), 1.0 / (n + 1)) for n in range(90)]
+    monkeypatch.setattr(planning, "improve", lambda *_: iter(plans))
+    told = []
+    options = planning.Options(starts=8, rounds=40)
+    best, interrupted = planning._search(None, options, lambda *each: told.append(each))
+    assert (best, interrupted) == (plans[-1], False)
+    steps = 8 + 3 * 40 // 2
+    np.testing.assert_allclose([share for _, share, _ in told], [0.65 * min(1.0, (n + 1) / steps) for n in range(90)])
+    np.testing.assert_allclose([root for *_, root in told], [np.sqrt(1.0 / (n + 1)) for n in range(90)])
