@@ -253,8 +253,11 @@ _DWELL_UNITS = ("ms", "s")
 """Answers for the trial, the usual one first: a number fits one unit or both."""
 _ROTARY_KINDS = ("tcp", "indexed")
 """What X, Y, Z may be in the trial: with indexed axes the reader takes cycles too."""
-_ASSUMED_ANSWERS: Mapping[str, Any] = {"home": [0.0, 0.0, _CLEARANCE_MM], "radius_offsets": "wear"}
-"""Other settings that only some programs need, and an answer for the trial."""
+_WITHOUT_HOME: Mapping[str, Any] = {"radius_offsets": "wear"}
+_ASSUMED_ANSWERS: Mapping[str, Any] = {"home": [0.0, 0.0, _CLEARANCE_MM], **_WITHOUT_HOME}
+"""Other settings that only some programs need, and an answer for the trial.
+
+With a home place no tilted tool retracts."""
 
 
 class _Trial:
@@ -273,8 +276,9 @@ class _Trial:
             return self._of_robot()
         answers, refusals = dict(_ASSUMED_ANSWERS), []
         kinds = _ROTARY_KINDS if self.survey.rotary else _ROTARY_KINDS[:1]
-        for kind, dwell in product(kinds, ({}, *({"dwell_unit": unit} for unit in _DWELL_UNITS))):
-            answers = {**_ASSUMED_ANSWERS, **dwell}
+        dwells = ({}, *({"dwell_unit": unit} for unit in _DWELL_UNITS))
+        for usual_answers, kind, dwell in product((_ASSUMED_ANSWERS, _WITHOUT_HOME), kinds, dwells):
+            answers = {**usual_answers, **dwell}
             program, refusal = self._read(answers, kind)
             if program is not None:
                 break

@@ -294,7 +294,8 @@ def _swept_setups(task: _Task, in_order: list[Setup], material: Stock, segments:
         sweeps.append(sweep)
         parts.append(cuts)
         stations = cuts.motion, cuts.t, cuts.wrench, cuts.deviation
-        knots.append(without_steps(poses, stations, rise, (sigma, law.unknown_axial), base_axes=task.base_axes))
+        if len(cuts.motion):  # none where the spindle is off on all motions of a set-up: refused with their lines below
+            knots.append(without_steps(poses, stations, rise, (sigma, law.unknown_axial), base_axes=task.base_axes))
     removed_volume = removed_volume + start - material.volume()
     return _SweptSetups(sweeps, parts, knots, material, removed_volume, issues, is_compared, by_cells)
 

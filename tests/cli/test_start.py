@@ -152,6 +152,40 @@ def test_a_setting_is_needed_where_the_program_cannot_be_read_without_it(blocks,
     assert needs.settings == (() if setting is None else (setting,))
 
 
+FOURTH_AXIS = """G21 G90 G17 G94
+T1 M6
+G0 G54 X-12. Y0. A0. S4500 M3
+Z3.
+G1 Z-2. F200.
+X50. F400.
+G0 Z25.
+G91 G28 Z0.
+G28 X0. Y0. A0.
+M30
+"""
+
+
+def test_an_axis_that_is_only_ever_zero_is_no_rotary_axis():
+    Path("a.nc").write_text(FOURTH_AXIS)
+    needs = needs_of(Path("a.nc"))
+    assert (needs.rotary, needs.refusal) == ((), "")
+    made = invoke("init", "a.nc", *CELL)
+    assert made.exit_code == 0, made.output
+    assert "it converts" in made.output
+    Path("a.nc").write_text(FOURTH_AXIS.replace("X50.", "X50. A-.5"))
+    assert needs_of(Path("a.nc")).rotary == ("A",)
+
+
+def test_a_tilted_tool_that_retracts_by_g53_needs_no_home_place():
+    """Such a place lets no tilted tool retract; the clearance of the cell does."""
+    Path("a.nc").write_text(
+        "G21 G90 G94 G17\nS9000 M3\nG0 A-30. C90.\nG43.4 H1\nG0 X0. Y0. Z60.\nG1 Z0. F800.\nX10. A-25. C80.\n"
+        "G0 Z60.\nG49\nG53 G0 Z0.\nM30\n"
+    )
+    needs = needs_of(Path("a.nc"))
+    assert (needs.refusal, needs.settings, needs.rotary) == ("", (), ("A", "C"))
+
+
 def test_a_program_that_no_answer_makes_readable_says_so_and_nothing_is_asked():
     Path("a.nc").write_text("G21 G90\nG0 X0 Y0 Z5\nG65 P9010 A1\nM30\n")
     done = invoke("start", "a.nc", *ALL)

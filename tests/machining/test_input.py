@@ -5,9 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
+from msgspec.structs import replace
 
+from postproc.cell import Rotary, Tool
 from postproc.errors import ForceError
 from postproc.report import process_forces
+from tests.kr270 import CELL
 from tests.machining.setting import forces, gcode, process, tool
 
 BOX = ((0, 100), (-40, 40), (-20, 0))
@@ -37,6 +40,17 @@ def test_no_spindle(tmp_path):
 def test_spindle_off_while_cutting(tmp_path):
     told = refused(tmp_path, gcode(*SLOT[:2], "X50", "M5", "X110"))
     assert "part.nc:8: the tool moves through material while the spindle is off" in told
+
+
+def test_spindle_off_on_all_cuts_of_one_direction(tmp_path):
+    """The first tool cuts tilted; after its change to the second nothing starts the spindle, which cuts upright."""
+    five_axes = replace(
+        CELL, rotary=Rotary(axes=["C", "B"], kind="tcp"), tools={"1": Tool(Z=300.0), "2": Tool(Z=330.0)}
+    )
+    tilted = ("G0 B30 C0", "X-20 Y10 Z40", "G1 X20 Z-2 F600", "G0 Z40", "M5", "T2 M6", "G0 B0", "X50", "G1 Z-5")
+    tools = process(tool(10, 4), BOX, 1.0).replace("[stock]", f"[tools.2]\n{tool(10, 2, 'ball')}\n[stock]")
+    told = refused(tmp_path, gcode(*tilted), tools, cell=five_axes)
+    assert "part.nc:12: the tool moves through material while the spindle is off. Start the spindle" in told
 
 
 def test_the_spindle_is_stopped_before_all_cuts(tmp_path):

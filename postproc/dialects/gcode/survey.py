@@ -14,7 +14,8 @@ from postproc.program import Document
 
 _CODES = re.compile(rb"[GMT]0*\d[\d.]*")
 _CODE_LINE = re.compile(rb"[^\n]*[MT]0*\d[^\n]*")
-_ROTARY = re.compile(rb"([ABC])[-+]?\d")
+_ROTARY = re.compile(rb"([ABC])[-+]?[\d.]*[1-9]")
+"""A word of a rotary axis that is not zero: A0 in each block is what posts for mills with a fourth axis write."""
 _FLOW = re.compile(rb"M0*(?:98|99)(?!\d)")
 _OFFSETS = {f"G{code:g}" for code in codes.WORK_OFFSETS[1:]}
 
