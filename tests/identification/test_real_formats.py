@@ -2,12 +2,15 @@
 
 import hashlib
 import re
+import shutil
 import subprocess
 import sys
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
+from postproc import robot
 from postproc.errors import MeasurementError
 from postproc.identification import dataset
 from postproc.identification.procedure import checked, identify
@@ -256,3 +259,22 @@ def test_what_publishing_requires_is_named_and_has_an_exit_code(measured, tmp_pa
     run = invoke("identify", "check", tmp_path)
     assert run.exit_code == 3, run.output
     assert message in run.output
+
+
+def test_the_robot_of_a_folder_may_be_in_the_folder(measured, tmp_path):
+    published(measured, tmp_path)
+    shutil.copytree(robot.find("kuka_kr270"), tmp_path / "arm")
+    text = (tmp_path / "experiment.toml").read_text()
+    assert 'robot = "kuka_kr270"' in text
+    (tmp_path / "experiment.toml").write_text(text.replace('robot = "kuka_kr270"', 'robot = "arm"'))
+    findings = dataset.check(tmp_path)
+    assert any(finding.has and finding.text.startswith("readings that agree with") for finding in findings)
+
+
+@pytest.mark.parametrize(("stated", "point"), [(None, 0.0), (0.0, 0.0), (2.0, 0.5)])
+def test_errors_of_load_and_load_point_are_stated_or_not(measured, stated, point):
+    setup = read_experiment(measured[0] / "experiment.toml")
+    setup = replace(setup, load_error_percent=stated, load_point_sigma_mm=point)
+    load, spot = dataset._of_setup(setup)
+    assert (load.has, spot.has) == (stated is not None, point > 0.0)
+    assert (load.text[:18], spot.text[:19]) == ("load_error_percent", "load_point_sigma_mm")
