@@ -14,7 +14,7 @@ from postproc.errors import PlanError
 from postproc.identification.readings import Measurements, read_experiment
 from postproc.plan import constraints, milling, planning, search
 from postproc.plan.compensator import CompensatorOptions, plan_compensator, summary, text_lines
-from postproc.plan.criterion import Joint2, measured_information
+from postproc.plan.criterion import Joint2, _parameters, measured_information
 from postproc.plan.search import Candidates, Plan, Task
 from postproc.plan.sensitivity import Readings, direction
 from postproc.plan.site import site_of
@@ -549,3 +549,41 @@ def test_more_levels_than_can_be_measured_are_refused(site, monkeypatch):
     options = planning.Options(configurations=8, levels=4)
     with pytest.raises(PlanError, match="poses can be measured at 3 of the levels of q2 tried only, 4 are asked for"):
         planning._problem(site, setting.job(), setting.ROBOT.compliance, options, None)
+
+
+@pytest.mark.parametrize("keep", [(0, 1, 2, 3, 4, 5), (1, 3)])
+def test_compliances_depend_on_gear_and_spring_of_joint_2_by_its_pose(keep):
+    """Of a stiff spring: differences of the second derivative of its energy."""
+    spring = setting.ROBOT.compensator
+    stiff = replace(setting.ROBOT, compensator=replace(spring, stiffness=6e6))
+    q = np.zeros((3, 6))
+    q[:, 1] = np.radians([-20.0, -70.0, -120.0])
+    gear, values = stiff.compliance[1], np.array([6e6, 6e6 * spring.free_length])
+
+    def k2(angle, parameters):
+        """For 1/K⁰_θ2 over the gear's, and K_c and s₀·K_c."""
+        arm, h = np.hypot(spring.ax, spring.ay), 1e-4
+        lengths = [
+            np.sqrt(arm**2 + spring.L**2 + 2 * arm * spring.L * np.cos(np.arctan2(spring.ay, spring.ax) - angle + by))
+            for by in (-h, 0.0, h)
+        ]
+        energy = [0.5 * parameters[1] * length**2 - parameters[2] * length for length in lengths]
+        return 1.0 / (1.0 / parameters[0] + gear * (energy[0] - 2.0 * energy[1] + energy[2]) / h**2)
+
+    for free in (False, True):
+        found = _parameters(Joint2.of(stiff, free), list(keep), q)
+        size, two = len(keep), keep.index(1)
+        assert found.shape == (3, size, size + (2 if free else 0))
+        for row, angle in enumerate(q[:, 1]):
+            whole = np.array([1.0, *values])
+            slopes = []
+            for n in range(3):
+                step = np.zeros(3)
+                step[n] = 1e-4 * whole[n]
+                slopes.append((k2(angle, whole + step) - k2(angle, whole - step)) / (2.0 * step[n]))
+            assert found[row, two, two] == pytest.approx(slopes[0], rel=1e-4)
+            assert abs(slopes[0] - 1.0) > 0.02
+            if free:  # in units of K⁰_θ2 for the springs
+                np.testing.assert_allclose(found[row, two, size:], np.array(slopes[1:]) / gear, rtol=1e-3)
+            others = np.delete(np.delete(found[row, :, :size], two, 0), two, 1)
+            np.testing.assert_array_equal(others, np.eye(size - 1))
