@@ -246,11 +246,12 @@ def simplest(squares: dict[str, Array]) -> str:
     :param squares: squares (C,) of the cross-validation errors of each variant, simple to rich.
     """
     best = min(squares, key=lambda label: squares[label].mean())
-    for label, square in squares.items():
+
+    def is_as_good(square: Array) -> bool:
         difference = square - squares[best]
-        if difference.mean() <= difference.std(ddof=1) / np.sqrt(len(difference)):
-            return label
-    return best
+        return bool(difference.mean() <= difference.std(ddof=1) / np.sqrt(len(difference)))
+
+    return next(label for label, square in squares.items() if is_as_good(square))
 
 
 def _error_95(square_errors: Array, data: Measurements) -> float:

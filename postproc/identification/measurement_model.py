@@ -276,15 +276,6 @@ class Structure(Struct, frozen=True, eq=False, dict=True):
         """Return typical magnitudes (p,) of the parameters, SI, for scaling."""
         return np.array([parameter.usual for parameter in self.parameters])
 
-    @cached_property
-    def stated(self) -> tuple[Array, Array]:
-        """Prior means (p,) and prior standard deviations (p,), SI.
-
-        A parameter whose uncertainty the prior does not state has mean 0 and an infinite standard deviation.
-        """
-        spread = np.array([self.prior.prior_sigma(parameter) for parameter in self.parameters])
-        return np.where(np.isfinite(spread), self.start(), 0.0), spread
-
     def start(self) -> Array:
         """Return start values (p,), SI: those of the prior, 0 for springs that it does not have."""
         return np.array([self.template.value(parameter) for parameter in self.parameters])

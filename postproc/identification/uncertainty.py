@@ -157,8 +157,6 @@ def levels(load: Array) -> Ints:
     gaps = np.flatnonzero(np.diff(load[order]) > (_SAME_LEVEL - 1.0) * load[order][:-1]) + 1
     level, number = np.empty(len(load), dtype=np.int64), 0
     for rows in np.split(order, gaps):
-        if len(rows) == 0:
-            continue
         octaves = max(1, int(np.ceil(np.log2(load[rows[-1]] / load[rows[0]]) - 1e-9)))
         for part in np.array_split(rows, min(octaves, max(1, len(rows) // _LOADS))):
             level[part], number = number, number + 1

@@ -282,6 +282,11 @@ def test_a_stated_error_of_the_loads_is_a_share_and_one_per_cent_if_it_is_not_st
     setup = files.read_experiment(tmp_path / "experiment.toml")
     assert setup.load_error == pytest.approx(share)
     assert setup.sigma == pytest.approx(4e-5)
+    assert (setup.payload, setup.rig, setup.tracker, setup.boxes, setup.meshes) == (None, None, None, [], [])
+    payload = files.Payload(30.0)  # on the flange where its place is not stated
+    assert (payload.X, payload.Y, payload.Z) == (0.0, 0.0, 0.0)
+    assert setup.angles.of_robot(np.array([[1.0, 2, 3, 4, 5, 6]])).tolist() == [[1, 2, 3, 4, 5, 6]]
+    assert (setup.floor.Z, setup.load_point_sigma_mm) == (0.0, 0.0)
     assert len(setup.assumptions) == (percent == "")
     np.testing.assert_allclose(setup.load_point.position(), [1e-3, 2e-3, 0.3])
     np.testing.assert_allclose(setup.points["P1"].position(), [0.01, -0.02, 0.03])
