@@ -294,6 +294,8 @@ def test_an_unusable_cell_is_one_error_for_all(folder):
         ("(FORCE FX=1)", True),
         ("! FORCE OFF", True),
         ("PPRINT/'FORCE FX=3'", True),
+        ("$$ FORCE FX=1 FRAME=TOOL", True),
+        ("$FORCE FX=1", False),
         ("; force the door\n; FORCE FX=2", True),
         ("; Force exact path", False),
         ("FORCE FX=1", False),

@@ -427,6 +427,30 @@ def test_with_json_each_program_is_one_line(tmp_path, monkeypatch, text):
     assert f"watching {tmp_path / 'in'}" in done.stderr
 
 
+@pytest.mark.parametrize("together", [True, False])
+@pytest.mark.parametrize(("first", "second"), [("Müller Teil.nc", "Mueller Teil.nc"), ("PART.NC", "part.nc")])
+def test_two_programs_of_one_written_name_do_not_replace_each_other(watcher, tmp_path, first, second, together):
+    """Else the shop that loads the program of the first part would mill the second."""
+    known = watcher()
+    put(tmp_path, first, PART.format(x=30))
+    if not together:
+        assert converted(known) == [first]
+    put(tmp_path, second, PART.format(x=50))
+    outcomes = []
+    for moment in (10.0, 11.1):
+        ready = known.scan(1e6 + moment)
+        outcomes += [outcome for outcome, _ in known.convert(ready)] if ready else []
+    refused_names = {Path(outcome.program).name for outcome in outcomes}
+    assert refused_names == ({first, second} if together else {second})
+    assert all(outcome.code == 1 and "would both be written as" in outcome.message for outcome in outcomes)
+    written = list((tmp_path / "out").glob("*.src"))
+    assert len(written) == (0 if together else 1)
+    assert all(b"X 30," in path.read_bytes() for path in written)
+    (tmp_path / "in" / second).rename(tmp_path / "in" / "other.nc")
+    assert sorted(converted(known, (20.0, 21.1))) == sorted([first, "other.nc"])
+    assert "X 50," in (tmp_path / "out" / "other.src").read_text()
+
+
 def test_a_name_that_is_not_utf8_stops_nothing(watcher, tmp_path):
     """As on a network drive on which names are in the code page of old programs."""
     put(tmp_path, "good.nc", PART.format(x=5))

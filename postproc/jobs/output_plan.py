@@ -325,14 +325,11 @@ class OutputPlan:
 
         :raises InputError: see the class.
         """
-        program_of_output: dict[tuple[str, str], Path] = {}
-        for job in self.jobs:
-            first = program_of_output.setdefault((_key(job.output), job.stem.lower()), job.program)
-            if first is not job.program:
-                raise InputError(
-                    f"{first} and {job.program} would both be written as {job.output / job.stem}.*",
-                    advice="Nothing was written. Rename one, or convert them one by one with different -o folders.",
-                )
+        for first, second in same_names(self.jobs):
+            raise InputError(
+                f"{first.program} and {second.program} would both be written as {second.output / second.stem}.*",
+                advice="Nothing was written. Rename one, or convert them one by one with different -o folders.",
+            )
         inputs = [cell, *(path for job in self.jobs for path in job.reads())]
         names: dict[Path, list[str]] = {}
         for job in self.jobs:
@@ -707,6 +704,18 @@ def _intact(job: Job, mode: Mode) -> list[str]:
     except ProgramError:
         return []
     return [document.name for document in documents] if job.writer.origin(documents).state == "intact" else []
+
+
+def same_names(jobs: Iterable[Job]) -> Iterator[tuple[Job, Job]]:
+    """Yield the first job of a name of output files, and each other one that would write files of that name.
+
+    Names are compared without case: controllers and Windows do not tell it apart.
+    """
+    first_jobs: dict[tuple[str, str], Job] = {}
+    for job in jobs:
+        first = first_jobs.setdefault((_key(job.output), job.stem.lower()), job)
+        if first is not job:
+            yield first, job
 
 
 def _key(path: Path) -> str:

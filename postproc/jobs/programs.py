@@ -288,7 +288,7 @@ def process_of(program: Path, output: Path, common: Path | None = None) -> Path 
     return common if common is not None or not shared_file.is_file() else shared_file
 
 
-_FORCE = re.compile(rb"(?:[;(!][ \t]*|\bPPRINT[^\r\n]{0,80}?)(FORCE\b[^\r\n]*)", re.IGNORECASE)
+_FORCE = re.compile(rb"(?:(?:[;(!]|\$\$)[ \t]*|\bPPRINT[^\r\n]{0,80}?)(FORCE\b[^\r\n]*)", re.IGNORECASE)
 
 
 def states_forces(program: Path) -> bool:

@@ -30,7 +30,7 @@ from postproc.dialects import registry
 from postproc.errors import InputError, PostprocError
 from postproc.jobs import inputs
 from postproc.jobs.conversion import options_of, origin_of
-from postproc.jobs.output_plan import OVERVIEW, left
+from postproc.jobs.output_plan import OVERVIEW, left, same_names
 from postproc.jobs.programs import (
     FAILED,
     GOOD,
@@ -154,6 +154,7 @@ class _Watcher:
     """State of the programs of a folder.
 
     :ivar setup: sum of the code, cell, robot, process, other files and options that all programs are converted with.
+    :ivar same_named: programs that were refused since they would be written under one name.
     :ivar force_folder: folder of forces, None if there is none; `force_files`: what the last scan found there, see
         `programs.force_files`; `plain_options`: arguments of `find_jobs` without the folder.
     """
@@ -177,6 +178,7 @@ class _Watcher:
         self.finished: dict[Path, Signature] = {}
         self.entries = self._read_entries()
         self.reported: set[str] = set()
+        self.same_named: set[Path] = set()
         self.code, self.setup = inputs.code_sum(), ""
         self.setup_paths: list[Path] = []
         self.setup_status: tuple[tuple[int, int], ...] = ()
@@ -202,6 +204,8 @@ class _Watcher:
         for removed_path in self.seen.keys() - signatures.keys():
             self.seen.pop(removed_path)
             self.finished.pop(removed_path, None)
+            if removed_path in self.same_named:
+                self._retry_same_named()
         ready = []
         for path, signature in sorted(signatures.items()):
             if signature is None or self.finished.get(path) == signature:
@@ -212,6 +216,13 @@ class _Watcher:
             elif time_s - change_time >= QUIET and not self._waits_for_forces(path) and self._is_new(path, signature):
                 ready.append(path)
         return ready if quiet and ready and self._can_write() else []
+
+    def _retry_same_named(self) -> None:
+        """Let programs be converted that were refused for their names: one of them is gone."""
+        for path in self.same_named:
+            self.finished.pop(path, None)
+            self.entries.pop(path.name, None)
+        self.same_named.clear()
 
     def _can_write(self) -> bool:
         """Return whether the output folder can be written at present."""
@@ -317,16 +328,25 @@ class _Watcher:
             yield outcome, job
 
     def _jobs(self, ready: Sequence[Path]) -> list[Job]:
-        """Return the jobs of programs; of one that others call, those of its callers."""
+        """Return the jobs of programs; of one that others call, those of its callers.
+
+        :raises InputError: one of them, and another program of the folder, would be written under one name.
+        """
         options = {"output": self.output, **self.plain_options}
         try:
             all_jobs = find_jobs([str(self.folder)], **options)
         except PostprocError:  # one of the others cannot be read yet
-            return self._with_forces(find_jobs([str(path) for path in ready], **options))
+            all_jobs = find_jobs([str(path) for path in ready], **options)
         programs = set(ready)
         for job in all_jobs:
             if job.program in programs:
                 programs |= set(job.callers)
+        for pair in same_names(job for job in all_jobs if not job.callers):
+            if not programs.isdisjoint(job.program for job in pair):
+                self.same_named |= {job.program for job in pair}
+                names = " and ".join(str(job.program) for job in pair)
+                problem = f"{names} would both be written as {pair[0].output / pair[0].stem}.*"
+                raise InputError(problem, advice="Nothing was written. Rename one of them.")
         return self._with_forces(job for job in all_jobs if job.program in programs and not job.callers)
 
     def _jobs_without_forces(self, program: Path) -> list[Job]:
