@@ -59,6 +59,16 @@ def test_a_reading_far_from_its_repeats_and_one_at_a_wrong_distance_are_left_out
     assert ["repeats" in line for line in told] == [True, False, False, False]
 
 
+@pytest.mark.parametrize(("sets", "seen"), [(3, True), (2, False)])
+def test_distances_are_compared_from_three_sets_on(sets, seen):
+    once = rigid(states=4, repeats=1)
+    incomplete = [int(np.flatnonzero(once.state == state)[0]) for state in range(sets, 4)]
+    wrong = moved(once, 5, np.array([0.5e-3, 0.0, 0.0])).without(incomplete)
+    bad, names = plausibility._rigid_body(wrong, SIGMA)
+    assert bad == ([5] if seen else [])
+    assert len(names) == seen
+
+
 def test_half_of_the_repeats_are_not_left_out_since_none_of_them_is_the_usual_one():
     """Two of four to either side of the others, and one of three, which is left out."""
     four, off = rigid(repeats=4, points=2), np.array([0.5e-3, 0.0, 0.0])
