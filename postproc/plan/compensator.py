@@ -145,7 +145,7 @@ def template(plan: CompensatorPlan) -> bytes:
     """Return `compensator.csv` with every reading to be taken; X, Y, Z are to be filled in."""
     names = [geometry.P1, *marker_names(plan)]
     rows = ["q2,marker,repeat,X,Y,Z"]
-    for angle in np.round(plan.q2 * DEG_PER_RAD).astype(int) + 0:
+    for angle in np.round(plan.q2 * DEG_PER_RAD).astype(int):
         rows += [f"{angle},{name},{turn + 1},,," for name in names for turn in range(plan.options.repeats)]
     return ("\n".join(rows) + "\n").encode()
 

@@ -280,3 +280,12 @@ def test_the_record_of_a_geometry_has_millimetres_and_what_was_not_narrowed(data
     for joint, (low, high) in error.angles_deg.items():
         own = np.degrees(data.q[:, JOINTS.index(joint)])
         assert (low, high) == pytest.approx((own.min(), own.max()))
+
+
+def test_errors_of_gears_are_expected_smaller_than_those_of_zero_offsets():
+    wave, turn, shift = (GeometryParameter("A3", axis) for axis in ("sin2", "RY", "X"))
+    assert 0.0 < wave.usual < 0.5 * turn.usual
+    assert shift.usual == 1e-3  # a tolerance of a casting
+    assert (wave.unit[0], turn.unit[0], shift.unit[0]) == ("urad", "deg", "mm")
+    assert (wave.unit[1], turn.unit[1], shift.unit[1]) == pytest.approx((1e6, np.degrees(1.0), 1e3))
+    assert (wave.name, turn.name) == ("A3.sin2", "A3.RY")

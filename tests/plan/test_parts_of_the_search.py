@@ -587,3 +587,29 @@ def test_compliances_depend_on_gear_and_spring_of_joint_2_by_its_pose(keep):
                 np.testing.assert_allclose(found[row, two, size:], np.array(slopes[1:]) / gear, rtol=1e-3)
             others = np.delete(np.delete(found[row, :, :size], two, 0), two, 1)
             np.testing.assert_array_equal(others, np.eye(size - 1))
+
+
+def test_a_level_that_was_measured_stays_though_nothing_can_be_measured_there_now(site, monkeypatch):
+    """It has no information to give, and no torques; levels of the grid need a tenth of the poses."""
+    rng = np.random.default_rng(6)
+    counts = {}
+
+    def feasible_at(_site, q2, count, _rng):
+        number = 0 if q2 == -1.0 else [count, 10, 9][len(counts) % 3]
+        counts[q2] = number
+        q, tilt = search.draw(site, number, rng, q2)
+        return q, tilt
+
+    monkeypatch.setattr(search, "feasible_at", feasible_at)
+    readings = Readings(site.arm, site.load_point, site.points, 900.0, 7e-5, setting.ROBOT.compliance)
+    found = search.draw_candidates(site, readings, rng, np.array([-1.0]))
+    assert found.q2.tolist() == [q2 for q2, number in counts.items() if number >= 10 or q2 == -1.0]
+    assert not found.information[0].any()
+    assert not found.torque[0].any()
+    assert found.information[1:].any(axis=(2, 3)).all()
+    assert found.torque[1:].any(axis=2).all()
+    few = int(np.argmax([counts[q2] == 10 for q2 in found.q2]))
+    np.testing.assert_array_equal(found.q[few, :10], found.q[few, 10:20])  # repeated
+    assert found.only((1, 3)).information.shape[2:] == (2, 2)
+    np.testing.assert_array_equal(found.only((1, 3)).information[..., 0, 1], found.information[..., 1, 3])
+    assert len(found) == len(found.q2)
