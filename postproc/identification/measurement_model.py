@@ -85,7 +85,6 @@ def locate(robot: RobotModel, data: Measurements) -> Placement:
     model = _place(flange, position)
     has_reading = weight.ravel() > 0.0
     pose = kabsch(model.reshape(-1, 3)[has_reading], readings.reshape(-1, 3)[has_reading])
-    normal = np.eye(6 + 3 * points)
     for _ in range(_STEPS):
         model = _place(pose @ flange, position)
         left = readings - model
