@@ -8,7 +8,7 @@ from msgspec.structs import replace
 
 from postproc import robot
 from postproc.errors import MeasurementError, NotConvergedError
-from postproc.identification import choice
+from postproc.identification import choice, over_pose
 from postproc.identification.choice import Mean, Member, projection
 from postproc.identification.fit import FACTORS, Linearised, Prior, Regression, learn, prior_of
 from postproc.identification.measurement_model import Structure, locate, predict
@@ -253,3 +253,16 @@ def test_the_design_effect_is_the_growth_of_the_variance_of_the_values_by_residu
     grown = np.trace(np.cov(np.array(values).T)) / np.trace(influence @ influence.T)
     assert np.median(effects) == pytest.approx(grown, rel=0.12)
     assert min(effects) >= 1.0
+
+
+def test_couplings_waves_and_the_compensator_have_sizes_of_the_joints_and_of_springs():
+    """A tenth of the geometric mean of two joints; a tenth of one for all waves together; 10⁶ N/m and 10⁶ N."""
+    k = harness.PRIOR.compliance
+    wave = robot.PoseWave("A3", (0, 1, 0, 0, 0, 0), "sin")
+    parameters = (robot.GearCoupling("A4", "A6"), wave, *robot.COMPENSATOR)
+    prior = prior_of(Structure(parameters, harness.PRIOR))
+    assert [prior.kinds[kind] for kind in prior.kind] == ["coupling", "A3 over the pose", "compensator", "compensator"]
+    sizes = [0.1 * np.sqrt(k[3] * k[5]), 0.1 * k[2] * over_pose.share(wave), 1e6, 1e6]
+    np.testing.assert_allclose(prior.size, sizes)
+    np.testing.assert_array_equal(prior.mean, 0.0)
+    assert prior.signed[:2].tolist() == [True, True]

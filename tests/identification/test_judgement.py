@@ -386,3 +386,16 @@ def test_frames_and_points_are_written_in_millimetres_and_degrees():
     found = describe_points(placement, ("P1", "P2"))
     assert found["P1"] == pytest.approx({"X": 0.0, "Y": 0.0, "Z": 120.0})
     assert found["P2"] == pytest.approx({"X": 300.0, "Y": 0.0, "Z": 50.0})
+
+
+@pytest.mark.parametrize(("size", "named"), [(0.19e-3, False), (0.21e-3, True)])
+def test_a_device_that_moved_by_less_than_a_fifth_of_a_millimetre_is_not_named(size, named):
+    count = 30
+    data = readings(forces(count, 500.0), count=count)
+    rng = np.random.default_rng(6)
+    data = replace(data, position=data.position + rng.normal(0.0, 1e-6, data.position.shape))
+    rows = data.state_config[data.state] >= 11
+    data = replace(data, position=data.position + np.where(rows[:, None], size * np.array([0.0, 0.6, 0.8]), 0.0))
+    found = moved_device.moved_device(harness.PRIOR, data, locate(harness.PRIOR, data))
+    assert bool(found) == named
+    assert not named or found[0].startswith("from config 12 on")

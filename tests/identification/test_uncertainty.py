@@ -109,3 +109,23 @@ def test_an_error_that_the_points_of_a_state_share_is_found_below_the_noise_of_o
         bounds.append(discrepancy(data, result.placement, result.fit, left).u95[0])
     assert noise > 30e-6
     assert np.median(bounds) == pytest.approx(2.795 * 20e-6, rel=0.15)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_unmodelled_error_is_the_quantile_of_a_mixture_over_its_size(seed):
+    """Drawn: sizes from the prior, weighted by how probable the errors are with each; lengths of normal vectors."""
+    rng = np.random.default_rng(seed)
+    spread = rng.normal(size=(5, 3, 3)) * 1e-5
+    blur = spread @ np.swapaxes(spread, 1, 2) + (5e-6) ** 2 * np.eye(3)
+    error = np.array([rng.multivariate_normal(np.zeros(3), one + (4e-5) ** 2 * np.eye(3)) for one in blur])
+    weight = rng.uniform(0.3, 1.0, 5)
+    size = 1e-5 * np.exp(1.5 * np.clip(rng.normal(size=20_000), -5.0, 4.5))
+    likely = np.zeros(len(size))
+    for one, covariance, share in zip(error, blur, weight, strict=True):
+        whole = covariance + size[:, None, None] ** 2 * np.eye(3)
+        square = np.einsum("i,nij,j->n", one, np.linalg.inv(whole), one)
+        likely -= 0.5 * share * (np.linalg.slogdet(whole)[1] + square)
+    chance = np.exp(likely - likely.max())
+    drawn = rng.choice(size, 200_000, p=chance / chance.sum())
+    length = drawn * np.linalg.norm(rng.normal(size=(len(drawn), 3)), axis=1)
+    assert unmodelled(error, blur, 1e-5, weight) == pytest.approx(np.quantile(length, 0.95), rel=0.03)
