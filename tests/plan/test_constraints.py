@@ -170,3 +170,24 @@ def test_the_coarse_shape_leaves_a_small_arm_room_too(tmp_path, monkeypatch):
     monkeypatch.setattr(setting, "ROBOT", robot.load(robot.find("kuka_kr16_2")))
     site = setting.site(tmp_path, BASIC.replace("kr270", "kr16_2") + "\n[rig]\nmass_kg = 16\nmax_angle_deg = 30\n")
     assert constraints.feasible(site, *search.draw(site, 500, np.random.default_rng(0))).mean() > 0.1
+
+
+def test_the_forearm_begins_at_the_elbow_wherever_a_urdf_puts_the_origin_of_its_axis(tmp_path, monkeypatch):
+    """That of the KR 16 is at the wrist; its arm by another chain."""
+    from postproc import robot
+
+    folder = robot.find("kuka_kr16_2")
+    monkeypatch.setattr(setting, "ROBOT", robot.load(folder))
+    arm = setting.Oracle.load(folder)
+    site = setting.site(tmp_path, BASIC.replace("kr270", "kr16_2") + "\n[rig]\nmass_kg = 16\nmax_angle_deg = 30\n")
+    q = np.random.default_rng(5).uniform(-1.5, 1.5, (5, 6))
+    forearm = constraints.arm_parts(site, constraints.State.of(site, q, None))[3]
+    for row, angles in enumerate(q):
+        frames = arm.frames(angles)
+        elbow, origin, wrist = (frames[joint][:3, 3] for joint in (2, 3, 4))
+        along = frames[3][:3, :3] @ arm.axes[3]
+        assert abs((elbow - origin) @ along) > 0.5
+        np.testing.assert_allclose(forearm.end[row], wrist, atol=1e-12)
+        # on the axis of A4, at right angles from the elbow
+        np.testing.assert_allclose(np.cross(forearm.start[row] - origin, along), 0.0, atol=1e-12)
+        assert (forearm.start[row] - elbow) @ along == pytest.approx(0.0, abs=1e-12)
