@@ -419,3 +419,89 @@ def test_three_of_a_hundred_readings_are_left_out_at_most(readings_count, wrong,
     assert names == [str(wrong - n) for n in range(taken)]
     assert (left.wrong, fit.wrong) == (wrong - taken, wrong - taken)
     assert limits == [max(1, readings_count * 3 // 100) * 2]  # of two loads in each configuration
+
+
+def test_a_compensator_is_open_with_the_second_joint_whatever_else_is_open():
+    fit = fit_with_spring(FIVE, 8e4, 0.45, 1e3, k2_half=0.9)
+    covariance = fit.covariance.copy()
+    covariance[3, 3] = (5.0 * SPRINGS[3]) ** 2
+    entries = joint_springs.not_observable(replace(fit, covariance=covariance), FIVE)
+    assert entries[0].parameter == CompensatorStiffness()
+    assert {entry.parameter for entry in entries[1:]} == {JOINT_COMPLIANCES[1], JOINT_COMPLIANCES[3]}
+
+
+@pytest.mark.parametrize(
+    ("weightless", "weight", "compensator", "both"),
+    [
+        (True, True, None, True), (True, False, "law", True), (True, True, "law", True), (True, False, None, False),
+        (False, True, "law", False),
+    ],
+)  # fmt: skip
+def test_gears_are_tried_with_and_without_the_weights_where_that_is_another_model(
+    weightless, weight, compensator, both, monkeypatch
+):
+    """The geometry is a weightless robot's, and there is something to carry."""
+    prior = SimpleNamespace(subtract_reference=weightless, has_weight=weight, compensator=compensator)
+    tried = []
+
+    def weighed(_robot, _data, _placement, in_gears, compensator):
+        tried.append(in_gears)
+        return SimpleNamespace(whole=SimpleNamespace(evidence=0.0), structure=SimpleNamespace(in_gears=in_gears))
+
+    monkeypatch.setattr(choice, "_weigh_candidates", weighed)
+    monkeypatch.setattr(choice, "has_compensator", lambda *_: False)
+    monkeypatch.setattr(choice, "_mean", lambda settled, compensator: settled)
+    monkeypatch.setattr(choice, "_extend", lambda mean, settled, *_: (mean, settled))
+    monkeypatch.setattr(choice, "_choice_of_mean", lambda mean, *_: mean)
+    assert choice.choose(prior, None, None).structure.in_gears is False
+    assert tried == ([False, True] if both else [False])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_springs_that_turn_about_the_line_of_a_joint_are_not_tried(seed):
+    """By the lines themselves, in frames that are turned by right angles at random."""
+    rng = np.random.default_rng(seed)
+    turns = [
+        np.linalg.det(m) * m for m in (np.eye(3)[rng.permutation(3)] * rng.choice([-1.0, 1.0], 3) for _ in range(6))
+    ]
+    placement = np.tile(np.eye(4), (6, 1, 1))
+    placement[:, :3, :3] = turns
+    # some links begin on the axis of the joint at their end
+    axis = np.eye(3)[rng.integers(0, 3, 6)] * rng.choice([-1.0, 1.0], (6, 1))
+    for joint in range(6):
+        along = turns[joint] @ axis[joint]
+        placement[joint, :3, 3] = along * 0.4 if rng.random() < 0.5 else rng.uniform(0.1, 0.5, 3)
+    frames, pose = [np.eye(4)], np.eye(4)
+    for joint in range(6):
+        pose = pose @ placement[joint]
+        frames.append(pose)
+    joints = [(frame[:3, 3], frame[:3, :3] @ axis[n]) for n, frame in enumerate(frames[1:])]
+
+    def is_joint(point, direction):
+        return any(
+            np.linalg.norm(np.cross(direction, own)) < 1e-9 and np.linalg.norm(np.cross(point - at, own)) < 1e-3
+            for at, own in joints
+        )
+
+    expected = set()
+    for number, link in enumerate(("base", *robot.JOINTS)):
+        for n, name in enumerate(("X", "Y", "Z")):
+            direction = frames[number][:3, n]
+            own = [joints[number - 1]] if number else []
+            behind = [joints[number]] if number < 6 else []
+            for at, line in (*own, *behind):
+                if np.linalg.norm(np.cross(direction, line)) > 1e-9:
+                    continue
+                if np.linalg.norm(np.cross(frames[number][:3, 3] - at, line)) < 1e-3:
+                    expected.add(robot.LinkSpring(link, f"R{name}"))
+            for at, line in behind:
+                if np.linalg.norm(np.cross(direction, line)) < 1e-9:
+                    expected.add(robot.LinkSpring(link, f"end_R{name}"))
+                    assert is_joint(at, direction)
+    model = SimpleNamespace(nominal=SimpleNamespace(axis=axis, placement=placement))
+    assert choice._along_joints(model) == expected
+    springs = choice.link_springs(model, rich=True)
+    assert set(springs).isdisjoint(expected)
+    poor = choice.link_springs(model, rich=False)
+    assert set(poor) == {spring for spring in springs if spring.link != "base" and not spring.at_end}
+    assert len(springs) == 7 * len(robot.LINK_AXES) - len(expected)

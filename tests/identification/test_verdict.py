@@ -49,6 +49,11 @@ def test_one_of_some_displacements_is_enough_for_a_lower_limit_and_none_is_not(c
     assert 0.5 < (1.0 - high) / (1.0 - 0.95 ** (1.0 / count)) < 1.0
 
 
+def test_two_configurations_have_limits_and_one_has_none():
+    assert limits(np.ones(2), np.ones(2), 0.05) == (pytest.approx(np.sqrt(0.05)), 1.0)
+    assert limits(np.ones(1), np.ones(1), 0.05) == (0.0, 1.0)
+
+
 def test_a_bound_that_holds_is_seldom_refuted_and_one_that_does_not_is():
     rng = np.random.default_rng(2)
     refuted = {}

@@ -257,6 +257,8 @@ class _Walk:
                 if pair.isalpha() and pair[0] != pair[1]:
                     yield self._mutant(first, "index", start + place, start + place + 2, pair[::-1])
         for keyword in node.keywords:
+            if name == "zip" and keyword.arg == "strict":  # only checks what is so
+                self.indices.add(id(keyword.value))
             if keyword.arg in AXES:
                 yield from self._shifted(keyword.value, both=False)
         if name in ("sum", "cumsum", "mean", "swapaxes", "moveaxis", "diff", "concatenate", "stack", "expand_dims"):
