@@ -550,6 +550,7 @@ class Program(Struct, frozen=True, eq=False):
         start is unknown: it is assumed to begin at its end. None: each begins where the one before ends.
     :param joins: control-flow joins: rows of motions (−1: the start) that end branches not known before run time, or
         iterations of an endless loop.
+    :param branches: first motion of each branch not known before run time, and the one behind its last (rows).
     :param swivel: orientation along motions given by rotary axes; None: LIN and CIRC turn it by one rotation.
     :param by_wrist: (M,) True for lines on which the wrist axes turn the tool (``$ORI_TYPE=#JOINT``); None: on none.
     :param wrist: how they do so with the robot of the cell, see `under_load.led_by_wrist`.
@@ -576,6 +577,7 @@ class Program(Struct, frozen=True, eq=False):
     issues: tuple[Issue, ...] = ()
     after: Ints | None = None
     joins: tuple[tuple[int, ...], ...] = ()
+    branches: tuple[tuple[int, int], ...] = ()
     swivel: Swivel | None = None
     by_wrist: Bools | None = None
     wrist: Turning | None = None

@@ -16,6 +16,7 @@ from postproc.errors import MAX_ERRORS, ForceError, Issue, together
 from postproc.forces import Knots
 from postproc.frames import M_PER_MM, MM_PER_M, Array, inverse, norm
 from postproc.machining import stock as stocks
+from postproc.machining.branches import check_branches, near_stock
 from postproc.machining.material import CuttingLaw
 from postproc.machining.process import Process, box_corners
 from postproc.machining.profiles import thinned, without_steps
@@ -233,6 +234,14 @@ def _estimate(task: _Task, widest: float, cell_factors: dict[int, int]) -> tuple
     if not any(sweep.contact for sweep in swept.sweeps):
         raise _no_contact(program, segments, bounds, process, task.stock)
     cuts = Cuts.joined(swept.cuts)
+    if program.branches:
+        count, margin = (
+            len(program.motions),
+            0.5 * max(table.diameter_mm for table in process.tools.values()) * M_PER_MM,
+        )
+        # a tool that leans may touch the stock with its tip beside it
+        near = np.ones(count, dtype=bool) if len(in_order) > 1 else near_stock(segments, bounds, margin, count)
+        check_branches(program, distinct(cuts.motion[norm(cuts.wrench) > 0.0]), near)
     collisions = {motion: depth for sweep in swept.sweeps for motion, depth in sweep.collisions.items()}
     stopped_motions = set[int]().union(*(sweep.stopped_motions for sweep in swept.sweeps))
     issues += [*swept.issues, *unread_cuts(program), *_out_of_scale(segments, bounds)]

@@ -189,6 +189,27 @@ def branching(
     return branch_predecessors, joins
 
 
+def branches(course: Course, line: Ints) -> tuple[tuple[int, int], ...]:
+    """Return the row of the first motion of each branch, and of the motion behind its last; see `Program.branches`.
+
+    :param line: (M,) lines of the trace with the motions.
+    """
+    rows: list[tuple[int, int]] = []
+    open_: list[int] = []  # per open fork: the row at which its latest branch begins, −1 before the first
+    for step in course.steps:
+        if not isinstance(step, Fork | Branch | Join):
+            continue
+        row = int(np.searchsorted(line, step.row, side="right"))
+        if isinstance(step, Fork):
+            open_.append(-1)
+            continue
+        if (first := open_.pop()) >= 0 and row > first:
+            rows.append((first, row))
+        if isinstance(step, Branch):
+            open_.append(row)
+    return tuple(rows)
+
+
 def check_joins(
     course: Course,
     joins: Sequence[JoinedEnds],

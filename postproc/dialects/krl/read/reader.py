@@ -29,6 +29,7 @@ from postproc.dialects.krl.read.frames import out_of_reach
 from postproc.dialects.krl.read.issues import issues_of, refuse_loaded, refuse_noted, unfollowed
 from postproc.dialects.krl.read.joins import (
     BranchError,
+    branches,
     branching,
     check_joins,
     check_round,
@@ -225,6 +226,7 @@ class _Reading(Struct, frozen=True, eq=False):
             by_wrist=layout.by_wrist if layout.by_wrist.any() else None,
             after=predecessors,
             joins=(*(join.ends for join in joins), *rounds),
+            branches=branches(course, sequence.rows.line),
             unresolved=separation.unresolved,
             unfollowed=() if cell.krl.keep_unresolved else unfollowed(run),
             needed=needed_files,

@@ -1,0 +1,56 @@
+"""Branches of a program whose condition only the running robot knows, and the stock that they leave.
+
+The stock is cut by all motions in the order of the text. On the robot one branch runs, so that what another branch
+removed is still there: for the branches after it, and for what follows them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from postproc.errors import ForceError
+from postproc.machining.tool_path import StraightSegments
+from postproc.program import Bools, Ints, Program
+
+_ADVICE = (
+    "Say in [krl.values] of the cell what the condition asks, and convert once for each case; or give the forces by "
+    "force comments or a CSV file."
+)
+
+
+def check_branches(program: Program, cut: Ints, near: Bools) -> None:
+    """Refuse material that a branch removes if a motion behind that branch comes near the stock.
+
+    :param cut: rows of motions that remove material.
+    :param near: (M,) which motions come near the stock as it is before the program.
+    :raises ForceError: names the cut of the branch, and the motion behind it.
+    """
+    removes = np.zeros(len(program.motions), dtype=bool)
+    removes[cut] = True
+    for first, beyond in program.branches:
+        behind = np.flatnonzero(near[beyond:])
+        if removes[first:beyond].any() and len(behind):
+            rows = np.array([first + np.argmax(removes[first:beyond]), beyond + behind[0]])
+            (file, line), (other_file, other_line) = (program.places(rows).of(row) for row in range(2))
+            place = f"line {other_line}" if other_file == file else f"{other_file}:{other_line}"
+            problem = (
+                "whether this motion cuts is decided while the robot runs, by the condition of its branch, so that "
+                f"the stock on {place} is not known"
+            )
+            raise ForceError(problem, file=file, line=line, advice=_ADVICE)
+
+
+def near_stock(segments: StraightSegments, bounds: tuple[float, ...], margin: float, count: int) -> Bools:
+    """Return which motions (count,) have a segment in or beside the stock, at most as high as its top.
+
+    :param segments: of all motions, in the frame of the map of the stock.
+    :param bounds: smallest and largest x, smallest and largest y, and top of the stock [m].
+    :param margin: radius of the widest tool [m].
+    """
+    low, high = np.minimum(segments.begin, segments.end), np.maximum(segments.begin, segments.end)
+    x_low, x_high, y_low, y_high, top = bounds
+    is_near = (high[:, 0] > x_low - margin) & (low[:, 0] < x_high + margin)
+    is_near &= (high[:, 1] > y_low - margin) & (low[:, 1] < y_high + margin) & (low[:, 2] < top)
+    near = np.zeros(count, dtype=bool)
+    near[segments.motion[is_near]] = True
+    return near
