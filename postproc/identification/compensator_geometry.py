@@ -487,8 +487,6 @@ def _without_outliers(groups: _Groups, position: Array, lines: Array) -> tuple[_
     """Leave out readings that are far from the other repeats of the same point (three or more repeats)."""
     deviation = {key: position[rows] - np.median(position[rows], axis=0) for key, rows in groups.items()}
     sizes = np.abs(np.concatenate([d.ravel() for key, d in deviation.items() if len(d) >= 3] or [np.zeros(0)]))
-    if len(sizes) == 0:
-        return groups, ()
     # of three repeats one is the median itself: the median of |deviation| over the other two, normal noise
     scale = float(np.median(sizes[sizes > 0.0]) / 0.9) if np.any(sizes > 0.0) else 0.0
     good_groups: _Groups = {}

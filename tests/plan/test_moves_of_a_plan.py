@@ -121,6 +121,9 @@ def test_poses_go_to_the_level_where_they_help_most_if_levels_were_measured(tmp_
     moved = search._exchange_level(task, found, 2)
     assert moved.row[:2].tolist() == [0, 1]
     assert moved.value <= found.value
+    other = value_of(task, plan_of(moved.row, moved.level, moved.pick), (q, force))
+    assert moved.value == pytest.approx(other, rel=1e-3)
+    assert moved.value < found.value
     np.testing.assert_allclose(np.degrees(task.candidates.q2[:2]), [-100.0, -40.0], atol=1e-6)
 
 

@@ -11,13 +11,13 @@ import pytest
 from msgspec.structs import replace
 
 from postproc.errors import PlanError
-from postproc.identification.readings import Measurements, read_experiment
+from postproc.identification.readings import Box, Measurements, read_experiment
 from postproc.plan import constraints, milling, planning, search
 from postproc.plan.compensator import CompensatorOptions, plan_compensator, summary, text_lines
 from postproc.plan.criterion import Joint2, _parameters, measured_information
 from postproc.plan.search import Candidates, Plan, Task
 from postproc.plan.sensitivity import Readings, direction
-from postproc.plan.site import site_of
+from postproc.plan.site import BoxShape, site_of
 from postproc.robot import JOINT_COMPLIANCES
 from tests.plan import setting
 from tests.plan.setting import BASIC, RIG
@@ -608,8 +608,26 @@ def test_a_level_that_was_measured_stays_though_nothing_can_be_measured_there_no
     assert not found.torque[0].any()
     assert found.information[1:].any(axis=(2, 3)).all()
     assert found.torque[1:].any(axis=2).all()
+    pulls = 900.0 * direction(found.tilt[1])
+    np.testing.assert_allclose(found.torque[1], readings.torque(found.q[1], pulls), rtol=1e-9, atol=1e-9)
     few = int(np.argmax([counts[q2] == 10 for q2 in found.q2]))
     np.testing.assert_array_equal(found.q[few, :10], found.q[few, 10:20])  # repeated
     assert found.only((1, 3)).information.shape[2:] == (2, 2)
     np.testing.assert_array_equal(found.only((1, 3)).information[..., 0, 1], found.information[..., 1, 3])
     assert len(found) == len(found.q2)
+    counts.clear()
+    counts.update(dict.fromkeys((7.0, 8.0), 0))  # so that the first level of the grid has too few
+    free = search.draw_candidates(site, readings, rng)
+    assert free.q2.tolist() == [q2 for q2, number in counts.items() if number >= 10]
+    assert free.q2[0] > site.lower[1]
+
+
+def test_a_long_part_is_compared_with_an_obstacle_all_along(site):
+    """A thin one whose ends are far from a small box that its middle runs through."""
+    shape = BoxShape.of(Box(size=(100.0, 100.0, 100.0), X=0.0), 1)
+    end = np.array([[0.6, 0.0, 0.0], [0.6, 0.3, 0.0], [0.0, 0.6, 0.1]])
+    parts = (constraints.Capsule("tool", -end, end, 0.02), constraints.Capsule("rope", end + 1.0, end + 2.0, 0.01))
+    assert constraints._clear(site, parts, shape, 3).tolist() == [False, False, False]
+    away = np.array([0.0, 0.0, 0.5])
+    parts = (constraints.Capsule("tool", away - end, away + end, 0.02),)
+    assert constraints._clear(site, parts, shape, 3).tolist() == [True, True, True]
