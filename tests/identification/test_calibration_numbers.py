@@ -289,3 +289,12 @@ def test_errors_of_gears_are_expected_smaller_than_those_of_zero_offsets():
     assert (wave.unit[0], turn.unit[0], shift.unit[0]) == ("urad", "deg", "mm")
     assert (wave.unit[1], turn.unit[1], shift.unit[1]) == pytest.approx((1e6, np.degrees(1.0), 1e3))
     assert (wave.name, turn.name) == ("A3.sin2", "A3.RY")
+
+
+def test_parameters_that_five_poses_leave_at_four_fifths_of_their_prior_are_not_observable(data, monkeypatch):
+    monkeypatch.setattr(calibration, "simplest", lambda _: "calibrated geometry")
+    found = calibration.identify_geometry(CONTENT, NOMINAL, "x", data.only(np.arange(5)))
+    usual = np.array([2e-3 if p.axis.startswith("R") else 1e-3 for p in found.parameters])
+    wide = np.sqrt(np.diag(found.covariance)) > 0.8 * usual
+    assert 0 < wide.sum() < len(usual)
+    assert list(found.not_observable) == [p.name for p, is_wide in zip(found.parameters, wide, strict=True) if is_wide]
