@@ -7,7 +7,9 @@ import pytest
 from msgspec.structs import astuple, replace
 
 from postproc import robot
-from postproc.identification import model_folder
+from postproc.errors import MeasurementError
+from postproc.files import check_sizes
+from postproc.identification import model_folder, procedure, readings
 from postproc.identification.fit import FACTORS
 from postproc.identification.joint_springs import SpringOfJoint2
 from postproc.identification.procedure import identify
@@ -169,3 +171,60 @@ def test_parts_that_hardly_move_are_expected_to_be_the_stiffer_ones():
     assert size["backlash"] == size["lost motion"] < 0.0
     assert size["joint"] == 0.0  # about what the robot states
     assert all(width >= np.log(2.0) for _, width in FACTORS.values()), "known to a factor of two at best"
+
+
+@pytest.mark.parametrize(
+    ("worth_a_look", "hidden", "unexplained", "better", "tried", "taken"),
+    [
+        (False, False, False, True, False, False),
+        (True, False, False, False, True, False),
+        (True, False, False, True, True, True),
+        (False, True, False, False, True, True),
+        (True, False, True, False, True, True),
+    ],
+)
+def test_richer_structures_are_taken_for_their_evidence_or_where_noise_or_a_misfit_calls_for_them(
+    result, worth_a_look, hidden, unexplained, better, tried, taken, monkeypatch
+):
+    class TakenError(Exception):
+        """The richer structure was taken."""
+
+    calls = []
+
+    def choose(_prior, data, _placement):
+        calls.append(data)
+        return data, SimpleNamespace(fit=result.fit), ["reading 7"]
+
+    def refuse(*_):
+        raise TakenError
+
+    monkeypatch.setattr(procedure, "_located_joints", lambda _, data, placement: (
+        SimpleNamespace(fit=result.fit, missing=[], levels=None, spring=None), data, placement, []))  # fmt: skip
+    monkeypatch.setattr(procedure, "_choose_springs", choose)
+    monkeypatch.setattr(procedure, "_is_worth_a_look", lambda _: worth_a_look)
+    monkeypatch.setattr(procedure, "_is_hidden", lambda _: hidden)
+    monkeypatch.setattr(procedure, "_unexplained", lambda _: unexplained)
+    monkeypatch.setattr(procedure, "_clearly_better", lambda *_: better)
+    monkeypatch.setattr(procedure, "_open_springs", refuse)
+    if taken:
+        with pytest.raises(TakenError):
+            identify(harness.PRIOR, result.data)
+    else:
+        found = identify(harness.PRIOR, result.data)
+        assert found.choice is None
+        assert found.left_out == ()  # nor are the readings left out that do not fit it
+        np.testing.assert_array_equal(found.fit.values, result.fit.values)
+    assert len(calls) == tried
+
+
+@pytest.mark.parametrize(("factor", "refused"), [(0.9, False), (1.1, True)])
+@pytest.mark.parametrize("column", ["X", "Fz", "Mx", "A3", "load"])
+def test_cells_beyond_a_kilometre_a_meganewton_or_ten_turns_are_refused(result, tmp_path, column, factor, refused):
+    limit = {"X": 1e6, "Fz": 1e6, "Mx": 1e6, "A3": 3600.0, "load": 1e9}[column]
+    numbers = {name: np.full(2, -factor * limit if name == column else 0.0) for name in ("X", "Fz", "Mx", "A3", "load")}
+    whole = {name: numbers.get(name, np.zeros(2)) for name, *_ in readings._LARGEST}
+    if refused:
+        with pytest.raises(MeasurementError, match=column):
+            check_sizes(tmp_path / "m.csv", whole, np.array([2, 3]), readings._LARGEST, MeasurementError)
+    else:
+        check_sizes(tmp_path / "m.csv", whole, np.array([2, 3]), readings._LARGEST, MeasurementError)
