@@ -446,7 +446,7 @@ _CLOSING = {"(": ")", "[": "]", "{": "}"}
 
 
 def lines_fault(lines: Sequence[str]) -> str | None:
-    """Return what is not closed in lines of KRL or RAPID, apart from comments; a statement may take several lines."""
+    """Return the bracket, text or block that lines of KRL or RAPID leave open; comments do not count."""
     open_brackets = ""
     for line in lines:
         if line.lstrip().startswith("!"):

@@ -32,7 +32,7 @@ class Columns(Struct, frozen=True, eq=False):
         return replace(self, **rows_of_columns)
 
     @classmethod
-    def joined(cls, parts: Sequence[Self], order: NDArray[Any] | slice = slice(None)) -> Self:
+    def join(cls, parts: Sequence[Self], order: NDArray[Any] | slice = slice(None)) -> Self:
         """Return the rows of several parts, one after the other; other fields are those of the first part.
 
         :param order: rows of all of them, in another order.
@@ -42,7 +42,7 @@ class Columns(Struct, frozen=True, eq=False):
         for name, first in columns[0].items():
             pieces = [part[name] for part in columns]
             whole[name] = (
-                first.joined(pieces, order) if isinstance(first, Columns) else _rows(_concatenation(pieces), order)
+                first.join(pieces, order) if isinstance(first, Columns) else _rows(_concatenation(pieces), order)
             )
         return replace(parts[0], **whole)
 

@@ -87,6 +87,15 @@ class Number(Struct, frozen=True, eq=False):
             text[empty, at:end] = _ABSENT
 
 
+def decimal_text(value: float, decimals: int) -> str:
+    """Return a number in fixed-point notation, never -0.
+
+    >>> decimal_text(12.3456, 3), decimal_text(-0.00001, 3)
+    ('12.346', '0.000')
+    """
+    return f"{round(value, decimals) + 0.0:.{decimals}f}"
+
+
 def fixed(values: Array, decimals: int) -> Bytes:
     """Return (n, width) bytes: each row a number with `decimals` places, padded in front with 0 bytes, see `Number`.
 

@@ -19,6 +19,11 @@ M_PER_MM = 1e-3
 RAD_PER_DEG = np.pi / 180.0
 MM_PER_M = 1e3
 DEG_PER_RAD = 180.0 / np.pi
+MM_PER_INCH = 25.4
+S_PER_MIN = 60.0
+MM_PER_MIN = S_PER_MIN * MM_PER_M
+"""mm/min of one m/s."""
+FULL_TURN = 2.0 * np.pi
 _POLE = 1e-9
 """Cosine of B below which A is taken as 0: only the sum or difference of A and C means something there."""
 _SMALL_SINE = 5e-3
@@ -164,6 +169,11 @@ def sine_and_cosine(angle: Array) -> tuple[Array, Array]:
     return half * scale, scale - 1.0
 
 
+def wrap_angles(angle: Array) -> Array:
+    """Return angles [rad] less the whole turns that bring them into −π … π."""
+    return np.asarray(angle - FULL_TURN * np.rint(angle / FULL_TURN))
+
+
 def angle_between(rotation_a: Array, rotation_b: Array) -> Array:
     """Return the angles (n,) [rad] between rotations (n, 3, 3): ‖R₁ − R₂‖² = 8·sin²(θ/2)."""
     difference = (rotation_a - rotation_b).reshape(-1, 9)
@@ -223,7 +233,7 @@ def twist_between(start_pose: Array, end_pose: Array) -> Array:
     return twist
 
 
-def displaced(pose: Array, twist: Array) -> Array:
+def displace(pose: Array, twist: Array) -> Array:
     """Return the poses moved by twists (inverse of `twist_between`): (..., 4, 4) and (..., 6)."""
     moved_pose = np.zeros((*np.broadcast_shapes(pose.shape[:-2], twist.shape[:-1]), 4, 4))
     moved_pose[..., :3, 3] = pose[..., :3, 3] + twist[..., :3]
@@ -232,12 +242,12 @@ def displaced(pose: Array, twist: Array) -> Array:
     return moved_pose
 
 
-def interpolated(start_pose: Array, end_pose: Array, t: Array) -> Array:
+def interpolate(start_pose: Array, end_pose: Array, t: Array) -> Array:
     """Return poses on the straight run from one pose to another, t in [0, 1]: position linear, orientation
     by one rotation about a fixed axis (how KUKA interpolates LIN with ``$ORI_TYPE=#VAR``).
 
     >>> ends = pose_from_xyzabc([[0, 0, 0, 0, 0, 0], [100, 0, 0, 90, 0, 0]])
-    >>> (xyzabc_from_pose(interpolated(*ends, np.array(0.5))).round(6) + 0.0).tolist()
+    >>> (xyzabc_from_pose(interpolate(*ends, np.array(0.5))).round(6) + 0.0).tolist()
     [50.0, 0.0, 0.0, 45.0, 0.0, 0.0]
     """
-    return displaced(start_pose, twist_between(start_pose, end_pose) * np.asarray(t)[..., None])
+    return displace(start_pose, twist_between(start_pose, end_pose) * np.asarray(t)[..., None])

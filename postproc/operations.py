@@ -78,7 +78,7 @@ def operations(program: Program, *, at_retracts: bool = False) -> tuple[Operatio
     return candidates
 
 
-def of_motions(operations_in_order: tuple[Operation, ...], motion: Ints) -> Ints:
+def operation_indices(operations_in_order: tuple[Operation, ...], motion: Ints) -> Ints:
     """Return the place in `operations_in_order` of the operation of each motion (n,)."""
     return np.asarray(np.searchsorted([operation.first for operation in operations_in_order], motion, side="right") - 1)
 
@@ -95,13 +95,13 @@ def title(comment: str) -> str:
     return name if re.search(r"[^\W\d]", name) else " ".join(comment.split())
 
 
-def ended(comment: str) -> str | None:
+def finished_operation(comment: str) -> str | None:
     """Return the name in ``finish operation: NAME``, None for every other comment."""
     match = _END.match(comment)
     return None if match is None else " ".join(match[1].split())
 
 
-def passed_over(program: Program) -> tuple[Event, ...]:
+def ignored_comments(program: Program) -> tuple[Event, ...]:
     """Return comments that begin no operation of ``operations(at_retracts=True)``, but could be names.
 
     Those are alone on their line and, after a retract, read like remarks ("pass 2"); or they read like names, and are
@@ -113,11 +113,11 @@ def passed_over(program: Program) -> tuple[Event, ...]:
     comments_without_operation: list[Event] = []
     if any(_BEGIN.match(event.text) for event in comments):
         return ()
-    for event in _on_own_lines(comments, lines):
+    for event in _separate_events(comments, lines):
         name = title(event.text)
         is_name = _naming_comment([event], None, first=False, explicit=False) is not None
         is_remark = name and not is_name and not FORCE_COMMENT.match(event.text) and not _END.match(event.text)
-        if is_name != _at_retract(program, event.before, [event], None, lines) and (is_name or is_remark):
+        if is_name != _is_at_retract(program, event.before, [event], None, lines) and (is_name or is_remark):
             comments_without_operation.append(event)
     return tuple(comments_without_operation)
 
@@ -151,8 +151,8 @@ def _starts(program: Program, names: Names) -> Iterator[tuple[int, str, int, int
                 tools[row] = tool
         name_event = None
         if names != "none":
-            candidates = events_at_row if explicit else _on_own_lines(events_at_row, lines)
-            if names == "retracts" and not explicit and not _at_retract(program, row, candidates, change, lines):
+            candidates = events_at_row if explicit else _separate_events(events_at_row, lines)
+            if names == "retracts" and not explicit and not _is_at_retract(program, row, candidates, change, lines):
                 candidates = []
             name_event = _naming_comment(candidates, change, first=row == 0, explicit=explicit)
         if name_event is not None:
@@ -185,7 +185,7 @@ def text_lines(text: str, piece: int = _PIECE) -> Iterator[str]:
         start = stop
 
 
-def _on_own_lines(events: list[Event], lines: dict[int, str]) -> list[Event]:
+def _separate_events(events: list[Event], lines: dict[int, str]) -> list[Event]:
     """Return the tool changes, and the comments that are alone on their line."""
     return [
         event
@@ -197,7 +197,7 @@ def _on_own_lines(events: list[Event], lines: dict[int, str]) -> list[Event]:
     ]
 
 
-def _at_retract(program: Program, row: int, events: list[Event], change: int | None, lines: dict[int, str]) -> bool:
+def _is_at_retract(program: Program, row: int, events: list[Event], change: int | None, lines: dict[int, str]) -> bool:
     """Return whether comments before motion `row` may name an operation: not if they are between two cutting motions.
 
     They may after a blank line, at a tool change and at the begin of the program even there.

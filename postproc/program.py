@@ -170,7 +170,7 @@ class Swivel(Struct, frozen=True, eq=False):
 
     def of(self, angles: Array, frame: Ints) -> Array:
         """Return the orientation of the tool frame (n, 3, 3) in `$BASE` for angles (n, k) [rad] in frames (n,)."""
-        return np.asarray(self.frames[frame] @ tilted(self.direction(angles)) @ self.tool)
+        return np.asarray(self.frames[frame] @ tilt_to(self.direction(angles)) @ self.tool)
 
     def direction(self, angles: Array) -> Array:
         """Return d (n, 3), in the program frame, for angles (n, k) [rad]."""
@@ -214,7 +214,7 @@ def turning(axes: Array, begin: Array, end: Array) -> Array:
     """Return the largest rotation of a tool (n,) [rad] while rotary axes turn evenly from `begin` to `end` (n, k).
 
     An axis at the angle β to the tool moves its direction by sin β times its own turn; tilted by the shortest way
-    (`tilted`), the tool then turns by 1/cos(θ/2) times as much, where θ is how far it leans from z.
+    (`tilt_to`), the tool then turns by 1/cos(θ/2) times as much, where θ is how far it leans from z.
     """
     shares = np.linspace(0.0, 1.0, 5)
     tool = np.stack([direction(axes, begin + share * (end - begin)) for share in shares])
@@ -256,10 +256,10 @@ class Carriage(Struct, frozen=True, eq=False):
         return np.asarray(self.at(motion, t)[:, None] * self.direction)
 
 
-def tilted(direction: Array) -> Array:
+def tilt_to(direction: Array) -> Array:
     """Return the rotations (n, 3, 3) that turn z into unit vectors (n, 3) by the shortest way; not into −z.
 
-    >>> tilted(np.array([[1.0, 0.0, 0.0]])).round(12).tolist()
+    >>> tilt_to(np.array([[1.0, 0.0, 0.0]])).round(12).tolist()
     [[[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]]
     """
     x, y, z = direction.T
@@ -315,11 +315,11 @@ class Starts(Struct, frozen=True, eq=False):
     def at(self, motion: Ints) -> Array:
         """Return the tool frames (n, 4, 4) at the start of motions (n,), in their `$BASE` [m]."""
         pose = self.end(motion - 1)
-        place, has_start = self.changed_among(motion)
+        place, has_start = self.find_changed(motion)
         pose[has_start] = self.pose[place[has_start]]
         return pose
 
-    def changed_among(self, motion: Ints) -> tuple[Ints, Bools]:
+    def find_changed(self, motion: Ints) -> tuple[Ints, Bools]:
         """Return the place (n,) of motions in `changed`, and which (n,) have one."""
         place = np.searchsorted(self.changed, motion)
         return place, np.append(self.changed, -1)[place] == motion
@@ -384,14 +384,14 @@ def parse_force_note(comment: str, line: int, file: str) -> ForceNote | None:
     if begin is None:
         problem = "looks like a force comment, but does not begin with the word FORCE"
         raise ForceError(problem, file=file, line=line, text=comment, advice=advice)
-    rest = comment[begin.end() :]
-    if rest.strip().upper() == "OFF":
+    remaining_text = comment[begin.end() :]
+    if remaining_text.strip().upper() == "OFF":
         return ForceNote(line, (0.0,) * 6)
     wrench: dict[str, float] = {}
     frame: ForceFrame = "BASE"
-    position, end = 0, len(rest.rstrip())
+    position, end = 0, len(remaining_text.rstrip())
     while position < end:
-        part = _FORCE_PART.match(rest, position)
+        part = _FORCE_PART.match(remaining_text, position)
         try:
             if part is None:
                 raise ValueError  # noqa: TRY301

@@ -20,7 +20,7 @@ _STEP = 0.01
 
 
 @contextlib.contextmanager
-def shown(label: str) -> Iterator[Callable[[int, int], None] | None]:
+def show(label: str) -> Iterator[Callable[[int, int], None] | None]:
     """Yield the function that shows how many of a number are done; None where nobody looks.
 
     :param label: what is counted, such as ``"places"``.

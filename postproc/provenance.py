@@ -105,7 +105,7 @@ def of(documents: Sequence[Document], comment: str) -> Provenance:
     return Provenance(state, entries.get("mode", ""), entries.get("version", ""), line, sums, options)
 
 
-def marked(
+def mark(
     documents: Sequence[Document], origin: Origin, comment: str, head: re.Pattern[str]
 ) -> tuple[tuple[Document, ...], int]:
     """Return the files of a program with the line that says where they come from.
@@ -126,7 +126,7 @@ def marked(
     entries = {
         "version": origin.version,
         "mode": origin.mode,
-        "text": digest_of([_cut_out(main, start, stop), *other_documents]),
+        "text": digest_of([_cut_line(main, start, stop), *other_documents]),
         "source": origin.source,
         "cell": origin.cell,
         "model": origin.model,
@@ -159,10 +159,10 @@ def _patterns(comment: str) -> tuple[re.Pattern[str], re.Pattern[str]]:
 
 
 def _text(documents: Sequence[Document], line: re.Match[str]) -> str:
-    return digest_of([_cut_out(documents[0], *line.span()), *documents[1:]])
+    return digest_of([_cut_line(documents[0], *line.span()), *documents[1:]])
 
 
-def _cut_out(document: Document, start: int, stop: int) -> Document:
+def _cut_line(document: Document, start: int, stop: int) -> Document:
     if start == stop:
         return document
     return replace(document, text=document.text[:start] + document.text[stop:])

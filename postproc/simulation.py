@@ -39,16 +39,16 @@ class DrivenProgram(Struct, frozen=True, eq=False, dict=True):
     robot_in_cell: RobotInCell
     segments: Segments
 
-    def commanded(self, motion: Ints, t: Array, branch: Ints) -> tuple[Array, Array]:
+    def commanded_poses(self, motion: Ints, t: Array, branch: Ints) -> tuple[Array, Array]:
         """Return the commanded tool poses (n, 4, 4) in `$BASE` [m] and joint angles (n, 6) [rad]; NaN out of reach.
 
         :param branch: (n,) branch of the inverse kinematics.
         """
         pose = toolpath.at(self.program, self.segments, motion, t).pose[:]
         flange = toolpath.flange_from_tcp(self.program, motion, pose, t)
-        return pose, kinematics.on_branch(self.robot_in_cell.robot, flange, branch)
+        return pose, kinematics.branch_joints(self.robot_in_cell.robot, flange, branch)
 
-    def carried(self, motion: Ints, t: Array | float = 1.0) -> Array:
+    def carriage_displacement(self, motion: Ints, t: Array | float = 1.0) -> Array:
         """Return the displacement (n, 3) [m] of the robot by E1 at places (motion, t)."""
         carriage = self.program.carriage
         return np.zeros((len(motion), 3)) if carriage is None else carriage.offset(motion, t)
@@ -67,7 +67,7 @@ class DrivenProgram(Struct, frozen=True, eq=False, dict=True):
         tool = toolpath.tool_of(self.program, motion)
         return np.asarray(self.robot_in_cell.tip(q, tool, wrench, guess) + displacement)
 
-    def in_base(self, motion: Ints, point: Array) -> Array:
+    def to_base(self, motion: Ints, point: Array) -> Array:
         """Return points (n, 3) of the cell in the `$BASE` of motions (n,) [m]."""
         return toolpath.points_in_base(self.program, motion, point, None)
 

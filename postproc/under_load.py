@@ -79,19 +79,19 @@ def check_arcs(program: Program, robot: RobotModel, path: Segments) -> None:
     arcs = np.flatnonzero(m.kind == CIRC)
     radius = norm(path.start.at(arcs)[:, :3, 3] - m.centre[arcs])
     turns = m.sweep[arcs] / (2.0 * np.pi)
-    bad = ~(turns <= _MOST_TURNS)
+    is_invalid = ~(turns <= _MOST_TURNS)
     message = f"an arc of {turns.max(initial=0.0):.1f} turns, more than the permitted {_MOST_TURNS}. Check its angle."
-    _check(program, arcs, bad, "turns", message)
-    bad = (turns >= 1.0) & ~(radius <= reach)
+    _check(program, arcs, is_invalid, "turns", message)
+    is_invalid = (turns >= 1.0) & ~(radius <= reach)
     wide = np.flatnonzero((turns < 1.0) & (path.length[arcs] > _WIDE * reach))
     for share in (0.25, 0.5, 0.75):
-        spot = toolpath.at(program, path, arcs[wide], np.full(len(wide), share)).pose[:]
-        bad[wide] |= ~(_root_distance(program, arcs[wide], spot, share) <= reach)
+        pose = toolpath.at(program, path, arcs[wide], np.full(len(wide), share)).pose[:]
+        is_invalid[wide] |= ~(_root_distance(program, arcs[wide], pose, share) <= reach)
     message = (
         f"out of reach: the arc leaves the reach of the flange, {reach * MM_PER_M:.0f} mm from the robot's root. "
         "Check its centre or radius, and its plane."
     )
-    _check(program, arcs, bad, "unreachable", message)
+    _check(program, arcs, is_invalid, "unreachable", message)
     length = float(path.length.sum())
     if not length <= _MOST_REACHES * reach:
         message = (
@@ -157,7 +157,7 @@ class RobotInCell(Struct, frozen=True, eq=False, dict=True):
         start = self.cell.start_joints
         return kinematics.follow(self.robot, flange, start, free, m.joints[ptp], m.status[ptp], m.turn[ptp])
 
-    def scaled(self, path_forces: PathForces, motion: Ints) -> Bools:
+    def has_model_factor(self, path_forces: PathForces, motion: Ints) -> Bools:
         """Return on which motions (n,) the errors of the forces are the factor that the model was identified with."""
         factor, by_law = self.robot.force_factor, path_forces.by_law
         if factor is None or by_law is None or not factor.is_of(by_law.numbers):

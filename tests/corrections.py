@@ -23,13 +23,13 @@ def read_files(files: Mapping[str, str | bytes], cell: Cell = CELL, robot: Robot
     """
     documents = [decode(name, text.encode() if isinstance(text, str) else text) for name, text in files.items()]
     main = Path(documents[0].name)
-    return correction.read(documents, robot, cell, main.stem, registry.of_file(main).name)
+    return correction.read(documents, robot, cell, main.stem, registry.dialect_of_file(main).name)
 
 
 def read_back(result: Result, cell: Cell = CELL, robot: RobotModel = ROBOT) -> Program:
     """Read what was written."""
     main = Path(result.documents[0].name)
-    return correction.read(result.documents, robot, cell, main.stem, registry.of_file(main).name)
+    return correction.read(result.documents, robot, cell, main.stem, registry.dialect_of_file(main).name)
 
 
 def correct_files(

@@ -186,7 +186,7 @@ def test_what_the_tool_moves_with_each_parameter_is_that_by_differences_of_the_o
     np.testing.assert_allclose(state.theta, theta, rtol=0, atol=2e-8)
     reach = state.spring_jacobian()
     for name in [*all_names(model), "size"]:
-        parameter = robot.CompensatorSize() if name == "size" else parameters.named(name)
+        parameter = robot.CompensatorSize() if name == "size" else parameters.parameter_of_name(name)
         found = balance.twist_by_parameter(state, reach, parameter, x0)
         step = step_of(name)
         expected = np.array([arm.by_parameter(name, step, q[n], TOOL, wrench[n]) for n in range(len(q))])
@@ -240,7 +240,7 @@ def test_sensitivity_of_the_bound_is_that_of_the_deflection_at_first_order(paylo
     model = replace(model, covariance=robot.Covariance.of(names, np.eye(len(names))))
     small = wrench * 1e-6  # torques of some mN·m: what gears that stiffen add to them is below the tolerance
     found = elastostatics.sensitivity(model, q, TOOL, small)
-    order = [parameters.named(name) for name in names]
+    order = [parameters.parameter_of_name(name) for name in names]
     found = found @ parameters.file_slopes(order, {each: model.value(each) for each in order})  # by linear values
     slope = np.zeros_like(found)
     for column, name in enumerate(names):
@@ -548,7 +548,7 @@ def test_a_parameter_that_the_robot_does_not_have_is_an_error():
     state = balance.Balance.at(model, x, balance.balanced_torque(model, x), kinematics.components(TOOL), wrench.T)
     for lacks, name in ((replace(state, robot=replace(model, compensator=None)), "K_c"), (state, "A4.X")):
         with pytest.raises(ModelError, match="which the model does not have"):
-            balance.twist_by_parameter(lacks, state.spring_jacobian(), parameters.named(name), x)
+            balance.twist_by_parameter(lacks, state.spring_jacobian(), parameters.parameter_of_name(name), x)
 
 
 @pytest.mark.parametrize("compliance", [20.0, 30.0, 40.0])

@@ -23,7 +23,7 @@ def targets(model, count, seed):
     return q, kinematics.tcp(model.nominal, q, TOOL)[0], wrench
 
 
-@pytest.fixture(scope="module", params=sorted(robot.shipped()))
+@pytest.fixture(scope="module", params=sorted(robot.shipped_models()))
 def pair(request):
     folder = robot.find(request.param)
     return robot.load(folder), Arm.load(folder)
@@ -73,7 +73,7 @@ def test_the_correction_is_not_just_the_mirrored_deflection(pair):
     mirrored = target.copy()
     mirrored[:, :3, 3] -= once.twist[:, :3]
     branch = kinematics.closed_form(model).branch_of(q)
-    q_mirrored = kinematics.on_branch(model, mirrored @ frames.inverse(TOOL), branch)
+    q_mirrored = kinematics.branch_joints(model, mirrored @ frames.inverse(TOOL), branch)
     left = elastostatics.deflect(model, q_mirrored, TOOL, 3 * wrench).pose - target
     found = compensate(model, target, q, TOOL, 3 * wrench)
     rest = elastostatics.deflect(model, found.q, TOOL, 3 * wrench).pose - target

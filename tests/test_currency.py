@@ -62,7 +62,7 @@ def made(folder):
     """A folder with a program and its result."""
     results = folder / "corrected"
     results.mkdir(parents=True)
-    shutil.copytree(robot.shipped()["kuka_kr270"], folder / "model")
+    shutil.copytree(robot.shipped_models()["kuka_kr270"], folder / "model")
     contents = {"cell.toml": CELL, "part.process.toml": PROCESS, "material.toml": MATERIAL}
     contents["config.dat"] = "DEFDAT $CONFIG PUBLIC\nDECL FRAME BASE_DATA[16]\nENDDAT\n"
     for name, text in contents.items():
@@ -143,7 +143,7 @@ def test_a_report_that_does_not_say_what_it_was_made_from_is_not_current(folder,
 
 def test_a_cell_that_is_edited_during_a_conversion_is_refused(folder, monkeypatch):
     """Else the result would state the sum of a cell that it was not computed with."""
-    original = conversion.converted
+    original = conversion.convert_program
 
     def slow(*arguments):
         result = original(*arguments)
@@ -151,7 +151,7 @@ def test_a_cell_that_is_edited_during_a_conversion_is_refused(folder, monkeypatc
         path.write_text(path.read_text().replace("X = 1500", "X = 1501"))
         return result
 
-    monkeypatch.setattr(conversion, "converted", slow)
+    monkeypatch.setattr(conversion, "convert_program", slow)
     results = folder / "corrected"
     jobs = find_jobs([str(folder / "part.nc")], forces=results / "part.process.toml", output=results)
     (outcome,) = convert_all(jobs, Settings(cell=results / "cell.toml"))

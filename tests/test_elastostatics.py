@@ -13,7 +13,7 @@ from postproc.errors import NotConvergedError
 from tests.oracle.arm import Arm
 
 TOOL = frames.pose_from_xyzabc([30.0, -20.0, 350.0, 10.0, -20.0, 30.0])
-ROBOTS = sorted(robot.shipped())
+ROBOTS = sorted(robot.shipped_models())
 
 
 @pytest.fixture(scope="module", params=ROBOTS)

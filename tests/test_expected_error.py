@@ -7,7 +7,7 @@ import pytest
 from msgspec.structs import replace
 from scipy.stats import norm as normal
 
-from postproc.elastostatics import ChanceOfGain, SourcesOfError, expected_at
+from postproc.elastostatics import ChanceOfGain, SourcesOfError, expected_errors
 from postproc.elastostatics.uncertainty import length_bound
 
 _RUNS = 200_000
@@ -112,7 +112,7 @@ def test_without_errors_the_chance_is_certain_and_without_change_there_is_none()
 def test_expected_errors_share_their_covariance_and_fall_with_what_is_known():
     deviation = np.array([[1.0, 0.0, 0.0], [0.0, 2.0, 0.0]])
     sources = _sources(0.2 * deviation[:, :, None], np.eye(1), (0.1 * deviation[:, :, None],))
-    at = expected_at(sources, deviation, np.zeros_like(deviation))
+    at = expected_errors(sources, deviation, np.zeros_like(deviation))
     size = np.array([1.0, 2.0])
     sigma = np.hypot(0.2, 0.1) * size
     assert at.before == pytest.approx(size + 1.645 * sigma, rel=0.01)

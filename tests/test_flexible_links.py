@@ -211,10 +211,10 @@ def test_bound_counts_masses_and_compensator_where_gears_feel_them_at_rest(gravi
     assert (np.abs(slopes[:, :, :3]).max() > 1e-8) == felt
     if not felt:
         return
-    values = [model.value(parameters.named(name)) for name in names]
+    values = [model.value(parameters.parameter_of_name(name)) for name in names]
     for index, value in enumerate(values):
         h = 0.02 * value
-        kind = robot.CompensatorSize() if names[index] == "K_c" else parameters.named(names[index])
+        kind = robot.CompensatorSize() if names[index] == "K_c" else parameters.parameter_of_name(names[index])
         one, other = (by_load(model.with_values({kind: value + sign * h}), q, wrench) for sign in (1, -1))
         slope = (one - other) / (2 * h)
         np.testing.assert_allclose(slopes[:, :, index], slope, atol=0.1 * np.abs(slope).max(), err_msg=names[index])

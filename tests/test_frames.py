@@ -64,7 +64,7 @@ def test_displaced_and_twist_between_are_inverse():
     pose = frames.pose_from_xyzabc(rng.uniform(-180, 180, (20, 6)))
     twist = rng.normal(size=(20, 6))
     twist[:, 3:] *= 0.5
-    np.testing.assert_allclose(frames.twist_between(pose, frames.displaced(pose, twist)), twist, atol=1e-12)
+    np.testing.assert_allclose(frames.twist_between(pose, frames.displace(pose, twist)), twist, atol=1e-12)
 
 
 @pytest.mark.parametrize("size", [0.0, 1e-9, 1e-4, 4.9e-3, 5.1e-3, 0.02, 0.09, 0.5, 3.0])
@@ -84,7 +84,7 @@ def test_inverse_undoes_a_pose():
 
 def test_interpolation_turns_about_one_axis_and_moves_on_a_line():
     a, b = frames.pose_from_xyzabc([[0.0, 0, 0, 0, 0, 0], [100.0, 0, 0, 90, 0, 0]])
-    middle = frames.interpolated(a[None], b[None], np.array([0.5]))
+    middle = frames.interpolate(a[None], b[None], np.array([0.5]))
     np.testing.assert_allclose(frames.xyzabc_from_pose(middle)[0], [50, 0, 0, 45, 0, 0], atol=1e-12)
 
 
@@ -178,7 +178,7 @@ def test_products_inverses_and_twists_are_those_of_matrices():
     np.testing.assert_allclose(
         frames.twist_between(one[0], other), [frames.twist_between(one[0], b) for b in other], atol=1e-15
     )
-    moved = frames.displaced(one[0], twist)
+    moved = frames.displace(one[0], twist)
     np.testing.assert_allclose(moved[:, :3, 3], one[0, :3, 3] + twist[:, :3], rtol=0, atol=1e-15)
     np.testing.assert_allclose(moved[:, :3, :3], Rotation.from_rotvec(turn).as_matrix() @ one[0, :3, :3], atol=1e-14)
     np.testing.assert_array_equal(moved[:, 3], np.tile([0.0, 0, 0, 1], (20, 1)))
@@ -187,7 +187,7 @@ def test_products_inverses_and_twists_are_those_of_matrices():
 def test_interpolated_poses_are_those_of_scipys_slerp_each_at_its_own_place():
     one, other = random_poses(8), random_poses(8, 4)
     t = np.linspace(0.0, 1.0, 8)
-    found = frames.interpolated(one, other, t)
+    found = frames.interpolate(one, other, t)
     for row in range(8):
         between = Slerp([0.0, 1.0], Rotation.from_matrix([one[row, :3, :3], other[row, :3, :3]]))(t[row])
         np.testing.assert_allclose(found[row, :3, :3], between.as_matrix(), rtol=0, atol=1e-12)
@@ -223,14 +223,14 @@ def test_any_number_of_leading_axes_is_worked_on_pose_by_pose():
     for index in np.ndindex(2, 3):
         a, b, t = one[index], other[index], twist[index]
         for together, alone in (
-            (frames.displaced(one, twist), frames.displaced(a, t)),
-            (frames.displaced(one[0, 0], twist), frames.displaced(one[0, 0], t)),
-            (frames.displaced(one, twist[0, 0]), frames.displaced(a, twist[0, 0])),
+            (frames.displace(one, twist), frames.displace(a, t)),
+            (frames.displace(one[0, 0], twist), frames.displace(one[0, 0], t)),
+            (frames.displace(one, twist[0, 0]), frames.displace(a, twist[0, 0])),
             (frames.twist_between(one, other), frames.twist_between(a, b)),
             (frames.inverse(one), frames.inverse(a)),
             (frames.xyzabc_from_pose(one), frames.xyzabc_from_pose(a)),
             (frames.pose_from_xyzabc(twist), frames.pose_from_xyzabc(t)),
             (frames.hat(twist[..., :3]), frames.hat(t[:3])),
-            (frames.interpolated(one, other, np.full((2, 3), 0.3)), frames.interpolated(a, b, np.array(0.3))),
+            (frames.interpolate(one, other, np.full((2, 3), 0.3)), frames.interpolate(a, b, np.array(0.3))),
         ):
             np.testing.assert_allclose(together[index], alone, rtol=0, atol=1e-12)

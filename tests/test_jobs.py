@@ -274,11 +274,11 @@ def test_a_subprogram_of_a_folder_is_skipped_and_said_to_be_one(folder, computed
     monkeypatch.setattr("postproc.correction.read", read)
     _touch("p/part.nc", "p/sub.nc")
     part, sub = convert_all(find_jobs(["p"]), Settings(CELL_FILE))
-    assert (part.code, sub.code, sub.skipped, part.skipped) == (0, 0, True, False)
+    assert (part.code, sub.code, sub.is_skipped, part.is_skipped) == (0, 0, True, False)
     assert "a subprogram" in sub.message
     assert "called by others" in Path("p/corrected/index.html").read_text()
     (alone,) = convert_all(find_jobs(["p/sub.nc"]), Settings(CELL_FILE))
-    assert (alone.code, alone.skipped) == (1, False)
+    assert (alone.code, alone.is_skipped) == (1, False)
 
 
 def test_an_unusable_cell_is_one_error_for_all(folder):

@@ -27,7 +27,7 @@ OFFSET_AND_FOREARM = {
 """Of the drawings: how far the axis of A4 lies below A3, and how far the wrist is from A3, mm."""
 
 
-@pytest.fixture(scope="module", params=sorted(robot.shipped()))
+@pytest.fixture(scope="module", params=sorted(robot.shipped_models()))
 def model(request):
     return robot.load(robot.find(request.param))
 
@@ -269,7 +269,7 @@ def test_signs_of_joints_at_zero_are_not_left_to_rounding():
     assert form.branch_of(q).tolist() == [6, 2, 2, 2]  # within 1e-6 rad of A4 and A6 in line: as with A5 > 0
     assert kinematics.status_of(arm, q).tolist() == [6, 6, 2, 2]  # S is the sign as it is
     poses = np.array([Arm.load(robot.find("kuka_kr270")).nominal_tcp(row, np.eye(4)) for row in q])
-    in_line = kinematics.on_branch(arm, poses[2:3], np.array([2]))
+    in_line = kinematics.branch_joints(arm, poses[2:3], np.array([2]))
     np.testing.assert_allclose(in_line, q[2:3], rtol=0, atol=1e-9)  # A4 is 0 where only its sum with A6 counts
 
 

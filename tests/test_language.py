@@ -55,13 +55,13 @@ def test_a_model_that_does_not_say_is_not_in_the_way(tmp_path):
 
 
 def test_every_shipped_model_says_what_its_controller_reads():
-    said = {name: robot.load(folder).language for name, folder in robot.shipped().items()}
+    said = {name: robot.load(folder).language for name, folder in robot.shipped_models().items()}
     assert said == {name: "rapid" if name.startswith("abb_") else "krl" for name in said}
 
 
 def test_an_identified_model_reads_what_its_prior_reads():
     prior = model_folder.read_prior(robot.find("abb_irb6700_200_260"), None, "")
-    assert model_folder.without_found_springs(prior).language == "rapid"
+    assert model_folder.constant_springs_only(prior).language == "rapid"
     assert files.read_toml(robot.find("kuka_kr270") / "model.toml", ModelFile, ModelError).language == "krl"
 
 

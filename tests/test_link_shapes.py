@@ -82,7 +82,7 @@ def in_root(model: robot.RobotModel, surfaces, q) -> list[np.ndarray]:
         if each.carrier >= 0:
             pose = frames[each.carrier].copy()
             pose[:3, :3] = pose[:3, :3] @ pin.exp3(q[each.carrier] * model.nominal.axis[each.carrier])
-        out.append(ordered(each.moved(pose).points))
+        out.append(ordered(each.transform(pose).points))
     return out
 
 

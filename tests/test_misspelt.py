@@ -129,7 +129,7 @@ def probed(folder):
 
 
 def dialect(_):
-    registry.by_name("rapidd")
+    registry.dialect_of_name("rapidd")
 
 
 def column_of_two(folder):

@@ -404,7 +404,7 @@ FAULTS = {
 
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_module_that_moves_otherwise_would_be_noticed(fault, monkeypatch):
-    right = write.in_modules
+    right = write.divide_into_modules
 
     def wrong(*given):
         written = right(*given)
@@ -414,7 +414,7 @@ def test_a_module_that_moves_otherwise_would_be_noticed(fault, monkeypatch):
         return replace(written, modules=replace(written.modules, documents=(first, broken, *others)))
 
     assert result().documents
-    monkeypatch.setattr(write, "in_modules", wrong)
+    monkeypatch.setattr(write, "divide_into_modules", wrong)
     done = result()
     assert not done.documents
     told = "job_2.src moves differently from the program in one piece"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 import postproc
-from postproc.operations import of_motions, operations, text_lines
+from postproc.operations import operation_indices, operations, text_lines
 from tests.machining.setting import CELL, ROBOT
 from tests.places import SAMPLES
 
@@ -74,7 +74,7 @@ def test_the_operations_of_a_subprogram_follow_the_execution(tmp_path):
     lines = "(Left)|T1 M6|G0 X0 Y0 Z5|M98 P7|(Right)|G0 X50|M98 P7|M30|O7|G91 G1 X9 F900|G90|M99"
     program, names = found(tmp_path, lines)
     assert names == [("Left", 1), ("Right", 1)]
-    assert of_motions(operations(program), [0, len(program.motions) - 1]).tolist() == [0, 1]
+    assert operation_indices(operations(program), [0, len(program.motions) - 1]).tolist() == [0, 1]
 
 
 def test_the_samples():

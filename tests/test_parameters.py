@@ -35,7 +35,7 @@ ANY = st.one_of(
 
 @given(ANY)
 def test_a_name_in_a_file_is_read_as_the_parameter_that_wrote_it(parameter):
-    assert parameters.named(parameter.name) == parameter
+    assert parameters.parameter_of_name(parameter.name) == parameter
 
 
 @pytest.mark.parametrize(
@@ -64,7 +64,7 @@ def test_a_name_in_a_file_is_read_as_the_parameter_that_wrote_it(parameter):
     ],
 )
 def test_no_other_name_is_read(name):
-    assert parameters.named(name) is None
+    assert parameters.parameter_of_name(name) is None
 
 
 @pytest.mark.parametrize(
@@ -100,12 +100,12 @@ def test_a_model_file_comes_back_from_the_parameters_of_its_robot():
     masses = msgspec.structs.replace(CONTENT.masses, A3_kg=180.0)
     content = msgspec.structs.replace(CONTENT, links=flexible_links(), masses=masses)
     model = robot.assemble("x", content, PLAIN.nominal)
-    stated = parameters.stated(content)
+    stated = parameters.stated_values(content)
     for parameter, value in stated.items():
         assert model.value(parameter) == pytest.approx(value, rel=1e-12)
     tables = {"joints": {}, "links": {}, "compensator": {}, "masses": {}}
     for parameter in stated:
-        parameter.write(tables, parameter.in_file(stated)[0], 0.0, "test")
+        parameter.write(tables, parameter.file_value(stated)[0], 0.0, "test")
     assert tables["joints"]["A1"]["compliance_urad_per_Nm"] == pytest.approx(0.623)
     assert tables["links"]["A2"] == pytest.approx({"source": "test", "X_um_per_N": 0.02, "end_RY_urad_per_Nm": 0.1})
     assert tables["compensator"]["free_length_mm"] == pytest.approx(content.compensator.free_length_mm)
@@ -118,13 +118,13 @@ def flexible_links():
 
 def test_slopes_in_files_are_those_by_finite_differences():
     model = flexible()
-    order = [parameters.named(name) for name in ("k1", "k1@500", "k1@100", "K_c", "s_0", "A2.RX")]
+    order = [parameters.parameter_of_name(name) for name in ("k1", "k1@500", "k1@100", "K_c", "s_0", "A2.RX")]
     at = {parameter: model.value(parameter) for parameter in order}
     slopes = parameters.file_slopes(order, at)
     for column, parameter in enumerate(order):
         h = 1e-4 * at[parameter]
         more, less = ({**at, parameter: at[parameter] + sign * h} for sign in (1, -1))
-        difference = [(p.in_file(more)[0] - p.in_file(less)[0]) / (2 * h) for p in order]
+        difference = [(p.file_value(more)[0] - p.file_value(less)[0]) / (2 * h) for p in order]
         np.testing.assert_allclose(slopes[:, column], difference, rtol=1e-6, atol=1e-12)
 
 
@@ -140,11 +140,11 @@ class Play(robot.Spring, frozen=True):
         return f"play_{self.joint}"
 
     @classmethod
-    def named(cls, name):
+    def from_name(cls, name):
         return next((cls(joint) for joint in robot.JOINTS if name == cls(joint).name), None)
 
     @classmethod
-    def stated(cls, content):  # model.toml has no key for it yet
+    def from_file(cls, content):  # model.toml has no key for it yet
         return iter(())
 
     def write(self, tables, value, half, source):
@@ -158,7 +158,7 @@ class Play(robot.Spring, frozen=True):
 def test_a_new_kind_is_one_class(tmp_path, monkeypatch):
     """Equilibrium, derivative, fit, values in files and bound take it as it is."""
     monkeypatch.setattr(parameters, "KINDS", (*parameters.KINDS, Play))
-    play = parameters.named("play_A4")
+    play = parameters.parameter_of_name("play_A4")
     true = PLAIN.with_values({play: 200e-6, robot.JointCompliance("A3"): 0.5e-6})
     rng = np.random.default_rng(3)
     q, f = simulator.plan(rng, 12)
@@ -189,7 +189,7 @@ def test_a_new_kind_is_one_class(tmp_path, monkeypatch):
 def placed_readings(data, moved):
     """Readings that show displacements (L, P, 3) exactly, the unloaded ones at the origin."""
     position = np.zeros_like(data.position)
-    for row, state in enumerate(data.loaded):
+    for row, state in enumerate(data.loaded_states):
         mine = data.state == state
         position[mine] = moved[row, data.point[mine]]
     return position

@@ -13,7 +13,7 @@ from postproc.errors import ModelError
 from postproc.robot import LINK_AXES, Displacement, LinkSprings, ModelFile, urdf
 from tests.oracle.pinocchio_arm import JOINTS, Arm
 
-FOLDERS = robot.shipped()
+FOLDERS = robot.shipped_models()
 URDF = {name: (folder / "robot.urdf").read_text(encoding="utf-8") for name, folder in FOLDERS.items()}
 CONTENT = {name: files.read_toml(folder / "model.toml", ModelFile, ModelError) for name, folder in FOLDERS.items()}
 TOOL = frames.pose_from_xyzabc([130.0, -20.0, 350.0, 10.0, -20.0, 30.0])

@@ -184,19 +184,19 @@ def documents(text, data="DEFDAT part\nENDDAT\n"):
 @pytest.mark.parametrize("end", ["\n", "\r\n", "\r\r\n"])
 def test_marking_keeps_every_other_byte_and_the_line_ends(end):
     text = f"&ACCESS RVP{end}  def Part ( ){end};x{end}END{end}"
-    marked, moved = KRL.writer.marked(documents(text), ORIGIN)
+    marked, moved = KRL.writer.mark(documents(text), ORIGIN)
     assert moved == 3
     (line,) = [line for line in marked[0].text.split(end) if "POSTPROC" in line]
     assert marked[0].text.replace(line + end, "") == text
     said = KRL.writer.origin(marked)
     assert (said.state, said.mode, said.version, said.line) == ("intact", "corrected", "9.9", 3)
-    again, moved = KRL.writer.marked(marked, ORIGIN)
+    again, moved = KRL.writer.mark(marked, ORIGIN)
     assert (again[0].text, moved) == (marked[0].text, 0)
 
 
 def test_any_change_is_noticed_in_either_file():
     text = "DEF part( )\r\nLIN XP1\r\nEND\r\n"
-    marked, _ = KRL.writer.marked(documents(text), ORIGIN)
+    marked, _ = KRL.writer.mark(documents(text), ORIGIN)
     assert KRL.writer.origin(marked).state == "intact"
     src, dat = (document.text for document in marked)
     line = src.splitlines(keepends=True)[1]
@@ -224,6 +224,6 @@ def test_any_change_is_noticed_in_either_file():
 def test_a_comment_of_another_post_processor_is_only_a_comment(comment):
     text = f"DEF part( )\r\n{comment}\r\nLIN {{X 1}}\r\nEND\r\n"
     assert KRL.writer.origin(documents(text)).state == "none"
-    marked, _ = KRL.writer.marked(documents(text), ORIGIN)
+    marked, _ = KRL.writer.mark(documents(text), ORIGIN)
     assert comment in marked[0].text.splitlines()
     assert KRL.writer.origin(marked).state == "intact"

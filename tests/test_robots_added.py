@@ -29,7 +29,7 @@ def written(text: str) -> Path:
     return Path("arm.urdf")
 
 
-KUKA = [name for name in robot.shipped() if name.startswith("kuka_")]
+KUKA = [name for name in robot.shipped_models() if name.startswith("kuka_")]
 
 
 @pytest.mark.parametrize("shipped", KUKA)

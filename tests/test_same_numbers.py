@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from postproc.report.formatting import rounded
+from postproc.report.formatting import two_digits
 from tests import commands
 from tests.places import CELL_FILE, SAMPLES
 
@@ -119,7 +119,7 @@ def test_place_states_the_numbers_of_convert_at_todays_place_and_at_the_best_one
             assert content[place][key] == pytest.approx(max(answer[key] for answer in better), abs=2e-6), (place, key)
         assert content[place]["chance"] == pytest.approx(min(answer["chance"] for answer in better), abs=1e-6)
         assert content[place]["deflection_mm"] == pytest.approx(max(r["before"]["max_mm"] for r in results), abs=1e-6)
-        stated = f"corrected up to {rounded(content[place]['corrected_mm'])} mm (95 %)"
+        stated = f"corrected up to {two_digits(content[place]['corrected_mm'])} mm (95 %)"
         assert any(line.startswith(f"  {place}:") and stated in line for line in printed.splitlines())
     assert best["corrected_mm"] < content["today"]["corrected_mm"]
 

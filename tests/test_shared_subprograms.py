@@ -448,7 +448,7 @@ def test_a_called_file_that_is_missing_beside_one_of_two_programs_is_told():
 def test_a_copy_by_which_the_program_would_move_differently_is_refused(monkeypatch, old, new):
     run("convert", "one.src", "-o", "out")
     before = {path.name: path.read_bytes() for path in Path("out").iterdir()}
-    rename = output_plan.with_own_copies
+    rename = output_plan.copy_subprograms
 
     def wrong(*arguments):
         documents, names = rename(*arguments)
@@ -456,7 +456,7 @@ def test_a_copy_by_which_the_program_would_move_differently_is_refused(monkeypat
         assert old in main.text
         return (replace(main, text=main.text.replace(old, new)), *others), names
 
-    monkeypatch.setattr(conversion, "with_own_copies", wrong)
+    monkeypatch.setattr(conversion, "copy_subprograms", wrong)
     done = run("convert", "two.src", "-o", "out", code=1)
     assert "would move differently" in done.output
     assert {path.name: path.read_bytes() for path in Path("out").iterdir()} == before

@@ -14,7 +14,7 @@ from postproc.errors import ModelError
 from postproc.robot.folder import assemble
 from postproc.robot.model_file import CovarianceTable, ModelFile
 
-FOLDERS = robot.shipped()
+FOLDERS = robot.shipped_models()
 _SCALED = "scaled from another robot's values, not measured on this robot"
 _BASIS = {
     "kuka_kr270": "from published values, A2 assumed, not measured on this robot",

@@ -85,7 +85,7 @@ def test_a_program_has_the_process_of_its_name_else_that_of_all(watcher, tmp_pat
     sums = []
     for path, diameter in ((shared_path, 8), (stated_path, 10), (own_path, 12)):
         path.write_text(PROCESS.format(diameter=diameter))
-        sums.append(inputs.sum_of(inputs.of_forces(path)))
+        sums.append(inputs.sum_of(inputs.force_inputs(path)))
     known = watcher(forces=stated_path)
     put(tmp_path, "a.nc", MILLED)
     assert converted(known) == ["a.nc"]

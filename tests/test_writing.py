@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from postproc.errors import InputError
-from postproc.files import locked, remove_leftovers, write_whole
+from postproc.files import lock, remove_leftovers, write_whole
 
 NEW = {"part.src": b"new program", "part.csv": b"new table", "part.json": b"new report"}
 OLD = {"part.src": b"old program", "part.csv": b"old table", "part.json": b"old report"}
@@ -181,7 +181,7 @@ def test_leftovers_of_a_killed_process_are_removed_and_those_of_a_living_one_are
             said.append(sentence)
             process.send_signal(signal.SIGKILL)
 
-        with locked([folder], waiting):
+        with lock([folder], waiting):
             assert process.wait() == -signal.SIGKILL
             remove_leftovers(folder)
         assert f"{folder}: waiting for process {process.pid} on " in said[0]

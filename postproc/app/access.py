@@ -50,7 +50,7 @@ class Access(Struct, frozen=True):
         return hmac.compare_digest(text.encode(errors="replace"), self.token.encode())
 
     def refusal(self, headers: Mapping[str, str], *, changes: bool, token: str = "") -> str:
-        """Return why a request is refused; empty: it is answered.
+        """Return the reason to refuse a request; empty if it is answered.
 
         :param changes: it changes something: then it must come from a page of the window.
         :param token: of the address; a request that changes something needs the cookie.

@@ -92,7 +92,7 @@ class Automatic:
         One that was begun here has finished what it was begun with: if its program changes meanwhile, it is ready
         again.
         """
-        recent = self._runs.since(self._oldest)
+        recent = self._runs.runs_since(self._oldest)
         active = [run for run in recent if run.code is None]
         self._oldest = min((run.number for run in active), default=self._oldest + len(recent))
         users = (run for run in recent if run is not self._begun and run.arguments[0] in _CORRECTING)

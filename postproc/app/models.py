@@ -16,17 +16,17 @@ def identification(workspace: Workspace, entry: Readings, form: Mapping[str, str
     :param form: names of the files `readings` (default: the first) and `compensator` (default: none), and `geometry`.
     :raises InputError: there is no such file next to the experiment.
     """
-    readings = named(entry.files, form.get("readings", "") or next((path.name for path in entry.files), ""))
+    readings = model_path(entry.files, form.get("readings", "") or next((path.name for path in entry.files), ""))
     arguments = ["identify", "elastostatics", workspace.relative(readings)]
     arguments += ["--experiment", workspace.relative(entry.experiment)]
     if compensator := form.get("compensator", ""):
-        arguments += ["--compensator", workspace.relative(named(entry.compensators, compensator))]
+        arguments += ["--compensator", workspace.relative(model_path(entry.compensators, compensator))]
     if form.get("geometry"):
         arguments.append("--geometry")
     return [*arguments, "-o", workspace.relative(workspace.model(entry.experiment))]
 
 
-def named(paths: Sequence[Path], name: str) -> Path:
+def model_path(paths: Sequence[Path], name: str) -> Path:
     """Return the file of a name.
 
     :raises InputError: it is not among them.

@@ -171,7 +171,7 @@ class Runs:
             problem = f"{run.title!r} runs and reads the cell: nothing was changed"
             raise InputError(problem, advice="Wait until it has ended, or stop it.")
 
-    def numbered(self, number: str) -> Run:
+    def run_of_number(self, number: str) -> Run:
         """Return a run.
 
         :raises InputError: there is none of this number.
@@ -189,7 +189,7 @@ class Runs:
         """Return what runs."""
         return [run for run in self._runs if run.code is None]
 
-    def since(self, number: int) -> list[Run]:
+    def runs_since(self, number: int) -> list[Run]:
         """Return the commands with this number or a greater one."""
         return self._runs[number:]
 

@@ -32,7 +32,7 @@ from postproc.jobs.process_edit import ProcessTable
 from postproc.jobs.setup_form import Field, SetupForm
 from postproc.machining.material import table
 from postproc.report.answers import chance_in_words
-from postproc.report.formatting import rounded
+from postproc.report.formatting import two_digits
 from postproc.report.verdict import ASSUMED_STOCK, STOCK_REMARK
 
 FORM_OPTIONS = tuple(option for option in actions.CONVERSION if option.label)
@@ -89,7 +89,7 @@ def answers_of(item: Item) -> dict[str, Any]:
     if item.entry is None or content is None:
         return {"state": "new", "run": "Not corrected yet", "kind": "soft", "headline": "", "reasons": []}
     uncorrected, corrected_text = (
-        "unknown" if length is None else f"{rounded(length)} mm" for length in content.expected_mm
+        "unknown" if length is None else f"{two_digits(length)} mm" for length in content.expected_mm
     )
     better, state = content.verdict.better, item.entry.state
     return {
@@ -151,7 +151,7 @@ def programs(workspace: Workspace, programs: Sequence[Row], stamp: str, *, is_au
 
 
 def _controls(field: Field) -> dict[str, Any]:
-    """Return how a question is asked: a list, numbers, or a line of text."""
+    """Return the form fields of a question: a list, numbers, or a line of text."""
     question, kind = field.question, field.question.key.partition(".")[0]
     control = {"key": question.key, "text": question.text, "fault": field.fault, "value": field.text}
     control["id"], control["hint"] = question.key.replace(".", "-"), ""
@@ -199,7 +199,7 @@ def _choices(kind: str) -> dict[str, str]:
 
 @cache
 def _robot_titles() -> dict[str, str]:
-    return {name: robot.load(folder).title for name, folder in robot.shipped().items()}
+    return {name: robot.load(folder).title for name, folder in robot.shipped_models().items()}
 
 
 def posted_answers(form: dict[str, str]) -> dict[str, str]:
@@ -313,7 +313,7 @@ def _menu_of(run: Run) -> str:
 
 
 def running(run: Run) -> Page:
-    """Return the page of a command: what it prints, and its end."""
+    """Return the page of a command with its output and its exit state."""
     return _page(
         "run.html",
         here=_menu_of(run),
@@ -489,7 +489,7 @@ def robots(name: str, workspace: Workspace, readings: Sequence[Readings]) -> Pag
     :param readings: from which a model can be made.
     :raises InputError: there is no model of this name.
     """
-    folders = robot.shipped()
+    folders = robot.shipped_models()
     if name and name not in folders:
         raise InputError(f"no robot {name!r}", advice="Choose one of the list.")
     rows = [(key, robot.load(folder)) for key, folder in folders.items()] if not name else []
@@ -533,7 +533,7 @@ def readings(name: str, workspace: Workspace, entry: Readings) -> Page:
 
 
 def _use_of_model(name: str, workspace: Workspace, folder: Path) -> dict[str, Any] | None:
-    """Return what the template shows of a model and its use; None: there is none.
+    """Return the template's data on a model and its use; None without a model.
 
     :param name: of its experiment; empty: it is that of the test part.
     """
@@ -556,7 +556,7 @@ def _use_of_model(name: str, workspace: Workspace, folder: Path) -> dict[str, An
 def testpart(part: TestPart) -> Page:
     """Return the page of the test part: its program, what to probe, what was probed, the model."""
     workspace = part.workspace
-    is_written, is_probed = (part.folder / "testpart.nc").is_file(), part.probed.is_file()
+    is_written, is_probed = (part.folder / "testpart.nc").is_file(), part.probing_path.is_file()
     command = part.identification() if is_probed else part.writing({})
     return _page(
         "testpart.html",

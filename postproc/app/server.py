@@ -16,7 +16,7 @@ from urllib.parse import parse_qsl, quote, urlsplit
 from postproc.app import screens
 from postproc.app.access import Access
 from postproc.app.automatic import Automatic
-from postproc.app.models import identification, named
+from postproc.app.models import identification, model_path
 from postproc.app.runs import Run, Runs, command_line
 from postproc.app.testpart import TestPart
 from postproc.app.workspace import MEDIA_TYPES, RESULTS, Workspace
@@ -31,7 +31,7 @@ from postproc.jobs.program_needs import needs_of
 from postproc.jobs.programs import states_forces
 from postproc.jobs.setup_form import CHECKED, setup_form, start_arguments
 from postproc.machining.tool_comments import named_text
-from postproc.robot import shipped
+from postproc.robot import shipped_models
 
 _LARGEST_FORM = 1 << 16
 """Bytes of a form: its fields are a few kilobytes; a page of another site could send any number."""
@@ -251,11 +251,11 @@ class _Handler(BaseHTTPRequestHandler):
 
     def run(self) -> None:
         """Send the page of a command."""
-        self._page(screens.running(self.server.runs.numbered(self.query.get("number", ""))))
+        self._page(screens.running(self.server.runs.run_of_number(self.query.get("number", ""))))
 
     def run_state(self) -> None:
         """Send what a command has printed."""
-        run = self.server.runs.numbered(self.query.get("number", ""))
+        run = self.server.runs.run_of_number(self.query.get("number", ""))
         content = {"code": run.code, "text": run.text, "share": run.share, "progress": run.progress}
         self._send(200, json.dumps(content).encode(), "application/json")
 
@@ -285,7 +285,7 @@ class _Handler(BaseHTTPRequestHandler):
         return self._page(page, 400 if fault else 200)
 
     def _process_in_words(self, name: str) -> str:
-        """Return where the forces of a program come from."""
+        """Return the source of a program's forces as a phrase."""
         path = self.server.workspace.process(name)
         if path is not None:
             return f"{RESULTS}/{path.name}"
@@ -373,7 +373,7 @@ class _Handler(BaseHTTPRequestHandler):
         """Look for the best place of the part."""
         name = self._program_name(self.form())
         folder = f"{RESULTS}/place-{Path(name).stem}"
-        self.begin(name, f"Best place for {name}", self.server.workspace.with_cell("place", name, output=folder))
+        self.begin(name, f"Best place for {name}", self.server.workspace.cell_arguments("place", name, output=folder))
 
     def take_place(self) -> None:
         """Write the base of the best place into the cell, and correct again; both, or nothing."""
@@ -404,7 +404,7 @@ class _Handler(BaseHTTPRequestHandler):
             self.server.workspace.result(other_program.removeprefix(f"{RESULTS}/"))
         else:
             self.server.workspace.program(other_program)
-        arguments = self.server.workspace.with_cell("compare", name)
+        arguments = self.server.workspace.cell_arguments("compare", name)
         arguments.insert(2, other_program)
         if "--process" in arguments:
             arguments[arguments.index("--process")] = "--forces"
@@ -423,7 +423,7 @@ class _Handler(BaseHTTPRequestHandler):
         name = form.get("name", "")
         entry = workspace.readings(name)
         arguments = ["identify", "validate", workspace.relative(workspace.model(entry.experiment))]
-        arguments += [workspace.relative(named(entry.files, form.get("readings", "")))]
+        arguments += [workspace.relative(model_path(entry.files, form.get("readings", "")))]
         arguments += ["--experiment", workspace.relative(entry.experiment)]
         self.begin(f"model {name}", f"Check of the model from {name}", arguments, page=f"/readings?name={quote(name)}")
 
@@ -453,7 +453,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def stop(self) -> None:
         """Stop a command."""
-        run = self.server.runs.numbered(self.form().get("number", ""))
+        run = self.server.runs.run_of_number(self.form().get("number", ""))
         run.stop()
         run.wait(5.0)
         self._lead(f"/run?number={run.number}")
@@ -461,7 +461,7 @@ class _Handler(BaseHTTPRequestHandler):
     def posted_robot(self) -> None:
         """Take the robot of the cell: one that is shipped."""
         name, path = self.form().get("robot", ""), self.server.workspace.stated_cell()
-        if name not in shipped():
+        if name not in shipped_models():
             raise InputError(f"no robot {name!r}", advice="Choose one of the list.")
         try:
             self.server.runs.edit(lambda: set_robot(path, name))
@@ -525,7 +525,7 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 def _fault_text(fault: Exception) -> str:
-    """Write the traceback of a fault to stderr and into a file; return what to tell the user."""
+    """Write the traceback of a fault to stderr and into a file; return the message for the user."""
     text = "".join(traceback.format_exception(fault))
     with contextlib.suppress(OSError, ValueError, AttributeError):  # a window without a console has no stderr
         sys.stderr.write(text)

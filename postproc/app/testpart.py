@@ -33,7 +33,7 @@ class TestPart(Struct, frozen=True):
         return self.workspace.folder / FOLDER
 
     @property
-    def probed(self) -> Path:
+    def probing_path(self) -> Path:
         """The file with the deviations that were probed."""
         return self.folder / PROBED_FILE
 
@@ -50,7 +50,7 @@ class TestPart(Struct, frozen=True):
         path = self.folder / name
         if name not in SENT_FILES or not path.is_file():
             raise InputError(f"no file {name!r} of the test part", advice="Write the part first.")
-        return self.workspace.of_folder(path)
+        return self.workspace.path_in_folder(path)
 
     def processes(self) -> list[str]:
         """Return the names of the process files that it can be made with."""
@@ -95,6 +95,6 @@ class TestPart(Struct, frozen=True):
             if len(data) != size:
                 raise InputError("the file did not come whole", advice="Drop it again.")
             check_probed(trial_path)
-            trial_path.replace(self.probed)
+            trial_path.replace(self.probing_path)
         finally:
             trial_path.unlink(missing_ok=True)

@@ -19,7 +19,7 @@ from postproc.jobs.arrivals import stamps
 from postproc.jobs.currency import Setup, changes
 from postproc.jobs.experiments import Readings, readings_of
 from postproc.jobs.programs import process_of
-from postproc.jobs.runs import reported
+from postproc.jobs.runs import reported_programs
 from postproc.report.index import Entry
 
 RESULTS = "corrected"
@@ -133,23 +133,23 @@ class Workspace(Struct, frozen=True):
         if Path(file).suffix.lower() not in MEDIA_TYPES:
             raise InputError(f"no result {name!r}")
         path = _path_in_folder(root, file)
-        return self.of_folder(path)
+        return self.path_in_folder(path)
 
     def stated_cell(self) -> Path:
         """Return the path of the cell, which is there.
 
         :raises InputError: it is not, or it is elsewhere.
         """
-        return self.of_folder(_path_in_folder(self.results, self.cell.name))
+        return self.path_in_folder(_path_in_folder(self.results, self.cell.name))
 
     def place(self, name: str) -> Path:
         """Return the file of the best place for a program.
 
         :raises InputError: there is none.
         """
-        return self.of_folder(_path_in_folder(self.results / f"place-{Path(name).stem}", "place.toml"))
+        return self.path_in_folder(_path_in_folder(self.results / f"place-{Path(name).stem}", "place.toml"))
 
-    def of_folder(self, path: Path) -> Path:
+    def path_in_folder(self, path: Path) -> Path:
         """Return a path that no link of a folder leads out of `folder`."""
         if not path.resolve().is_relative_to(self.folder):
             raise InputError(f"{path.name} is not in {self.folder.name}")
@@ -158,7 +158,7 @@ class Workspace(Struct, frozen=True):
     def process(self, name: str) -> Path | None:
         """Return the process file of a program; None: there is none."""
         path = process_of(Path(name), self.results)
-        return None if path is None else self.of_folder(path)
+        return None if path is None else self.path_in_folder(path)
 
     def process_to_edit(self, name: str) -> Path:
         """Return the process file of a program, or the path at which it will be made."""
@@ -166,9 +166,9 @@ class Workspace(Struct, frozen=True):
 
     def conversion(self, name: str) -> list[str]:
         """Return the arguments of the command that corrects a program."""
-        return self.with_cell("convert", name)
+        return self.cell_arguments("convert", name)
 
-    def with_cell(self, command: str, name: str, output: str = RESULTS) -> list[str]:
+    def cell_arguments(self, command: str, name: str, output: str = RESULTS) -> list[str]:
         """Return the arguments of a command about a program, with the cell and the process of it."""
         process = self.process(name)
         process_option = [] if process is None else ["--process", f"{RESULTS}/{process.name}"]
@@ -187,7 +187,7 @@ class Workspace(Struct, frozen=True):
         """
         for entry in readings_of(self.folder):
             if self.relative(entry.experiment) == name:
-                self.of_folder(entry.experiment)
+                self.path_in_folder(entry.experiment)
                 return entry
         raise InputError(f"no experiment {name!r} in {self.folder.name}")
 
@@ -201,7 +201,7 @@ class Workspace(Struct, frozen=True):
 
         :raises InputError: there is none.
         """
-        return self.of_folder(_path_in_folder(model, "report.html"))
+        return self.path_in_folder(_path_in_folder(model, "report.html"))
 
     def relative(self, path: Path) -> str:
         """Return the path of a file of the folder as commands name it, with ``/``."""
@@ -209,7 +209,7 @@ class Workspace(Struct, frozen=True):
 
     def items(self) -> list[Item]:
         """Return the programs of the folder, sorted by name."""
-        entries = {entry.name: entry for entry in reported(self.results)} if self.results.is_dir() else {}
+        entries = {entry.name: entry for entry in reported_programs(self.results)} if self.results.is_dir() else {}
         setup, names = Setup.of(self.cell), self._names()
         return [
             Item(name, entries.get(name), self._changes(name, entries.get(name), setup), _twin(name, names))

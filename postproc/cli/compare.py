@@ -48,13 +48,13 @@ def compare(ctx: click.Context, /, as_json: bool, **request: Any) -> None:
     """  # noqa: D301 - click: keep these lines as they are
     from postproc.cli.terminal import display
     from postproc.jobs.comparison_files import CompareRequest, compare_programs
-    from postproc.report.comparison import of_comparison
+    from postproc.report.comparison import comparison_text
 
     comparison = compare_programs(CompareRequest(**request))
     if as_json:
         click.echo(comparison.written_files[-1].read_text(encoding="utf-8"), nl=False)
     else:
-        click.echo(of_comparison(comparison.summary, display()))
+        click.echo(comparison_text(comparison.summary, display()))
         names = ", ".join(path.name for path in comparison.written_files)
         click.echo(f"written to {comparison.written_files[0].parent}: {names}")
     ctx.exit(comparison.code)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from postproc.cli.options import complete_files, conversion_options, of_files, shared_options
+from postproc.cli.options import complete_files, conversion_options, pop_file_options, shared_options
 from postproc.cli.outcomes import work
 from postproc.cli.piping import convert_piped, is_piped
 
@@ -75,10 +75,10 @@ def convert(
     if is_piped(programs, options["output"]) and len(programs) == 1:
         if as_json or cluster is not None:
             raise click.UsageError("--json and --scheduler do not go with -.")
-        files = of_files(options)
+        files = pop_file_options(options)
         settings = Settings(mode="nominal" if nominal else "convert", **options)
         ctx.exit(convert_piped(programs[0], settings, files, name).code)
-    programs_to_do = find_jobs(programs, name=name, **of_files(options))
+    programs_to_do = find_jobs(programs, name=name, **pop_file_options(options))
     _check_part(options, programs_to_do)
     if name is not None and (fault := programs_to_do[0].writer.fault_of(name)) is not None:
         raise click.BadParameter(f"the controller does not accept {name!r}: {fault}.", param_hint="--name")
@@ -123,7 +123,7 @@ def predict(ctx: click.Context, /, program: str, as_json: bool, **options: Any) 
     """  # noqa: D301 - click: keep these lines as they are
     from postproc.jobs import Settings, find_jobs
 
-    programs_to_do = find_jobs([program], **of_files(options))
+    programs_to_do = find_jobs([program], **pop_file_options(options))
     if sum(not job.callers for job in programs_to_do) > 1:
         raise click.UsageError(f"predict takes one program; {program} names {len(programs_to_do)}.")
     _check_part(options, programs_to_do)

@@ -193,7 +193,7 @@ def init(files: tuple[Path, ...], robodk: str | None, **options: Any) -> None:
     if options["tool"] is None and options["tools"]:
         options["tool"] = next(iter(options["tools"].values()))
     if programs:
-        request = _for_programs(cell, programs, options)
+        request = _request_for_programs(cell, programs, options)
     else:
         values = {key: value for key, value in _ask(options).items() if not key.startswith("rotary")}
         request = CellRequest(
@@ -201,7 +201,7 @@ def init(files: tuple[Path, ...], robodk: str | None, **options: Any) -> None:
         )
     remarks = write_cell(request)
     if station is not None:
-        remarks = (*remarks, *_of_station(station, request.robot))
+        remarks = (*remarks, *_station_warnings(station, request.robot))
     language = load_robot(request.robot).language
     to = f" --to {language}" if language not in ("", "krl") else ""
     arguments = " ".join(argument(program) for program in programs) or "PROGRAM"
@@ -250,7 +250,7 @@ _SAME_OPTIONS = (
 """Options whose answers have their name."""
 
 
-def _for_programs(cell: Path, programs: list[Path], options: dict[str, Any]) -> CellRequest:
+def _request_for_programs(cell: Path, programs: list[Path], options: dict[str, Any]) -> CellRequest:
     """Return the request for a cell that these programs need; ask for what no option says."""
     from msgspec.structs import replace
 
@@ -263,7 +263,7 @@ def _for_programs(cell: Path, programs: list[Path], options: dict[str, Any]) -> 
         print_needs(needs)
         if needs.refusal:
             click.echo(f"no answer makes this program readable: {needs.refusal}", err=True)
-    needs = guided_start.merged(item)
+    needs = guided_start.merge_needs(item)
     if options["config_dat"] is not None:
         needs = replace(needs, frames=())  # the file of the controller states them
     answers = guided_start.Answers()
@@ -306,18 +306,18 @@ def _is_stated(name: str) -> bool:
 
 
 def _all_convert(programs: list[Path], cell: Path, language: str) -> bool:
-    """Try each program with the cell, without its forces; say what comes of it."""
+    """Convert each program with the cell, without forces, and print the outcome."""
     from postproc.jobs.guided_start import problems_of
 
-    good = True
+    all_convert = True
     for program in programs:
         problems = problems_of(program, cell, None if language in ("", "krl") else language)
-        good = good and not problems
+        all_convert = all_convert and not problems
         if problems:
             click.echo("\n  ".join([f"{program.name}: it does not convert yet.", *problems]), err=True)
         else:
             click.echo(f"{program.name}: it converts.")
-    return good
+    return all_convert
 
 
 def _station(robodk: str, options: dict[str, Any]) -> Station:
@@ -329,13 +329,13 @@ def _station(robodk: str, options: dict[str, Any]) -> Station:
         if options[name] is None:
             options[name] = value
     if options["robot"] is None:
-        options["robot"] = station.shipped()
+        options["robot"] = station.shipped_model()
     if options["robot"] is None:
         click.echo(f"The robot of the station is {station.robot}: there is no robot model of this name.", err=True)
     return station
 
 
-def _of_station(station: Station, robot: str) -> tuple[str, ...]:
+def _station_warnings(station: Station, robot: str) -> tuple[str, ...]:
     """Return warnings about a cell from a station."""
     from postproc.jobs import load_robot
 
@@ -364,13 +364,13 @@ def _ask(options: dict[str, Any]) -> dict[str, Any]:
     if absent_names:
         click.echo("Lengths in mm, angles in degrees. Enter takes the value in brackets.")
     if options["robot"] is None:
-        from postproc.robot import shipped
+        from postproc.robot import shipped_models
 
-        click.echo(f"Robots: {', '.join(shipped())}")
+        click.echo(f"Robots: {', '.join(shipped_models())}")
     ask("robot", "Robot, or the path of a model folder", "kuka_kr270", "robot")
     if options["base"] is None:
-        usual = ",".join(f"{value:g}" for value in first_steps.usual_base(options["robot"]))
-        ask("base", "$BASE in the robot root: X,Y,Z[,A,B,C]", usual, "frame")
+        default_base = ",".join(f"{value:g}" for value in first_steps.usual_base(options["robot"]))
+        ask("base", "$BASE in the robot root: X,Y,Z[,A,B,C]", default_base, "frame")
     ask("tool", "$TOOL, the tool tip in the flange frame: X,Y,Z[,A,B,C]", "0,0,350", "frame")
     if absent_names:
         _ask_for_program(options)

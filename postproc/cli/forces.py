@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from postproc.cli import options
-from postproc.progress import shown
+from postproc.progress import show
 
 _PATH = click.Path(path_type=Path)
 
@@ -49,7 +49,7 @@ def forces(as_json: bool, materials: bool, **request: Any) -> None:
         if request[name] is None:
             raise click.UsageError("Give PROGRAM, --cell, --process and -o (or --materials).")
     force_request = ForcesRequest(**request)
-    with shown("moves") as progress:
+    with show("moves") as progress:
         files = make_forces(force_request, progress)
     for issue in files.issues:
         click.echo(issue_line(issue_entry(issue), str(force_request.program)), err=True)

@@ -30,7 +30,7 @@ class Choice(click.Choice[str]):
     """Values of an option or argument; the error for another one offers the nearest."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        """Return the value.
+        """Return the enumeration member of an option's text.
 
         :raises click.BadParameter: it is none of them.
         """
@@ -45,9 +45,9 @@ class Choice(click.Choice[str]):
 
 def complete_robots(_ctx: click.Context, _param: click.Parameter | None, incomplete: str) -> list[CompletionItem]:
     """Return the shipped robots whose names begin so, and let the shell look for model folders."""
-    from postproc.robot import shipped
+    from postproc.robot import shipped_models
 
-    names = [CompletionItem(name) for name in shipped() if name.startswith(incomplete)]
+    names = [CompletionItem(name) for name in shipped_models() if name.startswith(incomplete)]
     return [*names, CompletionItem(incomplete, type="dir")]
 
 
@@ -84,7 +84,7 @@ def _dialect(_ctx: click.Context, _param: click.Parameter, value: str | None) ->
     from postproc.errors import InputError
 
     try:
-        return None if value is None else registry.by_name(value).name
+        return None if value is None else registry.dialect_of_name(value).name
     except InputError as cause:
         raise click.BadParameter(str(cause)) from None
 
@@ -124,7 +124,7 @@ def _with_options(command: _Command, options: tuple[Option, ...]) -> _Command:
     return command
 
 
-def of_files(options: dict[str, Any]) -> dict[str, Any]:
+def pop_file_options(options: dict[str, Any]) -> dict[str, Any]:
     """Move the options of `find_jobs` (dialect, target language, forces, output) out of the options of a run.
 
     The process file becomes the force file. All other options stay: they are the settings.

@@ -48,7 +48,7 @@ def run_jobs(
     outcome_of: dict[str, Outcome] = {}
     try:
         run = partial(convert_all, jobs, settings, workers=workers, cluster=cluster, waiting=say)
-        for outcome in _with_progress(run, len(jobs)):
+        for outcome in _show_progress(run, len(jobs)):
             outcome_of[outcome.program] = outcome
     except (KeyboardInterrupt, PostprocError) as cause:
         remark = left([job for job in jobs if not job.callers and str(job.program) not in outcome_of], settings.mode)
@@ -58,8 +58,10 @@ def run_jobs(
             raise
         print_failures(outcome_of.values())
         count = sum(bool(outcome.written_files) for outcome in outcome_of.values())
-        rest = "of the others nothing is" if cluster is None else "the cluster may still finish those it has begun"
-        text = f"Interrupted: {count} of {len(jobs)} programs are written, and whole; {rest}. {remark}".rstrip()
+        consequence = (
+            "of the others nothing is" if cluster is None else "the cluster may still finish those it has begun"
+        )
+        text = f"Interrupted: {count} of {len(jobs)} programs are written, and whole; {consequence}. {remark}".rstrip()
         with contextlib.suppress(OSError):  # the terminal may be gone
             click.echo(text, err=True)
         ctx.exit(128 + getattr(cause, "number", 2))
@@ -87,7 +89,7 @@ def print_outcome(outcome: Outcome, job: Job, *, as_json: bool = False) -> None:
         click.echo(f"{Path(outcome.program).name}: {_word(outcome)} to {job.output}. {sentences}")
 
 
-def _with_progress(run: Callable[..., Iterator[Outcome]], count: int) -> Iterator[Outcome]:
+def _show_progress(run: Callable[..., Iterator[Outcome]], count: int) -> Iterator[Outcome]:
     """Pass outcomes on; on a terminal show on stderr how far the work is, and the sweep of a stock.
 
     :param run: `convert_all` of the jobs.
@@ -136,12 +138,12 @@ def _print(outcomes: Sequence[Outcome], jobs: Sequence[Job], *, as_json: bool) -
     elif click.get_current_context().find_root().params.get("quiet"):
         return
     elif len(outcomes) == 1 and outcomes[0].summary is not None:
-        click.echo(report.of_one(outcomes[0].summary, display()))
+        click.echo(report.program_text(outcomes[0].summary, display()))
         names = ", ".join(Path(path).name for path in outcomes[0].written_files)
         click.echo(f"written to {jobs[0].output}: {names}")
     elif len(outcomes) > 1:
         rows = [(outcome.program, outcome.summary, _word(outcome)) for outcome in outcomes]
-        click.echo(report.of_many(rows, display()))
+        click.echo(report.programs_table(rows, display()))
         for page in dict.fromkeys(job.output / "index.html" for job in jobs):
             if page.is_file():
                 click.echo(f"overview: {page}")
@@ -154,7 +156,7 @@ def print_failures(outcomes: Iterable[Outcome]) -> None:
     for outcome in outcomes:
         if outcome.message:
             text = fault_message(outcome.message, outcome.traceback) if outcome.traceback else outcome.message
-            click.echo(text if outcome.skipped else f"Error: {text}", err=True)
+            click.echo(text if outcome.is_skipped else f"Error: {text}", err=True)
         for issue in outcome.issues:
             click.echo(issue_line(issue_entry(issue), outcome.program), err=True)
         if outcome.issues:
@@ -172,7 +174,7 @@ def _as_entry(outcome: Outcome) -> dict[str, object]:
     entry: dict[str, object] = {"program": outcome.program, "exit_code": outcome.code}
     if outcome.summary is not None:
         entry |= {**msgspec.to_builtins(outcome.summary), "program": outcome.program}
-    elif outcome.skipped:
+    elif outcome.is_skipped:
         entry["skipped"] = outcome.message
     else:
         entry |= {"error": outcome.message, "issues": [issue_entry(issue) for issue in outcome.issues]}
@@ -183,7 +185,7 @@ def _as_entry(outcome: Outcome) -> dict[str, object]:
 def _word(outcome: Outcome) -> str:
     """Return the outcome in a few words: written, skipped, not to be run or FAILED."""
     if outcome.summary is None:
-        return "skipped: a subprogram" if outcome.skipped else "FAILED"
+        return "skipped: a subprogram" if outcome.is_skipped else "FAILED"
     issues = outcome.summary.issues
     warnings = sum(issue.level == "warning" for issue in issues)
     word = "not to be run" if outcome.code else "written"

@@ -43,7 +43,7 @@ def program_file(program: str, name: str | None, dialect: str | None) -> Iterato
     from postproc.dialects import registry
 
     with TemporaryDirectory() as folder:
-        path = Path(folder) / f"{name or _NAME}{registry.by_name(dialect).extensions[0]}"
+        path = Path(folder) / f"{name or _NAME}{registry.dialect_of_name(dialect).extensions[0]}"
         with click.open_file(PIPE, "rb") as stdin:
             path.write_bytes(stdin.read())
         yield str(path)
@@ -71,7 +71,7 @@ def convert_piped(program: str, settings: Settings, files: dict[str, Any], name:
             names = ", ".join(Path(file).name for file in programs)
             raise click.ClickException(f"{len(programs)} files are written ({names}): give a folder by -o.")
         if not click.get_current_context().find_root().params.get("quiet"):
-            click.echo(report.of_one(outcome.summary), err=to_stdout)
+            click.echo(report.program_text(outcome.summary), err=to_stdout)
         if to_stdout:
             streams.write_to_stdout(Path(programs[0]).read_bytes())
     return outcome

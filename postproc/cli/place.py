@@ -10,7 +10,7 @@ import click
 
 from postproc.cli import options
 from postproc.cli.ranges import FiniteRange
-from postproc.progress import shown
+from postproc.progress import show
 
 _PATH = click.Path(path_type=Path)
 
@@ -48,7 +48,7 @@ def place(as_json: bool, **request: Any) -> None:
 
     if request["forces"] is not None and request["process"] is not None:
         raise click.UsageError("Give --forces or --process, not both.")
-    with shown("places") as progress:
+    with show("places") as progress:
         files = make_place(PlaceRequest(**request), progress)
     if as_json:
         click.echo((request["output"] / "place.json").read_text(encoding="utf-8"), nl=False)

@@ -47,7 +47,7 @@ def robots(ctx: click.Context, /, as_json: bool) -> None:
     from postproc import robot
     from postproc.cli.terminal import display
 
-    models = {name: robot.load(folder) for name, folder in robot.shipped().items()}
+    models = {name: robot.load(folder) for name, folder in robot.shipped_models().items()}
     if as_json:
         click.echo(json.dumps({name: model.title for name, model in models.items()}, indent=2))
         return

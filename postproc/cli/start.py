@@ -105,7 +105,7 @@ def start(ctx: click.Context, /, program: Path, output: Path | None, no_open: bo
     _keep(answers_path, answer_file)
     for remark in files.remarks:
         click.echo(f"warning: {remark}", err=True)
-    outcome = _convert_now(ctx, program, folder, files.cell, files.process, options)
+    outcome = _convert_and_print(ctx, program, folder, files.cell, files.process, options)
     _offer_place(outcome, program, files.cell, files.process)
     page = (
         folder / f"{Path(outcome.written_files[0]).name.partition('.')[0]}.report.html"
@@ -182,7 +182,7 @@ def _ask(
     asking: Mapping[str, bool],
     kept_files: Collection[str],
 ) -> None:
-    """Fill the answers from options, from an earlier start, and from questions; keep each as it is given."""
+    """Fill the answers from options, from an earlier start, and from questions; save each answer at once."""
     from postproc.errors import InputError
     from postproc.jobs.guided_start import next_question
 
@@ -266,7 +266,7 @@ def _prompt_check(parse: Callable[[str], Any]) -> Callable[[str], str]:
     return check
 
 
-def _convert_now(
+def _convert_and_print(
     ctx: click.Context, program: Path, folder: Path, cell: Path, process: Path | None, options: Mapping[str, Any]
 ) -> Outcome:
     """Convert the program, print what came of it, and return it."""
@@ -318,7 +318,7 @@ _OF_PLACE = ("joint-limit", "joint-speed", "singular", "reach", "branch", "colli
 
 
 def _gain_of_place(outcome: Outcome) -> str | None:
-    """Return why another place of the part would help, or None."""
+    """Return the problem that another place of the part may solve, as a clause; None without one."""
     issues = outcome.issues if outcome.summary is None else outcome.summary.issues
     if any(issue.kind.startswith(_OF_PLACE) and issue.level != "info" for issue in issues):
         return "The robot is near a limit here"

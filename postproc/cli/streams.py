@@ -100,6 +100,6 @@ def write_to_stdout(data: bytes) -> None:
         sys.stdout.buffer.write(data)
         return
     with io.FileIO(raw.fileno(), "wb", closefd=False) as device:
-        rest = memoryview(data)
-        while rest:
-            rest = rest[device.write(rest) or 0 :]
+        remaining_bytes = memoryview(data)
+        while remaining_bytes:
+            remaining_bytes = remaining_bytes[device.write(remaining_bytes) or 0 :]

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from postproc.cli.options import conversion_options, of_files
+from postproc.cli.options import conversion_options, pop_file_options
 
 
 @click.command()
@@ -40,7 +40,7 @@ def watch(
     from postproc.jobs.watching import server
     from postproc.jobs.watching import watch as watched
 
-    options = of_files(options_of_command)
+    options = pop_file_options(options_of_command)
     output = options.pop("output", None) or folder / "corrected"
     stop = Event()
     settings = Settings(mode="convert", **options_of_command)

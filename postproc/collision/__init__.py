@@ -5,8 +5,8 @@ the nominal geometry has it, but for its deflection. Bodies are convex solids an
 (Pan, Chitta, Manocha, "FCL: a general purpose library for collision and proximity queries", ICRA 2012).
 """
 
-from postproc.collision.along import Closest, Hits, along, among, hits
-from postproc.collision.bodies import Body, Cylinder, Scene, cylinders, inside
+from postproc.collision.along import Closest, Hits, hits, pair_hits, path_hits
+from postproc.collision.bodies import Body, Cylinder, Scene, cylinders, inscribed_capsule
 from postproc.collision.distance import Clearance, Solids, clearance, link_frames
 
 __all__ = [
@@ -17,11 +17,11 @@ __all__ = [
     "Hits",
     "Scene",
     "Solids",
-    "along",
-    "among",
     "clearance",
     "cylinders",
     "hits",
-    "inside",
+    "inscribed_capsule",
     "link_frames",
+    "pair_hits",
+    "path_hits",
 ]

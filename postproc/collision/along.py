@@ -58,7 +58,9 @@ class Hits(Struct, frozen=True, eq=False):
     largest_decrease: float
 
 
-def along(scene: Scene, q: Array, need: float, shift: Array | None = None, commanded_q: Array | None = None) -> Hits:
+def path_hits(
+    scene: Scene, q: Array, need: float, shift: Array | None = None, commanded_q: Array | None = None
+) -> Hits:
     """Return where bodies come closer than allowed along a path, and the smallest distance.
 
     Between two samples the joints move in proportion, and so does E1.
@@ -69,11 +71,13 @@ def along(scene: Scene, q: Array, need: float, shift: Array | None = None, comma
     :param need: smallest allowed distance [m]; 0: they must not touch.
     :param shift: (n, 3) how far E1 carries the robot from the root [m].
     """
-    return among(Solids(scene), q, need, shift, commanded_q)
+    return pair_hits(Solids(scene), q, need, shift, commanded_q)
 
 
-def among(solids: Solids, q: Array, need: float, shift: Array | None = None, commanded_q: Array | None = None) -> Hits:
-    """Return what `along` does, for the pairs of some bodies."""
+def pair_hits(
+    solids: Solids, q: Array, need: float, shift: Array | None = None, commanded_q: Array | None = None
+) -> Hits:
+    """Return what `path_hits` does, for the pairs of some bodies."""
     search = _Search(solids, q, need, shift, needs_minimum=True)
     if commanded_q is not None:
         search.less = _largest_displacement(solids, q, commanded_q)
@@ -90,7 +94,7 @@ def among(solids: Solids, q: Array, need: float, shift: Array | None = None, com
 
 
 def hits(solids: Solids, q: Array, need: float, shift: Array | None = None, *, between_samples: bool = True) -> Bools:
-    """Return at, or before, which samples (n,) of a path two bodies touch or come closer than allowed; see `along`.
+    """Return at, or before, which samples (n,) of a path two bodies touch or come closer than allowed; see `path_hits`.
 
     :param between_samples: look between samples too; else where they are alone.
     """
@@ -145,9 +149,9 @@ class _Search:
             self._halve(first, second, np.sort(np.concatenate(open_rows)), distance)
 
     def _length(self, first: int, second: int) -> Array:
-        """Return how far one body has moved against the other at each sample (n,) [m], the same for all fixed ones."""
+        """Return an upper bound on the relative travel of two bodies up to each sample (n,) [m]."""
         second_body = self.solids.bodies[second]
-        key = first, None if second_body.fixed else second
+        key = first, None if second_body.is_fixed else second
         if key not in self._lengths:
             steps = motion_bound(self.solids, first, second, self.q, self.frames)
             self._lengths[key] = np.append(0.0, np.cumsum(steps))
@@ -227,7 +231,7 @@ class _Search:
 
 
 def motion_bound(solids: Solids, first: int, second: int, q: Array, frames: Array) -> Array:
-    """Return how far any point of one body moves at most against the other, from pose to pose (n − 1,) [m].
+    """Return an upper bound on the relative displacement of two bodies from pose to pose (n − 1,) [m].
 
     There and on: for any pose between, the distances from it to both poses are no more together.
 
@@ -251,7 +255,7 @@ _CHUNK = 4096
 
 
 def _largest_displacement(solids: Solids, q: Array, commanded_q: Array) -> Array:
-    """Return how far any point of each body (b,) moves at most between joint angles (n, 6) and others [m].
+    """Return an upper bound on the displacement of each body (b,) between two sets of joint angles (n, 6) [m].
 
     That is how far its middle moves, and by how much it turns, times its radius; the arc of so short a motion is longer
     than its chord by less than a thousandth.
@@ -260,7 +264,7 @@ def _largest_displacement(solids: Solids, q: Array, commanded_q: Array) -> Array
     for begin in range(0, len(q), _CHUNK):
         start_frames, end_frames = (link_frames(chain, angles[begin : begin + _CHUNK]) for angles in (q, commanded_q))
         for row, (body, (centre, radius)) in enumerate(zip(solids.bodies, solids.spheres, strict=True)):
-            if not body.fixed:
+            if not body.is_fixed:
                 change = end_frames[:, body.carrier + 1] - start_frames[:, body.carrier + 1]
                 turn = np.sqrt(0.5 * (change[:, :3, :3] ** 2).sum(axis=(1, 2)))
                 motion = norm(change[:, :3, :3] @ centre + change[:, :3, 3]) + turn * radius

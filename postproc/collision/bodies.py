@@ -71,11 +71,11 @@ class Body(Struct, frozen=True, eq=False):
     with_base: bool = False
 
     @property
-    def fixed(self) -> bool:
+    def is_fixed(self) -> bool:
         """Whether neither the arm nor an axis that carries it moves the body."""
         return self.of in _FIXED_CARRIER
 
-    def moved(self, motion: Array) -> Body:
+    def transform(self, motion: Array) -> Body:
         """Return the body moved by (4, 4), in the frame of its carrier."""
         points = self.points @ motion[:3, :3].T + motion[:3, 3]
         return replace(self, pose=motion @ self.pose, points=points)
@@ -126,9 +126,9 @@ class Scene(Struct, frozen=True, eq=False):
         """Yield the pairs of bodies whose distance may change and matters; the first one has the later carrier."""
         for i, first in enumerate(self.bodies):
             for j, second in enumerate(self.bodies):
-                if first.fixed or (first.of == "cutter" and second.of == "part"):
+                if first.is_fixed or (first.of == "cutter" and second.of == "part"):
                     continue
-                if first.carrier - second.carrier >= (1 if second.fixed else _CARRIER_GAP[first.of]):
+                if first.carrier - second.carrier >= (1 if second.is_fixed else _CARRIER_GAP[first.of]):
                     yield i, j
 
 
@@ -222,7 +222,7 @@ def cylinders(parts: Sequence[HolderTable]) -> Iterator[Cylinder]:
 
 
 def _flange_bodies(parts: Sequence[HolderTable], tool: Array, axis: str, folder: Path) -> Iterator[Body]:
-    """Yield what the flange carries: cylinders stacked from the tip upwards, and meshes in the flange frame."""
+    """Yield the bodies on the flange: cylinders stacked from the tip upwards, and meshes in the flange frame."""
     sign, letter = axis[0], axis[1]
     up = -(1.0 if sign == "+" else -1.0) * tool[:3, "XYZ".index(letter)]
     tip = tool[:3, 3]
@@ -287,7 +287,7 @@ def cylinder(name: str, carrier: int, of: Of, begin: Array, end: Array, radius: 
     return _round(name, carrier, of, "cylinder", (radius, length), pose, mesh.apply_transform(pose))
 
 
-def inside(cutter: Body) -> Body:
+def inscribed_capsule(cutter: Body) -> Body:
     """Return the capsule in a cutter whose shape is not known: with a round end, and smaller by the accuracy [m]."""
     radius, length = cutter.size
     half = max(0.5 * length - radius, 1e-4)

@@ -99,7 +99,7 @@ class Solids:
         self.spheres = [body.sphere for body in scene.bodies]
         self.spans = [_span(body) for body in scene.bodies]
 
-    def with_last(self, body: Body) -> Solids:
+    def replace_last(self, body: Body) -> Solids:
         """Return the bodies with another mesh in place of the last one."""
         solids = copy(self)
         solids.bodies = (*self.bodies[:-1], body)
@@ -108,10 +108,10 @@ class Solids:
         solids.spheres, solids.spans = [*self.spheres[:-1], body.sphere], [*self.spans[:-1], _span(body)]
         return solids
 
-    def with_base(self, motion: Array) -> Solids:
+    def move_base(self, motion: Array) -> Solids:
         """Return the bodies with those that move with `$BASE` moved by (4, 4) in the root."""
         solids = copy(self)
-        solids.bodies = tuple(body.moved(motion) if body.with_base else body for body in self.bodies)
+        solids.bodies = tuple(body.transform(motion) if body.with_base else body for body in self.bodies)
         solids.spheres = [body.sphere for body in solids.bodies]
         return solids
 
@@ -139,10 +139,10 @@ class Solids:
     def frame(self, row: int, frames: Array) -> Array:
         """Return the frames (n, 4, 4) of the link that carries a body."""
         body = self.bodies[row]
-        return np.broadcast_to(np.eye(4), (len(frames), 4, 4)) if body.fixed else frames[:, body.carrier + 1]
+        return np.broadcast_to(np.eye(4), (len(frames), 4, 4)) if body.is_fixed else frames[:, body.carrier + 1]
 
-    def near(self, first: int, second: int, frames: Array, need: float) -> NDArray[np.bool_]:
-        """Return where (n,) two bodies may be closer than `need` [m], by a sphere around one and a box around one."""
+    def may_be_near(self, first: int, second: int, frames: Array, need: float) -> NDArray[np.bool_]:
+        """Return at which poses (n,) two bodies may be closer than `need` [m]: bounding sphere against bounding box."""
         may_be_near = np.ones(len(frames), dtype=bool)
         for ball, box_body in ((first, second), (second, first)):
             centre, radius = self.spheres[ball]
@@ -153,10 +153,10 @@ class Solids:
             may_be_near &= norm(np.maximum(np.maximum(low - local, local - high), 0.0)) - radius < need
         return may_be_near
 
-    def closer(self, frames: Array, need: float) -> bool:
+    def is_closer(self, frames: Array, need: float) -> bool:
         """Return whether two bodies touch or are closer than `need` [m] at any of some poses."""
         for first, second in self.pairs:
-            rows = np.flatnonzero(self.near(first, second, frames, max(need, _TOUCH)))
+            rows = np.flatnonzero(self.may_be_near(first, second, frames, max(need, _TOUCH)))
             distance = self.distance(first, second, frames[rows], solid=True)
             if ((distance < need) | (distance <= 0.0)).any():
                 return True
@@ -192,7 +192,7 @@ class Solids:
         return distances
 
     def _contains(self, inner: int, outer: int, frames: Array) -> NDArray[np.bool_]:
-        """Return where (n,) a point of a body is in a mesh, by the solid angle of its triangles.
+        """Return at which poses (n,) a point of a body is inside a mesh, by the solid angle of its triangles.
 
         Source: van Oosterom and Strackee, "The solid angle of a plane triangle", IEEE Trans. Biomed. Eng. 30, 1983.
         """
@@ -208,6 +208,7 @@ class Solids:
             volume = np.einsum("fi,fi->f", a, np.cross(b, c))
             base = la * lb * lc + np.einsum("fi,fi->f", a, b) * lc
             base += np.einsum("fi,fi->f", b, c) * la + np.einsum("fi,fi->f", c, a) * lb
+            # the solid angle of a closed mesh is 4π from inside and 0 from outside
             is_inside[row] = abs(float(np.sum(2.0 * np.arctan2(volume, base)))) > 2.0 * np.pi
         return np.asarray(is_inside)
 

@@ -13,17 +13,17 @@ from msgspec.structs import replace
 from postproc import placement
 from postproc.cell import Cell
 from postproc.comparison.differences import differences
-from postproc.comparison.loaded_path import at_pairs, between, deviation
+from postproc.comparison.loaded_path import cuts_between_pairs, deviation, pair_cuts
 from postproc.comparison.pairing import partners
 from postproc.comparison.partners import (
+    count_as_inserted,
     deviation_left,
-    in_order,
-    judged,
-    moved_alone,
-    paired,
+    judge_unpaired,
+    moved_partners,
+    ordered_partners,
+    pair_targets,
     partners_of,
     partners_under_force,
-    with_inserted,
 )
 from postproc.comparison.paths import PlacedProgram
 from postproc.comparison.result import Comparison
@@ -74,10 +74,10 @@ def compare(
         partner, certain = _partners_under_load(nominal_path, corrected_path, loads, stated_pairs, place.tolerance)
     comparison = _all_pairs(nominal_path, corrected_path, partner, certain, loads)
     if loads is not None:
-        comparison = _with_cuts(comparison, nominal_path, corrected_path, loads, place.tolerance)
+        comparison = _complete_cuts(comparison, nominal_path, corrected_path, loads, place.tolerance)
     else:
         if same_origin:
-            comparison = _all_inserted(comparison, nominal_path)
+            comparison = _explain_as_inserted(comparison, nominal_path)
         if corrected_program.notes:
             comparison = _add_cuts(comparison, nominal_path, corrected_path)
     has_pairs = loads is not None or stated_pairs is not None
@@ -103,7 +103,9 @@ class _Loads(Struct, frozen=True, eq=False):
         path, rows = nominal_path.forces(source), nominal_path.rows
         wrench = nominal_path.wrench(path, rows)
         joints = nominal_path.joints[rows]
-        return cls(path, wrench, deviation(nominal_path, rows, joints, wrench, nominal_path.carried(rows)))
+        return cls(
+            path, wrench, deviation(nominal_path, rows, joints, wrench, nominal_path.carriage_displacement(rows))
+        )
 
 
 def _partners_under_load(
@@ -128,20 +130,20 @@ def _all_pairs(
     """Return the comparison of targets with their partners (n,), those included that were moved alone."""
     load = None if loads is None else loads.path
     # a target that only divides a line or an arc may have a partner that divides it elsewhere: the path passes it then
-    divides = nominal_path.continued[nominal_path.rows] & (partner >= 0) & ~certain & (loads is not None)
-    pairs = paired(nominal_path, corrected_path, np.where(divides, -1, partner), certain)
-    comparison = judged(pairs, nominal_path, corrected_path, load)
-    displaced_partner = moved_alone(comparison, nominal_path, corrected_path)
+    divides = nominal_path.is_continued[nominal_path.rows] & (partner >= 0) & ~certain & (loads is not None)
+    pairs = pair_targets(nominal_path, corrected_path, np.where(divides, -1, partner), certain)
+    comparison = judge_unpaired(pairs, nominal_path, corrected_path, load)
+    displaced_partner = moved_partners(comparison, nominal_path, corrected_path)
     is_missing = np.isin(nominal_path.rows, comparison.only_nominal) & divides
     displaced_partner[is_missing] = partner[is_missing]
     if not (displaced_partner >= 0).any():
         return comparison
-    partner = in_order(np.maximum(partners_of(comparison, nominal_path, corrected_path), displaced_partner))
-    pairs = paired(nominal_path, corrected_path, partner, np.ones(len(partner), dtype=bool))
-    return judged(pairs, nominal_path, corrected_path, load)
+    partner = ordered_partners(np.maximum(partners_of(comparison, nominal_path, corrected_path), displaced_partner))
+    pairs = pair_targets(nominal_path, corrected_path, partner, np.ones(len(partner), dtype=bool))
+    return judge_unpaired(pairs, nominal_path, corrected_path, load)
 
 
-def _with_cuts(
+def _complete_cuts(
     comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram, loads: _Loads, tolerance: float
 ) -> Comparison:
     """Return a comparison with where both programs cut under the nominal forces, also between targets."""
@@ -149,13 +151,13 @@ def _with_cuts(
     partner = partners_of(comparison, nominal_path, corrected_path)
     left = deviation_left(nominal_path, corrected_path, partner, loads.wrench)
     sides = nominal_path, corrected_path
-    cuts = at_pairs(comparison, *sides, loads.wrench[index], loads.deflection[index], left[index])
-    cuts = between(comparison, cuts, nominal_path, corrected_path, loads.path)
+    cuts = pair_cuts(comparison, *sides, loads.wrench[index], loads.deflection[index], left[index])
+    cuts = cuts_between_pairs(comparison, cuts, nominal_path, corrected_path, loads.path)
     ends = cuts.row[(cuts.t == 1.0) & (cuts.corrected_distance <= tolerance)]
-    return with_inserted(replace(comparison, cuts=cuts), np.isin(comparison.additional_rows, ends))
+    return count_as_inserted(replace(comparison, cuts=cuts), np.isin(comparison.additional_rows, ends))
 
 
-def _all_inserted(comparison: Comparison, nominal_path: PlacedProgram) -> Comparison:
+def _explain_as_inserted(comparison: Comparison, nominal_path: PlacedProgram) -> Comparison:
     """Return a comparison of two programs of one conversion: targets without a partner were inserted or left out."""
     rows, by = (
         (comparison.passed_rows, comparison.only_nominal),
@@ -165,7 +167,7 @@ def _all_inserted(comparison: Comparison, nominal_path: PlacedProgram) -> Compar
     comparison = replace(
         comparison, only_nominal=nominal_path.rows[:0], missing_distance=comparison.missing_distance[:0]
     )
-    return with_inserted(comparison, np.ones(len(comparison.additional_rows), dtype=bool))
+    return count_as_inserted(comparison, np.ones(len(comparison.additional_rows), dtype=bool))
 
 
 def _add_cuts(comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram) -> Comparison:
@@ -173,10 +175,10 @@ def _add_cuts(comparison: Comparison, nominal_path: PlacedProgram, corrected_pat
     first, second = comparison.pair.T
     wrench = corrected_path.wrench(corrected_path.forces(None), second)
     deflections = (
-        deviation(nominal_path, first, side.joints[rows], wrench, side.carried(rows))
+        deviation(nominal_path, first, side.joints[rows], wrench, side.carriage_displacement(rows))
         for side, rows in ((nominal_path, first), (corrected_path, second))
     )
-    return replace(comparison, cuts=at_pairs(comparison, nominal_path, corrected_path, wrench, *deflections))
+    return replace(comparison, cuts=pair_cuts(comparison, nominal_path, corrected_path, wrench, *deflections))
 
 
 def _stated_partners(nominal_path: PlacedProgram, corrected_path: PlacedProgram, ends: Bools | None) -> Ints | None:

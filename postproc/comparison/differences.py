@@ -18,8 +18,8 @@ from postproc.comparison.result import (
     TIMES_OFFSET,
     Comparison,
     Difference,
-    at_pairs,
-    of_line,
+    file_and_line,
+    pair_warning,
     place_of,
     warning_at,
 )
@@ -65,23 +65,23 @@ def differences(
     uncertain = () if pairs_certain else tuple(_ambiguous(comparison, nominal_path, corrected_path))
     if same_origin:
         return (
-            *_not_compared(comparison),
-            *_alone(comparison, nominal_path),
+            *_uncompared_motions(comparison),
+            *_unpaired_targets(comparison, nominal_path),
             *_under_forces(comparison, nominal_path),
             *uncertain,
         )
     path_differences = (*_off_path(comparison, nominal_path, corrected_path), *_under_forces(comparison, nominal_path))
     return (
-        *_unresolved(comparison),
-        *_not_compared(comparison),
+        *_unresolved_differences(comparison),
+        *_uncompared_motions(comparison),
         *_calls(comparison),
         *settings(comparison, nominal_path, corrected_path),
         *statement_differences(comparison),
         *forces(comparison, corrected_path, in_file=in_file),
         *_rapid(comparison, nominal_path),
-        *_twice(comparison, nominal_path, corrected_path),
+        *_repeated_positions(comparison, nominal_path, corrected_path),
         *_backward_moves(comparison),
-        *_alone(comparison, nominal_path),
+        *_unpaired_targets(comparison, nominal_path),
         *axis_targets(comparison, nominal_path, corrected_path),
         *_orientation(comparison, nominal_path, corrected_path),
         *(path_differences or _cut_corners(comparison, nominal_path, corrected_path)),
@@ -89,7 +89,7 @@ def differences(
     )
 
 
-def _unresolved(comparison: Comparison) -> Iterator[Difference]:
+def _unresolved_differences(comparison: Comparison) -> Iterator[Difference]:
     """Yield motions known at run time only that differ in their text, or in the statements before them."""
     motions = [program.unresolved for program in (comparison.nominal, comparison.corrected)]
     texts = [[_normal_text(motion.text) for motion in side] for side in motions]
@@ -119,11 +119,14 @@ def _statements_differ(comparison: Comparison) -> Iterator[Difference]:
     ):
         if nominal_motion.file not in texts[0] or corrected_motion.file not in texts[1]:
             continue
-        mine = list(takewhile(bool, _statements(texts[0][nominal_motion.file], nominal_motion.line)))
-        theirs = list(
-            islice(filter(None, _statements(texts[1][corrected_motion.file], corrected_motion.line)), len(mine))
+        nominal_statements = list(takewhile(bool, _statements(texts[0][nominal_motion.file], nominal_motion.line)))
+        corrected_statements = list(
+            islice(
+                filter(None, _statements(texts[1][corrected_motion.file], corrected_motion.line)),
+                len(nominal_statements),
+            )
         )
-        if theirs != mine:
+        if corrected_statements != nominal_statements:
             message = "the statements before this motion differ: it is unknown where it leads, or whether it runs."
             yield Difference(
                 "error",
@@ -149,7 +152,7 @@ def _normal_text(text: str) -> str:
     return "".join(text.split()).upper()
 
 
-def _not_compared(comparison: Comparison) -> Iterator[Difference]:
+def _uncompared_motions(comparison: Comparison) -> Iterator[Difference]:
     """Yield motions that are known at run time only, and those that begin at an unknown place."""
     motions = [program.unresolved for program in (comparison.nominal, comparison.corrected)]
     for k in range(max(map(len, motions))):
@@ -165,7 +168,7 @@ def _not_compared(comparison: Comparison) -> Iterator[Difference]:
     pairs = np.flatnonzero(predecessors[comparison.pair[:, 0]] == comparison.pair[:, 0])
     if len(pairs):
         message = "the way to this target is not compared, because it is unknown where it begins."
-        yield at_pairs(comparison, "not-compared", message, pairs)
+        yield pair_warning(comparison, "not-compared", message, pairs)
 
 
 def _calls(comparison: Comparison) -> Iterator[Difference]:
@@ -177,7 +180,7 @@ def _calls(comparison: Comparison) -> Iterator[Difference]:
     for name in sorted(calls[0].keys() ^ calls[1].keys()):
         side = int(name in calls[1])
         program = (comparison.nominal, comparison.corrected)[side]
-        place = of_line(program, calls[side][name].source_line)
+        place = file_and_line(program, calls[side][name].source_line)
         message = f"{name}(), which is in no file, is called by this program only: its effect is not compared."
         if _is_called(name, (comparison.nominal, comparison.corrected)[1 - side]):
             message = (
@@ -193,7 +196,7 @@ def _is_called(name: str, program: Program) -> bool:
     return any(call.search(document.text) for document in program.documents)
 
 
-def _alone(comparison: Comparison, nominal_path: PlacedProgram) -> Iterator[Difference]:
+def _unpaired_targets(comparison: Comparison, nominal_path: PlacedProgram) -> Iterator[Difference]:
     """Yield missing and additional targets; a missing one that the second path leaves out is an error."""
     rows, distances = comparison.only_nominal, np.nan_to_num(comparison.missing_distance)
     if len(rows):
@@ -225,23 +228,25 @@ def _ambiguous(
     if not len(comparison.pair) or not len(comparison.inserted_rows):
         return
     index = np.searchsorted(corrected_path.rows, comparison.pair[:, 1])
-    mine = nominal_path.track().position[np.searchsorted(nominal_path.rows, comparison.pair[:, 0])]
-    theirs = corrected_path.track().position
+    nominal_position = nominal_path.track().position[np.searchsorted(nominal_path.rows, comparison.pair[:, 0])]
+    corrected_position = corrected_path.track().position
     limit = OFF_PATH + 2.0 * float(comparison.distance.max())
     uncertain = np.zeros(len(index))
     for step in (-1, 1):
         neighbours = np.clip(index + step, 0, len(corrected_path.rows) - 1)
         possible = np.isin(corrected_path.rows[neighbours], comparison.inserted_rows) & (
-            norm(theirs[neighbours] - mine) <= limit
+            norm(corrected_position[neighbours] - nominal_position) <= limit
         )
-        uncertain = np.where(possible, np.maximum(uncertain, norm(theirs[neighbours] - theirs[index])), uncertain)
+        uncertain = np.where(
+            possible, np.maximum(uncertain, norm(corrected_position[neighbours] - corrected_position[index])), uncertain
+        )
     pairs = np.flatnonzero(uncertain)
     if len(pairs):
         message = (
             "this target may belong to one that was inserted next to its partner: offsets of such pairs are known to "
             f"{uncertain.max() * MM_PER_M:.2f} mm only. Give the forces with --forces."
         )
-        yield at_pairs(comparison, "pairing", message, pairs)
+        yield pair_warning(comparison, "pairing", message, pairs)
 
 
 def _next_partner(comparison: Comparison, row: int) -> tuple[str, int] | None:
@@ -298,12 +303,12 @@ def _inserted_rotations(
         return row[:0], np.zeros(0)
     chain = comparison.curves.corrected_chain
     motion, t = comparison.curves.nominal_chain.at(chain.end[row - chain.row[0]])
-    mine = toolpath.at(nominal_path.program, nominal_path.segments, motion, t).pose
-    theirs = tool_of_nominal(
+    nominal_pose = toolpath.at(nominal_path.program, nominal_path.segments, motion, t).pose
+    corrected_pose = tool_of_nominal(
         nominal_path.program, motion, corrected_path.program, row, corrected_path.program.motions.target[row]
     )
     pair_rotation = np.maximum(comparison.rotation[next_pair - 1], comparison.rotation[next_pair])
-    return row, angle_between(mine[:, :3, :3], theirs[:, :3, :3]) - pair_rotation
+    return row, angle_between(nominal_pose[:, :3, :3], corrected_pose[:, :3, :3]) - pair_rotation
 
 
 def _rapid(comparison: Comparison, nominal_path: PlacedProgram) -> Iterator[Difference]:
@@ -320,7 +325,9 @@ def _rapid(comparison: Comparison, nominal_path: PlacedProgram) -> Iterator[Diff
         yield warning_at(comparison, "rapid", message, comparison.pair[worst].tolist(), len(pairs))
 
 
-def _twice(comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram) -> Iterator[Difference]:
+def _repeated_positions(
+    comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram
+) -> Iterator[Difference]:
     """Yield targets of the second program at the present position of the robot: it stops there even if approximated."""
     is_stop, nominal_stops = (
         (side.segments.travel < _NO_TRAVEL) & (side.segments.turn < _NO_TRAVEL) & (side.program.motions.kind != PTP)
@@ -361,26 +368,30 @@ def _off_path(
         return
     limits = OFF_PATH + TIMES_OFFSET * np.maximum(comparison.distance, np.roll(comparison.distance, 1))
     is_off_path = np.nan_to_num(comparison.between) > limits
-    is_off_path[_checked(comparison)] = False
+    is_off_path[_pairs_under_force(comparison)] = False
     is_off_path[
         np.searchsorted(
             comparison.pair[:, 0], comparison.only_nominal[comparison.only_nominal < comparison.pair[-1, 0]]
         )
     ] = False
-    bad = np.flatnonzero(is_off_path)
-    if not len(bad):
+    off_path_rows = np.flatnonzero(is_off_path)
+    if not len(off_path_rows):
         return
-    distances = np.array([_distance_of_way(comparison, nominal_path, corrected_path, int(k)) for k in bad[:_MAX_WAYS]])
-    bad, distances = (
-        bad[: len(distances)][distances > limits[bad[: len(distances)]]],
-        distances[distances > limits[bad[: len(distances)]]],
+    distances = np.array(
+        [_distance_of_way(comparison, nominal_path, corrected_path, int(k)) for k in off_path_rows[:_MAX_WAYS]]
     )
-    if len(bad):
+    off_path_rows, distances = (
+        off_path_rows[: len(distances)][distances > limits[off_path_rows[: len(distances)]]],
+        distances[distances > limits[off_path_rows[: len(distances)]]],
+    )
+    if len(off_path_rows):
         worst = int(np.argmax(distances))
         message = f"the path is {distances[worst] * MM_PER_M:.4f} mm from the nominal one on the way to this target."
-        first, last = comparison.pair[bad[worst] - 1, 1], comparison.pair[bad[worst], 1]
+        first, last = comparison.pair[off_path_rows[worst] - 1, 1], comparison.pair[off_path_rows[worst], 1]
         message += _advice(comparison, np.arange(first + 1, last + 1))
-        yield warning_at(comparison, "between", message, comparison.pair[bad[worst]].tolist(), len(bad))
+        yield warning_at(
+            comparison, "between", message, comparison.pair[off_path_rows[worst]].tolist(), len(off_path_rows)
+        )
 
 
 _MAX_WAYS = 1000
@@ -389,7 +400,7 @@ _PLACES = 65
 """Places of the second path looked at on each of them (assumed)."""
 
 
-def _checked(comparison: Comparison) -> Ints:
+def _pairs_under_force(comparison: Comparison) -> Ints:
     """Return the pairs (n,) on the way to which the second path is checked under forces."""
     cuts = comparison.cuts
     if cuts is None or not len(cuts.row):
@@ -411,9 +422,9 @@ def _distance_of_way(
         (comparison.inserted_rows > comparison.pair[k - 1, 1]) & (comparison.inserted_rows < comparison.pair[k, 1])
     ]
     u = np.append(u, chain.end[inserted_rows - chain.row[0]])
-    spots = comparison.curves.second_in_cell(u)
+    second_points = comparison.curves.second_in_cell(u)
     limits = (np.full(len(u), nominal_path.arc_length[comparison.pair[n, 0] + 1]) for n in (k - 1, k))
-    distances = nearest(lambda at: nominal_path.points(at.ravel()).reshape(*at.shape, 3), spots, *limits)[1]
+    distances = nearest(lambda at: nominal_path.points(at.ravel()).reshape(*at.shape, 3), second_points, *limits)[1]
     inserted_distance = float(distances[_PLACES:].max(initial=0.0))
     largest = float(distances.max())
     return largest if largest > OFF_PATH + TIMES_OFFSET * inserted_distance else 0.0
@@ -433,13 +444,13 @@ def _under_forces(comparison: Comparison, nominal_path: PlacedProgram) -> Iterat
         comparison.pair[:, 0], comparison.only_nominal
     )  # missing targets have a difference of their own
     deviations = cuts.corrected_distance
-    bad = np.flatnonzero(
+    rows_beyond = np.flatnonzero(
         (deviations > ends + nominal_path.robot_in_cell.tolerance + _EXCESS_MARGIN)
         & (cuts.t < 1.0)
         & ~np.isin(way, gap)
     )
-    if len(bad):
-        worst = bad[np.argmax(deviations[bad])]
+    if len(rows_beyond):
+        worst = rows_beyond[np.argmax(deviations[rows_beyond])]
         row = int(cuts.row[worst])
         message = (
             f"under the forces given it leaves {deviations[worst] * MM_PER_M:.4f} mm to the "
@@ -447,7 +458,11 @@ def _under_forces(comparison: Comparison, nominal_path: PlacedProgram) -> Iterat
         )
         message += _advice(comparison, np.array([row]))
         yield warning_at(
-            comparison, "between", message, (int(comparison.pair[way[worst], 0]), row), len(distinct(cuts.row[bad]))
+            comparison,
+            "between",
+            message,
+            (int(comparison.pair[way[worst], 0]), row),
+            len(distinct(cuts.row[rows_beyond])),
         )
 
 
@@ -480,9 +495,9 @@ def _cut_corners(
         )
         nominal_rounding[place[blend_differs]] = np.inf
     excess = rounding - nominal_rounding
-    bad = np.flatnonzero(excess > nominal_path.robot_in_cell.tolerance + _EXCESS_MARGIN)
-    if len(bad):
-        worst = bad[np.argmax(excess[bad])]
+    corner_rows = np.flatnonzero(excess > nominal_path.robot_in_cell.tolerance + _EXCESS_MARGIN)
+    if len(corner_rows):
+        worst = corner_rows[np.argmax(excess[corner_rows])]
         way = min(int(np.searchsorted(comparison.pair[:, 1], rows[worst])), len(comparison.pair) - 1)
         remedy = (
             "Set $APO.CDIS and C_DIS back, or convert again."
@@ -493,7 +508,9 @@ def _cut_corners(
             f"approximation (C_DIS) cuts the corner by {rounding[worst] * MM_PER_M:.4f} mm; the nominal program allows "
             f"{nominal_rounding[worst] * MM_PER_M:.4g} mm. {remedy}"
         )
-        yield warning_at(comparison, "between", message, (int(comparison.pair[way, 0]), int(rows[worst])), len(bad))
+        yield warning_at(
+            comparison, "between", message, (int(comparison.pair[way, 0]), int(rows[worst])), len(corner_rows)
+        )
 
 
 def _advice(comparison: Comparison, rows: Ints) -> str:

@@ -52,7 +52,7 @@ def deviation(side: PlacedProgram, motion: Ints, q: Array, wrench: Array, displa
 
     def off(motion: Ints, q: Array, wrench: Array, displacement: Array) -> tuple[Array]:
         tip = side.loaded_tip(motion, q, wrench, displacement)
-        return (side.in_base(motion, tip) - program.motions.target[motion, :3, 3],)
+        return (side.to_base(motion, tip) - program.motions.target[motion, :3, 3],)
 
     try:
         return in_chunks(off, motion, q, wrench, displacement)[0]
@@ -66,7 +66,7 @@ def no_equilibrium(program: Program, motion: Ints, cause: NotConvergedError) -> 
     return ForceError(f"the arm does not hold this force here: {cause}", file=file, line=line)
 
 
-def at_pairs(
+def pair_cuts(
     comparison: Comparison,
     nominal_path: PlacedProgram,
     corrected_path: PlacedProgram,
@@ -86,13 +86,13 @@ def at_pairs(
         base_wrench,
         nominal,
         corrected,
-        _turned(comparison, nominal_path, wrench),
+        _orientation_errors(comparison, nominal_path, wrench),
         np.zeros(0, dtype=np.int64),
         *(5 * (empty,)),
     )
 
 
-def _turned(comparison: Comparison, nominal_path: PlacedProgram, wrench: Array) -> Array:
+def _orientation_errors(comparison: Comparison, nominal_path: PlacedProgram, wrench: Array) -> Array:
     """Return the angle between the commanded orientation and the one that keeps the loaded tool nominal (P,) [rad]."""
     program = comparison.nominal
 
@@ -110,7 +110,7 @@ def _turned(comparison: Comparison, nominal_path: PlacedProgram, wrench: Array) 
         raise no_equilibrium(program, comparison.pair[:, 0], cause) from None
 
 
-def between(
+def cuts_between_pairs(
     comparison: Comparison, cuts: Cuts, nominal_path: PlacedProgram, corrected_path: PlacedProgram, load: PathForces
 ) -> Cuts:
     """Return the deviations with those at the other targets of the second program, and between targets.
@@ -120,12 +120,12 @@ def between(
 
     :param load: the forces along the nominal program.
     """
-    ways = Ways.of_pairs(comparison, nominal_path, corrected_path)
+    ways = Ways.from_pairs(comparison, nominal_path, corrected_path)
     ends, pieces = ways.targets(comparison), ways.pieces()
     is_reachable = np.isfinite(joints := corrected_path.joints_at(ends, np.ones(len(ends)))).all(axis=1)
     ends, joints = ends[is_reachable], joints[is_reachable]
     search = Search(nominal_path, corrected_path, load, ways)
-    at_ends = search.found(ends, np.ones(len(ends)), joints, ways.guess(ends), enough=_EXACT)
+    at_ends = search.deviations(ends, np.ones(len(ends)), joints, ways.guess(ends), enough=_EXACT)
     place = np.full(len(corrected_path.program.motions), np.nan)
     place[comparison.pair[:, 1]] = nominal_path.arc_length[comparison.pair[:, 0] + 1]
     place[ends] = at_ends[0]
@@ -138,10 +138,10 @@ def between(
     joints = in_chunks(lambda row, t: (corrected_path.joints_at(row, t),), row, t)[0]
     is_reachable = np.isfinite(joints).all(axis=1)
     row, t, guess, joints = row[is_reachable], t[is_reachable], guess[is_reachable], joints[is_reachable]
-    at_samples = search.found(row, t, joints, guess, enough=nominal_path.robot_in_cell.tolerance)
+    at_samples = search.deviations(row, t, joints, guess, enough=nominal_path.robot_in_cell.tolerance)
     angles = np.zeros(len(ends) + len(row))
     angles[: len(ends)] = in_chunks(
-        lambda length, row: (_turned_at(nominal_path, corrected_path, load, length, row),), at_ends[0], ends
+        lambda length, row: (_orientation_errors_at(nominal_path, corrected_path, load, length, row),), at_ends[0], ends
     )[0]
     row, t = np.append(ends, row), np.append(np.ones(len(ends)), t)
     length, nominal, corrected_values = (np.append(*parts) for parts in zip(at_ends, at_samples, strict=True))
@@ -175,7 +175,7 @@ class Ways(Struct, frozen=True, eq=False):
     is_comparable: Bools
 
     @classmethod
-    def of_pairs(cls, comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram) -> Ways:
+    def from_pairs(cls, comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram) -> Ways:
         """Return the ways between the pairs of a comparison."""
         m, (first, two) = nominal_path.program.motions, comparison.pair.T
         unknown = (np.isin(m.kind, (PTP, SPL)) | m.rapid) & np.isnan(m.joints[:, 0])
@@ -261,7 +261,7 @@ def places_on_pieces(corrected_path: PlacedProgram, pieces: Ints, steep: Bools) 
     return row[is_inside], t[is_inside]
 
 
-def _turned_at(
+def _orientation_errors_at(
     nominal_path: PlacedProgram, corrected_path: PlacedProgram, load: PathForces, length: Array, row: Ints
 ) -> Array:
     """Return the angles (n,) by which targets of the second program turn the loaded tool from the nominal path [rad].
@@ -295,7 +295,7 @@ class Search(Struct, frozen=True, eq=False):
     load: PathForces
     ways: Ways
 
-    def found(self, row: Ints, t: Array, q: Array, guess: Array, *, enough: float) -> tuple[Array, Array, Array]:
+    def deviations(self, row: Ints, t: Array, q: Array, guess: Array, *, enough: float) -> tuple[Array, Array, Array]:
         """Return arc lengths (n,) on the nominal path, and the deviations (n,) by the nominal and the second program.
 
         :param row: (n,) motions of the second program; `t` (n,) places on them; `q` (n, 6) joint angles there [rad].
@@ -304,27 +304,29 @@ class Search(Struct, frozen=True, eq=False):
         """
 
         def in_chunk(row: Ints, t: Array, q: Array, guess: Array) -> tuple[Array, ...]:
-            way, displacement = self.ways.way[row], self.corrected_path.carried(row, t)
+            way, displacement = self.ways.way[row], self.corrected_path.carriage_displacement(row, t)
             low, high = self.ways.begin[way], self.ways.end[way]
             low = np.minimum(low + _SHORTEST * 1e-4, high)  # behind the end of the motion before
             length, distance = self._newton_steps(q, displacement, np.clip(guess, low, high), (low, high), enough)
             distant_rows = np.flatnonzero(distance > max(enough, _CLOSE * self.nominal_path.robot_in_cell.tolerance))
             if len(distant_rows):
                 limits = low[distant_rows], high[distant_rows]
-                new_length = self._anywhere(q[distant_rows], displacement[distant_rows], limits)
+                new_length = self._nearest_lengths(q[distant_rows], displacement[distant_rows], limits)
                 new_length, new_distance = self._newton_steps(
                     q[distant_rows], displacement[distant_rows], new_length, limits, _EXACT
                 )
                 better = new_distance < distance[distant_rows]
                 length[distant_rows[better]], distance[distant_rows[better]] = new_length[better], new_distance[better]
             motion, t = self.nominal_path.at(length)
-            mine = norm(
-                self._tip_offset(self.nominal_path.joints_at(motion, t), self.nominal_path.carried(motion, t), length)
+            nominal_deviation = norm(
+                self._tip_offset(
+                    self.nominal_path.joints_at(motion, t), self.nominal_path.carriage_displacement(motion, t), length
+                )
             )
-            return length, mine, distance
+            return length, nominal_deviation, distance
 
-        length, mine, distance = in_chunks(in_chunk, row, t, q, guess)
-        return length, mine, distance
+        length, nominal_deviation, distance = in_chunks(in_chunk, row, t, q, guess)
+        return length, nominal_deviation, distance
 
     def _tip_offset(self, q: Array, displacement: Array, length: Array) -> Array:
         """Return the tips (n, 3) under the forces at arc lengths (n,), minus the nominal path, in the cell [m]."""
@@ -367,15 +369,17 @@ class Search(Struct, frozen=True, eq=False):
             rows = rows[distance[rows] > accuracy]
         return best, distance
 
-    def _anywhere(self, q: Array, displacement: Array, limits: tuple[Array, Array]) -> Array:
+    def _nearest_lengths(self, q: Array, displacement: Array, limits: tuple[Array, Array]) -> Array:
         """Return the arc lengths (n,) nearest to the tip among many between limits, with the compliance at the first.
 
         The force moves the tip: on a steep ramp the tip may move back while the path goes on.
         """
         low, high = limits
         motion = self.nominal_path.at(high)[0]
-        rest = self._tip(q, displacement, motion, np.zeros((len(q), 6)))
-        units = [self._tip(q, displacement, motion, np.tile(unit, (len(q), 1))) - rest for unit in np.diag(_PROBE)]
+        unloaded_tip = self._tip(q, displacement, motion, np.zeros((len(q), 6)))
+        units = [
+            self._tip(q, displacement, motion, np.tile(unit, (len(q), 1))) - unloaded_tip for unit in np.diag(_PROBE)
+        ]
         compliance = np.stack(units, axis=2) / _PROBE
         fractions = np.linspace(0.0, 1.0, _START_VALUES)
         whole, ramp = (
@@ -390,9 +394,9 @@ class Search(Struct, frozen=True, eq=False):
             deflections = np.einsum(
                 "nij,nj->ni", compliance[point_index], self.nominal_path.wrench(self.load, motion, t)
             )
-            distances = norm(rest[point_index] + deflections - self.nominal_path.points(lengths.ravel())).reshape(
-                lengths.shape
-            )
+            distances = norm(
+                unloaded_tip[point_index] + deflections - self.nominal_path.points(lengths.ravel())
+            ).reshape(lengths.shape)
             best = np.argmin(distances, axis=1)
             begin, end = (
                 lengths[rows, np.maximum(best - 1, 0)],

@@ -76,18 +76,18 @@ def partners(nominal_track: Track, corrected_track: Track) -> Ints:
         paired_rows = np.flatnonzero(indices != _NO_PARTNER)
         partner[indices[paired_rows]] = paired_rows
         return partner
-    begin = _alike(nominal_track, corrected_track)
+    begin = _common_length(nominal_track, corrected_track)
     partner[:begin] = np.arange(begin)
     end = min(
-        _alike(_reversed(nominal_track), _reversed(corrected_track)),
+        _common_length(_reverse_track(nominal_track), _reverse_track(corrected_track)),
         len(nominal_track) - begin,
         len(corrected_track) - begin,
     )
-    rest, place = slice(begin, len(nominal_track) - end), slice(begin, len(corrected_track) - end)
+    nominal_range, corrected_range = slice(begin, len(nominal_track) - end), slice(begin, len(corrected_track) - end)
     partner[len(nominal_track) - end :] = np.arange(len(corrected_track) - end, len(corrected_track))
     last_pair = (nominal_track.position[begin - 1], corrected_track.position[begin - 1]) if begin else None
-    indices = _assigned(_part(nominal_track, rest), _part(corrected_track, place), last_pair)
-    partner[rest] = np.where(indices == _NO_PARTNER, _NO_PARTNER, indices + begin)
+    indices = _assign_partners(_part(nominal_track, nominal_range), _part(corrected_track, corrected_range), last_pair)
+    partner[nominal_range] = np.where(indices == _NO_PARTNER, _NO_PARTNER, indices + begin)
     for _ in range(_PASSES):
         _settle(nominal_track, corrected_track, partner)
     return partner
@@ -124,7 +124,7 @@ def _part(track: Track, rows: slice) -> Track:
     return Track(track.position[rows], track.step[rows], track.joint[rows], track.is_continued[rows])
 
 
-def _reversed(track: Track) -> Track:
+def _reverse_track(track: Track) -> Track:
     return Track(track.position[::-1], np.roll(track.step, -1)[::-1], track.joint[::-1], track.is_continued[::-1])
 
 
@@ -132,8 +132,8 @@ def _scale(step: Array) -> Array:
     return np.asarray(np.minimum(_LEAST_STEP + _SHARE * step, _MAX_ROWS))
 
 
-def _alike(nominal_track: Track, corrected_track: Track) -> int:
-    """Return how many targets at the beginning are the same steps, less the last few, where they begin to differ."""
+def _common_length(nominal_track: Track, corrected_track: Track) -> int:
+    """Return the number of equal steps at the beginning of two tracks, less the last few before they differ."""
     count = min(len(nominal_track), len(corrected_track))
     offset = corrected_track.position[:count] - nominal_track.position[:count]
     change = norm(np.diff(offset, axis=0, prepend=np.zeros((min(1, count), 3))))
@@ -155,7 +155,7 @@ class _States(Struct, eq=False):
     offset: Array
 
 
-def _assigned(nominal_track: Track, corrected_track: Track, last_pair: tuple[Array, Array] | None) -> Ints:
+def _assign_partners(nominal_track: Track, corrected_track: Track, last_pair: tuple[Array, Array] | None) -> Ints:
     """Return the partners (n,) of the targets of one program in the other; `last_pair`: the pair before both begin."""
     if not len(nominal_track) or not len(corrected_track):
         return np.full(len(nominal_track), _NO_PARTNER)
@@ -202,8 +202,13 @@ def _assigned(nominal_track: Track, corrected_track: Track, last_pair: tuple[Arr
             nominal_track.joint[row] != corrected_track.joint[window]
         )
         origins[row] = window, states.row[last], states.partner[last]
-        good = np.flatnonzero(np.isfinite(least_cost))
-        pair_states = _States(window[good], np.full(len(good), row), least_cost[good], offset[good])
+        reachable_columns = np.flatnonzero(np.isfinite(least_cost))
+        pair_states = _States(
+            window[reachable_columns],
+            np.full(len(reachable_columns), row),
+            least_cost[reachable_columns],
+            offset[reachable_columns],
+        )
         states = _cheapest(pair_states, states, _PASSED_COST if nominal_track.is_continued[row] else _MISSING_COST)
         row += 1
     _follow(assignment, states, origins)
@@ -222,14 +227,16 @@ def _follow(assignment: Ints, states: _States, origins: dict[int, tuple[Ints, In
 
 
 def _equal(nominal_track: Track, corrected_track: Track, row: int, partner: int) -> int:
-    """Return how many targets from these on are in the same places, after steps of the same length."""
+    """Return the number of consecutive targets at equal places after steps of equal length."""
     count = min(len(nominal_track) - row, len(corrected_track) - partner, _RUN_CHUNK)
-    mine, theirs = (
+    nominal_part, corrected_part = (
         _part(nominal_track, slice(row, row + count)),
         _part(corrected_track, slice(partner, partner + count)),
     )
-    is_same = (norm(theirs.position - mine.position) < _EQUAL) & (np.abs(theirs.step - mine.step) < _EQUAL)
-    is_same &= mine.joint == theirs.joint
+    is_same = (norm(corrected_part.position - nominal_part.position) < _EQUAL) & (
+        np.abs(corrected_part.step - nominal_part.step) < _EQUAL
+    )
+    is_same &= nominal_part.joint == corrected_part.joint
     return count if is_same.all() else int(np.argmin(is_same))
 
 

@@ -43,7 +43,7 @@ def deviation_left(nominal_path: PlacedProgram, corrected_path: PlacedProgram, p
         nominal_path.rows[has_partner],
         corrected_path.joints[rows],
         wrench[has_partner],
-        corrected_path.carried(rows),
+        corrected_path.carriage_displacement(rows),
     )
     return deviations
 
@@ -61,10 +61,10 @@ def partners_under_force(
         corrected_path.program.motions.kind[corrected_path.rows] == PTP,
     )
     for _ in range(2):  # a partner may have been that of a neighbour
-        wrong = (new_partner < 0) | ~(
+        is_mismatched = (new_partner < 0) | ~(
             norm(deviation_left(nominal_path, corrected_path, new_partner, wrench)) <= tolerance
         )
-        for k in np.flatnonzero(wrong)[:_MAX_MOVES].tolist():
+        for k in np.flatnonzero(is_mismatched)[:_MAX_MOVES].tolist():
             lower_partners, upper_partners = (
                 new_partner[:k][new_partner[:k] >= 0],
                 new_partner[k + 1 :][new_partner[k + 1 :] >= 0],
@@ -74,7 +74,7 @@ def partners_under_force(
             free = free[kinds[1][free] == kinds[0][k]]
             free = free[np.argsort(np.abs(free - partner[k]), kind="stable")[:_MAX_CANDIDATES]]
             rows, index = corrected_path.rows[free], np.full(len(free), k)
-            q, displacement = corrected_path.joints[rows], corrected_path.carried(rows)
+            q, displacement = corrected_path.joints[rows], corrected_path.carriage_displacement(rows)
             left = norm(deviation(nominal_path, nominal_path.rows[index], q, wrench[index], displacement))
             if len(free) and left.min() <= tolerance:
                 new_partner[k] = free[np.argmin(left)]
@@ -90,7 +90,9 @@ def distances_from_path(nominal_path: PlacedProgram, spot: Array, begin: Array, 
     return in_chunks(distances, spot, begin, end)[0]
 
 
-def paired(nominal_path: PlacedProgram, corrected_path: PlacedProgram, partner: Ints, certain: Bools) -> Comparison:
+def pair_targets(
+    nominal_path: PlacedProgram, corrected_path: PlacedProgram, partner: Ints, certain: Bools
+) -> Comparison:
     """Return the comparison of `nominal_path.rows` with partners (n,), indices in `corrected_path.rows`; −1 for none.
 
     :param certain: (n,) True where the partner is right for certain, so that no neighbour of it is tried.
@@ -98,35 +100,37 @@ def paired(nominal_path: PlacedProgram, corrected_path: PlacedProgram, partner: 
     nominal, corrected, has_partner = nominal_path.program, corrected_path.program, partner >= 0
     pair = np.stack([nominal_path.rows[has_partner], corrected_path.rows[partner[has_partner]]], axis=1)
     pose, twists = offsets_of(nominal_path, corrected_path, pair)
-    rest = np.setdiff1d(corrected_path.rows, pair[:, 1])
-    on_path = _on_path(nominal_path, corrected_path, pair, norm(twists[:, :3]), rest)
+    unpaired_rows = np.setdiff1d(corrected_path.rows, pair[:, 1])
+    on_path = _is_on_path(nominal_path, corrected_path, pair, norm(twists[:, :3]), unpaired_rows)
     if (~on_path).any():
-        pair = moved_pairs(nominal_path, corrected_path, pair, twists[:, :3], rest[~on_path], certain[has_partner])
+        pair = moved_pairs(
+            nominal_path, corrected_path, pair, twists[:, :3], unpaired_rows[~on_path], certain[has_partner]
+        )
         pose, twists = offsets_of(nominal_path, corrected_path, pair)
-        rest = np.setdiff1d(corrected_path.rows, pair[:, 1])
-        on_path = _on_path(nominal_path, corrected_path, pair, norm(twists[:, :3]), rest)
+        unpaired_rows = np.setdiff1d(corrected_path.rows, pair[:, 1])
+        on_path = _is_on_path(nominal_path, corrected_path, pair, norm(twists[:, :3]), unpaired_rows)
     curves = Curves.of(nominal_path, corrected_path, pair)
     return Comparison(
         nominal=nominal,
         corrected=corrected,
         robot=nominal_path.robot_in_cell.robot.name,
         pair=pair,
-        inserted_rows=rest[on_path],
+        inserted_rows=unpaired_rows[on_path],
         passed_rows=nominal_path.rows[:0],
         passing_distance=np.zeros(0),
         only_nominal=nominal_path.rows[~has_partner],
         missing_distance=np.full(int((~has_partner).sum()), np.nan),
-        additional_rows=rest[~on_path],
+        additional_rows=unpaired_rows[~on_path],
         pose=pose,
         rotation=norm(twists[:, 3:]),
         curves=curves,
-        between=np.full(len(pair), np.nan) if curves is None else curves.apart(),
+        between=np.full(len(pair), np.nan) if curves is None else curves.largest_gaps(),
         cuts=None,
         differences=(),
     )
 
 
-def judged(
+def judge_unpaired(
     comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram, load: PathForces | None
 ) -> Comparison:
     """Return the comparison with nominal targets without partner divided into passed and missing ones."""
@@ -136,7 +140,7 @@ def judged(
     return replace(comparison, only_nominal=rows[~is_passed], missing_distance=distances[~is_passed])
 
 
-def moved_alone(comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram) -> Ints:
+def moved_partners(comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram) -> Ints:
     """Return the indices (n,) in `corrected_path.rows` of targets moved away from `nominal_path.rows`; −1 for none.
 
     Those are missing and additional ones, if as many of them are between the same pairs.
@@ -156,12 +160,12 @@ def moved_alone(comparison: Comparison, nominal_path: PlacedProgram, corrected_p
     return partner
 
 
-def in_order(partner: Ints) -> Ints:
+def ordered_partners(partner: Ints) -> Ints:
     """Return partners (n,) without those that are not behind all partners before them; −1 for none."""
     return np.where(partner <= np.maximum.accumulate(np.append(-1, partner[:-1])), -1, partner)
 
 
-def with_inserted(comparison: Comparison, on_path: Bools) -> Comparison:
+def count_as_inserted(comparison: Comparison, on_path: Bools) -> Comparison:
     """Return the comparison with some of the additional targets, (n,) of them, counted as inserted ones."""
     inserted_rows = np.sort(np.append(comparison.inserted_rows, comparison.additional_rows[on_path]))
     return replace(comparison, inserted_rows=inserted_rows, additional_rows=comparison.additional_rows[~on_path])
@@ -170,7 +174,7 @@ def with_inserted(comparison: Comparison, on_path: Bools) -> Comparison:
 def missed_targets(
     comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram, load: PathForces | None
 ) -> tuple[Array, Bools]:
-    """Return by how much the second path misses nominal targets without partner (n,) [m], and which it passes (n,).
+    """Return the distances of the second path from nominal targets without partner (n,) [m], and which it passes (n,).
 
     Without forces the correction is unknown. What the offsets of the pairs next to it differ by is then no miss, and a
     point that only divides a line or an arc is passed within a multiple of them, as inserted targets are on the path.
@@ -179,7 +183,7 @@ def missed_targets(
     offset = in_cell(comparison.nominal, comparison.pair[:, 0], comparison.pose[:, :3, 3]) - in_cell(
         comparison.nominal, comparison.pair[:, 0], comparison.target[:, :3, 3]
     )
-    distances = missed_by(nominal_path, corrected_path, comparison.pair, rows, load, offset)
+    distances = missing_distances(nominal_path, corrected_path, comparison.pair, rows, load, offset)
     if load is not None or not len(comparison.pair):
         return distances, distances <= nominal_path.robot_in_cell.tolerance
     way = np.searchsorted(comparison.pair[:, 0], rows)
@@ -188,7 +192,7 @@ def missed_targets(
         comparison.distance[previous_pair], comparison.distance[next_pair]
     )
     distances = np.maximum(distances - norm(offset[next_pair] - offset[previous_pair]), 0.0)
-    return distances, (distances <= nominal_path.robot_in_cell.tolerance) | (nominal_path.continued[rows] & divides)
+    return distances, (distances <= nominal_path.robot_in_cell.tolerance) | (nominal_path.is_continued[rows] & divides)
 
 
 def offsets_of(nominal_path: PlacedProgram, corrected_path: PlacedProgram, pair: Ints) -> tuple[Array, Array]:
@@ -208,24 +212,24 @@ def moved_pairs(
     """
     pair, distance = pair.copy(), norm(offset)
     change = np.pad(norm(np.diff(offset, axis=0)), 1, constant_values=np.inf)
-    odd = (np.minimum(change[:-1], change[1:]) > OFF_PATH) & ~certain
+    is_single_change = (np.minimum(change[:-1], change[1:]) > OFF_PATH) & ~certain
     index = {int(row): place for place, row in enumerate(corrected_path.rows.tolist())}
     for row in rows[:_MAX_MOVES].tolist():
         next_pair = int(np.searchsorted(pair[:, 1], row))
         for k in (next_pair, next_pair - 1):
-            if not 0 <= k < len(pair) or not odd[k] or abs(index[int(pair[k, 1])] - index[row]) != 1:
+            if not 0 <= k < len(pair) or not is_single_change[k] or abs(index[int(pair[k, 1])] - index[row]) != 1:
                 continue
             old_target, new_pair, new_distance = pair[k, 1:], pair.copy(), distance.copy()
             new_pair[k, 1], new_distance[k] = row, 0.0
             if norm(offsets_of(nominal_path, corrected_path, new_pair[k : k + 1])[1][:, :3])[0] > distance[k]:
                 continue
-            if _on_path(nominal_path, corrected_path, new_pair, new_distance, old_target.copy())[0]:
+            if _is_on_path(nominal_path, corrected_path, new_pair, new_distance, old_target.copy())[0]:
                 pair = new_pair
                 break
     return pair
 
 
-def _on_path(
+def _is_on_path(
     nominal_path: PlacedProgram, corrected_path: PlacedProgram, pair: Ints, distance: Array, rows: Ints
 ) -> Bools:
     """Return which of the second program's targets without partner, `rows` (r,), are on the nominal path.
@@ -244,7 +248,7 @@ def _on_path(
     pose = toolpath.flange_from_tcp(corrected_path.program, rows, target, None) @ toolpath.tool_of(
         nominal_path.program, last
     )
-    spot = pose[:, :3, 3]
+    position = pose[:, :3, 3]
     limit = OFF_PATH + TIMES_OFFSET * np.maximum(np.append(0.0, distance)[next_pair], distance[next_pair])
     begin, end = nominal_path.arc_length[previous_row + 1], nominal_path.arc_length[last + 1]
     first, final = (
@@ -255,17 +259,17 @@ def _on_path(
     # a detour of the other program is on one side only
     share = begin + (length_at_row - first) / np.maximum(final - first, 1e-12) * (end - begin)
     for length in (share, begin + length_at_row - first, end - (final - length_at_row)):
-        path_distance = np.minimum(path_distance, norm(spot - nominal_path.points(np.clip(length, begin, end))))
+        path_distance = np.minimum(path_distance, norm(position - nominal_path.points(np.clip(length, begin, end))))
     distant_rows = np.flatnonzero(~(path_distance <= limit))
     if len(distant_rows):
         path_distance[distant_rows] = distances_from_path(
-            nominal_path, spot[distant_rows], begin[distant_rows], end[distant_rows]
+            nominal_path, position[distant_rows], begin[distant_rows], end[distant_rows]
         )
     is_on_path[candidates] = path_distance <= limit
     return is_on_path
 
 
-def missed_by(
+def missing_distances(
     nominal_path: PlacedProgram,
     corrected_path: PlacedProgram,
     pair: Ints,
@@ -273,7 +277,7 @@ def missed_by(
     load: PathForces | None,
     offset: Array,
 ) -> Array:
-    """Return by how much the second path misses nominal targets without partner (n,) [m]; NaN for PTP.
+    """Return the distances of the second path from nominal targets without partner (n,) [m]; NaN for PTP.
 
     Under the forces if they are known; else after moving the path back by the offsets of the pairs next to them.
 
@@ -289,6 +293,7 @@ def missed_by(
     wrench = np.zeros((len(indices), 6)) if load is None else nominal_path.wrench(load, motion)
     way = np.searchsorted(pair[:, 0], motion)
     last = np.minimum(way, len(pair) - 1)
+    # a missing target is sought on the second path between the pairs before and behind it
     begin = np.where(way > 0, corrected_path.arc_length[pair[way - 1, 1] + 1], 0.0)
     end = np.where(way < len(pair), corrected_path.arc_length[pair[last, 1] + 1], corrected_path.arc_length[-1])
     if load is None:
@@ -303,15 +308,17 @@ def missed_by(
             if load is None:
                 tool = toolpath.tool_of(nominal_path.program, motion[point_index])
                 pose = toolpath.at(corrected_path.program, corrected_path.segments, row, t).pose[:]
-                spot = (toolpath.flange_from_tcp(corrected_path.program, row, pose, None) @ tool)[:, :3, 3]
+                position = (toolpath.flange_from_tcp(corrected_path.program, row, pose, None) @ tool)[:, :3, 3]
             else:
                 q = corrected_path.joints_at(row, t)
-                spot = np.full((len(q), 3), np.inf)
-                good = np.isfinite(q).all(axis=1)
-                point_index = point_index[good]
-                displacement = corrected_path.carried(row, t)[good]
-                spot[good] = nominal_path.loaded_tip(motion[point_index], q[good], wrench[point_index], displacement)
-            return spot.reshape(*length.shape, 3)
+                position = np.full((len(q), 3), np.inf)
+                is_reachable = np.isfinite(q).all(axis=1)
+                point_index = point_index[is_reachable]
+                displacement = corrected_path.carriage_displacement(row, t)[is_reachable]
+                position[is_reachable] = nominal_path.loaded_tip(
+                    motion[point_index], q[is_reachable], wrench[point_index], displacement
+                )
+            return position.reshape(*length.shape, 3)
 
         try:
             return (nearest(points, positions, begin, end)[1],)

@@ -78,10 +78,10 @@ class PlacedProgram(DrivenProgram, frozen=True, eq=False, dict=True):
         )
         pose[:, :3, 3] += offset
         position = toolpath.pose_in_root(self.program, rows, pose, None)[:, :3, 3]
-        return Track(position, step, m.kind[rows] == PTP, self.continued[rows])
+        return Track(position, step, m.kind[rows] == PTP, self.is_continued[rows])
 
     @cached_property
-    def continued(self) -> Bools:
+    def is_continued(self) -> Bools:
         """(M,) True for motions whose end is no corner: the next motion continues the same line or arc."""
         return np.append(toolpath.continues(self.program, self.segments)[1:], False)
 
@@ -108,7 +108,7 @@ class PlacedProgram(DrivenProgram, frozen=True, eq=False, dict=True):
 
     def joints_at(self, motion: Ints, t: Array) -> Array:
         """Return the joint angles (n, 6) at places (motion, t) [rad]; NaN out of reach."""
-        return self.commanded(motion, t, self.branch[motion])[1]
+        return self.commanded_poses(motion, t, self.branch[motion])[1]
 
 
 def in_cell(program: Program, motion: Ints, point: Array) -> Array:
@@ -187,7 +187,7 @@ class Chain(Struct, frozen=True, eq=False):
         width = np.maximum(self.end[index] - self.begin[index], _NO_DISTANCE)
         return self.row[index], np.clip((u - self.begin[index]) / width, 1e-9, 1.0)
 
-    def any(self, selection: Bools) -> Bools:
+    def any_between(self, selection: Bools) -> Bools:
         """Return for each pair (P,) whether one of the motions (M,) between it and the pair before is wanted."""
         has_motion = np.zeros(int(self.end[-1]) + 1, dtype=bool)
         has_motion[np.ceil(self.end[selection[self.row]] - _NO_DISTANCE).astype(np.int64)] = True
@@ -211,8 +211,8 @@ class Curves(Struct, frozen=True, eq=False):
     def at(self, u: Array) -> tuple[Array, Array]:
         """Return the positions (n, 3) [m] of the nominal tool that each program commands at u (n,), nominal `$BASE`."""
         motion, t = self.nominal_chain.at(u)
-        mine = toolpath.positions(self.nominal_chain.program, self.nominal_chain.segments, motion, t)
-        return mine, self._second(*self.corrected_chain.at(u), motion)
+        nominal_point = toolpath.positions(self.nominal_chain.program, self.nominal_chain.segments, motion, t)
+        return nominal_point, self._second(*self.corrected_chain.at(u), motion)
 
     def second_in_cell(self, u: Array) -> Array:
         """Return where the second program commands the nominal tool (n, 3) at u (n,), in the cell [m]."""
@@ -220,7 +220,7 @@ class Curves(Struct, frozen=True, eq=False):
         return in_cell(self.nominal_chain.program, motion, self._second(*self.corrected_chain.at(u), motion))
 
     def _second(self, row: Ints, share: Array, motion: Ints) -> Array:
-        """Return where the second program sends the tool of nominal motions (n,), at its places (row, share)."""
+        """Return positions (n, 3) of the second program at places (row, share), in `$BASE` of nominal motions (n,)."""
         nominal, second = self.nominal_chain.program, self.corrected_chain.program
         if self._same_tool:
             point = toolpath.positions(second, self.corrected_chain.segments, row, share)
@@ -228,7 +228,7 @@ class Curves(Struct, frozen=True, eq=False):
         pose = toolpath.at(second, self.corrected_chain.segments, row, share).pose[:]
         return tool_of_nominal(nominal, motion, second, row, pose)[:, :3, 3]
 
-    def apart(self) -> Array:
+    def largest_gaps(self) -> Array:
         """Return the largest distance (P,) [m] of both paths at the same u, between each pair and the pair before.
 
         NaN for the first pair, and where a PTP is between.
@@ -238,9 +238,9 @@ class Curves(Struct, frozen=True, eq=False):
         knots = knots[np.diff(knots, prepend=-1.0) > _NO_DISTANCE]
         begin, end = knots[:-1], knots[1:]
         pair = np.ceil(end - _NO_DISTANCE).astype(np.int64)
-        unknown = self.nominal_chain.any(self.nominal_chain.program.motions.kind == PTP) | self.corrected_chain.any(
-            self._kind == PTP
-        )
+        unknown = self.nominal_chain.any_between(
+            self.nominal_chain.program.motions.kind == PTP
+        ) | self.corrected_chain.any_between(self._kind == PTP)
         largest = np.maximum(self._distance(begin + 1e-9 * (end - begin)), self._distance(end))
         curve_indices = np.flatnonzero(~unknown[pair] & self._is_curved(end))
         if len(curve_indices):

@@ -150,7 +150,7 @@ def place_of(program: Program, row: int) -> tuple[str, int]:
     return program.places(np.array([row])).of(0)
 
 
-def of_line(program: Program, line: int | None) -> tuple[str, int] | None:
+def file_and_line(program: Program, line: int | None) -> tuple[str, int] | None:
     """Return file and line in it of a line that a reader's issue names; the main file if no motion is on it."""
     if line is None:
         return None
@@ -167,6 +167,6 @@ def warning_at(comparison: Comparison, kind: str, message: str, rows: Sequence[i
     return Difference("warning", kind, message, nominal_place, corrected_place, count)
 
 
-def at_pairs(comparison: Comparison, kind: str, message: str, pairs: Ints) -> Difference:
+def pair_warning(comparison: Comparison, kind: str, message: str, pairs: Ints) -> Difference:
     """Return a warning at pairs (n,); the first of them is named."""
     return warning_at(comparison, kind, message, comparison.pair[pairs[0]].tolist(), len(pairs))

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from postproc.comparison.paths import SAME_FRAME, PlacedProgram
-from postproc.comparison.result import Comparison, Difference, at_pairs, of_line, warning_at
+from postproc.comparison.result import Comparison, Difference, file_and_line, pair_warning, warning_at
 from postproc.errors import Issue
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm, twist_between
 from postproc.program import CIRC, FORCE_FRAMES, LIN, PTP, SPL, Ints, Program
@@ -39,7 +39,7 @@ def settings(
     pairs = np.flatnonzero(comparison.speed_differs)
     if len(pairs):
         nominal_speed, corrected_speed = comparison.speeds[pairs[0]] * MM_PER_M
-        yield at_pairs(
+        yield pair_warning(
             comparison, "speed", f"the speed is {corrected_speed:.4g} mm/s instead of {nominal_speed:.4g} mm/s.", pairs
         )
     yield from _kind(comparison)
@@ -89,7 +89,7 @@ def _approximation(comparison: Comparison) -> Iterator[Difference]:
             for value in (corrected_blend[pairs[0]], nominal_blend[pairs[0]])
         )
         message = f"the approximation before the target ($APO.CDIS, C_DIS) is {' instead of '.join(words)}."
-        yield at_pairs(comparison, "approximation", message, pairs)
+        yield pair_warning(comparison, "approximation", message, pairs)
 
 
 def _external_axes(comparison: Comparison) -> Iterator[Difference]:
@@ -104,7 +104,7 @@ def _external_axes(comparison: Comparison) -> Iterator[Difference]:
         if len(pairs):
             values = " mm instead of ".join(f"{value[pairs[0]] * MM_PER_M:.4f}" for value in (corrected_e1, nominal_e1))
             message = f"E1 is at {values} mm: the arm is in another pose, and deflects differently, on the same path."
-            yield at_pairs(comparison, "external-axis", message, pairs)
+            yield pair_warning(comparison, "external-axis", message, pairs)
     elif (nominal_axis is None) != (corrected_axis is None) and comparison.nominal.keeps_text:
         name = "nominal" if corrected_axis is None else "corrected"
         message = f"E1, which carries the robot, has values in the {name} program only."
@@ -118,7 +118,7 @@ def _external_axes(comparison: Comparison) -> Iterator[Difference]:
         if words[0] != words[1]:
             message = f"{axis} is {words[1]} in the corrected program, and {words[0]} in the nominal one."
             first, second = (
-                of_line(program, axis_issues[axis].source_line) if axis in axis_issues else None
+                file_and_line(program, axis_issues[axis].source_line) if axis in axis_issues else None
                 for program, axis_issues in zip((comparison.nominal, comparison.corrected), fixed_axes, strict=True)
             )
             yield Difference("warning", "external-axis", message, first, second)
@@ -148,7 +148,7 @@ def _posture(
             f"the robot takes another posture: "
             f"A{joint + 1} is at {corrected_angle:.1f}° instead of {nominal_angle:.1f}° (S, T)."
         )
-        yield at_pairs(comparison, "posture", message, pairs)
+        yield pair_warning(comparison, "posture", message, pairs)
 
 
 def _status_and_turn(comparison: Comparison, corrected_path: PlacedProgram) -> Iterator[Difference]:
@@ -157,16 +157,16 @@ def _status_and_turn(comparison: Comparison, corrected_path: PlacedProgram) -> I
     first, second = comparison.pair.T
     ptp = (nominal_motions.kind[first] == PTP) & (corrected_motions.kind[second] == PTP) & comparison.nominal.keeps_text
     q = corrected_path.joints[second]
-    wrong = (corrected_motions.turn[second, None] >> np.arange(6) & 1 != (q < 0.0)) & (np.abs(q) > _NO_SIGN)
-    wrong = (
-        wrong.any(axis=1)
+    differs = (corrected_motions.turn[second, None] >> np.arange(6) & 1 != (q < 0.0)) & (np.abs(q) > _NO_SIGN)
+    differs = (
+        differs.any(axis=1)
         & (corrected_motions.turn[second] != nominal_motions.turn[first])
         & (corrected_motions.turn[second] >= 0)
     )
     is_missing = ((nominal_motions.turn[first] < 0) != (corrected_motions.turn[second] < 0)) | (
         (nominal_motions.status[first] < 0) != (corrected_motions.status[second] < 0)
     )
-    pairs = np.flatnonzero(ptp & (wrong | is_missing))
+    pairs = np.flatnonzero(ptp & (differs | is_missing))
     if len(pairs):
         k = pairs[0]
         nominal_bits, corrected_bits = (
@@ -180,11 +180,11 @@ def _status_and_turn(comparison: Comparison, corrected_path: PlacedProgram) -> I
             f"status and turn of this target are {corrected_bits} instead of {nominal_bits}: "
             "the axes may turn another way."
         )
-        yield at_pairs(comparison, "posture", message, pairs)
+        yield pair_warning(comparison, "posture", message, pairs)
 
 
 def _orientation_type(comparison: Comparison) -> Iterator[Difference]:
-    """Yield pairs with another `$ORI_TYPE`, but for that which keeps the A, B, C of a corrected target."""
+    """Yield pairs whose `$ORI_TYPE` differs, except where it differs to keep the A, B, C of a corrected target."""
     nominal_layout, corrected_layout = comparison.nominal.layout, comparison.corrected.layout
     if nominal_layout is None or corrected_layout is None:
         return
@@ -208,7 +208,7 @@ def _orientation_type(comparison: Comparison) -> Iterator[Difference]:
             f"$ORI_TYPE is {corrected_types[pairs[0]]} instead of {nominal_types[pairs[0]]}: "
             "the tool may turn otherwise on the way there."
         )
-        yield at_pairs(comparison, "orientation-type", message, pairs)
+        yield pair_warning(comparison, "orientation-type", message, pairs)
 
 
 def bases_and_tools(comparison: Comparison) -> Iterator[Difference]:
@@ -230,7 +230,7 @@ def bases_and_tools(comparison: Comparison) -> Iterator[Difference]:
                 f"{name} differs, by {norm(twist[:3]) * MM_PER_M:.4f} mm and {np.degrees(norm(twist[3:])):.4f}°: "
                 "offsets are those of the tool in the root of the robot."
             )
-            yield at_pairs(comparison, name.strip("$").lower(), message, pairs)
+            yield pair_warning(comparison, name.strip("$").lower(), message, pairs)
 
 
 def _frames_of(program: Program) -> tuple[tuple[Array, Ints], tuple[Array, Ints]]:
@@ -260,22 +260,27 @@ def forces(comparison: Comparison, corrected_path: PlacedProgram, *, in_file: bo
             yield warning_at(comparison, "force", f"{text}.", rows, 1)
         return
     load, two = corrected_path.forces(None), comparison.pair[:, 1]
-    theirs, mine = _in_base(comparison, corrected_path.wrench(load, two)), comparison.cuts.wrench
+    corrected_wrench, nominal_wrench = (
+        _base_wrenches(comparison, corrected_path.wrench(load, two)),
+        comparison.cuts.wrench,
+    )
     share = np.where(load.frame[two] == FORCE_FRAMES.index("BASE"), *_SAME_SHARE)
     cutting = ~comparison.rapid & ~comparison.corrected.motions.rapid[two]  # rapid motions carry no force
-    pairs = np.flatnonzero((norm(theirs - mine) > _SAME_FORCE + share * norm(mine)) & cutting)
+    pairs = np.flatnonzero(
+        (norm(corrected_wrench - nominal_wrench) > _SAME_FORCE + share * norm(nominal_wrench)) & cutting
+    )
     if len(pairs):
         corrected_force, nominal_force = (
-            " ".join(f"{value:.4g}" for value in wrench[pairs[0], :3]) for wrench in (theirs, mine)
+            " ".join(f"{value:.4g}" for value in wrench[pairs[0], :3]) for wrench in (corrected_wrench, nominal_wrench)
         )
         message = (
             f"its comments give the force {corrected_force} N instead of {nominal_force} N ($BASE): "
             "it was corrected for another one."
         )
-        yield at_pairs(comparison, "force", message, pairs)
+        yield pair_warning(comparison, "force", message, pairs)
 
 
-def _in_base(comparison: Comparison, wrench: Array) -> Array:
+def _base_wrenches(comparison: Comparison, wrench: Array) -> Array:
     """Return wrenches (P, 6) in the nominal `$BASE` of the pairs, of wrenches in the root."""
     rotation = comparison.nominal.bases[comparison.nominal.motions.base[comparison.pair[:, 0]], :3, :3]
     return np.asarray(np.einsum("nji,nkj->nki", rotation, wrench.reshape(-1, 2, 3))).reshape(-1, 6)

@@ -42,7 +42,7 @@ class _Texts:
         self.program = program
         self.lines = {document.name: document.text.splitlines() for document in program.documents}
 
-    def between(self, start: tuple[str, int], end: tuple[str, int]) -> list[Statement] | None:
+    def statements_between(self, start: tuple[str, int], end: tuple[str, int]) -> list[Statement] | None:
         """Return the compared statements from a motion to the next one; None where they are in different files.
 
         From the end of a loop to its begin where the next motion is not behind.
@@ -106,10 +106,10 @@ def statement_differences(comparison: Comparison) -> Iterator[Difference]:
         places.insert(0, text.routine(places[0])[0])
         places.append(text.routine(places[-1])[1])
     for k in range(len(comparison.pair) + 1):
-        spans = [text.between(*places[k : k + 2]) for text, places in zip(texts, motions, strict=True)]
+        spans = [text.statements_between(*places[k : k + 2]) for text, places in zip(texts, motions, strict=True)]
         if spans[0] is None or spans[1] is None or [s for s, _ in spans[0]] == [s for s, _ in spans[1]]:
             continue
-        for statement, line, in_second in _only_in_one(spans[0], spans[1]):
+        for statement, line, in_second in _unmatched_statements(spans[0], spans[1]):
             occurrences.setdefault((statement, in_second), []).append((min(k, len(comparison.pair) - 1), line))
     yield from _list_differences(comparison, occurrences, texts)
 
@@ -119,7 +119,7 @@ def _places(program: Program, rows: Ints) -> list[tuple[str, int]]:
     return [(places.files[int(file)], int(line)) for file, line in zip(places.file, places.line, strict=True)]
 
 
-def _only_in_one(first: Sequence[Statement], second: Sequence[Statement]) -> Iterator[tuple[str, int, bool]]:
+def _unmatched_statements(first: Sequence[Statement], second: Sequence[Statement]) -> Iterator[tuple[str, int, bool]]:
     """Yield statements of one side only, with their line and whether it is the second; of another order, all."""
     counts = [Counter(statement for statement, _ in side) for side in (first, second)]
     if counts[0] == counts[1]:

@@ -3,7 +3,17 @@
 Reads and writes no files; the command line, `jobs` and CAM hosts share it.
 """
 
-from postproc.correction.process import process, read, uncorrected
+from postproc.correction.process import process, read, uncorrected_deviations
 from postproc.correction.result import ExpectedErrors, HeldFeed, Mode, Result, Statistics, statistics
 
-__all__ = ["ExpectedErrors", "HeldFeed", "Mode", "Result", "Statistics", "process", "read", "statistics", "uncorrected"]
+__all__ = [
+    "ExpectedErrors",
+    "HeldFeed",
+    "Mode",
+    "Result",
+    "Statistics",
+    "process",
+    "read",
+    "statistics",
+    "uncorrected_deviations",
+]

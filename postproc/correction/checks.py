@@ -9,7 +9,17 @@ import numpy as np
 from postproc import elastostatics, kinematics
 from postproc.chunks import Runs, in_chunks
 from postproc.errors import Issue, Level
-from postproc.frames import DEG_PER_RAD, MM_PER_M, RAD_PER_DEG, Array, largest, norm, rotation_vector, twist_between
+from postproc.frames import (
+    DEG_PER_RAD,
+    MM_PER_M,
+    MM_PER_MIN,
+    RAD_PER_DEG,
+    Array,
+    largest,
+    norm,
+    rotation_vector,
+    twist_between,
+)
 from postproc.kinematics import JointPath
 from postproc.poses import Poses
 from postproc.program import PTP, Bools, Ints, Program
@@ -42,8 +52,6 @@ _ORIENTATION_SPEED = 200.0 * RAD_PER_DEG
 """$VEL.ORI1 and $VEL.ORI2 of a KUKA controller by default [rad/s]."""
 _TORQUE_FACTOR = 1.1
 """Torque of a load, over the largest that was measured, beyond which the model is extrapolated (assumed)."""
-_MM_PER_MIN = 60e3
-"""mm/min of one m/s."""
 JOINT_SPEED = "joint-speed-"
 """Kinds of issues about joint speeds begin so."""
 _NO_SIGN = 0.01 * RAD_PER_DEG
@@ -148,8 +156,8 @@ def half_turns(program: Program, sample: Toolpath, turn: Array, pose: Poses) -> 
         (may_reverse, "error", "and a correction may reverse it"),
         (~may_reverse, "warning", "and the joints were checked for one direction only"),
     )
-    for bad, level, consequence in cases:
-        yield from _first(program, motion, bad, "half-turn", f"{problem}, {consequence}. {advice}", level)
+    for has_half_turn, level, consequence in cases:
+        yield from _first(program, motion, has_half_turn, "half-turn", f"{problem}, {consequence}. {advice}", level)
 
 
 def status_and_turn(program: Program, robot: RobotModel, sample: Toolpath, q: Array) -> Iterator[Issue]:
@@ -166,9 +174,9 @@ def status_and_turn(program: Program, robot: RobotModel, sample: Toolpath, q: Ar
     wrong_status = (m.status[motion] >= 0) & (kinematics.status_of(robot, q[ends]) != m.status[motion] & 7)
     wrong_status &= has_sign[:, 4]
     advice = "The controller would drive the axes elsewhere, or stop: correct S and T, or leave them out."
-    for bad, name in ((wrong_status, "status S"), (wrong_turn, "turn T")):
+    for differs, name in ((wrong_status, "status S"), (wrong_turn, "turn T")):
         message = f"no configuration within the joint limits has the {name} of this target. {advice}"
-        yield from _first(program, motion, bad, "status-turn", message)
+        yield from _first(program, motion, differs, "status-turn", message)
 
 
 def start_joints(program: Program, robot: RobotModel, start: Array) -> Iterator[Issue]:
@@ -251,7 +259,7 @@ def posture(program: Program, robot: RobotModel, sample: Toolpath, path: JointPa
 
 
 def joint_speed(program: Program, sample: Toolpath, turn: Array, q: Array, position: Array) -> Array:
-    """Return how fast the joints turn at the programmed feed on the way to each sample (N, 6) [rad/s]; 0 if unknown.
+    """Return the joint speeds at the programmed feed before each sample (N, 6) [rad/s]; 0 if unknown.
 
     :param turn: (M,) how far each motion turns the tool [rad].
     :param q: (N, 6) commanded [rad].
@@ -294,8 +302,8 @@ def joint_speeds(program: Program, robot: RobotModel, sample: Toolpath, speed: A
             if not fast.any():
                 continue
             turning = speed[np.flatnonzero(fast), axis]
-            allowable_feed = float((feed[fast] * robot.speed[axis] / turning).min()) * _MM_PER_MIN
-            advice = advice.format(feed=_rounded_down(allowable_feed))
+            allowable_feed = float((feed[fast] * robot.speed[axis] / turning).min()) * MM_PER_MIN
+            advice = advice.format(feed=_round_down(allowable_feed))
             message = (
                 f"{name} would turn at {turning.max() * DEG_PER_RAD:.0f}°/s at {at} (limit "
                 f"{robot.speed[axis] * DEG_PER_RAD:.0f}°/s). {advice} or turn the tool about its axis."
@@ -303,7 +311,7 @@ def joint_speeds(program: Program, robot: RobotModel, sample: Toolpath, speed: A
             yield from _first(program, sample.motion, fast, f"{JOINT_SPEED}{name}", message, level)
 
 
-def _rounded_down(value: float) -> str:
+def _round_down(value: float) -> str:
     """Return a positive number with two digits, rounded down."""
     step = 10.0 ** (np.floor(np.log10(value)) - 1.0)
     return f"{np.floor(value / step * (1.0 + 1e-12)) * step:.6g}"
@@ -386,7 +394,7 @@ def blending(program: Program, motion: Ints, extra_rounding: Array, tolerance: f
     yield from _first(program, motion, extra_rounding > tolerance, "blending", message, "warning")
 
 
-def beyond_measured(
+def torque_warnings(
     program: Program, robot: RobotModel, motion: Ints, q: Array, tool: Array, wrench: Array
 ) -> Iterator[Issue]:
     """Yield warnings for loads with more torque on a joint than the measurements of the model had.

@@ -59,7 +59,7 @@ class SmallestClearance(Struct, frozen=True, eq=False):
     remarks: tuple[str, ...] = ()
 
 
-def of_path(path: PathUnderLoad, commanded_q: Array) -> tuple[SmallestClearance | None, list[Issue]]:
+def path_clearance(path: PathUnderLoad, commanded_q: Array) -> tuple[SmallestClearance | None, list[Issue]]:
     """Return the smallest clearance of arm, tool and obstacles, and an error for each two bodies that come too close.
 
     Under the cutting forces a corrected arm is on the nominal path, without them on the commanded one. Distances are
@@ -75,7 +75,7 @@ def of_path(path: PathUnderLoad, commanded_q: Array) -> tuple[SmallestClearance 
     if table is None:
         return None, []
     program, need = path.program, table.clearance_mm * M_PER_MM
-    sample, path_q, commanded_q = _on_arcs(path, commanded_q)
+    sample, path_q, commanded_q = _refine_arcs(path, commanded_q)
     line = program.motions.line[sample.motion]
     smallest: SmallestClearance | None = None
     stock = path.motions.forces.stock
@@ -88,14 +88,18 @@ def of_path(path: PathUnderLoad, commanded_q: Array) -> tuple[SmallestClearance 
         command_q = np.concatenate([start_q[None], commanded_q[rows]])
         corrected_q = None if np.array_equal(q, command_q) else command_q
         shift = _shift(path, sample, rows)
-        distances = collision.along(scene, q, need, shift, corrected_q)
+        distances = collision.path_hits(scene, q, need, shift, corrected_q)
         lines = np.append(line[rows][:1], line[rows])
         closest_pair = distances.closest
         if smallest is None or (closest_pair is not None and closest_pair.distance < smallest.distance):
             names = ("", "") if closest_pair is None else _names(scene, closest_pair.first, closest_pair.second)
             at = 0 if closest_pair is None else closest_pair.row
             distance = np.inf if closest_pair is None else closest_pair.distance
-            remarks = (*scene.remarks, *_of_stock(scene, stock), *_corrected(distances.largest_decrease))
+            remarks = (
+                *scene.remarks,
+                *_stock_sentences(scene, stock),
+                *_correction_sentence(distances.largest_decrease),
+            )
             smallest = SmallestClearance(distance, names, int(lines[at]), scene, remarks)
         hits = []
         for row, first, second, distance in zip(
@@ -107,9 +111,9 @@ def of_path(path: PathUnderLoad, commanded_q: Array) -> tuple[SmallestClearance 
         arrival = _too_close(scene, states.arrival(), stock, need) if from_start else set()
         for names, distance, at, clearance, begins in hits:
             worst.note(names, distance, at, clearance, begins and names not in arrival)
-        contacts = with_parts(scene, states, program.motions.rapid[states.motion] & ~_retracts(path, sample, rows))
+        contacts = part_contacts(scene, states, program.motions.rapid[states.motion] & ~_retracts(path, sample, rows))
         if stock is not None:
-            contacts = chain(contacts, with_stock(scene, states, stock, need))
+            contacts = chain(contacts, stock_contacts(scene, states, stock, need))
         for contact in contacts:
             begins = from_start and contact.motion == 0 and contact.names not in arrival
             worst.note(contact.names, contact.distance, int(program.motions.line[contact.motion]), contact.need, begins)
@@ -130,7 +134,7 @@ def _units(scene: Scene) -> Iterator[Issue]:
             yield Issue("warning", "mesh-units", message, subject=body.name)
 
 
-def _on_arcs(path: PathUnderLoad, commanded_q: Array) -> tuple[Toolpath, Array, Array]:
+def _refine_arcs(path: PathUnderLoad, commanded_q: Array) -> tuple[Toolpath, Array, Array]:
     """Return the samples of a path, their joint angles and the commanded ones (n, 6) [rad], with more on arcs.
 
     Between samples the joints are taken to move in proportion, so that the tip moves nearly along a chord. Arcs without
@@ -184,10 +188,13 @@ class _Worst:
 
     def issues(self) -> list[Issue]:
         """Return an error for each two bodies."""
-        return [_issue(names, *details, self._to_stock(names, details[1])) for names, details in self._of.items()]
+        return [
+            _issue(names, *details, self._stock_source_and_advice(names, details[1]))
+            for names, details in self._of.items()
+        ]
 
-    def _to_stock(self, names: tuple[str, str], line: int) -> tuple[str, str] | None:
-        """Return how a distance to the stock was found, and what to do on a line; None for all else."""
+    def _stock_source_and_advice(self, names: tuple[str, str], line: int) -> tuple[str, str] | None:
+        """Return the method behind a distance to the stock, and the advice for a line; None for other bodies."""
         if names[1] != STOCK or self._cell is None:
             return None
         bound = f", which is rounded up to cells of {self._cell * MM_PER_M:.2g} mm"
@@ -199,7 +206,7 @@ _CLEAR_OF_CUT = "Use a longer tool, cut here first, tilt the tool less, or corre
 _CLEAR_OF_RAPID = "Lift the tool before it moves rapidly, begin elsewhere ([start]), or correct the bodies in the cell"
 
 
-def _of_stock(scene: collision.Scene, stock: StockInTime | None) -> Iterator[str]:
+def _stock_sentences(scene: collision.Scene, stock: StockInTime | None) -> Iterator[str]:
     """Yield sentences on the stock: how it was compared, and how exactly."""
     if stock is not None:
         yield (
@@ -217,7 +224,7 @@ def _runs(tool: Ints) -> Iterator[tuple[slice, int]]:
         yield slice(begin, end), int(tool[begin])
 
 
-def _corrected(reduction: float) -> Iterator[str]:
+def _correction_sentence(reduction: float) -> Iterator[str]:
     """Yield a sentence on the reduction of distances [m] for the correction."""
     if reduction > _NO_REDUCTION:
         yield (
@@ -227,7 +234,7 @@ def _corrected(reduction: float) -> Iterator[str]:
 
 
 def _shift(path: PathUnderLoad, sample: Toolpath, rows: slice) -> Array | None:
-    """Return how far E1 carries the robot (n + 1, 3) [m] before samples and at them; None if nothing carries it."""
+    """Return the displacements (n + 1, 3) [m] of the robot by E1 before and at samples; None without a linear axis."""
     carriage = path.program.carriage
     if carriage is None:
         return None
@@ -253,7 +260,7 @@ def _issue(
     """Return the error of two bodies.
 
     :param begins: on the way from [start].
-    :param to_stock: see `_Worst._to_stock`.
+    :param to_stock: see `_Worst._stock_source_and_advice`.
     """
     first, second = names
     verb = "touches or is inside" if distance == 0.0 else f"comes within {distance * MM_PER_M:.2g} mm of"
@@ -274,7 +281,7 @@ class States(Struct, frozen=True, eq=False):
 
     :param motion: (N,) row of `Motions`.
     :param q: (N + 1, 6) joint angles [rad]; the first row is before the first sample.
-    :param commanded: (N + 1, 6) those that the arm may have instead [rad], see `collision.along`.
+    :param commanded: (N + 1, 6) those that the arm may have instead [rad], see `collision.path_hits`.
     :param shift: (N + 1, 3) how far E1 carries the robot [m]; None if nothing carries it.
     """
 
@@ -299,11 +306,11 @@ class States(Struct, frozen=True, eq=False):
 
 def _too_close(scene: Scene, states: States, stock: StockInTime | None, need: float) -> set[tuple[str, str]]:
     """Return the names of bodies that come closer than allowed along a path that cuts nothing."""
-    hits = collision.along(scene, states.q, need, states.shift, states.commanded)
+    hits = collision.path_hits(scene, states.q, need, states.shift, states.commanded)
     names = {_names(scene, first, second) for first, second in zip(hits.first, hits.second, strict=True)}
-    contacts = with_parts(scene, states, np.ones(len(states.motion), dtype=bool))
+    contacts = part_contacts(scene, states, np.ones(len(states.motion), dtype=bool))
     if stock is not None:
-        contacts = chain(contacts, with_stock(scene, states, stock, need))
+        contacts = chain(contacts, stock_contacts(scene, states, stock, need))
     return names | {contact.names for contact in contacts}
 
 
@@ -316,17 +323,17 @@ class Contact(Struct, frozen=True):
     need: float
 
 
-def with_stock(scene: Scene, states: States, stock: StockInTime, need: float) -> Iterator[Contact]:
-    """Yield where arm, meshes of the tool, and on motions that turn it all of it come too close to the stock.
+def stock_contacts(scene: Scene, states: States, stock: StockInTime, need: float) -> Iterator[Contact]:
+    """Yield the contacts of arm and tool meshes with the stock; on motions that turn the tool, those of the whole tool.
 
     :param need: smallest allowed distance [m]; the cutter must not touch.
     """
-    moving = [body for body in scene.bodies if not body.fixed]
+    moving = [body for body in scene.bodies if not body.is_fixed]
     arm_and_meshes = [body for body in moving if body.of == "arm" or (body.of == "tool" and body.kind == "mesh")]
     tool_shapes = [body for body in moving if body.of == "tool" and body.kind != "mesh"]
-    cutters = [collision.inside(body) for body in moving if body.of == "cutter"]
+    cutters = [collision.inscribed_capsule(body) for body in moving if body.of == "cutter"]
     all_rows = np.ones(len(states.motion), dtype=bool)
-    turning = ~stock.compared[states.motion]
+    turning = ~stock.is_compared[states.motion]
     passing = turning & ~stock.cuts[states.motion]
     nominal = replace(states, commanded=None)
     for bodies, body_states, own_need, rows in (
@@ -335,16 +342,16 @@ def with_stock(scene: Scene, states: States, stock: StockInTime, need: float) ->
         (cutters, nominal, 0.0, passing),
     ):
         if bodies and rows.any():
-            yield from _Search(scene, bodies, body_states, stock, own_need).over(rows)
+            yield from _Search(scene, bodies, body_states, stock, own_need).contacts(rows)
 
 
-def with_parts(scene: Scene, states: States, rapid: Bools) -> Iterator[Contact]:
-    """Yield where the cutter goes into a part of [collision] on rapid moves, on which the tool is on its nominal path.
+def part_contacts(scene: Scene, states: States, rapid: Bools) -> Iterator[Contact]:
+    """Yield the contacts of the cutter with parts of [collision] on rapid moves, where the tool is on its nominal path.
 
     :param rapid: (N,) samples on rapid moves along which the tool does not just leave its cut.
     """
     parts = [body for body in scene.bodies if body.of == "part"]
-    cutters = [collision.inside(body) for body in scene.bodies if body.of == "cutter"]
+    cutters = [collision.inscribed_capsule(body) for body in scene.bodies if body.of == "cutter"]
     if parts and cutters and rapid.any():
         solids = _solids(scene, cutters, parts)
         for low, high in _stretches(rapid):
@@ -359,8 +366,8 @@ class _Search:
         self.solids: Solids | None = None
         self.scene, self.bodies, self.compared = scene, bodies, 0
 
-    def over(self, rows: Bools) -> Iterator[Contact]:
-        """Yield what comes too close at, or before, samples (N,)."""
+    def contacts(self, rows: Bools) -> Iterator[Contact]:
+        """Yield the contacts at, or before, samples (N,)."""
         motion = self.states.motion
         left = rows
         while left.any():
@@ -375,17 +382,19 @@ class _Search:
             # the first half of them by the stock before them, the others by that in their middle
             middle = int(later_motions[len(later_motions) // 2])
             open_ = left & np.isin(motion, later_motions)
-            yield from self.over(open_ & (motion < middle))
+            yield from self.contacts(open_ & (motion < middle))
             left = open_ & (motion >= middle)
 
     def _at(self, motion: int, rows: Bools) -> list[Contact]:
-        """Return what comes too close to the stock before a motion at, or before, samples (N,)."""
+        """Return the contacts with the stock as it is before a motion, at or before samples (N,)."""
         points, faces = self.stock.mesh(motion)
         self.compared += 1
         if not len(points):
             return []
         body = Body(STOCK, -1, "obstacle", "mesh", (), np.eye(4), points, faces)
-        self.solids = _solids(self.scene, self.bodies, [body]) if self.solids is None else self.solids.with_last(body)
+        self.solids = (
+            _solids(self.scene, self.bodies, [body]) if self.solids is None else self.solids.replace_last(body)
+        )
         solids = self.solids
         return [
             contact
@@ -403,7 +412,7 @@ def _solids(scene: Scene, moving: Sequence[Body], fixed_bodies: Sequence[Body]) 
 
 def _contacts(solids: Solids, states: States, need: float) -> Iterator[Contact]:
     """Yield the contacts of bodies closer than `need` [m] at, or before, the states."""
-    hits = collision.among(solids, states.q, need, states.shift, states.commanded)
+    hits = collision.pair_hits(solids, states.q, need, states.shift, states.commanded)
     motion = np.append(states.motion[:1], states.motion)
     for row, first, second, distance in zip(hits.row, hits.first, hits.second, hits.distance, strict=True):
         names = solids.bodies[int(first)].name, solids.bodies[int(second)].name

@@ -59,7 +59,7 @@ class Slowing(Struct, frozen=True):
         return motions.issue("info", "rapid-slowed", message, slow)
 
 
-def slowed(
+def slow_rapids(
     path: PathUnderLoad, q: Array, position: Array, before: Slowing | None, fast_lines: Collection[int]
 ) -> tuple[MotionsUnderLoad, Slowing] | None:
     """Return the motions with positioning moves slowed to what the joints can do, and which these are, or None.
@@ -133,7 +133,7 @@ def _positioning(path: PathUnderLoad) -> Bools:
 
 
 def commanded_speed(path: PathUnderLoad, q: Array, position: Array) -> Array:
-    """Return how fast the joints turn at the programmed feed on the way to each sample (N, 6) [rad/s].
+    """Return the commanded joint speeds at the programmed feed before each sample (N, 6) [rad/s].
 
     The first sample is reached from `[start]` of the cell.
 
@@ -220,10 +220,10 @@ def _states(path: PathUnderLoad, q: Array, rows: Ints) -> tuple[Array, Array, Ar
         state[:6] = q[at].T
         state[:6, at < 0] = path.robot_in_cell.cell.start_joints[:, None]
         state[_WRIST], state[_SHOULDER], state[_ELBOW] = state[4], form.reach(state.T), form.elbow(state.T)
-        room = np.abs(state)
-        room[:6] = np.minimum(state[:6] - robot.lower[:, None], robot.upper[:, None] - state[:6])
+        margin = np.abs(state)
+        margin[:6] = np.minimum(state[:6] - robot.lower[:, None], robot.upper[:, None] - state[:6])
         states.append(state)
-        margins.append(room)
+        margins.append(margin)
     return margins[0], margins[1], np.abs(states[1] - states[0])
 
 
@@ -232,15 +232,15 @@ def _arcs(path: PathUnderLoad, q: Array, fast: Bools) -> Stretches:
     m, motion = path.program.motions, path.sample.motion
     rows = np.flatnonzero(m.kind[motion] == CIRC)
     if len(rows):
-        _, room, step = _states(path, q, rows)
+        _, margin, step = _states(path, q, rows)
         certain = motion[rows[fast[rows] | (step[:6].max(axis=0) > _LARGE_STEP)]]
         # what comes near by the largest step of any arc may come near by that of its own
-        may_be = (room < _state_changes(step.max(axis=1, keepdims=True))).any(axis=0)
+        may_be = (margin < _state_changes(step.max(axis=1, keepdims=True))).any(axis=0)
         in_reach = np.isin(motion[rows], motion[rows[may_be]])
-        rows, room, step = rows[in_reach], room[:, in_reach], step[:, in_reach]
+        rows, margin, step = rows[in_reach], margin[:, in_reach], step[:, in_reach]
         first = np.flatnonzero(np.diff(motion[rows], prepend=-1))
         threshold = _state_changes(np.maximum.reduceat(step, first, axis=1))
-        close = (np.minimum.reduceat(room, first, axis=1) < threshold).any(axis=0)
+        close = (np.minimum.reduceat(margin, first, axis=1) < threshold).any(axis=0)
         rows = distinct(np.append(certain, motion[rows[first[close]]]))
     parts = np.ceil(m.sweep[rows] / _SPACING - 1e-9).clip(1).astype(np.int64)
     return Stretches(rows, np.zeros(len(rows)), np.ones(len(rows)), parts)
@@ -267,12 +267,12 @@ def _lines(path: PathUnderLoad, q: Array, fast: Bools) -> Stretches:
     way, turn = way[rows], turn[rows]
 
     def near_something(rows: Ints, way: Array, turn: Array) -> tuple[Bools]:
-        start_room, room, step = _states(path, q, rows)
+        start_margin, margin, step = _states(path, q, rows)
         change = _STEPS * step
         change[:_SHOULDER] += way / _NEAREST + _PER_TURN * turn
         change[_SHOULDER] += way + _REACH_PER_TURN * turn + checks.SHOULDER
         change[_ELBOW] = _ELBOW_PER_M * way + _ELBOW_PER_TURN * turn
-        return (np.asarray((np.minimum(start_room, room) < change).any(axis=0)),)
+        return (np.asarray((np.minimum(start_margin, margin) < change).any(axis=0)),)
 
     close = in_chunks(near_something, rows, way, turn)[0] | fast[rows]
     rows, way, turn = rows[close], way[close], turn[close]
@@ -319,10 +319,10 @@ def dense_places(
         motion, t = stretches.motion[stretch], begin + (end - begin) * share
         close = toolpath.at(program, path.motions.segments, motion, t)
         flange = toolpath.flange_from_tcp(program, motion, close.pose[:], t)
-        exact = kinematics.on_branch(robot, flange, joints.branch[last[motion]])
-        bad = any_column(np.isnan(exact))
-        if bad.any():
-            raise ImpossiblePathError(unreachable(program, motion[bad]))
+        exact = kinematics.branch_joints(robot, flange, joints.branch[last[motion]])
+        is_out_of_reach = any_column(np.isnan(exact))
+        if is_out_of_reach.any():
+            raise ImpossiblePathError(unreachable(program, motion[is_out_of_reach]))
         first, final = np.searchsorted(sample_place, [(motion + t).min(), (motion + t).max()]).tolist()
         neighbours = slice(max(first - 1, 0), final + 1)
         nominal, at = joints.q[neighbours], position[neighbours] - sample.pose[neighbours, :3, 3]
@@ -337,7 +337,7 @@ def dense_places(
 
 def origin_issues(program: Program, mode: Mode) -> list[Issue]:
     """Return the issues of a program that postproc wrote: it must not be corrected a second time."""
-    writer = registry.by_name(program.dialect).writer
+    writer = registry.dialect_of_name(program.dialect).writer
     if writer is None:
         return []
     origin = writer.origin(program.documents)
@@ -370,7 +370,7 @@ def origin_issues(program: Program, mode: Mode) -> list[Issue]:
     return []
 
 
-def of_tools(program: Program, cell: Cell) -> list[Issue]:
+def tool_change_issues(program: Program, cell: Cell) -> list[Issue]:
     """Return an error if a program changes to another tool, and the cell does not say how."""
     changes = [event for event in program.events if event.kind == "tool_change"]
     second = next((event for event in changes if event.value != changes[0].value), None)
@@ -387,7 +387,7 @@ _SAME_LENGTH = 1e-4
 """Tips of tools that are less [m] apart count as one (assumed)."""
 
 
-def of_holder(program: Program, cell: Cell) -> list[Issue]:
+def holder_issues(program: Program, cell: Cell) -> list[Issue]:
     """Return a warning if tools with other tips share the cylinders of [collision], which are placed from the tip."""
     if cell.collision is None or sum(part.mesh is None for part in cell.collision.holder) < 2:
         return []
@@ -410,7 +410,7 @@ _SAME_FRAME = 1e-6
 """Entries of frames that differ by less [m, 1] are equal (assumed)."""
 
 
-def of_frames(program: Program, cell: Cell) -> list[Issue]:
+def frame_issues(program: Program, cell: Cell) -> list[Issue]:
     """Return notes if `$BASE` or `$TOOL` of a robot program are its own, and not those of the cell."""
     if not program.keeps_text:
         return []
@@ -443,7 +443,7 @@ def _first_tips(path: PathUnderLoad) -> Array:
     return toolpath.positions(path.program, path.motions.segments, motion, share)
 
 
-def of_path(path: PathUnderLoad, command: Commands) -> list[Issue]:
+def path_issues(path: PathUnderLoad, command: Commands) -> list[Issue]:
     """Return the issues of the path as commanded.
 
     :param command: commands of the samples, in `$BASE`.

@@ -13,7 +13,7 @@ import numpy as np
 from postproc.cell import Cell
 from postproc.errors import Issue, Level
 from postproc.forces.path_forces import PathForces
-from postproc.frames import MM_PER_M, Array, norm
+from postproc.frames import MM_PER_M, MM_PER_MIN, Array, norm
 from postproc.kinematics.forward import GRAVITY
 from postproc.program import Ints, Program, distinct
 from postproc.robot import RobotModel
@@ -42,7 +42,7 @@ _BESIDE = 0.05
 """Width around the cuts [m] in which stock and clamps are."""
 
 
-def of_setup(program: Program, cell: Cell, robot: RobotModel) -> Iterator[Issue]:
+def setup_questions(program: Program, cell: Cell, robot: RobotModel) -> Iterator[Issue]:
     """Yield a warning for each value of the cell, or frame of the program, to ask about."""
     m = program.motions
     cutting = np.flatnonzero(~m.rapid)
@@ -88,7 +88,7 @@ def near_base(base: Array, table: str) -> str:
     return f"{message}: are X, Y, Z in mm? {table} is in mm: 1.5 m are 1500"
 
 
-def of_forces(program: Program, forces: PathForces, cell: Cell, robot: RobotModel) -> Iterator[Issue]:
+def force_questions(program: Program, forces: PathForces, cell: Cell, robot: RobotModel) -> Iterator[Issue]:
     """Yield a question where a force is more than the arm carries, or a moment belongs to no cutter; where the spindle
     is off, or the feed has another unit, in moves that have a force.
     """
@@ -124,7 +124,7 @@ def _cutting(program: Program, cell: Cell, rows: Ints) -> Iterator[Issue]:
     The spindle of a cell without lines for it is switched otherwise.
     """
     m = program.motions
-    feed = 60.0 * MM_PER_M * m.feed[rows]
+    feed = MM_PER_MIN * m.feed[rows]
     unusual = (feed < _SLOWEST) | (feed > _FASTEST)
     if unusual.any():
         message = f"a cut with a feed of {feed[np.argmax(unusual)]:.3g} mm/min: is its unit right?"
@@ -156,7 +156,7 @@ def _cutting(program: Program, cell: Cell, rows: Ints) -> Iterator[Issue]:
 
 
 def _spindle_effect(cell: Cell, lines: Sequence[str]) -> str:
-    """Return what lines of `[m_codes]` do to the spindle, as a kind of event; empty for nothing.
+    """Return the kind of event by which lines of `[m_codes]` switch the spindle; empty if they do not.
 
     They switch it if they set one of the signals that spindle_on and spindle_ccw set: off by a line of spindle_off.
     """

@@ -17,7 +17,7 @@ from postproc.cell import Cell
 from postproc.chunks import in_chunks
 from postproc.correction import checks, collisions, inspection, plausibility
 from postproc.correction.result import ExpectedErrors, Mode, Result
-from postproc.correction.targets import Chosen, CommandedPath, Commands, choose_targets, pieces_needed
+from postproc.correction.targets import Chosen, CommandedPath, Commands, arc_pieces, choose_targets
 from postproc.correction.verify import ReadBack, Simulated, UnusableTextError, read_back, simulate
 from postproc.dialects import registry
 from postproc.dialects.dialect import Writer
@@ -42,13 +42,13 @@ from postproc.under_load import (
 _NO_BALANCE = "no loaded equilibrium: the pose is singular or the load too large. Move the part or check the forces."
 
 
-def as_programmed(path: PathUnderLoad) -> Commands:
+def programmed_commands(path: PathUnderLoad) -> Commands:
     """Return the uncorrected commands of the program; poses in `$BASE`."""
     theta = np.broadcast_to(0.0, (len(path), path.robot_in_cell.robot.actual.nv))
     return Commands(path.joints.q, path.sample.pose, theta)
 
 
-def corrected(path: PathUnderLoad) -> Commands:
+def corrected_commands(path: PathUnderLoad) -> Commands:
     """Return the corrected commands of all samples; poses in `$BASE`. Axis targets are not corrected.
 
     :raises ImpossiblePathError: a sample has no loaded equilibrium.
@@ -66,7 +66,7 @@ def corrected(path: PathUnderLoad) -> Commands:
         return command[:, :3, 3], xyzabc_from_pose(command)[:, 3:]
 
     movable, unmoved = np.flatnonzero(~stays), np.flatnonzero(stays)
-    position, angles = _in_equilibrium(path, in_chunk, movable)
+    position, angles = _solve_in_chunks(path, in_chunk, movable)
     if len(unmoved):
         q[unmoved] = path.joints.q[unmoved]
         parts, nominal = (position, angles), path.sample.pose
@@ -75,7 +75,7 @@ def corrected(path: PathUnderLoad) -> Commands:
     return Commands(q, Poses(position, angles), theta)
 
 
-def uncorrected(path: PathUnderLoad, rows: Ints, theta: Array) -> tuple[Array, Array, Array | None]:
+def uncorrected_deviations(path: PathUnderLoad, rows: Ints, theta: Array) -> tuple[Array, Array, Array | None]:
     """Return the deviation and displacement of the tool at samples (n,) without correction, `$BASE` [m].
 
     :param theta: (N, nv) approximate deflections of the springs: start values.
@@ -92,11 +92,11 @@ def uncorrected(path: PathUnderLoad, rows: Ints, theta: Array) -> tuple[Array, A
         by_wrench = () if rest_is_nominal else (tip - path.tip_in_base(row, q, np.zeros_like(wrench), guess)[0],)
         return (deviation, *by_wrench) if rigid else (deviation, *by_wrench, by_tool)
 
-    columns = _in_equilibrium(path, in_chunk, rows)
+    columns = _solve_in_chunks(path, in_chunk, rows)
     return columns[0], columns[0 if rest_is_nominal else 1], None if rigid else columns[-1]
 
 
-def _in_equilibrium(
+def _solve_in_chunks(
     path: PathUnderLoad, function: Callable[[Ints], tuple[Array, ...]], rows: Ints
 ) -> tuple[Array, ...]:
     """Return the results of a function of samples (n,), in chunks; the error lists all motions without equilibrium."""
@@ -170,7 +170,7 @@ class Draft(Struct, frozen=True, eq=False):
             *task.initial_issues,
             *path.program.issues,
             *path.motions.forces.issues,
-            *inspection.of_path(path, command),
+            *inspection.path_issues(path, command),
         )
         return cls(path, command.q, command.theta, selection, issues)
 
@@ -182,11 +182,11 @@ class Draft(Struct, frozen=True, eq=False):
     def forces_at_targets(self) -> TargetForces:
         """Return the wrench at each target in the form that the written program needs."""
         selection = self.selection
-        return forces.of_targets(
+        return forces.target_forces(
             self.path.motions.forces, selection.targets, selection.arrive, self.path.wrench.of_rows(selection.row)
         )
 
-    def written(self, task: Task) -> Draft:
+    def write(self, task: Task) -> Draft:
         """Return the draft written, read back and simulated, as far as possible.
 
         :raises ProgramError: it cannot be written.
@@ -302,9 +302,9 @@ def _uncorrected_at_targets(task: Task, draft: Draft) -> tuple[Array, Array, Arr
     """
     path, row = draft.path, draft.selection.row
     if task.mode != "predict":
-        deviation, deflection, by_tool = uncorrected(path, row, draft.theta)
+        deviation, deflection, by_tool = uncorrected_deviations(path, row, draft.theta)
         return deviation, deflection, by_tool, float(norm(deviation).max(initial=0.0))
-    deviation, deflection, by_tool = uncorrected(path, np.arange(len(path)), draft.theta)
+    deviation, deflection, by_tool = uncorrected_deviations(path, np.arange(len(path)), draft.theta)
     largest = float(norm(deviation).max(initial=0.0))
     at_targets = deviation[row]
     deflection = at_targets if deflection is deviation else deflection[row]  # a rigid tool: the same values, kept once
@@ -367,12 +367,12 @@ def _errors(
     if path.motions.forces.spread is not None and robot.covariance is None:
         return None, None, [Issue("info", "no-bound", _NO_BOUND)]
     motion = draft.selection.targets.motion
-    issues = list(checks.beyond_measured(program, robot, motion, *_loads(draft)))
+    issues = list(checks.torque_warnings(program, robot, motion, *_loads(draft)))
     if robot.covariance is None:
         return None, None, issues
     turning = np.zeros((len(row), 6), dtype=bool)
     turning[reversals.row, reversals.joint] = turning[reversals.before, reversals.joint] = True
-    is_scaled = path.robot_in_cell.scaled(path.motions.forces, path.sample.motion[row])
+    is_scaled = path.robot_in_cell.has_model_factor(path.motions.forces, path.sample.motion[row])
     simulation = None if task.mode == "nominal" else draft.simulation
     left = np.broadcast_to(0.0, deviation.shape) if simulation is None else simulation.deviation
     path_distance = np.zeros(len(row)) if simulation is None else simulation.path_distance
@@ -386,7 +386,7 @@ def _errors(
         sources = elastostatics.sources_of_error(robot, *elastostatics.loads(*load, turning, is_scaled))
         pair = [toolpath.directions_in_root(program, motion[target], offset[target]) for offset in (deviation, left)]
         gain.add(sources, pair[0], pair[1], path_distance[target], cuts[target])
-        expectation = elastostatics.expected_at(sources, pair[0], pair[1])
+        expectation = elastostatics.expected_errors(sources, pair[0], pair[1])
         for k, error in enumerate((expectation.with_known_robot, expectation.with_known_forces)):
             error_by_remedy[k] = max(
                 error_by_remedy[k],
@@ -425,7 +425,7 @@ def _readback_forces(draft: Draft, readback: ReadBack) -> tuple[Knots | None, tu
     path_forces, targets = draft.path.motions.forces, draft.selection.targets
     travel, _ = forces.last_travel(readback.program, readback.segments, path_forces.axes.spindle)
     axes = Axes(readback.program, readback.segments, path_forces.axes.spindle, travel)
-    piece_forces = forces.of_pieces(path_forces, targets, draft.forces_at_targets(), axes, readback.row)
+    piece_forces = forces.piece_knots(path_forces, targets, draft.forces_at_targets(), axes, readback.row)
     knots, differ = forces.once_a_line(piece_forces, readback.text.output_line)
     if not len(differ):
         return knots, ()
@@ -448,10 +448,10 @@ def read(documents: Sequence[Document], robot: RobotModel, cell: Cell, name: str
     :raises InputError: the robot's controller does not read this language.
     :raises ProgramError: it cannot be interpreted; the message gives file, line, text and advice.
     """
-    if registry.by_name(dialect).writer is not None:
+    if registry.dialect_of_name(dialect).writer is not None:
         _check_language(documents[0].name, robot, dialect)
     robot_in_cell = RobotInCell.of(robot, cell)
-    program = registry.by_name(dialect).read(documents, cell, robot_in_cell.forward, name)
+    program = registry.dialect_of_name(dialect).read(documents, cell, robot_in_cell.forward, name)
     if len(program.motions) == 0:
         raise ProgramError("no motion in this program", file=documents[0].name, advice="Nothing can be corrected.")
     try:
@@ -496,10 +496,10 @@ def process(
         in_file=source is not None,
         initial_issues=(
             *inspection.origin_issues(program, mode),
-            *inspection.of_tools(program, cell),
-            *inspection.of_frames(program, cell),
-            *inspection.of_holder(program, cell),
-            *plausibility.of_setup(program, cell, robot),
+            *inspection.tool_change_issues(program, cell),
+            *inspection.frame_issues(program, cell),
+            *inspection.holder_issues(program, cell),
+            *plausibility.setup_questions(program, cell, robot),
             *plausibility.tool_changes(program),
         ),
     )
@@ -512,11 +512,13 @@ def process(
     if not errors:
         try:
             motions = MotionsUnderLoad.of(program, robot_in_cell, source)
-            questions = plausibility.of_forces(program, motions.forces, cell, robot)
-            task, draft = _settled(replace(task, initial_issues=(*task.initial_issues, *questions)), motions)
-            smallest, collision_issues = collisions.of_path(draft.path, draft.q)
+            questions = plausibility.force_questions(program, motions.forces, cell, robot)
+            task, draft = _refine_until_tolerated(
+                replace(task, initial_issues=(*task.initial_issues, *questions)), motions
+            )
+            smallest, collision_issues = collisions.path_clearance(draft.path, draft.q)
             draft = replace(draft, issues=(*draft.issues, *collision_issues))
-            result = result_of(task, _as_read(task, draft) if mode == "predict" else draft, draft)
+            result = result_of(task, _without_correction(task, draft) if mode == "predict" else draft, draft)
             return replace(result, clearance=smallest)
         except ImpossiblePathError as cause:
             errors = [cause.issue]
@@ -537,7 +539,7 @@ def _check_language(file: str, robot: RobotModel, language: str) -> None:
         )
 
 
-def _settled(task: Task, motions: MotionsUnderLoad) -> tuple[Task, Draft]:
+def _refine_until_tolerated(task: Task, motions: MotionsUnderLoad) -> tuple[Task, Draft]:
     """Draft the program; insert targets each round where its simulation exceeds the tolerance.
 
     :returns: the task, with an issue if rapid moves were slowed, and the draft.
@@ -545,22 +547,22 @@ def _settled(task: Task, motions: MotionsUnderLoad) -> tuple[Task, Draft]:
     pieces, extra_places = _first_pieces(task, motions), motions.swing_places
     first_issues, slowing = task.initial_issues, None
     for _ in range(_ROUNDS):
-        draft = _drafted(task, PathUnderLoad.of(motions, pieces, extra_places))
+        draft = _draft(task, PathUnderLoad.of(motions, pieces, extra_places))
         for _ in range(_SLOWINGS):
             too_fast = [issue for issue in draft.issues if issue.kind.startswith(checks.JOINT_SPEED)]
             if not too_fast:
                 break
             fast_lines = {line for issue in too_fast for line in (issue.source_line or 0, *issue.lines)}
             q, position = draft.q, draft.path.sample.pose[:, :3, 3]
-            slow_motions = inspection.slowed(draft.path, q, position, slowing, fast_lines)
+            slow_motions = inspection.slow_rapids(draft.path, q, position, slowing, fast_lines)
             if slow_motions is None:
                 break
             motions, slowing = slow_motions
             task = replace(task, initial_issues=(*first_issues, slowing.issue(motions.program.motions)))
-            draft = _drafted(task, PathUnderLoad.of(motions, pieces, extra_places))
+            draft = _draft(task, PathUnderLoad.of(motions, pieces, extra_places))
         if draft.simulation is None or task.mode == "nominal" or len(draft.simulation.missed[0]) == 0:
             break
-        pieces, extra_places = _closer(task, draft.path, draft.simulation.missed, extra_places)
+        pieces, extra_places = _refine(task, draft.path, draft.simulation.missed, extra_places)
     return task, draft
 
 
@@ -569,11 +571,11 @@ def _first_pieces(task: Task, motions: MotionsUnderLoad) -> Pieces:
     pieces = motions.pieces(linearize_arcs=task.linearize_arcs)
     if pieces.uncertain.any():
         path = PathUnderLoad.of(motions, pieces)
-        pieces = pieces_needed(CommandedPath.of(path, _commands(task, path)))
+        pieces = arc_pieces(CommandedPath.of(path, _commands(task, path)))
     return pieces
 
 
-def _closer(
+def _refine(
     task: Task, path: PathUnderLoad, exceedances: tuple[Ints, Array, Array], extra_places: tuple[Ints, Array]
 ) -> tuple[Pieces, tuple[Ints, Array]]:
     """Return finer pieces of arcs and more places on straight motions where the path left the tolerance."""
@@ -588,20 +590,20 @@ def _closer(
 def _commands(task: Task, path: PathUnderLoad) -> Commands:
     """Return commanded joint angles and poses of all samples, by the mode of the task; poses in `$BASE`."""
     if task.mode == "nominal":
-        return as_programmed(path)
+        return programmed_commands(path)
     try:
-        return corrected(path)
+        return corrected_commands(path)
     except ImpossiblePathError:
         if task.mode == "convert":
             raise
-        return as_programmed(path)  # what cannot be corrected can still be predicted
+        return programmed_commands(path)  # what cannot be corrected can still be predicted
 
 
-def _drafted(task: Task, path: PathUnderLoad) -> Draft:
+def _draft(task: Task, path: PathUnderLoad) -> Draft:
     """Draft the program with targets at some of the samples; write it and read it back unless there is an error."""
     draft = _selection_of(task, path)
     try:
-        return draft if draft.failed else draft.written(task)
+        return draft if draft.failed else draft.write(task)
     except ProgramError:
         if task.mode == "predict":
             return draft
@@ -615,8 +617,8 @@ def _selection_of(task: Task, path: PathUnderLoad) -> Draft:
     return Draft.of(task, path, command, selection)
 
 
-def _as_read(task: Task, draft: Draft) -> Draft:
+def _without_correction(task: Task, draft: Draft) -> Draft:
     """Return the draft with the uncorrected commands: the correction only served to place the targets."""
     path, selection = draft.path, draft.selection
     selection = replace(selection, targets=replace(selection.targets, pose=path.sample.pose.take(selection.row)))
-    return Draft.of(task, path, as_programmed(path), selection)
+    return Draft.of(task, path, programmed_commands(path), selection)

@@ -70,12 +70,12 @@ class HeldFeed(Struct, frozen=True, eq=False):
     without_feed: Array
 
     @property
-    def lowered(self) -> Bools:
+    def is_lowered(self) -> Bools:
         """(M,) True where the written feed is below the programmed one."""
         return np.asarray(self.feed < self.programmed)
 
     @property
-    def missed(self) -> Bools:
+    def is_exceeded(self) -> Bools:
         """(M,) True where the tolerance is exceeded at the written feed."""
         return np.asarray(self.expected > self.tolerance)
 

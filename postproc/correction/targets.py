@@ -100,7 +100,7 @@ def choose(
     return row, kinds[row], via[row]
 
 
-def pieces_needed(path: CommandedPath) -> Pieces:
+def arc_pieces(path: CommandedPath) -> Pieces:
     """Return the number of pieces that arcs need, from the error of circles through pieces twice as large."""
     arcs, command = path.arcs, path.position
     stretch = np.flatnonzero(arcs.uncertain)
@@ -111,17 +111,17 @@ def pieces_needed(path: CommandedPath) -> Pieces:
     path_error = np.zeros(len(end))
     for share, row in ((0.25, quarter), (0.75, three_quarters)):
         part_angle = (angle * share)[:, None]
-        spot = centre + np.cos(part_angle) * radial + np.sin(part_angle) * tangential
-        path_error = np.maximum(path_error, norm(command[row] - spot))
+        arc_point = centre + np.cos(part_angle) * radial + np.sin(part_angle) * tangential
+        path_error = np.maximum(path_error, norm(command[row] - arc_point))
     pairs = arcs.number[stretch] // 2
     number = arcs.number.copy()
     worst = np.maximum.reduceat(path_error, np.cumsum(pairs) - pairs)
     number[stretch] = np.ceil(pairs * np.sqrt(worst / path.limit)).astype(np.int64)
-    return arcs.settled(number)
+    return arcs.with_enough_pieces(number)
 
 
 def _ends(path: CommandedPath, stretch: Ints) -> tuple[Array, Ints, Ints]:
-    """Return where pieces start (n, 3), and the samples (n,) at their middle and end, for all pieces of stretches.
+    """Return the start points (n, 3) of all pieces of stretches, and the samples (n,) at their middle and end.
 
     A piece has an even number of consecutive samples; it starts at the last sample of the piece before.
     """
@@ -212,7 +212,7 @@ def _corners(bend: Array, length: Array, is_continuous: Bools) -> Corners:
     return Corners(sharp, reach)
 
 
-def _joined(program: Program, motion: Ints, kind: Ints) -> Bools:
+def _is_continuous(program: Program, motion: Ints, kind: Ints) -> Bools:
     """Return whether (n,) targets continue on a path: the next motion is none of PTP or SPL and has the same frames."""
     m = program.motions
     following = np.append(motion[1:], -1)
@@ -235,7 +235,7 @@ def corners_of_targets(program: Program, targets: Targets, start: Array) -> tupl
         row = np.arange(max(part.start - 1, 0), min(part.stop, len(targets)))  # from the last one of the part before
         leave, arrive[row], length[row] = _pieces(targets, start, row)
         bend[row[1:]] = norm(leave[1:] - arrive[row[:-1]])
-    return _corners(bend[1:], length, _joined(program, targets.motion, targets.kind)), arrive
+    return _corners(bend[1:], length, _is_continuous(program, targets.motion, targets.kind)), arrive
 
 
 def _pieces(targets: Targets, start: Array, row: Ints) -> tuple[Array, Array, Array]:
@@ -267,11 +267,11 @@ def corners_of_motions(program: Program, path: Segments, motion: Ints) -> Corner
         return (norm(toolpath.tangent(program, path, following, np.zeros(len(motion))) - arrive),)
 
     (bend,) = in_chunks(bends, motion[:-1], motion[1:])
-    return _corners(bend, path.length[motion], _joined(program, motion, kind))
+    return _corners(bend, path.length[motion], _is_continuous(program, motion, kind))
 
 
 def programmed_rounding(program: Program, path: Segments, motion: Ints) -> Array:
-    """Return how far a program itself rounds its path at its targets (K,) [m]; 0 at inserted ones, and in G-code.
+    """Return the program's own approximation distances (K,) [m] at targets; 0 at inserted ones and in G-code.
 
     :param motion: (K,) motion of each target, never decreasing.
     """
@@ -345,7 +345,7 @@ def choose_targets(
     :param linearize_arcs: arcs are written as lines.
     """
     program, sample, m = path.program, path.sample, path.program.motions
-    whole, keeps_end = _unchanged(path, command)
+    whole, keeps_end = _unchanged_motions(path, command)
     commanded_path = CommandedPath.of(path, command)
     kind = np.where(m.kind == CIRC, LIN, m.kind) if linearize_arcs else m.kind
     is_dense = ~whole & (toolpath.swivel_pieces(program, path.motions.segments, path.robot_in_cell.tolerance) > 1)
@@ -368,7 +368,7 @@ def choose_targets(
     return Chosen(replace(targets, blend=blend), row, arrive, rounding)
 
 
-def _unchanged(path: PathUnderLoad, command: Commands) -> tuple[Bools, Bools]:
+def _unchanged_motions(path: PathUnderLoad, command: Commands) -> tuple[Bools, Bools]:
     """Return which motions (M,) become a single target, and which (M,) keep the end that their text states.
 
     In a program that keeps its text that is those that need no correction. Where a motion starts matters to straight

@@ -62,7 +62,7 @@ def read_back(path: PathUnderLoad, selection: Chosen, text: Written) -> ReadBack
     """
     robot_in_cell, targets = path.robot_in_cell, selection.targets
     try:
-        reader = registry.by_name(text.dialect)
+        reader = registry.dialect_of_name(text.dialect)
         output_program = reader.read(text.documents, robot_in_cell.cell, robot_in_cell.forward, path.program.name)
         output_program = led_by_wrist(output_program, robot_in_cell)
     except ProgramError as cause:
@@ -101,7 +101,9 @@ def _other_module(path: PathUnderLoad, whole: Program, row: Ints, modules: Modul
     fields = [name for name in m.__struct_fields__ if name not in ("line", "base", "tool")]
     for document, begin, end in zip(modules.documents, begins, [*begins[1:], len(m) - 1], strict=True):
         try:
-            module = registry.by_name(dialect).read((document,), robot_in_cell.cell, robot_in_cell.forward, "module")
+            module = registry.dialect_of_name(dialect).read(
+                (document,), robot_in_cell.cell, robot_in_cell.forward, "module"
+            )
         except ProgramError:
             return document.name
         module_motions, rows = led_by_wrist(module, robot_in_cell).motions, np.arange(begin, end + 1)
@@ -126,7 +128,7 @@ def _other_track_position(program: Program, targets: Targets, output_program: Pr
 
 
 def _mismatch(program: Program, targets: Targets, output_program: Program, row: Ints) -> Issue | None:
-    """Return an issue if the text does not say what it was to say."""
+    """Return an error if the program as read back differs from the one that was to be written."""
     m, nominal = output_program.motions, program.motions
     if len(row) != len(targets):
         return Issue("error", "read-back", f"the written program has {len(row)} targets instead of {len(targets)}")
@@ -135,24 +137,24 @@ def _mismatch(program: Program, targets: Targets, output_program: Program, row: 
         read, pose = m.target.take(row[target]), targets.pose.take(target)
         return (np.maximum(largest(read.position - pose.position), angle_between(read.rotation, pose.rotation)),)
 
-    wrong = (m.kind[row] != targets.kind) | (in_chunks(pose_error, np.arange(len(row)))[0] > _PRECISION)
+    differs = (m.kind[row] != targets.kind) | (in_chunks(pose_error, np.arange(len(row)))[0] > _PRECISION)
     for frames, expected_frames, frame, expected_frame in (
         (output_program.bases, program.bases, m.base[row], nominal.base[targets.motion]),
         (output_program.tools, program.tools, m.tool[row], nominal.tool[targets.motion]),
     ):
         differ = np.abs(twist_between(frames[:, None], expected_frames[None])).max(axis=2) > _PRECISION
-        wrong |= differ[frame, expected_frame]
-    wrong |= np.abs(m.feed[row] - nominal.feed[targets.motion]) > _PRECISION  # of PTP it is NaN, which is not more
-    wrong |= _other_track_position(program, targets, output_program, row)
-    if wrong.any():
-        first = int(np.argmax(wrong))
+        differs |= differ[frame, expected_frame]
+    differs |= np.abs(m.feed[row] - nominal.feed[targets.motion]) > _PRECISION  # of PTP it is NaN, which is not more
+    differs |= _other_track_position(program, targets, output_program, row)
+    if differs.any():
+        first = int(np.argmax(differs))
         line = int(program.motions.line[targets.motion[first]])
         return Issue(
             "error",
             "read-back",
             "the written program reads differently from what was computed: a fault of postproc, please report it",
             source_line=line,
-            count=int(wrong.sum()),
+            count=int(differs.sum()),
         )
     return None
 
@@ -231,7 +233,7 @@ class _Probes(Struct, frozen=True, eq=False):
     t: Array
 
     @property
-    def inside(self) -> Bools:
+    def is_inside(self) -> Bools:
         """(n,) True before the end of the piece."""
         return np.asarray(self.share < 1.0)
 
@@ -261,7 +263,7 @@ def simulate(
         if path.program.keeps_text:
             issues += checks.blending(path.program, targets.motion, rounding - selection.programmed, tolerance)
     issues += too_fast
-    bad = is_judged & probes.inside & ~(distance <= _SAFE * tolerance) & ~jump
+    is_beyond_tolerance = is_judged & probes.is_inside & ~(distance <= _SAFE * tolerance) & ~jump
     path_distance = np.zeros(len(targets))
     np.maximum.at(path_distance, probes.target[is_judged], distance[is_judged])
     return Simulated(
@@ -270,7 +272,7 @@ def simulate(
         deviation,
         path_distance,
         rounding,
-        (probes.motion[bad], probes.t[bad], distance[bad]),
+        (probes.motion[is_beyond_tolerance], probes.t[is_beyond_tolerance], distance[is_beyond_tolerance]),
         tuple(issues),
     )
 
@@ -294,7 +296,7 @@ def _special(path: PathUnderLoad, targets: Targets, probes: _Probes) -> tuple[Bo
 def _deviation(
     path: PathUnderLoad, selection: Chosen, theta: Array, readback: ReadBack, probes: _Probes
 ) -> tuple[Array, Array, bool]:
-    """Return how far the loaded tip is from nominal, and whether a joint comes near its largest speed.
+    """Return the deviation of the loaded tip from nominal, and whether a joint is near its largest speed.
 
     :returns: (K, 3) at the targets, `$BASE` [m]; the distance at all places (n,) [m]; True if a joint does.
     :raises UnusableTextError: a commanded pose is out of reach, or there is no equilibrium.
@@ -315,10 +317,10 @@ def _deviation(
         sample[inner] = np.searchsorted(place, motion[inner] + t[inner] - _SAME_SAMPLE)
         nominal = toolpath.at(path.program, path.motions.segments, motion, t)
         wrench = toolpath.wrench_in_root(output_program, on, path.motions.forces.at(nominal))
-        pose, q = driven_program.commanded(on, share, path.joints.branch[sample])
+        pose, q = driven_program.commanded_poses(on, share, path.joints.branch[sample])
         if np.isnan(q).any():
             raise NotConvergedError("a commanded pose is out of reach", np.flatnonzero(np.isnan(q).any(axis=1)))
-        tip = driven_program.loaded_tip(on, q, wrench, driven_program.carried(on, share), theta[sample])
+        tip = driven_program.loaded_tip(on, q, wrench, driven_program.carriage_displacement(on, share), theta[sample])
         position = pose[:, :3, 3]
         last_q, last_position = (q[:1], position[:1]) if last_state is None else last_state
         travel = norm(np.diff(position, axis=0, prepend=last_position))
@@ -327,7 +329,7 @@ def _deviation(
             travel > _NO_TRAVEL
         )
         last_state = q[-1:], position[-1:]
-        error = driven_program.in_base(on, tip) - nominal.pose[:, :3, 3]
+        error = driven_program.to_base(on, tip) - nominal.pose[:, :3, 3]
         deviation[target[~inner]] = error[~inner]
         return norm(error), fast
 
@@ -341,7 +343,7 @@ def _deviation(
 
 
 def _probes(path: PathUnderLoad, selection: Chosen, readback: ReadBack) -> _Probes:
-    """Return where to look.
+    """Return the probes: the places of the written path at which the deviation is computed.
 
     A short straight run of a straight move is followed by the deflection in proportion: its end is enough. Runs that
     are long or turn, those on which the force changes, and pieces of arcs are looked at between; closer where the
@@ -381,7 +383,7 @@ def _probes(path: PathUnderLoad, selection: Chosen, readback: ReadBack) -> _Prob
 
 
 def _unevenness(path: PathUnderLoad, selection: Chosen, readback: ReadBack, arc_rows: Ints, correction: Array) -> Array:
-    """Return how far pieces (n,) are displaced more at a quarter than they are at their end, by (n, 3) [m]."""
+    """Return by how much more pieces (n,) are displaced at a quarter of their length than at their end, (n, 3) [m]."""
 
     def in_chunk(of: Ints, begin: Array, end: Array, on: Ints, correction: Array) -> tuple[Array]:
         quarters = (
@@ -409,14 +411,14 @@ def _left(
     cases: tuple[tuple[Level, str, Bools, str], ...] = (
         ("warning", "force-step", step & wide, _STEP),
         ("error", "force-jump", jump & wide, _JUMP),
-        ("error", "tolerance", ~probes.inside & ~(distance <= _TARGET_TOLERANCE), _TARGET_ERROR),
+        ("error", "tolerance", ~probes.is_inside & ~(distance <= _TARGET_TOLERANCE), _TARGET_ERROR),
         ("error", "tolerance", smooth & wide, _PATH_ERROR),
     )
-    for level, kind, bad, message in cases:
-        if bad.any():
-            left, tolerance_mm = np.nanmax(distance[bad]) * MM_PER_M, path.robot_in_cell.tolerance * MM_PER_M
+    for level, kind, exceeds, message in cases:
+        if exceeds.any():
+            left, tolerance_mm = np.nanmax(distance[exceeds]) * MM_PER_M, path.robot_in_cell.tolerance * MM_PER_M
             message = message.format(left=f"{left:.4f} mm", allowed=f"{tolerance_mm:g} mm")
-            yield path.program.motions.issue(level, kind, message, probes.motion[bad])
+            yield path.program.motions.issue(level, kind, message, probes.motion[exceeds])
 
 
 def _joint_speeds(path: PathUnderLoad, selection: Chosen, readback: ReadBack) -> Iterator[Issue]:

@@ -61,7 +61,7 @@ class Circle(Struct, frozen=True, eq=False):
         return radial, float(norm(radial))
 
     def fault_at(self, point: Array) -> str | None:
-        """Return why a point (3,) is not on the circle, or None if it is."""
+        """Return the reason that a point (3,) is not on the circle, or None if it is on it."""
         length = self.polar(point)[1]
         deviation = abs(length - self.radius)
         if self.radius < _LEAST_MM or deviation > max(TOLERANCE_MM, _RELATIVE * self.radius):
@@ -80,7 +80,7 @@ class Circle(Struct, frozen=True, eq=False):
         """Return the height of the arc from one point (3,) to another above its chord [mm]."""
         return float(self.radius * (1.0 - np.cos(self.sweep(start, end) / 2.0)))
 
-    def at_height_of(self, point: Array) -> Array:
+    def centre_at_height(self, point: Array) -> Array:
         """Return the centre (3,) at the height of a point."""
         return np.asarray(point - self.polar(point)[0])
 
@@ -96,7 +96,7 @@ def leaving(start: Array, direction: Array, centre: Array, radius: float) -> Cir
 
 
 def belonging(circle: Circle, start: Array, points: Array, digit_mm: float) -> int | None:
-    """Return how many points (n, 3) after a CIRCLE belong to its arc; None if that is ambiguous.
+    """Return the number of points (n, 3) after a CIRCLE that belong to its arc; None if it is ambiguous.
 
     Creo divides an arc by points on it, evenly spaced. A straight line whose end happens to be on the circle must not
     be taken for a piece of the arc. A point above the helix through the first one is not of the arc: a retract at the

@@ -54,12 +54,12 @@ class Writer(Protocol):
         """
         ...
 
-    def renamed(self, documents: Sequence[Document], name: str) -> tuple[Document, ...]:
+    def rename(self, documents: Sequence[Document], name: str) -> tuple[Document, ...]:
         """Return the files of a program under another name; everything else is unchanged to the byte."""
         ...
 
-    def marked(self, documents: Sequence[Document], origin: Origin) -> tuple[tuple[Document, ...], int]:
-        """Return the files with the line that states their origin, see `provenance.marked`."""
+    def mark(self, documents: Sequence[Document], origin: Origin) -> tuple[tuple[Document, ...], int]:
+        """Return the files with the line that states their origin, see `provenance.mark`."""
         ...
 
     def origin(self, documents: Sequence[Document]) -> Provenance:
@@ -180,7 +180,7 @@ class Calling(Protocol):
         """Return for each program the files with motions that it may call, directly or indirectly."""
         ...
 
-    def with_own_copies(
+    def copy_subprograms(
         self,
         documents: Sequence[Document],
         unchanged: Sequence[bytes],

@@ -18,13 +18,13 @@ _DECIMALS = np.array([3, 3, 3, 4, 4, 4])
 _BASE = FORCE_FRAMES.index("BASE")
 
 
-def rounded(wrench: Array) -> Array:
+def round_wrenches(wrench: Array) -> Array:
     """Return wrenches (n, 6) rounded to the decimals of a comment."""
     scale = 10.0**_DECIMALS
     return np.asarray(np.rint(wrench * scale) / scale + 0.0)
 
 
-def needed(forces: TargetForces, kind: Ints, note: Ints, notes: Sequence[ForceNote], start: float) -> Bools:
+def needs_comment(forces: TargetForces, kind: Ints, note: Ints, notes: Sequence[ForceNote], start: float) -> Bools:
     """Return which targets (K,) need a comment: those whose force is not that of the last comment before them.
 
     :param kind: (K,) PTP targets carry none, and change nothing.
@@ -35,7 +35,7 @@ def needed(forces: TargetForces, kind: Ints, note: Ints, notes: Sequence[ForceNo
     states[:, 0] = np.where(states[:, 1:].any(axis=1) & (states[:, 0] != _BASE), np.nan, _BASE)  # turns with the path
 
     def wanted(row: Ints) -> Array:
-        return np.column_stack([forces.frame[row], rounded(forces.wrench[row])])
+        return np.column_stack([forces.frame[row], round_wrenches(forces.wrench[row])])
 
     def in_chunk(row: Ints, previous: Ints) -> tuple[Bools]:
         """Return which targets (n,) need one; `previous` (n,) is the one before each, −1 for none."""
@@ -57,17 +57,20 @@ def columns(comment: bytes, forces: TargetForces, rows: Ints, is_needed: Bools) 
 
     :param comment: what comments begin with.
     """
-    wrench, frame = rounded(forces.wrench[rows]), forces.frame[rows]
+    wrench, frame = round_wrenches(forces.wrench[rows]), forces.frame[rows]
     acts = is_needed & wrench.any(axis=1)
     turns = acts & wrench[:, 3:].any(axis=1)
-    parts: list[Part] = [where(comment + b"FORCE OFF", is_needed & ~acts), where(comment + b"FORCE", acts)]
+    parts: list[Part] = [
+        text_in_rows(comment + b"FORCE OFF", is_needed & ~acts),
+        text_in_rows(comment + b"FORCE", acts),
+    ]
     for name, values, places, is_given in zip(
         _NAMES, wrench.T, _DECIMALS.tolist(), (acts,) * 3 + (turns,) * 3, strict=True
     ):
-        parts += [where(b" " + name + b"=", is_given), Number.of(np.where(is_given, values, np.nan), places)]
+        parts += [text_in_rows(b" " + name + b"=", is_given), Number.of(np.where(is_given, values, np.nan), places)]
     for code, label in enumerate(FORCE_FRAMES):
         if code != _BASE:
-            parts.append(where(f" FRAME={label}".encode(), acts & (frame == code)))
+            parts.append(text_in_rows(f" FRAME={label}".encode(), acts & (frame == code)))
     return parts
 
 
@@ -78,6 +81,6 @@ def texts(comment: bytes, forces: TargetForces, rows: Ints) -> list[str]:
     return decimals.lines([*columns(comment, forces, rows, np.ones(len(rows), np.bool_)), b"\n"]).decode().splitlines()
 
 
-def where(text: bytes, rows: Bools) -> Bytes:
+def text_in_rows(text: bytes, rows: Bools) -> Bytes:
     """Return a text in some rows and nothing in the others."""
     return np.where(rows[:, None], np.frombuffer(text, dtype=np.uint8), np.uint8(0)).astype(np.uint8)

@@ -97,7 +97,7 @@ class NewProgram:
         """Write the cell's lines at the first target of the motion that they precede."""
         waiting = -1  # the target before which the advance run already stops
         words = self.words
-        for event in self._in_order():
+        for event in self._ordered_events():
             if isinstance(event, int):
                 k = self._first(event)
                 self.before[k].append(words.axis_motion(self.program.motions.joints[event]))
@@ -134,7 +134,7 @@ class NewProgram:
         """Return the first target of a motion, or of the next one that has targets."""
         return int(np.searchsorted(self.row, self.row.dtype.type(motion)))  # another type would convert all rows
 
-    def _in_order(self) -> Iterator[Event | int]:
+    def _ordered_events(self) -> Iterator[Event | int]:
         """Yield events, and the rows of motions to joint angles, which have no target, in order."""
         axes = np.flatnonzero(np.isfinite(self.program.motions.joints[:, 0])).tolist()
         for event in self.program.events:
@@ -186,9 +186,9 @@ class NewProgram:
         path = np.flatnonzero(self.targets.kind != PTP)
         feed = motions.feed[self.row[path]]
         millionths = np.rint(feed * 10.0**_DECIMALS)
-        bad = np.flatnonzero(~(millionths > 0.0))
-        if len(bad):
-            at, speed = int(motions.line[self.row[path[bad[0]]]]), feed[bad[0]]
+        invalid_rows = np.flatnonzero(~(millionths > 0.0))
+        if len(invalid_rows):
+            at, speed = int(motions.line[self.row[path[invalid_rows[0]]]]), feed[invalid_rows[0]]
             problem = "a move has no feed" if np.isnan(speed) else f"the feed is too small: {speed * 60e3:g} mm/min"
             raise ProgramError(
                 problem, file=self.program.documents[0].name, line=at, advice="Give F above 0.06 mm/min."
@@ -206,7 +206,7 @@ class NewProgram:
         rate = swivel.rate[self.row] * DEG_PER_RAD
         return np.asarray(np.where(rate < _FASTEST_TURN, np.maximum(rate, 10.0**-_DECIMALS), np.nan))
 
-    def joined(
+    def text_and_lines(
         self, head: Sequence[str], print_lines: Callable[[int, Ints], bytes], end: Sequence[str]
     ) -> tuple[str, Ints]:
         """Return the text of the program, and the line of each target (K,).

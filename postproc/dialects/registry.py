@@ -52,8 +52,8 @@ _NO_PROGRAMS = {
 """Extensions of files that are no programs to read: what they are, and what to do."""
 
 
-def by_name(name: str) -> Dialect:
-    """Return a dialect.
+def dialect_of_name(name: str) -> Dialect:
+    """Return the dialect of a name.
 
     :raises InputError: there is none of that name, or the package that has it cannot be used.
     """
@@ -75,7 +75,7 @@ def names() -> tuple[str, ...]:
     return (*_OURS, *(name for name, dialect in _plugins().items() if not isinstance(dialect, str)))
 
 
-def broken() -> dict[str, str]:
+def broken_dialects() -> dict[str, str]:
     """Return the dialects of other packages that cannot be used, and why."""
     return {name: reason for name, reason in _plugins().items() if isinstance(reason, str)}
 
@@ -90,17 +90,17 @@ def extensions() -> dict[str, str]:
     return dialect_names
 
 
-def of_file(path: Path) -> Dialect:
+def dialect_of_file(path: Path) -> Dialect:
     """Return the dialect of a file by its extension.
 
     :raises ProgramError: the extension is not known.
     """
     extension = path.suffix.lower()
     if extension in _EXTENSIONS:
-        return by_name(_EXTENSIONS[extension])
+        return dialect_of_name(_EXTENSIONS[extension])
     dialect_names = extensions()
     if extension in dialect_names:
-        return by_name(dialect_names[extension])
+        return dialect_of_name(dialect_names[extension])
     if extension in _NO_PROGRAMS:
         description, _, advice = _NO_PROGRAMS[extension].partition(". ")
         raise ProgramError(f"this is {description}", file=str(path), advice=advice)
@@ -108,7 +108,7 @@ def of_file(path: Path) -> Dialect:
         f"Known extensions: {' '.join(dialect_names)}. "
         f"Otherwise say how to read it with --dialect {' or '.join(names())}."
     )
-    advice += "".join(f" The dialect {name} cannot be used: {reason}." for name, reason in broken().items())
+    advice += "".join(f" The dialect {name} cannot be used: {reason}." for name, reason in broken_dialects().items())
     raise ProgramError(f"unknown kind of program {path.suffix!r}", file=str(path), advice=advice)
 
 
@@ -119,7 +119,7 @@ def written_in(dialect: str, to: str | None = None) -> tuple[str, Writer]:
     :param to: in which it is wanted; None = its own if that is written, else KRL.
     :raises InputError: it cannot be written so.
     """
-    own_writer = by_name(dialect).writer
+    own_writer = dialect_of_name(dialect).writer
     if own_writer is not None:
         if to not in (None, dialect):
             raise InputError(
@@ -128,9 +128,11 @@ def written_in(dialect: str, to: str | None = None) -> tuple[str, Writer]:
             )
         return dialect, own_writer
     name = _DEFAULT_OUTPUT if to is None else to
-    writer = by_name(name).writer
+    writer = dialect_of_name(name).writer
     if writer is None:
-        dialects = [name_of_dialect for name_of_dialect in names() if by_name(name_of_dialect).writer is not None]
+        dialects = [
+            name_of_dialect for name_of_dialect in names() if dialect_of_name(name_of_dialect).writer is not None
+        ]
         raise InputError(f"{name} is only read, not written", advice=f"Written are {', '.join(dialects)}.")
     return name, writer
 

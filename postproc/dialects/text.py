@@ -47,7 +47,7 @@ def decode(name: str, data: bytes) -> Document:
 
 
 def line_spans(text: str, piece: int = _PIECE) -> tuple[Ints, Ints]:
-    """Return where each line begins and where it stops, (L,) and (L,): ``text[start:stop]`` is line i + 1.
+    """Return the starts (L,) and stops (L,) of the lines: ``text[start:stop]`` is line i + 1 without its line end.
 
     The line end is not part of the line. What follows the last line end is a line only if it is not empty.
 

@@ -25,7 +25,7 @@ from postproc.elastostatics.equilibrium import (
     loaded_tip,
     tangent_compliance,
 )
-from postproc.elastostatics.expected_error import HARM, WIDE, ChanceOfGain, ExpectedAt, chance_at, expected_at
+from postproc.elastostatics.expected_error import HARM, WIDE, ChanceOfGain, ExpectedAt, chance_at, expected_errors
 from postproc.elastostatics.reversals import Reversals, reversals
 from postproc.elastostatics.tool_spring import ToolSpring
 from postproc.elastostatics.uncertainty import (
@@ -55,7 +55,7 @@ __all__ = [
     "coordinates",
     "deflect",
     "deflection_by_parameter",
-    "expected_at",
+    "expected_errors",
     "largest_compliance",
     "largest_length",
     "linear_compliance",

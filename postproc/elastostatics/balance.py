@@ -36,7 +36,7 @@ def elastic_coordinates(robot: RobotModel, q: Array) -> Array:
 def joint_angles(robot: RobotModel, x: Array) -> Array:
     """Return the joint angles (6, n) that the controller holds at coordinates x (nv, n)."""
     joints = x[list(robot.actuated)]
-    return joints if robot.transmission is None else robot.transmission.commanded(joints)
+    return joints if robot.transmission is None else robot.transmission.commanded_angles(joints)
 
 
 def spring_deflection(
@@ -44,7 +44,8 @@ def spring_deflection(
 ) -> tuple[Array, Array]:
     """Return the deflection θ (nv, n) of the virtual springs under torques, and the tangent compliance (nv, n).
 
-    The tangent compliance is that of each spring by its own torque; `RobotModel.coupled` has those by others.
+    The tangent compliance is that of each spring by its own torque; those by torques of other joints are in
+    `RobotModel.coupling_compliance`.
 
     :param x: (nv, n) actual coordinates, where compliances change over the workspace.
     :param torque: (nv, n) on the springs, in addition to the preload [N·m, N].
@@ -56,7 +57,7 @@ def spring_deflection(
     if not robot.terms:
         return steady * torque, np.broadcast_to(steady, torque.shape)
     theta, slope = steady * torque, np.repeat(steady, torque.shape[1], axis=1)
-    for parameter, value in robot.by_torque:
+    for parameter, value in robot.torque_terms:
         moving = torque if parameter.with_rest_torque else load_part
         for row, by in robot.pairs(parameter):
             share, tangent = parameter.effect(moving[by], preload[by])
@@ -148,8 +149,8 @@ class Balance(Struct, frozen=True, eq=False):
         """Return the deflections (nv, ..., n) by small torques (nv, ..., n), at first order."""
         slope = self.slope.reshape(len(self.slope), *(1,) * (torque.ndim - 2), -1)
         deflection = slope * torque
-        if self.robot.coupled is not None:
-            deflection = deflection + np.tensordot(self.robot.coupled, torque, axes=1)
+        if self.robot.coupling_compliance is not None:
+            deflection = deflection + np.tensordot(self.robot.coupling_compliance, torque, axes=1)
         return np.asarray(deflection)
 
     def _static_stiffness(self, chain: Chain) -> Array:
@@ -165,7 +166,7 @@ class Balance(Struct, frozen=True, eq=False):
         return stiffness
 
 
-def at_rest(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Balance:
+def undeflected_balance(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Balance:
     """Return the balance at θ = 0.
 
     :param q: (N, 6) joint angles that the controller holds [rad].
@@ -260,7 +261,7 @@ def static_torque_by_parameter(robot: RobotModel, parameter: Parameter, x: Array
     """
     row = robot.row(parameter)
     if isinstance(parameter, LinkMass):
-        return kinematics.posture(robot.a_kilogram_each, x, weigh=True).weight(row)
+        return kinematics.posture(robot.unit_mass_chain, x, weigh=True).weight(row)
     if not isinstance(parameter, CompensatorTorque) or robot.compensator is None:
         raise ModelError(f"{parameter.name} is no parameter of {robot.name}")
     slope = np.zeros_like(x)
@@ -278,7 +279,7 @@ def compliance_by_preload(robot: RobotModel, torque: Array, preload: Array) -> A
         return change
     for parameter, value in robot.terms:
         if parameter.with_rest_torque:
-            row, rest = robot.row(parameter), preload[robot.row(parameter)]
-            slopes = [parameter.effect(on, rest)[1] for on in (torque[row], np.zeros_like(torque[row]))]
+            row, joint_preload = robot.row(parameter), preload[robot.row(parameter)]
+            slopes = [parameter.effect(on, joint_preload)[1] for on in (torque[row], np.zeros_like(torque[row]))]
             change[row] += value * (slopes[0] - slopes[1])
     return change

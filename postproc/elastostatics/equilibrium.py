@@ -24,7 +24,6 @@ from postproc import kinematics
 from postproc.elastostatics.balance import (
     A2,
     Balance,
-    at_rest,
     balanced_torque,
     compensator_factor,
     elastic_coordinates,
@@ -34,6 +33,7 @@ from postproc.elastostatics.balance import (
     spring_deflection,
     static_torque,
     twist_by_parameter,
+    undeflected_balance,
 )
 from postproc.errors import NotConvergedError
 from postproc.frames import Array, norm, twist_between
@@ -102,8 +102,8 @@ def deflect(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Deflecti
     """
     x0 = elastic_coordinates(robot, q.T)
     theta, _ = solve_equilibrium(robot, x0, kinematics.components(tool), wrench.T)
-    pose, rest = (kinematics.tcp(robot.loaded, x.T, tool)[0] for x in (x0 + theta, x0))
-    return Deflection(theta.T, pose, rest)
+    pose, unloaded_pose = (kinematics.tcp(robot.loaded, x.T, tool)[0] for x in (x0 + theta, x0))
+    return Deflection(theta.T, pose, unloaded_pose)
 
 
 def loaded_tip(robot: RobotModel, q: Array, tool: Array, wrench: Array, guess: Array | None = None) -> Array:
@@ -154,7 +154,7 @@ def solve_equilibrium(
         theta = theta + step
         tool_step = np.einsum("ikn,kn->in", state.jacobian, step)
         size = _largest(tool_step[:3]) + _largest(tool_step[3:])
-        is_moving = _unfinished(size, previous, _POSITION_TOLERANCE)
+        is_moving = _needs_iteration(size, previous, _POSITION_TOLERANCE)
         if not is_moving.any():
             _check_size(theta)
             return theta, state.point + tool_step[:3]
@@ -186,7 +186,7 @@ def springs_at_target(robot: RobotModel, x: Array, load: Array, weights: Array) 
             step[robot.actuated[A2]] /= compensator_factor(robot, x, slope)
         theta = theta + step
         size = _largest(step)
-        is_moving = _unfinished(size, previous, _SPRING_TOLERANCE) & robot.subtract_reference
+        is_moving = _needs_iteration(size, previous, _SPRING_TOLERANCE) & robot.subtract_reference
         if not is_moving.any():
             _check_size(theta)
             return theta
@@ -199,7 +199,7 @@ def _largest(values: Array) -> Array:
     return np.asarray(np.abs(values).max(axis=0))
 
 
-def _unfinished(size: Array, previous: Array, tolerance: float) -> Bools:
+def _needs_iteration(size: Array, previous: Array, tolerance: float) -> Bools:
     """Return which samples need another round: the next step, extrapolated from the last two, is not negligible."""
     if not np.isfinite(size).all():
         raise NotConvergedError(_NOT_FOUND, np.flatnonzero(~np.isfinite(size)))
@@ -222,7 +222,7 @@ def tangent_compliance(robot: RobotModel, q: Array, tool: Array, wrench: Array) 
     :param tool: (4, 4) or (N, 4, 4) tool in the flange frame [m].
     :param wrench: (N, 6) at the TCP, root axes [N, N·m].
     """
-    state = at_rest(robot, q, tool, wrench)
+    state = undeflected_balance(robot, q, tool, wrench)
     by_wrench = np.moveaxis(state.deflection_by(np.swapaxes(state.jacobian, 0, 1)), -1, 0)
     return np.asarray(state.spring_jacobian() @ by_wrench)
 
@@ -237,7 +237,7 @@ def linear_compliance(robot: RobotModel, q: Array, tool: Array, wrench: Array) -
     :param tool: (4, 4) or (N, 4, 4) tool in the flange frame [m].
     :param wrench: (N, 6) at the TCP, root axes [N, N·m].
     """
-    state = at_rest(robot, q, tool, wrench)
+    state = undeflected_balance(robot, q, tool, wrench)
     by_wrench = np.moveaxis(state.deflection_by(np.swapaxes(state.jacobian, 0, 1)), -1, 0)
     by_wrench[:, robot.actuated[A2]] /= compensator_factor(robot, state.x, state.slope)[:, None]
     return np.asarray(np.moveaxis(state.jacobian, -1, 0) @ by_wrench)
@@ -257,7 +257,7 @@ def linear_deflection(robot: RobotModel, q: Array, tool: Array, wrench: Array) -
     >>> (twist[0, :3] * 1e3).round(3).tolist()  # 1 kN downwards at the flange: mm
     [-0.255, 0.0, -0.731]
     """
-    state = at_rest(robot, q, tool, wrench)
+    state = undeflected_balance(robot, q, tool, wrench)
     return np.asarray((state.spring_jacobian() @ state.theta.T[..., None])[..., 0])
 
 
@@ -322,7 +322,7 @@ def _exceeds_tolerance(left: Array) -> Bools:
 def _newton(jacobian: Array, twist: Array) -> Array:
     """Return the step (6, n) of the joints that moves the tool by a twist (6, n); not finite where it is singular."""
     square = np.moveaxis(jacobian, -1, 0)
-    good = np.linalg.det(square) != 0.0
+    is_regular = np.linalg.det(square) != 0.0
     step = np.full(twist.shape, np.nan)
-    step[:, good] = np.linalg.solve(square[good], twist.T[good, :, None])[..., 0].T
+    step[:, is_regular] = np.linalg.solve(square[is_regular], twist.T[is_regular, :, None])[..., 0].T
     return step

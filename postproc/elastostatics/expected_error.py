@@ -62,7 +62,7 @@ class ExpectedAt(Struct, frozen=True, eq=False):
     with_known_forces: Array
 
 
-def expected_at(errors: SourcesOfError, deviation: Array, left: Array) -> ExpectedAt:
+def expected_errors(errors: SourcesOfError, deviation: Array, left: Array) -> ExpectedAt:
     """Return the expected errors at n places.
 
     :param deviation: (n, 3) from nominal if nothing is corrected, root axes [m]; `left` (n, 3) with correction.
@@ -102,7 +102,7 @@ class ChanceOfGain:
         self._other: dict[str, float] = {}
 
     def add(self, errors: SourcesOfError, deviation: Array, left: Array, path_distance: Array, counts: Bools) -> None:
-        """Add n targets.
+        """Add the errors of n targets.
 
         :param deviation: (n, 3) from nominal if nothing is corrected, root axes [m]; `left` (n, 3) with correction.
         :param path_distance: (n,) largest distance from the nominal path on the way to each target with correction [m].

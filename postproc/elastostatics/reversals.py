@@ -11,7 +11,7 @@ import numpy as np
 from msgspec import Struct
 
 from postproc.chunks import in_chunks
-from postproc.elastostatics.balance import Balance, at_rest
+from postproc.elastostatics.balance import Balance, undeflected_balance
 from postproc.frames import Array, norm
 from postproc.program import Bools, Ints
 from postproc.robot import Backlash, RobotModel
@@ -54,7 +54,7 @@ def reversals(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Revers
     other_joints = [joint for joint in range(6) if joint not in modelled_joints]
 
     def torques(q: Array, tool: Array, wrench: Array) -> tuple[Array]:
-        state = at_rest(robot, q, tool, wrench)
+        state = undeflected_balance(robot, q, tool, wrench)
         total = np.broadcast_to(state.torque - state.rest_torque, state.torque.shape)[
             [robot.actuated[j] for j in other_joints]
         ]
@@ -76,7 +76,7 @@ def reversals(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Revers
         joints.append(np.full(len(second), joint))
         steps.append(np.zeros(len(second)))
         if value > 0.0:
-            state = at_rest(robot, q[second], tools[second], wrench[second])
+            state = undeflected_balance(robot, q[second], tools[second], wrench[second])
             steps[-1] = 2.0 * value * norm(np.moveaxis(state.jacobian[:3, robot.actuated[joint]], 0, -1))
     row = np.concatenate(rows)
     order = np.argsort(row, kind="stable")
@@ -92,7 +92,7 @@ def flank_covariance(robot: RobotModel, q: Array, tool: Array, wrench: Array, tu
     terms = _flanks(robot)
     if not terms:
         return covariance
-    state = at_rest(robot, q, tool, wrench)
+    state = undeflected_balance(robot, q, tool, wrench)
     for parameter, value in terms:
         row = robot.row(parameter)
         share = 1.0 - np.tanh(_moving_torque(state, parameter) / parameter.torque) ** 2

@@ -132,9 +132,9 @@ def sources_of_error(
     The parameters are those that `loads` returns.
     """
     forces = _reaction(robot, q, tool, wrench, *forces)
-    slopes, covariance = _with_factor(robot, sensitivity(robot, q, tool, wrench), wrench, is_proportional, *forces)
+    slopes, covariance = _add_force_factor(robot, sensitivity(robot, q, tool, wrench), wrench, is_proportional, *forces)
     other_covariances = _other_covariances(robot, q, tool, wrench, turning)
-    return SourcesOfError(slopes, covariance, _by_forces(wrench, is_proportional, *forces), other_covariances)
+    return SourcesOfError(slopes, covariance, _force_displacements(wrench, is_proportional, *forces), other_covariances)
 
 
 def largest_length(covariances: Sequence[Array], mean: Array | None = None) -> Array:
@@ -157,7 +157,7 @@ def _reaction(robot: RobotModel, q: Array, tool: Array, wrench: Array, *forces: 
     return spread, (linear_compliance(robot, q, tool, wrench) + compliance)[:, :3]
 
 
-def _with_factor(
+def _add_force_factor(
     robot: RobotModel, s: Array, wrench: Array, is_proportional: Bools, *forces: Array
 ) -> tuple[Array, Array]:
     """Return sensitivities (N, 3, P) to parameters with that to the factor of forces, and their covariance."""
@@ -187,7 +187,7 @@ _COMPONENTS = 6
 """Columns of `force_spread` for independent components of the wrench."""
 
 
-def _by_forces(wrench: Array, is_proportional: Bools, *forces: Array) -> tuple[Array, ...]:
+def _force_displacements(wrench: Array, is_proportional: Bools, *forces: Array) -> tuple[Array, ...]:
     """Return the displacements (n, 3, k) by one standard deviation of the forces for each correlation that is possible.
 
     Each is that of a wrench whose component is larger in size by one standard deviation, whatever its sign. Where the

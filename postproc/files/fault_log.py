@@ -7,7 +7,7 @@ import tempfile
 
 
 def write_fault(traceback: str) -> str:
-    """Write a traceback into a file of its own in the folder for temporary files; return its path.
+    """Write a traceback into a new file in the folder for temporary files; return its path.
 
     :return: empty: it could not be written.
     """

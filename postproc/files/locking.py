@@ -24,7 +24,7 @@ _locked_folders: set[Path] = set()
 
 
 @contextlib.contextmanager
-def locked(folders: Iterable[Path], waiting: Callable[[str], None] | None = None) -> Iterator[None]:
+def lock(folders: Iterable[Path], waiting: Callable[[str], None] | None = None) -> Iterator[None]:
     """Lock folders against other processes of postproc, which wait until the lock is released.
 
     A folder is made if needed, and removed if it is still empty at the end. The lock is the operating system's

@@ -32,7 +32,7 @@ MOST_BYTES = 1 << 30
 """Largest size of an input file: more is no program and no table."""
 
 
-def resolved(path: Path) -> Path:
+def resolve(path: Path) -> Path:
     """Return an absolute path without symbolic links; of a link that leads to itself, as far as it leads.
 
     `Path.resolve` raises for such a link before Python 3.13. To read it is an `OSError` with its cause.
@@ -146,9 +146,9 @@ def convert(
         message, key = str(cause).removesuffix("`"), ""
         if " - at `$" in message:
             message, key = message.split(" - at `$")
-            message = _with_value(f"{key.removeprefix('.')}: {message}", data, key.removeprefix("."))
+            message = _explain_value(f"{key.removeprefix('.')}: {message}", data, key.removeprefix("."))
         valid = _valid_values(kind, key, re.search(r"enum value '(.*)'", message))
-        message = _in_quotes(message)
+        message = _explain_quoted_number(message)
         for old, new in (("`object`", "a table"), ("`array`", "a list"), ("Invalid enum value", "no such value:")):
             message = message.replace(old, new)
         given_key = message.partition(": ")[0] if key else ""
@@ -165,12 +165,12 @@ _KIND = re.compile(r"got `(?P<kind>str|int|float|bool|array|object)`$")
 _TYPE = {"str": str, "int": int, "float": float, "bool": bool, "array": list, "object": dict}
 
 
-def _in_quotes(message: str) -> str:
+def _explain_quoted_number(message: str) -> str:
     """Return a message in plain words where a number is in quotes; other messages as they are."""
     return _TEXT_FOR_NUMBER.sub(lambda m: f"{_NUMBER[m['type']]} is expected, not a text in quotes", message)
 
 
-def _with_value(message: str, data: object, at: str) -> str:
+def _explain_value(message: str, data: object, at: str) -> str:
     """Return a message about a value with its full key, and with the number if that is out of range.
 
     :param at: key of the value, where `[...]` stands for any name or index.
@@ -281,9 +281,9 @@ def read_csv(
     may_be_empty: Sequence[str] = (),
 ) -> tuple[dict[str, Array], dict[str, list[str]], Array]:
     """Read a CSV file as `parse_csv` does; all errors in its rows are raised together."""
-    numbers, texts, line, wrong = parse_csv(path, required_columns, optional, error, text_columns, may_be_empty)
-    if wrong:
-        raise together(wrong)
+    numbers, texts, line, faults = parse_csv(path, required_columns, optional, error, text_columns, may_be_empty)
+    if faults:
+        raise together(faults)
     return numbers, texts, line
 
 
@@ -310,7 +310,7 @@ def parse_csv(
 
     text = read_text(path, error)
     reader = csv.reader(io.StringIO(text, newline=""), skipinitialspace=True)
-    rows, lines, wrong = [], [], []
+    rows, lines, faults = [], [], []
     try:
         header = _header(next(reader, []), path, required_columns, optional, error)
         for row in reader:
@@ -322,34 +322,34 @@ def parse_csv(
                     problem, advice = "values separated by semicolons", _COMMAS
                 elif len(row) > len(header):
                     advice = "Write numbers with a decimal point (0.034), not with a comma, which separates values."
-                wrong.append(error(problem, file=str(path), line=reader.line_num, text=",".join(row), advice=advice))
+                faults.append(error(problem, file=str(path), line=reader.line_num, text=",".join(row), advice=advice))
                 continue
             rows.append(row)
             lines.append(reader.line_num)
     except csv.Error as cause:
         raise error(f"not a valid CSV file: {cause}", file=str(path), line=reader.line_num) from cause
-    if not rows and len(wrong) > 1 and len({row_error.problem for row_error in wrong}) == 1:  # one cause, stated once
-        first_error = wrong[0]
-        problem = f"{first_error.problem}, in all {len(wrong)} rows"
-        wrong = [
+    if not rows and len(faults) > 1 and len({row_error.problem for row_error in faults}) == 1:  # one cause, stated once
+        first_error = faults[0]
+        problem = f"{first_error.problem}, in all {len(faults)} rows"
+        faults = [
             error(problem, file=str(path), line=first_error.line, text=first_error.text, advice=first_error.advice)
         ]
     columns = dict(zip(header, zip(*rows, strict=True), strict=True)) if rows else dict.fromkeys(header, ())
     numeric: dict[str, Array] = {}
     for name, values in columns.items():
         if name not in text_columns:
-            numeric[name], bad = _numeric(values, empty_is_nan=name in may_be_empty)
-            wrong += [
+            numeric[name], invalid_rows = _numeric(values, empty_is_nan=name in may_be_empty)
+            faults += [
                 error(
                     f"column {name} is not a finite number: {values[place][:80]!r}",
                     file=str(path),
                     line=lines[place],
                     advice="Use a decimal point, no units and no empty cells.",
                 )
-                for place in bad[: MAX_ERRORS + 1].tolist()
+                for place in invalid_rows[: MAX_ERRORS + 1].tolist()
             ]
     texts = {name: [v.strip() for v in columns[name]] for name in text_columns if name in columns}
-    return numeric, texts, np.array(lines, dtype=float), wrong
+    return numeric, texts, np.array(lines, dtype=float), faults
 
 
 def check_sizes(
@@ -360,7 +360,7 @@ def check_sizes(
     :param numbers: columns by name, `lines` their lines, as `read_csv` returns them.
     :param largest: name of a column, largest size of its cells, and their unit with a blank before.
     """
-    wrong = [
+    faults = [
         error(
             f"column {name} is {numbers[name][row]:g}: expected {-limit:g} to {limit:g}{unit}",
             file=str(path),
@@ -369,8 +369,8 @@ def check_sizes(
         for name, limit, unit in largest
         for row in np.flatnonzero(np.abs(numbers[name]) > limit)
     ]
-    if wrong:
-        raise together(wrong)
+    if faults:
+        raise together(faults)
 
 
 _COMMAS = "Separate the columns by commas, and write numbers with a decimal point (as English Excel saves CSV)."
@@ -389,17 +389,17 @@ def _header(
         if len(header) == 1 and separator in header[0]:
             raise error(f"columns separated by {name}", file=str(path), line=1, text=row[0], advice=_COMMAS)
     unknown = [name for name in dict.fromkeys(header) if name not in valid_names]
-    wrong = [f"unknown column {name!r}" for name in unknown]
-    wrong += [f"column {name!r} is given twice" for name in dict.fromkeys(header) if header.count(name) > 1]
+    faults = [f"unknown column {name!r}" for name in unknown]
+    faults += [f"column {name!r} is given twice" for name in dict.fromkeys(header) if header.count(name) > 1]
     missing_names = [name for name in required_columns if name not in header]
     if missing_names:
-        wrong.append(f"missing column {', '.join(missing_names)}")
-    if wrong:
+        faults.append(f"missing column {', '.join(missing_names)}")
+    if faults:
         questions = [
             did_you_mean(name, [valid_name for valid_name in valid_names if valid_name not in header])
             for name in unknown
         ]
-        raise error("; ".join(wrong), file=str(path), line=1, advice=" ".join([*filter(None, questions), valid]))
+        raise error("; ".join(faults), file=str(path), line=1, advice=" ".join([*filter(None, questions), valid]))
     return header
 
 
@@ -413,9 +413,9 @@ def _numeric(values: Sequence[str], *, empty_is_nan: bool) -> tuple[Array, NDArr
         for index, value in enumerate(values):
             with contextlib.suppress(ValueError):
                 column[index] = float(value)
-    bad = np.flatnonzero(~np.isfinite(column) & ~empty)
-    column[bad] = np.nan
-    return column, bad
+    invalid_rows = np.flatnonzero(~np.isfinite(column) & ~empty)
+    column[invalid_rows] = np.nan
+    return column, invalid_rows
 
 
 _NORMAL = re.compile(rb"facet\s+normal[^\r\n]*", re.IGNORECASE)

@@ -24,7 +24,7 @@ from msgspec import Struct
 
 from postproc import interrupts
 from postproc.errors import InputError, first_of
-from postproc.files.locking import locked
+from postproc.files.locking import lock
 
 _LISTED_FILES = 5
 """Largest number of files that a message names."""
@@ -46,7 +46,7 @@ def json_bytes(content: object) -> bytes:
     return (json.dumps(plain, indent=2, ensure_ascii=False, allow_nan=False) + "\n").encode(errors="backslashreplace")
 
 
-def with_record(
+def add_record(
     contents: Mapping[str, bytes | Iterable[bytes]], name: str, render: Callable[[list[FileEntry]], bytes]
 ) -> dict[str, bytes | Iterable[bytes]]:
     """Return contents for `write_whole`, followed by their record.
@@ -84,12 +84,12 @@ def foreign(folder: Path, names: Iterable[str], record: str) -> list[Path]:
     ]
 
 
-def recorded(record: Path) -> dict[str, str]:
+def recorded_files(record: Path) -> dict[str, str]:
     """Return the files that a record lists: name → SHA-256; empty if it is no record of postproc."""
     return _read(record) or {}
 
 
-def noted(record: Path, key: str) -> list[str]:
+def recorded_names(record: Path, key: str) -> list[str]:
     """Return the names that a record contains under a key; empty without the key, or if it is no record of postproc."""
     try:
         return [str(name) for name in json.loads(record.read_bytes())[key]]
@@ -97,14 +97,14 @@ def noted(record: Path, key: str) -> list[str]:
         return []
 
 
-def sealed(text: bytes) -> bytes:
+def seal(text: bytes) -> bytes:
     """Return a text with the SHA-256 of its other lines added to the first one, which is a comment."""
     head, _, body = text.partition(b"\n")
     return b"%s SHA-256 of what follows: %s\n%s" % (head, hashlib.sha256(body).hexdigest().encode(), body)
 
 
 def foreign_single(path: Path) -> list[Path]:
-    """Return the path in a list if the file exists and was not written with `sealed`, or changed since; else no
+    """Return the path in a list if the file exists and was not written with `seal`, or changed since; else no
     path.
     """
     if not path.exists():
@@ -120,12 +120,12 @@ def refuse(paths: Sequence[Path]) -> None:
     """
     if paths:
         raise InputError(
-            f"not written by postproc, or changed since: {listed(paths)}",
+            f"not written by postproc, or changed since: {path_list(paths)}",
             advice="Nothing was written. Choose another place with -o, or replace the files with --overwrite.",
         )
 
 
-def listed(paths: Sequence[Path]) -> str:
+def path_list(paths: Sequence[Path]) -> str:
     """Return paths as text: the first ones, and the number of others."""
     return first_of([str(path) for path in paths], _LISTED_FILES)
 
@@ -174,9 +174,9 @@ def write_whole(folder: Path, contents: Mapping[str, bytes | Iterable[bytes]]) -
     """
     with interrupts.defer():
         with interrupts.allow():
-            lock = contextlib.ExitStack()
-            lock.enter_context(locked([folder]))
-        with lock:
+            folder_lock = contextlib.ExitStack()
+            folder_lock.enter_context(lock([folder]))
+        with folder_lock:
             with interrupts.allow():
                 file_set = stage(folder, contents)
             return replace(folder, [file_set])
@@ -244,7 +244,7 @@ def remove_leftovers(folder: Path) -> None:
 
 @contextlib.contextmanager
 def _naming(folder: Path, names: Collection[str]) -> Iterator[list[Path]]:
-    """Turn an `OSError` into an `InputError` that names the file of which it is, or the last one in the list."""
+    """Turn an `OSError` into an `InputError` that names the file concerned, or the last one in the list."""
     at = [folder]
     try:
         yield at

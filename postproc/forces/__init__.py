@@ -14,7 +14,7 @@ from postproc.forces.path_forces import (
     swing_places,
 )
 from postproc.forces.sources import ByLaw, ForceSource, Knots, StockInTime, read
-from postproc.forces.table import of_pieces, of_targets, once_a_line, read_force_csv
+from postproc.forces.table import once_a_line, piece_knots, read_force_csv, target_forces
 
 __all__ = [
     "BEHIND_STEP",
@@ -27,11 +27,11 @@ __all__ = [
     "assign",
     "displacement_estimate",
     "last_travel",
-    "of_pieces",
-    "of_targets",
     "once_a_line",
+    "piece_knots",
     "read",
     "read_force_csv",
     "refined_arcs",
     "swing_places",
+    "target_forces",
 ]

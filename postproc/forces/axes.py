@@ -47,7 +47,7 @@ def feed_axes(program: Program, path: Segments, sample: Toolpath, axis: str, las
     return np.stack([x, np.cross(z, x), z], axis=-1)
 
 
-def arcs_across(program: Program, path: Segments, arcs: Ints, axis: str) -> Bools:
+def is_arc_across(program: Program, path: Segments, arcs: Ints, axis: str) -> Bools:
     """Return which arcs (n,), rows of `Motions`, keep 45° from the direction of the spindle.
 
     On these arcs FEED axes turn about as fast as the travel. Near the direction of the spindle they swing by up to half
@@ -64,7 +64,7 @@ def arcs_across(program: Program, path: Segments, arcs: Ints, axis: str) -> Bool
     return np.asarray(np.maximum(*square) + 0.5 * path.turn[arcs] + pitch < _LEAST_ANGLE)
 
 
-def lines_across(program: Program, path: Segments, lines: Ints, axis: str) -> Bools:
+def is_line_across(program: Program, path: Segments, lines: Ints, axis: str) -> Bools:
     """Return on which straight motions (n,), rows of `Motions`, the travel keeps 45° from the direction of the spindle.
 
     Nearer to it, FEED axes may swing by up to half a turn while the tool turns a little.

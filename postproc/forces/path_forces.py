@@ -17,8 +17,8 @@ from msgspec.structs import replace
 
 from postproc.chunks import Runs, compact, in_chunks
 from postproc.errors import MAX_ERRORS, ForceError, Issue, together
-from postproc.forces.axes import TURNS, Axes, arcs_across, last_travel, lines_across
-from postproc.forces.precedence import combine, of_comments, small_forces, unused_comments
+from postproc.forces.axes import TURNS, Axes, is_arc_across, is_line_across, last_travel
+from postproc.forces.precedence import combine, comment_knots, small_forces, unused_comments
 from postproc.forces.sources import BASE, FEED, ByLaw, ForceSource, Knots, StockInTime
 from postproc.frames import Array, any_column, largest, norm
 from postproc.program import CIRC, LIN, SPL, Bools, Ints, Program, constant, distinct
@@ -99,8 +99,8 @@ class PathForces(Struct, frozen=True, eq=False):
         halves = [independent]
         if self.factor.any():
             halves += [
-                self._columns_in_base(self._without_factor, sample),
-                self._columns_in_base(self._by_factor, sample),
+                self._columns_in_base(self._remaining_deviation, sample),
+                self._columns_in_base(self._factor_deviation, sample),
             ]
         in_root = [columns_in_root(self.axes.program, sample.motion, root_columns) for root_columns in halves]
         factors = np.zeros((len(sample), 6, 13 if len(halves) > 1 else 6))
@@ -111,17 +111,20 @@ class PathForces(Struct, frozen=True, eq=False):
             factors[:, :, 12] = in_root[2].reshape(-1, 6)
         return factors
 
-    def _by_factor(self, knots: Ints) -> Array:
+    def _factor_deviation(self, knots: Ints) -> Array:
         """Return the change (n, 2, 3, 1) of the wrench at knots for one standard deviation of its factor."""
         return np.asarray((self.wrench.take(knots) * self.factor[knots, None]).reshape(-1, 2, 3, 1))
 
-    def _without_factor(self, knots: Ints) -> Array:
+    def _remaining_deviation(self, knots: Ints) -> Array:
         """Return L (n, 2, 3, 3) at knots without the part of the deviation that is one factor."""
         assert self.spread is not None
-        square = np.sum(np.square(self.spread.take(knots, axis=0)), axis=3) - np.square(self._by_factor(knots))[..., 0]
+        square = (
+            np.sum(np.square(self.spread.take(knots, axis=0)), axis=3)
+            - np.square(self._factor_deviation(knots))[..., 0]
+        )
         return np.asarray(np.sqrt(np.maximum(square, 0.0))[..., None] * np.eye(3))
 
-    def before(self) -> Array:
+    def wrench_before(self) -> Array:
         """Return the wrench (M, 6) at the end of the motion before each, `$BASE` axes; zero before the first."""
         return _wrench_before(self.wrench.take(self.first[1:] - 1), self.frame, self.axes)
 
@@ -166,9 +169,9 @@ def assign(program: Program, path: Segments, source: ForceSource | None, axis: s
     m = program.motions
     by_law = stock = None
     if source is None:
-        knots_of_motions, issues = of_comments(program), list[Issue]()
+        knots_of_motions, issues = comment_knots(program), list[Issue]()
     else:
-        knots = source.along(program, path).checked(program, source.name)
+        knots = source.along(program, path).check(program, source.name)
         knots_of_motions, issues = combine(program, knots, source.name)
         issues += knots.issues
         by_law, stock = knots.by_law, knots.stock
@@ -184,7 +187,7 @@ def assign(program: Program, path: Segments, source: ForceSource | None, axis: s
     is_forceless |= m.rapid
     _check_start(program, knots_of_motions)
     forceless = np.flatnonzero(is_forceless)
-    knots_of_motions = knots_of_motions.over(
+    knots_of_motions = knots_of_motions.or_fallback(
         Knots.throughout(forceless, np.zeros((len(forceless), 6)), np.full(len(forceless), BASE))
     )
     travel, lead = _travel(program, path, knots_of_motions, axis)
@@ -351,7 +354,7 @@ def displacement_estimate(forces: PathForces, compliance: tuple[float, float]) -
         acts = np.zeros(len(m), dtype=np.bool_)
         acts[motion[any_column(lateral != 0.0)]] = True
         arcs = np.flatnonzero(turning & acts)
-        swings[arcs] = ~arcs_across(forces.axes.program, path, arcs, forces.axes.spindle)
+        swings[arcs] = ~is_arc_across(forces.axes.program, path, arcs, forces.axes.spindle)
     knot_rows = np.flatnonzero(bends | (m.kind[motion] == CIRC))
     places = np.append(motion[knot_rows], step), np.append(forces.t[knot_rows], step_place)
     order = np.lexsort(places[::-1])
@@ -370,6 +373,7 @@ def _changes(forces: PathForces, motion: Ints) -> tuple[Array, Bools]:
     """Return the change (K, 6) of the force since the knot before, and (K,) True where its rate changes."""
     t, count = forces.t, len(forces.t)
     follows = np.append(False, np.diff(motion) == 0)
+    # wrenches in the same frame are subtracted; otherwise both are turned into the axes of the later knot
     same_frame = follows & (np.diff(forces.knot_frame, prepend=0) == 0)
     change = np.diff(forces.wrench[:], axis=0, prepend=forces.wrench[:1])
     change[~same_frame] = 0.0
@@ -386,6 +390,7 @@ def _changes(forces: PathForces, motion: Ints) -> tuple[Array, Bools]:
         rates[has_previous] = change[rows] / (t[rows] - t[rows - 1])[:, None]
         return rates
 
+    # a change of slope matters by what it amounts to over the interval before it
     width = np.where(follows[inner], t[inner] - t[inner - 1], 1.0)
     bends[inner] = largest((rate(inner + 1) - rate(inner)) * width[:, None]) >= _NO_CHANGE
     return change, bends
@@ -396,7 +401,7 @@ def _steps(forces: PathForces) -> Array:
     rows = np.flatnonzero(~forces.ramped)
     if not len(rows):
         return np.broadcast_to(0.0, (len(forces.ramped), 6))
-    steps, previous = np.zeros((len(forces.ramped), 6)), forces.before()
+    steps, previous = np.zeros((len(forces.ramped), 6)), forces.wrench_before()
     start = at(forces.axes.program, forces.axes.path, rows, np.zeros(len(rows)))
     steps[rows] = forces.at(start) - previous[rows]
     return steps
@@ -420,7 +425,7 @@ def refined_arcs(
     if not swings.any():
         return arcs
     left = arcs.take(swings)
-    left = left.settled(left.min_number).cut(left.min_number)
+    left = left.with_enough_pieces(left.min_number).cut(left.min_number)
     pieces = [arcs.take(~swings)]
     length = forces.axes.path.length
     while len(left.motion):
@@ -430,7 +435,7 @@ def refined_arcs(
         pieces.append(left.take(~too_coarse))
         left = left.take(too_coarse)
         left = left.cut(np.full(len(left.motion), 2))
-    return Pieces.joined(pieces).in_order()
+    return Pieces.join(pieces).sort()
 
 
 def swing_places(forces: PathForces, compliance: tuple[float, float], limit: float) -> tuple[Ints, Array]:
@@ -444,19 +449,22 @@ def swing_places(forces: PathForces, compliance: tuple[float, float], limit: flo
     program, path = forces.axes.program, forces.axes.path
     turns = (program.motions.kind == LIN) & (forces.frame == FEED) & (path.turn > TURNS) & (path.length > 0.0)
     motion = np.flatnonzero(turns)
-    motion = motion[~lines_across(program, path, motion, forces.axes.spindle)]
+    motion = motion[~is_line_across(program, path, motion, forces.axes.spindle)]
     begin, end = np.zeros(len(motion)), np.ones(len(motion))
     motions, places = [motion[:0]], [begin[:0]]
     while len(motion):
-        spots = []
+        displacements = []
         for share in _QUARTERS:
             wrench = forces.at(at(program, path, motion, begin + share * (end - begin)))
-            spots.append(np.hstack([compliance[0] * wrench[:, :3], compliance[1] * wrench[:, 3:]]))
-        first, last = spots[0], spots[-1]
-        deviations = [norm(spot - first - share * (last - first)) for share, spot in zip(_QUARTERS, spots, strict=True)]
-        part = end - begin
+            displacements.append(np.hstack([compliance[0] * wrench[:, :3], compliance[1] * wrench[:, 3:]]))
+        first, last = displacements[0], displacements[-1]
+        deviations = [
+            norm(displacement - first - share * (last - first))
+            for share, displacement in zip(_QUARTERS, displacements, strict=True)
+        ]
+        length_share = end - begin
         too_coarse = (np.maximum.reduce(deviations) > limit) & (
-            np.minimum(part, part * path.length[motion]) > _SHORTEST
+            np.minimum(length_share, length_share * path.length[motion]) > _SHORTEST
         )
         motion, begin, end = motion[too_coarse], begin[too_coarse], end[too_coarse]
         middle = 0.5 * (begin + end)
@@ -468,18 +476,18 @@ def swing_places(forces: PathForces, compliance: tuple[float, float], limit: flo
 
 def _circle_deviation(forces: PathForces, arcs: Pieces, compliance: tuple[float, float]) -> Array:
     """Return the largest deviation (n,) [m] of circles through start, middle and end at the quarters of pieces."""
-    spots = []
+    displacements = []
     for share in _QUARTERS:
         t = np.where(share == 1.0, arcs.end, arcs.begin + share * (arcs.end - arcs.begin))
         sample = at(forces.axes.program, forces.axes.path, arcs.motion, t)
         wrench = forces.at(sample)
-        spots.append(sample.pose[:, :3, 3] - compliance[0] * wrench[:, :3] - compliance[1] * wrench[:, 3:])
-    begin, _, middle, _, end = spots
+        displacements.append(sample.pose[:, :3, 3] - compliance[0] * wrench[:, :3] - compliance[1] * wrench[:, 3:])
+    begin, _, middle, _, end = displacements
     centre, radial, tangential, angle = circle_through(begin, middle, end)
     deviation = np.zeros(len(begin))
-    for share, spot in zip(_QUARTERS, spots, strict=True):
+    for share, displacement in zip(_QUARTERS, displacements, strict=True):
         part_angle = (angle * share)[:, None]
         deviation = np.maximum(
-            deviation, norm(spot - centre - np.cos(part_angle) * radial - np.sin(part_angle) * tangential)
+            deviation, norm(displacement - centre - np.cos(part_angle) * radial - np.sin(part_angle) * tangential)
         )
     return deviation

@@ -29,7 +29,7 @@ def combine(program: Program, source: Knots, name: str) -> tuple[Knots, list[Iss
     :returns: the knots, and issues: how many motions have their force from which source, and comments that the source
         replaces by another force.
     """
-    comments = of_comments(program)
+    comments = comment_knots(program)
     issues = []
     cutting = ~program.motions.rapid
     has_source = np.zeros(len(cutting), dtype=np.bool_)
@@ -46,10 +46,10 @@ def combine(program: Program, source: Knots, name: str) -> tuple[Knots, list[Iss
     if len(conflicts):
         message = f"{name} states another force than the comment of the program: the comment is not used here"
         issues.append(program.motions.issue("warning", "force-replaced", message, conflicts))
-    return source.over(comments), issues
+    return source.or_fallback(comments), issues
 
 
-def of_comments(program: Program) -> Knots:
+def comment_knots(program: Program) -> Knots:
     """Return the force of each motion after the first force comment: that of the last comment executed before it.
 
     :raises ValueError: the reader of the program has not set the first motion of a comment.

@@ -37,7 +37,7 @@ class StockInTime(Protocol):
     """The stock of a program over time, as an upper bound of the material."""
 
     @property
-    def compared(self) -> Bools:
+    def is_compared(self) -> Bools:
         """(M,) motions on which the parts of the tool along its axis were compared with the stock."""
 
     @property
@@ -112,14 +112,14 @@ class Knots(Columns, frozen=True, eq=False):
     def __len__(self) -> int:
         return len(self.motion)
 
-    def over(self, fallback: Knots) -> Knots:
+    def or_fallback(self, fallback: Knots) -> Knots:
         """Return these knots, plus those of `fallback` for motions without a knot here; other data is left out."""
         extra_knots = fallback.take(~np.isin(fallback.motion, self.motion))
         # stable: the knots of one motion stay in order
         order = np.argsort(np.append(self.motion, extra_knots.motion), kind="stable")
-        return replace(Knots.joined([self, extra_knots], order), issues=(), by_law=None, stock=None)
+        return replace(Knots.join([self, extra_knots], order), issues=(), by_law=None, stock=None)
 
-    def checked(self, program: Program, name: str) -> Knots:
+    def check(self, program: Program, name: str) -> Knots:
         """Return these knots if they can be used for a program.
 
         :param name: of the source, for messages.
@@ -133,7 +133,7 @@ class Knots(Columns, frozen=True, eq=False):
         if shapes != [(count,)] * 4 or [np.shape(array) for array in (self.wrench, self.sigma)] != [(count, 6)] * 2:
             raise ForceError(f"the arrays of the source of forces {name} do not have one row per knot")
         same_motion = np.diff(self.motion) == 0
-        for wrong, problem in (
+        for is_invalid, problem in (
             ((self.motion < 0) | (self.motion >= len(program.motions)), "a motion that does not exist"),
             (~((self.t >= 0.0) & (self.t <= 1.0)), "a place outside a motion (t in 0…1)"),
             (
@@ -154,8 +154,8 @@ class Knots(Columns, frozen=True, eq=False):
                 "a ramped motion with several knots",
             ),
         ):
-            if np.any(wrong):
-                motion = int(self.motion[int(np.argmax(wrong))])
+            if np.any(is_invalid):
+                motion = int(self.motion[int(np.argmax(is_invalid))])
                 line = int(program.motions.line[motion]) if 0 <= motion < len(program.motions) else None
                 text = f"the source of forces {name} gives {problem}"
                 raise ForceError(text, file=program.documents[0].name, line=line, advice="Report this to its author.")

@@ -132,10 +132,10 @@ def read_force_csv(path: Path) -> ForceTable:
         places t that do not increase along a line, standard deviations below zero or given twice; all of them together
         (`errors.together`).
     """
-    numbers, texts, at, wrong = files.parse_csv(
+    numbers, texts, at, faults = files.parse_csv(
         path, _REQUIRED_COLUMNS, _OPTIONAL, ForceError, ("frame",), ("line_end", "t", *_SIGMAS, *_PERCENT)
     )
-    columns = _Columns(str(path), at.astype(np.int64), numbers, texts.get("frame", []), wrong)
+    columns = _Columns(str(path), at.astype(np.int64), numbers, texts.get("frame", []), faults)
     first, last, usable = columns.lines()
     wrench, sigma, factor = columns.wrench()
     frame = columns.frame()
@@ -143,8 +143,8 @@ def read_force_csv(path: Path) -> ForceTable:
     begin, end = (np.where(usable, column, 0.0).astype(np.int64) for column in (first, last))
     order = np.lexsort((columns.row, begin))
     columns.check_order(order, (begin, end, t, frame), usable)
-    if wrong:
-        raise together(wrong)
+    if faults:
+        raise together(faults)
     if not len(columns.row):
         advice = "Add the rows, or convert without this file if the program cuts nothing."
         raise ForceError("a header without rows: the file states no force", file=str(path), advice=advice)
@@ -170,10 +170,10 @@ class _Columns(Struct, frozen=True, eq=False):
         last = np.where(np.isnan(last), first, last)
         usable = np.ones(len(first), dtype=np.bool_)
         for label, column, new in (("line", first, True), ("line_end", last, last != first)):
-            bad = (column != np.floor(column)) | ~((column >= 1.0) & (column <= _MOST_LINES))
-            wrong = bad & new & np.isfinite(column)
-            self.check(wrong, f"{label} is {{:g}}", column, "Give a line number of the program, counted from 1.")
-            usable &= ~bad
+            is_invalid = (column != np.floor(column)) | ~((column >= 1.0) & (column <= _MOST_LINES))
+            is_new_fault = is_invalid & new & np.isfinite(column)
+            self.check(is_new_fault, f"{label} is {{:g}}", column, "Give a line number of the program, counted from 1.")
+            usable &= ~is_invalid
         self.check(usable & (last < first), "line_end is before line", last)
         return first, last, usable
 
@@ -232,13 +232,13 @@ class _Columns(Struct, frozen=True, eq=False):
         previous_end = np.append(0, np.maximum.accumulate(end)[:-1])
         repeats_line = usable & (begin <= previous_end) & ~shares_line
         step = np.diff(t, prepend=0.0)
-        for wrong, problem, column, advice in (
+        for is_invalid, problem, column, advice in (
             (repeats_line, "a second row for line {:g}", begin, None),
             (usable & shares_line & (step <= 0.0), "t = {:g} is not larger than in the row before", t, _STEP),
             (usable & shares_line & (np.diff(frame, prepend=0) != 0), "another frame than the row before", t, None),
         ):
             is_wrong = np.zeros(len(order), dtype=np.bool_)
-            is_wrong[order] = wrong
+            is_wrong[order] = is_invalid
             row_values = np.zeros(len(order))
             row_values[order] = column
             self.check(is_wrong, problem, row_values, advice)
@@ -271,7 +271,7 @@ _SAME_FORCE = 2e-3
 """Forces of two passes of a line that differ by less [N, N·m] count as equal: the file has three decimals."""
 
 
-def of_targets(forces: PathForces, targets: Targets, arrive: Array, wrench: Runs) -> TargetForces:
+def target_forces(forces: PathForces, targets: Targets, arrive: Array, wrench: Runs) -> TargetForces:
     """Return the wrench at each target for the comments of the written program.
 
     :param forces: those of the program as read.
@@ -295,11 +295,11 @@ def of_targets(forces: PathForces, targets: Targets, arrive: Array, wrench: Runs
     return TargetForces(Runs.of(values), frame)
 
 
-def of_pieces(forces: PathForces, targets: Targets, at_end: TargetForces, output_axes: Axes, row: Ints) -> Knots:
+def piece_knots(forces: PathForces, targets: Targets, at_end: TargetForces, output_axes: Axes, row: Ints) -> Knots:
     """Return the wrench along each piece for the CSV file of the written program.
 
     :param forces: those of the program as read, and `targets` the written targets.
-    :param at_end: the wrench at the targets, see `of_targets`.
+    :param at_end: the wrench at the targets, see `target_forces`.
     :param output_axes: the axes of forces along the program as written.
     :param row: (K,) motion of the written program that ends at each target.
     :returns: knots; `motion` is here the row of the target at the end of the piece, and t the place on the piece.
@@ -326,7 +326,7 @@ def once_a_line(knots: Knots, line: Ints) -> tuple[Knots, Ints]:
 
     A line is passed several times in loops; a force file has one force for all of its passes.
 
-    :param knots: as from `of_pieces`.
+    :param knots: as from `piece_knots`.
     :param line: (K,) line of each target in the written program.
     """
     target, begin, count = np.unique(knots.motion, return_index=True, return_counts=True)

@@ -62,7 +62,7 @@ HOSTS = {
 
 
 def _folder(host: Host, folder: Path | None) -> Path:
-    """Return where the post belongs.
+    """Return the folder of the host's post-processors.
 
     :raises InputError: the folder is not there, or the host is in none of its usual places.
     """
@@ -70,11 +70,13 @@ def _folder(host: Host, folder: Path | None) -> Path:
         if not folder.is_dir():
             raise InputError(f"{folder}: no such folder")
         return folder
-    for usual in host.folders:
-        for path in _places(usual):
-            if path.is_dir() or "*" in usual:  # a version has its folder, and none for posts before its first macro
+    for default_folder in host.folders:
+        for path in _places(default_folder):
+            if (
+                path.is_dir() or "*" in default_folder
+            ):  # a version has its folder, and none for posts before its first macro
                 return path
-    first = next(Path(usual).expanduser() for usual in host.folders if "*" not in usual)
+    first = next(Path(default_folder).expanduser() for default_folder in host.folders if "*" not in default_folder)
     if first.parent.is_dir() and not first.anchor.startswith("C:"):
         return first
     places = ", ".join(host.folders)
@@ -148,7 +150,7 @@ def remove_post(name: str, folder: Path | None = None) -> list[Path]:
 
 
 def _command(folder: Path) -> list[str]:
-    """Return what runs this postproc from the host: on a disk of Windows, seen from WSL, by way of `wsl`."""
+    """Return the command that runs this postproc from the host; for a host on Windows and postproc in WSL, by `wsl`."""
     words = [sys.executable, "-m", "postproc"]
     if "microsoft" not in platform.release().lower() or folder.resolve().parts[1:2] != ("mnt",):
         return words

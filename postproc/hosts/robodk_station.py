@@ -46,10 +46,10 @@ class Station:
     flange: Array
     remarks: tuple[str, ...]
 
-    def shipped(self) -> str | None:
+    def shipped_model(self) -> str | None:
         """Return the shipped robot model of that name, or None."""
         letters = _letters(self.robot)
-        models = {_letters(robot.load(folder).title): name for name, folder in robot.shipped().items()}
+        models = {_letters(robot.load(folder).title): name for name, folder in robot.shipped_models().items()}
         return models.get(letters, models.get(f"kuka{letters}"))
 
     def check_flange(self, model: RobotModel) -> str | None:

@@ -17,7 +17,7 @@ from msgspec import Struct
 
 from postproc import elastostatics, kinematics
 from postproc.errors import MeasurementError, PostprocError
-from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, displaced
+from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, displace
 from postproc.identification import record
 from postproc.identification.fit import LENGTH_95, NORMAL_95
 from postproc.identification.measurement_model import Placement, kabsch
@@ -122,10 +122,10 @@ def nonredundant(nominal: Chain, points: int) -> tuple[GeometryParameter, ...]:
         if (joint, axis) in basis_entries:
             continue
         column = columns[:, joint, axis]
-        rest = column - basis @ (basis.T @ column)
-        rest -= basis @ (basis.T @ rest)
-        if np.linalg.norm(rest) > _INDEPENDENT * np.linalg.norm(column):
-            basis = np.column_stack([basis, rest / np.linalg.norm(rest)])
+        residual = column - basis @ (basis.T @ column)
+        residual -= basis @ (basis.T @ residual)
+        if np.linalg.norm(residual) > _INDEPENDENT * np.linalg.norm(column):
+            basis = np.column_stack([basis, residual / np.linalg.norm(residual)])
             basis_entries.append((joint, axis))
     return tuple(GeometryParameter(JOINTS[joint], _AXES[axis]) for joint, axis in sorted(basis_entries))
 
@@ -191,15 +191,15 @@ def identify_geometry(content: ModelFile, nominal: Chain, name: str, data: Measu
     best_label = simplest({label: fold_errors for label, (_, fold_errors) in fits.items()})
     solution = fits[best_label][0]
     half = NORMAL_95 * np.sqrt(np.diag(solution.covariance))
-    usual = _usual(solution.parameters)
+    default_geometry = _usual(solution.parameters)
     source, u95 = f"identified from {data.file}", _error_95(fits[best_label][1], data)
     lower, upper = (angle * DEG_PER_RAD for angle in (data.q.min(axis=0), data.q.max(axis=0)))
     angles = {joint: (float(low), float(high)) for joint, low, high in zip(JOINTS, lower, upper, strict=True)}
-    unmeasured = _unmeasured(solution, nominal)
+    unmeasured = _extrapolation_error(solution, nominal)
     error = GeometryErrorEntry(
         source=source, u95_mm=u95 * MM_PER_M, angles_deg=angles, unmeasured_mm=unmeasured * MM_PER_M
     )
-    calibrated_content = _with_geometry(solution.content, solution.parameters, solution.values, source, half)
+    calibrated_content = _add_geometry(solution.content, solution.parameters, solution.values, source, half)
     return Geometry(
         solution.parameters,
         solution.values,
@@ -210,7 +210,11 @@ def identify_geometry(content: ModelFile, nominal: Chain, name: str, data: Measu
         rms,
         best_label,
         u95,
-        tuple(p.name for p, h, u in zip(solution.parameters, half, usual, strict=True) if h > 0.8 * NORMAL_95 * u),
+        tuple(
+            p.name
+            for p, h, u in zip(solution.parameters, half, default_geometry, strict=True)
+            if h > 0.8 * NORMAL_95 * u
+        ),
     )
 
 
@@ -256,7 +260,7 @@ def simplest(squares: dict[str, Array]) -> str:
 
 def _error_95(square_errors: Array, data: Measurements) -> float:
     """Return an upper limit of the 95 % quantile of the errors, from mean squares (C,) with noise [m²]."""
-    count = data.means()[1][data.unloaded]
+    count = data.means()[1][data.unloaded_states]
     is_visible = count > 0.0
     noise = (
         3.0
@@ -264,11 +268,13 @@ def _error_95(square_errors: Array, data: Measurements) -> float:
         * np.sum(is_visible / np.maximum(count, 1.0), axis=1)
         / np.maximum(is_visible.sum(axis=1), 1)
     )
-    rest = square_errors - noise
-    return float(LENGTH_95 * np.sqrt(max(0.0, rest.mean() + rest.std(ddof=1) / np.sqrt(len(rest)))))
+    square_excess = square_errors - noise
+    return float(
+        LENGTH_95 * np.sqrt(max(0.0, square_excess.mean() + square_excess.std(ddof=1) / np.sqrt(len(square_excess))))
+    )
 
 
-def _unmeasured(solution: _Solution, nominal: Chain) -> float:
+def _extrapolation_error(solution: _Solution, nominal: Chain) -> float:
     """Return the 95 % quantile [m] of the errors that readings and prior allow for all over the joints' range.
 
     Those of base and points count too: readings over a small range do not separate them from the joints'. The range is
@@ -285,8 +291,8 @@ def _unmeasured(solution: _Solution, nominal: Chain) -> float:
     by_parameter = [_column(parameter, by_joint, nominal, q) for parameter in solution.parameters]
     design = np.concatenate([base, tool, *by_parameter], axis=1)
     first_parameter = len(solution.whole_covariance) - len(solution.values)
-    kept = [*range(9), *range(first_parameter, len(solution.whole_covariance))]  # base, first point, parameters
-    variance = np.einsum("ni,ij,nj->n", design, solution.whole_covariance[np.ix_(kept, kept)], design)
+    rows_of_arm = [*range(9), *range(first_parameter, len(solution.whole_covariance))]  # base, first point, parameters
+    variance = np.einsum("ni,ij,nj->n", design, solution.whole_covariance[np.ix_(rows_of_arm, rows_of_arm)], design)
     return float(LENGTH_95 * np.sqrt(3.0 * np.mean(variance)))  # of a point, whose three coordinates are rows
 
 
@@ -322,14 +328,14 @@ def _solve(
     Gauss-Newton with the priors of the parameters as a ridge; the covariance grows with the misfit.
     """
     mean, count = data.means()
-    readings, weight = mean[data.unloaded], count[data.unloaded]
+    readings, weight = mean[data.unloaded_states], count[data.unloaded_states]
     scale = np.repeat(np.sqrt(weight).ravel(), 3) / data.sigma
     values, points = np.zeros(len(parameters)), data.guess.copy()
-    robot = assemble(name, _with_geometry(content, parameters, values, "", None), nominal)
-    root = kabsch(_point_positions(_at_rest(robot, data.q)[0], points).reshape(-1, 3), readings.reshape(-1, 3))
+    robot = assemble(name, _add_geometry(content, parameters, values, "", None), nominal)
+    root = kabsch(_point_positions(_unloaded_poses(robot, data.q)[0], points).reshape(-1, 3), readings.reshape(-1, 3))
     for _ in range(_STEPS):
-        robot = assemble(name, _with_geometry(content, parameters, values, "", None), nominal)
-        flange, angles = _at_rest(robot, data.q)
+        robot = assemble(name, _add_geometry(content, parameters, values, "", None), nominal)
+        flange, angles = _unloaded_poses(robot, data.q)
         base, tool = _frame_columns(flange, points, root)
         chain = _geometric(nominal, robot)
         _, columns = _derivatives(chain, angles, points)
@@ -342,13 +348,13 @@ def _solve(
         ridge = np.diag(np.concatenate([np.zeros(frame_count), 1.0 / _usual(parameters)]))[frame_count:]
         right = np.concatenate([left, -values / _usual(parameters)])
         step = np.linalg.lstsq(np.vstack([design, ridge]), right, rcond=None)[0]
-        root = displaced(root, step[:6])
+        root = displace(root, step[:6])
         points = points + step[6:frame_count].reshape(points.shape)
         values = values + step[frame_count:]
         if np.abs(step).max() < 1e-9:
             break
-    robot = assemble(name, _with_geometry(content, parameters, values, "", None), nominal)
-    flange, _ = _at_rest(robot, data.q)
+    robot = assemble(name, _add_geometry(content, parameters, values, "", None), nominal)
+    flange, _ = _unloaded_poses(robot, data.q)
     residual = (readings - _point_positions(root @ flange, points)) * (weight > 0.0)[..., None]
     covariance = np.linalg.pinv(design.T @ design + ridge.T @ ridge, hermitian=True)
     white = residual.ravel() * scale
@@ -381,7 +387,7 @@ def _column(parameter: GeometryParameter, by_joint: Array, chain: Chain, q: Arra
     return np.asarray((by_joint[..., joint, 3:] @ chain.axis[joint] * wave[:, None, None]).reshape(-1, 1))
 
 
-def _at_rest(robot: RobotModel, q: Array) -> tuple[Array, Array]:
+def _unloaded_poses(robot: RobotModel, q: Array) -> tuple[Array, Array]:
     """Return flange poses (C, 4, 4) without load, with sag if the model predicts it, and joint angles (C, 6) there."""
     x, joints = elastostatics.coordinates(robot, q), list(robot.actuated)
     if robot.subtract_reference:
@@ -420,7 +426,7 @@ def _cross_validation_error(solution: _Solution, data: Measurements) -> Array:
     return errors
 
 
-def _with_geometry(
+def _add_geometry(
     content: ModelFile, parameters: tuple[GeometryParameter, ...], values: Array, source: str, half: Array | None
 ) -> ModelFile:
     """Return the model with values (p,) of geometry parameters [SI]; `half` (p,): half 95 % intervals for its sources.

@@ -32,7 +32,7 @@ from postproc.errors import PostprocError
 from postproc.frames import Array
 from postproc.identification import over_pose, record
 from postproc.identification.fit import Fit, Linearised, Prior, Regression, learn, linearise, prior_of
-from postproc.identification.joint_springs import UNCERTAIN, is_physical, unloaded
+from postproc.identification.joint_springs import UNCERTAIN, is_physical, unloaded_joints
 from postproc.identification.measurement_model import (
     Placement,
     Structure,
@@ -132,7 +132,7 @@ def full_structure(
     :param in_gears: weights and compensator load the gears at rest.
     :param compensator: K_c and s₀ are free.
     """
-    bare = unloaded(robot, data)
+    bare = unloaded_joints(robot, data)
     joints = [joint for joint in JOINT_COMPLIANCES if joint not in bare]
     largest = np.abs(joint_torques(robot, data)).max(axis=0)
     links, ends = link_springs(robot, rich=False), link_springs(robot, rich=True)
@@ -147,13 +147,13 @@ def full_structure(
         # if the load alone acts on the gears, backlash is lost motion
         LOST_MOTION: _gears(LostMotion, _TURNS_OVER_AT, joints, largest) if in_gears else (),
         # a free compensator replaces the weights on joint 2: masses are not identifiable then
-        AT_REST: _at_rest(robot) if not compensator and (in_gears or not robot.subtract_reference) else (),
+        AT_REST: _gravity_parameters(robot) if not compensator and (in_gears or not robot.subtract_reference) else (),
     }
     pairs = [(parameter, kind) for kind, parameters in of_kind.items() for parameter in parameters]
     return Structure(tuple(p for p, _ in pairs), robot, in_gears=in_gears), tuple(kind for _, kind in pairs)
 
 
-def _at_rest(robot: RobotModel) -> Iterator[Parameter]:
+def _gravity_parameters(robot: RobotModel) -> Iterator[Parameter]:
     """Yield the uncertain sources of torque on the gears at rest: masses and compensator."""
     sources: list[Parameter] = [LinkMass(joint) for joint in JOINTS[1:]]
     if robot.compensator is not None:
@@ -232,7 +232,7 @@ class Candidate(Struct, frozen=True):
     chosen: bool = False
 
     @property
-    def recorded(self) -> record.Tried:
+    def as_record(self) -> record.Tried:
         """The structure as `identification.json` contains it."""
         return record.Tried(
             structure=self.name,
@@ -306,18 +306,20 @@ class Mean(Struct, frozen=True, eq=False):
         return self.equations.mean_squares(np.asarray(left))
 
     @property
-    def taken(self) -> list[tuple[float, Member]]:
+    def weighted_members(self) -> list[tuple[float, Member]]:
         """Weights and structures that are part of the mean."""
         return [(float(w), m) for w, m in zip(self.weights, self.members, strict=True) if w > 0.0]
 
     def solve(self, excluded_configs: Ints | None = None) -> Array:
         """Return the parameters (p,) of the mean, SI."""
-        return np.asarray(sum(w * m.regression.solve(self.equations, excluded_configs) for w, m in self.taken))
+        return np.asarray(
+            sum(w * m.regression.solve(self.equations, excluded_configs) for w, m in self.weighted_members)
+        )
 
     def covariance(self) -> Array:
         """Return the posterior covariance (p, p), within the structures and between them, SI."""
         mean, total = self.solve(), np.zeros((len(self.structure.parameters),) * 2)
-        for weight, member in self.taken:
+        for weight, member in self.weighted_members:
             difference = member.regression.solve(self.equations) - mean
             total += weight * (member.regression.covariance(self.equations) + np.outer(difference, difference))
         return total
@@ -325,7 +327,7 @@ class Mean(Struct, frozen=True, eq=False):
     def spread(self) -> Array:
         """Return the prior standard deviations (p,), SI; zero for parameters of no structure."""
         variance = np.zeros(len(self.structure.parameters))
-        for weight, member in self.taken:
+        for weight, member in self.weighted_members:
             variance[member.regression.columns] += weight * member.regression.spread**2
         return np.asarray(np.sqrt(variance))
 
@@ -381,7 +383,7 @@ def evidence_of(structure: Structure, values: Array, data: Measurements, placeme
 def _open(choice: Choice) -> bool:
     """Return whether the stiffness of the compensator is not determined."""
     fit, spring = choice.fit, CompensatorStiffness()
-    if spring not in fit.given:
+    if spring not in fit.parameter_values:
         return False
     index = fit.structure.parameters.index(spring)
     return bool(fit.ci95[index] > UNCERTAIN * fit.values[index])
@@ -432,7 +434,7 @@ def _extend(mean: Mean, solution: _Settled, data: Measurements, placement: Place
     Both are tried on the structure with the most evidence: first the couplings, then the waves over the pose.
     """
     structure = mean.structure
-    bare = unloaded(structure.prior, data)
+    bare = unloaded_joints(structure.prior, data)
     joints = [joint for joint in JOINT_COMPLIANCES if joint not in bare]
     couplings, waves = over_pose.couplings(joints), over_pose.waves(joints)
     old = len(structure.parameters)
@@ -441,7 +443,7 @@ def _extend(mean: Mean, solution: _Settled, data: Measurements, placement: Place
     values = np.concatenate([mean.solve(), np.zeros(size - old)])
     equations = linearise(structure, values, data, placement)
     fold = folds(equations)
-    best = max((member for _, member in mean.taken), key=lambda member: member.regression.evidence)
+    best = max((member for _, member in mean.weighted_members), key=lambda member: member.regression.evidence)
     base = Member.of(best.name, best.nonlinear, equations, prior, best.regression.columns, fold)
     extensions = []
     for label, first, count in (
@@ -512,7 +514,9 @@ def _choice_of_mean(mean: Mean, solution: _Settled, data: Measurements, placemen
     residual = (measured_displacements(data, placement) - displacement) * visible(data)
     w = whitening(data)
     white = whiten(w, residual).ravel()
-    members = [(weight, member.regression, member.regression.solve(equations)) for weight, member in mean.taken]
+    members = [
+        (weight, member.regression, member.regression.solve(equations)) for weight, member in mean.weighted_members
+    ]
     dof = float(sum(w * regression.degrees_of_freedom(equations, values) for w, regression, values in members))
     influence = np.asarray(sum(w * regression.influence(equations, values) for w, regression, values in members))
     jackknife = (len(deviation) - 1) / len(deviation) * deviation.T @ deviation
@@ -535,7 +539,7 @@ def _choice_of_mean(mean: Mean, solution: _Settled, data: Measurements, placemen
         table,
         _reason(table, float(square_errors.mean())),
         square_errors,
-        unwhiten(w, left.reshape(len(data.loaded), len(data.points), 3)),
+        unwhiten(w, left.reshape(len(data.loaded_states), len(data.points), 3)),
         transform @ influence,
         dof,
         tuple(parameters[index] for index in np.flatnonzero((spread > 0.0) & ~is_narrower)),

@@ -325,7 +325,7 @@ def identify(readings: MarkerReadings) -> CompensatorGeometry:
 
 
 def _remedy(markers: MarkerPlacement, ci95: Array) -> str:
-    """Return how to measure the compensator more accurately; `ci95` (3,) [m]."""
+    """Return advice for a more accurate measurement of the compensator; `ci95` (3,): half intervals [m]."""
     even_ci = markers.ci95_even[1:]
     if np.linalg.norm(even_ci) > _WORTH * np.linalg.norm(ci95[1:]):
         return "Measure more markers, more repeats, and the angles q2 that `postproc plan compensator` proposes."
@@ -369,18 +369,18 @@ def _refuse_impossible(readings: MarkerReadings, left_p1: Array, left_p0: Array)
     """
     if len(readings.markers) > 2:  # the markers sit on one rigid body: their distances do not change
         distances = np.linalg.norm(readings.p0[:, None] - readings.p0[None], axis=3)
-        usual = np.median(distances, axis=2)
-        change = np.abs(distances - usual[..., None]).max(axis=(0, 1))
+        median_distances = np.median(distances, axis=2)
+        change = np.abs(distances - median_distances[..., None]).max(axis=(0, 1))
         angle = int(np.argmax(change))
         if change[angle] > _IMPOSSIBLE:
             at_angle = distances[:, :, angle]
             k = len(readings.markers)
             swaps = [_swapped_order(k, i, j) for i in range(k) for j in range(i)]
-            wrong = [float(np.abs(at_angle[np.ix_(order, order)] - usual).max()) for order in swaps]
-            best = int(np.argmin(wrong))
+            swap_errors = [float(np.abs(at_angle[np.ix_(order, order)] - median_distances).max()) for order in swaps]
+            best = int(np.argmin(swap_errors))
             names = [readings.markers[i] for i in range(k) if swaps[best][i] != i]
             advice = "Measure this angle again."
-            if wrong[best] < _IMPOSSIBLE:
+            if swap_errors[best] < _IMPOSSIBLE:
                 advice = f"The names of {' and '.join(names)} are swapped there: correct the file."
             raise MeasurementError(
                 f"at q2 = {readings.q2[angle] * DEG_PER_RAD:g}° the markers do not keep their distances "
@@ -447,7 +447,7 @@ def read(path: Path) -> MarkerReadings:
             raise MeasurementError(
                 f"marker {name} at q2 = {angle:g}°: a repeat is given twice", file=file_name, line=int(lines[rows[-1]])
             )
-    groups, warnings = _without_outliers(groups, position, lines)
+    groups, warnings = _remove_outliers(groups, position, lines)
     mean = {key: position[rows].mean(axis=0) for key, rows in groups.items()}
     scatter = sum(float(np.sum((position[rows] - mean[key]) ** 2)) for key, rows in groups.items())
     dof = sum(3 * (len(rows) - 1) for rows in groups.values())
@@ -483,7 +483,7 @@ def _check_angles(angles: Array, file_name: str) -> None:
         )
 
 
-def _without_outliers(groups: _Groups, position: Array, lines: Array) -> tuple[_Groups, tuple[str, ...]]:
+def _remove_outliers(groups: _Groups, position: Array, lines: Array) -> tuple[_Groups, tuple[str, ...]]:
     """Leave out readings that are far from the other repeats of the same point (three or more repeats)."""
     deviation = {key: position[rows] - np.median(position[rows], axis=0) for key, rows in groups.items()}
     sizes = np.abs(np.concatenate([d.ravel() for key, d in deviation.items() if len(d) >= 3] or [np.zeros(0)]))
@@ -493,13 +493,13 @@ def _without_outliers(groups: _Groups, position: Array, lines: Array) -> tuple[_
     warnings: list[str] = []
     for key, rows in groups.items():
         distances = np.linalg.norm(deviation[key], axis=1)
-        good = distances <= max(_OUTLIER * 1.5 * scale, 1e-6)
-        if len(rows) >= 3 and 0 < np.count_nonzero(~good) < 0.5 * len(rows):
-            good_groups[key] = rows[good]
+        is_within_limit = distances <= max(_OUTLIER * 1.5 * scale, 1e-6)
+        if len(rows) >= 3 and 0 < np.count_nonzero(~is_within_limit) < 0.5 * len(rows):
+            good_groups[key] = rows[is_within_limit]
             warnings += [
                 f"line {int(lines[row])}: marker {key[0]} at q2 = {key[1]:g}° is {distance * MM_PER_M:.2f} mm from its "
                 "other repeats: left out"
-                for row, distance in zip(rows[~good], distances[~good], strict=True)
+                for row, distance in zip(rows[~is_within_limit], distances[~is_within_limit], strict=True)
             ]
         else:
             good_groups[key] = rows
@@ -601,4 +601,4 @@ def save(path: Path, result: CompensatorGeometry, source: str) -> None:
     if path.is_dir():
         raise InputError("is a folder", file=str(path), advice="Give the name of the file to write.")
     comment = "Gravity compensator, identified by `postproc identify compensator` (paper, Eq. (6), (7))."
-    files.write_whole(path.parent, {path.name: files.sealed(files.toml(as_data(result, source), comment))})
+    files.write_whole(path.parent, {path.name: files.seal(files.toml(as_data(result, source), comment))})

@@ -19,7 +19,7 @@ from postproc.errors import InputError, MeasurementError, PostprocError
 from postproc.frames import norm
 from postproc.identification.measurement_model import as_positions, joint_torques
 from postproc.identification.model_folder import starting_robot
-from postproc.identification.procedure import checked
+from postproc.identification.procedure import check_readings
 from postproc.identification.readings import Experiment, Measurements, gaps, read, read_experiment
 from postproc.identification.uncertainty import levels
 from postproc.robot import JOINTS, RobotModel
@@ -60,7 +60,7 @@ class Finding(Struct, frozen=True):
 
 
 def check(folder: Path) -> list[Finding]:
-    """Return what a folder of measurements has and lacks.
+    """Return findings on what a folder of measurements contains and lacks for an identification.
 
     :raises InputError: there is no such folder.
     """
@@ -76,9 +76,9 @@ def check(folder: Path) -> list[Finding]:
         return [*findings, Finding(f"{EXPERIMENT}, {READINGS}: {error}", has=False, required=True), _sums(folder)]
     return [
         *findings,
-        *_of_readings(data),
-        *_of_setup(setup),
-        _of_torques(torque),
+        *_reading_findings(data),
+        *_setup_findings(setup),
+        _torque_finding(torque),
         *_agreement(robot, data),
         _sums(folder),
     ]
@@ -98,10 +98,10 @@ def _origin_statements(folder: Path) -> list[Finding]:
     return findings
 
 
-def _of_readings(data: Measurements) -> list[Finding]:
+def _reading_findings(data: Measurements) -> list[Finding]:
     """Return the statements on numbers of configurations, loads, repeats and points."""
     _, count = data.means()
-    load = norm(data.wrench[data.loaded])
+    load = norm(data.wrench[data.loaded_states])
     sizes = int(levels(load).max()) + 1
     repeats = int(count.max())
     kind = "displacements" if data.are_displacements else "positions"
@@ -122,7 +122,7 @@ def _of_readings(data: Measurements) -> list[Finding]:
     ]
 
 
-def _of_setup(setup: Experiment) -> list[Finding]:
+def _setup_findings(setup: Experiment) -> list[Finding]:
     """Return the findings on the stated errors of load and load point."""
     has_load_error = setup.load_error_percent is not None
     return [
@@ -131,7 +131,7 @@ def _of_setup(setup: Experiment) -> list[Finding]:
     ]
 
 
-def _of_torques(torque: np.ndarray) -> Finding:
+def _torque_finding(torque: np.ndarray) -> Finding:
     bare = [name for name, size in zip(JOINTS, torque, strict=True) if size < _TORQUE_SHARE * torque.max()]
     sizes = ", ".join(f"{size:.0f}" for size in torque)
     text = f"torques up to {sizes} N·m on A1 … A6"
@@ -141,7 +141,7 @@ def _of_torques(torque: np.ndarray) -> Finding:
 def _agreement(robot: RobotModel, data: Measurements) -> list[Finding]:
     """Return the statements on readings that contradict the robot, its loads or each other."""
     try:
-        _, _, outliers, doubts = checked(robot, data)
+        _, _, outliers, doubts = check_readings(robot, data)
     except PostprocError as error:
         return [Finding(str(error), has=False, required=True)]
     faults = [*(f"outlier: {name}" for name in outliers), *(note for note in doubts if note not in gaps(data))]

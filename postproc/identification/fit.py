@@ -112,7 +112,7 @@ class Fit(Struct, frozen=True, eq=False):
         return np.asarray(NORMAL_95 * np.sqrt(np.diag(self.covariance)))
 
     @property
-    def given(self) -> dict[Parameter, float]:
+    def parameter_values(self) -> dict[Parameter, float]:
         """The values by parameter, SI."""
         return dict(zip(self.structure.parameters, self.values.tolist(), strict=True))
 
@@ -189,10 +189,12 @@ def covariance_of(design: Array, typical: Array) -> Array:
     safe = np.where(dead, 1.0, scale)
     rows = design / safe
     _, singular, vt = np.linalg.svd(rows, full_matrices=False)
-    good = singular > 1e-8 * singular.max(initial=0.0)
-    inverse = (vt[good].T / singular[good] ** 2) @ vt[good]
+    is_determined = singular > 1e-8 * singular.max(initial=0.0)
+    inverse = (vt[is_determined].T / singular[is_determined] ** 2) @ vt[is_determined]
     covariance = inverse / np.outer(safe, safe)
-    open_directions = np.sum(vt[~good] ** 2, axis=0) > 1e-6 if (~good).any() else np.zeros(len(scale), dtype=bool)
+    open_directions = (
+        np.sum(vt[~is_determined] ** 2, axis=0) > 1e-6 if (~is_determined).any() else np.zeros(len(scale), dtype=bool)
+    )
     for index in np.flatnonzero(dead | open_directions):
         covariance[index, :] = covariance[:, index] = 0.0
         covariance[index, index] = np.inf
@@ -207,13 +209,15 @@ def to_file_units(fit: Fit) -> tuple[tuple[Parameter, ...], Array, Array]:
     :raises MeasurementError: a value or its variance is not finite.
     """
     parameters = fit.structure.parameters
-    slopes = file_slopes(parameters, fit.given)
-    values = np.array([parameter.in_file(fit.given)[0] for parameter in parameters])
+    slopes = file_slopes(parameters, fit.parameter_values)
+    values = np.array([parameter.file_value(fit.parameter_values)[0] for parameter in parameters])
     finite = np.isfinite(values) & np.isfinite(fit.covariance).all(axis=1)
     if not finite.all():
-        wrong = ", ".join(parameter.name for parameter, good in zip(parameters, finite, strict=True) if not good)
+        infinite_names = ", ".join(
+            parameter.name for parameter, is_finite in zip(parameters, finite, strict=True) if not is_finite
+        )
         raise MeasurementError(
-            f"the fit has no finite value or variance for {wrong}",
+            f"the fit has no finite value or variance for {infinite_names}",
             file="",
             advice="Measure configurations and loads that put torque on these joints.",
         )
@@ -297,7 +301,7 @@ def linearise(structure: Structure, values: Array, data: Measurements, placement
     prediction, slopes = predict(structure, values, data, placement)
     finite = np.isfinite(slopes).all(axis=(1, 2, 3)) & np.isfinite(prediction).all(axis=(1, 2))
     if not finite.all():
-        state = int(data.loaded[np.argmin(finite)])
+        state = int(data.loaded_states[np.argmin(finite)])
         raise PostprocError(
             f"config {data.config[data.state_config[state]]:g}, load {data.load[state]:g}: these springs have no "
             "equilibrium under this load"
@@ -305,10 +309,10 @@ def linearise(structure: Structure, values: Array, data: Measurements, placement
     design = whiten(w, slopes).reshape(-1, len(values))
     white = whiten(w, (displacement - prediction) * visible(data))
     size = np.linalg.norm(white, axis=2)
-    usual = float(np.median(size[size > 0.0])) / _MEDIAN_OF_THREE if np.any(size > 0.0) else 1.0
-    weight = np.minimum(1.0, _HUBER * max(usual, 1e-12) / np.maximum(size, 1e-300))
+    scale_of_size = float(np.median(size[size > 0.0])) / _MEDIAN_OF_THREE if np.any(size > 0.0) else 1.0
+    weight = np.minimum(1.0, _HUBER * max(scale_of_size, 1e-12) / np.maximum(size, 1e-300))
     is_visible = np.repeat((visible(data)[..., 0] > 0.0).ravel(), 3)
-    rows = np.repeat(data.state_config[data.loaded], 3 * len(data.points))
+    rows = np.repeat(data.state_config[data.loaded_states], 3 * len(data.points))
     design = design * is_visible[:, None]
     return Linearised(design, white.ravel() + design @ values, rows, np.repeat(weight.ravel(), 3))
 

@@ -106,7 +106,7 @@ def not_observable(fit: Fit, data: Measurements, with_misfit: bool = False) -> l
 
 
 def _compensator(fit: Fit, data: Measurements, wider: float, k2_is_open: bool) -> NotObservable | None:
-    """Return why the compensator is not observable, and what to measure; None if it is.
+    """Return the reason that the compensator is not observable, with advice; None if it is.
 
     :param wider: factor of its interval.
     :param k2_is_open: the compliance of joint 2 is not observable.
@@ -139,16 +139,16 @@ def _compensator(fit: Fit, data: Measurements, wider: float, k2_is_open: bool) -
 
 def is_physical(fit: Fit) -> bool:
     """Return whether the compensator of a fit, if it has one, is one that could be built."""
-    stiffness = fit.given.get(CompensatorStiffness())
+    stiffness = fit.parameter_values.get(CompensatorStiffness())
     if stiffness is None:
         return True
-    return stiffness > 0.0 and 0.0 <= fit.given[CompensatorPreload()] / stiffness <= _LONGEST_SPRING
+    return stiffness > 0.0 and 0.0 <= fit.parameter_values[CompensatorPreload()] / stiffness <= _LONGEST_SPRING
 
 
 def _joint_reason(
     parameter: JointCompliance, torque: Array, fit: Fit, index: int, half: float, correlation: Array
 ) -> NotObservable:
-    """Return why a joint compliance is not observable, and what to measure.
+    """Return the reason that a joint compliance is not observable, with advice.
 
     :param torque: (L, 6) of the loads [N·m].
     :param half: half 95 % interval [rad/(N·m)].
@@ -189,7 +189,7 @@ def _correlation(covariance: Array) -> Array:
     return np.asarray(np.nan_to_num(correlation))
 
 
-def unloaded(robot: RobotModel, data: Measurements) -> tuple[JointCompliance, ...]:
+def unloaded_joints(robot: RobotModel, data: Measurements) -> tuple[JointCompliance, ...]:
     """Return the compliances of joints on which the loads put next to no torque."""
     largest = np.abs(joint_torques(robot, data)).max(axis=0)
     return tuple(p for p, value in zip(JOINT_COMPLIANCES, largest, strict=True) if value < _NO_TORQUE * largest.max())
@@ -257,7 +257,7 @@ def extended_set(robot: RobotModel, data: Measurements, placement: Placement) ->
     count = int(level.max()) + 1
     levels = (LevelCompliance(JOINT_COMPLIANCES[1].joint, index) for index in range(count))
     parameters = (JOINT_COMPLIANCES[0], *levels, *JOINT_COMPLIANCES[2:])
-    if 3 * len(data.loaded) * len(data.points) <= len(parameters):
+    if 3 * len(data.loaded_states) * len(data.points) <= len(parameters):
         return None
     structure = Structure(parameters, replace(robot, compensator=None), level)
     try:
@@ -275,14 +275,14 @@ def compensator_from_levels(levels: Levels, law: Compensator) -> SpringOfJoint2 
     :param law: gives L, a_x, a_y.
     :returns: None with fewer than three usable levels.
     """
-    good = np.isfinite(np.diag(levels.covariance)) & (levels.compliance > 0.0)
-    if np.count_nonzero(good) < 3:
+    is_determined = np.isfinite(np.diag(levels.covariance)) & (levels.compliance > 0.0)
+    if np.count_nonzero(is_determined) < 3:
         return None
-    k = levels.compliance[good]
+    k = levels.compliance[is_determined]
     stiffness = 1.0 / k
     slope = -(stiffness**2)
-    covariance = levels.covariance[np.ix_(good, good)] * np.outer(slope, slope)
-    c = np.column_stack([np.ones_like(k), law.stiffness_columns(levels.q2[good])])
+    covariance = levels.covariance[np.ix_(is_determined, is_determined)] * np.outer(slope, slope)
+    c = np.column_stack([np.ones_like(k), law.stiffness_columns(levels.q2[is_determined])])
     weight = np.linalg.inv(covariance)
     normal = c.T @ weight @ c
     scale = 1.0 / np.sqrt(np.diag(normal))
@@ -300,7 +300,7 @@ def fit_joints(
     :raises MeasurementError: there are fewer readings than unknowns.
     """
     parameters: list[Parameter] = [*JOINT_COMPLIANCES, *(COMPENSATOR if robot.compensator is not None else ())]
-    readings = 3 * len(data.loaded) * len(data.points)
+    readings = 3 * len(data.loaded_states) * len(data.points)
     if readings <= len(JOINT_COMPLIANCES):
         raise MeasurementError(
             f"{readings} loaded coordinates for {len(JOINT_COMPLIANCES)} compliances",
@@ -346,8 +346,8 @@ def _refutes_prior_spring(fit: Fit, data: Measurements, placement: Placement) ->
     spring = fit.structure.parameters.index(CompensatorStiffness())
     if not np.isfinite(fit.covariance[spring, spring]):
         return False
-    rest = tuple(p for p in fit.structure.parameters if p not in COMPENSATOR)
-    structure = Structure(rest, fit.structure.prior)
+    other_parameters = tuple(p for p in fit.structure.parameters if p not in COMPENSATOR)
+    structure = Structure(other_parameters, fit.structure.prior)
     reduced_fit = _attempt(structure, data, placement, structure.start())
     return reduced_fit.chi2 - fit.chi2 > _CHI2_LIMIT * max(1.0, fit.chi2 / max(fit.dof, 1))
 
@@ -372,14 +372,14 @@ def flange_displacements(data: Measurements, placement: Placement) -> Array:
         )
     mean, count = data.means()
     root = device_to_root(placement, mean)
-    displacement = np.empty((len(data.loaded), 6))
-    for row, state in enumerate(data.loaded):
-        rest = data.unloaded[data.state_config[state]]
-        is_visible = (count[state] > 0) & (count[rest] > 0)
+    displacement = np.empty((len(data.loaded_states), 6))
+    for row, state in enumerate(data.loaded_states):
+        unloaded_state = data.unloaded_states[data.state_config[state]]
+        is_visible = (count[state] > 0) & (count[unloaded_state] > 0)
         if np.count_nonzero(is_visible) < 3:
             displacement[row] = np.nan
             continue
-        frames = [kabsch(placement.points[is_visible], root[index, is_visible]) for index in (rest, state)]
+        frames = [kabsch(placement.points[is_visible], root[index, is_visible]) for index in (unloaded_state, state)]
         load_point = np.eye(4)
         load_point[:3, 3] = data.load_point
         displacement[row] = twist_between(frames[0] @ load_point, frames[1] @ load_point)
@@ -393,16 +393,16 @@ def fit_serial(robot: RobotModel, data: Measurements, placement: Placement) -> F
     """
     bare = replace(robot, compensator=None)
     displacement = flange_displacements(data, placement)
-    good = np.isfinite(displacement).all(axis=1)
+    has_displacement = np.isfinite(displacement).all(axis=1)
     tool = np.eye(4)
     tool[:3, 3] = data.load_point
-    config = data.state_config[data.loaded]
+    config = data.state_config[data.loaded_states]
     x = elastostatics.coordinates(bare, data.q[config])
     _, jacobian = kinematics.tcp(bare.actual, x, tool)
     jacobian = jacobian[:, :, list(bare.actuated)]
-    torque = np.einsum("lij,li->lj", jacobian, data.wrench[data.loaded])
-    design = (jacobian * torque[:, None])[good].reshape(-1, 6)
-    target = displacement[good].ravel()
+    torque = np.einsum("lij,li->lj", jacobian, data.wrench[data.loaded_states])
+    design = (jacobian * torque[:, None])[has_displacement].reshape(-1, 6)
+    target = displacement[has_displacement].ravel()
     if len(target) <= 6:
         raise MeasurementError(
             f"{len(target)} components of displacements for 6 compliances",

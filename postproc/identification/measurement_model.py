@@ -21,7 +21,7 @@ from msgspec.structs import replace
 
 from postproc import elastostatics, kinematics
 from postproc.errors import MeasurementError, NotConvergedError
-from postproc.frames import MM_PER_M, RAD_PER_DEG, Array, displaced, hat, inverse, xyzabc_from_pose
+from postproc.frames import MM_PER_M, RAD_PER_DEG, Array, displace, hat, inverse, xyzabc_from_pose
 from postproc.identification.readings import Measurements
 from postproc.program import Ints
 from postproc.robot import JointCompliance, LinkSpring, Parameter, RobotModel
@@ -72,7 +72,7 @@ def locate(robot: RobotModel, data: Measurements) -> Placement:
     """
     flange = unloaded_flange(robot, data.q)
     mean, count = data.means()
-    readings, weight = mean[data.unloaded], count[data.unloaded]
+    readings, weight = mean[data.unloaded_states], count[data.unloaded_states]
     configs, points = readings.shape[:2]
     if configs * points * 3 < 6 + 3 * points:
         raise MeasurementError(
@@ -104,7 +104,7 @@ def locate(robot: RobotModel, data: Measurements) -> Placement:
                 advice="Turn A1…A6, the wrist above all, more from configuration to configuration.",
             )
         step = np.linalg.solve(normal, rows.T @ (left * np.sqrt(weight)[..., None]).ravel())
-        pose = displaced(pose, step[:6])
+        pose = displace(pose, step[:6])
         position = position + step[6:].reshape(points, 3)
         if np.abs(step).max() < 1e-11:
             break
@@ -168,15 +168,15 @@ _MIN_WEIGHT = 1e-12
 def measured_displacements(data: Measurements, placement: Placement) -> Array:
     """Return loaded − unloaded mean positions (L, P, 3) [m] in root axes, L loaded states."""
     mean, _ = data.means()
-    rest = data.unloaded[data.state_config[data.loaded]]
-    return visible(data) * in_root_axes(placement, mean[data.loaded] - mean[rest])
+    unloaded_state = data.unloaded_states[data.state_config[data.loaded_states]]
+    return visible(data) * in_root_axes(placement, mean[data.loaded_states] - mean[unloaded_state])
 
 
 def visible(data: Measurements) -> Array:
     """Return (L, P, 1) one where a loaded point and its unloaded counterpart have readings, zero elsewhere."""
     _, count = data.means()
-    rest = data.unloaded[data.state_config[data.loaded]]
-    return np.asarray(((count[data.loaded] > 0) & (count[rest] > 0)).astype(float)[..., None])
+    unloaded_state = data.unloaded_states[data.state_config[data.loaded_states]]
+    return np.asarray(((count[data.loaded_states] > 0) & (count[unloaded_state] > 0)).astype(float)[..., None])
 
 
 def whitening(data: Measurements) -> Array:
@@ -185,12 +185,12 @@ def whitening(data: Measurements) -> Array:
     Loads of one configuration share its unloaded reading: Σ = σ²·(1/n_l on the diagonal, 1/n_0 added everywhere).
     """
     count = np.maximum(data.means()[1], _MIN_WEIGHT)
-    states, config = data.loaded, data.state_config[data.loaded]
+    states, config = data.loaded_states, data.state_config[data.loaded_states]
     is_same_config = config[:, None] == config[None]
-    rest = data.unloaded[config]
+    unloaded_state = data.unloaded_states[config]
     matrix = np.empty((len(data.points), len(states), len(states)))
     for point in range(len(data.points)):
-        covariance = np.diag(1.0 / count[states, point]) + is_same_config / count[rest, point][:, None]
+        covariance = np.diag(1.0 / count[states, point]) + is_same_config / count[unloaded_state, point][:, None]
         matrix[point] = np.linalg.inv(np.linalg.cholesky(covariance)) / data.sigma
     return matrix
 
@@ -285,7 +285,7 @@ def predict(structure: Structure, values: Array, data: Measurements, placement: 
 
     :raises NotConvergedError: the springs have no equilibrium under a load; the message names it.
     """
-    config = data.state_config[data.loaded]
+    config = data.state_config[data.loaded_states]
     displacement = np.empty((len(config), len(data.points), 3))
     slopes = np.zeros((*displacement.shape, len(structure.parameters)))
     level = np.full(len(config), -1) if structure.levels is None else structure.levels[config]
@@ -295,10 +295,10 @@ def predict(structure: Structure, values: Array, data: Measurements, placement: 
         active = structure.active(at)
         try:
             displacement[rows], of_active = _predict(
-                structure, structure.robot(values, at), active, data.loaded[rows], data, placement
+                structure, structure.robot(values, at), active, data.loaded_states[rows], data, placement
             )
         except NotConvergedError as error:
-            state = int(data.loaded[rows[error.rows[0]]])
+            state = int(data.loaded_states[rows[error.rows[0]]])
             raise NotConvergedError(
                 f"config {data.config[data.state_config[state]]:g}, load {data.load[state]:g}: {error}", error.rows
             ) from None
@@ -318,18 +318,18 @@ def _predict(
     tool[:3, 3] = data.load_point
     lever = placement.points - data.load_point
     pose, twist = _equilibrium(structure, robot, active, q, tool, wrench)
-    with_load, slopes = _of_points(pose, twist, lever)
+    with_load, slopes = _point_motions(pose, twist, lever)
     if robot.subtract_reference:
-        rest, _ = kinematics.tcp(robot.loaded, x0, tool)
-        without_load, _ = _of_points(rest, twist, lever)
+        unloaded_pose, _ = kinematics.tcp(robot.loaded, x0, tool)
+        without_load, _ = _point_motions(unloaded_pose, twist, lever)
     else:  # without load the robot sags by the same springs
-        rest, sag = _equilibrium(structure, robot, active, q, tool, np.zeros_like(wrench))
-        without_load, of_sag = _of_points(rest, sag, lever)
+        unloaded_pose, sag = _equilibrium(structure, robot, active, q, tool, np.zeros_like(wrench))
+        without_load, of_sag = _point_motions(unloaded_pose, sag, lever)
         slopes = slopes - of_sag
-    return with_load - without_load + (pose[:, :3, 3] - rest[:, :3, 3])[:, None], slopes
+    return with_load - without_load + (pose[:, :3, 3] - unloaded_pose[:, :3, 3])[:, None], slopes
 
 
-def _of_points(pose: Array, twist: Array, lever: Array) -> tuple[Array, Array]:
+def _point_motions(pose: Array, twist: Array, lever: Array) -> tuple[Array, Array]:
     """Return points (L, P, 3) from the load point, root axes, and how they move (L, P, 3, p) with twists (L, 6, p)."""
     points = np.einsum("lij,pj->lpi", pose[:, :3, :3], lever)
     rotation = np.cross(np.swapaxes(twist[:, 3:], 1, 2)[:, None], points[:, :, None], axisa=3, axisb=3, axisc=3)
@@ -349,10 +349,10 @@ def joint_torques(robot: RobotModel, data: Measurements) -> Array:
     """Return the torques (L, 6) of the loads about the joint axes [N·m]."""
     tool = np.eye(4)
     tool[:3, 3] = data.load_point
-    config = data.state_config[data.loaded]
+    config = data.state_config[data.loaded_states]
     x = elastostatics.coordinates(robot, data.q[config])
     _, jacobian = kinematics.tcp(robot.actual, x, tool)
-    torque = np.einsum("lij,li->lj", jacobian, data.wrench[data.loaded])
+    torque = np.einsum("lij,li->lj", jacobian, data.wrench[data.loaded_states])
     return np.asarray(torque[:, list(robot.actuated)])
 
 

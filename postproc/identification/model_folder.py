@@ -179,7 +179,7 @@ def write(
     def rendered(entries: list[files.FileEntry]) -> bytes:
         return msgspec.structs.replace(data, files=entries).as_json()
 
-    return files.write_whole(folder, files.with_record(contents, record.NAME, rendered))
+    return files.write_whole(folder, files.add_record(contents, record.NAME, rendered))
 
 
 def require_finite(content: Any, name: str) -> None:
@@ -224,7 +224,7 @@ def read_prior(folder: Path, payload: Payload | None, source: str) -> ModelFile:
     return msgspec.structs.replace(content, payload=entry)
 
 
-def without_found_springs(content: ModelFile) -> ModelFile:
+def constant_springs_only(content: ModelFile) -> ModelFile:
     """Return a model with constant joint springs alone, without springs of links and all other terms of gears."""
     joints = {
         name: msgspec.structs.replace(
@@ -250,9 +250,9 @@ def report_data(result: Identification) -> record.Identified:
         parameters=entries,
         k2_levels=_levels(result.levels),
         k2_curve=_k2_curve(result),
-        from_levels=_from_levels(result.spring),
+        from_levels=_level_springs(result.spring),
         residual=_residual(result),
-        discrepancy=_unexplained(result.discrepancy),
+        discrepancy=_unexplained_records(result.discrepancy),
         workspace=[
             record.InWorkspace(
                 level.load, level.deflection * MM_PER_M, level.bound * MM_PER_M, level.worst, level.chance
@@ -262,7 +262,7 @@ def report_data(result: Identification) -> record.Identified:
         workspace_line=result.workspace.line,
         structure=None
         if result.choice is None
-        else record.Structure(result.choice.reason, [candidate.recorded for candidate in result.choice.candidates]),
+        else record.Structure(result.choice.reason, [candidate.as_record for candidate in result.choice.candidates]),
         sigma_mm=result.data.sigma * MM_PER_M,
         base=describe(result.placement),
         points=describe_points(result.placement, result.data.points),
@@ -291,7 +291,7 @@ def _levels(levels: Levels | None) -> list[record.Level]:
     ]
 
 
-def _from_levels(spring: SpringOfJoint2 | None) -> dict[str, record.FromLevels] | None:
+def _level_springs(spring: SpringOfJoint2 | None) -> dict[str, record.FromLevels] | None:
     """Return the spring of joint 2 from the levels, with half 95 % intervals; None without one."""
     if spring is None:
         return None
@@ -318,7 +318,7 @@ def _residual(result: Identification) -> record.Residual:
     )
 
 
-def _unexplained(discrepancy: Discrepancy) -> list[record.Unexplained]:
+def _unexplained_records(discrepancy: Discrepancy) -> list[record.Unexplained]:
     lengths = np.stack([discrepancy.held_out, discrepancy.noise, discrepancy.own, discrepancy.u95], axis=1) * MM_PER_M
     return [
         record.Unexplained(load, *row) for load, row in zip(discrepancy.load.tolist(), lengths.tolist(), strict=True)
@@ -326,9 +326,10 @@ def _unexplained(discrepancy: Discrepancy) -> list[record.Unexplained]:
 
 
 def _states(data: Measurements) -> list[record.State]:
-    angles = (data.q[data.state_config[data.loaded]] * DEG_PER_RAD).round(6).tolist()
+    angles = (data.q[data.state_config[data.loaded_states]] * DEG_PER_RAD).round(6).tolist()
     return [
-        record.State(tuple(q), tuple(load)) for q, load in zip(angles, data.wrench[data.loaded].tolist(), strict=True)
+        record.State(tuple(q), tuple(load))
+        for q, load in zip(angles, data.wrench[data.loaded_states].tolist(), strict=True)
     ]
 
 
@@ -355,7 +356,7 @@ def _entries_of(result: Identification, values: dict[Parameter, tuple[float, flo
     for parameter in dict.fromkeys((*standard, *values)):
         value = None if parameter in unknown else values.get(parameter)
         prior_value = (
-            parameter.in_file(of_prior | prior_mean)[0] if parameter in standard or parameter in prior_mean else None
+            parameter.file_value(of_prior | prior_mean)[0] if parameter in standard or parameter in prior_mean else None
         )
         put(
             parameter.name,
@@ -440,7 +441,7 @@ def starting_robot(setup: Experiment, experiment: Path) -> tuple[Path, ModelFile
     """Return folder, content of `model.toml` and model of the robot where the search starts, with the payload."""
     folder = robots.find(setup.robot, experiment.parent)
     stored_robot = robots.load(folder)
-    content = without_found_springs(read_prior(folder, setup.payload, experiment.name))
+    content = constant_springs_only(read_prior(folder, setup.payload, experiment.name))
     return folder, content, robots.assemble(stored_robot.name, content, stored_robot.nominal)
 
 
@@ -518,7 +519,7 @@ def geometry_folder(
     robot = robots.assemble(folder.resolve().name, content, nominal)
     data = read(measurements, setup, loads=False)
     _require_positions(data, measurements)
-    data, placement, outliers = plausibility.placed(robot, data)
+    data, placement, outliers = plausibility.check_placement(robot, data)
     movements = moved_device(robot, data, placement)
     geometry = calibration.identify_geometry(content, nominal, robot.name, data)
     report = record.Identified(

@@ -32,7 +32,7 @@ def moved_device(robot: RobotModel, data: Measurements, placement: Placement) ->
     the joints, with and without a step of the frame from a configuration on.
     """
     is_visible = np.abs(placement.residual).max(axis=2, keepdims=True) > 0.0
-    columns = [part(robot, data, placement) for part in (_by_frames, _by_points, _by_sag)]
+    columns = [part(robot, data, placement) for part in (_frame_derivatives, _point_derivatives, _sag_derivatives)]
     rows = np.concatenate(columns, axis=3) * is_visible[..., None]
     chance, first, twist = _clearest_step(rows, placement.residual, data.q)
     at = np.append(np.mean(placement.points, axis=0), 1.0)
@@ -63,7 +63,7 @@ def _clearest_step(rows: Array, residual: Array, q: Array) -> tuple[float, int, 
     spare = 3 * configs - basis.shape[1] - 6
     best: tuple[float, int, Array] = (np.inf, 0, np.zeros(6))
     for first in range(2, configs - 1) if spare >= _SPARE_OF_STEP else ():
-        if _by_order(q, first):
+        if _is_separable_by_order(q, first):
             continue
         step = (rows[..., :6] * (np.arange(configs) >= first)[:, None, None, None]).reshape(-1, 6)
         step = step - basis @ (basis.T @ step)
@@ -84,7 +84,7 @@ def _chance(ratio: float, spare: int) -> float:
     return float(f.sf(ratio, 6, spare))
 
 
-def _by_order(q: Array, first: int) -> bool:
+def _is_separable_by_order(q: Array, first: int) -> bool:
     """Return whether a joint angle separates the configurations (C, 6) from `first` on from those before."""
     angles = (q - q.mean(axis=0)) / np.maximum(q.std(axis=0), 1e-12)
     step = (np.arange(len(q)) >= first).astype(float)
@@ -92,7 +92,7 @@ def _by_order(q: Array, first: int) -> bool:
     return bool(np.abs(step @ angles / len(q)).max() > _MAX_CORRELATION)
 
 
-def _by_frames(robot: RobotModel, data: Measurements, placement: Placement) -> Array:
+def _frame_derivatives(robot: RobotModel, data: Measurements, placement: Placement) -> Array:
     """Return the derivatives (C, P, 3, 42) of the points, device axes, by twists of root and joint frames.
 
     A twist has the axes of its frame.
@@ -114,7 +114,7 @@ def _by_frames(robot: RobotModel, data: Measurements, placement: Placement) -> A
     return slopes
 
 
-def _by_sag(robot: RobotModel, data: Measurements, placement: Placement) -> Array:
+def _sag_derivatives(robot: RobotModel, data: Measurements, placement: Placement) -> Array:
     """Return the derivatives (C, P, 3, 6) of the points by the compliance of each joint under the own weight."""
     x = elastostatics.coordinates(robot, data.q)
     torque = elastostatics.balance.static_torque(robot, x.T).T[:, list(robot.actuated)]
@@ -140,7 +140,7 @@ def _joint_frames(robot: RobotModel, q: Array) -> list[Array]:
     return frames
 
 
-def _by_points(robot: RobotModel, data: Measurements, placement: Placement) -> Array:
+def _point_derivatives(robot: RobotModel, data: Measurements, placement: Placement) -> Array:
     """Return the derivatives (C, P, 3, 3P) of the points by their places on the flange, device axes."""
     rotation = placement.root_in_device[:3, :3] @ unloaded_flange(robot, data.q)[:, :3, :3]
     count = len(placement.points)

@@ -36,39 +36,39 @@ _GROSS = 6.0
 """Standard deviations beyond which a reading counts as a gross error."""
 
 
-def placed(robot: RobotModel, data: Measurements) -> tuple[Measurements, Placement, list[str]]:
+def check_placement(robot: RobotModel, data: Measurements) -> tuple[Measurements, Placement, list[str]]:
     """Check points and frames of readings before anything is fitted to them.
 
     :returns: the readings without gross errors, the placement, and a line for each reading that was left out.
     :raises MeasurementError: the readings are unusable.
     """
     check_points(data)
-    data, outliers = without_gross_errors(data)  # one would spoil the means that are judged next
+    data, outliers = remove_gross_errors(data)  # one would spoil the means that are judged next
     return data, check_frames(robot, data), outliers
 
 
-def without_gross_errors(data: Measurements) -> tuple[Measurements, list[str]]:
+def remove_gross_errors(data: Measurements) -> tuple[Measurements, list[str]]:
     """Return the measurements without readings that contradict their repeats or the rigid body, and a line for each."""
     lines: list[str] = []
     sigma = max(data.sigma, _robust_sigma(data))
-    bad: list[int] = []
+    faulty_rows: list[int] = []
     for state in range(len(data.load)):
         for point in range(len(data.points)):
             rows = np.flatnonzero((data.state == state) & (data.point == point))
             if len(rows) < 3:
                 continue
             distances = np.linalg.norm(data.position[rows] - np.median(data.position[rows], axis=0), axis=1)
-            wrong = rows[distances > _GROSS * 1.5 * sigma]
-            if 0 < len(wrong) < 0.5 * len(rows):
-                bad += wrong.tolist()
+            outlier_rows = rows[distances > _GROSS * 1.5 * sigma]
+            if 0 < len(outlier_rows) < 0.5 * len(rows):
+                faulty_rows += outlier_rows.tolist()
                 lines += [
                     f"{data.name(int(row))} is {distance * MM_PER_M:.2f} mm from its repeats: left out"
-                    for row, distance in zip(wrong, distances[distances > _GROSS * 1.5 * sigma], strict=True)
+                    for row, distance in zip(outlier_rows, distances[distances > _GROSS * 1.5 * sigma], strict=True)
                 ]
-    data = data.without(bad)
+    data = data.drop(faulty_rows)
     if len(data.points) >= 3:
-        bad, names = _rigid_body(data, sigma)
-        data, lines = data.without(bad), lines + names
+        faulty_rows, names = _rigid_body(data, sigma)
+        data, lines = data.drop(faulty_rows), lines + names
     return data, lines
 
 
@@ -87,7 +87,7 @@ def _rigid_body(data: Measurements, sigma: float) -> tuple[list[int], list[str]]
     """Return readings with wrong distances to the other points of their set, if the others agree; and a line for
     each.
     """
-    bad, names = [], []
+    faulty_rows, names = [], []
     sets = []
     for state in range(len(data.load)):
         for repeat in np.unique(data.repeat[data.state == state]):
@@ -101,20 +101,20 @@ def _rigid_body(data: Measurements, sigma: float) -> tuple[list[int], list[str]]
     errors = np.abs(distances - np.median(distances, axis=0))
     limit = _GROSS * np.sqrt(2.0) * sigma
     for rows, set_errors in zip(sets, errors, strict=True):
-        wrong = (set_errors > limit).sum(axis=1)
+        fault_counts = (set_errors > limit).sum(axis=1)
         worst = int(np.argmax(set_errors.sum(axis=1)))
         other_errors = np.delete(np.delete(set_errors, worst, axis=0), worst, axis=1)
-        if wrong[worst] >= 1 and other_errors.max() <= limit:
+        if fault_counts[worst] >= 1 and other_errors.max() <= limit:
             row = int(rows[worst])
-            bad.append(row)
+            faulty_rows.append(row)
             names.append(
                 f"{data.name(row)} is {set_errors[worst].max() * MM_PER_M:.2f} mm off in its distance to the other "
                 "points: left out"
             )
-    return bad, names
+    return faulty_rows, names
 
 
-def without_worst_residual(data: Measurements, placement: Placement, fit: Fit) -> tuple[Measurements, list[str]]:
+def remove_worst_residual(data: Measurements, placement: Placement, fit: Fit) -> tuple[Measurements, list[str]]:
     """Return the measurements without the reading of the largest residual of a fit if it is a gross error, and its
     line.
 
@@ -123,30 +123,30 @@ def without_worst_residual(data: Measurements, placement: Placement, fit: Fit) -
     """
     white = whiten(whitening(data), fit.residual)
     size = np.linalg.norm(white, axis=2)
-    usual = float(np.median(np.abs(white))) / 0.6745
+    sigma = float(np.median(np.abs(white))) / 0.6745
     row, point = np.unravel_index(int(np.argmax(size)), size.shape)
-    if size[row, point] <= _GROSS * max(1.0, usual) * 1.3:
+    if size[row, point] <= _GROSS * max(1.0, sigma) * 1.3:
         return data, []
-    state = int(data.loaded[row])
+    state = int(data.loaded_states[row])
     config = int(data.state_config[state])
-    rest = int(data.unloaded[config])
+    unloaded_state = int(data.unloaded_states[config])
     deviation = placement.residual[:, point] - np.median(placement.residual[:, point], axis=0)
     rest_error = float(np.linalg.norm(deviation[config]))
     rest_usual = float(np.median(np.linalg.norm(deviation, axis=1)))
     load_states = np.flatnonzero((data.state_config == config) & (data.load != 0))
     is_common = len(load_states) > 1 and all(
-        size[np.flatnonzero(data.loaded == load_state)[0], point] > _GROSS * max(1.0, usual)
+        size[np.flatnonzero(data.loaded_states == load_state)[0], point] > _GROSS * max(1.0, sigma)
         for load_state in load_states
     )
     gross = float(np.linalg.norm(fit.residual[row, point]))
-    culprit = rest if is_common or rest_error > max(0.5 * gross, 3.0 * rest_usual) else state
+    culprit = unloaded_state if is_common or rest_error > max(0.5 * gross, 3.0 * rest_usual) else state
     candidates = np.flatnonzero((data.state == culprit) & (data.point == point) & data.used)
-    wrong = _worst_repeat(data, candidates, fit.residual[row, point], placement, culprit == state)
+    has_worst_repeat = _worst_repeat(data, candidates, fit.residual[row, point], placement, culprit == state)
     names = [
         f"{data.name(int(reading))} is {gross * MM_PER_M:.2f} mm from what the model predicts: left out"
-        for reading in wrong
+        for reading in has_worst_repeat
     ]
-    return data.without([int(reading) for reading in wrong]), names
+    return data.drop([int(reading) for reading in has_worst_repeat]), names
 
 
 def _worst_repeat(data: Measurements, rows: Ints, residual: Array, placement: Placement, has_load: bool) -> list[int]:
@@ -193,15 +193,15 @@ def check_points(data: Measurements) -> None:
     if not sets:
         return
     distances = np.array([_distances(data.position[rows]) for rows in sets.values()])
-    usual = np.median(distances, axis=0)
+    median_distances = np.median(distances, axis=0)
     for rows, set_distances in zip(sets.values(), distances, strict=True):
-        wrong = float(np.abs(set_distances - usual).max())
-        if wrong <= _BODY:
+        largest_change = float(np.abs(set_distances - median_distances).max())
+        if largest_change <= _BODY:
             continue
         for order in permutations(range(count)):
             if (
                 list(order) != list(range(count))
-                and np.abs(set_distances[np.ix_(order, order)] - usual).max() < 0.2 * wrong
+                and np.abs(set_distances[np.ix_(order, order)] - median_distances).max() < 0.2 * largest_change
             ):
                 swapped_names = [data.points[index] for index in range(count) if order[index] != index]
                 raise MeasurementError(
@@ -254,7 +254,7 @@ def check_frames(robot: RobotModel, data: Measurements) -> Placement:
 
 def _rms(robot: RobotModel, data: Measurements, rows: Ints) -> float:
     try:
-        return locate(robot, data.only(rows)).rms
+        return locate(robot, data.take_configurations(rows)).rms
     except (PostprocError, np.linalg.LinAlgError):
         return np.inf
 
@@ -269,29 +269,30 @@ def check_loads(robot: RobotModel, data: Measurements, placement: Placement, adv
     displacement = measured_displacements(data, placement)
     size = np.linalg.norm(displacement, axis=2).max(axis=1)
     for row in np.flatnonzero(size > _MOST_DEFLECTION).tolist():
+        state = int(data.loaded_states[row])
         raise MeasurementError(
-            f"{_state_name(data, int(data.loaded[row]))}: the points moved by {size[row] * MM_PER_M:.0f} mm under load",
+            f"{_state_name(data, state)}: the points moved by {size[row] * MM_PER_M:.0f} mm under load",
             file=data.file,
-            line=_first_line(data, int(data.loaded[row])),
+            line=_first_line(data, state),
             advice="No robot bends that far: was the tracker moved, or is a reading of another configuration?",
         )
     structure = Structure(JOINT_COMPLIANCES, robot)
     seen = visible(data)
     prediction = predict(structure, structure.start(), data, placement)[0] * seen
     rows = np.flatnonzero(seen.any(axis=(1, 2)))
-    displacement, prediction, size, states = displacement[rows], prediction[rows], size[rows], data.loaded[rows]
+    displacement, prediction, size, states = displacement[rows], prediction[rows], size[rows], data.loaded_states[rows]
     ratio = np.sum(displacement * prediction, axis=(1, 2)) / np.sum(prediction**2, axis=(1, 2))
-    usual = float(np.median(ratio))
-    if usual < 0.0:
+    median_ratio = float(np.median(ratio))
+    if median_ratio < 0.0:
         raise MeasurementError(
             "the points move against the forces",
             file=data.file,
             advice="F is the force ON the tool, root axes: a hanging weight has Fz < 0.",
         )
-    if not _SAME_UNIT[0] < usual < _SAME_UNIT[1]:
-        unit = "kg" if _KILOGRAMS[0] < usual < _KILOGRAMS[1] else "another unit than N"
+    if not _SAME_UNIT[0] < median_ratio < _SAME_UNIT[1]:
+        unit = "kg" if _KILOGRAMS[0] < median_ratio < _KILOGRAMS[1] else "another unit than N"
         raise MeasurementError(
-            f"the points move {usual:.2g} times as far as {robot.name} would: the forces look like {unit}",
+            f"the points move {median_ratio:.2g} times as far as {robot.name} would: the forces look like {unit}",
             file=data.file,
             advice="Give Fx, Fy, Fz in N, Mx, My, Mz in N·m, X, Y, Z in mm.",
         )
@@ -302,11 +303,11 @@ def check_loads(robot: RobotModel, data: Measurements, placement: Placement, adv
     # if the joints would hardly deflect, links may deflect by many times as much
     per_newton = size / np.maximum(np.linalg.norm(data.wrench[states, :3], axis=1), 1e-9)
     for row in range(len(ratio)):
-        relative = length_ratio[row] / usual
+        relative = length_ratio[row] / median_ratio
         other_ratios = np.delete(per_newton, row)
         if relative > 0.0 and len(other_ratios) and other_ratios.min() < per_newton[row] < other_ratios.max():
             continue
-        if not any(_SAME_UNIT[0] < factor < _SAME_UNIT[1] for factor in (relative, ratio[row] / usual)):
+        if not any(_SAME_UNIT[0] < factor < _SAME_UNIT[1] for factor in (relative, ratio[row] / median_ratio)):
             state = int(states[row])
             unit = "kg" if _KILOGRAMS[0] < relative < _KILOGRAMS[1] else "another unit, direction or configuration"
             raise MeasurementError(
@@ -316,11 +317,11 @@ def check_loads(robot: RobotModel, data: Measurements, placement: Placement, adv
                 line=_first_line(data, state),
                 advice="Give forces in N, root axes, for this load case." + advice,
             )
-    if _USUAL_SIZE[0] < usual < _USUAL_SIZE[1]:
+    if _USUAL_SIZE[0] < median_ratio < _USUAL_SIZE[1]:
         return []
     return [
-        f"all points move {usual:.1f} times as far as {robot.name} would under these loads: check the scale of the "
-        "forces. Loads that are all wrong by a factor make all compliances wrong by it, and no residual shows it."
+        f"all points move {median_ratio:.1f} times as far as {robot.name} would under these loads: check the scale of "
+        "the forces. Loads that are all wrong by a factor make all compliances wrong by it, and no residual shows it."
     ]
 
 
@@ -355,11 +356,11 @@ def loops(robot: RobotModel, data: Measurements, placement: Placement) -> list[s
         return []
     displacement, visibility = measured_displacements(data, placement), visible(data)[..., 0]
     is_visible = (visibility[up] * visibility[down_rows]).astype(bool)
-    count = np.maximum(data.means()[1][data.loaded], 1.0)
+    count = np.maximum(data.means()[1][data.loaded_states], 1.0)
     noise = data.sigma * np.sqrt(1.0 / count[up] + 1.0 / count[down_rows])
     torque = joint_torques(robot, data)
     flank = np.sign(torque[up]) * (np.abs(torque[up]) > _TORQUE * np.abs(torque).max(axis=0))
-    x = elastostatics.coordinates(robot, data.q[data.state_config[data.loaded[up]]])
+    x = elastostatics.coordinates(robot, data.q[data.state_config[data.loaded_states[up]]])
     columns = np.empty((*is_visible.shape, 3, 6))
     for index, point in enumerate(placement.points):
         tool = np.eye(4)
@@ -384,8 +385,8 @@ def loops(robot: RobotModel, data: Measurements, placement: Placement) -> list[s
 
 def load_loops(data: Measurements) -> tuple[Ints, Ints]:
     """Return pairs of rows of the loaded states: the same load of a configuration before and after a larger one."""
-    load, config = data.wrench[data.loaded], data.state_config[data.loaded]
-    number, size = data.load[data.loaded], norm(load)
+    load, config = data.wrench[data.loaded_states], data.state_config[data.loaded_states]
+    number, size = data.load[data.loaded_states], norm(load)
     pairs = [
         (first, second)
         for first in range(len(load))

@@ -24,7 +24,7 @@ from postproc.identification.joint_springs import (
     fit_serial,
     held_by_prior,
     not_observable,
-    unloaded,
+    unloaded_joints,
 )
 from postproc.identification.measurement_model import (
     Placement,
@@ -39,11 +39,11 @@ from postproc.identification.uncertainty import (
     Discrepancy,
     Judgement,
     Workspace,
+    add_stated_errors,
     discrepancy,
     judge,
     left_out_of,
     over_workspace,
-    with_stated_errors,
 )
 from postproc.robot import (
     CompensatorPreload,
@@ -123,7 +123,7 @@ def identify(
     :param progress: called with a line of text before each step.
     :raises MeasurementError: the readings are unusable; the message names the row or says what to measure.
     """
-    data, placement, outliers, warnings = checked(prior, data)
+    data, placement, outliers, warnings = check_readings(prior, data)
     if method == "serial":
         return _serial(prior, data, placement, outliers, warnings)
 
@@ -131,14 +131,14 @@ def identify(
     joints, data, placement, names = _located_joints(prior, data, placement)
     outliers = outliers + names
     fit, open_entries, choice = joints.fit, joints.missing, None
-    if depth == "joints" and _unexplained(fit):
+    if depth == "joints" and _has_unexplained_error(fit):
         ratio = fit.chi2 / fit.dof
         warnings.append(_left_by_joints(fit))
         fit = replace(fit, covariance=fit.covariance * ratio)
     elif depth == "auto" and (_is_hidden(fit) or _is_worth_a_look(fit)):
         progress(f"{_left_by_joints(fit)}: trying link springs and gears that are not linear")
         clean_data, richer, names = _choose_springs(prior, data, placement)
-        if _unexplained(fit) or _is_hidden(fit) or _clearly_better(richer, fit, clean_data, placement):
+        if _has_unexplained_error(fit) or _is_hidden(fit) or _clearly_better(richer, fit, clean_data, placement):
             data, choice, fit, outliers = clean_data, richer, richer.fit, outliers + names
             if not prior.subtract_reference:
                 placement = locate(fit.robot, data)
@@ -149,8 +149,8 @@ def identify(
     left = left_out_of(fit, data) if choice is None else choice.left_out
     model_error = discrepancy(data, placement, fit, left)
     fit = fit if choice is None else replace(fit, covariance=choice.wider)
-    fit = with_stated_errors(fit, data, placement, None if choice is None else choice.influence)
-    workspace = over_workspace(_with_bound(fit, model_error), data)
+    fit = add_stated_errors(fit, data, placement, None if choice is None else choice.influence)
+    workspace = over_workspace(_add_bound(fit, model_error), data)
     judgement = judge(data, fit, choice, workspace)
     warnings += judgement.notes + loops(prior, data, placement)
     return Identification(
@@ -175,14 +175,14 @@ _CHECK_ANGLES = " Check [angles] too: sign, offset_deg and A3_per_J2."
 """Displacements show wrong angles only by their directions; positions are compared with the geometry of the arm."""
 
 
-def checked(prior: RobotModel, data: Measurements) -> tuple[Measurements, Placement, list[str], list[str]]:
+def check_readings(prior: RobotModel, data: Measurements) -> tuple[Measurements, Placement, list[str], list[str]]:
     """Check the readings before any spring is fitted.
 
     :returns: the readings without gross errors and with their noise, the placement, what was left out, and warnings.
     :raises MeasurementError: the readings are unusable.
     """
     advice = _CHECK_ANGLES if data.are_displacements else ""
-    data, placement, outliers = plausibility.placed(prior, as_positions(prior, data))
+    data, placement, outliers = plausibility.check_placement(prior, as_positions(prior, data))
     doubts = [*gaps(data), *moved_device(prior, data, placement), *check_loads(prior, data, placement, advice)]
     data, warnings = _noise(data)
     return data, placement, outliers, doubts + warnings
@@ -201,9 +201,9 @@ def _located_joints(
     if not prior.subtract_reference:  # the pose without load depends on the springs
         placement = locate(joints.fit.robot, data)
         joints = _joints(prior, data, placement)
-    if _unexplained(joints.fit):
+    if _has_unexplained_error(joints.fit):
         clean_data, fewer, names = _remove_outliers(prior, data, placement, joints.fit)
-        if names and not _unexplained(fewer):
+        if names and not _has_unexplained_error(fewer):
             placement = locate(prior if prior.subtract_reference else fewer.robot, clean_data)
             return _joints(prior, clean_data, placement), clean_data, placement, names
     return joints, data, placement, []
@@ -216,7 +216,7 @@ def _left_by_joints(fit: Fit) -> str:
     )
 
 
-def _with_bound(fit: Fit, model_error: Discrepancy) -> RobotModel:
+def _add_bound(fit: Fit, model_error: Discrepancy) -> RobotModel:
     """Return the identified robot with what its bound is made of."""
     parameters, _, covariance = to_file_units(fit)
     unmodelled = robots.Discrepancy(model_error.load, model_error.u95)
@@ -235,7 +235,7 @@ def _choose_springs(
     choice = choose(prior, data, placement)
     outliers: list[str] = []
     for _ in range(3):
-        clean_data, names = plausibility.without_worst_residual(data, placement, choice.fit)
+        clean_data, names = plausibility.remove_worst_residual(data, placement, choice.fit)
         if not names:
             break
         data, outliers = clean_data, outliers + names
@@ -244,19 +244,19 @@ def _choose_springs(
 
 
 def _open_springs(choice: Choice, data: Measurements, open_entries: list[NotObservable]) -> list[NotObservable]:
-    """Return what the mean of structures leaves open: joints without load, and the compensator's spring.
+    """Return the springs that the mean of structures does not determine: joints without load, and the compensator's.
 
     What the fit of joint springs alone said of other parameters applies to a model that was given up.
     """
     fit, entry_of = choice.fit, {entry.parameter: entry for entry in open_entries}
     joints = [
         entry_of.get(joint) or NotObservable(joint, "the loads put no torque on it", f"Load {joint.joint} more.")
-        for joint in unloaded(fit.structure.prior, data)
+        for joint in unloaded_joints(fit.structure.prior, data)
     ]
-    if fit.structure.prior.compensator is None or CompensatorStiffness() in fit.given:
+    if fit.structure.prior.compensator is None or CompensatorStiffness() in fit.parameter_values:
         return joints
     advice = "Take it from the drawing of the compensator."
-    if CompensatorSize() in fit.given:
+    if CompensatorSize() in fit.parameter_values:
         reason = "the torque on the gears at rest shows how strong it is, which is attributed to K_c"
         return [*joints, NotObservable(CompensatorPreload(), reason, advice)]
     reason = "next to link springs its effect on joint 2 is too small"
@@ -292,8 +292,8 @@ def _serial(
     fit = held_by_prior(fit, open_entries)
     warnings += [str(entry) for entry in open_entries] + [f"outlier: {name}" for name in outliers]
     model_error = discrepancy(data, placement, fit, fit.residual)
-    fit = with_stated_errors(fit, data, placement, None)
-    workspace = over_workspace(_with_bound(fit, model_error), data)
+    fit = add_stated_errors(fit, data, placement, None)
+    workspace = over_workspace(_add_bound(fit, model_error), data)
     judgement = judge(data, fit, None, workspace)
     return Identification(
         method="serial",
@@ -332,7 +332,7 @@ def _noise(data: Measurements) -> tuple[Measurements, list[str]]:
     return data, []
 
 
-def _unexplained(fit: Fit) -> bool:
+def _has_unexplained_error(fit: Fit) -> bool:
     return fit.dof > 0 and fit.chi2 > fit.dof + _SIGNIFICANCE * np.sqrt(2.0 * fit.dof) + 7.0
 
 
@@ -355,15 +355,15 @@ def _remove_outliers(
     """Leave out gross errors against the joint model, one at a time, as long as they explain the misfit."""
     names: list[str] = []
     limit = max(1, int(_MOST_OUTLIERS * len(data.state)))
-    if not _is_explained(fit, limit * (len(data.loaded) // len(data.q))):
+    if not _is_explained(fit, limit * (len(data.loaded_states) // len(data.q))):
         return data, fit, names
     for _ in range(limit):
-        clean_data, new_names = plausibility.without_worst_residual(data, placement, fit)
+        clean_data, new_names = plausibility.remove_worst_residual(data, placement, fit)
         if not new_names:
             break
         data, names = clean_data, names + new_names
         fit = _joints(prior, data, placement).fit
-        if not _unexplained(fit):
+        if not _has_unexplained_error(fit):
             break
     return data, fit, names
 
@@ -380,7 +380,7 @@ def _is_explained(fit: Fit, limit: int) -> bool:
         outlier_rows = slice(3 * worst, 3 * worst + 3)
         rows[outlier_rows], left[outlier_rows] = 0.0, 0.0
         residual = left - rows @ np.linalg.lstsq(rows, left, rcond=1e-9)[0]
-        if not _unexplained(replace(fit, chi2=float(residual @ residual), dof=fit.dof - 3 * count)):
+        if not _has_unexplained_error(replace(fit, chi2=float(residual @ residual), dof=fit.dof - 3 * count)):
             return True
     return False
 
@@ -389,7 +389,7 @@ def rms_distances(result: Identification) -> tuple[Array, Array]:
     """Return the RMS distance (C,) of the points of each configuration without and with the model [m]."""
     square = np.sum(measured_displacements(result.data, result.placement) ** 2, axis=2).mean(axis=1)
     left = np.sum(result.fit.residual**2, axis=2).mean(axis=1)
-    config = result.data.state_config[result.data.loaded]
+    config = result.data.state_config[result.data.loaded_states]
     count = np.bincount(config, minlength=len(result.data.q))
     return (
         np.sqrt(np.bincount(config, weights=square, minlength=len(count)) / count),

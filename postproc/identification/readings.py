@@ -134,7 +134,7 @@ class Angles(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
         if len(self.sign) != len(JOINTS):
             raise ValueError("[angles] sign needs six numbers, 1 or -1")
 
-    def of_robot(self, joints: Array) -> Array:
+    def to_robot(self, joints: Array) -> Array:
         """Return the angles A1 … A6 (n, 6) for the angles (n, 6) of the file [deg]."""
         angles = joints * np.array(self.sign) + np.array(self.offset_deg)
         angles[:, 2] += self.A3_per_J2 * joints[:, 1]
@@ -242,16 +242,16 @@ class Measurements(Struct, frozen=True, eq=False):
     are_displacements: bool = False
 
     @property
-    def loaded(self) -> Ints:
+    def loaded_states(self) -> Ints:
         """States with load."""
         return np.flatnonzero(self.load != 0)
 
     @property
-    def unloaded(self) -> Ints:
+    def unloaded_states(self) -> Ints:
         """(C,) the state without load of each configuration."""
-        rest = np.flatnonzero(self.load == 0)
+        unloaded_rows = np.flatnonzero(self.load == 0)
         order = np.empty(len(self.q), dtype=np.int64)
-        order[self.state_config[rest]] = rest
+        order[self.state_config[unloaded_rows]] = unloaded_rows
         return order
 
     def means(self) -> tuple[Array, Array]:
@@ -279,13 +279,13 @@ class Measurements(Struct, frozen=True, eq=False):
             f"load {self.load[state]:g}, repeat {self.repeat[reading]:g}, point {self.points[self.point[reading]]}"
         )
 
-    def without(self, readings: list[int]) -> Measurements:
+    def drop(self, readings: list[int]) -> Measurements:
         """Return the measurements with some readings left out."""
         is_used = self.used.copy()
         is_used[readings] = False
         return replace(self, used=is_used)
 
-    def only(self, configurations: Ints) -> Measurements:
+    def take_configurations(self, configurations: Ints) -> Measurements:
         """Return the measurements of some configurations (rows of `q`)."""
         new_config = np.full(len(self.q), -1)
         new_config[configurations] = np.arange(len(configurations))
@@ -338,7 +338,7 @@ def read(path: Path, experiment: Experiment, loads: bool = True) -> Measurements
     """
     numbers, texts, lines = files.read_csv(path, COLUMNS, (), MeasurementError, ("point",), AXES)
     file_name = str(path)
-    numbers, texts, lines = _with_reading(numbers, texts, lines, file_name)
+    numbers, texts, lines = _drop_empty_rows(numbers, texts, lines, file_name)
     if len(lines) == 0:
         raise MeasurementError("no readings", file=file_name, advice="Fill in X, Y and Z.")
     files.check_sizes(path, numbers, lines, _LARGEST, MeasurementError)
@@ -353,7 +353,7 @@ def read(path: Path, experiment: Experiment, loads: bool = True) -> Measurements
                 line=int(lines[row]),
                 advice=choices(name, names, "Points of the experiment"),
             )
-    angles = experiment.angles.of_robot(np.column_stack([numbers[name] for name in JOINTS]))
+    angles = experiment.angles.to_robot(np.column_stack([numbers[name] for name in JOINTS]))
     wrench = np.column_stack([numbers[name] for name in WRENCH])
     config, inverse = np.unique(numbers["config"], return_inverse=True)
     pairs, first, state = np.unique(
@@ -390,7 +390,7 @@ def read(path: Path, experiment: Experiment, loads: bool = True) -> Measurements
     return data
 
 
-def _with_reading(
+def _drop_empty_rows(
     numbers: dict[str, Array], texts: dict[str, list[str]], lines: Array, file_name: str
 ) -> tuple[dict[str, Array], dict[str, list[str]], Array]:
     """Return the columns without the rows whose X, Y, Z are all empty: points that the device did not see.
@@ -398,7 +398,7 @@ def _with_reading(
     :raises MeasurementError: a row has one or two of them.
     """
     is_empty = np.column_stack([np.isnan(numbers[axis]) for axis in AXES])
-    wrong = [
+    faults = [
         MeasurementError(
             f"{' and '.join(axis for axis, empty in zip(AXES, is_empty[row], strict=True) if empty)} empty",
             file=file_name,
@@ -407,8 +407,8 @@ def _with_reading(
         )
         for row in np.flatnonzero(is_empty.any(axis=1) & ~is_empty.all(axis=1))
     ]
-    if wrong:
-        raise together(wrong)
+    if faults:
+        raise together(faults)
     rows = np.flatnonzero(~is_empty.any(axis=1))
     return (
         {name: column[rows] for name, column in numbers.items()},
@@ -542,8 +542,8 @@ def _check_sets(data: Measurements, file_name: str) -> None:
         )
     _, count = data.means()
     for state in np.flatnonzero(data.load != 0.0).tolist():
-        rest = np.flatnonzero((data.state_config == data.state_config[state]) & (data.load == 0.0))
-        if len(rest) > 0 and not np.any((count[state] > 0.0) & (count[rest[0]] > 0.0)):
+        unloaded_states = np.flatnonzero((data.state_config == data.state_config[state]) & (data.load == 0.0))
+        if len(unloaded_states) > 0 and not np.any((count[state] > 0.0) & (count[unloaded_states[0]] > 0.0)):
             raise MeasurementError(
                 f"config {data.config[data.state_config[state]]:g}, load {data.load[state]:g}: no point has readings "
                 "with and without this load",
@@ -595,7 +595,7 @@ def _check_loads(data: Measurements, file_name: str, loads: bool) -> None:
                 line=line,
                 advice="Measure the same configuration loaded, or leave it out.",
             )
-    for state in data.loaded if loads else []:
+    for state in data.loaded_states if loads else []:
         if np.abs(data.wrench[state]).max() <= _NO_LOAD:
             rows = np.flatnonzero(data.state == state)
             raise MeasurementError(

@@ -8,7 +8,7 @@ reading δ is log-normal about a thousandth of the displacements at its level, a
 factor of 4.5; so it is never zero, and few configurations leave it wide. The result is the 95 % quantile of the errors,
 integrated over the distribution of δ: a smooth function of the readings, without a threshold.
 
-**Errors of the set-up** (`with_stated_errors`) that no reading shows, as the experiment states them: of all loads, and
+**Errors of the set-up** (`add_stated_errors`) that no reading shows, as the experiment states them: of all loads, and
 of the load point. A load cell that is wrong by 2 % makes every spring look 2 % softer without any residual; an error of
 the load point is a wrong lever, which looks like compliance. Both go into the covariance of the parameters.
 
@@ -114,12 +114,14 @@ def discrepancy(data: Measurements, placement: Placement, fit: Fit, fold_residua
     blur = fit_covariance + noise[:, None, None] / 3.0 * np.eye(3)
     squares = np.array([np.sum(error**2, axis=1), noise, np.trace(fit_covariance, axis1=1, axis2=2)])
     displacement = measured_displacements(data, placement)
-    load = norm(data.wrench[data.loaded])
+    load = norm(data.wrench[data.loaded_states])
     level = levels(load)
     at_level = [np.flatnonzero((level == index) & (count > 0)) for index in range(int(level.max()) + 1)]
     at_level = [rows for rows in at_level if len(rows) > 0]
     u95 = [
-        unmodelled(error[rows], blur[rows], _SHARE * float(np.sqrt(np.mean(displacement[rows][is_visible[rows]] ** 2))))
+        unmodelled_error(
+            error[rows], blur[rows], _SHARE * float(np.sqrt(np.mean(displacement[rows][is_visible[rows]] ** 2)))
+        )
         for rows in at_level
     ]
     fold_rms, noise_rms, fit_rms = np.sqrt([[values[rows].mean() for rows in at_level] for values in squares])
@@ -128,7 +130,7 @@ def discrepancy(data: Measurements, placement: Placement, fit: Fit, fold_residua
     return Discrepancy(median, fold_rms, noise_rms, fit_rms, np.maximum.accumulate(u95))
 
 
-def unmodelled(error: Array, blur: Array, median: float, weight: Array | float = 1.0) -> float:
+def unmodelled_error(error: Array, blur: Array, median: float, weight: Array | float = 1.0) -> float:
     """Return the 95 % quantile of the length of unmodelled errors [m].
 
     :param error: (n, 3) errors [m].
@@ -168,8 +170,8 @@ def noise_of(data: Measurements) -> Array:
     squares, dof = data.scatter()
     sigma2 = squares / dof if dof >= _CLEAR_SCATTER else data.sigma**2
     count = np.maximum(data.means()[1], 1.0)
-    rest = data.unloaded[data.state_config[data.loaded]]
-    return np.asarray(3.0 * sigma2 * (1.0 / count[data.loaded] + 1.0 / count[rest]))
+    unloaded_state = data.unloaded_states[data.state_config[data.loaded_states]]
+    return np.asarray(3.0 * sigma2 * (1.0 / count[data.loaded_states] + 1.0 / count[unloaded_state]))
 
 
 def left_out_of(fit: Fit, data: Measurements) -> Array:
@@ -177,17 +179,17 @@ def left_out_of(fit: Fit, data: Measurements) -> Array:
 
     By the derivatives at the fit: (I − H)⁻¹ times the residual of a configuration, H its part of the hat matrix.
     """
-    shape = (len(data.loaded), len(data.points), 3)
+    shape = (len(data.loaded_states), len(data.points), 3)
     scale = np.linalg.norm(fit.design, axis=0)
     rows = fit.design / np.where(scale > 0.0, scale, 1.0)
     inverse = np.linalg.pinv(rows.T @ rows, hermitian=True)
     left = fit.target - fit.design @ fit.values
-    config = np.repeat(data.state_config[data.loaded], 3 * len(data.points))
+    config = np.repeat(data.state_config[data.loaded_states], 3 * len(data.points))
     fold_residual = np.empty_like(left)
     for index in range(len(data.q)):
-        mine = config == index
-        hat = rows[mine] @ inverse @ rows[mine].T
-        fold_residual[mine] = np.linalg.solve(np.eye(len(hat)) - hat * (1.0 - 1e-9), left[mine])
+        is_left_out = config == index
+        hat = rows[is_left_out] @ inverse @ rows[is_left_out].T
+        fold_residual[is_left_out] = np.linalg.solve(np.eye(len(hat)) - hat * (1.0 - 1e-9), left[is_left_out])
     return unwhiten(whitening(data), fold_residual.reshape(shape))
 
 
@@ -195,7 +197,7 @@ _STEP = 1e-3
 """Shift of the load point [m] for its difference quotient: readings are all but linear in it."""
 
 
-def with_stated_errors(fit: Fit, data: Measurements, placement: Placement, influence: Array | None) -> Fit:
+def add_stated_errors(fit: Fit, data: Measurements, placement: Placement, influence: Array | None) -> Fit:
     """Return the fit with a covariance that counts the stated errors of the loads and of their point.
 
     :param influence: (p, rows) by how much the parameters change with the whitened readings; None: least squares.
@@ -273,14 +275,14 @@ class Workspace(Struct, frozen=True):
     pose: tuple[float, ...]
 
     @property
-    def measured(self) -> tuple[WorkspaceLevel, ...]:
+    def measured_levels(self) -> tuple[WorkspaceLevel, ...]:
         """Levels of loads as large as were measured; the largest at least."""
         return tuple(level for level in self.levels if level.load >= self.least) or self.levels[-1:]
 
     @property
     def worst(self) -> WorkspaceLevel:
         """The level of measured loads at which bound over deflection is largest; there must be levels."""
-        return max(self.measured, key=lambda level: level.worst)
+        return max(self.measured_levels, key=lambda level: level.worst)
 
     @property
     def refusal(self) -> str:
@@ -290,12 +292,12 @@ class Workspace(Struct, frozen=True):
     @property
     def reservation(self) -> str:
         """Loads under which the gain is smaller than one standard deviation of itself in 5 % of the poses, and why."""
-        least = min(self.measured, key=lambda level: level.chance, default=None)
-        if least is None or least.chance >= elastostatics.WIDE:
+        weakest_level = min(self.measured_levels, key=lambda level: level.chance, default=None)
+        if weakest_level is None or weakest_level.chance >= elastostatics.WIDE:
             return ""
         return (
-            f"under {least.load:.0f} N there are poses where correction makes the part better with a chance of "
-            f"{100.0 * least.chance:.0f} % only; under {self.worst.load:.0f} N the bound is up to "
+            f"under {weakest_level.load:.0f} N there are poses where correction makes the part better with a chance of "
+            f"{100.0 * weakest_level.chance:.0f} % only; under {self.worst.load:.0f} N the bound is up to "
             f"{self.worst.worst:.2g} times the deflection (A1 … A6 = {self._angles}°): {self.cause}"
         )
 
@@ -310,7 +312,7 @@ class Workspace(Struct, frozen=True):
             return f"workspace: {self.refusal}"
         text = (
             f"bound over deflection in the workspace: below {self.worst.worst:.2g} in 95 % of the poses from "
-            f"{self.measured[0].load:.0f} N to {self.levels[-1].load:.0f} N"
+            f"{self.measured_levels[0].load:.0f} N to {self.levels[-1].load:.0f} N"
         )
         small = [level for level in self.levels if level.worst > 1.0]
         if small and small[-1].load < self.least:
@@ -326,7 +328,7 @@ def over_workspace(robot: RobotModel, data: Measurements) -> Workspace:
     tool = np.eye(4)
     tool[:3, 3] = data.load_point
     q, direction = _poses(robot, tool)
-    force = norm(data.wrench[data.loaded, :3])
+    force = norm(data.wrench[data.loaded_states, :3])
     data_torque = np.abs(joint_torques(robot, data)).max(axis=0)
     _, jacobian = kinematics.tcp(robot.loaded, elastostatics.coordinates(robot, q), tool)
     torque = np.abs(np.einsum("nij,ni->nj", jacobian[:, :3, list(robot.actuated)], direction)) * force.max()
@@ -474,7 +476,7 @@ def judge(data: Measurements, fit: Fit, choice: Choice | None, workspace: Worksp
 def _large_misfit(data: Measurements, fit: Fit, choice: Choice | None) -> str:
     """Return that a model describes too little of what was measured; empty if it describes most of it."""
     mean, _ = data.means()
-    measured = mean[data.loaded] - mean[data.unloaded[data.state_config[data.loaded]]]
+    measured = mean[data.loaded_states] - mean[data.unloaded_states[data.state_config[data.loaded_states]]]
     error, size = (
         float(np.sqrt(np.sum((displacement * visible(data)) ** 2) / max(1.0, visible(data).sum())))
         for displacement in (fit.residual if choice is None else choice.left_out, np.nan_to_num(measured))
@@ -493,7 +495,7 @@ def _square_error(fit: Fit, choice: Choice | None) -> float:
 
 
 def _distrust(data: Measurements, fit: Fit, choice: Choice | None) -> str:
-    """Return why readings are too few to estimate a bound from; empty if they are enough.
+    """Return the reason that readings are too few to estimate a bound; empty if they are enough.
 
     Least squares need spare readings: with fewer they describe the readings and not the robot. Structures with priors
     take as many numbers from the readings as these determine.
@@ -509,8 +511,8 @@ def _distrust(data: Measurements, fit: Fit, choice: Choice | None) -> str:
 
 
 def _numbers_of_a_configuration(data: Measurements) -> float:
-    """Return how many numbers a configuration determines of linear springs, by its points and directions of load."""
-    wrench, config = data.wrench[data.loaded], data.state_config[data.loaded]
+    """Return the number of spring parameters that a configuration determines, by its points and load directions."""
+    wrench, config = data.wrench[data.loaded_states], data.state_config[data.loaded_states]
     directions = [
         np.linalg.matrix_rank(wrench[config == index] / norm(wrench[config == index])[:, None], tol=0.1)
         for index in range(len(data.q))
@@ -523,7 +525,7 @@ def _notes(data: Measurements, fit: Fit, choice: Choice | None) -> list[str]:
     # the posterior, not the wider covariance of the bound, tells whether a value is there
     posterior_fit = fit if choice is None else choice.fit
     notes, half = [], dict(zip(posterior_fit.structure.parameters, posterior_fit.ci95.tolist(), strict=True))
-    load = norm(data.wrench[data.loaded])
+    load = norm(data.wrench[data.loaded_states])
     square_error = _square_error(fit, choice)
     if square_error > _MAX_SQUARE_ERROR:
         basis = "on configurations left out" if choice is not None else "on the readings"
@@ -538,8 +540,8 @@ def _notes(data: Measurements, fit: Fit, choice: Choice | None) -> list[str]:
                 "near the cutting force. Measure each configuration under a second load of about that force."
             )
         notes += _open_parameters(choice)
-    for parameter, value in fit.given.items():
-        if isinstance(parameter, JointCompliance) and parameter.in_file(fit.given)[0] <= 0.0:
+    for parameter, value in fit.parameter_values.items():
+        if isinstance(parameter, JointCompliance) and parameter.file_value(fit.parameter_values)[0] <= 0.0:
             notes.append(f"{parameter.joint} has no compliance of its own: springs of the links take its place")
         if isinstance(parameter, Backlash) and value > max(_PLAY, half[parameter]):
             notes.append(f"looks like {value * MM_PER_M:.3f} mrad of backlash or friction in {parameter.joint}")

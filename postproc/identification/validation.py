@@ -91,14 +91,14 @@ class ValidatedLevel(Struct, frozen=True, eq=False):
     configurations: int
 
     @property
-    def refuted(self) -> bool:
+    def is_refuted(self) -> bool:
         """Whether significantly fewer displacements are inside than promised."""
         return self.limits[1] < _BOUND_SHARE
 
     @property
-    def held(self) -> bool:
+    def is_held(self) -> bool:
         """Whether enough displacements are inside the bound."""
-        return not self.refuted and self.inside >= _MIN_SHARE and self.limits[0] >= _MIN_LOWER_LIMIT
+        return not self.is_refuted and self.inside >= _MIN_SHARE and self.limits[0] >= _MIN_LOWER_LIMIT
 
     @property
     def above_noise(self) -> bool:
@@ -108,10 +108,10 @@ class ValidatedLevel(Struct, frozen=True, eq=False):
     @property
     def factor(self) -> float:
         """Displacement over prediction error without noise; a lower limit if noise hides the error."""
-        rest = self.left**2 - self.noise**2
+        square_excess = self.left**2 - self.noise**2
         if not self.above_noise:
-            rest = max(rest, 0.0) + _STANDARD_ERRORS * self.doubt
-        return float(self.measured / np.sqrt(rest)) if rest > 0.0 else float("inf")
+            square_excess = max(square_excess, 0.0) + _STANDARD_ERRORS * self.doubt
+        return float(self.measured / np.sqrt(square_excess)) if square_excess > 0.0 else float("inf")
 
 
 class Validation(Struct, frozen=True, eq=False):
@@ -131,29 +131,29 @@ class Validation(Struct, frozen=True, eq=False):
     jobs: tuple[JobShare, ...] = ()
 
     @property
-    def held(self) -> bool:
+    def is_held(self) -> bool:
         """Whether the bound was kept at every level."""
-        return all(level.held for level in self.levels)
+        return all(level.is_held for level in self.levels)
 
     @property
     def holds(self) -> bool:
         """Whether the bound was kept, and the readings cover the jobs if any."""
-        return self.held and all(job.share >= _BOUND_SHARE for job in self.jobs)
+        return self.is_held and all(job.share >= _BOUND_SHARE for job in self.jobs)
 
     @property
     def line(self) -> str:
         """The verdict in one line, with the share of the job that it is valid for."""
         if any(np.isnan(level.inside) for level in self.levels):
             return "the model states no bound: nothing can be validated"
-        refuted_levels = [level for level in self.levels if level.refuted]
-        undecided = [level for level in self.levels if not level.held]
+        refuted_levels = [level for level in self.levels if level.is_refuted]
+        undecided = [level for level in self.levels if not level.is_held]
         worst = min(refuted_levels or undecided or self.levels, key=lambda level: level.inside)
         low, high = worst.limits
         share = (
             f"at {worst.load:.0f} N {worst.inside:.0%} of the displacements of {worst.configurations} configurations "
             f"are inside its bound, so the share of all is {low:.0%} to {high:.0%}"
         )
-        if self.held:
+        if self.is_held:
             return self._validity_text(share)
         if not refuted_levels:
             return (
@@ -203,7 +203,7 @@ def validate(model: Path, measurements: Path, experiment: Path) -> Validation:
     setup = read_experiment(experiment)
     folder = robots.find(str(model))
     robot = robots.load(folder)
-    data, placement, outliers = plausibility.placed(robot, as_positions(robot, read(measurements, setup)))
+    data, placement, outliers = plausibility.check_placement(robot, as_positions(robot, read(measurements, setup)))
     warnings = [f"outlier: {name}" for name in outliers]
     model_data = record.measured_states(folder)
     fresh = ~_is_known_state(data, model_data.as_array())
@@ -227,7 +227,7 @@ def validate(model: Path, measurements: Path, experiment: Path) -> Validation:
 
 def _is_known_state(data: Measurements, states: Array) -> Bools:
     """Return which loaded states (L,) of configuration and load are among others (m, 12)."""
-    q, wrench = data.q[data.state_config[data.loaded]], data.wrench[data.loaded]
+    q, wrench = data.q[data.state_config[data.loaded_states]], data.wrench[data.loaded_states]
     is_same_pose = np.abs(q[:, None] - states[None, :, :6]).max(axis=2) < _SAME_ANGLE
     difference = norm((wrench[:, None] - states[None, :, 6:]).reshape(-1, 6)).reshape(is_same_pose.shape)
     return np.asarray((is_same_pose & (difference < _SAME_LOAD * norm(wrench)[:, None])).any(axis=1))
@@ -262,8 +262,8 @@ def _comparison(robot: RobotModel, data: Measurements, placement: Placement, fre
     left, noise = norm(displacement - prediction), noise_of(data)
     return _Compared(
         is_compared=(visible(data)[..., 0] > 0.0) & fresh[:, None],
-        config=data.state_config[data.loaded],
-        load=norm(data.wrench[data.loaded]),
+        config=data.state_config[data.loaded_states],
+        load=norm(data.wrench[data.loaded_states]),
         displacement=norm(displacement),
         left=left,
         bound=bound,
@@ -314,7 +314,7 @@ def _coverage(torque: Array, comparison: _Compared) -> Coverage:
     is_refuted = np.zeros((6, 2), dtype=bool)
     if comparison.has_bound:
         for joint, side in np.ndindex(6, 2):
-            rows = (signed(torque)[:, joint, side] > LEAST_TORQUE)[:, None] & comparison.is_compared
+            rows = (split_signs(torque)[:, joint, side] > LEAST_TORQUE)[:, None] & comparison.is_compared
             is_refuted[joint, side] = (
                 rows.any() and _limits(comparison, rows, _DOUBT / is_refuted.size)[1] < _BOUND_SHARE
             )
@@ -323,13 +323,13 @@ def _coverage(torque: Array, comparison: _Compared) -> Coverage:
 
 def _limits(comparison: _Compared, rows: Bools, doubt: float) -> tuple[float, float]:
     """Return the limits of the share inside, for some of the displacements (L, P)."""
-    return limits(*_by_config(comparison.error_ratio <= 1.0, rows, comparison.config), doubt)
+    return limits(*_counts_by_configuration(comparison.error_ratio <= 1.0, rows, comparison.config), doubt)
 
 
-def _by_config(is_inside: Bools, rows: Bools, config: Ints) -> tuple[Array, Array]:
+def _counts_by_configuration(is_inside: Bools, rows: Bools, config: Ints) -> tuple[Array, Array]:
     """Return how many displacements (L, P) of each configuration are inside, and how many there are, of some rows."""
-    total, good = (np.bincount(config, weights=mask.sum(axis=1)) for mask in (rows, is_inside & rows))
-    return np.asarray(good[total > 0.0], dtype=float), np.asarray(total[total > 0.0], dtype=float)
+    total, inside_count = (np.bincount(config, weights=mask.sum(axis=1)) for mask in (rows, is_inside & rows))
+    return np.asarray(inside_count[total > 0.0], dtype=float), np.asarray(total[total > 0.0], dtype=float)
 
 
 def limits(inside_counts: Array, counts: Array, doubt: float) -> tuple[float, float]:
@@ -349,9 +349,9 @@ def limits(inside_counts: Array, counts: Array, doubt: float) -> tuple[float, fl
     if scatter > 0.0:
         fewer = (stdtrit(count - 1.0, doubt) / stdtrit(configs - 1.0, doubt)) ** 2
         number = min(count, fewer * share * (1.0 - share) / scatter)
-    good, bad = share * number, (1.0 - share) * number
-    low = betaincinv(good, bad + 1.0, doubt) if good > 0.0 else 0.0
-    high = betaincinv(good + 1.0, bad, 1.0 - doubt) if bad > 0.0 else 1.0
+    inside_number, outside_number = share * number, (1.0 - share) * number
+    low = betaincinv(inside_number, outside_number + 1.0, doubt) if inside_number > 0.0 else 0.0
+    high = betaincinv(inside_number + 1.0, outside_number, 1.0 - doubt) if outside_number > 0.0 else 1.0
     return float(low), float(high)
 
 
@@ -361,19 +361,19 @@ def _rms(values: Array) -> float:
 
 def _prediction(robot: RobotModel, data: Measurements, placement: Placement) -> tuple[Array, Array]:
     """Return predicted displacements (L, P, 3) of the points and their bounds (L, P) [m]."""
-    q, wrench = data.q[data.state_config[data.loaded]], data.wrench[data.loaded]
+    q, wrench = data.q[data.state_config[data.loaded_states]], data.wrench[data.loaded_states]
     at_load = np.eye(4)
     at_load[:3, 3] = data.load_point
     pose = elastostatics.deflect(robot, q, at_load, wrench).pose
-    rest = elastostatics.deflect(robot, q, at_load, np.zeros_like(wrench)).pose
+    unloaded_pose = elastostatics.deflect(robot, q, at_load, np.zeros_like(wrench)).pose
     displacement, bound = np.empty((len(q), len(data.points), 3)), np.zeros((len(q), len(data.points)))
     for index, point in enumerate(placement.points):
         lever = np.append(point - data.load_point, 1.0)
-        displacement[:, index] = ((pose - rest) @ lever)[:, :3]
+        displacement[:, index] = ((pose - unloaded_pose) @ lever)[:, :3]
         tool = np.eye(4)
         tool[:3, 3] = point
         point_wrench = wrench.copy()  # the same load, referred to the point
-        point_wrench[:, 3:] -= np.cross(rest[:, :3, :3] @ lever[:3], wrench[:, :3])
+        point_wrench[:, 3:] -= np.cross(unloaded_pose[:, :3, :3] @ lever[:3], wrench[:, :3])
         point_bound = elastostatics.position_bound(robot, q, tool, point_wrench)
         if point_bound is not None:
             bound[:, index] = point_bound
@@ -421,7 +421,7 @@ class Coverage(Struct, frozen=True, eq=False):
     least: float
 
     @property
-    def covered(self) -> Bools:
+    def is_covered(self) -> Bools:
         """Whether (6, 2) a sign of torque has enough configurations, and none that contradict the model."""
         return np.asarray((self.configurations >= MIN_CONFIGURATIONS) & ~self.refuted)
 
@@ -447,7 +447,7 @@ def coverage(torque: Array, config: Ints, is_refuted: Bools | None = None) -> Co
     :param torque: (L, 6) joint torques of each loaded state [N·m].
     :param config: (L,) configuration of each state.
     """
-    sides = signed(torque)
+    sides = split_signs(torque)
     acts = sides > LEAST_TORQUE
     largest = np.where(acts.any(axis=0), sides.max(axis=0, initial=0.0), 0.0)
     names, place = np.unique(config, return_inverse=True)
@@ -463,10 +463,10 @@ def coverage(torque: Array, config: Ints, is_refuted: Bools | None = None) -> Co
 
 def coverage_of(robot: RobotModel, data: Measurements) -> Coverage:
     """Return the torques that readings cover."""
-    return coverage(joint_torques(robot, data), data.state_config[data.loaded])
+    return coverage(joint_torques(robot, data), data.state_config[data.loaded_states])
 
 
-def signed(torque: Array) -> Array:
+def split_signs(torque: Array) -> Array:
     """Return torques (N, 6) as (N, 6, 2): size of the negative and of the positive part [N·m]."""
     return np.stack([np.maximum(-torque, 0.0), np.maximum(torque, 0.0)], axis=-1)
 
@@ -505,12 +505,12 @@ def job_share(program: str, torque: Array, weight: Array, torque_range: Coverage
 
 
 def _faults(torque: Array, torque_range: Coverage) -> tuple[Bools, Bools, Bools]:
-    """Return why torques (T, 6) are not covered: by sign (T, 6, 2), too large (T, 6, 2), all too small (T,)."""
-    sides, good = signed(torque), torque_range.covered
+    """Return why torques (T, 6) are not covered: sign (T, 6, 2), too large (T, 6, 2), all too small (T,)."""
+    sides, is_covered = split_signs(torque), torque_range.is_covered
     acts = sides > LEAST_TORQUE
     return (
-        acts & ~good,
-        acts & good & (sides > torque_range.largest),
+        acts & ~is_covered,
+        acts & is_covered & (sides > torque_range.largest),
         _level(sides, torque_range.largest) < torque_range.least,
     )
 
@@ -551,7 +551,7 @@ def torque_lines(torque_range: Coverage, model_ranges: Sequence[record.TorqueRan
         lines.append("the model does not record which torques it was identified with")
     open_sides = [
         f"{name} {' and '.join(sign for sign, is_covered in zip(SIGNS, sides, strict=True) if not is_covered)}"
-        for name, sides in zip(JOINTS, torque_range.covered, strict=True)
+        for name, sides in zip(JOINTS, torque_range.is_covered, strict=True)
         if not sides.all()
     ]
     if open_sides:

@@ -43,7 +43,7 @@ def _finite(values: Numbers, text: str) -> Numbers:
 
 
 def number(text: str) -> float:
-    """Return one number."""
+    """Parse one number."""
     try:
         value = float(text)
     except ValueError:
@@ -139,7 +139,7 @@ def line(text: str) -> str:
 
 
 def switch(text: str) -> tuple[list[str], list[str]]:
-    """Return the lines that switch something on and off, of "ON|OFF"; none for "hand"."""
+    """Return the lines that switch on and off, from the text "ON|OFF"; none for "hand"."""
     if text.strip() == BY_HAND:
         return [], []
     lines = [line(part.strip()) for part in text.split("|")]

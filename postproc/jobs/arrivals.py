@@ -98,13 +98,13 @@ class Arrivals:
         """Return the files that all programs are converted with, as far as they can be read."""
         try:
             cell = cells.load(self.cell)
-            return [*inputs.of_cell(self.cell, cell), *inputs.of_robot(cell)]
+            return [*inputs.cell_inputs(self.cell, cell), *inputs.robot_inputs(cell)]
         except PostprocError:
             return [self.cell]
 
     def _force_files(self, path: Path) -> list[Path]:
         process = process_of(path, self.output)
-        return [] if process is None else inputs.of_forces(process)
+        return [] if process is None else inputs.force_inputs(process)
 
     def _has_forces(self, path: Path) -> bool:
         return process_of(path, self.output) is not None or states_forces(path)
@@ -114,14 +114,14 @@ class Arrivals:
         try:
             jobs = find_jobs([str(self.folder)], output=self.output)
         except PostprocError:  # one of the others cannot be read yet
-            return [path for path in paths if not isinstance(registry.of_file(path), Calling)]
+            return [path for path in paths if not isinstance(registry.dialect_of_file(path), Calling)]
         main_programs = {job.program for job in jobs if not job.callers}
         return [path for path in paths if path in main_programs]
 
 
 def _program_files(path: Path) -> list[Path]:
     """Return the files of a program: its own, and such as the ``.dat`` of a ``.src``."""
-    return [path, *registry.of_file(path).companions(path)]
+    return [path, *registry.dialect_of_file(path).companions(path)]
 
 
 def _signature(paths: Collection[Path]) -> Signature:

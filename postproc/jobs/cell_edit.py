@@ -11,7 +11,7 @@ from postproc import cell as cells
 from postproc import files
 from postproc import robot as robots
 from postproc.errors import CellError, PostprocError
-from postproc.jobs.file_form import FormField, edit_text, fields_of_table, parsed, table_schema, write_valid
+from postproc.jobs.file_form import FormField, edit_text, fields_of_table, parse, table_schema, write_valid
 from postproc.jobs.first_steps import relative_path
 from postproc.jobs.programs import load_robot
 
@@ -25,7 +25,7 @@ def fields_of(path: Path, tools: Sequence[int] = ()) -> list[FormField]:
     :param tools: numbers of tools that the file need not have yet.
     :raises CellError: it cannot be read.
     """
-    document = parsed(files.read_text(path, CellError), str(path), CellError)
+    document = parse(files.read_text(path, CellError), str(path), CellError)
     stated_tools = document.get("tools", {})
     names = [name for name in (stated_tools if hasattr(stated_tools, "get") else ()) if name.isdecimal()]
     numbers = sorted({*map(int, names), *tools})
@@ -74,7 +74,7 @@ def edit(path: Path, texts: Mapping[str, str], tools: Sequence[int] = ()) -> boo
     :raises InputError: a text is no number, or the cell would be unusable.
     """
     old_text = files.read_text(path, CellError)
-    document = parsed(old_text, str(path), CellError)
+    document = parse(old_text, str(path), CellError)
     new_text = edit_text(old_text, document, fields_of(path, tools), texts)
     if new_text == old_text:
         return False
@@ -106,7 +106,7 @@ def set_feed_rule(path: Path, rule: str) -> bool:
     :raises InputError: the cell would be unusable, or there is no such rule.
     """
     old_text = files.read_text(path, CellError)
-    document = parsed(old_text, str(path), CellError)
+    document = parse(old_text, str(path), CellError)
     document.setdefault("output", tomlkit.table())["feed"] = rule
     new_text = tomlkit.dumps(document)
     if new_text != old_text:
@@ -129,7 +129,7 @@ def set_robot(path: Path, robot: str) -> bool:
     :raises InputError: the cell or the model would be unusable.
     """
     old_text = files.read_text(path, CellError)
-    document = parsed(old_text, str(path), CellError)
+    document = parse(old_text, str(path), CellError)
     document["robot"] = robot
     new_text = tomlkit.dumps(document)
     if new_text == old_text:

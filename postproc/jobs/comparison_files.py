@@ -16,13 +16,13 @@ from postproc.cell import Cell
 from postproc.comparison import compare
 from postproc.dialects import registry
 from postproc.errors import InputError, argument
-from postproc.files import foreign, json_bytes, recorded, refuse, with_record, write_whole
+from postproc.files import add_record, foreign, json_bytes, recorded_files, refuse, write_whole
 from postproc.forces.sources import extensions
 from postproc.frames import M_PER_MM
 from postproc.jobs import inputs
 from postproc.jobs.conversion import force_source, origin_of
 from postproc.jobs.output_plan import protect
-from postproc.jobs.programs import EXCEEDED, GOOD, PROCESS, Settings, load_setup, with_settings
+from postproc.jobs.programs import EXCEEDED, GOOD, PROCESS, Settings, apply_settings, load_setup
 from postproc.jobs.started_program import read_program, read_with_start
 from postproc.program import Bools, Program
 from postproc.report.comparison import (
@@ -62,7 +62,7 @@ class CompareRequest(Struct, frozen=True, kw_only=True):
     def reads(self) -> list[Path]:
         """Return the input files."""
         programs = (self.nominal, self.corrected)
-        companions = [path for program in programs for path in registry.of_file(program).companions(program)]
+        companions = [path for program in programs for path in registry.dialect_of_file(program).companions(program)]
         return [*programs, *companions, self.cell, *([] if self.forces is None else [self.forces])]
 
 
@@ -96,7 +96,7 @@ def compare_programs(request: CompareRequest) -> ComparisonFiles:
     for path, program in ((request.nominal, nominal), (request.corrected, second_program)):
         _refuse_part(path, program)
     _refuse_corrected_program(request.nominal, nominal)
-    cell = _with_stated_tolerance(cell, request, second_program)
+    cell = _use_stated_tolerance(cell, request, second_program)
     folder = request.output or request.nominal.parent / "corrected"
     stem = f"{request.corrected.stem}.compare"
     names = pairs, page, record = f"{stem}.pairs.csv", f"{stem}.report.html", f"{stem}.report.json"
@@ -114,12 +114,12 @@ def compare_programs(request: CompareRequest) -> ComparisonFiles:
         pairs: pairs_csv(comparison),
         page: comparison_page(comparison, content),
     }
-    whole = with_record(contents, record, lambda entries: json_bytes(replace(content, files=entries)))
+    whole = add_record(contents, record, lambda entries: json_bytes(replace(content, files=entries)))
     paths = write_whole(folder, whole)
     return ComparisonFiles(EXCEEDED if content.verdict.state == "failed" else GOOD, content, tuple(paths))
 
 
-def _with_stated_tolerance(cell: Cell, request: CompareRequest, second_program: Program) -> Cell:
+def _use_stated_tolerance(cell: Cell, request: CompareRequest, second_program: Program) -> Cell:
     """Return the cell with the tolerance that the second program states: it was written to that one.
 
     :raises InputError: that is no length.
@@ -135,18 +135,18 @@ def _with_stated_tolerance(cell: Cell, request: CompareRequest, second_program: 
     except ValueError:
         problem, advice = f"its line of origin states tolerance_mm={text}", "Convert the program again."
         raise InputError(problem, file=str(request.corrected), line=origin.line, advice=advice) from None
-    return with_settings(cell, replace(request.settings, tolerance_mm=tolerance))
+    return apply_settings(cell, replace(request.settings, tolerance_mm=tolerance))
 
 
 def _ask_for_forces(request: CompareRequest, origin: provenance.Provenance) -> None:
-    """Raise if the file of forces that the second program was made with lies next to one of the programs.
+    """Refuse to compare without forces if the force file of the second program is next to one of the programs.
 
     Without it, a target and one that was inserted next to it cannot be told apart: offsets would be wrong.
     """
     endings = {*extensions(), PROCESS}
     for folder in dict.fromkeys((request.nominal.parent, request.corrected.parent)):
         for file in sorted(path for path in folder.iterdir() if path.suffix.lower() in endings and path.is_file()):
-            if inputs.sum_of(inputs.of_forces(file)) == origin.sums["forces"]:
+            if inputs.sum_of(inputs.force_inputs(file)) == origin.sums["forces"]:
                 problem = f"it was corrected for the forces in {file}, which are not given"
                 advice = f"Give --forces {argument(file)}."
                 raise InputError(problem, file=str(request.corrected), line=origin.line, advice=advice)
@@ -160,7 +160,7 @@ def _stated_ends(path: Path) -> Bools | None:
     """
     table, record = (path.with_name(f"{path.stem}{suffix}") for suffix in (".targets.csv", ".report.json"))
     names = path.name, table.name
-    if not {*names} <= recorded(record).keys() or not table.exists() or foreign(path.parent, names, record.name):
+    if not {*names} <= recorded_files(record).keys() or not table.exists() or foreign(path.parent, names, record.name):
         return None
     with table.open(encoding="utf-8", newline="") as file:
         return np.array([float(row["t"]) == 1.0 for row in csv.DictReader(file)], dtype=bool)
@@ -186,7 +186,7 @@ def _refuse_part(path: Path, program: Program) -> None:
 
 def _refuse_corrected_program(path: Path, program: Program) -> None:
     """Raise for a nominal program that postproc corrected, or that calls one: its targets are corrected already."""
-    writer = registry.by_name(program.dialect).writer
+    writer = registry.dialect_of_name(program.dialect).writer
     if writer is None:
         return
     for file, origin in (
@@ -203,7 +203,7 @@ def _refuse_corrected_program(path: Path, program: Program) -> None:
 
 
 def _origin(program: Program) -> provenance.Provenance:
-    writer = registry.by_name(program.dialect).writer
+    writer = registry.dialect_of_name(program.dialect).writer
     return provenance.Provenance("none") if writer is None else writer.origin(program.documents)
 
 

@@ -18,7 +18,7 @@ from postproc.errors import InputError, Issue, PostprocError, ProgramError, Subp
 from postproc.forces import ForceSource
 from postproc.frames import M_PER_MM, Array
 from postproc.jobs import inputs
-from postproc.jobs.output_plan import Task, differing_files, needed_copies, needed_warnings, with_own_copies
+from postproc.jobs.output_plan import Task, copy_subprograms, differing_files, needed_copies, needed_warnings
 from postproc.jobs.programs import (
     FAILED,
     GOOD,
@@ -62,7 +62,7 @@ def mark_origin(
     origin = replace(origin, options=options_of(settings))
     if result.modules:
         return _mark_modules(result, job, origin)
-    documents, first_shifted_line = job.writer.marked(_mark_subprograms(result, job, origin, own_names or {}), origin)
+    documents, first_shifted_line = job.writer.mark(_mark_subprograms(result, job, origin, own_names or {}), origin)
     line = result.output_line
     return replace(
         result, documents=documents, output_line=line + (line >= first_shifted_line) if first_shifted_line else line
@@ -79,7 +79,7 @@ def _mark_modules(result: Result, job: Job, origin: provenance.Origin) -> Result
     documents, line, count = list[Document](), result.output_line.copy(), len(result.modules)
     for index, (document, first) in enumerate(zip(result.documents, result.modules, strict=True)):
         options = {**origin.options, "module": str(index + 1), "modules": str(count)}
-        documents += job.writer.marked([document], replace(origin, options=options))[0]
+        documents += job.writer.mark([document], replace(origin, options=options))[0]
         line[first:] += 1
     return replace(result, documents=tuple(documents), output_line=line)
 
@@ -111,7 +111,7 @@ def _mark_subprograms(
         files.sort(key=lambda file: file != name)
         if Path(name).suffix.lower() == job.writer.extension and any(output_of[n].text != read(n).text for n in files):
             source = provenance.digest_of(read(file) for file in files)
-            marked_files, _ = job.writer.marked(
+            marked_files, _ = job.writer.mark(
                 [output_of[file] for file in files], replace(origin, source=source, forces="-", options={})
             )
             output_of[name] = marked_files[0]
@@ -130,9 +130,9 @@ def origin_of(
         version=VERSION,
         mode=mode,
         source=provenance.digest_of(source),
-        cell=inputs.sum_of(inputs.of_cell(path, cell)),
-        model=inputs.sum_of(inputs.of_robot(cell)),
-        forces="-" if forces is None else inputs.sum_of(inputs.of_forces(forces)),
+        cell=inputs.sum_of(inputs.cell_inputs(path, cell)),
+        model=inputs.sum_of(inputs.robot_inputs(cell)),
+        forces="-" if forces is None else inputs.sum_of(inputs.force_inputs(forces)),
     )
 
 
@@ -191,10 +191,10 @@ def convert(
         name = None if job.keeps_text else job.stem
         origin = origin_of((), settings.cell, cell, job.forces, "corrected")
         program, cell = read_with_start(job.program, robot, cell, job.dialect, name)
-        result, process = converted(job, settings, cell, robot, program, progress)
+        result, process = convert_program(job, settings, cell, robot, program, progress)
         if result.failed:
             return Outcome(str(job.program), FAILED, issues=result.issues)
-        result, subprogram_files, copies = _with_subprograms(task, settings, cell, robot, result)
+        result, subprogram_files, copies = _add_subprograms(task, settings, cell, robot, result)
         output = _output_of(job, settings, cell, result, subprogram_files, copies, process)
         _check_unchanged(origin, output.summary)
         is_computed = True
@@ -241,7 +241,7 @@ def programs_under_force(
             yield job.program, read_program(job.program, robot, cell, job.dialect), force_source(job.forces, cell)
 
 
-def converted(
+def convert_program(
     job: Job,
     settings: Settings,
     cell: Cell,
@@ -268,14 +268,16 @@ def converted(
         if mode == "predict":
             result, process = process_forces.predict_in_material(program, robot, cell, process)
         elif mode == "convert" and cell.output.feed == "hold":
-            result = process_forces.with_held_feed(program, robot, cell, process, linearize_arcs=linearize, to=job.to)
+            result = process_forces.convert_with_held_feed(
+                program, robot, cell, process, linearize_arcs=linearize, to=job.to
+            )
         else:
             result = correction.process(program, robot, cell, process, mode, linearize_arcs=linearize, to=job.to)
         process_result = process.found
     if job.forces is None and job.process is None:
-        result = replace(result, issues=tuple(_with_force_file(issue, job) for issue in result.issues))
+        result = replace(result, issues=tuple(_name_force_file(issue, job) for issue in result.issues))
     if job.keeps_text and job.name is not None:
-        result = replace(result, documents=job.writer.renamed(result.documents, job.name))
+        result = replace(result, documents=job.writer.rename(result.documents, job.name))
     fault = job.writer.fault_of(job.program.stem)
     if settings.mode != "predict" and not job.keeps_text and fault is not None:
         file_name = f"{job.stem}{job.writer.extension}"
@@ -298,7 +300,7 @@ def check_held_feed(cell: Cell, *, process: bool) -> None:
         raise InputError('[output] feed = "hold" without a process', advice=advice)
 
 
-def _with_force_file(issue: Issue, job: Job) -> Issue:
+def _name_force_file(issue: Issue, job: Job) -> Issue:
     """Return an issue that forces are missing with the name of a force file next to the program."""
     force_file = job.program.with_name(f"{job.program.stem}.forces.csv")
     if issue.kind != "no-force" or not force_file.is_file():
@@ -336,7 +338,7 @@ def _output_of(
     copies: Mapping[str, bytes],
     process: ProcessForces | None,
 ) -> _Made:
-    """Return the output.
+    """Return the files to write for a result.
 
     :param subprogram_files: names of the files of subprograms.
     :param copies: files that are written as they were read: name → content.
@@ -387,7 +389,7 @@ def _output_of(
     return _Made(
         summary=content,
         listed_files=file_entries,
-        contents=files.with_record(contents, name, rendered),
+        contents=files.add_record(contents, name, rendered),
         copied_files=tuple(copies),
         shared_files=(*subprogram_files, *copies),
         read=tuple(map(str, [*read, *(required_file.path for required_file in needed_files)])),
@@ -424,13 +426,13 @@ def surface_of(result: Result, part: Path, process: Path | None, mesh_frame: Arr
     return surface(result, corners, cutters, mesh_frame, coarse)
 
 
-def _with_subprograms(
+def _add_subprograms(
     task: Task, settings: Settings, cell: Cell, robot: RobotModel, result: Result
 ) -> tuple[Result, list[str], dict[str, bytes]]:
     """Return a result whose program states where it comes from, with subprograms that are no other program's.
 
     :returns: the result, the names of the files of its subprograms, and files that are written as they were read.
-    :raises InputError: see `output_plan.with_own_copies`.
+    :raises InputError: see `output_plan.copy_subprograms`.
     """
     job, read = task.job, result.program.documents
     own_names: dict[str, str] = {}
@@ -446,7 +448,7 @@ def _with_subprograms(
         if not conflicts:
             warnings = needed_warnings(task, result.program.needed, copies, texts | copies)
             return replace(marked_result, issues=(*marked_result.issues, *warnings)), subprogram_files, copies
-        documents, new_names = with_own_copies(task, result.documents, conflicts, subprogram_files, copies)
+        documents, new_names = copy_subprograms(task, result.documents, conflicts, subprogram_files, copies)
         _check_same_motions(result, documents, robot, cell)
         own_names |= {new: own_names.get(old, old) for new, old in new_names.items()}
         issues = [

@@ -49,7 +49,7 @@ class Setup(Struct, frozen=True):
 
 
 def changes(report: Path, program: Path, setup: Setup, forces: Path | None) -> tuple[str, ...]:
-    """Return what differs from what a result was made from, in words such as ``"the cell"``; empty: it is current.
+    """Return the inputs of a result that have changed, such as ``"the cell"``; empty if it is current.
 
     :param report: the `report.json` of the result.
     :param forces: file of forces or process that the program has now; None: there is none.
@@ -62,11 +62,11 @@ def changes(report: Path, program: Path, setup: Setup, forces: Path | None) -> t
 
 
 def _changes(stated_inputs: _Reported, folder: Path, program: Path, setup: Setup, forces: Path | None) -> Iterator[str]:
-    """Yield what has changed since the results of a program were written."""
+    """Yield the inputs that have changed since the results of a program were written."""
     if stated_inputs.inputs.version != VERSION:
         yield "postproc"
     sources = [folder / name for name in stated_inputs.inputs.program_files]
-    kind = registry.of_file(program)
+    kind = registry.dialect_of_file(program)
     present = {path.resolve() for path in (program, *kind.companions(program))}
     if not present <= {path.resolve() for path in sources} or _checksum(sources) != stated_inputs.inputs.program:
         yield "the program"
@@ -74,11 +74,11 @@ def _changes(stated_inputs: _Reported, folder: Path, program: Path, setup: Setup
         needed_files = [folder / name for name in stated_inputs.inputs.needed_files]
         if _checksum(needed_files) != stated_inputs.inputs.needed:
             yield "a file that the program needs"
-    if setup.cell is None or inputs.sum_of(inputs.of_cell(setup.path, setup.cell)) != stated_inputs.inputs.cell:
+    if setup.cell is None or inputs.sum_of(inputs.cell_inputs(setup.path, setup.cell)) != stated_inputs.inputs.cell:
         yield "the cell"
-    if setup.cell is not None and inputs.sum_of(inputs.of_robot(setup.cell)) != stated_inputs.inputs.model:
+    if setup.cell is not None and inputs.sum_of(inputs.robot_inputs(setup.cell)) != stated_inputs.inputs.model:
         yield "the robot model"
-    if ("-" if forces is None else inputs.sum_of(inputs.of_forces(forces))) != stated_inputs.inputs.forces:
+    if ("-" if forces is None else inputs.sum_of(inputs.force_inputs(forces))) != stated_inputs.inputs.forces:
         yield "tools, material, stock or forces"
     for entry in stated_inputs.files:
         path = folder / entry.name

@@ -63,7 +63,7 @@ class TableSchema(Struct, frozen=True):
 
 @cache
 def table_schema(schema: str, table: str) -> TableSchema:
-    """Return what the schema of a file says of a table.
+    """Return the schema of a table of a file.
 
     :param schema: ``"cell"`` or ``"process"``.
     :param table: such as ``"base"``, ``"tools.1"``, ``"stock.box"``.
@@ -79,7 +79,7 @@ def table_schema(schema: str, table: str) -> TableSchema:
     return TableSchema(text, part["properties"], frozenset(part.get("required", ())))
 
 
-def parsed(text: str, file: str, error: type[InputError]) -> Any:
+def parse(text: str, file: str, error: type[InputError]) -> Any:
     """Return the document of a TOML text.
 
     :raises InputError: it is no TOML; of the type `error`.
@@ -148,7 +148,7 @@ def _text(value: Any) -> str:
 
 
 def edit_text(text: str, document: Any, fields: Sequence[FormField], texts: Mapping[str, str]) -> str:
-    """Return the text of a document with other values: only what differs is touched, comments and all else stay.
+    """Return the text of a document with other values; comments and unchanged values are kept to the byte.
 
     :param text: returned if nothing differs.
     :param texts: by the name of the field; empty: the key is removed.
@@ -190,7 +190,7 @@ def _remove(document: Any, field: FormField) -> None:
 
 
 def _value(field: FormField, text: str) -> Any:
-    """Return the value that the text of a form field stands for.
+    """Parse the text of a form field.
 
     :raises InputError: it is no number.
     """
@@ -219,7 +219,7 @@ def _number(name: str, text: str) -> float | int:
 
 
 def own_changes(fields: Sequence[FormField], texts: Mapping[str, str], shown: Mapping[str, str]) -> dict[str, str]:
-    """Return what a user changed in a form: an edit of the file meanwhile, as in another window, is not undone.
+    """Return the values that a user changed in a form; edits of the file by others meanwhile are kept.
 
     :param fields: those of the file now.
     :param texts: posted, by the name of the field.

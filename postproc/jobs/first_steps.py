@@ -23,7 +23,7 @@ from postproc.cell import Cell, Frame, GCode, Rotary, Start, Tool, ToolAxis, loa
 from postproc.correction.plausibility import near_base, short_tool
 from postproc.dialects.text import decode
 from postproc.errors import CellError, InputError, ModelError, OptionError, ProgramError, first_of
-from postproc.files import listed, read_text, toml, write_whole
+from postproc.files import path_list, read_text, toml, write_whole
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, inverse, xyzabc_from_pose
 from postproc.jobs.answers import BY_HAND, NO_LINES, Numbers
 from postproc.jobs.output_plan import protect
@@ -46,7 +46,7 @@ def copy_samples(folder: Path, *, overwrite: bool = False) -> list[Path]:
     conflicts = [folder / name for name, content in contents.items() if _differs(folder / name, content)]
     if conflicts and not overwrite:
         raise InputError(
-            f"these files are there, and differ: {listed(conflicts)}",
+            f"these files are there, and differ: {path_list(conflicts)}",
             advice="Choose another folder, or give --overwrite.",
         )
     paths = []
@@ -167,7 +167,7 @@ def write_cell(request: CellRequest) -> tuple[str, ...]:
     """
     check_new(request.output, overwrite=request.overwrite)
     folder = request.output.parent
-    is_shipped = request.robot in robots.shipped()
+    is_shipped = request.robot in robots.shipped_models()
     place = request.robot if is_shipped else relative_path(folder, Path(request.robot))
     robot = load_robot(request.robot)
     start = USUAL_START if request.start is None else _six("start joints", request.start, 6)
@@ -192,7 +192,12 @@ def write_cell(request: CellRequest) -> tuple[str, ...]:
         cell = msgspec.structs.replace(cell, start=msgspec.convert({"joints": start_joints}, Start))
     turn, remarks = _turn_of_tool(cell, robot)
     tools = {number: Frame(*_six(f"$TOOL of T{number}", words, 3)) for number, words in request.tools.items()}
-    remarks = (*_in_metres(cell, tools), *_base_warnings(cell), *remarks, *_low_start(cell, robot, request.clearance))
+    remarks = (
+        *_metre_questions(cell, tools),
+        *_base_warnings(cell),
+        *remarks,
+        *_low_start(cell, robot, request.clearance),
+    )
     text = _text(place, robot, cell, turn, config, request, tools)
     _check_text(text, request.output)
     files.write_whole(folder, {request.output.name: text.encode()})
@@ -200,7 +205,7 @@ def write_cell(request: CellRequest) -> tuple[str, ...]:
 
 
 def _check_text(text: str, output: Path) -> None:
-    """Read a cell before it takes the place of a file, from beside it: its paths are relative to its folder.
+    """Read a cell from a temporary file in its folder before it replaces a file: its paths are relative to the folder.
 
     :raises CellError: it cannot be used.
     """
@@ -324,7 +329,7 @@ _LARGEST_Z = -0.1
 """Largest Z component, in the robot root, of a Z axis that points down (assumed)."""
 
 
-def _in_metres(cell: Cell, tools: Mapping[int, Frame]) -> Iterator[str]:
+def _metre_questions(cell: Cell, tools: Mapping[int, Frame]) -> Iterator[str]:
     """Yield a question for each of `$BASE` and the tools that seems to be given in metres."""
     yield from filter(None, (near_base(cell.base.pose(), "--base"), short_tool(cell.tool.pose(), "--tool")))
     yield from filter(None, (short_tool(tool.pose(), f"the tool of T{number}") for number, tool in tools.items()))
@@ -398,7 +403,7 @@ def _text(
     return f"""\
 #:schema {schema_file("cell").as_uri()}
 # Cell file of postproc: mm, degrees, N. docs/reference describes every key; what follows # is optional.
-robot = {_toml_string(place)}    # {robot.title}
+robot = {toml_string(place)}    # {robot.title}
 {_config_line(config)}
 
 [base]                           # $BASE in the robot root: where the part lies
@@ -437,22 +442,22 @@ def _config_line(config: str | None) -> str:
     return (
         '# config_dat = "$config.dat"    # KRL: a $config.dat of the controller, for BASE_DATA and TOOL_DATA'
         if config is None
-        else f"config_dat = {_toml_string(config)}    # KRL: frames that programs name by number"
+        else f"config_dat = {toml_string(config)}    # KRL: frames that programs name by number"
     )
 
 
 def _gcode(request: CellRequest, turn: float, language: str) -> str:
     """Return the table that says how G-code becomes a program of the robot."""
     change = {BY_HAND: _TOOL_BY_HAND[language], NO_LINES: []}.get(request.tool_change, [request.tool_change])
-    change_line = f"tool_change = [{', '.join(map(_toml_string, change))}]"
+    change_line = f"tool_change = [{', '.join(map(toml_string, change))}]"
     dwell = "s" if request.dwell_unit is None else request.dwell_unit
     comment = "# " if request.dwell_unit is None else ""
     dwell_line = (
-        f'{comment}dwell_unit = {_toml_string(dwell)}               # P of G4 and cycles: "ms" for Fanuc, Haas, Mach3'
+        f'{comment}dwell_unit = {toml_string(dwell)}               # P of G4 and cycles: "ms" for Fanuc, Haas, Mach3'
     )
     return f"""\
 [gcode]                          # how G-code becomes {language.upper()}
-radius_offsets = {_toml_string(request.radius_offsets)}        # "wear": D holds wear, the path is of the tool centre
+radius_offsets = {toml_string(request.radius_offsets)}        # "wear": D holds wear, the path is of the tool centre
 {dwell_line}
 redundancy_deg = {_number(turn)}             # turn of the tool about its axis: so that A4 and A6 stay near their start
 rapid_m_per_s = 0.5              # speed of G0
@@ -472,7 +477,7 @@ def _switching(
     by_hand = "" if any(lines) else "    # by hand"
     keys = zip(("on", "off"), lines, strict=True)
     return "\n".join(
-        f"{device}_{key} = [{', '.join(map(_toml_string, statements))}]{by_hand}" for key, statements in keys
+        f"{device}_{key} = [{', '.join(map(toml_string, statements))}]{by_hand}" for key, statements in keys
     )
 
 
@@ -538,7 +543,7 @@ def _rotary(rotary: Rotary | None) -> str:
     if rotary is None:
         return ""
     lines = ["", "[rotary]                         # rotary axes from the part outwards; A, B, C turn about X, Y, Z"]
-    lines += [f"axes = [{', '.join(map(_toml_string, rotary.axes))}]", f"kind = {_toml_string(rotary.kind or '')}"]
+    lines += [f"axes = [{', '.join(map(toml_string, rotary.axes))}]", f"kind = {toml_string(rotary.kind or '')}"]
     for letter, axis in zip(rotary.axes, rotary.places, strict=True):
         if axis is not None:
             point, direction = (", ".join(map(_number, values)) for values in (axis.point, axis.direction))
@@ -549,7 +554,7 @@ def _rotary(rotary: Rotary | None) -> str:
 def _m_codes(codes: Mapping[str, Sequence[str]]) -> str:
     """Return the table of M codes, or an example of one."""
     if codes:
-        lines = "\n".join(f"{code} = [{', '.join(map(_toml_string, texts))}]" for code, texts in codes.items())
+        lines = "\n".join(f"{code} = [{', '.join(map(toml_string, texts))}]" for code, texts in codes.items())
         return f"[m_codes]                        # lines for M codes of the machine; []: without effect here\n{lines}"
     return """\
 # [m_codes]                      # lines for M codes of the machine; []: without effect here
@@ -561,10 +566,10 @@ def _keys(frame: Frame) -> str:
 
 
 def _table_key(name: str) -> str:
-    return _toml_string(name) if "." in name else name
+    return toml_string(name) if "." in name else name
 
 
-def _toml_string(text: str) -> str:
+def toml_string(text: str) -> str:
     """Return a text as a TOML string (JSON strings are valid in TOML)."""
     return json.dumps(text, ensure_ascii=False)
 
@@ -611,7 +616,7 @@ def add_robot(
         raise OptionError(
             f"{robot_name!r} cannot be the name of a robot", advice="Give --name with letters, digits and _."
         )
-    if robot_name in robots.shipped():
+    if robot_name in robots.shipped_models():
         raise OptionError(f"a shipped robot is called {robot_name}", advice="Give another --name.")
     folder = output or Path(robot_name)
     meshes, notes = _meshes(geometries(text, urdf.name), urdf, arm)
@@ -673,7 +678,7 @@ def _meshes(
     visuals, problems = shapes.read([shape for shape in geometry if shape.drawn], urdf)
     solid, solid_problems = shapes.read([shape for shape in geometry if not shape.drawn], urdf)
     visuals, solid = (
-        [shape.moved(arm.moved[shape.carrier + 1]) for shape in shapes.joined(shapes_read)]
+        [shape.transform(arm.moved[shape.carrier + 1]) for shape in shapes.join_by_carrier(shapes_read)]
         for shapes_read in (visuals, solid)
     )
     with_drawing = {shape.carrier for shape in visuals}

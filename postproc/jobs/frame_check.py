@@ -168,17 +168,19 @@ def judge(touches: Touched, flange: Array, nominal_point: Array, tip: Array, sig
         "both": np.hstack([of_tool, of_base, of_turn]),
     }
     distances = norm(residual.reshape(-1, 3))
-    good: list[Suspect] = []
+    plausible_suspects: list[Suspect] = []
     left = {}
     for name, matrix in matrices.items():
         values = np.linalg.lstsq(matrix, residual, rcond=_RANK_TOLERANCE)[0] if matrix.shape[1] else np.zeros(0)
         left[name] = residual - matrix @ values
         freedom = len(residual) - (np.linalg.matrix_rank(matrix, tol=_RANK_TOLERANCE) if matrix.shape[1] else 0)
         if freedom > 0 and left[name] @ left[name] / sigma**2 <= chi2.ppf(_CONFIDENCE, freedom):
-            good.append(name)  # type: ignore[arg-type]
+            plausible_suspects.append(name)  # type: ignore[arg-type]
     suspect: Suspect = "contradiction"
-    if good:
-        suspect = "undecided" if good[0] == "tool" and "base" in good else good[0]
+    if plausible_suspects:
+        suspect = (
+            "undecided" if plausible_suspects[0] == "tool" and "base" in plausible_suspects else plausible_suspects[0]
+        )
     visible = _visible(of_tool, matrices["base"])
     if suspect == "none" and visible < _LEAST_VISIBLE:
         suspect = "unturned" if angle_between(flange[:1], flange).max() < _LEAST_TURN else "one-axis"

@@ -7,7 +7,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -22,7 +21,15 @@ from postproc.cell import Box
 from postproc.errors import InputError
 from postproc.jobs import answers as parse
 from postproc.jobs.answers import BY_HAND, CutterShape, Numbers, box_text
-from postproc.jobs.first_steps import CLEARANCE_MM, CellRequest, relative_path, schema_file, usual_base, write_cell
+from postproc.jobs.first_steps import (
+    CLEARANCE_MM,
+    CellRequest,
+    relative_path,
+    schema_file,
+    toml_string,
+    usual_base,
+    write_cell,
+)
 from postproc.jobs.program_needs import ProgramNeeds
 from postproc.jobs.programs import Settings, find_jobs, load_robot
 from postproc.jobs.runs import convert_all
@@ -81,11 +88,11 @@ class Answers(Struct):
         if not is_stated and text == question.default:
             self.offered.add(question.key)
 
-    def numbered(self, name: str) -> dict[int, Any]:
+    def by_number(self, name: str) -> dict[int, Any]:
         """Return the values of ``name.N`` by N."""
         return {int(key.partition(".")[2]): value for key, value in self.values.items() if key.startswith(f"{name}.")}
 
-    def of_codes(self, name: str) -> dict[str, Any]:
+    def by_code(self, name: str) -> dict[str, Any]:
         """Return the values of ``name.CODE`` by the code."""
         return {key.partition(".")[2]: value for key, value in self.values.items() if key.startswith(f"{name}.")}
 
@@ -117,7 +124,7 @@ def _cell_questions(needs: ProgramNeeds, answers: Answers) -> Iterator[Question]
         "--robot kuka_kr270",
         parse.robot,
         "kuka_kr270",
-        hint=f"Robots: {', '.join(robots.shipped())}",
+        hint=f"Robots: {', '.join(robots.shipped_models())}",
     )
     base = _usual_base(answers)
     yield from _frame_questions(needs, base)
@@ -187,9 +194,16 @@ def _rotary_questions(needs: ProgramNeeds, answers: Answers) -> Iterator[Questio
     """Yield the questions on rotary axes, if the programs use some."""
     if not needs.rotary:
         return
-    usual = ",".join(letter for letter in "CBA" if letter in needs.rotary)
+    default_order = ",".join(letter for letter in "CBA" if letter in needs.rotary)
     text = "Rotary axes from the part outwards"
-    yield Question("rotary_axes", text, f"--rotary {usual}", parse.rotary_axes, usual, optional=len(needs.rotary) == 1)
+    yield Question(
+        "rotary_axes",
+        text,
+        f"--rotary {default_order}",
+        parse.rotary_axes,
+        default_order,
+        optional=len(needs.rotary) == 1,
+    )
     text = "X, Y, Z of the program: tcp (tip in the part, tool-centre-point control) or indexed (the part turns)"
     kind = "tcp" if needs.tip_controlled else None
     yield Question(
@@ -262,7 +276,7 @@ def _cutter_text(comment: CommentedTool) -> str | None:
 
 
 def _stock_guess(needs: ProgramNeeds, answers: Answers) -> Box | None:
-    diameters = {number: shape.diameter_mm for number, shape in answers.numbered("cutter").items()}
+    diameters = {number: shape.diameter_mm for number, shape in answers.by_number("cutter").items()}
     return needs.stock_box(diameters)
 
 
@@ -284,24 +298,22 @@ def cell_request(output: Path, answers: Answers, **fields: Any) -> CellRequest:
     :param fields: further fields of the request, such as ``axis``.
     """
     values = answers.values
-    tools, bases = answers.numbered("tool"), answers.numbered("base_data")
-    first_tools: dict[int, Numbers] = {**tools, **(tool_data := answers.numbered("tool_data"))}
+    tools, bases = answers.by_number("tool"), answers.by_number("base_data")
+    first_tools: dict[int, Numbers] = {**tools, **(tool_data := answers.by_number("tool_data"))}
     request: dict[str, Any] = {
         "tool": values["tool"] if "tool" in values else next(iter(first_tools.values())),
         "tools": tools,
         "base_data": bases,
         "tool_data": tool_data,
-        "work_offsets": answers.of_codes("work_offset"),
-        "m_codes": {
-            code: [] if text == parse.NO_LINES else [text] for code, text in answers.of_codes("m_code").items()
-        },
+        "work_offsets": answers.by_code("work_offset"),
+        "m_codes": {code: [] if text == parse.NO_LINES else [text] for code, text in answers.by_code("m_code").items()},
     }
     if bases:
         request["base"] = next(iter(bases.values()))
     names = ("robot", "base", "clearance", "tool_change", "spindle", "coolant", "part_tolerance", "home", "payload")
     request |= {name: values[name] for name in (*names, "radius_offsets", "dwell_unit") if name in values}
     if "rotary_axes" in values:
-        points = answers.of_codes("rotary_point")
+        points = answers.by_code("rotary_point")
         request["rotary"] = parse.rotary(values["rotary_axes"], values["rotary_kind"], points)
     return CellRequest(output=output, **(request | fields))
 
@@ -315,7 +327,7 @@ def write_process(path: Path, needs: ProgramNeeds, answers: Answers) -> tuple[st
     stock: StockTable = answers.values["stock"]
     is_assumed = stock.box is not None and "stock" in answers.offered
     lines = [*process_head(needs, answers.values["material"])]
-    for number, shape in answers.numbered("cutter").items():
+    for number, shape in answers.by_number("cutter").items():
         lines += ["", *_tool_lines(number, shape, needs, answers)]
     lines += ["", *stock_lines(path.parent, stock, is_assumed=is_assumed)]
     files.write_whole(path.parent, {path.name: ("\n".join(lines) + "\n").encode()})
@@ -336,7 +348,7 @@ def process_head(needs: ProgramNeeds, material: str | None) -> Iterator[str]:
     yield f"# Process of {needs.file.name} for postproc: mm, 1/min. docs/reference/forces.md describes every key."
     yield "[material]"
     if material is not None:
-        yield f"name = {_toml_string(material)}    # postproc forces --materials lists them, with sources"
+        yield f"name = {toml_string(material)}    # postproc forces --materials lists them, with sources"
 
 
 def tool_head(number: int, needs: ProgramNeeds) -> str:
@@ -368,17 +380,12 @@ def stock_lines(folder: Path, stock: StockTable, *, is_assumed: bool) -> Iterato
     if is_assumed:
         yield "assumed = true                   # from what the tools sweep: check it, then remove this line"
     if stock.box is None:
-        yield f"file = {_toml_string(relative_path(folder, Path(stock.file or '')))}    # closed mesh, mm, in $BASE"
+        yield f"file = {toml_string(relative_path(folder, Path(stock.file or '')))}    # closed mesh, mm, in $BASE"
         return
     spans = {axis: getattr(stock.box, axis) for axis in "XYZ"}
     yield "box = { " + ", ".join(f"{axis} = [{low:g}, {high:g}]" for axis, (low, high) in spans.items()) + " }"
     largest_span = max(high - low for low, high in spans.values())
     yield f"resolution_mm = {min(max(largest_span / _CELL_COUNT, _RESOLUTIONS[0]), _RESOLUTIONS[1]):.2g}"
-
-
-def _toml_string(text: str) -> str:
-    """Return a text as a TOML string (JSON strings are valid in TOML)."""
-    return json.dumps(text, ensure_ascii=False)
 
 
 class AnswerFile(Struct, forbid_unknown_fields=True):
@@ -459,7 +466,7 @@ def write_files(
     return StartFiles(cell, process, remarks)
 
 
-def merged(programs: list[ProgramNeeds]) -> ProgramNeeds:
+def merge_needs(programs: list[ProgramNeeds]) -> ProgramNeeds:
     """Return what several programs need together, for one cell."""
     first = next((program for program in programs if not program.is_of_robot), programs[0])
     spans = [program.span for program in programs if program.span is not None]

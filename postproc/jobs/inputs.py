@@ -16,7 +16,7 @@ _MODEL = ("robot.urdf", "model.toml")
 _PACKAGE = Path(__file__).parent.parent
 
 
-def of_cell(path: Path, cell: Cell) -> list[Path]:
+def cell_inputs(path: Path, cell: Cell) -> list[Path]:
     """Return a cell file and the files that it names, but for those of the robot."""
     names = [cell.config_dat, *cell.rapid.modules]
     if cell.collision is not None:
@@ -24,7 +24,7 @@ def of_cell(path: Path, cell: Cell) -> list[Path]:
     return [path, *(Path(cell.folder) / name for name in names if name is not None)]
 
 
-def of_robot(cell: Cell) -> list[Path]:
+def robot_inputs(cell: Cell) -> list[Path]:
     """Return the files of the robot model of a cell.
 
     :raises ModelError: there is none.
@@ -33,7 +33,7 @@ def of_robot(cell: Cell) -> list[Path]:
     return [folder / name for name in _MODEL]
 
 
-def of_forces(path: Path) -> list[Path]:
+def force_inputs(path: Path) -> list[Path]:
     """Return a file of forces and, of a process, the files of its stock and material."""
     if path.suffix.lower() != PROCESS:
         return [path]
@@ -77,7 +77,7 @@ def _contents(package: Path) -> Iterator[bytes]:
         if path.suffix in (".py", ".toml") and not name.startswith("robot_models/"):
             yield name.encode()
             yield path.read_bytes()
-    for name, folder in robots.shipped().items():
+    for name, folder in robots.shipped_models().items():
         for part in _MODEL:
             yield f"{name}/{part}".encode()
             yield (folder / part).read_bytes()

@@ -3,9 +3,9 @@
 `OutputPlan` is made before work begins, from the list of programs and from the reports in the output folders. It alone
 knows the files of several programs, and puts files in their places. Programs are converted into folders of their own
 (`files.stage`), in any process and on any machine. A `Task` hands a program to its process together with the files of
-other programs; `needed_copies`, `differing_files` and `with_own_copies` decide from the task alone. The plan decides
+other programs; `needed_copies`, `differing_files` and `copy_subprograms` decide from the task alone. The plan decides
 what the staged files replace, and when. Its process has locked the output folders from the plan to the last replacement
-(`files.locked`).
+(`files.lock`).
 
 Programs may call one subprogram. Its corrected file is shared by the programs for which it is equal. For another
 program it is written under a name of its own, and that program calls this copy.
@@ -28,7 +28,7 @@ from postproc.dialects import registry
 from postproc.dialects.dialect import Calling
 from postproc.dialects.text import decode
 from postproc.errors import InputError, Issue, PostprocError, ProgramError
-from postproc.files import foreign, foreign_single, listed, noted, recorded, refuse
+from postproc.files import foreign, foreign_single, path_list, recorded_files, recorded_names, refuse
 from postproc.jobs.programs import FAILED, Job, Outcome, Settings, read_documents
 from postproc.program import Document, Needed
 from postproc.provenance import digest
@@ -187,7 +187,7 @@ def differing_files(
     return program_of_file
 
 
-def with_own_copies(
+def copy_subprograms(
     task: Task,
     documents: Sequence[Document],
     program_of_file: Mapping[str, str],
@@ -202,10 +202,10 @@ def with_own_copies(
     :returns: the files, and the new name of each copied file → its name in the source.
     :raises InputError: a subprogram cannot have another name.
     """
-    job, kind = task.job, registry.by_name(task.job.dialect)
+    job, kind = task.job, registry.dialect_of_name(task.job.dialect)
     if isinstance(kind, Calling) and set(program_of_file) <= set(subprograms):
         stems = sorted({PurePath(name).stem for name in program_of_file})
-        renamed_files = kind.with_own_copies(documents, [*copies.values()], stems, job.stem, set(task.used_names))
+        renamed_files = kind.copy_subprograms(documents, [*copies.values()], stems, job.stem, set(task.used_names))
         if renamed_files is not None:
             return renamed_files
     name, owner = next(iter(program_of_file.items()))
@@ -228,7 +228,7 @@ def sequences(jobs: Sequence[Job], cell: Cell) -> list[list[Job]]:
         kinds.setdefault(job.dialect, []).append(job)
     group_of: dict[Path, list[Job]] = {job.program: [job] for job in jobs}
     for dialect, jobs_of_dialect in kinds.items():
-        kind = registry.by_name(dialect)
+        kind = registry.dialect_of_name(dialect)
         if len(jobs_of_dialect) == 1 or not isinstance(kind, Calling):
             continue
         paths = [job.program for job in jobs_of_dialect]
@@ -290,13 +290,13 @@ class OutputPlan:
             self._waiting = deque(sorted(sorted_groups, key=lambda group: order[group[0].program]))
 
     def ready(self) -> Iterable[Task]:
-        """Yield tasks that may begin now; others wait until those before them are `finished`."""
+        """Yield tasks that may begin now; others wait until those before them are `accept`."""
         while self._waiting:
             job, *waiting_jobs = self._waiting.popleft()
             self._later[job.program] = deque(waiting_jobs)
             yield self._folders[job.output].task(job)
 
-    def finished(self, task: Task, outcome: Outcome) -> list[Outcome]:
+    def accept(self, task: Task, outcome: Outcome) -> list[Outcome]:
         """Accept the outcome of a task; put files in their places as soon as those that belong together are complete.
 
         :returns: final outcomes of this task, and of tasks that waited for it.
@@ -305,14 +305,14 @@ class OutputPlan:
         if waiting_jobs:
             self._waiting.appendleft(list(waiting_jobs))
         folder = self._folders[task.job.output]
-        folder.converted(task.job)
+        folder.record_conversion(task.job)
         final: list[Outcome] = []
         if outcome.staged_files is None:
             final.append(self._failure(task.job, outcome))
         else:
             try:
                 self._complete.append(self._complete_program(task, outcome))
-                folder.written(task.job, outcome)
+                folder.record_files(task.job, outcome)
             except InputError as cause:
                 files.discard(outcome.staged_files)
                 final.append(self._failure(task.job, Outcome(outcome.program, FAILED, message=str(cause))))
@@ -392,20 +392,20 @@ class OutputPlan:
                 [
                     p
                     for p in foreign_files
-                    if not folder.written_by_others(job, p, only_pending=p.name not in outcome.shared_files)
+                    if not folder.is_from_other_program(job, p, only_pending=p.name not in outcome.shared_files)
                 ]
             )
         lower_names = {name.lower() for name in names}
         inputs = {_key(path) for path in job.reads()}
         obsolete = [
             name
-            for name in _existing_names(job, recorded(job.output / job.report(mode)))
+            for name in _existing_names(job, recorded_files(job.output / job.report(mode)))
             if name.lower() not in lower_names and PurePath(name).name == name and _key(job.output / name) not in inputs
         ]
         obsolete = [name for name in obsolete if not folder.owners(job, name)]
         if not self._overwrite:
             refuse(foreign(job.output, obsolete, job.report(mode)))
-        partners = folder.needing(changed_names) - {job.report(mode)} if changed_names else frozenset()
+        partners = folder.programs_needing(changed_names) - {job.report(mode)} if changed_names else frozenset()
         return _Complete(task, outcome, tuple(obsolete), partners)
 
     def _take_groups(self) -> list[list[_Complete]]:
@@ -447,7 +447,7 @@ class OutputPlan:
             ]
             return [self._failure(member.task.job, outcome) for member, outcome in zip(group, failures, strict=True)]
         for member in group:
-            self._folders[folder].in_place(member.task.job)
+            self._folders[folder].record_placement(member.task.job)
         return [
             replace(
                 member.outcome,
@@ -462,13 +462,13 @@ class OutputPlan:
         """Return existing files that postproc did not write, or that were changed since."""
         folder = self._folders[job.output]
         foreign_files = [
-            path for path in foreign(job.output, names, job.report(self._mode)) if not folder.copied(job, path)
+            path for path in foreign(job.output, names, job.report(self._mode)) if not folder.is_needed_copy(job, path)
         ]
         return [path for path in foreign_files if path.name not in _intact(job, self._mode)] if foreign_files else []
 
     def _failure(self, job: Job, outcome: Outcome) -> Outcome:
         """Return the outcome of a program that was not written, with a sentence on its earlier results."""
-        if outcome.skipped:
+        if outcome.is_skipped:
             return outcome
         return replace(
             outcome, earlier_remark=left([job], self._mode) if outcome.keeps_old_files else self._retire_results(job)
@@ -480,7 +480,7 @@ class OutputPlan:
         :returns: a sentence for the user; empty if there was nothing.
         """
         mode, folder = self._mode, self._folders[job.output]
-        names = _existing_names(job, _of_run(job, mode))
+        names = _existing_names(job, _run_files(job, mode))
         owners = {name: folder.owners(job, name) for name in names}
         own_names = [name for name in names if not owners[name]]
         changed_files = self._not_ours(job, own_names)
@@ -489,7 +489,7 @@ class OutputPlan:
             for name, other_owners in owners.items()
             if other_owners
             for path in self._not_ours(job, [name])
-            if not folder.written_by_others(job, path)
+            if not folder.is_from_other_program(job, path)
         ]
         if not own_names:
             return ""
@@ -498,7 +498,7 @@ class OutputPlan:
             return left([job], mode)
         try:
             for path in (job.output / name for name in own_names):
-                path.rename(_unused(path))
+                path.rename(_backup_path(path))
         except OSError:
             return left([job], mode)
         other_owners = ", and its reports likewise" if len(own_names) > 1 else ""
@@ -529,9 +529,9 @@ class _Folder:
         records: dict[str, Record] = {}
         file_names = {path.name for path in self._path.glob("*")}
         for path in sorted(self._path.glob("*.report.json")):
-            digests = {name: sum_ for name, sum_ in recorded(path).items() if name in file_names}
+            digests = {name: sum_ for name, sum_ in recorded_files(path).items() if name in file_names}
             program = path.name.removesuffix(".report.json")
-            records[path.name] = Record(program, self._path, digests, frozenset(noted(path, COPIED_KEY)))
+            records[path.name] = Record(program, self._path, digests, frozenset(recorded_names(path, COPIED_KEY)))
         return records
 
     def _records(self) -> dict[str, Record]:
@@ -563,11 +563,11 @@ class _Folder:
         record = self._earlier_records.get(job.report(self._mode))
         return {} if record is None else record.files
 
-    def converted(self, job: Job) -> None:
+    def record_conversion(self, job: Job) -> None:
         """Record that a job was converted, or failed."""
         self._pending.discard(job.report(self._mode))
 
-    def written(self, job: Job, outcome: Outcome) -> None:
+    def record_files(self, job: Job, outcome: Outcome) -> None:
         """Record the files of a converted program."""
         assert outcome.staged_files is not None
         assert outcome.summary is not None
@@ -575,7 +575,7 @@ class _Folder:
         copies = frozenset(outcome.summary.copied or ())
         self._new[job.report(self._mode)] = Record(job.stem, outcome.staged_files.path / "new", sums, copies)
 
-    def in_place(self, job: Job) -> None:
+    def record_placement(self, job: Job) -> None:
         """Record that the files of a converted program are in their places."""
         report = job.report(self._mode)
         self._new[report] = replace(self._new[report], at=self._path)
@@ -584,7 +584,7 @@ class _Folder:
         """Return whether one of these programs is still to be converted."""
         return not self._pending.isdisjoint(reports)
 
-    def needing(self, names: Sequence[str]) -> frozenset[str]:
+    def programs_needing(self, names: Sequence[str]) -> frozenset[str]:
         """Return the reports of programs, still to be converted, whose earlier results need one of these files."""
         return frozenset(
             report
@@ -601,13 +601,13 @@ class _Folder:
             if report != own_report and name in record.files and (not only_pending or report in self._pending)
         ]
 
-    def written_by_others(self, job: Job, path: Path, *, only_pending: bool = False) -> bool:
+    def is_from_other_program(self, job: Job, path: Path, *, only_pending: bool = False) -> bool:
         """Return whether a file is intact as written for another program."""
         owners = self.owners(job, path.name, only_pending=only_pending)
         return bool(owners) and _sum(path) in {record.files[path.name] for record in owners}
 
     def caller(self, job: Job, path: Path) -> Record | None:
-        """Return the record of a program of an earlier run that needs a file as it is, or None.
+        """Return the record of a program of an earlier run that needs a file unchanged, or None.
 
         A file that is the source of this job, unchanged, is not meant: its routines without motions stay the same.
         """
@@ -620,7 +620,7 @@ class _Folder:
             return None
         return next((record for record in records if record.files[path.name] == file_digest), None)
 
-    def copied(self, job: Job, path: Path) -> bool:
+    def is_needed_copy(self, job: Job, path: Path) -> bool:
         """Return whether a file is an intact, unchanged copy that another program needs."""
         return any(
             path.name in record.copied and record.files[path.name] == _sum(path)
@@ -646,12 +646,12 @@ def protect(inputs: Iterable[Path], folder: Path, names: Iterable[str]) -> None:
 def left(jobs: Iterable[Job], mode: Mode) -> str:
     """Return a sentence on programs of earlier runs in the output folders; empty if there are none."""
     programs = [job.output / name for job in jobs for name in _programs(job, mode)]
-    return f"There before, not of this run: {listed(programs)}." if programs else ""
+    return f"There before, not of this run: {path_list(programs)}." if programs else ""
 
 
 def _programs(job: Job, mode: Mode) -> list[str]:
     """Return the names of earlier programs of a job that exist: the main file, or its modules."""
-    digests = recorded(job.output / job.report(mode))
+    digests = recorded_files(job.output / job.report(mode))
     modules = [name for name in digests if name.endswith(job.writer.extension)]
     return _existing_names(job, job.mains(mode)) or _existing_names(job, modules)
 
@@ -670,7 +670,7 @@ def _has_overview(folder: Path) -> bool:
 
 def _may_share(job: Job) -> bool:
     """Return whether a program may call or need files of other programs."""
-    if not (job.keeps_text and isinstance(registry.by_name(job.dialect), Calling)):
+    if not (job.keeps_text and isinstance(registry.dialect_of_name(job.dialect), Calling)):
         return False
     own_files = {_key(path) for path in job.reads()}
     return any(_key(path) not in own_files for path in job.program.parent.glob("*") if path.is_file())
@@ -688,10 +688,10 @@ def _existing_names(job: Job, names: Iterable[str]) -> list[str]:
     return [name for name in names if (job.output / name).exists()]
 
 
-def _of_run(job: Job, mode: Mode) -> list[str]:
+def _run_files(job: Job, mode: Mode) -> list[str]:
     """Return the names of files that this run may write, and of those that an earlier run has written."""
     planned_names = job.writes(mode)
-    return list(dict.fromkeys([*job.mains(mode), *planned_names, *recorded(job.output / job.report(mode))]))
+    return list(dict.fromkeys([*job.mains(mode), *planned_names, *recorded_files(job.output / job.report(mode))]))
 
 
 def _intact(job: Job, mode: Mode) -> list[str]:
@@ -719,7 +719,7 @@ def same_names(jobs: Iterable[Job]) -> Iterator[tuple[Job, Job]]:
 
 
 def _key(path: Path) -> str:
-    return str(files.resolved(path)).lower()
+    return str(files.resolve(path)).lower()
 
 
 def _sum(path: Path) -> str:
@@ -730,7 +730,7 @@ def _sum(path: Path) -> str:
         return ""
 
 
-def _unused(path: Path) -> Path:
+def _backup_path(path: Path) -> Path:
     """Return a name for an old file: with ``.old`` appended, or ``.old2`` …"""
     number = 2
     target = path.with_name(f"{path.name}.old")

@@ -13,9 +13,9 @@ from msgspec import Struct
 from postproc import cell as cells
 from postproc.cell import Cell
 from postproc.errors import InputError, OptionError, PostprocError, did_you_mean
-from postproc.files import foreign, refuse, with_record, write_whole
+from postproc.files import add_record, foreign, refuse, write_whole
 from postproc.frames import M_PER_MM, RAD_PER_DEG
-from postproc.jobs.conversion import converted, programs_under_force
+from postproc.jobs.conversion import convert_program, programs_under_force
 from postproc.jobs.output_plan import protect
 from postproc.jobs.programs import Settings, find_jobs, load_robot
 from postproc.jobs.started_program import read_program, read_with_start
@@ -90,7 +90,7 @@ def make_place(request: PlaceRequest, progress: Callable[[int, int], None] | Non
     if search.best is not None:
         contents[FILES[2]] = report.base_toml(search, cell, content)
     paths = write_whole(
-        request.output, with_record(contents, FILES[-1], lambda entries: report.finished(content, entries))
+        request.output, add_record(contents, FILES[-1], lambda entries: report.place_json(content, entries))
     )
     return PlaceFiles(content, tuple(paths))
 
@@ -106,7 +106,7 @@ def _clearance(request: PlaceRequest, cell: Cell) -> float | None:
 
 
 def region_of(text: str | None, cell: Cell) -> Region:
-    """Return the region that a text names; what it does not name stays as the cell has it.
+    """Return the region that a text names; axes that it omits have the cell's values.
 
     :raises OptionError: it cannot be read.
     """
@@ -151,7 +151,7 @@ def _cell_with_start(request: PlaceRequest, cell: Cell, robot: RobotModel) -> tu
 
 
 def _assessment(request: PlaceRequest, cell: Cell, robot: RobotModel, place: Judged) -> Assessment:
-    """Return what `convert` states of the programs at a place: the worst of them."""
+    """Return the results of `convert` for the programs at a place: the worst of them."""
     cell = _cell_at(cell, place)
     settings = Settings(cell=request.cell)
     verdicts = []
@@ -161,7 +161,7 @@ def _assessment(request: PlaceRequest, cell: Cell, robot: RobotModel, place: Jud
             continue
         try:
             program, started_cell = read_with_start(job.program, robot, cell, job.dialect)
-            result, _ = converted(job, settings, started_cell, robot, program)
+            result, _ = convert_program(job, settings, started_cell, robot, program)
         except PostprocError as cause:
             return Assessment(problem=str(cause))
         if result.failed:

@@ -13,7 +13,7 @@ from postproc import interrupts
 from postproc.cell import Cell
 from postproc.dialects.krl.dialect import KRL
 from postproc.errors import InputError, MeasurementError
-from postproc.files import FileEntry, foreign, json_bytes, refuse, with_record, write_whole
+from postproc.files import FileEntry, add_record, foreign, json_bytes, refuse, write_whole
 from postproc.frames import RAD_PER_DEG
 from postproc.identification.readings import Angles, read, read_experiment
 from postproc.jobs.conversion import programs_under_force
@@ -122,7 +122,7 @@ def make_plan(request: PlanRequest, progress: Progress | None = None) -> PlanFil
         note = f"no {src}: the controller of {robot.title} reads {robot.language}, and only KRL is written for plans"
         result = replace(result, warnings=(*result.warnings, note))
     contents[html] = plan_page(result, stem)
-    paths = write_whole(folder, with_record(contents, record, lambda files: plan_json(result, files)))
+    paths = write_whole(folder, add_record(contents, record, lambda files: plan_json(result, files)))
     return PlanFiles(result, tuple(paths))
 
 
@@ -173,13 +173,13 @@ def make_compensator_plan(request: CompensatorRequest) -> CompensatorPlanFiles:
         return json_bytes({**compensator.summary(plan), "files": files})
 
     contents: dict[str, bytes | Iterable[bytes]] = {csv: compensator.template(plan)}
-    return CompensatorPlanFiles(plan, tuple(write_whole(folder, with_record(contents, record, rendered))))
+    return CompensatorPlanFiles(plan, tuple(write_whole(folder, add_record(contents, record, rendered))))
 
 
 def _test_poses(request: PlanRequest, robot: RobotModel, cell: Cell) -> TestPoses:
     if request.poses is not None:
         return milling.from_file(request.poses, robot, cell)
-    return milling.joined(cutting_states(request.programs, request.forces, robot, cell))
+    return milling.join(cutting_states(request.programs, request.forces, robot, cell))
 
 
 def cutting_states(programs: Sequence[str], force_path: Path | None, robot: RobotModel, cell: Cell) -> list[TestPoses]:

@@ -14,7 +14,7 @@ from msgspec.structs import replace
 
 from postproc import files
 from postproc.errors import ForceError
-from postproc.jobs.file_form import FormField, edit_text, fields_of_table, parsed, table_schema, write_valid
+from postproc.jobs.file_form import FormField, edit_text, fields_of_table, parse, table_schema, write_valid
 from postproc.jobs.guided_start import NO_NUMBER, process_head, stock_lines, tool_head
 from postproc.jobs.program_needs import ProgramNeeds
 from postproc.machining.material import table as material_table
@@ -126,7 +126,7 @@ def _drafted_tool(number: int, needs: ProgramNeeds) -> list[str]:
 
 def _document(text: str, path: Path, needs: ProgramNeeds) -> tuple[Any, frozenset[str]]:
     """Return the document of a process file with the tools that its program needs, and which of them it lacked."""
-    document = parsed(text, str(path), ForceError)
+    document = parse(text, str(path), ForceError)
     tools = document.get("tools", {})
     if "default" in tools or (not needs.tools and tools):
         return document, frozenset()
@@ -134,7 +134,7 @@ def _document(text: str, path: Path, needs: ProgramNeeds) -> tuple[Any, frozense
     if not missing_tools or document.get("operations"):
         return document, frozenset()
     lines = [line for number in missing_tools for line in ("", *_drafted_tool(number, needs))]
-    document = parsed("\n".join([text.rstrip("\n"), *lines, ""]), str(path), ForceError)
+    document = parse("\n".join([text.rstrip("\n"), *lines, ""]), str(path), ForceError)
     return document, frozenset(str(number or "default") for number in missing_tools)
 
 

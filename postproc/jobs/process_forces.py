@@ -26,9 +26,9 @@ from postproc.cell import Cell, Collision
 from postproc.collision import cylinders
 from postproc.correction import HeldFeed, Result
 from postproc.errors import ForceError, InputError, Issue
-from postproc.files import foreign, foreign_single, refuse, with_record, write_whole
+from postproc.files import add_record, foreign, foreign_single, refuse, write_whole
 from postproc.forces import Knots
-from postproc.frames import M_PER_MM, MM_PER_M, Array, norm
+from postproc.frames import M_PER_MM, MM_PER_MIN, Array, norm
 from postproc.jobs.output_plan import protect
 from postproc.jobs.programs import load_robot
 from postproc.jobs.started_program import read_with_start
@@ -54,7 +54,6 @@ _FEED_FLOOR = 1e-3
 """Share of the programmed feed at which the errors are taken for those without feed."""
 _STEP = 1e-6
 """Feeds are multiples of this [m/s]: that is what programs print."""
-_MM_PER_MIN = 60.0 * MM_PER_M
 
 Trial = Callable[[Program], Result]
 _MESHES = (".stl", ".glb", ".ply", ".obj")
@@ -70,7 +69,7 @@ def hold_tolerance(program: Program, length: Array, cell: Cell, exponent: float,
     :param trial: converts the program with the feeds of its motions.
     :raises InputError: the model states no uncertainty, so that no error is expected.
     """
-    m, min_feed = program.motions, cell.output.min_feed_mm_per_min / _MM_PER_MIN
+    m, min_feed = program.motions, cell.output.min_feed_mm_per_min / MM_PER_MIN
     result = trial(program)
     if result.failed:
         return result
@@ -79,24 +78,24 @@ def hold_tolerance(program: Program, length: Array, cell: Cell, exponent: float,
         raise InputError('[output] feed = "hold": the robot model states no uncertainty', advice=advice)
     uses_min_feed = cell.output.unheld == "lowest"
     search = _Search(
-        program, cell.part_tolerance, min_feed, 1.0 - exponent, _of_motions(result), uses_min_feed=uses_min_feed
+        program, cell.part_tolerance, min_feed, 1.0 - exponent, _largest_by_motion(result), uses_min_feed=uses_min_feed
     )
     floor_error = np.full(len(m), np.nan)
     if search.open.any():
         result = trial(search.program(search.min_feeds))
-        if not result.failed and (unheld := search.start(_of_motions(result))).any():
+        if not result.failed and (unheld := search.start(_largest_by_motion(result))).any():
             result = trial(search.program(np.maximum(_FEED_FLOOR * m.feed, _STEP)))
-            floor_error[unheld] = _of_motions(result)[unheld]
+            floor_error[unheld] = _largest_by_motion(result)[unheld]
             search.give_up(unheld)
         for _ in range(_TRIALS):
             if result.failed:
                 return result
-            result = trial(search.program(search.next()))
-            if search.settled(_of_motions(result)):
+            result = trial(search.program(search.trial_feeds()))
+            if search.take_errors(_largest_by_motion(result)):
                 break
         else:
             result = trial(search.program(search.low))
-    error = _of_motions(result)
+    error = _largest_by_motion(result)
     feed = result.program.motions.feed
     held_feed = HeldFeed(cell.part_tolerance, min_feed, cell.output.unheld, m.feed, feed, length, error, floor_error)
     return replace(result, held_feed=held_feed)
@@ -148,7 +147,7 @@ class _Search:
         else:
             self.open = self.open & ~unheld
 
-    def next(self) -> Array:
+    def trial_feeds(self) -> Array:
         """Return the feeds (M,) to try."""
         low, high = self.low**self.power, self.high**self.power
         gap = self.error_high - self.error_low
@@ -156,22 +155,22 @@ class _Search:
         feed = (low + share * (high - low)) ** (1.0 / self.power) * np.where(self.low < self.high, _AIM, 1.0)
         return np.asarray(np.clip(np.floor(feed / _STEP + 1e-6) * _STEP, self.low, self.high))
 
-    def settled(self, error: Array) -> bool:
+    def take_errors(self, error: Array) -> bool:
         """Take the errors (M,) at the feeds of the last trial; return whether these feeds are to be written."""
         is_fixed = self.low >= self.high
         is_within = error <= self.limit
-        good, bad = self.open & ~is_fixed & is_within, self.open & ~is_fixed & ~is_within
+        rises, falls = self.open & ~is_fixed & is_within, self.open & ~is_fixed & ~is_within
         reserve = np.minimum(self._reserve(error), self.high - self.feed)
-        close = is_fixed | (good & (reserve <= _CLOSE * self.feed))
-        repeats_good, repeats_bad = good & self.was_good, bad & self.was_bad
+        close = is_fixed | (rises & (reserve <= _CLOSE * self.feed))
+        repeats_good, repeats_bad = rises & self.was_good, falls & self.was_bad
         self.error_high[repeats_good] = 0.5 * (self.limit + self.error_high[repeats_good])
         self.error_low[repeats_bad] = 0.5 * (self.limit + self.error_low[repeats_bad])
-        is_stuck = bad & (self.feed <= self.low)  # the error depends on the motions before, too
+        is_stuck = falls & (self.feed <= self.low)  # the error depends on the motions before, too
         unheld = is_stuck & (self.feed <= self.min_feeds)
-        self.low[good], self.error_low[good] = self.feed[good], error[good]
+        self.low[rises], self.error_low[rises] = self.feed[rises], error[rises]
         self.low[is_stuck] = np.maximum(self.min_feeds, _BACKSTEP * self.low)[is_stuck]
-        self.high[bad], self.error_high[bad] = self.feed[bad], error[bad]
-        self.was_good, self.was_bad = good, bad
+        self.high[falls], self.error_high[falls] = self.feed[falls], error[falls]
+        self.was_good, self.was_bad = rises, falls
         self.give_up(unheld)
         return bool(np.all(~self.open | close)) and not (unheld.any() and not self.uses_min_feed)
 
@@ -186,7 +185,7 @@ class _Search:
         return np.asarray((self.limit - error) / np.maximum(np.minimum(upper_slope, lower_slope), 1e-12))
 
 
-def _of_motions(result: Result) -> Array:
+def _largest_by_motion(result: Result) -> Array:
     """Return the largest expected error (M,) [m] of each motion; 0 without a target or a cut."""
     largest_error = np.zeros(len(result.program.motions))
     if result.expected is not None:
@@ -255,7 +254,7 @@ def predict_in_material(
     deviation, offset, last_shift = residual, _FIRST * residual, _FIRST * residual
     while not is_settled and rounds < _ROUNDS:
         rounds += 1
-        cut = source.shifted(Shift.of(program, *places, offset))
+        cut = source.shift_tip(Shift.of(program, *places, offset))
         path_forces = forces.assign(
             program, motions.segments, cut, motions.robot_in_cell.spindle, motions.robot_in_cell.ramp
         )
@@ -266,7 +265,7 @@ def predict_in_material(
         limit = max(_CONVERGENCE, _SHARE * _rms(deviation, weight))
         is_settled = _next_change(change, last_shift, moves, weight) < limit
         if rounds > 1 and not is_settled:
-            is_settled = _next_change(change, last_shift, moves, _without_contact(weight, residual)) < limit
+            is_settled = _next_change(change, last_shift, moves, _contact_weights(weight, residual)) < limit
         last_shift, offset = moves, offset + moves
     result = correction.process(program, robot, cell, cut, "predict")
     if result.failed or source.found is None:
@@ -287,7 +286,7 @@ def predict_in_material(
 def _deviation(path: PathUnderLoad) -> Array:
     """Return the deviation (N, 3) [m] of the uncorrected tip at the samples of a path, `$BASE`."""
     theta = np.broadcast_to(0.0, (len(path), path.robot_in_cell.robot.actual.nv))
-    return correction.uncorrected(path, np.arange(len(path)), theta)[0]
+    return correction.uncorrected_deviations(path, np.arange(len(path)), theta)[0]
 
 
 def _weights(path: PathUnderLoad) -> Array:
@@ -298,7 +297,7 @@ def _weights(path: PathUnderLoad) -> Array:
     return np.asarray(np.where(path.program.motions.rapid[motion], 0.0, length_share))
 
 
-def with_held_feed(
+def convert_with_held_feed(
     program: Program, robot: RobotModel, cell: Cell, source: ProcessSource, *, linearize_arcs: bool, to: str | None
 ) -> Result:
     """Convert a program with feeds that hold the tolerance of the part, see `hold_tolerance`.
@@ -341,7 +340,7 @@ def _next_change(change: Array, shift: Array, next_shift: Array, weight: Array) 
     return min(rate, 1.0) * _rms(next_shift, weight)
 
 
-def _without_contact(weight: Array, residual: Array) -> Array:
+def _contact_weights(weight: Array, residual: Array) -> Array:
     """Return the weights (n,) with 0 at the places where the residual (n, 3) is largest, see `_CONTACT`."""
     order = np.argsort(-norm(residual))
     place_weight = weight.copy()
@@ -423,7 +422,7 @@ def make_forces(request: ForcesRequest, progress: Callable[[int, int], None] | N
         mesh = as_trimesh(*forces.mesh())
         contents[names[1]] = bytes(mesh.export(file_type=request.stock_out.suffix[1:].lower()))
     issues = (*(() if forces is None else forces.issues), *knots.issues)
-    record = with_record(contents, names[-1], lambda entries: process_forces.finished(content, issues, entries))
+    record = add_record(contents, names[-1], lambda entries: process_forces.forces_json(content, issues, entries))
     return ForcesFiles(content, issues, tuple(write_whole(folder, record)))
 
 
@@ -448,8 +447,8 @@ def _names(request: ForcesRequest) -> tuple[Path, list[str]]:
 def _knots(program: Program, process: Process, forces: ProcessForces | None) -> Knots:
     """Return the forces of all moves; those of operations take precedence."""
     if forces is None:
-        return machining.by_operation(program, process)
-    return machining.by_operation(program, process).over(forces.along) if process.operations else forces.along
+        return machining.operation_knots(program, process)
+    return machining.operation_knots(program, process).or_fallback(forces.along) if process.operations else forces.along
 
 
 def identify_forces(

@@ -88,7 +88,7 @@ class ProgramNeeds(Struct, frozen=True):
     @property
     def is_of_robot(self) -> bool:
         """Whether it is a program of a robot already: it moves and retracts as it states."""
-        return registry.by_name(self.dialect).writer is not None
+        return registry.dialect_of_name(self.dialect).writer is not None
 
     @property
     def changes_tools(self) -> bool:
@@ -125,15 +125,15 @@ class ProgramNeeds(Struct, frozen=True):
 
 
 def needs_of(path: Path, dialect: str | None = None) -> ProgramNeeds:
-    """Return what a program needs.
+    """Return the settings that a program needs from a cell.
 
     :param dialect: name of its format; None: by the extension.
     :raises ProgramError: the file cannot be read.
     :raises InputError: its extension is not known.
     """
-    name = dialect or registry.of_file(path).name
+    name = dialect or registry.dialect_of_file(path).name
     documents = read_documents(path, name)
-    reader = registry.by_name(name)
+    reader = registry.dialect_of_name(name)
     survey = Survey()
     if isinstance(reader, CamFormat) and reader.survey is not None:
         survey = reader.survey(documents[0])
@@ -159,10 +159,10 @@ def needs_of(path: Path, dialect: str | None = None) -> ProgramNeeds:
     )
     if program is None:
         return replace(needs, has_forces=needs.is_of_robot and states_forces(path))
-    return _with_content(needs, program)
+    return _add_content(needs, program)
 
 
-def _with_content(needs: ProgramNeeds, program: Program) -> ProgramNeeds:
+def _add_content(needs: ProgramNeeds, program: Program) -> ProgramNeeds:
     """Return needs with what the program that was read contains."""
     motions = program.motions
     tools = needs.tools or tuple(
@@ -232,13 +232,13 @@ def _span(program: Program) -> tuple[tuple[float, float, float], tuple[float, fl
     targets: Array = program.motions.target[:][:, :3, 3]
     starts = targets[np.maximum(cutting - 1, 0)]
     starts[:, 2] = targets[cutting, 2]
-    points = np.concatenate([targets[cutting], _on_arcs(program, cutting), starts]) * MM_PER_M
+    points = np.concatenate([targets[cutting], _arc_points(program, cutting), starts]) * MM_PER_M
     x, y, z = (np.round(points.min(axis=0), 3) + 0.0).tolist()
     u, v, w = (np.round(points.max(axis=0), 3) + 0.0).tolist()
     return (x, y, z), (u, v, w)
 
 
-def _on_arcs(program: Program, cutting: Ints) -> Array:
+def _arc_points(program: Program, cutting: Ints) -> Array:
     """Return points on the arcs among some motions (n, 3) [m], `$BASE`: a full circle ends where it begins."""
     arcs = cutting[program.motions.kind[cutting] == CIRC]
     parts = np.ceil(program.motions.sweep[arcs] / _ARC_STEP).astype(np.int64)
@@ -267,13 +267,13 @@ class _Trial:
         self.documents, self.dialect, self.name, self.survey = documents, dialect, name, survey
         self.robot_name = _RAPID_ROBOT if dialect == "rapid" else _ROBOT
         self.robot: RobotModel = load_robot(self.robot_name)
-        reader = registry.by_name(dialect)
+        reader = registry.dialect_of_name(dialect)
         self.frames = reader.numbered_frames(documents) if isinstance(reader, WithNumberedFrames) else ()
 
     def outcome(self) -> tuple[Program | None, str, tuple[str, ...]]:
-        """Return the program as it is read with every answer, why it is refused then, and the settings it needs."""
-        if registry.by_name(self.dialect).writer is not None:
-            return self._of_robot()
+        """Return the program read with all answers, the reason of a refusal, and the settings that it needs."""
+        if registry.dialect_of_name(self.dialect).writer is not None:
+            return self._read_robot_program()
         answers, refusals = dict(_ASSUMED_ANSWERS), []
         kinds = _ROTARY_KINDS if self.survey.rotary else _ROTARY_KINDS[:1]
         dwells = ({}, *({"dwell_unit": unit} for unit in _DWELL_UNITS))
@@ -298,7 +298,7 @@ class _Trial:
             return ()
         return tuple(frame for frame in self.frames if self._read({}, frames={*self.frames} - {frame})[0] is None)
 
-    def _of_robot(self) -> tuple[Program | None, str, tuple[str, ...]]:
+    def _read_robot_program(self) -> tuple[Program | None, str, tuple[str, ...]]:
         """Return a robot program; frames of its files that are not there may be missing here, which is no refusal."""
         return self._read({})[0], "", ()
 

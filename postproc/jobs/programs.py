@@ -19,7 +19,7 @@ from postproc.dialects import Writer, registry
 from postproc.dialects.dialect import Calling
 from postproc.dialects.text import decode
 from postproc.errors import ForceError, InputError, Issue, OptionError, ProgramError
-from postproc.files import Staged, read_bytes, resolved
+from postproc.files import Staged, read_bytes, resolve
 from postproc.forces.sources import extensions
 from postproc.program import FORCE_COMMENT, Document
 from postproc.report import Summary
@@ -68,7 +68,7 @@ class Job(Struct, frozen=True):
 
     def reads(self) -> list[Path]:
         """Return the files that are read for this program, without the cell."""
-        companions = registry.by_name(self.dialect).companions(self.program)
+        companions = registry.dialect_of_name(self.dialect).companions(self.program)
         return [self.program, *companions, *([] if self.forces is None else [self.forces])]
 
     def report(self, mode: Mode) -> str:
@@ -86,7 +86,7 @@ class Job(Struct, frozen=True):
         if self.forces is not None:
             reports.insert(1, f"{report}forces.csv")
         if self.keeps_text:
-            files = [self.program, *registry.by_name(self.dialect).companions(self.program)]
+            files = [self.program, *registry.dialect_of_name(self.dialect).companions(self.program)]
             if self.name is not None:
                 files = [path.with_stem(self.name) for path in files if path.stem.lower() == self.program.stem.lower()]
             return [*(path.name for path in files), *reports]
@@ -142,7 +142,7 @@ def find_jobs(
         name cannot be given, or that of a file given by itself is not UTF-8.
     """
     programs = _unique(path for name in inputs for path in _expand(name, dialect))
-    programs = _without_parts(programs, {resolved(Path(name)) for name in inputs}, dialect)
+    programs = _leave_out_parts(programs, {resolve(Path(name)) for name in inputs}, dialect)
     callers = _callers([path for path in programs if str(path) not in inputs], programs, dialect)
     main_programs = [path for path in programs if path not in callers]
     csv = _force_files(main_programs, forces)
@@ -153,7 +153,7 @@ def find_jobs(
         if str(path) in inputs:
             check_utf8(path)
         folder = path.parent / "corrected" if output is None else output
-        read_as = dialect or registry.of_file(path).name
+        read_as = dialect or registry.dialect_of_file(path).name
         written_as, writer = registry.written_in(read_as, to)
         valid_name = writer.valid(path.stem) if name is None and written_as != read_as else name
         by = tuple(callers.get(path, ()))
@@ -167,7 +167,7 @@ def read_documents(path: Path, dialect: str) -> list[Document]:
     :param dialect: name of its format.
     :raises ProgramError: a file cannot be read, is empty or binary.
     """
-    paths = [path, *registry.by_name(dialect).companions(path)]
+    paths = [path, *registry.dialect_of_name(dialect).companions(path)]
     return [replace(decode(file.name, read_bytes(file, ProgramError)), folder=str(file.parent)) for file in paths]
 
 
@@ -193,14 +193,14 @@ def _expand(name: str, dialect: str | None) -> Iterator[Path]:
         yield path
 
 
-def _without_parts(programs: list[Path], input_paths: set[Path], dialect: str | None) -> list[Path]:
+def _leave_out_parts(programs: list[Path], input_paths: set[Path], dialect: str | None) -> list[Path]:
     """Return programs without the files that others of them call as parts, unless these are named one by one."""
     parts = set()
     for path in programs if len(programs) > 1 else ():
-        name = dialect or (registry.of_file(path).name if path.suffix else None)
+        name = dialect or (registry.dialect_of_file(path).name if path.suffix else None)
         if name is not None:
-            parts |= {resolved(companion) for companion in registry.by_name(name).companions(path)}
-    return [path for path in programs if resolved(path) in input_paths or resolved(path) not in parts]
+            parts |= {resolve(companion) for companion in registry.dialect_of_name(name).companions(path)}
+    return [path for path in programs if resolve(path) in input_paths or resolve(path) not in parts]
 
 
 def _callers(unnamed: Sequence[Path], programs: Sequence[Path], dialect: str | None) -> dict[Path, list[Path]]:
@@ -210,7 +210,7 @@ def _callers(unnamed: Sequence[Path], programs: Sequence[Path], dialect: str | N
         folders.setdefault((path.parent, dialect or path.suffix.lower()), []).append(path)
     callers_of: dict[Path, list[Path]] = {}
     for paths in folders.values():
-        kind = registry.by_name(dialect) if dialect else registry.of_file(paths[0])
+        kind = registry.dialect_of_name(dialect) if dialect else registry.dialect_of_file(paths[0])
         if len(paths) > 1 and isinstance(kind, Calling):
             callers_of |= kind.callers(paths)
     return {path: callers for path, callers in callers_of.items() if path in unnamed}
@@ -219,7 +219,7 @@ def _callers(unnamed: Sequence[Path], programs: Sequence[Path], dialect: str | N
 def _unique(paths: Iterable[Path]) -> list[Path]:
     by_location: dict[Path, Path] = {}
     for path in paths:
-        by_location.setdefault(resolved(path), path)
+        by_location.setdefault(resolve(path), path)
     return list(by_location.values())
 
 
@@ -263,7 +263,7 @@ def force_file(program: Path, files: Mapping[str, Sequence[Path]]) -> Path | Non
     :param files: see `force_files`.
     :raises ForceError: there are several.
     """
-    candidates = [file for file in files.get(program.stem.lower(), ()) if resolved(file) != resolved(program)]
+    candidates = [file for file in files.get(program.stem.lower(), ()) if resolve(file) != resolve(program)]
     if len(candidates) > 1:
         raise ForceError(
             f"{len(candidates)} force files for {program.name}: {' and '.join(file.name for file in candidates)}",
@@ -363,7 +363,7 @@ class Outcome(Struct, frozen=True):
     keeps_old_files: bool = False
 
     @property
-    def skipped(self) -> bool:
+    def is_skipped(self) -> bool:
         """Whether nothing was to be written: a subprogram, which is converted with the programs that call it."""
         return self.summary is None and self.code == GOOD
 
@@ -374,11 +374,11 @@ def load_setup(settings: Settings) -> tuple[Cell, RobotModel]:
     :raises CellError: the cell is unusable.
     :raises ModelError: its robot is.
     """
-    cell = with_settings(cells.load(settings.cell), settings)
+    cell = apply_settings(cells.load(settings.cell), settings)
     return cell, load_robot(cell.robot, cell.folder)
 
 
-def with_settings(cell: Cell, settings: Settings) -> Cell:
+def apply_settings(cell: Cell, settings: Settings) -> Cell:
     """Return a cell with the values that the settings of a run replace."""
     output_values = {name: getattr(settings, name) for name in ("tolerance_mm", "lines_per_file")}
     output_values = {name: value for name, value in output_values.items() if value is not None}

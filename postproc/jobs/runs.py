@@ -39,7 +39,7 @@ class Workers(Protocol):
         """Return what came of a task that is done; None if no process could be started for it."""
         ...
 
-    def lost(self, task: Task) -> Outcome | None:
+    def lost_outcome(self, task: Task) -> Outcome | None:
         """Return the outcome of a task that will not be done because there are no processes any more; else None."""
         ...
 
@@ -71,9 +71,9 @@ def convert_all(
     :param progress: is called during sweeps of a stock in this process, see `process_forces.read`.
     :raises PostprocError: the cell or the robot is unusable, an output must not be written, or there is no cluster.
     """
-    with interrupts.defer(), contextlib.ExitStack() as lock:
+    with interrupts.defer(), contextlib.ExitStack() as folder_lock:
         with interrupts.allow():
-            lock.enter_context(files.locked({job.output for job in jobs}, waiting))
+            folder_lock.enter_context(files.lock({job.output for job in jobs}, waiting))
             plan = OutputPlan(jobs, settings)
             cell, robot = load_setup(settings)
         for folder in {job.output for job in plan.jobs}:
@@ -87,7 +87,7 @@ def convert_all(
             for folder in {job.output for job in plan.jobs}:
                 files.remove_leftovers(folder)
         if len(outcomes) == len(plan.jobs):
-            subprogram_outcomes = [_with_callers(job, outcomes, settings) for job in jobs if job.callers]
+            subprogram_outcomes = [_caller_outcome(job, outcomes, settings) for job in jobs if job.callers]
             outcomes += subprogram_outcomes
             yield from subprogram_outcomes
             _write_overviews(plan.overviews, jobs, outcomes)
@@ -117,7 +117,7 @@ def _outcomes(
         for task in plan.ready():
             with interrupts.allow():
                 outcome = convert(task, settings, cell, robot, progress)
-            yield from plan.finished(task, outcome)
+            yield from plan.accept(task, outcome)
             if interrupts.is_pending():
                 return
 
@@ -145,9 +145,9 @@ def _outcomes_of(
                 if is_interrupted:
                     return
                 for future, task in list(running.items()):
-                    if (loss := workers.lost(task)) is not None:
+                    if (loss := workers.lost_outcome(task)) is not None:
                         del running[future]
-                        yield from plan.finished(task, loss)
+                        yield from plan.accept(task, loss)
                 continue
             if (finished_task := running.pop(future, None)) is None:
                 continue
@@ -155,14 +155,14 @@ def _outcomes_of(
             if outcome is None:
                 with interrupts.allow():
                     outcome = convert(finished_task, settings, cell, robot)
-            yield from plan.finished(finished_task, outcome)
+            yield from plan.accept(finished_task, outcome)
             if not is_interrupted:
                 begin()
     finally:
         workers.end()
 
 
-def _with_callers(job: Job, outcomes: Sequence[Outcome], settings: Settings) -> Outcome:
+def _caller_outcome(job: Job, outcomes: Sequence[Outcome], settings: Settings) -> Outcome:
     """Return the outcome of a program that others call: it is corrected with those that it is written with."""
     callers = ", ".join(path.name for path in job.callers)
     file = str(job.output / job.program.name)
@@ -193,7 +193,7 @@ def _write_overviews(folders: Sequence[Path], jobs: Sequence[Job], outcomes: Seq
     for folder in folders:
         folder_outcomes = [outcome_of_program[str(job.program)] for job in jobs if job.output == folder]
         entries = [
-            Entry(Path(outcome.program).name, "", None, reason(outcome), called=outcome.skipped)
+            Entry(Path(outcome.program).name, "", None, reason(outcome), called=outcome.is_skipped)
             for outcome in folder_outcomes
             if outcome.summary is None
         ]
@@ -205,11 +205,11 @@ def write_overview(folder: Path, entries: Sequence[Entry]) -> None:
 
     :raises InputError: it cannot be written.
     """
-    content = files.sealed(_HEAD + index_page([*entries, *reported(folder)], folder.resolve().name))
+    content = files.seal(_HEAD + index_page([*entries, *reported_programs(folder)], folder.resolve().name))
     files.write_whole(folder, {OVERVIEW: content})
 
 
-def reported(folder: Path) -> list[Entry]:
+def reported_programs(folder: Path) -> list[Entry]:
     """Return the programs that were written to a folder, as their reports state."""
     return [entry for path in sorted(folder.glob(f"*{_REPORT}")) if (entry := _entry(path)) is not None]
 
@@ -220,7 +220,7 @@ def reason(outcome: Outcome) -> str:
 
 
 def _entry(path: Path) -> Entry | None:
-    """Return what a report states; None if it is not that of a program that was written."""
+    """Return the entry of a report; None if it is not that of a written program."""
     try:
         content = msgspec.convert(json.loads(path.read_bytes()), Reported)
         if content.mode == "predict":

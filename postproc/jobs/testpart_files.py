@@ -29,7 +29,7 @@ from postproc.machining.process import ProcessFile, StockTable, ToolTable
 from postproc.report.testpart import design_page, part_page
 from postproc.robot.model_file import ModelFile
 from postproc.testpart import design, features, probing
-from postproc.testpart.cut import Clamped, CutForces, Surfaces, surfaces, without_lift
+from postproc.testpart.cut import Clamped, CutForces, Surfaces, at_nominal_height, surfaces
 from postproc.testpart.design import MOST_CHANGE, Design, Tests
 from postproc.testpart.features import Cutting, Placement
 from postproc.testpart.fit import Fit, fit
@@ -182,7 +182,7 @@ def make_testpart(request: TestPartRequest, progress: Callable[[str], None] = la
     data = _data(selection, prior, cutting, parts)
     paths = files.write_whole(
         request.output,
-        files.with_record(contents, _RECORD, lambda entries: files.json_bytes({**data, "files": entries})),
+        files.add_record(contents, _RECORD, lambda entries: files.json_bytes({**data, "files": entries})),
     )
     return TestPartFiles(selection, prior, cutting, parts, tuple(paths))
 
@@ -268,12 +268,12 @@ def _tests(request: TestPartRequest, robot_in_cell: RobotInCell, candidates: des
     from postproc.jobs.plan_files import cutting_states  # readers of programs come with it
     from postproc.plan import milling
 
-    poses = milling.joined(cutting_states(request.programs, request.forces, robot_in_cell.robot, robot_in_cell.cell))
+    poses = milling.join(cutting_states(request.programs, request.forces, robot_in_cell.robot, robot_in_cell.cell))
     rows = np.arange(0, len(poses), max(1, len(poses) // _MOST_TESTS))
     tool = np.broadcast_to(robot_in_cell.cell.tool.pose(), (len(rows), 4, 4))
     pose = kinematics.tcp(robot_in_cell.robot.nominal, poses.q[rows], tool)[0]
     weight = poses.weight[rows] / poses.weight[rows].sum()
-    states = without_lift(poses.q[rows], tool, pose, poses.wrench[rows])
+    states = at_nominal_height(poses.q[rows], tool, pose, poses.wrench[rows])
     return Tests(states, weight, poses.source)
 
 
@@ -286,7 +286,7 @@ def _krl(request: TestPartRequest, name: str, text: str, cell: Cell) -> dict[str
         gcode = replace(cell.gcode, redundancy="constant")  # as the part was chosen
         cell = replace(cell, gcode=gcode, output=replace(cell.output, divide_into_modules=False))  # one file
         robot = load_robot(cell.robot, cell.folder)
-        to = robot.language if robot.language and registry.by_name(robot.language).writer is not None else None
+        to = robot.language if robot.language and registry.dialect_of_name(robot.language).writer is not None else None
         (job,) = find_jobs([str(path)], output=request.output, to=to)
         result = correction.process(read_program(path, robot, cell), robot, cell, None, "nominal", to=job.to)
         if result.failed:
@@ -365,7 +365,7 @@ def _read_part(request: PartRequest, model: str | None = None) -> _Given:
             program, robot_in_cell, probe_data.take(rows[-1]), 0.5 * tool.diameter_mm * M_PER_MM
         )
         parts.append(Clamped(program, robot_in_cell, ProcessSource(process, robot_in_cell.spindle), contact_surfaces))
-    contact_surfaces = Surfaces.joined([part.surfaces for part in parts])
+    contact_surfaces = Surfaces.join([part.surfaces for part in parts])
     readings = Readings.of(probe_data.take(np.concatenate(rows)), contact_surfaces, request.sigma_mm * M_PER_MM)
     return _Given(_prior(parts[0].robot_in_cell, process), readings, tuple(parts), process)
 
@@ -446,7 +446,7 @@ def compare_part(request: PartRequest, model: str | None = None) -> tuple[PartId
     :raises PostprocError: an input is unusable.
     """
     part_data = _read_part(request, model)
-    fit, rejected_rows = part_data.fit(part_data.prior.widened())
+    fit, rejected_rows = part_data.fit(part_data.prior.widen())
     part_agreement = agreement(fit, part_data.prior, rejected_rows)
     return replace(summary(fit, rejected_rows), agreement=part_agreement), part_agreement
 
@@ -483,4 +483,4 @@ def identify_part(request: PartRequest, output: Path | None, *, overwrite: bool 
     def rendered(entries: list[FileEntry]) -> bytes:
         return replace(data, files=entries).as_json()
 
-    return PartFiles(data, tuple(files.write_whole(output, files.with_record(contents, record.NAME, rendered))))
+    return PartFiles(data, tuple(files.write_whole(output, files.add_record(contents, record.NAME, rendered))))

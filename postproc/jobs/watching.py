@@ -147,7 +147,7 @@ def _files_of_process(path: Path, status: os.stat_result) -> list[Path]:
 
 @lru_cache(1024)
 def _read_process(path: Path, size: int, time_ns: int) -> tuple[Path, ...]:
-    return tuple(inputs.of_forces(path))
+    return tuple(inputs.force_inputs(path))
 
 
 class _Watcher:
@@ -270,16 +270,16 @@ class _Watcher:
         paths = [settings.cell, *([] if settings.part is None else [settings.part])]
         try:
             cell = cells.load(settings.cell)
-            paths += [*inputs.of_cell(settings.cell, cell)[1:], *inputs.of_robot(cell)]
+            paths += [*inputs.cell_inputs(settings.cell, cell)[1:], *inputs.robot_inputs(cell)]
         except PostprocError:
             pass
         forces: Path | None = self.plain_options["forces"]
         if forces is not None:
-            paths += inputs.of_forces(forces)
+            paths += inputs.force_inputs(forces)
         return paths
 
     def convert(self, ready: Sequence[Path]) -> Iterator[tuple[Outcome, Job]]:
-        """Convert programs, and record each as soon as it is in its place."""
+        """Convert programs, and record each as soon as its files are written."""
         states = {path: (self.seen[path][0], self._sum(path)) for path in ready}
         jobs: list[Job] = []
         try:
@@ -347,7 +347,7 @@ class _Watcher:
                 names = " and ".join(str(job.program) for job in pair)
                 problem = f"{names} would both be written as {pair[0].output / pair[0].stem}.*"
                 raise InputError(problem, advice="Nothing was written. Rename one of them.")
-        return self._with_forces(job for job in all_jobs if job.program in programs and not job.callers)
+        return self._find_forces(job for job in all_jobs if job.program in programs and not job.callers)
 
     def _jobs_without_forces(self, program: Path) -> list[Job]:
         """Return the job of a program whose forces are unusable; none if the program is the cause."""
@@ -356,7 +356,7 @@ class _Watcher:
         except PostprocError:
             return []
 
-    def _with_forces(self, jobs: Iterable[Job]) -> list[Job]:
+    def _find_forces(self, jobs: Iterable[Job]) -> list[Job]:
         """Return jobs with their files of forces; one that has none, but should, names the file that is missing."""
         folder = self.force_folder
         if folder is not None:
@@ -405,7 +405,7 @@ class _Watcher:
 
     def _reads(self, path: Path) -> list[Path]:
         """Return the files that belong to a program: it, those read with it, its forces."""
-        companions = registry.of_file(path).companions(path) if self.options.get("dialect") is None else []
+        companions = registry.dialect_of_file(path).companions(path) if self.options.get("dialect") is None else []
         process = self._process_of(path)
         is_common = process is None or process == self.plain_options["forces"]
         process_files = [] if process is None or is_common else _files_of_process(process, process.stat())
@@ -445,7 +445,7 @@ class _Watcher:
         if self.settings.part is not None:
             return False
         try:
-            (job,) = self._with_forces(find_jobs([str(path)], output=self.output, **self.plain_options))
+            (job,) = self._find_forces(find_jobs([str(path)], output=self.output, **self.plain_options))
             content = json.loads((self.output / job.report("convert")).read_bytes())
             main = next(self.output / name for name in job.mains("convert") if (self.output / name).is_file())
             output_origin = job.writer.origin(read_documents(main, registry.written_in(job.dialect, job.to)[0]))

@@ -65,7 +65,7 @@ class LocalWorkers:
         del task
         return None if isinstance(future.exception(), OSError) else future.result()
 
-    def lost(self, task: Task) -> None:
+    def lost_outcome(self, task: Task) -> None:
         """Return no failure: `outcome` of a task ends as soon as its process does."""
 
     def end(self) -> None:
@@ -106,7 +106,7 @@ class LocalWorkers:
 
 
 def work_in_process(task: Task, settings: Settings) -> Outcome:
-    """Run a task in a process of its own; return its outcome."""
+    """Run a task in a new process; return its outcome."""
     process = _Process()
     try:
         return process.work(task, settings)
@@ -293,7 +293,7 @@ class ClusterWorkers:
         )
         return Outcome(program, FAILED, message=message, keeps_old_files=True)
 
-    def lost(self, task: Task) -> Outcome | None:
+    def lost_outcome(self, task: Task) -> Outcome | None:
         """Return a failure if the cluster, or the worker that has the task, has not been there for some time."""
         self._look()
         if time.monotonic() > self._alive + PATIENCE:
@@ -365,7 +365,7 @@ def _connect(cluster: Cluster) -> Any:
 
 
 def _task() -> Callable[[str, bytes], Outcome | OtherCode]:
-    """Return what a worker of a cluster does; sent as code, because another postproc there need not know it."""
+    """Return the function that a cluster worker runs; sent as code, because its postproc may be another version."""
 
     def work(code: str, content: bytes) -> Any:
         import pickle

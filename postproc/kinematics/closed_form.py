@@ -13,13 +13,12 @@ import numpy as np
 from msgspec import Struct
 
 from postproc.errors import ModelError
-from postproc.frames import Array, sine_and_cosine
+from postproc.frames import Array, sine_and_cosine, wrap_angles
 from postproc.kinematics.components import combination, components
 from postproc.kinematics.forward import clean, posture, tcp
 from postproc.program import Ints
 from postproc.robot import RobotModel
 
-_TURN = 2.0 * np.pi
 _TOLERANCE = 1e-6
 """Angles [rad] that the closed form must return to count as solved, and sin² between axes that count as parallel
 (assumed)."""
@@ -64,7 +63,7 @@ class ClosedForm(Struct, frozen=True, eq=False):
     @property
     def elbow_stretched(self) -> float:
         """A3 [rad] at which the wrist centre lies on the line through axes 2 and 3."""
-        return float(_wrap(self.sign[2] * (self.tilt[0] - self.tilt[1])))
+        return float(wrap_angles(self.sign[2] * (self.tilt[0] - self.tilt[1])))
 
     def reach(self, q: Array) -> Array:
         """Return the distance (N,) [m] of the wrist centre ahead of the A1 axis at angles (N, 6); overhead < 0."""
@@ -75,13 +74,13 @@ class ClosedForm(Struct, frozen=True, eq=False):
 
     def elbow(self, q: Array) -> Array:
         """Return A3 minus its value for the stretched arm (N,) [rad], from −π to π, at angles (N, 6)."""
-        return _wrap(q[:, 2] - self.elbow_stretched)
+        return wrap_angles(q[:, 2] - self.elbow_stretched)
 
     def branch_of(self, q: Array) -> Ints:
         """Return the branch (N,) on which joint angles (N, 6) lie; with A5 in line that of A5 > 0."""
         is_overhead = self.reach(q) < 0.0
         is_elbow_positive = self.elbow(q) >= 0.0
-        is_wrist_negative = _wrap(q[:, 4] + self.bend) < -_IN_LINE
+        is_wrist_negative = wrap_angles(q[:, 4] + self.bend) < -_IN_LINE
         return np.asarray(is_overhead * 1 + is_elbow_positive * 2 + is_wrist_negative * 4, dtype=np.int64)
 
     def branches(self, pose_flange_in_root: Array) -> Array:
@@ -171,7 +170,7 @@ def closed_form(robot: RobotModel) -> ClosedForm:
     q = np.sin(np.arange(120.0)).reshape(20, 6)  # spread evenly enough
     with np.errstate(divide="ignore", invalid="ignore"):
         solution = form.solve(components(tcp(chain, q, np.eye(4))[0]), form.branch_of(q)).T
-    if not np.abs(_wrap(solution - q)).max() < _TOLERANCE:
+    if not np.abs(wrap_angles(solution - q)).max() < _TOLERANCE:
         raise ModelError(
             f"robot {robot.name}: not an arm with vertical A1, parallel A2 and A3 and a spherical wrist",
             advice="Only such arms (all common KUKA six-axis robots) are supported.",
@@ -186,10 +185,6 @@ def _crossing(p: Array, u: Array, r: Array, v: Array) -> Array:
         return r
     point: Array = p + u * (np.cross(r - p, v) @ normal) / (normal @ normal)
     return point
-
-
-def _wrap(angle: Array) -> Array:
-    return np.asarray(angle - _TURN * np.rint(angle / _TURN))
 
 
 def status_of(robot: RobotModel, q: Array) -> Ints:

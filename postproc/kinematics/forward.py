@@ -160,11 +160,18 @@ def _steps(chain: Chain) -> tuple[Array, tuple[_Step, ...], Array]:
         rotation = parent_axes.T @ chain.placement[joint, :3, :3] @ joint_axes
         sine = float(np.hypot(rotation[0, 2], rotation[1, 2]))
         a = float(np.arctan2(rotation[0, 2], -rotation[1, 2])) if sine > _ZERO else 0.0
-        rest = _about_z(-a) @ rotation  # Rx(b)·Rz(c)
+        remaining_rotation = _about_z(-a) @ rotation  # Rx(b)·Rz(c)
         step = _Step(
             offset=clean(_about_z(-a) @ (parent_axes.T @ chain.placement[joint, :3, 3]))[:, None],
-            tilt=clean(np.array([[rest[2, 2], -rest[1, 2]], [rest[1, 2], rest[2, 2]]]))[..., None],
-            turn=float(np.arctan2(-rest[0, 1], rest[0, 0])) + next_turn,
+            tilt=clean(
+                np.array(
+                    [
+                        [remaining_rotation[2, 2], -remaining_rotation[1, 2]],
+                        [remaining_rotation[1, 2], remaining_rotation[2, 2]],
+                    ]
+                )
+            )[..., None],
+            turn=float(np.arctan2(-remaining_rotation[0, 1], remaining_rotation[0, 0])) + next_turn,
             turns=bool(chain.turns[joint]),
             mass=float(chain.mass[joint]),
             centre=clean(_about_z(-next_turn) @ joint_axes.T @ chain.centre[joint])[:, None],

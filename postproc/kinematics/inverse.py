@@ -15,14 +15,13 @@ from msgspec import Struct
 
 from postproc.chunks import chunks, in_chunks
 from postproc.errors import PostprocError
-from postproc.frames import Array, angle_between, any_column, largest
+from postproc.frames import FULL_TURN, Array, angle_between, any_column, largest
 from postproc.kinematics.closed_form import closed_form, status_of
 from postproc.kinematics.components import components, matrices
 from postproc.kinematics.forward import posture, tcp
 from postproc.program import Bools, Ints
 from postproc.robot import RobotModel
 
-_TURN = 2.0 * np.pi
 _ANGLE_TOLERANCE = 1e-6
 """Angles beyond a limit by less [rad] are at it: rounding of the closed form."""
 _ZERO = 1e-6
@@ -93,7 +92,7 @@ def follow(
     unreached: list[int] = []
     for part in chunks(len(branch)):
         rows = np.arange(part.start, min(part.stop, len(branch)))
-        exact = on_branch(robot, flange(rows), branch[part])
+        exact = branch_joints(robot, flange(rows), branch[part])
         targets = slice(*np.searchsorted(jumps, (part.start, part.stop)))
         at, is_axis_target = jumps[targets] - part.start, by_axes[targets]
         exact[at[is_axis_target]] = axis_target[targets][is_axis_target]
@@ -130,7 +129,7 @@ def _continuous(q: Array, start_angles: Array, wound: Array, exact_rows: Ints) -
     :param start_angles: (6,) angles before the first of them, without whole turns.
     :param wound: (6,) whole turns taken off there; returned for the last of them.
     """
-    turns = np.round(np.diff(q, axis=0, prepend=start_angles[None]) / _TURN)
+    turns = np.round(np.diff(q, axis=0, prepend=start_angles[None]) / FULL_TURN)
     if not turns.any() and not wound.any():
         return q, wound
     turns[exact_rows] = 0.0
@@ -139,10 +138,10 @@ def _continuous(q: Array, start_angles: Array, wound: Array, exact_rows: Ints) -
     exact_row[exact_rows] = exact_rows
     exact_row = np.maximum.accumulate(exact_row)
     excess_turns = total - np.where(exact_row[:, None] >= 0, total[exact_row], 0.0)
-    return q - _TURN * excess_turns, excess_turns[-1]
+    return q - FULL_TURN * excess_turns, excess_turns[-1]
 
 
-def on_branch(robot: RobotModel, pose_flange_in_root: Array, branch: Ints) -> Array:
+def branch_joints(robot: RobotModel, pose_flange_in_root: Array, branch: Ints) -> Array:
     """Return joint angles (N, 6) of flange poses (N, 4, 4) on given branches (N,); NaN out of reach."""
     is_uniform = len(branch) > 0 and bool((branch == branch[0]).all())
     return closed_form(robot).solve(components(pose_flange_in_root), int(branch[0]) if is_uniform else branch).T
@@ -150,7 +149,7 @@ def on_branch(robot: RobotModel, pose_flange_in_root: Array, branch: Ints) -> Ar
 
 def _whole_turns(robot: RobotModel, angles: Array, turn: Ints) -> Array:
     """Return angles (J, 6) with the whole turns that T (J,) asks for: inside the limits if that is possible."""
-    options = angles[..., None] + _TURN * np.arange(-2, 3)
+    options = angles[..., None] + FULL_TURN * np.arange(-2, 3)
     within_limits = (options >= robot.lower[:, None] - _ANGLE_TOLERANCE) & (
         options <= robot.upper[:, None] + _ANGLE_TOLERANCE
     )

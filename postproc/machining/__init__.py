@@ -1,6 +1,6 @@
 """Engagement of the cutter in the stock, and cutting forces along a program.
 
-`estimate` sweeps the tools of a program through its stock and returns forces along the motions; `by_operation` takes
+`estimate` sweeps the tools of a program through its stock and returns forces along the motions; `operation_knots` takes
 them from a small table instead. Both use the process that `load` reads from process.toml.
 """
 
@@ -8,7 +8,7 @@ from postproc.machining.estimate import ProcessForces, estimate
 from postproc.machining.material import Entry, table
 from postproc.machining.process import Process, load
 from postproc.machining.profiles import one_move_a_line
-from postproc.machining.source import ProcessSource, by_operation
+from postproc.machining.source import ProcessSource, operation_knots
 from postproc.machining.sweep import Cuts
 from postproc.machining.tool_path import Shift
 
@@ -19,9 +19,9 @@ __all__ = [
     "ProcessForces",
     "ProcessSource",
     "Shift",
-    "by_operation",
     "estimate",
     "load",
     "one_move_a_line",
+    "operation_knots",
     "table",
 ]

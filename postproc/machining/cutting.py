@@ -70,7 +70,7 @@ class Corners(Struct, frozen=True, eq=False):
     weight: tuple[Floats, ...]
 
 
-def engaged(stock: Stock, turn: Turn, x: Floats, y: Floats, tip: Floats, descent: Floats) -> Engaged:
+def cut_edge(stock: Stock, turn: Turn, x: Floats, y: Floats, tip: Floats, descent: Floats) -> Engaged:
     """Return the cutting edge in material.
 
     :param x: (n, P) and y: coordinates of the points in the map [m].
@@ -326,7 +326,7 @@ def chips(turn: Turn, feed: Floats, descent: Floats) -> Chips:
 
 
 def mean(turn: Turn, engagement: Engaged, chip: Chips, descent_sine: Floats, cell: float | Array) -> Loads:
-    """Return mean loads.
+    """Return the loads averaged over a turn, with their standard deviations.
 
     :param chip: from `chips`.
     :param descent_sine: (n,) sine of the angle by which the feed goes down, 0 … 1: this share of the rubbing of the end
@@ -339,7 +339,7 @@ def mean(turn: Turn, engagement: Engaged, chip: Chips, descent_sine: Floats, cel
     patch = (turn.radius * turn.width.astype(np.float32))[:, None]
     area = times(rubbing, patch)[:, 0].astype(float)
     removal = times(rubbing * chip.thickness, patch)[:, 0]
-    rest = np.where(descent_sine > _LEVEL, 1.0 - descent_sine, 0.0)[:, None] * rubbing[:, turn.bottom]
+    uncertain_rubbing = np.where(descent_sine > _LEVEL, 1.0 - descent_sine, 0.0)[:, None] * rubbing[:, turn.bottom]
     rubbing[:, turn.bottom] *= descent_sine[:, None]
     wrench = (times(cutting, turn.cut) + times(rubbing, turn.rub)).astype(float)
     thin = chip.thickness[:, turn.side]
@@ -347,7 +347,9 @@ def mean(turn: Turn, engagement: Engaged, chip: Chips, descent_sine: Floats, cel
     push += times(engagement.moment * (thin > 0.0), turn.rub[turn.side, :2])
     wrench[:, 3] -= push[:, 1]
     wrench[:, 4] += push[:, 0]
-    square = np.square(times(rest, turn.rub[turn.bottom]).astype(float)) / 3.0  # uniform from none of it to all
+    square = (
+        np.square(times(uncertain_rubbing, turn.rub[turn.bottom]).astype(float)) / 3.0
+    )  # uniform from none of it to all
     if turn.drill:
         square[:, 2] += np.square(_POINT * wrench[:, 2]) / 3.0
     if turn.law.covariance is not None:

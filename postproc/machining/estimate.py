@@ -14,15 +14,15 @@ from numpy.typing import NDArray
 from postproc import files
 from postproc.errors import MAX_ERRORS, ForceError, Issue, together
 from postproc.forces import Knots
-from postproc.frames import M_PER_MM, MM_PER_M, Array, inverse, norm
+from postproc.frames import M_PER_MM, MM_PER_INCH, MM_PER_M, Array, inverse, norm
 from postproc.machining import stock as stocks
 from postproc.machining.branches import check_branches, near_stock
 from postproc.machining.material import CuttingLaw
 from postproc.machining.process import Process, box_corners
-from postproc.machining.profiles import thinned, without_steps
+from postproc.machining.profiles import smooth_steps, thin_out
 from postproc.machining.remaining import Ceiling, Guard, StockInTime
 from postproc.machining.resolution import ENOUGH, ThinPasses, factors, thin_passes
-from postproc.machining.setups import Setup, setups, with_finer_cells
+from postproc.machining.setups import Setup, divide_by_cells, setups
 from postproc.machining.stock import Stock
 from postproc.machining.sweep import Cuts, Sweep
 from postproc.machining.tool_path import (
@@ -46,7 +46,6 @@ _WIDEST, _NARROWER = np.radians(60.0), np.radians(20.0)
 second angle is used only where the first leaves material above the tool."""
 _OVERHANG = 0.02
 """Share of what tools that turn remove that may be lost above them: later cuts of it would have no force."""
-_INCH = 25.4
 _HOLLOW = 0.02
 """Warn if the map of the stock exceeds its volume by more than this share (assumed)."""
 _LARGE = 5.0
@@ -224,7 +223,7 @@ def _estimate(task: _Task, widest: float, cell_factors: dict[int, int]) -> tuple
     """
     program, process, tools, guard = task.program, task.process, task.tools, task.guard
     cell = process.stock.cell
-    in_order = with_finer_cells(setups(program, task.directions, widest), cell_factors, task.directions.cuts)
+    in_order = divide_by_cells(setups(program, task.directions, widest), cell_factors, task.directions.cuts)
     material, issues = _stock(process, in_order[0].frame, cell / in_order[0].factor, task.stock)
     bounds = (*material.bounds, material.top)
     segments = task.segments(in_order[0].frame, cell)
@@ -233,7 +232,7 @@ def _estimate(task: _Task, widest: float, cell_factors: dict[int, int]) -> tuple
     _refuse_unknown_forces(program, swept.sweeps)
     if not any(sweep.contact for sweep in swept.sweeps):
         raise _no_contact(program, segments, bounds, process, task.stock)
-    cuts = Cuts.joined(swept.cuts)
+    cuts = Cuts.join(swept.cuts)
     if program.branches:
         count, margin = (
             len(program.motions),
@@ -252,7 +251,7 @@ def _estimate(task: _Task, widest: float, cell_factors: dict[int, int]) -> tuple
     power = np.zeros(len(program.motions))
     np.maximum.at(power, cuts.motion, cuts.power)
     forces = ProcessForces(
-        along=Knots.joined(swept.knots),
+        along=Knots.join(swept.knots),
         cuts=cuts,
         power=power,
         tools=tools,
@@ -294,7 +293,7 @@ def _swept_setups(task: _Task, in_order: list[Setup], material: Stock, segments:
         steps = steps.of(setup.motions)
         is_compared[steps.motion[~steps.leans]] = True
         ceiling = None if task.guard is None else Ceiling(material)
-        leans = ~task.directions.within(setup.frame[:3, 2], TURNS)
+        leans = ~task.directions.is_within(setup.frame[:3, 2], TURNS)
         poses = ToolPoses(program, task.path, setup.frame, task.axis, leans)
         has_shift = task.shift is not None
         sweep = Sweep(material, process, tools, feed, law, poses, swing, by_cells, has_shift, task.guard, ceiling)
@@ -304,13 +303,13 @@ def _swept_setups(task: _Task, in_order: list[Setup], material: Stock, segments:
         parts.append(cuts)
         stations = cuts.motion, cuts.t, cuts.wrench, cuts.deviation
         if len(cuts.motion):  # none where the spindle is off on all motions of a set-up: refused with their lines below
-            knots.append(without_steps(poses, stations, rise, (sigma, law.unknown_axial), base_axes=task.base_axes))
+            knots.append(smooth_steps(poses, stations, rise, (sigma, law.unknown_axial), base_axes=task.base_axes))
     removed_volume = removed_volume + start - material.volume()
     return _SweptSetups(sweeps, parts, knots, material, removed_volume, issues, is_compared, by_cells)
 
 
 def _refuse_unknown_forces(program: Program, sweeps: list[Sweep]) -> None:
-    """Refuse cuts of tools that lean or turn of which a map of the stock cannot tell the force.
+    """Refuse cuts of tools that lean or turn if their force cannot be computed on a map of the stock.
 
     :raises ForceError: a tool that only turns has no speed, or what it leaves above itself counts.
     """
@@ -360,13 +359,13 @@ def _thin(sweep: Sweep, steps: StraightSegments, progress: Callable[[int], None]
         open_.append(part)
         waiting += len(part.t)
         if waiting > _BATCH:
-            cuts = Cuts.joined(open_)
+            cuts = Cuts.join(open_)
             whole = int(np.searchsorted(cuts.motion, cuts.motion[-1], side="left"))
-            rest, cuts = cuts.take(slice(whole, None)), cuts.take(slice(None, whole))
-            thin_cuts.append(cuts.take(thinned(cuts.motion, cuts.wrench)))
-            open_, waiting = [rest], len(rest.t)
-    cuts = Cuts.joined([Cuts.none(), *open_])
-    return Cuts.joined([*thin_cuts, cuts.take(thinned(cuts.motion, cuts.wrench))])
+            partial_cuts, cuts = cuts.take(slice(whole, None)), cuts.take(slice(None, whole))
+            thin_cuts.append(cuts.take(thin_out(cuts.motion, cuts.wrench)))
+            open_, waiting = [partial_cuts], len(partial_cuts.t)
+    cuts = Cuts.join([Cuts.empty(), *open_])
+    return Cuts.join([*thin_cuts, cuts.take(thin_out(cuts.motion, cuts.wrench))])
 
 
 def _next_map(material: Stock, last_setup: Setup, setup: Setup, cell: float) -> Stock:
@@ -378,7 +377,7 @@ def _next_map(material: Stock, last_setup: Setup, setup: Setup, cell: float) -> 
         ratio = setup.factor // last_setup.factor
         if ratio * last_setup.factor != setup.factor:
             ratio += 1
-        return stocks.refined(material, ratio) if ratio > 1 else material
+        return stocks.refine(material, ratio) if ratio > 1 else material
     vertices, faces = stocks.mesh_of(material)
     to_map = inverse(setup.frame) @ last_setup.frame
     return stocks.from_mesh(vertices @ to_map[:3, :3].T + to_map[:3, 3], faces, cell / setup.factor)
@@ -614,7 +613,7 @@ def _collisions(program: Program, depth_of_motion: dict[int, float], guard: Guar
 
 
 def _rapid_advice(program: Program, motion: Ints) -> str:
-    """Return what to do about rapid motions (n,) through material: the first move begins at [start] of the cell."""
+    """Return advice on rapid motions (n,) through material: the first move begins at [start] of the cell."""
     first = int(motion[0])
     if first == 0 and program.motions.kind[0] == PTP and not program.keeps_text:
         return (
@@ -627,7 +626,7 @@ def _rapid_advice(program: Program, motion: Ints) -> str:
 
 
 def _tool_length_advice(program: Program, motion: int) -> str:
-    """Return what to add to a message on a rapid motion that a longer tool begins: its tip is lower from the start."""
+    """Return the advice on a rapid motion that begins with a longer tool, whose tip is lower from the start."""
     tool = program.motions.tool
     reach = norm(program.tools[:, :3, 3])
     extra_length = reach[tool[motion]] - reach[tool[motion - 1]] if motion else 0.0
@@ -701,7 +700,7 @@ def _no_contact(
     advice = "Give stock and program in the same frame ($BASE)."
     size, reach = np.array([x1 - x0, y1 - y0]), high[:2] - low[:2]
     ratio = float(np.max(reach) / max(float(np.max(size)), 1e-9))
-    for factor in (_INCH, 1.0 / _INCH):
+    for factor in (MM_PER_INCH, 1.0 / MM_PER_INCH):
         if 0.3 < ratio / factor < 3.0:
             advice += f" The stock is {'smaller' if factor > 1 else 'larger'} by about 25.4: is one of them in inches?"
     return ForceError(problem, file=str(stock or process.path), advice=advice)

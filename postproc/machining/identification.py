@@ -229,7 +229,9 @@ def identify(readings: CutReadings, tool: ToolTable, prior: MaterialTable | None
         reading=rows.reading,
         component=rows.component,
         residual=float(np.sqrt(np.mean(error[forces] ** 2))) if forces.any() else float("nan"),
-        left_out=_left_out(predictor[:, is_excited], fitted_part, readout, sigma, np.round(chip[rows.reading], 6)),
+        left_out=_cross_validation_error(
+            predictor[:, is_excited], fitted_part, readout, sigma, np.round(chip[rows.reading], 6)
+        ),
         sigma_percent=max(_LEAST_SIGMA, _percent_of_readout(rows, covariance, error)),
         warnings=tuple(warnings),
     )
@@ -303,7 +305,7 @@ def _fit(predictor: Array, readout: Array, sigma: Array) -> tuple[Array, Array]:
     return value, np.linalg.inv((matrix / scale).T @ (matrix / scale)) / np.outer(scale, scale)
 
 
-def _left_out(predictor: Array, rest: Array, readout: Array, sigma: Array, chip: Array) -> float:
+def _cross_validation_error(predictor: Array, rest: Array, readout: Array, sigma: Array, chip: Array) -> float:
     """Return the RMS error at each feed per tooth, predicted by the others, as a share of the RMS reading."""
     total = 0.0
     for chip_value in np.unique(chip):
@@ -384,7 +386,7 @@ def as_toml(material: IdentifiedMaterial, tool: ToolTable, name: str) -> bytes:
     )
     table["covariance"] = [[float(f"{v:.6g}") for v in row] for row in significant]
     comment = 'Cutting coefficients, identified by `postproc identify forces`. In process.toml: [material] file = "…".'
-    return files.sealed(files.toml({"material": table}, comment))
+    return files.seal(files.toml({"material": table}, comment))
 
 
 def proposal(process: Process, key: str, tool: ToolTable) -> tuple[bytes, bytes]:

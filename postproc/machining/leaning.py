@@ -23,7 +23,7 @@ _PLACES = 128
 
 
 def depth_inside(stock: Stock, cutter: Cutter, tip: Array, axis: Array) -> float:
-    """Return how far tools at some places reach below the surface of the stock [m]; 0 where none is in material.
+    """Return the depth of tools at some places below the surface of the stock [m]; 0 where they are not in material.
 
     :param tip: (n, 3) positions of the tip, frame of the map [m].
     :param axis: (n, 3) unit directions from the tip to the spindle.
@@ -36,7 +36,7 @@ def depth_inside(stock: Stock, cutter: Cutter, tip: Array, axis: Array) -> float
 
 
 def _deepest(stock: Stock, cutter: Cutter, tip: Array, axis: Array) -> float:
-    """Return how deep [m] points inside the cutter, one cell from its surface, are in material; 0 if none is."""
+    """Return the largest depth [m] in material of points inside the cutter, one cell from its surface; 0 if none is."""
     radius = max(cutter.radius - stock.cell, 0.0)
     place, distance, height = _rings(stock, cutter, tip, axis, radius)
     if not len(place):

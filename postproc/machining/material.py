@@ -140,7 +140,7 @@ _SIGMAS_OF_95 = 1.959964
 """95 % of normal numbers of standard deviation 1 are between ± this."""
 
 
-def _with_wear(sigma: float) -> float:
+def _spread_with_wear(sigma: float) -> float:
     """Return the standard deviation of forces by material and wear, as a share of them.
 
     The force is (1 + e)(1 + w) times the computed one: e is normal with deviation `sigma`, w uniform from 0 to the
@@ -148,7 +148,7 @@ def _with_wear(sigma: float) -> float:
     mean square holds for less than 95 % of tools. The result is the deviation of a symmetric normal error whose 95 %
     interval is as wide as the one that holds for 95 % of tools.
 
-    >>> round(_with_wear(0.33), 3), round(_with_wear(0.0), 3)
+    >>> round(_spread_with_wear(0.33), 3), round(_with_wear(0.0), 3)
     (0.401, 0.12)
     """
     growth = 1.0 + 0.01 * _WEAR_PERCENT * (np.arange(_WEAR_STATES) + 0.5) / _WEAR_STATES
@@ -226,7 +226,7 @@ def law(material: MaterialTable, file: str) -> CuttingLaw:
     percent = material.sigma_percent
     if percent is None:
         percent = _SIGMA_PERCENT if entry.sigma_percent is None else entry.sigma_percent
-        percent = 100.0 * _with_wear(percent / 100.0)
+        percent = 100.0 * _spread_with_wear(percent / 100.0)
     sigma = percent / 100.0
     if linear is not None:
         cutting = (linear, entry.Krc_N_per_mm2, entry.Kac_N_per_mm2)

@@ -1,7 +1,7 @@
 """Forces along motions as piecewise linear profiles, from the stations of a sweep.
 
-Stations that such a profile does not need are omitted (`thinned`). At the start of a motion the force changes within
-half the feed per tooth (`without_steps`): the mean force is the mean over the tooth pitch, and after a change of
+Stations that such a profile does not need are omitted (`thin_out`). At the start of a motion the force changes within
+half the feed per tooth (`smooth_steps`): the mean force is the mean over the tooth pitch, and after a change of
 engagement the next tooth cuts the new chip. The force drops to zero at once when the tool is retracted. A force CSV has
 one profile for all moves of a line (`one_move_a_line`).
 """
@@ -30,7 +30,7 @@ _LEAST_TOLERANCE = 1.0, 0.1
 this tolerance extend over the whole motion."""
 
 
-def thinned(motion: Ints, wrench: Array) -> NDArray[np.int64]:
+def thin_out(motion: Ints, wrench: Array) -> NDArray[np.int64]:
     """Return the rows (K,) of stations that are needed: between them the wrench is linear to within a tolerance.
 
     The first and the last station of each motion are kept. A motion with a constant wrench keeps one station.
@@ -42,6 +42,7 @@ def thinned(motion: Ints, wrench: Array) -> NDArray[np.int64]:
         return np.zeros(0, dtype=np.int64)
     bounds = np.flatnonzero(np.diff(motion, prepend=-1, append=-1))
     count = np.diff(bounds)
+    # forces and moments are divided by their own tolerances, so that 1 is the limit for both
     halves = np.array(wrench, dtype=float).reshape(-1, 2, 3)
     tolerance = np.maximum(_SHARE * np.maximum.reduceat(norm(halves), bounds[:-1]), _LEAST_TOLERANCE)
     halves /= np.repeat(tolerance, count, axis=0)[:, :, None]
@@ -75,7 +76,7 @@ def _places(halves: Array) -> Iterator[int]:
             todo += [(a, a + 1 + worst), (a + 1 + worst, b)]
 
 
-def without_steps(
+def smooth_steps(
     poses: ToolPoses,
     stations: tuple[Ints, Array, Array, Array],
     rise: Array,
@@ -230,12 +231,12 @@ def one_move_a_line(program: Program, path: Segments, axis: str, knots: Knots) -
         if not has_force.any():
             continue
         first = _profile(knots, low[0], high[0])
-        odd = [k for k in range(1, len(moves)) if not _are_equal(first, _profile(knots, low[k], high[k]))]
+        different_passes = [k for k in range(1, len(moves)) if not _are_equal(first, _profile(knots, low[k], high[k]))]
         largest = int(np.argmax(has_force))
-        if odd:
+        if different_passes:
             text = texts[int(m.line[moves[0]]) - 1]
             if not _is_cycle(program, path, "XYZ".index(axis[1]), moves, text):
-                raise _profile_conflict(program, moves[[0, odd[0]]], len(moves), text)
+                raise _profile_conflict(program, moves[[0, different_passes[0]]], len(moves), text)
             largest = int(np.argmax([size[a:b].max(initial=-1.0) for a, b in zip(low, high, strict=True)]))
         for k in np.flatnonzero(has_force).tolist():
             keep[low[k] : high[k]] = k == largest

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from postproc.frames import Array
 from postproc.machining.material import Floats
-from postproc.machining.stock import Stock, cells, middles, remove, tool_over, windows
+from postproc.machining.stock import Stock, cells, middles, remove, tool_levels, windows
 from postproc.machining.tool import Cutter
 from postproc.machining.tool_path import StraightSegments
 from postproc.program import Bools, Ints
@@ -61,7 +61,7 @@ def touches(stock: Stock, body: Cutter, begin: Array, end: Array) -> Bools:
     high, floor = stock.high.reshape(-1), stock.floor.reshape(-1)
     for rows, corner, window in windows(stock, wide.radius + stock.cell, begin, end):
         index, row, column = cells(stock, corner, window)
-        distance, level = tool_over(wide, begin[rows], end[rows], *middles(stock, begin[rows], row, column))
+        distance, level = tool_levels(wide, begin[rows], end[rows], *middles(stock, begin[rows], row, column))
         material = high[index]
         is_hit = (
             (distance < np.float32(wide.radius)) & (material > level + np.float32(_FLUSH)) & (material > floor[index])
@@ -78,7 +78,7 @@ class Ceiling:
     """
 
     def __init__(self, stock: Stock) -> None:
-        """Begin with the stock as it is."""
+        """Begin with the uncut stock."""
         self.stock = stock
         self._factor = max(1, -(-max(stock.high.shape) // _SIDE_CELLS))
         self.cell = self._factor * stock.cell
@@ -120,7 +120,7 @@ class Ceiling:
             self._sunk.append((motion, index, new_level[row, column]))
             self._level[rows, columns] = new_level
 
-    def before(self, motion: int) -> Floats:
+    def heights_before(self, motion: int) -> Floats:
         """Return the highest material (ny, nx) of the coarse cells when a motion begins [m]."""
         level = self._first.copy()
         flat = level.reshape(-1)
@@ -132,7 +132,7 @@ class Ceiling:
 
     def mesh(self, motion: int) -> tuple[Array, NDArray[np.int64]]:
         """Return boxes that hold all material when a motion begins: vertices (V, 3) [m], faces (F, 3)."""
-        level = self.before(motion).astype(float)
+        level = self.heights_before(motion).astype(float)
         solid = np.isfinite(level)
         step, top = _LEVELS * self.cell, float(level.max(initial=-np.inf))
         level[solid] = top - step * np.floor((top - level[solid]) / step + 1e-9)
@@ -150,14 +150,14 @@ class StockInTime(Struct, frozen=True, eq=False):
     """The stock of a program over time, as an upper bound. Implements `forces.StockInTime`.
 
     :param first: first motion of each set-up, ascending; `frame` of its map in the robot root (4, 4); its `ceiling`.
-    :param compared: (M,) motions on which the parts of the tool along its axis were compared with the stock.
+    :param is_compared: (M,) motions on which the parts of the tool along its axis were compared with the stock.
     :param cuts: (M,) motions that remove material.
     """
 
     first: tuple[int, ...]
     frame: tuple[Array, ...]
     ceiling: tuple[Ceiling, ...]
-    compared: Bools
+    is_compared: Bools
     cuts: Bools
 
     @property

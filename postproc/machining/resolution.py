@@ -53,6 +53,7 @@ def thin_passes(program: Program, tools: ToolStates, by_cells: Array) -> list[Th
     passes = []
     for begin, end in pairwise(blocks):
         deviation = _share(sums[begin:end])
+        # a finer map holds from a pass to the end of the block: it must be worth it for all of that
         onward = _share(np.cumsum(sums[begin:end][::-1], axis=0)[::-1])
         thin = np.flatnonzero((deviation > COARSE) & (onward > COARSE))
         if len(thin):

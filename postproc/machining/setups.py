@@ -45,7 +45,7 @@ def setups(program: Program, directions: Directions, widest: float) -> list[Setu
     starts: list[int] = []
     for begin, end in bounds:
         first = directions.end[begin]
-        if (directions.among(begin, end) @ first > np.cos(TURNS)).all():
+        if (directions.of_range(begin, end) @ first > np.cos(TURNS)).all():
             if not map_directions or first @ map_directions[-1] < np.cos(TURNS):
                 map_directions.append(first)
                 starts.append(begin)
@@ -55,7 +55,7 @@ def setups(program: Program, directions: Directions, widest: float) -> list[Setu
             while (
                 map_directions
                 and row < end
-                and (directions.among(row, row + 1) @ map_directions[-1] > np.cos(widest)).all()
+                and (directions.of_range(row, row + 1) @ map_directions[-1] > np.cos(widest)).all()
             ):
                 row += 1
             if row < end:
@@ -66,8 +66,8 @@ def setups(program: Program, directions: Directions, widest: float) -> list[Setu
     return [Setup(_frame(direction), np.asarray(number == k)) for k, direction in enumerate(map_directions)]
 
 
-def with_finer_cells(in_order: list[Setup], cell_factors: dict[int, int], cuts: Bools) -> list[Setup]:
-    """Divide set-ups where the cells of their map become finer, but for parts without a cut.
+def divide_by_cells(in_order: list[Setup], cell_factors: dict[int, int], cuts: Bools) -> list[Setup]:
+    """Divide set-ups where the cells of their map become finer; parts without a cut are not divided.
 
     :param cell_factors: by which whole number cells are divided from a motion on, to the end of its set-up at least.
     :param cuts: (M,) cutting motions.
@@ -92,7 +92,7 @@ def _cone(program: Program, directions: Directions, begin: int, widest: float) -
     """
     count = len(directions.end) - begin
     while True:
-        axes = directions.among(begin, begin + count)
+        axes = directions.of_range(begin, begin + count)
         middle = axes.sum(axis=0)
         for step in range(_CONE_STEPS):
             middle /= max(float(np.linalg.norm(middle)), 1e-12)

@@ -16,7 +16,7 @@ from postproc.machining.estimate import ProcessForces, estimate
 from postproc.machining.process import OperationTable, Process
 from postproc.machining.remaining import Guard
 from postproc.machining.tool_path import Shift, refuse_unread_cuts
-from postproc.operations import Operation, ended, operations, passed_over, title
+from postproc.operations import Operation, finished_operation, ignored_comments, operations, title
 from postproc.program import FORCE_FRAMES, Event, Ints, Program, distinct
 from postproc.toolpath import Segments
 
@@ -29,7 +29,7 @@ _MAX_COMMENTS = 3
 """Comments that a message quotes."""
 
 
-def by_operation(program: Program, process: Process) -> Knots:
+def operation_knots(program: Program, process: Process) -> Knots:
     """Return the force of each cutting motion that an entry of [operations] names.
 
     An entry is named like a comment of the program, with which the operation begins (before or after its tool change);
@@ -54,7 +54,7 @@ def by_operation(program: Program, process: Process) -> Knots:
     used_entries = {entry_number for _, _, entry_number in [*tool_marks, *name_marks]}
     unused = [name for k, name in enumerate(names) if k not in used_entries]
     if unused:
-        raise together(_unmatched(program, process, name, program_operations) for name in unused)
+        raise together(_unmatched_error(program, process, name, program_operations) for name in unused)
     motion = np.flatnonzero((place >= 0) & ~program.motions.rapid)
     entries = [process.operations[name] for name in names]
     wrench = np.array([_wrench(entry) for entry in entries]).reshape(-1, 6)
@@ -73,12 +73,12 @@ _Mark = tuple[int, int, int]
 def _named_marks(
     program: Program, program_operations: tuple[Operation, ...], titles: dict[str, int], blocks: dict[str, int]
 ) -> list[_Mark]:
-    """Return where entries that a comment or an N word names begin and end."""
+    """Return the begins and ends of entries that a comment or an N word names."""
     marks = [(operation.first, 1, titles.get(_plain(operation.name), -1)) for operation in program_operations]
     cuts = _cut_counts(program)
     row, running = 0, -1  # the last comment that names an entry
     new_tool: float | None = None  # the tool changed to since then
-    for event in _with_tools(program):
+    for event in _add_tool_changes(program):
         if event.kind == "tool_change":
             if cuts[event.before] > cuts[row] or new_tool not in (None, event.value):
                 marks.append((event.before, 2 if running >= 0 and row == event.before else 0, -1))
@@ -86,7 +86,7 @@ def _named_marks(
             new_tool = event.value
         elif event.kind == "comment":
             entry = titles.get(_plain(title(event.text)), titles.get(_plain(event.text), -1))
-            end_title = ended(event.text)
+            end_title = finished_operation(event.text)
             if entry >= 0:
                 marks.append((event.before, 2, entry))
                 row, running, new_tool = event.before, entry, None
@@ -101,7 +101,7 @@ def _named_marks(
     return marks
 
 
-def _with_tools(program: Program) -> list[Event]:
+def _add_tool_changes(program: Program) -> list[Event]:
     """Return the events of a program; without tool changes, those of `$TOOL` count as such (KRL, G43 without M6)."""
     m, events = program.motions, list(program.events)
     if any(event.kind == "tool_change" for event in events):
@@ -126,7 +126,7 @@ def _passed_comments(program: Program, place: Ints, names: list[str]) -> Iterato
     """
     cutting = np.flatnonzero(~program.motions.rapid)
     cuts, comments_of = _cut_counts(program), dict[int, list[Event]]()
-    for comment in passed_over(program):
+    for comment in ignored_comments(program):
         next_cut = int(cuts[comment.before])
         if 0 < next_cut < len(cutting):
             last_entry, next_entry = place[cutting[next_cut - 1]], place[cutting[next_cut]]
@@ -154,7 +154,9 @@ def _last_entry(marks: list[_Mark], count: int) -> Ints:
     return np.array([entry for _, _, entry in in_order], dtype=np.int64)[last]
 
 
-def _unmatched(program: Program, process: Process, name: str, program_operations: tuple[Operation, ...]) -> ForceError:
+def _unmatched_error(
+    program: Program, process: Process, name: str, program_operations: tuple[Operation, ...]
+) -> ForceError:
     """Return the error for an entry that matches nothing in the program."""
     file = program.documents[0].name
     operation_names = list(dict.fromkeys(item.name for item in program_operations))
@@ -231,7 +233,7 @@ class ProcessSource:
         self._knots: Knots | None = None
         self.found: ProcessForces | None = None
 
-    def shifted(self, shift: Shift) -> ProcessSource:
+    def shift_tip(self, shift: Shift) -> ProcessSource:
         """Return the same process with a displaced tip."""
         return ProcessSource(self.process, self._axis, stock=self._stock, shift=shift, progress=self._progress)
 
@@ -241,7 +243,7 @@ class ProcessSource:
         return self.process.path
 
     def along(self, program: Program, path: Segments) -> Knots:
-        """Return the forces along the motions of a program, see `estimate` and `by_operation`.
+        """Return the forces along the motions of a program, see `estimate` and `operation_knots`.
 
         :raises ForceError: the process cannot be used for this program, or it states forces in comments too.
         """
@@ -273,12 +275,12 @@ class ProcessSource:
             )
         if not process.operations:
             return Knots.throughout(*_NO_KNOTS) if law_knots is None else law_knots
-        entry_knots = by_operation(program, process)
+        entry_knots = operation_knots(program, process)
         if law_knots is None or self.found is None:
             return entry_knots
         by_law = ByLaw(process.law().numbers, np.setdiff1d(self._scaled_motions(self.found), entry_knots.motion))
         return replace(
-            entry_knots.over(law_knots),
+            entry_knots.or_fallback(law_knots),
             issues=(*law_knots.issues, *entry_knots.issues),
             by_law=by_law,
             stock=law_knots.stock,

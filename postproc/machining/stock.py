@@ -85,7 +85,7 @@ class Stock(Struct, frozen=True, eq=False):
         return self.x, self.x + columns * self.cell, self.y, self.y + rows * self.cell
 
 
-def refined(stock: Stock, factor: int) -> Stock:
+def refine(stock: Stock, factor: int) -> Stock:
     """Return a map with cells that are narrower by a whole factor; walls stay where they are within the wider cells."""
 
     def divided(values: NDArray[Any]) -> NDArray[Any]:
@@ -221,6 +221,8 @@ def _columns(
         a, b, c = (corner[triangle, k] for k in range(3))
         px = origin[0] + (index % nx + 0.5) * step
         py = origin[1] + (index // nx + 0.5) * step
+        # barycentric coordinates v, w of the point in the triangle seen from above; vertical triangles have no area
+        # there
         area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
         flat = np.abs(area) > 1e-16
         area = np.where(flat, area, 1.0)
@@ -251,6 +253,7 @@ def _pairs(
         pair_count = total[begin - 1] if begin else 0
         end = max(begin + 1, int(np.searchsorted(total, pair_count + _PAIRS, side="right")))
         rows = np.repeat(np.arange(begin, end), point_count[begin:end])
+        # number of each point within the box of its triangle
         index = np.arange(len(rows)) - np.repeat(
             total[begin:end] - point_count[begin:end] - pair_count, point_count[begin:end]
         )
@@ -350,15 +353,15 @@ class Footprint(Struct, frozen=True, eq=False):
     path: tuple[Cutter, Array, Array] | None
 
     @classmethod
-    def none(cls) -> Footprint:
+    def empty(cls) -> Footprint:
         """Return no cells."""
         cells, levels = np.zeros(0, dtype=np.int64), np.zeros(0, np.float32)
         return cls(cells, levels, np.zeros(0, np.int32), cells, levels, levels, None)
 
     @classmethod
-    def joined(cls, parts: list[Footprint], path: tuple[Cutter, Array, Array]) -> Footprint:
+    def join(cls, parts: list[Footprint], path: tuple[Cutter, Array, Array]) -> Footprint:
         """Return the cells of several parts of one path."""
-        parts = parts or [cls.none()]
+        parts = parts or [cls.empty()]
         return cls(
             np.concatenate([part.cell for part in parts]), np.concatenate([part.level for part in parts]),
             np.concatenate([part.segment for part in parts]), np.concatenate([part.rim for part in parts]),
@@ -383,10 +386,10 @@ def remove(stock: Stock, cutter: Cutter, begin: Array, end: Array, heading: Arra
         cut.
     """
     parts = list(_footprints(stock, cutter, begin, end))
-    footprint = Footprint.joined(parts, (cutter, begin, end))
+    footprint = Footprint.join(parts, (cutter, begin, end))
     if heading is None:
         cut(stock, footprint)
-        return Footprint.none()
+        return Footprint.empty()
     left = _is_ahead(stock, cutter, footprint.cell, end[-1], heading, rim=False)
     left_rim = _is_ahead(stock, cutter, footprint.rim, end[-1], heading, rim=True)
     cut(stock, footprint.of(~left, ~left_rim))
@@ -418,7 +421,9 @@ def _slopes(stock: Stock, footprint: Footprint, rows: Ints) -> NDArray[np.int16]
     step = np.float32(_STEP * stock.cell)
     for axis in range(2):
         sides = [
-            tool_over(cutter, begin, end, *(coordinate + side * (k == axis) for k, coordinate in enumerate(middle)))[1]
+            tool_levels(cutter, begin, end, *(coordinate + side * (k == axis) for k, coordinate in enumerate(middle)))[
+                1
+            ]
             for side in (-step, step)
         ]
         slope = (sides[1] - sides[0])[:, 0, 0] / (2.0 * step)
@@ -476,6 +481,7 @@ def windows(stock: Stock, reach: float, begin: Array, end: Array) -> Iterator[tu
     order = order[size[order] > 0]
     row_count = 0
     while row_count < len(order):
+        # sorted by size, the last window of a batch is the largest: its size limits the batch to `_CELLS` cells
         rows = order[row_count : row_count + max(1, _CELLS // int(size[order[row_count]]))]
         rows = rows[: max(1, _CELLS // int(size[rows[-1]]))]
         row_count += len(rows)
@@ -495,7 +501,7 @@ def _footprint(
     top = float(stock.high[int(row.min()) : int(row.max()) + 1, int(column.min()) : int(column.max()) + 1].max())
     if top <= float(tip_height.min()):
         return None
-    distance, level = tool_over(cutter, begin, end, *middles(stock, begin, row, column))
+    distance, level = tool_levels(cutter, begin, end, *middles(stock, begin, row, column))
     inner = np.float32(cutter.radius - 0.5 * cell)
     wall = tip_height + cutter.corner < top
     full = distance < np.where(wall, inner, np.float32(cutter.radius)).astype(np.float32)[:, None, None]
@@ -521,7 +527,7 @@ def middles(stock: Stock, begin: Array, row: Ints, column: Ints) -> tuple[Floats
     return (column * stock.cell - origin[:, 0]).astype(np.float32), (row * stock.cell - origin[:, 1]).astype(np.float32)
 
 
-def tool_over(cutter: Cutter, begin: Array, end: Array, px: Floats, py: Floats) -> tuple[Floats, Floats]:
+def tool_levels(cutter: Cutter, begin: Array, end: Array, px: Floats, py: Floats) -> tuple[Floats, Floats]:
     """Return for the cells of each segment, (L, h, w): their distance from it [m], and the lowest level of the tool
     above them [m]. Positions of cells are relative to the start of the segment.
 
@@ -587,8 +593,10 @@ def _cut_in_part(stock: Stock, at: Ints, coverage: Floats, level: Floats) -> Non
     low = np.where(share > 0.0, np.minimum(low, high), high)
     overlap = np.minimum(share, coverage)
     union = np.maximum(share, coverage)
-    rest = np.where(share > coverage, low, np.minimum(level, high))
-    mean = (overlap * np.minimum(low, level) + (union - overlap) * rest) / np.maximum(union, np.float32(1e-6))
+    remaining_height = np.where(share > coverage, low, np.minimum(level, high))
+    mean = (overlap * np.minimum(low, level) + (union - overlap) * remaining_height) / np.maximum(
+        union, np.float32(1e-6)
+    )
     flat_low[at] = np.where(cuts, mean, low)
     flat_share[at] = np.where(cuts, union, share)
     flat_high[at] = np.where(cuts & (coverage > _WHOLE), level, high)

@@ -16,14 +16,14 @@ from msgspec import Struct, field
 from postproc.chunks import Columns
 from postproc.frames import Array, norm
 from postproc.machining import cutting, tilted
-from postproc.machining.cutting import Engaged, Loads, engaged
+from postproc.machining.cutting import Engaged, Loads, cut_edge
 from postproc.machining.leaning import depth_inside
 from postproc.machining.material import CuttingLaw, Floats
 from postproc.machining.process import Process
 from postproc.machining.remaining import Ceiling, Guard
 from postproc.machining.stock import Footprint, Stock, cut, depth_of, remove
 from postproc.machining.tilted import TiltedPath
-from postproc.machining.tool import BOTTOM, SIDE, Cutter, Edge, Turn, edge, in_slices, some
+from postproc.machining.tool import BOTTOM, SIDE, Cutter, Edge, Turn, edge, slice_cylinder, take_pieces
 from postproc.machining.tool_path import StraightSegments, ToolPoses, ToolStates
 from postproc.program import Bools, Ints, distinct
 from postproc.toolpath import even_places
@@ -89,7 +89,7 @@ class Cuts(Columns, frozen=True, eq=False):
     rate: Array
 
     @classmethod
-    def none(cls) -> Cuts:
+    def empty(cls) -> Cuts:
         """Return no stations."""
         empty = np.zeros(0)
         six = np.zeros((0, 6))
@@ -144,7 +144,7 @@ class Sweep(Struct, eq=False):
         """
         self.top = self.stock.top
         may_touch = self._can_touch(segments, self.top)
-        left = Footprint.none()  # under the front of the tool where a group of segments ends
+        left = Footprint.empty()  # under the front of the tool where a group of segments ends
         for begin, end in self._groups(segments, may_touch):
             if progress is not None:
                 progress(end)
@@ -157,7 +157,7 @@ class Sweep(Struct, eq=False):
                 self._check_holder(segments, begin, end)
             if not may_touch[begin]:
                 if cuts:
-                    yield self._in_air(segments, begin, end)
+                    yield self._air_stations(segments, begin, end)
                 continue
             number = int(self.tools.tool[segments.motion[begin]])
             cutter = self._cutter(number)
@@ -178,8 +178,8 @@ class Sweep(Struct, eq=False):
                 )
             else:
                 cut(self.stock, left)
-                left = Footprint.none()
-                self._unwanted(segments, begin, end, cutter)
+                left = Footprint.empty()
+                self._record_contact(segments, begin, end, cutter)
             if self.ceiling is not None:
                 self.ceiling.sink(*_extent(segments, begin, end, cutter), int(segments.motion[end - 1]))
 
@@ -190,7 +190,7 @@ class Sweep(Struct, eq=False):
             cuts = bool(segments.cutting[begin])
             self.guard.check(self.ceiling, segments, slice(begin, end), cutter, removes=cuts)
 
-    def _unwanted(self, segments: StraightSegments, begin: int, end: int, cutter: Cutter) -> None:
+    def _record_contact(self, segments: StraightSegments, begin: int, end: int, cutter: Cutter) -> None:
         """Record motions that touch material without cutting it (rapid, or spindle off), and remove that material."""
         start, stop = segments.begin[begin:end], segments.end[begin:end]
         is_reported = segments.cutting[begin] or not self.is_deflected
@@ -275,7 +275,7 @@ class Sweep(Struct, eq=False):
         _, axes = self.poses.at(segments.motion[rows], segments.last[rows])
         return dict(zip(rows.tolist(), axes.tolist(), strict=True))
 
-    def _in_air(self, segments: StraightSegments, begin: int, end: int) -> Cuts:
+    def _air_stations(self, segments: StraightSegments, begin: int, end: int) -> Cuts:
         """Return stations of segments that cannot touch the stock: one each."""
         n = end - begin
         wrench, zero, no_angle = np.zeros((n, 6)), np.zeros(n), np.full(n, np.nan)
@@ -318,7 +318,7 @@ class Sweep(Struct, eq=False):
             is_used = (np.arange(len(pieces.low)) < piece_count) & (ends | (pieces.part != BOTTOM))
             if not is_used.any():
                 is_used[-1] = True
-            kept_edge = some(pieces, is_used)
+            kept_edge = take_pieces(pieces, is_used)
             step = self.stock.cell * (_FINE if (kept_edge.part == SIDE).all() else 1.0)
             self._turns[key] = Turn.of(kept_edge, cutter, self.law, step, min(steep / _SLOPES, 1.0))
         return self._turns[key]
@@ -342,7 +342,7 @@ class Sweep(Struct, eq=False):
         per_tooth = self.feed[motion] * 60.0 / (rpm * cutter.teeth)
         feed = np.where(is_axial, 0.0, per_tooth * axis_sine).astype(np.float32)
         descent = (-per_tooth * heading[:, 2]).astype(np.float32)
-        engagement = self._inside(turn, cutter, position, (ux, uy, hand), descent)
+        engagement = self._engagement(turn, cutter, position, (ux, uy, hand), descent)
         chip = cutting.chips(turn, feed, descent)
         descent_sine = np.maximum(-heading[:, 2], 0.0).astype(np.float32)
         loads = cutting.mean(turn, engagement, chip, descent_sine, self.stock.cell)
@@ -381,7 +381,7 @@ class Sweep(Struct, eq=False):
             depth, width, loads.removal * turn.teeth * rpm / 60.0,
         )  # fmt: skip
 
-    def _inside(
+    def _engagement(
         self, turn: Turn, cutter: Cutter, position: Array, axes: tuple[Array, Array, Ints], descent: Floats
     ) -> Engaged:
         """Return the cutting edge in material; `axes`: direction x, y (n,) of the feed, and the hand of the tool (n,)
@@ -392,7 +392,7 @@ class Sweep(Struct, eq=False):
         side_offset = np.cos(turn.phi).astype(np.float32) * turn.radius
         x = position[:, 0].astype(np.float32)[:, None] + (ux * feed_offset - (uy * hand) * side_offset)
         y = position[:, 1].astype(np.float32)[:, None] + (uy * feed_offset + (ux * hand) * side_offset)
-        return engaged(self.stock, turn, x, y, position[:, 2].astype(np.float32), descent * cutter.teeth)
+        return cut_edge(self.stock, turn, x, y, position[:, 2].astype(np.float32), descent * cutter.teeth)
 
     def _tilted_cut(self, path: TiltedPath, number: int, top: float) -> Iterator[Cuts]:
         """Yield engagement and loads of a tool that leans or turns; `top` is the highest material near [m]."""
@@ -401,7 +401,9 @@ class Sweep(Struct, eq=False):
         count = max(1, int(np.ceil(height / step / _TALLER))) * _TALLER
         key = (number, True, count, _TILT_KEY)
         if key not in self._turns:
-            self._turns[key] = Turn.of(in_slices(self._edge(number), step, count * step), cutter, self.law, step, None)
+            self._turns[key] = Turn.of(
+                slice_cylinder(self._edge(number), step, count * step), cutter, self.law, step, None
+            )
         turn = self._turns[key]
         chunk = max(1, _ELEMENTS // len(turn.phi))
         for start in range(0, len(path.t), chunk):
@@ -436,7 +438,7 @@ class Sweep(Struct, eq=False):
         if goes_on:
             return sweep.front
         cut(self.stock, sweep.front)
-        return Footprint.none()
+        return Footprint.empty()
 
     def _cutter(self, number: int) -> Cutter:
         if number not in self._cutters:

@@ -152,7 +152,7 @@ def loads(stock: Stock, turn: Turn, path: TiltedPath, tooth: Array, hand: Ints) 
         for direction, point in ((normal, edge), (turn.tangent[turn.round].T, edge[:, turn.round]))
     )
     chip = Chips.of(turn, middle, change)
-    engagement = engaged(stock, turn, point, edge_axes)
+    engagement = cut_edge(stock, turn, point, edge_axes)
     descent_sine = np.maximum(-np.einsum("ni,ni->n", path.heading, path.axis), 0.0).astype(np.float32)
     mean_loads = mean(turn, engagement, chip, descent_sine, stock.cell / np.sqrt(path.axis[:, 2]))
     return mean_loads, engagement.length * chip.share, is_axial
@@ -193,7 +193,7 @@ def sweep(stock: Stock, cutter: Cutter, tip: Array, axis: Array, top: float) -> 
         last = (rows == len(tip) - 2)[:, None, None]
         parts.append((index[is_cut], low[is_cut], high[is_cut], (sinks & last)[is_cut]))
     if not parts:
-        return Swept(Footprint.none(), Footprint.none(), 0.0, 0.0, 0.0)
+        return Swept(Footprint.empty(), Footprint.empty(), 0.0, 0.0, 0.0)
     index, low, high, front = (np.concatenate(column) for column in zip(*parts, strict=True))
     cell, row = np.unique(index, return_inverse=True)
     level, upper, is_front = np.full(len(cell), np.inf), np.full(len(cell), -np.inf), np.zeros(len(cell), dtype=bool)
@@ -206,7 +206,7 @@ def sweep(stock: Stock, cutter: Cutter, tip: Array, axis: Array, top: float) -> 
     volume = float(deep[~is_front].sum()) * stock.cell**2
     no_rim = np.zeros(0, dtype=bool)
     segment = np.zeros(len(cell), dtype=np.int32)  # not used: slopes of turned surfaces are not kept
-    footprint = replace(Footprint.none(), cell=cell, level=level.astype(np.float32), segment=segment)
+    footprint = replace(Footprint.empty(), cell=cell, level=level.astype(np.float32), segment=segment)
     return Swept(
         footprint.of(~is_front, no_rim), footprint.of(is_front, no_rim), float(deep.max(initial=0.0)), overhang, volume
     )
@@ -313,22 +313,22 @@ def _corner_side(
     ratio = 0.5 * (math.sqrt(5.0) - 1.0)
     for _ in range(_HALVINGS):  # the innermost place on the line
         first, second = b - ratio * (b - a), a + ratio * (b - a)
-        left = _outside(cutter, first, *lines) < _outside(cutter, second, *lines)
+        left = _surface_distances(cutter, first, *lines) < _surface_distances(cutter, second, *lines)
         a, b = np.where(left, a, first), np.where(left, second, b)
     inner = 0.5 * (a + b)
-    has_inside = _outside(cutter, inner, *lines) < 0.0
+    has_inside = _surface_distances(cutter, inner, *lines) < 0.0
     meets.ravel()[rows] = has_inside
     lines = [part[has_inside] for part in lines]
     a, b = begin[has_inside], inner[has_inside]
     for _ in range(_HALVINGS):
         middle = 0.5 * (a + b)
-        is_inside = _outside(cutter, middle, *lines) < 0.0
+        is_inside = _surface_distances(cutter, middle, *lines) < 0.0
         a, b = np.where(is_inside, a, middle), np.where(is_inside, middle, b)
     lower_side.ravel()[rows[has_inside]] = b
     return lower_side, meets
 
 
-def _outside(cutter: Cutter, z: Array, axial: Array, az: Array, square: Array) -> Array:
+def _surface_distances(cutter: Cutter, z: Array, axial: Array, az: Array, square: Array) -> Array:
     """Return the distances (n,) from the surface of a tool with a rounded corner, < 0 inside: convex along a line.
 
     :param z: (n,) heights on vertical lines above the tip [m]; see `_sides` and `_rounded`.
@@ -343,7 +343,7 @@ def _outside(cutter: Cutter, z: Array, axial: Array, az: Array, square: Array) -
     )
 
 
-def engaged(stock: Stock, turn: Turn, point: Array, axes: Array) -> Engaged:
+def cut_edge(stock: Stock, turn: Turn, point: Array, axes: Array) -> Engaged:
     """Return the cutting edge in material of a tool that leans.
 
     :param turn: without pieces on a cylinder.
@@ -371,7 +371,7 @@ def engaged(stock: Stock, turn: Turn, point: Array, axes: Array) -> Engaged:
 
 
 def _extents(turn: Turn, axes: Array) -> Floats:
-    """Return how far pieces of edge (n, P) reach along z of the map [m]."""
+    """Return the half extents of pieces of edge (n, P) along z of the map [m]."""
     up = axes[:, 2].astype(np.float32)  # z of the map in the axes of the tool
     sine, cosine = np.sin(turn.phi).astype(np.float32), np.cos(turn.phi).astype(np.float32)
     sine_of_kappa = np.sqrt(np.maximum(1.0 - turn.axial**2, 0.0)).astype(np.float32)  # sine of kappa

@@ -106,7 +106,7 @@ def edge(cutter: Cutter, step: float) -> Edge:
     return Edge(np.concatenate(parts).astype(np.int64), *columns)
 
 
-def in_slices(edge: Edge, step: float, height: float) -> Edge:
+def slice_cylinder(edge: Edge, step: float, height: float) -> Edge:
     """Return an edge whose cylinder is divided into pieces of about `step` [m], up to a height above the tip [m].
 
     The pieces are those of a corner whose normal is square to the axis: on a tool that leans, each is in material or
@@ -117,7 +117,7 @@ def in_slices(edge: Edge, step: float, height: float) -> Edge:
         return edge
     low, radius = float(edge.low[side][0]), float(edge.radius[side][0])
     count = max(1, int(np.ceil((height - low) / step)))
-    end_pieces, width, unit = some(edge, ~side), max(height - low, step) / count, np.ones(count)
+    end_pieces, width, unit = take_pieces(edge, ~side), max(height - low, step) / count, np.ones(count)
     columns = (
         radius * unit, low + width * np.arange(count), width * unit, width * unit, 0.5 * np.pi * unit, 0.0 * unit,
     )  # fmt: skip
@@ -127,7 +127,7 @@ def in_slices(edge: Edge, step: float, height: float) -> Edge:
     return Edge(np.concatenate([end_pieces.part, np.full(count, CORNER)]), *arrays)
 
 
-def some(edge: Edge, pieces: NDArray[np.bool_]) -> Edge:
+def take_pieces(edge: Edge, pieces: NDArray[np.bool_]) -> Edge:
     """Return some of the pieces (S,) of an edge."""
     return Edge(edge.part[pieces], *(getattr(edge, name)[pieces] for name in _COLUMNS))
 
@@ -244,11 +244,11 @@ class Turn(Struct, frozen=True, eq=False):
             single(rise), single(edge.length[row]), slice(first, second), slice(second, third), slice(third, end),
             single(normal[:, 0]), single(-normal[:, 2]), single(half_bend[:, None] * axial),
             wrench(law.cutting), wrench(law.edge),
-            unit_wrench, single(_covered(angle, wide_, 2 * half) * height),
+            unit_wrench, single(_is_covered(angle, wide_, 2 * half) * height),
         )  # fmt: skip
 
 
-def _covered(phi: Array, width: Array, number: int) -> Floats:
+def _is_covered(phi: Array, width: Array, number: int) -> Floats:
     """Return which of equal parts of a turn are covered (P, number): 1 or 0.
 
     :param phi: (P,) centre of the covered interval [rad].

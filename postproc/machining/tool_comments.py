@@ -15,8 +15,9 @@ from typing import Literal
 from msgspec import Struct
 from msgspec.structs import replace
 
+from postproc.frames import MM_PER_INCH
+
 Shape = Literal["flat", "ball", "bull", "drill"]
-MM_PER_INCH = 25.4
 
 _NUMBER = r"(\d+[ -]\d+/\d+|\d+/\d+|\d+(?:\.\d*)?|\.\d+)"
 """A decimal number, or a fraction of an inch: ``1/2``, ``1-1/4``."""

@@ -43,13 +43,17 @@ def tool_states(program: Program, process: Process) -> ToolStates:
     m = len(program.motions)
     number, rpm, hand, has_speed = np.full(m, -1), np.zeros(m), np.ones(m, dtype=np.int64), False
     for event in program.events:
-        rest = slice(event.before, None)
+        following_rows = slice(event.before, None)
         if event.kind == "tool_change":
-            number[rest] = int(event.value)
+            number[following_rows] = int(event.value)
         elif event.kind in ("spindle_on", "spindle_ccw"):
-            rpm[rest], hand[rest], has_speed = event.value, 1 if event.kind == "spindle_on" else -1, True
+            rpm[following_rows], hand[following_rows], has_speed = (
+                event.value,
+                1 if event.kind == "spindle_on" else -1,
+                True,
+            )
         elif event.kind == "spindle_off":
-            rpm[rest] = 0.0
+            rpm[following_rows] = 0.0
     keys = tuple(process.tools)
     place = np.full(m, -1)
     for value in distinct(number).tolist():
@@ -241,7 +245,7 @@ def straight_segments(
         arrive[arc] = tangent(program, path, motion[arc], last[arc])
     if shift is not None:
         begin, end = begin + shift.at(motion, first), end + shift.at(motion, last)
-    begin, end, leave, arrive = _in_map(program, motion, frame, (begin, end), (leave, arrive))
+    begin, end, leave, arrive = _to_map(program, motion, frame, (begin, end), (leave, arrive))
     continues = np.zeros(len(motion), dtype=bool)
     continues[1:] = (norm(begin[1:] - end[:-1]) < 1e-6) & (tools.tool[motion[1:]] == tools.tool[motion[:-1]])
     lean = leans[motion]
@@ -278,13 +282,13 @@ class Directions(Struct, frozen=True, eq=False):
         end = _towards_spindle(program, axis, np.arange(len(m)), m.target[:, :3, column])
         return cls(end, ~m.rapid, turning, inner)
 
-    def among(self, begin: int, end: int) -> Array:
+    def of_range(self, begin: int, end: int) -> Array:
         """Return all directions (n, 3) on the cutting motions of a range."""
         first, last = np.searchsorted(self.turning, [begin, end]).tolist()
         inner = self.inner[:, first:last][:, self.cuts[self.turning[first:last]]]
         return np.concatenate([self.end[begin:end][self.cuts[begin:end]], inner.reshape(-1, 3)])
 
-    def within(self, direction: Array, angle: float) -> Bools:
+    def is_within(self, direction: Array, angle: float) -> Bools:
         """Return on which motions (M,) the tool is within an angle [rad] of a direction (3,) everywhere."""
         is_within = self.end @ direction > np.cos(angle)
         is_within[self.turning] &= (self.inner @ direction > np.cos(angle)).all(axis=0)
@@ -296,7 +300,7 @@ def _leaning(program: Program, path: Segments, frame: Array, directions: Directi
     m = program.motions
     leans = m.rapid & (path.turn > TURNS)
     if directions is not None:
-        leans |= ~directions.within(frame[:3, 2], TURNS)
+        leans |= ~directions.is_within(frame[:3, 2], TURNS)
     return np.asarray(np.where(m.kind == PTP, path.joint_moves is not None, leans))
 
 
@@ -316,7 +320,7 @@ class ToolPoses(Struct, frozen=True, eq=False):
     leans: Bools
 
     def upright_or(self, motion: Ints, t: Array) -> Array:
-        """Return the directions from tip to spindle (n, 3) at places: z of the map but for motions that lean."""
+        """Return the directions from tip to spindle (n, 3) at places: z of the map, except on motions that lean."""
         direction = np.tile([0.0, 0.0, 1.0], (len(motion), 1))
         leans = np.flatnonzero(self.leans[motion])
         if len(leans):
@@ -329,7 +333,7 @@ class ToolPoses(Struct, frozen=True, eq=False):
         pose = toolpath.at(self.program, self.path, motion, inner).pose[:]
         column, sign = _SPINDLE[self.axis]
         tip, direction = pose[:, :3, 3], sign * pose[:, :3, column]
-        tip, _, direction, _ = _in_map(self.program, motion, self.frame, (tip, tip), (direction, direction))
+        tip, _, direction, _ = _to_map(self.program, motion, self.frame, (tip, tip), (direction, direction))
         return tip, direction
 
 
@@ -344,7 +348,7 @@ def _cut_at(motion: Ints, first: Array, last: Array, shift: Shift) -> tuple[Ints
     return part_motion[has_length], begin[has_length], end[has_length]
 
 
-def _in_map(
+def _to_map(
     program: Program, motion: Ints, frame: Array, points: tuple[Array, Array], directions: tuple[Array, Array]
 ) -> tuple[Array, Array, Array, Array]:
     """Return points and directions, each (L, 3) in the `$BASE` of their motion, in the frame of the map."""

@@ -7,7 +7,7 @@ is chosen on a map of path × angle (`turn_map`), the place of the part in a reg
 from postproc.placement.drive import FREE, REASONS, Keep
 from postproc.placement.samples import PathSamples
 from postproc.placement.turn_map import TurnMap
-from postproc.placement.turning import NO_CLEARANCE, Turn, bin_turns, chosen, in_chosen_turn, turned
+from postproc.placement.turning import NO_CLEARANCE, Turn, bin_turns, choose_turn, in_chosen_turn, turn_program
 
 __all__ = [
     "FREE",
@@ -18,7 +18,7 @@ __all__ = [
     "Turn",
     "TurnMap",
     "bin_turns",
-    "chosen",
+    "choose_turn",
     "in_chosen_turn",
-    "turned",
+    "turn_program",
 ]

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from postproc.collision import Clearance, Scene, Solids, clearance, hits, link_frames
-from postproc.frames import M_PER_MM, Array
-from postproc.placement import drive
+from postproc.frames import M_PER_MM, Array, wrap_angles
 from postproc.placement.samples import PathSamples
 from postproc.program import Bools, Ints, distinct
 
@@ -36,7 +35,7 @@ class Bodies:
             for tool in distinct(self.tool)
         }
 
-    def along(
+    def is_hit_along_path(
         self,
         q: Array,
         rows: Ints,
@@ -63,12 +62,12 @@ class Bodies:
         begins[1:] |= ~usable[:-1] | (np.diff(tool) != 0)
         ends = np.append(np.flatnonzero(begins[1:]) + 1, len(rows))
         solids_of_tool = {
-            key: solids if base_motion is None else solids.with_base(base_motion) for key, solids in self.solids.items()
+            key: solids if base_motion is None else solids.move_base(base_motion) for key, solids in self.solids.items()
         }
         for begin, end in zip(np.append(0, ends[:-1]).tolist(), ends.tolist(), strict=True):
             if begin < end and usable[begin]:
                 part = slice(begin, end)
-                steps = drive.wrapped(np.diff(q[part], axis=0))
+                steps = wrap_angles(np.diff(q[part], axis=0))
                 path = q[begin] + np.concatenate([np.zeros((1, 6)), np.cumsum(steps, axis=0)])
                 part_shift = None if shift is None else shift[part]
                 is_hit[part] = hits(
@@ -84,12 +83,12 @@ class Bodies:
         """Return the name of a body; it does not depend on the tool."""
         return next(iter(self.solids.values())).bodies[row].name
 
-    def closer(self, q: Array, rows: Ints, shift: Array, base_motion: Array) -> bool:
-        """Return whether bodies are too close at any of some poses that do not belong together; see `along`."""
+    def is_closer(self, q: Array, rows: Ints, shift: Array, base_motion: Array) -> bool:
+        """Return whether bodies are too close at any of some unrelated poses; see `is_hit_along_path`."""
         tools = self.tool[rows]
         for tool, solids in self.solids.items():
             of_tool = tools == tool
-            if of_tool.any() and solids.with_base(base_motion).closer(
+            if of_tool.any() and solids.move_base(base_motion).is_closer(
                 link_frames(self.chain, q[of_tool], shift[of_tool]), self.need
             ):
                 return True

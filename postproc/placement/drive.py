@@ -11,13 +11,12 @@ from msgspec import Struct
 from postproc import elastostatics, kinematics, toolpath
 from postproc.elastostatics import ToolSpring
 from postproc.errors import NotConvergedError
-from postproc.frames import RAD_PER_DEG, Array, norm
+from postproc.frames import RAD_PER_DEG, Array, norm, wrap_angles
 from postproc.placement.samples import Load, PathSamples
 from postproc.program import Bools, Ints
 from postproc.robot import RobotModel
 from postproc.under_load import RobotInCell
 
-_TURN = 2.0 * np.pi
 REASONS = ("free", "out of reach", "joint limit", "singular pose", "joint speed", "collision")
 """Why a pose is refused, in the order in which they are checked."""
 FREE, REACH, LIMIT, SINGULAR, SPEED, COLLISION = range(6)
@@ -67,16 +66,11 @@ class Margins(Struct, frozen=True, eq=False):
     shoulder: Array
 
 
-def wrapped(angle: Array) -> Array:
-    """Return angles from −π to π."""
-    return np.asarray(angle - _TURN * np.rint(angle / _TURN))
-
-
 def solve(robot: RobotModel, flange: Array, branch: int | Ints) -> Array:
     """Return joint angles (6, n) [rad] of flanges (3, 4, n), within half a turn of the middle of the limits."""
     q = kinematics.closed_form(robot).solve(flange, branch)
     middle = 0.5 * (robot.lower + robot.upper)[:, None]
-    return middle + wrapped(q - middle)
+    return middle + wrap_angles(q - middle)
 
 
 def margins(robot: RobotModel, q: Array) -> Margins:
@@ -87,7 +81,7 @@ def margins(robot: RobotModel, q: Array) -> Margins:
         rows = q.T
         return Margins(
             joint,
-            np.abs(wrapped(q[4] + form.bend)),
+            np.abs(wrap_angles(q[4] + form.bend)),
             np.abs(form.elbow(rows)),
             np.abs(form.reach(rows)),
         )
@@ -118,10 +112,12 @@ def expected_error(samples: PathSamples, rows: Ints, turn: Array, q: Array) -> t
     :param q: (n, 6) joint angles [rad].
     """
     u95, deflection = np.full(len(rows), np.nan), np.full(len(rows), np.nan)
-    good = np.flatnonzero(np.isfinite(q).all(axis=1))
-    if len(good):
-        tool = toolpath.tool_of(samples.program, samples.sample.motion[rows[good]])
-        u95[good], deflection[good] = errors(samples.robot_in_cell, q[good], tool, samples.load(rows[good], turn[good]))
+    rows_in_reach = np.flatnonzero(np.isfinite(q).all(axis=1))
+    if len(rows_in_reach):
+        tool = toolpath.tool_of(samples.program, samples.sample.motion[rows[rows_in_reach]])
+        u95[rows_in_reach], deflection[rows_in_reach] = errors(
+            samples.robot_in_cell, q[rows_in_reach], tool, samples.load(rows[rows_in_reach], turn[rows_in_reach])
+        )
     return u95, deflection
 
 
@@ -149,7 +145,7 @@ def _in_series(spring: ToolSpring | None, pose: Array) -> Array | None:
 
 
 def _deflections(robot_in_cell: RobotInCell, q: Array, tool: Array, wrench: Array, pose: Array) -> Array:
-    """Return how far the tip is from nominal (n,) [m] if nothing is corrected; NaN without equilibrium."""
+    """Return the deviation (n,) [m] of the tip from nominal without correction; NaN without equilibrium."""
     deflection = np.full(len(q), np.nan)
     left = np.arange(len(q))
     while len(left):

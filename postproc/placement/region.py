@@ -18,7 +18,7 @@ from msgspec.structs import replace
 
 from postproc import kinematics, toolpath
 from postproc.errors import InputError
-from postproc.frames import MM_PER_M, Array, inverse, pose_from_xyzabc, product
+from postproc.frames import MM_PER_M, Array, inverse, pose_from_xyzabc, product, wrap_angles
 from postproc.kinematics import UnreachableError
 from postproc.placement import drive
 from postproc.placement.bodies import Bodies
@@ -56,7 +56,7 @@ class Region(Struct, frozen=True):
         """Rows of `AXES` that may change."""
         return [k for k in range(len(AXES)) if self.high[k] > self.low[k]]
 
-    def clipped(self, place: Array) -> Array:
+    def clip(self, place: Array) -> Array:
         """Return the nearest place (5,) in the region."""
         return np.clip(place, self.low, self.high)
 
@@ -67,7 +67,7 @@ class Region(Struct, frozen=True):
         """
         whole = place.copy()
         whole[self.free] = np.round(place[self.free])
-        return self.clipped(whole)
+        return self.clip(whole)
 
 
 class Assessment(Struct, frozen=True):
@@ -267,7 +267,7 @@ class Programs:
         is_one_branch = bool((branches == branches[0]).all())
         q = drive.solve(self.robot, kinematics.components(flange), int(branches[0]) if is_one_branch else branches)
         margins, count = drive.margins(self.robot, q), len(group.row)
-        step = np.nan_to_num(drive.wrapped(q[:, count:] - q[:, :count]))
+        step = np.nan_to_num(wrap_angles(q[:, count:] - q[:, :count]))
         speed = drive.timed_speed(self.robot, step, group.samples.time[group.row])
         jump = np.where(np.isfinite(group.samples.time[group.row]), np.abs(step).max(axis=0), 0.0)
         at_stations = Margins(*(getattr(margins, name)[count:] for name in Margins.__struct_fields__))
@@ -275,8 +275,12 @@ class Programs:
         margin = float(np.nanmin(at_stations.joint, initial=np.inf))
         if count == len(group.samples) and np.isnan(group.samples.program.motions.joints).all():
             reasons[self._wound(q[:, count:])] = drive.LIMIT
-        bad = reasons[reasons != FREE]
-        return q[:, count:].T, int(bad.min()) if len(bad) else FREE, margin if np.isfinite(margin) else np.nan
+        violations = reasons[reasons != FREE]
+        return (
+            q[:, count:].T,
+            int(violations.min()) if len(violations) else FREE,
+            margin if np.isfinite(margin) else np.nan,
+        )
 
     @cache  # noqa: B019 - lives as long as the search
     def _flange(self, group: _Stations, turn: float) -> Array:
@@ -302,19 +306,19 @@ class Programs:
         """Return whether bodies come too close at stations; between them too if these are all samples of a program."""
         count = len(group.row)
         shift = group.shift[count:] + e1_shift
-        if bodies.closer(q, group.row, shift, base_motion):
+        if bodies.is_closer(q, group.row, shift, base_motion):
             return True
         if count < len(group.samples):
             return False
         start, first = self.robot_in_cell.cell.start_joints[None], shift[:1]
         path, shift, rows = np.concatenate([start, q]), np.concatenate([first, shift]), np.append(0, group.row)
-        return bool(bodies.along(path, rows, np.zeros(len(path), dtype=bool), shift, base_motion).any())
+        return bool(bodies.is_hit_along_path(path, rows, np.zeros(len(path), dtype=bool), shift, base_motion).any())
 
     def _wound(self, q: Array) -> Bools:
         """Return which samples (n,) of a whole program wind A4 or A6 past their limits, counted from the start."""
         joints = list(drive.WINDING)
         start = self.robot_in_cell.cell.start_joints[joints, None]
-        steps = np.nan_to_num(drive.wrapped(np.diff(q[joints], axis=1, prepend=start)))
+        steps = np.nan_to_num(wrap_angles(np.diff(q[joints], axis=1, prepend=start)))
         angle = start + np.cumsum(steps, axis=1)
         low, high = self.robot.lower[joints, None] + self.keep.joint, self.robot.upper[joints, None] - self.keep.joint
         return np.asarray(((angle < low) | (angle > high)).any(axis=0))
@@ -482,7 +486,7 @@ def _descend(judge: Callable[[Array], Judged], region: Region, start: Judged, st
 
 def _contains(region: Region, place: Judged) -> bool:
     """Return whether a place is in a region."""
-    return bool(np.allclose(region.clipped(np.array(place.place)), place.place, rtol=0.0, atol=1e-9))
+    return bool(np.allclose(region.clip(np.array(place.place)), place.place, rtol=0.0, atol=1e-9))
 
 
 _MAX_CHECKS = 40

@@ -94,7 +94,7 @@ class PathSamples(Struct, frozen=True, eq=False):
         samples = Toolpath(motion, t, Poses.of(pose), self.sample.distance[rows])
         wrench = toolpath.wrench_in_root(self.program, motion, self.along.at(samples))
         spread = self.along.spread_in_root(samples)
-        is_scaled = self.robot_in_cell.scaled(self.along, motion)
+        is_scaled = self.robot_in_cell.has_model_factor(self.along, motion)
         return wrench, spread, toolpath.pose_in_root(self.program, motion, pose, t), is_scaled
 
     def _turned_poses(self, rows: Ints, turn: Array) -> Array:

@@ -20,7 +20,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc import kinematics
-from postproc.frames import RAD_PER_DEG, Array, inverse
+from postproc.frames import FULL_TURN, RAD_PER_DEG, Array, inverse, wrap_angles
 from postproc.kinematics.components import components, product
 from postproc.placement import drive
 from postproc.placement.bodies import Bodies
@@ -42,7 +42,6 @@ _CHUNK = 4096
 """Samples solved together."""
 _MOST_POSES = 2500
 """Samples of a path at which collisions are looked for with every turn; more only where the line goes."""
-_TURN = 2.0 * np.pi
 _PER_MM = 1.0 * RAD_PER_DEG
 """Largest change of the turn at feed per millimetre [rad] (assumed)."""
 _PER_SECOND = 30.0 * RAD_PER_DEG
@@ -88,14 +87,14 @@ class Blocks(Struct, frozen=True, eq=False):
 
     @classmethod
     def of(cls, samples: PathSamples) -> Blocks:
-        """Divide the path."""
+        """Return the path divided into blocks."""
         program, segments, motion = samples.program, samples.segments, samples.sample.motion
         m = program.motions
         jump = m.kind == PTP
         length = np.where(jump, 0.0, segments.length)
         starts_run = np.concatenate([[True], jump[1:] | jump[:-1] | (m.rapid[1:] != m.rapid[:-1])])
         step = max(_BLOCK, float(length.sum()) / _MOST_BLOCKS)
-        block = _grouped(length, starts_run, step)
+        block = _block_of_motion(length, starts_run, step)
         of_sample = block[motion]
         distance = samples.sample.distance
         new = np.diff(motion, prepend=-1) != 0
@@ -147,7 +146,7 @@ class Blocks(Struct, frozen=True, eq=False):
         return np.asarray(start_turn[block] + np.clip(share, 0.0, 1.0) * (knots - start_turn)[block])
 
 
-def _grouped(length: Array, starts_run: Array, step: float) -> Ints:
+def _block_of_motion(length: Array, starts_run: Array, step: float) -> Ints:
     """Return the block (M,) of each motion: runs are divided where another `step` of their length begins."""
     run = np.cumsum(starts_run) - 1
     path_length = np.cumsum(length)
@@ -212,7 +211,7 @@ def evaluate(
     :param bodies: None = collisions are not checked.
     """
     robot = samples.robot_in_cell.robot
-    turn_map = _unfilled(blocks, base, offset, has_bodies=bodies is not None)
+    turn_map = _empty_map(blocks, base, offset, has_bodies=bodies is not None)
     bounds = np.append(blocks.first, len(samples))
     middle = (bounds[:-1] + bounds[1:] - 1) // 2
     middles = np.empty(turn_map.q.shape)
@@ -227,8 +226,8 @@ def evaluate(
     rate = turn_map.rate
     if len(offset) > 1:
         step = offset[1] - offset[0]
-        gap = drive.wrapped(np.roll(turn_map.q, -1, axis=1) - turn_map.q)
-        if (len(offset) + 0.5) * step < _TURN:
+        gap = wrap_angles(np.roll(turn_map.q, -1, axis=1) - turn_map.q)
+        if (len(offset) + 0.5) * step < FULL_TURN:
             gap[:, -1] = np.nan  # no turn follows the last one of a part of the circle
         rate = np.abs(gap / robot.speed).max(axis=2) / step
         rate = np.fmax(rate, np.roll(rate, 1, axis=1))
@@ -236,7 +235,7 @@ def evaluate(
     return replace(turn_map, rate=rate, u95=u95, deflection=deflection)
 
 
-def _unfilled(blocks: Blocks, base: Array, offset: Array, *, has_bodies: bool) -> TurnMap:
+def _empty_map(blocks: Blocks, base: Array, offset: Array, *, has_bodies: bool) -> TurnMap:
     """Return a map whose cells are to be filled; without bodies nothing is hit."""
     shape = (len(blocks.first), len(offset))
     return TurnMap(
@@ -312,7 +311,7 @@ def _chunks(samples: PathSamples, blocks: Blocks) -> Iterator[_Chunk]:
             ends=bounds[from_bin + 1 : to_bin + 1] - 1 - begin,
             is_free=free[begin:end],
             pose_rows=pose_rows[slice(*np.searchsorted(pose_rows, [begin, end]))] - begin,
-            pose=_untooled(samples, rows),
+            pose=_tool_frames(samples, rows),
             tool=tools if tools.shape[-1] == 1 else tools[..., motions.tool[motion]],
             joints=motions.joints[motion],
         )
@@ -344,8 +343,9 @@ def _fill(turn_map: TurnMap, j: int, samples: PathSamples, chunk: _Chunk, q: Arr
     """
     robot, bins, starts = samples.robot_in_cell.robot, chunk.bins, chunk.starts
     q = q[:, chunk.lead :]
+    # A4 and A6 may wind; half a turn of another joint between samples is a jump to another solution
     flips = (np.abs(np.delete(step, WINDING, axis=0)) > np.pi).any(axis=0) & ~chunk.is_free
-    step = np.nan_to_num(drive.wrapped(step))
+    step = np.nan_to_num(wrap_angles(step))
     step[:, chunk.is_free] = 0.0
     margin = drive.margins(robot, q)
     margin.joint[flips] = -1.0
@@ -365,11 +365,11 @@ def _hits(bodies: Bodies, chunk: _Chunk, q: Array) -> Bools:
     rows = chunk.pose_rows
     is_hit = np.zeros(q.shape[1], dtype=bool)
     samples = chunk.rows[chunk.lead :][rows]
-    is_hit[rows] = bodies.along(q[:, rows].T, samples, chunk.is_free[rows], between_samples=False)
+    is_hit[rows] = bodies.is_hit_along_path(q[:, rows].T, samples, chunk.is_free[rows], between_samples=False)
     return is_hit
 
 
-def _untooled(samples: PathSamples, rows: Ints) -> Array:
+def _tool_frames(samples: PathSamples, rows: Ints) -> Array:
     """Return the tool frames (3, 4, n) of samples in the root, without turn."""
     motion, t = samples.sample.motion[rows], samples.sample.t[rows]
     pose = samples.sample.pose[rows]
@@ -380,7 +380,7 @@ def _untooled(samples: PathSamples, rows: Ints) -> Array:
 
 
 def _wound(step: Array, starts: Ints) -> Array:
-    """Return how far (k, 2, 3) joints turn along bins in all, least and most, for steps (2, n) between samples."""
+    """Return the turns (k, 2, 3) of joints along bins: in all, least and most, from steps (2, n) between samples."""
     total = np.cumsum(step, axis=1)
     bin_start = np.concatenate([np.zeros((2, 1)), total[:, starts[1:] - 1]], axis=1)
     lowest_turn = np.minimum.reduceat(total, starts, axis=1) - bin_start
@@ -448,8 +448,8 @@ def line_through(
     :param is_circle: whether the map is a whole circle of turns.
     """
     reasons = turn_map.reasons(keep)
-    bad = drive.any_bad(reasons)
-    costs = _costs(turn_map, bad)
+    is_forbidden = drive.any_bad(reasons)
+    costs = _costs(turn_map, is_forbidden)
     blocks = turn_map.blocks
     step = float(turn_map.offset[1] - turn_map.offset[0])
     turn_count = len(turn_map.offset)
@@ -462,12 +462,14 @@ def line_through(
     for b in range(len(blocks.length)):
         part = slice(int(bins[b]), int(bins[b + 1]))
         if blocks.begins[b]:
-            state, source = _begin(turn_map, part, bad, costs.cell, start, state, last_q, windings)
+            state, source = _begin(turn_map, part, is_forbidden, costs.cell, start, state, last_q, windings)
         else:
             base_change = float(base[part.stop - 1] - base[part.start - 1])
             steps = _steps(turn_map, b, part, step, base_change, turn_at_feed=turn_at_feed)
             changes = steps, np.abs(steps * step + base_change)
-            state, source = _advance(turn_map, b, part, changes, bad, costs, state, windings, is_circle=is_circle)
+            state, source = _advance(
+                turn_map, b, part, changes, is_forbidden, costs, state, windings, is_circle=is_circle
+            )
         sources.append(source)
         if not np.isfinite(state).any():
             return Blocked(b)
@@ -542,15 +544,15 @@ def _begin(
                 int(best[j]) // 3,
                 int(best[j]) % 3,
                 j,
-                last_q[j, joints] + _TURN * _offsets(best[j]),
+                last_q[j, joints] + FULL_TURN * _offsets(best[j]),
                 float(flat[best[j], j]),
             )
             for j in range(turn_count)
             if np.isfinite(flat[best[j], j])
         ]
     for n4, n6, j, q, source_cost in sources:
-        whole = np.rint((q - hand_angles) / _TURN)
-        angle = hand_angles + _TURN * whole
+        whole = np.rint((q - hand_angles) / FULL_TURN)
+        angle = hand_angles + FULL_TURN * whole
         fits = usable & ((angle >= limits[0]) & (angle <= limits[1])).all(axis=1) & (np.abs(whole) <= 1).all(axis=1)
         hand_turn = np.abs(angle - q).max(axis=1)
         value = source_cost + column_cost + _STEADY * 0.1 * hand_turn
@@ -632,7 +634,7 @@ def _advance(
             start4, start6 = n4 - crossing.extra_turns[..., 0], n6 - crossing.extra_turns[..., 1]
             is_allowed = (start4 >= 0) & (start4 <= 2) & (start6 >= 0) & (start6 <= 2)
             index4, index6 = np.clip(start4, 0, 2), np.clip(start6, 0, 2)
-            whole = _TURN * (np.stack([index4, index6], axis=2) - 1)
+            whole = FULL_TURN * (np.stack([index4, index6], axis=2) - 1)
             is_allowed &= (crossing.low_angle + whole >= limits[0]).all(axis=2)
             is_allowed &= (crossing.high_angle + whole <= limits[1]).all(axis=2)
             value = np.where(is_allowed, state[index4, index6, crossing.source] + crossing.price, np.inf)
@@ -679,11 +681,11 @@ def _crossing(
         low_angle = np.minimum(low_angle, angle + winding[..., 1])
         high_angle = np.maximum(high_angle, angle + winding[..., 2])
         angle = angle + winding[..., 0]
-        angle = angle + drive.wrapped(turn_map.q[k][columns][..., joints] - turn_map.q[k][start_columns][..., joints])
+        angle = angle + wrap_angles(turn_map.q[k][columns][..., joints] - turn_map.q[k][start_columns][..., joints])
         low_angle, high_angle = np.minimum(low_angle, angle), np.maximum(high_angle, angle)
     end = turn_map.q[part.stop - 1][np.arange(turn_count)][:, None, joints]
     with np.errstate(invalid="ignore"):
-        extra_turns = np.rint((angle - end) / _TURN)
+        extra_turns = np.rint((angle - end) / FULL_TURN)
         is_unsure = np.isnan(extra_turns).any(axis=2)
     price = price + _STEADY * turn_change * (1.0 + turn_change / (_PER_MM * length))
     price = np.where(is_blocked | is_unsure, np.inf, price)

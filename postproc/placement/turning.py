@@ -16,7 +16,7 @@ from msgspec.structs import replace
 
 from postproc.errors import Issue, ProgramError
 from postproc.forces import ForceSource
-from postproc.frames import DEG_PER_RAD, MM_PER_M, RAD_PER_DEG, Array, norm, rotation_from_vector
+from postproc.frames import DEG_PER_RAD, MM_PER_M, RAD_PER_DEG, Array, norm, rotation_from_vector, wrap_angles
 from postproc.kinematics import UnreachableError
 from postproc.kinematics.components import components
 from postproc.placement import drive, turn_map
@@ -93,7 +93,7 @@ class Turn(Struct, frozen=True, eq=False):
         return float(turn.min()), float(turn.max())
 
 
-def turned(program: Program, axis: str, turn: Array) -> Program:
+def turn_program(program: Program, axis: str, turn: Array) -> Program:
     """Return a program with its tool turned about its axis.
 
     :param axis: axis of the tool frame that points from the spindle to the tip.
@@ -125,11 +125,11 @@ def in_chosen_turn(
     cell = robot_in_cell.cell
     if cell.gcode.redundancy == "constant" or program.keeps_text:
         return program, None, ()
-    turn, issues = chosen(program, robot_in_cell, source, cell.gcode.redundancy)
-    return program if turn is None else turned(program, cell.tool.axis, turn.of_motion), turn, issues
+    turn, issues = choose_turn(program, robot_in_cell, source, cell.gcode.redundancy)
+    return program if turn is None else turn_program(program, cell.tool.axis, turn.of_motion), turn, issues
 
 
-def chosen(
+def choose_turn(
     program: Program, robot_in_cell: RobotInCell, source: ForceSource | None, mode: Mode
 ) -> tuple[Turn | None, tuple[Issue, ...]]:
     """Choose the turn of the tool; with [collision] in the cell, one at which no bodies come too close.
@@ -140,7 +140,7 @@ def chosen(
     :raises CellError: a body of [collision] cannot be read.
     """
     samples = PathSamples.of(program, robot_in_cell, source)
-    if mode == "path" and program.swivel is None and (tilts := _tilting(samples)).any():
+    if mode == "path" and program.swivel is None and (tilts := _is_tilting(samples)).any():
         return None, (program.motions.issue("error", "redundancy", _TILT_PROBLEM, np.flatnonzero(tilts)),)
     blocks = Blocks.of(samples)
     branch = turn_map.branch_of_start(samples)
@@ -148,7 +148,7 @@ def chosen(
     bodies = None if table is None else Bodies(samples, table.clearance_mm)
     whole = turn_map.evaluate(samples, blocks, branch, np.zeros(len(samples)), turn_map.whole_circle(_COARSE), bodies)
     block: Blocked | None = None
-    for keep in (Keep() if mode == "best" else _priced(samples, whole, branch), BARE):
+    for keep in (Keep() if mode == "best" else _margins_of_least_cost(samples, whole, branch), BARE):
         line, whole = _free_line(samples, whole, branch, keep, mode, bodies)
         if isinstance(line, Blocked):
             block = block if block is not None and block.block > line.block else line
@@ -158,28 +158,28 @@ def chosen(
         of_motion = blocks.turn_of_motions(samples, line.knots)
         constant = robot_in_cell.cell.gcode.redundancy_deg * RAD_PER_DEG
         turn = Turn(mode, whole, BARE if keep is BARE else Keep(), constant, line.knots, of_motion)
-        return turn, (_said(turn),)
+        return turn, (_turn_issue(turn),)
     assert block is not None
-    return None, (_why(samples, whole, block, mode, branch, bodies),)
+    return None, (_blocked_error(samples, whole, block, mode, branch, bodies),)
 
 
-def _priced(samples: PathSamples, whole: TurnMap, branch: int) -> Keep:
+def _margins_of_least_cost(samples: PathSamples, whole: TurnMap, branch: int) -> Keep:
     """Return the margins at which a turn along the path costs least: its expected error and the price of its margin."""
     best, least_cost = Keep(), np.inf
     for keep in (Keep(), *(Keep(level, level, level) for level in _LEVELS)):
         line = _find(samples, whole, keep, "path", is_circle=True)
         if isinstance(line, Blocked):
             continue
-        error, margin = _on_line(samples, whole.blocks, branch, line)
+        error, margin = _error_and_margin(samples, whole.blocks, branch, line)
         price = _MARGIN_PRICE * float(np.exp(-margin / _MARGIN_SCALE))
         if error + price < least_cost:
             best, least_cost = keep, error + price
     return best
 
 
-def _on_line(samples: PathSamples, blocks: Blocks, branch: int, line: Line) -> tuple[float, float]:
+def _error_and_margin(samples: PathSamples, blocks: Blocks, branch: int, line: Line) -> tuple[float, float]:
     """Return the RMS of the expected error over cuts [m], and the least margin of joints, wrist and elbow [rad]."""
-    column = turn_map.evaluate(samples, blocks, branch, _at_samples(samples, blocks, line.knots), _NO_OFFSET, None)
+    column = turn_map.evaluate(samples, blocks, branch, _sample_turns(samples, blocks, line.knots), _NO_OFFSET, None)
     weight = np.where(blocks.cuts[blocks.block], np.diff(np.append(blocks.first, len(samples))), 0)
     error = np.nan_to_num(column.error[:, 0])
     margins = (column.margin.joint, column.margin.wrist, column.margin.elbow)
@@ -199,14 +199,14 @@ def _free_line(
         line = _find(samples, whole, keep, mode, is_circle=True)
         if isinstance(line, Blocked):
             return line, whole
-        fine = _refined(samples, whole.blocks, branch, line, keep, mode, bodies)
+        fine = _refine_line(samples, whole.blocks, branch, line, keep, mode, bodies)
         if bodies is None:
             return line if fine is None else fine, whole
         for candidate in (line,) if fine is None else (fine, line):
-            is_hit = _struck(samples, whole.blocks, branch, candidate, bodies)
+            is_hit = _is_hit(samples, whole.blocks, branch, candidate, bodies)
             if not is_hit.any():
                 return candidate, whole
-            whole = _closed(samples, whole, candidate, is_hit)
+            whole = _close_cells(samples, whole, candidate, is_hit)
     return line, whole
 
 
@@ -215,7 +215,7 @@ def _today_is_as_good(
 ) -> bool:
     """Return whether the turn of the cell keeps the margins everywhere, and a line saves too little to change it."""
     no_turn = np.zeros(len(samples))
-    at_line = _at_samples(samples, whole.blocks, line.knots)
+    at_line = _sample_turns(samples, whole.blocks, line.knots)
     cuts = whole.blocks.cuts[whole.blocks.block]
     weight = np.where(cuts, np.diff(np.append(whole.blocks.first, len(samples))), 0)
     today, best = (
@@ -224,30 +224,30 @@ def _today_is_as_good(
     )
     if not np.sqrt(weight @ today**2) <= (1.0 + drive.REAL) * np.sqrt(weight @ best**2):
         return False
-    other_turns = np.broadcast_to(np.abs(drive.wrapped(whole.offset)) > _SAME_TURN, whole.u95.shape)
+    other_turns = np.broadcast_to(np.abs(wrap_angles(whole.offset)) > _SAME_TURN, whole.u95.shape)
     hit = other_turns if whole.hit is None else whole.hit | other_turns
     cell_line = _find(samples, replace(whole, hit=hit), keep, "best", is_circle=True)
     if isinstance(cell_line, Blocked):
         return False
-    return bodies is None or not _struck(samples, whole.blocks, branch, cell_line, bodies).any()
+    return bodies is None or not _is_hit(samples, whole.blocks, branch, cell_line, bodies).any()
 
 
-def _struck(samples: PathSamples, blocks: Blocks, branch: int, line: Line, bodies: Bodies) -> Bools:
+def _is_hit(samples: PathSamples, blocks: Blocks, branch: int, line: Line, bodies: Bodies) -> Bools:
     """Return at, or before, which samples (N,) of a line bodies come too close, from [start] on."""
     robot_in_cell, motion = samples.robot_in_cell, samples.sample.motion
     rows = np.arange(len(samples))
-    turn = _at_samples(samples, blocks, line.knots)
+    turn = _sample_turns(samples, blocks, line.knots)
     q = drive.solve(robot_in_cell.robot, components(samples.flange(rows, turn)), branch).T
     joints = samples.program.motions.joints[motion]
     is_axis_target = np.isfinite(joints[:, 0])
     q[is_axis_target] = joints[is_axis_target]
     q = np.concatenate([robot_in_cell.cell.start_joints[None], q])
-    return bodies.along(q, np.append(0, rows), np.zeros(len(q), dtype=bool))[1:]
+    return bodies.is_hit_along_path(q, np.append(0, rows), np.zeros(len(q), dtype=bool))[1:]
 
 
-def _closed(samples: PathSamples, whole: TurnMap, line: Line, is_hit: Bools) -> TurnMap:
+def _close_cells(samples: PathSamples, whole: TurnMap, line: Line, is_hit: Bools) -> TurnMap:
     """Return the map with the cells closed, and those next to them, where samples (N,) of a line have collisions."""
-    turn = _at_samples(samples, whole.blocks, line.knots)
+    turn = _sample_turns(samples, whole.blocks, line.knots)
     rows = np.flatnonzero(is_hit)
     bins = np.searchsorted(whole.blocks.first, rows, side="right") - 1
     step = whole.offset[1] - whole.offset[0]
@@ -259,7 +259,7 @@ def _closed(samples: PathSamples, whole: TurnMap, line: Line, is_hit: Bools) -> 
     return replace(whole, hit=hit)
 
 
-def _tilting(samples: PathSamples) -> Bools:
+def _is_tilting(samples: PathSamples) -> Bools:
     """Return which motions (M,) at feed tilt the tool axis by one rotation: a turn in addition would make it lean."""
     m = samples.program.motions
     end = m.target[:, :3, :3] @ samples.axis
@@ -272,7 +272,7 @@ def _find(samples: PathSamples, whole: TurnMap, keep: Keep, mode: Mode, *, is_ci
     return turn_map.line_through(robot, whole, keep, start, turn_at_feed=mode == "path", is_circle=is_circle)
 
 
-def _refined(
+def _refine_line(
     samples: PathSamples,
     blocks: Blocks,
     branch: int,
@@ -282,13 +282,13 @@ def _refined(
     bodies: Bodies | None,
 ) -> Line | None:
     """Return the cheapest line next to one, on a fine map around it; None if there is none."""
-    base = _at_samples(samples, blocks, line.knots)
+    base = _sample_turns(samples, blocks, line.knots)
     fine_map = turn_map.evaluate(samples, blocks, branch, base, _FINE, bodies)
     fine_line = _find(samples, fine_map, keep, mode, is_circle=False)
     return None if isinstance(fine_line, Blocked) else fine_line
 
 
-def _at_samples(samples: PathSamples, blocks: Blocks, knots: Array) -> Array:
+def _sample_turns(samples: PathSamples, blocks: Blocks, knots: Array) -> Array:
     """Return the turn (N,) [rad] at samples for turns at the ends of blocks."""
     ends = blocks.turn_of_motions(samples, knots)
     motion, t = samples.sample.motion, samples.sample.t
@@ -296,7 +296,7 @@ def _at_samples(samples: PathSamples, blocks: Blocks, knots: Array) -> Array:
     return np.asarray(begin[motion] + t * (ends - begin)[motion])
 
 
-def _said(turn: Turn) -> Issue:
+def _turn_issue(turn: Turn) -> Issue:
     """Return the information on the chosen turn of the tool."""
     low, high = (f"{angle:.0f}°" for angle in turn.range_deg())
     mode_text = "by one angle for each operation" if turn.mode == "best" else "along the path"
@@ -309,7 +309,9 @@ def _said(turn: Turn) -> Issue:
     return Issue("info", "redundancy", message)
 
 
-def _why(samples: PathSamples, whole: TurnMap, block: Blocked, mode: Mode, branch: int, bodies: Bodies | None) -> Issue:
+def _blocked_error(
+    samples: PathSamples, whole: TurnMap, block: Blocked, mode: Mode, branch: int, bodies: Bodies | None
+) -> Issue:
     """Return the error that names the motion that no line passes, the reasons there, and bodies that are too close."""
     blocks = whole.blocks
     rows = np.flatnonzero(blocks.block == block.block)
@@ -380,7 +382,7 @@ class ChosenStart(Struct, frozen=True):
     message: str
 
 
-def _at_first_target(program: Program, problem: str, advice: str) -> ProgramError:
+def _first_target_error(program: Program, problem: str, advice: str) -> ProgramError:
     file, line = program.places(np.zeros(1, dtype=np.int64)).of(0)
     return ProgramError(problem, file=file, line=line, advice=advice)
 
@@ -406,7 +408,7 @@ def chosen_start(program: Program, robot_in_cell: RobotInCell) -> ChosenStart:
                 program, motion[part], samples.sample.t[part], samples.sample.pose.take(part)
             )
         except UnreachableError as cause:
-            raise _at_first_target(program, _NO_STATUS, "Move the part, or correct S, $BASE and $TOOL.") from cause
+            raise _first_target_error(program, _NO_STATUS, "Move the part, or correct S, $BASE and $TOOL.") from cause
         return _start(joint_path.q[0], "with the status and turn that it states")
     stated_rows = np.flatnonzero(np.isfinite(m.joints[:, 0]) | (m.status >= 0))
     first = int(np.argmax(samples.sample.t == 1.0))  # samples before are on the way from a start that is not known
@@ -431,7 +433,7 @@ def chosen_start(program: Program, robot_in_cell: RobotInCell) -> ChosenStart:
     )
     best = order[0]
     if not np.isfinite(margin[best, :, 0]).any():
-        raise _at_first_target(program, _NO_WAY, "Move the part, or give [start] joints.")
+        raise _first_target_error(program, _NO_WAY, "Move the part, or give [start] joints.")
     q = found_q[best][int(margin[best, :, 0].argmax())]
     if not np.isfinite(worst[best]):
         return _start(q[:, 0], "on the branch that reaches most of the program")
@@ -445,7 +447,7 @@ def chosen_start(program: Program, robot_in_cell: RobotInCell) -> ChosenStart:
     if np.isfinite(worst[order[1]]) and free[order[1]]:
         words += f" (the next best has {worst[order[1]] * DEG_PER_RAD:.1f}°)"
     # The room along a constant turn says nothing of a path whose turn is still to be chosen.
-    return _start(q[:, 0] if turn_is_free else _unwound(robot_in_cell, q), words)
+    return _start(q[:, 0] if turn_is_free else _unwind(robot_in_cell, q), words)
 
 
 def _free_of_collisions(samples: PathSamples, rows: Ints, found_q: list[list[Array]], worst: Array) -> list[bool]:
@@ -463,7 +465,8 @@ def _free_of_collisions(samples: PathSamples, rows: Ints, found_q: list[list[Arr
     is_free = [False] * _BRANCHES
     for k in able:
         hits = [
-            bodies.along(q[:, compared_rows].T, rows[compared_rows], breaks, between_samples=False) for q in found_q[k]
+            bodies.is_hit_along_path(q[:, compared_rows].T, rows[compared_rows], breaks, between_samples=False)
+            for q in found_q[k]
         ]
         is_free[k] = not np.logical_and.reduce(hits).any()
     return is_free if any(is_free) else [True] * _BRANCHES
@@ -488,14 +491,14 @@ def _margin(robot_in_cell: RobotInCell, q: Array) -> Array:
     return np.where(np.isnan(smallest) | (margins.joint < 0.0), -np.inf, smallest)
 
 
-def _unwound(robot_in_cell: RobotInCell, q: Array) -> Array:
+def _unwind(robot_in_cell: RobotInCell, q: Array) -> Array:
     """Return the first of joint angles (6, n), A4 and A6 with the whole turns that keep the path within limits."""
     robot, joints = robot_in_cell.robot, q[:, 0].copy()
     for axis in drive.WINDING:
-        axis_path = q[axis, 0] + np.append(0.0, np.cumsum(np.nan_to_num(drive.wrapped(np.diff(q[axis])))))
-        room = [
+        axis_path = q[axis, 0] + np.append(0.0, np.cumsum(np.nan_to_num(wrap_angles(np.diff(q[axis])))))
+        turn_ranges = [
             min(axis_path.min() + whole - robot.lower[axis], robot.upper[axis] - axis_path.max() - whole)
             for whole in 2.0 * np.pi * np.array([0.0, -1.0, 1.0])
         ]
-        joints[axis] += 2.0 * np.pi * (0.0, -1.0, 1.0)[int(np.argmax(room))]
+        joints[axis] += 2.0 * np.pi * (0.0, -1.0, 1.0)[int(np.argmax(turn_ranges))]
     return joints

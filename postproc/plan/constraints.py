@@ -15,7 +15,7 @@ from postproc import kinematics
 from postproc.chunks import Columns
 from postproc.frames import Array
 from postproc.plan.sensitivity import Posed, direction
-from postproc.plan.site import BoxShape, MeshShape, Site, along, between_segments
+from postproc.plan.site import BoxShape, MeshShape, Site, between_segments, points_on_segments
 from postproc.program import Bools
 
 _ROPE = 0.01
@@ -55,26 +55,26 @@ class State(Columns, frozen=True, eq=False):
 def feasible(site: Site, q: Array, tilt: Array) -> Bools:
     """Return (N,) which configurations q (N, 6) [rad] under loads `tilt` (N, 2) [rad] can be measured."""
     state = State.of(site, q, tilt)
-    good = within_limits(site, q) & (np.linalg.norm(tilt, axis=1) <= site.rig.largest_tilt + 1e-9)
-    rows = np.flatnonzero(good)
+    is_feasible = within_limits(site, q) & (np.linalg.norm(tilt, axis=1) <= site.rig.largest_tilt + 1e-9)
+    rows = np.flatnonzero(is_feasible)
     for group in _GROUPS:
         state = State.of(site, q[rows], tilt[rows]) if len(rows) < len(state.q) else state
         is_allowed = np.ones(len(rows), dtype=bool)
         for _, by_constraint in group(site, state):
             is_allowed &= by_constraint
-        good[rows] = is_allowed
+        is_feasible[rows] = is_allowed
         rows = rows[is_allowed]
-    return np.asarray(good)
+    return np.asarray(is_feasible)
 
 
 def passable(site: Site, q: Array) -> Bools:
     """Return (N,) True where the unloaded arm can be, visible or not."""
     state = State.of(site, q, None)
-    good = within_limits(site, q)
+    is_passable = within_limits(site, q)
     for group in (_floor, _itself, _room):
         for _, is_allowed in group(site, state):
-            good &= is_allowed
-    return good
+            is_passable &= is_allowed
+    return is_passable
 
 
 def failures(site: Site, q: Array, tilt: Array) -> dict[str, Bools]:
@@ -93,7 +93,7 @@ def within_limits(site: Site, q: Array) -> Bools:
 
 
 def arm_parts(site: Site, state: State) -> list[Capsule]:
-    """Return a capsule for each of column, link 2, elbow, forearm and hand at the N configurations."""
+    """Return the capsules of column, link 2, elbow, forearm and hand at N configurations."""
     o, along_forearm = state.posed.origin, state.posed.axis[:, 3]
     # where the forearm begins: a URDF may put the origin of A4 anywhere on its axis
     begin = o[:, 3] + np.einsum("ni,ni->n", o[:, 2] - o[:, 3], along_forearm)[:, None] * along_forearm
@@ -133,10 +133,10 @@ def torques(site: Site, state: State) -> Array:
 
 
 def _floor(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
-    good = np.ones(len(state.q), dtype=bool)
+    is_above_floor = np.ones(len(state.q), dtype=bool)
     for part in (*arm_parts(site, state)[1:], *tool_parts(site, state), *load_parts(site, state)):
-        good &= np.minimum(part.start[:, 2], part.end[:, 2]) - part.radius >= site.floor + site.clearance
-    yield "floor", good
+        is_above_floor &= np.minimum(part.start[:, 2], part.end[:, 2]) - part.radius >= site.floor + site.clearance
+    yield "floor", is_above_floor
 
 
 def _torque(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
@@ -196,14 +196,16 @@ def _room(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
 
 
 def _clear(site: Site, parts: tuple[Capsule, ...], obstacle: BoxShape | MeshShape, count: int) -> Bools:
-    """Return where (n,) parts keep their clearance from an obstacle."""
-    good = np.ones(count, dtype=bool)
+    """Return at which poses (n,) parts keep their clearance from an obstacle."""
+    is_clear = np.ones(count, dtype=bool)
     for part in parts:
-        rows = np.flatnonzero(good)
+        rows = np.flatnonzero(is_clear)
         start, end = part.start[rows], part.end[rows]
         length = float(np.linalg.norm(end - start, axis=1).max(initial=0.0))
-        good[rows] = obstacle.distance(along(start, end, length)).min(axis=1) >= part.radius + site.clearance
-    return good
+        is_clear[rows] = (
+            obstacle.distance(points_on_segments(start, end, length)).min(axis=1) >= part.radius + site.clearance
+        )
+    return is_clear
 
 
 def _acceptance(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
@@ -231,12 +233,12 @@ def _sight(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
     # the coarse shape of the hand may contain the marker itself: then it does not hide it
     contains_marker = between_segments(marker[:, None], marker[:, None], start, end) < radius
     free = contains_marker | (between_segments(eye[:, None], marker[:, None], start, end) >= radius)
-    good = np.asarray(free.all(axis=1))
+    is_in_sight = np.asarray(free.all(axis=1))
     for row, name in enumerate(site.names):
-        rows = np.flatnonzero(good[row])
+        rows = np.flatnonzero(is_in_sight[row])
         for obstacle in site.obstacles:
-            good[row, rows] &= ~obstacle.blocks(eye[row, rows], marker[row, rows])
-        yield f"line of sight to marker {name}", good[row]
+            is_in_sight[row, rows] &= ~obstacle.blocks(eye[row, rows], marker[row, rows])
+        yield f"line of sight to marker {name}", is_in_sight[row]
 
 
 _GROUPS = (_floor, _torque, _acceptance, _itself, _sight, _room)

@@ -33,7 +33,7 @@ from postproc.identification.fit import NORMAL_95
 from postproc.identification.joint_springs import UNCERTAIN
 from postproc.identification.measurement_model import levels_of
 from postproc.identification.readings import Measurements
-from postproc.identification.validation import LEAST_TORQUE, MIN_CONFIGURATIONS, SIGNS, signed
+from postproc.identification.validation import LEAST_TORQUE, MIN_CONFIGURATIONS, SIGNS, split_signs
 from postproc.plan.milling import TestPoses
 from postproc.plan.sensitivity import Readings
 from postproc.program import Bools, Ints
@@ -118,11 +118,11 @@ def measured_information(data: Measurements, readings: Readings, sigma: float) -
     """
     level_of_config = levels_of(data)
     _, count = data.means()
-    config = data.state_config[data.loaded]
-    rest = data.unloaded[config]
-    times = np.maximum(1.0 / (1.0 / count[data.loaded] + 1.0 / count[rest]).mean(axis=1), 0.0)
+    config = data.state_config[data.loaded_states]
+    unloaded_state = data.unloaded_states[config]
+    times = np.maximum(1.0 / (1.0 / count[data.loaded_states] + 1.0 / count[unloaded_state]).mean(axis=1), 0.0)
     share = times * (readings.noise / sigma) ** 2
-    information = readings.information_of(data.q[config], data.wrench[data.loaded]) * share[:, None, None]
+    information = readings.information_of(data.q[config], data.wrench[data.loaded_states]) * share[:, None, None]
     level = level_of_config[config]
     q2 = np.array([data.q[level_of_config == index, 1].mean() for index in range(int(level_of_config.max()) + 1)])
     return Measured(data.q[config], q2, information, level)
@@ -202,7 +202,7 @@ class Criterion(Struct, frozen=True, eq=False):
         cost = np.einsum("...ij,...ji->...", np.linalg.inv(normal), weight)
         return np.asarray(cost.sum(axis=-1) if self.grouped else cost)
 
-    def exchanged(self, total: Array, old: Array, new: Array, level: int) -> Array:
+    def exchange_values(self, total: Array, old: Array, new: Array, level: int) -> Array:
         """Return the criterion (K,) if in one group information `old` (p, p) is replaced by each of `new` (K, p, p).
 
         :param total: normal matrix of the present plan.
@@ -346,11 +346,11 @@ class Directions(Struct, frozen=True, eq=False):
     reached: Array
     work: Array
 
-    def counted(self, torque: Array) -> Bools:
+    def loaded_sides(self, torque: Array) -> Bools:
         """Return which sides (..., 6, 2) poses with torques (..., 6) [N·m] load."""
-        return np.asarray(signed(torque) >= self.least)
+        return np.asarray(split_signs(torque) >= self.least)
 
-    def missing(self, count: Ints) -> Ints:
+    def missing_count(self, count: Ints) -> Ints:
         """Return how many poses lack (...), summed over joints and sides, for numbers of poses (..., 6, 2)."""
         return np.asarray(np.maximum(self.need - count, 0).sum(axis=(-2, -1)))
 
@@ -363,14 +363,14 @@ def directions(torque: Array, tests: TestPoses, poses: int, data_torque: Array |
     :param poses: number of poses of the plan.
     :param data_torque: (m, 6) torques of configurations measured already [N·m].
     """
-    sides = signed(torque)
+    sides = split_signs(torque)
     rig_torque = _typical(sides, np.full(len(torque), 1.0 / max(len(torque), 1)))
-    work = _typical(signed(tests.torque), tests.weight)
+    work = _typical(split_signs(tests.torque), tests.weight)
     threshold = np.clip(work, _SMALLEST * rig_torque, _LARGEST * rig_torque)
     earlier_torque = np.zeros((0, 6)) if data_torque is None else data_torque
     need = np.where(rig_torque > 0.0, min(MIN_CONFIGURATIONS, (poses + len(earlier_torque)) // _OF_POSES), 0)
     empty = Directions(need, np.maximum(threshold, LEAST_TORQUE), rig_torque, work)
-    left = np.maximum(need - empty.counted(earlier_torque).sum(axis=0), 0)
+    left = np.maximum(need - empty.loaded_sides(earlier_torque).sum(axis=0), 0)
     return Directions(left, empty.least, rig_torque, work)
 
 

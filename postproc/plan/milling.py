@@ -118,7 +118,7 @@ def _thin_rows(rows: Ints, way: Array) -> tuple[Ints, Array]:
 
 
 def from_file(path: Path, robot: RobotModel, cell: Cell) -> TestPoses:
-    """Read test poses given by hand: CSV A1…A6 [deg], Fx, Fy, Fz [N] at the tool tip in root axes[, weight].
+    """Read test poses from a file: CSV A1…A6 [deg], Fx, Fy, Fz [N] at the tool tip in root axes[, weight].
 
     :raises PlanError: a column is missing or not a number, a weight is negative, there is no pose or no force.
     """
@@ -128,14 +128,17 @@ def from_file(path: Path, robot: RobotModel, cell: Cell) -> TestPoses:
     weight = numbers.get("weight", np.ones(len(lines)))
     wrench = np.zeros((len(lines), 6))
     wrench[:, :3] = np.column_stack([numbers[name] for name in _FORCES])
-    for bad, problem in ((weight <= 0.0, "weight must be larger than 0"), (~wrench.any(axis=1), "the force is zero")):
-        if bad.any():
-            raise PlanError(problem, file=str(path), line=int(lines[np.argmax(bad)]))
+    for is_invalid, problem in (
+        (weight <= 0.0, "weight must be larger than 0"),
+        (~wrench.any(axis=1), "the force is zero"),
+    ):
+        if is_invalid.any():
+            raise PlanError(problem, file=str(path), line=int(lines[np.argmax(is_invalid)]))
     q = np.column_stack([numbers[name] for name in JOINTS]) * RAD_PER_DEG
     return evaluate(robot, q, cell.tool.pose(), wrench, weight, path.name)
 
 
-def joined(parts: Sequence[TestPoses]) -> TestPoses:
+def join(parts: Sequence[TestPoses]) -> TestPoses:
     """Return the test poses of several programs; each program counts the same."""
     weight = np.concatenate([part.weight for part in parts]) / len(parts)
     return TestPoses(

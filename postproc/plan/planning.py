@@ -31,7 +31,16 @@ from postproc.plan.criterion import (
     out_of_reach,
 )
 from postproc.plan.milling import TestPoses, representatives
-from postproc.plan.search import Plan, Task, by_number, draw_candidates, exchange, improve, random_values, serial_plan
+from postproc.plan.search import (
+    Plan,
+    Task,
+    criterion_by_number,
+    draw_candidates,
+    exchange,
+    improve,
+    random_values,
+    serial_plan,
+)
 from postproc.plan.sensitivity import Readings, direction
 from postproc.plan.site import Site
 from postproc.program import Bools, Ints
@@ -207,9 +216,9 @@ def _shorter_tour(tour: list[int], cost: Array) -> list[int] | None:
                 return reversed_tour
     for i in range(1, len(tour)):
         for size in (1, 2, 3):
-            piece, rest = tour[i : i + size], tour[:i] + tour[i + size :]
-            for j in range(1, len(rest) + 1):
-                new_tour = rest[:j] + piece + rest[j:]
+            piece, remaining_tour = tour[i : i + size], tour[:i] + tour[i + size :]
+            for j in range(1, len(remaining_tour) + 1):
+                new_tour = remaining_tour[:j] + piece + remaining_tour[j:]
                 if _length(new_tour, cost) < length - 1e-9:
                     return new_tour
     return None
@@ -226,7 +235,7 @@ def detours(site: Site, q: Array, hit: Ints) -> tuple[tuple[Array, ...], Ints]:
     start = site.start
     via_poses = [np.zeros((0, 6)) for _ in q]
     blocked_rows = []
-    shapes = [start, folded(site)] if len(hit) else []
+    shapes = [start, folded_pose(site)] if len(hit) else []
     for row in hit:
         origin, goal = start if row == 0 else q[row - 1], q[row]
         options = [start[None]]
@@ -244,7 +253,7 @@ def detours(site: Site, q: Array, hit: Ints) -> tuple[tuple[Array, ...], Ints]:
     return tuple(via_poses), np.array(blocked_rows, dtype=np.int64)
 
 
-def folded(site: Site) -> Array:
+def folded_pose(site: Site) -> Array:
     """Return joint angles (6,) [rad] with the smallest horizontal reach of arm and tool, A1 = 0, among random ones."""
     rng = np.random.default_rng(0)
     q = rng.uniform(np.maximum(site.lower, -np.pi), np.minimum(site.upper, np.pi), (_SHAPES, 6))
@@ -440,7 +449,7 @@ def _other_plans(task: Task, options: Options, plan: Plan, report: Progress) -> 
         report("comparing with other plans", 0.7, np.sqrt(plan.value))
         random = random_values(task, options.seed)
         serial = serial_plan(task)
-        for count, value, median in by_number(task, options.seed, plan):
+        for count, value, median in criterion_by_number(task, options.seed, plan):
             sizes.append(Size(count, value, median))
             report("comparing with other numbers of poses", 0.7 + 0.3 * len(sizes) / 6, np.sqrt(plan.value))
     except KeyboardInterrupt:
@@ -475,7 +484,7 @@ def _problem(site: Site, tests: TestPoses, scale: Array, options: Options, data:
     warnings = hidden_by_rig(site, tests, scale, hidden_joints)
     if hidden_joints:
         keep = tuple(j for j in range(6) if j not in hidden_joints)
-        readings, candidates = replace(readings, keep=keep), candidates.only(keep)
+        readings, candidates = replace(readings, keep=keep), candidates.take_parameters(keep)
         earlier_data = None if data is None else measured_information(data, readings, site.sigma)
     _check_number(options, readings, len(site.points), levels, earlier_data)
     warnings = (*warnings, *unchecked_warnings(site))
@@ -504,7 +513,7 @@ def _problem(site: Site, tests: TestPoses, scale: Array, options: Options, data:
 
 def _largest(data: Measurements, readings: Readings) -> Array:
     """Return the torques (C, 6) of the largest load of each configuration that was loaded [N·m]."""
-    config, load = data.state_config[data.loaded], data.wrench[data.loaded]
+    config, load = data.state_config[data.loaded_states], data.wrench[data.loaded_states]
     order = np.argsort(norm(load))[::-1]
     first = order[np.unique(config[order], return_index=True)[1]]
     return readings.torque(data.q[config[first]], load[first, :3])

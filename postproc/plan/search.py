@@ -54,7 +54,7 @@ class Candidates(Struct, frozen=True, eq=False):
     information: Array
     torque: Array
 
-    def only(self, keep: tuple[int, ...]) -> Candidates:
+    def take_parameters(self, keep: tuple[int, ...]) -> Candidates:
         """Return the candidates with the information on some compliances only."""
         return replace(self, information=self.information[:, :, keep][:, :, :, keep])
 
@@ -79,10 +79,10 @@ def feasible_at(site: Site, q2: float, count: int, rng: np.random.Generator) -> 
     found_q, found_tilt, have = [], [], 0
     for _ in range(_ROUNDS):
         q, tilt = draw(site, _ROUND, rng, q2)
-        good = constraints.feasible(site, q, tilt)
-        found_q.append(q[good])
-        found_tilt.append(tilt[good])
-        have += int(good.sum())
+        is_feasible = constraints.feasible(site, q, tilt)
+        found_q.append(q[is_feasible])
+        found_tilt.append(tilt[is_feasible])
+        have += int(is_feasible.sum())
         if have >= count or (have == 0 and len(found_q) >= _ROUNDS // 4):
             break
     return np.concatenate(found_q)[:count], np.concatenate(found_tilt)[:count]
@@ -199,9 +199,9 @@ class Task(Struct, frozen=True, eq=False):
 
     def sides(self, q: Array, tilt: Array) -> Bools:
         """Return which sides (N, 6, 2) poses with loads count for."""
-        return self.directions.counted(self.readings.torque(q, self.readings.force * direction(tilt)))
+        return self.directions.loaded_sides(self.readings.torque(q, self.readings.force * direction(tilt)))
 
-    def group_of_each(self, rng: np.random.Generator) -> Ints:
+    def pose_levels(self, rng: np.random.Generator) -> Ints:
         """Return the level (n,) of each pose: groups as equal as can be; at random where levels were measured."""
         if self.fixed:
             return rng.integers(0, self.levels, self.count)
@@ -250,7 +250,7 @@ def exchange(task: Task, rng: np.random.Generator, spread: bool = False) -> Plan
     """Return a plan of candidates that no exchange of one pose or one level improves."""
     candidates = task.candidates
     row = first_levels(task, rng, spread)
-    level = task.group_of_each(rng)
+    level = task.pose_levels(rng)
     pick = rng.integers(0, candidates.q.shape[1], task.count)
     criterion = task.criterion_at(candidates.q2[row])
     value = criterion.value(candidates.information[row[level], pick], level)
@@ -262,7 +262,7 @@ def exchange(task: Task, rng: np.random.Generator, spread: bool = False) -> Plan
             best = _exchange_level(task, best, group)
         if best.value > old_value * (1.0 - _MIN_GAIN):
             break
-    best = _exchange_poses(task, _to_both_sides(task, best))
+    best = _exchange_poses(task, _load_both_signs(task, best))
     at = best.row[best.level], best.pick
     return Plan(candidates.q[at], candidates.tilt[at], best.level, candidates.q2[best.row], best.value)
 
@@ -287,23 +287,23 @@ def _is_distant(levels: Array, q2: float) -> bool:
     return bool((np.abs(levels - q2) >= _LEAST_DISTANCE - 1e-9).all())
 
 
-def _to_both_sides(task: Task, choice: _Choice) -> _Choice:
+def _load_both_signs(task: Task, choice: _Choice) -> _Choice:
     """Replace poses within their levels until each joint is loaded with both signs; the smallest criterion wins."""
     information, row, criterion, level = task.candidates.information, choice.row, choice.criterion, choice.level
     pick, demand = choice.pick.copy(), task.directions
-    sides = demand.counted(task.candidates.torque[row]).astype(np.int64)
+    sides = demand.loaded_sides(task.candidates.torque[row]).astype(np.int64)
     while True:
         pose_sides = sides[level, pick]
-        shortfall = demand.missing(pose_sides.sum(axis=0))
+        shortfall = demand.missing_count(pose_sides.sum(axis=0))
         total = criterion.total(information[row[level], pick], level)
         best = (np.inf, 0, 0)
         for place in range(task.count) if shortfall > 0 else ():
             new = np.flatnonzero(
-                demand.missing(pose_sides.sum(axis=0) - pose_sides[place] + sides[level[place]]) < shortfall
+                demand.missing_count(pose_sides.sum(axis=0) - pose_sides[place] + sides[level[place]]) < shortfall
             )
             old = information[row[level[place]], pick[place]]
             if len(new):
-                values = criterion.exchanged(total, old, information[row[level[place]], new], int(level[place]))
+                values = criterion.exchange_values(total, old, information[row[level[place]], new], int(level[place]))
                 best = min(best, (float(values.min()), place, int(new[np.argmin(values)])))
         if not np.isfinite(best[0]):
             return replace(choice, pick=pick, value=criterion.value(information[row[level], pick], level))
@@ -317,20 +317,22 @@ def _exchange_poses(task: Task, choice: _Choice) -> _Choice:
     """
     information, row, criterion = task.candidates.information, choice.row, choice.criterion
     level, pick, demand = choice.level.copy(), choice.pick.copy(), task.directions
-    sides = demand.counted(task.candidates.torque[row]).astype(np.int64)
+    sides = demand.loaded_sides(task.candidates.torque[row]).astype(np.int64)
     for place in range(task.count):
         count = sides[level, pick].sum(axis=0)
-        worse = demand.missing(count - sides[level[place], pick[place]] + sides) > demand.missing(count)
+        worse = demand.missing_count(count - sides[level[place], pick[place]] + sides) > demand.missing_count(count)
         old = information[row[level[place]], pick[place]]
         total = criterion.total(information[row[level], pick], level)
-        values = criterion.exchanged(total, old, information[row[level[place]]], int(level[place]))
+        values = criterion.exchange_values(total, old, information[row[level[place]]], int(level[place]))
         if not task.fixed:
             pick[place] = int(np.argmin(np.where(worse[level[place]], np.inf, values)))
         else:
-            rest = np.delete(np.arange(task.count), place)
-            reduced_total = criterion.total(information[row[level[rest]], pick[rest]], level[rest])
+            other_poses = np.delete(np.arange(task.count), place)
+            reduced_total = criterion.total(information[row[level[other_poses]], pick[other_poses]], level[other_poses])
             zero = np.zeros_like(old)
-            values_by_level = [criterion.exchanged(reduced_total, zero, information[r], g) for g, r in enumerate(row)]
+            values_by_level = [
+                criterion.exchange_values(reduced_total, zero, information[r], g) for g, r in enumerate(row)
+            ]
             best = int(np.argmin(np.where(worse, np.inf, values_by_level)))
             level[place], pick[place] = np.unravel_index(best, (task.levels, information.shape[1]))
     value = criterion.value(information[row[level], pick], level)
@@ -349,11 +351,13 @@ def _exchange_level(task: Task, choice: _Choice, group: int) -> _Choice:
         row, pick = choice.row.copy(), choice.pick.copy()
         row[group] = candidate
         criterion = task.criterion_at(candidates.q2[row])
-        rest = level != group
-        total = criterion.total(candidates.information[row[level[rest]], pick[rest]], level[rest])
+        is_in_other_level = level != group
+        total = criterion.total(
+            candidates.information[row[level[is_in_other_level]], pick[is_in_other_level]], level[is_in_other_level]
+        )
         zero = np.zeros_like(candidates.information[0, 0])
         for place in members:  # greedily, one after the other
-            values = criterion.exchanged(total, zero, candidates.information[candidate], group)
+            values = criterion.exchange_values(total, zero, candidates.information[candidate], group)
             pick[place] = int(np.argmin(values))
             groups = np.array([group])
             total = (
@@ -394,11 +398,11 @@ def _move_poses(task: Task, plan: Plan, rng: np.random.Generator, scale: float) 
         slope = task.readings.slope(q[[place]], tilt[[place]], push)[0]
         new_q, new_tilt = _proposals(task.site, q[place], tilt[place], slope, rng, scale)
         new = task.readings.information(new_q, new_tilt)
-        values = criterion.exchanged(total, information[place], new, int(plan.level[place]))
+        values = criterion.exchange_values(total, information[place], new, int(plan.level[place]))
         order = np.argsort(values, kind="stable")
         order = order[values[order] < value * (1.0 - 1e-5)]
         new_sides, count = task.sides(new_q, new_tilt), sides.sum(axis=0)
-        worse = task.directions.missing(count - sides[place] + new_sides) > task.directions.missing(count)
+        worse = task.directions.missing_count(count - sides[place] + new_sides) > task.directions.missing_count(count)
         order = order[~worse[order]]
         is_feasible = constraints.feasible(task.site, new_q[order], new_tilt[order])
         if is_feasible.any():
@@ -433,7 +437,7 @@ def _move_levels(task: Task, plan: Plan) -> Plan:
     demand = task.directions
     for group in range(task.fixed, len(plan.q2)):
         members = plan.level == group
-        shortfall = demand.missing(task.sides(plan.q, plan.tilt).sum(axis=0))
+        shortfall = demand.missing_count(task.sides(plan.q, plan.tilt).sum(axis=0))
         for shift in (*_SHIFTS, *-_SHIFTS):
             q2 = plan.q2.copy()
             q2[group] += shift
@@ -447,7 +451,7 @@ def _move_levels(task: Task, plan: Plan) -> Plan:
                 q[members, 2] += follow
                 value = criterion.value(task.readings.information(q, plan.tilt), plan.level)
                 better = value < plan.value * (1.0 - 1e-5)
-                better = better and bool(demand.missing(task.sides(q, plan.tilt).sum(axis=0)) <= shortfall)
+                better = better and bool(demand.missing_count(task.sides(q, plan.tilt).sum(axis=0)) <= shortfall)
                 if better and constraints.feasible(task.site, q[members], plan.tilt[members]).all():
                     plan = replace(plan, q=q, q2=q2, value=value)
                     break
@@ -470,7 +474,7 @@ def random_values(task: Task, seed: int, count: int = RANDOM_PLANS) -> Array:
     candidates, values = task.candidates, np.empty(count)
     for index in range(count):
         row = first_levels(task, rng, spread=False)
-        level = task.group_of_each(rng)
+        level = task.pose_levels(rng)
         pick = rng.integers(0, candidates.q.shape[1], task.count)
         values[index] = task.criterion_at(candidates.q2[row]).value(candidates.information[row[level], pick], level)
     return values
@@ -484,7 +488,7 @@ def serial_plan(task: Task) -> Plan:
     """
     candidates = task.candidates
     row = first_levels(task, np.random.default_rng(0), spread=True)
-    level = task.group_of_each(np.random.default_rng(0))
+    level = task.pose_levels(np.random.default_rng(0))
     pick = np.zeros(task.count, dtype=np.int64)
     for group in range(task.levels):
         members = np.flatnonzero(level == group)
@@ -517,7 +521,7 @@ def _distant_rows(q: Array, rows: Ints, count: int) -> list[int]:
     return selection
 
 
-def by_number(task: Task, seed: int, best: Plan) -> Iterator[tuple[int, float, float]]:
+def criterion_by_number(task: Task, seed: int, best: Plan) -> Iterator[tuple[int, float, float]]:
     """Yield (number of poses, criterion of the best plan found, median of random plans) [m²] for several sizes.
 
     A short search: good to some per cent. The size of the plan itself takes its own value.

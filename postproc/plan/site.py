@@ -51,7 +51,7 @@ def _dot(a: Array, b: Array) -> Array:
     return np.asarray(np.einsum("...i,...i->...", a, b))
 
 
-def along(start: Array, end: Array, length: float) -> Array:
+def points_on_segments(start: Array, end: Array, length: float) -> Array:
     """Return points (..., n, 3) on segments (..., 3) of at most `length` [m], evenly spaced, ends included."""
     count = max(2, int(np.ceil(length / _SPACING)) + 1)
     t = np.linspace(0.0, 1.0, count)[:, None]

@@ -3,7 +3,7 @@
 from postproc.report.csv_files import FORCE_COLUMNS, TARGET_COLUMNS, forces_by_module, forces_csv, targets_csv
 from postproc.report.deviation import page
 from postproc.report.summary import Summary, issue_entry, summary
-from postproc.report.text import issue_line, of_many, of_one
+from postproc.report.text import issue_line, program_text, programs_table
 
 __all__ = [
     "FORCE_COLUMNS",
@@ -13,9 +13,9 @@ __all__ = [
     "forces_csv",
     "issue_entry",
     "issue_line",
-    "of_many",
-    "of_one",
     "page",
+    "program_text",
+    "programs_table",
     "summary",
     "targets_csv",
 ]

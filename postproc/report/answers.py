@@ -21,7 +21,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from msgspec import Struct
 
 from postproc.correction import Mode
-from postproc.report.formatting import State, rounded
+from postproc.report.formatting import State, two_digits
 
 COLOURS: dict[State, str] = {"ok": "green", "warning": "amber", "failed": "red"}
 EXIT_CODES: dict[State, int] = {"ok": 0, "warning": 0, "failed": 3}
@@ -130,7 +130,7 @@ def worst_state(states: Iterable[State]) -> State:
     return max(states, key=_ORDER.index, default="ok")
 
 
-def joined(
+def join(
     mode: Mode,
     drive: Drive,
     better: Better | None,
@@ -151,12 +151,12 @@ def joined(
     by_severity = sorted(answers, key=lambda answer: -_ORDER.index(answer.state))
     reasons = [reason for answer in by_severity for reason in answer.reasons]
     word = WORDS[mode, state] if words is None else words[state]
-    sentences = (word, _on_better(mode, better), _on_tolerance(tolerance), remark)
+    sentences = (word, _improvement_sentence(mode, better), _tolerance_sentence(tolerance), remark)
     headline = " ".join(sentence for sentence in sentences if sentence)
     return Verdict(
         state=state,
         headline=headline,
-        answers=[f"{question} {answer}" for question, answer, _ in in_words(drive, better, tolerance)],
+        answers=[f"{question} {answer}" for question, answer, _ in answer_rows(drive, better, tolerance)],
         drive=drive,
         better=better,
         tolerance=tolerance,
@@ -173,15 +173,15 @@ _FORMS: dict[Mode, str] = {
 }
 
 
-def _on_better(mode: Mode, better: Better | None) -> str:
+def _improvement_sentence(mode: Mode, better: Better | None) -> str:
     """Return a sentence with both expected errors; empty where there is nothing to compare."""
     if better is None or better.uncorrected_mm is None or better.corrected_mm is None or better.chance is None:
         return ""
     chance = "" if better.state == "ok" else f", better with a chance of {chance_in_words(better.chance)}"
-    return _FORMS[mode].format(rounded(better.uncorrected_mm), rounded(better.corrected_mm), chance)
+    return _FORMS[mode].format(two_digits(better.uncorrected_mm), two_digits(better.corrected_mm), chance)
 
 
-def _on_tolerance(tolerance: Tolerance | None) -> str:
+def _tolerance_sentence(tolerance: Tolerance | None) -> str:
     """Return a sentence on the tolerance of the part, empty without one."""
     if tolerance is None or tolerance.of != "part":
         return ""
@@ -196,13 +196,13 @@ def _on_tolerance(tolerance: Tolerance | None) -> str:
 def remedies(actions: Sequence[Remedy]) -> str:
     """Return remedies in words, the one that helps most first."""
     by_error = sorted(actions, key=lambda remedy: remedy.expected_mm)
-    return ", ".join(f"{remedy.action} ({rounded(remedy.expected_mm)} mm at best)" for remedy in by_error)
+    return ", ".join(f"{remedy.action} ({two_digits(remedy.expected_mm)} mm at best)" for remedy in by_error)
 
 
 QUESTIONS = ("May it be driven?", "Is it better than uncorrected?", "Does it hold your tolerance?")
 
 
-def in_words(drive: Drive, better: Better | None, tolerance: Tolerance | None) -> list[tuple[str, str, State]]:
+def answer_rows(drive: Drive, better: Better | None, tolerance: Tolerance | None) -> list[tuple[str, str, State]]:
     """Return question, answer and state of each of the three answers."""
     answers: tuple[tuple[str, State], ...] = (
         (_drive_text(drive), drive.state),
@@ -226,10 +226,10 @@ def _comparison_text(better: Better | None) -> str:
     if better is None or better.uncorrected_mm is None or better.corrected_mm is None:
         return "not known"
     if better.chance is None:
-        return f"nothing is corrected; up to {rounded(better.corrected_mm)} mm (95 %)"
+        return f"nothing is corrected; up to {two_digits(better.corrected_mm)} mm (95 %)"
     pair = ((better.uncorrected_mm, better.uncorrected_rms_mm), (better.corrected_mm, better.corrected_rms_mm))
     uncorrected_text, corrected_text = (
-        f"up to {rounded(largest)} mm, RMS {rounded(rms or 0.0)}" for largest, rms in pair
+        f"up to {two_digits(largest)} mm, RMS {two_digits(rms or 0.0)}" for largest, rms in pair
     )
     return f"chance {chance_in_words(better.chance)}: uncorrected {uncorrected_text}; corrected {corrected_text} (95 %)"
 
@@ -251,5 +251,5 @@ def chance_in_words(chance: float) -> str:
     return "over 99 %" if chance > 0.99 else "under 1 %" if chance < 0.01 else f"{100.0 * chance:.0f} %"
 
 
-UNJUDGED = joined("convert", Drive("ok", [], []), None, None)
+UNJUDGED = join("convert", Drive("ok", [], []), None, None)
 """A placeholder until numbers are judged."""

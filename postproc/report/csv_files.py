@@ -42,7 +42,7 @@ def targets_csv(result: Result) -> Iterator[bytes]:
     Units: mm, degrees, N, N·m; `t` in (0, 1]; `u95_mm` is empty where the model has no covariance.
     """
     m = result.program.motions
-    places = registry.by_name(result.program.dialect).command_decimals
+    places = registry.dialect_of_name(result.program.dialect).command_decimals
     carriage = result.program.carriage
     yield (",".join(TARGET_COLUMNS if carriage is None else (*TARGET_COLUMNS, CARRIAGE)) + "\n").encode()
     for part in chunks(len(result)):
@@ -157,6 +157,7 @@ def _row_knots(knots: Knots, values: Array) -> tuple[Ints, Ints]:
     """
     same_target = np.diff(knots.motion) == 0
     has_many_knots = np.append(same_target, False) | np.append(False, same_target)
+    # a row ends where anything that it states changes, or where a target has knots of its own
     differs = (np.diff(values, axis=0) != 0.0).any(axis=1) | (np.diff(knots.frame) != 0)
     differs |= (np.diff(knots.ramped) != 0) | (np.diff(knots.motion) != 1) | has_many_knots[1:] | has_many_knots[:-1]
     first = np.flatnonzero(np.append(True, differs)[: len(knots)])

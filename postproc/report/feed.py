@@ -6,11 +6,10 @@ import numpy as np
 from msgspec import Struct
 
 from postproc.correction import HeldFeed, Result
-from postproc.frames import MM_PER_M
-from postproc.operations import of_motions, operations
-from postproc.report.formatting import rounded, stated_mm
+from postproc.frames import MM_PER_M, MM_PER_MIN
+from postproc.operations import operation_indices, operations
+from postproc.report.formatting import stated_mm, two_digits
 
-_MM_PER_MIN = 60.0 * MM_PER_M
 _MOST_MOVES = 100
 """Rows of the table."""
 
@@ -51,7 +50,7 @@ class FeedSummary(Struct, frozen=True):
 
 
 def feed_summary(result: Result) -> FeedSummary | None:
-    """Return what was done to the feeds; None where they are those of the program."""
+    """Return the summary of lowered feeds; None if all feeds are those of the program."""
     feeds, m = result.held_feed, result.program.motions
     if feeds is None:
         return None
@@ -60,7 +59,7 @@ def feed_summary(result: Result) -> FeedSummary | None:
         np.where(cuts, feeds.length / np.where(cuts, f, 1.0), 0.0) for f in (feeds.programmed, feeds.feed)
     )
     cut_operations = operations(result.program)
-    of = of_motions(cut_operations, np.arange(len(m)))
+    of = operation_indices(cut_operations, np.arange(len(m)))
     rows: list[OperationFeed] = []
     for place, operation in enumerate(cut_operations):
         of_operation = cuts & (of == place)
@@ -71,34 +70,34 @@ def feed_summary(result: Result) -> FeedSummary | None:
                     tool=operation.tool,
                     time_before_s=float(programmed_time[of_operation].sum()),
                     time_after_s=float(written_time[of_operation].sum()),
-                    lowered_moves=int(np.count_nonzero(feeds.lowered & of_operation)),
-                    lowest_feed_mm_per_min=float(feeds.feed[of_operation].min()) * _MM_PER_MIN,
+                    lowered_moves=int(np.count_nonzero(feeds.is_lowered & of_operation)),
+                    lowest_feed_mm_per_min=float(feeds.feed[of_operation].min()) * MM_PER_MIN,
                 )
             )
     return FeedSummary(
         tolerance_mm=stated_mm(feeds.tolerance),
-        min_feed_mm_per_min=feeds.least * _MM_PER_MIN,
+        min_feed_mm_per_min=feeds.least * MM_PER_MIN,
         unheld=feeds.unheld,
         cutting_moves=int(np.count_nonzero(cuts)),
-        lowered_moves=int(np.count_nonzero(feeds.lowered & cuts)),
+        lowered_moves=int(np.count_nonzero(feeds.is_lowered & cuts)),
         time_before_s=float(programmed_time.sum()),
         time_after_s=float(written_time.sum()),
         operations=rows,
-        missed_moves=int(np.count_nonzero(feeds.missed)),
+        missed_moves=int(np.count_nonzero(feeds.is_exceeded)),
         missed=_missed_moves(result, feeds),
     )
 
 
 def _missed_moves(result: Result, feeds: HeldFeed) -> list[MissedMove]:
     """Return the moves that do not hold the tolerance, the worst first."""
-    rows = np.flatnonzero(feeds.missed)
+    rows = np.flatnonzero(feeds.is_exceeded)
     rows = rows[np.argsort(-feeds.expected[rows], kind="stable")][:_MOST_MOVES]
     edge = feeds.without_feed[rows]
     return [
         MissedMove(source_line=line, feed_mm_per_min=feed, expected_mm=error, edge_forces_mm=floor)
         for line, feed, error, floor in zip(
             result.program.motions.line[rows].tolist(),
-            (feeds.feed[rows] * _MM_PER_MIN).tolist(),
+            (feeds.feed[rows] * MM_PER_MIN).tolist(),
             (feeds.expected[rows] * MM_PER_M).tolist(),
             [float(value) * MM_PER_M if np.isfinite(value) else None for value in edge],
             strict=True,
@@ -107,7 +106,7 @@ def _missed_moves(result: Result, feeds: HeldFeed) -> list[MissedMove]:
 
 
 def sentences(feed: FeedSummary, max_moves: int = 5) -> list[str]:
-    """Return what was done to the feeds, and up to `max_moves` moves that are not held: sentences without full stop."""
+    """Return sentences on lowered feeds, and on up to `max_moves` moves out of tolerance; without full stop."""
     tolerance = f"{feed.tolerance_mm:g} mm"
     if not feed.lowered_moves:
         texts = [f"feeds as programmed: lowering none of them helps to hold {tolerance}"]
@@ -128,9 +127,9 @@ def sentences(feed: FeedSummary, max_moves: int = 5) -> list[str]:
         )
         for move in feed.missed[:max_moves]:
             floor = move.edge_forces_mm
-            text = f"line {move.source_line}: {rounded(move.expected_mm)} mm at {move.feed_mm_per_min:.0f} mm/min"
+            text = f"line {move.source_line}: {two_digits(move.expected_mm)} mm at {move.feed_mm_per_min:.0f} mm/min"
             texts.append(
-                text + ("" if floor is None else f", {rounded(max(floor, 0.0))} mm of it by edge forces at any feed")
+                text + ("" if floor is None else f", {two_digits(max(floor, 0.0))} mm of it by edge forces at any feed")
             )
     return texts
 

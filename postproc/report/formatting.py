@@ -34,11 +34,13 @@ def millimetres(value: float) -> str:
     return "<0.0001" if 0.0 < value < ROUNDING_MM else f"{value:.4f}"
 
 
-def rounded(value_mm: float) -> str:
+def two_digits(value_mm: float) -> str:
     """Return a bound or an estimate in mm as text, with two significant digits, down to 0.0001 mm.
 
-    >>> rounded(0.2752), rounded(0.01234), rounded(12.7), rounded(0.0), rounded(0.0002), rounded(0.00002)
-    ('0.28', '0.012', '13', '0', '0.0002', '<0.0001')
+    >>> two_digits(0.2752), two_digits(0.01234), two_digits(12.7), two_digits(0.0)
+    ('0.28', '0.012', '13', '0')
+    >>> two_digits(0.0002), two_digits(0.00002)
+    ('0.0002', '<0.0001')
     """
     if value_mm == 0.0:
         return "0"
@@ -67,14 +69,14 @@ def estimate(value_mm: float, u95_mm: float | None) -> str:
     ('<0.0001', '0')
     """
     if u95_mm is None or u95_mm < ROUNDING_MM or value_mm < 10.0 ** -places(u95_mm):
-        return rounded(value_mm)
+        return two_digits(value_mm)
     return f"{value_mm:.{places(u95_mm)}f}"
 
 
-def above(value_mm: float, limit_mm: float) -> str:
+def above_limit(value_mm: float, limit_mm: float) -> str:
     """Return a number that is more than a limit as text, with two digits or as many as it takes to see it.
 
-    >>> above(0.0493, 0.01), above(0.0104, 0.01)
+    >>> above_limit(0.0493, 0.01), above_limit(0.0104, 0.01)
     ('0.049', '0.0104')
     """
     decimals = places(value_mm)

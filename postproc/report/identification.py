@@ -31,7 +31,7 @@ from postproc.report.kit import (
 )
 from postproc.report.kit.parts import Traced
 from postproc.robot import WITH_LINKS
-from postproc.robot.parameters import named
+from postproc.robot.parameters import parameter_of_name
 
 _GOOD, _ROUGH, _LARGEST_SHARE = 0.1, 0.5, 1.0
 """Half width of an interval as a share of the value, up to which a parameter is well, roughly and barely known."""
@@ -69,11 +69,13 @@ def summary(data: Identified) -> Section | None:
     if residual is None or data.parameters is None:
         return None
     shares = [entry.share for entry in data.parameters.values() if entry.share is not None]
-    good, rough, known_count = (sum(share <= limit for share in shares) for limit in (_GOOD, _ROUGH, _LARGEST_SHARE))
+    well_known_count, roughly_known_count, known_count = (
+        sum(share <= limit for share in shares) for limit in (_GOOD, _ROUGH, _LARGEST_SHARE)
+    )
     words = [
-        f"{good} to {_GOOD * 100:.0f} %",
-        f"{rough - good} more to {_ROUGH * 100:.0f} %",
-        *([f"{known_count - rough} barely"] if known_count > rough else []),
+        f"{well_known_count} to {_GOOD * 100:.0f} %",
+        f"{roughly_known_count - well_known_count} more to {_ROUGH * 100:.0f} %",
+        *([f"{known_count - roughly_known_count} barely"] if known_count > roughly_known_count else []),
         *([f"{len(shares) - known_count} only together with others"] if len(shares) > known_count else []),
         *(
             [f"{len(data.parameters) - len(shares)} not seen: prior value"]
@@ -90,7 +92,7 @@ def summary(data: Identified) -> Section | None:
     return Section("summary", "Results", (Tiles(tiles),))
 
 
-def to_know(data: Identified) -> Section:
+def findings_section(data: Identified) -> Section:
     """Return unidentifiable parameters, warnings and assumptions."""
     unobservable = data.not_observable or []
     assumptions = tuple(Note(f"Assumed: {text}.") for text in data.assumptions or ())
@@ -213,7 +215,7 @@ def value_texts(entry: Parameter) -> tuple[str, str, str]:
 
 
 def _judgement(entry: Parameter) -> Cell:
-    """Return how well a parameter is known, by the half width of its interval."""
+    """Return a word on the accuracy of a parameter, by the half width of its interval."""
     kinds: tuple[tuple[float, str, Kind], ...] = (
         (_GOOD, "well known", "good"),
         (_ROUGH, "roughly known", ""),
@@ -229,7 +231,7 @@ def _judgement(entry: Parameter) -> Cell:
 
 
 def _title(name: str) -> str:
-    parameter = named(name)
+    parameter = parameter_of_name(name)
     return name if parameter is None else parameter.title
 
 
@@ -259,7 +261,7 @@ def levels(data: Identified) -> Section | None:
 
 
 def structures(data: Identified) -> Section | None:
-    """Return the structures tried."""
+    """Return the section that lists the structures tried, with their cross-validation errors."""
     if data.structure is None:
         return None
     rows = data.structure.tried
@@ -283,7 +285,7 @@ def structures(data: Identified) -> Section | None:
 
 
 def correlations(data: Identified) -> Section | None:
-    """Return how the parameters found depend on each other."""
+    """Return the section on the correlations of the identified parameters."""
     if data.correlation is None or len(data.correlation.names) < 2:
         return None
     names = data.correlation.names
@@ -297,7 +299,7 @@ def correlations(data: Identified) -> Section | None:
 
 
 def geometry(data: Identified) -> Section | None:
-    """Return the variants of the geometry."""
+    """Return the section that compares the variants of the geometry; None if the geometry was not identified."""
     if data.geometry is None:
         return None
     variants = data.geometry.variants
@@ -317,7 +319,7 @@ def geometry(data: Identified) -> Section | None:
     return Section("geometry", "Geometry: unloaded readings on configurations left out, RMS distance", (plot,))
 
 
-def calibrated(data: Identified) -> Section | None:
+def calibration(data: Identified) -> Section | None:
     """Return the parameters of the geometry."""
     if data.geometry is None or not data.geometry.parameters:
         return None
@@ -339,14 +341,14 @@ def placement(data: Identified) -> Section:
 SECTIONS: tuple[Callable[[Identified], Section | None], ...] = (
     verdict,
     summary,
-    to_know,
+    findings_section,
     configurations,
     parameters,
     levels,
     structures,
     correlations,
     geometry,
-    calibrated,
+    calibration,
     placement,
 )
 """The sections of the page in order. One that has nothing to say returns None."""

@@ -9,7 +9,7 @@ from msgspec import Struct
 
 from postproc.correction import Mode
 from postproc.report.answers import chance_in_words
-from postproc.report.formatting import State, rounded
+from postproc.report.formatting import State, two_digits
 from postproc.report.kit import Cell, Kind, Note, Notes, Page, Part, Row, Section, Table, Tile, Tiles
 from postproc.report.text import number, percent
 
@@ -132,7 +132,7 @@ def index_page(entries: Sequence[Entry], folder: str) -> bytes:
         tiles.append(
             Tile(
                 title,
-                rounded(max(known_lengths)) if known_lengths else "unknown",
+                two_digits(max(known_lengths)) if known_lengths else "unknown",
                 "mm" if known_lengths else "",
                 unknown,
             )
@@ -187,7 +187,7 @@ def _table(entries: Sequence[Entry], reports: Sequence[Reported]) -> Table:
                     Cell(word, kind),
                     content.verdict.reasons[0] if entry.state != "ok" else "",
                     str(content.targets),
-                    *("unknown" if length is None else rounded(length) for length in content.expected_mm),
+                    *("unknown" if length is None else two_digits(length) for length in content.expected_mm),
                     "-" if better is None or better.chance is None else chance_in_words(better.chance),
                     "-" if tolerance is None or tolerance.of != "part" else f"{tolerance.mm:g}",
                     percent(content.compensated_percent),

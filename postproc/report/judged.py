@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from postproc.report.answers import Verdict, in_words
+from postproc.report.answers import Verdict, answer_rows
 from postproc.report.formatting import State
 from postproc.report.kit import Cell, Facts, Kind
 
 _OF_STATES: dict[State, Kind] = {"ok": "good", "warning": "warning", "failed": "error"}
 
 
-def in_two(verdict: Verdict) -> tuple[str, str]:
+def split_headline(verdict: Verdict) -> tuple[str, str]:
     """Return the headline of a verdict as its first sentence, and the others."""
     first, _, later_sentences = verdict.headline.partition(". ")
     return (f"{first}.", later_sentences) if later_sentences else (first, "")
@@ -17,7 +17,7 @@ def in_two(verdict: Verdict) -> tuple[str, str]:
 
 def answers(verdict: Verdict) -> Facts:
     """Return the three answers as facts."""
-    words = in_words(verdict.drive, verdict.better, verdict.tolerance)
+    words = answer_rows(verdict.drive, verdict.better, verdict.tolerance)
     rows = ((question, Cell(sentence(answer), _OF_STATES[state])) for question, answer, state in words)
     return Facts(tuple(rows))
 

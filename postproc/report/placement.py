@@ -13,7 +13,7 @@ from postproc.files import FileEntry, json_bytes
 from postproc.frames import DEG_PER_RAD, MM_PER_M
 from postproc.placement import REASONS
 from postproc.placement.region import AXES, Assessment, Judged, Region, Search
-from postproc.report.formatting import rounded
+from postproc.report.formatting import two_digits
 from postproc.report.kit import Axis, Map, Note, Notes, Page, Plot, Points, Row, Section, Table, Tile, Tiles
 
 _COLUMNS = (
@@ -142,7 +142,7 @@ def _entry(place: Judged) -> PlaceEntry:
 
 
 def _sentence(search: Search) -> str:
-    """Return what to do, in one sentence."""
+    """Return the advice of the search in one sentence: where to move the part, and the gain."""
     today, best = search.today, search.best
     if best is None:
         return "No place in the region can be driven."
@@ -167,7 +167,7 @@ def _sentence(search: Search) -> str:
 
 
 def _cost(place: Judged) -> str:
-    return rounded(place.stated_cost * MM_PER_M)
+    return two_digits(place.stated_cost * MM_PER_M)
 
 
 def places_csv(search: Search) -> Iterator[bytes]:
@@ -197,7 +197,7 @@ def base_toml(search: Search, cell: Cell, content: PlaceSummary) -> bytes:
     return ("\n".join(lines) + "\n").encode()
 
 
-def finished(content: PlaceSummary, files: list[FileEntry]) -> bytes:
+def place_json(content: PlaceSummary, files: list[FileEntry]) -> bytes:
     """Return `place.json`."""
     return json_bytes(replace(content, files=files))
 
@@ -229,9 +229,11 @@ def _line(name: str, entry: PlaceEntry | None) -> str:
     place += f", tool turned by {entry.turn_deg:+.0f}°" if entry.turn_deg else ""
     if not entry.reachable:
         return f"  {name}: {place}: {entry.reason}"
-    error = f"deflection up to {rounded(entry.deflection_mm or 0.0)} mm"
+    error = f"deflection up to {two_digits(entry.deflection_mm or 0.0)} mm"
     if entry.uncorrected_mm is not None and entry.corrected_mm is not None:
-        error = f"uncorrected up to {rounded(entry.uncorrected_mm)}, corrected up to {rounded(entry.corrected_mm)} mm"
+        error = (
+            f"uncorrected up to {two_digits(entry.uncorrected_mm)}, corrected up to {two_digits(entry.corrected_mm)} mm"
+        )
         error += " (95 %)"
     return f"  {name}: {place}: {error}, joint margin {entry.min_joint_margin_deg:.1f}°"
 

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from postproc.cell import Cell as CellFile
+from postproc.decimals import decimal_text
 from postproc.dialects.krl.write import axis_motion, document, head
 from postproc.files import FileEntry, json_bytes
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array
@@ -47,8 +48,8 @@ def plan_csv(result: PlanResult) -> bytes:
     """Return ``config,A1…A6,Fx,Fy,Fz``: deg; N, root axes, at the load point; in the order of least travel."""
     rows = [_HEADER]
     for number, (q, force) in enumerate(zip(result.plan.q * DEG_PER_RAD, result.force, strict=True), 1):
-        angles = ",".join(_decimal_text(value, 3) for value in q)
-        rows.append(f"{number},{angles},{','.join(_decimal_text(value, 1) for value in force)}")
+        angles = ",".join(decimal_text(value, 3) for value in q)
+        rows.append(f"{number},{angles},{','.join(decimal_text(value, 1) for value in force)}")
     return ("\n".join(rows) + "\n").encode()
 
 
@@ -132,7 +133,7 @@ def plan_summary(result: PlanResult) -> dict[str, object]:
 
 
 def _torques(result: PlanResult) -> list[dict[str, object]]:
-    """Return what each joint is loaded with, in the plan and in the work that the test poses stand for."""
+    """Return the section on joint torques: in the plan, and at the test poses."""
     rows = zip(JOINTS, *extremes(result), poses_by_side(result), result.directions.work, strict=True)
     return [
         {
@@ -146,7 +147,7 @@ def _torques(result: PlanResult) -> list[dict[str, object]]:
 
 
 def _comparisons(result: PlanResult, criterion: float) -> dict[str, object]:
-    """Return how other plans do: random ones, the serial approach, and other numbers of poses.
+    """Return the section that compares random plans, the serial approach, and other numbers of poses.
 
     :param criterion: of the plan [mm].
     """
@@ -177,7 +178,7 @@ def _comparisons(result: PlanResult, criterion: float) -> dict[str, object]:
 
 def poses_by_side(result: PlanResult) -> Ints:
     """Return the number of poses (6, 2) that load each joint in negative and in positive direction."""
-    return np.asarray(result.directions.counted(result.torque).sum(axis=0))
+    return np.asarray(result.directions.loaded_sides(result.torque).sum(axis=0))
 
 
 def extremes(result: PlanResult) -> tuple[Array, Array]:
@@ -232,12 +233,6 @@ def plan_lines(result: PlanResult) -> list[str]:
     return lines
 
 
-def _decimal_text(value: float, decimals: int) -> str:
-    """Return a number with so many decimals, never -0."""
-    text = f"{value:.{decimals}f}"
-    return text if float(text) != 0.0 else f"{0.0:.{decimals}f}"
-
-
 _ARROW = 0.45
 """Length of a load [m]."""
 _EDGES = [(a, b) for a in range(8) for b in range(a + 1, 8) if bin(a ^ b).count("1") == 1]
@@ -257,7 +252,7 @@ def poses(result: PlanResult) -> Section:
     points = arm_poses.point(site.points)
     surroundings = []
     if site.obstacles:
-        edges = [_box(thing)[[a, b]] for thing in site.obstacles for a, b in _EDGES]
+        edges = [_box(obstacle)[[a, b]] for obstacle in site.obstacles for a, b in _EDGES]
         surroundings.append(_line(edges, "obstacles", "warning", 2.0))
     if site.tracker is not None:
         surroundings.append(_line([site.tracker[None]], "tracker", "force", 6.0, dots=True))
@@ -314,7 +309,7 @@ _BINS = 60
 
 
 def expected_section(result: PlanResult) -> Section:
-    """Return the expected accuracy."""
+    """Return the section on the expected accuracy of the planned measurements."""
     low, high = (value * MM_PER_M for value in result.accuracy.interval)
     uncompensated = float(np.sqrt(result.tests.weight @ result.tests.deflection**2))
     tiles = [
@@ -407,7 +402,7 @@ def angles(result: PlanResult) -> Section:
 
 
 def tests(result: PlanResult) -> Section:
-    """Return the test poses."""
+    """Return the section that lists the test poses."""
     order = np.argsort(-result.tests.weight, kind="stable")
     rows = tuple(
         Row(

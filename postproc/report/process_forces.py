@@ -47,7 +47,7 @@ class ToolSummary(Struct, frozen=True, omit_defaults=True, kw_only=True):
 class ForcesSummary(Struct, frozen=True, omit_defaults=True, kw_only=True):
     """Content of forces.json. Without material and stock, all up to `tools` are left out.
 
-    `by_operation` counts the moves whose force is from the table of operations. `finished` adds what follows it.
+    `operation_knots` counts the moves whose force is from the table of operations. `forces_json` adds what follows it.
     """
 
     program: str | None = None
@@ -118,7 +118,7 @@ def summary(program: Program, process: ProcessForces | None, by_operation: int) 
     )
 
 
-def finished(content: ForcesSummary, issues: Sequence[Issue], entries: list[FileEntry]) -> bytes:
+def forces_json(content: ForcesSummary, issues: Sequence[Issue], entries: list[FileEntry]) -> bytes:
     """Return forces.json."""
     return json_bytes(replace(content, version=VERSION, issues=[issue_entry(i) for i in issues], files=entries))
 

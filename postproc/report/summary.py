@@ -305,11 +305,11 @@ def _is_tolerance_held(result: Result, prediction: Statistics, tolerance: float 
 
 
 def _blending(result: Result) -> Blending:
-    """Return how far corners are cut by approximation at most [mm], and where."""
+    """Return the largest rounding of corners by approximation [mm], and its place."""
     cuts = np.flatnonzero(_cuts(result))
     worst = cuts[np.argmax(result.rounding[cuts])] if len(cuts) else None
     file_name = result.documents[0].name if result.documents else None
-    dialect = result.program.dialect if file_name is None else registry.of_file(Path(file_name)).name
+    dialect = result.program.dialect if file_name is None else registry.dialect_of_file(Path(file_name)).name
     by = registry.written_in(dialect, None)[1].approximation
     if worst is None or not result.rounding[worst] > 0.0:
         return Blending(by=by, max_mm=0.0, programmed_max_mm=0.0, source_line=None)
@@ -322,8 +322,8 @@ def _blending(result: Result) -> Blending:
 
 
 def _origin(result: Result) -> Origin:
-    """Return what the program states about its origin."""
-    writer = registry.by_name(result.program.dialect).writer
+    """Return the entry on the stated origin of the program."""
+    writer = registry.dialect_of_name(result.program.dialect).writer
     origin = None if writer is None else writer.origin(result.program.documents)
     if origin is None or origin.state == "none":
         return Origin(state="none", mode=None, version=None)
@@ -383,16 +383,16 @@ def _on_part(result: Result, tolerance: float | None) -> OnPart:
 
 
 def _surface_entry(result: Result, surface: Surface) -> OnSurface:
-    """Return how deep the programmed path cuts into the part, how much it leaves [mm], and how much it reaches [%]."""
+    """Return the largest depth of the programmed path in the part and material left [mm], and the reached share [%]."""
     cut = np.flatnonzero(surface.programmed_row >= 0)
     deepest = cut[np.argmin(surface.programmed[cut])] if len(cut) else None
-    area, left = surface.area, surface.programmed[surface.touched & (surface.programmed_row < 0)]
+    area, left = surface.area, surface.programmed[surface.is_touched & (surface.programmed_row < 0)]
     finite_heights = left[np.isfinite(left)]
     return OnSurface(
         cut_into_mm=0.0 if deepest is None else -float(surface.programmed[deepest]) * MM_PER_M,
         source_line=None if deepest is None else int(result.source_line[surface.programmed_row[deepest]]),
         left_mm=float(np.median(finite_heights)) * MM_PER_M if len(finite_heights) else None,
-        reached_percent=100.0 * float(area[surface.reached].sum() / max(float(area.sum()), 1e-300)),
+        reached_percent=100.0 * float(area[surface.is_reached].sum() / max(float(area.sum()), 1e-300)),
     )
 
 

@@ -173,7 +173,7 @@ def _touch_texts(parts: dict[Placement, Program]) -> str:
 
 
 def _cutting_steps(parts: dict[Placement, Program]) -> list[Note]:
-    """Return how to cut the part, for each placement of the block."""
+    """Return the steps to cut the part, for each placement of the block."""
     uncorrected = "uncorrected, in one clamping, with a sharp tool."
     if len(parts) == 1:
         return [Note(f"Cut testpart.src, or testpart.nc by your own post: {uncorrected}")]
@@ -189,7 +189,7 @@ def _cutting_steps(parts: dict[Placement, Program]) -> list[Note]:
 
 
 def _weight_steps(parts: dict[Placement, Program]) -> list[Note]:
-    """Return how to hang a weight on the tool; empty if the part has no gauge readings."""
+    """Return the steps to hang a weight on the tool; empty if the part has no gauge readings."""
     masses = [float(part.mass.max(initial=0.0)) for part in parts.values()]
     if not max(masses) > 0.0:
         return []
@@ -312,7 +312,7 @@ def _feature_shapes(plan: _Plan, feature: features.Feature, cutting: Cutting, na
     for surface, style in (("groove", areas), ("step", areas), ("trim", hidden_lines)):
         shapes += _outlines(plan, feature, cutting, surface, style)
     for probe in features.probes(feature.kind, cutting):
-        x, y = plan.xy(features.placed(feature, 0.0, np.array([probe.point])))[0].tolist()
+        x, y = plan.xy(features.to_base(feature, 0.0, np.array([probe.point])))[0].tolist()
         fill = "none" if probe.name.startswith("ref") else "currentColor"
         shapes.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3" fill="{fill}" stroke="currentColor"/>')
     style = 'font-size="15" font-weight="bold" paint-order="stroke" stroke="var(--card)" stroke-width="4"'
@@ -358,7 +358,7 @@ def _stadium(feature: features.Feature, begin: Array, end: Array, radius: float)
         for centre, angle in ((end, direction), (begin, direction + np.pi))
     ]
     points = np.concatenate(ends)
-    return features.placed(feature, 0.0, np.column_stack([points, np.zeros(len(points))]))[:, :2]
+    return features.to_base(feature, 0.0, np.column_stack([points, np.zeros(len(points))]))[:, :2]
 
 
 def design_lines(design: Design, prior: Prior, cutting: Cutting, parts: dict[Placement, Program]) -> list[str]:
@@ -421,7 +421,7 @@ def part_lines(data: PartIdentification) -> list[str]:
 
 
 def agreement_lines(data: PartIdentification, agreement: Agreement) -> list[str]:
-    """Return how the model of the cell agrees with the part, as lines to print."""
+    """Return lines to print on the agreement of the cell's model with the part."""
     state = "the model holds" if agreement.holds else "THE MODEL DOES NOT HOLD"
     return [
         *([f"NOT DECIDED: {agreement.fault}"] if agreement.fault else []),

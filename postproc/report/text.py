@@ -8,7 +8,7 @@ from msgspec.structs import astuple
 
 from postproc.report.answers import Verdict, chance_in_words
 from postproc.report.feed import seconds, sentences
-from postproc.report.formatting import PLAIN, ROUNDING_MM, Display, State, estimate, rounded
+from postproc.report.formatting import PLAIN, ROUNDING_MM, Display, State, estimate, two_digits
 from postproc.report.summary import IssueEntry, Summary, improvement
 from postproc.report.verdict import clearance, nothing_to_correct, uncorrected_sentence
 
@@ -20,7 +20,7 @@ _ROWS = ("max", "RMS", "mean", "95 %")
 """Labels of `summary.Distances`."""
 
 
-def of_one(content: Summary, display: Display = PLAIN) -> str:
+def program_text(content: Summary, display: Display = PLAIN) -> str:
     """Return the summary of one program on one screen: the verdict, the paper's Table 3, and other facts.
 
     :param display: how it looks.
@@ -62,7 +62,7 @@ def targets(content: Summary) -> str:
 
 def _facts(content: Summary) -> list[str]:
     """Return facts in addition to the reasons of the verdict."""
-    facts = [] if content.verdict.state == "ok" else _of_path(content)
+    facts = [] if content.verdict.state == "ok" else _path_facts(content)
     if content.mode == "convert" and content.compensated_percent is not None:
         facts.append(f"compensated {percent(content.compensated_percent)}")
     if content.mode == "predict" and content.between_max_mm is not None:
@@ -84,7 +84,7 @@ def _facts(content: Summary) -> list[str]:
 
 
 def _feeds(content: Summary, display: Display) -> list[str]:
-    """Return what was done to the feeds, and cutting times by operation."""
+    """Return lines on lowered feeds and on cutting times by operation."""
     feed = content.feed
     if feed is None:
         return []
@@ -103,22 +103,22 @@ def _feeds(content: Summary, display: Display) -> list[str]:
     return lines
 
 
-def _of_path(content: Summary) -> list[str]:
+def _path_facts(content: Summary) -> list[str]:
     """Return facts on path and corners, if the verdict is about something else."""
     facts = []
     if content.mode == "convert" and content.max_correction_mm is not None:
-        facts.append(f"largest correction {rounded(content.max_correction_mm)} mm")
+        facts.append(f"largest correction {two_digits(content.max_correction_mm)} mm")
     if content.mode != "predict" and content.between_max_mm is not None:
         judgement = {None: ", held but for approximation", True: ", held", False: ", EXCEEDED"}[content.tolerance_held]
         tolerance_text = "" if content.tolerance_mm is None else f" (tolerance {content.tolerance_mm:g} mm{judgement})"
-        facts.append(f"between targets at most {rounded(content.between_max_mm)} mm{tolerance_text}")
+        facts.append(f"between targets at most {two_digits(content.between_max_mm)} mm{tolerance_text}")
     blending = content.blending
     if blending.source_line is not None:
         programmed_mm = blending.programmed_max_mm
         details = f"line {blending.source_line}" + (
-            f"; the program itself by {rounded(programmed_mm)} mm" if programmed_mm else ""
+            f"; the program itself by {two_digits(programmed_mm)} mm" if programmed_mm else ""
         )
-        facts.append(f"{blending.by} rounds corners by up to {rounded(blending.max_mm)} mm ({details})")
+        facts.append(f"{blending.by} rounds corners by up to {two_digits(blending.max_mm)} mm ({details})")
     return facts
 
 
@@ -129,7 +129,7 @@ def issue_line(issue: IssueEntry, program: str) -> str:
     return f"{issue.level}: {place}: {issue.message}{count}"
 
 
-def of_many(rows: Sequence[tuple[str, Summary | None, str]], display: Display = PLAIN) -> str:
+def programs_table(rows: Sequence[tuple[str, Summary | None, str]], display: Display = PLAIN) -> str:
     """Return a table of many programs: expected errors (95 %), and the first reason of each verdict that is not good.
 
     :param rows: name, summary (None where it failed) and one word on what came of it.
@@ -171,7 +171,7 @@ def _pair(verdict: Verdict) -> tuple[str, str, str]:
 def _largest(lengths_mm: Sequence[float | None]) -> str:
     """Return the largest of some lengths; a dash if none is known."""
     lengths = [length for length in lengths_mm if length is not None]
-    return rounded(max(lengths)) if lengths else "-"
+    return two_digits(max(lengths)) if lengths else "-"
 
 
 def _u95(content: Summary) -> float | None:

@@ -22,10 +22,10 @@ from postproc.report.answers import (
     Tolerance,
     Verdict,
     chance_in_words,
-    joined,
+    join,
     remedies,
 )
-from postproc.report.formatting import State, above, rounded
+from postproc.report.formatting import State, above_limit, two_digits
 from postproc.robot import JOINTS, RobotModel
 
 if TYPE_CHECKING:
@@ -87,18 +87,18 @@ def verdict(result: Result, content: Summary, other_remedies: Sequence[Remedy] =
     of_forces = [issue for issue in warnings if issue.kind.partition("-A")[0] in _OF_FORCES]
     drive = _drive(result, content, [issue for issue in warnings if issue not in of_forces])
     tolerance = _tolerance(result, content, other_remedies)
-    better = _better(result, content, _of_issues(of_forces, result.mode), tolerance)
+    better = _better(result, content, _issue_findings(of_forces, result.mode), tolerance)
     holds = _holds(result, content)
     remark = STOCK_REMARK if any(issue.kind == ASSUMED_STOCK for issue in result.issues) else ""
-    return joined(result.mode, drive, better, tolerance, _texts(holds), _assumptions(result), remark=remark)
+    return join(result.mode, drive, better, tolerance, _texts(holds), _assumptions(result), remark=remark)
 
 
 def _drive(result: Result, content: Summary, warnings: Sequence[Issue]) -> Drive:
     """Return whether the program may be driven, from its warnings about motions."""
     errors = [issue.message for issue in result.issues if issue.level == "error"]
-    doubts = _of_issues(warnings, result.mode)
+    doubts = _issue_findings(warnings, result.mode)
     if content.targets:
-        doubts = [*_on_surface(content)[0], *_near_limits(content), *doubts]
+        doubts = [*_surface_findings(content)[0], *_near_limits(content), *doubts]
     checks = {
         "collisions": content.collision is not None,
         "moves through material": result.is_stock_known,
@@ -122,7 +122,7 @@ def _better(result: Result, content: Summary, doubts: list[Finding], tolerance: 
     if (sentence := uncorrected_sentence(content)) is not None:
         doubts.insert(0, Finding(_FIRST, sentence))
     if content.targets and content.max_force_N == 0.0 and corrects:
-        doubts.append(Finding(_FIRST, _without_forces(result, content)))
+        doubts.append(Finding(_FIRST, _no_force_sentence(result, content)))
     if content.targets and errors is None:
         text = "how far the part will be off is unknown: the robot model states no uncertainty of its parameters"
         doubts.append(Finding(content.before.max_mm, text))
@@ -170,7 +170,7 @@ def _tolerance(result: Result, content: Summary, other_remedies: Sequence[Remedy
     part, reasons = content.part, list[str]()
     if content.targets and content.tolerance_held is False and content.mode != "predict":
         assert content.tolerance_mm is not None
-        deviation_text = above(max(content.between_max_mm or 0.0, content.after.max_mm), content.tolerance_mm)
+        deviation_text = above_limit(max(content.between_max_mm or 0.0, content.after.max_mm), content.tolerance_mm)
         reasons.append(
             f"the predicted path leaves the nominal one by {deviation_text} mm: more than {content.tolerance_mm:g} mm"
         )
@@ -191,8 +191,8 @@ def _tolerance(result: Result, content: Summary, other_remedies: Sequence[Remedy
         if remedy.expected_mm < _GAIN * part.expected_mm
     ]
     text = (
-        f"the expected error on the part is up to {above(part.expected_mm, part.tolerance_mm)} mm (95 %, corners and "
-        f"path included), more than the {part.tolerance_mm:g} mm of [part] tolerance_mm, at "
+        f"the expected error on the part is up to {above_limit(part.expected_mm, part.tolerance_mm)} mm (95 %, corners "
+        f"and path included), more than the {part.tolerance_mm:g} mm of [part] tolerance_mm, at "
         f"{_two_digits(part.beyond_percent)} % of the cutting targets"
     )
     reasons.insert(0, _at(text, part.source_line))
@@ -205,7 +205,7 @@ _GAIN = 0.95
 
 
 def _remedies(result: Result, content: Summary) -> list[Remedy]:
-    """Return what would lower the expected error, as far as the result itself says it."""
+    """Return measures that would lower the expected error, as far as the result shows them."""
     errors = result.errors
     if errors is None:
         return []
@@ -232,19 +232,24 @@ def _compensates(content: Summary) -> bool:
 
 
 def _holds(result: Result, content: Summary) -> list[Finding]:
-    """Return what to expect, and what was checked and holds."""
+    """Return findings on the expected error, the margins, and the checks that passed."""
     holds = list[Finding]()
     if content.targets:
-        holds = [*_on_surface(content)[1], *_expected_findings(result, content), *_margin(content), *_clear(content)]
+        holds = [
+            *_surface_findings(content)[1],
+            *_expected_findings(result, content),
+            *_margin(content),
+            *_clear(content),
+        ]
     if content.mode != "predict" and result.documents:
         text = "the program was read back as it is written, and simulated with its rounded numbers"
         holds.append(Finding(_NO_SIZE, text))
-    if names := assumed(result.robot):
+    if names := assumed_values(result.robot):
         holds.append(Finding(_NO_SIZE, f"assumed values of the robot model: {', '.join(names)}"))
     return holds
 
 
-def _of_issues(issues: Sequence[Issue], mode: Mode) -> list[Finding]:
+def _issue_findings(issues: Sequence[Issue], mode: Mode) -> list[Finding]:
     """Return issues as findings; those that matter most in this mode come first."""
     return [
         Finding(
@@ -256,7 +261,7 @@ def _of_issues(issues: Sequence[Issue], mode: Mode) -> list[Finding]:
 
 
 def uncorrected_sentence(content: Summary) -> str | None:
-    """Return a sentence that says so if motions stay as they are and no other one was corrected."""
+    """Return a sentence if uncorrected motions remain and no other motion was corrected; else None."""
     count = sum(issue.count for issue in content.issues if issue.kind in _UNCORRECTED_KINDS)
     if content.mode != "convert" or not count or content.before.max_mm >= NOTHING_MM:
         return None
@@ -289,7 +294,7 @@ def _two_digits(percent: float | None) -> str:
     return f"{percent:.2g}" if percent < 9.95 else f"{percent if percent == 100.0 else min(percent, 99.0):.0f}"
 
 
-def _without_forces(result: Result, content: Summary) -> str:
+def _no_force_sentence(result: Result, content: Summary) -> str:
     """Return a sentence for a program without forces: what remains to be corrected, up to how much."""
     if content.before.max_mm < NOTHING_MM:
         return "no cutting move carries a force: nothing is corrected (postproc forces computes forces)"
@@ -299,50 +304,52 @@ def _without_forces(result: Result, content: Summary) -> str:
     cause = "cause" if len(result.causes) > 1 else "causes"
     return (
         f"no cutting move carries a force: {subject} only what {causes} {cause}, up to "
-        f"{rounded(content.before.max_mm)} mm (postproc forces computes forces)"
+        f"{two_digits(content.before.max_mm)} mm (postproc forces computes forces)"
     )
 
 
 def _expected_findings(result: Result, content: Summary) -> list[Finding]:
-    """Return what to expect on the part, in millimetres."""
+    """Return findings on the expected error on the part, in millimetres."""
     findings = []
     bound, part, blending = content.u95, content.part, content.blending
     if bound is not None:
         quantity, largest = "uncertainty of the prediction", bound.max_mm
         if content.mode != "predict":
-            quantity, largest = "expected error on the part", max(bound.max_mm, _largest_expected(result))
-        findings.append(Finding(largest, f"{quantity} (95 %): up to {rounded(largest)} mm, {bound.basis}"))
+            quantity, largest = "expected error on the part", max(bound.max_mm, _largest_expected_error(result))
+        findings.append(Finding(largest, f"{quantity} (95 %): up to {two_digits(largest)} mm, {bound.basis}"))
     if part.held and part.expected_mm is not None:
         text = (
-            f"[part] tolerance_mm = {part.tolerance_mm:g} is held: up to {rounded(part.expected_mm)} mm (95 %), "
+            f"[part] tolerance_mm = {part.tolerance_mm:g} is held: up to {two_digits(part.expected_mm)} mm (95 %), "
             "corners and path included"
         )
         findings.insert(0, Finding(part.expected_mm, text))
     if content.mode == "predict":
-        text = f"predicted as programmed: up to {rounded(content.before.max_mm)} mm off at cutting targets"
+        text = f"predicted as programmed: up to {two_digits(content.before.max_mm)} mm off at cutting targets"
         return [Finding(_FIRST, text), *findings]
     if blending.source_line is not None:
         programmed_mm = blending.programmed_max_mm
-        itself = f", the program itself by {rounded(programmed_mm)} mm" if programmed_mm else ""
-        text = f"{blending.by} rounds corners by up to {rounded(blending.max_mm)} mm{itself}"
+        itself = f", the program itself by {two_digits(programmed_mm)} mm" if programmed_mm else ""
+        text = f"{blending.by} rounds corners by up to {two_digits(blending.max_mm)} mm{itself}"
         findings.append(Finding(blending.max_mm, _at(text, blending.source_line)))
     if content.tolerance_held is not False and content.between_max_mm is not None and content.tolerance_mm:
         exception = ", but for rounded corners" if content.tolerance_held is None else ""
-        bound_text = f"{rounded(content.between_max_mm)} mm of the nominal one, between targets too{exception}"
+        bound_text = f"{two_digits(content.between_max_mm)} mm of the nominal one, between targets too{exception}"
         text = f"the predicted path stays within {bound_text} (tolerance {content.tolerance_mm:g} mm)"
         findings.append(Finding(content.between_max_mm, text))
     if content.mode == "convert" and (content.max_correction_mm or 0.0) >= NOTHING_MM:
-        findings.append(Finding(_NO_SIZE, f"the correction is at most {rounded(content.max_correction_mm or 0.0)} mm"))
+        findings.append(
+            Finding(_NO_SIZE, f"the correction is at most {two_digits(content.max_correction_mm or 0.0)} mm")
+        )
     return findings
 
 
-def _largest_expected(result: Result) -> float:
+def _largest_expected_error(result: Result) -> float:
     """Return the largest expected error on the part (95 %) after correction [mm], corners and path included."""
     errors = result.errors
     return 0.0 if errors is None else statistics(errors.after, result.rapid).largest * MM_PER_M
 
 
-def _on_surface(content: Summary) -> tuple[list[Finding], list[Finding]]:
+def _surface_findings(content: Summary) -> tuple[list[Finding], list[Finding]]:
     """Return doubts and findings about the programmed path and the mesh of the part."""
     surface = content.surface
     if surface is None:
@@ -355,14 +362,14 @@ def _on_surface(content: Summary) -> tuple[list[Finding], list[Finding]]:
     cut, left = surface.cut_into_mm, surface.left_mm
     if cut > limit:
         text = (
-            f"the programmed path itself cuts {rounded(cut)} mm into the part: check that the mesh is in place and is "
-            f"the finished part; {reach_text}"
+            f"the programmed path itself cuts {two_digits(cut)} mm into the part: check that the mesh is in place and "
+            f"is the finished part; {reach_text}"
         )
         return [Finding(_FIRST, _at(text, surface.source_line))], []
     if left is not None and left > max(limit, LEFT_MM):
         text = (
-            f"the programmed path itself leaves {rounded(left)} mm on the part: check that the mesh is in place and is "
-            f"what this program makes; {reach_text}"
+            f"the programmed path itself leaves {two_digits(left)} mm on the part: check that the mesh is in place and "
+            f"is what this program makes; {reach_text}"
         )
         return [Finding(_FIRST, text)], []
     text = f"the programmed path cuts into the part by no more than {limit:g} mm; {reach_text}"
@@ -387,7 +394,7 @@ def _clear(content: Summary) -> list[Finding]:
 
 
 def _near_limits(content: Summary) -> list[Finding]:
-    """Return a finding for each joint that comes close to a limit."""
+    """Return a finding for each joint near a limit."""
     margins = content.limits.joint_margins_deg
     return [
         Finding(_NO_SIZE, f"{name} comes within {margin:.1f}° of a limit")
@@ -406,14 +413,14 @@ def _margin(content: Summary) -> list[Finding]:
     )
 
 
-def assumed(robot: RobotModel) -> tuple[str, ...]:
+def assumed_values(robot: RobotModel) -> tuple[str, ...]:
     """Return the names of the model's values that are assumed and bear on what the tool does under force."""
     weights = robot.has_weight and (robot.carries_weight or not robot.subtract_reference)
     return tuple(entry.name for entry in robot.sources if entry.assumed and (weights or entry.name != SOLID))
 
 
 def _assumptions(result: Result) -> list[str]:
-    """Return what the numbers of the report rely on."""
+    """Return the assumptions behind the numbers of the report."""
     force = np.abs(result.wrench.values).max(axis=1)[result.wrench.run].max(initial=0.0)
     bodies = [] if result.clearance is None else list(result.clearance.remarks)
     assumptions = [

@@ -5,7 +5,7 @@ calibrated geometry), the springs, the compensator, the covariance, and the sour
 """
 
 from postproc.robot.chain import Chain, elastic_chain
-from postproc.robot.folder import assemble, find, load, shipped
+from postproc.robot.folder import assemble, find, load, shipped_models
 from postproc.robot.model import (
     FORCES,
     GEAR_TERMS,
@@ -89,6 +89,6 @@ __all__ = [
     "file_slopes",
     "find",
     "load",
-    "shipped",
+    "shipped_models",
     "waves",
 ]

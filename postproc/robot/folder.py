@@ -43,7 +43,7 @@ _WRIST = JOINTS[3:]
 """Joints whose gears may be coupled."""
 
 
-def shipped() -> dict[str, Path]:
+def shipped_models() -> dict[str, Path]:
     """Return the robot models that come with the package: name → folder."""
     package = Path(__file__).parent.parent
     root = package / "robot_models"  # in a wheel; in a checkout it is next to the package
@@ -56,7 +56,7 @@ def find(name: str, relative_to: Path | None = None) -> Path:
 
     :raises ModelError: there is no such robot; the message lists the known ones.
     """
-    robots = shipped()
+    robots = shipped_models()
     if name in robots:
         return robots[name]
     folder = (relative_to or Path()) / name.replace("\\", "/")
@@ -84,9 +84,11 @@ def load(folder: str | Path) -> RobotModel:
         (content.transmission, JOINTS),
         (content.links, (BASE, *JOINTS)),
     ):
-        wrong = [name for name in table if name not in valid]
-        if wrong:
-            raise ModelError(f"unknown joint {wrong[0]!r}", file=file_name, advice=choices(wrong[0], valid))
+        unknown_names = [name for name in table if name not in valid]
+        if unknown_names:
+            raise ModelError(
+                f"unknown joint {unknown_names[0]!r}", file=file_name, advice=choices(unknown_names[0], valid)
+            )
     absent_joints = [name for name in JOINTS if name not in content.joints]
     if absent_joints:
         raise ModelError(f"no [joints.{absent_joints[0]}]", file=file_name, advice="Every joint needs a compliance.")
@@ -125,7 +127,7 @@ def assemble(name: str, content: ModelFile, nominal: Chain) -> RobotModel:
     actual = replace(nominal, placement=placement, flange=flange)
     if (payload := content.payload) is not None:
         actual = actual.with_payload(payload.mass_kg, np.array([payload.X_mm, payload.Y_mm, payload.Z_mm]) * M_PER_MM)
-    values, load_range = parameters.stated(content), content.measured
+    values, load_range = parameters.stated_values(content), content.measured
     covariance, stated_spread = _covariance(content)
     rigid = RobotModel(
         name=name,
@@ -164,10 +166,10 @@ def _check_terms(name: str, spring: JointSpring, file_name: str) -> None:
     :raises ModelError: there is one.
     """
     valid = _WRIST[_WRIST.index(name) + 1 :] if name in _WRIST else ()
-    wrong = [second for second in spring.coupling if second not in valid]
-    if wrong:
+    unknown_joints = [second for second in spring.coupling if second not in valid]
+    if unknown_joints:
         raise ModelError(
-            f"[joints.{name}] coupling: {name} and {wrong[0]} are no pair of the wrist",
+            f"[joints.{name}] coupling: {name} and {unknown_joints[0]} are no pair of the wrist",
             file=file_name,
             advice="State those of A4 with A5 or A6 in [joints.A4.coupling], of A5 with A6 in [joints.A5.coupling].",
         )
@@ -269,7 +271,7 @@ def _check_covariance(content: ModelFile, file_name: str) -> None:
         raise ModelError("[forces] and `forces` of [covariance] belong together", file=file_name, advice=advice)
     if covariance is None:
         return
-    unknown = [name for name in covariance.parameters if name != FORCES and parameters.named(name) is None]
+    unknown = [name for name in covariance.parameters if name != FORCES and parameters.parameter_of_name(name) is None]
     if unknown:
         raise ModelError(
             f"[covariance] names {unknown[0]!r}, which is no parameter of the elastic model",
@@ -297,7 +299,7 @@ def sourced_values(content: ModelFile, nominal: Chain) -> Iterator[SourcedValue]
         value = f"{payload.mass_kg:g} kg at {payload.X_mm:g}, {payload.Y_mm:g}, {payload.Z_mm:g} mm of the flange"
         yield SourcedValue("payload when measured", value, payload.source, payload.assumed)
     for name, springs in content.links.items():
-        count = sum(spring.link == name for spring, _ in LinkSpring.stated(content))
+        count = sum(spring.link == name for spring, _ in LinkSpring.from_file(content))
         yield SourcedValue(f"springs of link {name}", f"{count} directions", springs.source, springs.assumed)
     for name, entry in content.geometry.items():
         value = (
@@ -353,7 +355,7 @@ def _angles(entry: GeometryErrorEntry) -> str:
 
 
 def _bound_values(content: ModelFile) -> Iterator[SourcedValue]:
-    """Yield how far the model is known to hold."""
+    """Yield the bound of the model's error as lines of the listing."""
     if (discrepancy := content.discrepancy) is not None:
         pairs = zip(discrepancy.u95_mm, discrepancy.load_N, strict=False)
         value = ", ".join(f"{u95:.2g} mm at {load:.0f} N" for u95, load in pairs)
@@ -369,7 +371,7 @@ def _bound_values(content: ModelFile) -> Iterator[SourcedValue]:
 
 def _nominal_values(content: ModelFile, nominal: Chain) -> Iterator[SourcedValue]:
     """Yield masses, geometry and speeds as the URDF has them."""
-    stated_masses = dict(LinkMass.stated(content))
+    stated_masses = dict(LinkMass.from_file(content))
     masses = ", ".join(
         f"{stated_masses.get(LinkMass(name), mass):.4g}" for name, mass in zip(JOINTS, nominal.mass, strict=True)
     )

@@ -20,7 +20,7 @@ from postproc.errors import ModelError
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, rotation_from_vector
 from postproc.robot import urdf
 from postproc.robot.chain import Chain
-from postproc.robot.folder import load, shipped
+from postproc.robot.folder import load, shipped_models
 from postproc.robot.model_file import FLANGE, JOINTS, JointSpring, Masses, ModelFile, Sourced
 from postproc.robot.rating import rated_payload
 from postproc.robot.urdf import AnyArm
@@ -87,7 +87,7 @@ def adopt(text: str, file: str, name: str | None = None) -> Adopted:
     if "<xacro:" in text:
         raise ModelError("a xacro, not a URDF", file=file, advice=f"Expand it first: xacro {file} > robot.urdf")
     arm = urdf.read_any(text, file)
-    chain, old_frames, notes = _in_kuka_form(arm, file)
+    chain, old_frames, notes = _to_kuka_form(arm, file)
     if not _REACHES[0] < (reach := _reach(chain)) < _REACHES[1]:
         raise ModelError(f"the wrist reaches {reach:.3g} m", file=file, advice="Lengths of a URDF are in metres.")
     title = name or arm.name or "robot"
@@ -117,12 +117,12 @@ def adopt(text: str, file: str, name: str | None = None) -> Adopted:
     return Adopted(chain, content, tuple(notes), old_frames)
 
 
-def _in_kuka_form(arm: AnyArm, file: str) -> tuple[Chain, Array, list[str]]:
+def _to_kuka_form(arm: AnyArm, file: str) -> tuple[Chain, Array, list[str]]:
     """Return the chain with KUKA's signs and zero positions, where the old frames are, and notes on what changed."""
     base = _pose_of_base(arm, file)
     placement = arm.chain.placement.copy()
     placement[0] = np.linalg.inv(base) @ placement[0]
-    source, zero = _at_kuka_zero(replace(arm.chain, placement=placement, flange=_pose_of_flange(arm, file)))
+    source, zero = _count_from_kuka_zero(replace(arm.chain, placement=placement, flange=_pose_of_flange(arm, file)))
     frames, flange = (array[0] for array in source.joint_frames(np.zeros((1, len(JOINTS)))))
     axis = np.einsum("jab,jb->ja", frames[:, :3, :3], source.axis)
     sign = np.sign(np.einsum("ja,ja->j", axis, _AXES))
@@ -163,7 +163,7 @@ def _in_kuka_form(arm: AnyArm, file: str) -> tuple[Chain, Array, list[str]]:
     return chain, old_frames, notes
 
 
-def _at_kuka_zero(arm: Chain) -> tuple[Chain, Array]:
+def _count_from_kuka_zero(arm: Chain) -> tuple[Chain, Array]:
     """Return the arm with its joints counted from KUKA's zero position, and the angles (6,) of that position [rad].
 
     With all joints at zero a KUKA arm is stretched out along +X: the upper arm and the axes of A4 and A6 along X, the
@@ -284,7 +284,7 @@ def _compliances(chain: Chain, payload: float | None) -> tuple[list[float], str]
     with its fourth power. The reach alone is no size: of one class, the longer arm carries less and is not stiffer.
     The KR 270-2 is the reference: its values are published.
     """
-    reference = load(shipped()[_REFERENCE])
+    reference = load(shipped_models()[_REFERENCE])
     reference_reach, reach = _reach(reference.nominal), _reach(chain)
     mm = f"{reference_reach * MM_PER_M:.0f}", f"{reach * MM_PER_M:.0f}"
     if payload is not None:
@@ -315,14 +315,15 @@ def _masses(chain: Chain, payload: float | None, file: str) -> tuple[Masses, lis
         )
     reach, total = _reach(chain), float(chain.mass.sum())
     if payload is None:
-        usual, size = _MASS_BY_REACH * reach**3, f"reach {reach * MM_PER_M:.0f} mm"
+        arm_mass, size = _MASS_BY_REACH * reach**3, f"reach {reach * MM_PER_M:.0f} mm"
     else:
-        usual = _MASS_BY_LOAD[0] * (payload * reach) ** _MASS_BY_LOAD[1]
+        arm_mass = _MASS_BY_LOAD[0] * (payload * reach) ** _MASS_BY_LOAD[1]
         size = f"{payload:.0f} kg payload, reach {reach * MM_PER_M:.0f} mm"
-    if not usual / _IMPLAUSIBLE <= total <= usual * _IMPLAUSIBLE:
+    if not arm_mass / _IMPLAUSIBLE <= total <= arm_mass * _IMPLAUSIBLE:
         notes.append(
-            f"the links weigh {total:.0f} kg; arms of this size ({size}) have about {usual:.2g} kg without the base. "
-            "The masses are marked as assumed: correct <inertial> in robot.urdf, since their weight is corrected too"
+            f"the links weigh {total:.0f} kg; arms of this size ({size}) have about {arm_mass:.2g} kg without the "
+            "base. The masses are marked as assumed: correct <inertial> in robot.urdf, since their weight is corrected "
+            "too"
         )
         return Masses(source=f"{file}: {total:.0f} kg are not plausible", assumed=True), notes
     return Masses(source=file, assumed=bool(massless)), notes

@@ -78,7 +78,7 @@ class Covariance(Struct, frozen=True, eq=False):
 
         :raises ModelError: a name that no parameter has.
         """
-        parameter_of = {name: parameters.named(name) for name in names}
+        parameter_of = {name: parameters.parameter_of_name(name) for name in names}
         unknown = [name for name, parameter in parameter_of.items() if parameter is None]
         if unknown:
             raise ModelError(f"[covariance] names {unknown[0]!r}, which is no parameter of the elastic model")
@@ -196,7 +196,7 @@ class Transmission(Struct, frozen=True, eq=False):
         """Return the actual angles (6, n) of joints for angles (6, n) that the controller holds [rad]."""
         return np.asarray(q + np.einsum("jk,kjn->jn", self.amplitude, waves(q)))
 
-    def commanded(self, actual: Array) -> Array:
+    def commanded_angles(self, actual: Array) -> Array:
         """Return the angles (6, n) that the controller holds when the joints are at angles (6, n) [rad].
 
         By fixed point: amplitudes of at most some hundredths reduce the error by as much in each round.
@@ -317,9 +317,9 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
     @cached_property
     def steady(self) -> Array:
         """Compliance (nv,) that does not change with the torque [rad/(N·m), m/N]."""
-        return self.compliance - self._at_small_torque(self.terms)
+        return self.compliance - self._initial_compliance(self.terms)
 
-    def _at_small_torque(self, terms: Iterable[tuple[Spring, float]]) -> Array:
+    def _initial_compliance(self, terms: Iterable[tuple[Spring, float]]) -> Array:
         """Return the compliance (nv,) of terms at small torque."""
         zero, compliance = np.zeros(1), np.zeros(self.actual.nv)
         for parameter, value in terms:
@@ -333,12 +333,12 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
         return OverPose.of(self.terms)
 
     @cached_property
-    def by_torque(self) -> tuple[tuple[Spring, float], ...]:
+    def torque_terms(self) -> tuple[tuple[Spring, float], ...]:
         """The terms whose deflection depends on torques alone."""
         return tuple(term for term in self.terms if not isinstance(term[0], PoseWave))
 
     @cached_property
-    def coupled(self) -> Array | None:
+    def coupling_compliance(self) -> Array | None:
         """Compliances (nv, nv) of coordinates by each other's torques, zero on the diagonal; or None."""
         couplings = [(parameter, value) for parameter, value in self.terms if isinstance(parameter, GearCoupling)]
         if not couplings:
@@ -433,7 +433,7 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
             if geometry.drawn == for_drawing or geometry.carrier not in carriers
         ]
         surfaces, problems = shapes.read(selection, Path(self.urdf))
-        return shapes.joined(surfaces), problems
+        return shapes.join_by_carrier(surfaces), problems
 
     @cached_property
     def passive(self) -> tuple[int, ...]:
@@ -454,7 +454,7 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
         return bool((self.loaded.mass > 0.0).any())
 
     @cached_property
-    def a_kilogram_each(self) -> Chain:
+    def unit_mass_chain(self) -> Chain:
         """The elastic chain with one kilogram at the stated centre of each link, without payload."""
         mass, centre = np.zeros(self.actual.nv), np.zeros((self.actual.nv, 3))
         for joint in JOINTS:
@@ -497,7 +497,7 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
             else:
                 law = law.with_spring(*(values.get(parameter, self.value(parameter)) for parameter in COMPENSATOR))
         with np.errstate(divide="ignore"):
-            stiffness = np.diag(1.0 / (steady + self._at_small_torque(terms.items())))
+            stiffness = np.diag(1.0 / (steady + self._initial_compliance(terms.items())))
         heavier = self._with_masses({p: value for p, value in values.items() if isinstance(p, LinkMass)})
         return replace(heavier, stiffness=stiffness, terms=tuple(terms.items()), compensator=law)
 

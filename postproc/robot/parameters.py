@@ -4,7 +4,7 @@ The model is linear in each of them. A `Spring` adds to the deflection of one co
 the torque there; a `GearCoupling` adds to those of two joints, each by the torque on the other; a `PoseWave` is a
 compliance that changes over the workspace. A `CompensatorTorque` subtracts its value times a function of q2 from the
 torque on joint 2. Values are SI; files hold the units of a workshop (the whole compliance of a joint, the free length
-s₀): `Parameter.in_file`.
+s₀): `Parameter.file_value`.
 
 A further kind is a class in `KINDS`; identification, bound and report use the methods of the objects alone.
 """
@@ -73,12 +73,12 @@ class Parameter(Struct, frozen=True):
 
     @classmethod
     @abstractmethod
-    def named(cls, name: str) -> Self | None:
+    def from_name(cls, name: str) -> Self | None:
         """Return the parameter of this kind with a name in files, or None."""
 
     @classmethod
     @abstractmethod
-    def stated(cls, content: ModelFile) -> Iterator[tuple[Self, float]]:
+    def from_file(cls, content: ModelFile) -> Iterator[tuple[Self, float]]:
         """Yield the parameters of this kind that a model file holds, with their (linear) values, SI."""
 
     @abstractmethod
@@ -89,7 +89,7 @@ class Parameter(Struct, frozen=True):
         """Return the other parameters that its value in model.toml depends on."""
         return ()
 
-    def in_file(self, values: Mapping[Parameter, float]) -> tuple[float, dict[Parameter, float]]:
+    def file_value(self, values: Mapping[Parameter, float]) -> tuple[float, dict[Parameter, float]]:
         """Return the value in units of the file, and its derivatives by the linear values `values` (SI)."""
         return self.per_si * values[self], {self: self.per_si}
 
@@ -144,7 +144,7 @@ class CompensatorTorque(Parameter, frozen=True):
         return f"the compensator at {self.joint}"
 
     @classmethod
-    def named(cls, name: str) -> Self | None:
+    def from_name(cls, name: str) -> Self | None:
         """Return the parameter if this is its name."""
         return cls() if name == cls().name else None
 
@@ -185,12 +185,12 @@ class JointCompliance(_OfJoint, frozen=True):
         return f"k{self.index + 1}"
 
     @classmethod
-    def named(cls, name: str) -> Self | None:
+    def from_name(cls, name: str) -> Self | None:
         """Return the compliance of a joint."""
         return next((cls(joint) for joint in JOINTS if name == cls(joint).name), None)
 
     @classmethod
-    def stated(cls, content: ModelFile) -> Iterator[tuple[Self, float]]:
+    def from_file(cls, content: ModelFile) -> Iterator[tuple[Self, float]]:
         """Yield the compliances of [joints] without the parts that fade."""
         for joint in JOINTS:
             spring = content.joints[joint]
@@ -200,7 +200,7 @@ class JointCompliance(_OfJoint, frozen=True):
         """Write [joints.A1]."""
         tables["joints"][self.joint] = {"source": source, "compliance_urad_per_Nm": value, "ci95": half}
 
-    def in_file(self, values: Mapping[Parameter, float]) -> tuple[float, dict[Parameter, float]]:
+    def file_value(self, values: Mapping[Parameter, float]) -> tuple[float, dict[Parameter, float]]:
         """Return the compliance at small torque, fading parts included."""
         slopes = dict.fromkeys((p for p in values if p == self or self in p.partners()), self.per_si)
         return sum(slope * values[p] for p, slope in slopes.items()), slopes
@@ -229,17 +229,17 @@ class FadingPart(_Nonlinear, frozen=True):
         return f"{JointCompliance(self.joint).name}, fades beyond {self.torque:g} N·m"
 
     @classmethod
-    def named(cls, name: str) -> Self | None:
+    def from_name(cls, name: str) -> Self | None:
         """Return the part of a name like ``k6@6.2``, with the mark of the class."""
         head, _, torque = name.partition(cls.mark)
-        whole = JointCompliance.named(head)
+        whole = JointCompliance.from_name(head)
         try:
             return None if whole is None else cls(whole.joint, float(torque))
         except ValueError:
             return None
 
     @classmethod
-    def stated(cls, content: ModelFile) -> Iterator[tuple[Self, float]]:
+    def from_file(cls, content: ModelFile) -> Iterator[tuple[Self, float]]:
         """Yield the parts under `key` of [joints]."""
         for joint in JOINTS:
             for part in getattr(content.joints[joint], cls.key):
@@ -317,7 +317,7 @@ class Backlash(_Nonlinear, frozen=True):
         return 2e-5
 
     @classmethod
-    def named(cls, name: str) -> Self | None:
+    def from_name(cls, name: str) -> Self | None:
         """Return the parameter of a name like ``A4.backlash@3``, with the key of the class."""
         head, _, torque = name.partition(f".{cls.key}@")
         try:
@@ -326,7 +326,7 @@ class Backlash(_Nonlinear, frozen=True):
             return None
 
     @classmethod
-    def stated(cls, content: ModelFile) -> Iterator[tuple[Self, float]]:
+    def from_file(cls, content: ModelFile) -> Iterator[tuple[Self, float]]:
         """Yield the entries under `key` of [joints]."""
         for joint in JOINTS:
             if (play := getattr(content.joints[joint], cls.key)) is not None:
@@ -384,13 +384,13 @@ class GearCoupling(_OfJoint, frozen=True):
         return f"coupling of {self.joint} and {self.second}"
 
     @classmethod
-    def named(cls, name: str) -> Self | None:
+    def from_name(cls, name: str) -> Self | None:
         """Return the coupling of a name like ``k45``."""
         pairs = (cls(joint, second) for index, joint in enumerate(JOINTS) for second in JOINTS[index + 1 :])
         return next((pair for pair in pairs if pair.name == name), None)
 
     @classmethod
-    def stated(cls, content: ModelFile) -> Iterator[tuple[Self, float]]:
+    def from_file(cls, content: ModelFile) -> Iterator[tuple[Self, float]]:
         """Yield the entries under `key` of [joints]."""
         for joint in JOINTS:
             for second, value in content.joints[joint].coupling.items():
@@ -437,7 +437,7 @@ class PoseWave(_OfJoint, frozen=True):
         return f"{JointCompliance(self.joint).name} over the pose, {self.wave}({self.angle})"
 
     @classmethod
-    def named(cls, name: str) -> Self | None:
+    def from_name(cls, name: str) -> Self | None:
         """Return the wave of a name like ``k3.cos(A2-A3)``."""
         match = re.fullmatch(r"(k[1-6])\.(cos|sin)\(((?:[+-]?[1-9]?A[1-6])+)\)", name)
         if match is None:
@@ -445,12 +445,12 @@ class PoseWave(_OfJoint, frozen=True):
         turns = [0] * len(JOINTS)
         for sign, count, joint in re.findall(r"([+-]?)([1-9]?)(A[1-6])", match[3]):
             turns[JOINTS.index(joint)] = int(f"{sign}{count or 1}")
-        whole = JointCompliance.named(match[1])
+        whole = JointCompliance.from_name(match[1])
         wave = None if whole is None else cls(whole.joint, tuple(turns), match[2])
         return wave if wave is not None and wave.name == name else None
 
     @classmethod
-    def stated(cls, content: ModelFile) -> Iterator[tuple[Self, float]]:
+    def from_file(cls, content: ModelFile) -> Iterator[tuple[Self, float]]:
         """Yield the waves under `key` of [joints]."""
         for joint in JOINTS:
             for entry in content.joints[joint].over_pose:
@@ -519,13 +519,13 @@ class LinkSpring(Spring, frozen=True):
         return f"{self.axis}_{'um_per_N' if self.slides else 'urad_per_Nm'}"
 
     @classmethod
-    def named(cls, name: str) -> Self | None:
+    def from_name(cls, name: str) -> Self | None:
         """Return the spring of a name like ``A2.end_RX``."""
         link, _, axis = name.partition(".")
         return cls(link, axis) if link in (BASE, *JOINTS) and axis in LINK_AXES else None
 
     @classmethod
-    def stated(cls, content: ModelFile) -> Iterator[tuple[Self, float]]:
+    def from_file(cls, content: ModelFile) -> Iterator[tuple[Self, float]]:
         """Yield the springs of [links] that are not rigid, in the order of the chain."""
         for spring in (cls(link, axis) for link in (BASE, *JOINTS) for axis in LINK_AXES if link in content.links):
             value = getattr(content.links[spring.link], spring.key)
@@ -553,7 +553,7 @@ class CompensatorStiffness(CompensatorTorque, frozen=True):
         return "N/m"
 
     @classmethod
-    def stated(cls, content: ModelFile) -> Iterator[tuple[Self, float]]:
+    def from_file(cls, content: ModelFile) -> Iterator[tuple[Self, float]]:
         """Yield K_c of [compensator]."""
         if content.compensator is not None:
             yield cls(), content.compensator.stiffness_N_per_m
@@ -596,7 +596,7 @@ class CompensatorPreload(CompensatorTorque, frozen=True):
         return "K_c*s_0"
 
     @classmethod
-    def stated(cls, content: ModelFile) -> Iterator[tuple[Self, float]]:
+    def from_file(cls, content: ModelFile) -> Iterator[tuple[Self, float]]:
         """Yield K_c·s₀ of [compensator]."""
         if (entry := content.compensator) is not None:
             yield cls(), entry.stiffness_N_per_m * entry.free_length_mm / MM_PER_M
@@ -613,7 +613,7 @@ class CompensatorPreload(CompensatorTorque, frozen=True):
         """Return the stiffness: model.toml states s₀, which is the preload divided by it."""
         return (CompensatorStiffness(),)
 
-    def in_file(self, values: Mapping[Parameter, float]) -> tuple[float, dict[Parameter, float]]:
+    def file_value(self, values: Mapping[Parameter, float]) -> tuple[float, dict[Parameter, float]]:
         """Return s₀ [mm]; zero without spring."""
         stiffness, preload = values[CompensatorStiffness()], values[self]
         if stiffness <= 0.0:
@@ -670,13 +670,13 @@ class LinkMass(Parameter, frozen=True):
         return 100.0
 
     @classmethod
-    def named(cls, name: str) -> Self | None:
+    def from_name(cls, name: str) -> Self | None:
         """Return the mass of a name like ``A2.mass``."""
         joint = name.removesuffix(_MASS)
         return cls(joint) if joint in JOINTS and name.endswith(_MASS) else None
 
     @classmethod
-    def stated(cls, content: ModelFile) -> Iterator[tuple[Self, float]]:
+    def from_file(cls, content: ModelFile) -> Iterator[tuple[Self, float]]:
         """Yield the masses of [masses], which replace those of robot.urdf."""
         for joint in JOINTS:
             mass = None if content.masses is None else getattr(content.masses, f"{joint}_kg")
@@ -722,18 +722,18 @@ JOINT_COMPLIANCES = tuple(JointCompliance(joint) for joint in JOINTS)
 COMPENSATOR: tuple[Parameter, ...] = (CompensatorStiffness(), CompensatorPreload())
 
 
-def named(name: str) -> Parameter | None:
+def parameter_of_name(name: str) -> Parameter | None:
     """Return the parameter with a name in files, or None.
 
-    >>> named("k6@6.2")
+    >>> parameter_of_name("k6@6.2")
     FadingPart(joint='A6', torque=6.2)
     """
-    return next((match for kind in KINDS if (match := kind.named(name)) is not None), None)
+    return next((match for kind in KINDS if (match := kind.from_name(name)) is not None), None)
 
 
-def stated(content: ModelFile) -> dict[Parameter, float]:
+def stated_values(content: ModelFile) -> dict[Parameter, float]:
     """Return all parameters that a model file holds, with their linear values, SI."""
-    return {parameter: value for kind in KINDS for parameter, value in kind.stated(content)}
+    return {parameter: value for kind in KINDS for parameter, value in kind.from_file(content)}
 
 
 def file_slopes(parameters: Iterable[Parameter], values: Mapping[Parameter, float]) -> Array:
@@ -741,6 +741,6 @@ def file_slopes(parameters: Iterable[Parameter], values: Mapping[Parameter, floa
     order = list(parameters)
     jacobian = np.zeros((len(order), len(order)))
     for row, parameter in enumerate(order):
-        for partner, slope in parameter.in_file(values)[1].items():
+        for partner, slope in parameter.file_value(values)[1].items():
             jacobian[row, order.index(partner)] = slope
     return jacobian

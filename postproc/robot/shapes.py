@@ -37,7 +37,7 @@ class LinkShape(Struct, frozen=True, eq=False):
     points: Array
     faces: NDArray[np.int64]
 
-    def moved(self, pose: Array) -> LinkShape:
+    def transform(self, pose: Array) -> LinkShape:
         """Return the surface in another frame, `pose` (4, 4) of its frame in that one."""
         return replace(self, points=self.points @ pose[:3, :3].T + pose[:3, 3])
 
@@ -70,12 +70,12 @@ def read(geometries: Iterable[Geometry], urdf: Path) -> tuple[list[LinkShape], l
             problems.append(f"{geometry.file or geometry.kind}: {error.problem}")
             continue
         points, faces = np.asarray(mesh.vertices, dtype=float), np.asarray(mesh.faces, dtype=np.int64)
-        surfaces.append(LinkShape(geometry.carrier, points * geometry.scale, faces).moved(geometry.pose))
+        surfaces.append(LinkShape(geometry.carrier, points * geometry.scale, faces).transform(geometry.pose))
     return surfaces, problems
 
 
 def _mesh(geometry: Geometry, urdf: Path) -> Any:
-    """Return what a geometry is, as a `trimesh.Trimesh` [m]."""
+    """Return a geometry as a `trimesh.Trimesh` [m]."""
     if geometry.kind == "mesh":
         places = _places(geometry.file, urdf)
         path = next((place for place in places if place.is_file()), None)
@@ -103,16 +103,16 @@ def _place_list(places: list[Path]) -> str:
 
 
 def _places(name: str, urdf: Path) -> list[Path]:
-    """Return where a file that a URDF names may be, the likeliest place first.
+    """Return the possible paths of a file that a URDF names, the likeliest first.
 
     `package://NAME/…` is below a folder of that name, which is above the URDF or next to a folder above it; or below
     the folder above it whose package.xml states the name.
     """
-    scheme, _, rest = name.rpartition("://")
-    rest = rest.replace("\\", "/")
+    scheme, _, relative_path = name.rpartition("://")
+    relative_path = relative_path.replace("\\", "/")
     if scheme not in ("package", "model"):
-        return [Path(rest) if Path(rest).is_absolute() else urdf.parent / rest]
-    package, _, subpath = rest.partition("/")
+        return [Path(relative_path) if Path(relative_path).is_absolute() else urdf.parent / relative_path]
+    package, _, subpath = relative_path.partition("/")
     paths = []
     for parent in urdf.resolve().parents:
         folders = [parent / package]
@@ -155,7 +155,7 @@ def _cluster(surface: LinkShape, cell: float) -> tuple[LinkShape, float]:
     return replace(surface, points=points[point_rows], faces=new_index.reshape(-1, 3)), displacement
 
 
-def joined(surfaces: Iterable[LinkShape]) -> list[LinkShape]:
+def join_by_carrier(surfaces: Iterable[LinkShape]) -> list[LinkShape]:
     """Return one surface for each carrier, in their order."""
     by_carrier: dict[int, list[LinkShape]] = {}
     for surface in surfaces:

@@ -198,7 +198,7 @@ class _Reader:
         )
 
     def _visit(self, link: str, pose: Array, carrier: int) -> None:
-        """Put down a link at `pose` in the frame of joint `carrier` (−1: the root), and what it carries."""
+        """Add a link at `pose` in the frame of joint `carrier` (−1: the root), and recursively the links on it."""
         inertial = self.links[link].find("inertial")
         if inertial is not None and carrier >= 0:
             mass = _numbers(_element(inertial, "mass"), "value", 1)[0]

@@ -96,15 +96,15 @@ def surfaces(program: Program, robot_in_cell: RobotInCell, probe_data: Probed, r
     slope = np.einsum("ni,ni->n", probe_data.normal, axis)
     floor, wall = slope > _FLOOR_COSINE, np.abs(slope) < _WALL_COSINE
     offset = np.where(floor, np.abs(height), norm(radial + radius * probe_data.normal))
-    wrong = (
+    is_impossible = (
         ~(floor | wall)
         | ~(offset < _SURFACE_TOLERANCE)
         | (norm(radial) > radius + _SURFACE_TOLERANCE)
         | (height < -_SURFACE_TOLERANCE)
     )
-    wrong &= ~hangs  # a gauge may be anywhere on the tool
-    if wrong.any():
-        k = int(np.argmax(wrong))
+    is_impossible &= ~hangs  # a gauge may be anywhere on the tool
+    if is_impossible.any():
+        k = int(np.argmax(is_impossible))
         raise MeasurementError(
             f"{probe_data.name[k]}: the tool makes no surface with this normal at this point",
             file=probe_data.file,
@@ -117,7 +117,7 @@ def surfaces(program: Program, robot_in_cell: RobotInCell, probe_data: Probed, r
     weight_wrench[:, 2] = -GRAVITY * probe_data.mass
     rotation = np.broadcast_to(toolpath.base_of(program, motion)[..., :3, :3], (len(motion), 3, 3))
     is_wall = (wall & ~hangs).astype(float)
-    return Surfaces(motion, probe_data.t, turned(rotation, weight), is_wall, weight_wrench, probe_data.point)
+    return Surfaces(motion, probe_data.t, turn_weights(rotation, weight), is_wall, weight_wrench, probe_data.point)
 
 
 def weights(normal: Array, lever: Array, axis: Array, travel: Array, radius: float) -> Array:
@@ -139,7 +139,7 @@ def weights(normal: Array, lever: Array, axis: Array, travel: Array, radius: flo
     return np.concatenate([normals, np.cross(levers, normals)], axis=2)
 
 
-def turned(rotation: Array, weight: Array) -> Array:
+def turn_weights(rotation: Array, weight: Array) -> Array:
     """Return weights (n, 2, 6) in axes turned by rotations (n, 3, 3)."""
     return np.asarray(np.einsum("nij,nkhj->nkhi", rotation, weight.reshape(-1, 2, 2, 3))).reshape(-1, 2, 6)
 
@@ -196,7 +196,7 @@ class States(Columns, frozen=True, eq=False):
         return np.asarray(change / LIFT_STEP)
 
 
-def without_lift(q: Array, tool: Array, pose: Array, wrench: Array, weight_wrench: Array | None = None) -> States:
+def at_nominal_height(q: Array, tool: Array, pose: Array, wrench: Array, weight_wrench: Array | None = None) -> States:
     """Return states of a program that runs at its height over the block, whatever its forces are at another one."""
     no_wrench = np.zeros((len(q), 6))
     return States(
@@ -228,7 +228,7 @@ class Cut(Struct, frozen=True, eq=False):
         displacement = self.path.twist(robot_in_cell, robot, scale)[:, :3]
         return self._shift(displacement + lift(self.tip)[:, None] * self.up)
 
-    def lifted(self, height: float) -> Shift:
+    def lift_displacement(self, height: float) -> Shift:
         """Return the displacement of the tip of a rigid robot whose program runs too high over the block [m]."""
         return self._shift(height * self.up)
 
@@ -257,7 +257,7 @@ def cut(program: Program, robot_in_cell: RobotInCell, source: ProcessSource, new
         line = cause.issue.source_line
         raise MeasurementError(cause.issue.message, file=program.documents[0].name, line=line) from None
     rows = np.arange(len(path))
-    path_states = without_lift(
+    path_states = at_nominal_height(
         path.joints.q[:],
         np.broadcast_to(path.tool(rows), (len(path), 4, 4)),
         path.pose_in_root(rows),
@@ -323,7 +323,7 @@ class CutForces:
                 _recut(part, last_cut.shift(part.robot_in_cell, robot, scale, lift))
                 for part, last_cut, lift in zip(self._parts, self._cuts, lifts, strict=True)
             ]
-        return States.joined(
+        return States.join(
             [
                 replace(part_cut.at, lift=lift(part.surfaces.point), by_lift=by_lift)
                 for part, part_cut, lift, by_lift in zip(self._parts, self._cuts, lifts, self._by_lift, strict=True)
@@ -334,10 +334,10 @@ class CutForces:
         """Cut with a rigid robot, at the height of the program and above it."""
         for part in self._parts:
             rigid = cut(part.program, part.robot_in_cell, part.source, part.surfaces)
-            upper_cut = _recut(part, rigid.lifted(LIFT_STEP))
+            upper_cut = _recut(part, rigid.lift_displacement(LIFT_STEP))
             self._cuts.append(rigid)
             self._by_lift.append((upper_cut.at.wrench - rigid.at.wrench) / LIFT_STEP)
 
 
 def _recut(part: Clamped, shift: Shift) -> Cut:
-    return cut(part.program, part.robot_in_cell, part.source.shifted(shift), part.surfaces)
+    return cut(part.program, part.robot_in_cell, part.source.shift_tip(shift), part.surfaces)

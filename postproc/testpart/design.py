@@ -25,7 +25,7 @@ from postproc.poses import Poses
 from postproc.program import Bools, Document, Ints, read_only
 from postproc.program import Program as Motions
 from postproc.testpart import features
-from postproc.testpart.cut import LIFT_STEP, States, Surfaces, turned, weights
+from postproc.testpart.cut import LIFT_STEP, States, Surfaces, turn_weights, weights
 from postproc.testpart.features import Cutting, Feature, Kind, Placement
 from postproc.testpart.prior import Prior
 from postproc.testpart.readings import PATH_ERROR, RADIUS_ERROR, UNEVENNESS
@@ -64,7 +64,9 @@ def read_text(text: str, robot_in_cell: RobotInCell) -> Motions:
     :raises ProgramError: the cell does not allow it.
     """
     document = Document(Placement().name, text)
-    return read_only(registry.by_name("gcode").read([document], robot_in_cell.cell, robot_in_cell.forward, "testpart"))
+    return read_only(
+        registry.dialect_of_name("gcode").read([document], robot_in_cell.cell, robot_in_cell.forward, "testpart")
+    )
 
 
 class Candidates(Struct, frozen=True, eq=False):
@@ -153,7 +155,7 @@ class Loads(Struct, frozen=True, eq=False):
 
 
 def loads(kinds: list[Kind], cutting: Cutting, process: Process, robot_in_cell: RobotInCell) -> list[Loads]:
-    """Compute the forces on each kind of feature once, in a block of its own.
+    """Compute the forces on each kind of feature once, cut in a separate block.
 
     :raises ForceError: the process cannot be used.
     """
@@ -235,7 +237,7 @@ def _inside_block(kinds: list[Kind], cutting: Cutting, box: tuple[Array, Array],
     long = features.half_length(cutting.diameter)
     size = box[1][:2] - box[0][:2]
     pitch = max(0.5 * long, float(np.sqrt(size[0] * size[1] / max_places)))
-    spots = [
+    corner_positions = [
         box[0][k] + size[k] * (np.arange(max(1, int(size[k] / pitch))) + 0.5) / max(1, int(size[k] / pitch))
         for k in (0, 1)
     ]
@@ -243,8 +245,8 @@ def _inside_block(kinds: list[Kind], cutting: Cutting, box: tuple[Array, Array],
     all_features = [
         Feature(kind, float(x), float(y), float(angle))
         for kind in kinds
-        for x in spots[0]
-        for y in spots[1]
+        for x in corner_positions[0]
+        for y in corner_positions[1]
         for angle in angles
     ]
     fitting = [feature for feature in all_features if _is_in_box(feature, cutting, box)]
@@ -281,7 +283,7 @@ def _join_candidates(by_placement: list[_Reachable], cutting: Cutting) -> Candid
         np.array([seconds[feature.kind] for feature in features_in_order]),
         _do_not_touch(features_in_order, cutting),
         np.array([deflection for _, _, deflection, _ in entries]),
-        States.joined([state for _, _, _, state in entries]),
+        States.join([state for _, _, _, state in entries]),
     )
 
 
@@ -302,7 +304,7 @@ def _reachable_features(
     for kind, load in zip(kinds, loads_by_kind, strict=True):
         features_of_kind = [feature for feature in all_features if feature.kind == kind]
         if features_of_kind:
-            reachable += _of_kind(prior, robot_in_cell, features_of_kind, load, cutting, sigma)
+            reachable += _features_of_kind(prior, robot_in_cell, features_of_kind, load, cutting, sigma)
     if not reachable:
         base = robot_in_cell.cell.base
         raise PlanError(
@@ -313,7 +315,7 @@ def _reachable_features(
     return reachable
 
 
-def _of_kind(
+def _features_of_kind(
     prior: Prior,
     robot_in_cell: RobotInCell,
     features_of_kind: list[Feature],
@@ -329,7 +331,7 @@ def _of_kind(
 
     def of_all(vectors: Array, *, is_direction: bool = False) -> Array:
         return np.concatenate(
-            [features.placed(f, cutting.top, vectors, is_direction=is_direction) for f in features_of_kind]
+            [features.to_base(f, cutting.top, vectors, is_direction=is_direction) for f in features_of_kind]
         )
 
     def of_wrench(wrench: Array) -> Array:
@@ -342,7 +344,7 @@ def _of_kind(
         return []
     axis = np.broadcast_to([0.0, 0.0, 1.0], normal.shape)
     travel = of_all(load.travel, is_direction=True)
-    weight = turned(rotation, weights(normal, point - tip, axis, travel, 0.5 * cutting.diameter))
+    weight = turn_weights(rotation, weights(normal, point - tip, axis, travel, 0.5 * cutting.diameter))
     wall = (np.abs(normal[:, 2]) < 0.5).astype(float)
     rows = np.repeat(reachable, count)
     no_wrench = np.zeros((int(rows.sum()), 6))
@@ -385,6 +387,7 @@ def _information(
     by_lift = np.einsum("nk,nk->n", at, states.twist_by_lift(robot_in_cell, prior.robot, 1.0))
     direction = normal + by_lift[:, None] * np.array([0.0, 0.0, 1.0])
     position = np.concatenate([_POSITION[0] * direction, _POSITION[1] * np.cross(arm, direction)], axis=1)
+    # unknowns scaled to unit standard deviation: parameters, force, cutter radius, position of the part, lift
     columns = np.column_stack([slopes, by_force, RADIUS_ERROR * surfaces.wall, position, UNEVENNESS * by_lift])
     columns = columns.reshape(-1, count, columns.shape[1])
     direction, by_lift = direction.reshape(-1, count, 3), by_lift.reshape(-1, count, 1)
@@ -553,7 +556,7 @@ def choose(
     count: int,
     weight_information: Array | float = 0.0,
 ) -> Design:
-    """Choose features.
+    """Choose the features of a part: one by one by gain per second, then by exchanges until none lowers the criterion.
 
     :param count: number of features at most.
     :param weight_information: information that there is without features, see `weight_information`.
@@ -601,7 +604,7 @@ def evaluate(
     rows: Ints,
     weight_information: Array | float = 0.0,
 ) -> Design:
-    """Return a part of chosen features, with what it promises."""
+    """Return the design with features `rows`, and its predicted standard deviations and errors."""
     unknowns = candidates_in_block.information.shape[1]
     criterion = Criterion.of(prior, robot_in_cell, tests, unknowns)
     start = _prior_information(prior, unknowns)
@@ -641,9 +644,9 @@ def evaluate(
 def _visible(prior: Prior, information: Array) -> Array:
     """Return the smallest relative change (p,) of each parameter that is seen (95 %) when the part is cut again.
 
-    The model is then that of the first part, under the same forces: `Fit.against`. With J the information of a part on
-    parameters and scale, its position and radius eliminated, and P the covariance before it, the deviations of the
-    second part have the information (J⁻¹ + (P⁻¹ + J)⁻¹)⁻¹ = J − J (P⁻¹ + 2 J)⁻¹ J (Woodbury).
+    The model is then that of the first part, under the same forces: `Fit.compare_with_prior`. With J the information
+    of a part on parameters and scale, its position and radius eliminated, and P the covariance before it, the
+    deviations of the second part have the information (J⁻¹ + (P⁻¹ + J)⁻¹)⁻¹ = J − J (P⁻¹ + 2 J)⁻¹ J (Woodbury).
 
     :param information: (m, m) of the part, in the units of `Candidates.information`.
     """

@@ -213,7 +213,7 @@ def seconds(kind: Kind, cutting: Cutting) -> float:
     return total
 
 
-def placed(feature: Feature, top: float, vectors: Array, *, is_direction: bool = False) -> Array:
+def to_base(feature: Feature, top: float, vectors: Array, *, is_direction: bool = False) -> Array:
     """Return points (n, 3) in the axes of a feature in `$BASE` [m]; with `is_direction`, directions."""
     c, s = np.cos(feature.angle), np.sin(feature.angle)
     directions = vectors @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]).T
@@ -272,7 +272,7 @@ def middle_line(feature: Feature, cutting: Cutting) -> tuple[Array, Array, float
     """Return the ends of the middle line of a feature (2,) and half its width, with half the wall next to it [m]."""
     middle, half = outline(feature.kind, cutting)
     long = half_length(cutting.diameter)
-    ends = placed(feature, 0.0, np.array([[-long, middle, 0.0], [long, middle, 0.0]]))[:, :2]
+    ends = to_base(feature, 0.0, np.array([[-long, middle, 0.0], [long, middle, 0.0]]))[:, :2]
     return ends[0], ends[1], half
 
 
@@ -390,7 +390,7 @@ def _feature_lines(number: int, feature: Feature, cutting: Cutting, *, has_heigh
     move_of_surface: dict[str, tuple[int, Array, Array]] = {}
     last_end = np.zeros(3)
     for index, move in enumerate(passes(kind, cutting)):
-        end = placed(feature, cutting.top, np.array([move.end]))[0] * MM_PER_M
+        end = to_base(feature, cutting.top, np.array([move.end]))[0] * MM_PER_M
         words = f"X{end[0]:.4f} Y{end[1]:.4f}" + ("" if index == 0 and has_height else f" Z{end[2]:.4f}")
         lines.append(f"G0 {words}" if move.feed == 0.0 else f"G1 {words} F{move.feed * feed:.1f}")
         if move.name:
@@ -400,8 +400,8 @@ def _feature_lines(number: int, feature: Feature, cutting: Cutting, *, has_heigh
     for probe in probes(kind, cutting):
         line, begin, end = move_of_surface[probe.made_by]
         share = float((probe.point[0] - begin[0]) / (end[0] - begin[0]))
-        point = placed(feature, cutting.top, np.array([probe.point]))[0]
-        normal = placed(feature, cutting.top, np.array([probe.normal]), is_direction=True)[0]
+        point = to_base(feature, cutting.top, np.array([probe.point]))[0]
+        normal = to_base(feature, cutting.top, np.array([probe.normal]), is_direction=True)[0]
         points.append((f"{name}.{probe.name}", line, share, point, normal, 0.0))
     return _Lines(lines, points)
 

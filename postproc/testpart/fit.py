@@ -26,11 +26,20 @@ from postproc import kinematics
 from postproc.elastostatics import LENGTH_95
 from postproc.errors import MeasurementError
 from postproc.frames import Array
-from postproc.identification.uncertainty import levels, unmodelled
+from postproc.identification.uncertainty import levels, unmodelled_error
 from postproc.program import Bools, Ints
 from postproc.robot import RobotModel
 from postproc.testpart.cut import Heights, States
-from postproc.testpart.linear import GAMMA, Linear, left_out, linearise, noise_of, of_light, posterior, solve
+from postproc.testpart.linear import (
+    GAMMA,
+    Linear,
+    cross_validation_errors,
+    light_pass_variance,
+    linearise,
+    noise_of,
+    posterior,
+    solve,
+)
 from postproc.testpart.prior import Prior
 from postproc.testpart.readings import Lift, Readings
 from postproc.under_load import RobotInCell
@@ -109,17 +118,17 @@ class Fit(Struct, frozen=True, eq=False):
     @property
     def robot(self) -> RobotModel:
         """The fitted robot, without its covariance."""
-        return self.prior.moved(self.z)
+        return self.prior.robot_with_change(self.z)
 
-    def against(self, prior: Prior) -> Surprise:
-        """Compare the readings with the prediction of a prior: for a fit of `prior.widened()`."""
+    def compare_with_prior(self, prior: Prior) -> Surprise:
+        """Compare the readings with the prediction of a prior: for a fit of `prior.widen()`."""
         unmodelled = self.gamma * self.displacement
         # of a model from a part the error elsewhere is no error at the part
         if (discrepancy := prior.robot.discrepancy) is not None and not prior.covariance[-1, :-1].any():
             wrench = np.pad(self.load[:, None], ((0, 0), (0, 5)))
             unmodelled = np.maximum(unmodelled, discrepancy.at(wrench) / LENGTH_95)
-        noise = self.readings.by_part(self.by_lift) + np.diag(
-            self.readings.sigma**2 + unmodelled**2 + of_light(self.readings, self.displacement)
+        noise = self.readings.part_covariance(self.by_lift) + np.diag(
+            self.readings.sigma**2 + unmodelled**2 + light_pass_variance(self.readings, self.displacement)
         )
         slopes = self.slopes
         precision = np.linalg.inv(slopes @ prior.covariance @ slopes.T + noise)
@@ -146,11 +155,11 @@ class Fit(Struct, frozen=True, eq=False):
         for index in range(int(level.max()) + 1):
             rows = loaded_rows[level == index]
             share = 1.0 / np.bincount(group)[group[level == index]]
-            usual = 0.1 * GAMMA * float(np.sqrt(np.mean(self.displacement[rows] ** 2)))
+            prior_share = 0.1 * GAMMA * float(np.sqrt(np.mean(self.displacement[rows] ** 2)))
             noise = self.spread[rows] ** 2 - (self.gamma * self.displacement[rows]) ** 2
             smallest_variance = 0.1 * self.spread[rows] ** 2
             variance = np.maximum(noise, smallest_variance)
-            level_bound = unmodelled(self.error[rows][:, None], variance[:, None, None], usual, share)
+            level_bound = unmodelled_error(self.error[rows][:, None], variance[:, None, None], prior_share, share)
             bound.append(
                 float(np.hypot(level_bound, UNMODELLED_SHARE * np.sqrt(np.mean(self.displacement[rows] ** 2))))
             )
@@ -230,13 +239,13 @@ def fit(prior: Prior, readings: Readings, robot_in_cell: RobotInCell, cut_at: Cu
     for _ in range(_ROUNDS):
         estimate = _solve(prior, robot_in_cell, estimate)
         if (
-            smaller_estimate := _without_outlier(estimate, whole, max_outliers) or _hold_parameters(estimate, whole)
+            smaller_estimate := _remove_outlier(estimate, whole, max_outliers) or _hold_parameters(estimate, whole)
         ) is not None:
             estimate = smaller_estimate
             continue
         z, scale, local = estimate.z, estimate.scale, _local(estimate)
         heights = _heights(_lifts(estimate, whole), MOST_LIFT * readings.least_depth)
-        states = cut_at(prior.moved(z), scale, heights).take(estimate.rows)
+        states = cut_at(prior.robot_with_change(z), scale, heights).take(estimate.rows)
         if at_prior is None:  # the tool of the prior model deflects by nearly as much
             at_prior = linearise(prior, estimate.readings, states, robot_in_cell, start, 1.0), estimate.rows
         value = linearise(prior, estimate.readings, states, robot_in_cell, z, scale).value
@@ -266,10 +275,12 @@ def _solve(prior: Prior, robot_in_cell: RobotInCell, estimate: _Estimate) -> _Es
     return replace(estimate, local=local, z=z, scale=scale, gamma=gamma)
 
 
-def _without_outlier(estimate: _Estimate, whole: Array, max_outliers: int) -> _Estimate | None:
+def _remove_outlier(estimate: _Estimate, whole: Array, max_outliers: int) -> _Estimate | None:
     """Return the estimate without its worst gross error; None if there is none."""
     # with the γ that a gross error makes, it would not be seen
-    error, variance = left_out(estimate.readings, _local(estimate), GAMMA, whole, estimate.z, estimate.scale)
+    error, variance = cross_validation_errors(
+        estimate.readings, _local(estimate), GAMMA, whole, estimate.z, estimate.scale
+    )
     size = np.abs(error) / np.sqrt(variance)
     worst = int(np.argmax(size))
     if len(estimate.outliers) >= max_outliers or size[worst] <= _OUTLIER * max(1.0, float(np.median(size)) / _MEDIAN):
@@ -321,9 +332,9 @@ def _fit_at_end(prior: Prior, estimate: _Estimate, prior_linear: Linear, exchang
     readings, local, gamma, whole = estimate.readings, _local(estimate), estimate.gamma, prior.covariance
     states, scale = estimate.states, estimate.scale
     deviation = readings.probed.deviation
-    gain = readings.by_part(local.by_lift) @ np.linalg.inv(noise_of(readings, local, gamma))
+    gain = readings.part_covariance(local.by_lift) @ np.linalg.inv(noise_of(readings, local, gamma))
     prior_residual = deviation - prior_linear.value
-    error, variance = left_out(readings, local, gamma, whole, estimate.z, scale)
+    error, variance = cross_validation_errors(readings, local, gamma, whole, estimate.z, scale)
     jacobian = kinematics.tcp(prior.robot.nominal, states.q, states.tool)[1]
     return Fit(
         prior,
@@ -349,7 +360,7 @@ def _fit_at_end(prior: Prior, estimate: _Estimate, prior_linear: Linear, exchang
 
 
 def swapped_features(prior: Prior, readings: Readings, local: Linear) -> tuple[str, str] | None:
-    """Return two features whose readings agree with the model if they are exchanged, and do not as they are.
+    """Return two features whose readings agree with the model only if they are exchanged.
 
     :param local: the prior model; χ² counts its covariance, so a robot that differs from it is no exchange.
     """

@@ -1,7 +1,7 @@
 """Deviations of probed surfaces, linear in the unknowns: predicted, solved for and what remains of them.
 
 The unknowns are the parameters of the robot and the scale of the forces. What the part adds enters by its covariance
-(`readings.Readings.by_part`). An error that the model does not describe is a share γ of the deflection.
+(`readings.Readings.part_covariance`). An error that the model does not describe is a share γ of the deflection.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def linearise(
 
     :raises MeasurementError: the springs have no equilibrium under the forces.
     """
-    robot = prior.moved(z)
+    robot = prior.robot_with_change(z)
     try:
         twist, by_parameter, by_scale = states.derivatives(robot_in_cell, robot, prior.order, scale)
     except NotConvergedError as cause:
@@ -68,11 +68,13 @@ def linearise(
 
 def noise_of(readings: Readings, local: Linear, gamma: float) -> Array:
     """Return the covariance (n, n) [m²] of the deviations for a robot and forces that are known."""
-    variance = np.diag(readings.sigma**2 + (gamma * local.displacement) ** 2 + of_light(readings, local.displacement))
-    return np.asarray(variance + readings.by_part(local.by_lift))
+    variance = np.diag(
+        readings.sigma**2 + (gamma * local.displacement) ** 2 + light_pass_variance(readings, local.displacement)
+    )
+    return np.asarray(variance + readings.part_covariance(local.by_lift))
 
 
-def of_light(readings: Readings, displacement: Array) -> Array:
+def light_pass_variance(readings: Readings, displacement: Array) -> Array:
     """Return the variance (n,) [m²] of displacements (n,) because the chips of light passes are hardly known."""
     cut = readings.probed.mass == 0.0
     return np.where(cut & (displacement < _LIGHT * displacement.max()), (_LIGHT_PASS_ERROR * displacement) ** 2, 0.0)
@@ -85,7 +87,8 @@ def solve(
 
     Each round solves the linear least squares with the prior, and linearises anew at its solution.
 
-    :param z: (P,) unknowns of the model where it begins, see `Prior.moved`; `scale`: factor of the forces there.
+    :param z: (P,) unknowns of the model where it begins, see `Prior.robot_with_change`.
+    :param scale: factor of the forces there.
     :param free: (P + 1,) which of z and the scale may change.
     """
     whole = prior.covariance
@@ -131,7 +134,7 @@ def posterior(readings: Readings, local: Linear, gamma: float, whole: Array, fre
     return np.asarray(left @ whole @ left.T + gain @ noise @ gain.T)
 
 
-def left_out(
+def cross_validation_errors(
     readings: Readings, local: Linear, gamma: float, whole: Array, z: Array, scale: float
 ) -> tuple[Array, Array]:
     """Return the error (n,) of each point predicted from all others, and its variance (n,).

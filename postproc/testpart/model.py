@@ -139,14 +139,14 @@ class PartIdentification(Record, frozen=True, kw_only=True, omit_defaults=True):
     files: list[FileEntry] | None = None
 
 
-def in_files(fit: Fit) -> tuple[Array, Array]:
+def file_values(fit: Fit) -> tuple[Array, Array]:
     """Return the values of the parameters in units of files (p,), and the covariance (p + 1, p + 1).
 
     The last row is that of the relative error of the scale of the forces.
     """
     prior, robot = fit.prior, fit.robot
     robot_values = {parameter: robot.value(parameter) for parameter in prior.order}
-    values = np.array([parameter.in_file(robot_values)[0] for parameter in prior.parameters])
+    values = np.array([parameter.file_value(robot_values)[0] for parameter in prior.parameters])
     rows = [prior.order.index(parameter) for parameter in prior.parameters]
     slopes = np.zeros_like(fit.covariance)
     slopes[:-1, :-1] = (file_slopes(prior.order, robot_values) @ prior.by_file)[rows]
@@ -157,12 +157,12 @@ def in_files(fit: Fit) -> tuple[Array, Array]:
 def agreement(fit: Fit, prior: Prior, outliers: tuple[str, ...] = ()) -> Agreement:
     """Compare a model with a part.
 
-    :param fit: fit of `prior.widened()`: what the part says by itself.
+    :param fit: fit of `prior.widen()`: what the part says by itself.
     :param prior: the model with its own covariance.
     :param outliers: points left out of the fit.
     """
     fault = _part_fault(fit, outliers)
-    count, surprise = len(fit.readings.probed), fit.against(prior)
+    count, surprise = len(fit.readings.probed), fit.compare_with_prior(prior)
     largest_chi2 = count + _SURPRISE * float(np.sqrt(2.0 * count)) + 7.0
     is_changed = surprise.chance < _CHANCE
     factor = np.maximum(1.0 + surprise.change[:-1] / prior.values, MIN_SHARE)
@@ -242,7 +242,7 @@ def summary(fit: Fit, outliers: tuple[str, ...]) -> PartIdentification:
 
 def _parameters(fit: Fit) -> tuple[dict[str, Parameter], list[str]]:
     """Return the parameters with their intervals, and the names of those that keep their prior."""
-    values, covariance = in_files(fit)
+    values, covariance = file_values(fit)
     half = NORMAL_95 * np.sqrt(np.diag(covariance))[:-1]
     parameters, held_names = {}, []
     for k, (parameter, prior_value) in enumerate(zip(fit.prior.parameters, fit.prior.values.tolist(), strict=True)):
@@ -286,7 +286,7 @@ def _cut_tops(fit: Fit) -> list[tuple[Top, Lift]]:
 
 
 def _touch_off_fault(fit: Fit) -> str:
-    """Return why the depth of the cuts is not known, or is too far from that of the program; empty if it is neither."""
+    """Return the reason that the depth of cut is unknown or too far from the programmed one; empty if there is none."""
     depth = fit.readings.least_depth
     for (top, lift), error in zip(_cut_tops(fit), _touch_off_errors(fit), strict=True):
         points = fit.readings.probed.point[fit.readings.probed.base == top.base]
@@ -322,7 +322,7 @@ def _rms(values: Array) -> float:
 
 
 def _part_fault(fit: Fit, outliers: tuple[str, ...]) -> str:
-    """Return what in the readings of the part contradicts itself; empty if nothing does."""
+    """Return a sentence on contradictory readings of the part; empty if there are none."""
     if fault := _touch_off_fault(fit):
         return fault
     if fit.exchanged_pair is not None:
@@ -396,7 +396,7 @@ def model_file(fit: Fit, prior: ModelFile, process: Process, source: str) -> Mod
 
     Its covariance has the scale of the forces too, for those that are computed with `material`.
     """
-    values, covariance = in_files(fit)
+    values, covariance = file_values(fit)
     half = NORMAL_95 * np.sqrt(np.diag(covariance))[:-1]
     size = np.sqrt(np.diag(covariance))
     is_tied = (np.abs(covariance) > _LEAST_CORRELATION * np.outer(size, size)).sum(axis=0) > 1

@@ -69,18 +69,18 @@ class Prior(Struct, frozen=True, eq=False):
     def values(self) -> Array:
         """(p,) values of the parameters in units of files."""
         robot_values = {parameter: self.robot.value(parameter) for parameter in self.order}
-        return np.array([parameter.in_file(robot_values)[0] for parameter in self.parameters])
+        return np.array([parameter.file_value(robot_values)[0] for parameter in self.parameters])
 
     @property
     def drift(self) -> Array:
         """(p + 1,) standard deviations of what may have changed since: not the forces."""
         return np.append(np.where(self.sigma[:-1] > 0.0, _UNMEASURED * self.values, 0.0), 0.0)
 
-    def widened(self) -> Prior:
+    def widen(self) -> Prior:
         """Return the same values, each at least as uncertain as a robot that was never measured."""
         return replace(self, covariance=self.covariance + np.diag(self.drift**2))
 
-    def moved(self, z: Array) -> RobotModel:
+    def robot_with_change(self, z: Array) -> RobotModel:
         """Return the robot with its parameters changed by z (p,), in units of files; compliances stay positive."""
         changes = dict(zip(self.order, (self.by_file @ z).tolist(), strict=True))
         values = {}

@@ -155,9 +155,9 @@ def _normals(numbers: dict[str, Array], rows: Ints, lines: Ints, file: str) -> A
     :raises MeasurementError: one of these is no unit vector.
     """
     normal = np.column_stack([numbers[name] for name in ("nx", "ny", "nz")])
-    wrong = np.abs(norm(normal[rows]) - 1.0) > _UNIT
-    if wrong.any():
-        row = int(lines[rows][np.argmax(wrong)])
+    is_not_unit = np.abs(norm(normal[rows]) - 1.0) > _UNIT
+    if is_not_unit.any():
+        row = int(lines[rows][np.argmax(is_not_unit)])
         raise MeasurementError("nx, ny, nz is no unit vector", file=file, line=row, advice="Keep the columns.")
     normal[rows] /= norm(normal[rows])[:, None]
     return normal
@@ -178,12 +178,12 @@ def _touch_off_points(
     :param rows: of these points.
     :raises MeasurementError: one has a normal that is not Z, or a weight.
     """
-    wrong = (normal[rows, 2] < 1.0 - _UNIT) | (mass[rows] > 0.0)
-    if wrong.any():
+    is_invalid = (normal[rows, 2] < 1.0 - _UNIT) | (mass[rows] > 0.0)
+    if is_invalid.any():
         raise MeasurementError(
-            f"{names[rows[np.argmax(wrong)]]} is no point of the top",
+            f"{names[rows[np.argmax(is_invalid)]]} is no point of the top",
             file=file,
-            line=int(lines[rows][np.argmax(wrong)]),
+            line=int(lines[rows][np.argmax(is_invalid)]),
             advice="Touch-off points have nx, ny, nz = 0, 0, 1, and no mass_kg.",
         )
     return TouchOff(

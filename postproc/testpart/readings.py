@@ -196,7 +196,7 @@ class Readings(Columns, frozen=True, eq=False):
         """
         return np.asarray(self._is_cut[:, None] * (self.probed.normal + by_lift[:, None] * _Z))
 
-    def by_part(self, by_lift: Array) -> Array:
+    def part_covariance(self, by_lift: Array) -> Array:
         """Return the covariance (n, n) [m²] that part, touch-off and path without force add to the readings.
 
         :param by_lift: (n,) derivative of the deviations by the lift of the program over the block.
@@ -216,9 +216,9 @@ class Readings(Columns, frozen=True, eq=False):
         return np.asarray(covariance)
 
     def lifts(self, by_lift: Array, precision: Array, target: Array) -> tuple[Lift, ...]:
-        """Return how high each program ran over the block.
+        """Return the height of each program over the block.
 
-        :param by_lift: (n,) as in `by_part`.
+        :param by_lift: (n,) as in `part_covariance`.
         :param precision: (n, n) inverse of the covariance of the deviations.
         :param target: (n,) deviations less those that the model predicts at no lift [m].
         """

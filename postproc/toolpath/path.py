@@ -12,7 +12,7 @@ from postproc.chunks import Columns, in_chunks
 from postproc.frames import (
     Array,
     angle_between,
-    interpolated,
+    interpolate,
     inverse,
     norm,
     product,
@@ -66,7 +66,7 @@ class Segments(Struct, frozen=True, eq=False):
     def begin(self, motion: Ints) -> Array:
         """Return the positions (n, 3) where motions (n,) start [m]."""
         position = self.end.take(motion - 1, axis=0)
-        index, is_changed = self.start.changed_among(motion)
+        index, is_changed = self.start.find_changed(motion)
         position[is_changed] = self.start.pose[index[is_changed], :3, 3]
         return position
 
@@ -97,10 +97,10 @@ class Arcs(Struct, frozen=True, eq=False):
         """Return the positions (n, 3) at places (motion, t)."""
         arc = np.searchsorted(self.motion, motion)
         (sine, cosine), scale = sine_and_cosine(self.sweep[arc] * t), 1.0 + self.growth[arc] * t
-        spot = self.centre.take(arc, axis=0)  # `take` of rows is several times faster than an index
+        point = self.centre.take(arc, axis=0)  # `take` of rows is several times faster than an index
         for share, vector in ((scale * cosine, self.radial), (scale * sine, self.across), (t, self.climb)):
-            spot += share[:, None] * vector.take(arc, axis=0)
-        return spot
+            point += share[:, None] * vector.take(arc, axis=0)
+        return point
 
     def velocity(self, motion: Ints, t: Array) -> Array:
         """Return the derivatives (n, 3) of the positions by t."""
@@ -216,31 +216,31 @@ def at(program: Program, path: Segments, motion: Ints, t: Array) -> Toolpath:
     if program.with_path is not None:
         is_led = program.with_path[motion[turning]]
         with_path, turning = turning[is_led], turning[~is_led]
-        rotation[with_path] = _with_path(program, path, motion[with_path], t[with_path])
+        rotation[with_path] = _arc_orientations(program, path, motion[with_path], t[with_path])
     if len(turning):
         rows = motion[turning]
-        rotation[turning] = interpolated(path.start.at(rows), m.target[rows], t[turning])[:, :3, :3]
+        rotation[turning] = interpolate(path.start.at(rows), m.target[rows], t[turning])[:, :3, :3]
     _place(program, path, motion, t, pose.position)
-    axes = _by_axes(program, path, motion, t)
+    axes = _axis_interpolated_rows(program, path, motion, t)
     if path.joint_moves is not None and len(axes):
         rotation = rotation.copy() if pose.is_fixed else rotation
         rotation[axes] = path.joint_moves.at(motion[axes], t[axes])[:, :3, :3]
     return Toolpath(motion, t, Poses(pose.position, rotation), path.length[motion] * t)
 
 
-def _by_axes(program: Program, path: Segments, motion: Ints, t: Array) -> Ints:
+def _axis_interpolated_rows(program: Program, path: Segments, motion: Ints, t: Array) -> Ints:
     """Return the rows of places (motion, t) before the end of PTPs whose path is known."""
     if path.joint_moves is None:
         return np.zeros(0, dtype=np.int64)
     return np.flatnonzero((t < 1.0) & (program.motions.kind[motion] == PTP))
 
 
-def _with_path(program: Program, path: Segments, rows: Ints, t: Array) -> Array:
+def _arc_orientations(program: Program, path: Segments, rows: Ints, t: Array) -> Array:
     """Return the orientations (n, 3, 3) on arcs with which the tool turns."""
     m = program.motions
     end = m.target[rows]
     end[:, :3, :3] = _turn_back(program, rows, m.sweep[rows], end[:, :3, :3])
-    relative = interpolated(path.start.at(rows), end, t)[:, :3, :3]
+    relative = interpolate(path.start.at(rows), end, t)[:, :3, :3]
     return _turn_back(program, rows, -t * m.sweep[rows], relative)
 
 
@@ -266,7 +266,7 @@ def _place(program: Program, path: Segments, motion: Ints, t: Array, spot: Array
         spot[lines] = begin + t[lines, None] * (spot[lines] - begin)
     if len(arcs):
         spot[arcs] = path.arcs.position(motion[arcs], t[arcs])
-    axes = _by_axes(program, path, motion, t)
+    axes = _axis_interpolated_rows(program, path, motion, t)
     if path.joint_moves is not None and len(axes):
         spot[axes] = path.joint_moves.at(motion[axes], t[axes])[:, :3, 3]
 
@@ -301,6 +301,7 @@ def continues(program: Program, path: Segments) -> Bools:
         smooth &= program.after[1:] == np.arange(len(m) - 1)
     lines, arcs = (np.flatnonzero(smooth & (m.kind[1:] == kind)) for kind in (LIN, CIRC))
     begin, corner, end = path.begin(lines), m.target[lines, :3, 3], m.target[lines + 1, :3, 3]
+    # lines: the corner is on the chord of both, and travel goes on in the same direction
     chord = end - begin
     corner_distance = norm(np.cross(corner - begin, chord)) / np.maximum(norm(chord), _SAME_LINE)
     is_continued[lines + 1] = (corner_distance < _SAME_LINE) & (
@@ -327,6 +328,7 @@ def circle_through(a: Array, b: Array, c: Array) -> tuple[Array, Array, Array, A
     ab, ac = b - a, c - a
     normal = np.cross(ab, ac)
     square = np.einsum("ni,ni->n", normal, normal)[:, None]
+    # the height of b over ac is ‖normal‖/‖ac‖: below 1e-12 of ‖ac‖ the points are on one line in double precision
     flat = square[:, 0] <= 1e-24 * np.einsum("ni,ni->n", ac, ac) ** 2
     square = np.where(flat[:, None], 1.0, square)
     ab2, ac2 = np.einsum("ni,ni->n", ab, ab)[:, None], np.einsum("ni,ni->n", ac, ac)[:, None]

@@ -15,7 +15,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from postproc.chunks import Columns, ragged_range
-from postproc.frames import RAD_PER_DEG, Array, angle_between, interpolated, norm
+from postproc.frames import RAD_PER_DEG, Array, angle_between, interpolate, norm
 from postproc.program import CIRC, LIN, PTP, SPL, Bools, Ints, Program
 from postproc.toolpath.path import Segments
 
@@ -130,13 +130,13 @@ class Pieces(Columns, frozen=True, eq=False):
         """(S,) samples on each piece: an even number, so that its middle is one."""
         return 2 * np.maximum(1, np.ceil(self.samples / (2 * self.number) - 1e-9).astype(np.int64))
 
-    def settled(self, number: Ints) -> Pieces:
+    def with_enough_pieces(self, number: Ints) -> Pieces:
         """Return the stretches with the numbers (S,) of pieces that are estimated to be enough."""
         return replace(
             self, number=np.maximum(number, self.min_number), uncertain=np.zeros(len(self.motion), dtype=bool)
         )
 
-    def in_order(self) -> Pieces:
+    def sort(self) -> Pieces:
         """Return the stretches in order along the path."""
         return self.take(np.lexsort((self.begin, self.motion)))
 
@@ -161,7 +161,7 @@ class Pieces(Columns, frozen=True, eq=False):
         stretches = self.cut(np.where(is_divided, self.number, 1))
         number = stretches.number.copy()
         np.maximum.at(number, stretches._at(motion, t), parts)
-        return stretches.settled(number)
+        return stretches.with_enough_pieces(number)
 
     def _at(self, motion: Ints, t: Array) -> Ints:
         """Return the stretches (n,) on which places lie."""
@@ -176,7 +176,7 @@ def pieces(
     *,
     linearize_arcs: bool = False,
 ) -> Pieces:
-    """Return how many pieces of its arcs to begin with.
+    """Return the numbers of pieces with which the subdivision of the arcs begins.
 
     :param tolerance: what the path may be left by [m].
     :param linearize_arcs: pieces are chords that keep half the tolerance.
@@ -279,7 +279,7 @@ def swivel_pieces(program: Program, path: Segments, tolerance: float) -> Ints:
     leans = np.zeros(len(rows))
     for share in (0.25, 0.5, 0.75):
         t = np.full(len(rows), share)
-        leans = np.maximum(leans, angle_between(interpolated(start, end, t)[:, :3, :3], turning.at(rows, t)))
+        leans = np.maximum(leans, angle_between(interpolate(start, end, t)[:, :3, :3], turning.at(rows, t)))
     piece_count = np.maximum(np.sqrt(leans * _LEVER / tolerance), travel[rows] / _MOST_SWIVEL)
     number[rows] = np.maximum(1, np.ceil(piece_count - 1e-9)).astype(np.int64)
     return number

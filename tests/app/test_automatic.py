@@ -117,7 +117,7 @@ class Commands:
         self.runs.append(SimpleNamespace(number=len(self.runs), key=key, arguments=tuple(arguments), code=code))
         return self.runs[-1]
 
-    def since(self, number):
+    def runs_since(self, number):
         return self.runs[number:]
 
     def end(self):

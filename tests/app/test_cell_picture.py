@@ -23,13 +23,13 @@ B = 30
 START = "[start]\njoints = [20, -80, 95, 15, 60, -30]\n"
 
 
-@pytest.mark.parametrize("name", sorted(robot.shipped()))
+@pytest.mark.parametrize("name", sorted(robot.shipped_models()))
 @pytest.mark.parametrize(("start", "angles"), [(START, (20, -80, 95, 15, 60, -30)), ("", (0, -90, 100, 0, 80, 0))])
 def test_tip_and_base_are_where_the_controller_has_them(tmp_path, name, start, angles):
     path = tmp_path / "cell.toml"
     path.write_text(CELL.format(name=name) + start)
     picture = cell_picture(path)
-    arm = Arm.load(robot.shipped()[name])
+    arm = Arm.load(robot.shipped_models()[name])
     tip = arm.nominal_tcp(np.radians(angles), abc(40, 0, 350, 0, 30, 0))[:3, 3] * 1000
     assert picture.tip == pytest.approx(tip, abs=1e-6), "mm; both are exact but for rounding"
     assert picture.base == pytest.approx([1500, -200, 700])

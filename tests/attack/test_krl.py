@@ -143,7 +143,7 @@ FAULTS = {
     "arguments keep their values": (Calls, "_forget_arguments", lambda self, at, call, routine: None),
     "branches keep values": (Variables, "forget", lambda self, name, where: None),
     "branches keep settings": (Settings, "may_become", lambda self, line, state, reason: self.change(line, state)),
-    "points are corrected for all who read them": (NamedPoints, "_alone", lambda self, uses, aggregate: True),
+    "points are corrected for all who read them": (NamedPoints, "_is_replaceable", lambda self, uses, aggregate: True),
 }
 RARE = {"branches keep settings": 400}
 """The first seed to try where few programs show a fault."""

@@ -24,7 +24,7 @@ import postproc
 from postproc import cell as cells
 from postproc import placement
 from postproc.correction import collisions
-from postproc.correction.process import corrected
+from postproc.correction.process import corrected_commands
 from postproc.under_load import MotionsUnderLoad, PathUnderLoad, RobotInCell
 from tests.benchmarks.process import surface
 from tests.places import ROOT
@@ -76,13 +76,13 @@ def main() -> None:
     inside = replace(cell, collision=COLLISION)
     turn = None
     for name, of in (("map and path", cell), ("map and path with [collision]", inside)):
-        turn, issues = timed(name, lambda of=of: placement.chosen(read, RobotInCell.of(robot, of), None, "path"))
+        turn, issues = timed(name, lambda of=of: placement.choose_turn(read, RobotInCell.of(robot, of), None, "path"))
         print("  " + " ".join(issue.message for issue in issues))
-    turned = read if turn is None else placement.turned(read, cell.tool.axis, turn.of_motion)
+    turned = read if turn is None else placement.turn_program(read, cell.tool.axis, turn.of_motion)
     motions = MotionsUnderLoad.of(turned, RobotInCell.of(robot, inside), None)
     path = PathUnderLoad.of(motions, motions.pieces(linearize_arcs=False))
-    command = corrected(path)
-    smallest, issues = timed("collisions of the path", lambda: collisions.of_path(path, command.q))
+    command = corrected_commands(path)
+    smallest, issues = timed("collisions of the path", lambda: collisions.path_clearance(path, command.q))
     assert smallest is not None
     words = f"smallest clearance {smallest.distance * 1e3:.1f} mm, {' and '.join(smallest.bodies)}"
     print(f"  {len(path)} samples; {words}; {len(issues)} errors")

@@ -122,7 +122,7 @@ def outcome(cell: cells.Cell, robot: postproc.RobotModel, folder: Path, base: ce
     )
     try:
         read, started = read_with_start(folder / "part.nc", robot, inside)
-        turn, issues = placement.chosen(read, RobotInCell.of(robot, started), None, "path")
+        turn, issues = placement.choose_turn(read, RobotInCell.of(robot, started), None, "path")
     except PostprocError as error:
         return str(error).splitlines()[0][:160]
     return issues[0].message.partition(" at best")[0] if turn is None else "drivable"

@@ -28,8 +28,8 @@ def main() -> None:
             job = draw(np.random.default_rng(1000 + seed), PLACES)
             exact = overlapping.exact(job, 5e-5)
             shown = overlapping.shown(job)
-            counted = np.isfinite(exact) & shown.touched
-            untouched += int((np.isfinite(exact) & ~shown.touched).sum())
+            counted = np.isfinite(exact) & shown.is_touched
+            untouched += int((np.isfinite(exact) & ~shown.is_touched).sum())
             errors.append((shown.before - exact)[counted])
         error = np.abs(np.concatenate(errors))
         print(

@@ -281,9 +281,9 @@ def validation_of(row: Row, true: simulator.TrueRobot, seed: int, folder: Path) 
     raw = raw + row.common * rng.normal(size=(*raw.shape[:2], 1, 1, 3))
     fresh = simulator.write(folder / "fresh", q, f, raw, SIGMA, levels=row.levels, more=row.more)
     result = validate(folder / "model", fresh / "measurements.csv", fresh / "experiment.toml")
-    if result.held:
+    if result.is_held:
         return "holds"
-    return "does not hold" if any(level.refuted for level in result.levels) else "not known"
+    return "does not hold" if any(level.is_refuted for level in result.levels) else "not known"
 
 
 def print_verdicts(results: list[dict[str, Any]]) -> None:

@@ -38,7 +38,7 @@ def keys(frame):
     return [frame.X, frame.Y, frame.Z, frame.A, frame.B, frame.C]
 
 
-@pytest.mark.parametrize("name", [name for name in robot.shipped() if name.startswith("kuka_")])
+@pytest.mark.parametrize("name", [name for name in robot.shipped_models() if name.startswith("kuka_")])
 def test_a_cell_by_options_holds_what_was_given(name):
     done = invoke(
         "init", "my.toml", "--robot", name, "--base", "-600.5,-20,400,10,-20,30", "--tool", "1,2,150", "--axis=-Z",
@@ -264,7 +264,7 @@ def test_without_a_terminal_what_is_missing_is_wrong_usage():
 
 def test_on_a_terminal_it_asks_and_takes_what_stands_in_brackets(monkeypatch):
     monkeypatch.setattr("postproc.cli.first_steps.is_terminal", lambda: True)
-    for name in robot.shipped():
+    for name in robot.shipped_models():
         done = invoke("init", f"{name}.toml", input=f"{name}\n\n0,0,100\n" + 9 * "\n")
         assert done.exit_code == 0, done.output
         assert "out of reach" not in done.stderr

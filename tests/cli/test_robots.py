@@ -11,8 +11,8 @@ def test_robots_lists_the_shipped_ones():
     assert done.exit_code == 0
     head, *lines = done.stdout.splitlines()
     assert head.split() == ["name", "robot", "values"]
-    assert [line.split()[0] for line in lines] == list(robot.shipped())
-    assert {"kuka_kr16_2", "kuka_kr270"} <= set(robot.shipped())
+    assert [line.split()[0] for line in lines] == list(robot.shipped_models())
+    assert {"kuka_kr16_2", "kuka_kr270"} <= set(robot.shipped_models())
 
 
 def test_a_robot_is_shown_with_source_and_what_is_assumed():
@@ -29,7 +29,7 @@ def test_robot_as_json_has_the_same_values():
     content = json.loads(invoke("robots", "kuka_kr270", "--json").stdout)
     assert content["name"] == "kuka_kr270"
     assert all(set(value) == {"name", "value", "source", "assumed"} for value in content["values"])
-    assert list(json.loads(invoke("robots", "--json").stdout)) == list(robot.shipped())
+    assert list(json.loads(invoke("robots", "--json").stdout)) == list(robot.shipped_models())
     assert json.loads(invoke("robots", "show", "kuka_kr270", "--json").stdout) == content
 
 

@@ -341,7 +341,7 @@ def test_a_program_of_the_robot_is_not_asked_where_it_retracts():
 
     def asked_keys(*names):
         answers, keys = guided_start.Answers({"robot": "kuka_kr270"}), []
-        needs = guided_start.merged([needs_of(Path(name)) for name in names])
+        needs = guided_start.merge_needs([needs_of(Path(name)) for name in names])
         while question := guided_start.next_question(needs, answers, keys, process=False):
             keys.append(question.key)
         return keys

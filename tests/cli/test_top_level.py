@@ -41,7 +41,9 @@ def oops(*_, **__):
 def faulty(request, monkeypatch):
     """A command with a fault: of the command itself, or in one of its programs."""
     programs(1)
-    monkeypatch.setattr("postproc.robot.shipped" if request.param == "robots" else "postproc.correction.process", oops)
+    monkeypatch.setattr(
+        "postproc.robot.shipped_models" if request.param == "robots" else "postproc.correction.process", oops
+    )
     return ["robots"] if request.param == "robots" else ["convert", "p00.src", "--cell", CELL_16]
 
 
@@ -87,7 +89,7 @@ def test_what_is_no_fault_is_told_as_it_is(monkeypatch, cause, message):
     def stop():
         raise cause
 
-    monkeypatch.setattr("postproc.robot.shipped", stop)
+    monkeypatch.setattr("postproc.robot.shipped_models", stop)
     done = invoke("robots")
     assert (done.exit_code, done.stderr) == (1, f"Error: {message}\n")
 
@@ -133,7 +135,7 @@ def test_an_interrupt_has_an_exit_code_of_its_own(monkeypatch):
     def stop():
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("postproc.robot.shipped", stop)
+    monkeypatch.setattr("postproc.robot.shipped_models", stop)
     done = invoke("robots")
     assert (done.exit_code, done.stderr) == (130, "Interrupted.\n")
 

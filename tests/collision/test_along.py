@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from postproc.collision import Solids, along, bodies, clearance, hits
+from postproc.collision import Solids, bodies, clearance, hits, path_hits
 from postproc.collision.along import motion_bound
 from postproc.collision.distance import link_frames
 from tests.collision.setting import KR270, frame, pose, random_scene, sampled, scene
@@ -22,7 +22,7 @@ def check(rng) -> str:
     what, path, numbers = random_scene(rng)
     seen = sampled(path, numbers)
     need = float(rng.choice([0.0, 0.005, 0.05]))
-    found = along(what, path, need)
+    found = path_hits(what, path, need)
     assert found.closest is not None
     assert found.closest.distance <= seen.min() + 0.5e-3
     exact = np.array([clearance(what, path[:1] + s * (b - path[0])).distance[0] for b in path[1:2] for s in (0.0, 1.0)])
@@ -50,7 +50,7 @@ def test_a_post_between_two_samples_is_not_missed():
     post = bodies.box("post", -1, "obstacle", pose(np.eye(3), np.add(tip, [0.05, 0, 0])), np.array([0.02, 0.02, 1.0]))
     spindle = bodies.cylinder("spindle", 6, "tool", np.zeros(3), np.array([0, 0, 0.2]), 0.05)
     assert clearance(scene(spindle, post), q).distance.min() > 1.0
-    found = along(scene(spindle, post), q, 0.0)
+    found = path_hits(scene(spindle, post), q, 0.0)
     assert found.row.tolist() == [1]
     assert found.distance[0] == 0.0
 
@@ -62,7 +62,7 @@ def test_a_clearance_that_is_held_everywhere_is_no_hit():
     height = frame(q[0], 6)[2, 3]
     plate = bodies.box("plate", -1, "obstacle", pose(np.eye(3), [0, 0, height - 0.58]), np.array([9.0, 9.0, 1.0]))
     spindle = bodies.cylinder("spindle", 6, "tool", np.zeros(3), np.array([0, 0, 0.2]), 0.05)
-    kept, broken = (along(scene(spindle, plate), q, need) for need in (0.029, 0.031))
+    kept, broken = (path_hits(scene(spindle, plate), q, need) for need in (0.029, 0.031))
     assert len(kept.row) == 0
     assert kept.closest.distance == pytest.approx(0.03, abs=0.5e-3)
     assert set(broken.row) == set(range(400))
@@ -80,11 +80,11 @@ def test_a_bar_that_turns_past_a_post_is_seen_at_every_sample(axis):
     )
     what = scene(bar, post)
     exact = clearance(what, q).distance
-    found = along(what, q, 0.05)
+    found = path_hits(what, q, 0.05)
     close = np.flatnonzero(exact < 0.05)
     assert 10 < len(close) < 500
     assert set(close.tolist()) <= set(found.row.tolist()) <= set(close.tolist()) | {int(close[-1]) + 1}
-    free = along(what, q[: close[0] - 1], 0.05)
+    free = path_hits(what, q[: close[0] - 1], 0.05)
     assert free.closest.distance == pytest.approx(exact[: close[0] - 1].min(), abs=0.3e-3)
     assert len(free.row) == 0
 
@@ -99,7 +99,7 @@ def test_a_bar_that_turns_into_a_beam_about_the_middle_of_the_beam_is_seen():
     what = scene(bar, bodies.box("beam", -1, "obstacle", middle, np.array([2.0, 0.05, 0.05])))
     close = np.flatnonzero(clearance(what, q).distance < 0.05)
     assert 10 < len(close) < 300
-    assert set(close.tolist()) <= set(along(what, q, 0.05).row.tolist())
+    assert set(close.tolist()) <= set(path_hits(what, q, 0.05).row.tolist())
 
 
 def test_a_long_path_far_from_everything_costs_little():
@@ -107,7 +107,7 @@ def test_a_long_path_far_from_everything_costs_little():
     q = np.radians([0.0, -90.0, 90.0, 0.0, 0.0, 0.0]) + turn[:, None] * np.eye(6)[0]
     post = bodies.box("post", -1, "obstacle", pose(np.eye(3), [-5, 0, 0]), np.ones(3))
     spindle = bodies.cylinder("spindle", 6, "tool", np.zeros(3), np.array([0, 0, 0.2]), 0.05)
-    assert along(scene(spindle, post), q, 0.005).calls < 2000
+    assert path_hits(scene(spindle, post), q, 0.005).calls < 2000
 
 
 @pytest.mark.parametrize("carrier", [0, 2, 5, 6])
@@ -127,10 +127,10 @@ def test_a_body_may_be_nearer_by_as_far_as_it_moves_to_the_commanded_angles(carr
         angle = np.linalg.norm(pin.log3(a[:3, :3].T @ b[:3, :3]))
         bound.append(np.linalg.norm((b - a) @ centre) + 2.0 * np.sin(0.5 * angle) * radius)
         moved.append(np.linalg.norm(corners @ (b[:3, :3] - a[:3, :3]).T + b[:3, 3] - a[:3, 3], axis=1).max())
-    found = along(what, q, 0.0, commanded_q=q + off)
+    found = path_hits(what, q, 0.0, commanded_q=q + off)
     assert max(moved) <= found.largest_decrease
     assert found.largest_decrease == pytest.approx(1.001 * max(bound), rel=1e-6)  # of the arc, by its chord
-    here = along(what, q, 0.0)
+    here = path_hits(what, q, 0.0)
     assert here.largest_decrease == 0.0
     assert found.closest.distance == pytest.approx(here.closest.distance - found.largest_decrease, abs=1e-3)
 

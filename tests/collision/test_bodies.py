@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from postproc import cell as cells
 from postproc.cell import Collision, HolderTable
-from postproc.collision import Scene, Solids, bodies, clearance, cylinders, inside
+from postproc.collision import Scene, Solids, bodies, clearance, cylinders, inscribed_capsule
 from postproc.collision.distance import link_frames
 from postproc.errors import CellError, ModelError
 from postproc.robot import urdf
@@ -60,7 +60,7 @@ def test_the_mesh_of_a_round_body_is_around_it_by_a_hundredth_of_its_radius_at_m
 def test_a_cutter_of_tenths_of_a_millimetre_has_a_mesh():
     body = bodies.cylinder("cutter", 6, "cutter", np.zeros(3), np.array([0.0, 0.0, 3e-4]), 5e-5)
     np.testing.assert_allclose(np.ptp(body.points, axis=0), [1e-4, 1e-4, 3e-4], rtol=0.01)
-    capsule = inside(body)
+    capsule = inscribed_capsule(body)
     assert np.ptp(capsule.points, axis=0) == pytest.approx([2e-4, 2e-4, 4e-4], rel=0.01)
 
 
@@ -80,7 +80,7 @@ def test_the_sphere_around_a_body_is_that_of_the_middle_of_its_span():
 
 def test_a_body_is_moved_with_its_pose_and_its_points():
     body, motion = bodies.cylinder("b", -1, "part", BEGIN, END, 0.08), pose(TURN, [1.0, 2.0, 3.0])
-    moved = body.moved(motion)
+    moved = body.transform(motion)
     np.testing.assert_allclose(moved.pose, motion @ body.pose, atol=1e-15)
     np.testing.assert_allclose(moved.points, body.points @ TURN.T + [1.0, 2.0, 3.0], atol=1e-12)
 
@@ -91,7 +91,7 @@ def test_a_body_is_moved_with_its_pose_and_its_points():
 )
 def test_the_capsule_in_a_cutter_is_smaller_by_the_accuracy(length, radius, half, expected):
     direction = np.array([0.6, 0.8, 0.0])
-    capsule = inside(bodies.cylinder("cutter", 6, "cutter", BEGIN, BEGIN + length * direction, radius))
+    capsule = inscribed_capsule(bodies.cylinder("cutter", 6, "cutter", BEGIN, BEGIN + length * direction, radius))
     assert (capsule.name, capsule.carrier, capsule.of, capsule.kind) == ("cutter", 6, "tool", "capsule")
     assert capsule.size == pytest.approx((expected, 2 * half))
     np.testing.assert_allclose(capsule.pose[:3, 3], BEGIN + 0.5 * length * direction, atol=1e-12)
@@ -169,7 +169,7 @@ def test_obstacles_in_base_move_with_it_and_others_stay():
     jaw = replace(bodies.cylinder("jaw", -1, "obstacle", BEGIN, END, 0.05), with_base=True)
     solids = Solids(scene(bodies.capsule("c", 6, "tool", np.zeros(3), np.ones(3), 0.1), fixed, jaw))
     motion = pose(TURN, [1.0, 2.0, 3.0])
-    moved = solids.with_base(motion)
+    moved = solids.move_base(motion)
     np.testing.assert_allclose(moved.bodies[2].pose, motion @ jaw.pose, atol=1e-14)
     np.testing.assert_allclose(moved.spheres[2][0], (motion @ np.append(jaw.sphere[0], 1.0))[:3], atol=1e-3)
     assert moved.bodies[:2] == solids.bodies[:2]
@@ -226,7 +226,7 @@ def test_bodies_that_may_be_near_are_all_that_are_and_few_others(need):
         bodies.box("b", -1, "obstacle", place, np.array([0.8, 0.6, 0.4])),
     )
     solids, frames = Solids(what), link_frames(KR270.nominal, q)
-    near, exact = solids.near(0, 1, frames, need), solids.distance(0, 1, frames, solid=True)
+    near, exact = solids.may_be_near(0, 1, frames, need), solids.distance(0, 1, frames, solid=True)
     assert near[exact < need].all()
     centre, radius = np.array([0.25, 0.0, 0.3]), np.hypot(0.25, 0.08)
     middle = np.array([(frame(row, 6) @ np.append(centre, 1.0))[:3] for row in q])
@@ -237,7 +237,7 @@ def test_bodies_that_may_be_near_are_all_that_are_and_few_others(need):
     assert not near[gap > need + 1e-3].any()
     assert 0 < near.sum() < 300
     for rows in (exact < need, exact >= need + 1e-5):
-        assert solids.closer(frames[rows], need) is bool((exact[rows] < need).any())
+        assert solids.is_closer(frames[rows], need) is bool((exact[rows] < need).any())
 
 
 def test_touching_bodies_are_closer_than_nothing():
@@ -246,7 +246,7 @@ def test_touching_bodies_are_closer_than_nothing():
     for gap, is_touching in ((-0.01, True), (0.01, False)):
         cube = bodies.box("b", -1, "obstacle", pose(np.eye(3), at + np.array([0.0, 0.0, 0.6 + gap])), np.ones(3))
         solids = Solids(scene(ball, cube))
-        assert solids.closer(link_frames(KR270.nominal, np.zeros((1, 6))), 0.0) is is_touching
+        assert solids.is_closer(link_frames(KR270.nominal, np.zeros((1, 6))), 0.0) is is_touching
 
 
 def test_another_mesh_takes_the_place_of_the_last_body():
@@ -254,7 +254,7 @@ def test_another_mesh_takes_the_place_of_the_last_body():
     at = frame(q[0], 6)[:3, 3]
     ball = bodies.capsule("ball", 6, "tool", np.zeros(3), np.array([0, 0, 1e-9]), 0.05)
     solids = Solids(scene(ball, ring(pose(np.eye(3), at + np.array([9.0, 0.0, 0.0])))))
-    other = solids.with_last(ring(pose(np.eye(3), at)))
+    other = solids.replace_last(ring(pose(np.eye(3), at)))
     frames = link_frames(KR270.nominal, q)
     assert other.distance(0, 1, frames, solid=True)[0] == pytest.approx(0.15, abs=1e-4)
     assert solids.distance(0, 1, frames, solid=True)[0] == pytest.approx(9.0 - 0.35, abs=1e-4)
@@ -262,15 +262,15 @@ def test_another_mesh_takes_the_place_of_the_last_body():
     np.testing.assert_allclose(other.spans[1], at + np.array([[-0.3, -0.3, -0.2], [0.3, 0.3, 0.2]]), atol=1e-9)
     assert other.bodies[0] is ball
     cube = bodies.box("b", -1, "obstacle", pose(TURN, [1.0, 2.0, 3.0]), np.array([0.2, 0.4, 0.6]))
-    made_anew, changed = Solids(scene(ball, cube, ring())), Solids(scene(ball, cube, ball)).with_last(ring())
+    made_anew, changed = Solids(scene(ball, cube, ring())), Solids(scene(ball, cube, ball)).replace_last(ring())
     assert changed.convex == made_anew.convex == [True, True, False]
     for name in ("spheres", "spans"):
         for mine, theirs in zip(getattr(changed, name), getattr(made_anew, name), strict=True):
             for one, other in zip(mine, theirs, strict=True):
                 np.testing.assert_array_equal(one, other)
-    around = solids.with_last(ring(pose(np.eye(3), at + np.array([0.25, 0.0, 0.0])), 9.0))
+    around = solids.replace_last(ring(pose(np.eye(3), at + np.array([0.25, 0.0, 0.0])), 9.0))
     tiny = replace(ball, size=(1e-3, 1e-9), points=1e-3 * ball.points)
-    inside_it = Solids(scene(tiny, ring())).with_last(around.bodies[1])
+    inside_it = Solids(scene(tiny, ring())).replace_last(around.bodies[1])
     assert inside_it.distance(0, 1, frames, solid=True)[0] == 0.0
     assert inside_it.distance(0, 1, frames, solid=False)[0] > 0.01
 

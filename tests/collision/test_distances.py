@@ -123,7 +123,7 @@ def test_from_box_itself():
     )
 
 
-@pytest.mark.parametrize("name", robot.shipped())
+@pytest.mark.parametrize("name", robot.shipped_models())
 def test_a_free_arm_does_not_touch_itself(name):
     """Assumed capsules invent no collision of the arm with itself around the usual pose; a long tool bar does hit."""
     arm = robot.load(robot.find(name))

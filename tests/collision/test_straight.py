@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from postproc.collision import Solids, along, among, bodies, hits
+from postproc.collision import Solids, bodies, hits, pair_hits, path_hits
 from postproc.collision.distance import link_frames
 from tests.collision.setting import KR270, frame, pose, scene
 
@@ -70,7 +70,7 @@ def expected_hits(moved, place, need: float, slack: float) -> set[int]:
 def test_hits_and_the_smallest_distance_are_those_of_the_drawing(seed, count, need):
     """0.1 mm on both sides of the limit are left open: shorter motions are not halved."""
     moved, what = path(seed, count), scene(ball(), *(post(name, place) for name, place in PLACES.items()))
-    result = along(what, np.tile(Q, (count, 1)), need, moved)
+    result = path_hits(what, np.tile(Q, (count, 1)), need, moved)
     surely, perhaps = set(), set()
     for number, place in enumerate(PLACES.values(), 1):
         surely |= {(row, 0, number) for row in expected_hits(moved, place, need, 1e-4)}
@@ -109,7 +109,7 @@ def test_bodies_that_touch_are_a_hit_even_if_no_distance_is_asked_for():
     """The ball grazes nothing at 1 mm, and is 1 mm deep in the cube on the other path."""
     for beside, is_hit in ((0.151, False), (0.149, True)):
         moved = np.stack([np.linspace(-1, 1, 7), np.zeros(7), np.zeros(7)], axis=1)
-        result = along(scene(ball(), post("cube", (0.0, beside, 0.0))), np.tile(Q, (7, 1)), 0.0, moved)
+        result = path_hits(scene(ball(), post("cube", (0.0, beside, 0.0))), np.tile(Q, (7, 1)), 0.0, moved)
         assert (len(result.row) > 0) is is_hit
         assert result.closest.distance == pytest.approx(0.0 if is_hit else 0.001, abs=0.25e-3)
         if is_hit:
@@ -118,11 +118,11 @@ def test_bodies_that_touch_are_a_hit_even_if_no_distance_is_asked_for():
 
 def test_one_pose_and_no_pose_are_paths_too():
     what = scene(ball(), post("cube", (0.3, 0.0, 0.0)))
-    alone = along(what, Q[None], 0.2, np.zeros((1, 3)))
+    alone = path_hits(what, Q[None], 0.2, np.zeros((1, 3)))
     assert alone.row.tolist() == [0]
     assert alone.distance[0] == pytest.approx(0.15, abs=ROUNDING)
     assert alone.closest.row == 0
-    for none in (along(what, np.zeros((0, 6)), 0.2), along(scene(ball()), Q[None], 0.2)):
+    for none in (path_hits(what, np.zeros((0, 6)), 0.2), path_hits(scene(ball()), Q[None], 0.2)):
         assert none.closest is None
         assert len(none.row) == len(none.first) == len(none.second) == len(none.distance) == 0
     assert hits(Solids(what), np.zeros((0, 6)), 0.2).shape == (0,)
@@ -133,7 +133,7 @@ def test_distances_are_computed_where_they_can_count_alone():
     """A ball that passes a cube at 4000 samples: most of the path is decided by a few distances."""
     moved = np.stack([np.linspace(-5, 5, 4000), np.zeros(4000), np.zeros(4000)], axis=1)
     q = np.tile(Q, (4000, 1))
-    result = along(scene(ball(), post("cube", (0.0, 0.25, 0.0))), q, 0.02, moved)
+    result = path_hits(scene(ball(), post("cube", (0.0, 0.25, 0.0))), q, 0.02, moved)
     assert result.closest.distance == pytest.approx(0.1, abs=0.25e-3)
     assert len(result.row) == 0
     assert result.calls < 800  # all between the first and the last at which a smaller distance is possible
@@ -142,7 +142,7 @@ def test_distances_are_computed_where_they_can_count_alone():
 def test_only_the_pairs_that_are_given_are_compared():
     what = scene(ball(), *(post(name, place) for name, place in PLACES.items()))
     moved = path(3, 60)
-    result = among(Solids(what, [(0, 2)]), np.tile(Q, (60, 1)), 0.11, moved)
+    result = pair_hits(Solids(what, [(0, 2)]), np.tile(Q, (60, 1)), 0.11, moved)
     assert set(result.second) == {2}
     assert result.closest.distance == pytest.approx(least(PLACES["right"], moved).min(), abs=0.25e-3)
 
@@ -164,9 +164,9 @@ def test_two_bodies_of_the_arm_move_with_it_and_keep_their_distance():
     fixed = bodies.box("vice", -1, "obstacle", pose(np.eye(3), START + np.array([0.0, 5.0, 0.0])), np.full(3, 0.2))
     foot = bodies.box("foot", -1, "arm", pose(np.eye(3), START + np.array([0.0, 0.5, 0.0])), np.full(3, 0.2))
     moved = np.stack([np.zeros(9), np.linspace(0.0, 4.0, 9), np.zeros(9)], axis=1)
-    result = along(scene(foot, ball(), fixed), np.tile(Q, (9, 1)), 0.36, moved)
+    result = path_hits(scene(foot, ball(), fixed), np.tile(Q, (9, 1)), 0.36, moved)
     assert {(int(a), int(b)) for a, b in zip(result.first, result.second, strict=True)} == {(1, 0)}
     assert result.row.tolist() == list(range(9))
     np.testing.assert_allclose(result.distance, 0.35, atol=ROUNDING)
-    nearer = along(scene(ball(), fixed), np.tile(Q, (9, 1)), 0.9, moved)
+    nearer = path_hits(scene(ball(), fixed), np.tile(Q, (9, 1)), 0.9, moved)
     assert nearer.closest.distance == pytest.approx(5.0 - 4.0 - 0.1 - 0.05, abs=ROUNDING)

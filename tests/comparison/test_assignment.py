@@ -84,7 +84,7 @@ def test_no_other_assignment_costs_less(known):
         one, other, random = pair_of_tracks(seed)
         start = random.normal(size=3) * 0.5 * MM if known else None
         at = random.normal(size=3)
-        found = pairing._assigned(one, other, None if start is None else (at, at + start))
+        found = pairing._assign_partners(one, other, None if start is None else (at, at + start))
         paired = found[found >= 0]
         missing += len(found) - len(paired)
         assert (np.diff(paired) > 0).all()
@@ -104,7 +104,7 @@ def test_targets_in_equal_places_after_equal_steps_are_paired_in_order_from_ther
         none = np.zeros(20, dtype=bool)
         one, other = (Track(each, np.linalg.norm(np.diff(each, axis=0, prepend=each[:1]), axis=1), none, none)
                       for each in (points, others))  # fmt: skip
-        found = pairing._assigned(one, other, None)
+        found = pairing._assign_partners(one, other, None)
         expected = np.arange(20) + (np.arange(20) >= at) - (np.arange(20) > at + gap)
         expected[at + gap] = -1
         assert (found == expected).all(), seed
@@ -167,27 +167,27 @@ def test_equal_steps_at_the_beginning_are_taken_at_once_but_for_the_last_two():
     step = np.linalg.norm(np.diff(points, axis=0, prepend=points[:1]), axis=1)
     one = Track(points, step, none, none)
     scale = np.minimum(0.1 * MM + step / 4, 1.0 * MM)
-    assert pairing._alike(one, one) == 12
+    assert pairing._common_length(one, one) == 12
     shorter = pairing._part(one, slice(0, 9))
-    assert pairing._alike(one, shorter) == pairing._alike(shorter, one) == 7
+    assert pairing._common_length(one, shorter) == pairing._common_length(shorter, one) == 7
     for at, count in ((0, 0), (1, 0), (5, 3), (11, 9)):
         for share in (0.09, 0.11):
             moved, longer, joint = points.copy(), step.copy(), none.copy()
             moved[at:, 2] += share * scale[at]
             longer[at] -= share * scale[at]
             for other in (Track(moved, step, none, none), Track(points, longer, none, none)):
-                assert pairing._alike(one, other) == (count if share > 0.1 else 12), (at, share)
+                assert pairing._common_length(one, other) == (count if share > 0.1 else 12), (at, share)
             joint[at] = True
-            assert pairing._alike(one, Track(points, step, joint, none)) == count
+            assert pairing._common_length(one, Track(points, step, joint, none)) == count
             both = Track((points + moved) / 2, (step + longer) / 2, none, none)  # half of each, together as much
-            assert pairing._alike(one, both) == (count if share > 0.1 else 12)
+            assert pairing._common_length(one, both) == (count if share > 0.1 else 12)
 
 
 def test_a_track_backwards_has_the_steps_between_the_same_targets():
     random = np.random.default_rng(3)
     points = random.normal(size=(6, 3))
     step = np.linalg.norm(np.diff(points, axis=0, prepend=points[:1]), axis=1)
-    back = pairing._reversed(Track(points, step, np.arange(6) < 2, np.arange(6) == 4))
+    back = pairing._reverse_track(Track(points, step, np.arange(6) < 2, np.arange(6) == 4))
     np.testing.assert_array_equal(back.position, points[::-1])
     np.testing.assert_allclose(back.step[1:], [math.dist(points[k], points[k + 1]) for k in (4, 3, 2, 1, 0)])
     assert back.joint.tolist() == [False] * 4 + [True] * 2

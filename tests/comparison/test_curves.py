@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from postproc import frames, robot
 from postproc.comparison.differences import _distance_of_way
 from postproc.comparison.loaded_path import Ways
-from postproc.comparison.partners import paired
+from postproc.comparison.partners import pair_targets
 from postproc.comparison.paths import Chain, Curves, PlacedProgram, nearest
 from postproc.poses import Poses
 from postproc.program import CIRC, PTP
@@ -129,7 +129,7 @@ def test_both_programs_send_the_nominal_tool_where_frames_and_lengths_say(frames
     ]:
         pair = math.ceil(each - 1e-12)
         largest[pair] = max(largest[pair], np.linalg.norm(np.diff(seen(one, other, PAIRS, each), axis=0)))
-    found = curves.apart()
+    found = curves.largest_gaps()
     assert np.isnan(found[0])
     np.testing.assert_allclose(found[1:], largest[1:], rtol=1e-3)
 
@@ -140,10 +140,10 @@ def test_ways_by_ptp_are_unknown_in_either_program():
         joint = [("PTP", *move[1:4]) if k == row else move for k, move in enumerate(ONE)]
         for sides in ((ONE, joint), (joint, ONE)):
             curves = Curves.of(*(Path(moves).placed for moves in sides), pairs)
-            assert np.flatnonzero(np.isnan(curves.apart())).tolist() == [0, row]
+            assert np.flatnonzero(np.isnan(curves.largest_gaps())).tolist() == [0, row]
     few = pairs[[0, 2, 6]]  # an inner motion on the way is enough
     one, other = Path(ONE).placed, Path([("PTP", *m[1:4]) if k == 5 else m for k, m in enumerate(ONE)]).placed
-    assert np.flatnonzero(np.isnan(Curves.of(one, other, few).apart())).tolist() == [0, 2]
+    assert np.flatnonzero(np.isnan(Curves.of(one, other, few).largest_gaps())).tolist() == [0, 2]
     assert Curves.of(one, other, pairs[:1]) is None
 
 
@@ -157,8 +157,8 @@ def test_arcs_are_drawn_by_a_chord_for_each_angle():
         curves = Curves.of(*sides, pairs)
         assert curves.parts(math.radians(10)).tolist() == [1, 27, 1]
         assert curves.parts(math.radians(7)).tolist() == [1, 39, 1]
-        assert curves.nominal_chain.any(np.arange(5) == 1).tolist() == [False, True, False]
-        assert curves.corrected_chain.any(np.arange(5) == 4).tolist() == [False, False, True]
+        assert curves.nominal_chain.any_between(np.arange(5) == 1).tolist() == [False, True, False]
+        assert curves.corrected_chain.any_between(np.arange(5) == 4).tolist() == [False, False, True]
     three = np.array([[0, 0], [1, 1], [3, 3], [4, 4]])
     assert Curves.of(one, other, three).parts(math.radians(10)).tolist() == [1, 9, 18, 1]
 
@@ -253,7 +253,7 @@ def test_ways_begin_at_the_start_or_behind_the_pair_before_and_end_with_their_ow
     one, other = Path(ONE).placed, Path(TWO).placed
     pair = np.array([[1, 2], [2, 3], [5, 6]])
     found = SimpleNamespace(pair=pair)
-    ways = Ways.of_pairs(found, one, other)
+    ways = Ways.from_pairs(found, one, other)
     np.testing.assert_array_equal(ways.begin, [0.0, one.arc_length[2], one.arc_length[3]])
     np.testing.assert_array_equal(ways.end, one.arc_length[[2, 3, 6]])
     np.testing.assert_array_equal(
@@ -270,7 +270,7 @@ def test_what_inserted_targets_are_off_is_no_distance_of_the_way(inside, found):
     """Pairs are 0.2 mm off, so that inserted targets may be 0.7 mm off: the path through them is not off it."""
     one = Path([("LIN", 0, 0, 0), ("LIN", 80, 0, 0), ("LIN", 80, 40, 0)]).placed
     other = Path([("LIN", 0, 0.2, 0), ("LIN", 40, inside, 0), ("LIN", 80, 0.2, 0), ("LIN", 80, 40.2, 0)]).placed
-    made = paired(one, other, np.array([0, 2, 3]), np.ones(3, dtype=bool))
+    made = pair_targets(one, other, np.array([0, 2, 3]), np.ones(3, dtype=bool))
     assert made.inserted_rows.tolist() == [1]
     assert _distance_of_way(made, one, other, 1) == found
     bulge = [
@@ -280,6 +280,6 @@ def test_what_inserted_targets_are_off_is_no_distance_of_the_way(inside, found):
         ("LIN", 80, 0.2, 0),
     ]
     other = Path([*bulge, ("LIN", 80, 40.2, 0)]).placed
-    made = paired(one, other, np.array([0, 3, 4]), np.ones(3, dtype=bool))
+    made = pair_targets(one, other, np.array([0, 3, 4]), np.ones(3, dtype=bool))
     assert made.inserted_rows.tolist() == [1, 2]
     assert _distance_of_way(made, one, other, 1) == pytest.approx(20.2e-3, abs=2e-5)

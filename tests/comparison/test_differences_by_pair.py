@@ -107,7 +107,7 @@ def test_a_target_at_the_present_position_is_a_stop_unless_the_nominal_program_s
         stops.append([travel[k] < 1e-9 and turn[k] < 1e-9 and made.motions.kind[k] != PTP for k in range(COUNT)])
     partner = {int(second): int(first) for first, second in found.pair}
     bad = [k for k in range(COUNT) if stops[1][k] and not (k in partner and stops[0][partner[k]])]
-    the_only(differences._twice(found, *sides), ("twice", (-1, bad[0]), len(bad)) if bad else None)
+    the_only(differences._repeated_positions(found, *sides), ("twice", (-1, bad[0]), len(bad)) if bad else None)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -640,7 +640,7 @@ def test_ways_that_leave_the_nominal_path_by_more_than_their_targets_are_named(m
         way = range(found.pair[worst - 1, 1] + 1, found.pair[worst, 1] + 1)
         assert ("Check the auxiliary point" in message) == any(found.corrected.motions.kind[row] == CIRC for row in way)
     assert not list(differences._off_path(replace(found, curves=None), SIDE, SIDE))
-    assert differences._checked(found).tolist() == sorted(checked)
+    assert differences._pairs_under_force(found).tolist() == sorted(checked)
 
 
 def test_calls_of_one_program_alone_are_named_by_whether_the_other_has_the_file():
@@ -668,10 +668,10 @@ def test_ways_that_begin_at_an_unknown_place_are_counted():
     found = compared()
     after = np.array([-1, 1, 1, 3, 3])
     known = replace(found, nominal=replace(found.nominal, after=after))
-    (difference,) = differences._not_compared(known)
+    (difference,) = differences._uncompared_motions(known)
     assert (difference.kind, difference.count) == ("not-compared", 2)
     assert (difference.nominal, difference.corrected) == (line(1), line(1))
-    assert not list(differences._not_compared(found))
+    assert not list(differences._uncompared_motions(found))
 
 
 @pytest.mark.parametrize("pairs_certain", [True, False])
@@ -682,9 +682,10 @@ def test_programs_of_one_conversion_are_compared_by_their_targets_and_forces_alo
 ):
     """Corners that are cut count only where no path difference explains them."""
     names = {
-        "_unresolved": "unresolved", "_not_compared": "not compared", "_calls": "calls", "settings": "settings",
-        "statement_differences": "statements", "forces": "forces", "_rapid": "rapid", "_twice": "twice",
-        "_backward_moves": "back", "_alone": "alone", "axis_targets": "axis", "_orientation": "orientation",
+        "_unresolved_differences": "unresolved", "_uncompared_motions": "not compared",
+        "_calls": "calls", "settings": "settings",
+        "statement_differences": "statements", "forces": "forces", "_rapid": "rapid", "_repeated_positions": "twice",
+        "_backward_moves": "back", "_unpaired_targets": "alone", "axis_targets": "axis", "_orientation": "orientation",
         "_off_path": "off", "_under_forces": "under", "_cut_corners": "corners", "_ambiguous": "ambiguous",
     }  # fmt: skip
     for name, word in names.items():

@@ -7,7 +7,7 @@ import pytest
 
 from postproc.comparison import compare
 from postproc.comparison.loaded_path import Search, Ways
-from postproc.comparison.partners import missed_targets, paired, partners_under_force
+from postproc.comparison.partners import missed_targets, pair_targets, partners_under_force
 from postproc.forces import Knots
 from postproc.under_load import RobotInCell
 from tests.comparison.test_named import CELL, FORCE, HEAD, POINT, ROBOT, TURNED, edited, lines, named, nominal
@@ -142,7 +142,7 @@ def test_behind_a_step_of_the_force_the_new_one_acts_from_the_first_place_on():
     q = side.joints_at(motion, t)
     off = side.robot_in_cell.tip(q, side.program.tools[0], side.wrench(load, motion))[0] - side.points(begin)[0]
     assert off[0] < -1e-4  # against the travel along X
-    _, mine, distance = Search(side, side, load, ways).found(motion, t, q, begin, enough=1e-8)
+    _, mine, distance = Search(side, side, load, ways).deviations(motion, t, q, begin, enough=1e-8)
     np.testing.assert_allclose([mine[0], distance[0]], np.linalg.norm(off), rtol=1e-3)
 
 
@@ -164,7 +164,7 @@ def test_the_larger_offset_next_to_a_point_of_a_line_counts(first, bulge, passed
     one = lines((0, 0), (20, 0), (40, 0), (40, 30))
     offset = np.interp([10, 30], [0, 40], [first, last])
     other = lines((0, first), (10, offset[0] + bulge), (30, offset[1] + bulge), (40, last), (40, 30 + last))
-    found = paired(one, other, np.array([0, -1, 3, 4]), np.ones(4, dtype=bool))
+    found = pair_targets(one, other, np.array([0, -1, 3, 4]), np.ones(4, dtype=bool))
     missed, judged = missed_targets(found, one, other, None)
     np.testing.assert_allclose(missed, (bulge - 0.3) * 1e-3, atol=1e-6)  # less what the offsets differ by
     assert judged.tolist() == [passed]

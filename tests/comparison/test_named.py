@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from postproc.cell import ExternalAxis
 from postproc.comparison import compare
 from postproc.comparison.loaded_path import Search, Ways, places_on_pieces
-from postproc.comparison.partners import in_order, missed_targets, paired, partners_under_force
+from postproc.comparison.partners import missed_targets, ordered_partners, pair_targets, partners_under_force
 from postproc.comparison.paths import Chain, PlacedProgram, nearest
 from postproc.program import PTP
 from postproc.under_load import RobotInCell
@@ -317,7 +317,7 @@ def test_the_nearest_place_is_sought_on_its_way_alone(share):
     load = side.forces(None)
     search = Search(side, side, load, None)
     low, high = side.arc_length[[3]], side.arc_length[[4]]
-    found = search._anywhere(side.joints_at(motion, t), np.zeros((1, 3)), (low, high))
+    found = search._nearest_lengths(side.joints_at(motion, t), np.zeros((1, 3)), (low, high))
     np.testing.assert_allclose(found, low + share * (high - low), atol=1e-3)  # 120 mm in 64 parts, refined
 
 
@@ -358,7 +358,7 @@ def test_partners_stay_in_order_where_the_path_passes_a_target_twice():
 
 
 def test_no_target_is_the_partner_of_two_and_none_of_one_behind_a_later_one():
-    assert in_order(np.array([0, 2, 1, -1, 2, 3, 3])).tolist() == [0, 2, -1, -1, -1, 3, -1]
+    assert ordered_partners(np.array([0, 2, 1, -1, 2, 3, 3])).tolist() == [0, 2, -1, -1, -1, 3, -1]
 
 
 def test_only_free_partners_of_the_same_kind_are_taken():
@@ -374,7 +374,7 @@ def test_a_point_of_a_line_is_passed_within_a_tenth_and_three_times_the_offset(b
     """Pairs that are 0.5 mm off; between them the second path bulges by so much more."""
     one = lines((0, 0), (20, 0), (40, 0), (40, 30))
     other = lines((0, 0.5), (10, 0.5 + bulge), (30, 0.5 + bulge), (40, 0.5), (40, 30.5))
-    found = paired(one, other, np.array([0, -1, 3, 4]), np.ones(4, dtype=bool))
+    found = pair_targets(one, other, np.array([0, -1, 3, 4]), np.ones(4, dtype=bool))
     missed, judged = missed_targets(found, one, other, None)
     np.testing.assert_allclose(missed, bulge * 1e-3, atol=1e-6)
     assert judged.tolist() == [passed]
@@ -384,7 +384,7 @@ def test_what_the_offsets_next_to_a_corner_differ_by_is_no_miss_of_it():
     """Offsets of 0.2 and 0.6 mm: the corner is missed by 3 mm, 0.4 of which may be a correction."""
     one = lines((0, 0), (20, 0), (20, 3), (40, 3), (40, 30))
     other = lines((0, 0.2), (20, 0.2), (40, 3.6), (40, 30.6))
-    found = paired(one, other, np.array([0, 1, -1, 2, 3]), np.ones(5, dtype=bool))
+    found = pair_targets(one, other, np.array([0, 1, -1, 2, 3]), np.ones(5, dtype=bool))
     missed, judged = missed_targets(found, one, other, None)
     a, b = np.array([20.0, 0.2]), np.array([40.0, 3.6])  # the line that cuts the corner
     share = np.linspace(0.0, 1.0, 200_001)[:, None]
@@ -397,8 +397,8 @@ def test_what_the_offsets_next_to_a_corner_differ_by_is_no_miss_of_it():
 def test_pieces_begin_where_the_one_before_ends():
     one = lines((0, 0), (40, 0), (40, 30))
     other = lines((0, 0), (10, 0), (30, 0), (40, 0), (40, 12), (40, 30))
-    found = paired(one, other, np.array([0, 3, 5]), np.ones(3, dtype=bool))
-    ways = Ways.of_pairs(found, one, other)
+    found = pair_targets(one, other, np.array([0, 3, 5]), np.ones(3, dtype=bool))
+    ways = Ways.from_pairs(found, one, other)
     ends = np.array([0.0, 10.0, 30.0, 40.0, 52.0, 70.0]) * 1e-3
     place = np.append(np.nan, one.arc_length[2] + ends)  # row 0 is the axis target
     begins = ways.begins(np.arange(2, 7), place)
@@ -432,7 +432,7 @@ def test_a_target_between_two_detours_is_on_the_path():
     """Neither the share of the way nor the length from either end tells where on the nominal path it is."""
     one = lines((0, 0), (80, 0), (80, 30))
     other = lines((0, 0), (20, 30), (30, 0), (60, 10), (80, 0), (80, 30))
-    found = paired(one, other, np.array([0, 4, 5]), np.ones(3, dtype=bool))
+    found = pair_targets(one, other, np.array([0, 4, 5]), np.ones(3, dtype=bool))
     assert found.inserted_rows.tolist() == [3]  # row 0 is the axis target
     assert found.additional_rows.tolist() == [2, 4]
 
@@ -441,14 +441,14 @@ def test_a_target_behind_the_last_pair_and_one_that_axes_move_to_are_not_inserte
     """They are on the nominal line, or on what would be its continuation."""
     one = lines((0, 0), (40, 0), (40, 30))
     other = lines((0, 0), (40, 0), (40, 30), (40, 30), (40, 50))
-    found = paired(one, other, np.array([0, 1, 2]), np.ones(3, dtype=bool))
+    found = pair_targets(one, other, np.array([0, 1, 2]), np.ones(3, dtype=bool))
     assert (found.inserted_rows.tolist(), found.additional_rows.tolist()) == ([], [4, 5])  # row 0 is the axis target
     text = "\n".join([HEAD, *(f"LIN {{X {x},Y 0,Z 0,{TURNED}}}" for x in (0, 20, 40)), "END", ""])
     one, other = (
         placed(text.replace(f"LIN {{X 20,Y 0,Z 0,{TURNED}}}\n", "")),
         placed(text.replace("LIN {X 20", "PTP {X 20")),
     )
-    found = paired(one, other, np.array([0, 2]), np.ones(2, dtype=bool))
+    found = pair_targets(one, other, np.array([0, 2]), np.ones(2, dtype=bool))
     assert (found.inserted_rows.tolist(), found.additional_rows.tolist()) == ([], [2])
 
 
@@ -578,6 +578,6 @@ def test_ways_by_ptp_and_from_where_nothing_is_corrected_are_not_compared_inside
     """The robot comes from an axis target to the first pair, and by a PTP to the last but one."""
     cell = replace(CELL, payload=replace(CELL.payload, mass_kg=payload))
     side = PlacedProgram.of(read_files({"ONE.src": HEAD + BODY}), RobotInCell.of(ROBOT, cell))
-    found = paired(side, side, np.arange(7), np.ones(7, dtype=bool))
-    known = Ways.of_pairs(found, side, side).is_comparable
+    found = pair_targets(side, side, np.arange(7), np.ones(7, dtype=bool))
+    known = Ways.from_pairs(found, side, side).is_comparable
     assert known.tolist() == [payload == 0.0, True, True, True, True, False, True]

@@ -27,7 +27,7 @@ def test_partners_that_are_not_behind_all_before_them_are_dropped(seed):
     for value in partner:
         expected.append(value if value > largest else -1)
         largest = max(largest, value)
-    assert partners.in_order(partner).tolist() == expected
+    assert partners.ordered_partners(partner).tolist() == expected
 
 
 def sides_of(found):
@@ -58,7 +58,7 @@ def test_as_many_missing_as_additional_targets_between_two_pairs_were_moved(seed
         for row, other in zip(rows, others, strict=True) if len(rows) == len(others) else ():
             if (found.nominal.motions.kind[row] == PTP) == (found.corrected.motions.kind[other] == PTP):
                 expected[sides[0].rows.tolist().index(row)] = other
-    assert partners.moved_alone(found, *sides).tolist() == expected.tolist()
+    assert partners.moved_partners(found, *sides).tolist() == expected.tolist()
     by_row = {int(a): int(b) for a, b in found.pair}
     of_rows = [by_row.get(int(row), -1) for row in sides[0].rows]
     assert partners.partners_of(found, *sides).tolist() == of_rows
@@ -69,7 +69,7 @@ def test_some_additional_targets_become_inserted_ones(seed):
     rng = np.random.default_rng(seed)
     found = random_pairs(rng)
     on_path = rng.random(len(found.additional_rows)) < 0.5
-    changed = partners.with_inserted(found, on_path)
+    changed = partners.count_as_inserted(found, on_path)
     moved = [row for row, is_moved in zip(found.additional_rows, on_path, strict=True) if is_moved]
     assert changed.inserted_rows.tolist() == sorted([*found.inserted_rows, *moved])
     assert changed.additional_rows.tolist() == [row for row in found.additional_rows if row not in moved]
@@ -94,8 +94,8 @@ def test_a_target_without_partner_is_passed_within_the_tolerance_or_as_a_point_o
         calls.append(offset)
         return missed.copy()
 
-    monkeypatch.setattr(partners, "missed_by", missed_by)
-    path = SimpleNamespace(robot_in_cell=SimpleNamespace(tolerance=1e-4), continued=continued)
+    monkeypatch.setattr(partners, "missing_distances", missed_by)
+    path = SimpleNamespace(robot_in_cell=SimpleNamespace(tolerance=1e-4), is_continued=continued)
     distances, is_passed = partners.missed_targets(found, path, None, "load" if with_load else None)
     offsets = [base[0, :3, :3] @ (pose[k] - found.nominal.motions.target[found.pair[k, 0]])[:3, 3] for k in range(8)]
     np.testing.assert_allclose(calls[0], offsets, atol=1e-12)
@@ -145,7 +145,7 @@ def starts_uncorrected(side):
 def test_ways_between_pairs_are_compared_where_all_of_the_nominal_way_is_known(seed, rest_is_nominal):
     rng = np.random.default_rng(seed)
     found, (nominal, corrected) = ways_of(rng, rest_is_nominal)
-    ways = Ways.of_pairs(found, nominal, corrected)
+    ways = Ways.from_pairs(found, nominal, corrected)
     m = nominal.program.motions
     uncorrected = starts_uncorrected(nominal)
     assert loaded_path._uncorrected_start(nominal).tolist() == uncorrected
@@ -217,9 +217,9 @@ def test_wrenches_at_pairs_are_in_the_base_of_the_nominal_program(monkeypatch, s
     bases = frames.pose_from_xyzabc(rng.uniform(-180.0, 180.0, (2, 6)))
     motions = replace(found.nominal.motions, base=rng.integers(0, 2, COUNT))
     found = replace(found, nominal=replace(found.nominal, bases=bases, motions=motions))
-    monkeypatch.setattr(loaded_path, "_turned", lambda comparison, path, wrench: wrench[:, 0])
+    monkeypatch.setattr(loaded_path, "_orientation_errors", lambda comparison, path, wrench: wrench[:, 0])
     wrench, nominal, corrected = rng.normal(size=(8, 6)), rng.normal(size=(8, 3)), rng.normal(size=(8, 3))
-    cuts = loaded_path.at_pairs(found, None, None, wrench, nominal, corrected)
+    cuts = loaded_path.pair_cuts(found, None, None, wrench, nominal, corrected)
     for k in range(8):
         axes = bases[motions.base[found.pair[k, 0]], :3, :3]
         expected = np.concatenate([axes.T @ wrench[k, :3], axes.T @ wrench[k, 3:]])
@@ -251,7 +251,7 @@ def test_targets_without_a_partner_in_one_conversion_were_inserted_or_passed(see
         found, passed_rows=rest[:1], passing_distance=np.array([1e-5]), only_nominal=rest[1:],
         missing_distance=rng.uniform(0.0, 1e-3, len(rest) - 1),
     )  # fmt: skip
-    changed = compare._all_inserted(found, SimpleNamespace(rows=np.arange(COUNT)))
+    changed = compare._explain_as_inserted(found, SimpleNamespace(rows=np.arange(COUNT)))
     assert changed.passed_rows.tolist() == rest.tolist()
     np.testing.assert_array_equal(changed.passing_distance, [1e-5, *found.missing_distance])
     assert (len(changed.only_nominal), len(changed.missing_distance), len(changed.additional_rows)) == (0, 0, 0)
@@ -279,12 +279,12 @@ def test_points_of_lines_are_paired_only_where_the_other_path_misses_them(monkey
         return SimpleNamespace(only_nominal=missing, partner=pairs.partner)
 
     for name, function in (
-        ("paired", paired), ("judged", judged), ("moved_alone", lambda *parts: moved.copy()),
+        ("pair_targets", paired), ("judge_unpaired", judged), ("moved_partners", lambda *parts: moved.copy()),
         ("partners_of", lambda comparison, *parts: comparison.partner),
     ):  # fmt: skip
         monkeypatch.setattr(compare, name, function)
     loads = SimpleNamespace(path="forces") if has_load else None
-    sides = SimpleNamespace(rows=rows, continued=continued), SimpleNamespace(rows=rows)
+    sides = SimpleNamespace(rows=rows, is_continued=continued), SimpleNamespace(rows=rows)
     found = compare._all_pairs(*sides, partner, certain, loads)
     divides = [bool(continued[k] and partner[k] >= 0 and not certain[k] and has_load) for k in range(COUNT)]
     first = [-1 if divides[k] else int(partner[k]) for k in range(COUNT)]
@@ -294,5 +294,5 @@ def test_points_of_lines_are_paired_only_where_the_other_path_misses_them(monkey
         assert len(asked) == 1
         return
     both = [max(a, b) for a, b in zip(first, displaced, strict=True)]
-    assert asked[1] == (partners.in_order(np.array(both)).tolist(), [True] * COUNT)
+    assert asked[1] == (partners.ordered_partners(np.array(both)).tolist(), [True] * COUNT)
     assert found.partner.tolist() == asked[1][0]

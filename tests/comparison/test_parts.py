@@ -9,7 +9,7 @@ import pytest
 from msgspec.structs import replace
 
 from postproc.comparison import differences, settings, statements
-from postproc.comparison.result import Comparison, at_pairs, of_line
+from postproc.comparison.result import Comparison, file_and_line, pair_warning
 from postproc.program import CIRC, SPL, Document, Unresolved
 from tests.programs import program
 
@@ -46,24 +46,24 @@ TEXTS = statements._Texts(SimpleNamespace(documents=(Document("a.src", TEXT), Do
     ],
 )
 def test_statements_between_two_motions_are_those_on_the_way(start, end, expected):
-    assert TEXTS.between(("a.src", start), ("a.src", end)) == expected
+    assert TEXTS.statements_between(("a.src", start), ("a.src", end)) == expected
 
 
 def test_the_way_round_a_loop_goes_from_its_last_line_to_its_first():
     """Its motions are next to its begin and end, or statements are between; other loops in them are passed."""
     text = "DEF c( )\nLOOP\nLIN p1\nHALT\nFOR i=1 TO 2\nWAIT SEC 1\nENDFOR\nLIN p2\nENDLOOP\nEND"
     texts = statements._Texts(SimpleNamespace(documents=(Document("c.src", text),)))
-    assert texts.between(("c.src", 8), ("c.src", 3)) == []
-    assert texts.between(("c.src", 3), ("c.src", 3)) == [("HALT", 4), ("WAITSEC1", 6)]
-    assert texts.between(("c.src", 3), ("c.src", 8)) == [("HALT", 4), ("WAITSEC1", 6)]
+    assert texts.statements_between(("c.src", 8), ("c.src", 3)) == []
+    assert texts.statements_between(("c.src", 3), ("c.src", 3)) == [("HALT", 4), ("WAITSEC1", 6)]
+    assert texts.statements_between(("c.src", 3), ("c.src", 8)) == [("HALT", 4), ("WAITSEC1", 6)]
     farther = text.replace("LOOP\nLIN p1", "LOOP\nHALT\nLIN p1").replace("LIN p2\n", "LIN p2\nPULSE(1)\n")
     texts = statements._Texts(SimpleNamespace(documents=(Document("c.src", farther),)))
-    assert texts.between(("c.src", 9), ("c.src", 4)) == [("PULSE(1)", 10), ("HALT", 3)]
+    assert texts.statements_between(("c.src", 9), ("c.src", 4)) == [("PULSE(1)", 10), ("HALT", 3)]
 
 
 def test_statements_between_files_are_not_known_and_a_routine_has_its_ends():
-    assert TEXTS.between(("a.src", 3), ("b.src", 1)) is None
-    assert TEXTS.between(("c.src", 1), ("c.src", 2)) is None
+    assert TEXTS.statements_between(("a.src", 3), ("b.src", 1)) is None
+    assert TEXTS.statements_between(("c.src", 1), ("c.src", 2)) is None
     assert TEXTS.routine(("a.src", 8)) == (("a.src", 1), ("a.src", 15))
     assert TEXTS.routine(("a.src", 18)) == (("a.src", 16), ("a.src", 19))
     assert TEXTS.routine(("b.src", 1)) == (("b.src", 0), ("b.src", 3))
@@ -71,10 +71,13 @@ def test_statements_between_files_are_not_known_and_a_routine_has_its_ends():
 
 def test_statements_of_one_side_only_are_its_surplus_and_of_another_order_all():
     first = [("A", 1), ("B", 2), ("A", 3), ("C", 4)]
-    assert list(statements._only_in_one(first, [("A", 7), ("D", 8), ("B", 9)])) == [
+    assert list(statements._unmatched_statements(first, [("A", 7), ("D", 8), ("B", 9)])) == [
         ("A", 1, False), ("C", 4, False), ("D", 8, True),
     ]  # fmt: skip
-    assert list(statements._only_in_one([("A", 1), ("B", 2)], [("B", 7), ("A", 8)])) == [("B", 7, True), ("A", 8, True)]
+    assert list(statements._unmatched_statements([("A", 1), ("B", 2)], [("B", 7), ("A", 8)])) == [
+        ("B", 7, True),
+        ("A", 8, True),
+    ]
 
 
 MOVES = [("PTP", 0, 0, 50), ("LIN", 0, 0, 0), ("LIN", 100, 0, 0), ("RAPID", 100, 0, 50), ("LIN", 0, 0, 50)]
@@ -123,19 +126,19 @@ def test_missing_targets_are_an_error_where_the_path_leaves_the_nominal_one_by_m
     path = SimpleNamespace(robot_in_cell=SimpleNamespace(tolerance=1e-4))
     pair = [(0, 0), (1, 1), (4, 4)]
     off = compared(pair=pair, only_nominal=np.array([2, 3]), missing_distance=np.array([np.nan, 2.5e-4]))
-    (found,) = differences._alone(off, path)
+    (found,) = differences._unpaired_targets(off, path)
     assert (found.level, found.kind, found.nominal, found.corrected, found.count) == (
         "error", "only-nominal", ("part.nc", 4), ("part.nc", 5), 2,
     )  # fmt: skip
     assert "leaves the nominal one by 0.2500 mm there." in found.message
     near = replace(off, missing_distance=np.array([0.9e-4, np.nan]), additional_rows=np.array([2, 3]))
-    missing, additional = differences._alone(near, path)
+    missing, additional = differences._unpaired_targets(near, path)
     assert (missing.level, missing.nominal) == ("warning", ("part.nc", 3))
     assert (additional.kind, additional.nominal, additional.corrected, additional.count) == (
         "only-corrected", None, ("part.nc", 3), 2,
     )  # fmt: skip
     last = compared(pair=[(0, 0)], only_nominal=np.array([4]), missing_distance=np.zeros(1))
-    assert next(differences._alone(last, path)).corrected is None
+    assert next(differences._unpaired_targets(last, path)).corrected is None
 
 
 def unresolved(*texts: str):
@@ -145,15 +148,15 @@ def unresolved(*texts: str):
 def test_motions_known_at_run_time_only_are_compared_by_their_text():
     nominal = replace(program(MOVES), unresolved=unresolved("PTP p1", "LIN p2"))
     same = replace(program(MOVES), unresolved=unresolved("ptp  P1", "LIN p2"))
-    assert list(differences._unresolved(compared(nominal, same))) == []
+    assert list(differences._unresolved_differences(compared(nominal, same))) == []
     other = replace(program(MOVES), unresolved=unresolved("PTP p1", "LIN p3"))
-    (found,) = differences._unresolved(compared(nominal, other))
+    (found,) = differences._unresolved_differences(compared(nominal, other))
     assert (found.level, found.kind, found.nominal, found.corrected, found.count) == (
         "error", "unresolved-differs", ("a1.src", 11), ("a1.src", 11), 1,
     )  # fmt: skip
-    (fewer,) = differences._unresolved(compared(nominal, program(MOVES)))
+    (fewer,) = differences._unresolved_differences(compared(nominal, program(MOVES)))
     assert (fewer.nominal, fewer.corrected, fewer.count) == (("a0.src", 10), None, 2)
-    listed = list(differences._not_compared(compared(nominal, replace(same, unresolved=same.unresolved[:1]))))
+    listed = list(differences._uncompared_motions(compared(nominal, replace(same, unresolved=same.unresolved[:1]))))
     assert [(entry.nominal, entry.corrected) for entry in listed] == [
         (("a0.src", 10), ("a0.src", 10)), (("a1.src", 11), None),
     ]  # fmt: skip
@@ -161,11 +164,11 @@ def test_motions_known_at_run_time_only_are_compared_by_their_text():
 
 
 def test_a_difference_names_the_first_of_its_pairs_and_their_number():
-    found = at_pairs(compared(pair=[(0, 0), (2, 3), (4, 4)]), "x", "words.", np.array([1, 2]))
+    found = pair_warning(compared(pair=[(0, 0), (2, 3), (4, 4)]), "x", "words.", np.array([1, 2]))
     assert (found.level, found.nominal, found.corrected, found.count) == ("warning", ("part.nc", 3), ("part.nc", 4), 2)
-    assert of_line(program(MOVES), None) is None
-    assert of_line(program(MOVES), 3) == ("part.nc", 3)
-    assert of_line(program(MOVES), 77) == ("part.nc", 77)
+    assert file_and_line(program(MOVES), None) is None
+    assert file_and_line(program(MOVES), 3) == ("part.nc", 3)
+    assert file_and_line(program(MOVES), 77) == ("part.nc", 77)
 
 
 @pytest.mark.parametrize(

@@ -58,7 +58,7 @@ def test_a_target_is_on_the_path_within_a_tenth_of_a_millimetre_and_three_offset
         kinds.append(int(nominal_kinds[k]))
     nominal, second = placed(points, nominal_kinds), placed(np.array(inserted), kinds)
     pairs, rows = np.array(pair), np.array(rows, dtype=int)
-    found = partners._on_path(nominal, second, pairs, distance, rows)
+    found = partners._is_on_path(nominal, second, pairs, distance, rows)
     for n, row in enumerate(rows):
         k = int(sum(pairs[:, 1] < row))
         if kinds[row] == PTP or nominal_kinds[k] == PTP:
@@ -70,7 +70,7 @@ def test_a_target_is_on_the_path_within_a_tenth_of_a_millimetre_and_three_offset
         if abs(gap - limit) > 1e-5:
             assert found[n] == (gap <= limit)
     behind = np.array([len(inserted) - 1])
-    assert not partners._on_path(nominal, second, pairs[:-1], distance[:-1], behind)[0]
+    assert not partners._is_on_path(nominal, second, pairs[:-1], distance[:-1], behind)[0]
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -88,7 +88,7 @@ def test_a_missing_target_is_missed_by_its_distance_from_the_way_between_its_pai
     missing = np.setdiff1d(np.arange(9), kept)
     turn = nominal.program.bases[0][:3, :3]
     offset = 1e-3 * offset_mm @ turn.T
-    found = partners.missed_by(nominal, second, pairs, missing, None, offset)
+    found = partners.missing_distances(nominal, second, pairs, missing, None, offset)
     lengths = nominal.arc_length[kept + 1]
     for n, row in enumerate(missing):
         if kinds[row] == PTP:
@@ -101,7 +101,7 @@ def test_a_missing_target_is_missed_by_its_distance_from_the_way_between_its_pai
         end = second.arc_length[after + 1] if after < 4 else second.arc_length[-1]
         way = second.points(np.maximum(begin + DENSE * (end - begin), 1e-12))
         assert found[n] == pytest.approx(np.linalg.norm(way - moved, axis=1).min(), abs=3e-5)
-    assert np.isnan(partners.missed_by(nominal, second, pairs[:0], missing, None, offset[:0])).all()
+    assert np.isnan(partners.missing_distances(nominal, second, pairs[:0], missing, None, offset[:0])).all()
 
 
 @pytest.mark.parametrize("seed", range(8))

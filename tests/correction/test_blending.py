@@ -116,8 +116,8 @@ def test_rounding_is_that_of_the_written_text_and_small_where_only_the_force_cha
     content = report.summary(result, 1e-5)
     assert content.blending.max_mm == pytest.approx(1e3 * max(seen), rel=1e-3)
     assert content.tolerance_held is None
-    assert "between targets too, but for rounded corners" in report.of_one(content)
-    assert "rounds corners by up to 0.0" in report.of_one(content)
+    assert "between targets too, but for rounded corners" in report.program_text(content)
+    assert "rounds corners by up to 0.0" in report.program_text(content)
 
 
 def test_held_is_said_where_it_is_held_with_approximation():
@@ -141,7 +141,7 @@ def test_krl_keeps_its_corners_and_stops_at_inserted_targets_only_where_it_stops
     if tail:
         corner = 0.25 * 2.0 * np.sqrt(2.0)
         assert content.blending.programmed_max_mm == pytest.approx(corner, rel=1e-6)
-        assert "the program itself by 0.71 mm" in report.of_one(content)
+        assert "the program itself by 0.71 mm" in report.program_text(content)
         assert re.search("rounds the corrected path", " ".join(issue.message for issue in result.issues))
     else:
         assert "stop-inserted" in {issue.kind for issue in result.issues}
@@ -178,12 +178,20 @@ def test_the_first_motion_of_another_branch_is_not_rounded_with_the_last_one_of_
     spots = [(0, 0, 10), (20, 0, 10), (20, 20, 10), (40, 0, 10), (40, 30, 10)]
     made = made_of([("LIN", *spot) for spot in spots])
     rows = np.arange(len(spots))
-    assert correction_targets._joined(made, rows, made.motions.kind).tolist() == [True, True, True, True, False]
+    assert correction_targets._is_continuous(made, rows, made.motions.kind).tolist() == [True, True, True, True, False]
     made = changed(made, after=np.array([-1, 0, 1, 1, 3]))
-    assert correction_targets._joined(made, rows, made.motions.kind).tolist() == [True, True, False, True, False]
+    assert correction_targets._is_continuous(made, rows, made.motions.kind).tolist() == [True, True, False, True, False]
     pieces = np.array([0, 1, 1, 2, 2, 3, 4])  # of which some motions have two
     kind = made.motions.kind[pieces]
-    assert correction_targets._joined(made, pieces, kind).tolist() == [True, True, True, True, False, True, False]
+    assert correction_targets._is_continuous(made, pieces, kind).tolist() == [
+        True,
+        True,
+        True,
+        True,
+        False,
+        True,
+        False,
+    ]
 
 
 def test_an_arc_comes_to_its_end_in_another_direction_than_it_begins():

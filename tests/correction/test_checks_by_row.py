@@ -329,7 +329,7 @@ def test_joints_that_are_too_fast_are_named_with_the_feed_that_is_slow_enough(is
     ("value", "words"), [(1999.9, "1900"), (2000.0, "2000"), (0.0129, "0.012"), (9.99, "9.9"), (10.0, "10")]
 )
 def test_feeds_are_rounded_down_to_two_digits(value, words):
-    assert checks._rounded_down(value) == words
+    assert checks._round_down(value) == words
 
 
 def test_branches_that_end_a_turn_apart_are_an_error():
@@ -392,9 +392,9 @@ def test_loads_beyond_ten_percent_over_the_measured_ones_are_named():
     measured = np.abs(torque) * np.array([1.0 / 1.09, 1.0 / 1.11, 10.0, 10.0, 10.0, 1e9])
     measured[5] = 1.0
     model = replace(MODEL, measured=Measured(measured, ""))
-    issues = list(checks.beyond_measured(MADE, model, np.arange(5), angles(), tool, wrench))
+    issues = list(checks.torque_warnings(MADE, model, np.arange(5), angles(), tool, wrench))
     assert lines(issues) == {"beyond-measured-A2": ("warning", 2, 3)}
     assert f"up to {abs(torque[1]):.0f} N·m on A2; the robot model was measured up to {measured[1]:.0f}" in (
         issues[0].message
     )
-    assert list(checks.beyond_measured(MADE, MODEL, np.arange(5), angles(), tool, wrench)) == []
+    assert list(checks.torque_warnings(MADE, MODEL, np.arange(5), angles(), tool, wrench)) == []

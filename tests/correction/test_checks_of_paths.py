@@ -406,11 +406,11 @@ def test_loads_beyond_those_measured_are_warnings_with_both_torques(sign):
             measured = np.full(6, 1e9)
             measured[joint] = torque[joint] / share
             model = replace(MODEL, measured=Measured(measured, ""))
-            found = list(checks.beyond_measured(MADE, model, np.array([2, 3]), q, tool, wrenches))
+            found = list(checks.torque_warnings(MADE, model, np.array([2, 3]), q, tool, wrenches))
             assert told(found) == ([(f"beyond-measured-A{joint + 1}", "warning", (4,))] if beyond else [])
         assert f"up to {torque[joint]:.0f} N·m on A{joint + 1}" in found[0].message
         assert f"measured up to {measured[joint]:.0f}:" in found[0].message
-    assert not list(checks.beyond_measured(MADE, replace(MODEL, measured=None), np.array([2, 3]), q, tool, wrenches))
+    assert not list(checks.torque_warnings(MADE, replace(MODEL, measured=None), np.array([2, 3]), q, tool, wrenches))
 
 
 def test_a_circle_that_turns_the_tool_with_the_path_names_the_setting():

@@ -33,7 +33,7 @@ class Solids:
     def __init__(self, size):
         self.size = size
 
-    def with_last(self, body):
+    def replace_last(self, body):
         assert (body.name, body.of, body.kind) == (STOCK, "obstacle", "mesh")
         return Solids(body.points[0, 0])
 
@@ -63,7 +63,7 @@ def test_contacts_with_the_stock_are_those_of_its_size_before_each_motion(reachi
     states, stock = states_of(rng), ShrinkingStock(rng, 20)
     rows = rng.random(60) < 0.8
     search = collisions._Search(None, [], states, stock, 0.003)
-    found = list(search.over(rows))
+    found = list(search.contacts(rows))
     expected = {
         int(states.motion[i])
         for i in range(60)
@@ -80,9 +80,9 @@ def test_few_stocks_are_enough_where_nothing_comes_close(reaching):
     states, stock = states_of(rng), ShrinkingStock(rng, 20)
     states.q[:, 0] = 2.0
     search = collisions._Search(None, [], states, stock, 0.0)
-    assert not list(search.over(np.arange(60) >= 12))
+    assert not list(search.contacts(np.arange(60) >= 12))
     assert stock.motions == [states.motion[12]]
-    assert not list(search.over(np.zeros(60, dtype=bool)))
+    assert not list(search.contacts(np.zeros(60, dtype=bool)))
     assert len(stock.motions) == 1
 
 
@@ -91,14 +91,14 @@ def test_what_is_not_decided_by_the_most_stocks_counts_as_too_close(reaching, mo
     states, stock = states_of(rng), ShrinkingStock(rng, 20)
     monkeypatch.setattr(collisions, "_MOST_STOCKS", 3)
     found = {
-        contact.motion for contact in collisions._Search(None, [], states, stock, 0.0).over(np.ones(60, dtype=bool))
+        contact.motion for contact in collisions._Search(None, [], states, stock, 0.0).contacts(np.ones(60, dtype=bool))
     }
     exact = {int(m) for m, angle in zip(states.motion, states.q[1:, 0], strict=True) if angle < stock.size[m]}
     assert found > exact
     assert 3 <= len(stock.motions) <= 6
     monkeypatch.setattr(collisions, "_MOST_STOCKS", 1)
     undivided = {
-        contact.motion for contact in collisions._Search(None, [], states, stock, 0.0).over(states.q[1:, 0] > 0)
+        contact.motion for contact in collisions._Search(None, [], states, stock, 0.0).contacts(states.q[1:, 0] > 0)
     }
     assert undivided == {
         int(m) for m, angle in zip(states.motion, states.q[1:, 0], strict=True) if angle < stock.size[0]
@@ -106,7 +106,7 @@ def test_what_is_not_decided_by_the_most_stocks_counts_as_too_close(reaching, mo
 
 
 def body(name, of, kind="cylinder", *, fixed=False):
-    return SimpleNamespace(name=name, of=of, kind=kind, fixed=fixed)
+    return SimpleNamespace(name=name, of=of, kind=kind, is_fixed=fixed)
 
 
 BODIES = [
@@ -138,16 +138,16 @@ def test_the_tool_is_compared_where_it_turns_and_the_cutter_where_it_does_not_cu
         def __init__(self, scene, bodies, states, stock, need):
             self.entry = tuple(each.name for each in bodies), need, states.commanded is not None
 
-        def over(self, rows):
+        def contacts(self, rows):
             names, need, is_commanded = self.entry
             searches.append((names, need, rows.astype(int).tolist(), is_commanded))
             return iter(())
 
     monkeypatch.setattr(collisions, "_Search", Search)
-    monkeypatch.setattr(collisions.collision, "inside", lambda part: body(f"inner {part.name}", part.of))
+    monkeypatch.setattr(collisions.collision, "inscribed_capsule", lambda part: body(f"inner {part.name}", part.of))
     states = States(np.array([0, 1, 2]), np.zeros((4, 6)), np.zeros((4, 6)), None)
-    stock = SimpleNamespace(compared=np.array(compared, dtype=bool), cuts=np.array(cuts, dtype=bool))
-    assert not list(collisions.with_stock(SimpleNamespace(bodies=BODIES), states, stock, 0.02))
+    stock = SimpleNamespace(is_compared=np.array(compared, dtype=bool), cuts=np.array(cuts, dtype=bool))
+    assert not list(collisions.stock_contacts(SimpleNamespace(bodies=BODIES), states, stock, 0.02))
     assert searches == expected
 
 
@@ -342,10 +342,10 @@ def test_distances_are_those_of_the_bodies_of_each_tool_from_the_place_before(
         )  # fmt: skip
 
     monkeypatch.setattr(collisions.collision, "Scene", SimpleNamespace(of=scene_of))
-    monkeypatch.setattr(collisions.collision, "along", along)
+    monkeypatch.setattr(collisions.collision, "path_hits", along)
     monkeypatch.setattr(collisions, "_too_close", lambda scene, states, stock, need: set())
-    monkeypatch.setattr(collisions, "with_parts", lambda scene, states, rapid: iter(()))
-    smallest, issues = collisions.of_path(path, commanded)
+    monkeypatch.setattr(collisions, "part_contacts", lambda scene, states, rapid: iter(()))
+    smallest, issues = collisions.path_clearance(path, commanded)
     sample_tools = tools[path.sample.motion]
     begins = [0, *(n for n in range(1, 12) if sample_tools[n] != sample_tools[n - 1])]
     assert len(calls) == len(begins)
@@ -382,20 +382,20 @@ def test_distances_are_those_of_the_bodies_of_each_tool_from_the_place_before(
 def test_without_the_table_nothing_is_compared():
     path = path_of(np.random.default_rng(1), np.zeros(6, dtype=int), True)
     path.robot_in_cell.cell.collision = None
-    assert collisions.of_path(path, path.joints.q) == (None, [])
+    assert collisions.path_clearance(path, path.joints.q) == (None, [])
 
 
 @pytest.mark.parametrize("reduction", [0.9e-6, 1.1e-6])
 def test_the_reduction_by_the_correction_is_stated_from_a_micrometre_on(reduction):
-    assert len(list(collisions._corrected(reduction))) == (reduction > 1e-6)
+    assert len(list(collisions._correction_sentence(reduction))) == (reduction > 1e-6)
 
 
 def test_remarks_on_the_stock_say_how_it_was_compared():
     scene = SimpleNamespace(bodies=(body("vice", "obstacle"),))
-    (unchecked,) = collisions._of_stock(scene, None)
+    (unchecked,) = collisions._stock_sentences(scene, None)
     assert unchecked.startswith("the stock is not checked")
-    assert not list(collisions._of_stock(SimpleNamespace(bodies=(body("blank", "part"),)), None))
-    (compared,) = collisions._of_stock(scene, SimpleNamespace(accuracy=0.00025))
+    assert not list(collisions._stock_sentences(SimpleNamespace(bodies=(body("blank", "part"),)), None))
+    (compared,) = collisions._stock_sentences(scene, SimpleNamespace(accuracy=0.00025))
     assert "up to cells of 0.25 mm" in compared
 
 
@@ -405,8 +405,8 @@ def test_without_two_bodies_to_compare_the_distance_is_infinite(monkeypatch):
     nothing = SimpleNamespace(closest=None, largest_decrease=0.0, row=none, first=none, second=none, distance=none)
     scene = SimpleNamespace(bodies=(), remarks=())
     monkeypatch.setattr(collisions.collision, "Scene", SimpleNamespace(of=lambda *parts: scene))
-    monkeypatch.setattr(collisions.collision, "along", lambda *parts: nothing)
-    smallest, issues = collisions.of_path(path, path.joints.q)
+    monkeypatch.setattr(collisions.collision, "path_hits", lambda *parts: nothing)
+    smallest, issues = collisions.path_clearance(path, path.joints.q)
     assert (smallest.distance, smallest.bodies, smallest.line) == (np.inf, ("", ""), 1)
     assert not issues
 
@@ -421,7 +421,7 @@ def test_without_two_bodies_to_compare_the_distance_is_infinite(monkeypatch):
 def test_the_cutter_is_compared_with_parts_on_rapid_moves_on_its_nominal_path(monkeypatch, kinds, rapid, expected):
     of = kinds.split()
     scene = SimpleNamespace(bodies=[body("link", "arm"), *(body(f"a {kind}", kind) for kind in of)])
-    monkeypatch.setattr(collisions.collision, "inside", lambda part: body(f"inner {part.name}", part.of))
+    monkeypatch.setattr(collisions.collision, "inscribed_capsule", lambda part: body(f"inner {part.name}", part.of))
     pairs = []
 
     def solids(scene, moving, fixed):
@@ -436,7 +436,7 @@ def test_the_cutter_is_compared_with_parts_on_rapid_moves_on_its_nominal_path(mo
     monkeypatch.setattr(collisions, "_contacts", contacts)
     q = np.tile(np.arange(6.0)[:, None], (1, 6))
     states = States(np.arange(5), q, q + 0.1, None)
-    found = list(collisions.with_parts(scene, states, np.array(rapid, dtype=bool)))
+    found = list(collisions.part_contacts(scene, states, np.array(rapid, dtype=bool)))
     assert found == [tuple(range(low, high + 1)) for low, high in expected]
     assert pairs == ([(["inner a cutter"], ["a part"])] if expected else [])
 
@@ -465,7 +465,7 @@ def test_moving_bodies_are_compared_with_all_fixed_ones_and_contacts_name_their_
         calls.append(parts)
         return hits
 
-    monkeypatch.setattr(collisions.collision, "among", among)
+    monkeypatch.setattr(collisions.collision, "pair_hits", among)
     states = States(np.array([4, 5, 7]), np.zeros((4, 6)), np.ones((4, 6)), np.full((4, 3), 2.0))
     found = list(collisions._contacts(solids, states, 0.25))
     assert found == [
@@ -480,15 +480,15 @@ def test_what_is_too_close_where_the_robot_arrives_is_too_close_with_all_bodies(
     scene = SimpleNamespace(bodies=[body("link", "arm"), body("vice", "obstacle"), body("tip", "cutter")])
     states = States(np.array([0, 0]), np.zeros((3, 6)), None, None)
     hits = SimpleNamespace(first=np.array([0, 2]), second=np.array([1, 1]))
-    monkeypatch.setattr(collisions.collision, "along", lambda *parts: hits)
+    monkeypatch.setattr(collisions.collision, "path_hits", lambda *parts: hits)
     rows = []
 
     def with_parts(scene, states, rapid):
         rows.append(rapid.tolist())
         yield Contact(("tip", "blank"), 0, 0.0, 0.0)
 
-    monkeypatch.setattr(collisions, "with_parts", with_parts)
-    monkeypatch.setattr(collisions, "with_stock", lambda *parts: iter([Contact(("link", STOCK), 0, 0.0, 0.0)]))
+    monkeypatch.setattr(collisions, "part_contacts", with_parts)
+    monkeypatch.setattr(collisions, "stock_contacts", lambda *parts: iter([Contact(("link", STOCK), 0, 0.0, 0.0)]))
     found = collisions._too_close(scene, states, "stock" if has_stock else None, 0.005)
     assert found == {("link", "vice"), ("tip", "vice"), ("tip", "blank")} | ({("link", STOCK)} if has_stock else set())
     assert rows == [[True, True]]

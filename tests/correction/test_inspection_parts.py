@@ -133,7 +133,7 @@ def test_motions_are_slowed_to_a_share_of_the_joint_speeds_that_falls_each_time(
         before = Slowing(joint, np.zeros(len(m), dtype=bool), times)
     for fast_lines in ((), (int(m.line[5]),), (int(m.line[7]), int(m.line[8]))):
         feed, joint, is_capped = slowed_by_loop(path, q, position, before, fast_lines, cap=cap)
-        found = inspection.slowed(path, q, position, before, fast_lines)
+        found = inspection.slow_rapids(path, q, position, before, fast_lines)
         if np.array_equal(feed, m.feed, equal_nan=True):
             assert found is None
             continue
@@ -202,7 +202,7 @@ def test_a_program_that_was_corrected_is_not_corrected_again(monkeypatch, mode, 
         return SimpleNamespace(**(vars(ORIGIN) | origins[files[0].name]))
 
     writer = SimpleNamespace(writer=SimpleNamespace(origin=origin))
-    monkeypatch.setattr(inspection.registry, "by_name", lambda dialect: writer)
+    monkeypatch.setattr(inspection.registry, "dialect_of_name", lambda dialect: writer)
     issues = inspection.origin_issues(SimpleNamespace(dialect="krl", documents=documents), mode)
     assert len(issues) == (expected is not None)
     for issue in issues:
@@ -212,7 +212,7 @@ def test_a_program_that_was_corrected_is_not_corrected_again(monkeypatch, mode, 
 
 
 def test_a_program_of_a_dialect_that_is_not_written_has_no_origin(monkeypatch):
-    monkeypatch.setattr(inspection.registry, "by_name", lambda dialect: SimpleNamespace(writer=None))
+    monkeypatch.setattr(inspection.registry, "dialect_of_name", lambda dialect: SimpleNamespace(writer=None))
     assert inspection.origin_issues(SimpleNamespace(dialect="gcode", documents=()), "convert") == []
 
 
@@ -224,9 +224,9 @@ def test_frames_that_are_not_those_of_the_cell_are_noted_with_their_numbers(axis
         PATH.program, dialect="krl", bases=CELL.base.pose()[None].copy(), tools=CELL.tool.pose()[None].copy()
     )
     motions = replace(program.motions, base=0 * program.motions.base, tool=0 * program.motions.tool)
-    assert inspection.of_frames(replace(program, motions=motions, bases=np.eye(4)[None]), CELL) == []
+    assert inspection.frame_issues(replace(program, motions=motions, bases=np.eye(4)[None]), CELL) == []
     program = replace(program, motions=motions, layout=SimpleNamespace())
-    assert inspection.of_frames(program, CELL) == []
+    assert inspection.frame_issues(program, CELL) == []
     for name, section, frames in (("$BASE", "base", "bases"), ("$TOOL", "tool", "tools")):
         other = getattr(program, frames).copy()
         if axis < 3:
@@ -235,7 +235,7 @@ def test_frames_that_are_not_those_of_the_cell_are_noted_with_their_numbers(axis
             small = np.zeros(3)
             small[axis - 3] = change
             other[0, :3, :3] = other[0, :3, :3] @ (np.eye(3) + np.cross(np.eye(3), small))
-        issues = inspection.of_frames(replace(program, **{frames: other}), CELL)
+        issues = inspection.frame_issues(replace(program, **{frames: other}), CELL)
         assert len(issues) == is_another
         for issue in issues:
             assert (issue.level, issue.kind) == ("info", f"own-{section}")
@@ -377,7 +377,7 @@ def test_a_path_has_the_issues_of_all_checks_and_between_samples_those_of_other_
     cell = replace(CELL, output=output, machine=replace(CELL.machine, clearance_Z=clearance))
     path = replace(PATH, motions=replace(PATH.motions, robot_in_cell=replace(PATH.robot_in_cell, cell=cell)))
     command = SimpleNamespace(q=q, pose=Poses.of(pose))
-    issues = inspection.of_path(path, command)
+    issues = inspection.path_issues(path, command)
     assert [issue.kind for issue in issues] == [*CHECKS, "new", "new", "other", "last"]
     assert between == [(arcs, []), (lines, [2, 5])]
     assert calls["height_of_start"][2] == (None if clearance is None else pytest.approx(0.045))
@@ -408,7 +408,7 @@ def test_another_tool_needs_lines_for_its_change(numbers, keeps_text, change, ex
     other = Event(before=0, kind="coolant_on", value=9.0, line=1)
     made = replace(PATH.program, events=(other, *events), layout=SimpleNamespace() if keeps_text else None)
     cell = replace(CELL, gcode=replace(CELL.gcode, tool_change=change))
-    issues = inspection.of_tools(made, cell)
+    issues = inspection.tool_change_issues(made, cell)
     assert len(issues) == (expected is not None)
     if expected:
         row = next(k for k, n in enumerate(numbers) if n != numbers[0])

@@ -128,7 +128,7 @@ def test_a_cap_lowers_the_feed_until_the_written_program_keeps_the_speeds():
 
 @pytest.mark.parametrize(("value", "text"), [(1234.9, "1200"), (0.0567, "0.056"), (100.0, "100"), (99.0, "99")])
 def test_the_feed_is_rounded_down(value, text):
-    assert checks._rounded_down(value) == text
+    assert checks._round_down(value) == text
 
 
 def test_a_first_move_at_feed_that_comes_from_start_is_slowed_as_rapid_moves_are():
@@ -177,7 +177,7 @@ def test_the_written_path_of_any_robot_is_checked(monkeypatch, slower):
 def test_the_written_path_is_checked(monkeypatch):
     """Were the commanded path not checked, the text would be refused, with the lines of both."""
     monkeypatch.setattr(checks, "joint_speeds", spared(checks.joint_speeds, "part.nc"))
-    monkeypatch.setattr(inspection, "slowed", lambda *_: None)
+    monkeypatch.setattr(inspection, "slow_rapids", lambda *_: None)
     result = converted(RAPIDS.format(feed=900))
     assert not result.documents
     issue = next(issue for issue in result.issues if issue.level == "error")

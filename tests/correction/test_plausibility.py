@@ -23,7 +23,9 @@ KRL = b"DEF P()\n$BASE={%s}\n$TOOL={X 0,Y 0,Z %s,A 0,B 0,C 0}\nPTP {A1 0,A2 -90,
 def questions(cell=CELL, text=GCODE, dialect="gcode"):
     """Kind, key and line of what is asked about."""
     program = correction.read([decode("p", text)], ROBOT, cell, "p", dialect)
-    return [(issue.kind, issue.message, issue.source_line) for issue in plausibility.of_setup(program, cell, ROBOT)]
+    return [
+        (issue.kind, issue.message, issue.source_line) for issue in plausibility.setup_questions(program, cell, ROBOT)
+    ]
 
 
 def test_usual_values_raise_no_question():
@@ -89,7 +91,7 @@ def cutting_questions(text, cell=CELL, dialect="gcode"):
     """Kind, line and message of what is asked about moves with forces."""
     program = correction.read([decode("p", text)], ROBOT, cell, "p", dialect)
     motions = MotionsUnderLoad.of(program, RobotInCell.of(ROBOT, cell), None)
-    issues = plausibility.of_forces(program, motions.forces, cell, ROBOT)
+    issues = plausibility.force_questions(program, motions.forces, cell, ROBOT)
     return [(issue.kind, issue.source_line, issue.message) for issue in issues]
 
 
@@ -182,7 +184,7 @@ def test_a_feed_in_another_unit_is_asked_about(feed, is_asked):
 def test_forces_beyond_the_rating_and_moments_in_newton_millimetres_are_asked_about(force, kind):
     program = correction.read([decode("p", FORCED % force)], ROBOT, CELL, "p", "gcode")
     motions = MotionsUnderLoad.of(program, RobotInCell.of(ROBOT, CELL), None)
-    issues = list(plausibility.of_forces(program, motions.forces, CELL, ROBOT))
+    issues = list(plausibility.force_questions(program, motions.forces, CELL, ROBOT))
     assert [issue.kind for issue in issues] == ([kind] if kind else [])
     if kind:
         assert issues[0].lines == (5, 6)

@@ -56,7 +56,7 @@ def test_tools_shorter_than_5_mm_and_bases_inside_the_foot_are_asked_about(seed,
             cuts = [k + 1 for k in range(COUNT) if rows[k] == row and not m.rapid[k]]
             if cuts and is_odd[row]:
                 expected.append((kind, cuts, f"{values[row]:.3g} mm from the"))
-    issues = list(plausibility.of_setup(made, CELL, ROBOT))
+    issues = list(plausibility.setup_questions(made, CELL, ROBOT))
     assert [(issue.kind, lines(issue)) for issue in issues] == [(kind, cuts) for kind, cuts, _ in expected]
     for issue, (kind, _, words) in zip(issues, expected, strict=True):
         assert issue.level == "warning"
@@ -107,7 +107,7 @@ def test_forces_beyond_the_rating_and_levers_beyond_half_a_metre_are_asked_about
         words = f"a moment of {moment[worst]:.4g} N·m with a force of {size[worst]:.4g} N: a lever of "
         words += f"{moment[worst] / size[worst]:.2g} m."
         expected.append(("warning", "moment-unit", sorted({int(motion[n]) + 1 for n in levers}), words))
-    issues = list(plausibility.of_forces(made, path_forces, CELL, ROBOT))
+    issues = list(plausibility.force_questions(made, path_forces, CELL, ROBOT))
     assert [(issue.level, issue.kind, lines(issue)) for issue in issues] == [entry[:3] for entry in expected]
     assert all(words in issue.message for issue, (_, _, _, words) in zip(issues, expected, strict=True))
 
@@ -140,7 +140,7 @@ def test_cuts_with_a_stopped_spindle_or_the_feed_of_another_unit_are_asked_about
     cell = replace(CELL, gcode=gcode)
     issues = [
         issue
-        for issue in plausibility.of_forces(made, path_forces, cell, ROBOT)
+        for issue in plausibility.force_questions(made, path_forces, cell, ROBOT)
         if issue.kind in ("feed-unit", "spindle-off")
     ]
     assert [(issue.kind, lines(issue)) for issue in issues] == expected
@@ -151,7 +151,9 @@ def test_cuts_with_a_stopped_spindle_or_the_feed_of_another_unit_are_asked_about
         assert words in issue.message
     kept = replace(made, layout=SimpleNamespace())
     assert not [
-        i for i in plausibility.of_forces(kept, path_forces, cell, ROBOT) if i.kind in ("feed-unit", "spindle-off")
+        i
+        for i in plausibility.force_questions(kept, path_forces, cell, ROBOT)
+        if i.kind in ("feed-unit", "spindle-off")
     ]
 
 

@@ -150,7 +150,7 @@ def test_a_place_of_the_carriage_that_is_another_one(monkeypatch, by, refused):
 def commands(monkeypatch, change):
     """Let the correction command other poses than it should: what is written is then what was computed."""
     stages = import_module("postproc.correction.process")  # the package names the function alike
-    honest = stages.corrected
+    honest = stages.corrected_commands
 
     def wrong(path):
         found = honest(path)
@@ -158,7 +158,7 @@ def commands(monkeypatch, change):
         change(path, pose)
         return replace(found, pose=Poses.of(pose))
 
-    monkeypatch.setattr(stages, "corrected", wrong)
+    monkeypatch.setattr(stages, "corrected_commands", wrong)
 
 
 @pytest.mark.parametrize("axis", range(3))

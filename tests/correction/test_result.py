@@ -110,5 +110,5 @@ def test_feeds_are_lowered_below_the_programmed_one_and_miss_the_tolerance_above
         tolerance=1e-4, least=1e-3, unheld="lowest", programmed=np.array([0.05, 0.05, 0.05, np.nan]),
         feed=np.array([0.05, 0.04, 0.03, np.nan]), expected=np.array([1e-4, 1.1e-4, 0.9e-4, 0.0]), **columns,
     )  # fmt: skip
-    assert held.lowered.tolist() == [False, True, True, False]
-    assert held.missed.tolist() == [False, True, False, False]
+    assert held.is_lowered.tolist() == [False, True, True, False]
+    assert held.is_exceeded.tolist() == [False, True, False, False]

@@ -30,9 +30,9 @@ class Script:
         self.log = []
         patch.setattr(process, "_first_pieces", lambda task, motions: "pieces 0")
         patch.setattr(process, "PathUnderLoad", SimpleNamespace(of=lambda *parts: parts))
-        patch.setattr(process, "_drafted", self.drafted)
-        patch.setattr(process, "_closer", self.closer)
-        patch.setattr(process.inspection, "slowed", self.slowed)
+        patch.setattr(process, "_draft", self.drafted)
+        patch.setattr(process, "_refine", self.closer)
+        patch.setattr(process.inspection, "slow_rapids", self.slowed)
 
     def drafted(self, task, path):
         number = sum(entry[0] == "draft" for entry in self.log)
@@ -70,7 +70,7 @@ class Script:
 
 def settled(mode="convert"):
     motions = SimpleNamespace(name="as read", swing_places="places 0")
-    return process._settled(Task(mode, ("first",)), motions)
+    return process._refine_until_tolerated(Task(mode, ("first",)), motions)
 
 
 def test_a_draft_that_holds_is_the_result(monkeypatch):
@@ -143,7 +143,7 @@ def test_arcs_are_divided_by_the_error_of_larger_pieces_where_one_is_uncertain(m
         ("PathUnderLoad", SimpleNamespace(of=lambda *parts: parts)),
         ("_commands", lambda task, path: (task.mode, path)),
         ("CommandedPath", SimpleNamespace(of=lambda path, command: (path, command))),
-        ("pieces_needed", lambda commanded: ("needed", commanded)),
+        ("arc_pieces", lambda commanded: ("needed", commanded)),
     ):  # fmt: skip
         monkeypatch.setattr(process, name, function)
     task = SimpleNamespace(mode="convert", linearize_arcs=True)

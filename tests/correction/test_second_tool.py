@@ -7,7 +7,7 @@ from msgspec.structs import replace
 
 import postproc
 from postproc.cell import Collision, Frame, HolderTable
-from postproc.correction.inspection import of_holder
+from postproc.correction.inspection import holder_issues
 from tests.machining.setting import CELL, ROBOT
 
 TWO = "G21 G90 G17\nT1 M6\nG0 X0 Y0 Z50\nG1 X20 F900\n(more)\nT2 M6\nG1 X40\nM30\n"
@@ -54,6 +54,6 @@ def test_tools_of_other_lengths_share_no_holder(tmp_path, second, holder, lines)
     cell = replace(CELL, tools={"1": Frame(Z=350.0), "2": Frame(**second)}, collision=Collision(holder=holder))
     (tmp_path / "part.nc").write_text(TWO)
     program = postproc.read_program(tmp_path / "part.nc", ROBOT, cell)
-    found = of_holder(program, cell)
+    found = holder_issues(program, cell)
     assert [(each.level, each.source_line) for each in found] == [("warning", line) for line in lines]
     assert all("are 40 mm apart" in each.message for each in found)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from postproc.correction.targets import CommandedPath, choose, pieces_needed
+from postproc.correction.targets import CommandedPath, arc_pieces, choose
 from postproc.program import CIRC, LIN, PTP, SPL
 from postproc.toolpath import Pieces, Toolpath
 
@@ -132,7 +132,7 @@ def test_as_many_pieces_of_an_arc_are_needed_as_what_twice_as_large_ones_miss_as
     sample = Toolpath(np.array(motion), np.array(t), np.tile(np.eye(4), (len(t), 1, 1)), np.zeros(len(t)))
     start = np.tile([0.05, 0.0, 0.0], (8, 1))
     path = CommandedPath(sample, arcs, np.array(place), start, LIMIT)
-    found = pieces_needed(path)
+    found = arc_pieces(path)
     first = 1 + np.cumsum(size) - size
     for s in range(3):
         if not arcs.uncertain[s]:

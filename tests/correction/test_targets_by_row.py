@@ -9,7 +9,7 @@ import pytest
 from msgspec.structs import replace
 
 from postproc.correction import targets
-from postproc.correction.process import _causes, _closer, _too_large
+from postproc.correction.process import _causes, _refine, _too_large
 from postproc.correction.result import Result
 from postproc.correction.targets import Corners
 from postproc.errors import Issue
@@ -207,7 +207,7 @@ def test_pieces_of_arcs_are_divided_by_the_root_of_what_they_miss_and_lines_get_
     limit = SHARE_OF_TOLERANCE * tolerance
     distance = limit * np.array([3.0, 1.0, 4.1, 8.9, 100.0, 5.0])
     task = SimpleNamespace(linearize_arcs=linearize_arcs)
-    pieces, (motions, places) = _closer(task, path, (motion, t, distance), (np.array([2]), np.array([0.3])))
+    pieces, (motions, places) = _refine(task, path, (motion, t, distance), (np.array([2]), np.array([0.3])))
     assert pieces == "finer"
     arcs = [] if linearize_arcs else [1, 2, 3, 4]
     lines = [n for n in range(6) if n not in arcs]

@@ -188,7 +188,7 @@ def test_a_written_program_is_looked_at_between_targets_where_it_may_leave_its_p
     np.testing.assert_allclose(probes.share, [share for _, share, _ in places])
     np.testing.assert_allclose(probes.t, [place for _, _, place in places])
     assert probes.motion.tolist() == motion[probes.target].tolist()
-    assert probes.inside.tolist() == [share < 1.0 for _, share, _ in places]
+    assert probes.is_inside.tolist() == [share < 1.0 for _, share, _ in places]
 
 
 def simulated(monkeypatch, seed, *, is_corrected, keeps_text, near_limit=False):
@@ -291,7 +291,7 @@ def other_module(monkeypatch, whole, parts, modules):
             raise made
         return made
 
-    monkeypatch.setattr(verify.registry, "by_name", lambda dialect: SimpleNamespace(read=read))
+    monkeypatch.setattr(verify.registry, "dialect_of_name", lambda dialect: SimpleNamespace(read=read))
     monkeypatch.setattr(verify, "led_by_wrist", lambda made, place: made)
     path = SimpleNamespace(robot_in_cell=SimpleNamespace(cell=None, forward=None))
     return verify._other_module(path, whole, np.arange(9), modules, "krl")

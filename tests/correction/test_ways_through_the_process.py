@@ -53,7 +53,7 @@ def test_a_program_without_a_motion_is_refused(name, text):
 def test_a_reader_of_another_package_that_returns_no_motion_is_refused(monkeypatch):
     empty = SimpleNamespace(motions=())
     dialect = SimpleNamespace(writer=None, read=lambda documents, cell, forward, name: empty)
-    monkeypatch.setattr(process.registry, "by_name", lambda name: dialect)
+    monkeypatch.setattr(process.registry, "dialect_of_name", lambda name: dialect)
     with pytest.raises(ProgramError, match="no motion in this program") as refused:
         process.read([SimpleNamespace(name="part.xyz")], ROBOT, CELL, "part", "xyz")
     assert refused.value.file == "part.xyz"
@@ -102,7 +102,7 @@ def impossible(path):
 
 @pytest.mark.parametrize("mode", MODES)
 def test_what_cannot_be_corrected_can_be_predicted_and_written_as_it_is(monkeypatch, mode):
-    monkeypatch.setattr(process, "corrected", impossible)
+    monkeypatch.setattr(process, "corrected_commands", impossible)
     result = correction.process(read_files({"part.nc": TEXT}), ROBOT, CELL, None, mode)
     assert result.failed == (mode == "convert")
     assert len(result) == (0 if mode == "convert" else 4)
@@ -131,7 +131,7 @@ def test_what_cannot_be_written_can_be_predicted(monkeypatch, mode):
 
 
 def test_an_expected_error_that_is_no_number_is_an_error_with_its_line(monkeypatch):
-    original = process.elastostatics.expected_at
+    original = process.elastostatics.expected_errors
 
     def expected_at(*parts):
         values = original(*parts)
@@ -139,7 +139,7 @@ def test_an_expected_error_that_is_no_number_is_an_error_with_its_line(monkeypat
         bound[-2] = np.nan
         return replace(values, bound=bound)
 
-    monkeypatch.setattr(process.elastostatics, "expected_at", expected_at)
+    monkeypatch.setattr(process.elastostatics, "expected_errors", expected_at)
     result = correction.process(read_files({"part.nc": TEXT}), ROBOT, CELL)
     assert (result.bound, result.errors) == (None, None)
     (issue,) = [issue for issue in result.issues if issue.kind == "no-bound"]
@@ -155,7 +155,7 @@ def test_a_robot_without_covariance_has_no_bound_and_no_word_of_it():
 
 def test_a_place_between_samples_that_is_out_of_reach_is_an_error(monkeypatch):
     inspection = process.inspection
-    original = inspection.kinematics.on_branch
+    original = inspection.kinematics.branch_joints
 
     def on_branch(robot, flange, branch):
         q = original(robot, flange, branch)
@@ -166,8 +166,8 @@ def test_a_place_between_samples_that_is_out_of_reach_is_an_error(monkeypatch):
     motions = process.MotionsUnderLoad.of(made, RobotInCell.of(ROBOT, CELL), None)
     path = process.PathUnderLoad.of(motions, motions.pieces(linearize_arcs=False))
     stretches = inspection.Stretches(np.array([2]), np.zeros(1), np.ones(1), np.array([8]))
-    command: Commands = process.as_programmed(path)
-    monkeypatch.setattr(inspection.kinematics, "on_branch", on_branch)
+    command: Commands = process.programmed_commands(path)
+    monkeypatch.setattr(inspection.kinematics, "branch_joints", on_branch)
     issues = list(
         inspection.between_samples(path, command.q, command.pose[:, :3, 3], stretches, np.zeros(0, dtype=int))
     )

@@ -10,7 +10,7 @@ from postproc import cell as cells
 from postproc import correction, robot, toolpath
 from postproc.cell import ExternalAxis
 from postproc.errors import ProgramError
-from postproc.frames import angle_between, interpolated
+from postproc.frames import angle_between, interpolate
 from postproc.under_load import MotionsUnderLoad, RobotInCell
 from tests.correction.simulated import check_targets, simulator
 from tests.corrections import read_files
@@ -62,7 +62,7 @@ def test_the_wrist_leads_the_orientation_as_in_the_cell():
         np.testing.assert_allclose(here[:3, :3], pose[:3, :3], atol=1e-9)
         if share == 0.5 and program.by_wrist[index]:
             begin, end = segments.start.at(row), program.motions.target[row]
-            assert angle_between(here[:3, :3], interpolated(begin, end, np.array([0.5]))[0, :3, :3]) > 1e-3
+            assert angle_between(here[:3, :3], interpolate(begin, end, np.array([0.5]))[0, :3, :3]) > 1e-3
             looked += 1
     assert looked == 5
 

@@ -43,11 +43,11 @@ def written_krl_passes_an_independent_grammar(monkeypatch, request):
     """What is written from KRL by KRL, or new, or in several files."""
     rewrite = checked(write.rewrite, lambda program, *_, **__: program.documents)
     emit = checked(write.emit, lambda *_, **__: ())
-    in_files = checked(write.in_files, lambda name, documents, written, *_: [*documents, *written.documents])
+    in_files = checked(write.split_files, lambda name, documents, written, *_: [*documents, *written.documents])
     for module in (krl, write):
         monkeypatch.setattr(module, "rewrite", rewrite)
     for module in (krl, modules):
         monkeypatch.setattr(module, "emit", emit)
     for module in (write, request.module):
-        if hasattr(module, "in_files"):
-            monkeypatch.setattr(module, "in_files", in_files)
+        if hasattr(module, "split_files"):
+            monkeypatch.setattr(module, "split_files", in_files)

@@ -14,7 +14,7 @@ import postproc
 from postproc import toolpath
 from postproc.cell import Cell, Frame, Machine, Rotary
 from postproc.errors import ProgramError
-from postproc.program import CIRC, LIN, PTP, Program, direction, tilted, turning
+from postproc.program import CIRC, LIN, PTP, Program, direction, tilt_to, turning
 from postproc.robot import RobotModel
 from tests.dialects.gcode_reading import CELL, START_FLANGE, ends, outcome, read
 from tests.places import SAMPLES
@@ -163,9 +163,9 @@ def test_by_how_much_the_tool_turns_is_bounded(axes: list[str]) -> None:
     begin, end = rng.uniform(-1.4, 1.4, (2, 40, len(axes)))
     bound = turning(vectors, begin, end)
     turned = np.zeros(40)
-    before = tilted(direction(vectors, begin))
+    before = tilt_to(direction(vectors, begin))
     for share in np.linspace(0.0, 1.0, 400)[1:]:
-        after = tilted(direction(vectors, begin + share * (end - begin)))
+        after = tilt_to(direction(vectors, begin + share * (end - begin)))
         turned += Rotation.from_matrix(np.swapaxes(before, 1, 2) @ after).magnitude()
         before = after
     assert (turned <= bound * (1.0 + 1e-6)).all()

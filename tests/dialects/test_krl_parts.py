@@ -11,7 +11,7 @@ from msgspec.structs import replace as changed
 from postproc.dialects import krl
 from postproc.dialects.krl.dialect import KRL
 from postproc.dialects.krl.language.parts import joined, taken_apart
-from postproc.dialects.krl.write import in_files
+from postproc.dialects.krl.write import split_files
 from postproc.dialects.text import decode
 from postproc.errors import PostprocError, ProgramError
 from postproc.frames import xyzabc_from_pose
@@ -50,7 +50,7 @@ def divided(source, limit, data=DATA):
     """The files that a program becomes when nothing in it changes."""
     program = read(source, data)
     wanted = targets(program, keep=True)
-    return in_files("part", program.documents, krl.rewrite(program, wanted), limit), program
+    return split_files("part", program.documents, krl.rewrite(program, wanted), limit), program
 
 
 def back(written):
@@ -130,7 +130,7 @@ def test_a_program_that_is_short_enough_stays_in_one_file():
 def test_corrected_targets_and_their_lines():
     program = read(long(), DATA)
     wanted = targets(program, np.full((42, 3), 1e-4), pieces={5: [0.5], 20: [0.25, 0.5]})
-    written = in_files("part", program.documents, krl.rewrite(program, wanted), 17)
+    written = split_files("part", program.documents, krl.rewrite(program, wanted), 17)
     again = back(written)
     np.testing.assert_allclose(again.motions.target, wanted.pose, atol=1e-7)
     np.testing.assert_array_equal(again.motions.line, written.output_line)
@@ -142,10 +142,10 @@ def test_a_program_in_files_is_corrected_in_its_files():
     written, _ = divided(long(), 17)
     program = KRL.read(written.documents, CELL, forward, "partMain")
     assert program.name == "part"
-    keep = in_files("part", program.documents, krl.rewrite(program, targets(program, keep=True)), 0)
+    keep = split_files("part", program.documents, krl.rewrite(program, targets(program, keep=True)), 0)
     assert keep.documents == program.documents
     wanted = targets(program, np.full((42, 3), 1e-4), pieces={7: [0.5]})
-    new = in_files("part", program.documents, krl.rewrite(program, wanted), 0)
+    new = split_files("part", program.documents, krl.rewrite(program, wanted), 0)
     assert [document.name for document in new.documents] == [document.name for document in program.documents]
     np.testing.assert_allclose(back(new).motions.target, wanted.pose, atol=1e-7)
 
@@ -253,7 +253,7 @@ ENDDAT
 
 def in_some_files(limit=13, name="part", source=OWN, data=OWN_DATA):
     documents = (decode("part.src", source.encode()), decode("part.dat", data.encode()))
-    return in_files(name, (), Written(documents, np.zeros(0, dtype=np.int64), "krl"), limit)
+    return split_files(name, (), Written(documents, np.zeros(0, dtype=np.int64), "krl"), limit)
 
 
 @pytest.mark.parametrize("limit", [13, 16, 20])
@@ -318,7 +318,7 @@ def test_long_names_stay_valid_and_different():
 def test_names_of_other_programs_are_not_taken():
     documents = (decode("part.src", OWN.encode()), decode("part.dat", OWN_DATA.encode()))
     whole = Written(documents, np.zeros(0, dtype=np.int64), "krl")
-    text = "".join(d.text for d in in_files("part", (), whole, 13, {"PART_CUT"}).documents)
+    text = "".join(d.text for d in split_files("part", (), whole, 13, {"PART_CUT"}).documents)
     assert "GLOBAL DEF part_cut_2(" in text
 
 
@@ -330,10 +330,10 @@ def test_a_routine_that_other_programs_call_keeps_its_name():
 def test_a_program_in_files_with_routines_of_its_own_is_corrected_in_its_files():
     written = in_some_files()
     program = KRL.read(written.documents, CELL, forward, "partMain")
-    keep = in_files("part", program.documents, krl.rewrite(program, targets(program, keep=True)), 0)
+    keep = split_files("part", program.documents, krl.rewrite(program, targets(program, keep=True)), 0)
     assert keep.documents == program.documents
     wanted = targets(program, np.arange(36.0).reshape(12, 3) * 1e-4, pieces={7: [0.5]})
-    new = in_files("part", program.documents, krl.rewrite(program, wanted), 0)
+    new = split_files("part", program.documents, krl.rewrite(program, wanted), 0)
     names = [[document.name for document in one.documents if document.name.endswith(".src")] for one in (new, written)]
     assert names[0] == names[1]
     np.testing.assert_allclose(back(new).motions.target, wanted.pose, atol=1e-7)
@@ -345,7 +345,7 @@ def test_a_program_in_files_with_routines_of_its_own_is_corrected_in_its_files()
 def test_targets_in_routines_of_its_own_are_numbered_from_file_to_file():
     program = read(OWN, OWN_DATA)
     wanted = targets(program, np.full((12, 3), 1e-4))
-    written = in_files("part", program.documents, krl.rewrite(program, wanted), 13)
+    written = split_files("part", program.documents, krl.rewrite(program, wanted), 13)
     again = back(written)
     np.testing.assert_allclose(again.motions.target, wanted.pose, atol=1e-7)
     np.testing.assert_array_equal(again.motions.line, written.output_line)
@@ -386,10 +386,10 @@ def test_what_would_mean_something_else_in_several_files_is_refused(lines, says)
     documents = decode("part.src", body("DECL INT I", *lines).encode()), decode("part.dat", data.encode())
     written = Written(documents, np.zeros(0, dtype=np.int64), "krl")
     if "not cut" in says:
-        assert says in in_files("part", (), written, 12).issues[0].message
+        assert says in split_files("part", (), written, 12).issues[0].message
         return
     with pytest.raises(ProgramError, match=says) as refused:
-        in_files("part", (), written, 12)
+        split_files("part", (), written, 12)
     assert "lines_per_file = 0" in str(refused.value)
 
 
@@ -406,15 +406,15 @@ def test_a_missing_part_and_a_fault_in_a_part_name_the_file():
 
 def test_names_are_valid_and_used_for_nothing_else():
     program = read(body(*map(line, range(60)), "part3( )"), DATA)
-    written = in_files("a" * 24, program.documents, krl.rewrite(program, targets(program, keep=True)), 20)
+    written = split_files("a" * 24, program.documents, krl.rewrite(program, targets(program, keep=True)), 20)
     assert {len(d.name) for d in written.documents if d.name.endswith(".src")} <= set(range(20, 29))
-    written = in_files("part", program.documents, krl.rewrite(program, targets(program, keep=True)), 20)
+    written = split_files("part", program.documents, krl.rewrite(program, targets(program, keep=True)), 20)
     assert written.documents[0].name == "part_2Main.src"
 
 
 def test_renamed_files_call_each_other():
     written, program = divided(long(), 17)
-    new = krl.renamed(written.documents, "job")
+    new = krl.rename(written.documents, "job")
     assert {d.name for d in new} >= {"jobMain.src", "job1.src", "job1.dat"}
     assert not re.search(r"part\d|partMain", "".join(d.text for d in new))
     assert seen(executed(new, "JOBMAIN")) == seen(executed(program.documents, "PART"))
@@ -422,7 +422,7 @@ def test_renamed_files_call_each_other():
 
 def test_renamed_files_with_routines_of_their_own_have_global_names_of_the_new_name():
     written = in_some_files()
-    new = krl.renamed(written.documents, "a_much_longer_name_than_that")
+    new = krl.rename(written.documents, "a_much_longer_name_than_that")
     assert not re.search(r"(?i)\bpart(\d|_|Main)", "".join(document.text for document in new))
     name = new[0].name.removesuffix(".src")
     assert name == "a_much_longer_name_tMain"
@@ -457,7 +457,7 @@ def test_random_programs_make_the_same_motions_in_files(seed, tmp_path):
     count = len(files["part.src"].splitlines())
     try:
         krl.read_program(documents, attack.cell(tmp_path), forward, "part")
-        written = in_files("part", (), whole, max(count // 3, 12))
+        written = split_files("part", (), whole, max(count // 3, 12))
     except PostprocError:
         return
     others = {name: text for name, text in files.items() if name not in ("part.src", "part.dat")}

@@ -26,7 +26,7 @@ def test_pieces_are_replaced_as_slicing_would(text, wishes, chunk):
         done = stop
     for start, stop, new in reversed(pieces):
         edits.add(start, stop, new)
-    assert edits.applied(text, chunk) == expected + text[done:]
+    assert edits.apply(text, chunk) == expected + text[done:]
 
 
 def test_insertions_at_one_place_stay_in_order():
@@ -34,7 +34,7 @@ def test_insertions_at_one_place_stay_in_order():
     for new in ("one ", "two ", "three "):
         edits.add(2, 2, new)
     edits.add(2, 3, "X")
-    assert edits.applied("ab_cd") == "abone two three Xcd"
+    assert edits.apply("ab_cd") == "abone two three Xcd"
 
 
 def test_numbers_are_printed_with_the_decimals_asked_for():
@@ -42,6 +42,6 @@ def test_numbers_are_printed_with_the_decimals_asked_for():
     starts = np.array([2, 8, 14])
     edits.add_numbers(starts, starts + 3, np.array([1.25, -0.00001, 1e5]), np.array([4, 3, 0]), np.zeros(3, dtype=int))
     edits.add(0, 1, "Ω")
-    assert edits.applied("X 000,Y 000,Z 000}") == "Ω 1.2500,Y 0.000,Z 100000}"
+    assert edits.apply("X 000,Y 000,Z 000}") == "Ω 1.2500,Y 0.000,Z 100000}"
     assert not Replacements()
-    assert Replacements().applied("same") == "same"
+    assert Replacements().apply("same") == "same"

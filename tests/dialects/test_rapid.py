@@ -270,7 +270,7 @@ def test_names_are_those_of_rapid():
 
 def test_a_renamed_program_is_the_program_of_that_name(tmp_path):
     documents = [decode("part.mod", convert(tmp_path).encode())]
-    (renamed,) = RAPID.writer.renamed(documents, "other")
+    (renamed,) = RAPID.writer.rename(documents, "other")
     assert renamed.name == "other.mod"
     assert "MODULE mod_other\r\n" in renamed.text
     assert "PROC other()" in renamed.text

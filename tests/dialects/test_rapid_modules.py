@@ -112,4 +112,4 @@ def test_data_of_another_module_are_never_changed(tmp_path):
 
 def test_modules_beside_the_program_are_inputs_of_the_cell(tmp_path):
     cell = replace(place().cell, folder=str(tmp_path), rapid=Rapid(modules=["CalibData.mod"]))
-    assert tmp_path / "CalibData.mod" in inputs.of_cell(tmp_path / "cell.toml", cell)
+    assert tmp_path / "CalibData.mod" in inputs.cell_inputs(tmp_path / "cell.toml", cell)

@@ -397,7 +397,7 @@ def test_expressions(text, value):
 
 def test_a_program_gets_another_name_with_its_file_and_its_module():
     document = decode("MOD_Part.mod", ROBODK.encode())
-    (renamed,) = RAPID.writer.renamed([document], "Other")
+    (renamed,) = RAPID.writer.rename([document], "Other")
     assert renamed.name == "Other.mod"
     assert "MODULE Other\r\n" in renamed.text
     assert "PROC Part()" in renamed.text

@@ -53,15 +53,17 @@ def package(tmp_path, monkeypatch):
 
 def test_every_dialect_of_ours_is_what_it_is_called():
     for name in registry.names():
-        assert registry.by_name(name).name == name
+        assert registry.dialect_of_name(name).name == name
         assert all(
-            extension[0] == "." and extension == extension.lower() for extension in registry.by_name(name).extensions
+            extension[0] == "." and extension == extension.lower()
+            for extension in registry.dialect_of_name(name).extensions
         )
 
 
 def test_nothing_is_imported_that_a_program_does_not_need():
     code = (
-        "import sys; from pathlib import Path; from postproc.dialects import registry; registry.of_file(Path('a.src'));"
+        "import sys; from pathlib import Path; from postproc.dialects import registry;"
+        " registry.dialect_of_file(Path('a.src'));"
         "registry.written_in('krl'); registry.extensions(); needless = {'pygcode', 'postproc.dialects.rapid'};"
         "print(sorted(needless & sys.modules.keys()))"
     )
@@ -70,17 +72,17 @@ def test_nothing_is_imported_that_a_program_does_not_need():
 
 
 def test_no_extension_means_two_dialects():
-    given = [extension for name in registry.names() for extension in registry.by_name(name).extensions]
+    given = [extension for name in registry.names() for extension in registry.dialect_of_name(name).extensions]
     assert sorted(given) == sorted(registry.extensions())
 
 
 def test_a_dialect_of_another_package_is_found_by_name_and_extension_and_does_not_replace_ours(package, others):
     others(fanuc="somebodys_dialects:FANUC", gcode="somebodys_dialects:NONE")
-    assert registry.by_name("fanuc").name == "fanuc"
-    assert registry.of_file(Path("a.FAN")).name == "fanuc"
-    assert registry.of_file(Path("a.nc")).name == "gcode"
+    assert registry.dialect_of_name("fanuc").name == "fanuc"
+    assert registry.dialect_of_file(Path("a.FAN")).name == "fanuc"
+    assert registry.dialect_of_file(Path("a.nc")).name == "gcode"
     assert registry.extensions()[".nc"] == "gcode"
-    assert registry.by_name("gcode").extensions[0] == ".nc"
+    assert registry.dialect_of_name("gcode").extensions[0] == ".nc"
     assert "fanuc" in registry.names()
 
 
@@ -103,14 +105,14 @@ def test_a_program_of_another_packages_dialect_is_a_job(package, others, tmp_pat
 )
 def test_a_broken_one_says_why_and_stops_nothing(package, others, place, reason):
     others(fanuc="somebodys_dialects:FANUC", broken=place)
-    assert registry.of_file(Path("a.fan")).name == "fanuc"
+    assert registry.dialect_of_file(Path("a.fan")).name == "fanuc"
     assert "broken" not in registry.names()
-    assert reason in registry.broken()["broken"]
+    assert reason in registry.broken_dialects()["broken"]
     with pytest.raises(InputError, match="'broken' cannot be used") as caught:
-        registry.by_name("broken")
+        registry.dialect_of_name("broken")
     assert reason in str(caught.value)
     with pytest.raises(ProgramError, match="unknown kind of program") as unknown:
-        registry.of_file(Path("a.xyz"))
+        registry.dialect_of_file(Path("a.xyz"))
     assert reason in str(unknown.value)
 
 
@@ -132,7 +134,7 @@ def test_a_broken_one_asked_for_on_the_command_line_is_wrong_usage(package, othe
 )
 def test_a_file_that_is_no_program_to_read_is_named_and_says_what_to_do(name, words):
     with pytest.raises(ProgramError) as caught:
-        registry.of_file(Path(name))
+        registry.dialect_of_file(Path(name))
     assert words in str(caught.value)
     assert name in str(caught.value)
 

@@ -151,11 +151,11 @@ def test_comments_that_hold_on_no_cutting_move_are_listed(seed):
     lines = sorted({note.line for note in made.notes if any(note.wrench)} - used)
     issues = list(precedence.unused_comments(made))
     assert [issue.lines for issue in issues] == ([tuple(lines)] if lines else [])
-    knots = precedence.of_comments(made)
+    knots = precedence.comment_knots(made)
     assert knots.motion.tolist() == [k for k in range(COUNT) if comment_of(made, k)]
     unset = replace(made, notes=(ForceNote(1, (1.0,) * 6, "BASE", -1),))
     with pytest.raises(ValueError, match=r"leaves ForceNote\.before unset"):
-        precedence.of_comments(unset)
+        precedence.comment_knots(unset)
 
 
 @pytest.mark.parametrize("seed", range(20))

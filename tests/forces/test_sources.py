@@ -84,7 +84,10 @@ def test_what_a_source_must_not_give_is_told_with_its_name_and_line(changes, mes
 
 def test_deviations_of_knots_are_those_given_or_none():
     motion, wrench, frame, sigma = np.array([1, 2]), np.ones((2, 6)), np.zeros(2, dtype=int), np.full((2, 6), 3.0)
-    for made in (Knots.throughout(motion, wrench, frame, sigma), Knots.along(motion, np.ones(2), wrench, frame, sigma)):
+    for made in (
+        Knots.throughout(motion, wrench, frame, sigma),
+        Knots.along(motion, np.ones(2), wrench, frame, sigma),
+    ):
         np.testing.assert_array_equal(made.sigma, sigma)
     for made in (Knots.throughout(motion, wrench, frame), Knots.along(motion, np.ones(2), wrench, frame)):
         np.testing.assert_array_equal(made.sigma, np.zeros((2, 6)))

@@ -15,7 +15,7 @@ from msgspec.structs import replace
 from postproc import forces, frames, toolpath
 from postproc.chunks import Runs
 from postproc.forces import Knots
-from postproc.forces.axes import arcs_across, lines_across
+from postproc.forces.axes import is_arc_across, is_line_across
 from postproc.poses import Poses
 from postproc.program import CIRC, ForceNote, Targets
 from tests.programs import program
@@ -173,7 +173,7 @@ def test_the_displacement_by_the_force_is_estimated_from_its_changes(seed):
                 bent = np.abs((after - before) * (t[i] - t[i - 1] if i else 1.0)).max() >= 1e-9
             rows.append((k, t[i], moves(change[i]), bent))
         if not ramped:
-            step = moves(there(0.0) - load.before()[k])
+            step = moves(there(0.0) - load.wrench_before()[k])
             if step > 1e-8:
                 rows.append((k, min(0.5, 1e-5 / max(path.length[k], 1e-5)), step, True))
         own = own[1:] if ramped and t[0] == 0.0 else own  # without the force of the motion before
@@ -184,9 +184,9 @@ def test_the_displacement_by_the_force_is_estimated_from_its_changes(seed):
         if not turning:
             assert not found.swings[k]
         else:
-            runs = arcs_across(made, path, np.array([k]), "+Z")[0]
+            runs = is_arc_across(made, path, np.array([k]), "+Z")[0]
             assert found.swings[k] == (across.any() and not runs)
-        begin[k] = load.before()[k]
+        begin[k] = load.wrench_before()[k]
     rows = sorted((row for row in rows if row[3] or made.motions.kind[row[0]] == CIRC), key=lambda row: row[:2])
     np.testing.assert_array_equal(found.motion, [row[0] for row in rows])
     np.testing.assert_allclose(found.t, [row[1] for row in rows])
@@ -215,7 +215,7 @@ def test_arcs_run_across_the_spindle_up_to_45_degrees(begin, end, climb):
         pitch = np.degrees(np.arctan2(climb, 40 * np.radians(150.0)))
         apart = max(abs(angle - begin), abs(angle - end)) + 0.5 * abs(end - begin) + pitch
         if abs(apart - 45.0) > 0.01:
-            assert arcs_across(made, path, np.array([1]), "+Z")[0] == (apart < 45.0)
+            assert is_arc_across(made, path, np.array([1]), "+Z")[0] == (apart < 45.0)
 
 
 @pytest.mark.parametrize(("begin", "end"), [(0.0, 0.0), (20.0, 0.0), (0.0, 20.0), (10.0, -10.0)])
@@ -227,7 +227,7 @@ def test_lines_run_across_the_spindle_up_to_45_degrees(begin, end):
         # the spindle leans as the tool does, about X: across it the travel would be at the same angle
         nearest = min(90.0 - abs(angle - begin), 90.0 - abs(angle - end)) - 0.5 * abs(end - begin)
         if abs(nearest - 45.0) > 0.01:
-            assert lines_across(made, path, np.array([1]), "+Z")[0] == (nearest > 45.0)
+            assert is_line_across(made, path, np.array([1]), "+Z")[0] == (nearest > 45.0)
 
 
 def displaced_circle(load, piece, compliance, shares):
@@ -424,13 +424,13 @@ def test_forces_that_go_with_a_divided_program_are_those_of_the_program(seed):
     load = forces.assign(made, path, Given(knots), "+Z", RAMP)
     arrive = toolpath.tangent(made, path, targets.motion, targets.t)
     wrench = load.at(toolpath.at(made, path, targets.motion, targets.t))
-    at_end = forces.of_targets(load, targets, arrive, Runs.of(wrench))
+    at_end = forces.target_forces(load, targets, arrive, Runs.of(wrench))
     acts = wrench.any(axis=1)  # every motion turns the tool: forces keep their axes
     np.testing.assert_array_equal(at_end.frame, np.where(acts, load.frame[targets.motion], BASE))
     other = toolpath.segments(written, START)
     row = np.arange(len(targets))
     travel, _ = forces.last_travel(written, other, "+Z")
-    found = forces.of_pieces(load, targets, at_end, forces.Axes(written, other, "+Z", travel), row)
+    found = forces.piece_knots(load, targets, at_end, forces.Axes(written, other, "+Z", travel), row)
     carried = forces.assign(written, other, Given(replace(found, motion=row[found.motion])), "+Z", RAMP)
     for share in (0.03, 0.3, 0.5, 0.81, 1.0):
         sample = toolpath.at(written, other, row, np.full(len(row), share))
@@ -465,10 +465,12 @@ def test_a_force_that_stays_as_it_is_is_given_once_to_each_piece():
     knots = Knots.along(motion, np.tile([0.2, 0.8], 4), columns[0], np.repeat([FEED, TOOL, FEED, TOOL], 2), columns[1])
     load = forces.assign(made, path, Given(knots), "+Z", RAMP)
     there = load.at(toolpath.at(made, path, targets.motion, targets.t))
-    at_end = forces.of_targets(load, targets, toolpath.tangent(made, path, targets.motion, targets.t), Runs.of(there))
+    at_end = forces.target_forces(
+        load, targets, toolpath.tangent(made, path, targets.motion, targets.t), Runs.of(there)
+    )
     other = toolpath.segments(written, START)
     axes = forces.Axes(written, other, "+Z", forces.last_travel(written, other, "+Z")[0])
-    found = forces.of_pieces(load, targets, at_end, axes, np.arange(len(targets)))
+    found = forces.piece_knots(load, targets, at_end, axes, np.arange(len(targets)))
     assert np.bincount(found.motion).tolist() == [1, 1, 1, 1, 1, 3, 3, 1, 1]
 
 
@@ -478,11 +480,13 @@ def test_a_piece_with_one_force_has_that_of_its_target_in_a_file():
     path, targets, written = divided(made, [np.array([1.0]), *[np.array([0.5, 1.0])] * 4])
     load = forces.assign(made, path, None, "+Z", RAMP)
     there = load.at(toolpath.at(made, path, targets.motion, targets.t))
-    at_end = forces.of_targets(load, targets, toolpath.tangent(made, path, targets.motion, targets.t), Runs.of(there))
+    at_end = forces.target_forces(
+        load, targets, toolpath.tangent(made, path, targets.motion, targets.t), Runs.of(there)
+    )
     at_end = replace(at_end, wrench=at_end.wrench[:] + 1.0)
     other = toolpath.segments(written, START)
     axes = forces.Axes(written, other, "+Z", forces.last_travel(written, other, "+Z")[0])
-    found = forces.of_pieces(load, targets, at_end, axes, np.arange(len(targets)))
+    found = forces.piece_knots(load, targets, at_end, axes, np.arange(len(targets)))
     assert load.ramped[targets.motion].all()
     np.testing.assert_array_equal(found.wrench, at_end.wrench[found.motion])
 

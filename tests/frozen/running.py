@@ -18,7 +18,7 @@ from msgspec.structs import replace
 from postproc.cell import Cell
 from postproc.cli import main
 from postproc.dialects import krl
-from postproc.dialects.krl.write import in_files
+from postproc.dialects.krl.write import split_files
 from postproc.dialects.text import decode
 from postproc.errors import PostprocError
 from postproc.report.kit.page import library
@@ -119,7 +119,7 @@ def krl_moved(cell: str, *names: str) -> dict[str, str]:
         found[f"{name}.json"] = _json(written)
         try:
             lines = max(12, documents[0].text.count("\n") // 3)
-            divided = in_files(Path(names[0]).stem, program.documents, written, lines)
+            divided = split_files(Path(names[0]).stem, program.documents, written, lines)
         except PostprocError as error:
             found[f"{name}.divided.messages"] = f"{error}\n"
             continue

@@ -224,7 +224,7 @@ def test_a_geometry_beyond_any_arm_is_a_variant_that_is_left_out():
     content = read_prior(robot.find("kuka_kr270"), None, "")
     parameters = (calibration.GeometryParameter("A1", "sin"),)
     with pytest.raises(MeasurementError, match="geometry cannot be found"):
-        calibration._with_geometry(content, parameters, np.array([0.02]), "", None)
+        calibration._add_geometry(content, parameters, np.array([0.02]), "", None)
 
 
 def test_the_equations_that_configurations_are_left_out_of_have_the_calibration_as_their_solution(tmp_path):

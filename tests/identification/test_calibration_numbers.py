@@ -32,7 +32,7 @@ def data(tmp_path_factory):
     q, f = simulator.plan(rng, 12)
     _, raw = simulator.measure(true, q, f, rng, 0.05e-3)
     measured = harness.load(simulator.write(tmp_path_factory.mktemp("readings"), q, f, raw, 0.05e-3))
-    return measured.without([int(np.flatnonzero((measured.state == 4) & (measured.point == 2))[0])])
+    return measured.drop([int(np.flatnonzero((measured.state == 4) & (measured.point == 2))[0])])
 
 
 @pytest.fixture(scope="module")
@@ -114,14 +114,14 @@ def test_displacements_that_are_kept_are_independent_of_the_frames_and_of_each_o
 def test_the_calibration_is_that_of_least_squares_with_a_prior(data, solution):
     """Base and points are free, joints have 1 mm and 2 mrad; readings weigh by their number over σ²."""
     _, count = data.means()
-    assert (count[data.unloaded].min(), count[data.unloaded].max()) == (2, 3)
+    assert (count[data.unloaded_states].min(), count[data.unloaded_states].max()) == (2, 3)
     frames = 6 + 9
     size = len(solution.parameters)
     usual = np.array([2e-3 if p.axis.startswith("R") else 1e-3 for p in solution.parameters])
     normal = solution.design[: 12 * 9].T @ solution.design[: 12 * 9]
     normal[frames:, frames:] += np.diag(1.0 / usual**2)
     residual = solution.residual
-    white = residual * np.sqrt(count[data.unloaded])[..., None] / data.sigma
+    white = residual * np.sqrt(count[data.unloaded_states])[..., None] / data.sigma
     inflate = max(1.0, np.sum(white**2) / (12 * 9 - 15 - size))
     scale = np.sqrt(np.diag(normal))
     covariance = inflate * np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale)
@@ -160,7 +160,7 @@ def test_errors_of_configurations_left_out_are_those_of_fits_to_the_other_folds(
             own = rows == config
             left = solution.target[: 12 * 9][own] - solution.design[: 12 * 9][own] @ state
             _, count = data.means()
-            weight = np.repeat(np.sqrt(count[data.unloaded][config]), 3) / data.sigma
+            weight = np.repeat(np.sqrt(count[data.unloaded_states][config]), 3) / data.sigma
             assert found[config] == pytest.approx(np.sum((left / weight) ** 2) / 3, rel=1e-5)
 
 
@@ -170,7 +170,7 @@ def test_the_error_elsewhere_is_that_of_draws_of_base_point_and_joints(solution)
     Of 200 draws the RMS is known to 4 % or so.
     """
     rng = np.random.default_rng(8)
-    found = calibration._unmeasured(solution, NOMINAL)
+    found = calibration._extrapolation_error(solution, NOMINAL)
     keep = [*range(9), *range(15, 15 + len(solution.values))]
     drawn = rng.multivariate_normal(np.zeros(len(keep)), solution.whole_covariance[np.ix_(keep, keep)], 200)
     low, high = np.maximum(NOMINAL.lower, -np.pi), np.minimum(NOMINAL.upper, np.pi)
@@ -207,7 +207,7 @@ def test_geometries_are_tried_from_simple_to_rich():
 def test_values_are_written_in_the_units_of_their_keys_with_their_intervals():
     parameters = (GeometryParameter("A2", "X"), GeometryParameter("A2", "RY"), GeometryParameter("A3", "sin2"))
     values, half = np.array([1.5e-3, 2e-3, 1e-4]), np.array([2e-4, 3e-4, 5e-5])
-    model = calibration._with_geometry(CONTENT, parameters, values, "identified from x.csv", half)
+    model = calibration._add_geometry(CONTENT, parameters, values, "identified from x.csv", half)
     assert list(model.geometry) == ["A2"]
     assert list(model.transmission) == ["A3"]
     assert model.geometry["A2"].X_mm == pytest.approx(1.5)
@@ -216,7 +216,7 @@ def test_values_are_written_in_the_units_of_their_keys_with_their_intervals():
     text = f"identified from x.csv (95 %: X ± 0.2 mm, RY ± {np.degrees(3e-4):.2g} deg)"
     assert model.geometry["A2"].source == text
     assert model.transmission["A3"].source == "identified from x.csv (95 %: sin2 ± 50 urad)"
-    plain = calibration._with_geometry(CONTENT, parameters, values, "s", None)
+    plain = calibration._add_geometry(CONTENT, parameters, values, "s", None)
     assert plain.geometry["A2"].source == "s"
 
 

@@ -13,7 +13,7 @@ from postproc.identification.choice import Mean, Member, projection
 from postproc.identification.fit import FACTORS, Linearised, Prior, Regression, learn, prior_of
 from postproc.identification.measurement_model import Structure, locate, predict
 from postproc.identification.model_folder import require_finite
-from postproc.robot.parameters import named
+from postproc.robot.parameters import parameter_of_name
 from samples.paper_study import harness, simulator
 
 CONFIGS, ROWS = 30, 6
@@ -33,7 +33,7 @@ def links(count, mean=0.0, size=1.0):
 
 def test_the_size_of_each_parameter_is_physical_and_stated_ones_keep_their_spread():
     names = ("A2.RX", "A2.X", "base.end_RY", "k3^73", "k3@700", "A4.backlash@11", "A4.lost_motion@11", "k3", "A2.mass")
-    parameters = tuple(named(name) for name in names)
+    parameters = tuple(parameter_of_name(name) for name in names)
     prior = prior_of(Structure(parameters, harness.PRIOR))
     k = harness.PRIOR.compliance
     assert [prior.kinds[kind] if kind >= 0 else "" for kind in prior.kind] == [
@@ -174,7 +174,7 @@ def test_a_load_without_equilibrium_is_named_by_configuration(tmp_path):
     data = harness.load(simulator.write(tmp_path, q, f, raw))
     placement = locate(harness.PRIOR, data)
     structure = Structure(robot.JOINT_COMPLIANCES, harness.PRIOR)
-    heavy = replace(data, wrench=np.where(np.arange(12)[:, None] == data.loaded[3], 1e4, 1.0) * data.wrench)
+    heavy = replace(data, wrench=np.where(np.arange(12)[:, None] == data.loaded_states[3], 1e4, 1.0) * data.wrench)
     with pytest.raises(NotConvergedError, match="config 4, load 1: "):
         predict(structure, structure.start(), heavy, placement)
 

@@ -46,10 +46,10 @@ def test_what_loads_cover(seed):
     np.testing.assert_allclose(found.largest, largest)
     np.testing.assert_array_equal(found.configurations, count)
     assert found.least == pytest.approx(least)
-    np.testing.assert_array_equal(found.covered, count >= 5)
+    np.testing.assert_array_equal(found.is_covered, count >= 5)
     assert not found.refuted.any()
     refuted = np.random.default_rng(seed).random((6, 2)) < 0.3
-    np.testing.assert_array_equal(coverage(torque, config, refuted).covered, (count >= 5) & ~refuted)
+    np.testing.assert_array_equal(coverage(torque, config, refuted).is_covered, (count >= 5) & ~refuted)
     for entry, name, sizes, number in zip(torque_record(found), JOINTS, largest, count, strict=True):
         assert (entry.joint, entry.negative_Nm, entry.positive_Nm) == (name, pytest.approx(-sizes[0]), sizes[1])
         assert (entry.negative_configurations, entry.positive_configurations) == tuple(number)

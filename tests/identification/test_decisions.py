@@ -100,7 +100,7 @@ def test_joints_without_torque_are_those_below_a_fiftieth_of_the_largest():
     torque = np.max([np.abs(ARM.gradient(lambda x: -500.0 * ARM.tcp(x, TOOL)[2, 3], q)) for q in data.q], axis=0)
     expected = [joint for joint in range(6) if torque[joint] < 0.02 * torque.max()]
     assert 0 in expected
-    assert [JOINT_COMPLIANCES.index(joint) for joint in joint_springs.unloaded(BARE, data)] == expected
+    assert [JOINT_COMPLIANCES.index(joint) for joint in joint_springs.unloaded_joints(BARE, data)] == expected
 
 
 def test_all_candidates_have_their_kind_and_gears_have_torques_of_their_joint():
@@ -144,12 +144,12 @@ def test_all_candidates_have_their_kind_and_gears_have_torques_of_their_joint():
 
 
 def test_sources_of_torque_at_rest_are_uncertain_masses_and_the_compensator():
-    sources = list(choice._at_rest(harness.PRIOR))
+    sources = list(choice._gravity_parameters(harness.PRIOR))
     assert sources[-1] == robot.CompensatorSize()
     assert {source.joint for source in sources[:-1]} == {f"A{n}" for n in range(2, 7)} - {
         f"A{n}" for n in range(2, 7) if harness.PRIOR.prior_sigma(robot.LinkMass(f"A{n}")) <= 0.0
     }
-    assert robot.CompensatorSize() not in list(choice._at_rest(BARE))
+    assert robot.CompensatorSize() not in list(choice._gravity_parameters(BARE))
 
 
 @pytest.mark.parametrize(("angles", "enough"), [([-50.0, -60.0, -60.5], False), ([-50.0, -60.0, -70.0], True)])
@@ -197,7 +197,7 @@ def test_what_a_mean_of_structures_leaves_open_are_joints_without_load_and_the_c
     gone = NotObservable(JOINT_COMPLIANCES[3], "of a model that was given up", "")
 
     def left(prior, parameters):
-        fit = SimpleNamespace(structure=SimpleNamespace(prior=prior), given=dict.fromkeys(parameters, 1.0))
+        fit = SimpleNamespace(structure=SimpleNamespace(prior=prior), parameter_values=dict.fromkeys(parameters, 1.0))
         return procedure._open_springs(SimpleNamespace(fit=fit), data, [earlier, gone])
 
     assert left(BARE, ()) == [earlier]
@@ -208,7 +208,7 @@ def test_what_a_mean_of_structures_leaves_open_are_joints_without_load_and_the_c
     _, second = left(harness.PRIOR, (robot.CompensatorSize(),))
     assert second.parameter == CompensatorPreload()
     assert "the torque on the gears at rest shows how strong it is" in second.reason
-    fit = SimpleNamespace(structure=SimpleNamespace(prior=BARE), given={})
+    fit = SimpleNamespace(structure=SimpleNamespace(prior=BARE), parameter_values={})
     (new,) = procedure._open_springs(SimpleNamespace(fit=fit), data, [])
     assert (new.parameter, new.reason) == (JOINT_COMPLIANCES[0], "the loads put no torque on it")
 
@@ -245,7 +245,7 @@ def test_the_extended_set_has_the_compliance_of_joint_2_at_each_level():
     np.testing.assert_allclose(levels.compliance, k2[order], rtol=5e-3)
     np.testing.assert_allclose(np.delete(fit.values, [1, 2, 3]), np.delete(SPRINGS, 1), rtol=5e-3)
     np.testing.assert_array_equal(levels.covariance, fit.covariance[1:4, 1:4])
-    few = data.only(np.array([0]))
+    few = data.take_configurations(np.array([0]))
     rows = ("state", "point", "repeat", "position", "line", "used")
     one = replace(few, points=few.points[:2], guess=few.guess[:2], **{n: getattr(few, n)[few.point < 2] for n in rows})
     assert joint_springs.extended_set(harness.PRIOR, one, placed(one)) is None  # 6 coordinates for 6 values
@@ -343,7 +343,7 @@ def test_gross_errors_against_the_springs_are_left_out_three_times_at_most(gross
 
     monkeypatch.setattr(procedure, "choose", choose)
     monkeypatch.setattr(
-        procedure.plausibility, "without_worst_residual",
+        procedure.plausibility, "remove_worst_residual",
         lambda data, _, fit: (data[:-1], [f"reading {fit}"]) if fit > 10 - gross else (data, []),
     )  # fmt: skip
     data, found, outliers = procedure._choose_springs(None, "0123456789", None)
@@ -377,7 +377,7 @@ def test_readings_are_left_out_only_if_the_others_are_then_explained(
 
     monkeypatch.setattr(procedure, "_joints", joints)
     monkeypatch.setattr(procedure, "locate", locate)
-    monkeypatch.setattr(procedure, "_unexplained", lambda fit: not explained[fit.name])
+    monkeypatch.setattr(procedure, "_has_unexplained_error", lambda fit: not explained[fit.name])
     clean = SimpleNamespace(name="clean", robot="robot of clean")
     monkeypatch.setattr(procedure, "_remove_outliers", lambda *_: ("fewer", clean, names))
     found, data, placement, left = procedure._located_joints(prior, "all", "placement 0")
@@ -397,7 +397,7 @@ def test_readings_are_left_out_only_if_the_others_are_then_explained(
 )
 def test_three_of_a_hundred_readings_are_left_out_at_most(readings_count, wrong, explained, taken, monkeypatch):
     """One at least; only if that many residuals explain the misfit; no longer than it is not explained."""
-    data = SimpleNamespace(state=np.zeros(readings_count), loaded=np.zeros(8), q=np.zeros(4), wrong=wrong)
+    data = SimpleNamespace(state=np.zeros(readings_count), loaded_states=np.zeros(8), q=np.zeros(4), wrong=wrong)
     limits = []
 
     def is_explained(_fit, limit):
@@ -406,14 +406,14 @@ def test_three_of_a_hundred_readings_are_left_out_at_most(readings_count, wrong,
 
     monkeypatch.setattr(procedure, "_is_explained", is_explained)
     monkeypatch.setattr(
-        procedure.plausibility, "without_worst_residual",
+        procedure.plausibility, "remove_worst_residual",
         lambda data, _, fit: (SimpleNamespace(**(vars(data) | {"wrong": data.wrong - 1})), [f"{data.wrong}"])
         if data.wrong > 0 else (data, []),
     )  # fmt: skip
     monkeypatch.setattr(
         procedure, "_joints", lambda _, data, __: SimpleNamespace(fit=SimpleNamespace(wrong=data.wrong))
     )
-    monkeypatch.setattr(procedure, "_unexplained", lambda fit: fit.wrong > 0)
+    monkeypatch.setattr(procedure, "_has_unexplained_error", lambda fit: fit.wrong > 0)
     first = SimpleNamespace(wrong=wrong)
     left, fit, names = procedure._remove_outliers(None, data, None, first)
     assert names == [str(wrong - n) for n in range(taken)]

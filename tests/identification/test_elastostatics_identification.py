@@ -314,7 +314,7 @@ def test_a_load_with_hardly_a_lever_is_none_in_another_unit_but_one_in_kilograms
     check_loads(harness.PRIOR, data, placement)
     for factor in (1 / 9.81, 9.81, -1.0):
         wrench = data.wrench.copy()
-        wrench[data.loaded[4]] *= factor
+        wrench[data.loaded_states[4]] *= factor
         with pytest.raises(MeasurementError, match="config 5, load 1: displacement and force do not belong together"):
             check_loads(harness.PRIOR, replace(data, wrench=wrench), placement)
 

@@ -354,7 +354,7 @@ def test_vertical_loads_say_nothing_of_a1_and_that_is_the_reason():
 )
 def test_squares_beyond_three_standard_deviations_of_their_sum_and_seven_are_unexplained(dof, chi2, unexplained):
     """χ² of 50 degrees of freedom has a standard deviation of 10."""
-    assert procedure._unexplained(SimpleNamespace(dof=dof, chi2=chi2)) == unexplained
+    assert procedure._has_unexplained_error(SimpleNamespace(dof=dof, chi2=chi2)) == unexplained
 
 
 def test_what_is_proportional_to_the_load_and_what_is_not():

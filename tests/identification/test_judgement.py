@@ -29,12 +29,12 @@ FINE = Workspace((WorkspaceLevel(500.0, 1e-3, 1e-4, 0.1, 1.0),), 400.0, "", (0.0
 
 def fit_of(data, values=SPRINGS, sigma=0.02, covariance=None, chi2=None, off=0.0, parameters=JOINT_COMPLIANCES):
     """A fit with these values, a relative uncertainty of them, χ² and residual [m] of each component."""
-    rows = 3 * len(data.loaded) * len(data.points)
+    rows = 3 * len(data.loaded_states) * len(data.points)
     spread = np.diag((sigma * np.asarray(values)) ** 2) if covariance is None else covariance
     dof = max(rows - len(values), 1)
     return Fit(
         Structure(tuple(parameters), harness.PRIOR), np.asarray(values, dtype=float), spread,
-        np.full((len(data.loaded), len(data.points), 3), off), float(dof if chi2 is None else chi2), dof,
+        np.full((len(data.loaded_states), len(data.points), 3), off), float(dof if chi2 is None else chi2), dof,
         np.zeros((rows, len(values))), np.zeros(rows),
     )  # fmt: skip
 
@@ -74,9 +74,9 @@ def twice_loaded(data, parallel):
     """The same configurations under a second load: in the direction of the first, or in another."""
     configs = len(data.q)
     state_config = np.concatenate([data.state_config, np.arange(configs)])
-    first = data.wrench[data.loaded]
+    first = data.wrench[data.loaded_states]
     second = 0.5 * first if parallel else np.roll(first, 1, axis=1) * [1, 1, 1, 0, 0, 0] + [0, 90.0, 0, 0, 0, 0]
-    rows = np.flatnonzero(np.isin(data.state, data.loaded))
+    rows = np.flatnonzero(np.isin(data.state, data.loaded_states))
     new_state = 2 * configs + data.state_config[data.state[rows]]
     return replace(
         data, state_config=state_config, load=np.append(data.load, np.full(configs, 2.0)),
@@ -174,7 +174,7 @@ def levels(*rows):
 def test_the_workspace_counts_loads_that_were_measured():
     space = Workspace(levels((50.0, 3.0, 0.6), (100.0, 1.1, 0.7), (400.0, 0.4, 0.9), (900.0, 0.5, 0.99)), 400.0,
                       "most of it comes from A3", tuple(np.radians([10, 20, 30, 40, 50, 60])))  # fmt: skip
-    assert [level.load for level in space.measured] == [400.0, 900.0]
+    assert [level.load for level in space.measured_levels] == [400.0, 900.0]
     assert space.worst.load == 900.0
     assert space.line == (
         "bound over deflection in the workspace: below 0.5 in 95 % of the poses from 400 N to 900 N; at 100 N and "
@@ -190,7 +190,7 @@ def test_the_workspace_counts_loads_that_were_measured():
     for narrow in (levels((400.0, 0.9, 1.0), (900.0, 1.2, 1.0)), levels((300.0, 1.0, 1.0), (900.0, 1.0, 1.0))):
         assert "can exceed" not in replace(space, levels=narrow).line
     beyond = replace(space, least=1000.0)  # no level is that large: the largest counts
-    assert [level.load for level in beyond.measured] == [900.0]
+    assert [level.load for level in beyond.measured_levels] == [900.0]
 
 
 def test_the_cause_of_a_wide_bound_is_the_joint_with_the_largest_variance_there():
@@ -357,7 +357,7 @@ def test_a_wrong_load_cell_makes_springs_softer_compensators_stiffer_and_masses_
     data = readings(forces(6, 500.0), count=6)
     fit = fit_of(data, values, covariance=np.diag((0.01 * values) ** 2), parameters=parameters)
     for error in (0.02, 0.0):
-        wider = uncertainty.with_stated_errors(fit, replace(data, load_error=error), placed(data), None)
+        wider = uncertainty.add_stated_errors(fit, replace(data, load_error=error), placed(data), None)
         shift = error / 1.959964 * values * [1.0, -1.0, 0.0, 0.0]
         np.testing.assert_allclose(wider.covariance, fit.covariance + np.outer(shift, shift), rtol=1e-9)
 

@@ -22,8 +22,8 @@ def readings(rng):
     count[1, -1], mean[1, -1] = 0, np.nan
     return SimpleNamespace(
         means=lambda: (mean, count),
-        loaded=np.array([1, 3]),
-        unloaded=np.array([0, 2]),
+        loaded_states=np.array([1, 3]),
+        unloaded_states=np.array([0, 2]),
         state_config=np.array([0, 0, 1, 1]),
     )
 

@@ -85,7 +85,7 @@ def test_a_calibration_needs_ten_coordinates_more_than_unknowns_and_gears_need_t
 ):
     """Base 6, three points 9, joints 18; gears 24. Each configuration has 9 coordinates."""
     data, content = unloaded
-    data = data.only(np.arange(configurations))
+    data = data.take_configurations(np.arange(configurations))
     if refused:
         with pytest.raises(MeasurementError, match="36 coordinates without load for 33 unknowns of base, points and"):
             calibration.identify_geometry(content, harness.PRIOR.nominal, "x", data)
@@ -99,7 +99,7 @@ def test_the_errors_of_a_geometry_are_without_the_noise_of_their_readings(unload
     """Mean squares of noise and error add; a normal error in space is below 1.614 of its RMS in 95 %."""
     data, _ = unloaded
     rng = np.random.default_rng(1)
-    hidden = data.without([int(np.flatnonzero((data.state == 0) & (data.point == 1) & (data.repeat == 1.0))[0])])
+    hidden = data.drop([int(np.flatnonzero((data.state == 0) & (data.point == 1) & (data.repeat == 1.0))[0])])
     repeats = len(np.unique(data.repeat))
     noise = np.full(10, 3.0 * data.sigma**2 / repeats)
     noise[0] = 3.0 * data.sigma**2 * np.mean([1 / repeats, 1 / (repeats - 1), 1 / repeats])

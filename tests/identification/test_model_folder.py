@@ -12,7 +12,7 @@ from postproc.elastostatics import sensitivity
 from postproc.identification import model_folder, record, uncertainty
 from postproc.identification.joint_springs import Levels
 from postproc.robot.model_file import CompensatorEntry
-from postproc.robot.parameters import named
+from postproc.robot.parameters import parameter_of_name
 from samples.paper_study import harness
 
 MESH = '<visual><geometry><mesh filename="{}"/></geometry></visual>'
@@ -76,7 +76,7 @@ def test_a_compensator_has_the_spring_that_was_identified_or_the_prior_one(law, 
 def test_most_of_a_bound_is_that_of_the_joint_whose_parameters_together_have_most_of_it():
     """A3 has two of 40 % and 15 %, A2 one of 45 %."""
     names, parts = ("k2", "k3", "k3@700"), np.array([0.45, 0.15, 0.40])
-    parameters = tuple(named(name) for name in names)
+    parameters = tuple(parameter_of_name(name) for name in names)
     model = harness.PRIOR.with_values(dict(zip(parameters, (2e-7, 3e-7, 2e-7), strict=True)))
     q, wrench = np.radians([10.0, -70.0, 110.0, 0.0, 50.0, 0.0]), np.array([300.0, -200.0, 900.0, 0.0, 0.0, 0.0])
     known = replace(model, covariance=robot.Covariance(parameters, np.eye(3)), discrepancy=None)

@@ -68,7 +68,7 @@ def test_readings_far_from_the_median_of_their_repeats_are_left_out(seed):
             if len(rows) >= 3 and 0 < len(wrong) < 0.5 * len(rows):
                 expected |= set(wrong)
                 far |= {row: distance[row] for row in wrong}
-    found, lines = plausibility.without_gross_errors(data)
+    found, lines = plausibility.remove_gross_errors(data)
     assert set(np.flatnonzero(~found.used).tolist()) == expected
     assert len(lines) == len(expected)
     for row in expected:
@@ -154,8 +154,8 @@ def test_the_same_load_before_and_after_a_larger_one_is_a_pair(seed):
     wrench = np.zeros((count, 6))
     wrench[:, 2] = -rng.choice([100.0, 101.0, 103.0, 119.0, 122.0, 250.0], count)
     number = np.concatenate([np.arange(np.count_nonzero(config == c)) for c in range(3)])
-    data = SimpleNamespace(wrench=wrench, loaded=np.flatnonzero(number > 0), state_config=config, load=number)
-    rows = data.loaded
+    data = SimpleNamespace(wrench=wrench, loaded_states=np.flatnonzero(number > 0), state_config=config, load=number)
+    rows = data.loaded_states
     expected = set()
     for a, first in enumerate(rows):
         for b, second in enumerate(rows):
@@ -203,7 +203,7 @@ def test_derivatives_by_twists_of_root_and_joint_frames_are_differences_of_anoth
     """A joint frame is that of the link before it, turned as at joint angle 0: it does not turn with the joint."""
     rng = np.random.default_rng(2)
     data, placement = placed(rng)
-    slopes = moved_device._by_frames(KR270, data, placement)
+    slopes = moved_device._frame_derivatives(KR270, data, placement)
     assert slopes.shape == (5, 2, 3, 42)
     for number in range(7):
 
@@ -224,7 +224,7 @@ def test_derivatives_by_twists_of_root_and_joint_frames_are_differences_of_anoth
 
 def test_derivatives_by_points_are_differences_of_another_arm():
     data, placement = placed(np.random.default_rng(3))
-    slopes = moved_device._by_points(KR270, data, placement)
+    slopes = moved_device._point_derivatives(KR270, data, placement)
     for column in range(6):
         offset = np.zeros((2, 3))
         offset.flat[column] = 1e-3
@@ -235,7 +235,7 @@ def test_derivatives_by_points_are_differences_of_another_arm():
 def test_derivatives_by_the_sag_of_joints_are_their_angles_times_the_weight_on_them():
     """The weight's torque by differences of the potential energy is that of the model; a joint turns all behind it."""
     data, placement = placed(np.random.default_rng(4))
-    slopes = moved_device._by_sag(KR270, data, placement)
+    slopes = moved_device._sag_derivatives(KR270, data, placement)
     torque = moved_device.elastostatics.balance.static_torque(KR270, data.q.T).T
     for joint in range(6):
         step = np.zeros(6)
@@ -266,7 +266,7 @@ def test_the_clearest_step_is_that_of_the_f_test_over_all_configurations(seed):
     best = (np.inf, 0)
     for row in range(2, configs - 1):
         order = [np.corrcoef(np.arange(configs) >= row, angles)[0, 1] for angles in q.T]
-        assert moved_device._by_order(q, row) == (max(map(abs, order)) > 0.5)
+        assert moved_device._is_separable_by_order(q, row) == (max(map(abs, order)) > 0.5)
         if max(map(abs, order)) > 0.5:
             continue
         step = (rows[..., :6] * (np.arange(configs) >= row)[:, None, None, None]).reshape(-1, 6)
@@ -363,7 +363,7 @@ def test_a_level_holds_with_enough_displacements_inside_and_is_refuted_by_its_up
     inside, limits, refuted, held
 ):
     level = ValidatedLevel(500.0, 1e-3, 3e-4, 1e-4, 1e-8, inside, limits, 1.0, 1e-4, 6)
-    assert (level.refuted, level.held) == (refuted, held)
+    assert (level.is_refuted, level.is_held) == (refuted, held)
 
 
 @pytest.mark.parametrize(("left", "above"), [(3e-4, True), (1.5e-4, False), (0.9e-4, False)])
@@ -382,7 +382,7 @@ def test_states_of_configuration_and_load_that_a_model_knows_are_those_within_th
     rng = np.random.default_rng(seed)
     count = 10
     q, wrench = rng.uniform(-1.0, 1.0, (count, 6)), rng.normal(0.0, 500.0, (count, 6))
-    data = SimpleNamespace(q=q, state_config=np.arange(count), loaded=np.arange(count), wrench=wrench)
+    data = SimpleNamespace(q=q, state_config=np.arange(count), loaded_states=np.arange(count), wrench=wrench)
     states, expected = [], np.zeros(count, dtype=bool)
     for n in range(count):
         turn, share = rng.choice([0.9e-4, 1.1e-4]), rng.choice([0.009, 0.011])

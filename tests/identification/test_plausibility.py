@@ -41,11 +41,11 @@ def moved(data, reading, by):
 def test_a_reading_far_from_its_repeats_and_one_at_a_wrong_distance_are_left_out_and_named():
     three, off = rigid(), np.array([0.5e-3, 0.0, 0.0])
     wrong = moved(three, 25, off)
-    cleaned, told = plausibility.without_gross_errors(wrong)
+    cleaned, told = plausibility.remove_gross_errors(wrong)
     assert np.flatnonzero(~cleaned.used).tolist() == [25]
     assert told == [f"{three.name(25)} is 0.50 mm from its repeats: left out"]
     once = rigid(repeats=1)  # no repeats: the distances to the other points show it
-    cleaned, told = plausibility.without_gross_errors(moved(once, 10, off))
+    cleaned, told = plausibility.remove_gross_errors(moved(once, 10, off))
     assert np.flatnonzero(~cleaned.used).tolist() == [10]
     assert len(told) == 1
     assert told[0].startswith(f"{once.name(10)} is 0.")
@@ -54,7 +54,7 @@ def test_a_reading_far_from_its_repeats_and_one_at_a_wrong_distance_are_left_out
     both = wrong
     for reading in (13, 17, 21):
         both = moved(both, reading, off)
-    cleaned, told = plausibility.without_gross_errors(both)
+    cleaned, told = plausibility.remove_gross_errors(both)
     assert np.flatnonzero(~cleaned.used).tolist() == [13, 17, 21, 25]
     assert ["repeats" in line for line in told] == [True, False, False, False]
 
@@ -73,9 +73,9 @@ def test_half_of_the_repeats_are_not_left_out_since_none_of_them_is_the_usual_on
     """Two of four to either side of the others, and one of three, which is left out."""
     four, off = rigid(repeats=4, points=2), np.array([0.5e-3, 0.0, 0.0])
     rows = np.flatnonzero((four.state == 2) & (four.point == 1))
-    _, told = plausibility.without_gross_errors(moved(moved(four, rows[0], off), rows[3], -off))
+    _, told = plausibility.remove_gross_errors(moved(moved(four, rows[0], off), rows[3], -off))
     assert told == []
-    cleaned, _ = plausibility.without_gross_errors(moved(four, rows[0], off))
+    cleaned, _ = plausibility.remove_gross_errors(moved(four, rows[0], off))
     assert np.flatnonzero(~cleaned.used).tolist() == [rows[0]]
 
 
@@ -84,7 +84,7 @@ def test_a_reading_is_gross_from_nine_standard_deviations_on(factor, count):
     off = factor * 9.0 * SIGMA * np.array([0.0, 0.6, 0.8])
     data = rigid(seed=3)
     data = replace(data, position=data.position - 0.9 * (data.position - data.means()[0][data.state, data.point]))
-    _, told = plausibility.without_gross_errors(moved(data, 31, off))
+    _, told = plausibility.remove_gross_errors(moved(data, 31, off))
     assert len([line for line in told if "repeats" in line]) == count
 
 
@@ -123,7 +123,7 @@ def test_the_reading_that_a_fit_contradicts_is_named_loaded_or_not(experiment, p
     data = loaded(experiment, change, "off")
     placement = locate(harness.PRIOR, data)
     fit = procedure._joints(harness.PRIOR, data, placement).fit
-    cleaned, told = plausibility.without_worst_residual(data, placement, fit)
+    cleaned, told = plausibility.remove_worst_residual(data, placement, fit)
     assert [line.split(" is ")[0].partition(": ")[2] for line in told] == expected
     assert [data.name(int(row)).partition(": ")[2] for row in np.flatnonzero(~cleaned.used)] == expected
 
@@ -175,7 +175,7 @@ def test_some_configurations_are_what_a_file_of_them_alone_gives(experiment):
     _, q, f, raw, place = experiment
     whole, rows = loaded(experiment, lambda _: None, "whole"), np.array([1, 4, 7])
     few = harness.load(simulator.write(place / "few", q[rows], f[rows], raw[rows], SIGMA))
-    found = whole.only(rows)
+    found = whole.take_configurations(rows)
     for name in Measurements.__struct_fields__:
         if name not in ("file", "config", "line"):
             np.testing.assert_array_equal(getattr(found, name), getattr(few, name), err_msg=name)
@@ -212,7 +212,7 @@ def test_a_fit_without_a_gross_residual_leaves_out_nothing(experiment):
     data = loaded(experiment, lambda raw: None, "clean")
     placement = locate(harness.PRIOR, data)
     fit = procedure._joints(harness.PRIOR, data, placement).fit
-    cleaned, lines = plausibility.without_worst_residual(data, placement, fit)
+    cleaned, lines = plausibility.remove_worst_residual(data, placement, fit)
     assert cleaned is data
     assert lines == []
 

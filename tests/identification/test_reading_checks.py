@@ -252,7 +252,7 @@ def test_a_folder_has_what_is_usual_from_its_number_on(count, loads, points):
     if loads == 2:
         data = twice_loaded(data, parallel=True)
     enough = count == 30
-    found = dataset._of_readings(data)
+    found = dataset._reading_findings(data)
     assert [finding.has for finding in found] == [True, enough, enough, False, enough, True, True]
     assert found[2].text.startswith(f"loads of {'200' if loads == 2 else '400'} to 400 N on {loads} levels")
 
@@ -285,7 +285,7 @@ def test_a_stated_error_of_the_loads_is_a_share_and_one_per_cent_if_it_is_not_st
     assert (setup.payload, setup.rig, setup.tracker, setup.boxes, setup.meshes) == (None, None, None, [], [])
     payload = files.Payload(30.0)  # on the flange where its place is not stated
     assert (payload.X, payload.Y, payload.Z) == (0.0, 0.0, 0.0)
-    assert setup.angles.of_robot(np.array([[1.0, 2, 3, 4, 5, 6]])).tolist() == [[1, 2, 3, 4, 5, 6]]
+    assert setup.angles.to_robot(np.array([[1.0, 2, 3, 4, 5, 6]])).tolist() == [[1, 2, 3, 4, 5, 6]]
     assert (setup.floor.Z, setup.load_point_sigma_mm) == (0.0, 0.0)
     assert len(setup.assumptions) == (percent == "")
     np.testing.assert_allclose(setup.load_point.position(), [1e-3, 2e-3, 0.3])

@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from postproc import robot
 from postproc.errors import MeasurementError
 from postproc.identification import dataset
-from postproc.identification.procedure import checked, identify
+from postproc.identification.procedure import check_readings, identify
 from postproc.identification.readings import read, read_experiment
 from samples.paper_study import harness, simulator
 from tests.commands import invoke
@@ -77,9 +77,9 @@ def test_displacements_with_a_parallelogram_that_is_not_declared_say_what_to_che
 
     head = 'readings = "displacements"\n'
     declared = changed(folder, tmp_path, row, f"{head}angles = {{ A3_per_J2 = -1 }}\n")
-    assert checked(harness.PRIOR, declared)[2] == []
+    assert check_readings(harness.PRIOR, declared)[2] == []
     with pytest.raises(MeasurementError, match=r"Check \[angles\] too: sign, offset_deg and A3_per_J2"):
-        checked(harness.PRIOR, changed(folder, tmp_path, row, head))
+        check_readings(harness.PRIOR, changed(folder, tmp_path, row, head))
 
 
 def test_angles_of_a_controller_with_a_parallelogram_are_read(measured, tmp_path):
@@ -141,9 +141,9 @@ def test_forces_are_compared_at_the_points_that_were_read(tmp_path):
 
     (tmp_path / "trial").mkdir()
     data = changed(tmp_path, tmp_path / "trial", row)
-    assert not [note for note in checked(harness.PRIOR, data)[3] if "as far as" in note]
+    assert not [note for note in check_readings(harness.PRIOR, data)[3] if "as far as" in note]
     data = changed(tmp_path, tmp_path / "trial", lambda cells: row(cells, force=0.4))
-    assert [note for note in checked(harness.PRIOR, data)[3] if "as far as" in note]
+    assert [note for note in check_readings(harness.PRIOR, data)[3] if "as far as" in note]
 
 
 def published(measured, folder):
@@ -169,16 +169,16 @@ def test_a_folder_to_publish_says_what_it_has_and_lacks(measured, tmp_path):
 def test_each_statement_on_readings_is_one_that_a_folder_has_or_lacks():
     """Numbers of the readings by hand: one point, 14 configurations, one load, three repeats."""
     torque = np.array([100.0, 2000.0, 900.0, 41.0, 300.0, 39.0])
-    found = dataset._of_torques(torque)
+    found = dataset._torque_finding(torque)
     assert found.text == "torques up to 100, 2000, 900, 41, 300, 39 N·m on A1 … A6: A6 hardly loaded"
     assert not found.has
-    found = dataset._of_torques(np.maximum(torque, 41.0))
+    found = dataset._torque_finding(np.maximum(torque, 41.0))
     assert (found.text, found.has) == ("torques up to 100, 2000, 900, 41, 300, 41 N·m on A1 … A6", True)
 
 
 def test_what_readings_have_is_counted(measured, tmp_path):
     data = changed(measured[0], tmp_path, lambda cells: cells)
-    found = {finding.text: finding.has for finding in dataset._of_readings(data)}
+    found = {finding.text: finding.has for finding in dataset._reading_findings(data)}
     force = np.linalg.norm(data.wrench[data.load > 0.0, :3], axis=1)
     assert list(found.values()) == [True, False, False, True, False, True, True]
     texts = list(found)
@@ -195,7 +195,7 @@ def test_what_readings_have_is_counted(measured, tmp_path):
         return [*cells[:16], "0.1", "0.2", "0.3"] if cells[2] != "3" else None
 
     data = changed(measured[0], tmp_path, row, 'readings = "displacements"\n')
-    found = dataset._of_readings(data)
+    found = dataset._reading_findings(data)
     assert [finding.has for finding in found] == [True, False, False, False, False, False, True]
     assert "readings of displacements" in found[0].text
     assert "2 repeats; 3 show the noise" in found[3].text
@@ -275,6 +275,6 @@ def test_the_robot_of_a_folder_may_be_in_the_folder(measured, tmp_path):
 def test_errors_of_load_and_load_point_are_stated_or_not(measured, stated, point):
     setup = read_experiment(measured[0] / "experiment.toml")
     setup = replace(setup, load_error_percent=stated, load_point_sigma_mm=point)
-    load, spot = dataset._of_setup(setup)
+    load, spot = dataset._setup_findings(setup)
     assert (load.has, spot.has) == (stated is not None, point > 0.0)
     assert (load.text[:18], spot.text[:19]) == ("load_error_percent", "load_point_sigma_mm")

@@ -1,7 +1,6 @@
 """Inputs that cannot be used and fits that go astray: what is said, and what is done instead."""
 
 import json
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -74,7 +73,7 @@ def test_a_folder_that_is_not_there_is_named(tmp_path):
 
 def test_doubts_of_readings_are_listed_as_faults_of_a_folder(monkeypatch):
     data = readings(forces(3), count=3)
-    monkeypatch.setattr(dataset, "checked", lambda *_: (None, None, ["line 7"], ["all points move", "gap"]))
+    monkeypatch.setattr(dataset, "check_readings", lambda *_: (None, None, ["line 7"], ["all points move", "gap"]))
     monkeypatch.setattr(dataset, "gaps", lambda _: ["gap"])
     found = dataset._agreement(harness.PRIOR, data)
     assert [(finding.text, finding.has) for finding in found] == [
@@ -91,7 +90,7 @@ def stub_of(residual_of, slope_of):
         value, slope = residual_of(x), slope_of(x)
         if not np.isfinite(value):
             raise NotConvergedError("no equilibrium", np.array([0]))
-        moved = np.zeros((len(data.loaded), len(data.points), 3))
+        moved = np.zeros((len(data.loaded_states), len(data.points), 3))
         moved[..., 0] = value
         slopes = np.zeros((*moved.shape, 1))
         slopes[..., 0, 0] = slope
@@ -274,4 +273,4 @@ def test_the_verdict_of_jobs_names_shares_and_what_to_measure():
     none = verdict(0.0)
     assert none.line.startswith("IT IS NOT KNOWN whether the model holds for job0: the readings cover none of it.")
     assert not none.holds
-    assert SimpleNamespace(held=both.held).held
+    assert both.is_held

@@ -24,7 +24,7 @@ def test_report_shows_every_configuration_and_parameter_and_loads_nothing(tmp_pa
     for row in done.data.residual.per_configuration:
         assert f"{row.config:g} {row.before_mm:.3f} {row.after_mm:.4f}" in read.text("configurations")
     for name, entry in done.data.parameters.items():
-        parameter = parameters.named(name)
+        parameter = parameters.parameter_of_name(name)
         assert (name if parameter is None else parameter.title) in read.text("parameters")
         if entry.ci95 is not None and entry.ci95 > 0.5 * abs(entry.value):
             word = "only together with others" if entry.ci95 > abs(entry.value) else "barely known"

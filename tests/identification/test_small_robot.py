@@ -7,7 +7,7 @@ import pytest
 
 from postproc import elastostatics, robot
 from postproc.identification.measurement_model import Structure
-from postproc.robot.parameters import named
+from postproc.robot.parameters import parameter_of_name
 from samples.paper_study import harness, simulator
 from tests.commands import invoke
 
@@ -44,8 +44,8 @@ def test_small_robot_is_identified_and_predicts_milling(tmp_path, seed):
 def test_fading_part_below_10_Nm_survives_the_model_folder(tmp_path):
     """A torque with a decimal point stands in the name of the parameter: k6@6.6 is no spring of a link `k6@6`."""
     prior = robot.load(robot.find("kuka_kr16_2"))
-    part = named("k6@6.6")
-    structure = Structure((named("k6"), part, named("A6.RX")), prior)
+    part = parameter_of_name("k6@6.6")
+    structure = Structure((parameter_of_name("k6"), part, parameter_of_name("A6.RX")), prior)
     found = structure.robot(np.array([10e-6, 4e-6, 1e-6]))
     assert found.link_springs == (robot.LinkSpring("A6", "RX"),)
     assert found.terms == ((robot.FadingPart("A6", 6.6), 4e-6),)

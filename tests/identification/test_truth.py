@@ -103,7 +103,7 @@ def test_a_pose_in_which_links_deflect_more_than_joints_is_no_other_force(tmp_pa
     data = harness.load(tmp_path)
     placement = check_frames(harness.PRIOR, data)
     check_loads(harness.PRIOR, data, placement)
-    one = np.arange(len(data.wrench))[:, None] == data.loaded[-1]
+    one = np.arange(len(data.wrench))[:, None] == data.loaded_states[-1]
     with pytest.raises(MeasurementError, match="displacement and force do not belong together"):
         check_loads(harness.PRIOR, replace(data, wrench=np.where(one, data.wrench / 9.81, data.wrench)), placement)
 
@@ -158,7 +158,7 @@ def test_a_compensator_that_readings_show_is_kept_though_its_value_is_uncertain(
     truth.experiment(row("the model fits: joint springs"), 3, tmp_path)
     result = identify(harness.PRIOR, harness.load(tmp_path))
     assert result.choice is None, "with the prior's spring of the compensator joint springs would not suffice"
-    assert result.fit.given[robot.CompensatorStiffness()] > 10.0 * harness.PRIOR.compensator.stiffness
+    assert result.fit.parameter_values[robot.CompensatorStiffness()] > 10.0 * harness.PRIOR.compensator.stiffness
     assert not result.missing
 
 
@@ -278,11 +278,11 @@ def test_a_program_is_told_of_torques_beyond_those_measured_and_of_a_model_not_t
     covered = torque * np.array([1.0, 1.0, 1.0, 0.5, 1.0, 1.0])
     for measured, expected in ((torque, []), (covered, ["beyond-measured-A4"])):
         model = replace(harness.PRIOR, measured=robot.Measured(measured, "the set-up moved"))
-        issues = list(checks.beyond_measured(program, model, motion, q, harness.TOOL, wrench))
+        issues = list(checks.torque_warnings(program, model, motion, q, harness.TOOL, wrench))
         assert [issue.kind for issue in issues] == expected
     verdict = summary(replace(fabricated.result(), robot=model), 1e-5).verdict
     assert verdict.reasons[0] == "the robot model is not to be trusted: the set-up moved"
-    assert not list(checks.beyond_measured(program, harness.PRIOR, motion, q, harness.TOOL, wrench))
+    assert not list(checks.torque_warnings(program, harness.PRIOR, motion, q, harness.TOOL, wrench))
 
 
 def test_the_folder_holds_the_springs_of_the_fit_also_where_a_joint_is_held_by_its_prior(tmp_path):

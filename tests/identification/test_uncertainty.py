@@ -6,7 +6,7 @@ from msgspec.structs import replace
 
 from postproc import elastostatics, robot
 from postproc.identification.procedure import identify
-from postproc.identification.uncertainty import discrepancy, left_out_of, levels, noise_of, unmodelled
+from postproc.identification.uncertainty import discrepancy, left_out_of, levels, noise_of, unmodelled_error
 from samples.paper_study import harness
 from tests.benchmarks import truth
 from tests.identification.test_truth import JOB, row
@@ -44,13 +44,13 @@ def test_configurations_left_out_are_predicted_as_by_fits_without_them(tmp_path)
     truth.experiment(row("the model fits: joint springs"), 2, tmp_path)
     result = identify(harness.PRIOR, harness.load(tmp_path))
     left = left_out_of(result.fit, result.data)
-    fit, config = result.fit, np.repeat(result.data.state_config[result.data.loaded], 9)
+    fit, config = result.fit, np.repeat(result.data.state_config[result.data.loaded_states], 9)
     scale = np.linalg.norm(fit.design, axis=0)
     keep = config != 4
     values = np.linalg.lstsq(fit.design[keep] / scale, fit.target[keep], rcond=None)[0] / scale
     white = fit.target[~keep] - fit.design[~keep] @ values
     # one load, three repeats with and without it: σ²·(1/3 + 1/3)
-    own = left[result.data.state_config[result.data.loaded] == 4].ravel() / (result.data.sigma * np.sqrt(2 / 3))
+    own = left[result.data.state_config[result.data.loaded_states] == 4].ravel() / (result.data.sigma * np.sqrt(2 / 3))
     np.testing.assert_allclose(own, white, rtol=1e-4, atol=1e-5)
 
 
@@ -82,17 +82,17 @@ def test_unmodelled_error_is_found_though_some_configurations_are_open():
     blur = np.tile(0.03**2 * np.eye(3), (40, 1, 1))
     blur[:3] = np.eye(3)  # there the parameters are open: their errors say nothing
     error = np.einsum("nij,nj->ni", np.linalg.cholesky(blur + 0.04**2 * np.eye(3)), rng.normal(size=(40, 3)))
-    assert unmodelled(error, blur, 0.003) == pytest.approx(0.04 * 2.795, rel=0.2)
+    assert unmodelled_error(error, blur, 0.003) == pytest.approx(0.04 * 2.795, rel=0.2)
     noise = np.einsum("nij,nj->ni", np.linalg.cholesky(blur), rng.normal(size=(40, 3)))
-    assert 0.0 < unmodelled(noise, blur, 0.003) < 0.05
+    assert 0.0 < unmodelled_error(noise, blur, 0.003) < 0.05
 
 
 def test_unmodelled_error_is_never_zero_is_wider_from_few_configurations_and_has_no_step():
     rng = np.random.default_rng(5)
     noise, blur = rng.normal(size=(200, 3)), np.tile(np.eye(3), (200, 1, 1))
-    few, many = (unmodelled(noise[:count], blur[:count], 0.2) for count in (6, 200))
+    few, many = (unmodelled_error(noise[:count], blur[:count], 0.2) for count in (6, 200))
     assert few > 1.5 * many > 0.0
-    found = [unmodelled(share * noise, blur, 0.2) for share in np.linspace(0.9, 1.4, 51)]
+    found = [unmodelled_error(share * noise, blur, 0.2) for share in np.linspace(0.9, 1.4, 51)]
     assert np.all(np.diff(found) > 0.0)
     assert np.max(np.diff(found)) < 0.06 * max(found)
 
@@ -102,7 +102,7 @@ def test_an_error_that_the_points_of_a_state_share_is_found_below_the_noise_of_o
     result = identify(harness.PRIOR, harness.load(tmp_path))
     data = replace(result.data, sigma=0.04e-3)
     rng, noise = np.random.default_rng(3), np.sqrt(noise_of(data)[0, 0] / 3.0)
-    states, points = len(data.loaded), len(data.points)
+    states, points = len(data.loaded_states), len(data.points)
     bounds = []
     for _ in range(20):
         left = 20e-6 * rng.normal(size=(states, 1, 3)) + noise * rng.normal(size=(states, points, 3))
@@ -128,4 +128,4 @@ def test_the_unmodelled_error_is_the_quantile_of_a_mixture_over_its_size(seed):
     chance = np.exp(likely - likely.max())
     drawn = rng.choice(size, 200_000, p=chance / chance.sum())
     length = drawn * np.linalg.norm(rng.normal(size=(len(drawn), 3)), axis=1)
-    assert unmodelled(error, blur, 1e-5, weight) == pytest.approx(np.quantile(length, 0.95), rel=0.03)
+    assert unmodelled_error(error, blur, 1e-5, weight) == pytest.approx(np.quantile(length, 0.95), rel=0.03)

@@ -89,7 +89,7 @@ def cuts(true, sign, rng, count=60):
 
 def test_a_job_that_turns_a_gear_over_is_not_assured_by_readings_that_never_do(one_sided):
     folder, true, result = one_sided
-    assert result.held, result.line
+    assert result.is_held, result.line
     assert result.covered.largest[_A4, 0] == 0.0
     model, rng = robot.load(folder / "model"), np.random.default_rng(5)
     kept, shares = {}, {}
@@ -175,7 +175,7 @@ def shares(covered, *torques):
 
 def test_a_sign_and_a_size_that_readings_had_are_covered_and_others_are_not():
     covered = coverage(*both_signs())
-    assert covered.covered.all()
+    assert covered.is_covered.all()
     assert covered.least == pytest.approx(0.2 * 0.5 * (1 + 2 * 2 / 9 / 2))  # the fifth smallest of 0.1 … 0.2, in pairs
     fits = np.array([50.0, -99.0, 0.0, 0.5, 20.0, -20.0])
     beyond = np.array([50.0, -101.0, 0.0, 0.5, 20.0, -20.0])
@@ -188,7 +188,7 @@ def test_a_sign_and_a_size_that_readings_had_are_covered_and_others_are_not():
     torque, config = both_signs()
     one_sided = coverage(np.where(np.arange(6) == 2, np.abs(torque), torque), config)
     wrong = np.array([50.0, 0.0, -2.0, 0.0, 0.0, 0.0])
-    assert not one_sided.covered[2, 0]
+    assert not one_sided.is_covered[2, 0]
     (found,) = shares(one_sided, wrong)
     assert (found.share, found.outside[0].reason) == (0.0, "negative torque on A3: no reading has it")
     assert shares(one_sided, -wrong * [-1, 1, 1, 1, 1, 1])[0].share == 1.0
@@ -227,7 +227,7 @@ def test_a_direction_in_which_the_readings_contradict_the_model_is_not_assured()
         left=ones * 1e-3, bound=ones, noise=ones * 1e-6, error_ratio=scaled, has_bound=True,
     )  # fmt: skip
     (level,) = validation._levels(found)
-    assert level.held
+    assert level.is_held
     covered = validation._coverage(torque, found)
     assert covered.refuted[0].tolist() == [True, False]
     (job,) = shares(covered, [-40.0, 50, 20, 20, 20, 20])

@@ -200,7 +200,7 @@ def test_why_a_compensator_is_not_observable(stiffness, half, free_length, level
     kind, preload = robot.CompensatorStiffness(), robot.CompensatorPreload()
     fit = SimpleNamespace(
         structure=SimpleNamespace(parameters=(kind, preload)), values=np.array([stiffness, stiffness * free_length]),
-        ci95=np.array([half, half]), given={kind: stiffness, preload: stiffness * free_length},
+        ci95=np.array([half, half]), parameter_values={kind: stiffness, preload: stiffness * free_length},
     )  # fmt: skip
     data = SimpleNamespace(q=np.outer(np.repeat(np.arange(levels), 4) * -0.4, np.eye(6)[1]))
     found = joint_springs._compensator(fit, data, 1.0, False)

@@ -47,7 +47,7 @@ def test_a_spring_that_no_reading_shows_is_named_with_joint_and_pose(data):
 def test_an_unmodelled_error_as_large_as_the_deflection_is_a_reservation_with_its_chance(data):
     found = over_workspace(model([2.0] * 6, off=2e-3), data)
     assert "the unmodelled error is 2.0" in found.reservation
-    least = min(level.chance for level in found.measured)
+    least = min(level.chance for level in found.measured_levels)
     assert f"a chance of {100 * least:.0f} % only" in found.reservation
     assert found.refusal == ""
 

@@ -137,7 +137,7 @@ def test_forces_by_operation(tmp_path):
         '[operations."contour 2"]\nFx = -110\nsigma_percent = 10\n[operations.N120]\nFy = 5\nframe = "BASE"\n'
         "[operations.T3]\nFz = 30\n"
     )
-    own = machining.by_operation(program, machining.load(tmp_path / "process.toml"))
+    own = machining.operation_knots(program, machining.load(tmp_path / "process.toml"))
     lines = program.motions.line[own.motion].tolist()
     assert lines == [6, 7, 10, 12]
     np.testing.assert_allclose(own.wrench[:, :3], [[-110, 0, 0], [-110, 0, 0], [0, 5, 0], [0, 0, 30]])
@@ -150,7 +150,7 @@ def test_a_comment_that_reads_like_a_tool_or_a_block_begins_neither(tmp_path):
     text = gcode("G0 X0 Y0 Z5", "(T3)", "G1 Z-3 F2400", "(N120)", "X30", "T3 M6", "G1 X40", "N120 X50")
     program = read(tmp_path, text)
     (tmp_path / "process.toml").write_text("[operations.T3]\nFz = 30\n[operations.N120]\nFy = 5\n")
-    own = machining.by_operation(program, machining.load(tmp_path / "process.toml"))
+    own = machining.operation_knots(program, machining.load(tmp_path / "process.toml"))
     ways = [text.splitlines()[line - 1] for line in program.motions.line[own.motion].tolist()]
     assert dict(zip(ways, own.wrench[:, 1:3].tolist(), strict=True)) == {"G1 X40": [0, 30], "N120 X50": [5, 0]}
 
@@ -161,10 +161,10 @@ def test_operations_and_subprograms(tmp_path):
     (tmp_path / "process.toml").write_text("[operations.rough]\nFx = -110\n")
     process = machining.load(tmp_path / "process.toml")
     whole = read(tmp_path, gcode(*one) + below)
-    assert machining.by_operation(whole, process).wrench[:, 0].tolist() == [-110.0] * 6
+    assert machining.operation_knots(whole, process).wrench[:, 0].tolist() == [-110.0] * 6
     (tmp_path / "process.toml").write_text("[operations.rough]\nFx = -110\n[operations.finish]\nFx = -20\n")
     two = read(tmp_path, gcode(*one[:4], "(finish)", *one[4:]) + below)
-    own = machining.by_operation(two, machining.load(tmp_path / "process.toml"))
+    own = machining.operation_knots(two, machining.load(tmp_path / "process.toml"))
     assert own.wrench[:, 0].tolist() == [-110.0] * 3 + [-20.0] * 3
 
 
@@ -179,7 +179,7 @@ def test_a_comment_before_a_tool_change_names_the_operation_after_it(tmp_path):
     program = read(tmp_path, text)
     table = '[operations."2D Adaptive1"]\nFx = -300\n[operations."2D Contour2"]\nFx = -20\n[operations.T2]\nFx = -7\n'
     (tmp_path / "process.toml").write_text(table)
-    own = machining.by_operation(program, machining.load(tmp_path / "process.toml"))
+    own = machining.operation_knots(program, machining.load(tmp_path / "process.toml"))
     assert dict(zip(program.motions.line[own.motion].tolist(), own.wrench[:, 0].tolist(), strict=True)) == {
         8: -300.0, 10: -300.0, 16: -20.0, 17: -20.0, 20: -7.0,
     }  # fmt: skip
@@ -206,7 +206,7 @@ def driven(tmp_path):
     def of(name, lines, table):
         program = read(tmp_path, "\n".join((*lines, "")), name)
         (tmp_path / "process.toml").write_text(table)
-        own = machining.by_operation(program, machining.load(tmp_path / "process.toml"))
+        own = machining.operation_knots(program, machining.load(tmp_path / "process.toml"))
         return dict(zip(program.motions.line[own.motion].tolist(), own.wrench[:, 0].tolist(), strict=True)), own.issues
 
     return of
@@ -295,5 +295,5 @@ def test_an_operation_that_is_not_there(tmp_path):
     program = read(tmp_path, gcode("(2D Pocket1)", *WAYS, "(Contour 2)", *WAYS))
     (tmp_path / "process.toml").write_text('[operations."2D pocket"]\nFx = -110\n')
     with pytest.raises(ForceError, match="no comment, tool or block") as caught:
-        machining.by_operation(program, machining.load(tmp_path / "process.toml"))
+        machining.operation_knots(program, machining.load(tmp_path / "process.toml"))
     assert "Did you mean '2D Pocket1'? Operations found: '2D Pocket1', 'Contour 2'." in str(caught.value)

@@ -42,7 +42,7 @@ def cell(tolerance, least=LEAST, unheld="program"):
 def convert(folder, program, given, material='name = "al_7075_t6_carbide"', more=""):
     (folder / "process.toml").write_text(process(tool(16, 3) + more, BOX, 1.0, material))
     source = process_forces.read(folder / "process.toml", given)
-    return process_forces.with_held_feed(program, ROBOT, given, source, linearize_arcs=False, to=None)
+    return process_forces.convert_with_held_feed(program, ROBOT, given, source, linearize_arcs=False, to=None)
 
 
 def expected(result):
@@ -97,7 +97,7 @@ def test_with_blended_corners_no_feeds_that_hold_the_tolerance_are_faster(tmp_pa
     given = cell(0.6)
     held = convert(tmp_path, read(tmp_path, text(), cell=given), given, KIENZLE).held_feed
     source = process_forces.read(tmp_path / "process.toml", given)
-    cuts = np.flatnonzero(held.lowered)
+    cuts = np.flatnonzero(held.is_lowered)
     length, found = held.length[cuts], held.feed[cuts] * 60e3
     assert len(cuts) == 5
 
@@ -126,10 +126,10 @@ def test_the_written_feeds_are_the_lowered_ones_and_hold_the_tolerance(tmp_path)
     given = cell(0.6)
     result = convert(tmp_path, read(tmp_path, text(), cell=given), given)
     held = result.held_feed
-    assert held.lowered.sum() == 5
-    assert not held.missed.any()
+    assert held.is_lowered.sum() == 5
+    assert not held.is_exceeded.any()
     assert (expected(result) <= 0.6).all()
-    cutting = np.flatnonzero(held.lowered)
+    cutting = np.flatnonzero(held.is_lowered)
     written = [float(value) for value in re.findall(r"^\$VEL\.CP=([\d.]+)", result.documents[0].text, re.MULTILINE)]
     np.testing.assert_allclose(written[1:-1] if written[0] > 0.03 else written, held.feed[cutting], atol=1e-9)
 
@@ -155,7 +155,7 @@ def test_a_move_that_no_feed_holds_keeps_its_feed_or_gets_the_least_and_is_named
     held = result.held_feed
     cutting = np.flatnonzero(np.isfinite(held.without_feed))
     assert len(cutting) == 5
-    assert held.missed[cutting].all()
+    assert held.is_exceeded[cutting].all()
     np.testing.assert_allclose(held.feed[cutting] * 60e3, PROGRAMMED if unheld == "program" else 900.0)
     lines = result.program.motions.line[cutting]
     summary = feed_summary(result)
@@ -220,7 +220,7 @@ def test_a_feed_below_the_least_stays_as_it_is(tmp_path):
     program = read(tmp_path, text(), cell=given)
     held = convert(tmp_path, program, given).held_feed
     np.testing.assert_array_equal(held.feed, program.motions.feed)
-    assert held.missed.any()
+    assert held.is_exceeded.any()
 
 
 def krl(folder, *lines):
@@ -248,7 +248,7 @@ def test_krl_keeps_its_text_and_gets_the_feeds_between_its_lines(tmp_path):
     result = convert(tmp_path, program, given, more=SPINDLE)
     assert not result.failed, result.issues
     held = result.held_feed
-    assert held.lowered.sum() == 5
+    assert held.is_lowered.sum() == 5
     lines = result.documents[0].text.splitlines()
     kept = [line for line in lines if not line.startswith(("LIN", "$VEL"))]
     assert kept == [line for line in program.documents[0].text.splitlines() if not line.startswith(("LIN", "$VEL"))]
@@ -282,7 +282,9 @@ def test_forces_by_operation_do_not_say_what_a_feed_changes(tmp_path):
     (tmp_path / "process.toml").write_text("[operations.T1]\nFx = 10.0\n")
     source = process_forces.read(tmp_path / "process.toml", CELL)
     with pytest.raises(PostprocError, match="without \\[material\\]"):
-        process_forces.with_held_feed(read(tmp_path, text()), ROBOT, cell(0.1), source, linearize_arcs=False, to=None)
+        process_forces.convert_with_held_feed(
+            read(tmp_path, text()), ROBOT, cell(0.1), source, linearize_arcs=False, to=None
+        )
 
 
 def test_times_by_operation_are_on_the_terminal_in_json_and_on_the_page(tmp_path):

@@ -35,12 +35,12 @@ def with_wear(sigma: float) -> float:
 
 @pytest.mark.parametrize("percent", [10.0, 33.0, 80.0])
 def test_published_values_get_the_deviation_of_the_alloy_and_of_wear(percent):
-    assert material._with_wear(percent / 100.0) == pytest.approx(with_wear(percent / 100.0), rel=2e-3)
+    assert material._spread_with_wear(percent / 100.0) == pytest.approx(with_wear(percent / 100.0), rel=2e-3)
 
 
 def test_without_a_deviation_of_the_alloy_wear_alone_counts():
     """95 % of growths from 0 to 25 % are within ±23.75 %."""
-    assert material._with_wear(0.0) == pytest.approx(0.2375 / norm.ppf(0.975), rel=0.02)
+    assert material._spread_with_wear(0.0) == pytest.approx(0.2375 / norm.ppf(0.975), rel=0.02)
 
 
 def test_a_material_of_the_table_is_in_si_units_with_its_deviation():

@@ -108,7 +108,7 @@ def test_sweeps_of_the_stock_are_shown_on_a_terminal(tmp_path, monkeypatch):
     (tmp_path / "process.toml").write_text(process(tool(16, 3), BOX, 1.0))
     settings = jobs.Settings(cell=SAMPLES / "cell_kr270.toml", mode="predict")
     found = jobs.find_jobs([str(tmp_path / "part.nc")], output=tmp_path / "out", forces=tmp_path / "process.toml")
-    (outcome,) = outcomes._with_progress(partial(jobs.convert_all, found, settings), 1)
+    (outcome,) = outcomes._show_progress(partial(jobs.convert_all, found, settings), 1)
     assert outcome.summary is not None
     ends = [row for row in shown if row[0] == row[1]]
     assert len(ends) >= 2

@@ -148,11 +148,11 @@ def test_the_coarse_stock_is_never_below_the_map_and_follows_it(tmp_path):
         text = gcode(*blocks[:count])
         part, left, _ = swept(tmp_path, text, []) if count > 2 else (None, None, None)
         own = Ceiling(left.stock)
-        level = over.ceiling[0].before(len(part.motions))
-        before = np.where(np.isfinite(own.before(0)), own.before(0), -np.inf)
+        level = over.ceiling[0].heights_before(len(part.motions))
+        before = np.where(np.isfinite(own.heights_before(0)), own.heights_before(0), -np.inf)
         assert (level >= before).all()
         assert (level == before).mean() > 0.9  # the front of a cut is removed with the next motion
-    assert over.compared.all() or (~over.compared).sum() <= 1
+    assert over.is_compared.all() or (~over.is_compared).sum() <= 1
     points, faces = over.mesh(0)
     base = program.bases[0]
     local = (points - base[:3, 3]) @ base[:3, :3] * 1e3

@@ -34,9 +34,9 @@ def test_a_tool_that_roughs_and_then_finishes_gets_finer_cells_in_the_finishing_
 
 def test_the_map_is_finer_in_the_thin_passes_only(tmp_path, monkeypatch):
     ranges = []
-    run = stocks.refined
+    run = stocks.refine
     monkeypatch.setattr(
-        stocks, "refined", lambda stock, factor: ranges.append((stock.cell, factor)) or run(stock, factor)
+        stocks, "refine", lambda stock, factor: ranges.append((stock.cell, factor)) or run(stock, factor)
     )
     cell = cell_of(tmp_path, *ROUGH, *FINISH)
     assert ranges == [(pytest.approx(0.25e-3), round(0.25e-3 / cell))]
@@ -73,7 +73,7 @@ def test_a_finer_map_has_the_volume_and_the_surface_of_the_grooves(tmp_path):
     stock = stocks.from_box(np.array([0.0, 0.0, -0.01]), np.array([0.02, 0.012, 0.0]), cell)
     begin = np.array([[-0.005, 0.0045, -1e-3], [-0.005, 0.0063, -1e-3]])
     stocks.remove(stock, Cutter(radius, radius, 2), begin, begin + np.array([0.03, 0.0, 0.0]))
-    fine = stocks.refined(stock, 3)
+    fine = stocks.refine(stock, 3)
     assert fine.cell == pytest.approx(cell / 3)
     assert fine.bounds == pytest.approx(stock.bounds)
     y = fine.y + fine.cell * (np.arange(fine.high.shape[0]) + 0.5)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from postproc.machining.cutting import engaged
+from postproc.machining.cutting import cut_edge
 from postproc.machining.material import CuttingLaw
-from postproc.machining.stock import Stock, tool_over
+from postproc.machining.stock import Stock, tool_levels
 from postproc.machining.tool import Cutter, Turn, edge
 
 LAW = CuttingLaw((800e6, 500e6, -300e6), (30e3, -20e3, 12e3), 0.0, 0.1, "linear")
@@ -122,7 +122,7 @@ def test_edge_in_material_is_that_by_loops_over_places_and_cells(cutter, parts, 
     y = rng.uniform(-0.012, 0.004, (count, places)).astype(np.float32)
     tip = rng.uniform(-4e-3, 2e-3, count).astype(np.float32)
     descent = np.where(np.arange(count) % 3, rng.uniform(1e-4, 1e-3, count), 0.0).astype(np.float32)
-    found = engaged(stock, turn, x, y, tip, descent)
+    found = cut_edge(stock, turn, x, y, tip, descent)
     length, moment = by_loops(stock, turn, x.astype(float), y.astype(float), tip.astype(float), descent.astype(float))
     # single precision; a millionth of a metre in material is taken for none
     np.testing.assert_allclose(found.length, length, rtol=2e-3, atol=3e-6)
@@ -138,7 +138,7 @@ def test_edge_in_material_is_that_by_loops_over_places_and_cells(cutter, parts, 
 def test_the_lowest_level_of_atool_over_a_cell_is_that_of_many_places_along_its_way(cutter, end):
     begin, end = np.array([[1.0, 2.0, 5e-3]]), np.array([[1.0, 2.0, 5e-3]]) + end
     px, py = np.meshgrid(np.linspace(-14e-3, 16e-3, 21), np.linspace(-13e-3, 15e-3, 19))
-    away, level = tool_over(cutter, begin, end, px[None].astype(np.float32), py[None].astype(np.float32))
+    away, level = tool_levels(cutter, begin, end, px[None].astype(np.float32), py[None].astype(np.float32))
     share = np.linspace(0.0, 1.0, 4001)[:, None, None]
     chord = end[0] - begin[0]
     distance = np.hypot(px - share * chord[0], py - share * chord[1])

@@ -114,12 +114,12 @@ def test_finer_cells_divide_a_set_up_from_their_first_motion_on_but_for_parts_wi
     motions = np.arange(12)
     first, second = Setup(np.eye(4), motions < 6), Setup(2 * np.eye(4), motions >= 6)
     cuts = np.array([0, 1, 1, 0, 0, 1, 0, 0, 0, 1, 1, 1], dtype=bool)
-    parts = setups.with_finer_cells([first, second], {3: 2, 8: 3, 10: 2}, cuts)
+    parts = setups.divide_by_cells([first, second], {3: 2, 8: 3, 10: 2}, cuts)
     assert [(np.flatnonzero(part.motions).tolist(), part.factor) for part in parts] == [
         ([0, 1, 2], 1), ([3, 4, 5], 2), ([6, 7, 8, 9], 3), ([10, 11], 3),
     ]  # fmt: skip
     assert [part.frame[0, 0] for part in parts] == [1.0, 1.0, 2.0, 2.0]
-    (whole,) = setups.with_finer_cells([first], {}, cuts)
+    (whole,) = setups.divide_by_cells([first], {}, cuts)
     assert (np.flatnonzero(whole.motions).tolist(), whole.factor) == ([0, 1, 2, 3, 4, 5], 1)
 
 

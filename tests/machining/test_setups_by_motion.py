@@ -126,7 +126,7 @@ def test_cells_of_a_motion_are_divided_by_the_largest_factor_up_to_it(seed):
                 factor = max([1, *(value for first, value in factors.items() if bounds[n] <= first <= first_cut)])
                 expected.append((n, list(range(begin, motion)), factor))
                 begin = motion
-    parts = setups.with_finer_cells(in_order, factors, cuts)
+    parts = setups.divide_by_cells(in_order, factors, cuts)
     found = [(int(part.frame[0, 0]), np.flatnonzero(part.motions).tolist(), part.factor) for part in parts]
     assert found == expected
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from postproc.machining.profiles import thinned
+from postproc.machining.profiles import thin_out
 
 
 def between(rows, kept, wrench):
@@ -30,7 +30,7 @@ def test_what_is_left_out_is_linear_between_what_is_kept(seed, scale):
         wrench.append(smooth * np.repeat(scale, 3) * (1.0 + 2.0 * (k % 2)))
         motion.append(np.full(n, 3 * k))
     wrench, motion = np.concatenate(wrench), np.concatenate(motion)
-    kept = thinned(motion, wrench)
+    kept = thin_out(motion, wrench)
     assert (np.diff(kept) > 0).all()
     assert len(kept) < len(motion)
     for k in np.unique(motion):
@@ -57,7 +57,7 @@ def test_the_knots_of_a_polygon_are_what_is_kept(column):
     values = np.array([0.0, 200.0, -150.0, 150.0, 0.0]) * (1.0 if column < 3 else 0.1)
     wrench = np.full((91, 6), 3.0)
     wrench[:, column] += np.interp(np.arange(91), knots, values)
-    assert thinned(np.full(91, 4), wrench).tolist() == knots.tolist()
+    assert thin_out(np.full(91, 4), wrench).tolist() == knots.tolist()
 
 
 @pytest.mark.parametrize(("column", "least", "large"), [(1, 1.0, 500.0), (5, 0.1, 60.0)])
@@ -68,11 +68,11 @@ def test_a_wrench_that_changes_by_less_than_the_tolerance_is_one_in_the_middle(c
             wrench = np.zeros((11, 6))
             wrench[:, column - 1] = size
             wrench[:, column] = np.linspace(0.0, share * change, 11)
-            kept = thinned(np.zeros(11, dtype=int), wrench)
+            kept = thin_out(np.zeros(11, dtype=int), wrench)
             assert kept.tolist() == ([5] if count == 1 else [0, 10])
 
 
 def test_nothing_and_one_station():
-    assert thinned(np.zeros(0, dtype=int), np.zeros((0, 6))).tolist() == []
-    assert thinned(np.array([3]), np.ones((1, 6))).tolist() == [0]
-    assert thinned(np.array([1, 2, 2, 5]), np.full((4, 6), 7.0)).tolist() == [0, 2, 3]
+    assert thin_out(np.zeros(0, dtype=int), np.zeros((0, 6))).tolist() == []
+    assert thin_out(np.array([3]), np.ones((1, 6))).tolist() == [0]
+    assert thin_out(np.array([1, 2, 2, 5]), np.full((4, 6), 7.0)).tolist() == [0, 2, 3]

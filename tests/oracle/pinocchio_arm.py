@@ -15,7 +15,7 @@ KINDS = {
 class Arm:
     """Joints in series and a flange.
 
-    `displaced`: joint or "flange" → (x, y, z [m], rotation vector [rad]); `springs`: (link, axis) in chain order;
+    `displace`: joint or "flange" → (x, y, z [m], rotation vector [rad]); `springs`: (link, axis) in chain order;
     `heavier`: factors of the masses of the six links.
     """
 

@@ -79,7 +79,7 @@ def test_a_run_is_divided_where_another_step_of_its_length_begins(seed):
             step, block = int(travelled / 0.010), block + 1
         expected.append(block)
         travelled += length[k]
-    assert turn_map._grouped(length, starts_run, 0.010).tolist() == expected
+    assert turn_map._block_of_motion(length, starts_run, 0.010).tolist() == expected
 
 
 def test_bins_divide_the_samples_of_a_block_evenly_and_state_their_share_of_its_path(path):
@@ -101,7 +101,7 @@ def test_the_turn_changes_in_proportion_to_the_path_of_each_block(path):
     knots = np.random.default_rng(2).uniform(-1.0, 1.0, len(blocks.length))
     at_motion = np.append(0.0, np.cumsum(LENGTHS))
     begins = np.where(blocks.begins, knots, np.append(knots[0], knots[:-1]))
-    of_motion, at_samples = blocks.turn_of_motions(samples, knots), turning._at_samples(samples, blocks, knots)
+    of_motion, at_samples = blocks.turn_of_motions(samples, knots), turning._sample_turns(samples, blocks, knots)
     for k in range(1, len(LENGTHS) + 1):
         block = int(np.searchsorted(blocks.motion, k))
         total = blocks.length[1 : block + 1].sum()

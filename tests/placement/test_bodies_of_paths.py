@@ -71,7 +71,7 @@ def test_pieces_end_at_breaks_at_other_tools_and_where_the_arm_does_not_reach(co
     motion = np.eye(4) if seed % 3 else None
     recorder = Recorder()
     monkeypatch.setattr(placed, "hits", recorder)
-    found = bodies.along(q, rows, breaks, shift, motion, between_samples=bool(seed % 2))
+    found = bodies.is_hit_along_path(q, rows, breaks, shift, motion, between_samples=bool(seed % 2))
     tool = samples.program.motions.tool[samples.sample.motion[rows]]
     expected_hits, pieces = np.zeros(14, dtype=bool), []
     for i in range(14):
@@ -108,11 +108,11 @@ def test_poses_are_compared_with_the_bodies_of_their_tool(compared, monkeypatch,
         def __init__(self, number):
             self.number = number
 
-        def with_base(self, motion):
+        def move_base(self, motion):
             assert motion[0, 3] == 7.0
             return self
 
-        def closer(self, frames, need):
+        def is_closer(self, frames, need):
             assert need == bodies.need
             np.testing.assert_allclose(
                 frames, placed.link_frames(bodies.chain, q[tool == self.number], shift[tool == self.number])
@@ -123,9 +123,9 @@ def test_poses_are_compared_with_the_bodies_of_their_tool(compared, monkeypatch,
     bodies.solids = {number: Solids(number) for number in (1, 2)}
     motion = np.eye(4)
     motion[0, 3] = 7.0
-    assert bodies.closer(q, rows, shift, motion) == (hit_tool is not None)
+    assert bodies.is_closer(q, rows, shift, motion) == (hit_tool is not None)
     assert calls == ([1] if hit_tool == 1 else [1, 2])
     only_first = np.flatnonzero(tool == 1)
     calls.clear()
-    assert bodies.closer(q[only_first], rows[only_first], shift[only_first], motion) == (hit_tool == 1)
+    assert bodies.is_closer(q[only_first], rows[only_first], shift[only_first], motion) == (hit_tool == 1)
     assert calls == [1]

@@ -49,8 +49,8 @@ def path():
 def test_the_price_of_a_line_has_the_rms_error_of_its_cuts_and_its_least_margin(path):
     samples, blocks, branch = path
     knots = np.random.default_rng(1).uniform(-0.4, 0.4, len(blocks.length))
-    error, margin = turning._on_line(samples, blocks, branch, Line(knots, 0.0))
-    single = SampleBySample(samples, branch, turning._at_samples(samples, blocks, knots))
+    error, margin = turning._error_and_margin(samples, blocks, branch, Line(knots, 0.0))
+    single = SampleBySample(samples, branch, turning._sample_turns(samples, blocks, knots))
     squares, count = 0.0, 0
     for first, end in zip(blocks.first, [*blocks.first[1:], len(samples)], strict=True):
         if single.is_cut(first):
@@ -77,21 +77,21 @@ def test_margins_are_kept_at_which_error_and_price_of_the_margin_are_least(seed,
     monkeypatch.setattr(turning, "_find", find)
     monkeypatch.setattr(
         turning,
-        "_on_line",
+        "_error_and_margin",
         lambda samples, blocks, branch, line: (errors[int(line.knots[0])], margins[int(line.knots[0])]),
     )
     totals = np.where(blocked, np.inf, errors + 5e-5 * np.exp(-np.degrees(margins) / 10.0))
     expected = keeps[int(totals.argmin())] if not blocked.all() else Keep()
-    assert turning._priced(None, SimpleNamespace(blocks=None), 0) == expected
+    assert turning._margins_of_least_cost(None, SimpleNamespace(blocks=None), 0) == expected
 
 
 def test_cells_next_to_a_line_with_collisions_are_closed_on_both_sides(path):
     samples, blocks, _ = path
     offset = turn_map.whole_circle(np.radians(30.0))
-    columns = turn_map._unfilled(blocks, np.zeros(len(samples)), offset, has_bodies=True)
+    columns = turn_map._empty_map(blocks, np.zeros(len(samples)), offset, has_bodies=True)
     columns.hit[2, 7] = True
     knots = np.radians(np.linspace(-200.0, 230.0, len(blocks.length)))
-    turn = np.degrees(turning._at_samples(samples, blocks, knots))
+    turn = np.degrees(turning._sample_turns(samples, blocks, knots))
     is_hit = np.arange(len(samples)) % 3 == 1
     expected = columns.hit.copy()
     for i in np.flatnonzero(is_hit):
@@ -99,7 +99,7 @@ def test_cells_next_to_a_line_with_collisions_are_closed_on_both_sides(path):
         for column in range(12):
             gap = (turn[i] - (30.0 * column - 180.0) + 180.0) % 360.0 - 180.0
             expected[row, column] |= abs(gap) < 30.0 - 1e-6
-    closed = turning._closed(samples, columns, Line(knots, 0.0), is_hit)
+    closed = turning._close_cells(samples, columns, Line(knots, 0.0), is_hit)
     np.testing.assert_array_equal(closed.hit, expected)
     assert columns.hit.sum() == 1
 
@@ -110,7 +110,7 @@ class Away:
     def __init__(self, *rows):
         self.rows, self.calls = list(rows), []
 
-    def along(self, q, rows, breaks):
+    def is_hit_along_path(self, q, rows, breaks):
         self.calls.append((q, rows))
         assert not breaks.any()
         return np.isin(np.arange(len(q)), self.rows)
@@ -120,9 +120,9 @@ def test_bodies_are_compared_along_every_sample_of_a_line_from_the_start(path):
     samples, blocks, branch = path
     knots = np.linspace(-0.2, 0.3, len(blocks.length))
     bodies = Away(0, 4)
-    is_hit = turning._struck(samples, blocks, branch, Line(knots, 0.0), bodies)
+    is_hit = turning._is_hit(samples, blocks, branch, Line(knots, 0.0), bodies)
     assert np.flatnonzero(is_hit).tolist() == [3]
-    single = SampleBySample(samples, branch, turning._at_samples(samples, blocks, knots))
+    single = SampleBySample(samples, branch, turning._sample_turns(samples, blocks, knots))
     ((q, rows),) = bodies.calls
     np.testing.assert_allclose(q, [samples.robot_in_cell.cell.start_joints, *single.q], atol=1e-9)
     assert rows.tolist() == [0, *range(len(samples))]
@@ -200,7 +200,7 @@ REASONS = ("free", "out of reach", "joint limit", "singular pose", "joint speed"
 
 def map_of_reasons(samples, blocks, reasons):
     """A map (K, 12) whose cells are refused for these reasons."""
-    made = turn_map._unfilled(blocks, np.zeros(len(samples)), turn_map.whole_circle(np.radians(30.0)), has_bodies=True)
+    made = turn_map._empty_map(blocks, np.zeros(len(samples)), turn_map.whole_circle(np.radians(30.0)), has_bodies=True)
     margin = drive.Margins(*(np.where(reasons == drive.REACH, np.nan, 1.0) for _ in range(4)))
     margin.joint[reasons == drive.LIMIT] = -1.0
     margin.wrist[reasons == drive.SINGULAR] = 0.0
@@ -224,7 +224,9 @@ def test_the_error_without_a_line_names_the_first_bin_that_is_closed_with_its_re
     rows = np.flatnonzero(blocks.block == block)
     if seed % 2:
         reasons[rng.choice(rows, 2)] = rng.integers(1, 5, 12)
-    issue = turning._why(samples, map_of_reasons(samples, blocks, reasons), Blocked(block), mode, branch, None)
+    issue = turning._blocked_error(
+        samples, map_of_reasons(samples, blocks, reasons), Blocked(block), mode, branch, None
+    )
     closed = [row for row in rows if reasons[row].all()]
     row = closed[0] if closed else rows[-1]
     counts = [(REASONS[k], 100.0 * np.count_nonzero(reasons[row] == k) / 12) for k in range(1, 6)]
@@ -250,7 +252,7 @@ def test_the_error_without_a_line_names_the_first_bin_that_is_closed_with_its_re
 def test_an_error_without_a_refused_turn_has_no_reasons(path, mode):
     samples, blocks, branch = path
     free = map_of_reasons(samples, blocks, np.zeros((len(blocks.first), 12)))
-    assert "(" not in turning._why(samples, free, Blocked(1), mode, branch, None).message
+    assert "(" not in turning._blocked_error(samples, free, Blocked(1), mode, branch, None).message
 
 
 def test_the_error_of_collisions_names_the_bodies_at_the_turn_where_they_are_farthest(path, monkeypatch):
@@ -277,7 +279,7 @@ def test_the_error_of_collisions_names_the_bodies_at_the_turn_where_they_are_far
         return SimpleNamespace(distance=distance, first=names, second=names + 1)
 
     bodies = SimpleNamespace(clearance=clearance, name=lambda row: f"body {row}", need=0.08)
-    issue = turning._why(samples, whole, Blocked(int(blocks.block[row])), "best", branch, bodies)
+    issue = turning._blocked_error(samples, whole, Blocked(int(blocks.block[row])), "best", branch, bodies)
     least = {n: min(distances(single.q[i]) for i in part) for n, single in singles.items()}
     farthest = max(least.values())
     name = round(farthest * 1e7)
@@ -299,7 +301,7 @@ def test_the_turn_of_the_cell_is_as_good_within_two_percent_where_it_can_be_driv
     samples, blocks, branch = path
     rng = np.random.default_rng(5)
     knots = rng.uniform(-1.0, 1.0, len(blocks.length))
-    at_line = turning._at_samples(samples, blocks, knots)
+    at_line = turning._sample_turns(samples, blocks, knots)
     best = rng.uniform(1e-4, 2e-4, len(blocks.first))
     is_cut = blocks.cuts[blocks.block]
     # the same sum of squares, times the gain, elsewhere along the path
@@ -314,7 +316,7 @@ def test_the_turn_of_the_cell_is_as_good_within_two_percent_where_it_can_be_driv
         return SimpleNamespace(error=error[:, None])
 
     offset = turn_map.whole_circle(np.radians(30.0)) + 2.0 * np.pi
-    whole = replace(turn_map._unfilled(blocks, np.zeros(len(samples)), offset, has_bodies=has_bodies))
+    whole = replace(turn_map._empty_map(blocks, np.zeros(len(samples)), offset, has_bodies=has_bodies))
     if has_bodies:
         whole.hit[1, 6] = True
     opened, struck = [], []
@@ -327,7 +329,7 @@ def test_the_turn_of_the_cell_is_as_good_within_two_percent_where_it_can_be_driv
         struck.append((line.knots.any(), bodies))
         return np.array([False, is_hit])
 
-    for name, function in (("_find", find), ("_struck", strike)):
+    for name, function in (("_find", find), ("_is_hit", strike)):
         monkeypatch.setattr(turning, name, function)
     monkeypatch.setattr(turn_map, "evaluate", evaluate)
     bodies = "bodies" if has_bodies else None
@@ -364,7 +366,7 @@ def test_lines_with_collisions_are_replaced_eight_times_at_most(monkeypatch, has
         closed.append(float(line.knots[0]))
         return whole
 
-    for name, function in (("_find", find), ("_refined", refined), ("_struck", strike), ("_closed", close)):
+    for name, function in (("_find", find), ("_refine_line", refined), ("_is_hit", strike), ("_close_cells", close)):
         monkeypatch.setattr(turning, name, function)
     whole = SimpleNamespace(blocks=None)
     line, after = turning._free_line(None, whole, 0, Keep(), "best", "bodies")
@@ -410,7 +412,7 @@ def test_cuts_that_tilt_the_tool_are_those_whose_axis_differs_at_both_ends():
     expected = [
         k > 0 and not motions.rapid[k] and np.linalg.norm(axes[k] - axes[k - 1]) > 1e-6 for k in range(len(motions))
     ]
-    assert turning._tilting(tilted_samples).tolist() == expected
+    assert turning._is_tilting(tilted_samples).tolist() == expected
     assert 0 < sum(expected) < len(expected) - 2
 
 
@@ -449,15 +451,17 @@ def test_the_turn_keeps_wide_margins_if_a_line_does_else_the_least_ones(
     asked_bodies = ("bodies", samples, 7.0) if has_bodies else None
     for name, function in (
         ("PathSamples", SimpleNamespace(of=lambda program, place, source: samples)), ("_free_line", free_line),
-        ("Blocks", SimpleNamespace(of=lambda paths: blocks)), ("_tilting", lambda paths: np.zeros(3, dtype=bool)),
-        ("Bodies", lambda paths, need: ("bodies", paths, need)), ("_priced", lambda paths, whole, branch: priced),
-        ("_today_is_as_good", lambda *parts: today_is_as_good), ("_said", lambda turn: "said"),
-        ("_why", lambda paths, whole, block, asked_mode, branch, bodies: (whole, block, asked_mode, branch, bodies)),
+        ("Blocks", SimpleNamespace(of=lambda paths: blocks)), ("_is_tilting", lambda paths: np.zeros(3, dtype=bool)),
+        ("Bodies", lambda paths, need: ("bodies", paths, need)),
+        ("_margins_of_least_cost", lambda paths, whole, branch: priced),
+        ("_today_is_as_good", lambda *parts: today_is_as_good), ("_turn_issue", lambda turn: "said"),
+        ("_blocked_error",
+         lambda paths, whole, block, asked_mode, branch, bodies: (whole, block, asked_mode, branch, bodies)),
     ):  # fmt: skip
         monkeypatch.setattr(turning, name, function)
     monkeypatch.setattr(turn_map, "evaluate", evaluate)
     monkeypatch.setattr(turn_map, "branch_of_start", lambda paths: 3)
-    turn, issues = turning.chosen(SimpleNamespace(swivel=None), SimpleNamespace(cell=own), "source", mode)
+    turn, issues = turning.choose_turn(SimpleNamespace(swivel=None), SimpleNamespace(cell=own), "source", mode)
     first_keep = Keep() if mode == "best" else priced
     expected = [("map 0", 3, first_keep, mode, asked_bodies)]
     if isinstance(wide, Blocked):
@@ -480,12 +484,12 @@ def test_the_turn_keeps_wide_margins_if_a_line_does_else_the_least_ones(
 def test_tilting_cuts_are_refused_along_the_path_alone(monkeypatch, path, mode, is_refused):
     samples, _, _ = path
     tilts = np.arange(6) == 4
-    monkeypatch.setattr(turning, "_tilting", lambda paths: tilts)
+    monkeypatch.setattr(turning, "_is_tilting", lambda paths: tilts)
     monkeypatch.setattr(turning, "_free_line", lambda *parts: (Blocked(0), None))
-    monkeypatch.setattr(turning, "_why", lambda *parts: "why")
-    monkeypatch.setattr(turning, "_priced", lambda *parts: Keep())
+    monkeypatch.setattr(turning, "_blocked_error", lambda *parts: "why")
+    monkeypatch.setattr(turning, "_margins_of_least_cost", lambda *parts: Keep())
     monkeypatch.setattr(turn_map, "evaluate", lambda *parts: None)
-    turn, (issue,) = turning.chosen(samples.program, samples.robot_in_cell, None, mode)
+    turn, (issue,) = turning.choose_turn(samples.program, samples.robot_in_cell, None, mode)
     assert turn is None
     assert (issue == "why") != is_refused
     assert not is_refused or (issue.kind, issue.source_line) == ("redundancy", samples.program.motions.line[4])
@@ -502,7 +506,7 @@ def test_a_program_is_turned_about_the_axis_of_its_tool_but_for_axis_targets(axi
     joints[2] = 0.1
     made = replace(samples.program, motions=replace(motions, joints=joints))
     turn = np.linspace(-1.0, 2.0, 6)
-    turned = turning.turned(made, axis, turn)
+    turned = turning.turn_program(made, axis, turn)
     for k in range(6):
         rotation = Rotation.from_rotvec(-turn[k] * np.array(direction, dtype=float)).as_matrix()
         expected = motions.target[k].copy()
@@ -518,7 +522,7 @@ def test_the_fine_map_lies_around_the_line_and_is_no_circle(monkeypatch, path, m
 
     def evaluate(paths, divided, number, base, offset, bodies):
         calls.append((number, bodies))
-        np.testing.assert_allclose(base, turning._at_samples(samples, blocks, knots))
+        np.testing.assert_allclose(base, turning._sample_turns(samples, blocks, knots))
         np.testing.assert_allclose(np.degrees(offset), np.arange(-6.0, 7.0), atol=1e-12)
         return "fine"
 
@@ -531,10 +535,10 @@ def test_the_fine_map_lies_around_the_line_and_is_no_circle(monkeypatch, path, m
     monkeypatch.setattr(turn_map, "evaluate", evaluate)
     monkeypatch.setattr(turn_map, "line_through", line_through)
     line = Line(knots, 0.0)
-    found = turning._refined(samples, blocks, branch, line, BARE, mode, "bodies")
+    found = turning._refine_line(samples, blocks, branch, line, BARE, mode, "bodies")
     assert found.knots[0] == 5.0
     assert calls == [(branch, "bodies"), (samples.robot_in_cell.robot, "fine", BARE, mode == "path", False)]
-    assert turning._refined(samples, blocks, branch, line, BARE, mode, "bodies") is None
+    assert turning._refine_line(samples, blocks, branch, line, BARE, mode, "bodies") is None
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -550,7 +554,7 @@ def test_branches_on_which_some_turn_is_free_at_each_sample_have_no_collision(mo
         def __init__(self, samples, need):
             assert need == 7.0
 
-        def along(self, path, rows, breaks, *, between_samples):
+        def is_hit_along_path(self, path, rows, breaks, *, between_samples):
             assert not between_samples
             assert breaks.all()
             assert rows.tolist() == list(range(20, 20 + count))

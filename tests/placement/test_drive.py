@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from postproc.frames import wrap_angles
 from postproc.kinematics.components import components
 from postproc.placement import drive
 from postproc.placement.drive import COLLISION, FREE, LIMIT, REACH, SINGULAR, SPEED, Keep, Margins
@@ -13,7 +14,7 @@ from tests.collision.setting import KR270, frame
 
 def test_angles_are_wrapped_to_half_a_turn():
     angles = np.radians([0.0, 179.0, 181.0, -181.0, 540.0 - 1.0, -350.0, 720.0])
-    np.testing.assert_allclose(np.degrees(drive.wrapped(angles)), [0, 179, -179, 179, 179, 10, 0], atol=1e-9)
+    np.testing.assert_allclose(np.degrees(wrap_angles(angles)), [0, 179, -179, 179, 179, 10, 0], atol=1e-9)
 
 
 def poses(count: int = 40) -> np.ndarray:
@@ -34,7 +35,7 @@ def test_solved_angles_reach_the_flange_within_half_a_turn_of_the_middle_of_the_
         for row in np.flatnonzero(good):
             np.testing.assert_allclose(frame(solved[:, row], 6), frame(q[row], 6), atol=1e-9)
         assert (np.abs(solved[:, good] - middle[:, None]) <= np.pi + 1e-12).all()
-        is_back |= (np.abs(drive.wrapped(solved - q.T)) < 1e-7).all(axis=0)
+        is_back |= (np.abs(wrap_angles(solved - q.T)) < 1e-7).all(axis=0)
     assert is_back.all()
 
 

@@ -58,7 +58,7 @@ class Touching:
     def __init__(self):
         self.rows = set()
 
-    def along(self, q, rows, breaks, *, between_samples):
+    def is_hit_along_path(self, q, rows, breaks, *, between_samples):
         assert not between_samples
         assert len(q) == len(rows) == len(breaks)
         self.rows |= set(rows.tolist())

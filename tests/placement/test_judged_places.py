@@ -249,11 +249,11 @@ class Touching:
     def __init__(self, at_poses=False, between=None):
         self.at_poses, self.between, self.calls = at_poses, between, []
 
-    def closer(self, q, rows, shift, base_motion):
+    def is_closer(self, q, rows, shift, base_motion):
         self.calls.append((q, rows, shift, base_motion))
         return self.at_poses
 
-    def along(self, q, rows, breaks, shift, base_motion):
+    def is_hit_along_path(self, q, rows, breaks, shift, base_motion):
         self.calls.append((q, rows, shift, base_motion))
         assert not breaks.any()
         hit = np.zeros(len(q), dtype=bool)

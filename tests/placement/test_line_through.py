@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from postproc.placement.drive import Keep, Margins, wrapped
+from postproc.placement.drive import Keep, Margins, wrap_angles
 from postproc.placement.turn_map import Blocked, Blocks, TurnMap, line_through, whole_circle
 from tests.kr270 import ROBOT
 
@@ -21,13 +21,13 @@ def made(seed, blocks=4, wide=2, closed=0.3):
     offset = whole_circle(STEP)
     q = np.zeros((*shape, 6))
     q[..., 1], q[..., 2], q[..., 4] = -1.2, 1.9, 0.9
-    q[..., 5] = wrapped(offset + rng.uniform(-0.2, 0.2, (blocks, 1)))
+    q[..., 5] = wrap_angles(offset + rng.uniform(-0.2, 0.2, (blocks, 1)))
     margin = np.where(rng.random(shape) < closed, -1.0, 1.0)
     far = np.full(shape, 1.0)
     error = rng.uniform(1e-4, 3e-4, shape)
     zero = np.zeros(shape)
     winding = np.zeros((*shape, 2, 3))
-    step = wrapped(np.diff(q[:, :1, 5], axis=0, prepend=q[:1, :1, 5]))
+    step = wrap_angles(np.diff(q[:, :1, 5], axis=0, prepend=q[:1, :1, 5]))
     winding[:, :, 1, 0] = step
     winding[:, :, 1, 1], winding[:, :, 1, 2] = np.minimum(step, 0.0), np.maximum(step, 0.0)
     first = np.arange(blocks)

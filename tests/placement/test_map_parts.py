@@ -129,12 +129,12 @@ def test_limits_of_the_hand_keep_the_margin_of_the_joints():
 @pytest.mark.parametrize(("mode", "words"), [("best", "by one angle for each operation"), ("path", "along the path")])
 def test_the_choice_is_told_with_its_range(mode, words):
     turn = turning.Turn(mode, small_map(), Keep(), 0.0, np.zeros(3), np.radians([-10.0, 20.4, 0.0]))
-    said = turning._said(turn)
+    said = turning._turn_issue(turn)
     assert (said.level, said.kind) == ("info", "redundancy")
     assert said.message.startswith(f"The tool is turned about its axis {words}, from -10° to 20°. ")
     assert said.message.endswith("the cell has no [collision].")
     checked = replace(turn, map=small_map(hit=np.zeros((5, 3), dtype=bool)), of_motion=np.full(3, 0.5))
-    assert turning._said(checked).message == "The tool is turned about its axis by 29° everywhere."
+    assert turning._turn_issue(checked).message == "The tool is turned about its axis by 29° everywhere."
 
 
 def test_the_price_of_a_way_is_that_of_the_columns_in_the_middle_of_its_bins():

@@ -159,4 +159,4 @@ def test_a_person_sets_whole_millimetres_and_degrees_within_the_region():
     np.testing.assert_array_equal(
         bounds.settable(np.array([99.6, 12.0, 7.25, -3.0, 0.0])), [99.4, 10.0, 7.25, 0.0, 0.0]
     )
-    np.testing.assert_array_equal(bounds.clipped(np.array([99.6, 3.6, 9.0, 2.4, 5.0])), [99.4, 3.6, 7.25, 2.4, 0.0])
+    np.testing.assert_array_equal(bounds.clip(np.array([99.6, 3.6, 9.0, 2.4, 5.0])), [99.4, 3.6, 7.25, 2.4, 0.0])

@@ -88,7 +88,7 @@ def test_a4_and_a6_start_with_the_whole_turn_that_leaves_the_most_room_along_the
     _, model = read(PART, own)
     q = np.radians(np.tile([[0.0], [-90.0], [100.0], [0.0], [80.0], [0.0]], 33))
     q[axis] = np.radians((np.linspace(first, last, 33) + 180.0) % 360.0 - 180.0)
-    found = np.degrees(turning._unwound(RobotInCell.of(model, own), q))
+    found = np.degrees(turning._unwind(RobotInCell.of(model, own), q))
     wanted = [0.0, -90.0, 100.0, 0.0, 80.0, 0.0]
     wanted[axis] = expected
     np.testing.assert_allclose(found, wanted, atol=1e-9)

@@ -36,7 +36,7 @@ def test_a_turn_of_all_motions_is_the_turn_that_the_cell_could_state(axes):
     plain = cell() if axes is None else replace(cell(), rotary=Rotary(axes=axes, kind="tcp"))
     stated = replace(plain, gcode=replace(plain.gcode, redundancy_deg=40.0))
     one, other = read(text, plain)[0], read(text, stated)[0]
-    turned = placement.turned(one, "+X", np.full(len(one.motions), np.radians(40.0)))
+    turned = placement.turn_program(one, "+X", np.full(len(one.motions), np.radians(40.0)))
     assert np.allclose(turned.motions.target, other.motions.target, atol=1e-12)
     if axes is not None:
         t, rows = np.full(len(one.motions), 0.4), np.arange(len(one.motions))
@@ -139,7 +139,7 @@ def test_the_best_line_is_within_two_percent_of_every_pair_of_turns():
     program, model = read(text, own)
     errors = []
     for begin, end in itertools.product(range(-60, 61, 30), repeat=2):
-        turned = placement.turned(program, "+X", np.radians([begin, begin, end]))
+        turned = placement.turn_program(program, "+X", np.radians([begin, begin, end]))
         result = correction.process(turned, model, own)
         if not result.failed and abs(end - begin) <= 170:
             errors.append(expected_rms(result, [4, 5]))
@@ -192,7 +192,7 @@ def with_bodies(own, *obstacles):
 def test_without_bodies_the_choice_says_that_no_collisions_are_checked():
     own = cell(base=(0.0, 0.0, 500.0))
     program, model = read(POCKETS, own)
-    free, said = placement.chosen(program, RobotInCell.of(model, own), None, "best")
+    free, said = placement.choose_turn(program, RobotInCell.of(model, own), None, "best")
     assert free.map.hit is None
     assert "Collisions do not count in this choice: the cell has no [collision]" in said[0].message
 
@@ -289,11 +289,11 @@ def test_a_cut_that_tilts_the_tool_without_rotary_axes_is_not_turned_on_the_way(
     target[2, :3, :3] = rotation_from_vector(np.array([[0.0, 0.2, 0.0]]))[0] @ target[2, :3, :3]
     tilted = replace(program, motions=replace(program.motions, target=Poses.of(target)))
     setting = RobotInCell.of(model, own)
-    turn, said = placement.chosen(tilted, setting, None, "path")
+    turn, said = placement.choose_turn(tilted, setting, None, "path")
     assert turn is None
     assert said[0].level == "error"
     assert said[0].source_line == 4
-    assert placement.chosen(tilted, setting, None, "best")[0] is not None
+    assert placement.choose_turn(tilted, setting, None, "best")[0] is not None
 
 
 def test_the_turns_that_are_tried_divide_the_circle():
@@ -337,5 +337,5 @@ def test_the_column_in_which_a_line_collides_is_closed_and_no_other(column):
     columns = replace(columns, hit=np.zeros(columns.u95.shape, dtype=bool))
     line = turn_map.Line(np.full(len(blocks.time), offset[column]), 0.0)
     is_hit = np.arange(len(samples)) == 5
-    closed = turning._closed(samples, columns, line, is_hit).hit
+    closed = turning._close_cells(samples, columns, line, is_hit).hit
     assert np.argwhere(closed).tolist() == [[np.searchsorted(blocks.first, 5, side="right") - 1, column]]

@@ -184,7 +184,7 @@ def test_an_input_is_never_overwritten(tmp_path):
 
 def test_a_rig_that_cannot_show_a_parameter_is_told_before_anyone_measures(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("postproc.plan.planning.by_number", lambda *_: ())  # the fixture has those
+    monkeypatch.setattr("postproc.plan.planning.criterion_by_number", lambda *_: ())  # the fixture has those
     monkeypatch.setattr("postproc.plan.planning.improve", functools.partial(briefly, rounds=1))
     result = run(tmp_path, "--poses", "tests.csv", *QUICK, text=BASIC + "\n[rig]\nmass_kg = 275\n")
     assert result.exit_code == 0, result.output

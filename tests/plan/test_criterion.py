@@ -90,7 +90,7 @@ def test_an_exchange_is_worth_what_the_changed_plan_is(readings):
     new = readings.information(*search.draw(site, 4, np.random.default_rng(9)))
     for grouped in (False, True):
         criterion = Criterion.of(setting.job(), readings, Joint2.of(setting.ROBOT, True), q2, grouped=grouped)
-        values = criterion.exchanged(criterion.total(information, level), information[7], new, int(level[7]))
+        values = criterion.exchange_values(criterion.total(information, level), information[7], new, int(level[7]))
         for one, value in zip(new, values, strict=True):
             changed = information.copy()
             changed[7] = one

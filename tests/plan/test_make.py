@@ -114,7 +114,7 @@ def test_the_search_never_gets_worse_and_ends_better_than_it_began(tmp_path):
 def test_the_share_done_rises_from_nothing_to_the_whole(tmp_path, monkeypatch):
     told = []
     monkeypatch.setattr(planning, "random_values", lambda *_: np.ones(1))
-    monkeypatch.setattr(planning, "by_number", lambda *_: ((count, 1.0, 1.0) for count in range(6)))
+    monkeypatch.setattr(planning, "criterion_by_number", lambda *_: ((count, 1.0, 1.0) for count in range(6)))
     options = Options(configurations=6, levels=2, starts=2, test_poses=4, rounds=2)
     plan_measurements(setting.site(tmp_path), setting.job(), options, progress=lambda *each: told.append(each))
     shares = np.array([share for _, share, _ in told])
@@ -261,7 +261,7 @@ def test_every_exchange_has_the_value_of_its_plan_and_improves_it(tmp_path):
     options = Options(configurations=7, levels=3)
     task = planning._problem(site, tests, setting.ROBOT.compliance, options, None).task
     rng = np.random.default_rng(2)
-    row, level = search.first_levels(task, rng, spread=False), task.group_of_each(rng)
+    row, level = search.first_levels(task, rng, spread=False), task.pose_levels(rng)
     pick = rng.integers(0, task.candidates.q.shape[1], task.count)
 
     def value(row, level, pick):

@@ -25,7 +25,7 @@ def task(tmp_path_factory):
 def start_of(task, seed=0):
     """Any plan of candidates, with its criterion by the code of the tests."""
     rng = np.random.default_rng(seed)
-    row, level = search.first_levels(task, rng, spread=True), task.group_of_each(rng)
+    row, level = search.first_levels(task, rng, spread=True), task.pose_levels(rng)
     pick = rng.integers(0, task.candidates.q.shape[1], task.count)
     at = row[level], pick
     plan = Plan(task.candidates.q[at], task.candidates.tilt[at], level, task.candidates.q2[row], 0.0)
@@ -104,7 +104,7 @@ def test_poses_go_to_the_level_where_they_help_most_if_levels_were_measured(tmp_
     task = planning._problem(site, TWO, setting.ROBOT.compliance, options, data).task
     assert (task.fixed, task.levels, task.count) == (2, 3, 4)
     rng = np.random.default_rng(5)
-    row, level = search.first_levels(task, rng, spread=False), task.group_of_each(rng)
+    row, level = search.first_levels(task, rng, spread=False), task.pose_levels(rng)
     pick = rng.integers(0, task.candidates.q.shape[1], task.count)
 
     def plan_of(row, level, pick):
@@ -175,9 +175,9 @@ def test_poses_count_by_joint_and_side():
     demand = Directions(np.array([[2, 1]] * 6), np.full((6, 2), 100.0), np.ones((6, 2)), np.ones((6, 2)))
     torque = np.array([[100.0, 99.0, -100.0, -99.0, 0.0, 500.0]])
     expected = [[False, True], [False, False], [True, False], [False, False], [False, False], [False, True]]
-    assert demand.counted(torque)[0].tolist() == expected
+    assert demand.loaded_sides(torque)[0].tolist() == expected
     count = np.array([[2, 1], [1, 1], [0, 5], [3, 0], [2, 2], [0, 0]])
-    assert demand.missing(count) == 0 + 1 + 2 + 1 + 0 + 3
+    assert demand.missing_count(count) == 0 + 1 + 2 + 1 + 0 + 3
 
 
 def test_steps_get_shorter_where_nothing_is_gained_until_they_are_a_degree_or_so(task, monkeypatch):

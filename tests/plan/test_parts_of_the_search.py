@@ -156,9 +156,9 @@ def test_levels_nearer_than_eight_degrees_are_taken_only_if_there_are_too_few_ot
 
 def test_groups_are_as_equal_as_can_be_and_at_random_where_levels_were_measured(site):
     task, _ = task_of(site, GRID, count=8)
-    assert task.group_of_each(np.random.default_rng(0)).tolist() == [0, 0, 0, 1, 1, 1, 2, 2]
+    assert task.pose_levels(np.random.default_rng(0)).tolist() == [0, 0, 0, 1, 1, 1, 2, 2]
     fixed, _ = task_of(site, GRID, count=600, fixed=2)
-    share = np.bincount(fixed.group_of_each(np.random.default_rng(0)), minlength=3) / 600
+    share = np.bincount(fixed.pose_levels(np.random.default_rng(0)), minlength=3) / 600
     np.testing.assert_allclose(share, 1 / 3, atol=0.08)
 
 
@@ -331,7 +331,7 @@ def test_torques_are_limited_by_the_urdf_only_if_it_states_all_of_them(tmp_path)
 
 
 def test_the_folded_arm_reaches_less_far_than_all_others_that_are_possible(site):
-    q = planning.folded(site)
+    q = planning.folded_pose(site)
     assert q[0] == 0.0
     ends = np.vstack([LOAD, MARKERS])
 
@@ -348,7 +348,7 @@ def test_the_folded_arm_reaches_less_far_than_all_others_that_are_possible(site)
     assert reach(q) < np.quantile([reach(angles) for angles in others], 0.02)
     # a joint that cannot turn to zero is turned as near to it as it can
     aside = replace(site, lower=np.where(np.arange(6) == 0, 0.5, site.lower))
-    assert planning.folded(aside)[0] == 0.5
+    assert planning.folded_pose(aside)[0] == 0.5
 
 
 def test_the_order_of_travel_counts_blocked_moves_and_the_seconds_of_the_others(site, monkeypatch):
@@ -378,7 +378,7 @@ def test_ways_round_go_by_the_start_by_folding_or_both(site, monkeypatch):
     """Only the moves named are free; poses of A1 in whole tens of degrees."""
     start, fold = np.radians([0.0, -90, 90, 0, 0, 0]), np.radians([0.0, -120, 140, 0, 0, 0])
     q = np.radians([[40.0, -60, 60, 0, 0, 0], [-70.0, -60, 60, 0, 0, 0]])
-    monkeypatch.setattr(planning, "folded", lambda _: fold)
+    monkeypatch.setattr(planning, "folded_pose", lambda _: fold)
     here = replace(site, start=start)
 
     def at(shape, angle):
@@ -447,7 +447,7 @@ def test_a_parameter_is_uncertain_from_half_its_value_on():
 
 def test_programs_count_alike_and_shares_of_the_work_add_up_to_one():
     long, short = setting.job(1, count=30), setting.job(2, count=10)
-    both = milling.joined([long, short])
+    both = milling.join([long, short])
     assert both.weight.sum() == pytest.approx(1.0)
     assert both.weight[:30].sum() == pytest.approx(0.5)
     assert len(both) == 40
@@ -612,8 +612,8 @@ def test_a_level_that_was_measured_stays_though_nothing_can_be_measured_there_no
     np.testing.assert_allclose(found.torque[1], readings.torque(found.q[1], pulls), rtol=1e-9, atol=1e-9)
     few = int(np.argmax([counts[q2] == 10 for q2 in found.q2]))
     np.testing.assert_array_equal(found.q[few, :10], found.q[few, 10:20])  # repeated
-    assert found.only((1, 3)).information.shape[2:] == (2, 2)
-    np.testing.assert_array_equal(found.only((1, 3)).information[..., 0, 1], found.information[..., 1, 3])
+    assert found.take_parameters((1, 3)).information.shape[2:] == (2, 2)
+    np.testing.assert_array_equal(found.take_parameters((1, 3)).information[..., 0, 1], found.information[..., 1, 3])
     assert len(found) == len(found.q2)
     counts.clear()
     counts.update(dict.fromkeys((7.0, 8.0), 0))  # so that the first level of the grid has too few

@@ -6,7 +6,7 @@ import trimesh
 
 from postproc.errors import PlanError
 from postproc.identification.readings import Box, MeshFile
-from postproc.plan.site import BoxShape, MeshShape, along, between_segments
+from postproc.plan.site import BoxShape, MeshShape, between_segments, points_on_segments
 
 
 def point_to_segment(p, a, b):
@@ -43,14 +43,14 @@ def test_distances_between_segments_are_those_of_their_ends_or_of_the_common_per
 def test_points_along_segments_are_evenly_spaced_close_enough_and_hold_both_ends():
     start, end = np.random.default_rng(3).uniform(-1, 1, (2, 7, 3))
     length = float(np.linalg.norm(end - start, axis=1).max())
-    points = along(start, end, length)
+    points = points_on_segments(start, end, length)
     np.testing.assert_allclose(points[:, 0], start, atol=1e-15)
     np.testing.assert_allclose(points[:, -1], end, atol=1e-15)
     steps = np.diff(points, axis=1)
     np.testing.assert_allclose(steps, np.broadcast_to(steps[:, :1], steps.shape), atol=1e-12)
     gap = float(np.linalg.norm(steps, axis=2).max())
     assert 0.02 < gap <= 0.04 + 1e-12  # less than the radii of the arm; not so fine that it costs much
-    assert along(start, start, 0.0).shape == (7, 2, 3)
+    assert points_on_segments(start, start, 0.0).shape == (7, 2, 3)
 
 
 def box(**values):

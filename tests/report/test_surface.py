@@ -170,7 +170,7 @@ def test_without_shapes_a_face_counts_only_where_a_tool_of_some_shape_can_touch_
     for name, corners in faces.items():
         assert (surface(result_of(points, [0, 0, -1e-5]), corners, None).row >= 0).mean() == (name in touched), name
     within = surface(result_of(points, [0, 0, -1e-5]), np.concatenate([faces["floor"], faces["top"]]), FLAT)
-    assert within.touched.sum() <= len(faces["floor"])  # no more than with the shape
+    assert within.is_touched.sum() <= len(faces["floor"])  # no more than with the shape
 
 
 def test_a_part_whose_program_has_two_bases_lies_in_its_own_frame():
@@ -248,7 +248,7 @@ def test_at_an_edge_the_surface_moves_by_no_more_than_the_tool():
     deviation = np.array([-4e-4, -3e-4, 0.0])
     shown = surface(result_of(points, deviation), _facets(vertices, faces), FLAT)
     normal_part = shown.normal @ deviation
-    middle = (np.abs(shown.normal[:, 0]) > 0.9) & (np.abs(shown.corners.mean(axis=1)[:, 1]) < 0.008) & shown.touched
+    middle = (np.abs(shown.normal[:, 0]) > 0.9) & (np.abs(shown.corners.mean(axis=1)[:, 1]) < 0.008) & shown.is_touched
     np.testing.assert_allclose(shown.before[middle], normal_part[middle], atol=MICRON)
     assert middle.sum() > 100
     assert np.nanmin(shown.before) == pytest.approx(-4e-4, abs=1.5e-4)

@@ -3,12 +3,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from postproc.report import of_many, of_one, summary
+from postproc.report import program_text, programs_table, summary
 from tests import fabricated
 
 
 def test_one_program_is_told_as_a_table_of_before_after_and_improvement():
-    assert of_one(summary(fabricated.result(), 1e-5)) == (
+    assert program_text(summary(fabricated.result(), 1e-5)) == (
         "part.nc  on kuka_kr270: 100 targets\n"
         "Look before you run it.\n"
         "  May it be driven? yes; not checked: collisions (the cell has no [collision]), moves through material (no "
@@ -33,7 +33,7 @@ def test_one_program_is_told_as_a_table_of_before_after_and_improvement():
 
 def test_a_prediction_has_one_column():
     content = summary(fabricated.with_changes(fabricated.result(mode="predict"), bound=np.full(100, 2e-4), issues=()))
-    text = of_one(content)
+    text = program_text(content)
     assert "predicted" in text
     assert "expected error on the part" not in text  # what is predicted is left on the part, and is not in the bound
     assert "uncertainty of the prediction (95 %): " in text + "".join(content.verdict.reasons)
@@ -44,16 +44,16 @@ def test_a_prediction_tells_of_the_places_between_targets():
     base = fabricated.result(10, mode="predict")
     t = base.t.copy()
     t[[2, 5]] = 0.5
-    text = of_one(summary(fabricated.with_changes(base, t=t)))
+    text = program_text(summary(fabricated.with_changes(base, t=t)))
     assert "10 places looked at, 2 of them between its targets" in text
     assert "anywhere on the path at most 1.5 mm" in text
 
 
 def test_what_is_left_by_rounding_alone_is_no_improvement():
     base = fabricated.result()
-    text = of_one(summary(fabricated.with_changes(base, after=np.full(100, 3e-13)), 1e-5))
+    text = program_text(summary(fabricated.with_changes(base, after=np.full(100, 3e-13)), 1e-5))
     assert text.count("to rounding") == 4
-    text = of_one(summary(fabricated.with_changes(base, before=base.before * 1e-5), 1e-5))
+    text = program_text(summary(fabricated.with_changes(base, before=base.before * 1e-5), 1e-5))
     assert "to rounding" not in text
     assert "  max             <0.0001  0.0002            -\n" in text
     assert "compensated" not in text
@@ -65,19 +65,19 @@ def test_where_there_was_nothing_to_correct_no_noise_is_printed(mode):
     result = fabricated.with_changes(
         fabricated.result(mode=mode), before=noise, after=noise * 0.9, between=1e-13, wrench=np.zeros((100, 6))
     )
-    text = of_one(summary(result, 1e-5))
+    text = program_text(summary(result, 1e-5))
     assert "Nothing to correct: no cutting move carries a force, the tool follows the programmed path." in text
     assert "improvement" not in text
     assert "compensated" not in text
 
 
 def test_an_exceeded_tolerance_is_said_aloud():
-    assert "tolerance 0.001 mm, EXCEEDED" in of_one(summary(fabricated.result(), 1e-6))
+    assert "tolerance 0.001 mm, EXCEEDED" in program_text(summary(fabricated.result(), 1e-6))
 
 
 def test_many_programs_are_a_table_with_failures_in_it():
     content = summary(fabricated.with_changes(fabricated.result(), bound=np.full(100, 2e-4)))
-    lines = of_many([("a/part.nc", content, "written"), ("b.nc", None, "FAILED")]).splitlines()
+    lines = programs_table([("a/part.nc", content, "written"), ("b.nc", None, "FAILED")]).splitlines()
     assert lines[0].split("  ")[0] == "program"
     assert lines[1].startswith("a/part.nc")
     assert lines[1].endswith("written")
@@ -98,7 +98,7 @@ def test_many_programs_are_a_table_with_failures_in_it():
 
 def test_in_the_table_a_program_without_forces_does_not_look_like_a_success():
     none = fabricated.with_changes(fabricated.result(), wrench=np.zeros((100, 6)), before=np.zeros(100))
-    text = of_many([("a.nc", summary(none, 1e-5), "written"), ("b.nc", summary(none, 1e-5), "written")])
+    text = programs_table([("a.nc", summary(none, 1e-5), "written"), ("b.nc", summary(none, 1e-5), "written")])
     assert text.count("no forces") == 3  # one in each row, and their number in the last
     assert "2 no forces" in text
     assert "to be looked at" not in text

@@ -7,7 +7,7 @@ from msgspec.structs import replace
 from postproc.correction import ExpectedErrors
 from postproc.errors import Issue
 from postproc.program import Document
-from postproc.report import of_one, page, summary
+from postproc.report import page, program_text, summary
 from postproc.report.answers import COLOURS, EXIT_CODES, Remedy
 from postproc.robot import Covariance, JointCompliance
 from tests import fabricated
@@ -144,7 +144,7 @@ def test_what_was_not_checked_is_said_by_name_and_does_not_make_it_amber():
     verdict = _verdict()
     assert (verdict.state, verdict.drive.unchecked) == ("ok", ["collisions", "moves through material"])
     assert _verdict(is_stock_known=True).drive.unchecked == ["collisions"]
-    assert "not checked: collisions (the cell has no [collision]), moves through material" in of_one(_content())
+    assert "not checked: collisions (the cell has no [collision]), moves through material" in program_text(_content())
 
 
 def test_a_warning_on_forces_is_no_reason_not_to_drive():
@@ -236,7 +236,7 @@ def test_rounding_of_corners_is_told_in_the_word_of_the_controller(written, word
     result = fabricated.with_changes(fabricated.result(), **changes)
     content = summary(result, 1e-5)
     limits = read_page(b"".join(page(result, 1e-5))).text("limits")
-    for text, times in ((of_one(content), 1), (limits, 1)):
+    for text, times in ((program_text(content), 1), (limits, 1)):
         assert text.count("rounds corners") == text.count(f"pproximation {word} rounds corners") == times
 
 

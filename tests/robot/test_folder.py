@@ -275,13 +275,13 @@ def test_numbers_beyond_what_a_value_can_be_are_refused(kind, key, least, larges
 
 
 def test_a_robot_is_found_by_name_and_by_path(tmp_path):
-    assert robot.find("kuka_kr270") == robot.shipped()["kuka_kr270"]
+    assert robot.find("kuka_kr270") == robot.shipped_models()["kuka_kr270"]
     (tmp_path / "models" / "mine").mkdir(parents=True)
     written(tmp_path / "models" / "mine", MODEL)
     assert robot.find("models\\mine", tmp_path) == tmp_path / "models" / "mine"
     with pytest.raises(ModelError, match=r"no robot 'kuka_kr27'\. Did you mean") as refused:
         robot.find("kuka_kr27", tmp_path)
-    assert str(refused.value).endswith(f"{', '.join(robot.shipped())}.")
+    assert str(refused.value).endswith(f"{', '.join(robot.shipped_models())}.")
     (tmp_path / "empty").mkdir()
     with pytest.raises(ModelError, match="no robot 'empty'"):
         robot.find("empty", tmp_path)

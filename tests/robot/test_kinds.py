@@ -116,7 +116,7 @@ def test_tables_of_all_kinds_are_read_back_as_they_were_written():
     tables = {"name": "all", "joints": {}, "links": {}, "masses": {"source": "test"}}
     tables["compensator"] = {"L_mm": 190.0, "a_x_mm": 600.0, "a_y_mm": 100.0, "source": "test"}
     for name, value in entries.items():
-        parameters.named(name).write(tables, value, 0.125, "reading")
+        parameters.parameter_of_name(name).write(tables, value, 0.125, "reading")
     assert tables["joints"]["A1"]["ci95"] == 0.125
     assert {tables[table]["A2"]["source"] for table in ("joints", "links")} == {"reading"}
     assert tables["compensator"]["source"] == "reading"
@@ -126,8 +126,8 @@ def test_tables_of_all_kinds_are_read_back_as_they_were_written():
         PoseWaveEntry((0, 1, -1, 0, 0, 0), 0.06, -0.02), PoseWaveEntry((0, 2, 0, 0, 0, 0), 0.05, 0.03),
         PoseWaveEntry((0, 3, 0, 0, 0, 0), 0.04, None),
     ]  # fmt: skip
-    stated = parameters.stated(content)
-    in_file = {parameter.name: parameter.in_file(stated)[0] for parameter in stated}
+    stated = parameters.stated_values(content)
+    in_file = {parameter.name: parameter.file_value(stated)[0] for parameter in stated}
     assert in_file == pytest.approx(entries, rel=1e-12)
 
 
@@ -141,21 +141,21 @@ def test_tables_of_all_kinds_are_read_back_as_they_were_written():
 )
 def test_a_value_that_a_fit_leaves_below_zero_is_written_as_zero(name, table, key):
     tables = {table: {}}
-    parameters.named(name).write(tables, -3.0, 0.0, "test")
+    parameters.parameter_of_name(name).write(tables, -3.0, 0.0, "test")
     assert tables[table][key] == 0.0
 
 
 def test_a_compensator_without_a_spring_has_no_free_length():
     for stiffness in (0.0, -1e-9):
         values = {robot.CompensatorStiffness(): stiffness, robot.CompensatorPreload(): 2e4}
-        assert robot.CompensatorPreload().in_file(values) == (0.0, {})
+        assert robot.CompensatorPreload().file_value(values) == (0.0, {})
 
 
 @pytest.mark.parametrize("name", ["k4", "k4@90", "k45", "A4.backlash@3", "K_c", "A2.X", "A2.mass"])
 def test_values_in_files_are_si_values_in_units_of_the_workshop(name):
-    parameter = parameters.named(name)
+    parameter = parameters.parameter_of_name(name)
     factor = {"K_c": 1.0, "A2.mass": 1.0}.get(name, 1e6)
-    assert parameter.in_file({parameter: 3e-6}) == (pytest.approx(3e-6 * factor), {parameter: factor})
+    assert parameter.file_value({parameter: 3e-6}) == (pytest.approx(3e-6 * factor), {parameter: factor})
 
 
 def test_partners_are_the_values_that_a_number_of_the_file_depends_on():

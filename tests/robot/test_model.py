@@ -101,24 +101,24 @@ def test_each_parameter_acts_at_its_own_coordinate(model):
         "k6": 10, "A6.X": 11, "A6.end_RZ": 12, "k5@9": 9, "k45": 8, "K_c": 3, "s_0": 3, "k3.cos(A1)": 6,
         "A1.mass": 2, "A2.mass": 4, "A3.mass": 7, "A4.mass": 8, "A6.mass": 11,
     }  # fmt: skip
-    assert {name: model.row(parameters.named(name)) for name in rows} == rows
+    assert {name: model.row(parameters.parameter_of_name(name)) for name in rows} == rows
     assert model.actuated == (2, 3, 6, 8, 9, 10)
     assert model.passive == (0, 1, 4, 5, 7, 11, 12)
-    assert model.pairs(parameters.named("k46")) == ((8, 10), (10, 8))
-    assert model.pairs(parameters.named("k4@9")) == ((8, 8),)
+    assert model.pairs(parameters.parameter_of_name("k46")) == ((8, 10), (10, 8))
+    assert model.pairs(parameters.parameter_of_name("k4@9")) == ((8, 8),)
 
 
 def test_a_parameter_that_the_robot_does_not_have_is_zero_and_has_no_coordinate():
     bare = assembled(compensator=None)
     for name in ("K_c", "s_0", "A2.RX"):
-        assert bare.value(parameters.named(name)) == 0.0
+        assert bare.value(parameters.parameter_of_name(name)) == 0.0
         with pytest.raises(ModelError, match=f"names '{name}', which the model does not have"):
-            bare.row(parameters.named(name))
-    assert bare.value(parameters.named("k1@500")) == 0.0
+            bare.row(parameters.parameter_of_name(name))
+    assert bare.value(parameters.parameter_of_name("k1@500")) == 0.0
 
 
 def test_values_that_are_set_are_read_back_and_all_others_stay(content, model):
-    stated = parameters.stated(content) | {robot.LinkMass(joint): None for joint in robot.JOINTS}
+    stated = parameters.stated_values(content) | {robot.LinkMass(joint): None for joint in robot.JOINTS}
     before = {parameter: model.value(parameter) for parameter in stated}
     for parameter in stated:
         changed = model.with_values({parameter: 1.25 * before[parameter]})
@@ -176,7 +176,7 @@ def test_other_masses_of_links_leave_the_payload_as_it_is():
 
 
 def test_a_kilogram_at_each_link_is_at_its_centre_and_at_the_coordinate_that_carries_it(model):
-    light = model.a_kilogram_each
+    light = model.unit_mass_chain
     carriers = [2, 4, 7, 8, 9, 11]  # behind the springs at the beginning of the link
     assert np.flatnonzero(light.mass).tolist() == carriers
     assert (light.mass[carriers] == 1.0).all()

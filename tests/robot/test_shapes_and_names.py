@@ -126,7 +126,7 @@ def test_corners_in_one_cell_become_their_mean_and_flat_and_equal_triangles_vani
 def test_surfaces_of_one_carrier_become_one_in_the_order_of_the_carriers():
     triangle = np.arange(9.0).reshape(3, 3)
     parts = [LinkShape(c, triangle + 10 * k, np.array([[0, 1, 2]])) for k, c in enumerate((3, -1, 3))]
-    base, link = shapes.joined(parts)
+    base, link = shapes.join_by_carrier(parts)
     assert (base.carrier, link.carrier) == (-1, 3)
     np.testing.assert_array_equal(base.points, triangle + 10)
     np.testing.assert_array_equal(link.points[link.faces], [triangle, triangle + 20])
@@ -134,7 +134,7 @@ def test_surfaces_of_one_carrier_become_one_in_the_order_of_the_carriers():
 
 def test_a_surface_is_moved_by_the_pose_of_its_frame():
     place = pose([1, 2, 3], [0.4, 0.5, 0.6])
-    moved = LinkShape(0, np.arange(9.0).reshape(3, 3), np.array([[0, 1, 2]])).moved(place)
+    moved = LinkShape(0, np.arange(9.0).reshape(3, 3), np.array([[0, 1, 2]])).transform(place)
     for point, expected in zip(moved.points, np.arange(9.0).reshape(3, 3), strict=True):
         np.testing.assert_allclose(point, place[:3, :3] @ expected + place[:3, 3], atol=1e-14)
 

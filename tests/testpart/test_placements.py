@@ -92,7 +92,7 @@ def test_the_model_predicts_the_surfaces_of_both_placements(folder):
         program = trial.postproc.read_program(folder / name, trial.ROBOT, own)
         where = surfaces(program, robot_in_cell, read.take(np.flatnonzero(read.base == number)), 5e-3)
         parts.append(Clamped(program, robot_in_cell, trial.ProcessSource(process, own.tool.axis), where))
-    given = Readings.of(read, Surfaces.joined([part.surfaces for part in parts]), trial.SIGMA)
+    given = Readings.of(read, Surfaces.join([part.surfaces for part in parts]), trial.SIGMA)
     prior = Prior.of(robot_in_cell.robot, 0.1)
     states = CutForces(parts)
     states(robot_in_cell.robot, 1.0)
@@ -104,7 +104,7 @@ def test_the_model_predicts_the_surfaces_of_both_placements(folder):
         here = read.base == number
         assert np.abs(read.deviation[here]).max() > 3e-4
         assert np.sqrt(np.mean(off[here] ** 2)) < 4e-6
-    added = given.by_part(np.zeros(len(read)))
+    added = given.part_covariance(np.zeros(len(read)))
     common = np.outer(given.surfaces.wall, given.surfaces.wall) * 5e-5**2  # the radius of the tool
     across = np.ix_(read.base == -1, read.base == 4)
     np.testing.assert_allclose(added[across], common[across], atol=1e-18)  # each placement has a position of its own

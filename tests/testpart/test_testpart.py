@@ -317,7 +317,7 @@ def test_a_factor_is_never_below_zero(folder, cut):
     prior = Prior.of(robot_in_cell.robot, 0.1)
     less = np.full(len(prior.parameters) + 1, 0.01)
     sure = msgspec.structs.replace(prior, covariance=prior.covariance * np.outer(less, less))
-    found, _ = fit(sure.widened(), given, robot_in_cell, states())
+    found, _ = fit(sure.widen(), given, robot_in_cell, states())
     off = msgspec.structs.replace(found, prior_error=-20.0 * found.prior_prediction)
     compared = agreement(off, sure)
     assert not compared.holds

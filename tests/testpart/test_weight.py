@@ -92,7 +92,7 @@ def test_the_weight_shows_changes_of_joint_2_that_cutting_hides(part):
 def test_the_position_of_the_part_does_not_move_the_gauge(part):
     read = probing.read(trial.probed(part, trial.truth(np.random.default_rng(1)), np.random.default_rng(1)))
     where = surfaces(only(part), part.robot_in_cell, read, 0.005)
-    added = Readings.of(read, where, trial.SIGMA).by_part(np.zeros(len(read)))
+    added = Readings.of(read, where, trial.SIGMA).part_covariance(np.zeros(len(read)))
     hung = read.mass > 0.0
     assert hung.sum() == 3
     assert not added[hung].any()

@@ -145,7 +145,7 @@ def identified(part, path):
 
 def fitted(part, path, prior, robot_in_cell, process):
     read, parts = probing.read(path), clamped(part, path, robot_in_cell.robot, process)
-    where = Surfaces.joined([each.surfaces for each in parts])
+    where = Surfaces.join([each.surfaces for each in parts])
     return fit(prior, Readings.of(read, where, SIGMA), robot_in_cell, CutForces(parts))
 
 
@@ -167,7 +167,7 @@ def compared(part, path, robot):
     )
     robot_in_cell, law = RobotInCell.of(robot, CELL), process.law()
     prior = Prior.of(robot_in_cell.robot, law.sigma, law.numbers)
-    return agreement(fitted(part, path, prior.widened(), robot_in_cell, process)[0], prior)
+    return agreement(fitted(part, path, prior.widen(), robot_in_cell, process)[0], prior)
 
 
 DRIFTS = ({}, {}, {"A1": 1.3}, {"A2": 1.3}, {"A3": 1.3}, dict.fromkeys(JOINTS, 1.3), dict.fromkeys(JOINTS, 0.77))

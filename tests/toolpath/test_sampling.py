@@ -262,7 +262,7 @@ def test_pieces_cut_joined_settled_and_made_finer(seed):
     assert (arcs.each * arcs.number >= arcs.samples - 1e-6).all()
     assert ((arcs.each == 2) | ((arcs.each - 2) * arcs.number < arcs.samples)).all()
     wanted = rng.integers(1, 6, len(arcs.motion))
-    settled = arcs.settled(wanted)
+    settled = arcs.with_enough_pieces(wanted)
     np.testing.assert_array_equal(settled.number, np.maximum(wanted, arcs.min_number))
     assert not settled.uncertain.any()
     parts = rng.integers(1, 5, len(arcs.motion))
@@ -279,7 +279,7 @@ def test_pieces_cut_joined_settled_and_made_finer(seed):
             row += 1
     assert row == len(cut.motion)
     mixed_up = rng.permutation(len(cut.motion))
-    back = type(cut).joined([cut.take(mixed_up[:5]), cut.take(mixed_up[5:9]), cut.take(mixed_up[9:])]).in_order()
+    back = type(cut).join([cut.take(mixed_up[:5]), cut.take(mixed_up[5:9]), cut.take(mixed_up[9:])]).sort()
     for name in Pieces.__struct_fields__:
         np.testing.assert_array_equal(getattr(back, name), getattr(cut, name))
 

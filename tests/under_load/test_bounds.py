@@ -53,7 +53,7 @@ def test_flat_arcs_of_large_radius_and_threads_are_fine() -> None:
 
 
 @pytest.mark.parametrize("zero_of_A5", [0.0, np.pi], ids=["outstretched", "folded back"])
-@pytest.mark.parametrize("name", sorted(robot.shipped()))
+@pytest.mark.parametrize("name", sorted(robot.shipped_models()))
 def test_no_pose_within_the_joint_limits_is_beyond_the_reach(name: str, zero_of_A5: float) -> None:
     model = jobs.load_robot(name)
     placement = model.nominal.placement.copy()

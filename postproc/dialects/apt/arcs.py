@@ -75,7 +75,7 @@ def turns_of(count: float | str) -> int:
     return int(count)
 
 
-def radius_from(numbers: Array, place: Array) -> float:
+def axis_distance(numbers: Array, place: Array) -> float:
     """Return the distance of a place (3,) from the axis of an arc, in its unit; (6,): centre and direction."""
     axis = numbers[3:6] / np.maximum(norm(numbers[3:6]), UNIT_LENGTH)
     return float(norm(np.cross(place - numbers[:3], axis)))

@@ -82,7 +82,7 @@ class CycleWords(Struct, frozen=True):
     keeps_height: bool
 
     def cycle(self, unit: float, feed: float) -> Cycle:
-        """Return the cycle.
+        """Return the cycle of these words; lengths in mm.
 
         :param unit: length of a unit of the file [mm].
         :param feed: [mm/min].
@@ -122,20 +122,20 @@ def cycle_words(words: Sequence[float | str], rates: Sequence[str]) -> CycleWord
         name = str(name)[:-1]
     keeps_height = False
     if "FEDTO" in couplets[0::2] and len(couplets) % 2 == 0:
-        couplets, keeps_height = _with_depth(couplets)
+        couplets, keeps_height = _normalise_depth(couplets)
     names, numbers = [str(word) for word in couplets[0::2]], couplets[1::2]
-    good = len(names) == len(numbers) == len(set(names)) and all(isinstance(value, float) for value in numbers)
-    good = good and name in (*_PLAIN, *_PECK_CYCLES) and set(names) <= {*_HEIGHTS, *rates}
-    good = good and ("STEP" in names) == (name in _PECK_CYCLES) and {"DEPTH", "CLEAR"} <= set(names)
+    is_valid = len(names) == len(numbers) == len(set(names)) and all(isinstance(value, float) for value in numbers)
+    is_valid = is_valid and name in (*_PLAIN, *_PECK_CYCLES) and set(names) <= {*_HEIGHTS, *rates}
+    is_valid = is_valid and ("STEP" in names) == (name in _PECK_CYCLES) and {"DEPTH", "CLEAR"} <= set(names)
     values = {word: value for word, value in zip(names, numbers, strict=False) if isinstance(value, float)}
     feeds = [part for word, value in values.items() if word not in _HEIGHTS for part in (value, word)]
-    if not good or len(feeds) > 2:
+    if not is_valid or len(feeds) > 2:
         raise StatementError(f"CYCLE/{name} with these values is not supported", _READ)
     heights = {word: value for word, value in values.items() if word in _HEIGHTS}
     return CycleWords(str(name), heights, tuple(feeds), keeps_height or heights.get("RETURN") == 0.0)
 
 
-def _with_depth(couplets: Sequence[float | str]) -> tuple[list[float | str], bool]:
+def _normalise_depth(couplets: Sequence[float | str]) -> tuple[list[float | str], bool]:
     """Return a cycle with FEDTO in the words of the others, and whether it goes back to the height before."""
     automatic = ("RTRCTO", "AUTO")
     pairs = list(zip(couplets[0::2], couplets[1::2], strict=True))

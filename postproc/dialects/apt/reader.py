@@ -1,7 +1,7 @@
 """Reader of cutter-location files (APT, CLDATA, CLSF): from a document to a `Program`.
 
 X, Y, Z are the tool tip in `$BASE`; i, j, k the direction from the tip to the spindle. The tool is tilted from z to
-that direction by the shortest rotation, as with rotary axes in G-code (`program.tilted`); between two points it turns
+that direction by the shortest rotation, as with rotary axes in G-code (`program.tilt_to`); between two points it turns
 by one rotation. Where it comes straight from below, it is tilted from −z instead. Anything not understood that may move
 the tool is an error.
 
@@ -23,10 +23,10 @@ from postproc.dialects.apt import statements, systems
 from postproc.dialects.apt.course import ARC, RAPID, Course, Fault, Part
 from postproc.dialects.apt.statements import Statements
 from postproc.dialects.apt.survey import survey
-from postproc.dialects.apt.walk import executed
+from postproc.dialects.apt.walk import execute
 from postproc.dialects.dialect import CamFormat
 from postproc.errors import ForceError, InputError, Issue, ProgramError, together
-from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, inverse, norm
+from postproc.frames import M_PER_MM, RAD_PER_DEG, S_PER_MIN, Array, inverse, norm
 from postproc.poses import Poses
 from postproc.program import (
     CIRC,
@@ -42,7 +42,7 @@ from postproc.program import (
     distinct,
     parse_force_note,
     read_only,
-    tilted,
+    tilt_to,
 )
 
 _SAME_MM = 1e-6
@@ -53,7 +53,6 @@ _OPPOSITE = -0.9999
 """Tool directions with a smaller component along a reference have no shortest rotation from it (assumed)."""
 _BELOW_AXES = np.diag([1.0, -1.0, -1.0])
 """Reference orientation of programs whose tool comes from below: half a turn about X."""
-_S_PER_MIN = 60.0
 
 
 def read(document: Document, cell: Cell, forward_kinematics: Callable[[Array], Array], name: str) -> Program:
@@ -68,7 +67,7 @@ def read(document: Document, cell: Cell, forward_kinematics: Callable[[Array], A
     source = statements.split(document)
     base, tool_frames = cell.base.pose(), [cell.tool.pose()]
     start = inverse(base) @ forward_kinematics(cell.start_joints) @ tool_frames[0]
-    course = executed(source, cell, start[:3, 3] / M_PER_MM)
+    course = execute(source, cell, start[:3, 3] / M_PER_MM)
     notes, comments, wrong = _comments(source, course)
     wrong += [_changed_system(source, line) for line in systems.changed_axis_systems(source.comments)]
     moves = _Moves(course.parts, start)
@@ -114,7 +113,7 @@ def _comments(source: Statements, course: Course) -> tuple[list[ForceNote], list
     """Return the forces of ``$$`` comments and of PPRINT, the other comments by line, and the errors."""
     notes: list[ForceNote] = []
     plain_comments: list[tuple[int, str]] = []
-    wrong: list[InputError] = []
+    faults: list[InputError] = []
     texts = [(line, text, False) for line, text in source.comments]
     texts += [(int(source.line[e.row]), e.text, True) for e in course.events if e.kind == "comment"]
     last = int(source.line[min(course.after_end)]) if course.after_end else len(source.spans[0]) + 1
@@ -124,13 +123,13 @@ def _comments(source: Statements, course: Course) -> tuple[list[ForceNote], list
         try:
             note = parse_force_note(text, line, source.document.name)
         except ForceError as cause:
-            wrong.append(cause)
+            faults.append(cause)
             continue
         if note is not None:
             notes.append(note)
         elif text and not is_printed:
             plain_comments.append((line, text))
-    return notes, plain_comments, wrong
+    return notes, plain_comments, faults
 
 
 class _Moves:
@@ -148,7 +147,7 @@ class _Moves:
         previous_axis = np.concatenate([[[0.0, 0.0, 1.0]], self.axis[:-1]])[: len(self.row)]
         self.turns = norm(self.axis - previous_axis) > _NO_TURN
 
-    def each(self, name: str) -> Array:
+    def per_move(self, name: str) -> Array:
         """Return a property of the parts for each move (N,)."""
         return np.array([getattr(part, name) for part in self.parts])[self.part]
 
@@ -157,7 +156,7 @@ def _motions(
     moves: _Moves, source: Statements, cell: Cell, numbers: dict[float, int], home: tuple[Array, Array | None]
 ) -> tuple[Ints, Motions]:
     """Return which moves are motions (M,), and these."""
-    code, free, at_home = moves.each("code"), moves.each("free"), moves.each("home")
+    code, free, at_home = moves.per_move("code"), moves.per_move("free"), moves.per_move("home")
     tool = np.array([numbers.get(part.tool, 0) if part.tool is not None else 0 for part in moves.parts])[moves.part]
     tool_changes = np.diff(tool, prepend=tool[:1]) != 0
     short = norm(moves.end - moves.begin) <= _SAME_MM
@@ -172,9 +171,9 @@ def _motions(
     reference = _reference(moves.axis)
     axis = moves.axis[motion_moves] @ reference
     if (axis == axis[:1]).all():
-        target[:, :3, :3] = reference @ tilted(axis[:1])[0] @ orientation
+        target[:, :3, :3] = reference @ tilt_to(axis[:1])[0] @ orientation
     else:
-        target[:, :3, :3] = reference @ tilted(axis) @ orientation
+        target[:, :3, :3] = reference @ tilt_to(axis) @ orientation
     target[:, :3, 3] = moves.end[motion_moves] * M_PER_MM
     no_values = np.broadcast_to(np.nan, (count, 6))  # takes no memory
     joints, centre, normal, sweep = no_values, no_values[:, :3], no_values[:, :3], no_values[:, 0]
@@ -190,9 +189,9 @@ def _motions(
             if part.circle is not None:
                 centre[n], normal[n], sweep[n] = part.circle.centre * M_PER_MM, part.circle.axis, part.sweep
     rapid = code == RAPID
-    feed = np.where(rapid, cell.gcode.rapid_m_per_s, moves.each("feed")[motion_moves] * (M_PER_MM / _S_PER_MIN))
+    feed = np.where(rapid, cell.gcode.rapid_m_per_s, moves.per_move("feed")[motion_moves] * (M_PER_MM / S_PER_MIN))
     feed[free] = np.nan
-    blend = np.where(moves.each("exact")[motion_moves], 0.0, cell.gcode.approximation_mm * M_PER_MM)
+    blend = np.where(moves.per_move("exact")[motion_moves], 0.0, cell.gcode.approximation_mm * M_PER_MM)
     unset = constant(-1, count)
     motions = Motions(
         kind=np.where(free, PTP, np.where(code == ARC, CIRC, LIN)).astype(np.int64),

@@ -12,7 +12,7 @@ _LOAD = re.compile(r"(?:LOADTL/|LOAD/TOOL,)(\d+)")
 
 
 def survey(document: Document) -> Survey:
-    """Return what the text shows. ``CUTTER/`` is a comment of its line, as it describes the tool that follows."""
+    """Return the survey of a text. ``CUTTER/`` is a comment of its line, as it describes the tool that follows."""
     statements = split(document)
     comments, changes, switches = list(statements.comments), [], set()
     inches = False

@@ -33,8 +33,8 @@ from postproc.dialects.apt.arcs import (
     UNKNOWN_START,
     Compensation,
     PendingArc,
+    axis_distance,
     circle_of,
-    radius_from,
     stated_angle,
     tangent_arc,
     turns_of,
@@ -58,19 +58,18 @@ from postproc.dialects.apt.statements import (
 from postproc.dialects.apt.systems import sequence_at, sequence_lines, system_of
 from postproc.dialects.circles import Circle, belonging
 from postproc.errors import MAX_ERRORS
-from postproc.frames import Array, norm
+from postproc.frames import MM_PER_INCH, Array, norm
 from postproc.program import EventKind, Ints
 
-_MM_PER_INCH = 25.4
 _PER_MINUTE = {
     "MMPM": 1.0,
-    "IPM": _MM_PER_INCH,
-    "FPM": 12 * _MM_PER_INCH,
+    "IPM": MM_PER_INCH,
+    "FPM": 12 * MM_PER_INCH,
 }
 """Feeds per minute: mm in one unit."""
-_PER_TURN = {"MMPR": 1.0, "IPR": _MM_PER_INCH, "FPR": 12 * _MM_PER_INCH}
+_PER_TURN = {"MMPR": 1.0, "IPR": MM_PER_INCH, "FPR": 12 * MM_PER_INCH}
 """Feeds per turn of the spindle: mm in one unit."""
-_UNITS = {"MM": 1.0, "INCH": _MM_PER_INCH, "INCHES": _MM_PER_INCH, "IN": _MM_PER_INCH, "CM": 10.0}
+_UNITS = {"MM": 1.0, "INCH": MM_PER_INCH, "INCHES": MM_PER_INCH, "IN": MM_PER_INCH, "CM": 10.0}
 """mm in one unit of length."""
 _UPRIGHT, _IS_DIRECTION = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0]), np.arange(6) >= 3
 """A direction along z in the numbers of a GOTO."""
@@ -126,7 +125,7 @@ class _Walk:
         self.path_ended = False
 
     def run(self) -> Course:
-        """Execute all statements."""
+        """Execute all statements of the file in order."""
         of, course = self.statements, self.course
         previous = 0
         for row in of.others.tolist():
@@ -146,8 +145,8 @@ class _Walk:
             problem = "an arc without a GOTO behind it"
             course.faults.append(Fault(self.pending.row, problem, "Write the end of the arc."))
         if self.ended >= 0:
-            rest = [row for row in of.others.tolist() if row > self.ended and of.of(row) != "FINI"]
-            course.after_end = (*rest, *of.points[np.searchsorted(of.points, self.ended) :].tolist())
+            rows_behind_end = [row for row in of.others.tolist() if row > self.ended and of.of(row) != "FINI"]
+            course.after_end = (*rows_behind_end, *of.points[np.searchsorted(of.points, self.ended) :].tolist())
         elif self.parted >= 0 and not course.faults:
             problem = "the program begins with PARTNO but ends without FINI"
             course.faults.append(Fault(len(of) - 1, problem, "Check that the file was transferred completely."))
@@ -213,12 +212,12 @@ class _Walk:
         is_stated = ~np.isnan(length)
         if not is_stated.any():
             return np.broadcast_to(self.axis, words.shape)
-        wrong = np.flatnonzero(np.abs(length - 1.0) > UNIT_LENGTH)
-        if len(wrong):
+        non_unit_rows = np.flatnonzero(np.abs(length - 1.0) > UNIT_LENGTH)
+        if len(non_unit_rows):
             advice = "GOTO takes x, y, z, or x, y, z and the direction of the tool i, j, k."
             problem = "the last three numbers are not a direction of length 1"
-            self.course.faults += [Fault(n, problem, advice) for n in row[wrong[1:MAX_ERRORS]].tolist()]
-            raise StatementError(problem, advice, int(row[wrong[0]]))
+            self.course.faults += [Fault(n, problem, advice) for n in row[non_unit_rows[1:MAX_ERRORS]].tolist()]
+            raise StatementError(problem, advice, int(row[non_unit_rows[0]]))
         with np.errstate(invalid="ignore"):
             unit = np.concatenate([self.axis[None], words / length[:, None]])
         latest = np.maximum.accumulate(np.append(0, np.where(is_stated, np.arange(1, len(row) + 1), 0)))
@@ -279,7 +278,7 @@ class _Walk:
         return count
 
     def _turn(self, row: int, pending: PendingArc, end: Array, axis: Array) -> None:
-        """Make an arc."""
+        """Add the arc that CIRCLE and the points after it describe."""
         if not self.known:
             raise StatementError(*UNKNOWN_START, row)
         try:
@@ -291,11 +290,11 @@ class _Walk:
         circle = pending.circle
         if self.compensation is not None and self.compensation.shows_centre(circle, self.axis, self.cutter_radius):
             self.compensation = replace(self.compensation, is_centre=True)
-        arc_circle = Circle(circle.at_height_of(self.place), circle.axis, circle.radius)
+        arc_circle = Circle(circle.centre_at_height(self.place), circle.axis, circle.radius)
         self._add_move(row, end, axis, ARC, self._feed_per_minute(row), circle=arc_circle, sweep=sweep)
 
     def _drill(self, row: int, top: Array, axis: Array, cycle: Cycle) -> None:
-        """Drill a hole."""
+        """Add the moves of the active cycle at a hole."""
         if not self.known:
             raise StatementError("a cycle before the position is known", "Write RAPID and a GOTO before it.", row)
         self._swing(row, axis)
@@ -343,7 +342,7 @@ class _Walk:
         if code.startswith("INSERT"):
             self._insert(row, "INSERT")
             return
-        major, slash, rest = code.partition("/")
+        major, slash, minor_words = code.partition("/")
         self.path_ended = major == "END-OF-PATH"
         if major != "GOTO":
             self.closed = None
@@ -351,14 +350,14 @@ class _Walk:
             self._event(row, "comment", text=self._text(row, "TOOL"))
             return
         if major == "TLON,GOFWD":
-            self._leave_by_arc(row, rest)
+            self._leave_by_arc(row, minor_words)
             return
         if major == "CSI_INSERT_CUSTOM_GCODE":
             self._insert(row, major)
             return
         if major in WITHOUT_EFFECT or major.startswith("CSI_SET_"):
             return
-        words = values(rest) if slash else []
+        words = values(minor_words) if slash else []
         if major in ("ORIGIN", "TRANS") and words and all(value == 0.0 for value in words):
             return
         handler = _HANDLERS.get(major)
@@ -466,7 +465,7 @@ class _Walk:
             raise StatementError("RAPID with values", "Write RAPID alone.")
         self.rapid = True
 
-    def _feed(self, row: int, words: list[float | str]) -> None:
+    def _read_feed(self, row: int, words: list[float | str]) -> None:
         """Read FEDRAT: the feed, per minute or per turn."""
         units = [value for value in words if isinstance(value, str)]
         if units == ["INVERS", "OFF"]:
@@ -531,7 +530,7 @@ class _Walk:
         if len(numbers) == 6:
             if not self.known:
                 raise StatementError(*UNKNOWN_START)
-            numbers = np.append(numbers, radius_from(numbers, self.place / self.unit))
+            numbers = np.append(numbers, axis_distance(numbers, self.place / self.unit))
         is_nx = len(numbers) == 11
         self._pend(row, numbers, is_right_hand=not is_nx, several=len(words) == 7, turns=turns - 1)
 
@@ -801,7 +800,7 @@ _HANDLERS: Mapping[str, Any] = {
     "GOHOME": _Walk._home,
     "RETRCT": _Walk._rise,
     "RAPID": _Walk._next_rapid,
-    "FEDRAT": _Walk._feed,
+    "FEDRAT": _Walk._read_feed,
     "UNITS": _Walk._units,
     "UNIT": _Walk._units,
     "CUTTER": _Walk._cutter,
@@ -835,7 +834,7 @@ _HANDLERS: Mapping[str, Any] = {
 }
 
 
-def executed(statements: Statements, cell: Cell, start: Array) -> Course:
+def execute(statements: Statements, cell: Cell, start: Array) -> Course:
     """Return the moves of a file, or its faults.
 
     :param start: (3,) where the tip is when the program starts, in the program frame [mm].

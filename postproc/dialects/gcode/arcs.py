@@ -16,10 +16,10 @@ import numpy as np
 from msgspec import Struct
 
 from postproc.errors import MAX_ERRORS
-from postproc.frames import Array
+from postproc.frames import MM_PER_INCH, Array
 from postproc.program import Bools, Ints
 
-CENTRE_TOLERANCE = {21.0: 0.02 * np.sqrt(2.0), 20.0: 0.002 * np.sqrt(2.0) * 25.4}
+CENTRE_TOLERANCE = {21.0: 0.02 * np.sqrt(2.0), 20.0: 0.002 * np.sqrt(2.0) * MM_PER_INCH}
 """Difference of start and end radius that is always accepted [mm], by the code of the units."""
 
 RADIUS_TOLERANCE_MM = 0.00127
@@ -60,14 +60,14 @@ class ArcWords(Struct, frozen=True, eq=False):
     units: Array
     absolute: Bools
 
-    def in_plane(self, vectors: Array) -> tuple[Array, Array, Array]:
+    def to_plane(self, vectors: Array) -> tuple[Array, Array, Array]:
         """Return the components (A,) of (A, 3) along first and second axis of the plane and across it."""
         axes = self._axes()
         rows = np.arange(len(vectors))
         return vectors[rows, axes[:, 0]], vectors[rows, axes[:, 1]], vectors[rows, axes[:, 2]]
 
     def from_plane(self, first: Array, second: Array, normal: Array) -> Array:
-        """Return vectors (A, 3) from their components: inverse of `in_plane`."""
+        """Return vectors (A, 3) from their components: inverse of `to_plane`."""
         vectors = np.empty((len(first), 3))
         np.put_along_axis(vectors, self._axes(), np.stack([first, second, normal], axis=1), axis=1)
         return vectors
@@ -107,9 +107,9 @@ class Arcs(Struct, frozen=True, eq=False):
 def read_arcs(words: ArcWords) -> Arcs:
     """Return the geometry of arcs, and their faults."""
     with np.errstate(invalid="ignore", divide="ignore"):
-        s1, s2, height = words.in_plane(words.start)
-        e1, e2, _ = words.in_plane(words.end)
-        o1, o2, normal_offset = words.in_plane(words.offset)
+        s1, s2, height = words.to_plane(words.start)
+        e1, e2, _ = words.to_plane(words.end)
+        o1, o2, normal_offset = words.to_plane(words.offset)
         by_radius = np.isnan(o1) & np.isnan(o2) & (np.nan_to_num(normal_offset) == 0.0)
         c1, c2 = (
             np.where(words.absolute, 0.0, s1) + np.nan_to_num(o1),
@@ -151,8 +151,8 @@ def _faults(
             faults.setdefault(n, ArcFault(n, problem.format(**values), advice, placed))
 
     has_radius = ~np.isnan(words.radius)
-    o1, o2, normal_offset = words.in_plane(words.offset)
-    g1, g2, _ = words.in_plane(words.given.astype(float))
+    o1, o2, normal_offset = words.to_plane(words.offset)
+    g1, g2, _ = words.to_plane(words.given.astype(float))
     difference, larger = np.abs(r_start - r_end), np.maximum(r_start, r_end)
     tolerance = np.where(words.units == 20.0, CENTRE_TOLERANCE[20.0], CENTRE_TOLERANCE[21.0])
     full_circle = "Give a full circle by I, J, K."

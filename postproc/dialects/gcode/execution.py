@@ -22,7 +22,7 @@ from msgspec.structs import replace
 
 from postproc.chunks import compact, ragged_range
 from postproc.dialects.gcode.expressions import Parameters, whole
-from postproc.dialects.gcode.structure import Block, Order, Unit, is_controlled, ordered
+from postproc.dialects.gcode.structure import Block, Order, Unit, end_words, is_controlled
 from postproc.dialects.gcode.words import CUT_SHORT, MARK, BlockError, Fault, Source, line_feeds, split
 from postproc.dialects.text import decode
 from postproc.errors import MAX_ERRORS, ProgramError, SubprogramError
@@ -321,16 +321,16 @@ class _Run:
     def _execute(self, row: int, line: Block) -> None:
         """Execute a line of words: parameters are replaced, M98 and M99 followed, M2 and M30 end the program."""
         text = line.text(self.known)
-        orders = ordered(text) if "M" in text else {}
+        orders = end_words(text) if "M" in text else {}
         if not orders:
             if text:
                 self._take(row, row + 1, text)
             return
         if "98" in orders or "99" in orders:
             number = {match[1]: float(match[2]) for match in _CALL.finditer(text) if match[1]}
-            rest = _CALL.sub("", text)
-            if rest.strip("/"):
-                self._take(row, row + 1, rest)
+            text_without_call = _CALL.sub("", text)
+            if text_without_call.strip("/"):
+                self._take(row, row + 1, text_without_call)
             if "98" in orders:
                 self._call_number(row, number)
             else:

@@ -117,8 +117,8 @@ _OPERATOR = re.compile(r"\*\*|[-+*/]|MOD|AND|XOR|OR|EQ|NE|GT|GE|LT|LE")
 
 
 def _modulo(left: float, right: float) -> float:
-    rest = math.fmod(left, right)
-    return rest + abs(right) if rest < 0.0 else rest
+    remainder = math.fmod(left, right)
+    return remainder + abs(right) if remainder < 0.0 else remainder
 
 
 _BINARY: Mapping[str, tuple[int, Callable[[float, float], float]]] = {
@@ -232,8 +232,10 @@ class Reader:
         """
         name = self._match(_FUNCTION)
         if name is None:
-            rest = self.code[self.at : self.at + 12]
-            raise BlockError(f"a value was expected before {rest!r}" if rest else "a value is missing", None)
+            remaining_text = self.code[self.at : self.at + 12]
+            raise BlockError(
+                f"a value was expected before {remaining_text!r}" if remaining_text else "a value is missing", None
+            )
         if name[1] == "EXISTS":
             self._expect("[")
             key = self.parameter()
@@ -258,9 +260,12 @@ class Reader:
         :raises BlockError: another one is here.
         """
         if not self.code.startswith(character, self.at):
-            rest = self.code[self.at : self.at + 12]
+            remaining_text = self.code[self.at : self.at + 12]
             raise BlockError(
-                f"{character!r} was expected before {rest!r}" if rest else f"{character!r} is missing", None
+                f"{character!r} was expected before {remaining_text!r}"
+                if remaining_text
+                else f"{character!r} is missing",
+                None,
             )
         self.at += 1
 

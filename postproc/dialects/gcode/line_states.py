@@ -66,7 +66,7 @@ def carry_forward(values: Array, initial: float) -> Array:
     return filled_values
 
 
-def in_force(changes: Sequence[tuple[int, float]], initial: float, rows: int) -> Array:
+def active_values(changes: Sequence[tuple[int, float]], initial: float, rows: int) -> Array:
     """Return the active value of each line (rows,), from changes (row, value) in order of rows."""
     at = [0, *(row for row, _ in changes if row < rows), rows]
     values = [initial, *(value for row, value in changes if row < rows)]
@@ -85,7 +85,7 @@ def take_rows(column: NDArray[Any], rows: Ints) -> NDArray[Any]:
 def line_states_of(words: Words, modes: Modes, rotary: Rotary | None) -> LineStates:
     """Return words and modal state of all lines of a program."""
     count = modes.rows
-    state = {group: in_force(modes.changes[group], valid[0], count) for group, valid in codes.GROUPS.items()}
+    state = {group: active_values(modes.changes[group], valid[0], count) for group, valid in codes.GROUPS.items()}
     inches = state["units"] == 20.0
     factor = np.where(inches, MM_PER_UNIT[20.0], MM_PER_UNIT[21.0])[:, None] if inches.any() else None
 
@@ -133,7 +133,7 @@ def line_states_of(words: Words, modes: Modes, rotary: Rotary | None) -> LineSta
         moving=moving,
         drilling=drilling,
         rotary=rotary_words,
-        tip=np.ones(count, dtype=bool) if is_always_tip else in_force(modes.tip, 0.0, count) > 0.0,
+        tip=np.ones(count, dtype=bool) if is_always_tip else active_values(modes.tip, 0.0, count) > 0.0,
         inverse_time=inverse_time,
         to_r=state["retract"] == 99.0,
         pecks=mm("Q")[:, 0],

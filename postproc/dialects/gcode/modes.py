@@ -44,7 +44,7 @@ from postproc.cell import FIXED_M_CODES, TURNED_OFFSET, TURNED_OFFSET_ADVICE, Ce
 from postproc.dialects.gcode import codes
 from postproc.dialects.gcode.words import COLUMNS, CUT_SHORT, MARK, BlockError, Fault, Source, Words, words_of
 from postproc.errors import MAX_ERRORS, Issue, Level
-from postproc.frames import M_PER_MM
+from postproc.frames import M_PER_MM, MM_PER_INCH
 from postproc.program import EventKind, Ints
 
 _SPINDLE: dict[float, EventKind] = {3.0: "spindle_on", 4.0: "spindle_ccw", 5.0: "spindle_off"}
@@ -361,7 +361,7 @@ class FrameCodes:
 
 
 _UNIT_SYNONYMS = {70.0: 20.0, 71.0: 21.0}
-MM_PER_UNIT = {20.0: 25.4, 21.0: 1.0}
+MM_PER_UNIT = {20.0: MM_PER_INCH, 21.0: 1.0}
 _LEAST_IN_MS = 10.0
 """Least time of a dwell that may be in milliseconds: nobody waits for less than a hundredth of a second."""
 _WITH_POINT = re.compile(r"[PXU][+]?[0-9]*\.")
@@ -452,14 +452,14 @@ def read_modes(source: Source, odd: Ints, words: Words, cell: Cell, faults_of_ru
             reader.read(row, code)
         except BlockError as cause:
             faults.append(Fault(row, cause.args[0], cause.args[1], code))
-        if reader.ended or len(faults) > MAX_ERRORS:
+        if reader.has_ended or len(faults) > MAX_ERRORS:
             rows = row + 1
             if not faults_of_run and source.goes_on(row):
                 faults.append(Fault(row, *CUT_SHORT))
             break
     faults = sorted([*faults, *(fault for fault in faults_of_run if fault.row < rows)], key=lambda fault: fault.row)
-    complete = reader.ended or tape < 0 or len(faults) > MAX_ERRORS or bool(faults_of_run)
-    if not reader.ended and complete:
+    complete = reader.has_ended or tape < 0 or len(faults) > MAX_ERRORS or bool(faults_of_run)
+    if not reader.has_ended and complete:
         message = "The program ends without M2, M30 or %. Check that the file is complete."
         reader.issues.append(Issue("warning", "program-end", message, rows))
     return Modes(
@@ -503,7 +503,7 @@ class _Reader:
         self.taped = False
 
     @property
-    def ended(self) -> bool:
+    def has_ended(self) -> bool:
         """Whether the program has ended."""
         return self.taped or self.switching.ended
 
@@ -521,7 +521,7 @@ class _Reader:
             self._remark("info", "block-delete", "Blocks with / are executed (block delete is off).", row)
         if code.endswith("%"):  # the end of the tape in the last block
             code, self.taped = code[:-1], True
-        code = self._without_sender_command(row, code)
+        code = self._replace_sender_command(row, code)
         self.code = code
         if _P_WITH_POINT.search(code):
             self.with_point.add(row)
@@ -547,7 +547,7 @@ class _Reader:
         if first_error is not None:
             raise first_error
 
-    def _without_sender_command(self, row: int, code: str) -> str:
+    def _replace_sender_command(self, row: int, code: str) -> str:
         """Return a block with a command to Grbl replaced: homing by G28, what moves nothing by an empty block."""
         command = code.strip(MARK)
         if not command.startswith("$"):

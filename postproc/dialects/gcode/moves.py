@@ -28,7 +28,7 @@ from postproc.chunks import chunks, compact
 from postproc.dialects.gcode import codes
 from postproc.dialects.gcode.arcs import PLANE_AXES
 from postproc.dialects.gcode.cycles import DWELLING, Cycle, CycleEvent, Step
-from postproc.dialects.gcode.line_states import LineStates, carry_forward, in_force, take_rows
+from postproc.dialects.gcode.line_states import LineStates, active_values, carry_forward, take_rows
 from postproc.dialects.gcode.modes import Modes, Origin, Return, dwell_time
 from postproc.dialects.gcode.rotary import RotaryAxes
 from postproc.dialects.gcode.words import BlockError
@@ -115,7 +115,7 @@ class Moves(Struct, frozen=True, eq=False):
         starts[has_own_start] = self.start[place[has_own_start]]
         return starts
 
-    def repeated(self, count: Ints) -> Moves:
+    def repeat(self, count: Ints) -> Moves:
         """Return the moves, each repeated `count` (N,) times: as they end there, the first of each begins as before."""
         index = np.repeat(np.arange(len(count)), count)
         offsets = np.append(0, np.cumsum(count))
@@ -163,7 +163,7 @@ class _Walk:
     def __init__(self, rows: LineStates, modes: Modes, cell_frames: CellFrames) -> None:
         self.rows, self.modes, self.cell_frames = rows, modes, cell_frames
         self.count = len(rows.motion)
-        self.offset = in_force(modes.changes["offset"], codes.WORK_OFFSETS[0], self.count)
+        self.offset = active_values(modes.changes["offset"], codes.WORK_OFFSETS[0], self.count)
         self.places = dict(cell_frames.offsets)
         self.shift, self.kept_shift = np.zeros(3), np.zeros(3)
         self.frames, self.machine_frames = [np.eye(4)], [np.eye(4)]
@@ -222,7 +222,7 @@ class _Walk:
 
     def _indexing(self) -> Ints:
         """Return the rows (n,) with words of indexed axes."""
-        if not self.cell_frames.rotary.indexed:
+        if not self.cell_frames.rotary.turns_part:
             return np.zeros(0, dtype=np.int64)
         return np.flatnonzero(any_column(~np.isnan(self.rows.rotary)))
 
@@ -447,7 +447,7 @@ class _Walk:
             if np.abs(via - self.position).max() > _FEWEST:
                 self._go(row, via)
         if cell_frames.home_place is not None:
-            self._to_home_place(row, to, axis_mask, cell_frames.home_place)
+            self._move_home(row, to, axis_mask, cell_frames.home_place)
             return
         is_retract = not axis_mask[:2].any()
         if cell_frames.clearance is not None and self.known.all():
@@ -474,9 +474,9 @@ class _Walk:
         self.known &= ~axis_mask
         self.losses.append((row + 1, axis_mask))
 
-    def _to_home_place(self, row: int, to: Return, axis_mask: Bools, home: Array) -> None:
+    def _move_home(self, row: int, to: Return, axis_mask: Bools, home: Array) -> None:
         """Move the named axes to home, as the machine does. Words of G53 other than 0 are places that are not known."""
-        if self.angles.any() and not self.cell_frames.rotary.indexed:
+        if self.angles.any() and not self.cell_frames.rotary.turns_part:
             advice = "Turn the rotary axes to zero before, or give A1 to A6 as [machine] home."
             self.faults.append((row, f"G{to.code:g} with tilted axes, and home is a place", advice))
             return
@@ -615,7 +615,7 @@ class _Walk:
         """Set a work offset (G10): by its frame in `$BASE` (L2), or by coordinates of the current position (L20)."""
         system = codes.WORK_OFFSETS[origin.system - 1] if origin.system else current
         place = self.places[system].copy()
-        if origin.turn is not None and self.cell_frames.rotary.indexed:
+        if origin.turn is not None and self.cell_frames.rotary.turns_part:
             self.faults.append((origin.row, "G10 R with indexed axes", "X, Y, Z are machine axes there: remove R."))
         elif origin.turn is not None:
             place[:3, :3] = pose_from_xyzabc([0.0, 0.0, 0.0, origin.turn, 0.0, 0.0])[:3, :3]
@@ -643,7 +643,7 @@ class _Walk:
         columns = {name: np.concatenate(self.parts.pop(name)) for name in list(self.parts)}
         position, frame, tool = zip(*self.starts, strict=True)
         count = np.diff(self.first, append=self.number)
-        unknown, start_rows = self._from_start(self._unknown())
+        unknown, start_rows = self._ranges_behind_start(self._unknown())
         indices = np.flatnonzero(count)
         moves = Moves(
             **columns,
@@ -662,10 +662,10 @@ class _Walk:
             faults=self.faults,
             remarks=self.remarks,
         )
-        self._after_g80(moves)
+        self._resolve_after_g80(moves)
         return moves
 
-    def _after_g80(self, moves: Moves) -> None:
+    def _resolve_after_g80(self, moves: Moves) -> None:
         """Turn coordinates after G80 without a motion code into rapids (in place) where that is safe; refuse others."""
         at = np.flatnonzero(moves.code == codes.CANCEL_CYCLE)
         if not len(at):
@@ -694,7 +694,7 @@ class _Walk:
         for n in row[at[~safe]][:1].tolist():
             self.faults.append((n, "coordinates without G0, G1, G2 or G3", advice))
 
-    def _from_start(self, unknown: list[tuple[int, int]]) -> tuple[list[tuple[int, int]], int]:
+    def _ranges_behind_start(self, unknown: list[tuple[int, int]]) -> tuple[list[tuple[int, int]], int]:
         """Return ranges with an unknown position, without the first if its moves begin at `[start]`; its last row."""
         rows = self.rows
         first, last = unknown[0]

@@ -25,13 +25,13 @@ from postproc.cell import Rotary
 from postproc.chunks import Runs, in_chunks
 from postproc.dialects.gcode.arcs import SAME_MM, ArcFault, Arcs, ArcWords, read_arcs
 from postproc.dialects.gcode.cycles import CycleEvent
-from postproc.dialects.gcode.line_states import LineStates, in_force, take_rows
+from postproc.dialects.gcode.line_states import LineStates, active_values, take_rows
 from postproc.dialects.gcode.modes import MM_PER_UNIT, Modes, tip_codes
 from postproc.dialects.gcode.moves import LEVEL, CellFrames, Moves, below_top, moves_of
 from postproc.dialects.gcode.rotary import RotaryAxes, kind_faults
 from postproc.dialects.gcode.words import Fault
 from postproc.errors import MAX_ERRORS, Level
-from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, angle_between, any_column, norm
+from postproc.frames import M_PER_MM, RAD_PER_DEG, S_PER_MIN, Array, angle_between, any_column, norm
 from postproc.poses import Poses
 from postproc.program import (
     CIRC,
@@ -46,7 +46,7 @@ from postproc.program import (
     direction,
     distinct,
     read_only,
-    tilted,
+    tilt_to,
     turning,
 )
 
@@ -81,8 +81,9 @@ def add_approaches(moves: Moves, cell_frames: CellFrames) -> tuple[Moves, Bools,
     split = (z < cell_frames.clearance - _NEAR_MM) & (tool_z > LEVEL)
     count = np.ones(len(moves.row), dtype=np.int64)
     count[at[split]] = 2
+    # each of these moves becomes two: the first ends at the clearance height, along the tool axis above its end
     approach_moves = np.cumsum(count)[at[split]] - 2
-    new_moves = moves.repeated(count)
+    new_moves = moves.repeat(count)
     end, turn = new_moves.end.copy(), new_moves.turn.copy()
     end[approach_moves] += tool[split] * ((cell_frames.clearance - z[split]) / tool_z[split])[:, None]
     turn[approach_moves + 1, 0] = turn[approach_moves, 1]
@@ -105,7 +106,7 @@ def chords(moves: Moves, circular: Ints, arcs: Arcs, tolerance: float) -> tuple[
     radial = begin - arcs.centre
     angle = np.sqrt(8.0 * tolerance / np.maximum(norm(radial), tolerance))
     count[circular[turns]] = np.ceil(arcs.sweep[turns] / angle[turns] - 1e-9).astype(np.int64)
-    new_moves = moves.repeated(count)
+    new_moves = moves.repeat(count)
     code, end, turn = new_moves.code.copy(), new_moves.end.copy(), new_moves.turn.copy()
     first = np.cumsum(count) - count
     for n in np.flatnonzero(turns).tolist():
@@ -133,7 +134,6 @@ _LEAST_Z = -0.9999
 """Tool directions with a smaller z are refused: there is no shortest rotation to them."""
 _STEPS = 32
 """Steps in which the rotation of the tool is summed."""
-_S_PER_MIN = 60.0
 
 
 def rotation_bound(moves: Moves, axes: Array) -> Array:
@@ -165,7 +165,7 @@ def swivel_of(
         if moves.turn.shape[2] == COMPONENTS:
             degrees = np.full(len(at), np.nan)  # what F means while a direction turns alone is stated nowhere
         minutes = np.where(rows.inverse_time[row], 1.0, degrees) / rows.rate[row]
-        rate[at] = _way(cell_frames.rotary.directions, begin[at], end[at]) / (minutes * _S_PER_MIN)
+        rate[at] = _way(cell_frames.rotary.directions, begin[at], end[at]) / (minutes * S_PER_MIN)
     return Swivel(
         begin=begin,
         end=end,
@@ -181,9 +181,9 @@ def swivel_of(
 def _way(axes: Array, begin: Array, end: Array) -> Array:
     """Return the angle that the tool direction sweeps (n,) [rad]."""
     angles = np.zeros(len(begin))
-    start_direction = tilted(direction(axes, begin))
+    start_direction = tilt_to(direction(axes, begin))
     for step in range(1, _STEPS + 1):
-        end_direction = tilted(direction(axes, begin + (end - begin) * (step / _STEPS)))
+        end_direction = tilt_to(direction(axes, begin + (end - begin) * (step / _STEPS)))
         angles += angle_between(start_direction, end_direction)
         start_direction = end_direction
     return angles
@@ -203,7 +203,7 @@ def check_turning(rows: LineStates, moves: Moves, is_early: Bools, rotary_axes: 
         return (any_column(np.stack([direction(axes, turn[:, n] * RAD_PER_DEG)[:, 2] < _LEAST_Z for n in (0, 1)], 1)),)
 
     faults: dict[int, Fault] = {}
-    for wrong, problem, advice in (
+    for is_invalid, problem, advice in (
         (in_chunks(away, moves.turn)[0], "the tool points away from the part", "Check axes and signs in [rotary]."),
         (
             tilt & has_position & ~rows.tip[moves.row] & ~moves.home & ~is_early,
@@ -211,7 +211,7 @@ def check_turning(rows: LineStates, moves: Moves, is_early: Bools, rotary_axes: 
             f"They depend on the machine: program {tip_on} before, or retract by G53 Z or G28 Z as [machine] says.",
         ),
     ):
-        for row in moves.row[wrong][: MAX_ERRORS + 1].tolist():
+        for row in moves.row[is_invalid][: MAX_ERRORS + 1].tolist():
             faults.setdefault(row, Fault(row, problem, advice))
     return [faults[row] for row in sorted(faults)]
 
@@ -262,7 +262,7 @@ def faults_of(rows: LineStates, moves: Moves, modes: Modes, circular: Ints, arcs
 
 
 def _repeats_advice(rows: LineStates, row: int) -> str | None:
-    """Return what to write for a K that may be the number of holes, as on Fanuc; None for other words."""
+    """Return advice for a K that may be the number of holes, as on Fanuc; None for other words."""
     i, j, k = (rows.ijk[row] / MM_PER_UNIT[float(rows.units[row])]).tolist()
     count = round(k, 9) if k == k else 0.0
     if i == i or j == j or count < 1.0 or count != round(count) or rows.repeats[row] == rows.repeats[row]:
@@ -483,13 +483,13 @@ def _motions(
     centre, normal, sweep = _arcs_in_base(circles, motion_moves, kind, moves.frames, frame)
     feed = _speeds_of(rows, row, code == 0.0, is_rotation, length, speeds)
     feed[kind == PTP] = np.nan
-    blend = take_rows(in_force(modes.blends, speeds.approximation, modes.rows), row)
+    blend = take_rows(active_values(modes.blends, speeds.approximation, modes.rows), row)
     bottom = moves.bottom[motion_moves]
     if bottom.any():
         blend = np.where(bottom, 0.0, blend)
     rounding, unset = constant(speeds.rounding, len(motion_moves)), constant(-1, len(motion_moves))
     if modes.roundings:
-        limit = in_force(modes.roundings, np.nan, modes.rows)[row]
+        limit = active_values(modes.roundings, np.nan, modes.rows)[row]
         rounding = np.where(np.isnan(limit), speeds.rounding, limit)
     motions = Motions(
         kind=kind,
@@ -546,8 +546,8 @@ def _speeds_of(rows: LineStates, row: Ints, rapid: Bools, is_rotation: Bools, le
     per_minute = rows.feed[row]
     is_inverse_time = rows.inverse_time[row] & ~rapid
     per_minute[is_inverse_time] *= length[is_inverse_time]
-    per_minute[is_inverse_time & is_rotation] = speeds.rapid * _S_PER_MIN / M_PER_MM  # the speed of rotation counts
-    return np.where(rapid, speeds.rapid, per_minute * (M_PER_MM / _S_PER_MIN))
+    per_minute[is_inverse_time & is_rotation] = speeds.rapid * S_PER_MIN / M_PER_MM  # the speed of rotation counts
+    return np.where(rapid, speeds.rapid, per_minute * (M_PER_MM / S_PER_MIN))
 
 
 def _lengths(moves: Moves, circular: Ints, arcs: Arcs) -> Array:

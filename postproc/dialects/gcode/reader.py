@@ -52,7 +52,7 @@ from postproc.dialects.gcode.survey import survey
 from postproc.dialects.gcode.words import Fault
 from postproc.dialects.text import decode, line_spans
 from postproc.errors import ForceError, InputError, Issue, ProgramError, together
-from postproc.frames import M_PER_MM, MM_PER_M, RAD_PER_DEG, Array, inverse
+from postproc.frames import M_PER_MM, MM_PER_M, MM_PER_MIN, RAD_PER_DEG, Array, inverse
 from postproc.program import Document, Event, ForceNote, Program, distinct, parse_force_note
 
 __all__ = ["decode", "read"]
@@ -92,7 +92,7 @@ def _read(
     document: Document, cell: Cell, forward_kinematics: Callable[[Array], Array], name: str, *, bulk: bool
 ) -> Program:
     """Read a document; if all its arcs disagree with their ends, read their centres as absolute coordinates."""
-    inner, issues = _without_leader(document)
+    inner, issues = _blank_leader(document)
     try:
         program = _executed_program(inner, cell, forward_kinematics, name, bulk=bulk)
     except InputError as cause:
@@ -116,7 +116,7 @@ _WORD = re.compile(r"(?<![A-Za-z])[A-Z][ \t]*[-+]?\.?[0-9#\[]", re.IGNORECASE)
 _COMMENT = re.compile(r"\([^()\r\n]*\)|;[^\r\n]*")
 
 
-def _without_leader(document: Document) -> tuple[Document, list[Issue]]:
+def _blank_leader(document: Document) -> tuple[Document, list[Issue]]:
     """Return a program with blanks for the text before its first %, which controls do not read, and the remark.
 
     Lines with words such as G1 or X5 are no such text: where they are before a %, it ends the program.
@@ -151,20 +151,20 @@ def _executed_program(
     run = execute(document)
     source = run.source
     rotary = "" if cell.rotary is None else "".join(cell.rotary.axes)
-    plain, odd = words.read_plain(source, rotary) if bulk else words.leave_all(source)
-    modes = read_modes(source, odd, plain, cell, run.faults)
+    plain, other_rows = words.read_plain(source, rotary) if bulk else words.no_plain_words(source)
+    modes = read_modes(source, other_rows, plain, cell, run.faults)
     rows = line_states_of(plain, modes, cell.rotary)
     if absolute and not modes.changes["centre"]:
         rows = replace(rows, absolute_centre=np.ones(len(rows.motion), dtype=np.bool_))
     tools = _tools(cell, modes)
     path = read_path(rows, modes, _cell_frames(cell, forward_kinematics, tools), _speeds(cell), cell.rotary)
-    comments, wrong = _comments(run, modes.rows)
+    comments, force_faults = _comments(run, modes.rows)
     faults = path if isinstance(path, list) else []
     if not modes.complete:
         advice = "Check that the file was transferred completely."
         faults.append(Fault(modes.rows - 1, "the program begins with % but ends without %, M2 or M30", advice))
-    if faults or wrong or isinstance(path, list):
-        raise together([*_errors(run, faults), *wrong])
+    if faults or force_faults or isinstance(path, list):
+        raise together([*_errors(run, faults), *force_faults])
     if not len(path.motions):
         advice = "Check that the file is the right one and complete."
         if len(path.held_back):
@@ -188,7 +188,7 @@ def _executed_program(
         still=distinct(run.main[path.still]),
         issues=(
             *(replace(issue, source_line=_line(run, issue.source_line)) for issue in issues),
-            *_after_the_end(run, modes.rows),
+            *_code_behind_end(run, modes.rows),
             *([Issue("info", "absolute-centres", _ABSOLUTE)] if absolute else []),
         ),
     )
@@ -265,7 +265,7 @@ def _errors(run: Executed, faults: Sequence[Fault]) -> list[InputError]:
     ]
 
 
-def _after_the_end(run: Executed, rows: int) -> Iterator[Issue]:
+def _code_behind_end(run: Executed, rows: int) -> Iterator[Issue]:
     """Report code after the end of the program, which is not executed (rs274 does not even read it)."""
     source, lines = run.source, list(run.after_end)
     if source.code[source.ends[rows] :].strip(b"\n%" + words.MARK.encode()):
@@ -279,7 +279,7 @@ def _after_the_end(run: Executed, rows: int) -> Iterator[Issue]:
 def _comments(run: Executed, rows: int) -> tuple[list[tuple[int, str | ForceNote]], list[InputError]]:
     """Return the comments of the first `rows` lines with their rows, and the errors of force comments."""
     comments: list[tuple[int, str | ForceNote]] = []
-    wrong: dict[tuple[int, int], InputError] = {}
+    faults: dict[tuple[int, int], InputError] = {}
     for line, text in zip(run.source.comment_lines.tolist(), run.source.comments, strict=True):
         if line > rows:
             break
@@ -287,14 +287,14 @@ def _comments(run: Executed, rows: int) -> tuple[list[tuple[int, str | ForceNote
         try:
             note = parse_force_note(text, file_line, run.documents[n].name)
         except ForceError as cause:
-            wrong.setdefault((n, file_line), cause)
+            faults.setdefault((n, file_line), cause)
             continue
         comments.append((line - 1, text.strip() if note is None else note))
-    return comments, list(wrong.values())
+    return comments, list(faults.values())
 
 
 def _brackets(run: Executed, comments: Sequence[tuple[int, str | ForceNote]]) -> Iterator[Issue]:
-    """Report brackets in comments."""
+    """Report brackets inside comments, which some controls refuse."""
     rows = [row for row, text in comments if isinstance(text, str) and "(" in text]
     if rows:
         spans = [line_spans(document.text) for document in run.documents]
@@ -316,7 +316,7 @@ def _events(
     texts = [(row, 0, None, Event(0, "comment", 0, 0.0, text)) for row, text in comments if isinstance(text, str)]
     row_entries = [(h.row, 2 if h.after else 1, None, Event(0, h.kind, 0, h.value)) for h in modes.row_events]
     cycle_entries = [
-        (row, 1, at, Event(0, event.kind, 0, event.value or _speed(modes, row, event.kind)))
+        (row, 1, at, Event(0, event.kind, 0, event.value or _spindle_speed(modes, row, event.kind)))
         for at, row, event in path.events
     ]
     entries = sorted([*texts, *row_entries, *cycle_entries], key=itemgetter(0, 1))
@@ -333,7 +333,7 @@ def _events(
     return tuple(notes), tuple(events)
 
 
-def _speed(modes: Modes, row: int, kind: str) -> float:
+def _spindle_speed(modes: Modes, row: int, kind: str) -> float:
     """Return the speed at which a cycle restarts the spindle."""
     if kind == "spindle_off":
         return 0.0
@@ -349,7 +349,7 @@ def _unit(path: MotionPath, text: str) -> Issue:
     is_cut = ~path.motions.rapid
     position = path.motions.target[is_cut, :2, 3] * MM_PER_M
     size = np.ptp(position, axis=0) if len(position) else np.zeros(2)
-    feed = 60.0 * MM_PER_M * float(path.motions.feed[is_cut].max(initial=0.0))
+    feed = MM_PER_MIN * float(path.motions.feed[is_cut].max(initial=0.0))
     decimals = max((len(digits) for digits in _DECIMALS.findall(_COMMENT.sub("", text[:_SAMPLE]))), default=0)
     if decimals != _INCH_DECIMALS or not 0.0 < size.max() < _INCH_SIZE or feed > _INCH_FEED:
         return Issue("info", "units", message)

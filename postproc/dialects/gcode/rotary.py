@@ -56,7 +56,7 @@ class RotaryAxes(Struct, frozen=True, eq=False):
         return cls(signs * unit, np.array([place.point for place in places]) * M_PER_MM, upright)
 
     @property
-    def indexed(self) -> bool:
+    def turns_part(self) -> bool:
         """Whether the axes turn the part, and X, Y, Z are machine axes."""
         return self.points is not None
 
@@ -65,7 +65,7 @@ class RotaryAxes(Struct, frozen=True, eq=False):
 
         The program frame of indexed axes turns with them: the tool is along its Z.
         """
-        if self.indexed:
+        if self.turns_part:
             return np.broadcast_to([0.0, 0.0, 1.0], (len(degrees), 3))
         return direction(self.directions, degrees * RAD_PER_DEG)
 

@@ -140,7 +140,7 @@ class Unit(Struct, eq=False):
             return f"O<{next(iter(self.subs))}>"
         number = _O_NUMBER.fullmatch(self.document.name.partition(".")[0])
         if number:
-            ends = {end for row in main_rows if self.following[row] == row for end in ordered(self.source.line(row))}
+            ends = {end for row in main_rows if self.following[row] == row for end in end_words(self.source.line(row))}
             return f"O{int(number[1])}" if "99" in ends and not ends & {"2", "30"} else None
         return None
 
@@ -286,6 +286,6 @@ def number(value: float) -> str:
     return text.rstrip("0").rstrip(".") or "0"
 
 
-def ordered(text: str) -> Mapping[str, str]:
+def end_words(text: str) -> Mapping[str, str]:
     """Return the M2, M30, M98 and M99 in a line of plain words: number → the text of the word."""
     return {match[1]: match[0] for match in _ORDER.finditer(text)}

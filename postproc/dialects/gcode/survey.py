@@ -21,7 +21,7 @@ _OFFSETS = {f"G{code:g}" for code in codes.WORK_OFFSETS[1:]}
 
 
 def survey(document: Document) -> Survey:
-    """Return what the text shows; nothing is executed, so words of expressions and loops are not seen."""
+    """Return the survey of a text; nothing is executed, so words of expressions and loops are not seen."""
     source = split(document)
     words = {_normal(match[0]) for match in _CODES.finditer(source.code)}
     machine_codes = sorted((word for word in words if word[0] == "M" and _is_of_machine(float(word[1:]))), key=_order)

@@ -192,10 +192,10 @@ def read_plain(source: Source, rotary: str = "") -> tuple[Words, Ints]:
     :returns: the words of these blocks, and the rows (n,) of the lines that are not plain, which have none.
     """
     words = Words(len(source))
-    odd = [
+    other_rows = [
         _read_lines(source, lines.start, min(lines.stop, len(source)), rotary, words) for lines in chunks(len(source))
     ]
-    return words, np.concatenate(odd)
+    return words, np.concatenate(other_rows)
 
 
 def _read_lines(source: Source, first: int, last: int, rotary: str, words: Words) -> Ints:
@@ -205,15 +205,15 @@ def _read_lines(source: Source, first: int, last: int, rotary: str, words: Words
     code = _LINE_NUMBER.sub(b"\n", code) if b"\nN" in code else code
     kind = np.frombuffer(code.translate(_CLASS), dtype=np.uint8)
     ends = np.flatnonzero(kind == _END)
-    odd = np.zeros(count, dtype=bool)
-    odd[np.searchsorted(ends, _malformed(kind), side="left") - 1] = True
+    needs_parser = np.zeros(count, dtype=bool)
+    needs_parser[np.searchsorted(ends, _malformed_words(kind), side="left") - 1] = True
 
     letters = np.flatnonzero(kind == _LETTER)
     row = np.repeat(np.arange(count), np.diff(np.searchsorted(letters, ends)))
-    if odd.any():
-        plain = ~odd[row]
+    if needs_parser.any():
+        plain = ~needs_parser[row]
         letters, row = letters[plain], row[plain]
-        blank = np.repeat(odd, np.diff(ends))
+        blank = np.repeat(needs_parser, np.diff(ends))
         chars = np.frombuffer(code, dtype=np.uint8)[1:].copy()
         chars[blank] = ord(" ")
         code = chars.tobytes()
@@ -239,11 +239,11 @@ def _read_lines(source: Source, first: int, last: int, rotary: str, words: Words
             refused_rows.append(rows[~np.isin(letter_values, (0.0, 1.0, 2.0, 3.0)) | np.signbit(letter_values)])
     odd_rows = np.concatenate(refused_rows)
     words.remove(first + odd_rows)
-    odd[odd_rows] = True
-    return first + np.flatnonzero(odd)
+    needs_parser[odd_rows] = True
+    return first + np.flatnonzero(needs_parser)
 
 
-def _malformed(kind: Bytes) -> Ints:
+def _malformed_words(kind: Bytes) -> Ints:
     """Return positions at which a plain word is malformed: wrong next character, two dots, no digit."""
     pairs = (kind[:-1] << 3) | kind[1:]
     wrong = np.flatnonzero(np.frombuffer(pairs.tobytes().translate(_WRONG_PAIR), dtype=np.bool_)) + 1
@@ -256,7 +256,7 @@ def _malformed(kind: Bytes) -> Ints:
     return np.concatenate(positions)
 
 
-def leave_all(source: Source) -> tuple[Words, Ints]:
+def no_plain_words(source: Source) -> tuple[Words, Ints]:
     """Return the result of `read_plain` with no line taken as plain, so that pygcode reads all lines with words."""
     rows = [row for row in range(len(source)) if source.line(row).strip(MARK)]
     return Words(len(source)), np.array(rows, dtype=np.int64)

@@ -6,6 +6,6 @@ written = krl.emit(program, targets, cell)    # a new program, from G-code
 """
 
 from postproc.dialects.krl.read import read_program
-from postproc.dialects.krl.write import emit, renamed, rewrite
+from postproc.dialects.krl.write import emit, rename, rewrite
 
-__all__ = ["emit", "read_program", "renamed", "rewrite"]
+__all__ = ["emit", "read_program", "rename", "rewrite"]

@@ -226,7 +226,7 @@ class Course(Struct, frozen=True, eq=False):
         return self.counts[row] if number is None else number
 
     def counted(self) -> Array:
-        """Return what the rows of the trace (L,) assign to the counter of a FOR; NaN for lines of files."""
+        """Return the values (L,) that the rows of the trace assign to the counter of a FOR; NaN for lines of files."""
         counter = np.full(len(self.trace), np.nan)
         rows = np.array([*self.counts], dtype=np.int64)
         counter[rows - 1] = [*self.counts.values()]

@@ -41,8 +41,8 @@ def _parts(path: Path, names: Sequence[str]) -> list[str]:
         return []
 
     def find(name: str) -> Document | None:
-        found = next((document for document in names if document.lower() == name.lower()), None)
-        return None if found is None else decode(found, path.with_name(found).read_bytes())
+        document_name = next((document for document in names if document.lower() == name.lower()), None)
+        return None if document_name is None else decode(document_name, path.with_name(document_name).read_bytes())
 
     try:
         main = decode(path.name, path.read_bytes())
@@ -95,16 +95,16 @@ class _Writer:
     def write(
         self, program: Program, targets: Targets, joints: TargetJoints, cell: Cell, comments: TargetForces | None
     ) -> Written:
-        """Return a program as text, see `write.rewrite`, `write.in_modules` and `write.in_files`."""
+        """Return a program as text, see `write.rewrite`, `write.divide_into_modules` and `write.split_files`."""
         if not isinstance(program.layout, Layout):
-            new = write.in_modules(program, targets, joints, cell, comments)
-            return write.in_files(program.name, (), new, cell.output.lines_per_file) if new.modules is None else new
+            new = write.divide_into_modules(program, targets, joints, cell, comments)
+            return write.split_files(program.name, (), new, cell.output.lines_per_file) if new.modules is None else new
         other_names = {document.name for document in program.layout.course.files}
         whole = write.rewrite(program, targets, comments)
         program_files = replace(whole, documents=tuple(d for d in whole.documents if d.name not in other_names))
         files = [document for document in program.documents if document.name not in other_names]
         limit, layout = cell.output.lines_per_file, program.layout
-        output = write.in_files(program.name, files, program_files, limit, layout.course.taken, layout.broken_off)
+        output = write.split_files(program.name, files, program_files, limit, layout.course.taken, layout.broken_off)
         other_files = tuple(document for document in whole.documents if document.name in other_names)
         issues = [
             _long(document, limit)
@@ -113,13 +113,13 @@ class _Writer:
         ]
         return replace(output, documents=(*output.documents, *other_files), issues=(*output.issues, *issues))
 
-    def renamed(self, documents: Sequence[Document], name: str) -> tuple[Document, ...]:
+    def rename(self, documents: Sequence[Document], name: str) -> tuple[Document, ...]:
         """Return the files of a program under another name."""
-        return write.renamed(documents, name)
+        return write.rename(documents, name)
 
-    def marked(self, documents: Sequence[Document], origin: provenance.Origin) -> tuple[tuple[Document, ...], int]:
+    def mark(self, documents: Sequence[Document], origin: provenance.Origin) -> tuple[tuple[Document, ...], int]:
         """Return the files with the line that says where they come from: below the first DEF."""
-        return provenance.marked(documents, origin, _COMMENT, DEF_LINE)
+        return provenance.mark(documents, origin, _COMMENT, DEF_LINE)
 
     def origin(self, documents: Sequence[Document]) -> provenance.Provenance:
         """Return what the files of a program say of where they come from."""
@@ -169,7 +169,7 @@ class Krl:
         """Return the files with motions that each of some programs of one folder may call."""
         return moving(paths, [Path(cell.folder) / folder for folder in cell.krl.search])
 
-    def with_own_copies(
+    def copy_subprograms(
         self,
         documents: Sequence[Document],
         unchanged: Sequence[bytes],

@@ -14,7 +14,7 @@ from postproc.dialects.rapid import language
 from postproc.dialects.rapid.layout import Layout
 from postproc.dialects.rapid.new_module import write
 from postproc.dialects.rapid.reader import read
-from postproc.dialects.rapid.rewrite import rewritten
+from postproc.dialects.rapid.rewrite import rewrite
 from postproc.frames import RAD_PER_DEG, Array
 from postproc.program import Document, Program, TargetForces, TargetJoints, Targets, Written
 
@@ -44,12 +44,12 @@ class _Writer:
     def write(
         self, program: Program, targets: Targets, joints: TargetJoints, cell: Cell, comments: TargetForces | None
     ) -> Written:
-        """Return a program as text, see `rewrite.rewritten` and `new_module.write`."""
+        """Return a program as text, see `rewrite.rewrite` and `new_module.write`."""
         if isinstance(program.layout, Layout):
-            return rewritten(program, targets, joints, comments)
+            return rewrite(program, targets, joints, comments)
         return write(program, targets, joints, cell, comments)
 
-    def renamed(self, documents: Sequence[Document], name: str) -> tuple[Document, ...]:
+    def rename(self, documents: Sequence[Document], name: str) -> tuple[Document, ...]:
         """Return a program under another name: the file, and the module and procedure that have the file's name."""
         (document,) = documents
         path = PurePath(document.name)
@@ -62,9 +62,9 @@ class _Writer:
         text = _HEAD_NAME.sub(other, document.text)
         return (replace(document, name=f"{name}{path.suffix}", text=text),)
 
-    def marked(self, documents: Sequence[Document], origin: provenance.Origin) -> tuple[tuple[Document, ...], int]:
+    def mark(self, documents: Sequence[Document], origin: provenance.Origin) -> tuple[tuple[Document, ...], int]:
         """Return the file with the line of its provenance, below MODULE."""
-        return provenance.marked(documents, origin, _COMMENT, _MODULE)
+        return provenance.mark(documents, origin, _COMMENT, _MODULE)
 
     def origin(self, documents: Sequence[Document]) -> provenance.Provenance:
         """Return the provenance that a program states."""

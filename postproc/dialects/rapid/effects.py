@@ -23,7 +23,7 @@ from postproc.dialects.rapid.syntax import (
     all_statements,
     calls,
 )
-from postproc.dialects.rapid.values import Scope, base_name, changed_by
+from postproc.dialects.rapid.values import Scope, base_name, changed_arguments
 
 
 class Effects:
@@ -57,7 +57,7 @@ class Effects:
         """Return whether a routine is in another file and may change data of these modules, or move the robot."""
         return name not in self.routines and name not in self.without_effect and not is_of_rapid(name)
 
-    def changed(self, statements: tuple[Statement, ...]) -> Iterator[str]:
+    def changed_names(self, statements: tuple[Statement, ...]) -> Iterator[str]:
         """Yield the names of data that statements may change themselves, as their own routine names them."""
         for statement in all_statements(statements):
             for call in calls(statement):
@@ -79,13 +79,13 @@ class Effects:
             expressions = (expression for parameter, expression, _ in bound if parameter.changeable)
             yield from (base_name(expression) for expression in expressions if expression is not None)
         elif name not in PURE:
-            yield from (base_name(argument) for argument in changed_by(arguments))
+            yield from (base_name(argument) for argument in changed_arguments(arguments))
 
     def changed_by_handler(self, routine: Routine) -> frozenset[str]:
         """Return the names of data that the handlers of a routine may change, as it names them."""
         if routine.name not in self._changed_by_handler:
-            names = set(self.changed(routine.handler))
-            for name in called(routine.handler):
+            names = set(self.changed_names(routine.handler))
+            for name in called_names(routine.handler):
                 names |= self.changed_data_of(name)
             self._changed_by_handler[routine.name] = frozenset(names)
         return self._changed_by_handler[routine.name]
@@ -107,8 +107,8 @@ class Effects:
                 statements = (*routine.body, *routine.handler)
                 local_names = {parameter.name for parameter in routine.parameters}
                 local_names |= {item.name for item in all_statements(statements) if isinstance(item, Declaration)}
-                names |= set(self.changed(statements)) - local_names
-                waiting += (names_called := called(statements) - looked_at)
+                names |= set(self.changed_names(statements)) - local_names
+                waiting += (names_called := called_names(statements) - looked_at)
                 looked_at |= names_called
             self._changed_data[name, with_foreign] = frozenset(names)
         return self._changed_data[name, with_foreign]
@@ -127,7 +127,7 @@ def results(instruction: Instruction) -> Iterator[Expression]:
             yield argument.value
 
 
-def called(statements: tuple[Statement, ...]) -> set[str]:
+def called_names(statements: tuple[Statement, ...]) -> set[str]:
     """Return the names of the instructions and functions in statements, those of routines among them."""
     names = {call.value for statement in all_statements(statements) for call in calls(statement)}
     instructions = (statement for statement in all_statements(statements) if isinstance(statement, Instruction))

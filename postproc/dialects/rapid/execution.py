@@ -19,7 +19,7 @@ from typing import Any, NoReturn, TypeGuard
 from msgspec import Struct, field
 from msgspec.structs import replace
 
-from postproc.dialects.rapid.effects import Effects, bound_arguments, called, results
+from postproc.dialects.rapid.effects import Effects, bound_arguments, called_names, results
 from postproc.dialects.rapid.instructions import (
     CONSTANT,
     COUNTING,
@@ -27,7 +27,7 @@ from postproc.dialects.rapid.instructions import (
     READING,
     SETTINGS,
     STOPPING,
-    moves_unfollowed,
+    is_unfollowed_motion,
 )
 from postproc.dialects.rapid.loaded import LoadedModules, name_clash, named_like_rapid
 from postproc.dialects.rapid.moves import Move, Setting, equal, stated_move
@@ -55,10 +55,10 @@ from postproc.dialects.rapid.values import (
     Variable,
     assign,
     base_name,
-    changed_by,
+    changed_arguments,
     evaluate,
     number,
-    predefined,
+    predefined_data,
     truth,
 )
 from postproc.errors import MAX_ERRORS, PostprocError
@@ -77,7 +77,7 @@ class RapidError(PostprocError):
         super().__init__(problem)
         self.problem, self.start, self.advice, self.line = problem, start, advice, 0
 
-    def at_line(self, line: int) -> RapidError:
+    def set_line(self, line: int) -> RapidError:
         """Return the error itself, with its line."""
         self.line = line
         return self
@@ -149,7 +149,9 @@ class Execution:
         all_modules = (*loaded.modules, *self.modules)
         self.effects = Effects(all_modules, without_effect)
         self.routines = {routine.name: routine for module in self.modules for routine in module.routines}
-        self.data: dict[str, Variable] = {name: Variable(type_, value) for name, (value, type_) in predefined().items()}
+        self.data: dict[str, Variable] = {
+            name: Variable(type_, value) for name, (value, type_) in predefined_data().items()
+        }
         _check_names(all_modules)
         _check_functions(self.modules)
         self.data |= {name: replace(variable) for name, variable in loaded.data.items()}
@@ -174,7 +176,7 @@ class Execution:
                     _forget_variable(self.data.get(name), f"{routine.name} may change it, which is not followed")
 
     def run(self) -> Executed:
-        """Run the program.
+        """Execute the program from its main procedure.
 
         :raises RapidError: something that changes motion is not known.
         """
@@ -206,9 +208,9 @@ class Execution:
 
         :param scope: of the statements; None: only data of the modules count.
         """
-        for name in self.effects.changed(statements):
+        for name in self.effects.changed_names(statements):
             _forget_variable(self.data.get(name) if scope is None else scope.find(name), reason)
-        for name in called(statements):
+        for name in called_names(statements):
             for data_name in self.effects.changed_data_of(name):
                 _forget_variable(self.data.get(data_name), reason)
 
@@ -250,7 +252,7 @@ class Execution:
                 if isinstance(statement, Comment) and FORCE_COMMENT.match(statement.text):
                     problem = f"it is not known whether this force acts: {reason}"
                     raise RapidError(problem, statement.start, "Put the comment before the move on which it acts.")
-            names_called = (called(block) & self.routines.keys()) - names
+            names_called = (called_names(block) & self.routines.keys()) - names
             names |= names_called
             waiting += [self.routines[name].body for name in names_called]
 
@@ -296,7 +298,7 @@ class Execution:
             name = statement.name.removeprefix("%")
             routine = self.effects.routines.get(name)
             if routine is None:
-                if name in MOVES or name in SETTINGS or moves_unfollowed(name) or self._is_foreign_move(statement):
+                if name in MOVES or name in SETTINGS or is_unfollowed_motion(name) or self._is_foreign_move(statement):
                     return statement
             elif self._routine_moves(routine):
                 return statement
@@ -324,7 +326,7 @@ class Execution:
             self._block(routine.body, scope, routine, depth)
 
     def _block(self, statements: tuple[Statement, ...], scope: Scope, routine: Routine, depth: int) -> None:
-        """Execute statements.
+        """Execute the statements of a block in order.
 
         :raises RapidError: more than `_MOST_STATEMENTS` were executed.
         """
@@ -421,7 +423,7 @@ class Execution:
         return any(subject == evaluate(item, scope)[0] for item in condition.items)
 
     def _skip(self, statements: tuple[Statement, ...], reason: str, scope: Scope, routine: Routine) -> None:
-        """Pass over statements of which it is not known whether they run."""
+        """Skip statements that may or may not be executed."""
         moving = self.moves(statements)
         if moving is not None:
             problem = f"it is not known before the program runs whether {moving.name} is executed: {reason}"
@@ -454,7 +456,7 @@ class Execution:
             self.done.rounds.setdefault(loop.start, []).append((loop, values))
 
     def _loop_without_moves(self, loop: Loop, scope: Scope, routine: Routine, depth: int) -> None:
-        """Follow a loop without moves while its conditions are known; else what it changes is not known."""
+        """Follow a loop without moves while its conditions are known; then mark the data that it changes as unknown."""
         reason = "it is too long"
         try:
             if loop.name:
@@ -572,7 +574,7 @@ class Execution:
             self._set(statement, scope)
         elif name in COUNTING:
             self._count(statement, scope)
-        elif moves_unfollowed(name):
+        elif is_unfollowed_motion(name):
             self._refuse(statement, f"{name} moves the robot or changes how it moves, which is not followed", _KEEP)
         elif name in self.effects.routines:
             self._call_other_module(statement, self.effects.routines[name], scope)
@@ -583,7 +585,7 @@ class Execution:
             if name == "CONNECT":
                 self._connect(statement)
             is_reading = name in READING or name in CONSTANT
-            for argument in results(statement) if is_reading else changed_by(statement.arguments):
+            for argument in results(statement) if is_reading else changed_arguments(statement.arguments):
                 _forget_variable(scope.find(base_name(argument)), f"{name} may change it")
             if self.effects.is_foreign(name):
                 self._foreign(name, statement)
@@ -604,7 +606,7 @@ class Execution:
 
     def _count(self, statement: Instruction, scope: Scope) -> None:
         """Execute Incr, Decr, Add or Clear."""
-        target = next(changed_by(statement.arguments), None)
+        target = next(changed_arguments(statement.arguments), None)
         variable = None if target is None else scope.find(base_name(target))
         if target is None or variable is None:
             return
@@ -684,7 +686,7 @@ class Execution:
         """Return whether a routine may change an element of data that a parameter refers to, by any name."""
         names = [base_name(expression) for _, expression, _ in bound if expression is not None]
         base = next(base_name(e) for item, e, _ in bound if item is parameter and e is not None)
-        changed_names = {*self.effects.changed(routine.body), *self.effects.changed_data_of(routine.name)}
+        changed_names = {*self.effects.changed_names(routine.body), *self.effects.changed_data_of(routine.name)}
         return parameter.name in changed_names or base in changed_names or names.count(base) > 1
 
     def _frame_of_cell(self, name: str, type_: str) -> Value | None:

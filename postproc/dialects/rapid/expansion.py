@@ -67,7 +67,7 @@ def expand(
             changes = _changes(text, whole, execution)
         except RapidError as cause:
             row = np.searchsorted(line_spans(text)[0], cause.start, side="right") - 1
-            raise cause.at_line(int(line[row])) from None
+            raise cause.set_line(int(line[row])) from None
         if not changes:
             return Expanded(text, whole, execution, line, tuple(loops), tuple(copies))
         starts = line_spans(text)[0]
@@ -95,7 +95,7 @@ class _Change(Struct, frozen=True):
 
 
 def _changes(text: str, whole: Sequence[Module], execution: Executed) -> list[_Change]:
-    """Return what has to change first: outermost loops that run once, then routines called by statements that do."""
+    """Return the first changes: outermost loops that run once, then routines called by statements that run once."""
     times: dict[int, int] = {}
     for move in execution.moves:
         times[move.statement.start] = times.get(move.statement.start, 0) + 1
@@ -176,9 +176,9 @@ def _unroll(text: str, loop: Loop, values: Sequence[float]) -> _Change:
 
 
 def _uses(text: str, loop: Loop) -> list[tuple[int, int]]:
-    """Return where the body of FOR names its variable.
+    """Return the spans (start, stop) at which the body of FOR names its variable.
 
-    :raises RapidError: the name means something else there too.
+    :raises RapidError: a second loop inside has a variable of the same name.
     """
     begin, end = loop.inside
     spans: list[tuple[int, int]] = []

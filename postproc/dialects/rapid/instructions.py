@@ -118,7 +118,7 @@ SETTINGS = {"SINGAREA", "CONFL", "CONFJ", "CIRPATHMODE", "VELSET"}
 STOPPING = {"EXIT", "EXITCYCLE", "STOP", "BREAK"}
 
 
-def moves_unfollowed(name: str) -> bool:
+def is_unfollowed_motion(name: str) -> bool:
     """Return whether an instruction of RAPID moves the robot, or changes how it moves, and is not followed."""
     return (MOVING.match(name) is not None and name not in CONSTANT) or _PROCESS_MOVES.fullmatch(name) is not None
 
@@ -126,4 +126,4 @@ def moves_unfollowed(name: str) -> bool:
 def is_of_rapid(name: str) -> bool:
     """Return whether a name is that of an instruction or function of RAPID."""
     groups = (MOVES, SETTINGS, CONSTANT, READING, WRITING, BY_NAME, STOPPING, FUNCTIONS)
-    return any(name in names for names in groups) or moves_unfollowed(name)
+    return any(name in names for names in groups) or is_unfollowed_motion(name)

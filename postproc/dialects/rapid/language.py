@@ -59,7 +59,7 @@ _SAME_QUADRANT = 1e-6
 
 
 def fault_of(name: str) -> str | None:
-    """Return why the controller would refuse a name for a program, or None if it would not.
+    """Return the controller's reason to refuse a program name, or None if it is valid.
 
     >>> fault_of("PART_1"), fault_of("_1")
     (None, 'it does not begin with a letter')
@@ -101,7 +101,7 @@ _OURS = re.compile(r"(?:tool|wobj|speed|zone)_[0-9]+", re.IGNORECASE)
 
 
 def line_fault(line: str) -> str | None:
-    """Return why a line is not allowed between moves, or None if it is.
+    """Return the reason that a line is not allowed between moves, or None if it is.
 
     >>> line_fault("SetDO doSpindle,1;"), line_fault("$OUT[1]=TRUE")
     (None, 'it is not a RAPID instruction that ends with a semicolon')

@@ -20,7 +20,7 @@ from postproc.dialects.rapid.values import (
     UnknownValueError,
     Variable,
     evaluate,
-    predefined,
+    predefined_data,
 )
 from postproc.dialects.text import decode, line_spans
 from postproc.errors import CellError, ProgramError
@@ -61,7 +61,7 @@ def load_modules(cell: Cell) -> LoadedModules:
 def name_clash(
     modules_of_task: Iterable[Module],
 ) -> tuple[Declaration | Routine, tuple[str, str]] | None:
-    """Return what the second of two modules declares again, and the names of both; None: all names differ.
+    """Return a declaration whose name two modules declare, and the modules' names; None if all names differ.
 
     A LOCAL name counts too: which one is meant depends on the module.
     """
@@ -119,7 +119,7 @@ def _data(loaded_modules: tuple[Module, ...]) -> dict[str, Variable]:
         name: Variable(item.type, declaration=item, literal=item.value is not None)
         for name, item in declarations.items()
     }
-    of_controller = {name: Variable(type_, value) for name, (value, type_) in predefined().items()}
+    of_controller = {name: Variable(type_, value) for name, (value, type_) in predefined_data().items()}
     scope = Scope({**of_controller, **declared})
     data: dict[str, Variable] = {}
     for name, item in declarations.items():

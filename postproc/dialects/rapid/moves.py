@@ -19,7 +19,7 @@ from postproc.dialects.rapid.values import (
     base_name,
     evaluate,
     number,
-    predefined,
+    predefined_data,
     record_numbers,
 )
 
@@ -101,7 +101,7 @@ def stated_move(statement: Instruction, form: Form, scope: Scope, setting: Setti
         raise UnknownValueError(f"{statement.name} has {len(expressions)} arguments instead of {min_count}")
     *points, last = (_target(expressions[k], scope, joints=form.joints) for k in range(form.points))
     speed_at, zone_at = form.points, form.points + 1 + form.before_zone
-    speed, duration = _speed(expressions[speed_at], options, scope, setting)
+    speed, duration = _speed_and_duration(expressions[speed_at], options, scope, setting)
     wobj = options["WOBJ"].value if "WOBJ" in options else None
     return Move(
         statement=statement,
@@ -113,7 +113,7 @@ def stated_move(statement: Instruction, form: Form, scope: Scope, setting: Setti
         duration=duration,
         zone=_zone(expressions[zone_at], options, scope),
         tool=_frame(expressions[zone_at + 1], "TOOLDATA", scope, frames),
-        wobj=predefined()["WOBJ0"][0] if wobj is None else _frame(wobj, "WOBJDATA", scope, frames),
+        wobj=predefined_data()["WOBJ0"][0] if wobj is None else _frame(wobj, "WOBJDATA", scope, frames),
         setting=setting,
     )
 
@@ -141,7 +141,9 @@ def _target(expression: Expression, scope: Scope, *, joints: bool) -> Target:
     return Target(numbers, expression)
 
 
-def _speed(expression: Expression, options: dict[str, Argument], scope: Scope, setting: Setting) -> tuple[float, float]:
+def _speed_and_duration(
+    expression: Expression, options: dict[str, Argument], scope: Scope, setting: Setting
+) -> tuple[float, float]:
     """Return the speed [mm/s] and the duration [s], 0 if there is none."""
     share, limit = setting.speed
     for name in ("T", "V"):
@@ -213,7 +215,7 @@ def equal(first: Move, second: Move) -> bool:
     """Return whether two motions are the same."""
     same_target = first.statement is second.statement and first.target.numbers == second.target.numbers
     vias = (first.via.numbers if first.via else None) == (second.via.numbers if second.via else None)
-    rest = (first.speed, first.zone, first.tool, first.wobj, first.setting) == (
+    has_same_data = (first.speed, first.zone, first.tool, first.wobj, first.setting) == (
         second.speed, second.zone, second.tool, second.wobj, second.setting,
     )  # fmt: skip
-    return same_target and vias and rest
+    return same_target and vias and has_same_data

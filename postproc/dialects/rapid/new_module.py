@@ -21,7 +21,7 @@ import numpy as np
 from postproc.cell import Cell
 from postproc.decimals import Number, Part, lines
 from postproc.dialects import force_comments
-from postproc.dialects.force_comments import where
+from postproc.dialects.force_comments import text_in_rows
 from postproc.dialects.new_program import NewProgram, Words, check_name, number
 from postproc.dialects.rapid import language
 from postproc.dialects.rapid.language import (
@@ -62,13 +62,13 @@ _LARGEST_COORDINATE = 1e6
 """Largest coordinate of a frame [mm] (assumed)."""
 
 
-def _to_joints(joints: Array) -> str:
+def _joint_motion(joints: Array) -> str:
     """Return the motion to joint angles (6,) [rad] that begins with tool and work object of the program."""
     angles = ",".join(f"{angle:.5f}" for angle in (abb_from_joints(joints) + 0.0).tolist())
     return f"MoveAbsJ [[{angles}],{NO_EXTERNAL_AXES}],speed_0,fine,tool_0\\WObj:=wobj_0;"
 
 
-WORDS = Words("!", "WaitTime {};", "Stop;", _to_joints, encoding="ascii")
+WORDS = Words("!", "WaitTime {};", "Stop;", _joint_motion, encoding="ascii")
 _INSTRUCTIONS = {LIN: b"MoveL ", CIRC: b"MoveC ", PTP: b"MoveJ "}
 _MILLIMETRES, _QUATERNION = 4, 8
 """Decimals of positions (0.1 µm) and quaternions: 1e-8 is 0.02 µm at a lever of 1 m."""
@@ -92,7 +92,7 @@ def write(
     :raises CellError: a line of the cell is not RAPID.
     """
     check_name(program, "RAPID", fault_of, valid)
-    return _NewModule(program, targets, joints, cell, comment_forces).written()
+    return _NewModule(program, targets, joints, cell, comment_forces).write()
 
 
 class _NewModule:
@@ -110,7 +110,7 @@ class _NewModule:
         )
         self.new = NewProgram(program, targets, cell, WORDS)
 
-    def written(self) -> Written:
+    def write(self) -> Written:
         """Return the document."""
         new, program = self.new, self.program
         for _ in new.frame_changes():
@@ -124,7 +124,9 @@ class _NewModule:
         speeds = self._speeds()
         self._note_forces()
         head = self._head(zones, speeds)
-        text, output_line = new.joined(head, self._lines, [*(f"    {line}" for line in END), "  ENDPROC", "ENDMODULE"])
+        text, output_line = new.text_and_lines(
+            head, self._lines, [*(f"    {line}" for line in END), "  ENDPROC", "ENDMODULE"]
+        )
         limit = self.cell.output.lines_per_file
         if limit and text.count("\n") > limit:
             message = f"The module has more than {limit} lines: lines_per_file divides only KRL."
@@ -159,7 +161,7 @@ class _NewModule:
         if self.carried is None:
             return
         no_note = constant(-1, len(self.targets))
-        rows = np.flatnonzero(force_comments.needed(self.carried, self.targets.kind, no_note, (), np.nan))
+        rows = np.flatnonzero(force_comments.needs_comment(self.carried, self.targets.kind, no_note, (), np.nan))
         for k, text in zip(rows.tolist(), force_comments.texts(b"!", self.carried, rows), strict=True):
             self.new.before[k].append(f"    {text}")
 
@@ -226,8 +228,8 @@ class _NewModule:
                 *end,
                 b",speed_",
                 Number.of(self.speed[k].astype(np.float64), 0),
-                where(b",fine", stops),
-                where(b",zone_", ~stops),
+                text_in_rows(b",fine", stops),
+                text_in_rows(b",zone_", ~stops),
                 Number.of(np.where(stops, np.nan, self.zone[k]), 0),
                 b",tool_",
                 Number.of(motions.tool[motion].astype(np.float64), 0),

@@ -113,7 +113,7 @@ class _Reader:
     # --- text
 
     def _expand(self, name: str) -> Expanded:
-        """Return the program executed, each motion in a statement of its own.
+        """Return the execution of the program, with loops and calls expanded until each statement moves once.
 
         :raises ProgramError: it is invalid or cannot be followed.
         """
@@ -121,7 +121,7 @@ class _Reader:
         try:
             without_effect = self.cell.rapid.without_effect
             entry_of = partial(self._entry, name=name)
-            return expand(text, entry_of, self._from_cell, without_effect, self.loaded)
+            return expand(text, entry_of, self._cell_frame, without_effect, self.loaded)
         except RapidSyntaxError as cause:
             advice = "Check the file in RobotStudio. If it is accepted there, please report this."
             line = int(np.searchsorted(line_spans(text)[0], cause.start, side="right"))
@@ -158,8 +158,8 @@ class _Reader:
             advice="Name the file like the procedure, or add a PROC main that calls what is to run.",
         )
 
-    def _from_cell(self, name: str, type_: str) -> Value | None:
-        """Return [tool] or [base] of the cell for data of other modules; None if it stands for another name."""
+    def _cell_frame(self, name: str, type_: str) -> Value | None:
+        """Return [tool] or [base] of the cell for data of another module."""
         type_names = self.names.setdefault(type_, set())
         type_names.add(name)
         if len(type_names) > 1:
@@ -232,7 +232,7 @@ class _Reader:
             centre=arcs[0],
             normal=arcs[1],
             sweep=arcs[2],
-            feed=self._feed(moves, kind, start, pose, arcs, line),
+            feed=self._tcp_speed(moves, kind, start, pose, arcs, line),
             base=base,
             tool=tool,
             blend=_single([move.zone for move in moves]) * M_PER_MM,
@@ -316,18 +316,20 @@ class _Reader:
         if is_not_unit.any():
             advice = "The squares of q1…q4 must add up to 1: give them with more decimals."
             raise self._at("the orientation is not a unit quaternion", int(line[np.argmax(is_not_unit)]), advice)
-        odd = (numbers[:, 7:11] != np.round(numbers[:, 7:11])).any(axis=1) | (numbers[:, 10] < 0) | (numbers[:, 10] > 7)
-        if odd.any():
+        has_invalid_axis_data = (
+            (numbers[:, 7:11] != np.round(numbers[:, 7:11])).any(axis=1) | (numbers[:, 10] < 0) | (numbers[:, 10] > 7)
+        )
+        if has_invalid_axis_data.any():
             raise self._at(
                 "the configuration (cf1, cf4, cf6, cfx) is not understood",
-                int(line[np.argmax(odd)]),
+                int(line[np.argmax(has_invalid_axis_data)]),
                 "It has four whole numbers, the last from 0 to 7.",
             )
 
     def _check_external(
         self, moves: list[Move], robtarget_values: Array, line: Ints, jointtarget_values: Array, axis_line: Ints
     ) -> None:
-        """Refuse external axes that move, or carry the robot elsewhere."""
+        """Refuse external axes that move, or that displace the robot."""
         del moves
         values, lines = np.concatenate([robtarget_values, jointtarget_values]), np.concatenate([line, axis_line])
         is_used = (np.abs(values) < NONE) & (values != 0.0)
@@ -343,7 +345,7 @@ class _Reader:
     def _arcs(
         self, moves: list[Move], start: Array, pose: Array, line: Ints, circular: Bools
     ) -> tuple[Array, Array, Array]:
-        """Return centre (M, 3), normal (M, 3) and sweep (M,) of circles; NaN elsewhere."""
+        """Return centre (M, 3), normal (M, 3) and sweep (M,) of circles; NaN for other motions."""
         rows = np.flatnonzero(circular)
         centre, normal = np.full((len(line), 3), np.nan), np.full((len(line), 3), np.nan)
         sweep = np.full(len(line), np.nan)
@@ -373,14 +375,14 @@ class _Reader:
             ((area == "WRIST") & turns & (kind == CIRC), "the turn along a circle is not known under SingArea\\Wrist"),
             ((kind == CIRC) & ~np.isin(mode, ("PATHFRAME", "OBJECTFRAME")) & turns, "this CirPathMode is not followed"),
         )
-        for wrong, problem in faults:
-            if wrong.any():
+        for is_invalid, problem in faults:
+            if is_invalid.any():
                 advice = "Use SingArea\\Off and CirPathMode\\ObjectFrame, or keep the orientation along this move."
-                raise self._at(problem, int(line[np.argmax(wrong)]), advice)
+                raise self._at(problem, int(line[np.argmax(is_invalid)]), advice)
         by_wrist = (area == "WRIST") & (kind == LIN)
         return by_wrist, (kind == CIRC) & (mode == "PATHFRAME")
 
-    def _feed(
+    def _tcp_speed(
         self, moves: list[Move], kind: Ints, start: Array, pose: Array, arcs: tuple[Array, Array, Array], line: Ints
     ) -> Array:
         """Return the speed of the TCP (M,) [m/s], as the controller stores it."""
@@ -407,7 +409,7 @@ class _Reader:
             message = f"{name} is in no module of this file: it is assumed not to move the robot."
             at = int(self._lines(whole, np.array([start]))[0])
             yield Issue("warning", "external-call", message, at, subject=name.upper(), count=count)
-        yield from self._from_cell_issues(execution)
+        yield from self._cell_frame_issues(execution)
         for module in whole.modules:
             for routine in module.routines:
                 moving = next(
@@ -432,7 +434,7 @@ class _Reader:
             yield Issue("info", "routine-copied", message)
 
     @staticmethod
-    def _from_cell_issues(execution: Executed) -> Iterator[Issue]:
+    def _cell_frame_issues(execution: Executed) -> Iterator[Issue]:
         """Yield a warning for each tool and work object that is taken from the cell."""
         for name, type_ in execution.assumed.items():
             section = "[tool]" if type_ == "TOOLDATA" else "[base]"

@@ -19,6 +19,7 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
+from postproc.decimals import decimal_text
 from postproc.dialects import force_comments
 from postproc.dialects.rapid.instructions import MOVES
 from postproc.dialects.rapid.language import abb_from_joints, configuration, quaternions
@@ -54,7 +55,7 @@ class Edit(Struct, frozen=True, order=True):
     targets: tuple[tuple[int, int], ...] = ()
 
 
-def rewritten(program: Program, targets: Targets, joints: TargetJoints, comment_forces: TargetForces | None) -> Written:
+def rewrite(program: Program, targets: Targets, joints: TargetJoints, comment_forces: TargetForces | None) -> Written:
     """Return a program read from RAPID with other targets.
 
     :param joints: joint angles of the targets, which give their configurations.
@@ -62,7 +63,7 @@ def rewritten(program: Program, targets: Targets, joints: TargetJoints, comment_
     """
     if not isinstance(program.layout, Layout):
         raise TypeError("the program was not read from RAPID")
-    return _Rewriter(program, program.layout, targets, joints, comment_forces).written()
+    return _Rewriter(program, program.layout, targets, joints, comment_forces).write()
 
 
 class _Rewriter:
@@ -102,7 +103,7 @@ class _Rewriter:
             return set()
         return set(np.flatnonzero(self.program.motions.feed < as_read).tolist())
 
-    def written(self) -> Written:
+    def write(self) -> Written:
         """Return the document."""
         document = self.program.documents[0]
         forces = self._forces()
@@ -119,7 +120,7 @@ class _Rewriter:
                 is_divided[row] or is_corrected[k] or bool(start_differs[row])
             )
             if needs_speed or row in self.lowered:
-                self._speed(row)
+                self._set_speed(row)
             if is_corrected[k]:
                 self._change(row, k, uses)
             elif self.moves[row].kind == CIRC and self.targets.kind[k] == LIN:
@@ -146,7 +147,9 @@ class _Rewriter:
         # a comment in the line of a move counts for its end only: inserted targets are in lines above it
         target_keys = 2 * self.row + self.last
         note = np.searchsorted(2 * note_motions + trailing, target_keys, side="right") - 1
-        rows = np.flatnonzero(force_comments.needed(self.carried, self.targets.kind, note, self.program.notes, 0.0))
+        rows = np.flatnonzero(
+            force_comments.needs_comment(self.carried, self.targets.kind, note, self.program.notes, 0.0)
+        )
         return dict(zip(rows.tolist(), force_comments.texts(b"!", self.carried, rows), strict=True))
 
     def _add_lines(self, row: int, inserted_rows: range, k: int, forces: dict[int, str]) -> None:
@@ -229,14 +232,14 @@ class _Rewriter:
         )
 
     def _new_speed(self, row: int) -> str | None:
-        """Return the speed [mm/s] that a move gets instead of its own; None if that stays."""
+        """Return the new speed [mm/s] of a move as text; None if the speed is unchanged."""
         move = self.moves[row]
         if row not in self.lowered and not move.duration > 0.0:
             return None
         feed = float(self.program.motions.feed[row]) * MM_PER_M / move.setting.speed[0]
         return f"{feed:.{_SPEED_DECIMALS}f}".rstrip("0").rstrip(".")
 
-    def _speed(self, row: int) -> None:
+    def _set_speed(self, row: int) -> None:
         """Give a move a speed in place of its duration or its own speed."""
         value = self._new_speed(row)
         move = self.moves[row]
@@ -279,7 +282,7 @@ class _Rewriter:
         k: int,
         uses: dict[int, list[tuple[int, str]]],
     ) -> None:
-        """Give a target other numbers where they stand, or write it as numbers.
+        """Replace the numbers of a target in its literal, or write it as numbers in the move.
 
         :param turn: None for the point on a circle: its orientation is of no effect.
         """
@@ -325,7 +328,7 @@ class _Rewriter:
                     self.edits.append(Edit(expression.start, expression.stop, text))
 
     def _numbers(self, literal: Expression, target: Target, place: Array, turn: Array | None, k: int) -> list[Edit]:
-        """Return the edits of the numbers of a target where they stand."""
+        """Return the edits of the numbers in a literal; of the whole literal if they cannot be edited singly."""
         spans = self._spans(literal)
         conf = self._configuration(target.numbers, k)
         moved_axis = turn is not None and conf != target.numbers[7:11]
@@ -363,7 +366,7 @@ class _Rewriter:
         """Return the edit of a number, with the decimals that it has, but no fewer than `min_decimals`."""
         mantissa = self.text[slice(*span)].upper().partition("E")[0]
         decimals = min(max(len(mantissa.partition(".")[2]), min_decimals), _MOST_DECIMALS)
-        return Edit(*span, _decimal_text(value, decimals))
+        return Edit(*span, decimal_text(value, decimals))
 
     def _whole(self, numbers: Sequence[float], place: Array, k: int, turn: Array | None = None) -> str:
         """Return a target as numbers; configuration and external axes are those of the move."""
@@ -371,8 +374,8 @@ class _Rewriter:
         conf = self._configuration(numbers, k)
         axes = ["9E+09" if abs(value) >= NONE else f"{value:g}" for value in numbers[11:17]]
         return (
-            f"[[{','.join(_decimal_text(v, _MILLIMETRES) for v in place.tolist())}],"
-            f"[{','.join(_decimal_text(v, _QUATERNION) for v in turn.tolist())}],"
+            f"[[{','.join(decimal_text(v, _MILLIMETRES) for v in place.tolist())}],"
+            f"[{','.join(decimal_text(v, _QUATERNION) for v in turn.tolist())}],"
             f"[{','.join(map(str, conf))}],[{','.join(axes)}]]"
         )
 
@@ -418,8 +421,3 @@ class _Rewriter:
         new = np.cumsum([0, *(len(edit.text) - (edit.stop - edit.start) for edit in edits)])
         offset[ends] = place + new[edit_counts]
         return text, np.searchsorted(line_spans(text)[0], offset, side="right")
-
-
-def _decimal_text(value: float, decimals: int) -> str:
-    """Return a number with so many decimals, never -0."""
-    return f"{round(value, decimals) + 0.0:.{decimals}f}"

@@ -251,7 +251,7 @@ class Parser:
     # --- expressions
 
     def expression(self, level: int = 0) -> Expression:
-        """Read an expression."""
+        """Parse an expression, and move behind it."""
         if level == len(_OPERATORS):
             return self._factor()
         self.depth += 1
@@ -382,7 +382,7 @@ class Parser:
         return comments
 
     def statement(self) -> Statement:
-        """Read a statement."""
+        """Parse a statement, and move behind it."""
         start, word = self.start, self.word
         if self.kind == "symbol" and word == "%":
             return self._late_call()

@@ -98,7 +98,7 @@ _NO_LOAD = [0.001, [0.0, 0.0, 0.001], UNIT, 0.0, 0.0, 0.0]
 _ORIGIN = [[0.0, 0.0, 0.0], UNIT]
 
 
-def predefined() -> dict[str, tuple[Value, str]]:
+def predefined_data() -> dict[str, tuple[Value, str]]:
     """Return the data that every controller has, by name: (value, type)."""
     data: dict[str, tuple[Value, str]] = {
         f"V{speed}": ([float(speed), 500.0, 5000.0, 1000.0], "SPEEDDATA") for speed in _SPEEDS
@@ -468,7 +468,7 @@ _EVALUATORS: dict[str, Callable[[Expression, Scope], tuple[Value, str]]] = {
 }
 
 
-def changed_by(arguments: tuple[Argument, ...]) -> Iterator[Expression]:
+def changed_arguments(arguments: tuple[Argument, ...]) -> Iterator[Expression]:
     """Yield the arguments that a call may change: data, their elements and components."""
     for argument in arguments:
         if argument.value is not None and argument.value.kind in ("name", "index", "field"):

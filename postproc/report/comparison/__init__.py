@@ -6,7 +6,7 @@ from postproc.report.comparison.summary import (
     ComparisonSummary,
     MadeFrom,
     comparison_summary,
-    of_comparison,
+    comparison_text,
     pairs_csv,
 )
 
@@ -16,6 +16,6 @@ __all__ = [
     "MadeFrom",
     "comparison_page",
     "comparison_summary",
-    "of_comparison",
+    "comparison_text",
     "pairs_csv",
 ]

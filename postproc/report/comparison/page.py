@@ -15,14 +15,14 @@ from postproc.program import Ints, distinct
 from postproc.report.comparison.summary import (
     ComparisonSummary,
     Names,
-    counted,
+    count_text,
     names_of,
-    of_splines,
     passed_sentence,
+    spline_sentence,
     where_of,
 )
 from postproc.report.formatting import ROUNDING_MM, millimetres
-from postproc.report.judged import answers, in_two
+from postproc.report.judged import answers, split_headline
 from postproc.report.kit import (
     Axis,
     Cell,
@@ -91,7 +91,7 @@ def comparison_page(comparison: Comparison, content: ComparisonSummary) -> Itera
     yield from Page(
         kind="Comparison",
         title=f"{content.corrected} against {content.nominal}",
-        subtitle=f"{content.robot} · {counted(content)}",
+        subtitle=f"{content.robot} · {count_text(content)}",
         sections=(
             *sections,
             _issues(comparison, content, pair_rows, names[0]),
@@ -118,7 +118,7 @@ def _verdict(content: ComparisonSummary) -> Section:
         (text if text.startswith(names) or _PLACE.match(text) else text[:1].upper() + text[1:]) + "."
         for text in verdict.reasons
     )
-    parts: list[Part] = [Verdict(verdict.state, *in_two(verdict)), answers(verdict)]
+    parts: list[Part] = [Verdict(verdict.state, *split_headline(verdict)), answers(verdict)]
     if reasons:
         kind: Kind = "error" if verdict.state == "failed" else ""
         parts.append(Notes(tuple(Note(text, kind) for text in reasons), "Why", marked=True))
@@ -147,7 +147,7 @@ def _numbers(content: ComparisonSummary) -> Section:
         largest = (millimetres(between_targets.nominal_max_mm), millimetres(between_targets.corrected_max_mm))
         rows += (Row(("Maximum between targets, from the path", "-", *largest)),)
     parts: list[Part] = [Tiles(tuple(tiles)), Table(tuple(head), rows, "Numbers")]
-    pair_rows = ((content.passed, passed_sentence), (content.splines, of_splines))
+    pair_rows = ((content.passed, passed_sentence), (content.splines, spline_sentence))
     texts = [words(content) for count, words in pair_rows if count]
     if texts:
         parts.append(Notes(tuple(Note(f"{text[:1].upper()}{text[1:]}.") for text in texts)))

@@ -21,8 +21,8 @@ from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm, xyzabc_from_pose
 from postproc.program import Bools, Ints, Program
 from postproc.provenance import Provenance
 from postproc.provenance import State as Origin
-from postproc.report.answers import LIMITS_AND_COLLISIONS, UNJUDGED, Drive, Tolerance, Verdict, joined
-from postproc.report.formatting import PLAIN, ROUNDING_MM, Display, State, above, millimetres, stated_mm
+from postproc.report.answers import LIMITS_AND_COLLISIONS, UNJUDGED, Drive, Tolerance, Verdict, join
+from postproc.report.formatting import PLAIN, ROUNDING_MM, Display, State, above_limit, millimetres, stated_mm
 from postproc.report.path import operation_starts
 from postproc.report.summary import Distances
 
@@ -284,7 +284,7 @@ def comparison_summary(
             "both come from the same program, cell and robot model; the forces of the correction are in a file: give "
             "it with --forces to check what remains"
         )
-    verdict = joined("convert", drive, None, _tolerance(content), holds, words=WORDS)
+    verdict = join("convert", drive, None, _tolerance(content), holds, words=WORDS)
     return replace(content, verdict=verdict)
 
 
@@ -309,7 +309,7 @@ def _entry(difference: Difference, nominal: Names, second_names: Names) -> Diffe
 
 
 def where_of(entry: DifferenceEntry) -> str:
-    """Return where a difference is first, in both programs; empty if that is not known."""
+    """Return the lines of the first place of a difference, in both programs; empty if unknown."""
     places = (
         (entry.source_file, entry.source_line),
         (entry.corrected_file, entry.corrected_line),
@@ -324,7 +324,7 @@ def _failures(content: ComparisonSummary, limit_mm: float, file_origin: MadeFrom
     # without forces the correction is too uncertain to distinguish a target from an inserted one next to it
     explains_offsets = content.cut is not None or not file_origin.same_origin
     if explains_offsets and not content.offset.max_mm <= limit_mm:
-        offset = above(content.offset.max_mm, limit_mm)
+        offset = above_limit(content.offset.max_mm, limit_mm)
         place = _pair_text(content.largest[0])
         yield f"{place}: this target is {offset} mm off: more than max_correction_mm = {limit_mm:g}"
     if not content.pairs:
@@ -337,13 +337,13 @@ def _tolerance(content: ComparisonSummary) -> Tolerance | None:
     cut, between_targets, tolerance, reasons = content.cut, content.between, content.tolerance_mm, list[str]()
     if cut is not None and not cut.corrected.max_mm <= tolerance:
         reasons.append(
-            f"{_pair_text(cut)}: the corrected program leaves {above(cut.corrected.max_mm, tolerance)} mm at this "
-            f"target under the forces given (tolerance {tolerance:g} mm)"
+            f"{_pair_text(cut)}: the corrected program leaves {above_limit(cut.corrected.max_mm, tolerance)} mm at "
+            f"this target under the forces given (tolerance {tolerance:g} mm)"
         )
     if between_targets is not None and not between_targets.corrected_max_mm <= tolerance:
         reasons.append(
             f"{between_targets.corrected_file}:{between_targets.corrected_line}: between targets it leaves "
-            f"{above(between_targets.corrected_max_mm, tolerance)} mm to the nominal path under the forces given "
+            f"{above_limit(between_targets.corrected_max_mm, tolerance)} mm to the nominal path under the forces given "
             f"(tolerance {tolerance:g} mm)"
         )
     return Tolerance("failed", "path", tolerance, False, None, [], reasons) if reasons else None
@@ -394,7 +394,7 @@ def _distances(values: Array, rapid: Bools) -> Distances:
 
 
 def _cut(comparison: Comparison, names: Sequence[Names], rows: slice) -> Cut | None:
-    """Return what both programs cut on some pairs [mm], with the worst place; None without forces."""
+    """Return the errors of both programs' cuts on some pairs [mm], with the worst place; None without forces."""
     if comparison.cuts is None:
         return None
     rapid = comparison.rapid[rows]
@@ -522,7 +522,7 @@ def pairs_csv(comparison: Comparison) -> Iterator[bytes]:
 
 
 def _rows_of_pairs(comparison: Comparison) -> tuple[Ints, Ints, Ints, Ints]:
-    """Return state, nominal motion and corrected motion (n,) of all targets, and the order (n,) in which they stand.
+    """Return state, nominal motion and corrected motion (n,) of all targets, and their order (n,) in the table.
 
     A motion is −1 where there is none. Pairs come first, in the order of `comparison.pair`.
     """
@@ -603,14 +603,14 @@ _PAIRS_IN_TEXT = 5
 """Pairs in the terminal."""
 
 
-def of_comparison(content: ComparisonSummary, display: Display = PLAIN) -> str:
+def comparison_text(content: ComparisonSummary, display: Display = PLAIN) -> str:
     """Return the summary of a comparison, at most one screen.
 
     :param display: style of the text.
     """
     verdict, cut = content.verdict, content.cut
     lines = [
-        f"{content.corrected} against {content.nominal}  on {content.robot}: {counted(content)}",
+        f"{content.corrected} against {content.nominal}  on {content.robot}: {count_text(content)}",
         display.verdict(verdict.headline, verdict.state),
         *(f"  {answer}" for answer in verdict.answers),
         *(f"  - {reason}" for reason in verdict.reasons),
@@ -639,7 +639,7 @@ def of_comparison(content: ComparisonSummary, display: Display = PLAIN) -> str:
     if content.passed:
         lines.append(f"  {passed_sentence(content)}")
     if content.splines:
-        lines.append(f"  {of_splines(content)}")
+        lines.append(f"  {spline_sentence(content)}")
     for pair in content.largest[:_PAIRS_IN_TEXT]:
         if pair.mm > 0.0:
             lines_of_pair = f"{pair.nominal_file}:{pair.nominal_line} and {pair.corrected_file}:{pair.corrected_line}"
@@ -653,7 +653,7 @@ def of_comparison(content: ComparisonSummary, display: Display = PLAIN) -> str:
     return "\n".join(lines)
 
 
-def of_splines(content: ComparisonSummary) -> str:
+def spline_sentence(content: ComparisonSummary) -> str:
     """Return a sentence on splines, of which only the targets are compared."""
     count = content.splines
     return f"of splines ({count} SPL) the targets are compared, the way between them is not"
@@ -662,13 +662,13 @@ def of_splines(content: ComparisonSummary) -> str:
 def passed_sentence(content: ComparisonSummary) -> str:
     """Return a sentence on nominal targets that the second program leaves out and whose path passes them."""
     count, distance = content.passed, content.passed_within_mm
-    count_text, it = ("1 target", "it") if count == 1 else (f"{count} targets", "them")
+    count_text, pronoun = ("1 target", "it") if count == 1 else (f"{count} targets", "them")
     verb = "is" if count == 1 else "are"
-    passes = f"its path passes {it}" + ("" if distance is None else f" within {max(distance, ROUNDING_MM):.4f} mm")
+    passes = f"its path passes {pronoun}" + ("" if distance is None else f" within {max(distance, ROUNDING_MM):.4f} mm")
     return f"{count_text} of the nominal program {verb} not in the corrected one; {passes}"
 
 
-def counted(content: ComparisonSummary) -> str:
+def count_text(content: ComparisonSummary) -> str:
     """Return the numbers of paired and unpaired targets in words."""
     text = f"{content.pairs} pairs, {content.inserted} inserted"
     text += f", {content.only_nominal} missing" if content.only_nominal else ""

@@ -118,7 +118,7 @@ class Deviation(Struct, frozen=True, dict=True):
         return summary(self.result, self.tolerance, self.part_tolerance, self.surface, self.remedies)
 
     @cached_property
-    def nothing(self) -> str | None:
+    def uncorrected_reason(self) -> str | None:
         """A sentence where there is nothing to correct, or None."""
         return nothing_to_correct(self.content)
 
@@ -135,7 +135,7 @@ class Deviation(Struct, frozen=True, dict=True):
         )
 
     @property
-    def compared(self) -> bool:
+    def is_compared(self) -> bool:
         """True if there is a program as written, to be compared with the one as programmed."""
         return self.result.mode != "predict"
 
@@ -164,7 +164,7 @@ class Deviation(Struct, frozen=True, dict=True):
     def worst_rows(self) -> Ints:
         """Rows of the worst place of each of the worst lines (before, after, bound), the largest before first."""
         result = self.result
-        measures = [result.before, *([result.after] if self.compared else [])]
+        measures = [result.before, *([result.after] if self.is_compared else [])]
         measures += [] if result.bound is None else [result.bound]
         rows = distinct(np.concatenate([_worst(measure, result.rapid, result.source_line) for measure in measures]))
         return rows[np.argsort(-result.before[rows], kind="stable")]
@@ -175,7 +175,7 @@ class Deviation(Struct, frozen=True, dict=True):
         surface, tolerance = self.surface, self.tolerance
         if surface is None or tolerance is None:
             return np.zeros(0, dtype=np.int64)
-        deviation = surface.after if self.compared else surface.before
+        deviation = surface.after if self.is_compared else surface.before
         deep = np.flatnonzero(deviation < -tolerance)
         order = deep[np.argsort(deviation[deep], kind="stable")]
         _, first = np.unique(self.result.source_line[surface.row[order]], return_index=True)
@@ -241,7 +241,7 @@ class Deviation(Struct, frozen=True, dict=True):
         """Return the data that scripts read."""
         result = self.result
         nominal, program = result.robot.nominal, result.program
-        measures = {"before": result.before, "after": result.after} if self.compared else {"before": result.before}
+        measures = {"before": result.before, "after": result.after} if self.is_compared else {"before": result.before}
         cutting = ~result.rapid
         worst = {
             name: self.places.of(int(np.argmax(np.where(cutting, values, -1.0)))) for name, values in measures.items()
@@ -301,6 +301,7 @@ def _sharp_edges(points: Array, faces: Ints) -> Ints:
     normal = np.cross(points[faces[:, 1]] - points[faces[:, 0]], points[faces[:, 2]] - points[faces[:, 0]])
     normal /= np.maximum(norm(normal), 1e-300)[:, None]
     edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    # each edge of a closed mesh belongs to two faces: sorted, its two rows are neighbours; row r is of face r % count
     order = np.lexsort((edges[:, 1], edges[:, 0]))
     first, second = order[:-1], order[1:]
     same_edge = (edges[first] == edges[second]).all(axis=1)

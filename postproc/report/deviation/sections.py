@@ -15,8 +15,8 @@ from postproc.placement import FREE, NO_CLEARANCE, REASONS, Turn
 from postproc.program import Ints, distinct
 from postproc.report.deviation.data import Deviation, correction
 from postproc.report.feed import seconds, sentences
-from postproc.report.formatting import ROUNDING_MM, estimate, millimetres, rounded
-from postproc.report.judged import answers, in_two, sentence
+from postproc.report.formatting import ROUNDING_MM, estimate, millimetres, two_digits
+from postproc.report.judged import answers, sentence, split_headline
 from postproc.report.kit import (
     Axis,
     Cell,
@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 def verdict(data: Deviation) -> Section:
     """Return the verdict: its headline, the three answers, their reasons, what holds, and the assumptions."""
     answer = data.content.verdict
-    parts: list[Part] = [Verdict(answer.state, *in_two(answer)), answers(answer)]
+    parts: list[Part] = [Verdict(answer.state, *split_headline(answer)), answers(answer)]
     if answer.state != "ok":
         kind: Kind = "error" if answer.state == "failed" else ""
         parts.append(Notes(tuple(Note(sentence(text), kind) for text in answer.reasons), "Why", marked=True))
@@ -70,22 +70,22 @@ def numbers(data: Deviation) -> Section | None:
     content = data.content
     if not content.targets:
         return None
-    if data.nothing is not None:
-        return Section("numbers", "Deviation of the tool tip", (Notes((Note(data.nothing, "good"),)),))
+    if data.uncorrected_reason is not None:
+        return Section("numbers", "Deviation of the tool tip", (Notes((Note(data.uncorrected_reason, "good"),)),))
     uncorrected, prediction, bound = content.before, content.after, content.u95
     u95 = None if bound is None else bound.max_mm
     rms = estimate(uncorrected.rms_mm, u95)
     tiles = [Tile("As programmed, largest", estimate(uncorrected.max_mm, u95), "mm", f"RMS {rms} mm")]
-    if data.compared:
+    if data.is_compared:
         note = f"RMS {estimate(prediction.rms_mm, u95)} mm; a statement about the model, not about the part"
         tiles.append(Tile("What the model leaves, largest", estimate(prediction.max_mm, u95), "mm", note))
     if bound is None:
         note = "the robot model states no uncertainty: identify the robot from measurements"
         tiles.append(Tile("Expected error on the part", "unknown", "", note, "warning"))
     else:
-        note = f"95 %; at targets {rounded(bound.max_mm)} mm, RMS {rounded(bound.rms_mm)} mm; {bound.basis}"
+        note = f"95 %; at targets {two_digits(bound.max_mm)} mm, RMS {two_digits(bound.rms_mm)} mm; {bound.basis}"
         expected_mm = bound.max_mm if content.part.expected_mm is None else content.part.expected_mm
-        tiles.append(Tile("Expected error on the part, up to", rounded(expected_mm), "mm", note))
+        tiles.append(Tile("Expected error on the part, up to", two_digits(expected_mm), "mm", note))
     parts: list[Part] = [Tiles(tuple(tiles)), _table(data)]
     share = content.compensated_percent
     if content.mode == "convert" and share is not None:
@@ -97,7 +97,7 @@ def _table(data: Deviation) -> Table:
     """Return the table of predicted deviations, before and after compensation."""
     content = data.content
     u95 = None if content.u95 is None else content.u95.max_mm
-    if not data.compared:
+    if not data.is_compared:
         measures = zip(_MEASURES, astuple(content.before), strict=True)
         rows = tuple(Row((label, estimate(value, u95))) for label, value in measures)
         return Table(("Criterion", "Predicted, mm"), rows, "Predicted deviation")
@@ -131,8 +131,8 @@ _VIEW_LABEL = (
 
 
 def view3d(data: Deviation) -> Section | None:
-    """Return the view."""
-    if not len(data.result) or data.nothing is not None:
+    """Return the section with the 3D view of path and deviation."""
+    if not len(data.result) or data.uncorrected_reason is not None:
         return None
     hint = (
         "Drag or arrow keys turn, wheel or + − zoom, a click chooses a place; N, P: next, previous place, W: the worst."
@@ -153,23 +153,25 @@ def surface(data: Deviation) -> Section | None:
     measures = data.content.surface
     if surface is None or measures is None:
         return None
-    contact = surface.touched
-    if not surface.reached.any():
+    contact = surface.is_touched
+    if not surface.is_reached.any():
         text = "No tool reaches the part: check that its mesh is in mm and in $BASE, and the shapes of the tools."
         return Section("surface", "Surface of the part", (Notes((Note(text, "warning"),)),))
-    deviation = surface.after if data.compared else surface.before
-    words = "with the program as written" if data.compared else "as programmed"
+    deviation = surface.after if data.is_compared else surface.before
+    words = "with the program as written" if data.is_compared else "as programmed"
     tiles = [_programmed_tile(measures, data)]
     if contact.any():
         tiles += [
             _depth("Gouged before, at most", -surface.before[contact].min(), _DEFLECTION),
             _depth("Left before, at most", surface.before[contact].max(), _DEFLECTION),
         ]
-        if data.compared:
+        if data.is_compared:
             tiles.append(_depth("Gouged after, at most", -deviation[contact].min(), "as the model predicts it"))
             tiles.append(_depth("Left after, at most", deviation[contact].max()))
         if surface.bound is not None:
-            tiles.append(Tile("Expected error (95 %), up to", rounded(surface.bound[contact].max() * MM_PER_M), "mm"))
+            tiles.append(
+                Tile("Expected error (95 %), up to", two_digits(surface.bound[contact].max() * MM_PER_M), "mm")
+            )
     share = measures.reached_percent
     tiles.append(Tile("Of the surface reached", f"{share:.0f}", "%", f"no tool reaches {100.0 - share:.0f} %"))
     label = "The part, coloured by the deviation along its outward normal; the table below lists the gouges"
@@ -183,14 +185,14 @@ _DEFLECTION = "from the programmed path"
 
 
 def _programmed_tile(measures: OnSurface, data: Deviation) -> Tile:
-    """Return what the programmed path itself does to the mesh."""
+    """Return the tile on cuts of the programmed path into the mesh of the part."""
     label, cut, left = "Programmed path cuts into the part", measures.cut_into_mm, measures.left_mm
     limit = data.content.part.tolerance_mm or data.content.tolerance_mm or CUT_MM
     if cut > limit:
         note = f"line {measures.source_line}: is the mesh in place, and the finished part?"
-        return Tile(label, rounded(cut), "mm", note, "warning")
+        return Tile(label, two_digits(cut), "mm", note, "warning")
     if left is not None and left > max(limit, LEFT_MM):
-        return Tile("Programmed path leaves", rounded(left), "mm", "on half of what the tools touch", "warning")
+        return Tile("Programmed path leaves", two_digits(left), "mm", "on half of what the tools touch", "warning")
     return Tile(label, "nowhere", "", f"by more than {limit:g} mm")
 
 
@@ -229,7 +231,7 @@ _ALONG_LABEL = (
 
 def program_section(data: Deviation) -> Section | None:
     """Return the view of the plots."""
-    if not len(data.result) or data.nothing is not None:
+    if not len(data.result) or data.uncorrected_reason is not None:
         return None
     note = (
         "Gaps are rapid moves; dotted: a joint changes the direction of its torque. Drag to look closer, double click "
@@ -310,7 +312,7 @@ def _cut_plots(data: Deviation, cuts: Cuts) -> list[Plot]:
 
 
 def _cut_tiles(process: ProcessForces) -> Tiles:
-    """Return the largest values of the cut, and what it removes."""
+    """Return the tiles of the cut: its largest values, and the removed volume."""
     cuts = process.cuts
     return Tiles(
         (
@@ -365,7 +367,7 @@ def _drawn_rows(values: Array, run: Ints) -> Ints:
 
 def histogram(data: Deviation) -> Section | None:
     """Return the view of the histogram; `facts.histograms` has its numbers, over all cutting targets."""
-    if not len(data.result) or data.nothing is not None:
+    if not len(data.result) or data.uncorrected_reason is not None:
         return None
     label = "Histogram of the deviation at cutting targets, before and after; a click on a bar chooses its worst place."
     note = "All cutting targets, each with its own scale. A click on a bar chooses the worst place in it."
@@ -376,7 +378,7 @@ def operations(data: Deviation) -> Section | None:
     """Return a table of the operations."""
     if not data.operations:
         return None
-    rows, has_after = [], data.compared and data.content.after.max_mm >= ROUNDING_MM
+    rows, has_after = [], data.is_compared and data.content.after.max_mm >= ROUNDING_MM
     for place, operation in enumerate(data.operations, 1):
         u95 = None if operation.bound is None else operation.bound.largest * MM_PER_M
         cells = [
@@ -390,7 +392,7 @@ def operations(data: Deviation) -> Section | None:
         if has_after:
             cells.append(estimate(operation.after.largest * MM_PER_M, u95))
         if u95 is not None:
-            cells.append(rounded(u95))
+            cells.append(two_digits(u95))
         rows.append(Row(tuple(cells), data.places.of(operation.first), operation.line))
     head = [
         "Operation",
@@ -398,7 +400,7 @@ def operations(data: Deviation) -> Section | None:
         "First line",
         "Cutting targets",
         "Force, N",
-        "Before, mm" if data.compared else "Predicted, mm",
+        "Before, mm" if data.is_compared else "Predicted, mm",
     ]
     head += ["After, mm"] if has_after else []
     head += ["On the part (95 %), mm"] if data.result.bound is not None else []
@@ -408,13 +410,13 @@ def operations(data: Deviation) -> Section | None:
         "Operations and tools, largest values",
         texts=(1,),
         sortable=True,
-        note="Largest values." + (f" {_ALL_ROUNDING}" if data.compared and not has_after else ""),
+        note="Largest values." + (f" {_ALL_ROUNDING}" if data.is_compared and not has_after else ""),
     )
     return Section("operations", "Operations and tools", (table,))
 
 
 def feeds(data: Deviation) -> Section | None:
-    """Return what was done to the feeds to hold the tolerance of the part."""
+    """Return the section on feeds that were lowered to hold the tolerance of the part."""
     feed = data.content.feed
     if feed is None:
         return None
@@ -441,23 +443,23 @@ def feeds(data: Deviation) -> Section | None:
 def worst(data: Deviation) -> Section | None:
     """Return a table of the worst place of each of the worst lines, before and after."""
     result = data.result
-    if not len(result) or data.nothing is not None:
+    if not len(result) or data.uncorrected_reason is not None:
         return None
-    has_after = data.compared and data.content.after.max_mm >= ROUNDING_MM
+    has_after = data.is_compared and data.content.after.max_mm >= ROUNDING_MM
     measures = [result.before] + ([result.after] if has_after else [])
     rows = data.worst_rows
     force, correction_mm = result.force[rows], norm(correction(result, rows)) * MM_PER_M
-    head = ["Source line", "Output line", "On the move", "Before, mm" if data.compared else "Predicted, mm"]
+    head = ["Source line", "Output line", "On the move", "Before, mm" if data.is_compared else "Predicted, mm"]
     head += ["After, mm"] if has_after else []
     head += [] if result.bound is None else ["On the part (95 %), mm"]
-    head += ["Force, N"] + (["Correction, mm"] if data.compared else [])
+    head += ["Force, N"] + (["Correction, mm"] if data.is_compared else [])
     table_rows = []
     for index, row in enumerate(rows.tolist()):
         cells = [str(result.source_line[row]), str(result.output_line[row]), f"{result.t[row]:.3f}"]
         u95 = None if result.bound is None else float(result.bound[row]) * MM_PER_M
         cells += [estimate(float(measure[row]) * MM_PER_M, u95) for measure in measures]
-        cells += [] if u95 is None else [rounded(u95)]
-        cells += [f"{force[index]:.0f}"] + ([estimate(float(correction_mm[index]), u95)] if data.compared else [])
+        cells += [] if u95 is None else [two_digits(u95)]
+        cells += [f"{force[index]:.0f}"] + ([estimate(float(correction_mm[index]), u95)] if data.is_compared else [])
         table_rows.append(Row(tuple(cells), data.places.of(row), int(result.source_line[row])))
     table = Table(tuple(head), tuple(table_rows), "The worst places, one for each line of the program", sortable=True)
     return Section("worst", "Worst places", (table,))
@@ -476,7 +478,7 @@ def reversals(data: Deviation) -> Section | None:
         )
         return Section("reversals", "Reversals", (Notes((Note(text),)),))
     rows = tuple(
-        Row((entry.joint, str(entry.source_line), rounded(entry.lost_motion_mm)), place, entry.source_line)
+        Row((entry.joint, str(entry.source_line), two_digits(entry.lost_motion_mm)), place, entry.source_line)
         for entry, (place, _) in zip(entries, data.reversals(), strict=True)
     )
     note = (
@@ -637,7 +639,7 @@ def turn(data: Deviation) -> Section | None:
         REASONS,
         title,
     )
-    line = _on_map((turns + tool_turn.constant) * DEG_PER_RAD, degrees)
+    line = _wrap_to_map((turns + tool_turn.constant) * DEG_PER_RAD, degrees)
     curve = Curve(metres.tolist(), line.tolist(), "chosen turn", "warning")
     plot = Plot(
         label="Map of the path by the turn of the tool about its axis, with the chosen line.",
@@ -670,7 +672,7 @@ def _values(tool_turn: Turn) -> tuple[Array, str]:
     ), "joint margin, °"
 
 
-def _on_map(angle: Array, degrees: Array) -> Array:
+def _wrap_to_map(angle: Array, degrees: Array) -> Array:
     """Return angles within the range of the map, with NaN where the line goes round."""
     low = degrees[0] - 0.5 * (degrees[1] - degrees[0])
     line = (angle - low) % 360.0 + low
@@ -689,13 +691,12 @@ def _gain(tool_turn: Turn, turns: Array) -> list[str]:
     constant = error[weight, cell_column]
     if not len(line) or not np.isfinite(line).all() or not line.any():
         return []
-    rms = rounded(float(np.sqrt(np.mean(line**2))) * MM_PER_M)
+    rms = two_digits(float(np.sqrt(np.mean(line**2))) * MM_PER_M)
     if not (tool_turn.map.reasons(tool_turn.keep)[:, cell_column] == FREE).all():
         cell_text = f"the turn that the cell states ({tool_turn.constant * DEG_PER_RAD:g}°) cannot be driven throughout"
     else:
-        cell_text = (
-            f"{rounded(float(np.sqrt(np.mean(constant**2))) * MM_PER_M)} mm with {tool_turn.constant * DEG_PER_RAD:g}°"
-        )
+        cell_rms = two_digits(float(np.sqrt(np.mean(constant**2))) * MM_PER_M)
+        cell_text = f"{cell_rms} mm with {tool_turn.constant * DEG_PER_RAD:g}°"
     return [f"Expected error along this line {rms} mm RMS; {cell_text}."]
 
 

@@ -16,7 +16,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from postproc.frames import Array
-from postproc.report.kit.parts import Note, Part, Section, encoded
+from postproc.report.kit.parts import Note, Part, Section, safe_json
 
 if TYPE_CHECKING:
     from jinja2 import Template
@@ -121,8 +121,8 @@ class Page(Struct, frozen=True):
                 plots=plots,
                 style=_text("postproc.report.kit", "templates/style.css"),
                 scripts=[_text(package, f"scripts/{name}.js") for package, name in names],
-                page_facts=encoded(self.facts),
-                columns={name: encoded(columns.descriptions) for name, columns in self.columns.items()},
+                page_facts=safe_json(self.facts),
+                columns={name: safe_json(columns.descriptions) for name, columns in self.columns.items()},
             )
             .encode(errors="replace")
         )
@@ -131,12 +131,12 @@ class Page(Struct, frozen=True):
             yield from (head, columns.text.encode())
         for content in self.texts.values():
             head, _, text = text.partition(_TEXT)
-            yield from (head, deflated(content.encode(errors="replace")))
-        head, library_mark, rest = text.partition(_LIBRARY)
+            yield from (head, deflate(content.encode(errors="replace")))
+        head, library_mark, remaining_text = text.partition(_LIBRARY)
         yield head
         if library_mark:
             yield library()
-        yield rest
+        yield remaining_text
 
 
 _LEVEL = 1
@@ -150,10 +150,10 @@ def library() -> bytes:
     It is taken from the installed package; its Python side, which is large, is not imported.
     """
     script = (_folder("plotly") / "package_data" / "plotly.min.js").read_bytes()
-    return deflated(script)
+    return deflate(script)
 
 
-def deflated(content: bytes) -> bytes:
+def deflate(content: bytes) -> bytes:
     """Return content as `scripts/packed.js` unpacks it: deflated, in base64."""
     return base64.b64encode(zlib.compress(content, _LEVEL))
 

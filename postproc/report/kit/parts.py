@@ -304,16 +304,16 @@ class Plot(msgspec.Struct, frozen=True, kw_only=True):
     step_names: list[str] | None = None
 
     @property
-    def linked(self) -> bool:
+    def is_linked(self) -> bool:
         """Whether a click on it chooses a place."""
         return any(getattr(trace, "places", None) is not None for trace in self.traces)
 
     @property
-    def encoded(self) -> str:
+    def as_json(self) -> str:
         """The plot as JSON, safe in HTML."""
-        return encoded(self)
+        return safe_json(self)
 
 
-def encoded(content: object) -> str:
+def safe_json(content: object) -> str:
     """Return JSON that is safe in a script element of HTML; NaN becomes null."""
     return msgspec.json.encode(content).decode().replace("<", "\\u003c")

@@ -38,7 +38,7 @@ _CANDIDATES = 96
 
 
 def contact(axis: Array, centre: Array, normal: Array, cutter: Cutter) -> Array:
-    """Return where the tip (n, 3) is if the tool touches facets at their centres."""
+    """Return the tip positions (n, 3) at which the tool touches facets at their centres."""
     across_axis = normal - np.einsum("ni,ni->n", normal, axis)[:, None] * axis
     width = norm(across_axis)
     m = across_axis / np.where(width > FLAT, width, 1.0)[:, None]
@@ -74,7 +74,7 @@ def nearest_place(path: CutPath, centre: Array, normal: Array) -> tuple[Ints, Ar
     up = np.einsum("ni,ni->n", normal, a)
     _, index = path.tree.query(centre, k=min(_CANDIDATES, len(path.point)))
     index = index.reshape(len(centre), -1)
-    point, step_share = path.near(centre, index)
+    point, step_share = path.nearest_points(centre, index)
     from_centre = point - centre[:, None]
     height = np.einsum("nki,ni->nk", from_centre, a)
     distance = np.linalg.norm(from_centre, axis=-1)

@@ -36,7 +36,7 @@ _FACE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
 
 
 def ply(surface: Surface, limit: float) -> bytes:
-    """Return the file: each facet with corners of its own, coloured by the deviation before.
+    """Return a PLY file: each facet has three corners of its own, coloured by the deviation without correction.
 
     :param limit: deviation [m] of the full colours.
     """

@@ -66,7 +66,7 @@ def remaining_surface(path: CutPath, centre: Array, normal: Array, cutter: Cutte
         _, nearest = path.tree.query(centre[rows])
         facets = _Facets.of(centre[rows], normal[rows], path.axis[nearest], cutter)
         highest, offset = _seeds(path, facets, cutter)
-        pairs = _Pairs(*grid.inside(*_region(facets, cutter, highest + 2.0 * max(largest), offset)))
+        pairs = _Pairs(*grid.points_in_boxes(*_region(facets, cutter, highest + 2.0 * max(largest), offset)))
         parts.append(_lowest_entries(path, facets, cutter, pairs, highest, largest))
     return Remaining(
         np.concatenate([part.programmed for part in parts]),
@@ -95,7 +95,7 @@ class _Pairs(NamedTuple):
     facet: Ints
     sample: Ints
 
-    def some(self, is_chosen: Bools) -> _Pairs:
+    def take(self, is_chosen: Bools) -> _Pairs:
         return _Pairs(self.facet[is_chosen], self.sample[is_chosen])
 
 
@@ -120,18 +120,18 @@ def _lowest_entries(
     deflected_entry, row, share = np.full((2, count), np.inf), np.full(count, -1), np.zeros(count)
     for case, deviation in enumerate(largest):
         gap = highest + 2.0 * deviation
-        chosen = pairs.some(is_touched[pairs.facet] & (lower_bound <= gap[pairs.facet]))
+        chosen = pairs.take(is_touched[pairs.facet] & (lower_bound <= gap[pairs.facet]))
         tip, along = _tips(path, facets, chosen, case)
         line = _Line.of(tip, path.axis[chosen.sample], facets, chosen.facet)
         entry, best, _ = _first_entry(line, chosen.facet, -limit - 2.0 * deviation, gap, cutter)
         # The surface moves by no more than the tool. Along the normal it would seem to: at a sharp edge a pass beside
         # it takes away all that the normal goes through, and where the normal misses the tool it leaves all.
-        most = nominal_entry[place] + norm(path.deviation[case, nominal_sample])
+        upper_bound = nominal_entry[place] + norm(path.deviation[case, nominal_sample])
         is_hit = np.isfinite(entry[place])
         hit_sample = chosen.sample[best[place[is_hit]]]
-        deflected_entry[case, place] = most
-        least = nominal_entry[place[is_hit]] - norm(path.deviation[case, hit_sample])
-        deflected_entry[case, place[is_hit]] = np.clip(entry[place[is_hit]], least, most[is_hit])
+        deflected_entry[case, place] = upper_bound
+        lower_bound_of_cut = nominal_entry[place[is_hit]] - norm(path.deviation[case, hit_sample])
+        deflected_entry[case, place[is_hit]] = np.clip(entry[place[is_hit]], lower_bound_of_cut, upper_bound[is_hit])
         if case == 1:
             hit = place[is_hit]
             row[place], share[place] = path.row[nominal_sample], path.share[nominal_sample]
@@ -172,7 +172,7 @@ class _Line(NamedTuple):
         normal, c = facets.normal[facet], facets.centre[facet] - tip
         return cls(*(np.einsum("ni,ni->n", a, b) for a, b in ((c, c), (c, normal), (c, axis), (normal, axis))))
 
-    def some(self, rows: Bools | Ints) -> _Line:
+    def take(self, rows: Bools | Ints) -> _Line:
         return _Line(self.square[rows], self.along[rows], self.height[rows], self.up[rows])
 
     def distance(self, s: Array, cutter: Cutter) -> tuple[Array, Array]:
@@ -201,7 +201,7 @@ def _first_entry(line: _Line, facet: Ints, start: float, limit: Array, cutter: C
     least = s.copy()
     active, rows = np.flatnonzero(s <= limit[facet]), list[Ints]()
     for _ in range(_STEPS):
-        distance, slope = line.some(active).distance(s[active], cutter)
+        distance, slope = line.take(active).distance(s[active], cutter)
         hit = np.abs(distance) <= _EXACT
         entered = active[hit]
         rows.append(entered)
@@ -280,13 +280,14 @@ class _Grid(Struct, frozen=True, eq=False):
         order = np.argsort(key, kind="stable")
         return cls(order, key[order], corner, size, shape)
 
-    def inside(self, low: Array, high: Array) -> tuple[Ints, Ints]:
+    def points_in_boxes(self, low: Array, high: Array) -> tuple[Ints, Ints]:
         """Return box and point (P,) of the points in the cells that boxes (n, 3) touch."""
         first = np.maximum(np.floor((low - self.corner) / self.size), 0.0).astype(np.int64)
         last = np.clip(np.floor((high - self.corner) / self.size), -1.0, self.shape - 1.0).astype(np.int64)
         size = np.maximum(last - first + 1, 0)
         columns = np.where(size[:, 2] > 0, size[:, 0] * size[:, 1], 0)
         box = np.repeat(np.arange(len(low)), columns)
+        # a column of cells along z is contiguous in `key`: one search at each end of it finds all its points
         column = ragged_range(columns)
         x, y = first[box, 0] + column // size[box, 1], first[box, 1] + column % size[box, 1]
         key = (x * self.shape[1] + y) * self.shape[2]

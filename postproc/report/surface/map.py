@@ -14,7 +14,7 @@ from postproc.machining.tool import Cutter
 from postproc.program import Bools, Ints, distinct
 from postproc.report.surface.contact import nearest_place
 from postproc.report.surface.envelope import Remaining, remaining_surface
-from postproc.report.surface.path import CHORD, CutPath, Frames, of_tool, piece_start, tool_numbers
+from postproc.report.surface.path import CHORD, CutPath, Frames, piece_start, tool_numbers, tool_path
 from postproc.report.surface.programmed import Mesh, add_tips, cut_depths
 
 _CHUNK = 20_000
@@ -49,12 +49,12 @@ class Surface(Struct, frozen=True, eq=False):
     programmed_row: Ints
 
     @property
-    def touched(self) -> Bools:
+    def is_touched(self) -> Bools:
         """(F,) True for facets that a tool touches."""
         return np.asarray(self.row >= 0)
 
     @property
-    def reached(self) -> Bools:
+    def is_reached(self) -> Bools:
         """(F,) True for facets that a tool touches or cuts into."""
         return np.asarray((self.row >= 0) | (self.programmed_row >= 0))
 
@@ -92,7 +92,7 @@ def surface(
     if cutters is None:
         place = _nearest(paths, centre, normal)
         before, after = (
-            np.einsum("fi,fi->f", _at(result, place, frames.turned(values)), normal)
+            np.einsum("fi,fi->f", _at(result, place, frames.to_mesh(values)), normal)
             for values in (result.deviation_before, result.deviation_after)
         )
         left = np.where(place.row >= 0, 0.0, np.nan)
@@ -126,7 +126,7 @@ def _paths(
     for number in distinct(tools[~result.rapid]).tolist():
         cutter = None if cutters is None else cutters.get(number, cutters.get(0))
         if cutters is None or cutter is not None:
-            path = of_tool(result, frames, tools == number, _ball_radius(cutter))
+            path = tool_path(result, frames, tools == number, _ball_radius(cutter))
             if path is not None:
                 yield path, cutter
 
@@ -136,7 +136,7 @@ def _ball_radius(cutter: Cutter | None) -> float | None:
 
 
 def _cuts(paths: list[tuple[CutPath, Cutter | None]], corners: Array, normal: Array) -> tuple[Array, Ints]:
-    """Return how deep the programmed path cuts into each facet (F,) [m], 0 where it does not, and the row (F,)."""
+    """Return the depths (F,) [m] of the programmed path in each facet, 0 without a cut, and the rows (F,)."""
     depth, row = np.zeros(len(corners)), np.full(len(corners), -1)
     mesh, centre = Mesh.of(corners, normal), corners.mean(axis=1)
     for path, cutter in paths:

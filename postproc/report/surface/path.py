@@ -42,7 +42,7 @@ class Frames(Struct, frozen=True, eq=False):
         of_target = result.program.motions.base[result.motion]
         return cls(in_mesh[0] if len(bases) == 1 else root, in_mesh[of_target, :3, :3])
 
-    def turned(self, vectors: Array) -> Array:
+    def to_mesh(self, vectors: Array) -> Array:
         """Return vectors (K, 3) of `$BASE` in the axes of the mesh."""
         return np.asarray(np.einsum("kij,kj->ki", self.rotation, vectors))
 
@@ -70,7 +70,7 @@ class CutPath(Struct, frozen=True, eq=False):
     deviation_step: Array
     tree: cKDTree
 
-    def near(self, contact_point: Array, index: Ints) -> tuple[Array, Array]:
+    def nearest_points(self, contact_point: Array, index: Ints) -> tuple[Array, Array]:
         """Return the points (n, k, 3) of the path around samples (n, k) that are nearest to wanted points (n, 3).
 
         :returns: points, and (n, k) how far along its step each is (−0.5 … 0.5).
@@ -87,7 +87,7 @@ class CutPath(Struct, frozen=True, eq=False):
         return np.asarray(np.clip(share, -0.5, 0.5))
 
 
-def of_tool(result: Result, frames: Frames, is_chosen: Bools, ball_radius: float | None) -> CutPath | None:
+def tool_path(result: Result, frames: Frames, is_chosen: Bools, ball_radius: float | None) -> CutPath | None:
     """Return the cutting pieces to chosen targets (K,); None if there are none.
 
     :param ball_radius: of a ball [m]: larger samples suffice, as the nearest place on each counts. None: of another
@@ -110,10 +110,10 @@ def of_tool(result: Result, frames: Frames, is_chosen: Bools, ball_radius: float
     share = (number[piece] - 1 + piece_share) / pieces_of_row[end]
     share_step = 1.0 / (count[piece] * pieces_of_row[end])
     point = begin[piece] + piece_share[:, None] * step[piece]
-    spindle = frames.turned(_spindle(result))
+    spindle = frames.to_mesh(_spindle(result))
     axis = (1.0 - share)[:, None] * spindle[np.maximum(end - 1, 0)] + share[:, None] * spindle[end]
     axis /= np.maximum(norm(axis), 1e-300)[:, None]
-    deviations = [frames.turned(values) for values in (result.deviation_before, result.deviation_after)]
+    deviations = [frames.to_mesh(values) for values in (result.deviation_before, result.deviation_after)]
     start = np.stack([values[piece_start(result, end)] for values in deviations])
     change = np.stack([values[end] for values in deviations]) - start
     return CutPath(

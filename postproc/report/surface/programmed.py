@@ -79,7 +79,7 @@ def cut_depths(mesh: Mesh, path: CutPath, centre: Array, normal: Array, cutter: 
         probe_point = contact_point - probe * normal
         _, index = path.tree.query(probe_point, k=sample_count)
         index = index.reshape(len(centre), -1)
-        point, _ = path.near(probe_point, index)
+        point, _ = path.nearest_points(probe_point, index)
         direction = path.axis[index]
         is_inside = _is_inside(centre[:, None] - point, direction, cutter)
         is_inside &= np.einsum("nki,ni->nk", direction, normal) >= OVERHANG

@@ -36,7 +36,7 @@ _CLOSING = frozenset({*OPENING.values(), "UNTIL", "ENDSPLINE"})
 _OPENING = frozenset({*OPENING, "REPEAT", *SPLINES})
 
 
-def undivided(source: Source, problem: str, line: int, advice: str = ADVICE) -> ProgramError:
+def division_error(source: Source, problem: str, line: int, advice: str = ADVICE) -> ProgramError:
     """Return the error for a program that cannot be divided."""
     return source.line_error(f"the program cannot be divided into files: {problem}", line, advice)
 
@@ -92,17 +92,17 @@ def places(source: Source, main: Routine) -> CutPoints:
             first_call = line
     first = first or first_call
     if not first:
-        raise undivided(source, "it has no DEF, END or motion", main.first)
+        raise division_error(source, "it has no DEF, END or motion", main.first)
     return CutPoints(main.first, main.last, np.array(cuts, dtype=np.int64), first, declarations)
 
 
 def _check(source: Source, line: int, node: Statement, first: int) -> None:
     """Refuse statements that mean something else in a file of their own."""
     if isinstance(node, Return | Goto | Label):
-        raise undivided(source, f"{node.word} leads to another place of it", line)
+        raise division_error(source, f"{node.word} leads to another place of it", line)
     if first and isinstance(node, Event) and node.declares and not node.public:
         problem = "an interrupt that is not GLOBAL is declared behind the first motion"
-        raise undivided(source, problem, line, f"Declare it before the first motion, or: {ADVICE}")
+        raise division_error(source, problem, line, f"Declare it before the first motion, or: {ADVICE}")
 
 
 def bounds(
@@ -115,19 +115,19 @@ def bounds(
     :raises ProgramError: it cannot be cut.
     """
     issues: list[Issue] = []
-    room = limit - extra_lines
-    if room < 1:
-        raise undivided(source, f"{limit} lines are not enough for one motion", cut_points.begin)
+    free_lines = limit - extra_lines
+    if free_lines < 1:
+        raise division_error(source, f"{limit} lines are not enough for one motion", cut_points.begin)
     first_cuts = cut_points.cuts[cut_points.cuts <= cut_points.first]
     if not len(first_cuts):
-        raise undivided(source, "its first motion is in a fold or control structure", cut_points.first)
+        raise division_error(source, "its first motion is in a fold or control structure", cut_points.first)
     cuts = [int(first_cuts[-1])]
     late = [line for line in cut_points.declarations if line > cuts[0]]
     if late:
-        raise undivided(source, "a declaration follows the first motion", late[0])
-    while cut_points.end - cuts[-1] > room:
+        raise division_error(source, "a declaration follows the first motion", late[0])
+    while cut_points.end - cuts[-1] > free_lines:
         next_cuts = cut_points.cuts[cut_points.cuts > cuts[-1]]
-        fitting = next_cuts[next_cuts <= cuts[-1] + room]
+        fitting = next_cuts[next_cuts <= cuts[-1] + free_lines]
         cut = int(fitting[-1]) if len(fitting) else int(next_cuts[0]) if len(next_cuts) else cut_points.end
         if not len(fitting):
             message = (

@@ -80,8 +80,8 @@ class Replacements(Struct, eq=False):
     def __bool__(self) -> bool:
         return bool(self._single or self._starts)
 
-    def moved(self, offsets: Ints) -> Ints:
-        """Return where offsets (n,) of the text are after all replacements; text inserted there follows them."""
+    def new_offsets(self, offsets: Ints) -> Ints:
+        """Return the offsets (n,) after all replacements; text inserted at an offset follows it."""
         starts, growth = [], []
         for begin, stop, length in zip(self._starts, self._stops, self._lengths, strict=True):
             starts.append(begin)
@@ -93,7 +93,7 @@ class Replacements(Struct, eq=False):
         total = np.append(0, np.cumsum(np.concatenate(growth)[order]))
         return np.asarray(offsets + total[np.searchsorted(start[order], offsets, side="left")])
 
-    def applied(self, text: str, count: int = _PIECES) -> str:
+    def apply(self, text: str, count: int = _PIECES) -> str:
         """Return the text with all pieces replaced, `count` of them at once."""
         if not self:
             return text
@@ -112,7 +112,9 @@ class Replacements(Struct, eq=False):
             rows = order[first : first + count]
             end = int(stops[rows[-1]])
             part_codes = _codes(text[at:end], is_ascii)
-            new_codes = _joined(part_codes, starts[rows] - at, stops[rows] - at, codes, begin[rows], length[rows])
+            new_codes = _replace_pieces(
+                part_codes, starts[rows] - at, stops[rows] - at, codes, begin[rows], length[rows]
+            )
             parts.append(new_codes.tobytes().decode("ascii" if is_ascii else "utf-32-le"))
             at = end
         return "".join([*parts, text[at:]])
@@ -124,10 +126,11 @@ def _codes(text: str, is_ascii: bool) -> Codes:
     return np.frombuffer(text.encode("utf-32-le"), dtype="<u4")
 
 
-def _joined(text: Codes, starts: Ints, stops: Ints, pieces: Codes, begin: Ints, length: Ints) -> Codes:
+def _replace_pieces(text: Codes, starts: Ints, stops: Ints, pieces: Codes, begin: Ints, length: Ints) -> Codes:
     """Return a text with other pieces, which are ``pieces[begin : begin + length]``, for ``text[starts:stops]``."""
     first = np.empty(2 * len(starts), dtype=np.int64)
     count = np.empty_like(first)
+    # pieces alternate: even ones are kept from the text, odd ones are new; each is (first character, count)
     first[0::2] = np.append(0, stops[:-1])
     count[0::2] = starts - first[0::2]
     first[1::2], count[1::2] = begin, length
@@ -159,7 +162,7 @@ class InsertedLines(Struct, eq=False):
         self._at.append(at)
         self._target.append(target)
 
-    def behind(self, line: int, text: str) -> None:
+    def insert_behind(self, line: int, text: str) -> None:
         """Insert a text without line end as a line after a line, before any text inserted before the next one."""
         source, number = self.trace.place(line)
         stop = source.stops.item(number - 1)

@@ -21,13 +21,13 @@ import numpy as np
 from postproc.cell import Cell
 from postproc.decimals import Number, Part, lines, without_trailing_zeros
 from postproc.dialects import force_comments
-from postproc.dialects.force_comments import where
+from postproc.dialects.force_comments import text_in_rows
 from postproc.dialects.krl.language.names import fault_of, valid
 from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.positions import CARTESIAN
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.tree import CallStatement
-from postproc.dialects.krl.write.target_numbers import DECIMALS, printed
+from postproc.dialects.krl.write.target_numbers import DECIMALS, fixed_point
 from postproc.dialects.krl.write.target_statements import aggregate_text
 from postproc.dialects.new_program import LINE_END, NewProgram, Words, check_name, number
 from postproc.errors import group_issues
@@ -68,7 +68,7 @@ def emit(program: Program, targets: Targets, cell: Cell, comment_forces: TargetF
     :raises ValueError: a number is too large to be written.
     """
     check_name(program, "KRL", fault_of, valid)
-    return Emitter(program, targets, cell, comment_forces).written()
+    return Emitter(program, targets, cell, comment_forces).write()
 
 
 class Emitter:
@@ -95,7 +95,7 @@ class Emitter:
         self.has_force_comment = np.zeros(len(targets), dtype=np.bool_)
         self.call_rows: list[int] = []
 
-    def written(self) -> Written:
+    def write(self) -> Written:
         """Return the document."""
         new, count = self.new, len(self.targets)
         new.stops |= set(self.starts)
@@ -110,13 +110,13 @@ class Emitter:
         self._set_speeds()
         self._set_turning()
         if self.comment_forces is not None:
-            self.has_force_comment = force_comments.needed(
+            self.has_force_comment = force_comments.needs_comment(
                 self.comment_forces, self.targets.kind, constant(-1, count), (), np.nan
             )
             on_path = np.flatnonzero(self.targets.kind != PTP)
             path_rows = np.searchsorted(on_path, np.array(self.starts, dtype=on_path.dtype))
             self.has_force_comment[on_path[path_rows[path_rows < len(on_path)]]] = True
-        text, output_line = new.joined(
+        text, output_line = new.text_and_lines(
             head, lambda kind, rows: without_trailing_zeros(self._lines(kind, rows, distances[rows] > 0.0)), ["END"]
         )
         encoding = "ascii" if text.isascii() else "cp1252"  # the same bytes, but much faster
@@ -158,7 +158,7 @@ class Emitter:
         if tool != old_tool:
             self.new.before[k].append(f"$TOOL={_frame(self.program.tools[tool])}")
 
-    def _again(self, rows: Ints) -> Bools:
+    def _follows_call(self, rows: Ints) -> Bools:
         """Return which of some targets (n,), in order, are the first behind a program that was called."""
         first = np.searchsorted(rows, np.array(self.call_rows, dtype=np.int64))
         return np.isin(np.arange(len(rows)), first)
@@ -169,14 +169,14 @@ class Emitter:
         first = self.targets.blend
         current = first[first > 0.0][:1]
         change_rows = np.append(current, distances[blend_rows])[: len(blend_rows)] != distances[blend_rows]
-        change_rows = blend_rows[change_rows | self._again(blend_rows)]
+        change_rows = blend_rows[change_rows | self._follows_call(blend_rows)]
         for k in change_rows.tolist():
             self.new.before[k].append(f"$APO.CDIS={number(MM_PER_M * distances[k])}")
 
     def _set_speeds(self) -> None:
         """Set `$VEL.CP` where it changes."""
         path, speeds = self.new.speeds()
-        change_rows = np.flatnonzero((np.diff(speeds, prepend=0.0) != 0.0) | self._again(path))
+        change_rows = np.flatnonzero((np.diff(speeds, prepend=0.0) != 0.0) | self._follows_call(path))
         for k, speed in zip(path[change_rows].tolist(), speeds[change_rows].tolist(), strict=True):
             self.new.before[k].append(f"$VEL.CP={speed / 1e6:.6f}")
 
@@ -184,7 +184,7 @@ class Emitter:
         """Set `$VEL.ORI1` and `$VEL.ORI2` where the program says how fast the tool turns, else as INITMOV does."""
         path = np.flatnonzero(self.targets.kind != PTP)
         speeds = np.nan_to_num(self.new.turning_speeds()[path])
-        change_rows = np.flatnonzero((np.diff(speeds, prepend=0.0) != 0.0) | (self._again(path) & speeds.any()))
+        change_rows = np.flatnonzero((np.diff(speeds, prepend=0.0) != 0.0) | (self._follows_call(path) & speeds.any()))
         for k, speed in zip(path[change_rows].tolist(), speeds[change_rows].tolist(), strict=True):
             for name in ("ORI1", "ORI2"):
                 self.new.before[k].append(f"$VEL.{name}={number(speed) if speed else f'$VEL_MA.{name}'}")
@@ -195,10 +195,13 @@ class Emitter:
         end = _aggregate(numbers)
         spline = b"S" if self.cell.gcode.motions == "SLIN" else b""
         is_blended = is_blended & (not spline or kind != PTP)
-        tail: list[Part] = [where(b" C_SPL" if spline else b" C_DIS", is_blended)]
+        tail: list[Part] = [text_in_rows(b" C_SPL" if spline else b" C_DIS", is_blended)]
         has_comment = self.has_force_comment[k]
         if self.comment_forces is not None and has_comment.any():
-            tail += [where(b" ", has_comment), *force_comments.columns(b";", self.comment_forces, k, has_comment)]
+            tail += [
+                text_in_rows(b" ", has_comment),
+                *force_comments.columns(b";", self.comment_forces, k, has_comment),
+            ]
         tail.append(b"\r\n")
         if kind == PTP:
             status, turn = self.targets.status[k], self.targets.turn[k]
@@ -227,12 +230,12 @@ def _aggregate(numbers: Array) -> list[Part]:
 def _bits(prefix: bytes, values: Ints) -> list[Part]:
     """Return S or T where they are given."""
     is_stated = values >= 0
-    return [where(prefix, is_stated), Number.of(np.where(is_stated, values, np.nan), 0)]
+    return [text_in_rows(prefix, is_stated), Number.of(np.where(is_stated, values, np.nan), 0)]
 
 
 def _frame(pose: Array) -> str:
     numbers = zip("XYZABC", xyzabc_from_pose(pose).tolist(), strict=True)
-    return aggregate_text({name: printed(value, _FRAME_DECIMALS, 0) for name, value in numbers})
+    return aggregate_text({name: fixed_point(value, _FRAME_DECIMALS, 0) for name, value in numbers})
 
 
 _HEADER = ("&ACCESS RVP", "&REL 1")

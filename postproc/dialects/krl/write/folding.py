@@ -50,12 +50,12 @@ class Folded(Struct, frozen=True):
     issues: tuple[Issue, ...]
 
 
-def folded(course: Course, main: Routine, new_rows: EditedRows) -> Folded:
+def fold(course: Course, main: Routine, new_rows: EditedRows) -> Folded:
     """Return the files of a program whose trace was corrected.
 
     :param main: its main routine.
     """
-    return _Folder(course, main, new_rows).folded()
+    return _Folder(course, main, new_rows).fold()
 
 
 class _Piece(NamedTuple):
@@ -91,7 +91,7 @@ class _Folder(Struct, eq=False):
     _keys: dict[Body, _Key] = {}
     _calls: dict[Called, _Version] = {}
 
-    def folded(self) -> Folded:
+    def fold(self) -> Folded:
         key = self._key(self.course.body)
         body = self._body(self.course.body)
         self.versions[self.main][key] = _Version(self.main.name, body, [*body.places])
@@ -100,7 +100,7 @@ class _Folder(Struct, eq=False):
         is_inside = np.zeros(len(begins), dtype=np.bool_)
         documents = []
         for source in dict.fromkeys([self.main.source, *(routine.source for routine in self.versions)]):
-            file = _together(self._file(source))
+            file = _concatenate(self._file(source))
             if source is self.main.source:
                 number, first, last = np.array(file.places, dtype=np.int64).reshape(-1, 3).T
                 count = last - first
@@ -129,23 +129,23 @@ class _Folder(Struct, eq=False):
     # --- keys --------------------------------------------------------------------------------------------------------
 
     def _key(self, body: Body) -> _Key:
-        """Return what changes in a body, by its lines; rows of assignments to the counter of FOR do not count."""
+        """Return a key of the changes in a body, by its lines; assignments to the counter of FOR do not count."""
         key = self._keys.get(body)
         if key is None:
             changes: list[tuple[int, object]] = []
             row = body.first
             for part in body.parts:
                 first, last = (part.row, part.body.last) if isinstance(part, Called) else (part.first, part.last)
-                self._changed(changes, row, first)
+                self._add_changes(changes, row, first)
                 change = self._call_key(part) if isinstance(part, Called) else self._loop_key(part)
                 if change:
                     changes.append((self._line(first), change))
                 row = last
-            self._changed(changes, row, body.last)
+            self._add_changes(changes, row, body.last)
             key = self._keys[body] = tuple(changes)
         return key
 
-    def _changed(self, changes: list[tuple[int, object]], first: int, last: int) -> None:
+    def _add_changes(self, changes: list[tuple[int, object]], first: int, last: int) -> None:
         """Add the changes of rows first … last − 1."""
         keys = self.edited.keys[first - 1 : last - 1]
         if any(keys):
@@ -155,7 +155,7 @@ class _Folder(Struct, eq=False):
         return self.course.trace.line.item(row - 1)
 
     def _loop_key(self, loop: Repeated) -> object:
-        """Return what changes in a loop: in its body if that holds for all rounds, else in each round."""
+        """Return a key of the changes in a loop: of its body if all rounds are alike, else of each round."""
         keys = [self._key(body) for body in loop.bodies]
         if all(key == keys[0] for key in keys):
             return keys[0] if keys else self._unchanged_rows(loop)
@@ -163,17 +163,17 @@ class _Folder(Struct, eq=False):
         message = f"The rounds of {head} are corrected differently: they are written out, but for those that are alike."
         line = self.course.trace.shown_line(loop.first)
         self.issues.append(Issue("info", "loop-written-out", message, line, subject=f"{head} {line}"))
-        end = self.course.count(loop, loop.bodies[-1].last) if self._counted_on(loop) else None
+        end = self.course.count(loop, loop.bodies[-1].last) if self._sets_counter(loop) else None
         return ("rounds", end, *zip(self._counts(loop), keys, strict=True))
 
-    def _counted_on(self, loop: Repeated) -> bool:
+    def _sets_counter(self, loop: Repeated) -> bool:
         """Return whether the counter of a FOR is set behind its last round."""
         return loop.step != 0 and loop.last > loop.bodies[-1].last
 
     def _unchanged_rows(self, loop: Repeated) -> _Key:
         """Return what changes in the lines of a loop that does not run."""
         changes: list[tuple[int, object]] = []
-        self._changed(changes, loop.first, loop.last)
+        self._add_changes(changes, loop.first, loop.last)
         return tuple(changes)
 
     def _call_key(self, call: Called) -> object:
@@ -191,7 +191,7 @@ class _Folder(Struct, eq=False):
             text = line_text(routine.source, routine.first + 1, routine.last - 1)
             versions[()] = _Version(routine.name, _Piece(line_count(text), (text,)))
         if key not in versions:
-            versions[key] = _Version(self._unused(call) if versions else routine.name)
+            versions[key] = _Version(self._unused_name(call) if versions else routine.name)
         self._calls[call] = versions[key]
         return versions[key]
 
@@ -212,7 +212,7 @@ class _Folder(Struct, eq=False):
                 pieces += [self._lines(row, part.first), self._loop(part)]
                 row = part.last
         remaining_lines = self._lines(row, body.last)
-        return _together([*pieces, remaining_lines]) if pieces else remaining_lines
+        return _concatenate([*pieces, remaining_lines]) if pieces else remaining_lines
 
     def _lines(self, first: int, last: int) -> _Piece:
         """Return rows first … last − 1 of the trace as they are written."""
@@ -234,23 +234,23 @@ class _Folder(Struct, eq=False):
         keys = [self._key(body) for body in loop.bodies]
         rounds = [self._body(body, body.first + has_counter) for body in loop.bodies]
         if all(key == keys[0] for key in keys):
-            return _together([_of(loop.opener), _joined(rounds), _of(loop.closer)])
+            return _concatenate([_of(loop.opener), _merge_rounds(rounds), _of(loop.closer)])
         blanks, end = indent(loop.opener), _line_end(loop.opener)
         pieces = [_of(f"{blanks}; {loop.opener.strip()} (written out){end}")]
         if loop.left:
             pieces.append(_of(f"{blanks}LOOP{end}"))
         for first, stop in pairwise([*_runs(keys, self._counts(loop), loop.step), len(rounds)]):
             pieces += self._run(loop, first, rounds[first:stop])
-        if self._counted_on(loop):
+        if self._sets_counter(loop):
             pieces.append(self._counter(loop, loop.bodies[-1].last, blanks))
         else:
             pieces.append(self._lines(loop.bodies[-1].last, loop.last))
         if loop.left:
             pieces.append(_of(f"{blanks}EXIT{end}{blanks}ENDLOOP{end}"))
-        return _together(pieces)
+        return _concatenate(pieces)
 
     def _run(self, loop: Repeated, first: int, rounds: Sequence[_Piece]) -> Iterator[_Piece]:
-        """Yield rounds that are alike: one as it is, several of FOR as a FOR of their own.
+        """Yield the text of equal rounds: a single one unchanged, several of FOR as a new FOR.
 
         :param first: number of the first of them, from 0.
         """
@@ -264,7 +264,7 @@ class _Folder(Struct, eq=False):
         begin, last = (self.course.count(loop, loop.bodies[n].first) for n in (first, first + len(rounds) - 1))
         step = "" if loop.step == 1 else f" STEP {loop.step}"
         yield _of(f"{blanks}FOR {loop.counter}={begin} TO {last}{step}{end}")
-        yield _joined(rounds)
+        yield _merge_rounds(rounds)
         yield _of(loop.closer)
 
     def _call(self, call: Called) -> _Piece:
@@ -284,7 +284,7 @@ class _Folder(Struct, eq=False):
 
     # --- routines ----------------------------------------------------------------------------------------------------
 
-    def _unused(self, call: Called) -> str:
+    def _unused_name(self, call: Called) -> str:
         """Return a name for a copy of a routine."""
         if self.names is None:
             sources = dict.fromkeys([*self.course.trace.sources, *(routine.source for routine in self.versions)])
@@ -309,7 +309,7 @@ class _Folder(Struct, eq=False):
             if routine.source is source:
                 yield _of(line_text(source, line, routine.first))
                 original, *copies = self.versions[routine].values()
-                yield _placed(original)
+                yield _version_piece(original)
                 end = line_text(source, routine.last)
                 line = routine.last + 1
                 yield _of(end)
@@ -317,7 +317,7 @@ class _Folder(Struct, eq=False):
                 for version in copies:
                     yield _of(gap if _line_end(end) else gap + gap)
                     yield _of(self._head(routine, version.name))
-                    yield _placed(version)
+                    yield _version_piece(version)
                     yield _of(end if _line_end(end) else end + gap)
         yield _of(line_text(source, line, len(source.starts)))
 
@@ -335,9 +335,9 @@ class _Folder(Struct, eq=False):
 
     def _text(self, piece: _Piece) -> str:
         """Return the text of a piece."""
-        return "".join(part if isinstance(part, str) else self._of_rows(*part) for part in piece.content)
+        return "".join(part if isinstance(part, str) else self._row_text(*part) for part in piece.content)
 
-    def _of_rows(self, first: int, last: int) -> str:
+    def _row_text(self, first: int, last: int) -> str:
         """Return the text of rows first … last − 1, which are consecutive lines of a file."""
         source, line = self.course.trace.place(first)
         shift = line - first
@@ -352,7 +352,7 @@ class _Folder(Struct, eq=False):
 
 
 def _runs(keys: Sequence[_Key], counts: Sequence[int], step: int) -> list[int]:
-    """Return where runs of rounds begin that are alike and are counted evenly."""
+    """Return the first rounds of runs that are equal and evenly counted."""
     begins = [0]
     for number in range(1, len(keys)):
         if keys[number] != keys[number - 1] or counts[number] != counts[number - 1] + step:
@@ -364,13 +364,13 @@ def _of(text: str) -> _Piece:
     return _Piece(line_count(text), (text,))
 
 
-def _placed(version: _Version) -> _Piece:
+def _version_piece(version: _Version) -> _Piece:
     """Return the lines of a version, for the rows of all its calls."""
     piece = version.piece or _of("")
     return piece._replace(places=version.places)
 
 
-def _together(pieces: Iterable[_Piece]) -> _Piece:
+def _concatenate(pieces: Iterable[_Piece]) -> _Piece:
     """Return pieces that follow each other as one."""
     content, places, number = list[str | tuple[int, int]](), list[tuple[int, int, int]](), 0
     for piece in pieces:
@@ -380,7 +380,7 @@ def _together(pieces: Iterable[_Piece]) -> _Piece:
     return _Piece(number, content, places)
 
 
-def _joined(rounds: Sequence[_Piece]) -> _Piece:
+def _merge_rounds(rounds: Sequence[_Piece]) -> _Piece:
     """Return the piece that rounds which are alike become, for the rows of all."""
     return rounds[0]._replace(places=[place for piece in rounds for place in piece.places])
 

@@ -60,7 +60,7 @@ _AXES = {"+Z": (2, -1.0), "-Z": (2, 1.0), "+X": (0, -1.0), "-X": (0, 1.0)}
 _END_RULE = "between two rapid moves, with the tool above everything that the program cuts"
 
 
-def in_modules(
+def divide_into_modules(
     program: Program, targets: Targets, joints: TargetJoints, cell: Cell, comment_forces: TargetForces | None = None
 ) -> Written:
     """Return a program read from G-code as KRL, see `emit`; in modules if it is too large and the cell wants them.
@@ -72,9 +72,9 @@ def in_modules(
     if not cell.output.divide_into_modules or output.size <= cell.output.program_memory_MB * _MB:
         return output
     whole = Emitter(program, targets, cell, comment_forces)
-    starts = _starts(program, targets, cell, whole, whole.written())
+    starts = _starts(program, targets, cell, whole, whole.write())
     emitter = Emitter(program, targets, cell, comment_forces, starts)
-    return _Divider(emitter, emitter.written(), starts, joints).written()
+    return _Divider(emitter, emitter.write(), starts, joints).write()
 
 
 def _ends(output: Written) -> Ints:
@@ -145,6 +145,7 @@ def _places(program: Program, cell: Cell) -> Ints:
         on_arcs = centre @ axis + radius * norm(np.cross(normal, axis))
         highest = max((position[cuts] @ axis).max(initial=-np.inf), on_arcs.max(initial=-np.inf))
         height[of_axis] = position[candidates[of_axis]] @ axis - highest
+    # candidates without a cut between them are one run; in each, the highest, and of equal heights the first
     run = np.cumsum(~m.rapid)[candidates]
     best = np.lexsort((candidates, -np.floor(height / _SAME_HEIGHT), run))
     best = best[np.diff(run[best], prepend=-1) != 0]
@@ -178,7 +179,7 @@ class _Divider:
                     "divide_into_modules = false.",
                 )
 
-    def written(self) -> Written:
+    def write(self) -> Written:
         """Return the program in one piece, and in modules."""
         text, ends = self.whole.documents[0].text, _ends(self.whole)
         head = sum(len(line) + len(LINE_END) for line in self.emitter.header(self.emitter.program.name))
@@ -189,7 +190,7 @@ class _Divider:
             head_lines = len(self.emitter.header(self.emitter.program.name)) if a == 0 else int(output_line[a - 1])
             top += [] if a == 0 else self._begin(a)
             body = text[head if a == 0 else ends[a - 1] : ends[b - 1] if b < len(output_line) else len(text)]
-            bottom = [*self._off(b), "END"] if b < len(output_line) else []
+            bottom = [*self._switch_off_lines(b), "END"] if b < len(output_line) else []
             whole = "".join(line + LINE_END for line in top) + body + "".join(line + LINE_END for line in bottom)
             documents.append(Document(f"{self.names[index]}.src", whole, self.whole.documents[0].encoding))
             lines.append(output_line[a:b] - head_lines + len(top) + line_count)
@@ -222,7 +223,7 @@ class _Divider:
             if match:
                 state[match[1].upper()] = line
         lines, cell_lines = [*state.values(), axis_motion(self.joints.q[k - 1] * DEG_PER_RAD, 5)], list[str]()
-        for switch in self._switched(k):
+        for switch in self._active_switches(k):
             if self._switches(switch.event, k):
                 continue  # the program itself switches it here
             event = switch.event
@@ -231,12 +232,12 @@ class _Divider:
             lines += [self.new.words.dwell.format(number(dwell.value)) for dwell in self._dwells(event)]
         return [*lines, *(state.values() if calls(cell_lines) else ())]  # a program that is called may have set others
 
-    def _off(self, k: int) -> list[str]:
+    def _switch_off_lines(self, k: int) -> list[str]:
         """Return the lines that switch off, at the end of a module, what is on before a target."""
-        lines = [line for switch in self._switched(k) for line in switch.off]
+        lines = [line for switch in self._active_switches(k) for line in switch.off]
         return [self.new.words.wait, *lines] if lines else []
 
-    def _switched(self, k: int) -> Iterator[_Switched]:
+    def _active_switches(self, k: int) -> Iterator[_Switched]:
         """Yield spindle and coolant if they are on before a target.
 
         :raises ProgramError: the cell has lines to switch it on, and none to switch it off.

@@ -22,7 +22,7 @@ from postproc.dialects.krl.language.tokens import NAME, names_in, word_at
 from postproc.dialects.krl.language.values import Aggregate
 from postproc.dialects.krl.layout import Elements, Layout
 from postproc.dialects.krl.write.edits import Replacements
-from postproc.dialects.krl.write.target_statements import applied, literal_of, replaced_numbers
+from postproc.dialects.krl.write.target_statements import apply, literal_of, replaced_numbers
 from postproc.errors import Issue
 from postproc.program import Bools, Ints, Motions
 
@@ -77,12 +77,12 @@ class NamedPoints(Struct, eq=False):
             aggregate = uses[0].operand.position.aggregate
             if not corrected_uses or aggregate is None:
                 continue
-            if self._alone(uses, aggregate):
+            if self._is_replaceable(uses, aggregate):
                 self._correct(corrected_uses[0], aggregate)
             else:
                 self._separate(corrected_uses, aggregate)
 
-    def _alone(self, uses: list[Use], aggregate: Aggregate) -> bool:
+    def _is_replaceable(self, uses: list[Use], aggregate: Aggregate) -> bool:
         """Return whether the numbers of a point can be replaced in its declaration: all its uses have one
         correction.
         """
@@ -115,7 +115,7 @@ class NamedPoints(Struct, eq=False):
             if is_elsewhere or is_copy or is_out_of_scope or not NAME.fullmatch(text):
                 self._replace(use)
                 continue
-            literal = applied(literal_of(aggregate), replaced_numbers(literal_of(aggregate), use.texts or {}))
+            literal = apply(literal_of(aggregate), replaced_numbers(literal_of(aggregate), use.texts or {}))
             if literal not in names:
                 names[literal] = self._declare(text, literal, aggregate)
             self.replacements[0].add(use.operand.start, use.operand.stop, names[literal], use.line)
@@ -149,7 +149,7 @@ class NamedPoints(Struct, eq=False):
 
 
 def mentions(course: Course, plain_rows: Ints) -> Mentions:
-    """Return where the code of a trace names each variable, upper case, by rows and offsets.
+    """Return the rows and offsets at which the code of a trace names each variable (upper case).
 
     Names in routines that also run unchanged are listed in row 0, which is never understood.
 
@@ -196,7 +196,7 @@ def only_moved_to(name: str, layout: Layout, mentions: Mentions) -> bool:
     return is_followed and names.isdisjoint(layout.public)
 
 
-def settled(layout: Layout, motions: Motions, mentions: Mentions, files: int, has_one_target: Bools) -> Layout:
+def editable_layout(layout: Layout, motions: Motions, mentions: Mentions, files: int, has_one_target: Bools) -> Layout:
     """Return the layout with those elements only whose numbers can be edited in place; the others are statements.
 
     :param mentions: see `mentions`.

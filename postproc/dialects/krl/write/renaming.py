@@ -14,8 +14,8 @@ from postproc.dialects.krl.language.tokens import BLANKS, NAME, after_blanks, af
 from postproc.program import Document
 
 
-def renamed(documents: Sequence[Document], name: str) -> tuple[Document, ...]:
-    """Return the files of a program with another name; all else stays to the byte.
+def rename(documents: Sequence[Document], name: str) -> tuple[Document, ...]:
+    """Return the files of a program with another name; everything else is unchanged to the byte.
 
     :param documents: the `.src`, whose first DEF is the program, and its `.dat`; or the files of a divided program.
         Files of other programs keep their names.
@@ -27,7 +27,7 @@ def renamed(documents: Sequence[Document], name: str) -> tuple[Document, ...]:
     if not calls:
         stem = PurePath(documents[0].name).stem.lower()
         return tuple(
-            _renamed(document, name) if PurePath(document.name).stem.lower() == stem else document
+            _rename_document(document, name) if PurePath(document.name).stem.lower() == stem else document
             for document in documents
         )
     old = PurePath(documents[0].name).stem[: -len(MAIN)]
@@ -44,10 +44,12 @@ def renamed(documents: Sequence[Document], name: str) -> tuple[Document, ...]:
         if document not in family:
             new_documents.append(document)
             continue
-        text = _with_names(document.text, new_stems)
+        text = _replace_names(document.text, new_stems)
         if public:
             text = NAME.sub(lambda match: public.get(match[0].upper(), match[0]), text)
-        new_documents.append(_renamed(replace(document, text=text), new_stems[PurePath(document.name).stem.lower()]))
+        new_documents.append(
+            _rename_document(replace(document, text=text), new_stems[PurePath(document.name).stem.lower()])
+        )
     return tuple(new_documents)
 
 
@@ -63,7 +65,7 @@ def _public_names(documents: Sequence[Document], old: str, new: str) -> dict[str
     return new_names
 
 
-def _with_names(text: str, new: Mapping[str, str]) -> str:
+def _replace_names(text: str, new: Mapping[str, str]) -> str:
     """Return a text with other names, by the old ones in lower case, where an empty list or nothing follows them."""
     pieces, last = list[str](), 0
     for name, start in scan.places(text, new):
@@ -77,7 +79,7 @@ def _with_names(text: str, new: Mapping[str, str]) -> str:
     return "".join([*pieces, text[last:]])
 
 
-def _renamed(document: Document, name: str) -> Document:
+def _rename_document(document: Document, name: str) -> Document:
     return replace(document, name=f"{name}{PurePath(document.name).suffix}", text=scan.with_name(document.text, name))
 
 
@@ -139,7 +141,7 @@ def own_copies(
     names: dict[str, str] = {}
     for document in documents:
         path = PurePath(document.name)
-        text = _with_other_routines(document.text, new)
+        text = _replace_routines(document.text, new)
         if text is None or (path.stem.upper() in old and scan.global_lines(document.text)):
             return None
         name = f"{new[path.stem.upper()]}{path.suffix}" if path.stem.upper() in old else document.name
@@ -149,7 +151,7 @@ def own_copies(
     return tuple(new_documents), names
 
 
-def _with_other_routines(text: str, new: Mapping[str, str]) -> str | None:
+def _replace_routines(text: str, new: Mapping[str, str]) -> str | None:
     """Return a text with other names for routines; None if one of the names is used in another way."""
     pieces: list[str] = []
     last = next_sign = 0

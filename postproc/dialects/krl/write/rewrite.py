@@ -25,7 +25,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from postproc.chunks import chunks
-from postproc.dialects.force_comments import needed, texts
+from postproc.dialects.force_comments import needs_comment, texts
 from postproc.dialects.krl.language.motion_statements import MotionStatement, Trigger
 from postproc.dialects.krl.language.parser import is_approximated
 from postproc.dialects.krl.language.positions import CARTESIAN
@@ -33,8 +33,8 @@ from postproc.dialects.krl.language.source import Source, comment_start
 from postproc.dialects.krl.layout import FREE, ORIENTATIONS, Layout
 from postproc.dialects.krl.write.edited_rows import edited_rows
 from postproc.dialects.krl.write.edits import InsertedLines, Replacements
-from postproc.dialects.krl.write.folding import folded
-from postproc.dialects.krl.write.named_points import NamedPoints, Use, mentions, settled
+from postproc.dialects.krl.write.folding import fold
+from postproc.dialects.krl.write.named_points import NamedPoints, Use, editable_layout, mentions
 from postproc.dialects.krl.write.target_numbers import DECIMALS, target_numbers
 from postproc.dialects.krl.write.target_statements import (
     LED_BY,
@@ -44,7 +44,7 @@ from postproc.dialects.krl.write.target_statements import (
     replaced_numbers,
     runs,
 )
-from postproc.dialects.krl.write.trigger_places import placed
+from postproc.dialects.krl.write.trigger_places import place
 from postproc.dialects.new_program import number
 from postproc.errors import Issue, ProgramError, group_issues
 from postproc.program import CIRC, LIN, PTP, Bools, Document, Ints, Program, TargetForces, Targets, Written
@@ -68,7 +68,7 @@ def rewrite(program: Program, targets: Targets, comment_forces: TargetForces | N
     if not isinstance(layout, Layout):
         raise ValueError("only a program read from KRL can be rewritten")  # noqa: TRY004
     _check_lowered(program, layout)
-    return _Rewriter(program, layout, targets, comment_forces).written()
+    return _Rewriter(program, layout, targets, comment_forces).write()
 
 
 class _Rewriter:
@@ -87,10 +87,10 @@ class _Rewriter:
         self.row = targets.motion
         self.last = np.append(self.row[1:] != self.row[:-1], True) if len(self.row) else np.zeros(0, dtype=np.bool_)
 
-    def written(self) -> Written:
+    def write(self) -> Written:
         """Make all edits and return the documents."""
         last, keep = self.last, self.targets.keep
-        if (last & keep).all() and not len(_lowered(self.program)):
+        if (last & keep).all() and not len(_lowered_motions(self.program)):
             return Written(self.documents, self.program.motions.line[self.row], "krl")
         self.commanded = target_numbers(self.program.motions, self.layout, self.targets)
         moves = self.layout.statements
@@ -99,17 +99,19 @@ class _Rewriter:
         )
         plain_rows = np.delete(self.layout.line, list(moves))
         self.mentions = mentions(self.layout.course, plain_rows) if has_names else {}
-        self.layout = settled(self.layout, self.program.motions, self.mentions, len(self.sources), self._alone())
+        self.layout = editable_layout(
+            self.layout, self.program.motions, self.mentions, len(self.sources), self._has_one_target()
+        )
         self.statements = TargetStatements(self.layout, self.targets, self.commanded)
         special = np.zeros(len(self.program.motions), dtype=np.bool_)
         special[list(self.layout.statements)] = True
         plain = last & ~special[self.row]
         straight = ~keep & (self.program.motions.kind[self.row] == CIRC) & (self.targets.kind == LIN)
         for k in np.flatnonzero(plain & straight).tolist():
-            self._change(int(self.row[k]), self.statements.rewritten(int(self.row[k]), k))
+            self._change(int(self.row[k]), self.statements.absolute_statement(int(self.row[k]), k))
         plain &= ~straight
         self._replace_numbers(np.flatnonzero(plain & ~keep))
-        for k in np.flatnonzero(plain & (self._added() | self._bits())).tolist():
+        for k in np.flatnonzero(plain & (self._needs_components() | self._bits())).tolist():
             self._complete(int(self.row[k]), k)
         own_tail = self.commanded.is_free | self.commanded.unheeding
         has_tail = np.diff(self.layout.tail[self.row])[:, 0] > len(" WITH ")
@@ -133,13 +135,13 @@ class _Rewriter:
         course, changes = self.layout.course, self.replacements[0]
         files = {document.name: document for document in self.documents}
         for source, edits in zip(self.sources[1:], self.replacements[1:], strict=True):
-            files[source.document.name] = replace(source.document, text=edits.applied(source.text))
+            files[source.document.name] = replace(source.document, text=edits.apply(source.text))
         if course.straight:
             main = self.documents[0]
-            files[main.name] = replace(main, text=changes.applied(self.sources[0].text))
+            files[main.name] = replace(main, text=changes.apply(self.sources[0].text))
             return tuple(files.values()), line
         new_rows = edited_rows(self.trace, changes)
-        files_of_course = folded(course, course.main, new_rows)
+        files_of_course = fold(course, course.main, new_rows)
         files |= {document.name: document for document in files_of_course.documents}
         shown_lines = [None if i.source_line is None else self.trace.shown_line(i.source_line) for i in self.issues]
         issues = zip(self.issues, shown_lines, strict=True)
@@ -150,14 +152,14 @@ class _Rewriter:
             files_of_course.inside[origin], line - first, 0
         )
 
-    def _alone(self) -> Bools:
+    def _has_one_target(self) -> Bools:
         """Return which motions (M,) have one target, for which their text needs no other components."""
         count = np.bincount(self.row, minlength=len(self.program.motions))
         has_one_target = np.asarray(count == 1)
-        has_one_target[self.row[self._added() | self._bits()]] = False
+        has_one_target[self.row[self._needs_components() | self._bits()]] = False
         return has_one_target
 
-    def _added(self) -> Bools:
+    def _needs_components(self) -> Bools:
         """Return which targets get components that their text lacks, or says wrongly, (K,)."""
         gets_component = self.commanded.written & self.layout.missing[self.row]
         return np.asarray(gets_component.any(axis=1) | (self.targets.keep & self.commanded.written.any(axis=1)))
@@ -203,10 +205,10 @@ class _Rewriter:
         if literal is not None:
             texts = self.statements.texts(k, literal)
             replaced_names = () if self.targets.keep[k] else CARTESIAN
-            rest = {
+            missing_components = {
                 name: text for name, text in texts.items() if name not in replaced_names or name not in literal.places
             }
-            for piece in replaced_numbers(literal, rest):
+            for piece in replaced_numbers(literal, missing_components):
                 self._change(row, piece)
 
     def _special(self) -> None:
@@ -221,7 +223,7 @@ class _Rewriter:
         self.issues += points.issues
 
     def _statement(self, row: int, k: int, move: MotionStatement, points: NamedPoints) -> None:
-        """Change one statement, or note that it uses named points as they are."""
+        """Change one statement, or record that it uses unchanged named points."""
         split = k > 0 and bool(self.row[k - 1] == row)
         straight = move.kind == CIRC and bool(self.targets.kind[k] == LIN)
         depends = bool(move.relative) or move.angle is not None
@@ -229,7 +231,7 @@ class _Rewriter:
         needs_copy = straight or (split and (depends or move.kind == CIRC)) or start_differs
         differs = needs_copy or bool(self.commanded.changed[k])
         if differs and (move.relative or straight):
-            self._change(row, self.statements.rewritten(row, k))
+            self._change(row, self.statements.absolute_statement(row, k))
             if move.relative:
                 if move.behind is not None:
                     self._change(row, Replacement(*move.behind, ""))
@@ -261,7 +263,7 @@ class _Rewriter:
         lines = InsertedLines(self.trace, self.replacements[0])
         at, trigger_texts = self._around_triggers()
         forces = self._forces(line, at)
-        free, bound = self._freed()
+        free, bound = self._free_orientation_spans()
         slow, fast = self._feeds()
         line_targets = [*trigger_texts, *forces, *free, *bound, *slow, *fast]
         for k in np.flatnonzero(~self.last | np.isin(np.arange(len(line)), line_targets)).tolist():
@@ -275,20 +277,20 @@ class _Rewriter:
             if k in forces and not self._replaced_comment(k, forces[k]):
                 lines.add(next_line, forces[k] + self.statements.line_end(int(self.row[k])))
             if not self.last[k]:
-                text = self.statements.inserted(int(self.row[k]), k)
+                text = self.statements.inserted_line(int(self.row[k]), k)
                 lines.add(next_line, text, k)
                 if not self.layout.passed[self.row[k]] and not is_approximated(text):
                     reason = _BLENDED_STOP if self.layout.distant[self.row[k]] else _UNSURE
                     self._report("stop-inserted", reason, int(line[k]))
             if k in bound:
                 kind = ORIENTATIONS[self.layout.orientation[self.row[k]]]
-                lines.behind(int(line[k]), f"{self._indent(k)}{LED_BY}{kind}")
+                lines.insert_behind(int(line[k]), f"{self._indent(k)}{LED_BY}{kind}")
             if k in fast:
-                lines.behind(int(line[k]), self._indent(k) + fast[k])
+                lines.insert_behind(int(line[k]), self._indent(k) + fast[k])
         return lines.numbers(line)
 
-    def _freed(self) -> tuple[set[int], set[int]]:
-        """Return before which targets `$ORI_TYPE` is set for `freed` motions, and behind which it is as it was."""
+    def _free_orientation_spans(self) -> tuple[set[int], set[int]]:
+        """Return targets before which `$ORI_TYPE` is set for free orientation, and those behind which it is reset."""
         rows = np.flatnonzero(self.commanded.is_free)
         pairs = runs(self.layout, rows[[not self.statements.is_spline(row) for row in rows.tolist()]])
         first, last = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
@@ -300,7 +302,7 @@ class _Rewriter:
         motions, as_read = self.program.motions, self.program.feed_as_read
         if as_read is None:
             return {}, {}
-        rows, line = _lowered(self.program), self.layout.line
+        rows, line = _lowered_motions(self.program), self.layout.line
         follows = np.append(False, (np.diff(rows) == 1) & (np.diff(line[rows]) == 1))  # nothing between them
         same_feed = follows & (np.diff(motions.feed[rows], prepend=np.nan) == 0.0)
         ends = np.append(~follows[1:], True)[: len(rows)]
@@ -322,7 +324,7 @@ class _Rewriter:
         )  # a comment on the line of a motion holds for it, but not for targets inserted before it
         comment_line[list(at)] = list(at.values())
         note = np.searchsorted(self.layout.notes, comment_line) - 1
-        rows = np.flatnonzero(needed(self.carried, self.targets.kind, note, self.program.notes, 0.0))
+        rows = np.flatnonzero(needs_comment(self.carried, self.targets.kind, note, self.program.notes, 0.0))
         return dict(zip(rows.tolist(), texts(b";", self.carried, rows), strict=True))
 
     def _replaced_comment(self, k: int, text: str) -> bool:
@@ -344,7 +346,7 @@ class _Rewriter:
             first, stop = np.searchsorted(self.row, [row, row + 1]).tolist()
             if stop - first < 2:
                 continue
-            places = placed(
+            places = place(
                 tuple(group), int(self.layout.line[row]), self.targets.t[first:stop], float(motions.feed[row])
             )
             at |= dict(zip(range(first, stop), places.at, strict=False))
@@ -352,7 +354,7 @@ class _Rewriter:
             for k, triggers in enumerate(places.moved, first):
                 if triggers:
                     trigger_texts[k] = [
-                        (trigger, self._moved(trigger, places.paths.get(trigger))) for trigger in triggers
+                        (trigger, self._trigger_line(trigger, places.paths.get(trigger))) for trigger in triggers
                     ]
             for trigger, path in places.paths.items():
                 if trigger not in moved_triggers and trigger.path is not None:
@@ -366,7 +368,7 @@ class _Rewriter:
                 self.issues.append(Issue("error", "trigger", message, trigger.line))
         return at, trigger_texts
 
-    def _moved(self, trigger: Trigger, path: str | None) -> str:
+    def _trigger_line(self, trigger: Trigger, path: str | None) -> str:
         """Return the line of a TRIGGER, with its end and another PATH if there is one."""
         source, line = self.trace.place(trigger.line)
         text, start, stop = source.text, source.starts[line - 1], source.starts[line]
@@ -381,7 +383,7 @@ class _Rewriter:
 _FEED = "$VEL.CP={}"
 
 
-def _lowered(program: Program) -> Ints:
+def _lowered_motions(program: Program) -> Ints:
     """Return the motions (n,) whose feed was lowered since the program was read."""
     as_read = program.feed_as_read
     return np.flatnonzero(program.motions.feed < as_read) if as_read is not None else np.zeros(0, dtype=np.int64)
@@ -392,7 +394,7 @@ def _check_lowered(program: Program, layout: Layout) -> None:
 
     :raises ProgramError: the motion is in a loop, branch or called routine, in a spline block, or sets its own speed.
     """
-    rows = _lowered(program)
+    rows = _lowered_motions(program)
     if not len(rows):
         return
     spans = zip(rows.tolist(), layout.tail[rows].tolist(), strict=True)

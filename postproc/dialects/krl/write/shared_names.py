@@ -28,7 +28,7 @@ from postproc.dialects.krl.language.tokens import (
     word_at,
 )
 from postproc.dialects.krl.language.tree import Assignment, Cyclic, Declaration, Definition, Event, For
-from postproc.dialects.krl.write.division import ADVICE, undivided
+from postproc.dialects.krl.write.division import ADVICE, division_error
 from postproc.dialects.krl.write.edits import Replacements
 from postproc.errors import ProgramError
 from postproc.program import Document, Ints
@@ -44,7 +44,7 @@ class _Variables(Struct, frozen=True, eq=False):
     users: dict[str, set[int]] = field(default_factory=dict)
     written: dict[str, int] = field(default_factory=dict)
 
-    def shared(self, *, with_readers: bool) -> set[str]:
+    def shared_names(self, *, with_readers: bool) -> set[str]:
         """Return the names that several files use; not `with_readers`: and that the program may write."""
         return {name for name, files in self.users.items() if len(files) > 1 and (with_readers or name in self.written)}
 
@@ -78,23 +78,25 @@ class Sharing:
         )
         self.data = None if data is None else Source.of(data, 1)
         self.lines = [] if self.data is None else [item for item in data_lines(self.data) if not item.public]
-        self.stated = {item.line: list(_stated(self.data, item)) for item in self.lines if self.data is not None}
+        self.stated = {
+            item.line: list(_data_declarations(self.data, item)) for item in self.lines if self.data is not None
+        }
         self.own, self.kept = _Variables(), _Variables()
-        self.declared = [(line, item) for line in main.lines for item in self._declared_on(line)]
+        self.declared = [(line, item) for line in main.lines for item in self._declarations(line)]
         constant = {line for line, _ in self.declared if self._is_constant(line)}
         self.local = {item.name for line, item in self.declared if line not in constant}
         self.hidden = {item.name for line, item in self.declared if line in constant}
         self.hidden |= {parameter.name for parameter in main.parameters}
 
-    def done(self) -> tuple[Source, Document | None, dict[str, str]]:
+    def apply(self) -> tuple[Source, Document | None, dict[str, str]]:
         """Return the program, with as many lines, its `.dat`, and the new name of each routine by its name, upper case.
 
         :raises ProgramError: a variable has a type that other files do not see.
         """
         self._look()
-        local_names = _together(self.own.shared(with_readers=True), self._by_line(self.declared))
+        local_names = _declared_with(self.own.shared_names(with_readers=True), self._names_by_line(self.declared))
         data_names = [(line, item) for line, names in self.stated.items() for item in names]
-        shared_data = _together(self.kept.shared(with_readers=False), self._by_line(data_names))
+        shared_data = _declared_with(self.kept.shared_names(with_readers=False), self._names_by_line(data_names))
         self._check_types(
             local_names, {item.name: item for _, item in data_names if item.name in shared_data and item.kind}
         )
@@ -106,7 +108,7 @@ class Sharing:
         edits = Replacements()
         declarations = self._move(new_locals, edits)
         self._rename(new_locals, public, routines, edits)
-        source = Source.of(replace(self.source.document, text=edits.applied(self.source.text)), 0)
+        source = Source.of(replace(self.source.document, text=edits.apply(self.source.text)), 0)
         return source, self._data(public, declarations), routines
 
     # --- shared names ----------------------------------------------------------------------------------------------
@@ -127,13 +129,13 @@ class Sharing:
                 names &= {item.name for item in occurrences(self.source.text, start, stop)}
                 assigned_names = self._written_in(line)
                 for name in names:
-                    owner = self._meant(name, routine, data_names)
+                    owner = self._owner(name, routine, data_names)
                     if owner is not None:
                         owner.users.setdefault(name, set()).add(int(self.file[line]))
                         if name in assigned_names:
                             owner.written.setdefault(name, line)
 
-    def _meant(self, name: str, routine: Routine, data_names: Collection[str]) -> _Variables | None:
+    def _owner(self, name: str, routine: Routine, data_names: Collection[str]) -> _Variables | None:
         """Return to what a name in a routine belongs; None if it is none of what may be shared."""
         if routine is self.main and name in self.local:
             return self.own
@@ -176,18 +178,18 @@ class Sharing:
             result = {head.result} if isinstance(head, Definition) and head.result else set[str]()
             parameter_names = {parameter.name for parameter in routine.parameters}
             kinds = {
-                item.kind for line in routine.lines for item in self._declared_on(line) if item.name in parameter_names
+                item.kind for line in routine.lines for item in self._declarations(line) if item.name in parameter_names
             }
             for kind in types.intersection(kinds | result):
                 raise self._unseen(f"what {routine.name} takes or gives", kind, routine.first)
 
     def _unseen(self, subject: str, kind: str, line: int) -> ProgramError:
         problem = f"{subject} is used in several of the files, and its type {kind} is not GLOBAL"
-        return undivided(self.source, problem, line, f"Declare {kind} in the $config.dat, or: {ADVICE}")
+        return division_error(self.source, problem, line, f"Declare {kind} in the $config.dat, or: {ADVICE}")
 
     # --- declarations --------------------------------------------------------------------------------------------
 
-    def _declared_on(self, line: int) -> list[Declared]:
+    def _declarations(self, line: int) -> list[Declared]:
         """Return the variables that a line of the program declares."""
         node = statement(self.source, line)
         return list(node.names) if isinstance(node, Declaration) and not node.public and node.word != "STRUC" else []
@@ -197,7 +199,7 @@ class Sharing:
         return isinstance(node, Declaration) and node.constant
 
     @staticmethod
-    def _by_line(declarations: Iterable[tuple[int, Declared]]) -> list[set[str]]:
+    def _names_by_line(declarations: Iterable[tuple[int, Declared]]) -> list[set[str]]:
         lines: dict[int, set[str]] = {}
         for line, item in declarations:
             lines.setdefault(line, set()).add(item.name)
@@ -207,13 +209,13 @@ class Sharing:
 
     def _fresh(self, name: str) -> str:
         """Return a GLOBAL name for a name, upper case."""
-        new_name = f"{self.base}_{self._spelt(name)}"[:MAX_LENGTH]
+        new_name = f"{self.base}_{self._spelling(name)}"[:MAX_LENGTH]
         if new_name.upper() in self.taken:
             new_name = unused(new_name, self.taken)
         self.taken.add(new_name.upper())
         return new_name
 
-    def _spelt(self, name: str) -> str:
+    def _spelling(self, name: str) -> str:
         """Return a name as the program spells it first."""
         spellings = (match[0] for match in NAME.finditer(self.source.text) if match[0].upper() == name)
         return next(spellings, name)
@@ -229,7 +231,7 @@ class Sharing:
             for item in occurrences(text, 0, len(text)):
                 if item.name in new_names:
                     pieces.add(item.start, item.stop, new_names[item.name])
-            declarations.append(_public(pieces.applied(text)))
+            declarations.append(_public(pieces.apply(text)))
         return declarations
 
     def _rename(
@@ -279,12 +281,12 @@ class Sharing:
                 for name in occurrences(new, 0, len(new)):
                     if name.name in public:
                         pieces.add(name.start, name.stop, public[name.name])
-                new = pieces.applied(new)
+                new = pieces.apply(new)
                 edits.add(start, stop, _public(new) if any(item.kind for item in self.stated[data_line.line]) else new)
-        return replace(self.data.document, text=edits.applied(text))
+        return replace(self.data.document, text=edits.apply(text))
 
 
-def _stated(data: Source, data_line: DataLine) -> Iterator[Declared]:
+def _data_declarations(data: Source, data_line: DataLine) -> Iterator[Declared]:
     """Yield the variables that a line of a `.dat` declares or gives a value to."""
     start, stop = data.code_span(data_line.line)
     if word_at(data.text, start, stop) not in DECLARING:
@@ -305,7 +307,7 @@ def _public(declaration: str) -> str:
     return f"DECL GLOBAL {declaration[max(next_sign, 0) :].lstrip()}"
 
 
-def _together(names: set[str], lines: Sequence[set[str]]) -> set[str]:
+def _declared_with(names: set[str], lines: Sequence[set[str]]) -> set[str]:
     """Return names with those that are declared on one line with them."""
     while new_names := set().union(*(line for line in lines if line & names)) - names:
         names = names | new_names

@@ -32,13 +32,13 @@ from postproc.dialects.krl.language.scan import with_name
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.tokens import names_in, word_at
 from postproc.dialects.krl.language.tree import Definition
-from postproc.dialects.krl.write.division import bounds, places, undivided
+from postproc.dialects.krl.write.division import bounds, division_error, places
 from postproc.dialects.krl.write.shared_names import Sharing
 from postproc.errors import Issue, first_of, together
 from postproc.program import Document, Ints, Written
 
 
-def with_data(sources: Sequence[Document], data: Document | None) -> Iterator[Document]:
+def add_data_files(sources: Sequence[Document], data: Document | None) -> Iterator[Document]:
     """Yield the files of a program, behind each `.src` the `.dat` that it needs.
 
     :param sources: the main program first.
@@ -50,7 +50,7 @@ def with_data(sources: Sequence[Document], data: Document | None) -> Iterator[Do
     source = Source.of(data, 1)
     lines = data_lines(source)
     header = [_line(source, line) for line in range(1, len(source.starts) + 1) if _line(source, line)[0] == "&"]
-    needed_lines = [_needed(lines, document) for document in sources]
+    needed_lines = [_needed_lines(lines, document) for document in sources]
     moved_lines = (
         set().union(*needed_lines[1:]) - needed_lines[0] - {data_line.line for data_line in lines if data_line.public}
     )
@@ -69,7 +69,7 @@ def with_data(sources: Sequence[Document], data: Document | None) -> Iterator[Do
             yield replace(data, name=f"{stem}.dat", text=text)
 
 
-def _needed(lines: Sequence[DataLine], document: Document) -> set[int]:
+def _needed_lines(lines: Sequence[DataLine], document: Document) -> set[int]:
     """Return the numbers of the lines whose names a file uses, or that the types and values of such lines need."""
     lines_of_name: dict[str, list[DataLine]] = {}
     for data_line in lines:
@@ -95,7 +95,7 @@ _MOST_NAMES = 5
 """Names in one message at most."""
 
 
-def in_files(
+def split_files(
     name: str,
     documents: Sequence[Document],
     output: Written,
@@ -115,17 +115,17 @@ def in_files(
     """
     old_text = joined(documents) if documents else None
     if old_text is not None:
-        return _as_before(documents, output, limit)
+        return _restore_files(documents, output, limit)
     if not limit or (
         output.documents[0].text.count("\n") < limit and len(Source.of(output.documents[0], 0).starts) <= limit
     ):
         return output
     if resume_place:
-        raise undivided(Source.of(output.documents[0], 0), f"{_RESUME}, in {resume_place}", 1)
-    return _Splitter(name, output, limit, used_names).written()
+        raise division_error(Source.of(output.documents[0], 0), f"{_RESUME}, in {resume_place}", 1)
+    return _Splitter(name, output, limit, used_names).write()
 
 
-def _as_before(documents: Sequence[Document], output: Written, limit: int) -> Written:
+def _restore_files(documents: Sequence[Document], output: Written, limit: int) -> Written:
     """Return a program that was read from several files in these files."""
     whole = joined(documents)
     if whole is None or all(
@@ -140,7 +140,7 @@ def _as_before(documents: Sequence[Document], output: Written, limit: int) -> Wr
     if limit and longest_file.text.count("\n") > limit:
         message = f"{longest_file.name} has more than {limit} lines: a program in several files keeps its division."
         issues.append(Issue("warning", "long-file", message))
-    files = with_data(sources, output.documents[1] if len(output.documents) > 1 else None)
+    files = add_data_files(sources, output.documents[1] if len(output.documents) > 1 else None)
     return replace(output, documents=tuple(files), issues=tuple(issues))
 
 
@@ -166,9 +166,9 @@ class _Splitter:
             raise together(faults)
         main = Module(self.source, routine_of).main(PurePath(output.documents[0].name).stem)
         if main is None:
-            raise undivided(self.source, "it has no DEF, END or motion", 1)
+            raise division_error(self.source, "it has no DEF, END or motion", 1)
         if main.parameters:
-            raise undivided(self.source, "its DEF has parameters, which are not known in other files", main.first)
+            raise division_error(self.source, "its DEF has parameters, which are not known in other files", main.first)
         self.main = main
         self.others = [routine for routine in routine_of.values() if routine is not main]
         program_words = set(_code_names(self.source))
@@ -177,17 +177,17 @@ class _Splitter:
         starts, stops = self.source.starts, self.source.stops
         self.line_end = self.source.text[int(stops[main.first - 1]) : int(starts[main.first])]
 
-    def written(self) -> Written:
+    def write(self) -> Written:
         """Return the program in several files, each line of a target counted on from file to file."""
         for line in chain.from_iterable(routine.lines for routine in (self.main, *self.others)):
             if statement(self.source, line).word == "RESUME":
-                raise undivided(self.source, _RESUME, line)
+                raise division_error(self.source, _RESUME, line)
         files = self._files()
         file_of, number_of = self._lines(files)
         data = self.whole.documents[1] if len(self.whole.documents) > 1 else None
         source, data, new_names = Sharing(
             self.base, self.source, data, self.main, self.others, file_of, self.taken
-        ).done()
+        ).apply()
         if new_names:
             names = first_of([f"{old} is {new}" for old, new in new_names.items()], _MOST_NAMES)
             message = f"Routines of its own are GLOBAL, for all its files to see them: {names}."
@@ -203,7 +203,7 @@ class _Splitter:
         documents[0] = replace(documents[0], text=with_name(documents[0].text, files[0].name))
         return replace(
             self.whole,
-            documents=tuple(with_data(documents, data)),
+            documents=tuple(add_data_files(documents, data)),
             output_line=number_of[self.whole.output_line],
             issues=tuple(self.issues),
         )
@@ -232,7 +232,7 @@ class _Splitter:
         files = [_File(f"{self.base}{MAIN}", (*head, *calls, *tail))]
         end = f"END{self.line_end}"
         bodies: list[tuple[str | range, ...]] = [(*declarations, range(*pair), end) for pair in pairwise(cuts)]
-        bodies += [(end, *group) for group in self._packed(blocks, self.limit - len(header) - 3)]
+        bodies += [(end, *group) for group in self._pack(blocks, self.limit - len(header) - 3)]
         for body in bodies:
             name = f"{self.base}{len(files)}"
             head_lines = [
@@ -251,7 +251,7 @@ class _Splitter:
             last_line = routine.last
         return blocks
 
-    def _packed(self, blocks: Sequence[range], room: int) -> list[list[range]]:
+    def _pack(self, blocks: Sequence[range], room: int) -> list[list[range]]:
         """Return blocks of lines in as few files as hold them."""
         groups: list[list[range]] = []
         free = 0
@@ -296,7 +296,7 @@ class _Splitter:
         return replace(self.whole.documents[0], name=f"{file.name}.src", text="".join(pieces))
 
     def _base(self, name: str, used_names: Collection[str]) -> str:
-        """Return what the names of the files begin with: valid ones, which the program uses for nothing else."""
+        """Return the prefix of the file names: valid, and not used by the program otherwise."""
         for number in count(1):
             tail = "" if number == 1 else f"_{number}"
             base = name[: MAX_LENGTH - len(MAIN) - len(tail)] + tail

@@ -52,7 +52,7 @@ class TargetNumbers(Struct, frozen=True, eq=False):
     def texts(self, k: int, columns: Iterable[int]) -> dict[str, str]:
         """Return the numbers of a target as printed, by component."""
         numbers, decimals, min_decimals = self.numbers[k].tolist(), self.decimals[k].tolist(), self.least[k].tolist()
-        return {CARTESIAN[c]: printed(numbers[c], decimals[c], min_decimals[c]) for c in columns}
+        return {CARTESIAN[c]: fixed_point(numbers[c], decimals[c], min_decimals[c]) for c in columns}
 
     def via_texts(self, k: int) -> dict[str, str]:
         """Return X, Y, Z of the auxiliary point of a target as printed; empty if it has none."""
@@ -61,20 +61,20 @@ class TargetNumbers(Struct, frozen=True, eq=False):
 
 
 def target_numbers(motions: Motions, layout: Layout, targets: Targets) -> TargetNumbers:
-    """Return what has to be printed for the targets of a program."""
+    """Return the numbers to print for the targets of a program."""
     row = targets.motion
     last = np.append(row[1:] != row[:-1], True) if len(row) else np.zeros(0, dtype=np.bool_)
     keep = targets.keep & last
     (exact,) = in_chunks(lambda rows: (targets.pose.xyzabc(rows),), np.arange(len(row)))
     exact[:, 3:] = _nearest(exact[:, 3:], layout.numbers[row, 3:])
     decimals = np.maximum(DECIMALS, np.minimum(_decimals(layout)[row], MOST_DECIMALS))
-    numbers = np.where(keep[:, None], layout.numbers[row], _rounded(exact, decimals))
+    numbers = np.where(keep[:, None], layout.numbers[row], _round_values(exact, decimals))
 
     first = np.append(True, row[1:] != row[:-1]) if len(row) else last
     end_differs = any_column(np.abs(numbers - layout.numbers[row]) > _EQUAL)
-    start_differs = _behind(row[last], end_differs[last], layout)
+    start_differs = _begins_behind(row[last], end_differs[last], layout)
     angle_differs = any_column(np.abs(numbers - layout.numbers[row])[:, 3:] > _EQUAL)
-    is_free = _behind(row[last], angle_differs[last], layout)
+    is_free = _begins_behind(row[last], angle_differs[last], layout)
     is_free[row[angle_differs | (layout.with_path[row] & ~keep)]] = True
     ignores_angles = layout.orientation == ORIENTATIONS.index(
         IGNORE
@@ -97,7 +97,7 @@ def target_numbers(motions: Motions, layout: Layout, targets: Targets) -> Target
         np.where(keep[:, None], MOST_DECIMALS, decimals).astype(np.int8),
         np.where(keep[:, None], DECIMALS, decimals).astype(np.int8),
         is_printed,
-        _rounded(targets.via * MM_PER_M, DECIMALS[:3]),
+        _round_values(targets.via * MM_PER_M, DECIMALS[:3]),
         ~keep | any_column(gets_component),
         start_differs,
         is_free,
@@ -112,7 +112,7 @@ def _unheeding(layout: Layout, start_differs: Bools, targets: Targets) -> Bools:
     return np.asarray(is_other_circle & layout.unheeded)
 
 
-def _behind(row: Ints, end_differs: Bools, layout: Layout) -> Bools:
+def _begins_behind(row: Ints, end_differs: Bools, layout: Layout) -> Bools:
     """Return which motions (M,) begin where one of some motions (n,) ends, of those that changed (n,)."""
     start_differs = np.zeros(len(layout.line), dtype=np.bool_)
     follower = row + 1
@@ -121,10 +121,10 @@ def _behind(row: Ints, end_differs: Bools, layout: Layout) -> Bools:
     return np.asarray(start_differs & ~layout.resumed)
 
 
-def printed(number: float, decimals: int, min_decimals: int) -> str:
+def fixed_point(number: float, decimals: int, min_decimals: int) -> str:
     """Return a number in fixed-point notation; zeros behind `min_decimals` decimals are left out.
 
-    >>> printed(12.5, 9, 4), printed(-0.0, 4, 4)
+    >>> fixed_point(12.5, 9, 4), fixed_point(-0.0, 4, 4)
     ('12.5000', '0.0000')
     """
     text = f"{round(number, decimals) + 0.0:.{decimals}f}"
@@ -135,7 +135,7 @@ def printed(number: float, decimals: int, min_decimals: int) -> str:
     return text
 
 
-def _rounded(values: Array, decimals: Ints) -> Array:
+def _round_values(values: Array, decimals: Ints) -> Array:
     scale = 10.0**decimals
     return np.asarray(np.rint(values * scale) / scale + 0.0)
 
@@ -158,7 +158,7 @@ def _nearest(abc: Array, reference: Array) -> Array:
 
 
 def _decimals(layout: Layout) -> Ints:
-    """Return how many decimals the numbers of M motions have in the input, (M, 6); 0 where there are none."""
+    """Return the decimals (M, 6) of the numbers of M motions in the input; 0 where there is no number."""
     trace, spans = layout.course.trace, layout.spans(slice(None), slice(6))
     for elements in layout.elements:
         spans[elements.row] = -1
@@ -180,15 +180,15 @@ def _decimals(layout: Layout) -> Ints:
 
 
 def _decimals_in(text: str, spans: Offsets) -> Ints:
-    """Return how many decimals numbers (…, 2) of a text have; 0 where the span is −1."""
+    """Return the decimals of the numbers of a text at spans (…, 2); 0 where the span is −1."""
     codes = np.frombuffer(text.encode("ascii", "replace"), dtype=np.uint8)
     start, stop = spans[..., 0].astype(np.int64), spans[..., 1].astype(np.int64)
-    point = _next(codes == ord("."), start, len(codes))
-    exponent = np.minimum(_next((codes | 32) == ord("e"), start, len(codes)), stop)
+    point = _next_marks(codes == ord("."), start, len(codes))
+    exponent = np.minimum(_next_marks((codes | 32) == ord("e"), start, len(codes)), stop)
     return np.where((start >= 0) & (point < stop), exponent - point - 1, 0)
 
 
-def _next(mark: Bools, position: Ints, end: int) -> Ints:
+def _next_marks(mark: Bools, position: Ints, end: int) -> Ints:
     """Return the first marked offset at or behind each position; `end` where there is none."""
     places = np.append(np.flatnonzero(mark), end)
     return places[np.searchsorted(places, position)]

@@ -27,7 +27,7 @@ from postproc.dialects.krl.language.tokens import INTEGER_LITERAL, word_at
 from postproc.dialects.krl.language.tree import Assignment, Motion, Tail
 from postproc.dialects.krl.language.values import Aggregate
 from postproc.dialects.krl.layout import FREE, Layout
-from postproc.dialects.krl.write.target_numbers import MOST_DECIMALS, TargetNumbers, printed
+from postproc.dialects.krl.write.target_numbers import MOST_DECIMALS, TargetNumbers, fixed_point
 from postproc.frames import MM_PER_M
 from postproc.program import CIRC, LIN, PTP, Ints, Targets
 
@@ -84,7 +84,7 @@ def replaced_numbers(literal: Literal, texts: Mapping[str, str]) -> list[Replace
     return pieces
 
 
-def applied(literal: Literal, pieces: list[Replacement]) -> str:
+def apply(literal: Literal, pieces: list[Replacement]) -> str:
     """Return a literal with pieces replaced."""
     texts, start = [], literal.start
     for piece in sorted(pieces):
@@ -160,7 +160,7 @@ class TargetStatements:
         carriage, row, t = self.layout.carriage, self.targets.motion[k : k + 1], float(self.targets.t[k])
         if carriage is None or (t == 1.0 and not relative) or carriage.travel[row[0]] == 0.0:
             return {}
-        return {"E1": printed(float(carriage.at(row, t)[0]) * MM_PER_M, 4, 4)}
+        return {"E1": fixed_point(float(carriage.at(row, t)[0]) * MM_PER_M, 4, 4)}
 
     def end_texts(self, k: int, operand: Point, *, copy: bool = False) -> dict[str, str]:
         """Return the numbers to be written for the end point of a statement, wherever its own are."""
@@ -187,14 +187,14 @@ class TargetStatements:
                     texts[name] = str(bits)
         for name, place in zip(EXTERNAL, position.external, strict=False):
             if not math.isnan(place):
-                texts[name] = printed(place, MOST_DECIMALS, 0)
+                texts[name] = fixed_point(place, MOST_DECIMALS, 0)
         return aggregate_text(texts | (self._carriage(k) if "E1" in texts else {}))
 
     def end(self, row: int, k: int) -> str:
         """Return the end point of a target as text: the literal of the statement with other numbers, or a new one."""
         literal = self.literal(row)
         if literal is not None:
-            return applied(literal, replaced_numbers(literal, self.texts(k, literal, copy=True)))
+            return apply(literal, replaced_numbers(literal, self.texts(k, literal, copy=True)))
         move = self.layout.statements.get(row)
         return self.whole(k, move.end if move else None, relative=bool(move and move.relative))
 
@@ -217,7 +217,7 @@ class TargetStatements:
         if span is None or self.targets.kind[k] != CIRC:
             return end
         texts = self.commanded.via_texts(k)
-        first = applied(via, replaced_numbers(via, texts)) if via is not None else aggregate_text(texts)
+        first = apply(via, replaced_numbers(via, texts)) if via is not None else aggregate_text(texts)
         return first + self.layout.source(row).text[span[1] : int(self.layout.target[row, 0])] + end
 
     def statement(self, row: int, k: int) -> str:
@@ -227,8 +227,8 @@ class TargetStatements:
         gap = self.layout.source(row).text[int(self.layout.keyword[row]) + len(self._word(row)) : first]
         return self.keyword(row, k) + gap + self.points(row, k)
 
-    def inserted(self, row: int, k: int) -> str:
-        """Return an inserted target as a line of its own, with its line end.
+    def inserted_line(self, row: int, k: int) -> str:
+        """Return the line of an inserted target, with its line end.
 
         It has the approximation and the WITH of the motion; where the motion stops, it has C_DIS (C_SPL, C_PTP) unless
         the target is to stop too, or the distance is not known. In a spline block it has none. No comment is repeated.
@@ -267,13 +267,13 @@ class TargetStatements:
         source, line = self.layout.course.trace.place(self.layout.line.item(row))
         return source.text[source.stops[line - 1] : source.starts[line]]  # it is never the last line: END follows
 
-    def rewritten(self, row: int, k: int) -> Replacement:
+    def absolute_statement(self, row: int, k: int) -> Replacement:
         """Return the edit that replaces instruction and points of a statement by absolute literals."""
         return Replacement(int(self.layout.keyword[row]), int(self.layout.tail[row, 0]), self.statement(row, k))
 
 
 def tail_text(source: Source, tail: Tail, *, free: bool, straight: bool, unheeding: bool) -> str:
-    """Return what follows the target of a spline motion.
+    """Return the text that follows the target of a spline motion.
 
     :param free: with ``$ORI_TYPE=#VAR``.
     :param straight: for a line in place of a circle: without what only circles have.

@@ -57,8 +57,8 @@ class Placed(Struct, frozen=True, eq=False):
     lost: list[Trigger]
 
 
-def placed(triggers: Sequence[Trigger], line: int, ends: Array, speed: float) -> Placed:
-    """Return where TRIGGERs and inserted targets of one motion go.
+def place(triggers: Sequence[Trigger], line: int, ends: Array, speed: float) -> Placed:
+    """Return the targets of one motion at which its TRIGGERs and inserted targets are written.
 
     A TRIGGER stays on its line wherever the inserted targets can be around it.
 
