@@ -144,7 +144,7 @@ def test_an_interrupt_has_an_exit_code_of_its_own(monkeypatch):
 def test_warnings_of_libraries_are_for_debug_only(debug):
     code = (
         "import warnings, postproc.robot as r; from postproc.__main__ import main\n"
-        "r.shipped = lambda: warnings.warn('overflow encountered in multiply', RuntimeWarning) or {'x': 1 / 0}\n"
+        "r.shipped_models = lambda: warnings.warn('overflow encountered in multiply', RuntimeWarning) or {'x': 1 / 0}\n"
         "main()"
     )
     arguments = ["robots", "--debug"] if debug else ["robots"]

@@ -203,7 +203,7 @@ def test_richer_structures_are_taken_for_their_evidence_or_where_noise_or_a_misf
     monkeypatch.setattr(procedure, "_choose_springs", choose)
     monkeypatch.setattr(procedure, "_is_worth_a_look", lambda _: worth_a_look)
     monkeypatch.setattr(procedure, "_is_hidden", lambda _: hidden)
-    monkeypatch.setattr(procedure, "_unexplained", lambda _: unexplained)
+    monkeypatch.setattr(procedure, "_has_unexplained_error", lambda _: unexplained)
     monkeypatch.setattr(procedure, "_clearly_better", lambda *_: better)
     monkeypatch.setattr(procedure, "_open_springs", refuse)
     if taken:
