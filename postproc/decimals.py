@@ -62,26 +62,26 @@ class Number(Struct, frozen=True, eq=False):
         digits = np.abs(np.where(empty, 0.0, self.scaled) if has_empty else self.scaled).astype(np.uint64)
         whole = digits // np.uint64(10**self.decimals)
         point, end = at + 1 + 4 * self.groups, at + self.width
-        if (
-            self.decimals
-        ):  # in fours from the right; what the first has too many is then covered by the point and the rest
-            rest = _narrow(digits - whole * np.uint64(10**self.decimals), 10**self.decimals)
+        if self.decimals:
+            # groups of four digits from the right; the first group may be too long, and is then overwritten by the
+            # point and the whole part
+            remaining = _narrow(digits - whole * np.uint64(10**self.decimals), 10**self.decimals)
             for stop in range(end, point + 1, -4):
-                higher = rest // rest.dtype.type(10_000)
-                _fours(text, stop)[...] = _FOUR.take(rest - higher * rest.dtype.type(10_000))
-                rest = higher
+                higher = remaining // remaining.dtype.type(10_000)
+                _fours(text, stop)[...] = _FOUR.take(remaining - higher * remaining.dtype.type(10_000))
+                remaining = higher
             text[:, point] = ord(".")
-        rest = _narrow(whole, 10 ** (4 * self.groups))
+        remaining = _narrow(whole, 10 ** (4 * self.groups))
         for stop in range(point, at + 1, -4):
-            higher = rest // rest.dtype.type(10_000)
-            low = rest - higher * rest.dtype.type(10_000)
+            higher = remaining // remaining.dtype.type(10_000)
+            low = remaining - higher * remaining.dtype.type(10_000)
             four = _FOUR_SHORT.take(low)
             if self.groups > 1:
                 four = np.where(higher > 0, _FOUR.take(low), four)
                 if stop < point:
-                    four[rest == 0] = _ABSENT
+                    four[remaining == 0] = _ABSENT
             _fours(text, stop)[...] = four
-            rest = higher
+            remaining = higher
         np.multiply((self.scaled < 0.0).view(np.uint8), np.uint8(ord("-")), out=text[:, at])
         if has_empty:
             text[empty, at:end] = _ABSENT

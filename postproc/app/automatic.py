@@ -87,7 +87,7 @@ class Automatic:
             return
 
     def _commands(self) -> tuple[bool, set[str]]:
-        """Return whether nothing runs, and the programs that users have had corrected since the last step.
+        """Return whether no command runs, and the programs that users have corrected since the last step.
 
         One that was begun here has finished what it was begun with: if its program changes meanwhile, it is ready
         again.

@@ -135,7 +135,9 @@ def _ends(program: Program, robot_in_cell: RobotInCell) -> JointPath:
 
 
 def nearest(points: Callable[[Array], Array], positions: Array, begin: Array, end: Array) -> tuple[Array, Array]:
-    """Return the nearest place of a path to each of n points, and its distance [m].
+    """Return the arc length (n,) at which a path is nearest to each of n points, and the distances (n,) [m].
+
+    Samples the path evenly, then again between the neighbours of the nearest sample.
 
     :param points: returns positions (n, k, 3) of the path at arc lengths (n, k).
     :param positions: (n, 3) the points.

@@ -65,7 +65,7 @@ def line_spans(text: str, piece: int = _PIECE) -> tuple[Ints, Ints]:
 
 
 def _spans(text: str) -> tuple[Ints, Ints]:
-    """Return the spans of the lines of a piece of text, which begins with a line."""
+    """Return starts (L,) and stops (L,) of the lines of a text; ends of lines are LF, CR LF, CR CR LF and CR."""
     try:
         units = np.frombuffer(text.encode("latin-1"), dtype=np.uint8)
     except UnicodeEncodeError:

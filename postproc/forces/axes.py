@@ -69,6 +69,7 @@ def is_line_across(program: Program, path: Segments, lines: Ints, axis: str) -> 
 
     Nearer to it, FEED axes may swing by up to half a turn while the tool turns a little.
     """
+    # the angle at the nearer end, less half the turn of the tool: nearer the spindle cannot come in between
     ends = at(program, path, lines, np.ones(len(lines)))
     travel = tangent(program, path, lines, ends.t)
     start = path.start.at(lines)[:, :3, _SPINDLE[axis][0]]

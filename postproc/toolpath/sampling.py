@@ -214,10 +214,12 @@ def _stretches(arcs: Ints, estimate: DisplacementEstimate, tolerance: float) -> 
     inner = estimate.bends[rows]
     arc = np.concatenate([np.arange(len(arcs)), arc_of_row[inner]])
     begin = np.concatenate([np.zeros(len(arcs)), estimate.t[rows[inner]]])
+    # a stretch ends where the next one of its arc begins, the last one of an arc at t = 1
     order = np.lexsort((begin, arc))
     arc, begin = arc[order], begin[order]
     last = np.append(np.diff(arc) != 0, np.ones(min(1, len(arc)), dtype=np.bool_))
     end = np.where(last, 1.0, np.append(begin[1:], 1.0)[: len(arc)])
+    # arc + t grows along all arcs, since t is in 0 … 1: one search finds the stretch of each knot
     stretch = np.searchsorted(arc + begin, arc_of_row + estimate.t[rows]) - 1
     is_inside = estimate.t[rows] > 0.0
     change: Array = np.bincount(stretch[is_inside], estimate.change[rows][is_inside], len(arc)).astype(float)

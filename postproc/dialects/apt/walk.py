@@ -207,7 +207,10 @@ class _Walk:
         self.doubt = False
 
     def _axes(self, row: Ints, words: Array) -> Array:
-        """Return the directions of the tool (n, 3)."""
+        """Return the directions of the tool (n, 3): those of GOTO, or the last one before where it states none.
+
+        :raises StatementError: a direction is not of length 1; the further ones are added to the faults.
+        """
         length = norm(words)
         is_stated = ~np.isnan(length)
         if not is_stated.any():
@@ -220,6 +223,7 @@ class _Walk:
             raise StatementError(problem, advice, int(row[non_unit_rows[0]]))
         with np.errstate(invalid="ignore"):
             unit = np.concatenate([self.axis[None], words / length[:, None]])
+        # row k of `unit` is the direction of statement k − 1; row 0 is the one before the first statement
         latest = np.maximum.accumulate(np.append(0, np.where(is_stated, np.arange(1, len(row) + 1), 0)))
         return np.asarray(unit[latest][1:])
 

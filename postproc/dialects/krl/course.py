@@ -257,6 +257,7 @@ class Course(Struct, frozen=True, eq=False):
 
 
 def _plain_rounds(body: Body) -> Iterator[PlainRounds]:
+    """Yield the plain rounds of loops in a body, those in called routines and other loops included."""
     for part in body.parts:
         if isinstance(part, Called):
             yield from _plain_rounds(part.body)

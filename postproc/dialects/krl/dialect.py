@@ -68,6 +68,7 @@ def _main_of(part: Document) -> str | None:
 
 
 def _long(document: Document, limit: int) -> Issue:
+    """Return the warning that a file of subprograms has more than `limit` lines."""
     lines = document.text.count("\n")
     message = (
         f"{document.name} has {lines} lines, more than {limit}: files of subprograms are not divided. Divide it into "
@@ -256,6 +257,7 @@ def callers(paths: Sequence[Path]) -> dict[Path, list[Path]]:
 
 
 def _file(path: Path) -> _File:
+    """Return the routines that a file calls, and those that others can call in it; empty if it cannot be read."""
     try:
         text = path.read_bytes().decode("latin-1")
     except OSError:

@@ -92,6 +92,7 @@ class _Folder(Struct, eq=False):
     _calls: dict[Called, _Version] = {}
 
     def fold(self) -> Folded:
+        """Return the files of the program, with the line of each row of the trace in the main file."""
         key = self._key(self.course.body)
         body = self._body(self.course.body)
         self.versions[self.main][key] = _Version(self.main.name, body, [*body.places])

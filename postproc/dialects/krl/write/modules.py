@@ -205,6 +205,7 @@ class _Divider:
         return f"module {index + 1} of {len(self.names)}{predecessor}{successor}"
 
     def _issue(self, documents: Sequence[Document]) -> Issue:
+        """Return the information that the program is written as several modules, with their sizes."""
         sizes = ", ".join(f"{document.name} ({len(document.text) / _MB:.2g} MB)" for document in documents)
         message = (
             f"the program is larger than program_memory_MB = {self.emitter.cell.output.program_memory_MB:g} of "

@@ -232,6 +232,10 @@ def editable_layout(layout: Layout, motions: Motions, mentions: Mentions, files:
 def _statement(
     layout: Layout, motions: Motions, row: int, elements: Elements, literal: Sequence[int]
 ) -> MotionStatement:
+    """Return the statement of motion `row`, whose target is an element of a declared point.
+
+    :param literal: start and stop of the aggregate that the declaration has for it.
+    """
     start, stop = layout.target[row].tolist()
     begin, end = layout.tail[row].tolist()
     keyword = int(layout.keyword[row])
