@@ -41,7 +41,7 @@ def run_jobs(
     workers: int = 1,
     cluster: Cluster | None = None,
 ) -> list[Outcome]:
-    """Work through jobs, print what came of them and return it; an interrupt ends the command."""
+    """Convert or predict programs, print their outcomes and return them; an interrupt ends the command."""
     from postproc.errors import PostprocError
     from postproc.jobs import convert_all, left
 

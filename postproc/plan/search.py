@@ -371,14 +371,14 @@ def _exchange_level(task: Task, choice: _Choice, group: int) -> _Choice:
 
 def refine(task: Task, plan: Plan, rng: np.random.Generator, rounds: int) -> Iterator[Plan]:
     """Yield plans, each no worse than the one before, with poses and levels moved off the candidates."""
-    scale = 0.3
+    scale = 0.3  # largest change of an angle [rad]; smaller after each round without a gain
     for _ in range(rounds):
         old_value = plan.value
         plan = _move_poses(task, plan, rng, scale)
         plan = _move_levels(task, plan)
         yield plan
         if plan.value > old_value * (1.0 - 3.0 * _MIN_GAIN):
-            if scale < 0.02:
+            if scale < 0.02:  # about a degree
                 return
             scale *= 0.4
 

@@ -157,12 +157,13 @@ def file_values(fit: Fit) -> tuple[Array, Array]:
 def agreement(fit: Fit, prior: Prior, outliers: tuple[str, ...] = ()) -> Agreement:
     """Compare a model with a part.
 
-    :param fit: fit of `prior.widen()`: what the part says by itself.
+    :param fit: fit of the part with `prior.widen()`, so that the readings decide.
     :param prior: the model with its own covariance.
     :param outliers: points left out of the fit.
     """
     fault = _part_fault(fit, outliers)
     count, surprise = len(fit.readings.probed), fit.compare_with_prior(prior)
+    # quantile of χ² by its mean, its spread, and 7 ≈ 2/3 (3.29² − 1) for its skewness (Cornish and Fisher)
     largest_chi2 = count + _SURPRISE * float(np.sqrt(2.0 * count)) + 7.0
     is_changed = surprise.chance < _CHANCE
     factor = np.maximum(1.0 + surprise.change[:-1] / prior.values, MIN_SHARE)

@@ -340,7 +340,7 @@ def _spindle_speed(modes: Modes, row: int, kind: str) -> float:
     return next((h.value for h in reversed(modes.row_events) if h.row <= row and h.kind in SPINDLE_ON), 0.0)
 
 
-def _unit(path: MotionPath, text: str) -> Issue:
+def _unit_issue(path: MotionPath, text: str) -> Issue:
     """Return the remark on a program without G20 and G21; a warning if its coordinates and feeds are those in inches.
 
     Posts write four decimals of inches, three of millimetres.
@@ -363,7 +363,7 @@ def _unit(path: MotionPath, text: str) -> Issue:
 def _issues(path: MotionPath, modes: Modes, text: str) -> Iterator[Issue]:
     """Yield information and warnings on how the program was read."""
     if not modes.changes["units"]:
-        yield _unit(path, text)
+        yield _unit_issue(path, text)
     for row, level, kind, message in path.remarks:
         yield Issue(level, kind, message, row + 1)
     if len(path.held_back):

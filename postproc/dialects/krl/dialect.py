@@ -240,20 +240,20 @@ def callers(paths: Sequence[Path]) -> dict[Path, list[Path]]:
     for path, file in files.items():
         for name in file.calls:
             calling.setdefault(name, []).append(path)
-    by: dict[Path, list[Path]] = {}
+    callers_of: dict[Path, list[Path]] = {}
     callees: dict[Path, list[Path]] = {path: [] for path in paths}
     for path, file in files.items():
         calling_paths = {caller for name in file.gives for caller in calling.get(name, ())} - {path}
-        by[path] = sorted(calling_paths)
+        callers_of[path] = sorted(calling_paths)
         for caller in calling_paths:
             callees[caller].append(path)
-    reachable = {path for path in paths if not by[path]}
+    reachable = {path for path in paths if not callers_of[path]}
     waiting = list(reachable)
     while waiting:
         new_paths = set(callees[waiting.pop()]) - reachable
         reachable |= new_paths
         waiting += new_paths
-    return {path: calling_paths for path, calling_paths in by.items() if calling_paths and path in reachable}
+    return {path: calling_paths for path, calling_paths in callers_of.items() if calling_paths and path in reachable}
 
 
 def _file(path: Path) -> _File:

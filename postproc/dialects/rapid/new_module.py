@@ -111,7 +111,7 @@ class _NewModule:
         self.new = NewProgram(program, targets, cell, WORDS)
 
     def write(self) -> Written:
-        """Return the document."""
+        """Return the written module."""
         new, program = self.new, self.program
         for _ in new.frame_changes():
             pass  # each target names its frames, but the robot must stop there

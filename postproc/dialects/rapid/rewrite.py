@@ -104,7 +104,7 @@ class _Rewriter:
         return set(np.flatnonzero(self.program.motions.feed < as_read).tolist())
 
     def write(self) -> Written:
-        """Return the document."""
+        """Make all edits of the module, and return it with the line of its first move."""
         document = self.program.documents[0]
         forces = self._forces()
         is_divided = np.bincount(self.row, minlength=len(self.moves)) > 1

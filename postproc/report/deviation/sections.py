@@ -336,6 +336,7 @@ def _contact(cuts: Cuts) -> tuple[Ints, Ints, Ints, Array]:
 
     :returns: run of stations without a gap that each belongs to, its row of `cuts`, its motion and its place there.
     """
+    # a motion with one station has it twice here: at t = 0 and at t = 1
     order = np.lexsort((cuts.t, cuts.motion))
     _, place, count = np.unique(cuts.motion[order], return_inverse=True, return_counts=True)
     rows = np.repeat(order, np.where(count[place] == 1, 2, 1))

@@ -96,7 +96,7 @@ class Emitter:
         self.call_rows: list[int] = []
 
     def write(self) -> Written:
-        """Return the document."""
+        """Return the written program."""
         new, count = self.new, len(self.targets)
         new.stops |= set(self.starts)
         head = [*self.header(self.program.name), *self.begin()]
