@@ -274,3 +274,28 @@ def test_the_verdict_of_jobs_names_shares_and_what_to_measure():
     assert none.line.startswith("IT IS NOT KNOWN whether the model holds for job0: the readings cover none of it.")
     assert not none.holds
     assert both.is_held
+
+
+def test_a_parameter_that_moves_no_reading_stays_at_nothing(monkeypatch):
+    """Of its usual size it moves them by less than a millionth of the noise: noise does not set it."""
+    data = readings(forces(3), count=3)
+    rng = np.random.default_rng(3)
+    measured = rng.normal(0.0, 1e-5, (3, 4, 3)) + 2e-4
+    structure = Structure(JOINT_COMPLIANCES[:2], harness.PRIOR)
+    usual = structure.usual()
+
+    for size, is_dead in ((1e-7, True), (1e-4, False)):
+        # all readings by the second parameter, in units of the noise, if it has its usual size
+        direction = rng.normal(size=(3, 4, 3))
+        direction *= size * data.sigma / np.linalg.norm(direction) / usual[1]
+
+        def predict(_structure, values, _data, _placement, direction=direction):
+            slopes = np.stack([np.full((3, 4, 3), 1e2), direction], axis=-1)
+            return slopes @ values, slopes
+
+        monkeypatch.setattr(fit, "measured_displacements", lambda *_: measured)
+        monkeypatch.setattr(fit, "predict", predict)
+        found = fit.gauss_newton(structure, data, placed(data), start=np.zeros(2))
+        assert found.values[0] == pytest.approx(measured.mean() / 1e2, rel=1e-6) or not is_dead
+        assert (found.values[1] == 0.0) == is_dead
+        assert np.isinf(found.covariance[1, 1]) == is_dead
