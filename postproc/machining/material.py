@@ -148,7 +148,7 @@ def _spread_with_wear(sigma: float) -> float:
     mean square holds for less than 95 % of tools. The result is the deviation of a symmetric normal error whose 95 %
     interval is as wide as the one that holds for 95 % of tools.
 
-    >>> round(_spread_with_wear(0.33), 3), round(_with_wear(0.0), 3)
+    >>> round(_spread_with_wear(0.33), 3), round(_spread_with_wear(0.0), 3)
     (0.401, 0.12)
     """
     growth = 1.0 + 0.01 * _WEAR_PERCENT * (np.arange(_WEAR_STATES) + 0.5) / _WEAR_STATES

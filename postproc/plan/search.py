@@ -371,7 +371,7 @@ def _exchange_level(task: Task, choice: _Choice, group: int) -> _Choice:
 
 def refine(task: Task, plan: Plan, rng: np.random.Generator, rounds: int) -> Iterator[Plan]:
     """Yield plans, each no worse than the one before, with poses and levels moved off the candidates."""
-    scale = 0.3  # largest change of an angle [rad]; smaller after each round without a gain
+    scale = 0.3  # standard deviation of random steps [rad]; smaller after each round without a gain
     for _ in range(rounds):
         old_value = plan.value
         plan = _move_poses(task, plan, rng, scale)
@@ -386,7 +386,7 @@ def refine(task: Task, plan: Plan, rng: np.random.Generator, rounds: int) -> Ite
 def _move_poses(task: Task, plan: Plan, rng: np.random.Generator, scale: float) -> Plan:
     """Return the plan with each pose moved to its best feasible neighbour, if that is better.
 
-    `scale`: size of the steps, 1 at the start of the search.
+    :param scale: standard deviation of the random steps of angles and tilts [rad].
     """
     q, tilt = plan.q.copy(), plan.tilt.copy()
     criterion = task.criterion_at(plan.q2)
