@@ -293,7 +293,7 @@ def test_errors_of_gears_are_expected_smaller_than_those_of_zero_offsets():
 
 def test_parameters_that_five_poses_leave_at_four_fifths_of_their_prior_are_not_observable(data, monkeypatch):
     monkeypatch.setattr(calibration, "simplest", lambda _: "calibrated geometry")
-    found = calibration.identify_geometry(CONTENT, NOMINAL, "x", data.only(np.arange(5)))
+    found = calibration.identify_geometry(CONTENT, NOMINAL, "x", data.take_configurations(np.arange(5)))
     usual = np.array([2e-3 if p.axis.startswith("R") else 1e-3 for p in found.parameters])
     wide = np.sqrt(np.diag(found.covariance)) > 0.8 * usual
     assert 0 < wide.sum() < len(usual)
