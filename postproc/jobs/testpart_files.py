@@ -18,6 +18,7 @@ from postproc.cell import Box, Cell
 from postproc.dialects import registry
 from postproc.errors import ForceError, InputError, MeasurementError, ModelError
 from postproc.files import FileEntry
+from postproc.forces import ForceSource
 from postproc.frames import M_PER_MM, MM_PER_M, Array
 from postproc.identification import model_folder, record
 from postproc.jobs.conversion import mark_origin
@@ -25,6 +26,7 @@ from postproc.jobs.output_plan import protect
 from postproc.jobs.programs import Settings, find_jobs, load_robot
 from postproc.jobs.started_program import read_program
 from postproc.machining import Process, ProcessSource
+from postproc.machining.material import CuttingLaw
 from postproc.machining.process import ProcessFile, StockTable, ToolTable
 from postproc.report.testpart import design_page, part_page
 from postproc.robot.model_file import ModelFile
@@ -161,7 +163,7 @@ def make_testpart(request: TestPartRequest, progress: Callable[[str], None] = la
     candidates, cutting = design.candidates(
         prior, robots_in_cell, process, _cutting(request, key, tool, box), depth, box, request.sigma_mm * M_PER_MM
     )
-    tests = _tests(request, robot_in_cell, candidates)
+    tests = _tests(request, robot_in_cell, process, candidates)
     progress("choice of features")
     low, high = (np.array([span[k] for span in (box.X, box.Y, box.Z)]) * M_PER_MM for k in (0, 1))
     weight_places = features.hanging_places(low, high, cutting.top) if request.weight_kg else np.zeros((0, 3))
@@ -261,20 +263,37 @@ def _data(
     }
 
 
-def _tests(request: TestPartRequest, robot_in_cell: RobotInCell, candidates: design.Candidates) -> Tests:
+def _tests(
+    request: TestPartRequest, robot_in_cell: RobotInCell, process: Process, candidates: design.Candidates
+) -> Tests:
     """Return the states whose error the part should reduce: those of the programs, else of cuts in the block."""
     if not request.programs:
         return design.tests_in_block(candidates)
-    from postproc.jobs.plan_files import cutting_states  # readers of programs come with it
+    from postproc.jobs.conversion import programs_under_force  # readers of programs come with it
     from postproc.plan import milling
 
-    poses = milling.join(cutting_states(request.programs, request.forces, robot_in_cell.robot, robot_in_cell.cell))
+    robot, cell, law = robot_in_cell.robot, robot_in_cell.cell, process.law()
+    by_program = []
+    for _, program, source in programs_under_force(request.programs, request.forces, robot, cell):
+        states_of_program = milling.from_program(program, robot, cell, source)
+        by_program.append(replace(states_of_program, by_law=states_of_program.by_law & _is_of_law(source, law)))
+    poses = milling.join(by_program)
     rows = np.arange(0, len(poses), max(1, len(poses) // _MOST_TESTS))
     tool = np.broadcast_to(robot_in_cell.cell.tool.pose(), (len(rows), 4, 4))
     pose = kinematics.tcp(robot_in_cell.robot.nominal, poses.q[rows], tool)[0]
     weight = poses.weight[rows] / poses.weight[rows].sum()
     states = at_nominal_height(poses.q[rows], tool, pose, poses.wrench[rows])
-    return Tests(states, weight, poses.source)
+    is_scaled = poses.by_law[rows]
+    suffix = "" if is_scaled.all() else ", without the error of forces that are not of this process"
+    return Tests(states, weight, is_scaled, poses.source + suffix)
+
+
+def _is_of_law(source: ForceSource | None, law: CuttingLaw) -> bool:
+    """Return whether a source computes forces with a cutting law."""
+    if not isinstance(source, ProcessSource) or source.process.material is None:
+        return False
+    source_law = source.process.law()
+    return source_law.numbers == law.numbers if law.numbers else source_law == law
 
 
 def _krl(request: TestPartRequest, name: str, text: str, cell: Cell) -> dict[str, bytes]:

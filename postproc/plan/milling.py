@@ -18,7 +18,7 @@ from postproc.elastostatics import linear_deflection
 from postproc.errors import PlanError
 from postproc.forces import ForceSource
 from postproc.frames import RAD_PER_DEG, Array
-from postproc.program import WRENCH, Ints, Program
+from postproc.program import WRENCH, Bools, Ints, Program
 from postproc.robot import JOINTS, RobotModel
 from postproc.under_load import ImpossiblePathError, MotionsUnderLoad, PathUnderLoad, RobotInCell
 
@@ -40,6 +40,7 @@ class TestPoses(Columns, frozen=True, eq=False):
     :param torque: (T, 6) that the wrench puts on the joints [N·m].
     :param regressor: (T, 3, 6) A₀ of Eq. (2), positions: ∂(tool tip)/∂(joint compliance) [m per rad/(N·m)].
     :param deflection: (T,) due to the force, without correction [m].
+    :param by_law: (T,) True where a cutting law computes the wrench, and its errors are one factor.
     :param source: names of their files.
     """
 
@@ -51,6 +52,7 @@ class TestPoses(Columns, frozen=True, eq=False):
     torque: Array
     regressor: Array
     deflection: Array
+    by_law: Bools
     source: str
 
     def __len__(self) -> int:
@@ -62,8 +64,19 @@ class TestPoses(Columns, frozen=True, eq=False):
         return np.asarray(np.einsum("t,tki,tkj->ij", self.weight, self.regressor, self.regressor))
 
 
-def evaluate(robot: RobotModel, q: Array, tool: Array, wrench: Array, weight: Array, source: str) -> TestPoses:
-    """Make test poses of configurations (T, 6), tools (4, 4) or (T, 4, 4), wrenches (T, 6) in root axes, weights."""
+def evaluate(
+    robot: RobotModel,
+    q: Array,
+    tool: Array,
+    wrench: Array,
+    weight: Array,
+    source: str,
+    by_law: Bools | None = None,
+) -> TestPoses:
+    """Make test poses of configurations (T, 6), tools (4, 4) or (T, 4, 4), wrenches (T, 6) in root axes, weights.
+
+    :param by_law: (T,) see `TestPoses`; None: no cutting law computes the wrenches.
+    """
     _, jacobian = kinematics.tcp(robot.nominal, q, tool)
     torque = np.einsum("nij,ni->nj", jacobian, wrench)
     loaded_shift, sag = (linear_deflection(robot, q, tool, load)[:, :3] for load in (wrench, np.zeros_like(wrench)))
@@ -75,6 +88,7 @@ def evaluate(robot: RobotModel, q: Array, tool: Array, wrench: Array, weight: Ar
         torque=torque,
         regressor=jacobian[:, :3] * torque[:, None],
         deflection=np.linalg.norm(deflection, axis=1),
+        by_law=np.zeros(len(q), dtype=np.bool_) if by_law is None else by_law,
         source=source,
     )
 
@@ -104,7 +118,9 @@ def from_program(program: Program, robot: RobotModel, cell: Cell, source: ForceS
             advice="Give forces with --forces, or as comments (FORCE FX= FY= FZ=), or test poses with --poses.",
         )
     rows, shares = _thin_rows(cutting, way[cutting])
-    return evaluate(robot, path.joints.q[rows], program.tools[m.tool[motion[rows]]], in_root[rows], shares, name)
+    tool, law = program.tools[m.tool[motion[rows]]], motions.forces.by_law
+    by_law = None if law is None else np.isin(motion[rows], law.motion)
+    return evaluate(robot, path.joints.q[rows], tool, in_root[rows], shares, name, by_law)
 
 
 def _thin_rows(rows: Ints, way: Array) -> tuple[Ints, Array]:
@@ -148,6 +164,7 @@ def join(parts: Sequence[TestPoses]) -> TestPoses:
         torque=np.concatenate([part.torque for part in parts]),
         regressor=np.concatenate([part.regressor for part in parts]),
         deflection=np.concatenate([part.deflection for part in parts]),
+        by_law=np.concatenate([part.by_law for part in parts]),
         source=", ".join(part.source for part in parts),
     )
 
@@ -194,6 +211,7 @@ def representatives(tests: TestPoses, scale: Array, count: int, seed: int) -> Te
         torque=sample.torque * factor,
         regressor=sample.regressor * factor,
         deflection=sample.deflection * factor,
+        by_law=sample.by_law,
         source=tests.source,
     )
 

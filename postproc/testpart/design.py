@@ -96,6 +96,7 @@ class Tests(Struct, frozen=True, eq=False):
 
     :param states: (T,) poses and wrenches.
     :param weight: (T,) shares of the work.
+    :param is_scaled: (T,) True where the process of the part computes the forces: its force scale holds there.
     :param source: where they come from, in words.
     """
 
@@ -103,6 +104,7 @@ class Tests(Struct, frozen=True, eq=False):
 
     states: States
     weight: Array
+    is_scaled: Bools
     source: str
 
 
@@ -476,6 +478,7 @@ def tests_in_block(candidates_in_block: Candidates) -> Tests:
     return Tests(
         candidates_in_block.states.take(rows),
         np.full(len(rows), 1.0 / len(rows)),
+        np.ones(len(rows), dtype=np.bool_),
         f"this process all over the block{suffix}",
     )
 
@@ -490,10 +493,14 @@ class Criterion(Struct, frozen=True, eq=False):
 
     @classmethod
     def of(cls, prior: Prior, robot_in_cell: RobotInCell, tests: Tests, unknowns: int) -> Criterion:
-        """Take the sensitivities of the deflection at test poses, for information of some number of unknowns."""
+        """Take the sensitivities of the deflection at test poses, for information of some number of unknowns.
+
+        Where other sources state the forces, only the parameters count: the force scale is that of the process.
+        """
         _, by_parameter, by_scale = tests.states.derivatives(robot_in_cell, prior.robot, prior.order, 1.0)
         slopes = by_parameter[:, :3] @ prior.by_file * prior.sigma[:-1]
-        slopes = np.concatenate([slopes, prior.sigma[-1] * by_scale[:, :3, None]], axis=2)
+        by_force = prior.sigma[-1] * tests.is_scaled[:, None] * by_scale[:, :3]
+        slopes = np.concatenate([slopes, by_force[:, :, None]], axis=2)
         size = slopes.shape[2]
         weight = np.zeros((unknowns, unknowns))
         weight[:size, :size] = np.einsum("t,tip,tiq->pq", tests.weight, slopes, slopes)
