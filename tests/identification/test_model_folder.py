@@ -11,7 +11,7 @@ from postproc.compensator import Compensator
 from postproc.elastostatics import sensitivity
 from postproc.identification import model_folder, record, uncertainty
 from postproc.identification.joint_springs import Levels
-from postproc.robot.model_file import CompensatorEntry
+from postproc.robot.model_file import CompensatorEntry, Masses
 from postproc.robot.parameters import parameter_of_name
 from samples.paper_study import harness
 
@@ -106,3 +106,11 @@ def test_the_summary_tells_the_residual():
     shown = "residual 0.031 mm RMS, 0.094 mm max; displacements 0.812 mm RMS"
     assert shown in model_folder.summary(data)
     assert "residual" not in model_folder.summary(replace(data, residual=None))
+
+
+def test_masses_that_were_fitted_name_what_they_are_about():
+    prior = Masses(source="weighed", assumed=False)
+    for old, expected in ((prior, "r.csv, about weighed"), (None, "r.csv, about robot.urdf")):
+        found = model_folder._masses(old, {"A3_kg": 120.0}, "r.csv")
+        assert (found.source, found.A3_kg, found.assumed) == (expected, 120.0, old is None)
+        assert model_folder._masses(old, {}, "r.csv") is old

@@ -59,7 +59,7 @@ def test_coupled_wrists_are_identified(tmp_path):
     true, model = identified(replace(SMALL, coupled=0.3), tmp_path)
     values = {parameter.name: value for parameter, value in model.terms}
     for name, pair in (("k45", (3, 4)), ("k46", (3, 5)), ("k56", (4, 5))):
-        assert values[name] == pytest.approx(true.coupling_compliance[pair], rel=0.1)
+        assert values[name] == pytest.approx(true.coupled[pair], rel=0.1)
     left, inside = share_left(true, model)
     assert left < 1 / 40
     assert inside > 0.9
