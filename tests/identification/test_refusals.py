@@ -299,3 +299,18 @@ def test_a_parameter_that_moves_no_reading_stays_at_nothing(monkeypatch):
         assert found.values[0] == pytest.approx(measured.mean() / 1e2, rel=1e-6) or not is_dead
         assert (found.values[1] == 0.0) == is_dead
         assert np.isinf(found.covariance[1, 1]) == is_dead
+
+
+@pytest.mark.parametrize(("wrong", "kept"), [(1, 3), (2, 4)])
+def test_of_four_repeats_of_a_marker_one_is_left_out_and_two_are_not(wrong, kept):
+    """Two to either side of the others: none is the usual one."""
+    position = np.random.default_rng(2).normal(0.0, 1e-5, (8, 3))
+    position[1] += [1e-3, 0.0, 0.0]
+    if wrong == 2:
+        position[2] -= [1e-3, 0.0, 0.0]
+    groups = {("P1", 0.0): np.arange(4), ("P01", 0.0): np.arange(4, 8)}
+    found, warnings = compensator_geometry._remove_outliers(groups, position, 2 + np.arange(8))
+    assert len(found["P1", 0.0]) == kept
+    assert len(found["P01", 0.0]) == 4
+    assert len(warnings) == (wrong == 1)
+    assert not warnings or warnings[0].startswith("line 3: marker P1 at q2 = 0° is 1.0")
