@@ -45,11 +45,17 @@ from postproc.frames import Array, norm
 from postproc.machining.material import Floats
 from postproc.machining.stock import SLOPE, Stock, between_cells
 from postproc.machining.tool import Turn
+from postproc.program import Bools
 
 _NO_CONTACT = 1e-6
 """Engaged edge lengths below this [m] are rounding errors,"""
 _NO_CHIP = 1e-12
 """and changes of the chip along a piece of edge below this [m] (assumed)."""
+_ROUNDING = np.float32(0.01)
+"""Shares of a cell that differ by less are equal: coordinates have seven digits."""
+_ALONG = 2.0
+"""Cells to both sides over which an edge runs along a wall. A wall that crosses the edge at 20° is off by three
+quarters of a cell there."""
 
 
 class Engaged(Struct, frozen=True, eq=False):
@@ -70,14 +76,15 @@ class Corners(Struct, frozen=True, eq=False):
     weight: tuple[Floats, ...]
 
 
-def cut_edge(stock: Stock, turn: Turn, x: Floats, y: Floats, tip: Floats, descent: Floats) -> Engaged:
+def cut_edge(stock: Stock, turn: Turn, x: Floats, y: Floats, position: Floats, descent: Floats) -> Engaged:
     """Return the cutting edge in material.
 
     :param x: (n, P) and y: coordinates of the points in the map [m].
-    :param tip: (n,) height of the tip [m].
+    :param position: (n, 3) of the tip [m].
     :param descent: (n,) descent of the tool in one turn [m], > 0: the end face cuts material within it.
     """
     length = np.zeros(x.shape, dtype=np.float32)
+    tip = position[:, 2]
     z = tip[:, None]
     end = turn.side.start
     if end > 0:
@@ -106,7 +113,7 @@ def cut_edge(stock: Stock, turn: Turn, x: Floats, y: Floats, tip: Floats, descen
     moment = np.zeros((len(x), 0), dtype=np.float32)
     if turn.side.start < turn.side.stop:
         at = _nearest(stock, x[:, turn.side], y[:, turn.side])
-        length[:, turn.side], moment = _cylinder(stock, at, z, turn.low[turn.side.start])
+        length[:, turn.side], moment = _cylinder(stock, at, position, turn)
     length[length < _NO_CONTACT] = 0.0
     return Engaged(length, moment)
 
@@ -173,22 +180,59 @@ def _blend(
     return np.asarray(total)
 
 
-def _cylinder(stock: Stock, nearest: NDArray[np.int32], tip: Floats, start: np.float32) -> tuple[Floats, Floats]:
+def _cylinder(stock: Stock, nearest: NDArray[np.int32], position: Floats, turn: Turn) -> tuple[Floats, Floats]:
     """Return the engaged height of the cylinder (n, K) [m], and its first moment (n, K) [m²].
 
-    The cell that contains the point counts by its share: a second pass along the same wall is then in air.
+    The cell that contains the point counts by its share: a second pass along the same wall is then in air. Where the
+    edge runs along a wall that was cut before, as at the end of each layer of a slot, it is inside of it: it meets the
+    lower level alone, and what stands behind the wall does not count.
+
+    :param position: (n, 3) of the tip [m].
     """
     high, low, share, floor = (
         values.reshape(-1).take(nearest) for values in (stock.high, stock.low, stock.share, stock.floor)
     )
-    bottom = np.maximum(floor - tip, start)
+    tip = position[:, 2:]
+    bottom = np.maximum(floor - tip, turn.low[turn.side.start])
     top = np.maximum(high - tip, bottom)
     height, moment = top - bottom, top * top - bottom * bottom
     if share.any():
+        is_inside = _is_inside_earlier_cut(stock, nearest, position, turn, high, low, share)
+        share = np.where((share > 0.0) & is_inside, np.float32(1.0), share)
         deep = np.maximum(np.minimum(low - tip, top), bottom)
         height += share * (deep - top)
         moment += share * (deep * deep - top * top)
     return height, np.float32(0.5) * moment
+
+
+def _is_inside_earlier_cut(
+    stock: Stock, nearest: NDArray[np.int32], position: Floats, turn: Turn, high: Floats, low: Floats, share: Floats
+) -> Bools:
+    """Return at which points (n, K) the cylinder is inside what was cut before, with `_ALONG` cells to both sides.
+
+    It is inside where it covers no more of a cell than was cut of it: cut areas of a cell are taken for nested, as
+    `stock` does. Where a wall crosses the edge, the cylinder is outside beyond the crossing, so that points near it
+    are not meant.
+
+    :param high: (n, K) levels of the nearest cells, low: and share: likewise.
+    """
+    radius, cell = turn.radius[turn.side.start], np.float32(stock.cell)
+    row, column = np.divmod(nearest, np.int32(stock.high.shape[1]))
+    x = (column + np.float32(0.5)) * cell + (np.float32(stock.x) - position[:, :1])
+    y = (row + np.float32(0.5)) * cell + (np.float32(stock.y) - position[:, 1:2])
+    covered = (radius - np.hypot(x, y)) / cell + np.float32(0.5)
+    # a cell that is as low as the cut shares of the others was cut as a whole, an uncut one is as high as they are
+    is_part = share > 0.0
+    middle = np.float32(0.5) * (high + np.minimum(low, high)) * is_part
+    mean_middle = middle.sum(axis=1, keepdims=True) / np.maximum(is_part.sum(axis=1, keepdims=True), 1)
+    is_cut = ~is_part & (high <= mean_middle)
+    is_outside = (covered > share + _ROUNDING) & (covered < 1.0) & ~is_cut
+    reach = int(np.ceil(_ALONG * stock.cell / (float(turn.width[turn.side.start]) * float(radius))))
+    count = np.zeros((len(covered), covered.shape[1] + 1), dtype=np.int32)
+    np.cumsum(is_outside, axis=1, out=count[:, 1:])
+    points = np.arange(covered.shape[1])
+    last, first = np.minimum(points + reach + 1, len(points)), np.maximum(points - reach, 0)
+    return np.asarray(count[:, last] == count[:, first])
 
 
 def _levels(

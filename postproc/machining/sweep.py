@@ -392,7 +392,7 @@ class Sweep(Struct, eq=False):
         side_offset = np.cos(turn.phi).astype(np.float32) * turn.radius
         x = position[:, 0].astype(np.float32)[:, None] + (ux * feed_offset - (uy * hand) * side_offset)
         y = position[:, 1].astype(np.float32)[:, None] + (uy * feed_offset + (ux * hand) * side_offset)
-        return cut_edge(self.stock, turn, x, y, position[:, 2].astype(np.float32), descent * cutter.teeth)
+        return cut_edge(self.stock, turn, x, y, position.astype(np.float32), descent * cutter.teeth)
 
     def _tilted_cut(self, path: TiltedPath, number: int, top: float) -> Iterator[Cuts]:
         """Yield engagement and loads of a tool that leans or turns; `top` is the highest material near [m]."""
