@@ -18,6 +18,7 @@ from postproc.frames import M_PER_MM, MM_PER_INCH, MM_PER_M, Array, inverse, nor
 from postproc.machining import stock as stocks
 from postproc.machining.branches import check_branches, near_stock
 from postproc.machining.material import CuttingLaw
+from postproc.machining.override import override_issues
 from postproc.machining.process import Process, box_corners
 from postproc.machining.profiles import smooth_steps, thin_out
 from postproc.machining.remaining import Ceiling, Guard, StockInTime
@@ -243,7 +244,7 @@ def _estimate(task: _Task, widest: float, cell_factors: dict[int, int]) -> tuple
         check_branches(program, distinct(cuts.motion[norm(cuts.wrench) > 0.0]), near)
     collisions = {motion: depth for sweep in swept.sweeps for motion, depth in sweep.collisions.items()}
     stopped_motions = set[int]().union(*(sweep.stopped_motions for sweep in swept.sweeps))
-    issues += [*swept.issues, *unread_cuts(program), *_out_of_scale(segments, bounds)]
+    issues += [*override_issues(program), *swept.issues, *unread_cuts(program), *_out_of_scale(segments, bounds)]
     issues += _issues(program, stopped_motions, task.law, cuts, tools, process)
     passes = thin_passes(program, tools, swept.by_cells)
     issues += _coarse(program, tools, passes, in_order, cell)

@@ -1,0 +1,42 @@
+"""Overrides of the speed that a robot program sets itself: its feeds are then a share of those that it states."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+from postproc.errors import Issue
+from postproc.program import Program
+
+_OVERRIDES = {
+    "krl": re.compile(r"^[^;\"\n]*?\$OV_PRO[ \t]*=(?!=)[ \t]*([^;\r\n]*)", re.IGNORECASE | re.MULTILINE),
+    "rapid": re.compile(r"^[^!\"\n]*?\bSpeedRefresh[ \t]+([^;!\r\n]*)", re.IGNORECASE | re.MULTILINE),
+}
+"""Statements that set the override in per cent, by dialect."""
+_FULL = 100.0
+"""Override with which the robot moves as the program states [%]."""
+
+
+def override_issues(program: Program) -> Iterator[Issue]:
+    """Yield a warning for the first override of each file that is not 100 %: forces are those at the stated feeds."""
+    pattern = _OVERRIDES.get(program.dialect)
+    if pattern is None:
+        return
+    for document in program.documents:
+        for match in pattern.finditer(document.text):
+            if not _is_full(match[1]):
+                line = document.text.count("\n", 0, match.start(1)) + 1
+                message = (
+                    f"the program sets the override to {match[1].strip()} % in line {line} of {document.name}: forces "
+                    "are those at 100 %. State the feeds that the robot is to have, and leave the override at 100"
+                )
+                yield Issue("warning", "override", message, subject=document.name)
+                break
+
+
+def _is_full(text: str) -> bool:
+    """Return whether an override is 100 %; a name is not known to be."""
+    try:
+        return float(text) == _FULL
+    except ValueError:
+        return False
