@@ -35,6 +35,7 @@ from postproc.machining.tool_path import (
     ToolStates,
     home_base,
     refuse_unread_cuts,
+    stock_base_issues,
     straight_segments,
     tool_states,
     unread_cuts,
@@ -80,7 +81,7 @@ class ProcessForces(Struct, frozen=True, eq=False):
     :param tools: tool and spindle speed of each motion.
     :param drills: for each of `tools.keys`, whether it is a drill.
     :param stock: the remaining stock, in the frame of `map_in_base`.
-    :param map_in_base: (4, 4) frame of the map of the stock in `$BASE` of the first cutting motion.
+    :param map_in_base: (4, 4) frame of the map of the stock in the `$BASE` of the stock, see `home_base`.
     :param removed: volume [m³].
     :param issues: warnings and notes for the user.
     :param over_time: the stock over time, if it was swept with a guard.
@@ -244,7 +245,13 @@ def _estimate(task: _Task, widest: float, cell_factors: dict[int, int]) -> tuple
         check_branches(program, distinct(cuts.motion[norm(cuts.wrench) > 0.0]), near)
     collisions = {motion: depth for sweep in swept.sweeps for motion, depth in sweep.collisions.items()}
     stopped_motions = set[int]().union(*(sweep.stopped_motions for sweep in swept.sweeps))
-    issues += [*override_issues(program), *swept.issues, *unread_cuts(program), *_out_of_scale(segments, bounds)]
+    issues += [
+        *override_issues(program),
+        *stock_base_issues(program),
+        *swept.issues,
+        *unread_cuts(program),
+        *_out_of_scale(segments, bounds),
+    ]
     issues += _issues(program, stopped_motions, task.law, cuts, tools, process)
     passes = thin_passes(program, tools, swept.by_cells)
     issues += _coarse(program, tools, passes, in_order, cell)

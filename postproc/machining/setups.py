@@ -17,7 +17,7 @@ _CONE_STEPS = 60
 class Setup(Struct, frozen=True, eq=False):
     """Motions with one map of the stock.
 
-    :param frame: (4, 4) frame of the map in `$BASE` of the first cutting motion: z from the tip to the spindle.
+    :param frame: (4, 4) frame of the map in the `$BASE` of the stock (`home_base`): z from the tip to the spindle.
     :param motions: (M,) True for those motions.
     :param factor: by which the cells of the map are divided.
     """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 
 import numpy as np
 from msgspec import Struct
@@ -208,7 +209,7 @@ def straight_segments(
 ) -> StraightSegments:
     """Divide the motions of a program into straight segments.
 
-    :param frame: (4, 4) frame of the map in `$BASE` of the first cutting motion.
+    :param frame: (4, 4) frame of the map in the `$BASE` of the stock, see `home_base`.
     :param cell: width of a cell [m].
     :param shift: displacement of the tip; segments are also divided where it is given.
     :param directions: of the tool; None: along z of the map.
@@ -256,7 +257,7 @@ def straight_segments(
 
 
 class Directions(Struct, frozen=True, eq=False):
-    """Directions from tip to spindle along the motions of a program, in `$BASE` of the first cutting motion.
+    """Directions from tip to spindle along the motions of a program, in the `$BASE` of the stock, see `home_base`.
 
     :param end: (M, 3) at the end of each motion; cuts: (M,) False for rapid ones.
     :param turning: (k,) motions on which the tool frame turns by more than `TURNS`; inner: (4, k, 3) at places on them.
@@ -308,7 +309,7 @@ class ToolPoses(Struct, frozen=True, eq=False):
     """The tool anywhere on the motions of a program, in the frame of the map.
 
     :param program: the program, and `path` the geometry of its motions.
-    :param frame: (4, 4) frame of the map in `$BASE` of the first cutting motion.
+    :param frame: (4, 4) frame of the map in the `$BASE` of the stock, see `home_base`.
     :param axis: axis of the tool frame that points from the spindle to the tip.
     :param leans: (M,) motions on which the tool is not along z of the map.
     """
@@ -369,13 +370,35 @@ _SPINDLE = {"+Z": (2, -1.0), "-Z": (2, 1.0), "+X": (0, -1.0), "-X": (0, 1.0)}
 
 
 def home_base(program: Program) -> int:
-    """Return the row of `Program.bases` in which the stock is given: that of the first cutting motion."""
+    """Return the row of `Program.bases` in which the stock is given.
+
+    It is that of the first cutting motion. In a robot program, where each LIN counts as one, also one that positions,
+    it is that of most of them.
+    """
     m = program.motions
-    return int(m.base[np.argmax(~m.rapid)])
+    first = int(m.base[np.argmax(~m.rapid)])
+    if not program.keeps_text:
+        return first
+    count = np.bincount(m.base[~m.rapid], minlength=len(program.bases))
+    return first if count[first] == count.max(initial=0) else int(np.argmax(count))
+
+
+def stock_base_issues(program: Program) -> Iterator[Issue]:
+    """Yield a note in which `$BASE` the stock stands, if a robot program moves at feed in several."""
+    m = program.motions
+    bases = distinct(m.base[~m.rapid])
+    if program.keeps_text and len(bases) > 1:
+        home = home_base(program)
+        rows = np.flatnonzero(~m.rapid & (m.base == home))
+        message = (
+            f"the program moves at feed in {len(bases)} frames $BASE: the stock stands in that of this line, in which "
+            "most of these moves are. If the stock is given in another one, the forces are wrong"
+        )
+        yield Issue("info", "stock-base", message, int(m.line[rows[0]]), count=len(rows))
 
 
 def _towards_spindle(program: Program, axis: str, motion: Ints, column: Array) -> Array:
-    """Return directions from tip to spindle (n, 3) in `$BASE` of the first cutting motion.
+    """Return directions from tip to spindle (n, 3) in the `$BASE` of the stock, see `home_base`.
 
     :param motion: (n,) rows of `Motions`.
     :param column: (n, 3) the axis of the tool frame next to the spindle, in the `$BASE` of those motions.
