@@ -46,8 +46,43 @@ def corners(stock, x, y):
     ]  # fmt: skip
 
 
-def by_loops(stock, turn, x, y, tip, descent):
+def cell_of(stock, x, y):
+    """Row and column of the cell with a point, or of the nearest one."""
+    rows, columns = stock.high.shape
+    row, column = int((y - stock.y) / CELL), int((x - stock.x) / CELL)
+    return min(max(row, 0), rows - 1), min(max(column, 0), columns - 1)
+
+
+def inside_earlier_cut(stock, turn, x, y, axis):
+    """Whether points of the cylinder about an axis, and two cells to both sides, are inside what was cut before.
+
+    A point is outside if the cylinder covers more of its cell than was cut of it, unless that cell was cut as a whole:
+    it is then as low as the cut shares of others are.
+    """
+    radius = float(turn.radius[turn.side.start])
+    cells = [cell_of(stock, *point) for point in zip(x, y, strict=True)]
+    middles = [
+        0.5 * (float(stock.high[cell]) + min(float(stock.high[cell]), float(stock.low[cell])))
+        for cell in cells
+        if stock.share[cell] > 0.0
+    ]
+    outside = []
+    for row, column in cells:
+        place = stock.x + (column + 0.5) * CELL, stock.y + (row + 0.5) * CELL
+        covered, share = (radius - np.hypot(*np.subtract(place, axis))) / CELL + 0.5, float(stock.share[row, column])
+        is_low = share == 0.0 and bool(middles) and stock.high[row, column] <= np.mean(middles)
+        outside.append(share + 0.01 < covered < 1.0 and not is_low)
+    reach = int(np.ceil(2.0 * CELL / (turn.width[turn.side.start] * radius)))
+    return [not any(outside[max(k - reach, 0) : k + reach + 1]) for k in range(len(cells))]
+
+
+def by_loops(stock, turn, x, y, position, descent):
     """Length (n, P) and moment (n, C) of the edge in material."""
+    side, tip = turn.side, position[:, 2]
+    is_inside = [
+        inside_earlier_cut(stock, turn, x[n, side], y[n, side], position[n, :2]) if side.start < side.stop else []
+        for n in range(len(x))
+    ]
     length, moment = np.zeros(x.shape), np.zeros((len(x), turn.side.stop - turn.side.start))
     for n, p in np.ndindex(*x.shape):
         z, low, rise = tip[n], float(turn.low[p]), float(turn.rise[p])
@@ -87,10 +122,9 @@ def by_loops(stock, turn, x, y, tip, descent):
             inside = min(max(level - z - low, 0.0), rise) - min(max(floor - z - low, 0.0), rise)
             length[n, p] = coverage * max(inside, 0.0) / rise * turn.length[p]
         else:
-            rows, columns = stock.high.shape
-            cell = (min(max(int((y[n, p] - stock.y) / CELL), 0), rows - 1),
-                    min(max(int((x[n, p] - stock.x) / CELL), 0), columns - 1))  # fmt: skip
+            cell = cell_of(stock, x[n, p], y[n, p])
             high, floor, share = (float(one[cell]) for one in (stock.high, stock.floor, stock.share))
+            share = 1.0 if share > 0.0 and is_inside[n][p - side.start] else share
             start = float(turn.low[turn.side.start])
             under = max(floor - z, start)
             top = max(high - z, under)
@@ -122,8 +156,12 @@ def test_edge_in_material_is_that_by_loops_over_places_and_cells(cutter, parts, 
     y = rng.uniform(-0.012, 0.004, (count, places)).astype(np.float32)
     tip = rng.uniform(-4e-3, 2e-3, count).astype(np.float32)
     descent = np.where(np.arange(count) % 3, rng.uniform(1e-4, 1e-3, count), 0.0).astype(np.float32)
-    found = cut_edge(stock, turn, x, y, tip, descent)
-    length, moment = by_loops(stock, turn, x.astype(float), y.astype(float), tip.astype(float), descent.astype(float))
+    axis = np.stack([rng.uniform(0.02, 0.03, count), rng.uniform(-0.008, 0.0, count)], axis=1)
+    position = np.column_stack([axis, tip]).astype(np.float32)
+    found = cut_edge(stock, turn, x, y, position, descent)
+    length, moment = by_loops(
+        stock, turn, x.astype(float), y.astype(float), position.astype(float), descent.astype(float)
+    )
     # single precision; a millionth of a metre in material is taken for none
     np.testing.assert_allclose(found.length, length, rtol=2e-3, atol=3e-6)
     assert not found.length[length < 0.9e-6].any()
