@@ -272,7 +272,9 @@ def convert_program(
                 program, robot, cell, process, linearize_arcs=linearize, to=job.to
             )
         else:
-            result = correction.process(program, robot, cell, process, mode, linearize_arcs=linearize, to=job.to)
+            result = process_forces.at_written_feed(
+                program, robot, cell, process, mode, linearize_arcs=linearize, to=job.to
+            )
         process_result = process.found
     if job.forces is None and job.process is None:
         result = replace(result, issues=tuple(_name_force_file(issue, job) for issue in result.issues))

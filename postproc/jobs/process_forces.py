@@ -101,6 +101,42 @@ def hold_tolerance(program: Program, length: Array, cell: Cell, exponent: float,
     return replace(result, held_feed=held_feed)
 
 
+_CAPPINGS = 4
+"""Largest number of conversions at feeds that the one before has lowered (assumed)."""
+_CAPPED = "feed-capped"
+"""Kind of the issue that names moves at feed in which a joint would turn too fast."""
+
+
+def at_written_feed(
+    program: Program,
+    robot: RobotModel,
+    cell: Cell,
+    source: ProcessSource,
+    mode: correction.Mode,
+    *,
+    linearize_arcs: bool,
+    to: str | None,
+) -> Result:
+    """Correct a program, or write it as it is, under the forces of the feeds that are written.
+
+    With ``[limits] feed = "cap"`` moves are slowed to what the joints can do: their chips are thinner than those of the
+    program, and the forces are computed again.
+
+    :param source: forces of the process.
+    """
+    result = correction.process(program, robot, cell, source, mode, linearize_arcs=linearize_arcs, to=to)
+    for _ in range(_CAPPINGS):
+        capped = tuple(issue for issue in result.issues if issue.kind == _CAPPED)
+        if not capped or result.failed:
+            break
+        motions = replace(program.motions, feed=result.program.motions.feed)
+        slowed = replace(program, motions=motions, feed_as_read=program.motions.feed)
+        result = correction.process(slowed, robot, cell, source, mode, linearize_arcs=linearize_arcs, to=to)
+        if not any(issue.kind == _CAPPED for issue in result.issues):
+            return replace(result, issues=(*result.issues, *capped))
+    return result
+
+
 class _Search:
     """Bounds of the feed of each motion, by false position.
 
