@@ -62,10 +62,17 @@ def comment_knots(program: Program) -> Knots:
 
 
 def unused_comments(program: Program) -> Iterator[Issue]:
-    """Yield a warning if force comments hold on no cutting move: their forces are stated and not used."""
-    force_lines = {note.line for note in program.notes if any(note.wrench)}
-    note_rows = distinct(_notes(program)[~program.motions.rapid]) if force_lines else np.zeros(0, dtype=np.int64)
-    lines = sorted(force_lines - {program.notes[index].line for index in note_rows[note_rows >= 0].tolist()})
+    """Yield a warning if force comments hold on no cutting move: their forces are stated and not used.
+
+    Where branches begin and meet, the reader of KRL states the force that holds there once more: a force that acts
+    somewhere is used.
+    """
+    stated = [note for note in program.notes if any(note.wrench)]
+    note_rows = distinct(_notes(program)[~program.motions.rapid]) if stated else np.zeros(0, dtype=np.int64)
+    used_forces = {
+        (program.notes[index].wrench, program.notes[index].frame) for index in note_rows[note_rows >= 0].tolist()
+    }
+    lines = sorted({note.line for note in stated if (note.wrench, note.frame) not in used_forces})
     if lines:
         message = "a force comment that holds on no cutting move: rapid moves and moves of zero length carry no force"
         yield Issue("warning", "force-unused", message, lines[0], count=len(lines), lines=tuple(lines))

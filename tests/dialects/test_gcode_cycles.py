@@ -206,7 +206,10 @@ def test_a_tap_is_not_drawn_out_by_a_spindle_that_turns_on() -> None:
     with pytest.raises(ProgramError, match="reverses the spindle at the bottom"):
         read(text, one_way)
     both = replace(CELL, gcode=replace(CELL.gcode, **lines, spindle_ccw=["$OUT[2]=TRUE"]))
-    assert [event.kind for event in read(text, both).events].count("spindle_ccw") == 1
+    program = read(text, both)
+    assert [event.kind for event in program.events].count("spindle_ccw") == 1
+    (question,) = [issue for issue in program.issues if issue.kind == "tapping"]
+    assert (question.level, question.source_line) == ("warning", text.splitlines().index("G84 X1 Y1 Z-4 R2 F100") + 1)
 
 
 ORIGINS = {

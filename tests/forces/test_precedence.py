@@ -50,6 +50,8 @@ def test_a_comment_that_holds_on_no_cutting_move_is_a_warning():
     unused = assigned(notes=[(1, FORCE), (2, (9.0, 0, 0, 0, 0, 0)), (5, FORCE)])[0]["force-unused"]
     assert (unused.level, unused.lines, unused.count) == ("warning", (1, 5), 2)
     assert "force-unused" not in assigned(notes=[(1, FORCE), (5, (0.0,) * 6)])[0]
+    again = assigned(notes=[(1, (9.0, 0, 0, 0, 0, 0)), (2, FORCE), (5, FORCE)])[0]["force-unused"]
+    assert again.lines == (1,), "the force of line 5 acts already, as where branches meet"
 
 
 @pytest.mark.parametrize(("rows", "lines"), [("3,70,0,0,\n7,5,0,0,\n9,5,0,0,\n", (7, 9)), ("7,0,0,0,\n", None)])

@@ -618,6 +618,12 @@ class _Reader:
                 if code == 84.0 and self.cell.gcode.spindle_on and not self.cell.gcode.spindle_ccw:
                     advice = "Give spindle_ccw in [gcode] of the cell: KRL lines that reverse the spindle."
                     raise BlockError("G84 reverses the spindle at the bottom, but the cell has no spindle_ccw", advice)
+                if code == 84.0:
+                    message = (
+                        "G84 with a robot taps in a floating holder only: feed and spindle are not in step. Let the "
+                        "lines of spindle_ccw and spindle_on wait for the reversal, and keep the override at 100 %."
+                    )
+                    self._remark("warning", "tapping", message, row)
             elif (
                 self.tip.read(row, f"G{code:g}")
                 or self._repeats_units(code)
