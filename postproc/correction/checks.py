@@ -206,18 +206,22 @@ def first_move(program: Program, path: JointPath, start: Array) -> Iterator[Issu
             yield Issue("warning", f"first-move-{JOINTS[axis]}", message, source_line=int(m.line[0]))
 
 
+_AT_TARGET = 1e-5
+"""Way of the tip [m] below which a program starts at its first target: [start] has four decimals."""
+
+
 def height_of_start(program: Program, tip: Array, clearance: float | None) -> Iterator[Issue]:
     """Yield a warning if the first move of a CAM program may pass through part or table.
 
     It begins below `clearance_Z`, which is above part and clamps, or below its target. Or it passes below its target:
     all axes move at once, so the tip may come down on the way although both ends are high. Coming down to a target
-    below `clearance_Z` is what the program asks for.
+    below `clearance_Z` is what the program asks for. A program that starts at its first target has no way to it.
 
     :param tip: (n, 3) positions of the tip from [start] to the first target in `$BASE` [m].
     :param clearance: [machine] clearance_Z [m].
     """
     m = program.motions
-    if program.keeps_text or np.isfinite(m.joints[0, 0]):
+    if program.keeps_text or np.isfinite(m.joints[0, 0]) or norm(np.ptp(tip, axis=0)) < _AT_TARGET:
         return
     target = float(m.target.position[0, 2])
     start, lowest_z = float(tip[0, 2]), float(tip[:, 2].min())

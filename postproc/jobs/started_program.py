@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 from msgspec.structs import replace
 
-from postproc import correction
+from postproc import correction, placement
 from postproc.cell import Cell, Start
 from postproc.dialects import registry
 from postproc.errors import InputError, Issue, ProgramError
 from postproc.frames import Array
 from postproc.jobs.programs import read_documents
-from postproc.placement.turning import chosen_start
+from postproc.placement.turning import ChosenStart, chosen_start
 from postproc.program import Program
 from postproc.robot import RobotModel
 from postproc.under_load import RobotInCell
@@ -56,7 +56,7 @@ def read_with_start(
     provisional_cell = replace(cell, start=_PROVISIONAL_START)
     first = read_program(path, robot, provisional_cell, dialect, name)
     try:
-        start = chosen_start(first, RobotInCell.of(robot, provisional_cell))
+        start = _start_in_turn(first, robot, cell, chosen_start(first, RobotInCell.of(robot, provisional_cell)))
     except ProgramError as cause:
         raise cause.with_file(Path(path).name, str(path)) from cause
     cell = replace(cell, start=Start(start.joints))
@@ -74,6 +74,21 @@ def read_with_start(
             advice="Give [start] joints, or state in the program where the first move goes.",
         )
     return replace(program, issues=(*program.issues, Issue("info", "start", start.message))), cell
+
+
+def _start_in_turn(program: Program, robot: RobotModel, cell: Cell, start: ChosenStart) -> ChosenStart:
+    """Return the start at the first target of a program with its tool turned about its axis as the cell asks.
+
+    Forces that the program does not state may change the turn: then the first move turns the tool.
+
+    :param start: for the tool as the program is read.
+    """
+    place = RobotInCell.of(robot, replace(cell, start=Start(start.joints)))
+    turned, turn, _ = placement.in_chosen_turn(program, place, None)
+    if turn is None:
+        return start
+    constant_turn = replace(place.cell, gcode=replace(cell.gcode, redundancy="constant"))
+    return chosen_start(turned, RobotInCell.of(robot, constant_turn))
 
 
 def _are_equal(first: Array, second: Array) -> bool:
