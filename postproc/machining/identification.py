@@ -12,11 +12,13 @@ from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc import files
 from postproc.errors import ForceError, choices
 from postproc.frames import Array
-from postproc.machining.material import MaterialTable, six_numbers
+from postproc.machining import reading_checks
+from postproc.machining.material import MaterialTable, law, six_numbers
 from postproc.machining.process import Process, ToolTable
 from postproc.program import Bools, Ints
 
@@ -35,6 +37,12 @@ _LEAST_CORRELATION = 1e-9
 _LEAST_SCATTER = 1e-3
 """Least scatter of readings that do not state theirs, as a share of their RMS. Assumed: the linearity of dynamometers
 is 0.1 to 0.5 % of their range."""
+_AT_LEAST_ZERO = (0, 1, 3, 4)
+"""Coefficients, by place, that process.toml does not take below 0."""
+_PER_MM2 = 1e6
+"""N/m² of one N/mm²."""
+_MOST_SIGMA = 200.0
+"""Largest `sigma_percent` of a process [%]."""
 _LEAST_SIGMA = 2.0
 """Minimum standard deviation [%] of forces from identified coefficients (assumed)."""
 
@@ -192,8 +200,11 @@ def identify(readings: CutReadings, tool: ToolTable, prior: MaterialTable | None
 
     :param prior: material of the process: the values of coefficients that no reading depends on.
     :param file: of the readings, for messages.
-    :raises ForceError: the readings cannot separate coefficients, or there are too few; the message names which.
+    :raises ForceError: the readings cannot separate coefficients, or there are too few; the message names which. Or
+        signs, axes or units are wrong.
     """
+    chip = readings.feed / (readings.rpm * tool.flutes)
+    reading_checks.check_feeds(chip, tool.diameter_mm, file)
     rows = _linear_equations(readings, tool, file)
     predictor, readout, sigma = rows.predictor, rows.readout, rows.sigma
     is_excited = np.abs(predictor).max(axis=0) > 1e-9 * np.abs(predictor).max()
@@ -204,12 +215,19 @@ def identify(readings: CutReadings, tool: ToolTable, prior: MaterialTable | None
     if freedom < 1:
         advice = "Measure at more feeds: five in a slot determine all six."
         raise ForceError(f"{len(readout)} readings for {int(is_excited.sum())} coefficients", file=file, advice=advice)
+    warnings += _check_signs(readings, tool, estimate, is_excited, file)
     value, spread = _fit(predictor[:, is_excited], fitted_part, sigma)
     error = predictor[:, is_excited] @ value - fitted_part
     spread, scatter_warnings = _scaled_spread(spread, error, rows, freedom)
     warnings += scatter_warnings
     covariance = np.diag(fixed_sigma**2)
     estimate[is_excited] = value
+    negative = [k for k in _AT_LEAST_ZERO if estimate[k] < 0.0]
+    if negative:
+        warnings += [f"{NAMES[k]} is {estimate[k]:.2g}, within its error: taken as 0" for k in negative]
+        estimate[is_excited] = _positive_fit(predictor[:, is_excited], fitted_part, sigma, np.flatnonzero(is_excited))
+        error = predictor @ estimate - readout
+    warnings += reading_checks.check_sizes(estimate, readings.force, _tangential(prior, file), file)
     covariance[np.ix_(is_excited, is_excited)] = spread
     half = 1.96 * np.sqrt(np.diag(covariance))
     forces = rows.component < 3
@@ -217,7 +235,13 @@ def identify(readings: CutReadings, tool: ToolTable, prior: MaterialTable | None
         warnings.append(
             f"{NAMES[k]} is known to ±{half[k]:.2g} only ({estimate[k]:.3g}): measure more feeds, or deeper cuts"
         )
-    chip = readings.feed / (readings.rpm * tool.flutes)
+    sigma_percent = max(_LEAST_SIGMA, _percent_of_readout(rows, covariance, error))
+    if sigma_percent > _MOST_SIGMA:
+        raise ForceError(
+            f"no coefficients fit these readings: forces computed with them have a sigma of {sigma_percent:.0f} %",
+            file=file,
+            advice="Check mode, ap_mm, ae_mm, rpm and feed_mm_per_min, and flutes and diameter of the tool.",
+        )
     return IdentifiedMaterial(
         value=estimate,
         half=half,
@@ -232,9 +256,57 @@ def identify(readings: CutReadings, tool: ToolTable, prior: MaterialTable | None
         left_out=_cross_validation_error(
             predictor[:, is_excited], fitted_part, readout, sigma, np.round(chip[rows.reading], 6)
         ),
-        sigma_percent=max(_LEAST_SIGMA, _percent_of_readout(rows, covariance, error)),
+        sigma_percent=sigma_percent,
         warnings=tuple(warnings),
     )
+
+
+def _check_signs(readings: CutReadings, tool: ToolTable, estimate: Array, is_excited: Bools, file: str) -> list[str]:
+    """Refuse forces in other axes and return warnings, see `reading_checks.check_signs`.
+
+    :param estimate: (6,) values of the coefficients that no reading depends on, 0 for the others.
+    """
+
+    def fit_of(force: Array) -> tuple[Array, Array, float] | None:
+        rows = _linear_equations(replace(readings, force=force), tool, file)
+        matrix, target = rows.predictor[:, is_excited], rows.readout - rows.predictor @ estimate
+        scale = np.linalg.norm(matrix, axis=0)
+        if not scale.all() or np.linalg.matrix_rank(matrix / rows.sigma[:, None] / scale) < matrix.shape[1]:
+            return None
+        value, sigma = estimate.copy(), np.zeros(6)
+        value[is_excited], spread = _fit(matrix, target, rows.sigma)
+        error = (matrix @ value[is_excited] - target) / rows.sigma
+        freedom = len(target) - matrix.shape[1]
+        spread, _ = _scaled_spread(spread, error * rows.sigma, rows, freedom)
+        sigma[is_excited] = np.sqrt(np.diag(spread))
+        # computed readings have residuals of rounding alone: these do not rank arrangements
+        size = float(np.linalg.norm(rows.readout / rows.sigma))
+        return value, sigma, max(_LEAST_SCATTER, float(np.linalg.norm(error)) / size)
+
+    return reading_checks.check_signs(readings.force, fit_of, file)
+
+
+def _positive_fit(predictor: Array, readout: Array, sigma: Array, coefficient: Ints) -> Array:
+    """Return the weighted least-squares estimate (k,) of coefficients whose least value is 0, but for axial ones.
+
+    :param coefficient: (k,) place of each in `NAMES`.
+    """
+    from scipy.optimize import lsq_linear
+
+    matrix = predictor / sigma[:, None]
+    scale = np.linalg.norm(matrix, axis=0)
+    least = np.where(np.isin(coefficient, _AT_LEAST_ZERO), 0.0, -np.inf)
+    return np.asarray(lsq_linear(matrix / scale, readout / sigma, (least, np.inf), method="bvls").x / scale)
+
+
+def _tangential(prior: MaterialTable | None, file: str) -> float | None:
+    """Return Ktc or kc1.1 of a material [N/mm²]; None without a usable one: the readings may be there to replace it."""
+    if prior is None:
+        return None
+    try:
+        return law(prior, file).cutting[0] / _PER_MM2
+    except ForceError:
+        return None
 
 
 def _linear_equations(readings: CutReadings, tool: ToolTable, file: str) -> _Equations:

@@ -1,0 +1,171 @@
+"""Plausibility of measured cuts: signs and axes of the forces, units of forces and feeds.
+
+Cutting and edge coefficients of every material are positive along the cut and normal to it. Readings in other axes
+give negative ones; the arrangement of Fx and Fy that gives positive ones and fits names the cause. Wrong units show in
+sizes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import product
+
+import numpy as np
+
+from postproc.errors import ForceError
+from postproc.frames import Array
+
+_POSITIVE = {0: "Ktc", 1: "Krc", 3: "Kte", 4: "Kre"}
+"""Coefficients that are positive in every material, by place; axial ones may pull the material out."""
+_ARRANGEMENTS = {
+    (False, -1, -1): (
+        "they look like forces on the workpiece",
+        "Give the forces ON the tool: change the signs of Fx, Fy and Fz.",
+    ),
+    (False, -1, 1): ("the sign of Fx looks wrong", "Fx is along the feed, on the tool: change its sign."),
+    (False, 1, -1): (
+        "the sign of Fy looks wrong",
+        'Fy is to the left of the feed, on the tool: change its sign, or give spindle = "M4" in [tools.N].',
+    ),
+    (True, 1, 1): ("Fx and Fy look exchanged", "Fx is along the feed: exchange the columns Fx and Fy."),
+    (True, -1, -1): (
+        "Fx and Fy look exchanged, and on the workpiece",
+        "Exchange the columns Fx and Fy, and change the signs of Fx, Fy and Fz: Fx is along the feed, on the tool.",
+    ),
+    (True, 1, -1): (
+        "their axes look turned by 90°",
+        "Fx is along the feed, Fy to its left: give -Fx of this file as Fy, and Fy as Fx.",
+    ),
+    (True, -1, 1): (
+        "their axes look turned by 90°",
+        "Fx is along the feed, Fy to its left: give -Fy of this file as Fx, and Fx as Fy.",
+    ),
+}
+"""Cause and remedy by arrangement: whether Fx and Fy are exchanged, then the signs of the new Fx and Fy."""
+_MOST_RADIAL = 2.0
+"""Krc over Ktc, the largest `radial_ratio` of a process. Metals have up to 0.6 in the table, CFRP 1."""
+_SAME_FIT = 1.5
+"""Ratio of residuals up to which two arrangements fit alike: in slots two of them do (assumed)."""
+_FAR_BETTER = 5.0
+"""Ratio of residuals from which another arrangement is the right one (assumed)."""
+_LEAST_CHIP = 1e-4
+"""Largest feed per tooth over the diameter below which it is in another unit. Shops mill with 0.001 to 0.1; of m/min a
+thousandth is left (assumed)."""
+_LARGEST = (2e4, 2e3)
+"""Coefficients beyond any material [N/mm²], [N/mm] (assumed): hardened steel and nickel alloys are a fifth of that, and
+worn tools in titanium have some hundred N/mm at the edge."""
+_SOFTEST, _SOFT = 1.0, 10.0
+"""Ktc [N/mm²] below which only light foam is, and below which foam and steel in kN both are (assumed)."""
+_SMALL_FORCE = 3.0
+"""Mean force [N] below which few dynamometers measure, and kN are likelier (assumed)."""
+_KILONEWTON = 1e-3 / np.sqrt(10.0), 1e-3 * np.sqrt(10.0)
+"""Ratios of Ktc to that of the process' material around a thousandth, with materials that differ by the factor 3."""
+_SAME_MATERIAL = 5.0
+"""Ratio of Ktc to that of the process' material up to which they agree (assumed)."""
+
+FitOf = Callable[[Array], tuple[Array, Array, float] | None]
+"""Coefficients (6,), their standard deviations (6,) and the residual as a share of the forces, for forces (n, 3).
+
+None: the readings do not determine them."""
+
+
+def check_feeds(chip: Array, diameter: float, file: str) -> None:
+    """Refuse feeds in another unit than mm/min.
+
+    :param chip: (n,) feeds per tooth [mm]; `diameter` of the tool [mm].
+    :raises ForceError: even the largest is none that one mills with.
+    """
+    if chip.max() < _LEAST_CHIP * diameter:
+        raise ForceError(
+            f"the largest feed per tooth is {chip.max():.2g} mm, of a tool of {diameter:g} mm: these look like m/min",
+            file=file,
+            advice="Give feed_mm_per_min in mm/min and rpm in 1/min.",
+        )
+
+
+def check_signs(force: Array, fit_of: FitOf, file: str) -> list[str]:
+    """Refuse forces that give coefficients which no material has, or fit far better in other axes; name these.
+
+    :param force: (n, 3) as read [N]; NaN = not measured.
+    :returns: a warning if Krc is larger than Ktc.
+    :raises ForceError: Ktc is not positive, Krc, Kte or Kre is negative beyond its error, or Krc beyond twice Ktc.
+    """
+    fit = fit_of(force)
+    if fit is None:
+        return []
+    value, sigma, residual = fit
+    values = ", ".join(f"{name} {value[k]:.3g}" for k, name in _POSITIVE.items())
+    candidates = []
+    for exchanged, *signs in product((False, True), (1, -1), (1, -1)):
+        arrangement = (exchanged, *signs)
+        if arrangement not in _ARRANGEMENTS:
+            continue
+        columns = force[:, [1, 0, 2]] if exchanged else force
+        changed_fit = fit_of(columns * np.array([*signs, 1.0]))
+        if changed_fit is not None and _is_usual(changed_fit):
+            candidates.append((arrangement, changed_fit))
+    if _is_usual(fit) and all(residual <= _FAR_BETTER * other_residual for _, (_, _, other_residual) in candidates):
+        if value[1] - 1.96 * sigma[1] <= value[0]:
+            return []
+        return [
+            f"Krc {value[1]:.3g} is larger than Ktc {value[0]:.3g}, which few materials have: check the axes and signs "
+            "of Fx and Fy, and up and down"
+        ]
+    if not candidates:
+        raise ForceError(
+            f"the readings give {values} N/mm² and N/mm: no material cuts so",
+            file=file,
+            advice="Fx is along the feed, Fy to its left, both means ON the tool in N. Check mode, ap_mm, ae_mm, the "
+            "feeds, and flutes, diameter and spindle of the tool.",
+        )
+    smallest = min(candidate_residual for _, (_, _, candidate_residual) in candidates)
+    (arrangement, (value, _, _)) = min(
+        candidates, key=lambda entry: (entry[1][2] > _SAME_FIT * smallest, entry[1][0][1] > entry[1][0][0])
+    )
+    cause, advice = _ARRANGEMENTS[arrangement]
+    changed_values = ", ".join(f"{name} {value[k]:.3g}" for k, name in _POSITIVE.items())
+    raise ForceError(f"the forces give {values}: {cause} (then {changed_values})", file=file, advice=advice)
+
+
+def _is_usual(fit: tuple[Array, Array, float]) -> bool:
+    """Return whether a material may have these coefficients: what is negative is so within its error."""
+    value, sigma, _ = fit
+    return (
+        value[0] > 0.0
+        and all(value[k] > -1.96 * sigma[k] for k in _POSITIVE)
+        and value[1] - 1.96 * sigma[1] <= _MOST_RADIAL * value[0]
+    )
+
+
+def check_sizes(value: Array, force: Array, prior_tangential: float | None, file: str) -> list[str]:
+    """Refuse coefficients of a size that no material has, and those in kN; warn where kN are possible.
+
+    :param value: (6,) coefficients in the order of `identification.NAMES`.
+    :param force: (n, 3) as read [N]; NaN = not measured.
+    :param prior_tangential: Ktc or kc1.1 of the process' material [N/mm²]; None: it states none.
+    :returns: warnings.
+    :raises ForceError: they are too large, or too small.
+    """
+    tangential = float(value[0])
+    for size, limit, unit in ((value[:3], _LARGEST[0], "N/mm²"), (value[3:], _LARGEST[1], "N/mm")):
+        if np.abs(size).max() > limit:
+            raise ForceError(
+                f"the readings give a coefficient of {np.abs(size).max():.2g} {unit}: no material has that",
+                file=file,
+                advice="Give forces in N, ap_mm and ae_mm in mm, feed_mm_per_min in mm/min.",
+            )
+    ratio = None if prior_tangential is None else tangential / prior_tangential
+    largest = float(np.nanmax(np.abs(force), initial=0.0)) if np.isfinite(force).any() else np.inf
+    agrees = ratio is not None and 1.0 / _SAME_MATERIAL < ratio < _SAME_MATERIAL
+    is_small = largest < _SMALL_FORCE and tangential < _SOFT and not agrees
+    if is_small and (tangential < _SOFTEST or (ratio is not None and _KILONEWTON[0] < ratio < _KILONEWTON[1])):
+        raise ForceError(
+            f"the largest force is {largest:.2g} N, Ktc {tangential:.2g} N/mm²: the forces look like kN",
+            file=file,
+            advice="Give Fx, Fy, Fz in N. If a foam is that soft, state it as [material] of the process.",
+        )
+    return (
+        [f"the largest force is {largest:.2g} N, Ktc {tangential:.2g} N/mm²: are these kN? Foam is as soft"]
+        if is_small
+        else []
+    )
