@@ -33,6 +33,13 @@ _SMALL_TURN = 10.0 * RAD_PER_DEG
 _Groups = dict[tuple[str, float], Ints]
 _IMPOSSIBLE = 2e-3
 """Residual [m] that no tracker makes: a point has the wrong name, or an angle is wrong."""
+_LEAST_SPAN = 1e-2
+"""Span of all readings [m] that P1 on link 2 and the markers on the compensator exceed: these are decimetres apart.
+Readings in metres, taken as mm, span a few thousandths."""
+_LENGTHS = (10.0, 2000.0)
+"""Length on link 2 [mm]: of real compensators 100 to 600, so that metres are outside."""
+_MOST_OFFSET = 5000.0
+"""Largest coordinate of P0 [mm]: it is on link 1, near joint 2."""
 _WIDE = 0.05
 """Warn if the half width of a_x or a_y exceeds this share of the distance P0 … P2 (assumed)."""
 _WORTH = 0.8
@@ -293,6 +300,7 @@ def identify(readings: MarkerReadings) -> CompensatorGeometry:
     value = geometry(q2, p1, p0)
     left_p1, left_p0 = _residuals(readings)
     _refuse_impossible(readings, left_p1, left_p0)
+    _refuse_size(value * MM_PER_M)
     dof = readings.scatter_dof + degrees_of_freedom(len(q2), len(p0))
     squares = readings.scatter + float(
         np.sum(readings.count_p1[:, None] * left_p1**2) + np.sum(readings.count_p0[..., None] * left_p0**2)
@@ -398,6 +406,19 @@ def _refuse_impossible(readings: MarkerReadings, left_p1: Array, left_p0: Array)
         )
 
 
+def _refuse_size(value: Array) -> None:
+    """Refuse L, a_x, a_y (3,) [mm] that `load` does not take.
+
+    :raises MeasurementError: no robot has a compensator of this size.
+    """
+    if not _LENGTHS[0] <= value[0] <= _LENGTHS[1] or np.abs(value[1:]).max() > _MOST_OFFSET:
+        raise MeasurementError(
+            f"L comes out {value[0]:.3g} mm, a_x {value[1]:.3g} mm, a_y {value[2]:.3g} mm: "
+            "no robot has such a compensator",
+            advice="Give X, Y, Z in mm and q2 in degrees, and check the names of the markers.",
+        )
+
+
 def _swapped_order(count: int, i: int, j: int) -> list[int]:
     """Return 0 … count − 1 with i and j exchanged."""
     order = list(range(count))
@@ -431,6 +452,13 @@ def read(path: Path) -> MarkerReadings:
         )
     _check_angles(angles, file_name)
     position = np.column_stack([numbers[axis] for axis in "XYZ"]) * M_PER_MM
+    span = float(np.ptp(position, axis=0).max())
+    if span < _LEAST_SPAN:
+        raise MeasurementError(
+            f"all readings lie within {span * MM_PER_M:.3g} mm: these look like metres",
+            file=file_name,
+            advice="Give X, Y, Z in mm.",
+        )
     marker = np.array(texts["marker"])
     groups = {
         (n, a): np.flatnonzero((marker == n) & (numbers["q2"] == a)) for n in (P1, *on_compensator) for a in angles
@@ -557,16 +585,12 @@ _Interval = Annotated[float, msgspec.Meta(ge=0, le=1e4)]
 
 
 class _Arm(msgspec.Struct, frozen=True):
-    """Length on link 2 [mm]: of real compensators 100 to 600, so that metres are outside."""
-
-    value: Annotated[float, msgspec.Meta(ge=10, le=2000)]
+    value: Annotated[float, msgspec.Meta(ge=_LENGTHS[0], le=_LENGTHS[1])]
     ci95: _Interval = 0.0
 
 
 class _Offset(msgspec.Struct, frozen=True):
-    """Coordinate of P0 [mm]: it is on link 1, within 5 m of joint 2."""
-
-    value: Annotated[float, msgspec.Meta(ge=-5000, le=5000)]
+    value: Annotated[float, msgspec.Meta(ge=-_MOST_OFFSET, le=_MOST_OFFSET)]
     ci95: _Interval = 0.0
 
 

@@ -132,6 +132,27 @@ def test_angles_in_radians_are_recognised(tmp_path):
         cg.read(path)
 
 
+def test_metres_are_recognised(tmp_path):
+    exact, raw = readings()
+    path = write(tmp_path / "c.csv", PAPER_Q2, raw, ("P1", *exact.markers))
+    text = path.read_text().splitlines()  # all digits: `write` rounds to those of millimetres
+    rows = [row.rsplit(",", 3)[0] for row in text[1:]]
+    numbers = [f"{x:.7f},{y:.7f},{z:.7f}" for marker in raw for repeated in marker for x, y, z in repeated]
+    path.write_text("\n".join([text[0], *(f"{row},{xyz}" for row, xyz in zip(rows, numbers, strict=True)), ""]))
+    with pytest.raises(MeasurementError, match="look like metres"):
+        identify_compensator(path, tmp_path / "compensator.toml")
+    assert not (tmp_path / "compensator.toml").exists()
+
+
+@pytest.mark.parametrize("factor", [0.05, 20.0])
+def test_a_size_that_the_next_command_would_refuse_is_refused(factor):
+    """L of 9 mm, and of 3.7 m."""
+    exact, _ = readings(sigma=0.0, true=factor * TRUE)
+    with pytest.raises(MeasurementError, match="no robot has such a compensator"):
+        cg.identify(exact)
+    assert cg.identify(readings(sigma=0.0, true=0.1 * TRUE)[0]).value[0] == pytest.approx(0.1 * TRUE[0])
+
+
 def test_the_readings_are_never_overwritten(tmp_path):
     markers = tmp_path / "markers.csv"
     markers.write_text("q2,marker,repeat,X,Y,Z\n")
