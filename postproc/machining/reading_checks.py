@@ -42,6 +42,8 @@ _ARRANGEMENTS = {
     ),
 }
 """Cause and remedy by arrangement: whether Fx and Fy are exchanged, then the signs of the new Fx and Fy."""
+_SIGMAS = 3.0
+"""Standard deviations within which a coefficient may be negative: of five feeds with 5 % noise none is refused then."""
 _MOST_RADIAL = 2.0
 """Krc over Ktc, the largest `radial_ratio` of a process. Metals have up to 0.6 in the table, CFRP 1."""
 _SAME_FIT = 1.5
@@ -132,8 +134,8 @@ def _is_usual(fit: tuple[Array, Array, float]) -> bool:
     value, sigma, _ = fit
     return (
         value[0] > 0.0
-        and all(value[k] > -1.96 * sigma[k] for k in _POSITIVE)
-        and value[1] - 1.96 * sigma[1] <= _MOST_RADIAL * value[0]
+        and all(value[k] > -_SIGMAS * sigma[k] for k in _POSITIVE)
+        and value[1] - _SIGMAS * sigma[1] <= _MOST_RADIAL * value[0]
     )
 
 
