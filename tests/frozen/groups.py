@@ -21,11 +21,11 @@ _RECORDED = sorted(str(path.relative_to(ROOT)) for path in (ROOT / "tests" / "di
 """Tests whose KRL programs are cases."""
 _CUTS = """\
 mode,ap_mm,ae_mm,rpm,feed_mm_per_min,Fx,Fy,Fz,sigma_N
-slot,2.4,,3900,280.8,-72,-118,41,3
-slot,2.4,,3900,561.6,-101,-187,58,3
-slot,2.4,,3900,842.4,-127,-251,70,3
-slot,1.2,,3900,561.6,-54,-90,31,3
-slot,1.2,,3900,842.4,-66,-122,38,3
+slot,2.4,,3900,280.8,-72,118,41,3
+slot,2.4,,3900,561.6,-101,187,58,3
+slot,2.4,,3900,842.4,-127,251,70,3
+slot,1.2,,3900,561.6,-54,90,31,3
+slot,1.2,,3900,842.4,-66,122,38,3
 """
 """Mean forces of slots, made up."""
 
