@@ -89,9 +89,12 @@ def make_place(request: PlaceRequest, progress: Callable[[int, int], None] | Non
     }
     if search.best is not None:
         contents[FILES[2]] = report.base_toml(search, cell, content)
+    is_earlier_place_ours = not foreign(request.output, [FILES[2]], FILES[-1])
     paths = write_whole(
         request.output, add_record(contents, FILES[-1], lambda entries: report.place_json(content, entries))
     )
+    if search.best is None and is_earlier_place_ours:
+        (request.output / FILES[2]).unlink(missing_ok=True)  # the place of an earlier search
     return PlaceFiles(content, tuple(paths))
 
 

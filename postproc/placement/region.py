@@ -378,18 +378,21 @@ def check_base(program: Program, robot_in_cell: RobotInCell, shifted_program: Pr
     :param shifted_program: the program as it is read with another `[base]`; None: its dialect has no frames of its own.
     :raises InputError: it has frames of its own, which do not move with the cell's.
     """
-    base = robot_in_cell.cell.base.pose()
-    for row in distinct(program.motions.base).tolist():
-        first = np.argmax(program.motions.base == row)
-        stays = shifted_program is not None and np.array_equal(
-            shifted_program.bases[shifted_program.motions.base[first]], program.bases[row]
-        )
+    base, m = robot_in_cell.cell.base.pose(), program.motions
+    # frames that are equal today are one row of `bases`, also where one of them moves with the cell and another stays
+    other = program if shifted_program is None else shifted_program
+    pairs = np.stack([m.base, other.motions.base], axis=1)
+    cartesian = np.flatnonzero(~np.isfinite(m.joints[:, 0]))  # joint angles stand in no frame
+    for row, other_row in np.unique(pairs[cartesian], axis=0).tolist():
+        first = cartesian[np.argmax((pairs[cartesian] == (row, other_row)).all(axis=1))]
+        stays = shifted_program is not None and np.abs(other.bases[other_row] - program.bases[row]).max() < _SAME_FRAME
         if stays or np.abs(program.bases[row] - base).max() > _SAME_FRAME:
             raise InputError(
                 f"line {program.motions.line[first]}: the motions are in a $BASE that the program sets itself: they "
                 "would not move with [base] of the cell",
                 file=program.documents[0].name,
-                advice="Remove what sets $BASE and let [base] give it ([krl] initmov), or leave this program out.",
+                advice="Remove what sets $BASE and let [base] give it ([krl] initmov), or leave this program out. "
+                "[base_data.n] of the cell is not moved either: convert with other frames there to compare places.",
             )
 
 

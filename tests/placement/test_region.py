@@ -250,6 +250,32 @@ def test_a_krl_program_that_sets_the_numbers_of_the_cell_as_its_base_is_refused(
     assert (done.exit_code, "$BASE that the program sets itself" in done.output) == (1, True), done.output
 
 
+def test_a_frame_by_number_that_is_equal_to_the_base_does_not_move_with_it(tmp_path, monkeypatch):
+    """[base_data.3] of the sample cell is the frame of [base]: each place would have the numbers of today's."""
+    monkeypatch.chdir(tmp_path)
+    done = invoke(
+        "place", SAMPLES / "inline.src", "--region", "X=1500:1510", "-o", "out", cell=SAMPLES / "cell_kr270.toml"
+    )
+    assert (done.exit_code, "[base_data.n] of the cell is not moved either" in done.output) == (1, True), done.output
+
+
+def test_a_search_without_a_result_removes_the_place_of_an_earlier_one(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "part.nc").write_text(PART)
+    (tmp_path / "cell.toml").write_bytes((SAMPLES / "cell_kr270.toml").read_bytes())
+    command = ("place", "part.nc", "-o", "out", "--region")
+    run(*command, "X=1400:1410", cell="cell.toml")
+    assert (tmp_path / "out" / "place.toml").is_file()
+    run(*command, "X=5000:5010", cell="cell.toml", code=1)
+    assert not (tmp_path / "out" / "place.toml").exists()
+    (tmp_path / "out" / "place.toml").write_text("# of somebody else\n")
+    run(*command, "X=5000:5010", "--overwrite", cell="cell.toml", code=1)
+    assert (tmp_path / "out" / "place.toml").read_text() == "# of somebody else\n"
+    (tmp_path / "out" / "place.toml").unlink()
+    run(*command, "X=1400:1410", cell="cell.toml")
+    assert (tmp_path / "out" / "place.toml").is_file()
+
+
 def test_the_command_writes_map_table_and_base(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "cell_kr270.toml").write_bytes((SAMPLES / "cell_kr270.toml").read_bytes())
