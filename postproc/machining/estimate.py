@@ -235,11 +235,9 @@ def _estimate(task: _Task, widest: float, cell_factors: dict[int, int]) -> tuple
     if not any(sweep.contact for sweep in swept.sweeps):
         raise _no_contact(program, segments, bounds, process, task.stock)
     cuts = Cuts.join(swept.cuts)
+    margin = 0.5 * max(table.diameter_mm for table in process.tools.values()) * M_PER_MM
     if program.branches:
-        count, margin = (
-            len(program.motions),
-            0.5 * max(table.diameter_mm for table in process.tools.values()) * M_PER_MM,
-        )
+        count = len(program.motions)
         # a tool that leans may touch the stock with its tip beside it
         near = np.ones(count, dtype=bool) if len(in_order) > 1 else near_stock(segments, bounds, margin, count)
         check_branches(program, distinct(cuts.motion[norm(cuts.wrench) > 0.0]), near)
@@ -248,6 +246,7 @@ def _estimate(task: _Task, widest: float, cell_factors: dict[int, int]) -> tuple
     issues += [
         *override_issues(program),
         *stock_base_issues(program),
+        *([] if len(in_order) > 1 else _cuts_beside(program, segments, bounds, margin)),
         *swept.issues,
         *unread_cuts(program),
         *_out_of_scale(segments, bounds),
@@ -690,6 +689,34 @@ def _out_of_scale(steps: StraightSegments, bounds: tuple[float, ...]) -> list[Is
         f"the path is {ratio:.0f} times as large as the stock in X and Y: check the units of both (an inch is 25.4 mm)"
     )
     return [Issue("warning", "stock-scale", message)]
+
+
+def _cuts_beside(program: Program, segments: StraightSegments, bounds: tuple[float, ...], margin: float) -> list[Issue]:
+    """Return a warning if cuts of a CAM program lie beside the stock: each run of them between rapid moves as a whole.
+
+    In a robot program each LIN counts as a cut, also one that positions: see `stock_base_issues`.
+
+    :param segments: of all motions, in the frame of the map of the stock; bounds: see `near_stock`.
+    :param margin: radius of the widest tool [m]: a shorter run is no cut of a part.
+    """
+    m = program.motions
+    if program.keeps_text:
+        return []
+    near = near_stock(segments, (*bounds[:4], np.inf), margin, len(m))
+    length = np.bincount(segments.motion, norm((segments.end - segments.begin)[:, :2]), minlength=len(m))
+    feed = np.flatnonzero(~m.rapid)
+    run = np.cumsum(np.diff(feed, prepend=-2) > 1) - 1
+    count = int(run[-1]) + 1 if len(run) else 0
+    is_beside = (np.bincount(run, near[feed], count) == 0.0) & (np.bincount(run, length[feed], count) > 2.0 * margin)
+    motions = feed[is_beside[run]]
+    if not len(motions):
+        return []
+    x0, x1, y0, y1, _ = (1e3 * value for value in bounds)
+    message = (
+        f"cuts beside the stock, which lies within X {x0:.4g} … {x1:.4g}, Y {y0:.4g} … {y1:.4g} mm: they have no "
+        "force, and are not corrected. Does [stock] describe another part? Give one for all, or convert part by part"
+    )
+    return [m.issue("warning", "beside-stock", message, motions)]
 
 
 def _no_contact(
