@@ -207,7 +207,7 @@ def first_move(program: Program, path: JointPath, start: Array) -> Iterator[Issu
 
 
 _AT_TARGET = 1e-5
-"""Way of the tip [m] below which a program starts at its first target: [start] has four decimals."""
+"""Distance of the tip [m] below which a program starts at its first target: [start] has four decimals."""
 
 
 def height_of_start(program: Program, tip: Array, clearance: float | None) -> Iterator[Issue]:
@@ -221,7 +221,9 @@ def height_of_start(program: Program, tip: Array, clearance: float | None) -> It
     :param clearance: [machine] clearance_Z [m].
     """
     m = program.motions
-    if program.keeps_text or np.isfinite(m.joints[0, 0]) or norm(np.ptp(tip, axis=0)) < _AT_TARGET:
+    if program.keeps_text or np.isfinite(m.joints[0, 0]):
+        return
+    if norm(tip[0] - m.target.position[0]) < _AT_TARGET:
         return
     target = float(m.target.position[0, 2])
     start, lowest_z = float(tip[0, 2]), float(tip[:, 2].min())

@@ -40,7 +40,8 @@ def looked_at(page, name):
     size = page.viewport_size
     for width in WIDTHS:
         page.set_viewport_size({"width": width, "height": 1000})
-        wide = page.evaluate("[document.documentElement.scrollWidth, document.documentElement.clientWidth]")
+        widths = "document.body && [document.documentElement.scrollWidth, document.documentElement.clientWidth]"
+        wide = page.wait_for_function(widths).json_value()  # it may be loading the next page
         assert wide[0] <= wide[1], (name, width)
         if PICTURES:
             for scheme in ("light", "dark"):
