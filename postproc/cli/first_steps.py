@@ -78,7 +78,7 @@ def _callback(kind: str) -> Any:
 @click.option(
     "--tools",
     multiple=True,
-    callback=lambda _ctx, _param, texts: _option_value("tools", texts),
+    callback=_callback("tools"),
     metavar="N=X,Y,Z[,A,B,C]",
     help="$TOOL after T n M6, or its Z alone; once for each tool. Default: --tool for all.",
 )
@@ -86,21 +86,21 @@ def _callback(kind: str) -> Any:
     "--work-offset",
     "work_offsets",
     multiple=True,
-    callback=lambda _ctx, _param, texts: _option_value("work_offsets", texts),
+    callback=_callback("work_offsets"),
     metavar="G55=X,Y,Z[,A,B,C]",
     help="Frame of a work offset in $BASE; once for each. G54 is $BASE itself.",
 )
 @click.option(
     "--base-data",
     multiple=True,
-    callback=lambda _ctx, _param, texts: _option_value("numbered_frames", texts),
+    callback=_callback("numbered_frames"),
     metavar="N=X,Y,Z[,A,B,C]",
     help="BASE_DATA[N] of KRL programs, in the robot root; once for each.",
 )
 @click.option(
     "--tool-data",
     multiple=True,
-    callback=lambda _ctx, _param, texts: _option_value("numbered_frames", texts),
+    callback=_callback("numbered_frames"),
     metavar="N=X,Y,Z[,A,B,C]",
     help="TOOL_DATA[N] of KRL programs, in the flange frame; once for each.",
 )
@@ -108,7 +108,7 @@ def _callback(kind: str) -> Any:
     "--m-code",
     "m_codes",
     multiple=True,
-    callback=lambda _ctx, _param, texts: _option_value("m_codes", texts),
+    callback=_callback("m_codes"),
     metavar="M31",
     help="M code of the machine that has no effect on the robot; once for each.",
 )
@@ -131,7 +131,7 @@ def _callback(kind: str) -> Any:
     "--rotary-point",
     "rotary_points",
     multiple=True,
-    callback=lambda _ctx, _param, texts: _option_value("points", texts),
+    callback=_callback("points"),
     metavar="A=X,Y,Z",
     help="A point of an indexed axis in $BASE; once for each.",
 )

@@ -327,7 +327,7 @@ class OutputPlan:
         """
         for first, second in same_names(self.jobs):
             raise InputError(
-                f"{first.program} and {second.program} would both be written as {second.output / second.stem}.*",
+                shared_name_problem(first, second),
                 advice="Nothing was written. Rename one, or convert them one by one with different -o folders.",
             )
         inputs = [cell, *(path for job in self.jobs for path in job.reads())]
@@ -704,6 +704,11 @@ def _intact(job: Job, mode: Mode) -> list[str]:
     except ProgramError:
         return []
     return [document.name for document in documents] if job.writer.origin(documents).state == "intact" else []
+
+
+def shared_name_problem(first: Job, second: Job) -> str:
+    """Return the error of two programs that `same_names` yields, without a full stop."""
+    return f"{first.program} and {second.program} would both be written as {second.output / second.stem}.*"
 
 
 def same_names(jobs: Iterable[Job]) -> Iterator[tuple[Job, Job]]:

@@ -101,6 +101,11 @@ def hold_tolerance(program: Program, length: Array, cell: Cell, exponent: float,
     return replace(result, held_feed=held_feed)
 
 
+def _with_feed(program: Program, feed: Array) -> Program:
+    """Return a program as read with lower feeds (M,) [m/s]; it keeps those that its text states."""
+    return replace(program, motions=replace(program.motions, feed=feed), feed_as_read=program.motions.feed)
+
+
 _CAPPINGS = 4
 """Largest number of conversions at feeds that the one before has lowered (assumed)."""
 _CAPPED = "feed-capped"
@@ -129,8 +134,7 @@ def at_written_feed(
         capped = tuple(issue for issue in result.issues if issue.kind == _CAPPED)
         if not capped or result.failed:
             break
-        motions = replace(program.motions, feed=result.program.motions.feed)
-        slowed = replace(program, motions=motions, feed_as_read=program.motions.feed)
+        slowed = _with_feed(program, result.program.motions.feed)
         result = correction.process(slowed, robot, cell, source, mode, linearize_arcs=linearize_arcs, to=to)
         if not any(issue.kind == _CAPPED for issue in result.issues):
             return replace(result, issues=(*result.issues, *capped))
@@ -164,9 +168,8 @@ class _Search:
 
     def program(self, feed: Array) -> Program:
         """Return the program with other feeds (M,) for open motions."""
-        as_read = self.of.motions.feed
-        self.feed = np.where(self.open, feed, as_read)
-        return replace(self.of, motions=replace(self.of.motions, feed=self.feed), feed_as_read=as_read)
+        self.feed = np.where(self.open, feed, self.of.motions.feed)
+        return _with_feed(self.of, self.feed)
 
     def start(self, error: Array) -> Bools:
         """Take the errors (M,) at the least feeds.

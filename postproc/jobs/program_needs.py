@@ -139,7 +139,7 @@ def needs_of(path: Path, dialect: str | None = None) -> ProgramNeeds:
         survey = reader.survey(documents[0])
     trial = _Trial(documents, name, path.stem, survey)
     program, refusal, settings = trial.outcome()
-    frames = trial.needed_frames()
+    frames = () if program is None else trial.needed_frames()
     changes = survey.tool_changes
     comments = [Comment(line, text) for line, text in survey.comments]
     needs = ProgramNeeds(
@@ -293,9 +293,7 @@ class _Trial:
         return program, "", tuple(settings)
 
     def needed_frames(self) -> tuple[str, ...]:
-        """Return the frames by number without which the program is refused; its own data may state the others."""
-        if not self.frames or self._read({})[0] is None:
-            return ()
+        """Return the frames by number without which the program, which can be read with all, is refused."""
         return tuple(frame for frame in self.frames if self._read({}, frames={*self.frames} - {frame})[0] is None)
 
     def _read_robot_program(self) -> tuple[Program | None, str, tuple[str, ...]]:

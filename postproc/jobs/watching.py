@@ -30,7 +30,7 @@ from postproc.dialects import registry
 from postproc.errors import InputError, PostprocError
 from postproc.jobs import inputs
 from postproc.jobs.conversion import options_of, origin_of
-from postproc.jobs.output_plan import OVERVIEW, left, same_names
+from postproc.jobs.output_plan import OVERVIEW, left, same_names, shared_name_problem
 from postproc.jobs.programs import (
     FAILED,
     GOOD,
@@ -344,9 +344,7 @@ class _Watcher:
         for pair in same_names(job for job in all_jobs if not job.callers):
             if not programs.isdisjoint(job.program for job in pair):
                 self.same_named |= {job.program for job in pair}
-                names = " and ".join(str(job.program) for job in pair)
-                problem = f"{names} would both be written as {pair[0].output / pair[0].stem}.*"
-                raise InputError(problem, advice="Nothing was written. Rename one of them.")
+                raise InputError(shared_name_problem(*pair), advice="Nothing was written. Rename one of them.")
         return self._find_forces(job for job in all_jobs if job.program in programs and not job.callers)
 
     def _jobs_without_forces(self, program: Path) -> list[Job]:
