@@ -268,7 +268,7 @@ def test_a_program_that_is_copied_into_the_folder_is_corrected_and_shown(browser
         (folder / "other.nc").write_text(PROGRAM.replace("X40", "X35"))
         row = page.get_by_role("row", name="other.nc")
         row.wait_for()
-        assert row.get_by_text("Not corrected yet").is_visible(), "the page has shown it by itself"
+        row.get_by_text("Not corrected yet").wait_for()  # the page has shown it by itself
         looked_at(page, "40-off")
         page.wait_for_timeout(2500)
         assert window.runs.latest("other.nc") is None

@@ -62,7 +62,7 @@ def test_look_for_a_place_and_take_it(browser, window):
         to_program(page)
         page.get_by_role("button", name="Look for the best place").click()
         after_the_run(page)
-        assert page.get_by_role("link", name="Map of places").is_visible()
+        page.get_by_role("link", name="Map of places").wait_for()
         looked_at(page, "10-place")
         page.get_by_role("button", name="Take the best place").click()
         after_the_run(page)
@@ -85,7 +85,7 @@ def test_compare_and_correct_again(browser, window):
         looked_at(page, "11-options")
         page.get_by_role("button", name="Correct again").click()
         after_the_run(page)
-        assert page.get_by_text("0.9 mm", exact=True).is_visible()
+        page.get_by_text("0.9 mm", exact=True).wait_for()
 
 
 def test_slow_the_feed_where_the_tolerance_is_exceeded_and_keep_it_again(browser, window):
@@ -116,13 +116,13 @@ def test_change_the_robot_of_the_cell(browser, window):
         page.get_by_role("link", name="Cell", exact=True).click()
         page.get_by_label("Model").select_option("kuka_kr210_r2700_2")
         page.get_by_role("button", name="Change the robot").click()
-        assert page.get_by_text("Saved.").is_visible()
-        assert page.get_by_role("heading", name="KUKA KR 210 R2700-2").is_visible()
+        page.get_by_text("Saved.").wait_for()
+        page.get_by_role("heading", name="KUKA KR 210 R2700-2").wait_for()
         assert cells.load(cell).robot == "kuka_kr210_r2700_2"
         looked_at(page, "18-robot")
         page.locator("input[name='base.X']").fill("1490")
         page.get_by_role("button", name="Save").click()
-        assert page.get_by_text("Saved.").is_visible()
+        page.get_by_text("Saved.").wait_for()
     assert cells.load(cell).base.X == 1490.0
 
 

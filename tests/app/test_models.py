@@ -89,7 +89,7 @@ def test_identify_a_model_and_use_it(browser, window):
         page.locator("#step", has_text="springs").or_(result).wait_for()  # a fast machine is past its steps
         looked_at(page, "52-identifying")
         result.click()
-        assert page.get_by_role("heading", name="May it be used? Yes").is_visible()
+        page.get_by_role("heading", name="May it be used? Yes").wait_for()
         page.frame_locator("iframe").locator("h1").wait_for()
         looked_at(page, "53-model")
         page.get_by_role("button", name="Check it with readings").click()

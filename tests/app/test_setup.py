@@ -120,17 +120,17 @@ def test_a_program_with_two_tools_leads_to_a_frame_for_each(browser, window):
     window.workspace.cell.write_text(CELL_TEXT.split("[tools")[0])
     with opened(browser, window) as page:
         page.get_by_role("link", name="two.nc", exact=True).click()
-        assert page.get_by_text("$TOOL X 0 Y 0 Z 350").is_visible()
+        page.get_by_text("$TOOL X 0 Y 0 Z 350").wait_for()
         looked_at(page, "15-kept-cell")
         page.get_by_role("link", name="Give $TOOL of each tool first.").click()
         page.locator("input[name='tools.1.Z']").fill("350")
         page.locator("input[name='tools.5.Z']").fill("280")
         looked_at(page, "16-tools")
         page.get_by_role("button", name="Save").click()
-        assert page.get_by_text("Saved.").is_visible()
+        page.get_by_text("Saved.").wait_for()
         page.go_back()
         page.go_back()
         page.reload()
-        assert page.get_by_text("$TOOL of T5 X 0 Y 0 Z 280").is_visible()
+        page.get_by_text("$TOOL of T5 X 0 Y 0 Z 280").wait_for()
         assert page.get_by_role("link", name="Give $TOOL of each tool first.").count() == 0
     assert cells.load(window.workspace.cell).tools["5"].Z == 280.0

@@ -88,7 +88,7 @@ def test_write_a_part_probe_it_and_see_its_model(browser, window):
         page.get_by_label("Choose the probing file").set_input_files(content)
         page.get_by_role("button", name="Identify the model").click()
         page.get_by_role("link", name="See the result").click()
-        assert page.get_by_role("heading", name="4. May it be used? Yes").is_visible()
+        page.get_by_role("heading", name="4. May it be used? Yes").wait_for()
         page.frame_locator("iframe").locator("h1").wait_for()
         looked_at(page, "62-model")
         page.get_by_role("button", name="Check the model of the cell with it").click()

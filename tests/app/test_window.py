@@ -67,20 +67,20 @@ def answered(page):
 def test_from_an_empty_folder_to_a_corrected_program(browser, window):
     with opened(browser, window) as page:
         looked_at(page, "1-empty")
-        assert page.get_by_role("heading", name="Add the program").is_visible()
+        page.get_by_role("heading", name="Add the program").wait_for()
         page.locator("input[type=file]").set_input_files(ROOT / "samples" / "plate.nc")
         page.wait_for_url("**/setup?*")
         looked_at(page, "2-setup")
         page.get_by_role("button", name="Correct plate.nc").click()
-        assert page.locator(".fault").count() > 0, "what is missing is said"
+        page.locator(".fault").first.wait_for()  # what is missing is said
+        page.wait_for_load_state()
         looked_at(page, "3-missing")
         answered(page)
         page.get_by_role("button", name="Correct plate.nc").click()
         page.wait_for_url("**/run?*")
         looked_at(page, "4-run")
         page.get_by_role("link", name="See whether to run it").click()
-        heading = page.get_by_role("heading", name="May it be run?")
-        assert heading.is_visible()
+        page.get_by_role("heading", name="May it be run?").wait_for()
         report = page.frame_locator("iframe")
         report.locator("h1").wait_for()
         looked_at(page, "5-program")
@@ -96,7 +96,7 @@ def test_from_an_empty_folder_to_a_corrected_program(browser, window):
         looked_at(page, "7-cell")
         page.locator("input[name='base.X']").fill("1510")
         page.get_by_role("button", name="Save").click()
-        assert page.get_by_text("Saved.").is_visible()
+        page.get_by_text("Saved.").wait_for()
         cell_after = window.workspace.cell.read_text()
         assert comments(cell_before) == comments(cell_after)
         assert cell_before != cell_after
