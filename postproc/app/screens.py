@@ -345,6 +345,7 @@ def shown_texts(form: Mapping[str, str]) -> dict[str, str]:
 _CELL_TITLES = {
     "base": "Part: $BASE",
     "tool": "Tool: $TOOL",
+    "machine": "Height to which programs retract",
     "payload": "Load on the flange",
     "part": "Tolerance of the part, and its mesh",
     "tool_compliance": "Compliance of holder, spindle and tool",
@@ -478,9 +479,15 @@ def _picture(path: Path) -> dict[str, Any]:
     try:
         picture = cell_picture(path)
     except PostprocError as cause:
-        return {"robot": "", "views": [], "is_start": False, "unusable": str(cause)}
+        return {"robot": "", "views": [], "is_start": False, "start_warning": "", "unusable": str(cause)}
     views = [arm_view(picture, name, axes) for name, axes in (("From the side", (0, 2)), ("From above", (0, 1)))]
-    return {"robot": picture.title, "views": views, "is_start": picture.is_start, "unusable": ""}
+    return {
+        "robot": picture.title,
+        "views": views,
+        "is_start": picture.is_start,
+        "start_warning": f"{picture.warning[:1].upper()}{picture.warning[1:]}",
+        "unusable": "",
+    }
 
 
 def robots(name: str, workspace: Workspace, readings: Sequence[Readings]) -> Page:

@@ -22,7 +22,7 @@ from postproc.app.testpart import TestPart
 from postproc.app.workspace import MEDIA_TYPES, RESULTS, Workspace
 from postproc.errors import InputError, PostprocError
 from postproc.files.fault_log import write_fault
-from postproc.jobs.cell_edit import edit, fields_of, kept_frames, set_feed_rule, set_robot, use_model
+from postproc.jobs.cell_edit import choose_start, edit, fields_of, kept_frames, set_feed_rule, set_robot, use_model
 from postproc.jobs.experiments import model_of, readings_of
 from postproc.jobs.file_form import FormField, own_changes
 from postproc.jobs.guided_start import is_edited, load_answers
@@ -469,6 +469,15 @@ class _Handler(BaseHTTPRequestHandler):
             return self.cell(str(cause))
         return self._lead("/cell?saved")
 
+    def posted_start(self) -> None:
+        """Choose where programs start: above the part."""
+        path = self.server.workspace.stated_cell()
+        try:
+            self.server.runs.edit(lambda: choose_start(path))
+        except InputError as cause:
+            return self.cell(str(cause))
+        return self._lead("/cell?saved")
+
     def posted_cell(self) -> None:
         """Take numbers of the cell."""
         form, path, tools = self.form(), self.server.workspace.stated_cell(), self._tools()
@@ -571,5 +580,6 @@ _CHANGES: dict[str, Callable[[_Handler], None]] = {
     "/stop": _Handler.stop,
     "/cell": _Handler.posted_cell,
     "/robot": _Handler.posted_robot,
+    "/start": _Handler.posted_start,
     "/process": _Handler.posted_process,
 }

@@ -6,17 +6,19 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import tomlkit
+from msgspec.structs import replace
 
 from postproc import cell as cells
 from postproc import files
 from postproc import robot as robots
-from postproc.errors import CellError, PostprocError
+from postproc.errors import CellError, InputError, PostprocError
 from postproc.jobs.file_form import FormField, edit_text, fields_of_table, parse, table_schema, write_valid
-from postproc.jobs.first_steps import relative_path
+from postproc.jobs.first_steps import CLEARANCE_MM, relative_path
 from postproc.jobs.programs import load_robot
+from postproc.jobs.start_joints import QUARTER_TURNS, USUAL_START, joints_above_part
 
-TABLES = ("base", "tool", "payload", "part", "tool_compliance")
-"""Tables that have fields: what a shop measures."""
+TABLES = ("base", "tool", "machine", "payload", "part", "tool_compliance")
+"""Tables that have fields: what a shop measures, and the height to which programs retract."""
 
 
 def fields_of(path: Path, tools: Sequence[int] = ()) -> list[FormField]:
@@ -108,6 +110,30 @@ def set_feed_rule(path: Path, rule: str) -> bool:
     old_text = files.read_text(path, CellError)
     document = parse(old_text, str(path), CellError)
     document.setdefault("output", tomlkit.table())["feed"] = rule
+    new_text = tomlkit.dumps(document)
+    if new_text != old_text:
+        write_valid(path, new_text, cells.load)
+    return new_text != old_text
+
+
+def choose_start(path: Path) -> bool:
+    """Write [start] joints with the tip above the origin of `$BASE` into a cell file; return whether it had others.
+
+    :raises InputError: no such joints are within reach, or the cell is unusable.
+    """
+    cell = cells.load(path)
+    robot = load_robot(cell.robot, cell.folder)
+    if cell.start is None:
+        cell = replace(cell, start=cells.Start(USUAL_START))
+    clearance = CLEARANCE_MM if cell.machine.clearance_Z is None else cell.machine.clearance_Z
+    turns = (cell.gcode.redundancy_deg,) if cell.gcode.redundancy == "constant" else QUARTER_TURNS
+    joints = joints_above_part(cell, robot, clearance, turns)
+    if joints is None:
+        problem = f"no [start] is within reach above the origin of $BASE, with the tip above Z {clearance:g}"
+        raise InputError(problem, file=str(path), advice="Check [base], [tool] and clearance_Z.")
+    old_text = files.read_text(path, CellError)
+    document = parse(old_text, str(path), CellError)
+    document.setdefault("start", tomlkit.table())["joints"] = list(joints)
     new_text = tomlkit.dumps(document)
     if new_text != old_text:
         write_valid(path, new_text, cells.load)

@@ -10,6 +10,7 @@ from msgspec import Struct
 from postproc import cell as cells
 from postproc.frames import MM_PER_M, RAD_PER_DEG, Array
 from postproc.jobs.programs import load_robot
+from postproc.jobs.start_joints import low_start
 
 _EXAMPLE = (0.0, -90.0, 100.0, 0.0, 80.0, 0.0)
 """Posture of a cell without [start]: A1…A6 [deg]."""
@@ -23,6 +24,7 @@ class CellPicture(Struct, frozen=True, eq=False):
     :param tip: (3,) tip of the tool.
     :param base: (3,) origin of `$BASE`, `base_axes`: (3, 3) its X, Y, Z, one a row.
     :param is_start: whether the posture is [start] of the cell; else an example.
+    :param warning: the tip starts below the height to which programs retract; empty: it does not.
     """
 
     title: str
@@ -31,6 +33,7 @@ class CellPicture(Struct, frozen=True, eq=False):
     base: Array
     base_axes: Array
     is_start: bool
+    warning: str
 
 
 def cell_picture(path: Path) -> CellPicture:
@@ -43,6 +46,8 @@ def cell_picture(path: Path) -> CellPicture:
     angles = np.array(_EXAMPLE) * RAD_PER_DEG if cell.start is None else cell.start_joints
     joints, flange = robot.nominal.joint_frames(angles[None])
     arm = np.vstack([np.zeros(3), joints[0, :6, :3, 3], flange[0, :3, 3]]) * MM_PER_M
+    clearance = cell.machine.clearance_Z
+    warnings = () if cell.start is None or clearance is None else low_start(cell, robot, clearance)
     tool, base = flange[0] @ cell.tool.pose(), cell.base.pose()
     return CellPicture(
         title=robot.title,
@@ -51,4 +56,5 @@ def cell_picture(path: Path) -> CellPicture:
         base=base[:3, 3] * MM_PER_M,
         base_axes=base[:3, :3].T,
         is_start=cell.start is not None,
+        warning=next(iter(warnings), ""),
     )

@@ -19,15 +19,16 @@ from msgspec import Struct
 
 from postproc import correction, files, kinematics
 from postproc import robot as robots
-from postproc.cell import Cell, Frame, GCode, Rotary, Start, Tool, ToolAxis, load
+from postproc.cell import Cell, Frame, Rotary, Start, Tool, ToolAxis, load
 from postproc.correction.plausibility import near_base, short_tool
 from postproc.dialects.text import decode
 from postproc.errors import CellError, InputError, ModelError, OptionError, ProgramError, first_of
 from postproc.files import path_list, read_text, toml, write_whole
-from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, inverse, xyzabc_from_pose
+from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, xyzabc_from_pose
 from postproc.jobs.answers import BY_HAND, NO_LINES, Numbers
 from postproc.jobs.output_plan import protect
 from postproc.jobs.programs import load_robot
+from postproc.jobs.start_joints import QUARTER_TURNS, USUAL_START, joints_above_part, low_start, upright_joints
 from postproc.robot import JOINTS, RobotModel, shapes
 from postproc.robot.from_urdf import Adopted, adopt
 from postproc.robot.shapes import LinkShape
@@ -86,15 +87,7 @@ CLEARANCE_MM = 200.0
 """Z of `$BASE` to which programs retract unless something else is given: usual CAM set-ups are below it [mm]."""
 LARGEST_MM = 1e6
 """Lengths beyond a kilometre are a mistake in the unit."""
-USUAL_START = (0.0, -70.0, 110.0, 0.0, 50.0, 0.0)
-"""A1…A6 [deg] of the branch on which programs start unless something else is given: ahead, elbow up, A5 > 0."""
-_ABOVE_MM = 50.0
-"""The tip starts by this much above `clearance` unless something else is given [mm] (assumed)."""
 _ZERO = (0.0,) * 6
-_TURNS = (0.0, 90.0, 180.0, -90.0)
-"""Turns [deg] of the first tool that are tried: how a spindle is mounted."""
-_MARGIN = np.radians(10.0)
-"""A chosen start is not nearer to a joint limit (assumed)."""
 
 
 class CellRequest(Struct, frozen=True, kw_only=True):
@@ -105,7 +98,7 @@ class CellRequest(Struct, frozen=True, kw_only=True):
     :param base: `$BASE` in the robot root: X, Y, Z[, A, B, C] in mm and degrees, or the number of a BASE_DATA.
     :param tool: `$TOOL` in the flange frame, likewise, or the number of a TOOL_DATA.
     :param axis: of the tool frame that points from the spindle to the tip.
-    :param start: A1…A6 where programs start [deg]; None: above the origin of `$BASE`, `_ABOVE_MM` above `clearance`.
+    :param start: A1…A6 where programs start [deg]; None: above the origin of `$BASE`, 50 mm above `clearance`.
     :param config_dat: `$config.dat` of the controller, for frames by number.
     :param clearance: Z of `$BASE` to which G28, G30 and G53 retract [mm].
     :param tool_change: `BY_HAND`, `NO_LINES`, or the line that calls the tool changer, with {T}.
@@ -187,7 +180,7 @@ def write_cell(request: CellRequest) -> tuple[str, ...]:
     cell = Cell(robot=place, base=Frame(*base), tool=tool_frame, start=msgspec.convert({"joints": start}, Start))
     if (
         request.start is None
-        and (start_joints := _start_joints(cell, robot, request.clearance + _ABOVE_MM)) is not None
+        and (start_joints := joints_above_part(cell, robot, request.clearance, QUARTER_TURNS)) is not None
     ):
         cell = msgspec.structs.replace(cell, start=msgspec.convert({"joints": start_joints}, Start))
     turn, remarks = _turn_of_tool(cell, robot)
@@ -196,7 +189,7 @@ def write_cell(request: CellRequest) -> tuple[str, ...]:
         *_metre_questions(cell, tools),
         *_base_warnings(cell),
         *remarks,
-        *_low_start(cell, robot, request.clearance),
+        *low_start(cell, robot, request.clearance),
     )
     text = _text(place, robot, cell, turn, config, request, tools)
     _check_text(text, request.output)
@@ -292,39 +285,6 @@ def _frame_of(config: Path, array: str, number: int, robot: RobotModel) -> Numbe
     return tuple(float(value) for value in np.round(frame.ravel(), 6) + 0.0)
 
 
-def _upright(cell: Cell, robot: RobotModel, turn: float, height: float) -> Array:
-    """Return the joints (6,) [rad] with the tool upright above the origin of `$BASE`, on the branch of the start.
-
-    :param turn: of the tool about its axis [deg].
-    :param height: Z of the tip in `$BASE` [mm].
-    :returns: NaN if it is out of reach.
-    """
-    form = kinematics.closed_form(robot)
-    pose = cell.base.pose()
-    pose[:3, 3] += pose[:3, 2] * (height / MM_PER_M)
-    pose[:3, :3] = pose[:3, :3] @ msgspec.structs.replace(cell, gcode=GCode(redundancy_deg=turn)).tool_pose_in_program()
-    joints: Array = form.branches((pose @ inverse(cell.tool.pose()))[None])[
-        0, form.branch_of(cell.start_joints[None])[0]
-    ]
-    return joints
-
-
-def _start_joints(cell: Cell, robot: RobotModel, height: float) -> tuple[float, ...] | None:
-    """Return A1…A6 [deg] with the tip above the origin of `$BASE`, A4 and A6 near 0; None if it is out of reach.
-
-    :param height: Z of the tip in `$BASE` [mm].
-    """
-    candidates = []
-    for turn in _TURNS:
-        joints = _upright(cell, robot, turn, height)
-        if np.isfinite(joints).all() and (kinematics.joint_margin(robot, joints[None]) > _MARGIN).all():
-            candidates.append(joints)
-    if not candidates:
-        return None
-    nearest = min(candidates, key=lambda joints: float(np.abs(joints[[3, 5]]).max()))
-    return tuple((np.round(nearest * DEG_PER_RAD, 1) + 0.0).tolist())
-
-
 _LARGEST_Z = -0.1
 """Largest Z component, in the robot root, of a Z axis that points down (assumed)."""
 
@@ -345,17 +305,6 @@ def _base_warnings(cell: Cell) -> Iterator[str]:
         )
 
 
-def _low_start(cell: Cell, robot: RobotModel, clearance: float) -> Iterator[str]:
-    """Yield a warning if the tip starts below the height to which programs retract [mm]."""
-    tip = kinematics.tcp(robot.nominal, cell.start_joints[None], cell.tool.pose())[0][0]
-    x, y, z = (inverse(cell.base.pose()) @ tip)[:3, 3] * MM_PER_M
-    if z < clearance:
-        yield (
-            f"at [start] the tip is at X {x:.0f}, Y {y:.0f}, Z {z:.0f} of $BASE, {clearance - z:.0f} mm below "
-            "clearance_Z: the first move comes from below. Give [start] joints with the tip above part and clamps."
-        )
-
-
 def _turn_of_tool(cell: Cell, robot: RobotModel) -> tuple[float, tuple[str, ...]]:
     """Return the quarter turn of the tool about its axis that is nearest to how the arm starts, and the problems found.
 
@@ -363,13 +312,13 @@ def _turn_of_tool(cell: Cell, robot: RobotModel) -> tuple[float, tuple[str, ...]
     """
     start = cell.start_joints
     wrist_changes = []
-    for turn in _TURNS:
-        joints = _upright(cell, robot, turn, 0.0)
+    for turn in QUARTER_TURNS:
+        joints = upright_joints(cell, robot, turn, 0.0)
         changes = np.abs((joints - start + np.pi) % (2.0 * np.pi) - np.pi)
         wrist_changes.append(float(changes[[3, 5]].max()) if np.isfinite(changes).all() else np.inf)
     best = int(np.argmin(wrist_changes))
     if np.isfinite(wrist_changes[best]):
-        return _TURNS[best], ()
+        return QUARTER_TURNS[best], ()
     return 0.0, ("out of reach: the origin of $BASE, with the tool upright on it. Check [base], [tool] and [start].",)
 
 

@@ -5,11 +5,14 @@ from __future__ import annotations
 import json
 import shutil
 
+import numpy as np
 import pytest
 
 from postproc import cell as cells
 from postproc.app.server import Window
+from postproc.frames import MM_PER_M, inverse
 from postproc.jobs.cell_edit import edit
+from postproc.jobs.programs import load_robot
 from tests.app.conftest import answering
 from tests.app.test_window import looked_at, opened
 from tests.pages.browser import needs_chromium
@@ -124,6 +127,27 @@ def test_change_the_robot_of_the_cell(browser, window):
         page.get_by_role("button", name="Save").click()
         page.get_by_text("Saved.").wait_for()
     assert cells.load(cell).base.X == 1490.0
+
+
+def test_put_the_start_above_a_part_that_was_moved(browser, window):
+    cell = window.workspace.cell
+    comments = [line.partition("#")[2] for line in cell.read_text().splitlines() if "#" in line]
+    with opened(browser, window) as page:
+        page.get_by_role("link", name="Cell", exact=True).click()
+        page.locator("input[name='base.Z']").fill("1200")
+        page.locator("input[name='machine.clearance_Z']").fill("150")
+        page.get_by_role("button", name="Save").click()
+        page.get_by_text("below clearance_Z").wait_for()
+        looked_at(page, "19-low-start")
+        page.get_by_role("button", name="Start above the part").click()
+        page.get_by_text("below clearance_Z").wait_for(state="detached")
+        looked_at(page, "20-start-above")
+    assert [line.partition("#")[2] for line in cell.read_text().splitlines() if "#" in line] == comments
+    stated = cells.load(cell)
+    robot = load_robot(stated.robot, stated.folder)
+    tip = robot.nominal.joint_frames(stated.start_joints[None])[1][0] @ stated.tool.pose()
+    place = (inverse(stated.base.pose()) @ tip)[:3, 3] * MM_PER_M
+    np.testing.assert_allclose(place, [0.0, 0.0, 200.0], atol=10.0)  # joints are rounded to 0.1 degrees
 
 
 def test_stop_a_long_run(browser, window):

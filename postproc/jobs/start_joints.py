@@ -1,0 +1,70 @@
+"""The joints where programs start: above the part, so that the first move comes from above."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from msgspec.structs import replace
+
+from postproc import kinematics
+from postproc.cell import Cell
+from postproc.frames import DEG_PER_RAD, MM_PER_M, RAD_PER_DEG, Array, inverse
+from postproc.robot import RobotModel
+
+USUAL_START = (0.0, -70.0, 110.0, 0.0, 50.0, 0.0)
+"""A1…A6 [deg] of the branch on which programs start unless something else is given: ahead, elbow up, A5 > 0."""
+QUARTER_TURNS = (0.0, 90.0, 180.0, -90.0)
+"""Turns of the tool about its axis [deg] that are tried: how a spindle is mounted."""
+_ABOVE_MM = 50.0
+"""The tip starts by this much above the height to which programs retract [mm] (assumed)."""
+_MARGIN = 10.0 * RAD_PER_DEG
+"""A chosen start is not nearer to a joint limit [rad] (assumed)."""
+
+
+def joints_above_part(
+    cell: Cell, robot: RobotModel, clearance: float, turns: Sequence[float]
+) -> tuple[float, ...] | None:
+    """Return A1…A6 [deg] with the tip above the origin of `$BASE`, A4 and A6 near 0; None if it is out of reach.
+
+    :param cell: its [start] gives the branch of the arm.
+    :param clearance: Z of `$BASE` to which programs retract [mm]; the tip is 50 mm above it.
+    :param turns: of the tool about its axis that are tried [deg].
+    """
+    candidates = []
+    for turn in turns:
+        joints = upright_joints(cell, robot, turn, clearance + _ABOVE_MM)
+        if np.isfinite(joints).all() and (kinematics.joint_margin(robot, joints[None]) > _MARGIN).all():
+            candidates.append(joints)
+    if not candidates:
+        return None
+    nearest = min(candidates, key=lambda joints: float(np.abs(joints[[3, 5]]).max()))
+    return tuple((np.round(nearest * DEG_PER_RAD, 1) + 0.0).tolist())
+
+
+def upright_joints(cell: Cell, robot: RobotModel, turn: float, height: float) -> Array:
+    """Return the joints (6,) [rad] with the tool upright above the origin of `$BASE`, on the branch of the start.
+
+    :param turn: of the tool about its axis [deg].
+    :param height: Z of the tip in `$BASE` [mm].
+    :returns: NaN if it is out of reach.
+    """
+    form = kinematics.closed_form(robot)
+    pose = cell.base.pose()
+    pose[:3, 3] += pose[:3, 2] * (height / MM_PER_M)
+    turned_cell = replace(cell, gcode=replace(cell.gcode, redundancy_deg=turn))
+    pose[:3, :3] = pose[:3, :3] @ turned_cell.tool_pose_in_program()
+    branch = form.branch_of(cell.start_joints[None])[0]
+    joints: Array = form.branches((pose @ inverse(cell.tool.pose()))[None])[0, branch]
+    return joints
+
+
+def low_start(cell: Cell, robot: RobotModel, clearance: float) -> Iterator[str]:
+    """Yield a warning if the tip starts below the height to which programs retract [mm]."""
+    tip = kinematics.tcp(robot.nominal, cell.start_joints[None], cell.tool.pose())[0][0]
+    x, y, z = (inverse(cell.base.pose()) @ tip)[:3, 3] * MM_PER_M
+    if z < clearance:
+        yield (
+            f"at [start] the tip is at X {x:.0f}, Y {y:.0f}, Z {z:.0f} of $BASE, {clearance - z:.0f} mm below "
+            "clearance_Z: the first move comes from below. Give [start] joints with the tip above part and clamps."
+        )
