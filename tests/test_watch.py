@@ -629,3 +629,14 @@ if __name__ == "__main__":
         found = arriving(Path(place), asked.files, asked.kills, 0.3, asked.seed)
     check_arrived(*found, asked.files, asked.kills)
     print(f"{asked.files} programs arrived, {asked.kills} times killed: {len(found[1])} written, each once")
+
+
+def test_forces_in_comments_win_over_the_process_for_all(watcher, tmp_path):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "process.toml").write_text(PROCESS.format(diameter=8))
+    known = watcher()
+    put(tmp_path, "a.nc", MILLED.replace("G1", "(FORCE FX=10 FY=20 FZ=30)\nG1", 1))
+    assert converted(known) == ["a.nc"]
+    report = json.loads((tmp_path / "out" / "a.report.json").read_bytes())
+    assert report["inputs"]["forces"] == "-", "no file"
+    assert report["exit_code"] == 0

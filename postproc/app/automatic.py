@@ -71,7 +71,7 @@ class Automatic:
         :param time_s: monotonic time [s].
         """
         is_idle, busy = self._commands()
-        paths = [path for path in self._arrivals.ready(time_s, busy) if not self._workspace.twin(path.name)]
+        paths = [path for path in self._arrivals.ready(time_s, busy) if not self._workspace.name_fault(path.name)]
         if not (self.is_on and is_idle and paths):
             return
         items = {item.name: item for item in self._workspace.items()}

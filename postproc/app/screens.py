@@ -83,9 +83,9 @@ def _page(template: str, **context: Any) -> Page:
 def answers_of(item: Item) -> dict[str, Any]:
     """Return the three answers about a program as texts: may it be run, what is gained, what is expected."""
     content = None if item.entry is None else item.entry.content
-    if item.twin:
-        problem = f"Rename it: its files would be those of {item.twin}"
-        return {"state": "twin", "run": problem, "kind": "error", "headline": "", "reasons": []}
+    if item.name_fault:
+        problem = f"Rename it: {item.name_fault}"
+        return {"state": "unusable name", "run": problem, "kind": "error", "headline": "", "reasons": []}
     if item.entry is None or content is None:
         return {"state": "new", "run": "Not corrected yet", "kind": "soft", "headline": "", "reasons": []}
     uncorrected, corrected_text = (

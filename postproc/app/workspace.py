@@ -59,18 +59,18 @@ class Item(Struct, frozen=True):
     """A program of the folder and its results.
 
     :param changes: what differs from what the results were made from, see `currency.changes`; empty: they are current.
-    :param twin: another program of the folder that would be written to the same files; empty: there is none.
+    :param name_fault: why the window cannot use its name; empty: it can.
     """
 
     name: str
     entry: Entry | None
     changes: tuple[str, ...] = ()
-    twin: str = ""
+    name_fault: str = ""
 
     @property
     def current(self) -> bool:
         """Return whether the results are those of the present inputs."""
-        return self.entry is not None and not self.changes and not self.twin
+        return self.entry is not None and not self.changes and not self.name_fault
 
 
 class Workspace(Struct, frozen=True):
@@ -103,14 +103,13 @@ class Workspace(Struct, frozen=True):
 
         :raises InputError: there is none of this name, or another program would be written to the same files.
         """
-        path = self.program(name)
-        if twin := self.twin(name):
-            raise InputError(f"{name} and {twin} would be written to the same files", advice="Rename one of them.")
-        return path
+        if fault := self.name_fault(name):
+            raise InputError(f"{name}: {fault}", advice="Rename it.")
+        return self.program(name)
 
-    def twin(self, name: str) -> str:
-        """Return another program of the folder that would be written to the same files; empty: there is none."""
-        return _twin(name, self._names())
+    def name_fault(self, name: str) -> str:
+        """Return why the window cannot use the name of a program; empty: it can."""
+        return _name_fault(name, self._names())
 
     def _names(self) -> list[str]:
         """Return the names of the programs of the folder, sorted."""
@@ -157,7 +156,7 @@ class Workspace(Struct, frozen=True):
 
     def process(self, name: str) -> Path | None:
         """Return the process file of a program; None: there is none."""
-        path = process_of(Path(name), self.results)
+        path = process_of(self.folder / name, self.results)
         return None if path is None else self.path_in_folder(path)
 
     def process_to_edit(self, name: str) -> Path:
@@ -212,7 +211,7 @@ class Workspace(Struct, frozen=True):
         entries = {entry.name: entry for entry in reported_programs(self.results)} if self.results.is_dir() else {}
         setup, names = Setup.of(self.cell), self._names()
         return [
-            Item(name, entries.get(name), self._changes(name, entries.get(name), setup), _twin(name, names))
+            Item(name, entries.get(name), self._changes(name, entries.get(name), setup), _name_fault(name, names))
             for name in names
         ]
 
@@ -239,9 +238,8 @@ class Workspace(Struct, frozen=True):
         if os.path.lexists(path):
             advice = "Rename the new one, or replace the file in the folder."
             raise InputError(f"{name} is in the folder already", advice=advice)
-        if twin := self.twin(name):
-            problem = f"{name} and {twin}, which is in the folder, would be written to the same files"
-            raise InputError(problem, advice="Rename the new one.")
+        if fault := self.name_fault(name):
+            raise InputError(f"{name}: {fault}, which is in the folder", advice="Rename the new one.")
         with tempfile.NamedTemporaryFile(dir=self.folder, prefix=".postproc-", delete=False) as file:
             upload_path = Path(file.name)
             absent_parts = size
@@ -259,12 +257,17 @@ class Workspace(Struct, frozen=True):
         return path
 
 
-def _twin(name: str, names: Sequence[str]) -> str:
-    """Return another program that would be written to the same files, in a robot's language or by the window."""
+def _name_fault(name: str, names: Sequence[str]) -> str:
+    """Return why the window cannot use the name of a program; empty: it can.
+
+    :param names: of all programs: two must not be written to the same files, in a robot's language or by the window.
+    """
+    if _FOREIGN.search(name):
+        return "its name has a character, a beginning or an end that Windows or a command line would not take"
     stems = _written_stems(name)
-    return next(
-        (program_name for program_name in names if program_name != name and stems & _written_stems(program_name)), ""
-    )
+    twins = (program_name for program_name in names if program_name != name and stems & _written_stems(program_name))
+    twin = next(twins, "")
+    return f"its files would be those of {twin}" if twin else ""
 
 
 @cache

@@ -277,15 +277,18 @@ def process_of(program: Path, output: Path, common: Path | None = None) -> Path 
     """Return the process file of a program; None: there is none.
 
     It is NAME.process.toml in the folder of the results, else the one for all programs, else process.toml in the folder
-    of the results. `watch` and the window find it so.
+    of the results, unless the program states its forces in comments. `watch` and the window find it so.
 
+    :param program: its path.
     :param output: folder of the results.
     :param common: process file that is stated for all programs.
     """
     process_file, shared_file = output / f"{program.stem}.process.toml", output / "process.toml"
     if process_file.is_file():
         return process_file
-    return common if common is not None or not shared_file.is_file() else shared_file
+    if common is not None or not shared_file.is_file():
+        return common
+    return None if states_forces(program) else shared_file
 
 
 _FORCE = re.compile(rb"(?:(?:[;(!]|\$\$)[ \t]*|\bPPRINT[^\r\n]{0,80}?)(FORCE\b[^\r\n]*)", re.IGNORECASE)

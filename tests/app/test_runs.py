@@ -167,12 +167,12 @@ def test_programs_that_would_be_written_to_the_same_files_are_refused(shop, name
 
     workspace = Workspace(shop.resolve())
     (shop / name).write_text("x")
-    with pytest.raises(InputError, match="same files"):
+    with pytest.raises(InputError, match="its files would be those of"):
         workspace.sole_program("part.nc")
     assert [item.current for item in workspace.items()] == [False, False]
     (shop / name).unlink()
     assert workspace.sole_program("part.nc").name == "part.nc"
-    with open(shop / "part.nc", "rb") as file, pytest.raises(InputError, match="same files"):  # noqa: PTH123
+    with open(shop / "part.nc", "rb") as file, pytest.raises(InputError, match="its files would be those of"):  # noqa: PTH123
         workspace.add(name, file, 10)
 
 
@@ -181,8 +181,23 @@ def test_names_that_become_one_on_the_controller_are_the_same(shop):
 
     for name in ("my part.nc", "my_part.nc"):
         (shop / name).write_text("G0 X1\n")
-    with pytest.raises(InputError, match="same files"):
+    with pytest.raises(InputError, match="its files would be those of"):
         Workspace(shop.resolve()).sole_program("my part.nc")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no files of these names")
+@pytest.mark.parametrize("name", ["x<y.nc", 'it"s.nc', "a\\b.nc", "-o.nc"])
+def test_a_name_that_the_window_cannot_use_is_named_in_the_list(shop, name):
+    from postproc.app.server import Window
+    from tests.app.conftest import answering
+
+    (shop / name).write_text("G0 X1\n")
+    with Window(shop, 0) as window, answering(window):
+        status, _, page = ask(window, "GET", "/")
+        assert status == 200
+        assert b"Rename it: its name has a character" in page
+        assert ask(window, "GET", "/setup?" + urlencode({"name": name}))[0] == 400
+        assert ask(window, "GET", "/setup?name=part.nc")[0] == 200
 
 
 def test_answers_are_kept_while_another_command_works_on_the_program(shop):
