@@ -150,7 +150,7 @@ def executed(files, seed, program, main="PART", initmov="cell"):
             continue
         if 0 < motion.synchronised < controller.synchronised:
             raise Wrong(f"the motion in line {motion.line} is between two SYNCCMD")
-        if motion.mode == "#TCP":
+        if motion.mode == "#TCP" and motion.joints is None:
             raise Wrong(f"the robot holds the part in line {motion.line}")
         begins_uncorrected = False
         made.append(motion)

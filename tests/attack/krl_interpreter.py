@@ -526,6 +526,8 @@ class Controller:
                 self.block(routine.body)
         except _Resume:
             raise Invalid("RESUME in the routine that declares the interrupt") from None
+        except _Goto as jump:
+            raise Invalid(f"GOTO to {jump.args[0]}, which is no label: no controller takes the program") from None
         return self.motions
 
     def block(self, body):
