@@ -118,8 +118,12 @@ def region_of(text: str | None, cell: Cell) -> Region:
     if text is None:
         for axis, reach in _DEFAULT_REACH.items():
             low[axis], high[axis] = today[axis] - reach, today[axis] + reach
+    stated_axes = set[str]()
     for part in () if text is None else text.split(","):
         axis, lower, upper = _bounds(part)
+        if axis in stated_axes:
+            raise OptionError(f"--region: {axis} is given twice", advice="Give each axis once.")
+        stated_axes.add(axis)
         low[axis], high[axis] = lower, upper
     if high["E1"] > low["E1"] and cell.carriage is None:
         raise OptionError("--region names E1, but the cell has no [external_axes.E1]", advice="Leave E1 out.")

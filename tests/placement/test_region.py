@@ -225,7 +225,7 @@ def test_a_map_shows_todays_place_only_where_it_is_on_it(tmp_path, base, is_on_m
 def test_a_region_that_cannot_be_read_is_refused():
     own = in_line()
     assert region_of("X=1000:1200,A=-10:10", own).free == [0, 3]
-    for text in ("X=1200:1000", "Q=1:2", "X=1", "X=a:b", "E1=0:100"):
+    for text in ("X=1200:1000", "Q=1:2", "X=1", "X=a:b", "E1=0:100", "X=1:2,X=3:4"):
         with pytest.raises(InputError):
             region_of(text, own)
 

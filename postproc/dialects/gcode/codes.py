@@ -43,8 +43,9 @@ _IGNORED_G = (13.1, 15.0, 40.0, 40.1, 49.0, SCALE_OFF, 50.1, 69.0, 97.0)
 """Codes without effect here. They cancel modes that are refused anyway (polar coordinates and interpolation, radius
 compensation, knives, length offset, scale, mirror, rotation), or select the only supported mode (spindle in rpm)."""
 
-SMOOTHING_MODES = {5.0: "P", 5.1: "QR", 8.0: "P", 187.0: "PE"}
-"""Modes of look-ahead and smoothing, with their words (splines with the same code have other words)."""
+SMOOTHING_MODES = {5.0: "P", 5.1: "QR", 8.0: "P", 103.0: "P", 187.0: "PE"}
+"""Modes of look-ahead and smoothing, with their words (splines with the same code have other words); G103 of Haas
+limits the blocks that are read ahead."""
 
 _IGNORED_M = (48.0, 49.0)
 """Override switches of the operator's panel."""

@@ -653,7 +653,7 @@ class _Reader:
             code_words = codes.SMOOTHING_MODES.get(code)
             if code_words is None or not set(values) <= set(code_words):
                 continue
-            if values or code == 187.0:
+            if values or code in (103.0, 187.0):
                 self.smooth.add(row)
                 values.clear()
                 message = f"G{code:g} is ignored: [gcode] corner_tolerance_mm says how exactly corners are cut."
