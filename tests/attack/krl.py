@@ -86,7 +86,9 @@ _WRITTEN = 2e-4
 """Half of the last digits that are printed, in mm and in degrees, several times over."""
 
 
-_INITMOV = ("cell", "cell", "bas", "cell", "cell", "cell", None, "cell", "cell")
+_ASKED, _SAME_TOOL = "asked", "same tool"
+"""The cell does not say what BAS(#INITMOV,0) gives; and its [tool] is that of TOOL_DATA[1] besides."""
+_INITMOV = ("cell", "cell", "bas", "cell", "cell", _SAME_TOOL, _ASKED, "cell", "cell")
 _FEWEST_ROUNDS = 3
 _MEMORY = "/dev/shm" if Path("/dev/shm").is_dir() else None
 """A folder in memory: to make and remove one on a disk takes a tenth of the time of a program."""
@@ -100,11 +102,21 @@ def cell(folder, *, keep=False, initmov="cell"):
     """The cell of `krl_programs` with some more frames."""
     return replace(
         CELL,
-        krl=Krl(search=["lib"], initmov=initmov, keep_unresolved=keep, values=GIVEN),
+        krl=Krl(search=["lib"], initmov=stated(initmov), keep_unresolved=keep, values=GIVEN),
         base_data={str(n): Frame(*values) for n, values in FRAMES.items()},
-        tool_data={str(n): Tool(*values) for n, values in TOOLS.items()},
+        tool_data={str(n): Tool(*values) for n, values in tools(initmov).items()},
         folder=str(folder),
     )
+
+
+def stated(initmov):
+    """What the cell states as `[krl] initmov`."""
+    return None if initmov in (_ASKED, _SAME_TOOL) else initmov
+
+
+def tools(initmov):
+    """The numbered tools of the cell and of the controller."""
+    return {**TOOLS, 1: (0, 0, CELL.tool.Z, 0, 0, 0)} if initmov == _SAME_TOOL else TOOLS
 
 
 def executed(files, seed, program, main="PART", initmov="cell"):
@@ -116,7 +128,9 @@ def executed(files, seed, program, main="PART", initmov="cell"):
     named = {Path(name).name: text for name, text in files.items()}
     data = {
         "BASE_DATA": {n: dict(zip("XYZABC", map(float, v), strict=True)) for n, v in {**FRAMES, 0: (0,) * 6}.items()},
-        "TOOL_DATA": {n: dict(zip("XYZABC", map(float, v), strict=True)) for n, v in {**TOOLS, 0: (0,) * 6}.items()},
+        "TOOL_DATA": {
+            n: dict(zip("XYZABC", map(float, v), strict=True)) for n, v in {**tools(initmov), 0: (0,) * 6}.items()
+        },
         **dict.fromkeys(("FDAT_ACT", "LDAT_ACT", "PDAT_ACT")),
         "$H_POS": {f"A{number}": angle for number, angle in enumerate(CELL.start.joints, 1)},
     }
@@ -124,7 +138,7 @@ def executed(files, seed, program, main="PART", initmov="cell"):
     rng = np.random.default_rng(seed)
     before = rng.bit_generator.state
     frames = abc(base.X, base.Y, base.Z), abc(tool.X, tool.Y, tool.Z)
-    controller = Controller(named, rng, *frames, data, given=GIVEN, side=seed % 2, initmov=initmov)
+    controller = Controller(named, rng, *frames, data, given=GIVEN, side=seed % 2, initmov=stated(initmov))
     motions = controller.run(main)
     course = program.layout.course
     origins = [(course.trace.place(each.row), each.routine) for each in course.steps if isinstance(each, Enter)]
@@ -333,6 +347,8 @@ def confirmed(program, files, folder, rng, *, keep=False, checked=True, lines=0,
         for text in left:
             kept[text] |= left[text]
         compare(program, done, numbers, m.joints, m.kind, 1e-6, m.line)
+        if stated(initmov) is None:
+            check_assumed_frames(program, files, seed, done, initmov)
         runs += 1
         if not by_chance:
             runs = RUNS
@@ -390,6 +406,26 @@ def confirmed(program, files, folder, rng, *, keep=False, checked=True, lines=0,
     if runs == RUNS and not finished:
         raise Wrong("what is written stops")
     return "kept" if program.unresolved else "branches" if branching(program) else "accepted"
+
+
+def check_assumed_frames(program, files, seed, motions, initmov):
+    """Raise `Wrong` unless a frame that BAS(#INITMOV,0) gives is asked for where the cell's is another one.
+
+    :param motions: that the controller has made with one of the two.
+    """
+    asked = {issue.subject for issue in program.issues if issue.kind == "initial-frames" and issue.count}
+    if initmov == _SAME_TOOL and "$TOOL" in asked:
+        raise Wrong("$TOOL is asked for, though the cell has that of the controller")
+    for name in ("cell", "bas"):
+        try:
+            others = executed(files, seed, program, initmov=name)[0] if initmov == _ASKED else motions
+        except Invalid:
+            continue
+        for one, other in zip(motions, others, strict=False):
+            if one.joints is None and not np.allclose(one.base, other.base) and "$BASE" not in asked:
+                raise Wrong(f"$BASE of line {one.line} is what BAS(#INITMOV,0) gives, and not asked for")
+            if one.joints is None and not np.allclose(one.tool, other.tool) and "$TOOL" not in asked:
+                raise Wrong(f"$TOOL of line {one.line} is what BAS(#INITMOV,0) gives, and not asked for")
 
 
 def often(program, files, initmov):

@@ -39,10 +39,10 @@ def array(head, *body):
     return ["CUT(P[])", "LIN P[2]", "END", head, "DECL E6POS Q[]", *body]
 
 
-def read(lines, folder):
+def read(lines, folder, *, keep=False):
     text = "\n".join(["DEF part( )", "BAS(#INITMOV,0)", START, *lines, "END", ""])
     files = {"part.src": text, "part.dat": DATA}
-    return attack.read(files, folder), files
+    return attack.read(files, folder, keep=keep), files
 
 
 BACK = ["AGAIN:", to("I*5"), "I=I+1", "IF I<4 THEN", "GOTO AGAIN", "ENDIF", to(8)]
@@ -125,3 +125,21 @@ REFUSED = {
 def test_what_is_not_known_is_refused(problem, tmp_path):
     with pytest.raises(ProgramError, match=problem):
         read(REFUSED[problem], tmp_path)
+
+
+def test_a_loop_by_goto_that_is_not_followed_is_not_taken_for_one_round(tmp_path):
+    """Its label is inside: the values of its rounds, which were followed in vain, were those behind its first round."""
+    lines = [
+        "AGAIN:",
+        "I=I+1",
+        "LIN P[I]",
+        "IF I==5 THEN",
+        "GOTO INNER",
+        "ENDIF",
+        "INNER:",
+        "IF I<3 THEN",
+        "GOTO AGAIN",
+        "ENDIF",
+    ]
+    with pytest.raises(ProgramError, match="precedes GOTO"):
+        read(lines, tmp_path, keep=True)

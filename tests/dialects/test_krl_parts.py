@@ -296,6 +296,14 @@ def test_what_several_files_use_is_global_under_names_that_are_the_programs_own(
     assert "CUT is part_cut" in told.message
 
 
+def test_members_of_a_structure_keep_their_names_where_a_variable_of_the_name_becomes_global():
+    structure = "STRUC PLACE INT COUNT,REAL R\n  DECL PLACE HERE\n  HERE={COUNT 2,R 1.5}\n  LIN P[HERE.COUNT]"
+    source = OWN.replace("DECL INT I\n  I=7", f"DECL INT I\n  {structure}\n  I=7")
+    written = in_some_files(20, source=source)
+    assert structure in "".join(document.text for document in written.documents)
+    np.testing.assert_array_equal(numbers(back(written)), numbers(read(source, OWN_DATA)))
+
+
 def test_routines_that_were_global_before_are_named_since_the_controller_may_have_them_twice():
     def warnings(written):
         return [i.message for i in written.issues if (i.kind, i.level) == ("global-routines", "warning")]

@@ -284,12 +284,16 @@ class Flow:
         return callee is not None and self.run.analysis.of(*callee).motion is not None
 
     def _undoing(self, recorder: Recorder) -> Callable[[], None]:
-        """Return a function that restores the present state of the run."""
+        """Return a function that restores the present state of the run; without `keep` nothing runs behind it."""
         run, entered_calls = self.run, self.interpreter.calls.entered
         marks, mark, position = run.marks(), recorder.mark(), run.position()
         calls_open, depth = len(entered_calls), len(self._way)
+        values, state = run.variables.as_now() if run.keep else None, run.settings.state
 
         def undo() -> None:
+            if values is not None:
+                run.variables.as_then(values)
+                run.settings.change(run.row, state)
             run.back_to(marks)
             recorder.back_to(mark)
             run.return_to(position)

@@ -124,7 +124,7 @@ class Sharing:
             for line in range(routine.first + 1, routine.last):
                 start, stop = self.source.code_span(line)
                 names = variables & names_in(self.source.text, start, stop)
-                if not names or (routine is self.main and line in declaration_lines):
+                if not names or self._is_type(line) or (routine is self.main and line in declaration_lines):
                     continue
                 names &= {item.name for item in occurrences(self.source.text, start, stop)}
                 assigned_names = self._written_in(line)
@@ -198,6 +198,10 @@ class Sharing:
         node = statement(self.source, line)
         return isinstance(node, Declaration) and node.constant
 
+    def _is_type(self, line: int) -> bool:
+        """Return whether a line declares a type, whose members and constants may have the names of variables."""
+        return statement(self.source, line).word in ("STRUC", "ENUM")
+
     @staticmethod
     def _names_by_line(declarations: Iterable[tuple[int, Declared]]) -> list[set[str]]:
         lines: dict[int, set[str]] = {}
@@ -246,7 +250,8 @@ class Sharing:
             all_names = names.keys() | routines.keys()
             for line in range(routine.first, routine.last):
                 start, stop = self.source.code_span(line)
-                if line in removed_lines or all_names.isdisjoint(names_in(text, start, stop)):
+                is_kept = line in removed_lines or self._is_type(line)
+                if is_kept or all_names.isdisjoint(names_in(text, start, stop)):
                     continue
                 for item in occurrences(text, start, stop):
                     is_call = item.called or line == routine.first
