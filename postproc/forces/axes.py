@@ -165,6 +165,11 @@ class Axes(Struct, frozen=True, eq=False):
                 rotated_columns[rows] = np.einsum(product, rotation, columns[rows])
         return rotated_columns
 
+    def previous(self) -> Ints:
+        """Return the motion (M,) at whose end each motion begins; −1 at the start of the program."""
+        program = self.program
+        return np.arange(len(program.motions)) - 1 if program.after is None else program.after
+
     def at_start(self, columns: Array, frame: Ints) -> Array:
         """Return the columns that act at the start of motions: those at the end of the motion before.
 
@@ -172,14 +177,13 @@ class Axes(Struct, frozen=True, eq=False):
         :param frame: (M,) frames in which they are given.
         :returns: (M, 2, 3, m) in `$BASE` axes of the motion; zero at the start of the program.
         """
-        m, bases = self.program.motions, self.program.bases
+        m, bases, previous = self.program.motions, self.program.bases, self.previous()
         ends = columns.copy()
         rows = np.flatnonzero((frame == TOOL) | (frame == FEED))
         end = at(self.program, self.path, rows, np.ones(len(rows)))
         ends[rows] = self.into_base(columns[rows], frame[rows], end)
-        previous = np.arange(len(m)) - 1 if self.program.after is None else self.program.after
         at_starts = np.where((previous >= 0)[:, None, None, None], ends[previous], 0.0)
-        base_change = np.flatnonzero((previous >= 0) & (m.base != m.base[previous]))
+        base_change = np.flatnonzero(m.base != m.base[previous])
         turn = np.swapaxes(bases[m.base[base_change], :3, :3], 1, 2) @ bases[m.base[previous[base_change]], :3, :3]
         at_starts[base_change] = np.einsum("nij,nhjm->nhim", turn, at_starts[base_change])
         return at_starts

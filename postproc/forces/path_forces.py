@@ -239,7 +239,8 @@ def _resolve(knots: Knots, axes: Axes, ramp: float, issues: tuple[Issue, ...], b
     begins = first[:-1][changes]  # the only knot of each
     factor = knots.factor
     if factor.any():
-        factor = np.insert(factor, begins, np.append(0.0, knots.factor[last])[:-1][changes])
+        previous = axes.previous()[changes]
+        factor = np.insert(factor, begins, np.where(previous >= 0, knots.factor[last[previous]], 0.0))
     else:
         factor = constant(0.0, len(factor) + len(begins))
     if spread is not None and at_start is not None:

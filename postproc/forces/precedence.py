@@ -68,7 +68,9 @@ def unused_comments(program: Program) -> Iterator[Issue]:
     somewhere is used.
     """
     stated = [note for note in program.notes if any(note.wrench)]
-    note_rows = distinct(_notes(program)[~program.motions.rapid]) if stated else np.zeros(0, dtype=np.int64)
+    if not stated:
+        return
+    note_rows = distinct(_notes(program)[~program.motions.rapid])
     used_forces = {
         (program.notes[index].wrench, program.notes[index].frame) for index in note_rows[note_rows >= 0].tolist()
     }

@@ -90,6 +90,24 @@ def test_feed_frame_turns_with_an_arc():
     np.testing.assert_allclose(along(made, 1, quarter), [-10, 0, 0, 0, 0, 0], atol=1e-12)
 
 
+def test_a_feed_force_that_goes_on_turns_with_the_path_from_its_start():
+    """A line runs into an arc of 5 mm radius without a corner: no ramp mixes in the direction at its start."""
+    moves = [("PTP", -50, -5, 0), ("LIN", 0, -5, 0), ("CIRC", 5, 0, 0, 0, 0, 0, 90.0, (0, 0, 1))]
+    made = program(moves, notes=[(2, (10.0, 0, 0, 0, 0, 0), "FEED")])
+    for distance in (0.1, 0.5, 0.9):
+        angle = distance / 5
+        expected = [10 * np.cos(angle), 10 * np.sin(angle), 0, 0, 0, 0]
+        np.testing.assert_allclose(along(made, 2, distance), expected, atol=1e-9)
+
+
+def test_where_the_travel_is_reversed_a_feed_force_changes_over_the_ramp():
+    made = program(
+        [("PTP", 0, 0, 0), ("LIN", 50, 0, 0), ("LIN", 0, 0, 0)], notes=[(2, (10.0, 0, 0, 0, 0, 4.0), "FEED")]
+    )
+    for distance, x in ((0.25, 5.0), (0.75, -5.0), (1.5, -10.0)):
+        np.testing.assert_allclose(along(made, 2, distance), [x, 0, 0, 0, 0, 4], atol=1e-9)
+
+
 def test_feed_frame_on_a_sloped_move_keeps_z_along_the_spindle():
     made = program([("PTP", 0, 0, 0), ("LIN", 30, 0, -30)], notes=[(2, (10.0, 0, 7.0, 0, 0, 0), "FEED")])
     np.testing.assert_allclose(along(made, 1, 20), [10, 0, 7, 0, 0, 0], atol=1e-12)

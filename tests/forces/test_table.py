@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from postproc import forces, toolpath
 from postproc.errors import ForceError
@@ -135,6 +136,24 @@ def test_on_the_ramp_the_deviation_is_mixed_as_the_force_is(tmp_path):
 
 def test_without_deviations_there_is_no_covariance(tmp_path):
     assert covariance(program(MOVES), tmp_path, "line,Fx,Fy,Fz\n2,1,1,1\n", 1, 1.0) is None
+
+
+def test_stated_deviations_without_a_factor_are_the_whole_covariance(tmp_path):
+    made = program(MOVES)
+    path, load = put_on(made, tmp_path, "line,Fx,Fy,Fz,Mx,sFx,sFy,sMx\n2,100,-50,9,8,3,5,2\n3,1,1,1,1,,,\n")
+    (factors,) = load.spread_in_root(toolpath.at(made, path, np.array([1]), np.array([1.0])))
+    np.testing.assert_allclose(factors @ factors.T, np.diag([9.0, 25, 0, 4, 0, 0]), atol=1e-9)
+
+
+def test_behind_a_branch_the_ramp_begins_with_the_factor_of_the_move_that_leads_there(tmp_path):
+    """The fourth move begins where the second ends; the third, in another branch, has a factor of its own."""
+    made = replace(program(MOVES), after=np.array([-1, 0, 1, 1, 3]))
+    text = "line,Fx,Fy,Fz,factor_percent\n2,100,0,0,10\n3,100,0,0,50\n4,0,100,0,20\n"
+    path, load = put_on(made, tmp_path, text)
+    half = toolpath.at(made, path, np.array([3]), 0.5 * RAMP / path.length[[3]])
+    (factors,) = load.spread_in_root(half)
+    np.testing.assert_allclose(factors[:, 12], [5, 10, 0, 0, 0, 0], atol=1e-9)
+    assert not factors[:, 6:12].any(), "the force is uncertain by its factor alone"
 
 
 def test_a_table_without_rows_is_refused(tmp_path):
