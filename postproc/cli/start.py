@@ -164,7 +164,7 @@ def _answers_of_option(option: str, name: str, text: str, needs: ProgramNeeds) -
     if option == "m_code":
         yield f"{name}.{key}", value or "none"
     elif not equals and option in _OF_PROCESS:
-        for number in needs.tools or (0,):
+        for number in needs.cutter_numbers or (0,):
             yield f"{name}.{number}", text
     elif not equals:
         raise click.BadParameter(f"{text!r}: write NAME=VALUE.", param_hint=f"--{option.replace('_', '-')}")

@@ -182,7 +182,8 @@ def assign(program: Program, path: Segments, source: ForceSource | None, axis: s
         issues += small_forces(program, knots_of_motions)
     is_forceless = np.ones(len(m), dtype=np.bool_)
     is_forceless[knots_of_motions.motion] = False
-    issues = _warning(program, np.flatnonzero(is_forceless & ~m.rapid), "no-force", _NO_FORCE) + issues
+    is_forceless &= ~m.rapid & (path.length > _NO_LENGTH)
+    issues = _warning(program, np.flatnonzero(is_forceless), "no-force", _NO_FORCE) + issues
     knots_of_motions = knots_of_motions.take(~m.rapid[knots_of_motions.motion])
     is_forceless |= m.rapid
     _check_start(program, knots_of_motions)
@@ -208,6 +209,8 @@ def _check_start(program: Program, knots: Knots) -> None:
         )
 
 
+_NO_LENGTH = 1e-9
+"""A move of at most this length [m] cuts nothing: its ends differ by rounding as those of a LIN to where a PTP ends."""
 _NO_FORCE = "cutting moves without a force: zero force is assumed"
 _ON_RAPID = "rapid moves carry no force: the row is ignored"
 

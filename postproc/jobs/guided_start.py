@@ -231,8 +231,8 @@ def _setting_questions(needs: ProgramNeeds) -> Iterator[Question]:
 def _process_questions(needs: ProgramNeeds, answers: Answers) -> Iterator[Question]:
     """Yield the questions on material, tools and stock."""
     yield Question("material", "Material", "--material NAME", parse.material, hint=f"Materials: {', '.join(table())}")
-    for number in needs.tools or (NO_NUMBER,):
-        name = f"T{number}" if number else "the tool"
+    for number in needs.cutter_numbers or (NO_NUMBER,):
+        name = "the tool" if not number else f"TOOL_DATA[{number}]" if needs.tool_data else f"T{number}"
         comment = needs.cutters.get(number, CommentedTool())
         yield Question(
             f"cutter.{number}",

@@ -103,7 +103,7 @@ def _text_of(path: Path, needs: ProgramNeeds) -> str:
     """Return the text of a process file, or that of a draft."""
     if path.is_file():
         return files.read_text(path, ForceError)
-    numbers = needs.tools or (NO_NUMBER,)
+    numbers = needs.cutter_numbers or (NO_NUMBER,)
     lines = list(process_head(needs, None))
     for number in numbers:
         lines += ["", *_drafted_tool(number, needs)]
@@ -128,9 +128,9 @@ def _document(text: str, path: Path, needs: ProgramNeeds) -> tuple[Any, frozense
     """Return the document of a process file with the tools that its program needs, and which of them it lacked."""
     document = parse(text, str(path), ForceError)
     tools = document.get("tools", {})
-    if "default" in tools or (not needs.tools and tools):
+    if "default" in tools or (not needs.cutter_numbers and tools):
         return document, frozenset()
-    missing_tools = [number for number in needs.tools or (NO_NUMBER,) if str(number or "default") not in tools]
+    missing_tools = [number for number in needs.cutter_numbers or (NO_NUMBER,) if str(number or "default") not in tools]
     if not missing_tools or document.get("operations"):
         return document, frozenset()
     lines = [line for number in missing_tools for line in ("", *_drafted_tool(number, needs))]

@@ -25,7 +25,7 @@ from postproc.frames import MM_PER_M, Array
 from postproc.jobs import answers as parse
 from postproc.jobs.programs import load_robot, read_documents, states_forces
 from postproc.machining.tool_comments import Comment, CommentedTool, commented_tools, stock_size
-from postproc.program import CIRC, Document, Ints, Motions, Program
+from postproc.program import CIRC, Document, Ints, Motions, Program, distinct
 from postproc.robot import RobotModel
 
 _ROBOT, _RAPID_ROBOT = "kuka_kr270", "abb_irb6700_200_260"
@@ -50,6 +50,7 @@ class ProgramNeeds(Struct, frozen=True):
     :param file: path of the program.
     :param dialect: name of its format.
     :param tools: T numbers of its tool changes, in order of first use.
+    :param tool_data: n of each `TOOL_DATA[n]` that cuts in a KRL program, where there are several.
     :param cutters: T number → cutter as comments describe it; 0 for a program without tool numbers.
     :param work_offsets: codes of work offsets other than G54.
     :param frames: tables of the cell for frames of the controller that it names by number, such as ``"base_data.3"``.
@@ -70,6 +71,7 @@ class ProgramNeeds(Struct, frozen=True):
     file: Path
     dialect: str
     tools: tuple[int, ...] = ()
+    tool_data: tuple[int, ...] = ()
     cutters: Mapping[int, CommentedTool] = {}
     work_offsets: tuple[str, ...] = ()
     frames: tuple[str, ...] = ()
@@ -94,6 +96,11 @@ class ProgramNeeds(Struct, frozen=True):
     def changes_tools(self) -> bool:
         """Whether it mounts a second tool."""
         return len(self.tools) > 1
+
+    @property
+    def cutter_numbers(self) -> tuple[int, ...]:
+        """Numbers of the cutters in [tools] of a process; none: one cutter without a number."""
+        return self.tools or self.tool_data
 
     @property
     def only_tool(self) -> int | None:
@@ -168,9 +175,12 @@ def _add_content(needs: ProgramNeeds, program: Program) -> ProgramNeeds:
     tools = needs.tools or tuple(
         dict.fromkeys(int(event.value) for event in program.events if event.kind == "tool_change")
     )
+    cutting_tools = distinct(motions.tool[~np.asarray(motions.rapid)]).tolist() if program.tool_numbers else []
+    numbers = sorted({number for row in cutting_tools for number in program.tool_numbers[row]})
     return replace(
         needs,
         tools=tools,
+        tool_data=tuple(numbers) if len(numbers) > 1 else (),
         has_forces=bool(program.notes),
         has_speeds=any(event.kind in ("spindle_on", "spindle_ccw") and event.value > 0.0 for event in program.events),
         span=None if needs.rotary and not needs.tip_controlled else _span(program),  # it may be that of machine axes

@@ -35,6 +35,7 @@ from postproc.machining.tool_path import (
     ToolStates,
     home_base,
     refuse_unread_cuts,
+    shared_cutters,
     stock_base_issues,
     straight_segments,
     tool_states,
@@ -249,6 +250,7 @@ def _estimate(task: _Task, widest: float, cell_factors: dict[int, int]) -> tuple
         *([] if len(in_order) > 1 else _cuts_beside(program, segments, bounds, margin)),
         *swept.issues,
         *unread_cuts(program),
+        *shared_cutters(program, task.tools),
         *_out_of_scale(segments, bounds),
     ]
     issues += _issues(program, stopped_motions, task.law, cuts, tools, process)

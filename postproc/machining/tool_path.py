@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from postproc import toolpath
 from postproc.chunks import Columns
 from postproc.errors import MAX_ERRORS, ForceError, Issue, together
-from postproc.frames import Array, inverse, norm
+from postproc.frames import MM_PER_M, Array, inverse, norm
 from postproc.machining.process import Process
 from postproc.program import CIRC, PTP, Bools, Ints, Program, distinct
 from postproc.toolpath import Segments, even_places, positions, tangent
@@ -39,6 +39,8 @@ class ToolStates(Struct, frozen=True, eq=False):
 def tool_states(program: Program, process: Process) -> ToolStates:
     """Return tool and spindle speed on each motion.
 
+    The tool number is that of T … M6; in KRL it is n of `TOOL_DATA[n]`.
+
     :raises ForceError: a tool that cuts is not in [tools].
     """
     m = len(program.motions)
@@ -55,10 +57,16 @@ def tool_states(program: Program, process: Process) -> ToolStates:
             )
         elif event.kind == "spindle_off":
             rpm[following_rows] = 0.0
+    if program.tool_numbers:
+        number = np.array([_stated_number(program, process, row) for row in range(len(program.tools))])[
+            program.motions.tool
+        ]
     keys = tuple(process.tools)
     place = np.full(m, -1)
     for value in distinct(number).tolist():
-        entry = process.tool(value) if value > 0 or str(value) in process.tools else process.tool(None)
+        is_stated = str(value) in process.tools
+        is_number = is_stated or (value > 0 and not program.tool_numbers)
+        entry = process.tool(value if is_number else None)
         if entry is not None:
             has_tool = number == value
             place[has_tool] = keys.index(entry[0])
@@ -71,6 +79,21 @@ def tool_states(program: Program, process: Process) -> ToolStates:
     return ToolStates(place, keys, rpm, hand, number)
 
 
+def _stated_number(program: Program, process: Process, row: int) -> int:
+    """Return the number of a tool of a KRL program: that with an entry in [tools], else its only one, else −1.
+
+    :param row: of `Program.tools`, whose frame several `TOOL_DATA[n]` may have.
+    :raises ForceError: several of its numbers have an entry.
+    """
+    numbers = program.tool_numbers[row]
+    stated_numbers = [number for number in numbers if str(number) in process.tools]
+    if len(stated_numbers) > 1:
+        names = " and ".join(f"TOOL_DATA[{number}]" for number in stated_numbers)
+        problem = f"{names} are one frame, and have an entry each in {process.path}: which cutter cuts is not known"
+        raise ForceError(problem, file=program.documents[0].name, advice="Measure their lengths, or give one entry.")
+    return stated_numbers[0] if stated_numbers else numbers[0] if len(numbers) == 1 else -1
+
+
 def _refuse(program: Program, process: Process, number: Ints, lacks_tool: Bools) -> None:
     """Raise for the tools of cutting motions that the process file lacks.
 
@@ -80,13 +103,56 @@ def _refuse(program: Program, process: Process, number: Ints, lacks_tool: Bools)
     for value in distinct(number[lacks_tool]).tolist()[: MAX_ERRORS + 1]:
         line = int(program.motions.line[np.flatnonzero(lacks_tool & (number == value))[0]])
         tool_list = ", ".join(f"[tools.{key}]" for key in process.tools) or "none"
-        if value <= 0:  # T0, and M6 without T, name no tool
-            problem = "no tool number (T… M6) before this move"
-            advice = f"Give [tools.default] in {process.path}; found: {tool_list}."
+        default_advice = f"Give [tools.default] in {process.path}; found: {tool_list}."
+        if program.keeps_text and value < 0:
+            problem, advice = "no cutter for the $TOOL of this move, which has no number", default_advice
+        elif program.keeps_text:
+            problem = f"no cutter for TOOL_DATA[{value}] in {process.path}"
+            advice = f"Give [tools.{value}]; found: {tool_list}."
+        elif value <= 0:  # T0, and M6 without T, name no tool
+            problem, advice = "no tool number (T… M6) before this move", default_advice
         else:
             problem, advice = f"tool T{value} is not in {process.path}", f"Give [tools.{value}]; found: {tool_list}."
         errors.append(ForceError(problem, file=program.documents[0].name, line=line, advice=advice))
     raise together(errors)
+
+
+_SAME_TIP = 1e-4
+"""Tools whose tips in the flange frame differ by less [m] are taken for one cutter (assumed): of 100 mm and more, two
+cutters that are alike to a tenth of a millimetre are rare, and one that was measured twice is not."""
+
+
+def shared_cutters(program: Program, tools: ToolStates) -> Iterator[Issue]:
+    """Yield a warning for each entry of [tools] that cuts with several $TOOL of a robot program."""
+    m = program.motions
+    if not program.keeps_text:
+        return
+    for place in distinct(tools.tool[~m.rapid]).tolist():
+        rows = distinct(m.tool[(tools.tool == place) & ~m.rapid])
+        tips = program.tools[rows, :3, 3]
+        apart = norm(tips - tips[0])
+        if len(rows) < 2 or apart.max() <= _SAME_TIP:
+            continue
+        pair = [int(rows[0]), int(rows[int(np.argmax(apart))])]
+        motion = [int(np.flatnonzero((m.tool == row) & (tools.tool == place) & ~m.rapid)[0]) for row in pair]
+        names = [
+            f"{_tool_name(program, row)} (line {m.line[row_motion]})"
+            for row, row_motion in zip(pair, motion, strict=True)
+        ]
+        numbers = [number for row in pair for number in program.tool_numbers[row]] if program.tool_numbers else []
+        entries = " and ".join(f"[tools.{number}]" for number in numbers if str(number) != tools.keys[place])
+        advice = f"Give {entries}" if entries else "Divide the program where it changes tools"
+        message = (
+            f"{' and '.join(names)}, whose tips are {apart.max() * MM_PER_M:.4g} mm apart, both cut as "
+            f"[tools.{tools.keys[place]}]: are they one cutter? {advice} if they are not."
+        )
+        yield Issue("warning", "one-cutter", message, int(m.line[motion[1]]), subject=tools.keys[place])
+
+
+def _tool_name(program: Program, row: int) -> str:
+    """Return a tool of a robot program as the program names it."""
+    numbers = program.tool_numbers[row] if program.tool_numbers else ()
+    return f"$TOOL = TOOL_DATA[{numbers[0]}]" if len(numbers) == 1 else "the tool"
 
 
 _RAPID = re.compile(r"\s*S?PTP", re.IGNORECASE)

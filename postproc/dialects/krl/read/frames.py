@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 
 from postproc.cell import Cell
@@ -17,6 +19,7 @@ from postproc.frames import Array
 
 _FRAME_TOLERANCE = 1e-13
 """Frames closer than this [m, rad] are one: rounding of their conversion."""
+_ELEMENT = re.compile(r"\[(\d+)\]$")
 _ADVICE = "Write $BASE and $TOOL as numbers, or add [base_data.n], [tool_data.n] or config_dat to the cell."
 
 
@@ -25,6 +28,7 @@ class Frames:
 
     :ivar bases: `$BASE` in the robot root, row 0 that of the cell.
     :ivar tools: `$TOOL` in the flange frame, row 0 that of the cell.
+    :ivar tool_numbers: row of `tools` → n of each `TOOL_DATA[n]` that a program has put into `$TOOL` as that frame.
     :ivar doubtful: `$BASE` or `$TOOL` where they were read as values though BAS(#INITMOV,0) had set them, and the cell
         does not say to what.
     """
@@ -33,6 +37,7 @@ class Frames:
         self.variables, self.reasons = variables, reasons
         self.bases: list[Array] = [cell.base.pose()]
         self.tools: list[Array] = [cell.tool.pose()]
+        self.tool_numbers: dict[int, set[int]] = {}
         self.asks = cell.krl.initmov is None
         self.doubtful: set[str] = set()
         self._rows: dict[tuple[str, tuple[float, ...]], int] = {}
@@ -124,7 +129,10 @@ class Frames:
             return self.unknown(state, name, at, reason)
         if not position.complete:
             return self.unknown(state, name, at, f"{_lacking(position)} in {key}")
-        return self._put(state, name, position)
+        state = self._put(state, name, position)
+        if name == "$TOOL" and (number := _ELEMENT.search(key)):
+            self.tool_numbers.setdefault(state.tool, set()).add(int(number[1]))
+        return state
 
     def _put(self, state: State, name: str, position: Position) -> State:
         row = self._rows.get((name, position.values))
