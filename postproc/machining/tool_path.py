@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from postproc import toolpath
 from postproc.chunks import Columns
-from postproc.errors import MAX_ERRORS, ForceError, Issue, together
+from postproc.errors import MAX_ERRORS, ForceError, Issue, Level, together
 from postproc.frames import MM_PER_M, Array, inverse, norm
 from postproc.machining.process import Process
 from postproc.program import CIRC, PTP, Bools, Ints, Program, distinct
@@ -435,32 +435,50 @@ _SPINDLE = {"+Z": (2, -1.0), "-Z": (2, 1.0), "+X": (0, -1.0), "-X": (0, 1.0)}
 """Column of the tool frame, and its sign, that points from the tip to the spindle, by the axis of the tool."""
 
 
+_BESIDE = 0.1
+"""A frame with less than this share of the way at feed only positions (assumed)."""
+
+
 def home_base(program: Program) -> int:
     """Return the row of `Program.bases` in which the stock is given.
 
     It is that of the first cutting motion. In a robot program, where each LIN counts as one, also one that positions,
-    it is that of most of them.
+    it is that of most of the way at feed.
     """
     m = program.motions
     first = int(m.base[np.argmax(~m.rapid)])
     if not program.keeps_text:
         return first
-    count = np.bincount(m.base[~m.rapid], minlength=len(program.bases))
-    return first if count[first] == count.max(initial=0) else int(np.argmax(count))
+    way = _way_by_base(program)
+    return first if way[first] == way.max(initial=0.0) else int(np.argmax(way))
+
+
+def _way_by_base(program: Program) -> Array:
+    """Return the way at feed in each $BASE (nb,) [m], arcs by their chords; moves from another frame have none."""
+    m = program.motions
+    chord = norm(np.diff(m.target[:][:, :3, 3], axis=0, prepend=0.0))
+    is_within = ~m.rapid & (np.diff(m.base, prepend=-1) == 0)
+    return np.asarray(np.bincount(m.base[is_within], chord[is_within], minlength=len(program.bases)))
 
 
 def stock_base_issues(program: Program) -> Iterator[Issue]:
-    """Yield a note in which `$BASE` the stock stands, if a robot program moves at feed in several."""
+    """Yield an issue that names the `$BASE` of the stock, if a robot program moves at feed in several.
+
+    It is a warning unless all other frames only position, or the frame is [base] of the cell.
+    """
     m = program.motions
     bases = distinct(m.base[~m.rapid])
     if program.keeps_text and len(bases) > 1:
-        home = home_base(program)
+        home, way = home_base(program), _way_by_base(program)
         rows = np.flatnonzero(~m.rapid & (m.base == home))
         message = (
             f"the program moves at feed in {len(bases)} frames $BASE: the stock stands in that of this line, in which "
-            "most of these moves are. If the stock is given in another one, the forces are wrong"
+            "most of the way is. If the stock is given in another one, the forces are wrong"
         )
-        yield Issue("info", "stock-base", message, int(m.line[rows[0]]), count=len(rows))
+        is_of_cell = home == 0 and bool(program.tool_numbers)  # of KRL: row 0 is [base]
+        is_certain = is_of_cell or way.sum() - way[home] < _BESIDE * way.sum()
+        level: Level = "info" if is_certain else "warning"
+        yield Issue(level, "stock-base", message, int(m.line[rows[0]]), count=len(rows))
 
 
 def _towards_spindle(program: Program, axis: str, motion: Ints, column: Array) -> Array:
