@@ -374,16 +374,10 @@ def _off_path(
             comparison.pair[:, 0], comparison.only_nominal[comparison.only_nominal < comparison.pair[-1, 0]]
         )
     ] = False
-    off_path_rows = np.flatnonzero(is_off_path)
-    if not len(off_path_rows):
-        return
-    distances = np.array(
-        [_distance_of_way(comparison, nominal_path, corrected_path, int(k)) for k in off_path_rows[:_MAX_WAYS]]
-    )
-    off_path_rows, distances = (
-        off_path_rows[: len(distances)][distances > limits[off_path_rows[: len(distances)]]],
-        distances[distances > limits[off_path_rows[: len(distances)]]],
-    )
+    rows = np.flatnonzero(is_off_path)[:_MAX_WAYS]
+    distances = np.array([_distance_of_way(comparison, nominal_path, corrected_path, int(k)) for k in rows])
+    exceeds = distances > limits[rows]
+    off_path_rows, distances = rows[exceeds], distances[exceeds]
     if len(off_path_rows):
         worst = int(np.argmax(distances))
         message = f"the path is {distances[worst] * MM_PER_M:.4f} mm from the nominal one on the way to this target."

@@ -78,11 +78,8 @@ def partners(nominal_track: Track, corrected_track: Track) -> Ints:
         return partner
     begin = _common_length(nominal_track, corrected_track)
     partner[:begin] = np.arange(begin)
-    end = min(
-        _common_length(_reverse_track(nominal_track), _reverse_track(corrected_track)),
-        len(nominal_track) - begin,
-        len(corrected_track) - begin,
-    )
+    common_end = _common_length(_reverse_track(nominal_track), _reverse_track(corrected_track))
+    end = min(common_end, len(nominal_track) - begin)
     nominal_range, corrected_range = slice(begin, len(nominal_track) - end), slice(begin, len(corrected_track) - end)
     partner[len(nominal_track) - end :] = np.arange(len(corrected_track) - end, len(corrected_track))
     last_pair = (nominal_track.position[begin - 1], corrected_track.position[begin - 1]) if begin else None

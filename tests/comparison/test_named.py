@@ -394,6 +394,15 @@ def test_what_the_offsets_next_to_a_corner_differ_by_is_no_miss_of_it():
     assert judged.tolist() == [False]
 
 
+def test_under_forces_a_missing_target_is_missed_by_the_tip_and_without_less_the_offset():
+    """The second path runs 0.5 mm beside the nominal one, and no force explains that."""
+    one, other = lines((0, 0), (20, 0), (40, 0), (40, 30)), lines((0, 0.5), (40, 0.5), (40, 30.5))
+    found = pair_targets(one, other, np.array([0, -1, 1, 2]), np.ones(4, dtype=bool))
+    for load, expected in ((None, 0.0), (one.forces(None), 0.5e-3)):
+        missed, _ = missed_targets(found, one, other, load)
+        np.testing.assert_allclose(missed, [expected], atol=1e-7)
+
+
 def test_pieces_begin_where_the_one_before_ends():
     one = lines((0, 0), (40, 0), (40, 30))
     other = lines((0, 0), (10, 0), (30, 0), (40, 0), (40, 12), (40, 30))

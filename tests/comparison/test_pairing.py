@@ -111,6 +111,19 @@ def test_many_targets_inserted_on_one_step_do_not_lose_the_way(many):
     assert partners(track(points), track(np.array(shifted) + offset)).tolist() == true
 
 
+@pytest.mark.parametrize("length", [1, 3, 8, 20])
+def test_a_section_that_is_passed_twice_has_partners_in_one_of_the_passes(length):
+    """A spring pass: the other program repeats a part, and every target of the one has an equal partner."""
+    points = np.random.default_rng(7).uniform(-60 * MM, 60 * MM, (40, 3))
+    repeated = np.insert(points, 10 + length, points[10 : 10 + length], axis=0)
+    found = partners(track(points), track(repeated))
+    assert (np.diff(found) > 0).all()
+    np.testing.assert_array_equal(repeated[found], points)
+    assert (np.diff(found) > 1).sum() == 1, "the partners leave the repeated part once"
+    back = partners(track(repeated), track(points))
+    assert sorted(back[back >= 0].tolist()) == list(range(40))
+
+
 def test_an_empty_program_has_no_pairs():
     points = pass_over_a_part(5)
     assert partners(track(points), track(points[:0])).tolist() == [-1] * 5

@@ -61,6 +61,14 @@ def test_the_way_round_a_loop_goes_from_its_last_line_to_its_first():
     assert texts.statements_between(("c.src", 9), ("c.src", 4)) == [("PULSE(1)", 10), ("HALT", 3)]
 
 
+def test_what_is_right_before_or_behind_a_loop_is_not_in_its_rounds():
+    text = "DEF d( )\nLIN p0\nHALT\nLOOP\nLIN p1\nENDLOOP\nPULSE(1)\nLIN p2\nEND"
+    texts = statements._Texts(SimpleNamespace(documents=(Document("d.src", text),)))
+    assert texts.statements_between(("d.src", 5), ("d.src", 5)) == []
+    assert texts.statements_between(("d.src", 2), ("d.src", 5)) == [("HALT", 3)]
+    assert texts.statements_between(("d.src", 5), ("d.src", 8)) == [("PULSE(1)", 7)]
+
+
 def test_statements_between_files_are_not_known_and_a_routine_has_its_ends():
     assert TEXTS.statements_between(("a.src", 3), ("b.src", 1)) is None
     assert TEXTS.statements_between(("c.src", 1), ("c.src", 2)) is None

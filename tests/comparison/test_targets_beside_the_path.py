@@ -73,6 +73,39 @@ def test_a_target_is_on_the_path_within_a_tenth_of_a_millimetre_and_three_offset
     assert not partners._is_on_path(nominal, second, pairs[:-1], distance[:-1], behind)[0]
 
 
+@pytest.mark.parametrize(
+    ("inserted", "kinds", "partner", "moved"),
+    [
+        ([(20, 0), (40, 2)], [LIN, PTP], 2, 3), ([(40, 2), (60, 0)], [PTP, LIN], 3, 2),
+        ([(-30, 0), (40, 2)], [LIN, PTP], 2, 2),
+    ],
+)  # fmt: skip
+def test_a_target_that_was_moved_takes_its_partner_back_from_a_point_of_the_path(inserted, kinds, partner, moved):
+    """The third target became a PTP 2 mm beside it; its partner is an inserted point before or behind that one.
+
+    Not where this point would be off the path.
+    """
+    points = np.array([[0.0, 0, 50], [0, 0, 0], [40, 0, 0], [80, 0, 0]])
+    between = np.hstack([np.array(inserted, dtype=float), np.zeros((2, 1))])
+    nominal = placed(points, [PTP, LIN, LIN, LIN])
+    second = placed(np.vstack([points[:2], between, points[3:]]), [PTP, LIN, *kinds, LIN])
+    pairs = np.array([0, 1, partner, 4])
+    found = partners.pair_targets(nominal, second, pairs, np.zeros(4, dtype=bool))
+    assert found.pair[:, 1].tolist() == [0, 1, moved, 4]
+    assert found.additional_rows.tolist() == ([] if moved != partner else [3])
+    stated = partners.pair_targets(nominal, second, pairs, np.ones(4, dtype=bool))
+    assert stated.pair[:, 1].tolist() == pairs.tolist()
+
+
+def test_a_last_target_that_was_moved_takes_its_partner_back_from_a_point_before_it():
+    points = np.array([[0.0, 0, 50], [0, 0, 0], [40, 0, 0], [80, 0, 0]])
+    nominal = placed(points, [PTP, LIN, LIN, LIN])
+    second = placed(np.array([*points[:3], [60.0, 0, 0], [80, 3, 0]]), [PTP, *[LIN] * 4])
+    found = partners.pair_targets(nominal, second, np.arange(4), np.zeros(4, dtype=bool))
+    assert found.pair[:, 1].tolist() == [0, 1, 2, 4]
+    assert (found.inserted_rows.tolist(), found.additional_rows.tolist()) == ([3], [])
+
+
 @pytest.mark.parametrize("seed", range(12))
 def test_a_missing_target_is_missed_by_its_distance_from_the_way_between_its_pairs(seed):
     """Moved by the offset that the pairs next to it have in proportion to the path; unknown for joint targets."""
