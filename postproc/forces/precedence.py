@@ -112,7 +112,7 @@ def _replaced_motions(source: Knots, comments: Knots, has_comment: Bools) -> Int
     """
     if not has_comment.any() or not len(source):
         return np.zeros(0, dtype=np.int64)
-    row = np.minimum(np.searchsorted(comments.motion, source.motion), len(comments) - 1)
+    row = np.searchsorted(comments.motion, source.motion)  # the last comment holds to the last motion
     differs = any_column(np.abs(source.wrench - comments.wrench[row]) > _SAME_FORCE) | (
         source.frame != comments.frame[row]
     )

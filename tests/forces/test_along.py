@@ -200,8 +200,15 @@ def test_a_plunge_before_any_travel_takes_the_direction_of_the_first():
     assert (issue.kind, issue.source_line, issue.count) == ("feed-direction", 2, 2)
 
 
-def test_feed_forces_where_no_move_has_a_direction_name_the_lines():
-    moves = [("PTP", 0, 0, 10), ("LIN", 0, 0, 5), ("LIN", 0, 0, 0)]
+@pytest.mark.parametrize("drift", [0.0, 1e-3])
+@pytest.mark.parametrize("first", ["PTP", "LIN"])
+def test_feed_forces_where_no_move_has_a_direction_name_the_lines(first, drift):
+    """Also where rounding moves a plunge sideways by a micrometre: that is no direction of travel.
+
+    The first move begins right above its end, at the place of the tool at [start].
+    """
+    x, y, z = 1e3 * (START[:3, 3] + [0, 0, 0.35] - [1.5, -0.2, 0.7])
+    moves = [(first, x + drift, y, z - 450), ("LIN", x, y, z - 455), ("LIN", x, y, z - 460)]
     with pytest.raises(ForceError, match=r"part\.nc:2: .*along the spindle") as caught:
         along(program(moves, notes=[(2, (10.0, 0, 0, 0, 0, 0), "FEED")]), 1, 5)
     assert [error.line for error in caught.value.further_errors] == [3]

@@ -323,6 +323,17 @@ def test_lines_that_turn_the_tool_through_the_travel_get_places_where_the_force_
         assert np.linalg.norm(spots - straight, axis=1).max() > limit * 0.999
 
 
+@pytest.mark.parametrize("turn", [0.1, 20.0, 40.0])
+def test_lines_across_the_spindle_need_no_places_however_the_force_turns_with_the_tool(turn):
+    """The tool turns about the direction of travel: the force turns as fast, and the tool's turn is sampled anyway."""
+    made = leaning(-turn, turn, ("PTP", 0, 0, 0), ("LIN", 40, 0, 0))
+    path = toolpath.segments(made, START)
+    knots = Knots.throughout(np.array([1]), np.array([[100.0, 400, 20, 60, -50, 10]]), np.array([FEED]))
+    load = forces.assign(made, path, Given(knots), "+Z", RAMP)
+    motion, t = forces.swing_places(load, (1e-3, 1e-3), 1e-9)
+    assert (len(motion), len(t)) == (0, 0)
+
+
 @pytest.mark.parametrize("size", [50.0, 5000.0])
 def test_where_the_force_jumps_pieces_of_an_arc_are_halved_down_to_a_tenth_of_a_micrometre(size):
     """The arc passes the direction of the spindle itself: there the FEED axes turn by half a turn at once."""
