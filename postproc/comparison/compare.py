@@ -34,6 +34,9 @@ from postproc.program import Bools, Ints, Program
 from postproc.robot import RobotModel
 from postproc.under_load import RobotInCell
 
+_SAME_FEED = 1e-3
+"""Feeds that differ by a smaller share are equal: they are written with few digits."""
+
 
 def compare(
     nominal: Program,
@@ -72,6 +75,11 @@ def compare(
     else:
         loads = _Loads.of(nominal_path, source)
         partner, certain = _partners_under_load(nominal_path, corrected_path, loads, stated_pairs, place.tolerance)
+        at_feeds = None if loads.path.by_law is None else _at_partner_feeds(nominal_path, corrected_path, partner)
+        if at_feeds is not None:
+            nominal_path = PlacedProgram.of(at_feeds, place)
+            loads = _Loads.of(nominal_path, source)
+            partner, certain = _partners_under_load(nominal_path, corrected_path, loads, stated_pairs, place.tolerance)
     comparison = _all_pairs(nominal_path, corrected_path, partner, certain, loads)
     if loads is not None:
         comparison = _complete_cuts(comparison, nominal_path, corrected_path, loads, place.tolerance)
@@ -83,6 +91,24 @@ def compare(
     has_pairs = loads is not None or stated_pairs is not None
     options = {"in_file": source is not None, "same_origin": same_origin, "pairs_certain": has_pairs}
     return replace(comparison, differences=differences(comparison, nominal_path, corrected_path, **options))
+
+
+def _at_partner_feeds(nominal_path: PlacedProgram, corrected_path: PlacedProgram, partner: Ints) -> Program | None:
+    """Return the nominal program at the feeds of the second one; None if they are its own.
+
+    A process gives the forces of a feed, and the second program is corrected for those of its own: it may hold a
+    tolerance by its feeds, or keep the speeds of joints.
+
+    :param partner: (n,) target of the second program of each of the nominal one, −1 for none.
+    """
+    motions, feed = nominal_path.program.motions, nominal_path.program.motions.feed.copy()
+    rows, partner_rows = nominal_path.rows[partner >= 0], corrected_path.rows[partner[partner >= 0]]
+    partner_feed = corrected_path.program.motions.feed[partner_rows]
+    is_other = ~motions.rapid[rows] & (np.abs(partner_feed - feed[rows]) > _SAME_FEED * feed[rows])
+    if not is_other.any():
+        return None
+    feed[rows[is_other]] = partner_feed[is_other]
+    return replace(nominal_path.program, motions=replace(motions, feed=feed), feed_as_read=motions.feed)
 
 
 class _Loads(Struct, frozen=True, eq=False):

@@ -126,8 +126,9 @@ class Comparison(Struct, frozen=True, eq=False):
 
     @property
     def speeds(self) -> Array:
-        """(P, 2) programmed speeds of both programs [m/s]; NaN where unknown, as for PTP."""
-        return np.stack([self.nominal.motions.feed[self.pair[:, 0]], self.corrected.motions.feed[self.pair[:, 1]]], 1)
+        """(P, 2) speeds of both programs as their texts state them [m/s]; NaN where unknown, as for PTP."""
+        nominal_feed = self.nominal.motions.feed if self.nominal.feed_as_read is None else self.nominal.feed_as_read
+        return np.stack([nominal_feed[self.pair[:, 0]], self.corrected.motions.feed[self.pair[:, 1]]], 1)
 
     @property
     def speed_differs(self) -> Bools:

@@ -134,6 +134,22 @@ def test_the_written_feeds_are_the_lowered_ones_and_hold_the_tolerance(tmp_path)
     np.testing.assert_allclose(written[1:-1] if written[0] > 0.03 else written, held.feed[cutting], atol=1e-9)
 
 
+def test_a_comparison_takes_the_forces_of_the_feeds_that_are_written(tmp_path):
+    """With those of the programmed feeds a good program left the path by 0.05 mm and had targets beside it."""
+    lines = SAMPLES.joinpath("cell_kr270.toml").read_text(encoding="utf-8").partition("[collision]")[0]
+    lines = lines.replace("[output]", '[output]\nfeed = "hold"')
+    (tmp_path / "cell.toml").write_text(f"{lines}\n[part]\ntolerance_mm = 0.3\n", encoding="utf-8")
+    (tmp_path / "process.toml").write_text(process(tool(12, 3), ((0, 100), (0, 60), (-20, 0)), 1.0))
+    (tmp_path / "part.nc").write_text(gcode("G0 X-10 Y30 Z20", "G0 Z-2", "G1 X110 F2400", "G0 Z20"))
+    forces = ("--cell", tmp_path / "cell.toml", "-o", tmp_path / "out")
+    run("convert", tmp_path / "part.nc", "--process", tmp_path / "process.toml", *forces)
+    report = json.loads((tmp_path / "out" / "part.report.json").read_text(encoding="utf-8"))
+    assert report["feed"]["lowered_moves"] >= 1
+    written = tmp_path / "out" / "part.src"
+    said = run("compare", tmp_path / "part.nc", written, "--forces", tmp_path / "process.toml", *forces).output
+    assert "They belong together." in said
+
+
 def test_without_need_nothing_is_lowered_and_nothing_is_tried(tmp_path):
     given = cell(50.0)
     program = read(tmp_path, text(), cell=given)
