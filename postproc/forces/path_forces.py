@@ -182,8 +182,8 @@ def assign(program: Program, path: Segments, source: ForceSource | None, axis: s
         issues += small_forces(program, knots_of_motions)
     is_forceless = np.ones(len(m), dtype=np.bool_)
     is_forceless[knots_of_motions.motion] = False
-    is_forceless &= ~m.rapid & (path.length > _NO_LENGTH)
-    issues = _warning(program, np.flatnonzero(is_forceless), "no-force", _NO_FORCE) + issues
+    has_travel = ~m.rapid & (path.length > _NO_LENGTH)
+    issues = _warning(program, np.flatnonzero(is_forceless & has_travel), "no-force", _NO_FORCE) + issues
     knots_of_motions = knots_of_motions.take(~m.rapid[knots_of_motions.motion])
     is_forceless |= m.rapid
     _check_start(program, knots_of_motions)

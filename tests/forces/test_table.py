@@ -8,6 +8,8 @@ from msgspec.structs import replace
 
 from postproc import forces, toolpath
 from postproc.errors import ForceError
+from postproc.frames import pose_from_xyzabc
+from postproc.poses import Poses
 from tests.programs import program
 
 START = np.eye(4)
@@ -154,6 +156,22 @@ def test_behind_a_branch_the_ramp_begins_with_the_factor_of_the_move_that_leads_
     (factors,) = load.spread_in_root(half)
     np.testing.assert_allclose(factors[:, 12], [5, 10, 0, 0, 0, 0], atol=1e-9)
     assert not factors[:, 6:12].any(), "the force is uncertain by its factor alone"
+
+
+@pytest.mark.parametrize("frame", ["BASE", "TOOL", "FEED"])
+def test_a_move_that_only_turns_the_tool_has_no_force_unless_one_is_stated(tmp_path, frame):
+    """Without a row it has zero force and no warning; those of the moves next to it are their own."""
+    made = program([*MOVES[:2], MOVES[1], *MOVES[2:4]])
+    target = made.motions.target[:].copy()
+    target[2:, :3, :3] = target[2:, :3, :3] @ pose_from_xyzabc([0, 0, 0, 0, 20, 0])[:3, :3]
+    made = replace(made, motions=replace(made.motions, target=Poses.of(target)))
+    path, load = put_on(made, tmp_path, f"line,frame,Fx,Fy,Fz\n2,{frame},80,0,0\n4,{frame},0,40,0\n")
+    assert (np.diff(load.first) > 0).all()
+    assert [(issue.kind, issue.lines) for issue in load.issues] == [("no-force", (5,))]
+    ends = load.at(toolpath.at(made, path, np.arange(5), np.ones(5)))
+    np.testing.assert_allclose(np.linalg.norm(ends[:, :3], axis=1), [0, 80, 0, 40, 0], atol=1e-9)
+    half = toolpath.at(made, path, np.array([3]), 0.5 * RAMP / path.length[[3]])
+    np.testing.assert_allclose(np.linalg.norm(load.at(half)[0, :3]), 20, atol=1e-2)
 
 
 def test_a_table_without_rows_is_refused(tmp_path):
