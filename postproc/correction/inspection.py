@@ -22,7 +22,7 @@ from postproc.correction.targets import Commands
 from postproc.dialects import registry
 from postproc.errors import Issue
 from postproc.frames import M_PER_MM, MM_PER_M, RAD_PER_DEG, Array, any_column, norm, xyzabc_from_pose
-from postproc.program import CIRC, LIN, PTP, SPL, Bools, Ints, Motions, Program, distinct
+from postproc.program import CIRC, LIN, SPL, Bools, Ints, Motions, Program, distinct
 from postproc.robot import JOINTS
 from postproc.toolpath import Toolpath
 from postproc.under_load import ImpossiblePathError, MotionsUnderLoad, PathUnderLoad, unreachable
@@ -146,7 +146,7 @@ def commanded_speed(path: PathUnderLoad, q: Array, position: Array) -> Array:
         chunk_speed = checks.joint_speed(path.program, path.sample.take(rows), segments.turn, q[rows], position[rows])
         speed[part] = chunk_speed[part.start - rows.start :]
     travel = segments.length[0] * path.sample.t[0]
-    if m.kind[0] != PTP and np.isnan(m.joints[0, 0]) and travel > 1e-6 and m.feed[0] > 0.0:
+    if travel > 1e-6 and m.feed[0] > 0.0:  # a PTP has no feed (NaN)
         speed[:1] = np.abs(q[:1] - path.robot_in_cell.cell.start_joints) * m.feed[0] / travel
     return speed
 

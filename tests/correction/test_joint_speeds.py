@@ -8,6 +8,9 @@ from msgspec.structs import replace
 
 from postproc.cell import Rotary
 from postproc.correction import checks, inspection, process
+from postproc.frames import pose_from_xyzabc
+from postproc.poses import Poses
+from postproc.program import PTP
 from postproc.under_load import MotionsUnderLoad, PathUnderLoad, RobotInCell
 from tests.corrections import read_files
 from tests.kr270 import CELL, ROBOT
@@ -162,6 +165,27 @@ def test_speed_is_rotation_over_the_time_of_the_way():
     seconds = np.linalg.norm(position - before, axis=1) / np.where(path.sample.motion == 0, 0.010, 0.015)
     turned = np.abs(np.diff(q, axis=0, prepend=[CELL.start_joints]))
     np.testing.assert_allclose(speed, turned / seconds[:, None], rtol=1e-6)
+
+
+@pytest.mark.parametrize(("first", "feed"), [("turn", 0.010), ("nothing", 0.010), ("ptp", np.nan), ("line", 0.0)])
+def test_a_first_move_without_travel_or_feed_has_no_known_speed(first, feed):
+    """It turns the tool by 20° at [start], moves nothing, goes by joints, or has no feed."""
+    program = read_files({"part.nc": "G21 G90\nG1 X0 Y0 Z50 F600\nX20 F900\nM30\n"})
+    place, m = RobotInCell.of(ROBOT, CELL), program.motions
+    kind, feeds, target = m.kind.copy(), m.feed.copy(), m.target[:].copy()
+    feeds[0] = feed
+    if first == "ptp":
+        kind[0] = PTP
+    if first in ("turn", "nothing"):
+        turn = pose_from_xyzabc([0, 0, 0, 20.0 * (first == "turn"), 0, 0])
+        target[0] = np.linalg.inv(program.bases[0]) @ place.start_flange @ program.tools[0] @ turn
+    changed = replace(program, motions=replace(m, kind=kind, feed=feeds, target=Poses.of(target)))
+    motions = MotionsUnderLoad.of(changed, place, None)
+    path = PathUnderLoad.of(motions, motions.pieces(linearize_arcs=False))
+    speed = inspection.commanded_speed(path, path.joints.q, path.sample.pose[:, :3, 3])
+    moved = path.sample.motion == 1
+    assert not speed[~moved].any()
+    assert speed[moved].any()
 
 
 @pytest.mark.parametrize("slower", [1.0, 0.01])
