@@ -53,7 +53,7 @@ UNCERTAIN = 0.5
 """Half width of the 95 % interval over the value beyond which a parameter counts as not determined."""
 _NO_TORQUE = 0.02
 """Largest torque on a joint over the largest on any, below which the loads do not reach it."""
-_PRIOR_SPREAD = 0.5
+PRIOR_SPREAD = 0.5
 """Standard deviation of a prior compliance over its value, where the prior states none: published sets for one class
 of arm differ by 20 to 50 %."""
 _LONGEST_SPRING = 3.0
@@ -209,18 +209,18 @@ def held_by_prior(fit: Fit, open_entries: list[NotObservable]) -> Fit:
         index = order.index(joint)
         values[index] = robot.value(joint)
         covariance[index] = covariance[:, index] = 0.0
-        covariance[index, index] = _prior_spread(robot, joint) ** 2
+        covariance[index, index] = prior_spread(robot, joint) ** 2
     structure = replace(fit.structure, parameters=order)
     return replace(fit, structure=structure, values=values, covariance=covariance, design=design)
 
 
-def _prior_spread(robot: RobotModel, joint: Parameter) -> float:
+def prior_spread(robot: RobotModel, joint: Parameter) -> float:
     """Return the standard deviation of a joint compliance of the prior [rad/(N·m)]."""
     covariance = robot.covariance
     if covariance is not None and joint in covariance.parameters:
         index = covariance.parameters.index(joint)
         return float(np.sqrt(covariance.matrix[index, index])) / joint.per_si
-    return _PRIOR_SPREAD * robot.value(joint)
+    return PRIOR_SPREAD * robot.value(joint)
 
 
 _CHI2_LIMIT = 13.8

@@ -266,8 +266,7 @@ def check_loads(robot: RobotModel, data: Measurements, placement: Placement, adv
     :returns: a warning if all displacements are larger or smaller than any robot of this kind has them.
     :raises MeasurementError: names the configuration, or all.
     """
-    displacement = measured_displacements(data, placement)
-    size = np.linalg.norm(displacement, axis=2).max(axis=1)
+    size = np.linalg.norm(measured_displacements(data, placement), axis=2).max(axis=1)
     for row in np.flatnonzero(size > _MOST_DEFLECTION).tolist():
         state = int(data.loaded_states[row])
         raise MeasurementError(
@@ -276,12 +275,9 @@ def check_loads(robot: RobotModel, data: Measurements, placement: Placement, adv
             line=_first_line(data, state),
             advice="No robot bends that far: was the tracker moved, or is a reading of another configuration?",
         )
-    structure = Structure(JOINT_COMPLIANCES, robot)
-    seen = visible(data)
-    prediction = predict(structure, structure.start(), data, placement)[0] * seen
-    rows = np.flatnonzero(seen.any(axis=(1, 2)))
-    displacement, prediction, size, states = displacement[rows], prediction[rows], size[rows], data.loaded_states[rows]
-    ratio = np.sum(displacement * prediction, axis=(1, 2)) / np.sum(prediction**2, axis=(1, 2))
+    displacement, prediction, rows = _visible_displacements(robot, data, placement)
+    size, states = size[rows], data.loaded_states[rows]
+    ratio = _ratios(displacement, prediction)
     median_ratio = float(np.median(ratio))
     if median_ratio < 0.0:
         raise MeasurementError(
@@ -323,6 +319,25 @@ def check_loads(robot: RobotModel, data: Measurements, placement: Placement, adv
         f"all points move {median_ratio:.1f} times as far as {robot.name} would under these loads: check the scale of "
         "the forces. Loads that are all wrong by a factor make all compliances wrong by it, and no residual shows it."
     ]
+
+
+def displacement_ratio(robot: RobotModel, data: Measurements, placement: Placement) -> float:
+    """Return how many times as far as those of a robot the points moved, median over the loads."""
+    displacement, prediction, _ = _visible_displacements(robot, data, placement)
+    return float(np.median(_ratios(displacement, prediction)))
+
+
+def _visible_displacements(robot: RobotModel, data: Measurements, placement: Placement) -> tuple[Array, Array, Ints]:
+    """Return displacements (n, P, 3) [m], measured and of a robot's joint springs, and their rows of loaded states."""
+    structure, seen = Structure(JOINT_COMPLIANCES, robot), visible(data)
+    rows = np.flatnonzero(seen.any(axis=(1, 2)))
+    prediction = predict(structure, structure.start(), data, placement)[0] * seen
+    return measured_displacements(data, placement)[rows], prediction[rows], rows
+
+
+def _ratios(displacement: Array, prediction: Array) -> Array:
+    """Return the ratios (n,) of displacements (n, P, 3) along predicted ones to these."""
+    return np.asarray(np.sum(displacement * prediction, axis=(1, 2)) / np.sum(prediction**2, axis=(1, 2)))
 
 
 def _state_name(data: Measurements, state: int) -> str:

@@ -33,7 +33,7 @@ from postproc.identification.measurement_model import (
     measured_displacements,
 )
 from postproc.identification.moved_device import moved_device
-from postproc.identification.plausibility import check_loads, loops
+from postproc.identification.plausibility import check_loads, displacement_ratio, loops
 from postproc.identification.readings import Measurements, gaps
 from postproc.identification.uncertainty import (
     Discrepancy,
@@ -151,7 +151,7 @@ def identify(
     fit = fit if choice is None else replace(fit, covariance=choice.wider)
     fit = add_stated_errors(fit, data, placement, None if choice is None else choice.influence)
     workspace = over_workspace(_add_bound(fit, model_error), data)
-    judgement = judge(data, fit, choice, workspace)
+    judgement = judge(data, fit, choice, workspace, displacement_ratio(prior, data, placement))
     warnings += judgement.notes + loops(prior, data, placement)
     return Identification(
         method="enhanced",
@@ -294,7 +294,7 @@ def _serial(
     model_error = discrepancy(data, placement, fit, fit.residual)
     fit = add_stated_errors(fit, data, placement, None)
     workspace = over_workspace(_add_bound(fit, model_error), data)
-    judgement = judge(data, fit, None, workspace)
+    judgement = judge(data, fit, None, workspace, displacement_ratio(prior, data, placement))
     return Identification(
         method="serial",
         prior=prior,

@@ -23,7 +23,8 @@ correction is expected to do more harm than good (a chance below `elastostatics.
 chance is Φ(d/2σ) at a place with the deflection d (`elastostatics.expected_error`): a wide bound brings it near to one
 half, and never below. So width alone refuses no model. Where it is below `elastostatics.WIDE` at 5 % of the poses, the
 verdict says so; each program that is converted states its own chance. Refused are readings from which no bound can be
-estimated, and models that have no equilibrium under loads that were measured. Noise of the measuring device decides
+estimated, models that have no equilibrium under loads that were measured, and robots that deflect as no robot of their
+kind does: a common error of all loads is in no residual. Noise of the measuring device decides
 nothing: a better one shows more of what the model lacks, of the same robot.
 """
 
@@ -38,6 +39,7 @@ from postproc.errors import NotConvergedError, first_of
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm
 from postproc.identification.choice import Choice
 from postproc.identification.fit import NORMAL_95, Fit
+from postproc.identification.joint_springs import PRIOR_SPREAD, prior_spread
 from postproc.identification.measurement_model import (
     Placement,
     joint_torques,
@@ -51,6 +53,7 @@ from postproc.identification.measurement_model import (
 from postproc.identification.readings import Measurements
 from postproc.program import Ints
 from postproc.robot import (
+    JOINT_COMPLIANCES,
     JOINTS,
     Backlash,
     CompensatorSize,
@@ -416,6 +419,9 @@ _FEW_CONFIGURATIONS = 5
 """Configurations below which the scatter is known badly: the bound of one simulated robot in ten did not hold."""
 _NUMBERS = {1: 3, 2: 5}
 """Numbers that the displacements of one, two, three points determine; three and more give the six of a rigid body."""
+_IMPLAUSIBLE = 3.0
+"""Difference of all compliances from the prior, in its standard deviations, beyond which the loads are wrong (assumed:
+three right robots in a thousand have as much)."""
 _SPARE = 2.0
 """Least numbers measured for each parameter of least squares."""
 _PLAY = 1e-5
@@ -457,8 +463,11 @@ class Judgement(Struct, frozen=True):
         return f"{usable}, with a reservation: {self.reservation}" if self.reservation else usable
 
 
-def judge(data: Measurements, fit: Fit, choice: Choice | None, workspace: Workspace) -> Judgement:
-    """Return whether a model may be used."""
+def judge(data: Measurements, fit: Fit, choice: Choice | None, workspace: Workspace, ratio: float) -> Judgement:
+    """Return whether a model may be used.
+
+    :param ratio: of the displacements to those of the prior robot (`plausibility.displacement_ratio`).
+    """
     reservations = [_large_misfit(data, fit, choice), workspace.reservation]
     if len(data.q) < _FEW_CONFIGURATIONS:
         reservations.insert(
@@ -467,9 +476,21 @@ def judge(data: Measurements, fit: Fit, choice: Choice | None, workspace: Worksp
             "(30 are usual)",
         )
     return Judgement(
-        _distrust(data, fit, choice) or workspace.refusal,
+        _distrust(data, fit, choice) or workspace.refusal or _implausible_scale(fit.structure.prior, ratio),
         "; ".join(filter(None, reservations)),
         _notes(data, fit, choice),
+    )
+
+
+def _implausible_scale(robot: RobotModel, ratio: float) -> str:
+    """Return that all compliances would be far from those of robots of this kind; empty if they are not."""
+    spread = sum(prior_spread(robot, joint) for joint in JOINT_COMPLIANCES)
+    largest_ratio = 1.0 + _IMPLAUSIBLE * max(spread / sum(map(robot.value, JOINT_COMPLIANCES)), PRIOR_SPREAD)
+    if 1.0 / largest_ratio < ratio < largest_ratio:
+        return ""
+    return (
+        f"all points move {ratio:.2g} times as far as {robot.name} would, and robots of one kind differ by a factor of "
+        f"{largest_ratio:.1f} at most: check the scale and the unit of the forces (N)"
     )
 
 

@@ -57,17 +57,17 @@ def test_least_squares_need_two_numbers_a_parameter_and_three_configurations(poi
         data = readings(forces(count, 500.0), count=count, points=POINTS[:points])
         if loads != 1:
             data = twice_loaded(data, parallel=loads == "parallel")
-        verdict = judge(data, fit_of(data), None, FINE)
+        verdict = judge(data, fit_of(data), None, FINE, 1.0)
         assert bool(verdict.distrust) == (count < needed)
         assert (f"needs {needed} configurations at least" in verdict.distrust) == (count < needed)
     # structures with priors need what shows a scatter
     few = readings(forces(2, 500.0), count=2, points=POINTS[:points])
-    verdict = judge(few, fit_of(few), choice_of(fit_of(few)), FINE)
+    verdict = judge(few, fit_of(few), choice_of(fit_of(few)), FINE, 1.0)
     assert "2 configurations were measured" in verdict.distrust
     assert "needs 3 configurations" in verdict.distrust
     assert verdict.line == f"NOT TO BE TRUSTED: {verdict.distrust}"
     three = readings(forces(3, 500.0), count=3, points=POINTS[:points])
-    assert judge(three, fit_of(three), choice_of(fit_of(three)), FINE).distrust == ""
+    assert judge(three, fit_of(three), choice_of(fit_of(three)), FINE, 1.0).distrust == ""
 
 
 def twice_loaded(data, parallel):
@@ -91,7 +91,7 @@ def twice_loaded(data, parallel):
 @pytest.mark.parametrize(("count", "reserved"), [(4, True), (5, False)])
 def test_fewer_than_five_configurations_are_a_reservation(count, reserved):
     data = readings(forces(count, 500.0), count=count)
-    verdict = judge(data, fit_of(data), None, FINE)
+    verdict = judge(data, fit_of(data), None, FINE, 1.0)
     assert verdict.distrust == ""
     assert (verdict.reservation == "") != reserved
     if reserved:
@@ -104,9 +104,28 @@ def test_fewer_than_five_configurations_are_a_reservation(count, reserved):
 def test_a_model_without_equilibrium_is_refused_with_its_pose():
     data = readings(forces(6, 500.0), count=6)
     none = Workspace((), 400.0, "the springs have no equilibrium under 300 N", tuple(np.radians([1, 2, 3, 4, 5, 6.4])))
-    verdict = judge(data, fit_of(data), None, none)
+    verdict = judge(data, fit_of(data), None, none, 1.0)
     assert verdict.distrust == "at A1 … A6 = 1, 2, 3, 4, 5, 6° the springs have no equilibrium under 300 N"
     assert none.line == f"workspace: {verdict.distrust}"
+
+
+@pytest.mark.parametrize(
+    ("sigma", "ratio", "limit"),
+    [
+        (0.25, 2.45, ""), (0.25, 2.55, "2.5"), (0.25, 0.41, ""), (0.25, 0.39, "2.5"),  # sets differ by 50 %
+        (0.8, 3.35, ""), (0.8, 3.45, "3.4"),  # the robot states more
+    ],
+)  # fmt: skip
+def test_a_robot_unlike_all_of_its_kind_is_refused(sigma, ratio, limit):
+    data = readings(forces(6, 500.0), count=6)
+    size = sigma * 1e6 * harness.PRIOR.compliance
+    prior = replace(harness.PRIOR, covariance=robot.Covariance(JOINT_COMPLIANCES, np.diag(size**2)))
+    fit = fit_of(data)
+    verdict = judge(data, replace(fit, structure=replace(fit.structure, prior=prior)), None, FINE, ratio)
+    assert (verdict.distrust != "") == (limit != "")
+    if limit:
+        assert verdict.line.startswith(f"NOT TO BE TRUSTED: all points move {ratio:.2g} times as far as kuka_kr270")
+        assert f"differ by a factor of {limit} at most: check the scale and the unit of the forces" in verdict.line
 
 
 @pytest.mark.parametrize("by_choice", [False, True])
@@ -125,9 +144,9 @@ def test_a_model_that_leaves_a_third_of_the_displacements_beyond_noise_doubts_th
     dof = 3 * 6 * 4 - 6
     if by_choice:  # configurations left out count, not the fit
         fit = fit_of(data)
-        verdict = judge(data, fit, choice_of(fit, square_error, off=off), FINE)
+        verdict = judge(data, fit, choice_of(fit, square_error, off=off), FINE, 1.0)
     else:
-        verdict = judge(data, fit_of(data, chi2=square_error * dof, off=off), None, FINE)
+        verdict = judge(data, fit_of(data, chi2=square_error * dof, off=off), None, FINE, 1.0)
     message = f"the model is off by {share * size * 1e3:.2g} mm RMS of displacements of {size * 1e3:.2g} mm"
     assert (message in verdict.reservation) == doubtful
     assert bool(verdict.reservation) == doubtful
@@ -151,7 +170,7 @@ def test_notes_name_what_readings_leave_open():
     fit = fit_of(data, values, covariance=np.diag(sigma**2), parameters=parameters)
     links = [robot.LinkSpring("A2", axis) for axis in robot.LINK_AXES[:6]] + [robot.LinkSpring("A3", "X")]
     held = [links[0], robot.LinkMass("A3"), *links[1:], JOINT_COMPLIANCES[5], robot.Knee("A3", 50.0)]
-    judged = judge(data, fit, choice_of(fit, held=held), FINE).notes
+    judged = judge(data, fit, choice_of(fit, held=held), FINE, 1.0).notes
     assert judged[0].startswith("one level of loads (400 N): gears that stiffen")
     names = ", ".join(link.name for link in links[:6])
     kinds = f"link springs {names} and 1 more; masses {held[1].name}; joints k6; breakpoints {held[-1].name} ("
@@ -162,9 +181,9 @@ def test_notes_name_what_readings_leave_open():
                           "looks like 0.040 mrad of backlash or friction in A5"]  # fmt: skip
     two = twice_loaded(readings(forces(6, 500.0), count=6), parallel=True)
     plain = fit_of(two)
-    assert judge(two, plain, choice_of(plain), FINE).notes == []
+    assert judge(two, plain, choice_of(plain), FINE, 1.0).notes == []
     tiny = fit_of(data, [9e-6], sigma=0.1, parameters=(robot.Backlash("A4", 30.0),))  # below 10 µrad
-    assert judge(data, tiny, None, FINE).notes == []
+    assert judge(data, tiny, None, FINE, 1.0).notes == []
 
 
 def levels(*rows):
