@@ -283,3 +283,22 @@ def test_what_inserted_targets_are_off_is_no_distance_of_the_way(inside, found):
     made = pair_targets(one, other, np.array([0, 3, 4]), np.ones(3, dtype=bool))
     assert made.inserted_rows.tolist() == [1, 2]
     assert _distance_of_way(made, one, other, 1) == pytest.approx(20.2e-3, abs=2e-5)
+
+
+@pytest.mark.parametrize("targets_before", [0, 1, 5])
+@pytest.mark.parametrize(("bulge", "distance"), [(1.2, 0.0), (1.6, 2.2e-3)])
+def test_a_way_is_judged_by_its_own_inserted_targets_wherever_it_is_in_the_program(targets_before, bulge, distance):
+    """They are 0.6 mm off, so that the arc between them may be 0.1 + 3 · 0.6 mm off; those before it are 0.2 mm off."""
+    begin = [("LIN", x, 0.2, 0) for x in np.linspace(-60, -10, 7 + targets_before)]
+    radius = (20.0**2 + bulge**2) / (2.0 * bulge)
+    sweep = 2.0 * math.degrees(math.asin(20.0 / radius))
+    middle = ("CIRC", 60, 0.6, 0, 40, 0.6 + bulge - radius, 0, sweep, (0, 0, -1))
+    nominal = [("LIN", x, y, 0) for x, y in ((begin[targets_before][1], 0), (-10, 0), (0, 0), (80, 0), (80, 40))]
+    one = Path(nominal).placed
+    end = [("LIN", 80, 0.2, 0), ("LIN", 80, 40.2, 0)]
+    other = Path([*begin, ("LIN", 0, 0.2, 0), ("LIN", 20, 0.6, 0), middle, *end]).placed
+    last = len(begin)
+    partner = np.array([targets_before, last - 1, last, last + 3, last + 4])
+    made = pair_targets(one, other, partner, np.ones(5, dtype=bool))
+    assert made.inserted_rows.tolist()[-2:] == [last + 1, last + 2]
+    assert _distance_of_way(made, one, other, 3) == pytest.approx(distance, abs=2e-5)
