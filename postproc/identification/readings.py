@@ -186,14 +186,30 @@ class Experiment(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
         ]
 
 
+_IN_METRES = 1e-3
+"""Distance [m] of the load point from the flange origin below which it looks like metres: no tool is longer than a
+metre, and a load at the origin itself has zeros (assumed)."""
+_ON_TOOL = 0.1
+"""Distance [m] of a reference point from the flange origin that shows a tool of usual size, in mm (assumed)."""
+
+
 def read_experiment(path: Path) -> Experiment:
     """Read `experiment.toml`.
 
-    :raises MeasurementError: unknown or missing keys, values out of range, fewer than three points.
+    :raises MeasurementError: unknown or missing keys, values out of range, no points, a load point in metres.
     """
     experiment = files.read_toml(path, Experiment, MeasurementError)
     if not experiment.points:
         raise MeasurementError("no [points.NAME]", file=str(path), advice="Give the reference points on the tool.")
+    lever = float(np.linalg.norm(experiment.load_point.position()))
+    largest_distance = max(float(np.linalg.norm(point.position())) for point in experiment.points.values())
+    if 0.0 < lever < _IN_METRES and largest_distance > _ON_TOOL:
+        raise MeasurementError(
+            f"[load_point] is {lever / M_PER_MM:.2g} mm from the flange origin, and the points up to "
+            f"{largest_distance / M_PER_MM:.0f} mm: X, Y, Z of the load point look like metres",
+            file=str(path),
+            advice="Give them in mm; where the load acts at the flange origin, give 0, 0, 0.",
+        )
     return experiment
 
 

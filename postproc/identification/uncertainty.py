@@ -22,7 +22,8 @@ model is worth less: the unmodelled error does not shrink with the force. The ve
 correction is expected to do more harm than good (a chance below `elastostatics.HARM`). With an error of mean zero the
 chance is Φ(d/2σ) at a place with the deflection d (`elastostatics.expected_error`): a wide bound brings it near to one
 half, and never below. So width alone refuses no model. Where it is below `elastostatics.WIDE` at 5 % of the poses, the
-verdict says so; each program that is converted states its own chance. Refused are readings from which no bound can be
+verdict says so, and where the bound is about as large as the deflection; each program that is converted states its own
+chance. Refused are readings from which no bound can be
 estimated, models that have no equilibrium under loads that were measured, and robots that deflect as no robot of their
 kind does: a common error of all loads is in no residual. Noise of the measuring device decides
 nothing: a better one shows more of what the model lacks, of the same robot.
@@ -242,6 +243,9 @@ _POSE_SHARE = 0.95
 """Share of the poses at which bound over deflection is below the stated value."""
 _TORQUE_SHARE = 0.02
 """Largest torque on a joint over the largest on any, below which the readings do not load it."""
+_AS_LARGE = 0.9
+"""Bound over deflection from which they are about equal, so that it is not certain that correction leaves less: both
+are known to a tenth (assumed)."""
 _CLEARANCE = 0.25
 """Distance from the axis of A1 over the largest reach, nearer than which no work is done."""
 
@@ -294,13 +298,21 @@ class Workspace(Struct, frozen=True):
 
     @property
     def reservation(self) -> str:
-        """Loads under which the gain is smaller than one standard deviation of itself in 5 % of the poses, and why."""
+        """Loads under which the gain is smaller than one standard deviation of itself in 5 % of the poses, or the
+        bound about as large as the deflection, and why.
+        """
         weakest_level = min(self.measured_levels, key=lambda level: level.chance, default=None)
-        if weakest_level is None or weakest_level.chance >= elastostatics.WIDE:
+        if weakest_level is None:
             return ""
-        return (
+        is_wide = weakest_level.chance < elastostatics.WIDE
+        if not is_wide and self.worst.worst < _AS_LARGE:
+            return ""
+        chance = (
             f"under {weakest_level.load:.0f} N there are poses where correction makes the part better with a chance of "
-            f"{100.0 * weakest_level.chance:.0f} % only; under {self.worst.load:.0f} N the bound is up to "
+            f"{100.0 * weakest_level.chance:.0f} % only; "
+        )
+        return (
+            f"{chance if is_wide else ''}under {self.worst.load:.0f} N the bound is up to "
             f"{self.worst.worst:.2g} times the deflection (A1 … A6 = {self._angles}°): {self.cause}"
         )
 

@@ -30,6 +30,28 @@ def test_a_number_out_of_range_in_the_experiment_is_named_with_its_key(tmp_path,
         read_experiment(tmp_path / "experiment.toml")
 
 
+@pytest.mark.parametrize(
+    ("point", "far", "refused"),
+    [
+        ((0.21, -0.06, 0.18), 301, True), ((0.0, 0.0, 0.0), 301, False), ((0.0, 0.0, 1.1), 301, False),
+        ((0.21, -0.06, 0.18), 20, False),
+    ],
+)  # fmt: skip
+def test_a_load_point_in_metres_is_refused(tmp_path, point, far, refused):
+    path = tmp_path / "experiment.toml"
+    load, points = "".join(f"{axis} = {value}\n" for axis, value in zip("XYZ", point, strict=True)), ""
+    for name in ("P1", "P2", "P3"):
+        points += f"[points.{name}]\nX = 10\nY = 0\nZ = {far}\n"
+    path.write_text(f'robot = "kuka_kr270"\nsigma_mm = 0.03\n[load_point]\n{load}{points}')
+    if not refused:
+        position = read_experiment(path).load_point.position()
+        assert position.tolist() == pytest.approx([value / 1e3 for value in point])
+        return
+    with pytest.raises(MeasurementError, match="up to 301 mm: X, Y, Z of the load point look like metres") as error:
+        read_experiment(path)
+    assert r"[load_point] is 0.28 mm from the flange origin" in str(error.value)
+
+
 def test_whole_numbers_too_large_for_a_float_are_an_error_of_the_file(tmp_path):
     path = tmp_path / "experiment.toml"
     path.write_text(EXPERIMENT.replace("X = 210", f"X = {10**400}"))

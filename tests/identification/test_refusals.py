@@ -166,11 +166,11 @@ def test_levels_of_one_angle_do_not_show_a_compensator():
 
 def test_the_uncertainty_of_a_missing_joint_is_half_its_value_if_none_is_stated():
     bare = replace(harness.PRIOR, covariance=None)
-    assert joint_springs._prior_spread(bare, JOINT_COMPLIANCES[2]) == pytest.approx(0.5 * bare.compliance[2])
+    assert joint_springs.prior_spread(bare, JOINT_COMPLIANCES[2]) == pytest.approx(0.5 * bare.compliance[2])
     stated = robot.Covariance(JOINT_COMPLIANCES[:2], np.diag([4.0, 9.0]) * 1e-4)
     known = replace(harness.PRIOR, covariance=stated)
-    assert joint_springs._prior_spread(known, JOINT_COMPLIANCES[1]) == pytest.approx(0.03e-6)
-    assert joint_springs._prior_spread(known, JOINT_COMPLIANCES[2]) == pytest.approx(0.5 * bare.compliance[2])
+    assert joint_springs.prior_spread(known, JOINT_COMPLIANCES[1]) == pytest.approx(0.03e-6)
+    assert joint_springs.prior_spread(known, JOINT_COMPLIANCES[2]) == pytest.approx(0.5 * bare.compliance[2])
 
 
 def test_a_compensator_of_markers_replaces_the_geometry_alone(tmp_path):

@@ -6,7 +6,7 @@ from msgspec.structs import replace
 
 from postproc import elastostatics, robot
 from postproc.identification import uncertainty
-from postproc.identification.uncertainty import over_workspace
+from postproc.identification.uncertainty import Workspace, WorkspaceLevel, over_workspace
 from samples.paper_study import harness, simulator
 
 
@@ -50,6 +50,16 @@ def test_an_unmodelled_error_as_large_as_the_deflection_is_a_reservation_with_it
     least = min(level.chance for level in found.measured_levels)
     assert f"a chance of {100 * least:.0f} % only" in found.reservation
     assert found.refusal == ""
+
+
+@pytest.mark.parametrize(("worst", "is_reserved"), [(0.85, False), (0.98, True)])
+def test_a_bound_about_as_large_as_the_deflection_is_a_reservation(worst, is_reserved):
+    small, measured = (WorkspaceLevel(load, 1e-3, 1e-4, share, 0.9) for load, share in ((50.0, 2.0), (500.0, worst)))
+    workspace = Workspace((small, measured), 400.0, "k3 is not determined", (0.0,) * 6)
+    assert (workspace.reservation != "") == is_reserved
+    if is_reserved:
+        assert workspace.reservation.startswith("under 500 N the bound is up to 0.98 times the deflection (A1 … A6 = 0")
+        assert workspace.reservation.endswith("k3 is not determined")
 
 
 def test_the_chance_is_that_of_draws_of_the_error(data):
