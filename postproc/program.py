@@ -470,7 +470,7 @@ class Places(Struct, frozen=True, eq=False):
         return self.files[int(self.file[row])], int(self.line[row])
 
 
-class Unresolved(Struct, frozen=True):
+class UnresolvedMotion(Struct, frozen=True):
     """A motion that is left unchanged: its target, or whether it runs, is only known at run time.
 
     :param file: name of its file; `line` its 1-based line there.
@@ -484,7 +484,7 @@ class Unresolved(Struct, frozen=True):
     why: str
 
 
-class Needed(Struct, frozen=True):
+class NeededFile(Struct, frozen=True):
     """A file next to a program that it needs to run, and that is left unchanged.
 
     :param path: of the file.
@@ -503,7 +503,7 @@ class Needed(Struct, frozen=True):
     variables: tuple[str, ...] = ()
 
 
-class Unfollowed(Struct, frozen=True, eq=False):
+class UnfollowedCall(Struct, frozen=True, eq=False):
     """A call of a routine in another file that cuts, and whose motions are unknown.
 
     :param line: of the main file.
@@ -587,9 +587,9 @@ class Program(Struct, frozen=True, eq=False):
     carriage: Carriage | None = None
     with_path: Bools | None = None
     unforced: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    unresolved: tuple[Unresolved, ...] = ()
-    unfollowed: tuple[Unfollowed, ...] = ()
-    needed: tuple[Needed, ...] = ()
+    unresolved: tuple[UnresolvedMotion, ...] = ()
+    unfollowed: tuple[UnfollowedCall, ...] = ()
+    needed: tuple[NeededFile, ...] = ()
     layout: Layout | None = None
     feed_as_read: Array | None = None
 
@@ -705,7 +705,7 @@ class Modules(Struct, frozen=True, eq=False):
     output_line: Ints
 
 
-class Written(Struct, frozen=True, eq=False):
+class WrittenProgram(Struct, frozen=True, eq=False):
     """A program as text, before it is released.
 
     :param documents: files to write, the main one (`NAME.src`) first.

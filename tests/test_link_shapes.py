@@ -195,7 +195,7 @@ def test_what_is_simple_stays_as_it_is():
 def test_an_identified_model_keeps_the_shapes():
     path, _, _ = meshes_in_a_package(np.random.default_rng(7), "stl")
     prior = add_robot(path, "mine").folder
-    data = record.Identified(
+    data = record.IdentificationRecord(
         method="serial", robot="mine", sigma_mm=0.01, base={}, points={}, unloaded_rms_mm=0.0, outliers=[], warnings=[]
     )
     model_folder.write(Path("found"), read_toml(prior / "model.toml", ModelFile, ModelError), data, prior)

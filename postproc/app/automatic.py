@@ -18,7 +18,7 @@ _CORRECTING = ("convert", "start")
 """Commands after which a program is finished, whatever came of it; others only read it."""
 
 
-class Automatic:
+class AutomaticConversion:
     """The switch, and what it switches.
 
     :ivar is_on: kept in the folder of the results when it is off.

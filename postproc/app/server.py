@@ -15,7 +15,7 @@ from urllib.parse import parse_qsl, quote, urlsplit
 
 from postproc.app import screens
 from postproc.app.access import Access
-from postproc.app.automatic import Automatic
+from postproc.app.automatic import AutomaticConversion
 from postproc.app.models import identification, model_path
 from postproc.app.runs import Run, Runs, command_line
 from postproc.app.testpart import TestPart
@@ -69,7 +69,7 @@ class Window(ThreadingHTTPServer):
         self.workspace = Workspace(folder.resolve())
         self.runs = Runs(self.workspace.folder)
         self.part = TestPart(self.workspace)
-        self.automatic = Automatic(self.workspace, self.runs)
+        self.automatic = AutomaticConversion(self.workspace, self.runs)
         try:
             super().__init__(("127.0.0.1", port), _Handler)
         except OSError as cause:

@@ -5,17 +5,17 @@ the nominal geometry has it, but for its deflection. Bodies are convex solids an
 (Pan, Chitta, Manocha, "FCL: a general purpose library for collision and proximity queries", ICRA 2012).
 """
 
-from postproc.collision.along import Closest, Hits, hits, pair_hits, path_hits
+from postproc.collision.along import Hits, SmallestDistance, hits, pair_hits, path_hits
 from postproc.collision.bodies import Body, Cylinder, Scene, cylinders, inscribed_capsule
 from postproc.collision.distance import Clearance, Solids, clearance, link_frames
 
 __all__ = [
     "Body",
     "Clearance",
-    "Closest",
     "Cylinder",
     "Hits",
     "Scene",
+    "SmallestDistance",
     "Solids",
     "clearance",
     "cylinders",

@@ -24,7 +24,7 @@ _SHORT = 0.05e-3
 """Motions between poses that are shorter [m] are not halved (assumed)."""
 
 
-class Closest(Struct, frozen=True):
+class SmallestDistance(Struct, frozen=True):
     """The smallest distance along a path.
 
     :param distance: [m]; 0 where bodies touch or overlap.
@@ -49,7 +49,7 @@ class Hits(Struct, frozen=True, eq=False):
     :param largest_decrease: largest decrease of distances on the commanded path [m].
     """
 
-    closest: Closest | None
+    closest: SmallestDistance | None
     row: Ints
     first: Ints
     second: Ints
@@ -119,7 +119,7 @@ class _Search:
         self.chain = solids.scene.robot.nominal
         self.states = q if shift is None else np.concatenate([q, shift], axis=1)
         self.frames = self._frames(self.states)
-        self.closest: Closest | None = None
+        self.closest: SmallestDistance | None = None
         self._lengths: dict[tuple[int, int | None], Array] = {}
         self.hits: dict[tuple[int, int, int], float] = {}
 
@@ -186,7 +186,7 @@ class _Search:
 
     def _nearer(self, first: int, second: int, row: int, distance: float) -> None:
         if self.closest is None or distance < self.closest.distance:
-            self.closest = Closest(distance, first, second, row)
+            self.closest = SmallestDistance(distance, first, second, row)
 
     def _note(self, first: int, second: int, row: int, distance: float) -> None:
         key = (row, first, second)

@@ -79,7 +79,7 @@ def path_clearance(path: PathUnderLoad, commanded_q: Array) -> tuple[SmallestCle
     line = program.motions.line[sample.motion]
     smallest: SmallestClearance | None = None
     stock = path.motions.forces.stock
-    worst = _Worst(program.motions, stock)
+    worst = _SmallestDistance(program.motions, stock)
     for rows, tool in _runs(program.motions.tool[sample.motion]):
         scene = collision.Scene.of(robot_in_cell.robot, robot_in_cell.cell, program.tools[tool])
         from_start = rows.start == 0 and program.motions.kind[0] == PTP
@@ -172,7 +172,7 @@ def _retracts(path: PathUnderLoad, sample: Toolpath, rows: slice) -> Bools:
     return np.asarray(np.einsum("ni,ni->n", step, up) >= (1.0 - _AXIS_SHARE) * norm(step))
 
 
-class _Worst:
+class _SmallestDistance:
     """The smallest distance of each two bodies that come too close, and the lines on which they do."""
 
     def __init__(self, motions: Motions, stock: StockInTime | None) -> None:
@@ -260,7 +260,7 @@ def _issue(
     """Return the error of two bodies.
 
     :param begins: on the way from [start].
-    :param to_stock: see `_Worst._stock_source_and_advice`.
+    :param to_stock: see `_SmallestDistance._stock_source_and_advice`.
     """
     first, second = names
     verb = "touches or is inside" if distance == 0.0 else f"comes within {distance * MM_PER_M:.2g} mm of"

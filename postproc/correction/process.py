@@ -17,8 +17,8 @@ from postproc.cell import Cell
 from postproc.chunks import in_chunks
 from postproc.correction import checks, collisions, inspection, plausibility
 from postproc.correction.result import ExpectedErrors, Mode, Result
-from postproc.correction.targets import Chosen, CommandedPath, Commands, arc_pieces, choose_targets
-from postproc.correction.verify import ReadBack, Simulated, UnusableTextError, read_back, simulate
+from postproc.correction.targets import CommandedPath, Commands, TargetSelection, arc_pieces, choose_targets
+from postproc.correction.verify import ReadBackProgram, SimulatedPath, UnusableTextError, read_back, simulate
 from postproc.dialects import registry
 from postproc.dialects.dialect import Writer
 from postproc.elastostatics import Reversals
@@ -27,7 +27,7 @@ from postproc.forces import Axes, ForceSource, Knots
 from postproc.frames import Array, norm, xyzabc_from_pose
 from postproc.placement import Turn
 from postproc.poses import Poses
-from postproc.program import CIRC, Bools, Document, Ints, Program, TargetForces, TargetJoints, Written, read_only
+from postproc.program import CIRC, Bools, Document, Ints, Program, TargetForces, TargetJoints, WrittenProgram, read_only
 from postproc.robot import RobotModel
 from postproc.toolpath import Pieces
 from postproc.under_load import (
@@ -157,14 +157,14 @@ class Draft(Struct, frozen=True, eq=False):
     path: PathUnderLoad
     q: Array
     theta: Array
-    selection: Chosen
+    selection: TargetSelection
     issues: tuple[Issue, ...]
-    simulation: Simulated | None = None
+    simulation: SimulatedPath | None = None
     carried: Knots | None = None
     unlike: tuple[Issue, ...] = ()
 
     @classmethod
-    def of(cls, task: Task, path: PathUnderLoad, command: Commands, selection: Chosen) -> Draft:
+    def of(cls, task: Task, path: PathUnderLoad, command: Commands, selection: TargetSelection) -> Draft:
         """Return the draft with the issues of the task, the program, its forces and its commanded path."""
         issues = (
             *task.initial_issues,
@@ -208,7 +208,7 @@ class Draft(Struct, frozen=True, eq=False):
         knots, unlike = _readback_forces(draft, readback)
         return replace(draft, carried=knots, unlike=unlike)
 
-    def _text(self, task: Task) -> Written:
+    def _text(self, task: Task) -> WrittenProgram:
         """Return the program with the targets of this draft, as its dialect writes it."""
         path, row = self.path, self.selection.row
         comments = self.forces_at_targets() if path.program.notes and not task.in_file else None
@@ -217,7 +217,7 @@ class Draft(Struct, frozen=True, eq=False):
         return task.writer.write(path.program, self.selection.targets, joints, path.robot_in_cell.cell, comments)
 
 
-def _too_large(text: Written, cell: Cell) -> tuple[Issue, ...]:
+def _too_large(text: WrittenProgram, cell: Cell) -> tuple[Issue, ...]:
     """Return a warning if a written program in one piece is larger than the memory of the controller."""
     size, memory = text.size / _MB, cell.output.program_memory_MB
     if size <= memory or text.modules is not None:
@@ -287,7 +287,7 @@ def result_of(task: Task, draft: Draft, corrected_draft: Draft) -> Result:
         issues=group_issues([*result.issues, *draft.unlike]),
         documents=() if draft.failed else text.documents,
         output_line=text.output_line,
-        modules=() if isinstance(text, Written) else text.first,
+        modules=() if isinstance(text, WrittenProgram) else text.first,
         deviation_after=simulation.deviation,
         between=simulation.between,
         rounding=simulation.rounding,
@@ -420,7 +420,7 @@ def _uncertain(path: PathUnderLoad, row: Ints) -> tuple[Array | None, Array | No
     return spread, None if spring is None else spring.matrices(path.pose_in_root(row)[:, :3, :3])
 
 
-def _readback_forces(draft: Draft, readback: ReadBack) -> tuple[Knots | None, tuple[Issue, ...]]:
+def _readback_forces(draft: Draft, readback: ReadBackProgram) -> tuple[Knots | None, tuple[Issue, ...]]:
     """Return the forces that a file gives to the written program, None with a warning if it cannot hold them."""
     path_forces, targets = draft.path.motions.forces, draft.selection.targets
     travel, _ = forces.last_travel(readback.program, readback.segments, path_forces.axes.spindle)

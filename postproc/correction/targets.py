@@ -319,7 +319,7 @@ _UNCHANGED = 1e-7
 """A correction below this [m, rad] is none: the text of a target is left to the byte where the program keeps it."""
 
 
-class Chosen(Struct, frozen=True, eq=False):
+class TargetSelection(Struct, frozen=True, eq=False):
     """The K targets chosen of the N samples of a path.
 
     :param targets: targets to be written.
@@ -337,7 +337,7 @@ class Chosen(Struct, frozen=True, eq=False):
 
 def choose_targets(
     path: PathUnderLoad, command: Commands, least_arc: tuple[float, float], *, linearize_arcs: bool
-) -> Chosen:
+) -> TargetSelection:
     """Choose the targets to write: the fewest samples that hold the tolerance.
 
     :param command: commands of the samples, in `$BASE`.
@@ -365,7 +365,7 @@ def choose_targets(
     if not (path.motions.forces.frame == FEED).any():
         arrive = np.zeros((0, 3))
     rounding = programmed_rounding(program, path.motions.segments, motion)
-    return Chosen(replace(targets, blend=blend), row, arrive, rounding)
+    return TargetSelection(replace(targets, blend=blend), row, arrive, rounding)
 
 
 def _unchanged_motions(path: PathUnderLoad, command: Commands) -> tuple[Bools, Bools]:

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from postproc import toolpath
 from postproc.chunks import in_chunks
 from postproc.correction import checks, inspection
-from postproc.correction.targets import Chosen, corners_of_motions
+from postproc.correction.targets import TargetSelection, corners_of_motions
 from postproc.dialects import registry
 from postproc.errors import Issue, Level, NotConvergedError, PostprocError, ProgramError
 from postproc.forces import BEHIND_STEP
 from postproc.frames import MM_PER_M, Array, angle_between, largest, norm, twist_between
-from postproc.program import CIRC, Bools, Ints, Modules, Program, Targets, Written
+from postproc.program import CIRC, Bools, Ints, Modules, Program, Targets, WrittenProgram
 from postproc.simulation import DrivenProgram, number_of_places
 from postproc.toolpath import Segments
 from postproc.under_load import ImpossiblePathError, MotionsUnderLoad, PathUnderLoad, led_by_wrist
@@ -38,7 +38,7 @@ class UnusableTextError(PostprocError):
         self.issue = issue
 
 
-class ReadBack(Struct, frozen=True, eq=False):
+class ReadBackProgram(Struct, frozen=True, eq=False):
     """A written program of K targets as its text says.
 
     :param text: as written.
@@ -48,14 +48,14 @@ class ReadBack(Struct, frozen=True, eq=False):
     :param numbers: (K, 6) X, Y, Z, A, B, C of the targets as printed in the text [mm, deg].
     """
 
-    text: Written
+    text: WrittenProgram
     program: Program
     segments: Segments
     row: Ints
     numbers: Array
 
 
-def read_back(path: PathUnderLoad, selection: Chosen, text: Written) -> ReadBack:
+def read_back(path: PathUnderLoad, selection: TargetSelection, text: WrittenProgram) -> ReadBackProgram:
     """Read a written program with the reader of its dialect, and check that it has the chosen targets.
 
     :raises UnusableTextError: it cannot be read, or has other targets.
@@ -86,7 +86,9 @@ def read_back(path: PathUnderLoad, selection: Chosen, text: Written) -> ReadBack
             f"{module_name} moves differently from the program in one piece: a fault of postproc, please report it"
         )
         raise UnusableTextError(Issue("error", "read-back", message))
-    return ReadBack(text, output_program, toolpath.segments(output_program, robot_in_cell.start_flange), row, numbers)
+    return ReadBackProgram(
+        text, output_program, toolpath.segments(output_program, robot_in_cell.start_flange), row, numbers
+    )
 
 
 def _other_module(path: PathUnderLoad, whole: Program, row: Ints, modules: Modules, dialect: str) -> str | None:
@@ -191,7 +193,7 @@ _TARGET_ERROR = f"the simulated program misses a target by {{left}} (allowed {_T
 _PATH_ERROR = "the simulated program leaves its path between targets by {left} (allowed {allowed})"
 
 
-class Simulated(Struct, frozen=True, eq=False):
+class SimulatedPath(Struct, frozen=True, eq=False):
     """Simulated path of the written program.
 
     :param text: as written.
@@ -205,7 +207,7 @@ class Simulated(Struct, frozen=True, eq=False):
     :param issues: why the program must not be released (level error), or what to look at.
     """
 
-    text: Written
+    text: WrittenProgram
     numbers: Array
     deviation: Array
     path_distance: Array
@@ -239,8 +241,8 @@ class _Probes(Struct, frozen=True, eq=False):
 
 
 def simulate(
-    path: PathUnderLoad, selection: Chosen, theta: Array, readback: ReadBack, *, is_corrected: bool
-) -> Simulated:
+    path: PathUnderLoad, selection: TargetSelection, theta: Array, readback: ReadBackProgram, *, is_corrected: bool
+) -> SimulatedPath:
     """Simulate a written program against the nominal path of the program it was made from.
 
     :param selection: what was to be written.
@@ -266,7 +268,7 @@ def simulate(
     is_beyond_tolerance = is_judged & probes.is_inside & ~(distance <= _SAFE * tolerance) & ~jump
     path_distance = np.zeros(len(targets))
     np.maximum.at(path_distance, probes.target[is_judged], distance[is_judged])
-    return Simulated(
+    return SimulatedPath(
         readback.text,
         readback.numbers,
         deviation,
@@ -294,7 +296,7 @@ def _special(path: PathUnderLoad, targets: Targets, probes: _Probes) -> tuple[Bo
 
 
 def _deviation(
-    path: PathUnderLoad, selection: Chosen, theta: Array, readback: ReadBack, probes: _Probes
+    path: PathUnderLoad, selection: TargetSelection, theta: Array, readback: ReadBackProgram, probes: _Probes
 ) -> tuple[Array, Array, bool]:
     """Return the deviation of the loaded tip from nominal, and whether a joint is near its largest speed.
 
@@ -342,7 +344,7 @@ def _deviation(
     return deviation, distance, bool(fast.any())
 
 
-def _probes(path: PathUnderLoad, selection: Chosen, readback: ReadBack) -> _Probes:
+def _probes(path: PathUnderLoad, selection: TargetSelection, readback: ReadBackProgram) -> _Probes:
     """Return the probes: the places of the written path at which the deviation is computed.
 
     A short straight run of a straight move is followed by the deflection in proportion: its end is enough. Runs that
@@ -382,7 +384,9 @@ def _probes(path: PathUnderLoad, selection: Chosen, readback: ReadBack) -> _Prob
     return _Probes(target, share, targets.motion[target], in_chunks(place, target, share)[0])
 
 
-def _unevenness(path: PathUnderLoad, selection: Chosen, readback: ReadBack, arc_rows: Ints, correction: Array) -> Array:
+def _unevenness(
+    path: PathUnderLoad, selection: TargetSelection, readback: ReadBackProgram, arc_rows: Ints, correction: Array
+) -> Array:
     """Return by how much more pieces (n,) are displaced at a quarter of their length than at their end, (n, 3) [m]."""
 
     def in_chunk(of: Ints, begin: Array, end: Array, on: Ints, correction: Array) -> tuple[Array]:
@@ -421,7 +425,7 @@ def _left(
             yield path.program.motions.issue(level, kind, message, probes.motion[exceeds])
 
 
-def _joint_speeds(path: PathUnderLoad, selection: Chosen, readback: ReadBack) -> Iterator[Issue]:
+def _joint_speeds(path: PathUnderLoad, selection: TargetSelection, readback: ReadBackProgram) -> Iterator[Issue]:
     """Yield the joint speeds of the written program beyond the limits, as a prediction of it finds them."""
     output_program, robot = readback.program, path.robot_in_cell.robot
     motions = MotionsUnderLoad.of(output_program, path.robot_in_cell, None)

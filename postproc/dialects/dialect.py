@@ -10,7 +10,7 @@ from msgspec import Struct
 
 from postproc.cell import Cell
 from postproc.frames import Array
-from postproc.program import Document, Program, TargetForces, TargetJoints, Targets, Written
+from postproc.program import Document, Program, TargetForces, TargetJoints, Targets, WrittenProgram
 from postproc.provenance import Origin, Provenance
 
 
@@ -44,7 +44,7 @@ class Writer(Protocol):
 
     def write(
         self, program: Program, targets: Targets, joints: TargetJoints, cell: Cell, comments: TargetForces | None
-    ) -> Written:
+    ) -> WrittenProgram:
         """Return a program as text; if it has a `layout`, its own text with other numbers.
 
         :param targets: targets to be commanded.

@@ -15,7 +15,7 @@ from postproc.files.reading import (
 )
 from postproc.files.writing import (
     FileEntry,
-    Staged,
+    StagedFiles,
     add_record,
     discard,
     foreign,
@@ -35,7 +35,7 @@ from postproc.files.writing import (
 
 __all__ = [
     "FileEntry",
-    "Staged",
+    "StagedFiles",
     "add_record",
     "check_sizes",
     "convert",

@@ -151,7 +151,7 @@ _STAGE = (".postproc-", ".tmp")
 """Prefix and suffix of the folder that files are written in at first."""
 
 
-class Staged(Struct, frozen=True):
+class StagedFiles(Struct, frozen=True):
     """Files that are complete, in a folder of their own inside the one that they are for.
 
     :param path: of that folder.
@@ -182,7 +182,7 @@ def write_whole(folder: Path, contents: Mapping[str, bytes | Iterable[bytes]]) -
             return replace(folder, [file_set])
 
 
-def stage(folder: Path, contents: Mapping[str, bytes | Iterable[bytes]]) -> Staged:
+def stage(folder: Path, contents: Mapping[str, bytes | Iterable[bytes]]) -> StagedFiles:
     """Write files into a new folder inside `folder` and sync them; `replace` puts them in their places.
 
     :param contents: see `write_whole`.
@@ -204,10 +204,10 @@ def stage(folder: Path, contents: Mapping[str, bytes | Iterable[bytes]]) -> Stag
         except BaseException:
             shutil.rmtree(path, ignore_errors=True)
             raise
-    return Staged(path, tuple(contents))
+    return StagedFiles(path, tuple(contents))
 
 
-def replace(folder: Path, file_sets: Sequence[Staged], obsolete: Sequence[str] = ()) -> list[Path]:
+def replace(folder: Path, file_sets: Sequence[StagedFiles], obsolete: Sequence[str] = ()) -> list[Path]:
     """Put staged files in their places: all of them, or none. The caller has locked the folder.
 
     Those that they replace are moved out of the way, then the new ones take their places. So at any moment, also if the
@@ -230,7 +230,7 @@ def replace(folder: Path, file_sets: Sequence[Staged], obsolete: Sequence[str] =
     return [folder / name for file_set in file_sets for name in file_set.names]
 
 
-def discard(file_set: Staged) -> None:
+def discard(file_set: StagedFiles) -> None:
     """Remove staged files, unless files that they should have replaced could not be put back."""
     if not any(file_set.path.glob("old/*")):
         shutil.rmtree(file_set.path, ignore_errors=True)
@@ -265,7 +265,7 @@ def _write(path: Path, content: bytes | Iterable[bytes]) -> None:
         os.fsync(file.fileno())
 
 
-def _replace(file_sets: Sequence[Staged], folder: Path, names: Sequence[str], obsolete: Sequence[str]) -> None:
+def _replace(file_sets: Sequence[StagedFiles], folder: Path, names: Sequence[str], obsolete: Sequence[str]) -> None:
     """Put new files in the place of old ones; a single one in one step."""
     source = {name: file_set.path / "new" / name for file_set in file_sets for name in file_set.names}
     old_names: list[str] = []

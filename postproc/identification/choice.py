@@ -31,7 +31,7 @@ from msgspec.structs import replace
 from postproc.errors import PostprocError
 from postproc.frames import Array
 from postproc.identification import over_pose, record
-from postproc.identification.fit import Fit, Linearised, Prior, Regression, learn, linearise, prior_of
+from postproc.identification.fit import Fit, LinearEquations, Prior, Regression, learn, linearise, prior_of
 from postproc.identification.joint_springs import UNCERTAIN, is_physical, unloaded_joints
 from postproc.identification.measurement_model import (
     Placement,
@@ -232,9 +232,9 @@ class Candidate(Struct, frozen=True):
     chosen: bool = False
 
     @property
-    def as_record(self) -> record.Tried:
+    def as_record(self) -> record.TriedStructure:
         """The structure as `identification.json` contains it."""
-        return record.Tried(
+        return record.TriedStructure(
             structure=self.name,
             parameters=self.parameters,
             active=self.active,
@@ -285,7 +285,9 @@ class Member(Struct, frozen=True, eq=False):
     left: Array
 
     @classmethod
-    def of(cls, name: str, nonlinear: bool, equations: Linearised, prior: Prior, columns: Ints, fold: Ints) -> Member:
+    def of(
+        cls, name: str, nonlinear: bool, equations: LinearEquations, prior: Prior, columns: Ints, fold: Ints
+    ) -> Member:
         """Learn the regression on some columns of the equations; `fold` (C,) as of `folds`."""
         regression = learn(equations, prior, columns)
         return cls(name, nonlinear, regression, _fold_residuals(regression, equations, fold))
@@ -295,7 +297,7 @@ class Mean(Struct, frozen=True, eq=False):
     """Structures and their weights (m,), which sum to one, on one set of linear equations."""
 
     structure: Structure
-    equations: Linearised
+    equations: LinearEquations
     members: tuple[Member, ...]
     weights: Array
 
@@ -332,13 +334,13 @@ class Mean(Struct, frozen=True, eq=False):
         return np.asarray(np.sqrt(variance))
 
 
-class _Settled(Struct, frozen=True, eq=False):
+class _CandidateEquations(Struct, frozen=True, eq=False):
     """All candidate parameters together: their kinds, prior, equations near the fit, and regression."""
 
     structure: Structure
     kinds: tuple[str, ...]
     prior: Prior
-    equations: Linearised
+    equations: LinearEquations
     whole: Regression
 
 
@@ -349,7 +351,7 @@ def choose(robot: RobotModel, data: Measurements, placement: Placement) -> Choic
     """
     # if the geometry is a weightless robot's, weights and compensator act on the gears like a load
     weights_matter = robot.subtract_reference and (robot.has_weight or robot.compensator is not None)
-    fits: list[_Settled] = []
+    fits: list[_CandidateEquations] = []
     for in_gears in (False, True) if weights_matter else (False,):
         try:
             fits.append(_weigh_candidates(robot, data, placement, in_gears, compensator=False))
@@ -391,7 +393,7 @@ def _open(choice: Choice) -> bool:
 
 def _weigh_candidates(
     robot: RobotModel, data: Measurements, placement: Placement, in_gears: bool, compensator: bool
-) -> _Settled:
+) -> _CandidateEquations:
     """Return the structure with all candidates, linearised at the mean that the evidence gives, and its prior."""
     structure, kinds = full_structure(robot, data, in_gears, compensator)
     prior, values, columns = prior_of(structure), structure.start(), np.arange(len(structure.parameters))
@@ -399,10 +401,10 @@ def _weigh_candidates(
         equations = linearise(structure, values, data, placement)
         whole = learn(equations, prior, columns)
         values = whole.solve(equations)
-    return _Settled(structure, kinds, prior, equations, whole)
+    return _CandidateEquations(structure, kinds, prior, equations, whole)
 
 
-def _mean(solution: _Settled, compensator: bool) -> Mean:
+def _mean(solution: _CandidateEquations, compensator: bool) -> Mean:
     """Return the mean of structures with the least cross-validation error."""
     equations, kinds, fold = solution.equations, np.array(solution.kinds), folds(solution.equations)
     members = []
@@ -423,12 +425,14 @@ def _mean(solution: _Settled, compensator: bool) -> Mean:
     )
 
 
-def folds(equations: Linearised) -> Ints:
+def folds(equations: LinearEquations) -> Ints:
     """Return the fold (C,) of each configuration, at random but always the same."""
     return np.random.default_rng(0).permutation(equations.configs) % min(_FOLDS, equations.configs)
 
 
-def _extend(mean: Mean, solution: _Settled, data: Measurements, placement: Placement) -> tuple[Mean, _Settled]:
+def _extend(
+    mean: Mean, solution: _CandidateEquations, data: Measurements, placement: Placement
+) -> tuple[Mean, _CandidateEquations]:
     """Return the mean of structures, with couplings and compliances over the pose if the evidence is for them.
 
     Both are tried on the structure with the most evidence: first the couplings, then the waves over the pose.
@@ -468,7 +472,7 @@ def _extend(mean: Mean, solution: _Settled, data: Measurements, placement: Place
     return Mean(structure, equations, members, weights), solution
 
 
-def _fold_residuals(regression: Regression, equations: Linearised, fold: Ints) -> Array:
+def _fold_residuals(regression: Regression, equations: LinearEquations, fold: Ints) -> Array:
     """Return the residuals (rows,) of each configuration from fits to the other folds; `fold` (C,)."""
     residual = np.empty(len(equations.target))
     for index in np.unique(fold):
@@ -477,7 +481,7 @@ def _fold_residuals(regression: Regression, equations: Linearised, fold: Ints) -
     return residual
 
 
-def _stacking_weights(equations: Linearised, members: Sequence[Member], rows_of_members: Ints) -> Array:
+def _stacking_weights(equations: LinearEquations, members: Sequence[Member], rows_of_members: Ints) -> Array:
     """Return non-negative weights with sum one that minimise the cross-validation error of some members."""
     from scipy.optimize import nnls
 
@@ -493,7 +497,7 @@ def _stacking_weights(equations: Linearised, members: Sequence[Member], rows_of_
     return weights
 
 
-def _choice_of_mean(mean: Mean, solution: _Settled, data: Measurements, placement: Placement) -> Choice:
+def _choice_of_mean(mean: Mean, solution: _CandidateEquations, data: Measurements, placement: Placement) -> Choice:
     """Return the chosen structure with its fit, its cross-validation errors and its covariance."""
     # once more at the mean: the effect of nonlinear parameters depends on it a little
     mean = replace(mean, equations=linearise(mean.structure, mean.solve(), data, placement))
@@ -564,7 +568,7 @@ def _fixed_over_pose(structure: Structure, spread: Array) -> Bools:
     return is_fixed
 
 
-def design_effect(equations: Linearised, influence: Array, residual: Array) -> float:
+def design_effect(equations: LinearEquations, influence: Array, residual: Array) -> float:
     """Return the variance of the fit by residuals that configurations share, over that by independent ones; 1 at least.
 
     :param influence: (p, rows) derivatives of the parameters by the whitened readings.
@@ -578,7 +582,7 @@ def design_effect(equations: Linearised, influence: Array, residual: Array) -> f
     return max(1.0, common_variance / independent) if independent > 0.0 else 1.0
 
 
-def projection(equations: Linearised, keep: Ints, spread: Array) -> Array:
+def projection(equations: LinearEquations, keep: Ints, spread: Array) -> Array:
     """Return (kept, p) the combination of kept parameters that best replaces each of all parameters.
 
     :param spread: (p,) prior standard deviations, which limit the kept parameters.

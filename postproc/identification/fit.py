@@ -231,7 +231,7 @@ _MEDIAN_OF_THREE = 1.538
 """Median length of a vector of three standard normal numbers."""
 
 
-class Linearised(Struct, frozen=True, eq=False, dict=True):
+class LinearEquations(Struct, frozen=True, eq=False, dict=True):
     """Whitened equations design·values = target.
 
     :param design: (rows, p), per SI unit of each parameter; rows are states, points, axes.
@@ -292,7 +292,7 @@ class Linearised(Struct, frozen=True, eq=False, dict=True):
         return np.asarray(np.bincount(self.config, weights=self.weight * residual**2) / count)
 
 
-def linearise(structure: Structure, values: Array, data: Measurements, placement: Placement) -> Linearised:
+def linearise(structure: Structure, values: Array, data: Measurements, placement: Placement) -> LinearEquations:
     """Return the equations at some values of the parameters; gross residuals there are weighted down.
 
     :raises PostprocError: the springs have no equilibrium under a measured load.
@@ -314,7 +314,7 @@ def linearise(structure: Structure, values: Array, data: Measurements, placement
     is_visible = np.repeat((visible(data)[..., 0] > 0.0).ravel(), 3)
     rows = np.repeat(data.state_config[data.loaded_states], 3 * len(data.points))
     design = design * is_visible[:, None]
-    return Linearised(design, white.ravel() + design @ values, rows, np.repeat(weight.ravel(), 3))
+    return LinearEquations(design, white.ravel() + design @ values, rows, np.repeat(weight.ravel(), 3))
 
 
 _LEAST_COMPLIANCE = 1e-9
@@ -443,7 +443,7 @@ class Regression(Struct, frozen=True, eq=False):
     evidence: float
     size: int
 
-    def solve(self, equations: Linearised, excluded_configs: Ints | None = None) -> Array:
+    def solve(self, equations: LinearEquations, excluded_configs: Ints | None = None) -> Array:
         """Return the most probable values (p,), SI; zero for parameters that are not among the columns.
 
         Non-negative least squares (Lawson and Hanson 1974) on the normal equations. Signed parameters come first, and
@@ -466,14 +466,14 @@ class Regression(Struct, frozen=True, eq=False):
         values[self.columns[order]] = scaled_values * self.spread[order]
         return values
 
-    def covariance(self, equations: Linearised) -> Array:
+    def covariance(self, equations: LinearEquations) -> Array:
         """Return the posterior covariance (p, p), SI."""
         normal, _ = self._normal(equations)
         matrix = np.zeros((self.size, self.size))
         matrix[np.ix_(self.columns, self.columns)] = np.linalg.inv(normal) * np.outer(self.spread, self.spread)
         return matrix
 
-    def influence(self, equations: Linearised, values: Array) -> Array:
+    def influence(self, equations: LinearEquations, values: Array) -> Array:
         """Return the derivatives (p, rows) of the values by the whitened readings; 0 for parameters that are zero."""
         on = np.flatnonzero((values[self.columns] != 0.0) | self.signed)
         normal, _ = self._normal(equations)
@@ -482,20 +482,20 @@ class Regression(Struct, frozen=True, eq=False):
         matrix[self.columns[on]] = self.spread[on, None] * np.linalg.solve(normal[np.ix_(on, on)], rows.T)
         return matrix
 
-    def degrees_of_freedom(self, equations: Linearised, values: Array) -> float:
+    def degrees_of_freedom(self, equations: LinearEquations, values: Array) -> float:
         """Return the effective number of parameters: tr(1 − (DᵀD/φ + S⁻²)⁻¹S⁻²) over those that are not zero."""
         on = np.flatnonzero((values[self.columns] != 0.0) | self.signed)
         normal, _ = self._normal(equations)
         return float(len(on) - np.trace(np.linalg.inv(normal[np.ix_(on, on)])))
 
-    def _normal(self, equations: Linearised, excluded_configs: Ints | None = None) -> tuple[Array, Array]:
+    def _normal(self, equations: LinearEquations, excluded_configs: Ints | None = None) -> tuple[Array, Array]:
         """Return the normal equations (n, n), (n,) for the values divided by their prior standard deviation."""
         square, right, _ = equations.normal(self.columns, excluded_configs)
         normal = square * np.outer(self.spread, self.spread) / self.noise + np.eye(len(self.columns))
         return normal, right * self.spread / self.noise + self.mean / self.spread
 
 
-def learn(equations: Linearised, prior: Prior, columns: Ints) -> Regression:
+def learn(equations: LinearEquations, prior: Prior, columns: Ints) -> Regression:
     """Return the regression whose prior widths and noise factor maximise the evidence.
 
     :param columns: (n,) indices of the parameters to use, among those of the equations.

@@ -60,7 +60,7 @@ _LONGEST_SPRING = 3.0
 """Free length [m] that no compensator has (assumed)."""
 
 
-class NotObservable(Struct, frozen=True):
+class UnobservableParameter(Struct, frozen=True):
     """A parameter that the data do not determine; the model keeps the robot's prior value."""
 
     parameter: Parameter
@@ -76,7 +76,7 @@ class NotObservable(Struct, frozen=True):
         return f"{self.name} is not observable: {self.reason}. {self.advice} The robot's prior value is kept."
 
 
-def not_observable(fit: Fit, data: Measurements, with_misfit: bool = False) -> list[NotObservable]:
+def not_observable(fit: Fit, data: Measurements, with_misfit: bool = False) -> list[UnobservableParameter]:
     """Return the joint compliances and compensator values that the fit does not determine, worst first.
 
     :param with_misfit: the covariance already contains the unexplained residual.
@@ -105,7 +105,7 @@ def not_observable(fit: Fit, data: Measurements, with_misfit: bool = False) -> l
     return [entry for _, entry in sorted(entries, key=lambda pair: (pair[1].parameter != spring, -pair[0]))]
 
 
-def _compensator(fit: Fit, data: Measurements, wider: float, k2_is_open: bool) -> NotObservable | None:
+def _compensator(fit: Fit, data: Measurements, wider: float, k2_is_open: bool) -> UnobservableParameter | None:
     """Return the reason that the compensator is not observable, with advice; None if it is.
 
     :param wider: factor of its interval.
@@ -115,20 +115,20 @@ def _compensator(fit: Fit, data: Measurements, wider: float, k2_is_open: bool) -
     value, half = float(fit.values[index]), float(fit.ci95[index] * wider)
     levels = int(levels_of(data).max()) + 1
     if levels < 3 or k2_is_open:
-        return NotObservable(
+        return UnobservableParameter(
             CompensatorStiffness(),
             f"K_theta2_0, K_c and s_0 are three unknowns, and there are {levels} levels of q2",
             "Measure at five levels of q2, far apart.",
         )
     if not is_physical(fit):
-        return NotObservable(
+        return UnobservableParameter(
             CompensatorStiffness(),
             f"the fit gives K_c {value:.3g} N/m, which no spring has: noise, or flexibility that is not the joint's, "
             "outweighs its effect",
             "Measure more and heavier loads at levels of q2 far apart.",
         )
     if half > UNCERTAIN * value:
-        return NotObservable(
+        return UnobservableParameter(
             CompensatorStiffness(),
             f"its effect on joint 2 is too small against the noise (K_c {value:.2g} ± {half:.2g} N/m)",
             f"Measure more and heavier loads at levels of q2 far apart (there are {levels}); a compensator that only "
@@ -147,7 +147,7 @@ def is_physical(fit: Fit) -> bool:
 
 def _joint_reason(
     parameter: JointCompliance, torque: Array, fit: Fit, index: int, half: float, correlation: Array
-) -> NotObservable:
+) -> UnobservableParameter:
     """Return the reason that a joint compliance is not observable, with advice.
 
     :param torque: (L, 6) of the loads [N·m].
@@ -167,7 +167,7 @@ def _joint_reason(
             advice = "Hang the load at a distance from the axis of A6: on a bracket, with another load point."
         else:
             advice = f"Choose configurations in which the load has a lever about A{joint + 1}."
-        return NotObservable(parameter, reason, advice)
+        return UnobservableParameter(parameter, reason, advice)
     cross_correlation = np.abs(correlation[index].copy())
     cross_correlation[index] = 0.0
     partner = fit.structure.parameters[int(np.argmax(cross_correlation))].symbol
@@ -179,7 +179,9 @@ def _joint_reason(
             f", and it can hardly be separated from {partner} "
             f"(correlation {correlation[index, np.argmax(cross_correlation)]:.2f})"
         )
-    return NotObservable(parameter, reason, f"Measure configurations that put more torque on A{joint + 1} alone.")
+    return UnobservableParameter(
+        parameter, reason, f"Measure configurations that put more torque on A{joint + 1} alone."
+    )
 
 
 def _correlation(covariance: Array) -> Array:
@@ -195,7 +197,7 @@ def unloaded_joints(robot: RobotModel, data: Measurements) -> tuple[JointComplia
     return tuple(p for p, value in zip(JOINT_COMPLIANCES, largest, strict=True) if value < _NO_TORQUE * largest.max())
 
 
-def held_by_prior(fit: Fit, open_entries: list[NotObservable]) -> Fit:
+def held_by_prior(fit: Fit, open_entries: list[UnobservableParameter]) -> Fit:
     """Return the fit with the compliances of missing joints at the prior's values, as uncertain as the prior states."""
     robot, parameters = fit.structure.prior, fit.structure.parameters
     joints = [entry.parameter for entry in open_entries if isinstance(entry.parameter, JointCompliance)]
@@ -294,7 +296,7 @@ def compensator_from_levels(levels: Levels, law: Compensator) -> SpringOfJoint2 
 
 def fit_joints(
     robot: RobotModel, data: Measurements, placement: Placement, start: SpringOfJoint2 | None
-) -> tuple[Fit, list[NotObservable]]:
+) -> tuple[Fit, list[UnobservableParameter]]:
     """Fit k1…k6, and K_c and s₀ of a compensator; keep the prior for values that the data do not determine.
 
     :raises MeasurementError: there are fewer readings than unknowns.
@@ -307,7 +309,7 @@ def fit_joints(
             file=data.file,
             advice="Measure more configurations or points: 15 configurations of 3 points are usual.",
         )
-    open_entries: list[NotObservable] = []
+    open_entries: list[UnobservableParameter] = []
     first, is_prior_refuted = True, False
     while True:
         structure = Structure(tuple(parameters), robot)

@@ -147,9 +147,9 @@ def _masses(prior: Masses | None, mass_table: dict[str, float], source: str) -> 
 def write(
     folder: Path,
     content: ModelFile,
-    data: record.Identified,
+    data: record.IdentificationRecord,
     prior_folder: Path,
-    render: Callable[[record.Identified, str], bytes] | None = None,
+    render: Callable[[record.IdentificationRecord, str], bytes] | None = None,
 ) -> list[Path]:
     """Write the model folder, whole or not at all.
 
@@ -237,13 +237,13 @@ def constant_springs_only(content: ModelFile) -> ModelFile:
     )
 
 
-def report_data(result: Identification) -> record.Identified:
+def report_data(result: Identification) -> record.IdentificationRecord:
     """Return the content of `identification.json`."""
     parameters, values, covariance = to_file_units(result.fit)
     half = NORMAL_95 * np.sqrt(np.diag(covariance))
     pairs = zip(parameters, values.tolist(), half.tolist(), strict=True)
     entries = _entries_of(result, {p: (value, reach) for p, value, reach in pairs if value > 0.0 or not p.sparse})
-    return record.Identified(
+    return record.IdentificationRecord(
         verdict=record.Verdict(bool(result.judgement.distrust), result.judgement.line),
         method=result.method,
         robot=result.prior.name,
@@ -267,7 +267,7 @@ def report_data(result: Identification) -> record.Identified:
         base=describe(result.placement),
         points=describe_points(result.placement, result.data.points),
         unloaded_rms_mm=result.placement.rms * MM_PER_M,
-        not_observable=[record.Missing(entry.name, entry.reason, entry.advice) for entry in result.missing],
+        not_observable=[record.MissingParameter(entry.name, entry.reason, entry.advice) for entry in result.missing],
         held_by_prior=None if result.choice is None else [parameter.name for parameter in result.choice.held_by_prior],
         outliers=list(result.left_out),
         warnings=list(result.warnings),
@@ -318,10 +318,11 @@ def _residual(result: Identification) -> record.Residual:
     )
 
 
-def _unexplained_records(discrepancy: Discrepancy) -> list[record.Unexplained]:
+def _unexplained_records(discrepancy: Discrepancy) -> list[record.CrossValidation]:
     lengths = np.stack([discrepancy.held_out, discrepancy.noise, discrepancy.own, discrepancy.u95], axis=1) * MM_PER_M
     return [
-        record.Unexplained(load, *row) for load, row in zip(discrepancy.load.tolist(), lengths.tolist(), strict=True)
+        record.CrossValidation(load, *row)
+        for load, row in zip(discrepancy.load.tolist(), lengths.tolist(), strict=True)
     ]
 
 
@@ -419,7 +420,7 @@ class IdentifiedFolder(Struct, frozen=True, eq=False):
     """
 
     result: Identification | None
-    data: record.Identified
+    data: record.IdentificationRecord
     text: str
 
 
@@ -451,7 +452,7 @@ def identify_folder(
     output: Path,
     choices: Choices = Choices(),
     progress: Callable[[str], None] = lambda _: None,
-    render: Callable[[record.Identified, str], bytes] | None = None,
+    render: Callable[[record.IdentificationRecord, str], bytes] | None = None,
 ) -> IdentifiedFolder:
     """Read measurements, identify, write the model folder.
 
@@ -504,7 +505,7 @@ def geometry_folder(
     experiment: Path,
     output: Path,
     model: Path | None = None,
-    render: Callable[[record.Identified, str], bytes] | None = None,
+    render: Callable[[record.IdentificationRecord, str], bytes] | None = None,
 ) -> IdentifiedFolder:
     """Calibrate the geometry from readings without load and write the model folder.
 
@@ -522,7 +523,7 @@ def geometry_folder(
     data, placement, outliers = plausibility.check_placement(robot, data)
     movements = moved_device(robot, data, placement)
     geometry = calibration.identify_geometry(content, nominal, robot.name, data)
-    report = record.Identified(
+    report = record.IdentificationRecord(
         method="geometry",
         robot=robot.name,
         geometry=calibration.report_data(geometry),
@@ -537,7 +538,7 @@ def geometry_folder(
     return IdentifiedFolder(None, report, summary(report))
 
 
-def summary(data: record.Identified) -> str:
+def summary(data: record.IdentificationRecord) -> str:
     """Return the identified values as a table for a terminal."""
     lines = [] if data.verdict is None else [data.verdict.line]
     open_count = 0

@@ -16,8 +16,8 @@ from postproc.identification.choice import CLEAR, Choice, choose, evidence_of
 from postproc.identification.fit import Fit, to_file_units
 from postproc.identification.joint_springs import (
     Levels,
-    NotObservable,
     SpringOfJoint2,
+    UnobservableParameter,
     compensator_from_levels,
     extended_set,
     fit_joints,
@@ -95,7 +95,7 @@ class Identification(Struct, frozen=True, eq=False):
     fit: Fit
     levels: Levels | None
     spring: SpringOfJoint2 | None
-    missing: tuple[NotObservable, ...]
+    missing: tuple[UnobservableParameter, ...]
     choice: Choice | None
     discrepancy: Discrepancy
     workspace: Workspace
@@ -243,14 +243,17 @@ def _choose_springs(
     return data, choice, outliers
 
 
-def _open_springs(choice: Choice, data: Measurements, open_entries: list[NotObservable]) -> list[NotObservable]:
+def _open_springs(
+    choice: Choice, data: Measurements, open_entries: list[UnobservableParameter]
+) -> list[UnobservableParameter]:
     """Return the springs that the mean of structures does not determine: joints without load, and the compensator's.
 
     What the fit of joint springs alone said of other parameters applies to a model that was given up.
     """
     fit, entry_of = choice.fit, {entry.parameter: entry for entry in open_entries}
     joints = [
-        entry_of.get(joint) or NotObservable(joint, "the loads put no torque on it", f"Load {joint.joint} more.")
+        entry_of.get(joint)
+        or UnobservableParameter(joint, "the loads put no torque on it", f"Load {joint.joint} more.")
         for joint in unloaded_joints(fit.structure.prior, data)
     ]
     if fit.structure.prior.compensator is None or CompensatorStiffness() in fit.parameter_values:
@@ -258,9 +261,9 @@ def _open_springs(choice: Choice, data: Measurements, open_entries: list[NotObse
     advice = "Take it from the drawing of the compensator."
     if CompensatorSize() in fit.parameter_values:
         reason = "the torque on the gears at rest shows how strong it is, which is attributed to K_c"
-        return [*joints, NotObservable(CompensatorPreload(), reason, advice)]
+        return [*joints, UnobservableParameter(CompensatorPreload(), reason, advice)]
     reason = "next to link springs its effect on joint 2 is too small"
-    return [*joints, NotObservable(CompensatorStiffness(), reason, advice)]
+    return [*joints, UnobservableParameter(CompensatorStiffness(), reason, advice)]
 
 
 class _Joints(Struct, frozen=True, eq=False):
@@ -269,7 +272,7 @@ class _Joints(Struct, frozen=True, eq=False):
     fit: Fit
     levels: Levels | None
     spring: SpringOfJoint2 | None
-    missing: list[NotObservable]
+    missing: list[UnobservableParameter]
 
 
 def _joints(prior: RobotModel, data: Measurements, placement: Placement) -> _Joints:

@@ -88,7 +88,7 @@ class Residual(Struct, frozen=True):
     per_configuration: list[OfConfiguration]
 
 
-class Unexplained(Struct, frozen=True):
+class CrossValidation(Struct, frozen=True):
     """Cross-validation errors at a level of loads: RMS distances, and a bound of 95 % on the unmodelled error."""
 
     load_N: float
@@ -120,7 +120,7 @@ class InWorkspace(Struct, frozen=True):
     chance: float
 
 
-class Missing(Struct, frozen=True):
+class MissingParameter(Struct, frozen=True):
     """A parameter that the readings do not determine."""
 
     name: str
@@ -128,7 +128,7 @@ class Missing(Struct, frozen=True):
     advice: str
 
 
-class Tried(Struct, frozen=True):
+class TriedStructure(Struct, frozen=True):
     """A structure that was tried."""
 
     structure: str
@@ -145,7 +145,7 @@ class Structure(Struct, frozen=True):
     """The structures tried and why one was taken."""
 
     reason: str
-    tried: list[Tried]
+    tried: list[TriedStructure]
 
 
 class Correlation(Struct, frozen=True):
@@ -189,7 +189,7 @@ class TorqueRange(Struct, frozen=True):
     positive_configurations: int
 
 
-class Identified(Record, frozen=True, omit_defaults=True, kw_only=True):
+class IdentificationRecord(Record, frozen=True, omit_defaults=True, kw_only=True):
     """Content of `identification.json`; without loads there is only geometry."""
 
     verdict: Verdict | None = None
@@ -200,7 +200,7 @@ class Identified(Record, frozen=True, omit_defaults=True, kw_only=True):
     k2_curve: list[tuple[float, float]] | None = None
     from_levels: dict[str, FromLevels] | None = None
     residual: Residual | None = None
-    discrepancy: list[Unexplained] | None = None
+    discrepancy: list[CrossValidation] | None = None
     workspace: list[InWorkspace] | None = None
     workspace_line: str | None = None
     structure: Structure | None = None
@@ -209,7 +209,7 @@ class Identified(Record, frozen=True, omit_defaults=True, kw_only=True):
     base: dict[str, float]
     points: dict[str, dict[str, float]]
     unloaded_rms_mm: float
-    not_observable: list[Missing] | None = None
+    not_observable: list[MissingParameter] | None = None
     held_by_prior: list[str] | None = None
     outliers: list[str]
     warnings: list[str]
@@ -221,7 +221,7 @@ class Identified(Record, frozen=True, omit_defaults=True, kw_only=True):
     files: list[FileEntry] | None = None
 
 
-class Measured(Struct, frozen=True):
+class MeasuredStates(Struct, frozen=True):
     """States and torques that a model was identified with; empty if the folder does not record them."""
 
     states: list[State] = []
@@ -233,16 +233,16 @@ class Measured(Struct, frozen=True):
         return np.array(rows).reshape(-1, 12)
 
 
-def measured_states(folder: Path) -> Measured:
+def measured_states(folder: Path) -> MeasuredStates:
     """Return states and torques that the model of a folder was identified with; empty without `identification.json`.
 
     :raises MeasurementError: the file is damaged.
     """
     path = folder / NAME
     if not path.is_file():
-        return Measured()
+        return MeasuredStates()
     try:
-        return msgspec.json.decode(files.read_text(path, MeasurementError).encode(), type=Measured)
+        return msgspec.json.decode(files.read_text(path, MeasurementError).encode(), type=MeasuredStates)
     except msgspec.MsgspecError as error:
         raise MeasurementError(
             str(error), file=str(path), advice="Identify the model anew, or restore the file."

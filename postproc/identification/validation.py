@@ -233,7 +233,7 @@ def _is_known_state(data: Measurements, states: Array) -> Bools:
     return np.asarray((is_same_pose & (difference < _SAME_LOAD * norm(wrench)[:, None])).any(axis=1))
 
 
-class _Compared(Struct, frozen=True, eq=False):
+class _Displacements(Struct, frozen=True, eq=False):
     """Displacements of L loaded states at P points.
 
     :param is_compared: (L, P) which are compared.
@@ -255,12 +255,12 @@ class _Compared(Struct, frozen=True, eq=False):
     has_bound: bool
 
 
-def _comparison(robot: RobotModel, data: Measurements, placement: Placement, fresh: Bools) -> _Compared:
+def _comparison(robot: RobotModel, data: Measurements, placement: Placement, fresh: Bools) -> _Displacements:
     """Return measured and predicted displacements [m], those that count (fresh, visible), and their bound."""
     displacement = measured_displacements(data, placement)
     prediction, bound = _prediction(robot, data, placement)
     left, noise = norm(displacement - prediction), noise_of(data)
-    return _Compared(
+    return _Displacements(
         is_compared=(visible(data)[..., 0] > 0.0) & fresh[:, None],
         config=data.state_config[data.loaded_states],
         load=norm(data.wrench[data.loaded_states]),
@@ -273,7 +273,7 @@ def _comparison(robot: RobotModel, data: Measurements, placement: Placement, fre
     )
 
 
-def _levels(comparison: _Compared) -> list[ValidatedLevel]:
+def _levels(comparison: _Displacements) -> list[ValidatedLevel]:
     """Return the comparison at each level of loads, from the smallest on; levels without a compared point are left out.
 
     A bound that the model does not state leaves its shares NaN and their limits 0 and 1.
@@ -305,7 +305,7 @@ def _levels(comparison: _Compared) -> list[ValidatedLevel]:
     return result
 
 
-def _coverage(torque: Array, comparison: _Compared) -> Coverage:
+def _coverage(torque: Array, comparison: _Displacements) -> Coverage:
     """Return the torques covered; readings of one direction may contradict a model that is valid otherwise.
 
     :param torque: (L, 6) of the loads on the joints [N·m].
@@ -321,7 +321,7 @@ def _coverage(torque: Array, comparison: _Compared) -> Coverage:
     return coverage(torque[states], comparison.config[states], is_refuted)
 
 
-def _limits(comparison: _Compared, rows: Bools, doubt: float) -> tuple[float, float]:
+def _limits(comparison: _Displacements, rows: Bools, doubt: float) -> tuple[float, float]:
     """Return the limits of the share inside, for some of the displacements (L, P)."""
     return limits(*_counts_by_configuration(comparison.error_ratio <= 1.0, rows, comparison.config), doubt)
 
@@ -426,7 +426,7 @@ class Coverage(Struct, frozen=True, eq=False):
         return np.asarray((self.configurations >= MIN_CONFIGURATIONS) & ~self.refuted)
 
 
-class Outside(Struct, frozen=True):
+class UncoveredShare(Struct, frozen=True):
     """A reason why a share of a job is not covered. Shares of several reasons may overlap."""
 
     reason: str
@@ -438,7 +438,7 @@ class JobShare(Struct, frozen=True):
 
     program: str
     share: float
-    outside: tuple[Outside, ...]
+    outside: tuple[UncoveredShare, ...]
 
 
 def coverage(torque: Array, config: Ints, is_refuted: Bools | None = None) -> Coverage:
@@ -484,7 +484,7 @@ def job_share(program: str, torque: Array, weight: Array, torque_range: Coverage
     :param weight: (T,) share of the cutting path of each place, sum 1.
     """
     lacks_sign, exceeds_range, low = _faults(torque, torque_range)
-    entries = [Outside("all torques below those of the smallest loads", float(weight @ low))]
+    entries = [UncoveredShare("all torques below those of the smallest loads", float(weight @ low))]
     for joint, side in np.ndindex(6, 2):
         subject = f"{SIGNS[side]} torque on {JOINTS[joint]}"
         count = int(torque_range.configurations[joint, side])
@@ -497,8 +497,8 @@ def job_share(program: str, torque: Array, weight: Array, torque_range: Coverage
             sign_text = f"{subject}: there the readings contradict the model"
         size_text = f"{subject} beyond {torque_range.largest[joint, side]:.0f} N·m"
         entries += [
-            Outside(sign_text, float(weight @ lacks_sign[:, joint, side])),
-            Outside(size_text, float(weight @ exceeds_range[:, joint, side])),
+            UncoveredShare(sign_text, float(weight @ lacks_sign[:, joint, side])),
+            UncoveredShare(size_text, float(weight @ exceeds_range[:, joint, side])),
         ]
     reasons = sorted((reason for reason in entries if reason.share > 0.0), key=lambda entry: -entry.share)
     return JobShare(program, float(weight @ inside(torque, torque_range)), tuple(reasons))

@@ -27,7 +27,7 @@ from postproc.jobs.started_program import read_program, read_with_start
 from postproc.program import Bools, Program
 from postproc.report.comparison import (
     ComparisonSummary,
-    MadeFrom,
+    ProgramOrigin,
     comparison_page,
     comparison_summary,
     pairs_csv,
@@ -207,11 +207,11 @@ def _origin(program: Program) -> provenance.Provenance:
     return provenance.Provenance("none") if writer is None else writer.origin(program.documents)
 
 
-def _origin_of_second(request: CompareRequest, cell: Cell, nominal: Program, second_program: Program) -> MadeFrom:
+def _origin_of_second(request: CompareRequest, cell: Cell, nominal: Program, second_program: Program) -> ProgramOrigin:
     """Return the origin of the second program, as far as it states it."""
     origin, first = _origin(second_program), _origin(nominal)
     if not origin.sums:
-        return MadeFrom(origin, {})
+        return ProgramOrigin(origin, {})
     request_origin = origin_of(nominal.documents, request.cell, cell, request.forces, "corrected")
     sums = {"program": "source", "cell": "cell", "robot model": "model", "force file": "forces"}
     agrees = {name: origin.sums.get(key) == getattr(request_origin, key) for name, key in sums.items()}
@@ -222,4 +222,4 @@ def _origin_of_second(request: CompareRequest, cell: Cell, nominal: Program, sec
     without_forces = request.forces is None and not agrees["force file"]
     if without_forces:
         del agrees["force file"]
-    return MadeFrom(origin, agrees, origin.state == "intact" and all(agrees.values()), without_forces)
+    return ProgramOrigin(origin, agrees, origin.state == "intact" and all(agrees.values()), without_forces)

@@ -312,7 +312,7 @@ def _name_force_file(issue: Issue, job: Job) -> Issue:
     )
 
 
-class _Made(Struct, frozen=True, eq=False):
+class _ProgramOutput(Struct, frozen=True, eq=False):
     """Output of a program, before it is written.
 
     :param summary: content of `report.json`, but for its list of files.
@@ -339,7 +339,7 @@ def _output_of(
     subprogram_files: Sequence[str],
     copies: Mapping[str, bytes],
     process: ProcessForces | None,
-) -> _Made:
+) -> _ProgramOutput:
     """Return the files to write for a result.
 
     :param subprogram_files: names of the files of subprograms.
@@ -388,7 +388,7 @@ def _output_of(
         file_entries.extend(entries)
         return files.json_bytes(replace(content, files=entries))
 
-    return _Made(
+    return _ProgramOutput(
         summary=content,
         listed_files=file_entries,
         contents=files.add_record(contents, name, rendered),

@@ -26,7 +26,7 @@ UNKNOWN = "what it was made from is unknown"
 _OF_CONTROLLER = (".src", ".dat", ".mod", ".modx")
 
 
-class _Reported(Struct, frozen=True):
+class _ReportedFiles(Struct, frozen=True):
     """What a `report.json` states of inputs and written files."""
 
     inputs: Inputs
@@ -55,13 +55,15 @@ def changes(report: Path, program: Path, setup: Setup, forces: Path | None) -> t
     :param forces: file of forces or process that the program has now; None: there is none.
     """
     try:
-        stated_inputs = msgspec.json.decode(report.read_bytes(), type=_Reported)
+        stated_inputs = msgspec.json.decode(report.read_bytes(), type=_ReportedFiles)
         return tuple(_changes(stated_inputs, report.parent, program, setup, forces))
     except (OSError, ValueError, PostprocError):
         return (UNKNOWN,)
 
 
-def _changes(stated_inputs: _Reported, folder: Path, program: Path, setup: Setup, forces: Path | None) -> Iterator[str]:
+def _changes(
+    stated_inputs: _ReportedFiles, folder: Path, program: Path, setup: Setup, forces: Path | None
+) -> Iterator[str]:
     """Yield the inputs that have changed since the results of a program were written."""
     if stated_inputs.inputs.version != VERSION:
         yield "postproc"

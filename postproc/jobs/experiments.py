@@ -44,7 +44,7 @@ class ModelFolder(Struct, frozen=True):
     warnings: tuple[str, ...]
 
 
-class _Stated(Struct, frozen=True):
+class _IdentificationVerdict(Struct, frozen=True):
     """What every kind of identification states."""
 
     warnings: list[str]
@@ -83,7 +83,7 @@ def _header(path: Path) -> Iterator[str]:
 def model_of(folder: Path) -> ModelFolder | None:
     """Return the model of a folder; None: there is none that `identify` has written."""
     try:
-        content = msgspec.json.decode((folder / record.NAME).read_bytes(), type=_Stated)
+        content = msgspec.json.decode((folder / record.NAME).read_bytes(), type=_IdentificationVerdict)
     except (OSError, ValueError):
         return None
     verdict = content.verdict

@@ -30,7 +30,7 @@ from postproc.jobs.output_plan import protect
 from postproc.jobs.programs import load_robot
 from postproc.jobs.start_joints import QUARTER_TURNS, USUAL_START, joints_above_part, low_start, upright_joints
 from postproc.robot import JOINTS, RobotModel, shapes
-from postproc.robot.from_urdf import Adopted, adopt
+from postproc.robot.from_urdf import AdoptedModel, adopt
 from postproc.robot.shapes import LinkShape
 from postproc.robot.urdf import Geometry, geometries
 
@@ -616,7 +616,7 @@ def _shape_notes(problems: Sequence[str]) -> Iterator[str]:
 
 
 def _meshes(
-    geometry: Sequence[Geometry], urdf: Path, arm: Adopted
+    geometry: Sequence[Geometry], urdf: Path, arm: AdoptedModel
 ) -> tuple[dict[tuple[int, str], LinkShape], list[str]]:
     """Return the shapes of the links in the frames of the model: those that are drawn, simplified, and solids.
 

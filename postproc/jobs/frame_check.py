@@ -61,7 +61,7 @@ _RANK_TOLERANCE = 1e-6
 """Smallest ratio of singular values at which unknowns count as independent."""
 
 
-class Touched(Struct, frozen=True, eq=False):
+class TouchedPoints(Struct, frozen=True, eq=False):
     """Touched points: names (n), points in `$BASE` (n, 3) [m], joint angles (n, 6) [rad]."""
 
     name: list[str]
@@ -85,7 +85,7 @@ class FrameCheck(Struct, frozen=True, eq=False):
     """
 
     suspect: Suspect
-    points: Touched
+    points: TouchedPoints
     distances: Array
     left: Array
     tool: tuple[Array, Array] | None = None
@@ -95,7 +95,7 @@ class FrameCheck(Struct, frozen=True, eq=False):
     hidden: float | None = None
 
 
-def read_touches(path: Path) -> Touched:
+def read_touches(path: Path) -> TouchedPoints:
     """Read touched points: point, X, Y, Z in `$BASE` [mm], A1 … A6 [deg].
 
     :raises InputError: it cannot be read, has fewer than three points, or all are on a line.
@@ -114,7 +114,7 @@ def read_touches(path: Path) -> Touched:
         problem = "all points are on one line: a rotation of $BASE about it does not show"
         raise InputError(problem, file=str(path), advice=advice)
     joints = np.stack([numbers[joint] for joint in JOINTS], axis=1) * RAD_PER_DEG
-    return Touched(texts["point"], point, joints)
+    return TouchedPoints(texts["point"], point, joints)
 
 
 def check_frames(path: Path, cell_file: Path, sigma_mm: float) -> FrameCheck:
@@ -148,7 +148,7 @@ def _frames_by_points(check: FrameCheck, tool: Array, base: Array, centre: Array
         yield "base", xyzabc_from_pose(pose[None])[0]
 
 
-def judge(touches: Touched, flange: Array, nominal_point: Array, tip: Array, sigma: float) -> FrameCheck:
+def judge(touches: TouchedPoints, flange: Array, nominal_point: Array, tip: Array, sigma: float) -> FrameCheck:
     """Return the simplest explanation of touched points.
 
     :param flange: (n, 3, 3) orientation of the flange in the root.

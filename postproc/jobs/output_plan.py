@@ -30,7 +30,7 @@ from postproc.dialects.text import decode
 from postproc.errors import InputError, Issue, PostprocError, ProgramError
 from postproc.files import foreign, foreign_single, path_list, recorded_files, recorded_names, refuse
 from postproc.jobs.programs import FAILED, Job, Outcome, Settings, read_documents
-from postproc.program import Document, Needed
+from postproc.program import Document, NeededFile
 from postproc.provenance import digest
 
 OVERVIEW = "index.html"
@@ -73,7 +73,7 @@ class Task(Struct, frozen=True):
     used_names: frozenset[str] = frozenset()
 
 
-def needed_copies(task: Task, needed_files: Sequence[Needed], names: Collection[str]) -> dict[str, bytes]:
+def needed_copies(task: Task, needed_files: Sequence[NeededFile], names: Collection[str]) -> dict[str, bytes]:
     """Return the unchanged files that are written with a program because it needs them: name → content.
 
     A file that is a program of this run itself is omitted. So is one that was corrected for another program from the
@@ -96,7 +96,7 @@ def needed_copies(task: Task, needed_files: Sequence[Needed], names: Collection[
 
 
 def needed_warnings(
-    task: Task, needed_files: Sequence[Needed], copies: Collection[str], contents: Mapping[str, bytes]
+    task: Task, needed_files: Sequence[NeededFile], copies: Collection[str], contents: Mapping[str, bytes]
 ) -> Iterator[Issue]:
     """Yield warnings of files that a program needs: those with uncorrected motions, and those that are not written.
 
@@ -244,7 +244,7 @@ def sequences(jobs: Sequence[Job], cell: Cell) -> list[list[Job]]:
     return list({id(group): group for group in group_of.values()}.values())
 
 
-class _Complete(Struct, frozen=True, eq=False):
+class _PendingOutput(Struct, frozen=True, eq=False):
     """A converted program whose files are not in their places yet.
 
     :param obsolete: names of files of an earlier run that are removed.
@@ -277,7 +277,7 @@ class OutputPlan:
         self._check(settings.cell)
         self._waiting = deque([job] for job in self.jobs)
         self._later: dict[Path, deque[Job]] = {}
-        self._complete: list[_Complete] = []
+        self._complete: list[_PendingOutput] = []
 
     def divide(self, cell: Cell) -> None:
         """Let programs that may correct one file in common wait for each other."""
@@ -359,7 +359,7 @@ class OutputPlan:
                     "name with --name.",
                 )
 
-    def _complete_program(self, task: Task, outcome: Outcome) -> _Complete:
+    def _complete_program(self, task: Task, outcome: Outcome) -> _PendingOutput:
         """Return a converted program with the files that it retires.
 
         :raises InputError: its files must not replace those in their places.
@@ -406,9 +406,9 @@ class OutputPlan:
         if not self._overwrite:
             refuse(foreign(job.output, obsolete, job.report(mode)))
         partners = folder.programs_needing(changed_names) - {job.report(mode)} if changed_names else frozenset()
-        return _Complete(task, outcome, tuple(obsolete), partners)
+        return _PendingOutput(task, outcome, tuple(obsolete), partners)
 
-    def _take_groups(self) -> list[list[_Complete]]:
+    def _take_groups(self) -> list[list[_PendingOutput]]:
         """Remove and return groups of programs whose files belong together and are all complete."""
         waiting, ready, incomplete = self._complete, [], []
         while waiting:
@@ -427,13 +427,13 @@ class OutputPlan:
         self._complete = incomplete
         return ready
 
-    def _are_partners(self, program_a: _Complete, program_b: _Complete) -> bool:
+    def _are_partners(self, program_a: _PendingOutput, program_b: _PendingOutput) -> bool:
         """Return whether the reports of two programs must be replaced together."""
         reports = [program.task.job.report(self._mode) for program in (program_a, program_b)]
         same_folder = program_a.task.job.output == program_b.task.job.output
         return same_folder and (reports[1] in program_a.partners or reports[0] in program_b.partners)
 
-    def _replace_files(self, group: Sequence[_Complete]) -> list[Outcome]:
+    def _replace_files(self, group: Sequence[_PendingOutput]) -> list[Outcome]:
         """Move the staged files of programs to their places together; return the outcomes."""
         folder = group[0].task.job.output
         staged_files = [member.outcome.staged_files for member in group if member.outcome.staged_files is not None]

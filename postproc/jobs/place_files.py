@@ -19,8 +19,8 @@ from postproc.jobs.conversion import convert_program, programs_under_force
 from postproc.jobs.output_plan import protect
 from postproc.jobs.programs import Settings, find_jobs, load_robot
 from postproc.jobs.started_program import read_program, read_with_start
-from postproc.placement import Keep, PathSamples, region
-from postproc.placement.region import AXES, Assessment, Judged, Region
+from postproc.placement import LeastMargins, PathSamples, region
+from postproc.placement.region import AXES, Assessment, JudgedPlace, Region
 from postproc.report import placement as report
 from postproc.report import summary as program_summary
 from postproc.robot import RobotModel
@@ -79,7 +79,7 @@ def make_place(request: PlaceRequest, progress: Callable[[int, int], None] | Non
     cell, start_message = _cell_with_start(request, cell, robot)
     samples, names = _samples(request, cell, robot)
     turns = cell.gcode.redundancy != "constant" and not any(path.program.keeps_text for path in samples)
-    keep, clearance = Keep(joint=request.margin_deg * RAD_PER_DEG), _clearance(request, cell)
+    keep, clearance = LeastMargins(joint=request.margin_deg * RAD_PER_DEG), _clearance(request, cell)
     programs = region.Programs(samples, keep, turns=turns, clearance_mm=clearance)
     search = region.search(programs, bounds, progress, assess)
     content = report.summary(search, cell, names, request.margin_deg, clearance, bounds, start_message)
@@ -157,7 +157,7 @@ def _cell_with_start(request: PlaceRequest, cell: Cell, robot: RobotModel) -> tu
     return cell, next(issue.message for issue in program.issues if issue.kind == "start")
 
 
-def _assessment(request: PlaceRequest, cell: Cell, robot: RobotModel, place: Judged) -> Assessment:
+def _assessment(request: PlaceRequest, cell: Cell, robot: RobotModel, place: JudgedPlace) -> Assessment:
     """Return the results of `convert` for the programs at a place: the worst of them."""
     cell = _cell_at(cell, place)
     settings = Settings(cell=request.cell)
@@ -192,7 +192,7 @@ def _assessment(request: PlaceRequest, cell: Cell, robot: RobotModel, place: Jud
     )
 
 
-def _cell_at(cell: Cell, place: Judged) -> Cell:
+def _cell_at(cell: Cell, place: JudgedPlace) -> Cell:
     """Return the cell with the part at a place.
 
     E1 that is not zero is as the part moved the other way; bodies of the cell, which it does not move, are left out.

@@ -19,7 +19,7 @@ from postproc.dialects import Writer, registry
 from postproc.dialects.dialect import Calling
 from postproc.dialects.text import decode
 from postproc.errors import ForceError, InputError, Issue, OptionError, ProgramError
-from postproc.files import Staged, read_bytes, resolve
+from postproc.files import StagedFiles, read_bytes, resolve
 from postproc.forces.sources import extensions
 from postproc.program import FORCE_COMMENT, Document
 from postproc.report import Summary
@@ -360,7 +360,7 @@ class Outcome(Struct, frozen=True):
     copied_files: tuple[str, ...] = ()
     earlier_remark: str = ""
     traceback: str = ""
-    staged_files: Staged | None = None
+    staged_files: StagedFiles | None = None
     shared_files: tuple[str, ...] = ()
     read: tuple[str, ...] = ()
     keeps_old_files: bool = False

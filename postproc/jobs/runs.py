@@ -16,7 +16,7 @@ from postproc.cell import Cell
 from postproc.jobs.conversion import convert
 from postproc.jobs.output_plan import OVERVIEW, OutputPlan, Task
 from postproc.jobs.programs import GOOD, Job, Outcome, Settings, load_setup
-from postproc.report.index import Entry, Reported, index_page
+from postproc.report.index import Entry, ReportEntry, index_page
 from postproc.robot import RobotModel
 
 if TYPE_CHECKING:
@@ -222,7 +222,7 @@ def reason(outcome: Outcome) -> str:
 def _entry(path: Path) -> Entry | None:
     """Return the entry of a report; None if it is not that of a written program."""
     try:
-        content = msgspec.convert(json.loads(path.read_bytes()), Reported)
+        content = msgspec.convert(json.loads(path.read_bytes()), ReportEntry)
         if content.mode == "predict":
             return None
         return Entry(content.program, path.name.removesuffix(_REPORT) + ".report.html", content)

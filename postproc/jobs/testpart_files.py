@@ -31,13 +31,13 @@ from postproc.machining.process import ProcessFile, StockTable, ToolTable
 from postproc.report.testpart import design_page, part_page
 from postproc.robot.model_file import ModelFile
 from postproc.testpart import design, features, probing
-from postproc.testpart.cut import Clamped, CutForces, Surfaces, at_nominal_height, surfaces
+from postproc.testpart.cut import ClampedProgram, CutForces, Surfaces, at_nominal_height, surfaces
 from postproc.testpart.design import MOST_CHANGE, Design, Tests
 from postproc.testpart.features import Cutting, Placement
 from postproc.testpart.fit import Fit, fit
 from postproc.testpart.model import Agreement, PartIdentification, agreement, material, model_file, summary
 from postproc.testpart.prior import Prior
-from postproc.testpart.probing import Probed
+from postproc.testpart.probing import ProbedSurfaces
 from postproc.testpart.readings import Readings
 from postproc.under_load import RobotInCell
 
@@ -350,12 +350,12 @@ class PartFiles(Struct, frozen=True, eq=False):
     written_files: tuple[Path, ...]
 
 
-class _Given(Struct, frozen=True, eq=False):
+class _FitInput(Struct, frozen=True, eq=False):
     """A probed part with the model to fit."""
 
     prior: Prior
     readings: Readings
-    parts: tuple[Clamped, ...]
+    parts: tuple[ClampedProgram, ...]
     process: Process
 
     def fit(self, prior: Prior) -> tuple[Fit, tuple[str, ...]]:
@@ -363,7 +363,7 @@ class _Given(Struct, frozen=True, eq=False):
         return fit(prior, self.readings, self.parts[0].robot_in_cell, CutForces(self.parts))
 
 
-def _read_part(request: PartRequest, model: str | None = None) -> _Given:
+def _read_part(request: PartRequest, model: str | None = None) -> _FitInput:
     """Read a probed part.
 
     :param model: name or folder of the model, instead of that of the cell.
@@ -383,13 +383,15 @@ def _read_part(request: PartRequest, model: str | None = None) -> _Given:
         contact_surfaces = surfaces(
             program, robot_in_cell, probe_data.take(rows[-1]), 0.5 * tool.diameter_mm * M_PER_MM
         )
-        parts.append(Clamped(program, robot_in_cell, ProcessSource(process, robot_in_cell.spindle), contact_surfaces))
+        parts.append(
+            ClampedProgram(program, robot_in_cell, ProcessSource(process, robot_in_cell.spindle), contact_surfaces)
+        )
     contact_surfaces = Surfaces.join([part.surfaces for part in parts])
     readings = Readings.of(probe_data.take(np.concatenate(rows)), contact_surfaces, request.sigma_mm * M_PER_MM)
-    return _Given(_prior(parts[0].robot_in_cell, process), readings, tuple(parts), process)
+    return _FitInput(_prior(parts[0].robot_in_cell, process), readings, tuple(parts), process)
 
 
-def _check_top(probe_data: Probed, process: Process) -> None:
+def _check_top(probe_data: ProbedSurfaces, process: Process) -> None:
     """Refuse touch-off points that are not on the top of the block of the process.
 
     :raises MeasurementError: one is not.
@@ -438,7 +440,7 @@ def cell_of_placement(cell: Cell, placement: Placement, source: str) -> Cell:
     return replace(cell, base=frame)
 
 
-def programs_of(probe_data: Probed, paths: tuple[Path, ...]) -> dict[Path, int]:
+def programs_of(probe_data: ProbedSurfaces, paths: tuple[Path, ...]) -> dict[Path, int]:
     """Return the programs that made probed points, and the number of the placement of each, −1 for `[base]`.
 
     :raises MeasurementError: a program that a row names is not given, or has two placements.

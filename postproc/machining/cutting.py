@@ -58,7 +58,7 @@ _ALONG = 2.0
 quarters of a cell there."""
 
 
-class Engaged(Struct, frozen=True, eq=False):
+class EngagedEdge(Struct, frozen=True, eq=False):
     """Engaged cutting edge at n stations, at the P points of a turn.
 
     :param length: (n, P) length of edge in material [m].
@@ -76,7 +76,7 @@ class Corners(Struct, frozen=True, eq=False):
     weight: tuple[Floats, ...]
 
 
-def cut_edge(stock: Stock, turn: Turn, x: Floats, y: Floats, position: Floats, descent: Floats) -> Engaged:
+def cut_edge(stock: Stock, turn: Turn, x: Floats, y: Floats, position: Floats, descent: Floats) -> EngagedEdge:
     """Return the cutting edge in material.
 
     :param x: (n, P) and y: coordinates of the points in the map [m].
@@ -115,7 +115,7 @@ def cut_edge(stock: Stock, turn: Turn, x: Floats, y: Floats, position: Floats, d
         at = _nearest(stock, x[:, turn.side], y[:, turn.side])
         length[:, turn.side], moment = _cylinder(stock, at, position, turn)
     length[length < _NO_CONTACT] = 0.0
-    return Engaged(length, moment)
+    return EngagedEdge(length, moment)
 
 
 def nearby_cells(stock: Stock, x: Floats, y: Floats) -> Corners:
@@ -369,7 +369,7 @@ def chips(turn: Turn, feed: Floats, descent: Floats) -> Chips:
     return Chips.of(turn, middle, feed[:, None] * tangent[:, 0] - descent[:, None] * tangent[:, 2])
 
 
-def mean(turn: Turn, engagement: Engaged, chip: Chips, descent_sine: Floats, cell: float | Array) -> Loads:
+def mean(turn: Turn, engagement: EngagedEdge, chip: Chips, descent_sine: Floats, cell: float | Array) -> Loads:
     """Return the loads averaged over a turn, with their standard deviations.
 
     :param chip: from `chips`.
@@ -407,7 +407,7 @@ def mean(turn: Turn, engagement: Engaged, chip: Chips, descent_sine: Floats, cel
     return Loads(wrench, np.sqrt(np.maximum(square, 0.0)), by_cells, np.asarray(removal, dtype=float))
 
 
-def _unit_wrenches(turn: Turn, engagement: Engaged, edges: tuple[Floats, Floats], thin: Floats) -> Array:
+def _unit_wrenches(turn: Turn, engagement: EngagedEdge, edges: tuple[Floats, Floats], thin: Floats) -> Array:
     """Return the mean wrench (6, n, 6) for 1 of each coefficient: Ktc, Krc, Kac [N/m²], Kte, Kre, Kae [N/m].
 
     :param edges: (n, P) engaged lengths times chip, and lengths that rub; thin: (n, C) chips on the cylinder.

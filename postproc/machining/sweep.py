@@ -16,7 +16,7 @@ from msgspec import Struct, field
 from postproc.chunks import Columns
 from postproc.frames import Array, norm
 from postproc.machining import cutting, tilted
-from postproc.machining.cutting import Engaged, Loads, cut_edge
+from postproc.machining.cutting import EngagedEdge, Loads, cut_edge
 from postproc.machining.leaning import depth_inside
 from postproc.machining.material import CuttingLaw, Floats
 from postproc.machining.process import Process
@@ -383,7 +383,7 @@ class Sweep(Struct, eq=False):
 
     def _engagement(
         self, turn: Turn, cutter: Cutter, position: Array, axes: tuple[Array, Array, Ints], descent: Floats
-    ) -> Engaged:
+    ) -> EngagedEdge:
         """Return the cutting edge in material; `axes`: direction x, y (n,) of the feed, and the hand of the tool (n,)
         ±1.
         """

@@ -1,7 +1,7 @@
 """Tools that cut while their axis is not z of the map: the cells that they sweep, and their edge in material.
 
 The map has one level above each point, so material that such a tool leaves above itself is taken for removed. How much
-that is, is counted: `Swept.overhang`.
+that is, is counted: `SweptCells.overhang`.
 
 A tool is convex. So the vertical line through a cell is inside of it from one height to another, and the height of its
 lower side over a cell is a convex function of its place as it moves.
@@ -17,7 +17,7 @@ from msgspec.structs import replace
 
 from postproc.chunks import Columns
 from postproc.frames import Array, norm
-from postproc.machining.cutting import Chips, Engaged, Loads, mean, nearby_cells
+from postproc.machining.cutting import Chips, EngagedEdge, Loads, mean, nearby_cells
 from postproc.machining.material import Floats
 from postproc.machining.stock import Footprint, Stock, cells, middles, windows
 from postproc.machining.tool import Cutter, Turn
@@ -158,7 +158,7 @@ def loads(stock: Stock, turn: Turn, path: TiltedPath, tooth: Array, hand: Ints) 
     return mean_loads, engagement.length * chip.share, is_axial
 
 
-class Swept(Struct, frozen=True, eq=False):
+class SweptCells(Struct, frozen=True, eq=False):
     """Cells that a tool sweeps.
 
     :param footprint: the cells that it covers, with its lowest level.
@@ -175,7 +175,7 @@ class Swept(Struct, frozen=True, eq=False):
     removal: float
 
 
-def sweep(stock: Stock, cutter: Cutter, tip: Array, axis: Array, top: float) -> Swept:
+def sweep(stock: Stock, cutter: Cutter, tip: Array, axis: Array, top: float) -> SweptCells:
     """Return the cells under a tool that moves from pose to pose.
 
     :param tip: (n, 3) positions of the tip [m], and axis: (n, 3) unit directions to the spindle, frame of the map,
@@ -193,7 +193,7 @@ def sweep(stock: Stock, cutter: Cutter, tip: Array, axis: Array, top: float) -> 
         last = (rows == len(tip) - 2)[:, None, None]
         parts.append((index[is_cut], low[is_cut], high[is_cut], (sinks & last)[is_cut]))
     if not parts:
-        return Swept(Footprint.empty(), Footprint.empty(), 0.0, 0.0, 0.0)
+        return SweptCells(Footprint.empty(), Footprint.empty(), 0.0, 0.0, 0.0)
     index, low, high, front = (np.concatenate(column) for column in zip(*parts, strict=True))
     cell, row = np.unique(index, return_inverse=True)
     level, upper, is_front = np.full(len(cell), np.inf), np.full(len(cell), -np.inf), np.zeros(len(cell), dtype=bool)
@@ -207,7 +207,7 @@ def sweep(stock: Stock, cutter: Cutter, tip: Array, axis: Array, top: float) -> 
     no_rim = np.zeros(0, dtype=bool)
     segment = np.zeros(len(cell), dtype=np.int32)  # not used: slopes of turned surfaces are not kept
     footprint = replace(Footprint.empty(), cell=cell, level=level.astype(np.float32), segment=segment)
-    return Swept(
+    return SweptCells(
         footprint.of(~is_front, no_rim), footprint.of(is_front, no_rim), float(deep.max(initial=0.0)), overhang, volume
     )
 
@@ -343,7 +343,7 @@ def _surface_distances(cutter: Cutter, z: Array, axial: Array, az: Array, square
     )
 
 
-def cut_edge(stock: Stock, turn: Turn, point: Array, axes: Array) -> Engaged:
+def cut_edge(stock: Stock, turn: Turn, point: Array, axes: Array) -> EngagedEdge:
     """Return the cutting edge in material of a tool that leans.
 
     :param turn: without pieces on a cylinder.
@@ -367,7 +367,7 @@ def cut_edge(stock: Stock, turn: Turn, point: Array, axes: Array) -> Engaged:
     share_in_material = np.clip(0.5 + depth / extent, 0.0, 1.0)
     if float(z.min()) < stock.ground:
         share_in_material *= z > floor.take(corners.cell[0])
-    return Engaged(share_in_material * turn.length, np.zeros((len(x), 0), dtype=np.float32))
+    return EngagedEdge(share_in_material * turn.length, np.zeros((len(x), 0), dtype=np.float32))
 
 
 def _extents(turn: Turn, axes: Array) -> Floats:

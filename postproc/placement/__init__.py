@@ -4,7 +4,7 @@
 is chosen on a map of path × angle (`turn_map`), the place of the part in a region of `$BASE` (`region`).
 """
 
-from postproc.placement.drive import FREE, REASONS, Keep
+from postproc.placement.drive import FREE, REASONS, LeastMargins
 from postproc.placement.samples import PathSamples
 from postproc.placement.turn_map import TurnMap
 from postproc.placement.turning import NO_CLEARANCE, Turn, bin_turns, choose_turn, in_chosen_turn, turn_program
@@ -13,7 +13,7 @@ __all__ = [
     "FREE",
     "NO_CLEARANCE",
     "REASONS",
-    "Keep",
+    "LeastMargins",
     "PathSamples",
     "Turn",
     "TurnMap",

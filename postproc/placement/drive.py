@@ -28,7 +28,7 @@ WINDING = (3, 5)
 """A4 and A6: the joints that may turn by more than a whole turn."""
 
 
-class Keep(Struct, frozen=True):
+class LeastMargins(Struct, frozen=True):
     """Margins to keep.
 
     :param joint: distance of each joint to its limits [rad].
@@ -47,7 +47,7 @@ class Keep(Struct, frozen=True):
     jump: float = 40.0 * RAD_PER_DEG
 
 
-BARE = Keep(0.01 * RAD_PER_DEG, 0.25 * RAD_PER_DEG, 0.25 * RAD_PER_DEG, 0.006, 0.98, 44.0 * RAD_PER_DEG)
+BARE = LeastMargins(0.01 * RAD_PER_DEG, 0.25 * RAD_PER_DEG, 0.25 * RAD_PER_DEG, 0.006, 0.98, 44.0 * RAD_PER_DEG)
 """The least that a program must keep to be converted."""
 
 
@@ -87,7 +87,7 @@ def margins(robot: RobotModel, q: Array) -> Margins:
         )
 
 
-def reason(margin: Margins, speed: Array, jump: Array, keep: Keep, hit: Bools | None = None) -> Ints:
+def reason(margin: Margins, speed: Array, jump: Array, keep: LeastMargins, hit: Bools | None = None) -> Ints:
     """Return the first reason (...,) in `REASONS` to refuse configurations, 0 = none.
 
     :param speed: (...,) largest joint speed as a share of its limit; `jump` (...,) largest turn of a joint from the

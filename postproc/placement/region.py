@@ -22,7 +22,7 @@ from postproc.frames import MM_PER_M, Array, inverse, pose_from_xyzabc, product,
 from postproc.kinematics import UnreachableError
 from postproc.placement import drive
 from postproc.placement.bodies import Bodies
-from postproc.placement.drive import FREE, Keep, Margins
+from postproc.placement.drive import FREE, LeastMargins, Margins
 from postproc.placement.samples import Load, PathSamples
 from postproc.program import Bools, Ints, Program, distinct
 from postproc.under_load import RobotInCell
@@ -92,7 +92,7 @@ class Assessment(Struct, frozen=True):
         return self.deflection if self.corrected is None else self.corrected
 
 
-class Judged(Struct, frozen=True):
+class JudgedPlace(Struct, frozen=True):
     """A place and how the programs are there, by samples of their paths.
 
     :param place: X, Y, Z, A, E1 [mm, deg].
@@ -151,9 +151,9 @@ class Search(Struct, frozen=True, eq=False):
     :param slice_place: place through which the slice goes.
     """
 
-    today: Judged
-    best: Judged | None
-    trials: tuple[Judged, ...]
+    today: JudgedPlace
+    best: JudgedPlace | None
+    trials: tuple[JudgedPlace, ...]
     slice: tuple[tuple[float, ...], tuple[float, ...]]
     slice_place: tuple[float, ...]
 
@@ -181,7 +181,7 @@ class Programs:
     def __init__(
         self,
         samples: Sequence[PathSamples],
-        keep: Keep,
+        keep: LeastMargins,
         *,
         turns: bool = False,
         clearance_mm: float | None = None,
@@ -203,14 +203,14 @@ class Programs:
         self.station_choice = [_stations(item, max(24, _STATIONS * len(item) // total)) for item in samples]
         self.full_stations = [_stations(item, len(item)) for item in samples]
 
-    def judge(self, place: Array, *, all_samples: bool = False) -> Judged:
+    def judge(self, place: Array, *, all_samples: bool = False) -> JudgedPlace:
         """Judge a place (5,) [mm, deg] by its stations, or by every sample.
 
         The tool keeps the turn of the cell where that can be driven and no other turn saves enough.
         """
-        best: Judged | None = None
-        cell_turn: Judged | None = None
-        nearest = Judged(tuple(map(float, place)), drive.REACH)
+        best: JudgedPlace | None = None
+        cell_turn: JudgedPlace | None = None
+        nearest = JudgedPlace(tuple(map(float, place)), drive.REACH)
         for turn in self.turns.tolist():
             judgement = self._judge(
                 place, turn, self.branch, self.full_stations if all_samples else self.station_choice
@@ -224,7 +224,7 @@ class Programs:
             return cell_turn
         return nearest if best is None else best
 
-    def _judge(self, place: Array, turn: float, branch: int, stations: Sequence[_Stations]) -> Judged:
+    def _judge(self, place: Array, turn: float, branch: int, stations: Sequence[_Stations]) -> JudgedPlace:
         """Return the judgement of a place (5,): the first reason to refuse it, or its largest expected error."""
         base_motion, e1_shift = self._motion_to(place)
         coordinates = tuple(map(float, place))
@@ -234,21 +234,21 @@ class Programs:
             q, reason, group_margin = self._joint_path(group, base_motion, e1_shift, turn, branch)
             margin = min(margin, group_margin)
             if reason != FREE:
-                return Judged(coordinates, reason, margin=group_margin, turn=turn, branch=branch)
+                return JudgedPlace(coordinates, reason, margin=group_margin, turn=turn, branch=branch)
             joint_paths.append((group, q))
         if self.bodies is not None:
             for bodies, (group, q) in zip(self.bodies, joint_paths, strict=True):
                 if self._collides(bodies, group, q, base_motion, e1_shift):
-                    return Judged(coordinates, drive.COLLISION, margin=margin, turn=turn, branch=branch)
+                    return JudgedPlace(coordinates, drive.COLLISION, margin=margin, turn=turn, branch=branch)
         deflection = u95 = 0.0
         singular = np.inf
         for group, q in joint_paths:
             program_deflection, program_u95, value = self._errors(group, base_motion, e1_shift, turn, q)
             if not np.isfinite(program_deflection):
-                return Judged(coordinates, drive.SINGULAR, margin=margin, turn=turn, branch=branch)
+                return JudgedPlace(coordinates, drive.SINGULAR, margin=margin, turn=turn, branch=branch)
             deflection, u95 = max(deflection, program_deflection), float(np.maximum(u95, program_u95))
             singular = min(singular, value)
-        return Judged(coordinates, FREE, deflection, u95, margin, singular, turn, branch)
+        return JudgedPlace(coordinates, FREE, deflection, u95, margin, singular, turn, branch)
 
     def _motion_to(self, place: Array) -> tuple[Array, Array]:
         """Return the motion (4, 4) of the part from its place in the cell, and how far E1 carries the robot (3,)."""
@@ -396,7 +396,7 @@ def check_base(program: Program, robot_in_cell: RobotInCell, shifted_program: Pr
             )
 
 
-def _better(place: Judged, rival: Judged) -> bool:
+def _better(place: JudgedPlace, rival: JudgedPlace) -> bool:
     """Return whether a place is better than another: a smaller error, or one that is alike with more margin."""
     if (
         place.reachable
@@ -407,7 +407,7 @@ def _better(place: Judged, rival: Judged) -> bool:
     return place.cost < rival.cost
 
 
-Assess = Callable[[Judged], Assessment]
+Assess = Callable[[JudgedPlace], Assessment]
 """Converts the programs at a place."""
 
 
@@ -432,9 +432,9 @@ def search(
     grid = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, len(AXES))
     has_slice = {0, 1} <= set(region.free)
     total = len(grid) + (_SLICE**2 if has_slice else 0)
-    judgements: list[Judged] = []
+    judgements: list[JudgedPlace] = []
 
-    def judged(place: Array) -> Judged:
+    def judged(place: Array) -> JudgedPlace:
         judgements.append(programs.judge(place))
         if progress is not None:
             progress(min(len(judgements), total), total)
@@ -461,12 +461,12 @@ def search(
     return Search(today, best, tuple(judgements), (tuple(x.tolist()), tuple(y.tolist())), tuple(slice_centre.tolist()))
 
 
-def _assess(place: Judged, assess: Assess | None) -> Judged:
+def _assess(place: JudgedPlace, assess: Assess | None) -> JudgedPlace:
     """Return a place with the assessment of a conversion there, if the programs can be driven."""
     return place if assess is None or not place.reachable else replace(place, assessment=assess(place))
 
 
-def _descend(judge: Callable[[Array], Judged], region: Region, start: Judged, steps: Array) -> None:
+def _descend(judge: Callable[[Array], JudgedPlace], region: Region, start: JudgedPlace, steps: Array) -> None:
     """Go to better neighbours along the axes, with steps that are halved where there are none."""
     best, free = start, region.free
     for _ in range(_HALVINGS):
@@ -487,7 +487,7 @@ def _descend(judge: Callable[[Array], Judged], region: Region, start: Judged, st
         steps = 0.5 * steps
 
 
-def _contains(region: Region, place: Judged) -> bool:
+def _contains(region: Region, place: JudgedPlace) -> bool:
     """Return whether a place is in a region."""
     return bool(np.allclose(region.clip(np.array(place.place)), place.place, rtol=0.0, atol=1e-9))
 
@@ -499,8 +499,8 @@ _MAX_ASSESSMENTS = 6
 
 
 def _best_by_conversion(
-    programs: Programs, region: Region, judgements: Sequence[Judged], assess: Assess | None
-) -> Judged | None:
+    programs: Programs, region: Region, judgements: Sequence[JudgedPlace], assess: Assess | None
+) -> JudgedPlace | None:
     """Return the best place by every sample of the programs, at which they are converted; None if there is none.
 
     It is one that a person sets: next to a place of the grid, in whole millimetres and degrees.

@@ -24,7 +24,7 @@ from postproc.frames import FULL_TURN, RAD_PER_DEG, Array, inverse, wrap_angles
 from postproc.kinematics.components import components, product
 from postproc.placement import drive
 from postproc.placement.bodies import Bodies
-from postproc.placement.drive import WINDING, Keep, Margins
+from postproc.placement.drive import WINDING, LeastMargins, Margins
 from postproc.placement.samples import PathSamples
 from postproc.program import PTP, Bools, Ints, distinct
 from postproc.robot import RobotModel
@@ -186,7 +186,7 @@ class TurnMap(Struct, frozen=True, eq=False):
     u95: Array
     deflection: Array
 
-    def reasons(self, keep: Keep) -> Ints:
+    def reasons(self, keep: LeastMargins) -> Ints:
         """Return why cells (K, J) are refused, see `drive.REASONS`."""
         return drive.reason(self.margin, self.speed, self.jump, keep, self.hit)
 
@@ -426,7 +426,7 @@ class Line(Struct, frozen=True, eq=False):
     cost: float
 
 
-class Blocked(Struct, frozen=True):
+class BlockedMap(Struct, frozen=True):
     """There is no line: `block` cannot be passed, `cells` are the reasons of its bins."""
 
     block: int
@@ -435,12 +435,12 @@ class Blocked(Struct, frozen=True):
 def line_through(
     robot: RobotModel,
     turn_map: TurnMap,
-    keep: Keep,
+    keep: LeastMargins,
     start: Array,
     *,
     turn_at_feed: bool,
     is_circle: bool,
-) -> Line | Blocked:
+) -> Line | BlockedMap:
     """Find the line through the map with the smallest expected error, under the limits of the joints.
 
     :param start: (6,) joint angles before the program [rad]: A4 and A6 are counted from there.
@@ -472,7 +472,7 @@ def line_through(
             )
         sources.append(source)
         if not np.isfinite(state).any():
-            return Blocked(b)
+            return BlockedMap(b)
         last_q = turn_map.q[part.stop - 1]
     return _trace_line(turn_map, state, sources, base)
 
@@ -509,7 +509,7 @@ def _costs(turn_map: TurnMap, bad: Bools) -> _Costs:
     return _Costs(share[:, None] * error**2 + _MARGIN_WEIGHT * tight * (bins / bins.sum())[:, None], error, share)
 
 
-def _limits(robot: RobotModel, keep: Keep) -> tuple[Array, Array]:
+def _limits(robot: RobotModel, keep: LeastMargins) -> tuple[Array, Array]:
     """Return the least and largest angle (2,) of A4 and A6 [rad] with the margin to keep."""
     joints = list(WINDING)
     return robot.lower[joints] + keep.joint, robot.upper[joints] - keep.joint

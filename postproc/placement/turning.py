@@ -21,9 +21,9 @@ from postproc.kinematics import UnreachableError
 from postproc.kinematics.components import components
 from postproc.placement import drive, turn_map
 from postproc.placement.bodies import Bodies
-from postproc.placement.drive import BARE, REASONS, Keep
+from postproc.placement.drive import BARE, REASONS, LeastMargins
 from postproc.placement.samples import AXIS, PathSamples
-from postproc.placement.turn_map import Blocked, Blocks, Line, TurnMap
+from postproc.placement.turn_map import BlockedMap, Blocks, Line, TurnMap
 from postproc.poses import Poses
 from postproc.program import PTP, Bools, Ints, Program, distinct, read_only
 from postproc.under_load import RobotInCell
@@ -82,7 +82,7 @@ class Turn(Struct, frozen=True, eq=False):
 
     mode: Mode
     map: TurnMap
-    keep: Keep
+    keep: LeastMargins
     constant: float
     knots: Array
     of_motion: Array
@@ -147,28 +147,28 @@ def choose_turn(
     table = robot_in_cell.cell.collision
     bodies = None if table is None else Bodies(samples, table.clearance_mm)
     whole = turn_map.evaluate(samples, blocks, branch, np.zeros(len(samples)), turn_map.whole_circle(_COARSE), bodies)
-    block: Blocked | None = None
-    for keep in (Keep() if mode == "best" else _margins_of_least_cost(samples, whole, branch), BARE):
+    block: BlockedMap | None = None
+    for keep in (LeastMargins() if mode == "best" else _margins_of_least_cost(samples, whole, branch), BARE):
         line, whole = _free_line(samples, whole, branch, keep, mode, bodies)
-        if isinstance(line, Blocked):
+        if isinstance(line, BlockedMap):
             block = block if block is not None and block.block > line.block else line
             continue
         if keep is not BARE and _today_is_as_good(samples, whole, branch, keep, line, bodies):
             line = Line(np.zeros(len(line.knots)), line.cost)
         of_motion = blocks.turn_of_motions(samples, line.knots)
         constant = robot_in_cell.cell.gcode.redundancy_deg * RAD_PER_DEG
-        turn = Turn(mode, whole, BARE if keep is BARE else Keep(), constant, line.knots, of_motion)
+        turn = Turn(mode, whole, BARE if keep is BARE else LeastMargins(), constant, line.knots, of_motion)
         return turn, (_turn_issue(turn),)
     assert block is not None
     return None, (_blocked_error(samples, whole, block, mode, branch, bodies),)
 
 
-def _margins_of_least_cost(samples: PathSamples, whole: TurnMap, branch: int) -> Keep:
+def _margins_of_least_cost(samples: PathSamples, whole: TurnMap, branch: int) -> LeastMargins:
     """Return the margins at which a turn along the path costs least: its expected error and the price of its margin."""
-    best, least_cost = Keep(), np.inf
-    for keep in (Keep(), *(Keep(level, level, level) for level in _LEVELS)):
+    best, least_cost = LeastMargins(), np.inf
+    for keep in (LeastMargins(), *(LeastMargins(level, level, level) for level in _LEVELS)):
         line = _find(samples, whole, keep, "path", is_circle=True)
-        if isinstance(line, Blocked):
+        if isinstance(line, BlockedMap):
             continue
         error, margin = _error_and_margin(samples, whole.blocks, branch, line)
         price = _MARGIN_PRICE * float(np.exp(-margin / _MARGIN_SCALE))
@@ -188,8 +188,8 @@ def _error_and_margin(samples: PathSamples, blocks: Blocks, branch: int, line: L
 
 
 def _free_line(
-    samples: PathSamples, whole: TurnMap, branch: int, keep: Keep, mode: Mode, bodies: Bodies | None
-) -> tuple[Line | Blocked, TurnMap]:
+    samples: PathSamples, whole: TurnMap, branch: int, keep: LeastMargins, mode: Mode, bodies: Bodies | None
+) -> tuple[Line | BlockedMap, TurnMap]:
     """Return the cheapest line, and the map, on which cells are closed where every sample of a line shows collisions.
 
     The map looks at some samples of long paths, and at no joint interpolations: they depend on both turns. A line that
@@ -197,7 +197,7 @@ def _free_line(
     """
     for _ in range(_ROUNDS):
         line = _find(samples, whole, keep, mode, is_circle=True)
-        if isinstance(line, Blocked):
+        if isinstance(line, BlockedMap):
             return line, whole
         fine = _refine_line(samples, whole.blocks, branch, line, keep, mode, bodies)
         if bodies is None:
@@ -211,7 +211,7 @@ def _free_line(
 
 
 def _today_is_as_good(
-    samples: PathSamples, whole: TurnMap, branch: int, keep: Keep, line: Line, bodies: Bodies | None
+    samples: PathSamples, whole: TurnMap, branch: int, keep: LeastMargins, line: Line, bodies: Bodies | None
 ) -> bool:
     """Return whether the turn of the cell keeps the margins everywhere, and a line saves too little to change it."""
     no_turn = np.zeros(len(samples))
@@ -227,7 +227,7 @@ def _today_is_as_good(
     other_turns = np.broadcast_to(np.abs(wrap_angles(whole.offset)) > _SAME_TURN, whole.u95.shape)
     hit = other_turns if whole.hit is None else whole.hit | other_turns
     cell_line = _find(samples, replace(whole, hit=hit), keep, "best", is_circle=True)
-    if isinstance(cell_line, Blocked):
+    if isinstance(cell_line, BlockedMap):
         return False
     return bodies is None or not _is_hit(samples, whole.blocks, branch, cell_line, bodies).any()
 
@@ -267,7 +267,9 @@ def _is_tilting(samples: PathSamples) -> Bools:
     return np.asarray(~m.rapid & (m.kind != PTP) & (norm(end - begin) > _SAME_TURN))
 
 
-def _find(samples: PathSamples, whole: TurnMap, keep: Keep, mode: Mode, *, is_circle: bool) -> Line | Blocked:
+def _find(
+    samples: PathSamples, whole: TurnMap, keep: LeastMargins, mode: Mode, *, is_circle: bool
+) -> Line | BlockedMap:
     robot, start = samples.robot_in_cell.robot, samples.robot_in_cell.cell.start_joints
     return turn_map.line_through(robot, whole, keep, start, turn_at_feed=mode == "path", is_circle=is_circle)
 
@@ -277,7 +279,7 @@ def _refine_line(
     blocks: Blocks,
     branch: int,
     line: Line,
-    keep: Keep,
+    keep: LeastMargins,
     mode: Mode,
     bodies: Bodies | None,
 ) -> Line | None:
@@ -285,7 +287,7 @@ def _refine_line(
     base = _sample_turns(samples, blocks, line.knots)
     fine_map = turn_map.evaluate(samples, blocks, branch, base, _FINE, bodies)
     fine_line = _find(samples, fine_map, keep, mode, is_circle=False)
-    return None if isinstance(fine_line, Blocked) else fine_line
+    return None if isinstance(fine_line, BlockedMap) else fine_line
 
 
 def _sample_turns(samples: PathSamples, blocks: Blocks, knots: Array) -> Array:
@@ -310,7 +312,7 @@ def _turn_issue(turn: Turn) -> Issue:
 
 
 def _blocked_error(
-    samples: PathSamples, whole: TurnMap, block: Blocked, mode: Mode, branch: int, bodies: Bodies | None
+    samples: PathSamples, whole: TurnMap, block: BlockedMap, mode: Mode, branch: int, bodies: Bodies | None
 ) -> Issue:
     """Return the error that names the motion that no line passes, the reasons there, and bodies that are too close."""
     blocks = whole.blocks

@@ -14,7 +14,7 @@ from msgspec import Struct
 from postproc import kinematics
 from postproc.chunks import Columns
 from postproc.frames import Array
-from postproc.plan.sensitivity import Posed, direction
+from postproc.plan.sensitivity import ArmPoses, direction
 from postproc.plan.site import BoxShape, MeshShape, Site, between_segments, points_on_segments
 from postproc.program import Bools
 
@@ -44,7 +44,7 @@ class State(Columns, frozen=True, eq=False):
 
     q: Array
     down: Array | None
-    posed: Posed
+    posed: ArmPoses
 
     @classmethod
     def of(cls, site: Site, q: Array, tilt: Array | None) -> State:

@@ -95,7 +95,7 @@ class Joint2(Struct, frozen=True, eq=False):
         return np.concatenate([square, -square * self.columns(q2)[:, 1:]], axis=1)
 
 
-class Measured(Struct, frozen=True, eq=False):
+class MeasuredLoads(Struct, frozen=True, eq=False):
     """Loaded states measured so far.
 
     :param q: (d, 6) configurations [rad].
@@ -110,7 +110,7 @@ class Measured(Struct, frozen=True, eq=False):
     level: Ints
 
 
-def measured_information(data: Measurements, readings: Readings, sigma: float) -> Measured:
+def measured_information(data: Measurements, readings: Readings, sigma: float) -> MeasuredLoads:
     """Weigh each loaded state by how often it and its unloaded state were read.
 
     :param readings: with the compliances to be identified.
@@ -125,7 +125,7 @@ def measured_information(data: Measurements, readings: Readings, sigma: float) -
     information = readings.information_of(data.q[config], data.wrench[data.loaded_states]) * share[:, None, None]
     level = level_of_config[config]
     q2 = np.array([data.q[level_of_config == index, 1].mean() for index in range(int(level_of_config.max()) + 1)])
-    return Measured(data.q[config], q2, information, level)
+    return MeasuredLoads(data.q[config], q2, information, level)
 
 
 class Criterion(Struct, frozen=True, eq=False):
@@ -152,7 +152,7 @@ class Criterion(Struct, frozen=True, eq=False):
         joint2: Joint2,
         q2: Array,
         grouped: bool,
-        earlier_data: Measured | None = None,
+        earlier_data: MeasuredLoads | None = None,
     ) -> Criterion:
         """Make the criterion for levels q2 (m,) [rad]; `earlier_data`: earlier readings."""
         keep, levels = list(readings.keep), len(q2)
@@ -257,7 +257,7 @@ def expected_accuracy(
     joint2: Joint2,
     q: Array,
     information: Array,
-    earlier_data: Measured | None = None,
+    earlier_data: MeasuredLoads | None = None,
 ) -> Accuracy:
     """Return the expected accuracy of a plan.
 

@@ -23,7 +23,7 @@ from postproc.plan.criterion import (
     Criterion,
     Directions,
     Joint2,
-    Measured,
+    MeasuredLoads,
     directions,
     expected_accuracy,
     measured_information,
@@ -362,7 +362,7 @@ class _Problem(Struct, frozen=True, eq=False):
     task: Task
     readings: Readings
     joint2: Joint2
-    known: Measured | None
+    known: MeasuredLoads | None
     warnings: tuple[str, ...]
 
 
@@ -520,7 +520,7 @@ def _largest(data: Measurements, readings: Readings) -> Array:
 
 
 def _joint2(
-    site: Site, tests: TestPoses, earlier_data: Measured | None, with_joint2: Callable[[Joint2], Task], seed: int
+    site: Site, tests: TestPoses, earlier_data: MeasuredLoads | None, with_joint2: Callable[[Joint2], Task], seed: int
 ) -> Joint2:
     """Decide as the identification will: K_c is identified only if a plan made for it can determine it."""
     free = Joint2.of(site.robot, free=True)
@@ -568,7 +568,7 @@ def _order_plan(problem: _Problem, plan: Plan) -> tuple[Plan, Array, float, tupl
 
 
 def _check_number(
-    options: Options, readings: Readings, points: int, levels: int, earlier_data: Measured | None
+    options: Options, readings: Readings, points: int, levels: int, earlier_data: MeasuredLoads | None
 ) -> None:
     """Raise a `PlanError` if there are fewer readings than unknowns; with `grouped`, within each level of A2."""
     if earlier_data is not None:

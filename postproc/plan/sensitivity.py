@@ -27,17 +27,17 @@ class Arm(Struct, frozen=True, eq=False):
         """Take the controller's geometry of a robot."""
         return cls(robot.nominal)
 
-    def pose(self, q: Array) -> Posed:
+    def pose(self, q: Array) -> ArmPoses:
         """Return joint origins, axes and flange poses at configurations q (N, 6) [rad]."""
         state = kinematics.posture(self.chain, q.T)
         origin, axis = (
             np.array([np.broadcast_to(vector, (3, len(q))) for vector in vectors]).transpose(2, 0, 1)
             for vectors in (state.origin, state.axis)
         )
-        return Posed(origin, axis, kinematics.matrices(state.pose))
+        return ArmPoses(origin, axis, kinematics.matrices(state.pose))
 
 
-class Posed(Columns, frozen=True, eq=False):
+class ArmPoses(Columns, frozen=True, eq=False):
     """The arm in N configurations, root frame.
 
     :param origin: (N, 6, 3) of the joints [m].

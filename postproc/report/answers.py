@@ -67,7 +67,7 @@ class Drive(Struct, frozen=True):
     unchecked: list[str]
 
 
-class Better(Struct, frozen=True):
+class Improvement(Struct, frozen=True):
     """Is it better than the uncorrected program? Expected errors on the part (95 %) over cutting targets.
 
     `uncorrected_mm` and `corrected_mm` are those of the worst target, the program as read and as corrected; None where
@@ -113,7 +113,7 @@ class Verdict(Struct, frozen=True):
     headline: str
     answers: list[str]
     drive: Drive
-    better: Better | None
+    better: Improvement | None
     tolerance: Tolerance | None
     reasons: list[str]
     holds: list[str]
@@ -133,7 +133,7 @@ def worst_state(states: Iterable[State]) -> State:
 def join(
     mode: Mode,
     drive: Drive,
-    better: Better | None,
+    better: Improvement | None,
     tolerance: Tolerance | None,
     holds: Sequence[str] = (),
     assumes: Sequence[str] = (),
@@ -173,7 +173,7 @@ _FORMS: dict[Mode, str] = {
 }
 
 
-def _improvement_sentence(mode: Mode, better: Better | None) -> str:
+def _improvement_sentence(mode: Mode, better: Improvement | None) -> str:
     """Return a sentence with both expected errors; empty where there is nothing to compare."""
     if better is None or better.uncorrected_mm is None or better.corrected_mm is None or better.chance is None:
         return ""
@@ -202,7 +202,7 @@ def remedies(actions: Sequence[Remedy]) -> str:
 QUESTIONS = ("May it be driven?", "Is it better than uncorrected?", "Does it hold your tolerance?")
 
 
-def answer_rows(drive: Drive, better: Better | None, tolerance: Tolerance | None) -> list[tuple[str, str, State]]:
+def answer_rows(drive: Drive, better: Improvement | None, tolerance: Tolerance | None) -> list[tuple[str, str, State]]:
     """Return question, answer and state of each of the three answers."""
     answers: tuple[tuple[str, State], ...] = (
         (_drive_text(drive), drive.state),
@@ -221,7 +221,7 @@ def _drive_text(drive: Drive) -> str:
     return f"{answer}; not checked: {unchecked_names}" if unchecked_names else answer
 
 
-def _comparison_text(better: Better | None) -> str:
+def _comparison_text(better: Improvement | None) -> str:
     """Return uncorrected and corrected error in words, with the chance that the correction helps."""
     if better is None or better.uncorrected_mm is None or better.corrected_mm is None:
         return "not known"

@@ -105,7 +105,7 @@ class Display(Protocol):
         ...
 
 
-class Plain:
+class PlainFormat:
     """Plain text, each column as wide as it needs to be."""
 
     def verdict(self, text: str, state: State) -> str:
@@ -135,4 +135,4 @@ class Plain:
         )
 
 
-PLAIN = Plain()
+PLAIN = PlainFormat()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from postproc.identification.record import Identified, Parameter
+from postproc.identification.record import IdentificationRecord, Parameter
 from postproc.report.formatting import places
 from postproc.report.kit import (
     Axis,
@@ -47,7 +47,7 @@ _SPRINGS = (
 _JOINTS = "Displacement of each joint from its nominal place on the link before it, axes of its nominal frame."
 
 
-def verdict(data: Identified) -> Section | None:
+def verdict(data: IdentificationRecord) -> Section | None:
     """Return whether the model may be used, and within which bound."""
     if data.verdict is None:
         return None
@@ -63,7 +63,7 @@ def verdict(data: Identified) -> Section | None:
     return Section("verdict", "Verdict", (part, *((Notes(tuple(notes), marked=True),) if notes else ())))
 
 
-def summary(data: Identified) -> Section | None:
+def summary(data: IdentificationRecord) -> Section | None:
     """Return the results in numbers."""
     residual = data.residual
     if residual is None or data.parameters is None:
@@ -92,7 +92,7 @@ def summary(data: Identified) -> Section | None:
     return Section("summary", "Results", (Tiles(tiles),))
 
 
-def findings_section(data: Identified) -> Section:
+def findings_section(data: IdentificationRecord) -> Section:
     """Return unidentifiable parameters, warnings and assumptions."""
     unobservable = data.not_observable or []
     assumptions = tuple(Note(f"Assumed: {text}.") for text in data.assumptions or ())
@@ -110,7 +110,7 @@ def findings_section(data: Identified) -> Section:
     return Section("to-know", "What to know", (Notes(unobservable_notes + warnings + assumptions, marked=True),))
 
 
-def configurations(data: Identified) -> Section | None:
+def configurations(data: IdentificationRecord) -> Section | None:
     """Return displacement and residual of each configuration."""
     if data.residual is None:
         return None
@@ -135,7 +135,7 @@ def configurations(data: Identified) -> Section | None:
     return Section("configurations", "Residuals by configuration", (plot, Fold("The numbers", (table,))))
 
 
-def parameters(data: Identified) -> Section | None:
+def parameters(data: IdentificationRecord) -> Section | None:
     """Return the parameters with their intervals."""
     if not data.parameters:
         return None
@@ -235,7 +235,7 @@ def _title(name: str) -> str:
     return name if parameter is None else parameter.title
 
 
-def levels(data: Identified) -> Section | None:
+def levels(data: IdentificationRecord) -> Section | None:
     """Return the equivalent compliance of joint 2 by level."""
     if not data.k2_levels:
         return None
@@ -260,7 +260,7 @@ def levels(data: Identified) -> Section | None:
     return Section("levels", "Equivalent compliance of joint 2 by level of q2", (plot,))
 
 
-def structures(data: Identified) -> Section | None:
+def structures(data: IdentificationRecord) -> Section | None:
     """Return the section that lists the structures tried, with their cross-validation errors."""
     if data.structure is None:
         return None
@@ -284,7 +284,7 @@ def structures(data: Identified) -> Section | None:
     return Section("structures", "Structures tried: error on configurations left out", (plot,))
 
 
-def correlations(data: Identified) -> Section | None:
+def correlations(data: IdentificationRecord) -> Section | None:
     """Return the section on the correlations of the identified parameters."""
     if data.correlation is None or len(data.correlation.names) < 2:
         return None
@@ -298,7 +298,7 @@ def correlations(data: Identified) -> Section | None:
     return Section("correlations", "Correlations of the parameters", (plot,))
 
 
-def geometry(data: Identified) -> Section | None:
+def geometry(data: IdentificationRecord) -> Section | None:
     """Return the section that compares the variants of the geometry; None if the geometry was not identified."""
     if data.geometry is None:
         return None
@@ -319,14 +319,14 @@ def geometry(data: Identified) -> Section | None:
     return Section("geometry", "Geometry: unloaded readings on configurations left out, RMS distance", (plot,))
 
 
-def calibration(data: Identified) -> Section | None:
+def calibration(data: IdentificationRecord) -> Section | None:
     """Return the parameters of the geometry."""
     if data.geometry is None or not data.geometry.parameters:
         return None
     return Section("calibrated", "Calibrated geometry", _intervals(data.geometry.parameters, _JOINTS))
 
 
-def placement(data: Identified) -> Section:
+def placement(data: IdentificationRecord) -> Section:
     """Return the placement of robot and points."""
     rows = tuple(Row((name, *(f"{point[axis]:.3f}" for axis in "XYZ"))) for name, point in data.points.items())
     table = Table(("Point, flange frame", "X, mm", "Y, mm", "Z, mm"), rows, "Points in the flange frame")
@@ -338,7 +338,7 @@ def placement(data: Identified) -> Section:
     return Section("placement", "Set-up found from the readings without load", (table, Notes((Note(text, "soft"),))))
 
 
-SECTIONS: tuple[Callable[[Identified], Section | None], ...] = (
+SECTIONS: tuple[Callable[[IdentificationRecord], Section | None], ...] = (
     verdict,
     summary,
     findings_section,
@@ -354,7 +354,7 @@ SECTIONS: tuple[Callable[[Identified], Section | None], ...] = (
 """The sections of the page in order. One that has nothing to say returns None."""
 
 
-def page(data: Identified, name: str) -> bytes:
+def page(data: IdentificationRecord, name: str) -> bytes:
     """Return the page as HTML in UTF-8: one file that loads nothing.
 
     :param data: content of `identification.json`.

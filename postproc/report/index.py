@@ -31,7 +31,7 @@ class Margin(Struct, frozen=True):
     min_joint_margin_deg: float | None
 
 
-class ReportedBetter(Struct, frozen=True):
+class ReportedErrors(Struct, frozen=True):
     """Expected errors on the part without and with correction; None where unknown."""
 
     uncorrected_mm: float | None
@@ -52,7 +52,7 @@ class ReportedVerdict(Struct, frozen=True):
     state: State
     reasons: list[str]
     headline: str = ""
-    better: ReportedBetter | None = None
+    better: ReportedErrors | None = None
     tolerance: ReportedTolerance | None = None
 
 
@@ -62,7 +62,7 @@ class ReportedIssue(Struct, frozen=True):
     kind: str
 
 
-class Reported(Struct, frozen=True):
+class ReportEntry(Struct, frozen=True):
     """What the overview shows of a `report.json`, also of one that an earlier version wrote."""
 
     program: str
@@ -93,7 +93,7 @@ class Entry(Struct, frozen=True):
 
     name: str
     page: str
-    content: Reported | None
+    content: ReportEntry | None
     message: str = ""
     called: bool = False
 
@@ -157,7 +157,7 @@ def _rank(entry: Entry) -> tuple[int, float, str]:
     return _STATES.index(entry.state), 0.0 if worst is None else -worst, entry.name
 
 
-def _table(entries: Sequence[Entry], reports: Sequence[Reported]) -> Table:
+def _table(entries: Sequence[Entry], reports: Sequence[ReportEntry]) -> Table:
     """Return the table of the programs of a folder."""
     head = (
         "Program",

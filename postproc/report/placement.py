@@ -12,7 +12,7 @@ from postproc.cell import Cell
 from postproc.files import FileEntry, json_bytes
 from postproc.frames import DEG_PER_RAD, MM_PER_M
 from postproc.placement import REASONS
-from postproc.placement.region import AXES, Assessment, Judged, Region, Search
+from postproc.placement.region import AXES, Assessment, JudgedPlace, Region, Search
 from postproc.report.formatting import two_digits
 from postproc.report.kit import Axis, Map, Note, Notes, Page, Plot, Points, Row, Section, Table, Tile, Tiles
 
@@ -119,7 +119,7 @@ def _in_mm(value: float | None) -> float | None:
     return None if value is None else _finite(value * MM_PER_M, 6)
 
 
-def _entry(place: Judged) -> PlaceEntry:
+def _entry(place: JudgedPlace) -> PlaceEntry:
     """Return a judged place as an entry of place.json [mm, deg]."""
     assessment = Assessment(deflection=place.deflection) if place.assessment is None else place.assessment
     x, y, z, a, e1 = (round(value, 4) for value in place.place)
@@ -166,7 +166,7 @@ def _sentence(search: Search) -> str:
     return f"Moving the part by {move} lowers the {kind} from up to {_cost(today)} to {error}."
 
 
-def _cost(place: Judged) -> str:
+def _cost(place: JudgedPlace) -> str:
     return two_digits(place.stated_cost * MM_PER_M)
 
 
@@ -313,7 +313,7 @@ def _is_slice(search: Search, first: int) -> bool:
 
 def _map(
     search: Search,
-    rows: list[list[Judged]],
+    rows: list[list[JudgedPlace]],
     axes: tuple[int, int],
     x: Sequence[float],
     y: Sequence[float],

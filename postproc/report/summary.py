@@ -44,7 +44,7 @@ class Bound(Struct, frozen=True):
     rms_mm: float
 
 
-class Expected(Bound, frozen=True):
+class ExpectedError(Bound, frozen=True):
     """Bound (95 %) by what the model and the forces state of their uncertainty, over cutting targets.
 
     `basis` says where the model's uncertainty comes from.
@@ -185,7 +185,7 @@ class Summary(Struct, frozen=True, omit_defaults=True, kw_only=True):
     inserted_targets: int
     before: Distances
     after: Distances
-    u95: Expected | None  # None where the model states no uncertainty
+    u95: ExpectedError | None  # None where the model states no uncertainty
     part: OnPart
     feed: FeedSummary | None  # None where feeds are those of the program
     improvement: Ratios
@@ -342,9 +342,9 @@ def issue_entry(issue: Issue) -> IssueEntry:
     )
 
 
-def _expected_error(result: Result, bound: Statistics) -> Expected:
+def _expected_error(result: Result, bound: Statistics) -> ExpectedError:
     """Return the expected error on the part (95 %) in mm."""
-    return Expected(max_mm=bound.largest * MM_PER_M, rms_mm=bound.rms * MM_PER_M, basis=result.robot.basis)
+    return ExpectedError(max_mm=bound.largest * MM_PER_M, rms_mm=bound.rms * MM_PER_M, basis=result.robot.basis)
 
 
 def _bound(values: Statistics | None) -> Bound | None:

@@ -16,8 +16,8 @@ from postproc.program import SPL
 from postproc.report.answers import (
     RUN_TIME,
     SPLINES,
-    Better,
     Drive,
+    Improvement,
     Remedy,
     Tolerance,
     Verdict,
@@ -110,7 +110,7 @@ def _drive(result: Result, content: Summary, warnings: Sequence[Issue]) -> Drive
     return Drive(state, [*errors, *_texts(doubts)], unchecked)
 
 
-def _better(result: Result, content: Summary, doubts: list[Finding], tolerance: Tolerance | None) -> Better:
+def _better(result: Result, content: Summary, doubts: list[Finding], tolerance: Tolerance | None) -> Improvement:
     """Return whether the corrected program is better than the uncorrected one.
 
     :param doubts: about forces and model.
@@ -129,7 +129,7 @@ def _better(result: Result, content: Summary, doubts: list[Finding], tolerance: 
     if result.robot.measured is not None and result.robot.measured.not_trusted:
         doubts.append(Finding(_FIRST, f"the robot model is not to be trusted: {result.robot.measured.not_trusted}"))
     if errors is None or _compensates(content):
-        return Better("warning" if doubts else "ok", None, None, None, None, None, _texts(doubts))
+        return Improvement("warning" if doubts else "ok", None, None, None, None, None, _texts(doubts))
     uncorrected, corrected_errors = (statistics(error, judged_result.rapid) for error in (errors.before, errors.after))
     largest_mm = max(content.before.max_mm, content.after.max_mm)
     counts = content.mode == "convert" and largest_mm > min(content.tolerance_mm or CUT_MM, CUT_MM)
@@ -147,7 +147,7 @@ def _better(result: Result, content: Summary, doubts: list[Finding], tolerance: 
     if content.mode == "convert" and (corrected_errors.largest - uncorrected.largest) * MM_PER_M > CUT_MM:
         doubts.append(Finding(corrected_errors.largest * MM_PER_M, _WORSE_PLACE))
     state: State = "failed" if failures else "warning" if doubts else "ok"
-    return Better(
+    return Improvement(
         state=state,
         uncorrected_mm=uncorrected.largest * MM_PER_M,
         corrected_mm=corrected_errors.largest * MM_PER_M,

@@ -20,7 +20,7 @@ from postproc.robot.model import (
     Discrepancy,
     ForceFactor,
     GeometryError,
-    Measured,
+    MeasuredRange,
     RobotModel,
     SourcedValue,
     Transmission,
@@ -35,7 +35,7 @@ from postproc.robot.model_file import (
     JointSpring,
     Masses,
     ModelFile,
-    Sourced,
+    SourcedEntry,
 )
 from postproc.robot.parameters import LinkMass, LinkSpring, Parameter
 
@@ -148,7 +148,7 @@ def assemble(name: str, content: ModelFile, nominal: Chain) -> RobotModel:
         carries_weight=content.gravity.in_gears,
         discrepancy=_discrepancy(content.discrepancy),
         geometry_error=_geometry_error(content.geometry_error),
-        measured=None if load_range is None else Measured(np.array(load_range.torque_Nm), load_range.not_trusted),
+        measured=None if load_range is None else MeasuredRange(np.array(load_range.torque_Nm), load_range.not_trusted),
         language=content.language,
         transmission=Transmission.of(content.transmission),
         mass_spread=(Masses(source="") if content.masses is None else content.masses).spread_percent / 100.0,
@@ -381,7 +381,7 @@ def _nominal_values(content: ModelFile, nominal: Chain) -> Iterator[SourcedValue
         ("geometry, limits", "robot.urdf", content.geometry_nominal),
         ("joint speeds", f"{speeds} °/s", content.speeds or content.geometry_nominal),
     ):
-        source = entry_source or Sourced(source="not stated", assumed=True)
+        source = entry_source or SourcedEntry(source="not stated", assumed=True)
         yield SourcedValue(label, value, source.source, source.assumed)
 
 

@@ -21,7 +21,7 @@ from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, rotation_from_vector
 from postproc.robot import urdf
 from postproc.robot.chain import Chain
 from postproc.robot.folder import load, shipped_models
-from postproc.robot.model_file import FLANGE, JOINTS, JointSpring, Masses, ModelFile, Sourced
+from postproc.robot.model_file import FLANGE, JOINTS, JointSpring, Masses, ModelFile, SourcedEntry
 from postproc.robot.rating import rated_payload
 from postproc.robot.urdf import AnyArm
 
@@ -50,7 +50,7 @@ _IMPLAUSIBLE = 2.0
 """Link masses that differ from these by more than this factor are not believed (assumed)."""
 
 
-class Adopted(Struct, frozen=True, eq=False):
+class AdoptedModel(Struct, frozen=True, eq=False):
     """The model of an arm from a URDF.
 
     :param chain: nominal geometry, KUKA's signs.
@@ -76,7 +76,7 @@ _REACHES = 0.1, 20.0
 """Reach [m] of arms with six axes: the longest that are built have about 5 m."""
 
 
-def adopt(text: str, file: str, name: str | None = None) -> Adopted:
+def adopt(text: str, file: str, name: str | None = None) -> AdoptedModel:
     """Return the model of an arm.
 
     :param text: of the URDF.
@@ -112,9 +112,9 @@ def adopt(text: str, file: str, name: str | None = None) -> Adopted:
             for joint, value in zip(JOINTS, compliance, strict=True)
         },
         masses=masses,
-        geometry_nominal=Sourced(source=f"{file}, reach of the wrist {_reach(chain) * MM_PER_M:.0f} mm"),
+        geometry_nominal=SourcedEntry(source=f"{file}, reach of the wrist {_reach(chain) * MM_PER_M:.0f} mm"),
     )
-    return Adopted(chain, content, tuple(notes), old_frames)
+    return AdoptedModel(chain, content, tuple(notes), old_frames)
 
 
 def _to_kuka_form(arm: AnyArm, file: str) -> tuple[Chain, Array, list[str]]:

@@ -161,7 +161,7 @@ class GeometryError(Struct, frozen=True, eq=False):
         return np.asarray(np.sqrt(extrapolated + (self.unmeasured * np.minimum(share.max(axis=1), 1.0)) ** 2))
 
 
-class Measured(Struct, frozen=True, eq=False):
+class MeasuredRange(Struct, frozen=True, eq=False):
     """The range of the measurements of an identified model.
 
     :param torque: (6,) largest on A1…A6 [N·m].
@@ -299,7 +299,7 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
     force_factor: ForceFactor | None = None
     discrepancy: Discrepancy | None = None
     geometry_error: GeometryError | None = None
-    measured: Measured | None = None
+    measured: MeasuredRange | None = None
     language: str = ""
     transmission: Transmission | None = None
     mass_spread: float = 0.0

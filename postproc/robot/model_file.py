@@ -27,7 +27,7 @@ Covariant = Annotated[float, msgspec.Meta(ge=-1e24, le=1e24)]
 """Values beyond these are mistakes, whatever the unit."""
 
 
-class Sourced(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+class SourcedEntry(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
     """An entry that says where its values come from."""
 
     source: str
@@ -58,7 +58,7 @@ class PoseWaveEntry(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     sin_urad_per_Nm: Finite | None = None
 
 
-class JointSpring(Sourced, frozen=True, kw_only=True):
+class JointSpring(SourcedEntry, frozen=True, kw_only=True):
     """Compliance of one virtual joint spring, at small torque, the spring of its link about the same axis included.
 
     `stiffening` says which parts of it fade with load, `knees` which end beyond a torque (`parameters.Knee`).
@@ -85,7 +85,7 @@ class JointSpring(Sourced, frozen=True, kw_only=True):
         return sum(part.compliance_urad_per_Nm for part in (*self.stiffening, *self.knees))
 
 
-class LinkSprings(Sourced, frozen=True, kw_only=True):
+class LinkSprings(SourcedEntry, frozen=True, kw_only=True):
     """Springs of one link: translations and rotations where it begins (at its joint), rotations where it ends.
 
     Axes of the joint frame (those of the root at A1…A6 = 0 for the shipped robots). The link named A2 is the one that
@@ -103,7 +103,7 @@ class LinkSprings(Sourced, frozen=True, kw_only=True):
     end_RZ_urad_per_Nm: NotNegative = 0.0
 
 
-class CompensatorEntry(Sourced, frozen=True, kw_only=True):
+class CompensatorEntry(SourcedEntry, frozen=True, kw_only=True):
     """Gravity compensator at joint A2, paper Eq. (3)–(4).
 
     `sigma_percent`: standard deviation of K_c at this free length, where readings on this robot give none; it goes
@@ -130,7 +130,7 @@ class CompensatorEntry(Sourced, frozen=True, kw_only=True):
         )
 
 
-class Masses(Sourced, frozen=True, kw_only=True):
+class Masses(SourcedEntry, frozen=True, kw_only=True):
     """Source of the link masses in robot.urdf, and identified masses that replace them.
 
     `spread_percent`: standard deviation of each mass.
@@ -155,7 +155,7 @@ class Gravity(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     in_gears: bool = False
 
 
-class Displacement(Sourced, frozen=True, kw_only=True):
+class Displacement(SourcedEntry, frozen=True, kw_only=True):
     """Calibrated geometry: displacement of a joint (or the flange) from its nominal place on the previous link.
 
     X, Y, Z [mm] and a rotation vector RX, RY, RZ [deg], in the axes of the nominal joint frame.
@@ -169,7 +169,7 @@ class Displacement(Sourced, frozen=True, kw_only=True):
     RZ_deg: Finite = 0.0
 
 
-class TransmissionEntry(Sourced, frozen=True, kw_only=True):
+class TransmissionEntry(SourcedEntry, frozen=True, kw_only=True):
     """Error of transmission of a joint, once and twice a turn: amplitudes of sin q … cos 2q [µrad]."""
 
     sin_urad: Amplitude = 0.0
@@ -178,7 +178,7 @@ class TransmissionEntry(Sourced, frozen=True, kw_only=True):
     cos2_urad: Amplitude = 0.0
 
 
-class PayloadEntry(Sourced, frozen=True, kw_only=True):
+class PayloadEntry(SourcedEntry, frozen=True, kw_only=True):
     """Payload during the measurements; the payload of a cell is in addition to it.
 
     `mass_kg`, centre of mass X_mm, Y_mm, Z_mm in the flange frame.
@@ -217,7 +217,7 @@ class CovarianceTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
         return np.asarray(lower + np.tril(lower, -1).T)
 
 
-class ForcesEntry(Sourced, frozen=True, kw_only=True):
+class ForcesEntry(SourcedEntry, frozen=True, kw_only=True):
     """Cutting law whose forces were identified together with the compliances: `forces` of [covariance] is their factor.
 
     `cutting_N_per_mm2`: Ktc, Krc, Kac; `edge_N_per_mm`: Kte, Kre, Kae; `mc` exponent of Kienzle's law, 0 if linear.
@@ -229,14 +229,14 @@ class ForcesEntry(Sourced, frozen=True, kw_only=True):
     sigma_percent: Positive
 
 
-class DiscrepancyEntry(Sourced, frozen=True, kw_only=True):
+class DiscrepancyEntry(SourcedEntry, frozen=True, kw_only=True):
     """Unmodelled error on configurations the model was not fitted to, without noise: 95 % of |error| by load."""
 
     load_N: list[NotNegative]
     u95_mm: list[NotNegative]
 
 
-class GeometryErrorEntry(Sourced, frozen=True, kw_only=True):
+class GeometryErrorEntry(SourcedEntry, frozen=True, kw_only=True):
     """Error of the calibrated geometry without load and without noise: 95 % of |error|.
 
     `angles_deg`: least and largest angle of each joint in the readings; beyond them the error is larger, up to
@@ -248,7 +248,7 @@ class GeometryErrorEntry(Sourced, frozen=True, kw_only=True):
     unmeasured_mm: NotNegative = 0.0
 
 
-class MeasuredEntry(Sourced, frozen=True, kw_only=True):
+class MeasuredEntry(SourcedEntry, frozen=True, kw_only=True):
     """Range of the measurements: the largest torque on A1…A6; `not_trusted`: why the model should not be used."""
 
     configurations: int
@@ -274,8 +274,8 @@ class ModelFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     transmission: dict[str, TransmissionEntry] = {}
     links: dict[str, LinkSprings] = {}
     masses: Masses | None = None
-    geometry_nominal: Sourced | None = None
-    speeds: Sourced | None = None
+    geometry_nominal: SourcedEntry | None = None
+    speeds: SourcedEntry | None = None
     covariance: CovarianceTable | None = None
     forces: ForcesEntry | None = None
     discrepancy: DiscrepancyEntry | None = None

@@ -149,7 +149,7 @@ class CompensatorTorque(Parameter, frozen=True):
         return cls() if name == cls().name else None
 
 
-class _OfJoint(Spring, frozen=True):
+class _JointSpring(Spring, frozen=True):
     """A spring of the gear of one joint."""
 
     joint: str
@@ -160,7 +160,7 @@ class _OfJoint(Spring, frozen=True):
         return self.joint
 
 
-class _Nonlinear(_OfJoint, frozen=True):
+class _NonlinearSpring(_JointSpring, frozen=True):
     """A spring of a gear that changes at about a torque [N·m]; one of many candidates."""
 
     torque: float
@@ -168,7 +168,7 @@ class _Nonlinear(_OfJoint, frozen=True):
     linear: ClassVar[bool] = False
 
 
-class JointCompliance(_OfJoint, frozen=True):
+class JointCompliance(_JointSpring, frozen=True):
     """The part of a joint's compliance that is the same at all torques: ``k1`` … ``k6``.
 
     Files hold the whole compliance at small torque, with the parts that fade.
@@ -206,7 +206,7 @@ class JointCompliance(_OfJoint, frozen=True):
         return sum(slope * values[p] for p, slope in slopes.items()), slopes
 
 
-class FadingPart(_Nonlinear, frozen=True):
+class FadingPart(_NonlinearSpring, frozen=True):
     """Part of a joint's compliance that fades as the torque grows beyond `torque` [N·m]: ``k1@800``.
 
     Deflection T·(f(u) − f(u₀)) with f = asinh, u = (torque + rest)/T, u₀ = rest/T: a sum of such parts follows any gear
@@ -285,7 +285,7 @@ class Knee(FadingPart, frozen=True):
         return self.torque * (u / loaded_base**0.25 - u0 / rest_base**0.25), loaded_base**-1.25
 
 
-class Backlash(_Nonlinear, frozen=True):
+class Backlash(_NonlinearSpring, frozen=True):
     """Backlash of a gear: its angle to the flank on which the torque presses it, ``A4.backlash@3`` [rad].
 
     Deflection tanh(v) − tanh(v₀) with v = (torque + rest)/T, v₀ = rest/T. The gear changes its flank within about the
@@ -358,7 +358,7 @@ class LostMotion(Backlash, frozen=True):
         return angle, (1.0 - angle**2) / self.torque
 
 
-class GearCoupling(_OfJoint, frozen=True):
+class GearCoupling(_JointSpring, frozen=True):
     """Deflection of each of two joints by the torque on the other: ``k45``, of either sign.
 
     The motors of a wrist turn A5 and A6 by shafts and bevel gears within A4: a gear that deflects moves the others. By
@@ -401,7 +401,7 @@ class GearCoupling(_OfJoint, frozen=True):
         tables["joints"][self.joint].setdefault(self.key, {})[self.second] = value
 
 
-class PoseWave(_OfJoint, frozen=True):
+class PoseWave(_JointSpring, frozen=True):
     """Part of a joint's compliance that is a wave over the joint angles: ``k3.cos(A2-A3)``, of either sign.
 
     Deflection cos(n·q)·torque or sin(n·q)·torque, with whole numbers n of turns of each joint. A sum of such waves is

@@ -24,7 +24,7 @@ from postproc.kinematics.forward import GRAVITY
 from postproc.machining import ProcessSource, Shift
 from postproc.program import Ints, Program
 from postproc.robot import Parameter, RobotModel
-from postproc.testpart.probing import Probed
+from postproc.testpart.probing import ProbedSurfaces
 from postproc.under_load import ImpossiblePathError, MotionsUnderLoad, PathUnderLoad, RobotInCell
 
 _SURFACE_TOLERANCE = 5e-5
@@ -66,7 +66,7 @@ class Surfaces(Columns, frozen=True, eq=False):
         return values[rows, smaller], self.weight[rows, smaller]
 
 
-def surfaces(program: Program, robot_in_cell: RobotInCell, probe_data: Probed, radius: float) -> Surfaces:
+def surfaces(program: Program, robot_in_cell: RobotInCell, probe_data: ProbedSurfaces, radius: float) -> Surfaces:
     """Find where on the path of a program its probed surfaces are made.
 
     :param radius: of the tool, a flat end mill [m].
@@ -274,7 +274,7 @@ def cut(program: Program, robot_in_cell: RobotInCell, source: ProcessSource, new
     return Cut(at, path_states, motion, t, path.sample.pose[:, :3, 3], program)
 
 
-class Clamped(Struct, frozen=True, eq=False):
+class ClampedProgram(Struct, frozen=True, eq=False):
     """A program that is cut with the block in one placement, and where its probed surfaces are made.
 
     :param robot_in_cell: the robot in a cell whose `[base]` is that of the block.
@@ -304,7 +304,7 @@ class CutForces:
     :param parts: the programs.
     """
 
-    def __init__(self, parts: Sequence[Clamped]) -> None:
+    def __init__(self, parts: Sequence[ClampedProgram]) -> None:
         self._parts = parts
         self._cuts: list[Cut] = []
         self._by_lift: list[Array] = []
@@ -339,5 +339,5 @@ class CutForces:
             self._by_lift.append((upper_cut.at.wrench - rigid.at.wrench) / LIFT_STEP)
 
 
-def _recut(part: Clamped, shift: Shift) -> Cut:
+def _recut(part: ClampedProgram, shift: Shift) -> Cut:
     return cut(part.program, part.robot_in_cell, part.source.shift_tip(shift), part.surfaces)

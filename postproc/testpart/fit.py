@@ -32,7 +32,7 @@ from postproc.robot import RobotModel
 from postproc.testpart.cut import Heights, States
 from postproc.testpart.linear import (
     GAMMA,
-    Linear,
+    LinearPrediction,
     cross_validation_errors,
     light_pass_variance,
     linearise,
@@ -217,7 +217,7 @@ class _Estimate(Struct, frozen=True, eq=False):
     z: Array
     scale: float
     gamma: float = 0.0
-    local: Linear | None = None
+    local: LinearPrediction | None = None
 
 
 def fit(prior: Prior, readings: Readings, robot_in_cell: RobotInCell, cut_at: CutAt) -> tuple[Fit, tuple[str, ...]]:
@@ -262,7 +262,7 @@ def fit(prior: Prior, readings: Readings, robot_in_cell: RobotInCell, cut_at: Cu
     return _fit_at_end(prior, estimate, prior_linear, exchanged_pair), estimate.outliers
 
 
-def _local(estimate: _Estimate) -> Linear:
+def _local(estimate: _Estimate) -> LinearPrediction:
     assert estimate.local is not None
     return estimate.local
 
@@ -324,7 +324,9 @@ def _heights(lifts: Sequence[Lift], limit: float) -> list[Heights]:
     return [limited(lift) for lift in lifts]
 
 
-def _fit_at_end(prior: Prior, estimate: _Estimate, prior_linear: Linear, exchanged_pair: tuple[str, str] | None) -> Fit:
+def _fit_at_end(
+    prior: Prior, estimate: _Estimate, prior_linear: LinearPrediction, exchanged_pair: tuple[str, str] | None
+) -> Fit:
     """Return the fit at the end of the iteration.
 
     :param prior_linear: the prior model, under the forces of the last but one round.
@@ -359,7 +361,7 @@ def _fit_at_end(prior: Prior, estimate: _Estimate, prior_linear: Linear, exchang
     )
 
 
-def swapped_features(prior: Prior, readings: Readings, local: Linear) -> tuple[str, str] | None:
+def swapped_features(prior: Prior, readings: Readings, local: LinearPrediction) -> tuple[str, str] | None:
     """Return two features whose readings agree with the model only if they are exchanged.
 
     :param local: the prior model; χ² counts its covariance, so a robot that differs from it is no exchange.
@@ -386,7 +388,7 @@ def swapped_features(prior: Prior, readings: Readings, local: Linear) -> tuple[s
     return pair if decrease > _SWAP_DECREASE * max(1.0, smallest_chi2 / len(points)) else None
 
 
-def _check_size(readings: Readings, local: Linear) -> None:
+def _check_size(readings: Readings, local: LinearPrediction) -> None:
     """Refuse deviations that no robot near the model can make: of the other sign, of another unit, or none at all.
 
     :raises MeasurementError: they are not between a fifth of what the model predicts and five times that.

@@ -30,7 +30,7 @@ _LIGHT_PASS_ERROR = 0.15
 """Relative error of the displacement by a light pass: its chip is the difference of the deflections before; assumed."""
 
 
-class Linear(Columns, frozen=True, eq=False):
+class LinearPrediction(Columns, frozen=True, eq=False):
     """Predicted deviations and their derivatives.
 
     :param value: (n,) deviations at no lift, linear from the lift of the states [m].
@@ -47,7 +47,7 @@ class Linear(Columns, frozen=True, eq=False):
 
 def linearise(
     prior: Prior, readings: Readings, states: States, robot_in_cell: RobotInCell, z: Array, scale: float
-) -> Linear:
+) -> LinearPrediction:
     """Return predicted deviations and their derivatives at values of the unknowns.
 
     :raises MeasurementError: the springs have no equilibrium under the forces.
@@ -63,10 +63,10 @@ def linearise(
     by_lift = np.einsum("nk,nk->n", weight, states.twist_by_lift(robot_in_cell, robot, scale))
     deflection = scale * np.linalg.norm(by_scale[:, :3], axis=1)
     displacement = np.where(readings.probed.mass > 0.0, np.abs(value), deflection)
-    return Linear(value - by_lift * states.lift, slopes, by_lift, displacement)
+    return LinearPrediction(value - by_lift * states.lift, slopes, by_lift, displacement)
 
 
-def noise_of(readings: Readings, local: Linear, gamma: float) -> Array:
+def noise_of(readings: Readings, local: LinearPrediction, gamma: float) -> Array:
     """Return the covariance (n, n) [m²] of the deviations for a robot and forces that are known."""
     variance = np.diag(
         readings.sigma**2 + (gamma * local.displacement) ** 2 + light_pass_variance(readings, local.displacement)
@@ -82,7 +82,7 @@ def light_pass_variance(readings: Readings, displacement: Array) -> Array:
 
 def solve(
     prior: Prior, readings: Readings, states: States, robot_in_cell: RobotInCell, z: Array, scale: float, free: Bools
-) -> tuple[Linear, Array, float, float]:
+) -> tuple[LinearPrediction, Array, float, float]:
     """Return the model linearised at the solution for fixed forces, and z, the scale and γ there.
 
     Each round solves the linear least squares with the prior, and linearises anew at its solution.
@@ -107,7 +107,7 @@ def solve(
     return linearise(prior, readings, states, robot_in_cell, z, scale), z, scale, gamma
 
 
-def unmodelled_share(readings: Readings, local: Linear, whole: Array, target: Array) -> float:
+def unmodelled_share(readings: Readings, local: LinearPrediction, whole: Array, target: Array) -> float:
     """Return γ: the root of its mean square, given the readings."""
     log_ratio = np.linspace(-4.0, 4.0, 97)  # fine enough for γ from 200 readings
     share = GAMMA * np.exp(WIDTH * log_ratio)
@@ -121,7 +121,7 @@ def unmodelled_share(readings: Readings, local: Linear, whole: Array, target: Ar
     return float(np.sqrt(np.sum(chance * share**2) / chance.sum()))
 
 
-def posterior(readings: Readings, local: Linear, gamma: float, whole: Array, free: Bools) -> Array:
+def posterior(readings: Readings, local: LinearPrediction, gamma: float, whole: Array, free: Bools) -> Array:
     """Return the covariance (p + 1, p + 1) after the readings.
 
     A parameter that is not free keeps its value, and its uncertainty counts for those that are: Schmidt, "Application
@@ -135,7 +135,7 @@ def posterior(readings: Readings, local: Linear, gamma: float, whole: Array, fre
 
 
 def cross_validation_errors(
-    readings: Readings, local: Linear, gamma: float, whole: Array, z: Array, scale: float
+    readings: Readings, local: LinearPrediction, gamma: float, whole: Array, z: Array, scale: float
 ) -> tuple[Array, Array]:
     """Return the error (n,) of each point predicted from all others, and its variance (n,).
 

@@ -13,7 +13,7 @@ from postproc import files
 from postproc.files import FileEntry
 from postproc.frames import MM_PER_M, Array
 from postproc.identification.fit import NORMAL_95
-from postproc.identification.record import Parameter, Record, Unexplained, Verdict
+from postproc.identification.record import CrossValidation, Parameter, Record, Verdict
 from postproc.machining import Process
 from postproc.machining.material import CuttingLaw, IdentifiedTable
 from postproc.machining.material import law as cutting_law
@@ -129,7 +129,7 @@ class PartIdentification(Record, frozen=True, kw_only=True, omit_defaults=True):
     without_mm: float
     deviation_mm: float
     unmodelled_percent: float
-    discrepancy: list[Unexplained]
+    discrepancy: list[CrossValidation]
     touch_off: list[TouchOffError]
     agreement: Agreement | None = None
     points: list[ProbedPoint]
@@ -228,7 +228,7 @@ def summary(fit: Fit, outliers: tuple[str, ...]) -> PartIdentification:
         deviation_mm=_rms(deviation),
         unmodelled_percent=round(100.0 * fit.gamma, 2),
         discrepancy=[
-            Unexplained(
+            CrossValidation(
                 float(level), _rms(fit.error), readings.sigma * MM_PER_M, _rms(fit.spread), float(bound) * MM_PER_M
             )
             for level, bound in zip(load, u95, strict=True)

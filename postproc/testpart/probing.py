@@ -39,7 +39,7 @@ class TouchOff(Struct, frozen=True, eq=False):
     :param name: (k,) ``T01.top``.
     :param point: (k, 3) on the top as programmed, `$BASE` [m].
     :param deviation: (k,) along Z, positive where the top is higher [m].
-    :param base: (k,) number of the placement, as in `Probed`.
+    :param base: (k,) number of the placement, as in `ProbedSurfaces`.
     """
 
     name: tuple[str, ...] = ()
@@ -54,7 +54,7 @@ class TouchOff(Struct, frozen=True, eq=False):
         return replace(self, name=names, point=self.point[rows], deviation=self.deviation[rows], base=self.base[rows])
 
 
-class Probed(Columns, frozen=True, eq=False):
+class ProbedSurfaces(Columns, frozen=True, eq=False):
     """Probed points of n surfaces.
 
     :param name: (n,) ``F01.left``: feature and surface.
@@ -99,7 +99,7 @@ class Probed(Columns, frozen=True, eq=False):
         return replace(super().take(rows), name=name, program=program)
 
 
-def read(path: Path) -> Probed:
+def read(path: Path) -> ProbedSurfaces:
     """Read probed points; rows without a deviation are left out.
 
     :raises MeasurementError: the file is no such table, a normal is no unit vector, or too few points are probed.
@@ -131,7 +131,7 @@ def read(path: Path) -> Probed:
         )
     row_numbers = lines.astype(np.int64)
     normal = _normals(numbers, np.flatnonzero(is_filled), row_numbers, str(path))
-    return Probed(
+    return ProbedSurfaces(
         tuple(texts["feature"][k] for k in filled_rows),
         numbers["source_line"][filled_rows].astype(np.int64),
         numbers["t"][filled_rows],

@@ -20,7 +20,7 @@ from postproc.chunks import Columns
 from postproc.errors import MeasurementError
 from postproc.frames import Array
 from postproc.testpart.cut import Surfaces
-from postproc.testpart.probing import Probed, TouchOff
+from postproc.testpart.probing import ProbedSurfaces, TouchOff
 
 PATH_ERROR = 1e-4
 """Standard deviation of the path of the robot without force from one feature to another [m] (assumed)."""
@@ -138,14 +138,14 @@ class Readings(Columns, frozen=True, eq=False):
     :param tops: of each placement in which something was cut, in the order of the points.
     """
 
-    probed: Probed
+    probed: ProbedSurfaces
     datum: Array
     surfaces: Surfaces
     sigma: float
     tops: tuple[Top, ...]
 
     @classmethod
-    def of(cls, points: Probed, surfaces: Surfaces, sigma: float) -> Self:
+    def of(cls, points: ProbedSurfaces, surfaces: Surfaces, sigma: float) -> Self:
         """Refer the deviations of cut surfaces to the touch-off points.
 
         :raises MeasurementError: a placement has too few of them.

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from postproc.app.automatic import Automatic
+from postproc.app.automatic import AutomaticConversion
 from postproc.app.server import Window
 from postproc.app.workspace import Workspace
 from postproc.errors import InputError
@@ -135,7 +135,7 @@ COMMAND += ["--process", "corrected/part.process.toml", "-o", "corrected"]
 
 
 def test_only_what_is_not_current_is_begun_and_nothing_while_a_command_runs(folder, runs):
-    automatic = Automatic(Workspace(folder), runs)
+    automatic = AutomaticConversion(Workspace(folder), runs)
     assert steps(automatic, runs, 0.0, 2.0, 4.0) == [], "the result is current"
     (folder / "part.nc").write_text(PROGRAM + "\n")
     runs.by_user("other.nc", ["convert"])
@@ -148,7 +148,7 @@ def test_only_what_is_not_current_is_begun_and_nothing_while_a_command_runs(fold
 
 def test_what_a_user_has_had_corrected_is_not_begun_again_however_short_it_ran(folder, runs):
     (folder / "part.nc").write_text(PROGRAM + "\n")
-    automatic = Automatic(Workspace(folder), runs)
+    automatic = AutomaticConversion(Workspace(folder), runs)
     assert steps(automatic, runs, 0.0) == []
     runs.by_user("part.nc", ["start", "part.nc"], code=1)
     assert steps(automatic, runs, 0.5, 3.0, 5.0) == []
@@ -159,7 +159,7 @@ def test_what_a_user_has_had_corrected_is_not_begun_again_however_short_it_ran(f
 
 def test_a_material_that_changes_while_its_program_is_corrected_counts_afterwards(folder, runs):
     (folder / "part.nc").write_text(PROGRAM + "\n")
-    automatic = Automatic(Workspace(folder), runs)
+    automatic = AutomaticConversion(Workspace(folder), runs)
     assert steps(automatic, runs, 0.0, 2.0) == [COMMAND]
     material = folder / "corrected" / "material.toml"
     material.write_bytes(material.read_bytes() + b"\n")
@@ -170,7 +170,7 @@ def test_a_material_that_changes_while_its_program_is_corrected_counts_afterward
 
 def test_a_program_that_could_not_be_begun_is_tried_again(folder, runs):
     (folder / "part.nc").write_text(PROGRAM + "\n")
-    automatic = Automatic(Workspace(folder), runs)
+    automatic = AutomaticConversion(Workspace(folder), runs)
     assert steps(automatic, runs, 0.0) == []
     runs.fault = InputError("4 commands run already")
     with pytest.raises(InputError):
@@ -182,7 +182,7 @@ def test_a_program_that_could_not_be_begun_is_tried_again(folder, runs):
 def test_a_program_waits_until_no_other_would_be_written_to_the_same_files(folder, runs):
     (folder / "part.nc").write_text(PROGRAM + "\n")
     (folder / "part.tap").write_text(PROGRAM)
-    automatic = Automatic(Workspace(folder), runs)
+    automatic = AutomaticConversion(Workspace(folder), runs)
     assert steps(automatic, runs, 0.0, 2.0, 4.0) == []
     (folder / "part.tap").unlink()
     assert steps(automatic, runs, 5.0, 7.0) == [COMMAND]
@@ -216,7 +216,7 @@ def test_whatever_happens_each_program_is_begun_once_for_each_of_its_contents(fo
     begun = []
     monkeypatch.setattr(Workspace, "items", items)
     monkeypatch.setattr(runs, "begin", begin)
-    automatic, time_s = Automatic(workspace, runs), 0.0
+    automatic, time_s = AutomaticConversion(workspace, runs), 0.0
     events = ("write", "write", "user", "end", "end", "switch", "remove", "nothing", "nothing")
     for number in range(150):
         time_s += random.choice([0.5, 0.5, 2.0])
@@ -248,13 +248,13 @@ def test_whatever_happens_each_program_is_begun_once_for_each_of_its_contents(fo
 
 def test_the_switch_is_kept_in_the_folder(folder, runs):
     (folder / "part.nc").write_text(PROGRAM + "\n")
-    automatic = Automatic(Workspace(folder), runs)
+    automatic = AutomaticConversion(Workspace(folder), runs)
     automatic.switch(is_on=False)
-    again = Automatic(Workspace(folder), runs)
+    again = AutomaticConversion(Workspace(folder), runs)
     assert not again.is_on
     assert steps(again, runs, 0.0, 2.0, 4.0) == []
     again.switch(is_on=True)
-    assert Automatic(Workspace(folder), runs).is_on
+    assert AutomaticConversion(Workspace(folder), runs).is_on
     assert len(steps(again, runs, 5.0, 7.0)) == 1
 
 

@@ -25,7 +25,7 @@ from postproc.errors import PostprocError
 from postproc.frames import M_PER_MM
 from postproc.program import CIRC, PTP
 from postproc.provenance import Provenance
-from postproc.report.comparison import MadeFrom, comparison_summary
+from postproc.report.comparison import ProgramOrigin, comparison_summary
 from tests.attack import carried
 from tests.benchmarks import programs
 from tests.comparison.krl_moves import TURNED
@@ -110,7 +110,7 @@ def told(nominal, files, cell, robot, rows):
     except PostprocError as cause:
         return "refused", [str(cause)]
     limit = cell.output.max_correction_mm * M_PER_MM
-    verdict = comparison_summary(found, MadeFrom(Provenance("none"), {}), cell.tolerance, limit).verdict
+    verdict = comparison_summary(found, ProgramOrigin(Provenance("none"), {}), cell.tolerance, limit).verdict
     return verdict.state, verdict.reasons
 
 

@@ -30,7 +30,7 @@ from msgspec.structs import replace
 
 from postproc.cell import Frame, Krl, Tool
 from postproc.dialects import krl
-from postproc.dialects.krl.course import Enter, Fork
+from postproc.dialects.krl.course import Fork, RoutineEntry
 from postproc.dialects.krl.dialect import KRL
 from postproc.dialects.krl.read import flow
 from postproc.dialects.text import decode
@@ -141,7 +141,7 @@ def executed(files, seed, program, main="PART", initmov="cell"):
     controller = Controller(named, rng, *frames, data, given=GIVEN, side=seed % 2, initmov=stated(initmov))
     motions = controller.run(main)
     course = program.layout.course
-    origins = [(course.trace.place(each.row), each.routine) for each in course.steps if isinstance(each, Enter)]
+    origins = [(course.trace.place(each.row), each.routine) for each in course.steps if isinstance(each, RoutineEntry)]
     followed = {(at.source.document.name, at.line, routine.name.upper()) for at, routine in origins}
     reported = {("part.src", issue.source_line) for issue in program.issues if issue.kind == "motions-elsewhere"}
     stay = {(one.file, one.line) for one in program.unresolved}

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from postproc.comparison import differences, settings, statements
 from postproc.comparison.result import Comparison, file_and_line, pair_warning
-from postproc.program import CIRC, SPL, Document, Unresolved
+from postproc.program import CIRC, SPL, Document, UnresolvedMotion
 from tests.programs import program
 
 TEXT = """DEF a( )
@@ -150,7 +150,7 @@ def test_missing_targets_are_an_error_where_the_path_leaves_the_nominal_one_by_m
 
 
 def unresolved(*texts: str):
-    return tuple(Unresolved(f"a{k}.src", 10 + k, text, "why") for k, text in enumerate(texts))
+    return tuple(UnresolvedMotion(f"a{k}.src", 10 + k, text, "why") for k, text in enumerate(texts))
 
 
 def test_motions_known_at_run_time_only_are_compared_by_their_text():

@@ -14,7 +14,7 @@ from postproc.frames import rotation_from_vector
 from postproc.kinematics import JointPath
 from postproc.poses import Poses
 from postproc.program import LIN, PTP
-from postproc.robot import Measured
+from postproc.robot import MeasuredRange
 from postproc.toolpath import Toolpath
 from tests.collision.setting import frame
 from tests.programs import program
@@ -391,7 +391,7 @@ def test_loads_beyond_ten_percent_over_the_measured_ones_are_named():
     wrench[:, :3] = np.array([0.5, 1.0, 1.0, 1.0, 0.2])[:, None] * force
     measured = np.abs(torque) * np.array([1.0 / 1.09, 1.0 / 1.11, 10.0, 10.0, 10.0, 1e9])
     measured[5] = 1.0
-    model = replace(MODEL, measured=Measured(measured, ""))
+    model = replace(MODEL, measured=MeasuredRange(measured, ""))
     issues = list(checks.torque_warnings(MADE, model, np.arange(5), angles(), tool, wrench))
     assert lines(issues) == {"beyond-measured-A2": ("warning", 2, 3)}
     assert f"up to {abs(torque[1]):.0f} N·m on A2; the robot model was measured up to {measured[1]:.0f}" in (

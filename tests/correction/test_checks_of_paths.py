@@ -14,7 +14,7 @@ from postproc import frames, robot
 from postproc.correction import checks
 from postproc.errors import Issue
 from postproc.kinematics import JointPath
-from postproc.robot.model import Measured
+from postproc.robot.model import MeasuredRange
 from postproc.toolpath import Toolpath
 from tests.corrections import correct_files
 from tests.oracle.arm import Arm
@@ -405,7 +405,7 @@ def test_loads_beyond_those_measured_are_warnings_with_both_torques(sign):
         for share, beyond in ((1.09, False), (1.11, True)):
             measured = np.full(6, 1e9)
             measured[joint] = torque[joint] / share
-            model = replace(MODEL, measured=Measured(measured, ""))
+            model = replace(MODEL, measured=MeasuredRange(measured, ""))
             found = list(checks.torque_warnings(MADE, model, np.array([2, 3]), q, tool, wrenches))
             assert told(found) == ([(f"beyond-measured-A{joint + 1}", "warning", (4,))] if beyond else [])
         assert f"up to {torque[joint]:.0f} N·m on A{joint + 1}" in found[0].message

@@ -233,7 +233,7 @@ def test_e1_carries_the_robot_from_the_place_before_the_samples():
 
 def worst_of(notes, stock=True):
     made = program([("RAPID", 0, 0, 0), ("LIN", 10, 0, 0), ("LIN", 20, 0, 0)])
-    worst = collisions._Worst(made.motions, SimpleNamespace(accuracy=0.00123) if stock else None)
+    worst = collisions._SmallestDistance(made.motions, SimpleNamespace(accuracy=0.00123) if stock else None)
     for note in notes:
         worst.note(*note)
     return worst.issues()

@@ -8,7 +8,7 @@ from msgspec.structs import replace
 
 from postproc import correction, robot
 from postproc.poses import Poses
-from postproc.robot import Measured
+from postproc.robot import MeasuredRange
 from tests.kr270 import CELL
 from tests.oracle.arm import Arm
 from tests.programs import program
@@ -90,7 +90,7 @@ def test_a_correction_larger_than_allowed_and_loads_beyond_those_measured_are_fo
     small = replace(CELL, output=replace(CELL.output, max_correction_mm=0.01))
     result = between(NORMAL, near(A1=11.0), cell=small)
     assert [issue.kind for issue in result.issues if issue.level == "error"] == ["correction-size"]
-    model = replace(MODEL, measured=Measured(np.full(6, 0.01), ""))
+    model = replace(MODEL, measured=MeasuredRange(np.full(6, 0.01), ""))
     result = between(NORMAL, near(A1=11.0), model=model)
     kinds = {issue.kind for issue in result.issues if issue.level == "warning"}
     assert {f"beyond-measured-A{n}" for n in range(1, 7)} <= kinds

@@ -8,7 +8,7 @@ from postproc.dialects import krl
 from postproc.dialects.krl.read import read_program as read_documents
 from postproc.dialects.text import decode, line_spans
 from postproc.frames import pose_from_xyzabc
-from postproc.program import CIRC, LIN, Program, Targets, Written
+from postproc.program import CIRC, LIN, Program, Targets, WrittenProgram
 
 CELL = Cell(
     robot="kuka_kr270",
@@ -122,7 +122,7 @@ def start_of(program, row):
     return inverse(program.bases[m.base[row]]) @ flange @ program.tools[m.tool[row]]
 
 
-def check_commands(program: Program, wanted: Targets, written: Written, *, approximated=True):
+def check_commands(program: Program, wanted: Targets, written: WrittenProgram, *, approximated=True):
     """Reading what was written gives the targets, in order; axis targets, frames and speeds stay.
 
     Half of the last digit: 0.05 µm, and 0.5e-5° in each of three angles.

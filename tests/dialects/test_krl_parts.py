@@ -15,7 +15,7 @@ from postproc.dialects.krl.write import split_files
 from postproc.dialects.text import decode
 from postproc.errors import PostprocError, ProgramError
 from postproc.frames import xyzabc_from_pose
-from postproc.program import Written
+from postproc.program import WrittenProgram
 from tests.attack import krl as attack
 from tests.attack.krl_generator import Generator
 from tests.attack.krl_interpreter import Controller, Invalid
@@ -253,7 +253,7 @@ ENDDAT
 
 def in_some_files(limit=13, name="part", source=OWN, data=OWN_DATA):
     documents = (decode("part.src", source.encode()), decode("part.dat", data.encode()))
-    return split_files(name, (), Written(documents, np.zeros(0, dtype=np.int64), "krl"), limit)
+    return split_files(name, (), WrittenProgram(documents, np.zeros(0, dtype=np.int64), "krl"), limit)
 
 
 @pytest.mark.parametrize("limit", [13, 16, 20])
@@ -325,7 +325,7 @@ def test_long_names_stay_valid_and_different():
 
 def test_names_of_other_programs_are_not_taken():
     documents = (decode("part.src", OWN.encode()), decode("part.dat", OWN_DATA.encode()))
-    whole = Written(documents, np.zeros(0, dtype=np.int64), "krl")
+    whole = WrittenProgram(documents, np.zeros(0, dtype=np.int64), "krl")
     text = "".join(d.text for d in split_files("part", (), whole, 13, {"PART_CUT"}).documents)
     assert "GLOBAL DEF part_cut_2(" in text
 
@@ -392,7 +392,7 @@ def test_a_routine_longer_than_a_file_is_told_and_not_cut():
 def test_what_would_mean_something_else_in_several_files_is_refused(lines, says):
     data = DATA.replace("ENDDAT", "STRUC KIND INT A\r\nDECL KIND S={A 1}\r\nENDDAT")
     documents = decode("part.src", body("DECL INT I", *lines).encode()), decode("part.dat", data.encode())
-    written = Written(documents, np.zeros(0, dtype=np.int64), "krl")
+    written = WrittenProgram(documents, np.zeros(0, dtype=np.int64), "krl")
     if "not cut" in says:
         assert says in split_files("part", (), written, 12).issues[0].message
         return
@@ -461,7 +461,7 @@ def test_random_programs_make_the_same_motions_in_files(seed, tmp_path):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_bytes(text.encode())
     documents = tuple(replace(decode(n, files[n].encode()), folder=str(tmp_path)) for n in ("part.src", "part.dat"))
-    whole = Written(documents, np.zeros(0, dtype=np.int64), "krl")
+    whole = WrittenProgram(documents, np.zeros(0, dtype=np.int64), "krl")
     count = len(files["part.src"].splitlines())
     try:
         krl.read_program(documents, attack.cell(tmp_path), forward, "part")

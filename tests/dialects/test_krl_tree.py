@@ -9,7 +9,7 @@ from lark import Token, Tree
 from postproc.dialects.krl.language import parser, tree
 from postproc.dialects.krl.language.expressions import calls
 from postproc.dialects.krl.language.source import Source
-from postproc.dialects.krl.language.values import Opaque
+from postproc.dialects.krl.language.values import OpaqueText
 from postproc.dialects.text import decode
 from tests import effort
 from tests.attack.krl_generator import Generator
@@ -21,10 +21,10 @@ KINDS = {
     "function": tree.Definition,
     "variables": tree.Declaration,
     "struc": tree.Declaration,
-    "enum": tree.Outside,
-    "external": tree.Outside,
-    "signal": tree.Cyclic,
-    "imported": tree.Imported,
+    "enum": tree.IdleDeclaration,
+    "external": tree.IdleDeclaration,
+    "signal": tree.CyclicInput,
+    "imported": tree.Import,
     "assignment": tree.Assignment,
     "call": tree.CallStatement,
     "motion": tree.Motion,
@@ -36,7 +36,7 @@ KINDS = {
     "branch": tree.If,
     "switch": tree.Switch,
     "case": tree.Case,
-    "loop": (tree.For, tree.While, tree.Bare),
+    "loop": (tree.For, tree.While, tree.BareWord),
     "leave": tree.Return,
     "interrupt": tree.Event,
     "trigger": tree.Trigger,
@@ -215,7 +215,7 @@ def test_calls_are_found_wherever_they_are_in_a_statement(line, found):
 
 def test_what_follows_a_value_is_not_read_as_a_part_of_it():
     here = parser.statement(source_of("DEF part( )\nI=1 2\nEND\n"), 2)
-    assert isinstance(here.value, Opaque)
+    assert isinstance(here.value, OpaqueText)
     assert here.value.rest == len("DEF part( )\nI=1 ")
 
 

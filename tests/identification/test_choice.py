@@ -10,7 +10,7 @@ from postproc import robot
 from postproc.errors import MeasurementError, NotConvergedError
 from postproc.identification import choice, over_pose
 from postproc.identification.choice import Mean, Member, projection
-from postproc.identification.fit import FACTORS, Linearised, Prior, Regression, learn, prior_of
+from postproc.identification.fit import FACTORS, LinearEquations, Prior, Regression, learn, prior_of
 from postproc.identification.measurement_model import Structure, locate, predict
 from postproc.identification.model_folder import require_finite
 from postproc.robot.parameters import parameter_of_name
@@ -22,7 +22,7 @@ CONFIGS, ROWS = 30, 6
 def equations(rng, design, values):
     """Readings of unit noise."""
     config = np.repeat(np.arange(CONFIGS), ROWS)
-    return Linearised(design, design @ values + rng.normal(size=len(design)), config, np.ones(len(design)))
+    return LinearEquations(design, design @ values + rng.normal(size=len(design)), config, np.ones(len(design)))
 
 
 def links(count, mean=0.0, size=1.0):
@@ -248,7 +248,7 @@ def test_the_design_effect_is_the_growth_of_the_variance_of_the_values_by_residu
         residual = np.sqrt(shared) * common + np.sqrt(1.0 - shared) * rng.normal(size=len(design))
         values.append(influence @ residual)
         effects.append(
-            choice.design_effect(Linearised(design, residual, config, np.ones(len(design))), influence, residual)
+            choice.design_effect(LinearEquations(design, residual, config, np.ones(len(design))), influence, residual)
         )
     grown = np.trace(np.cov(np.array(values).T)) / np.trace(influence @ influence.T)
     assert np.median(effects) == pytest.approx(grown, rel=0.12)

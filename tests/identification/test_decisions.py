@@ -11,7 +11,7 @@ from postproc.compensator import Compensator
 from postproc.errors import MeasurementError
 from postproc.identification import choice, joint_springs, procedure
 from postproc.identification.fit import Fit
-from postproc.identification.joint_springs import NotObservable
+from postproc.identification.joint_springs import UnobservableParameter
 from postproc.identification.measurement_model import Structure
 from postproc.robot import JOINT_COMPLIANCES, CompensatorPreload, CompensatorStiffness
 from samples.paper_study import harness
@@ -193,8 +193,8 @@ def test_what_a_mean_of_structures_leaves_open_are_joints_without_load_and_the_c
     wrench = forces(6, 500.0)
     wrench[:, :2] = 0.0  # vertical: nothing on A1
     data = replace(readings(wrench, count=6), load_point=np.array([0.4, -0.3, 0.35]))  # with a lever about A6
-    earlier = NotObservable(JOINT_COMPLIANCES[0], "said before", "do this")
-    gone = NotObservable(JOINT_COMPLIANCES[3], "of a model that was given up", "")
+    earlier = UnobservableParameter(JOINT_COMPLIANCES[0], "said before", "do this")
+    gone = UnobservableParameter(JOINT_COMPLIANCES[3], "of a model that was given up", "")
 
     def left(prior, parameters):
         fit = SimpleNamespace(structure=SimpleNamespace(prior=prior), parameter_values=dict.fromkeys(parameters, 1.0))
@@ -300,8 +300,11 @@ def test_a_compensator_of_the_levels_is_where_the_fit_begins(monkeypatch):
 def test_open_parameters_are_left_out_one_after_the_other(monkeypatch):
     """Compensator first with both its numbers; joints one by one, until all are known or none is left."""
     told = {
-        8: [NotObservable(CompensatorStiffness(), "c", ""), NotObservable(JOINT_COMPLIANCES[3], "d", "")],
-        6: [NotObservable(JOINT_COMPLIANCES[3], "e", ""), NotObservable(JOINT_COMPLIANCES[5], "f", "")],
+        8: [
+            UnobservableParameter(CompensatorStiffness(), "c", ""),
+            UnobservableParameter(JOINT_COMPLIANCES[3], "d", ""),
+        ],
+        6: [UnobservableParameter(JOINT_COMPLIANCES[3], "e", ""), UnobservableParameter(JOINT_COMPLIANCES[5], "f", "")],
         5: [],
     }  # fmt: skip
     tried = []
@@ -325,7 +328,7 @@ def test_open_parameters_are_left_out_one_after_the_other(monkeypatch):
     assert CompensatorStiffness() in fit.structure.parameters
     monkeypatch.setattr(
         joint_springs, "not_observable",
-        lambda fit, _: [NotObservable(fit.structure.parameters[0], "x", "measure")],
+        lambda fit, _: [UnobservableParameter(fit.structure.parameters[0], "x", "measure")],
     )  # fmt: skip
     with pytest.raises(MeasurementError, match="none of the compliances can be determined"):
         joint_springs.fit_joints(BARE, FIVE, placed(FIVE), None)

@@ -8,7 +8,7 @@ from msgspec.structs import replace
 
 from postproc.identification import choice
 from postproc.identification.choice import Mean, Member, projection
-from postproc.identification.fit import Linearised, Prior, Regression, covariance_of, learn, linearise
+from postproc.identification.fit import LinearEquations, Prior, Regression, covariance_of, learn, linearise
 from postproc.identification.measurement_model import Structure, measured_displacements, predict
 from postproc.robot import JOINT_COMPLIANCES
 from samples.paper_study import harness
@@ -25,7 +25,7 @@ def made(seed=0, silent=()):
     design[list(silent)] = 0.0
     target = design @ [0.5, 0.0, 1.0, 0.3, 0.7] + rng.normal(size=len(config))
     target[list(silent)] = 0.0
-    return Linearised(design, target, config, rng.uniform(0.2, 1.0, len(config)))
+    return LinearEquations(design, target, config, rng.uniform(0.2, 1.0, len(config)))
 
 
 def regression(columns, signed=True, noise=1.7):

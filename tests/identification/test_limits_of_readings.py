@@ -122,7 +122,7 @@ def test_a_point_that_was_not_read_has_no_residual_in_the_serial_method():
 
 
 def identified(**parts):
-    base = record.Identified(
+    base = record.IdentificationRecord(
         method="none", robot="x", sigma_mm=0.03, base={}, points={}, unloaded_rms_mm=0.0, outliers=[], warnings=[]
     )
     return replace(base, **parts)
@@ -142,7 +142,7 @@ def test_the_summary_has_a_line_for_each_part_and_none_for_those_that_are_missin
         verdict=record.Verdict(False, "the model may be used"),
         parameters=parameters,
         structure=record.Structure("chosen: 100% joint springs", []),
-        discrepancy=[record.Unexplained(500.0, 0.02, 0.01, 0.005, 0.04)],
+        discrepancy=[record.CrossValidation(500.0, 0.02, 0.01, 0.005, 0.04)],
         workspace_line="bound over deflection: 0.1",
         torque_Nm=[100.4, 200.0, 300.0, 4.0, 5.0, 6.0],
         assumptions=["all loads are right"],

@@ -36,7 +36,9 @@ def settled():
     columns = {"joints": np.arange(6), "one link": np.array([6, 0, 1, 2, 3, 4, 5]), "links": np.arange(9)}
     members = tuple(Member.of(name, name == "links", equations, prior, own, fold) for name, own in columns.items())
     mean = Mean(structure, equations, members, WEIGHTS)
-    solution = choice._Settled(structure, ("joint",) * 6 + ("link",) * 3, prior, equations, members[2].regression)
+    solution = choice._CandidateEquations(
+        structure, ("joint",) * 6 + ("link",) * 3, prior, equations, members[2].regression
+    )
     return data, placement, mean, choice._choice_of_mean(mean, solution, data, placement)
 
 
@@ -260,7 +262,7 @@ def test_couplings_and_waves_over_the_pose_need_odds_of_one_in_twenty(settled, g
 
     evidence["base"] = 40.0
     monkeypatch.setattr(choice, "learn", learned)
-    solution = choice._Settled(
+    solution = choice._CandidateEquations(
         mean.structure, ("joint",) * 6 + ("link",) * 3, prior_of(mean.structure), mean.equations,
         mean.members[2].regression,
     )  # fmt: skip

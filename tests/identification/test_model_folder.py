@@ -30,7 +30,7 @@ def test_meshes_next_to_the_urdf_are_copied_with_it_and_no_others(tmp_path):
     for name in ("arm.stl", "other.stl", "more/hand.stl"):
         (prior / name).write_bytes(b"solid of " + name.encode())
     content = model_folder.read_prior(prior, None, "")
-    data = record.Identified(
+    data = record.IdentificationRecord(
         method="none", robot="x", sigma_mm=0.03, base={}, points={}, unloaded_rms_mm=0.0, outliers=[], warnings=[]
     )
     model_folder.write(tmp_path / "new", content, data, prior)
@@ -99,7 +99,7 @@ def test_levels_of_the_second_joint_are_written_in_degrees_and_microradians_with
 
 def test_the_summary_tells_the_residual():
     residual = record.Residual(0.0312, 0.0944, 0.8125, 1.0, 50, [])
-    data = record.Identified(
+    data = record.IdentificationRecord(
         method="none", robot="x", sigma_mm=0.03, base={}, points={}, unloaded_rms_mm=0.0, outliers=[], warnings=[],
         residual=residual,
     )  # fmt: skip

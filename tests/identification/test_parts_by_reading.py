@@ -16,7 +16,7 @@ from postproc.frames import pose_from_xyzabc
 from postproc.identification import moved_device, plausibility, validation
 from postproc.identification.measurement_model import Placement
 from postproc.identification.readings import Measurements, _check_sets
-from postproc.identification.validation import ValidatedLevel, _Compared
+from postproc.identification.validation import ValidatedLevel, _Displacements
 from tests.collision.setting import KR270, frame
 
 POINTS = np.array([[0.1, 0.0, 0.2], [-0.12, 0.05, 0.25], [0.02, -0.15, 0.3]])
@@ -286,7 +286,7 @@ def compared(rng, states=20, points=3):
     load = np.where(np.arange(states) % 2 == 0, 500.0, 2000.0) * rng.uniform(0.98, 1.02, states)
     left, bound = np.abs(rng.normal(0.0, 1e-4, (states, points))), rng.uniform(5e-5, 3e-4, (states, points))
     noise = rng.uniform(1e-11, 1e-10, (states, points))
-    return _Compared(
+    return _Displacements(
         is_compared=rng.random((states, points)) < 0.8, config=np.sort(rng.integers(0, 8, states)), load=load,
         displacement=np.abs(rng.normal(0.0, 1e-3, (states, points))), left=left, bound=bound, noise=noise,
         error_ratio=left / np.sqrt(bound**2 + 2.7954835**2 * noise), has_bound=True,

@@ -189,7 +189,7 @@ def test_a_compensator_of_markers_replaces_the_geometry_alone(tmp_path):
 
 def test_the_model_is_not_written_over_the_one_that_it_came_from(tmp_path):
     content = model_folder.read_prior(robot.find("kuka_kr270"), None, "")
-    data = record.Identified(
+    data = record.IdentificationRecord(
         method="none", robot="x", sigma_mm=0.03, base={}, points={}, unloaded_rms_mm=0.0, outliers=[], warnings=[]
     )
     with pytest.raises(InputError, match="would overwrite the prior model"):

@@ -277,7 +277,7 @@ def test_a_program_is_told_of_torques_beyond_those_measured_and_of_a_model_not_t
     motion = np.zeros(len(q), dtype=np.int64)
     covered = torque * np.array([1.0, 1.0, 1.0, 0.5, 1.0, 1.0])
     for measured, expected in ((torque, []), (covered, ["beyond-measured-A4"])):
-        model = replace(harness.PRIOR, measured=robot.Measured(measured, "the set-up moved"))
+        model = replace(harness.PRIOR, measured=robot.MeasuredRange(measured, "the set-up moved"))
         issues = list(checks.torque_warnings(program, model, motion, q, harness.TOOL, wrench))
         assert [issue.kind for issue in issues] == expected
     verdict = summary(replace(fabricated.result(), robot=model), 1e-5).verdict

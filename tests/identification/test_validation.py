@@ -222,7 +222,7 @@ def test_a_direction_in_which_the_readings_contradict_the_model_is_not_assured()
     scaled = np.full((60, 3), 0.5)
     scaled[:6] = 3.0
     ones = np.ones((60, 3))
-    found = validation._Compared(
+    found = validation._Displacements(
         is_compared=ones > 0, config=np.arange(60), load=np.full(60, 600.0), displacement=ones,
         left=ones * 1e-3, bound=ones, noise=ones * 1e-6, error_ratio=scaled, has_bound=True,
     )  # fmt: skip

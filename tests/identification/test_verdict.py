@@ -118,7 +118,7 @@ def compared(seed):
     seen[5] = False
     left, bound = rng.rayleigh(20e-6, (36, 2)), rng.uniform(20e-6, 60e-6, (36, 2))
     noise = rng.uniform(1e-6, 9e-6, (36, 2)) ** 2
-    return validation._Compared(
+    return validation._Displacements(
         is_compared=seen, config=config, load=load, displacement=rng.rayleigh(1e-3, (36, 2)), left=left,
         bound=bound, noise=noise, error_ratio=left / np.sqrt(bound**2 + 4.0 * noise), has_bound=True,
     )  # fmt: skip

@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from scipy.integrate import quad
 
 from postproc.machining import cutting
-from postproc.machining.cutting import Engaged
+from postproc.machining.cutting import EngagedEdge
 from postproc.machining.material import CuttingLaw
 from postproc.machining.tool import Cutter, Turn, _is_covered, edge
 from tests.machining.setting import forces, gcode, process, tool
@@ -37,7 +37,7 @@ def engaged_of(turn, begin, end, *, in_part=True):
     length = np.where(np.isfinite(turn.rise), turn.length * share, TOP - turn.low) * inside
     start = turn.low[turn.side].astype(float)
     moment = 0.5 * (TOP**2 - start**2) * inside[turn.side]
-    return Engaged(length[None].astype(np.float32), moment[None].astype(np.float32))
+    return EngagedEdge(length[None].astype(np.float32), moment[None].astype(np.float32))
 
 
 def edge_force(law, chip, phi, kappa, rubbing=1.0):

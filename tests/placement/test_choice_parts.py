@@ -13,9 +13,9 @@ from scipy.spatial.transform import Rotation
 from postproc import kinematics
 from postproc.errors import NotConvergedError
 from postproc.placement import drive, turn_map, turning
-from postproc.placement.drive import BARE, Keep
+from postproc.placement.drive import BARE, LeastMargins
 from postproc.placement.samples import PathSamples
-from postproc.placement.turn_map import Blocked, Blocks, Line
+from postproc.placement.turn_map import BlockedMap, Blocks, Line
 from postproc.placement.turning import chosen_start
 from postproc.poses import Poses
 from postproc.under_load import RobotInCell
@@ -66,13 +66,13 @@ def test_margins_are_kept_at_which_error_and_price_of_the_margin_are_least(seed,
     degrees = [None, 30.0, 20.0, 12.0, 7.0, 4.0]
     errors, margins = rng.uniform(1e-4, 1.4e-4, 6), np.radians(rng.uniform(1.0, 40.0, 6))
     blocked = rng.random(6) < 0.3
-    keeps = [Keep() if level is None else Keep(*[np.radians(level)] * 3) for level in degrees]
+    keeps = [LeastMargins() if level is None else LeastMargins(*[np.radians(level)] * 3) for level in degrees]
     row_of = {(keep.joint, keep.wrist): k for k, keep in enumerate(keeps)}
 
     def find(samples, whole, keep, mode, *, is_circle):
         assert (mode, is_circle) == ("path", True)
         row = row_of[keep.joint, keep.wrist]
-        return Blocked(0) if blocked[row] else Line(np.full(1, float(row)), 0.0)
+        return BlockedMap(0) if blocked[row] else Line(np.full(1, float(row)), 0.0)
 
     monkeypatch.setattr(turning, "_find", find)
     monkeypatch.setattr(
@@ -81,7 +81,7 @@ def test_margins_are_kept_at_which_error_and_price_of_the_margin_are_least(seed,
         lambda samples, blocks, branch, line: (errors[int(line.knots[0])], margins[int(line.knots[0])]),
     )
     totals = np.where(blocked, np.inf, errors + 5e-5 * np.exp(-np.degrees(margins) / 10.0))
-    expected = keeps[int(totals.argmin())] if not blocked.all() else Keep()
+    expected = keeps[int(totals.argmin())] if not blocked.all() else LeastMargins()
     assert turning._margins_of_least_cost(None, SimpleNamespace(blocks=None), 0) == expected
 
 
@@ -225,7 +225,7 @@ def test_the_error_without_a_line_names_the_first_bin_that_is_closed_with_its_re
     if seed % 2:
         reasons[rng.choice(rows, 2)] = rng.integers(1, 5, 12)
     issue = turning._blocked_error(
-        samples, map_of_reasons(samples, blocks, reasons), Blocked(block), mode, branch, None
+        samples, map_of_reasons(samples, blocks, reasons), BlockedMap(block), mode, branch, None
     )
     closed = [row for row in rows if reasons[row].all()]
     row = closed[0] if closed else rows[-1]
@@ -252,7 +252,7 @@ def test_the_error_without_a_line_names_the_first_bin_that_is_closed_with_its_re
 def test_an_error_without_a_refused_turn_has_no_reasons(path, mode):
     samples, blocks, branch = path
     free = map_of_reasons(samples, blocks, np.zeros((len(blocks.first), 12)))
-    assert "(" not in turning._blocked_error(samples, free, Blocked(1), mode, branch, None).message
+    assert "(" not in turning._blocked_error(samples, free, BlockedMap(1), mode, branch, None).message
 
 
 def test_the_error_of_collisions_names_the_bodies_at_the_turn_where_they_are_farthest(path, monkeypatch):
@@ -279,7 +279,7 @@ def test_the_error_of_collisions_names_the_bodies_at_the_turn_where_they_are_far
         return SimpleNamespace(distance=distance, first=names, second=names + 1)
 
     bodies = SimpleNamespace(clearance=clearance, name=lambda row: f"body {row}", need=0.08)
-    issue = turning._blocked_error(samples, whole, Blocked(int(blocks.block[row])), "best", branch, bodies)
+    issue = turning._blocked_error(samples, whole, BlockedMap(int(blocks.block[row])), "best", branch, bodies)
     least = {n: min(distances(single.q[i]) for i in part) for n, single in singles.items()}
     farthest = max(least.values())
     name = round(farthest * 1e7)
@@ -323,7 +323,7 @@ def test_the_turn_of_the_cell_is_as_good_within_two_percent_where_it_can_be_driv
 
     def find(paths, columns, keep, mode, *, is_circle):
         opened.append((~columns.hit, keep, mode, is_circle))
-        return Blocked(0) if is_blocked else Line(np.zeros(len(knots)), 0.0)
+        return BlockedMap(0) if is_blocked else Line(np.zeros(len(knots)), 0.0)
 
     def strike(paths, divided, number, line, bodies):
         struck.append((line.knots.any(), bodies))
@@ -333,7 +333,7 @@ def test_the_turn_of_the_cell_is_as_good_within_two_percent_where_it_can_be_driv
         monkeypatch.setattr(turning, name, function)
     monkeypatch.setattr(turn_map, "evaluate", evaluate)
     bodies = "bodies" if has_bodies else None
-    found = turning._today_is_as_good(samples, whole, branch, Keep(), Line(knots, 0.0), bodies)
+    found = turning._today_is_as_good(samples, whole, branch, LeastMargins(), Line(knots, 0.0), bodies)
     assert found == (is_good and not is_blocked and not (has_bodies and is_hit))
     if is_good:
         ((columns, keep, mode, is_circle),) = opened
@@ -341,7 +341,7 @@ def test_the_turn_of_the_cell_is_as_good_within_two_percent_where_it_can_be_driv
         expected[:, 6] = True
         expected[1, 6] = not has_bodies
         np.testing.assert_array_equal(columns, expected)
-        assert (keep, mode, is_circle) == (Keep(), "best", True)
+        assert (keep, mode, is_circle) == (LeastMargins(), "best", True)
         assert struck == ([(False, "bodies")] if has_bodies and not is_blocked else [])
 
 
@@ -369,7 +369,7 @@ def test_lines_with_collisions_are_replaced_eight_times_at_most(monkeypatch, has
     for name, function in (("_find", find), ("_refine_line", refined), ("_is_hit", strike), ("_close_cells", close)):
         monkeypatch.setattr(turning, name, function)
     whole = SimpleNamespace(blocks=None)
-    line, after = turning._free_line(None, whole, 0, Keep(), "best", "bodies")
+    line, after = turning._free_line(None, whole, 0, LeastMargins(), "best", "bodies")
     assert after is whole
     expected, tries = [], 0
     for _ in range(8):
@@ -386,15 +386,15 @@ def test_lines_with_collisions_are_replaced_eight_times_at_most(monkeypatch, has
     assert line.knots[0] == (expected[-1] if free_after < len(expected) else np.floor(expected[-1]))
     looked.clear()
     closed.clear()
-    alone, _ = turning._free_line(None, whole, 0, Keep(), "best", None)
+    alone, _ = turning._free_line(None, whole, 0, LeastMargins(), "best", None)
     assert alone.knots[0] == (0.5 if has_fine else 0.0)
     assert not looked
 
 
 def test_a_blocked_map_has_no_line(monkeypatch):
-    monkeypatch.setattr(turning, "_find", lambda *arguments, is_circle: Blocked(3))
+    monkeypatch.setattr(turning, "_find", lambda *arguments, is_circle: BlockedMap(3))
     whole = SimpleNamespace(blocks=None)
-    assert turning._free_line(None, whole, 0, Keep(), "best", "bodies") == (Blocked(3), whole)
+    assert turning._free_line(None, whole, 0, LeastMargins(), "best", "bodies") == (BlockedMap(3), whole)
 
 
 def test_cuts_that_tilt_the_tool_are_those_whose_axis_differs_at_both_ends():
@@ -425,13 +425,18 @@ def line_of(number):
 @pytest.mark.parametrize("today_is_as_good", [True, False])
 @pytest.mark.parametrize(
     ("wide", "bare"),
-    [(line_of(1), line_of(2)), (Blocked(4), line_of(2)), (Blocked(4), Blocked(2)), (Blocked(2), Blocked(4))],
+    [
+        (line_of(1), line_of(2)),
+        (BlockedMap(4), line_of(2)),
+        (BlockedMap(4), BlockedMap(2)),
+        (BlockedMap(2), BlockedMap(4)),
+    ],
 )
 def test_the_turn_keeps_wide_margins_if_a_line_does_else_the_least_ones(
     monkeypatch, mode, has_bodies, today_is_as_good, wide, bare
 ):
     """The turn of the cell stays where it is as good; the error is about the block farthest along the program."""
-    asked, priced = [], Keep(joint=0.3)
+    asked, priced = [], LeastMargins(joint=0.3)
     Sized = type("Sized", (), {"__len__": lambda self: 5})
     samples = Sized()
     blocks = SimpleNamespace(turn_of_motions=lambda paths, knots: 10.0 + knots)
@@ -462,18 +467,18 @@ def test_the_turn_keeps_wide_margins_if_a_line_does_else_the_least_ones(
     monkeypatch.setattr(turn_map, "evaluate", evaluate)
     monkeypatch.setattr(turn_map, "branch_of_start", lambda paths: 3)
     turn, issues = turning.choose_turn(SimpleNamespace(swivel=None), SimpleNamespace(cell=own), "source", mode)
-    first_keep = Keep() if mode == "best" else priced
+    first_keep = LeastMargins() if mode == "best" else priced
     expected = [("map 0", 3, first_keep, mode, asked_bodies)]
-    if isinstance(wide, Blocked):
+    if isinstance(wide, BlockedMap):
         expected.append(("map 1", 3, turning.BARE, mode, asked_bodies))
     assert asked == expected
-    if isinstance(wide, Blocked) and isinstance(bare, Blocked):
+    if isinstance(wide, BlockedMap) and isinstance(bare, BlockedMap):
         assert turn is None
-        assert issues == (("map 2", Blocked(4), mode, 3, asked_bodies),)
+        assert issues == (("map 2", BlockedMap(4), mode, 3, asked_bodies),)
         return
-    is_bare = isinstance(wide, Blocked)
+    is_bare = isinstance(wide, BlockedMap)
     knots = bare.knots if is_bare else 0.0 * wide.knots if today_is_as_good else wide.knots
-    assert (turn.mode, turn.map, turn.keep) == (mode, f"map {len(asked)}", turning.BARE if is_bare else Keep())
+    assert (turn.mode, turn.map, turn.keep) == (mode, f"map {len(asked)}", turning.BARE if is_bare else LeastMargins())
     np.testing.assert_array_equal(turn.knots, knots)
     np.testing.assert_array_equal(turn.of_motion, 10.0 + knots)
     assert turn.constant == pytest.approx(np.radians(20.0))
@@ -485,9 +490,9 @@ def test_tilting_cuts_are_refused_along_the_path_alone(monkeypatch, path, mode, 
     samples, _, _ = path
     tilts = np.arange(6) == 4
     monkeypatch.setattr(turning, "_is_tilting", lambda paths: tilts)
-    monkeypatch.setattr(turning, "_free_line", lambda *parts: (Blocked(0), None))
+    monkeypatch.setattr(turning, "_free_line", lambda *parts: (BlockedMap(0), None))
     monkeypatch.setattr(turning, "_blocked_error", lambda *parts: "why")
-    monkeypatch.setattr(turning, "_margins_of_least_cost", lambda *parts: Keep())
+    monkeypatch.setattr(turning, "_margins_of_least_cost", lambda *parts: LeastMargins())
     monkeypatch.setattr(turn_map, "evaluate", lambda *parts: None)
     turn, (issue,) = turning.choose_turn(samples.program, samples.robot_in_cell, None, mode)
     assert turn is None
@@ -531,7 +536,7 @@ def test_the_fine_map_lies_around_the_line_and_is_no_circle(monkeypatch, path, m
         np.testing.assert_array_equal(start, samples.robot_in_cell.cell.start_joints)
         return answers.pop(0)
 
-    answers = [line_of(5), Blocked(1)]
+    answers = [line_of(5), BlockedMap(1)]
     monkeypatch.setattr(turn_map, "evaluate", evaluate)
     monkeypatch.setattr(turn_map, "line_through", line_through)
     line = Line(knots, 0.0)

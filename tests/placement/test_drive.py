@@ -8,7 +8,7 @@ import pytest
 from postproc.frames import wrap_angles
 from postproc.kinematics.components import components
 from postproc.placement import drive
-from postproc.placement.drive import COLLISION, FREE, LIMIT, REACH, SINGULAR, SPEED, Keep, Margins
+from postproc.placement.drive import COLLISION, FREE, LIMIT, REACH, SINGULAR, SPEED, LeastMargins, Margins
 from tests.collision.setting import KR270, frame
 
 
@@ -56,7 +56,7 @@ def test_margins_are_those_of_the_arm_in_space():
     assert np.isnan(drive.margins(KR270, np.full((6, 1), np.nan)).joint[0])
 
 
-KEEP = Keep(joint=0.1, wrist=0.2, elbow=0.3, shoulder=0.4, speed=0.9, jump=0.5)
+KEEP = LeastMargins(joint=0.1, wrist=0.2, elbow=0.3, shoulder=0.4, speed=0.9, jump=0.5)
 GOOD = {"joint": 0.1, "wrist": 0.2, "elbow": 0.3, "shoulder": 0.4, "speed": 0.9, "jump": 0.5, "hit": False}
 STEP = 1e-9
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from postproc.placement.drive import Keep, Margins
-from postproc.placement.turn_map import Blocked, Blocks, TurnMap, line_through
+from postproc.placement.drive import LeastMargins, Margins
+from postproc.placement.turn_map import BlockedMap, Blocks, TurnMap, line_through
 from tests.kr270 import ROBOT
 
 TURN = 2.0 * np.pi
-KEEP = Keep()
+KEEP = LeastMargins()
 WRIST = [3, 5]
 
 
@@ -165,7 +165,7 @@ def agree(turns, start, **options):
     """Compare both lines; return whether there is one."""
     line = line_through(ROBOT, turns, KEEP, start, turn_at_feed=options["at_feed"], is_circle=options["is_circle"])
     expected = Count(turns, start, **options).best()
-    if isinstance(line, Blocked):
+    if isinstance(line, BlockedMap):
         assert line.block == expected
         return False
     cost, knots = expected

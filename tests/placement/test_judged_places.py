@@ -9,9 +9,9 @@ from msgspec.structs import replace
 from postproc import correction, forces, kinematics
 from postproc.cell import ExternalAxis, Frame, Start
 from postproc.errors import InputError
-from postproc.placement import Keep, PathSamples, drive, region, turn_map
+from postproc.placement import LeastMargins, PathSamples, drive, region, turn_map
 from postproc.placement.drive import BARE
-from postproc.placement.region import Judged, Programs
+from postproc.placement.region import JudgedPlace, Programs
 from postproc.under_load import RobotInCell
 from tests.collision.setting import frame
 from tests.placement.by_sample import SampleBySample
@@ -36,7 +36,7 @@ $TOOL={{X 350,Y 0,Z 240,A 0,B 0,C 0}}
 LIN {{X 60,Y 45,Z 40,A 175,B 0,C 175,E1 {1}}}
 END
 """
-KEEP = Keep(joint=0.12, wrist=0.3, elbow=0.4, shoulder=0.9, speed=0.5, jump=0.2)
+KEEP = LeastMargins(joint=0.12, wrist=0.3, elbow=0.4, shoulder=0.9, speed=0.5, jump=0.2)
 STATED = cell(base=(1500.0, 0.0, 700.0), redundancy_deg=110.0)
 CARRIED = replace(STATED, external_axes={"E1": ExternalAxis(direction=(0.0, 2.0, 0.0))})
 
@@ -209,7 +209,7 @@ def at(place, *texts):
 @pytest.mark.parametrize("axis", [3, 5])
 def test_a4_and_a6_of_a_whole_program_are_counted_from_the_start(axis, start, reason):
     """170° further the limit of 350° is passed: from 200°, but not from -160°, which is the same pose."""
-    judged = Programs([gcode(STATED)], Keep())
+    judged = Programs([gcode(STATED)], LeastMargins())
     low, high = (np.radians(np.full(2, angle)) for angle in (-350.0, 350.0))
     angles = np.radians(start + np.linspace(10.0, 170.0, 17))
     q = np.zeros((6, 17))
@@ -218,7 +218,7 @@ def test_a4_and_a6_of_a_whole_program_are_counted_from_the_start(axis, start, re
     begin[axis] = np.radians(start)
     judged.robot_in_cell = replace_start(judged.robot_in_cell, begin)
     found = judged._wound(q)
-    expected = (angles < low[0] + Keep().joint) | (angles > high[0] - Keep().joint)
+    expected = (angles < low[0] + LeastMargins().joint) | (angles > high[0] - LeastMargins().joint)
     np.testing.assert_array_equal(found, expected)
     assert found.any() == (reason == drive.LIMIT)
 
@@ -316,7 +316,7 @@ def test_the_turn_of_the_cell_stays_unless_another_saves_two_percent_and_the_bes
         reason = drive.FREE if rng.random() < (0.0 if seed % 4 == 0 else 0.7) else int(rng.integers(1, 6))
         margin = np.nan if reason == drive.REACH else rng.uniform(0.1, 1.0)
         error = 1e-4 * (1.0 + (0.03 if seed % 2 else 0.3) * rng.random())
-        judgements[turn] = Judged((0.0,) * 5, reason, error, error, margin, turn=turn)
+        judgements[turn] = JudgedPlace((0.0,) * 5, reason, error, error, margin, turn=turn)
     monkeypatch.setattr(judged, "_judge", lambda place, turn, branch, stations: judgements[turn])
     found = judged.judge(np.zeros(5))
     free = [each for each in judgements.values() if each.reason == drive.FREE]

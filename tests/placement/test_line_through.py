@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from postproc.placement.drive import Keep, Margins, wrap_angles
-from postproc.placement.turn_map import Blocked, Blocks, TurnMap, line_through, whole_circle
+from postproc.placement.drive import LeastMargins, Margins, wrap_angles
+from postproc.placement.turn_map import BlockedMap, Blocks, TurnMap, line_through, whole_circle
 from tests.kr270 import ROBOT
 
 COLUMNS = 12
@@ -45,17 +45,19 @@ def test_a_line_never_winds_a6_past_its_limits():
     for k in range(24):
         ring[k, [(k - 1) % COLUMNS, k % COLUMNS]] = 1.0
     found = replace(found, margin=replace(found.margin, joint=ring))
-    line = line_through(ROBOT, found, Keep(), np.zeros(6), turn_at_feed=True, is_circle=True)
-    assert isinstance(line, Blocked)
+    line = line_through(ROBOT, found, LeastMargins(), np.zeros(6), turn_at_feed=True, is_circle=True)
+    assert isinstance(line, BlockedMap)
     wide = replace(ROBOT, upper=ROBOT.upper + np.radians(200.0))
-    assert not isinstance(line_through(wide, found, Keep(), np.zeros(6), turn_at_feed=True, is_circle=True), Blocked)
+    assert not isinstance(
+        line_through(wide, found, LeastMargins(), np.zeros(6), turn_at_feed=True, is_circle=True), BlockedMap
+    )
 
 
 def test_one_turn_for_each_operation_changes_on_rapid_moves_alone():
     found = made(3, blocks=5, closed=0.0)
     blocks = replace(found.blocks, cuts=np.array([False, True, False, True, True]))
     found = replace(found, blocks=blocks)
-    line = line_through(ROBOT, found, Keep(), np.zeros(6), turn_at_feed=False, is_circle=True)
+    line = line_through(ROBOT, found, LeastMargins(), np.zeros(6), turn_at_feed=False, is_circle=True)
     assert line.knots[0] == pytest.approx(line.knots[1])
     assert line.knots[2] == pytest.approx(line.knots[3]) == pytest.approx(line.knots[4])
     assert line.knots[1] != pytest.approx(line.knots[2])
@@ -76,7 +78,7 @@ def test_of_two_turns_the_one_with_the_smaller_sum_of_squared_errors_is_taken(st
     error = np.full(found.u95.shape, 1e-4)
     error[1:, 3], error[1:, 4] = (1e-4, 2.4e-4), steady * 1e-4
     found = replace(found, u95=error, deflection=error)
-    line = line_through(ROBOT, found, Keep(), np.zeros(6), turn_at_feed=False, is_circle=True)
+    line = line_through(ROBOT, found, LeastMargins(), np.zeros(6), turn_at_feed=False, is_circle=True)
     assert np.rint((line.knots - found.offset[0]) / STEP).tolist() == [chosen] * 3
 
 
@@ -85,8 +87,10 @@ def test_on_rapid_moves_the_turn_changes_by_three_degrees_per_millimetre_at_most
     found = opened(made(5, blocks=4), (5,), (5,), (5, 6), (6,))
     cuts = np.array([False, True, False, True])
     blocks = replace(found.blocks, cuts=cuts, length=np.where(cuts, 0.1, 1e-3 * length))
-    line = line_through(ROBOT, replace(found, blocks=blocks), Keep(), np.zeros(6), turn_at_feed=False, is_circle=True)
-    assert isinstance(line, Blocked) != driven
+    line = line_through(
+        ROBOT, replace(found, blocks=blocks), LeastMargins(), np.zeros(6), turn_at_feed=False, is_circle=True
+    )
+    assert isinstance(line, BlockedMap) != driven
 
 
 @pytest.mark.parametrize("axis", [3, 5])
@@ -100,8 +104,8 @@ def test_a4_and_a6_are_counted_from_the_start_each_by_itself(axis, start, driven
     found = replace(found, q=q, winding=np.zeros_like(found.winding))
     begin = np.zeros(6)
     begin[axis] = np.radians(start)
-    line = line_through(ROBOT, found, Keep(), begin, turn_at_feed=True, is_circle=True)
-    assert isinstance(line, Blocked) != driven
+    line = line_through(ROBOT, found, LeastMargins(), begin, turn_at_feed=True, is_circle=True)
+    assert isinstance(line, BlockedMap) != driven
 
 
 @pytest.mark.parametrize(("lengths", "columns"), [((35.0, 350.0), [5, 5, 6, 6]), ((350.0, 35.0), [5, 6, 6, 6])])
@@ -110,7 +114,7 @@ def test_of_lines_with_one_error_the_one_that_turns_on_the_longer_piece_is_taken
     blocks = replace(found.blocks, length=1e-3 * np.array([10.0, *lengths, 10.0]))
     error = np.full(found.u95.shape, 1e-4)
     found = replace(found, blocks=blocks, u95=error, deflection=error)
-    line = line_through(ROBOT, found, Keep(), np.zeros(6), turn_at_feed=True, is_circle=True)
+    line = line_through(ROBOT, found, LeastMargins(), np.zeros(6), turn_at_feed=True, is_circle=True)
     assert np.rint((line.knots - found.offset[0]) / STEP).tolist() == columns
 
 
@@ -127,14 +131,18 @@ def test_a4_and_a6_are_counted_on_through_a_joint_interpolation(axis, last, driv
         winding[block, :, [3, 5].index(axis), 0] = winding[block, :, [3, 5].index(axis), 2] = np.radians(way)
     blocks = replace(found.blocks, begins=np.array([True, False, True, False]))
     found = replace(found, q=q, winding=winding, blocks=blocks)
-    line = line_through(ROBOT, found, Keep(), np.zeros(6), turn_at_feed=True, is_circle=True)
-    assert isinstance(line, Blocked) != driven
+    line = line_through(ROBOT, found, LeastMargins(), np.zeros(6), turn_at_feed=True, is_circle=True)
+    assert isinstance(line, BlockedMap) != driven
 
 
 def test_a_joint_interpolation_may_lead_to_any_turn():
     """Two cuts at one turn each, far from each other: only a joint interpolation between them may change it."""
     found = opened(made(9, blocks=4, closed=0.0), (2,), (2,), (8,), (8,))
-    assert isinstance(line_through(ROBOT, found, Keep(), np.zeros(6), turn_at_feed=True, is_circle=True), Blocked)
+    assert isinstance(
+        line_through(ROBOT, found, LeastMargins(), np.zeros(6), turn_at_feed=True, is_circle=True), BlockedMap
+    )
     blocks = replace(found.blocks, begins=np.array([True, False, True, False]))
-    line = line_through(ROBOT, replace(found, blocks=blocks), Keep(), np.zeros(6), turn_at_feed=True, is_circle=True)
+    line = line_through(
+        ROBOT, replace(found, blocks=blocks), LeastMargins(), np.zeros(6), turn_at_feed=True, is_circle=True
+    )
     assert np.rint((line.knots - found.offset[0]) / STEP).tolist() == [2, 2, 8, 8]

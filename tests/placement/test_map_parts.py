@@ -9,7 +9,7 @@ import pytest
 from msgspec.structs import replace
 
 from postproc.placement import drive, turn_map, turning
-from postproc.placement.drive import Keep, Margins
+from postproc.placement.drive import LeastMargins, Margins
 from postproc.placement.turn_map import Blocks, TurnMap
 
 
@@ -106,7 +106,7 @@ def test_reasons_of_a_map_are_those_of_its_margins_speeds_and_bodies():
     speed[2, 2] = 0.96
     jump = np.zeros((5, 3))
     jump[3, 0] = 1.0
-    reasons = small_map(hit=hit, speed=speed, jump=jump).reasons(Keep())
+    reasons = small_map(hit=hit, speed=speed, jump=jump).reasons(LeastMargins())
     assert reasons[1, 1] == drive.COLLISION
     assert reasons[2, 2] == drive.SPEED
     assert reasons[3, 0] == drive.SINGULAR
@@ -114,21 +114,23 @@ def test_reasons_of_a_map_are_those_of_its_margins_speeds_and_bodies():
 
 
 def test_turns_at_the_ends_of_bins_are_between_those_of_their_block():
-    turn = turning.Turn("path", small_map(), Keep(), 0.2, np.array([0.3, 0.7, -0.1]), np.array([0.3, 0.7, -0.1]))
+    turn = turning.Turn(
+        "path", small_map(), LeastMargins(), 0.2, np.array([0.3, 0.7, -0.1]), np.array([0.3, 0.7, -0.1])
+    )
     np.testing.assert_allclose(turning.bin_turns(turn), [0.3, 0.3 + 0.4 * 0.4, 0.7, 0.7 - 0.5 * 0.8, -0.1])
     assert turn.range_deg() == pytest.approx((np.degrees(0.1), np.degrees(0.9)))
 
 
 def test_limits_of_the_hand_keep_the_margin_of_the_joints():
     robot = SimpleNamespace(lower=np.arange(6.0) - 10.0, upper=np.arange(6.0) + 10.0)
-    low, high = turn_map._limits(robot, Keep(joint=0.5))
+    low, high = turn_map._limits(robot, LeastMargins(joint=0.5))
     np.testing.assert_allclose(low, [-7.0 + 0.5, -5.0 + 0.5])
     np.testing.assert_allclose(high, [13.0 - 0.5, 15.0 - 0.5])
 
 
 @pytest.mark.parametrize(("mode", "words"), [("best", "by one angle for each operation"), ("path", "along the path")])
 def test_the_choice_is_told_with_its_range(mode, words):
-    turn = turning.Turn(mode, small_map(), Keep(), 0.0, np.zeros(3), np.radians([-10.0, 20.4, 0.0]))
+    turn = turning.Turn(mode, small_map(), LeastMargins(), 0.0, np.zeros(3), np.radians([-10.0, 20.4, 0.0]))
     said = turning._turn_issue(turn)
     assert (said.level, said.kind) == ("info", "redundancy")
     assert said.message.startswith(f"The tool is turned about its axis {words}, from -10° to 20°. ")

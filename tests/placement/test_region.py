@@ -14,7 +14,7 @@ from postproc import correction, robot
 from postproc.cell import Box, Collision, ExternalAxis, Frame, HolderTable, ObstacleTable
 from postproc.errors import InputError
 from postproc.jobs.place_files import region_of
-from postproc.placement import Keep, PathSamples, region
+from postproc.placement import LeastMargins, PathSamples, region
 from postproc.placement.region import Region
 from postproc.under_load import RobotInCell
 from tests.commands import invoke, run
@@ -38,7 +38,7 @@ G0 Z60
 def programs(own, text=PART, **options):
     program, model = read(text, own)
     samples = PathSamples.of(program, RobotInCell.of(model, own), None)
-    return region.Programs([samples], Keep(joint=np.radians(5.0)), **options), program, model
+    return region.Programs([samples], LeastMargins(joint=np.radians(5.0)), **options), program, model
 
 
 def in_line(name="kuka_kr270", base=(1400.0, 0.0, 600.0)):
@@ -107,7 +107,9 @@ def test_a_program_that_moves_the_axis_that_carries_the_robot_is_judged_as_it_is
     for e1 in (0, 200):
         program, model = read(text.format(e1), own, "krl")
         samples = PathSamples.of(program, RobotInCell.of(model, own), None)
-        found = region.Programs([samples], Keep()).judge(np.array([1400.0, 0.0, 600.0, 0.0, 0.0]), all_samples=True)
+        found = region.Programs([samples], LeastMargins()).judge(
+            np.array([1400.0, 0.0, 600.0, 0.0, 0.0]), all_samples=True
+        )
         result = correction.process(program, model, own, mode="predict")
         assert found.margin == pytest.approx(result.joint_margin.min(), abs=2e-3)
         margins.append(found.margin)

@@ -9,7 +9,7 @@ import pytest
 from msgspec.structs import replace
 
 from postproc.placement import drive, region
-from postproc.placement.region import Assessment, Judged, Region
+from postproc.placement.region import Assessment, JudgedPlace, Region
 
 REGION = Region((1000.0, -300.0, 500.0, -30.0, 0.0), (1600.0, 300.0, 500.0, 30.0, 0.0))
 BEST = np.array([1234.0, 77.0, 500.0, -12.0, 0.0])
@@ -26,12 +26,12 @@ class Bowl:
     def judge(self, place, *, all_samples=False):
         self.places.append((tuple(place), all_samples))
         if self.hole is not None and np.linalg.norm(place[:2] - BEST[:2]) < self.hole:
-            return Judged(tuple(place), drive.LIMIT)
+            return JudgedPlace(tuple(place), drive.LIMIT)
         if all_samples and self.refuses(place):
-            return Judged(tuple(place), drive.COLLISION)
+            return JudgedPlace(tuple(place), drive.COLLISION)
         scale = np.array([300.0, 300.0, 1.0, 30.0, 1.0])
         error = 1e-4 * (1.0 + float(np.sum(((place - BEST) / scale) ** 2)))
-        return Judged(tuple(place), drive.FREE, 2.0 * error, error, margin=0.1)
+        return JudgedPlace(tuple(place), drive.FREE, 2.0 * error, error, margin=0.1)
 
 
 def test_the_lowest_place_of_a_bowl_is_found_to_some_millimetres():
@@ -121,7 +121,7 @@ def test_places_are_converted_until_all_programs_can_be_and_six_at_most():
 
 
 def test_the_best_of_places_that_are_alike_is_the_one_with_more_margin():
-    one = Judged((0.0,) * 5, drive.FREE, 1e-4, 1.000e-4, margin=0.1)
+    one = JudgedPlace((0.0,) * 5, drive.FREE, 1e-4, 1.000e-4, margin=0.1)
     for cost, margin, is_better in (
         (1.005e-4, 0.2, True), (0.995e-4, 0.05, False), (0.98e-4, 0.05, True), (1.02e-4, 0.2, False),
         (1.01005e-4, 0.2, False), (0.99005e-4, 0.05, True),
@@ -129,13 +129,13 @@ def test_the_best_of_places_that_are_alike_is_the_one_with_more_margin():
         other = replace(one, u95=cost, margin=margin)
         assert region._better(other, one) is is_better
         assert region._better(one, other) is not is_better
-    refused = Judged((0.0,) * 5, drive.REACH)
+    refused = JudgedPlace((0.0,) * 5, drive.REACH)
     assert region._better(one, refused)
     assert not region._better(refused, one)
 
 
 def test_a_place_states_its_problem_and_its_cost():
-    free = Judged((0.0,) * 5, drive.FREE, 3e-4, 2e-4, margin=0.1)
+    free = JudgedPlace((0.0,) * 5, drive.FREE, 3e-4, 2e-4, margin=0.1)
     assert (free.problem, free.reachable, free.cost, free.stated_cost) == ("", True, 2e-4, 2e-4)
     assert replace(free, u95=np.nan).cost == 3e-4
     refused = replace(free, reason=drive.COLLISION)

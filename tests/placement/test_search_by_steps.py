@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from postproc.placement import drive, region
-from postproc.placement.region import Assessment, Judged, Region
+from postproc.placement.region import Assessment, JudgedPlace, Region
 
 SIDES = {"X": 6, "Y": 6, "Z": 4, "A": 5, "E1": 4}
 
@@ -31,7 +31,7 @@ class Landscape:
         error = float((self.depths * (1.0 + distance**2)).min())
         margin = float(0.2 + 0.1 * np.sin(0.05 * place.sum()))
         is_refused = distance[0] < self.holes[0] + 0.1 * all_samples or distance[1] < self.holes[1]
-        return Judged(tuple(place), drive.LIMIT if is_refused else drive.FREE, 2.0 * error, error, margin)
+        return JudgedPlace(tuple(place), drive.LIMIT if is_refused else drive.FREE, 2.0 * error, error, margin)
 
     def judge(self, place, *, all_samples=False):
         self.calls.append((tuple(place), all_samples))

@@ -179,12 +179,12 @@ def test_the_expected_accuracy_is_that_of_a_thousand_errors_of_an_independent_fi
 
 
 def test_earlier_readings_count_as_poses_of_the_plan(readings):
-    from postproc.plan.criterion import Measured
+    from postproc.plan.criterion import MeasuredLoads
 
     readings, site = readings
     q, tilt, level, q2 = plan(site)
     information, tests = readings.information(q, tilt), setting.job(3)
-    known, new = Measured(q[:5], q2[:2], information[:5], level[:5]), slice(5, None)
+    known, new = MeasuredLoads(q[:5], q2[:2], information[:5], level[:5]), slice(5, None)
     joint2 = Joint2.of(setting.ROBOT, free=False)
     whole = expected_accuracy(tests, readings, joint2, q, information)
     parts = expected_accuracy(tests, readings, joint2, q[new], information[new], known)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from postproc.report import summary
-from postproc.report.index import Entry, Reported, index_page
+from postproc.report.index import Entry, ReportEntry, index_page
 from tests import fabricated
 from tests.html_page import read_page
 
@@ -13,7 +13,7 @@ from tests.html_page import read_page
 def _entry(name, tolerance=1e-5, **changes):
     content = summary(fabricated.with_changes(fabricated.result(), **changes), tolerance)
     written = msgspec.to_builtins(content) | {"program": f"{name}.nc"}
-    return Entry(f"{name}.nc", f"{name}.report.html", msgspec.convert(written, Reported))
+    return Entry(f"{name}.nc", f"{name}.report.html", msgspec.convert(written, ReportEntry))
 
 
 def test_programs_in_trouble_come_first_the_worst_of_them_first():
@@ -47,7 +47,7 @@ def test_the_overview_shows_both_expected_errors_the_chance_and_the_tolerance():
 def test_a_report_of_an_earlier_version_has_no_answers():
     entry = _entry("old", bound=np.full(100, 2e-4))
     old = msgspec.to_builtins(entry.content) | {"verdict": {"state": "ok", "reasons": ["good"]}}
-    text = read_page(index_page([Entry("old.nc", "", msgspec.convert(old, Reported))], "out")).text("programs")
+    text = read_page(index_page([Entry("old.nc", "", msgspec.convert(old, ReportEntry))], "out")).text("programs")
     assert " may be run 100 unknown unknown - - 99.98 % " in text
 
 

@@ -23,7 +23,7 @@ from postproc.robot.model_file import (
     ModelFile,
     PayloadEntry,
     PoseWaveEntry,
-    Sourced,
+    SourcedEntry,
     Stiffening,
     TransmissionEntry,
 )
@@ -67,7 +67,7 @@ def full() -> ModelFile:
         measured=MeasuredEntry(source="reading 6", configurations=40, torque_Nm=(1.0, 2000.0, 3.0, 4.0, 5.0, 6.0)),
         masses=Masses(source="drawing", A3_kg=180.0),
         speeds=None,
-        geometry_nominal=Sourced(source="maker", assumed=True),
+        geometry_nominal=SourcedEntry(source="maker", assumed=True),
     )
 
 

@@ -13,7 +13,7 @@ from postproc import machining, robot
 from postproc.errors import MeasurementError
 from postproc.jobs.testpart_files import programs_of
 from postproc.testpart import probing
-from postproc.testpart.cut import Clamped, CutForces, Surfaces, surfaces
+from postproc.testpart.cut import ClampedProgram, CutForces, Surfaces, surfaces
 from postproc.testpart.linear import linearise
 from postproc.testpart.prior import Prior
 from postproc.testpart.readings import Readings
@@ -91,7 +91,7 @@ def test_the_model_predicts_the_surfaces_of_both_placements(folder):
         robot_in_cell = trial.RobotInCell.of(trial.ROBOT, own)
         program = trial.postproc.read_program(folder / name, trial.ROBOT, own)
         where = surfaces(program, robot_in_cell, read.take(np.flatnonzero(read.base == number)), 5e-3)
-        parts.append(Clamped(program, robot_in_cell, trial.ProcessSource(process, own.tool.axis), where))
+        parts.append(ClampedProgram(program, robot_in_cell, trial.ProcessSource(process, own.tool.axis), where))
     given = Readings.of(read, Surfaces.join([part.surfaces for part in parts]), trial.SIGMA)
     prior = Prior.of(robot_in_cell.robot, 0.1)
     states = CutForces(parts)

@@ -15,7 +15,7 @@ from postproc import correction, machining, robot
 from postproc.errors import MeasurementError
 from postproc.machining import ProcessSource
 from postproc.testpart import design, probing
-from postproc.testpart.cut import Clamped, CutForces, surfaces
+from postproc.testpart.cut import ClampedProgram, CutForces, surfaces
 from postproc.testpart.fit import fit, swapped_features
 from postproc.testpart.linear import linearise
 from postproc.testpart.model import agreement, summary
@@ -84,7 +84,7 @@ def readings(folder, name):
     return (
         Readings.of(read, where, trial.SIGMA),
         robot_in_cell,
-        lambda: CutForces([Clamped(program, robot_in_cell, source, where)]),
+        lambda: CutForces([ClampedProgram(program, robot_in_cell, source, where)]),
     )
 
 

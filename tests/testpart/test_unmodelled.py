@@ -8,8 +8,8 @@ from scipy.integrate import quad
 from scipy.stats import lognorm
 
 from postproc.testpart.cut import Surfaces
-from postproc.testpart.linear import Linear, unmodelled_share
-from postproc.testpart.probing import Probed
+from postproc.testpart.linear import LinearPrediction, unmodelled_share
+from postproc.testpart.probing import ProbedSurfaces
 from postproc.testpart.readings import Readings
 
 SIGMA, MOVED = 5e-6, 3e-4
@@ -37,8 +37,10 @@ def test_the_share_is_the_root_of_its_mean_square_after_the_readings(n, spread):
 def _readings(n):
     none, number = np.zeros((n, 3)), np.arange(n)
     names = tuple(f"W{k:03d}.gauge" for k in range(n))
-    probed = Probed(
+    probed = ProbedSurfaces(
         names, number, np.zeros(n), none, none, np.zeros(n), np.ones(n), ("",) * n, np.full(n, -1), number, "probed.csv"
     )
     where = Surfaces(number, np.zeros(n), np.zeros((n, 2, 6)), np.zeros(n), np.zeros((n, 6)), none)
-    return Readings.of(probed, where, SIGMA), Linear(np.zeros(n), np.zeros((n, 2)), np.zeros(n), np.full(n, MOVED))
+    return Readings.of(probed, where, SIGMA), LinearPrediction(
+        np.zeros(n), np.zeros((n, 2)), np.zeros(n), np.full(n, MOVED)
+    )

@@ -8,7 +8,7 @@ import pytest
 from postproc.errors import MeasurementError
 from postproc.report.testpart import design_lines
 from postproc.testpart import design, probing
-from postproc.testpart.cut import Clamped, CutForces, surfaces
+from postproc.testpart.cut import ClampedProgram, CutForces, surfaces
 from postproc.testpart.linear import linearise
 from postproc.testpart.readings import Readings
 from tests.oracle.whole_arm import WholeArm
@@ -48,13 +48,13 @@ def test_the_gauge_reads_what_the_independent_arm_deflects_under_the_weight(part
     assert mass == [MASS] * 3
     points = np.array([[float(value) for value in row.split(",")[3:6]] for row in rows[1:]]) * 1e-3
     down = np.tile([0.0, 0.0, -1.0], (3, 1))
-    read = probing.Probed(
+    read = probing.ProbedSurfaces(
         tuple(names), np.array(line), np.array(t), points, down, np.array(exact), np.array(mass), ("",) * 3,
         np.full(3, -1), np.arange(3) + 2, "x",
     )  # fmt: skip
     where = surfaces(only(part), part.robot_in_cell, read, 0.005)
     source = trial.ProcessSource(part.process, trial.CELL.tool.axis)
-    states = CutForces([Clamped(only(part), part.robot_in_cell, source, where)])(part.robot_in_cell.robot, 1.0)
+    states = CutForces([ClampedProgram(only(part), part.robot_in_cell, source, where)])(part.robot_in_cell.robot, 1.0)
     given = Readings.of(read, where, trial.SIGMA)
     found = linearise(part.prior, given, states, part.robot_in_cell, np.zeros(len(part.prior.parameters)), 1.0)
     assert min(exact) > 5e-5

@@ -16,7 +16,7 @@ from postproc.errors import ModelError
 from postproc.machining import ProcessSource
 from postproc.robot.model_file import JointSpring, LinkSprings, ModelFile, Stiffening
 from postproc.testpart import design, features, probing
-from postproc.testpart.cut import Clamped, CutForces, Surfaces, surfaces
+from postproc.testpart.cut import ClampedProgram, CutForces, Surfaces, surfaces
 from postproc.testpart.fit import fit
 from postproc.testpart.model import agreement, material, model_file
 from postproc.testpart.prior import Prior
@@ -156,7 +156,7 @@ def clamped(part, path, robot, process):
         robot_in_cell = RobotInCell.of(robot, part.cells[placement])
         rows = np.flatnonzero(read.base == int(placement.number or -1))
         where = surfaces(program, robot_in_cell, read.take(rows), 0.5 * part.cutting.diameter)
-        parts.append(Clamped(program, robot_in_cell, ProcessSource(process, CELL.tool.axis), where))
+        parts.append(ClampedProgram(program, robot_in_cell, ProcessSource(process, CELL.tool.axis), where))
     return parts
 
 

@@ -29,7 +29,7 @@ from postproc.errors import MAX_ERRORS, ProgramError, SubprogramError
 from postproc.program import Document, Ints, constant
 
 
-class Executed(Struct, frozen=True, eq=False):
+class ExecutedProgram(Struct, frozen=True, eq=False):
     """A program in execution order.
 
     :param source: its lines, each as often as it is executed.
@@ -61,7 +61,7 @@ class Piece(NamedTuple):
     text: str | None = None
 
 
-def assemble(units: Sequence[Unit], pieces: Sequence[Piece], faults: Sequence[Fault], end: int) -> Executed:
+def assemble(units: Sequence[Unit], pieces: Sequence[Piece], faults: Sequence[Fault], end: int) -> ExecutedProgram:
     """Return pieces, given in execution order, as one program.
 
     :param units: the files of the pieces.
@@ -77,7 +77,7 @@ def assemble(units: Sequence[Unit], pieces: Sequence[Piece], faults: Sequence[Fa
     documents = tuple(unit.document for unit in units)
     after_end = np.setdiff1d(units[0].source.coordinates(end), row[document == 0]) + 1
     main = np.where(main < 0, line, main + 1)
-    return Executed(source, documents, document, line, main, tuple(faults), tuple(after_end.tolist()))
+    return ExecutedProgram(source, documents, document, line, main, tuple(faults), tuple(after_end.tolist()))
 
 
 def _bytes(units: Sequence[Unit], pieces: Sequence[Piece]) -> Iterator[bytes]:
@@ -196,7 +196,7 @@ _CALL = re.compile(r"([PL])([+-]?(?:\d+\.?\d*|\.\d+))|M0*9[89]")
 _ENDLESS = "Is it an endless loop? Check its end condition."
 
 
-def execute(document: Document) -> Executed:
+def execute(document: Document) -> ExecutedProgram:
     """Return a program in execution order.
 
     :raises SubprogramError: the file only defines subprograms.
@@ -213,7 +213,7 @@ def execute(document: Document) -> Executed:
             )
         return _Run(unit).result()
     line = compact(np.arange(1, len(source) + 1), np.int32)
-    return Executed(source, (document,), constant(0, len(source)), line, line)
+    return ExecutedProgram(source, (document,), constant(0, len(source)), line, line)
 
 
 class _Frame(Struct, frozen=True):
@@ -248,7 +248,7 @@ class _Run:
         self.rows = self.orders = 0
         self.wrong: dict[tuple[int, int], Fault] = {}
 
-    def result(self) -> Executed:
+    def result(self) -> ExecutedProgram:
         """Execute the program from its first line, unless its O-words have faults."""
         for fault in self.units[0].faults:
             self._wrong(fault.row, fault.problem, fault.advice)

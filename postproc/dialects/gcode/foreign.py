@@ -13,7 +13,7 @@ _SEARCH_LENGTH = 300
 """Number of characters of a line that are searched (assumed)."""
 
 
-class Foreign(NamedTuple):
+class ForeignFormat(NamedTuple):
     """A kind of program that is not supported: its name, the pattern of its lines, the advice."""
 
     name: str
@@ -22,37 +22,37 @@ class Foreign(NamedTuple):
 
 
 FOREIGN = (
-    Foreign(
+    ForeignFormat(
         "Heidenhain DIN/ISO",
         re.compile(r"\s*(%\S+\s+G7[01]\s*\*|N?\d*\s*[GXYZTM].*\*\s*$)", re.IGNORECASE),
         f"{_POST}, or for KUKA KRL, instead of Heidenhain.",
     ),
-    Foreign(
+    ForeignFormat(
         "lathe",
         re.compile(r".*(?<![A-Z])(G7[0-6]\s*[PQUW]\s*[\d.#\[]|G50\s*S\s*\d|G92\s*S\s*\d)", re.IGNORECASE),
         "Only milling programs are supported.",
     ),
-    Foreign(
+    ForeignFormat(
         "Okuma",
         re.compile(r"\s*(\$\w+\.MIN|(N\d+\s*)?G15\s*H\d)", re.IGNORECASE),
         f"{_POST}, instead of Okuma.",
     ),
-    Foreign(
+    ForeignFormat(
         "ShopBot",
         re.compile(r"\s*('|(SA|J[2-5XYZ]|M[2-5XYZ]|CN|VS|JS|MS|TR)\s*(,|$))", re.IGNORECASE),
         f"{_POST}, or for KUKA KRL, instead of ShopBot.",
     ),
-    Foreign(
+    ForeignFormat(
         "plotter (HP-GL) or isel",
         re.compile(r"\s*(IN$|SP\d+;|P[UD](-?\d|;)|IMF_PBL|(N\d+\s+)?(MOVE|FAST)(ABS|REL))", re.IGNORECASE),
         f"{_POST}, or for KUKA KRL, instead.",
     ),
-    Foreign(
+    ForeignFormat(
         "Fanuc custom macro (B)",
         re.compile(r"\s*(N\d+\s*)?(WHILE\s*\[|IF\s*\[|GOTO\s*[\d#\[]|END\s*\d|ENDWHILE|ENDIF)", re.IGNORECASE),
         "Set the CAM system to expand loops, or write them with O words (o1 while [#1 LT 5] … o1 endwhile).",
     ),
-    Foreign(
+    ForeignFormat(
         "Heidenhain Klartext",
         re.compile(
             r"\s*(\d+\s+)?(BEGIN PGM|END PGM|BLK FORM|TOOL (CALL|DEF)|CYCL (DEF|CALL)|CALL (PGM|LBL)|LBL \d|PLANE )"
@@ -61,7 +61,7 @@ FOREIGN = (
         ),
         f"{_POST}, or for KUKA KRL, instead of Heidenhain.",
     ),
-    Foreign(
+    ForeignFormat(
         "APT cutter-location (CLSF)",
         re.compile(
             r"\s*(PARTNO|LOADTL|MULTAX|PPRINT|END-OF-PATH|TLDATA|CATMAT|\$\$\s*[^\s=]|RAPID\s*$"
@@ -70,7 +70,7 @@ FOREIGN = (
         ),
         "Rename it to .apt, or add --dialect apt.",
     ),
-    Foreign(
+    ForeignFormat(
         "KUKA KRL",
         re.compile(
             r"\s*(&(ACCESS|REL|PARAM|COMMENT)\b|(GLOBAL\s+)?DEF(FCT|DAT)?(?!\s+(REAL|INT|BOOL|STRING|CHAR|AXIS|FRAME)\b(?!\s+\w+\s*\())\s+\w+|S?(LIN|PTP|CIRC)(_REL)?\s+[{\w]|BAS\s*\(#)",
@@ -78,7 +78,7 @@ FOREIGN = (
         ),
         "Rename it to .src, or add --dialect krl.",
     ),
-    Foreign(
+    ForeignFormat(
         "slicer (3-D printing)",
         re.compile(
             r"(?!.*M6[78]).*((?<![A-Z])G0*[0123](?!\d).*\sE-?\.?\d|(?<![A-Z])(M(82|83|10[4679]|140)(?!\d)|M190\s*[SR]))",
@@ -86,7 +86,7 @@ FOREIGN = (
         ),
         f"It is for extrusion. {_POST}, and convert a milling program.",
     ),
-    Foreign(
+    ForeignFormat(
         "Siemens Sinumerik",
         re.compile(
             r".*(?<![A-Z])(CYCLE\d{2,4}|POCKET[1-4]|SLOT[12]|HOLES[12]|MCALL|SUPA|TRAORI|TRAFOOF"
@@ -99,7 +99,7 @@ FOREIGN = (
         ),
         f"{_POST}, or for KUKA KRL, instead of Siemens (Sinumerik 840D, 828D).",
     ),
-    Foreign(
+    ForeignFormat(
         "Siemens Sinumerik",
         re.compile(r".*(?<![A-Z])G7[01](?![\d.])", re.IGNORECASE),
         f"{_POST}, or for KUKA KRL, instead of Siemens (Sinumerik 840D, 828D). If nothing but G70 or G71 is special, "
@@ -109,7 +109,7 @@ FOREIGN = (
 """Kinds of programs that are recognised and refused."""
 
 
-def recognise(lines: Sequence[str]) -> tuple[int, Foreign] | None:
+def recognise(lines: Sequence[str]) -> tuple[int, ForeignFormat] | None:
     """Return index and kind of the first unreadable line that reveals the kind of the program, or None.
 
     :param lines: with their comments, in order.

@@ -42,7 +42,7 @@ from postproc.cell import Cell
 from postproc.dialects.dialect import CamFormat
 from postproc.dialects.gcode import words
 from postproc.dialects.gcode.codes import WORK_OFFSETS
-from postproc.dialects.gcode.execution import Executed, execute
+from postproc.dialects.gcode.execution import ExecutedProgram, execute
 from postproc.dialects.gcode.line_states import line_states_of
 from postproc.dialects.gcode.modes import Modes, read_modes
 from postproc.dialects.gcode.moves import CellFrames
@@ -237,12 +237,12 @@ def _speeds(cell: Cell) -> Speeds:
     )
 
 
-def _line(run: Executed, line: int | None) -> int | None:
+def _line(run: ExecutedProgram, line: int | None) -> int | None:
     """Return the line number in the program of an executed line."""
     return None if line is None else int(run.main[line - 1])
 
 
-def _errors(run: Executed, faults: Sequence[Fault]) -> list[InputError]:
+def _errors(run: ExecutedProgram, faults: Sequence[Fault]) -> list[InputError]:
     """Return faults as errors; a single error if they show that the program is for another control."""
     from postproc.dialects.gcode.foreign import recognise  # its patterns are compiled where there are faults
 
@@ -265,7 +265,7 @@ def _errors(run: Executed, faults: Sequence[Fault]) -> list[InputError]:
     ]
 
 
-def _code_behind_end(run: Executed, rows: int) -> Iterator[Issue]:
+def _code_behind_end(run: ExecutedProgram, rows: int) -> Iterator[Issue]:
     """Report code after the end of the program, which is not executed (rs274 does not even read it)."""
     source, lines = run.source, list(run.after_end)
     if source.code[source.ends[rows] :].strip(b"\n%" + words.MARK.encode()):
@@ -276,7 +276,7 @@ def _code_behind_end(run: Executed, rows: int) -> Iterator[Issue]:
         yield Issue("warning", "after-end", message, lines[0], count=len(lines))
 
 
-def _comments(run: Executed, rows: int) -> tuple[list[tuple[int, str | ForceNote]], list[InputError]]:
+def _comments(run: ExecutedProgram, rows: int) -> tuple[list[tuple[int, str | ForceNote]], list[InputError]]:
     """Return the comments of the first `rows` lines with their rows, and the errors of force comments."""
     comments: list[tuple[int, str | ForceNote]] = []
     faults: dict[tuple[int, int], InputError] = {}
@@ -293,7 +293,7 @@ def _comments(run: Executed, rows: int) -> tuple[list[tuple[int, str | ForceNote
     return comments, list(faults.values())
 
 
-def _brackets(run: Executed, comments: Sequence[tuple[int, str | ForceNote]]) -> Iterator[Issue]:
+def _brackets(run: ExecutedProgram, comments: Sequence[tuple[int, str | ForceNote]]) -> Iterator[Issue]:
     """Report brackets inside comments, which some controls refuse."""
     rows = [row for row, text in comments if isinstance(text, str) and "(" in text]
     if rows:
@@ -307,7 +307,7 @@ def _brackets(run: Executed, comments: Sequence[tuple[int, str | ForceNote]]) ->
 
 
 def _events(
-    run: Executed, path: MotionPath, modes: Modes, comments: Sequence[tuple[int, str | ForceNote]]
+    run: ExecutedProgram, path: MotionPath, modes: Modes, comments: Sequence[tuple[int, str | ForceNote]]
 ) -> tuple[tuple[ForceNote, ...], tuple[Event, ...]]:
     """Return force comments, and other comments and events, in order of their lines.
 

@@ -26,7 +26,7 @@ class Lines(Struct, frozen=True):
     last: int
 
 
-class Kept(Struct, frozen=True):
+class UnresolvedStructure(Struct, frozen=True):
     """A control structure on lines first … last of the trace whose branch taken is not known before run time."""
 
     first: int
@@ -67,19 +67,19 @@ class Join(Struct, frozen=True):
     complete: bool
 
 
-class Enter(Struct, frozen=True):
-    """The call on a row of the trace: the steps up to its `Leave` run in the routine."""
+class RoutineEntry(Struct, frozen=True):
+    """The call on a row of the trace: the steps up to its `RoutineExit` run in the routine."""
 
     row: int
     module: Module
     routine: Routine
 
 
-class Leave(Struct, frozen=True):
+class RoutineExit(Struct, frozen=True):
     """The end of the routine that was entered last."""
 
 
-Step = Lines | Kept | Fork | Branch | Join | Enter | Leave
+Step = Lines | UnresolvedStructure | Fork | Branch | Join | RoutineEntry | RoutineExit
 
 
 class Body(Struct, eq=False):
@@ -90,7 +90,7 @@ class Body(Struct, eq=False):
 
     first: int
     last: int = 0
-    parts: list[Repeated | Called] = []
+    parts: list[UnrolledLoop | InlinedRoutine] = []
 
 
 class PlainBody(Struct, frozen=True, eq=False):
@@ -149,7 +149,7 @@ class PlainRounds(Struct, frozen=True, eq=False):
         return range(begin, begin + self.count * self.step, self.step)
 
 
-class Repeated(Struct, eq=False):
+class UnrolledLoop(Struct, eq=False):
     """An unrolled loop.
 
     :ivar opener: text of its first line, with its line end; `closer` that of its last, or of all that jump back.
@@ -174,7 +174,7 @@ class Repeated(Struct, eq=False):
     endless: bool = False
 
 
-class Called(Struct, eq=False):
+class InlinedRoutine(Struct, eq=False):
     """An inlined routine.
 
     :ivar row: of the trace with the call; `name` the span of the routine's name in its file.
@@ -215,12 +215,12 @@ class Course(Struct, frozen=True, eq=False):
     counts: Mapping[int, int] = field(default_factory=dict)
 
     @property
-    def endless(self) -> Repeated | None:
+    def endless(self) -> UnrolledLoop | None:
         """The LOOP without EXIT at the end of the program; None if there is none."""
         last = self.body.parts[-1] if self.body.parts else None
-        return last if isinstance(last, Repeated) and last.endless else None
+        return last if isinstance(last, UnrolledLoop) and last.endless else None
 
-    def count(self, loop: Repeated, row: int) -> int:
+    def count(self, loop: UnrolledLoop, row: int) -> int:
         """Return what a row of the trace assigns to the counter of a FOR."""
         number = loop.plain.number(row) if loop.plain is not None and row < loop.plain.beyond else None
         return self.counts[row] if number is None else number
@@ -259,7 +259,7 @@ class Course(Struct, frozen=True, eq=False):
 def _plain_rounds(body: Body) -> Iterator[PlainRounds]:
     """Yield the plain rounds of loops in a body, those in called routines and other loops included."""
     for part in body.parts:
-        if isinstance(part, Called):
+        if isinstance(part, InlinedRoutine):
             yield from _plain_rounds(part.body)
         elif part.plain is not None:
             yield part.plain

@@ -23,7 +23,7 @@ from postproc.dialects.krl.read.folder import moving
 from postproc.dialects.text import decode
 from postproc.errors import Issue, ProgramError
 from postproc.frames import RAD_PER_DEG, Array
-from postproc.program import Document, Program, TargetForces, TargetJoints, Targets, Written
+from postproc.program import Document, Program, TargetForces, TargetJoints, Targets, WrittenProgram
 
 _SELECTION_FILE = "cell"
 """KUKA's CELL.SRC chooses programs by the number that comes from outside: they are main programs."""
@@ -95,7 +95,7 @@ class _Writer:
 
     def write(
         self, program: Program, targets: Targets, joints: TargetJoints, cell: Cell, comments: TargetForces | None
-    ) -> Written:
+    ) -> WrittenProgram:
         """Return a program as text, see `write.rewrite`, `write.divide_into_modules` and `write.split_files`."""
         if not isinstance(program.layout, Layout):
             new = write.divide_into_modules(program, targets, joints, cell, comments)

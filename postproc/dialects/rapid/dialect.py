@@ -16,7 +16,7 @@ from postproc.dialects.rapid.new_module import write
 from postproc.dialects.rapid.reader import read
 from postproc.dialects.rapid.rewrite import rewrite
 from postproc.frames import RAD_PER_DEG, Array
-from postproc.program import Document, Program, TargetForces, TargetJoints, Targets, Written
+from postproc.program import Document, Program, TargetForces, TargetJoints, Targets, WrittenProgram
 
 _COMMENT = "!"
 _MODULE = re.compile(r"(?:\A|(?<=[\r\n]))[ \t]*MODULE[ \t][^\r\n]*(\r{0,2}\n|\r)", re.IGNORECASE)
@@ -43,7 +43,7 @@ class _Writer:
 
     def write(
         self, program: Program, targets: Targets, joints: TargetJoints, cell: Cell, comments: TargetForces | None
-    ) -> Written:
+    ) -> WrittenProgram:
         """Return a program as text, see `rewrite.rewrite` and `new_module.write`."""
         if isinstance(program.layout, Layout):
             return rewrite(program, targets, joints, comments)

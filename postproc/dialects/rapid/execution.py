@@ -99,7 +99,7 @@ _TARGET_FUNCTIONS = ("OFFS", "RELTOOL", "CALCROBT", "CALCJOINTT", "CROBT", "CJOI
 """Functions that return a target."""
 
 
-class Executed(Struct, eq=False):
+class ExecutedProgram(Struct, eq=False):
     """What a program does.
 
     :ivar notes: comments with the number of the motion that follows, or of the one in whose line it stands.
@@ -158,7 +158,7 @@ class Execution:
         for module in self.modules:
             for declaration in module.data:
                 self.data[declaration.name] = _initial_variable(declaration)
-        self.done = Executed()
+        self.done = ExecutedProgram()
         self.setting = Setting()
         self.count = 0
         self._moving: dict[str, bool] = {}
@@ -175,7 +175,7 @@ class Execution:
                 for name in self.effects.changed_data_of(routine.name, with_foreign=False):
                     _forget_variable(self.data.get(name), f"{routine.name} may change it, which is not followed")
 
-    def run(self) -> Executed:
+    def run(self) -> ExecutedProgram:
         """Execute the program from its main procedure.
 
         :raises RapidError: something that changes motion is not known.

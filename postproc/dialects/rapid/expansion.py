@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from msgspec import Struct
 
-from postproc.dialects.rapid.execution import Executed, Execution, RapidError
+from postproc.dialects.rapid.execution import ExecutedProgram, Execution, RapidError
 from postproc.dialects.rapid.loaded import LoadedModules
 from postproc.dialects.rapid.syntax import Loop, Module, Parser, Routine, modules
 from postproc.dialects.rapid.values import Value
@@ -26,7 +26,7 @@ _MOST_PASSES = 300
 """Passes before loops and calls count as nested too deeply (assumed)."""
 
 
-class Expanded(Struct, frozen=True, eq=False):
+class ExpandedProgram(Struct, frozen=True, eq=False):
     """A program in which each statement that moves runs once.
 
     :ivar text: of the program; `modules` what it says, `executed` what it does.
@@ -36,7 +36,7 @@ class Expanded(Struct, frozen=True, eq=False):
 
     text: str
     modules: tuple[Module, ...]
-    executed: Executed
+    executed: ExecutedProgram
     line: Ints
     loops: tuple[int, ...]
     copies: tuple[str, ...]
@@ -48,7 +48,7 @@ def expand(
     cell_value: Callable[[str, str], Value | None],
     without_effect: Sequence[str],
     loaded: LoadedModules,
-) -> Expanded:
+) -> ExpandedProgram:
     """Return a program, executed, in which each statement that moves runs once.
 
     :param entry_of: chooses the routine that is run.
@@ -69,7 +69,7 @@ def expand(
             row = np.searchsorted(line_spans(text)[0], cause.start, side="right") - 1
             raise cause.set_line(int(line[row])) from None
         if not changes:
-            return Expanded(text, whole, execution, line, tuple(loops), tuple(copies))
+            return ExpandedProgram(text, whole, execution, line, tuple(loops), tuple(copies))
         starts = line_spans(text)[0]
         for change in changes:
             if change.copied:
@@ -94,7 +94,7 @@ class _Change(Struct, frozen=True):
     copied: str = ""
 
 
-def _changes(text: str, whole: Sequence[Module], execution: Executed) -> list[_Change]:
+def _changes(text: str, whole: Sequence[Module], execution: ExecutedProgram) -> list[_Change]:
     """Return the first changes: outermost loops that run once, then routines called by statements that run once."""
     times: dict[int, int] = {}
     for move in execution.moves:

@@ -47,7 +47,7 @@ from postproc.program import (
     TargetForces,
     TargetJoints,
     Targets,
-    Written,
+    WrittenProgram,
     constant,
 )
 from postproc.version import VERSION
@@ -82,7 +82,7 @@ _SPEED_DECIMALS = 3
 
 def write(
     program: Program, targets: Targets, joints: TargetJoints, cell: Cell, comment_forces: TargetForces | None
-) -> Written:
+) -> WrittenProgram:
     """Return a program read from G-code as RAPID.
 
     :param joints: joint angles of the targets, which give their branches.
@@ -110,7 +110,7 @@ class _NewModule:
         )
         self.new = NewProgram(program, targets, cell, WORDS)
 
-    def write(self) -> Written:
+    def write(self) -> WrittenProgram:
         """Return the written module."""
         new, program = self.new, self.program
         for _ in new.frame_changes():
@@ -132,7 +132,7 @@ class _NewModule:
             message = f"The module has more than {limit} lines: lines_per_file divides only KRL."
             new.issues.append(Issue("warning", "long-file", message))
         document = Document(f"{program.name}.mod", text, "ascii")
-        return Written((document,), output_line, "rapid", group_issues(new.issues))
+        return WrittenProgram((document,), output_line, "rapid", group_issues(new.issues))
 
     def _check_lines(self) -> None:
         """Refuse lines of the cell that are not RAPID or move the robot; indent the others."""

@@ -20,8 +20,8 @@ from postproc import garbage
 from postproc.cell import Cell
 from postproc.chunks import Runs
 from postproc.dialects import circles
-from postproc.dialects.rapid.execution import Executed, RapidError
-from postproc.dialects.rapid.expansion import Expanded, expand
+from postproc.dialects.rapid.execution import ExecutedProgram, RapidError
+from postproc.dialects.rapid.expansion import ExpandedProgram, expand
 from postproc.dialects.rapid.language import joints_from_abb, poses, status_from_cfx
 from postproc.dialects.rapid.layout import Layout
 from postproc.dialects.rapid.loaded import load_modules
@@ -112,7 +112,7 @@ class _Reader:
 
     # --- text
 
-    def _expand(self, name: str) -> Expanded:
+    def _expand(self, name: str) -> ExpandedProgram:
         """Return the execution of the program, with loops and calls expanded until each statement moves once.
 
         :raises ProgramError: it is invalid or cannot be followed.
@@ -130,7 +130,7 @@ class _Reader:
             raise self._at(cause.problem, max(cause.line, 1), cause.advice) from None
 
     @staticmethod
-    def _lines(whole: Expanded, start: Ints) -> Ints:
+    def _lines(whole: ExpandedProgram, start: Ints) -> Ints:
         """Return the lines of the file (n,) of offsets (n,) of the text."""
         return np.asarray(whole.line[np.searchsorted(line_spans(whole.text)[0], start, side="right") - 1])
 
@@ -171,7 +171,7 @@ class _Reader:
             self.frames[type_] = _FromCell(self.cell.tool.pose() if type_ == "TOOLDATA" else self.cell.base.pose())
         return self.frames[type_]
 
-    def _notes(self, whole: Expanded) -> tuple[tuple[Comment, ...], tuple[ForceNote, ...]]:
+    def _notes(self, whole: ExpandedProgram) -> tuple[tuple[Comment, ...], tuple[ForceNote, ...]]:
         """Return the force comments, and the force notes with the motion that each precedes."""
         comments: list[Comment] = []
         notes: list[ForceNote] = []
@@ -401,7 +401,7 @@ class _Reader:
 
     # --- issues
 
-    def _issues(self, whole: Expanded, line: Ints) -> Iterator[Issue]:
+    def _issues(self, whole: ExpandedProgram, line: Ints) -> Iterator[Issue]:
         """Yield information and warnings on how the module was read."""
         del line
         execution = whole.executed
@@ -434,7 +434,7 @@ class _Reader:
             yield Issue("info", "routine-copied", message)
 
     @staticmethod
-    def _cell_frame_issues(execution: Executed) -> Iterator[Issue]:
+    def _cell_frame_issues(execution: ExecutedProgram) -> Iterator[Issue]:
         """Yield a warning for each tool and work object that is taken from the cell."""
         for name, type_ in execution.assumed.items():
             section = "[tool]" if type_ == "TOOLDATA" else "[base]"

@@ -30,7 +30,7 @@ from postproc.dialects.rapid.values import NONE
 from postproc.dialects.text import line_spans
 from postproc.errors import Issue
 from postproc.frames import MM_PER_M, Array
-from postproc.program import CIRC, LIN, PTP, Ints, Program, TargetForces, TargetJoints, Targets, Written
+from postproc.program import CIRC, LIN, PTP, Ints, Program, TargetForces, TargetJoints, Targets, WrittenProgram
 
 _MILLIMETRES, _QUATERNION, _MOST_DECIMALS = 4, 8, 9
 """Least decimals of positions and quaternions, as of new modules, and the most that numbers of the program keep."""
@@ -55,7 +55,9 @@ class Edit(Struct, frozen=True, order=True):
     targets: tuple[tuple[int, int], ...] = ()
 
 
-def rewrite(program: Program, targets: Targets, joints: TargetJoints, comment_forces: TargetForces | None) -> Written:
+def rewrite(
+    program: Program, targets: Targets, joints: TargetJoints, comment_forces: TargetForces | None
+) -> WrittenProgram:
     """Return a program read from RAPID with other targets.
 
     :param joints: joint angles of the targets, which give their configurations.
@@ -103,7 +105,7 @@ class _Rewriter:
             return set()
         return set(np.flatnonzero(self.program.motions.feed < as_read).tolist())
 
-    def write(self) -> Written:
+    def write(self) -> WrittenProgram:
         """Make all edits of the module, and return it with the line of its first move."""
         document = self.program.documents[0]
         forces = self._forces()
@@ -128,9 +130,9 @@ class _Rewriter:
         self._settle(uses)
         if not self.edits:
             line = self._line_of_moves()
-            return Written((document,), line, "rapid", tuple(self.issues))
+            return WrittenProgram((document,), line, "rapid", tuple(self.issues))
         text, line = self._edited_text()
-        return Written((replace(document, text=text),), line, "rapid", tuple(self.issues))
+        return WrittenProgram((replace(document, text=text),), line, "rapid", tuple(self.issues))
 
     def _line_of_moves(self) -> Ints:
         """Return the line of the file of each target."""

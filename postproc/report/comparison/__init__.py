@@ -4,7 +4,7 @@ from postproc.report.comparison.page import comparison_page
 from postproc.report.comparison.summary import (
     PAIR_COLUMNS,
     ComparisonSummary,
-    MadeFrom,
+    ProgramOrigin,
     comparison_summary,
     comparison_text,
     pairs_csv,
@@ -13,7 +13,7 @@ from postproc.report.comparison.summary import (
 __all__ = [
     "PAIR_COLUMNS",
     "ComparisonSummary",
-    "MadeFrom",
+    "ProgramOrigin",
     "comparison_page",
     "comparison_summary",
     "comparison_text",

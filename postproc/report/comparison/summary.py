@@ -85,7 +85,7 @@ _DIFFERENCES = (
 )  # fmt: skip
 
 
-class MadeFrom(Struct, frozen=True):
+class ProgramOrigin(Struct, frozen=True):
     """The origin of the second program.
 
     :param origin: as its text states it.
@@ -124,7 +124,7 @@ class PairEntry(Lines, frozen=True):
     deg: float
 
 
-class Worst(Struct, frozen=True):
+class WorstPair(Struct, frozen=True):
     """Files and lines of the pair with the largest value; None if there is none."""
 
     nominal_file: str | None
@@ -136,14 +136,14 @@ class Worst(Struct, frozen=True):
 _NO_LINES = {"nominal_file": None, "nominal_line": None, "corrected_file": None, "corrected_line": None}
 
 
-class Cut(Worst, frozen=True):
+class CutDistances(WorstPair, frozen=True):
     """Distances of the loaded tip from nominal at cutting targets, for each program; worst pair of the second."""
 
     nominal: Distances
     corrected: Distances
 
 
-class Between(Struct, frozen=True):
+class DistancesBetweenPairs(Struct, frozen=True):
     """Largest distances of the loaded tip from the nominal path between pairs, for each program."""
 
     nominal_max_mm: float
@@ -152,7 +152,7 @@ class Between(Struct, frozen=True):
     corrected_line: int
 
 
-class Apart(Struct, frozen=True):
+class PathGap(Struct, frozen=True):
     """Largest distance of the two paths between consecutive pairs, and its place; 0 and None without segments."""
 
     max_mm: float
@@ -171,7 +171,7 @@ class OperationEntry(Struct, frozen=True):
     nominal_line: int
     pairs: int
     offset: Distances
-    cut: Cut | None
+    cut: CutDistances | None
 
 
 class DifferenceEntry(Struct, frozen=True):
@@ -211,11 +211,11 @@ class ComparisonSummary(Struct, frozen=True, omit_defaults=True, kw_only=True):
     only_corrected: int
     offset: Distances
     rotation: Rotations
-    between_targets: Apart
+    between_targets: PathGap
     largest: list[PairEntry]
     differences: dict[str, int]
-    cut: Cut | None
-    between: Between | None
+    cut: CutDistances | None
+    between: DistancesBetweenPairs | None
     tolerance_mm: float
     operations: list[OperationEntry]
     provenance: OriginEntry
@@ -225,7 +225,7 @@ class ComparisonSummary(Struct, frozen=True, omit_defaults=True, kw_only=True):
 
 
 def comparison_summary(
-    comparison: Comparison, file_origin: MadeFrom, tolerance: float, limit: float
+    comparison: Comparison, file_origin: ProgramOrigin, tolerance: float, limit: float
 ) -> ComparisonSummary:
     """Return the content of `part.compare.report.json`.
 
@@ -317,7 +317,7 @@ def where_of(entry: DifferenceEntry) -> str:
     return " and ".join(f"{file}:{line}" for file, line in places if file is not None)
 
 
-def _failures(content: ComparisonSummary, limit_mm: float, file_origin: MadeFrom) -> Iterator[str]:
+def _failures(content: ComparisonSummary, limit_mm: float, file_origin: ProgramOrigin) -> Iterator[str]:
     """Yield reasons why the corrected program must not be run."""
     if content.provenance.state == "changed":
         yield f"{content.corrected} was changed since postproc wrote it: convert the program again"
@@ -349,12 +349,12 @@ def _tolerance(content: ComparisonSummary) -> Tolerance | None:
     return Tolerance("failed", "path", tolerance, False, None, [], reasons) if reasons else None
 
 
-def _pair_text(pair: Lines | Worst) -> str:
+def _pair_text(pair: Lines | WorstPair) -> str:
     """Return files and lines of a pair in both programs."""
     return f"{pair.nominal_file}:{pair.nominal_line} and {pair.corrected_file}:{pair.corrected_line}"
 
 
-def _doubtful(content: ComparisonSummary, file_origin: MadeFrom) -> Iterator[str]:
+def _doubtful(content: ComparisonSummary, file_origin: ProgramOrigin) -> Iterator[str]:
     """Yield reasons to look at the corrected program before it is run."""
     origin = content.provenance
     changed_inputs = [name for name, is_same in origin.made_from_these.items() if not is_same]
@@ -393,7 +393,7 @@ def _distances(values: Array, rapid: Bools) -> Distances:
     )
 
 
-def _cut(comparison: Comparison, names: Sequence[Names], rows: slice) -> Cut | None:
+def _cut(comparison: Comparison, names: Sequence[Names], rows: slice) -> CutDistances | None:
     """Return the errors of both programs' cuts on some pairs [mm], with the worst place; None without forces."""
     if comparison.cuts is None:
         return None
@@ -403,19 +403,19 @@ def _cut(comparison: Comparison, names: Sequence[Names], rows: slice) -> Cut | N
     )
     worst = rows.start + int(np.argmax(np.where(rapid, -1.0, corrected_mm))) if not rapid.all() else None
     lines = _NO_LINES if worst is None else asdict(_lines(comparison, names, worst))
-    return Cut(**lines, nominal=_distances(nominal, rapid), corrected=_distances(corrected_mm, rapid))
+    return CutDistances(**lines, nominal=_distances(nominal, rapid), corrected=_distances(corrected_mm, rapid))
 
 
-def _largest_gap(comparison: Comparison, names: Sequence[Names]) -> Apart:
+def _largest_gap(comparison: Comparison, names: Sequence[Names]) -> PathGap:
     """Return the largest distance of the paths between targets [mm], and where."""
     size = np.where(comparison.rapid | np.isnan(comparison.between), -1.0, comparison.between)
     worst = int(np.argmax(size)) if len(size) else -1
     if worst < 0 or size[worst] < 0.0:
-        return Apart(max_mm=0.0, **_NO_LINES)
-    return Apart(max_mm=float(size[worst]) * MM_PER_M, **asdict(_lines(comparison, names, worst)))
+        return PathGap(max_mm=0.0, **_NO_LINES)
+    return PathGap(max_mm=float(size[worst]) * MM_PER_M, **asdict(_lines(comparison, names, worst)))
 
 
-def _deviation_between_targets(comparison: Comparison, second_names: Names) -> Between | None:
+def _deviation_between_targets(comparison: Comparison, second_names: Names) -> DistancesBetweenPairs | None:
     """Return the largest deviations between targets of cutting moves [mm]; None if there are none."""
     cuts = comparison.cuts
     motions = comparison.corrected.motions
@@ -426,7 +426,7 @@ def _deviation_between_targets(comparison: Comparison, second_names: Names) -> B
     if not cutting[worst]:
         return None
     file, line = comparison.corrected.places(cuts.row[worst : worst + 1]).of(0)
-    return Between(
+    return DistancesBetweenPairs(
         nominal_max_mm=float(cuts.nominal_distance[cutting].max()) * MM_PER_M,
         corrected_max_mm=float(cuts.corrected_distance[worst]) * MM_PER_M,
         corrected_file=second_names.prefix + file,

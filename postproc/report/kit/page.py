@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 _TYPES = {"f": "<f4", "i": "<i4", "b": "|u1"}
 
 
-class Described(Struct, frozen=True):
+class ColumnDescription(Struct, frozen=True):
     """A column in the bytes: its name, type and number of values (1 = the same everywhere)."""
 
     name: str
@@ -41,7 +41,7 @@ class Columns(Struct, frozen=True):
     """
 
     length: int
-    descriptions: tuple[Described, ...]
+    descriptions: tuple[ColumnDescription, ...]
     text: str
 
     @classmethod
@@ -56,7 +56,7 @@ class Columns(Struct, frozen=True):
             if len(exact) and (exact == exact[0]).all():
                 exact = exact[:1]
             buffers.append(exact.tobytes())
-            descriptions.append(Described(name, exact.dtype.str[1:], len(exact)))
+            descriptions.append(ColumnDescription(name, exact.dtype.str[1:], len(exact)))
         length = max((len(values) for values in columns.values()), default=0)
         return cls(length, tuple(descriptions), base64.b64encode(b"".join(buffers)).decode())
 

@@ -40,7 +40,7 @@ _EXACT = 1e-9
 """Distance from the tool at which a line enters it [m]."""
 
 
-class Remaining(Struct, frozen=True, eq=False):
+class RemainingSurface(Struct, frozen=True, eq=False):
     """Surfaces that the path of one tool leaves at n facets, along their normals; infinite where it touches none.
 
     :param programmed: (n,) entry into the tool without deviation [m].
@@ -56,7 +56,7 @@ class Remaining(Struct, frozen=True, eq=False):
     share: Array
 
 
-def remaining_surface(path: CutPath, centre: Array, normal: Array, cutter: Cutter) -> Remaining:
+def remaining_surface(path: CutPath, centre: Array, normal: Array, cutter: Cutter) -> RemainingSurface:
     """Return the surfaces that the path of a tool leaves at facets with centres and outward normals (n, 3)."""
     largest = [float(norm(deviation).max(initial=0.0)) for deviation in path.deviation]
     grid = _Grid.of(path.point + cutter.corner * path.axis, 0.25 * cutter.radius)
@@ -68,7 +68,7 @@ def remaining_surface(path: CutPath, centre: Array, normal: Array, cutter: Cutte
         highest, offset = _seeds(path, facets, cutter)
         pairs = _Pairs(*grid.points_in_boxes(*_region(facets, cutter, highest + 2.0 * max(largest), offset)))
         parts.append(_lowest_entries(path, facets, cutter, pairs, highest, largest))
-    return Remaining(
+    return RemainingSurface(
         np.concatenate([part.programmed for part in parts]),
         np.concatenate([part.deflected for part in parts], axis=1),
         np.concatenate([part.row for part in parts]),
@@ -101,7 +101,7 @@ class _Pairs(NamedTuple):
 
 def _lowest_entries(
     path: CutPath, facets: _Facets, cutter: Cutter, pairs: _Pairs, highest: Array, largest: list[float]
-) -> Remaining:
+) -> RemainingSurface:
     """Return the lowest entries of samples that are paired with facets.
 
     :param highest: (n,) upper bound of the programmed surface [m]; largest: deviation of the tip in each case [m].
@@ -137,7 +137,7 @@ def _lowest_entries(
             row[place], share[place] = path.row[nominal_sample], path.share[nominal_sample]
             row[hit] = path.row[hit_sample]
             share[hit] = path.share[hit_sample] + along[best[hit]] * path.share_step[hit_sample]
-    return Remaining(np.where(is_touched, nominal_entry, np.inf), deflected_entry, row, share)
+    return RemainingSurface(np.where(is_touched, nominal_entry, np.inf), deflected_entry, row, share)
 
 
 def _tips(path: CutPath, facets: _Facets, pairs: _Pairs, case: int | None) -> tuple[Array, Array]:

@@ -13,7 +13,7 @@ from postproc.frames import Array, norm
 from postproc.machining.tool import Cutter
 from postproc.program import Bools, Ints, distinct
 from postproc.report.surface.contact import nearest_place
-from postproc.report.surface.envelope import Remaining, remaining_surface
+from postproc.report.surface.envelope import RemainingSurface, remaining_surface
 from postproc.report.surface.path import CHORD, CutPath, Frames, piece_start, tool_numbers, tool_path
 from postproc.report.surface.programmed import Mesh, add_tips, cut_depths
 
@@ -165,7 +165,7 @@ def _nearest(paths: list[tuple[CutPath, Cutter | None]], centre: Array, normal: 
     return _Place(row, share)
 
 
-def _deepest(surfaces: list[Remaining], count: int) -> tuple[Array, Array, Array, _Place]:
+def _deepest(surfaces: list[RemainingSurface], count: int) -> tuple[Array, Array, Array, _Place]:
     """Return what remains of F facets after all tools, each (F,): as programmed, by how much it is changed without
     correction and with the program as written [m]; and the place that leaves it as written.
     """

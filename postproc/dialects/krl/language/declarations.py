@@ -23,7 +23,7 @@ from postproc.dialects.krl.language.tokens import (
 from postproc.errors import ProgramError
 
 
-class Declared(Struct, frozen=True):
+class DeclaredName(Struct, frozen=True):
     """A declared or initialised name.
 
     :ivar name: upper case.
@@ -42,7 +42,7 @@ class Declared(Struct, frozen=True):
     value: int
 
 
-def declared(source: Source, start: int, stop: int) -> Iterator[Declared]:
+def declared(source: Source, start: int, stop: int) -> Iterator[DeclaredName]:
     """Yield what one line declares, also several names: ``DECL E6POS A={…},B={…}``."""
     match = DECLARATION.match(source.text, start, stop)
     if not match:
@@ -58,13 +58,13 @@ def declared(source: Source, start: int, stop: int) -> Iterator[Declared]:
             return
         end = following.end()
         value = end if following[3] else -1
-        yield Declared(following[1].upper(), following.start(1), following[2], first.kind, first.public, value)
+        yield DeclaredName(following[1].upper(), following.start(1), following[2], first.kind, first.public, value)
 
 
-def _first(source: Source, match: re.Match[str]) -> Declared:
+def _first(source: Source, match: re.Match[str]) -> DeclaredName:
     public = key_word(source.text, match.start(), match.start(2), "GLOBAL") is not None
     kind, value = (match[1] or "").upper(), match.end() if match[4] else -1
-    return Declared(match[2].upper(), match.start(2), match[3], kind, public, value)
+    return DeclaredName(match[2].upper(), match.start(2), match[3], kind, public, value)
 
 
 def _value_stop(source: Source, start: int, stop: int) -> int:

@@ -36,10 +36,10 @@ from postproc.dialects.krl.language.values import (
     Chain,
     Condition,
     Number,
-    Opaque,
+    OpaqueText,
     Operation,
     Reference,
-    Unreadable,
+    UnreadableText,
     Value,
     Word,
     parts,
@@ -72,7 +72,7 @@ _Read = tuple[Value, int]
 def value_in(source: Source, start: int, stop: int) -> Value:
     """Return the value that a piece of code is.
 
-    `Unreadable` if it cannot be read; `Opaque` if it is empty, or if more follows a value.
+    `UnreadableText` if it cannot be read; `OpaqueText` if it is empty, or if more follows a value.
     """
     start = after_blanks(source.text, start, stop)
     try:
@@ -230,11 +230,11 @@ def operand(source: Source, start: int, stop: int) -> _Read:
 def _in_brackets(source: Source, start: int, stop: int) -> _Read:
     close = matching(source, start, stop)
     value = value_in(source, start + 1, close)
-    if isinstance(value, Unreadable):
+    if isinstance(value, UnreadableText):
         raise value.error
     if isinstance(value, Reference):
         return replace(value, start=start, stop=close + 1, bracketed=True), close + 1
-    if isinstance(value, Number | Operation | Condition | Opaque | Chain):
+    if isinstance(value, Number | Operation | Condition | OpaqueText | Chain):
         return replace(value, start=start, stop=close + 1), close + 1
     return Condition((value,), (False,), (), start, close + 1), close + 1
 
@@ -295,26 +295,26 @@ def list_in(source: Source, start: int, stop: int) -> tuple[Value, ...]:
     if text[start:stop].isalnum():
         return (value_in(source, start, stop),)  # one name or number: so common that looking first is faster
     return tuple(
-        value_in(source, begin, end) if text[begin:end].strip() else Opaque(begin, end)
+        value_in(source, begin, end) if text[begin:end].strip() else OpaqueText(begin, end)
         for begin, end in split(source, start, stop)
     )
 
 
-def opaque(source: Source, start: int, stop: int, rest: int = -1) -> Opaque:
+def opaque(source: Source, start: int, stop: int, rest: int = -1) -> OpaqueText:
     """Return a piece of code of which only the calls are known.
 
-    :param rest: where the text that follows a value begins, see `Opaque`.
+    :param rest: where the text that follows a value begins, see `OpaqueText`.
     :raises ProgramError: brackets are not balanced.
     """
-    return Opaque(start, stop, _calls_in(source, start, stop), rest)
+    return OpaqueText(start, stop, _calls_in(source, start, stop), rest)
 
 
-def unreadable(source: Source, start: int, stop: int, error: ProgramError) -> Unreadable:
+def unreadable(source: Source, start: int, stop: int, error: ProgramError) -> UnreadableText:
     """Return a piece of code that cannot be read."""
     try:
-        return Unreadable(start, stop, error, _calls_in(source, start, stop))
+        return UnreadableText(start, stop, error, _calls_in(source, start, stop))
     except ProgramError:
-        return Unreadable(start, stop, error)
+        return UnreadableText(start, stop, error)
 
 
 def _calls_in(source: Source, start: int, stop: int) -> tuple[Call, ...]:

@@ -121,7 +121,7 @@ def triggers(trace: Trace, rows: Sequence[tuple[int, int, bool]], length: Array)
     """
     for (line, row, is_attached), metres in zip(rows, length.tolist(), strict=True):
         node = statement(*trace.place(line))
-        if isinstance(node, tree.Timed):
+        if isinstance(node, tree.SplineTiming):
             yield Trigger(line, row, is_attached, node.from_start, 0.0, None, 0.0, metres)
             continue
         offset = delay = float("nan")

@@ -34,29 +34,29 @@ from postproc.dialects.krl.language.tokens import (
 )
 from postproc.dialects.krl.language.tree import (
     Assignment,
-    Bare,
+    BareWord,
     CallStatement,
     Case,
-    Cyclic,
+    CyclicInput,
     Declaration,
     Definition,
     EndSpline,
     Event,
-    Faulty,
+    FaultyStatement,
     For,
     Goto,
+    IdleDeclaration,
     If,
-    Imported,
+    Import,
     Label,
     Motion,
-    Outside,
     Parameter,
     Return,
     Spline,
+    SplineTiming,
     Statement,
     Switch,
     Tail,
-    Timed,
     Trigger,
     While,
 )
@@ -81,7 +81,7 @@ def statement_at(source: Source, line: int, start: int, stop: int) -> Statement:
 
 
 def statement_in(source: Source, start: int, stop: int) -> Statement:
-    """Return the statement that a piece of code is; `Faulty` where it cannot be read."""
+    """Return the statement that a piece of code is; `FaultyStatement` where it cannot be read."""
     word = word_at(source.text, start, stop)
     first = start
     if word == "GLOBAL":
@@ -91,7 +91,7 @@ def statement_in(source: Source, start: int, stop: int) -> Statement:
         node = _READERS[word](source, word, start, first, stop) if word in _READERS else None
         return node or _other(source, word, start, first, stop)
     except ProgramError as error:
-        return Faulty(word, start, stop, error, code=_code(source, start, stop))
+        return FaultyStatement(word, start, stop, error, code=_code(source, start, stop))
 
 
 def _code(source: Source, start: int, stop: int) -> Value | None:
@@ -189,11 +189,11 @@ def _cyclic(source: Source, word: str, start: int, first: int, stop: int) -> Sta
         position = after_word(source.text, position, stop, "ON")
     name_start = after_blanks(source.text, position, stop)
     name = word_at(source.text, name_start, stop) if 0 <= position < name_start else ""
-    return Cyclic(word, start, stop, name) if name else _outside(source, word, start, first, stop)
+    return CyclicInput(word, start, stop, name) if name else _outside(source, word, start, first, stop)
 
 
 def _outside(source: Source, word: str, start: int, first: int, stop: int) -> Statement | None:
-    return Outside(word, start, stop) if word in DECLARING else Statement(word, start, stop)
+    return IdleDeclaration(word, start, stop) if word in DECLARING else Statement(word, start, stop)
 
 
 def _imported(source: Source, word: str, start: int, first: int, stop: int) -> Statement | None:
@@ -204,8 +204,8 @@ def _imported(source: Source, word: str, start: int, first: int, stop: int) -> S
     original = NAME.match(text, after_blanks(text, dots + 2, stop), stop) if dots >= 0 else None
     file = text[text.rfind("/", first, dots) + 1 : dots].strip().upper()
     if name is None or original is None or key_word(text, name.end(), dots, "IS") is None:
-        return Outside(word, start, stop)
-    return Imported(word, start, stop, name[0].upper(), original[0].upper(), file)
+        return IdleDeclaration(word, start, stop)
+    return Import(word, start, stop, name[0].upper(), original[0].upper(), file)
 
 
 # --- what moves and what follows it ----------------------------------------------------------------------------------
@@ -323,7 +323,7 @@ def _timed(source: Source, word: str, start: int, first: int, stop: int) -> Stat
         condition = key_word(text, position, stop, "IF")
         complete = condition is not None and condition.stop < stop
     on_start = key_word(text, first, stop, "ONSTART") is not None
-    return Timed(word, start, stop, complete, on_start, code=_code(source, first + len(word), stop))
+    return SplineTiming(word, start, stop, complete, on_start, code=_code(source, first + len(word), stop))
 
 
 def _event(source: Source, word: str, start: int, first: int, stop: int) -> Statement | None:
@@ -389,7 +389,7 @@ def _case(source: Source, word: str, start: int, first: int, stop: int) -> State
 
 def _bare(source: Source, word: str, start: int, first: int, stop: int) -> Statement | None:
     rest_start = first + len(word)
-    return Bare(word, start, stop, source.text[rest_start:stop].strip(), code=_code(source, rest_start, stop))
+    return BareWord(word, start, stop, source.text[rest_start:stop].strip(), code=_code(source, rest_start, stop))
 
 
 _FOR_ADVICE = "Write FOR counter=first TO last STEP step; STEP may be left out."

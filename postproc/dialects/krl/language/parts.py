@@ -24,7 +24,7 @@ from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.tokens import FORCE, after_sign
 from postproc.dialects.krl.language.tree import CallStatement, Definition
 from postproc.errors import ProgramError
-from postproc.program import Document, Unresolved
+from postproc.program import Document, UnresolvedMotion
 
 MAIN = "Main"
 """What the name of the program that calls the others ends with."""
@@ -36,7 +36,7 @@ _UNENDED_LINE = re.compile(f"{_UNENDED}([^\r\n]*)\n")
 _PART_OF = re.compile(r"^;POSTPROC[ \t]+\d+[ \t]+part=\d+[ \t]+of=([\w$]+)[ \t]*\r?$", re.MULTILINE | re.ASCII)
 
 
-class Joined(Struct, frozen=True, eq=False):
+class JoinedProgram(Struct, frozen=True, eq=False):
     """A program in several files as one.
 
     :param documents: its `.src` as one text, and one `.dat` if any of the files has one.
@@ -53,7 +53,7 @@ class Joined(Struct, frozen=True, eq=False):
         name, first = [file_and_line for file_and_line in self.files if file_and_line[1] <= line][-1]
         return name, line + 1 - first
 
-    def placed(self, left: Unresolved) -> Unresolved:
+    def placed(self, left: UnresolvedMotion) -> UnresolvedMotion:
         """Return a motion that stays as it is with its file and its line there."""
         file, line = self.place(left.file, left.line)
         return replace(left, file=file, line=line)
@@ -120,7 +120,7 @@ def part_of(document: Document) -> str | None:
     return None if says is None else says[1]
 
 
-def joined(documents: Sequence[Document]) -> Joined | None:
+def joined(documents: Sequence[Document]) -> JoinedProgram | None:
     """Return the files of a program as one; None if it is a program of one file.
 
     :param documents: the main program first, the others in any order.
@@ -151,7 +151,7 @@ def joined(documents: Sequence[Document]) -> Joined | None:
     stems = [PurePath(document.name).stem.lower() for document in (main, *parts)]
     data = [document_of[f"{stem}.dat"] for stem in stems if f"{stem}.dat" in document_of]
     whole = replace(main, text="".join([*texts, *([] if routine_files else [_END])]))
-    return Joined((whole, *([_joined_data(main, data)] if data else [])), tuple(files))
+    return JoinedProgram((whole, *([_joined_data(main, data)] if data else [])), tuple(files))
 
 
 def taken_apart(text: str) -> list[str]:

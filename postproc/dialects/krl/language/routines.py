@@ -80,7 +80,7 @@ class Module(Struct, frozen=True, eq=False):
         return self.routines.get(name.upper(), next(iter(self.routines.values()), None))
 
 
-class _Begun(Struct, eq=False):
+class _OpenRoutine(Struct, eq=False):
     """A routine that has no END yet."""
 
     name: str
@@ -100,7 +100,7 @@ def routines(
     """
     routine_of: dict[str, Routine] = {}
     faults: list[ProgramError] = []
-    open_routine: _Begun | None = None
+    open_routine: _OpenRoutine | None = None
     text = source.text
     for line in lines:
         start, stop = source.code_span(line)
@@ -111,7 +111,7 @@ def routines(
             if open_routine is not None:
                 faults.append(source.line_error(f"DEF {open_routine.name} (line {open_routine.line}) has no END", line))
                 routine_of.setdefault(open_routine.name, _ended(source, open_routine, line, plain, settings))
-            open_routine = _Begun(node.name.upper(), line, node)
+            open_routine = _OpenRoutine(node.name.upper(), line, node)
         elif node.word in ("END", "ENDFCT") and open_routine is not None:
             routine_of.setdefault(open_routine.name, _ended(source, open_routine, line, plain, settings))
             open_routine = None
@@ -125,7 +125,7 @@ def routines(
     return routine_of, faults
 
 
-def _ended(source: Source, open_routine: _Begun, line: int, plain: Ints, settings: Sequence[int]) -> Routine:
+def _ended(source: Source, open_routine: _OpenRoutine, line: int, plain: Ints, settings: Sequence[int]) -> Routine:
     types: dict[str, str] = {}
     for inner_line in open_routine.lines:
         node = statement(source, inner_line)

@@ -39,7 +39,7 @@ _IMPORT = re.compile(r"/R1/(\w+)[ \t]*\.\.", _FLAGS)
 _WORD = re.compile(r"\"[^\"\r\n]*\"|;[^\r\n]*|[A-Za-z_$][\w$]*", re.ASCII)
 
 
-class Defined(Struct, frozen=True):
+class RoutineHead(Struct, frozen=True):
     """A routine.
 
     :param name: upper case.
@@ -53,17 +53,17 @@ class Defined(Struct, frozen=True):
     empty: bool = False
 
 
-def routines(text: str) -> Iterator[Defined]:
+def routines(text: str) -> Iterator[RoutineHead]:
     """Yield the routines that begin in a text."""
     for match in _ROUTINE.finditer(text):
-        yield Defined(match["name"].upper(), bool(match["public"]), match.start())
+        yield RoutineHead(match["name"].upper(), bool(match["public"]), match.start())
 
 
-def whole_routines(text: str) -> Iterator[Defined]:
+def whole_routines(text: str) -> Iterator[RoutineHead]:
     """Yield the routines that begin and end in a text."""
     for match in _WHOLE_ROUTINE.finditer(text):
         empty = _CODE.search(match["body"]) is None
-        yield Defined(match["name"].upper(), bool(match["public"]), match.start(), empty)
+        yield RoutineHead(match["name"].upper(), bool(match["public"]), match.start(), empty)
 
 
 def global_routines(text: str) -> frozenset[str]:

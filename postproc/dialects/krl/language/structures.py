@@ -13,7 +13,7 @@ from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.tokens import word_at, words_in
 from postproc.dialects.krl.language.trace import Trace
-from postproc.dialects.krl.language.tree import Bare, If, Statement
+from postproc.dialects.krl.language.tree import BareWord, If, Statement
 from postproc.errors import MAX_ERRORS, ProgramError, together
 from postproc.program import Bools, Ints
 
@@ -79,7 +79,7 @@ def _moved(node: Node, shift: int) -> Node:
     return node.moved(shift) if isinstance(node, Block) else node + shift
 
 
-class _Open(Struct, eq=False):
+class _OpenStructure(Struct, eq=False):
     word: str
     first: int
     parts: list[Part]
@@ -101,12 +101,12 @@ def nodes_of(source: Source | Trace, lines: Sequence[int]) -> tuple[Node, ...]:
     if len(lines) == 1:
         return (lines[0],)
     nodes: list[Node] = []
-    open_: list[_Open] = []
+    open_: list[_OpenStructure] = []
     for line in lines:
         word = _word(source, line)
         innermost = open_[-1] if open_ else None
         if word in OPENING or word == "REPEAT":
-            open_.append(_Open(word, line, [], line, []))
+            open_.append(_OpenStructure(word, line, [], line, []))
             if len(open_) > _DEEPEST:
                 problem = f"more than {_DEEPEST} control structures are nested"
                 raise source.place(line).error(problem, "Put the inner ones into a subprogram.")
@@ -196,7 +196,7 @@ def _mistakes(source: Source, nodes: Sequence[Node], *, in_loop: bool) -> Iterat
 def _mistake(source: Source, line: int) -> tuple[str, str] | None:
     """Return the error in a line of a control structure, and the advice."""
     node, own_line_advice = statement(source, line), "Write it on a line of its own."
-    if isinstance(node, Bare):
+    if isinstance(node, BareWord):
         return (f"{node.behind!r} follows {node.word}", own_line_advice) if node.behind else None
     if isinstance(node, If):
         if not node.then:

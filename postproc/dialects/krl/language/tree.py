@@ -10,7 +10,7 @@ from typing import ClassVar
 
 from msgspec import Struct
 
-from postproc.dialects.krl.language.declarations import Declared
+from postproc.dialects.krl.language.declarations import DeclaredName
 from postproc.dialects.krl.language.tokens import Span
 from postproc.dialects.krl.language.values import Call, Reference, Value
 from postproc.errors import ProgramError
@@ -53,7 +53,7 @@ class Statement(_Node, frozen=True, eq=False):
         return tuple(values)
 
 
-class Faulty(Statement, frozen=True, eq=False):
+class FaultyStatement(Statement, frozen=True, eq=False):
     """A statement that cannot be read: why."""
 
     error: ProgramError
@@ -95,21 +95,21 @@ class Declaration(Statement, frozen=True, eq=False):
 
     public: bool
     constant: bool
-    names: tuple[Declared, ...]
+    names: tuple[DeclaredName, ...]
     structure: tuple[str, dict[str, str]] | None = None
 
 
-class Outside(Statement, frozen=True, eq=False):
+class IdleDeclaration(Statement, frozen=True, eq=False):
     """ENUM, EXT, CHANNEL … : it declares, and does nothing."""
 
 
-class Cyclic(Statement, frozen=True, eq=False):
+class CyclicInput(Statement, frozen=True, eq=False):
     """ANIN ON, DIGIN ON, SIGNAL: the name is written again and again, or is that of an input."""
 
     name: str
 
 
-class Imported(Statement, frozen=True, eq=False):
+class Import(Statement, frozen=True, eq=False):
     """IMPORT: a variable of a `.dat` under another name; both are written where one of them is. Upper case.
 
     :param file: name of that `.dat` without its ending.
@@ -231,7 +231,7 @@ class For(Statement, frozen=True, eq=False):
     error: ProgramError | None = None
 
 
-class Bare(Statement, frozen=True, eq=False):
+class BareWord(Statement, frozen=True, eq=False):
     """ELSE, DEFAULT, LOOP, REPEAT, ENDIF … : a word alone on its line; `behind` is what follows nevertheless."""
 
     behind: str
@@ -288,7 +288,7 @@ class Trigger(Event, frozen=True, eq=False):
     delay: Value | None
 
 
-class Timed(Statement, frozen=True, eq=False):
+class SplineTiming(Statement, frozen=True, eq=False):
     """CONST_VEL, TIME_BLOCK, STOP WHEN PATH: how spline motions are driven.
 
     :param complete: it is as it must be.

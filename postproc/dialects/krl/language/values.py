@@ -96,7 +96,7 @@ class Condition(Struct, frozen=True):
     stop: int
 
 
-class Opaque(Struct, frozen=True):
+class OpaqueText(Struct, frozen=True):
     """Text that is not understood as a value, perhaps empty.
 
     :param values: calls in it.
@@ -109,7 +109,7 @@ class Opaque(Struct, frozen=True):
     rest: int = -1
 
 
-class Unreadable(Struct, frozen=True, eq=False):
+class UnreadableText(Struct, frozen=True, eq=False):
     """Text that cannot be a value.
 
     :param error: why.
@@ -143,8 +143,8 @@ class Aggregate(Struct, frozen=True, eq=False):
     row: int = 0
 
 
-_TEXT = (Opaque, Unreadable)
-Value = Number | Word | Reference | Call | Chain | Operation | Condition | Opaque | Unreadable | Aggregate
+_TEXT = (OpaqueText, UnreadableText)
+Value = Number | Word | Reference | Call | Chain | Operation | Condition | OpaqueText | UnreadableText | Aggregate
 
 
 def parts(value: Value) -> Iterable[Value]:
@@ -164,7 +164,7 @@ def parts(value: Value) -> Iterable[Value]:
         return value.operands
     if isinstance(value, Condition):
         return value.terms
-    if isinstance(value, Unreadable) and value.values is None:
+    if isinstance(value, UnreadableText) and value.values is None:
         raise value.error
     return (value.values or ()) if isinstance(value, _TEXT) else ()
 

@@ -17,7 +17,7 @@ from postproc.dialects.krl.language.motion_statements import MotionStatement
 from postproc.dialects.krl.language.trace import Trace
 from postproc.dialects.krl.language.values import Number
 from postproc.dialects.krl.layout import IGNORE
-from postproc.dialects.krl.read.end_poses import Led
+from postproc.dialects.krl.read.end_poses import OrientationControl
 from postproc.dialects.krl.read.motion_columns import MotionColumns
 from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.spline_blocks import is_spline
@@ -59,7 +59,7 @@ def left_out(
     moves: Mapping[int, MotionStatement],
     ends: tuple[Array, Array],
     arcs: tuple[Array, Array, Array, Array],
-    control: Led,
+    control: OrientationControl,
     settings: Settings,
     in_force: tuple[Sequence[State], Ints],
 ) -> Bools:

@@ -12,11 +12,11 @@ from postproc.dialects.krl.language.expressions import calls
 from postproc.dialects.krl.language.names import PURE, STANDARD
 from postproc.dialects.krl.language.routines import Module, Routine
 from postproc.dialects.krl.language.source import Place
-from postproc.dialects.krl.language.values import Aggregate, Call, Opaque, Reference, Value, writable
+from postproc.dialects.krl.language.values import Aggregate, Call, OpaqueText, Reference, Value, writable
 from postproc.dialects.krl.read.effects import Effects
 from postproc.dialects.krl.read.explanations import why_unknown
-from postproc.dialects.krl.read.known import NOTHING, Known, Scope, Unknown, inexact
-from postproc.dialects.krl.read.run import SETTING_ADVICE, Apart, Level, Run
+from postproc.dialects.krl.read.known import NOTHING, Known, Scope, UnknownValue, inexact
+from postproc.dialects.krl.read.run import SETTING_ADVICE, Level, Run, UntracedCall
 from postproc.dialects.krl.read.state import FIELDS, RELEVANT, STORED
 from postproc.dialects.krl.read.variables import WHOLE, converted
 from postproc.errors import Issue, ProgramError
@@ -37,7 +37,7 @@ class Calls:
 
     def __init__(self, run: Run, run_routine: Callable[[], None]) -> None:
         self.run, self._run_routine = run, run_routine
-        run.variables.functions = _Pure(self)
+        run.variables.functions = _PureFunctions(self)
         self.entered: list[_Bound] = []
 
     def value(self, at: Place, value: Value, *, is_copied: bool = False) -> Known:
@@ -60,18 +60,18 @@ class Calls:
         if isinstance(result, Aggregate) and not result.computed:
             return self.run.in_trace(result)
         if result == NOTHING and not (isinstance(value, Reference) and value.name[0] != "$"):
-            return Unknown(str(at), why_unknown(self.run.variables, at.source, value))
+            return UnknownValue(str(at), why_unknown(self.run.variables, at.source, value))
         return result
 
     def call(self, at: Place, call: Call, *, certain: bool) -> Known:
         """Follow a call; return the value of a function."""
         callee = self.run.library.find(call.name, self.run.level.module)
-        unknown = Unknown(str(at), f"what {call.spelt(at.source)}() gives is not known")
+        unknown = UnknownValue(str(at), f"what {call.spelt(at.source)}() gives is not known")
         self._note_stop(at, call)
         if callee is None:
             self._absent(at, call)
             ours = call.name in PURE or call.name in STANDARD
-            return unknown if ours else Unknown(str(at), f"{call.spelt(at.source)}() is in no file of the program")
+            return unknown if ours else UnknownValue(str(at), f"{call.spelt(at.source)}() is in no file of the program")
         effects = self.run.analysis.of(*callee)
         self.notice(at, call.name, effects)
         self._check_motion(at, call, *callee, effects)
@@ -189,7 +189,7 @@ class Calls:
         unseen = at.error(f"{problem}, in a way that cannot be followed", _INLINE_ADVICE)
         cause = self.run.elsewhere.get(routine, unseen)
         reason = at.error(f"{problem}: where the next motion begins is not known", advice)
-        self.run.moved.append(Apart(self.run.row, reason, name, module, routine, cause))
+        self.run.moved.append(UntracedCall(self.run.row, reason, name, module, routine, cause))
         cause_text = f"{cause.file}, line {cause.line}: {cause.problem}"
         message = f"{name}() moves the robot ({place}): its motions are not corrected here, because of {cause_text}."
         if begins is not None:
@@ -240,7 +240,7 @@ class Calls:
         finally:
             self.run.place = at
         self._end(bound)
-        return level.result if level.result != NOTHING else Unknown(str(at))
+        return level.result if level.result != NOTHING else UnknownValue(str(at))
 
     def _obstacle(self, at: Place, call: Call, module: Module, routine: Routine, effects: Effects) -> str:
         """Return why a call cannot be run exactly, for a message; empty if it can."""
@@ -291,7 +291,7 @@ class Calls:
             if index < len(routine.parameters)
         ]
         for index, argument in enumerate(call.arguments):
-            is_empty = isinstance(argument, Opaque) and not at.source.text[argument.start : argument.stop].strip()
+            is_empty = isinstance(argument, OpaqueText) and not at.source.text[argument.start : argument.stop].strip()
             is_array = isinstance(argument, Reference) and argument.indices == ()
             if is_empty or is_array:
                 argument_values[index] = NOTHING
@@ -367,7 +367,7 @@ def _harmless(effects: Effects) -> bool:
     return not (changes or moves or effects.parameter or effects.lasting or effects.jumps)
 
 
-class _Pure(Struct, frozen=True, eq=False):
+class _PureFunctions(Struct, frozen=True, eq=False):
     """The functions of a program that change nothing, see `variables.Functions`."""
 
     calls: Calls
@@ -414,6 +414,6 @@ class _Bound(Struct, frozen=True, eq=False):
     references: list[_Argument]
     argument_values: dict[int, Known]
     kinds: dict[int, str]
-    volatile_names: dict[str, Unknown]
+    volatile_names: dict[str, UnknownValue]
     caller: Level
     caller_scope: Scope

@@ -12,7 +12,7 @@ from postproc.dialects.krl.read.run import Run
 from postproc.dialects.krl.read.spline_blocks import SplineBlocks
 
 
-class Collected:
+class CollectedMotions:
     """Motions whose statements have run.
 
     :param run: the program as far as it has run.

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from postproc.dialects.krl.course import Branch, Course, Fork, Join, Kept
+from postproc.dialects.krl.course import Branch, Course, Fork, Join, UnresolvedStructure
 from postproc.dialects.krl.language.source import Source, comment_start
 from postproc.dialects.krl.language.tokens import FORCE
 from postproc.program import FORCE_COMMENT, Bools, Event, ForceNote, Ints, parse_force_note
@@ -57,7 +57,7 @@ def notes_of(
         lines, comments = lines[live], comments[live]
     unknown_reasons = dict(unknown)
     for step in course.steps:
-        if isinstance(step, Kept):
+        if isinstance(step, UnresolvedStructure):
             in_step = (lines >= step.first) & (lines <= step.last)
             if in_step.any():
                 at = trace.place(int(lines[in_step][0]))
@@ -76,10 +76,10 @@ def notes_of(
     marks = [step for step in course.steps if isinstance(step, Fork | Branch | Join)]
     if not marks and not unknown_reasons:
         return notes
-    return _Held(course, motions, rapid, free).through(notes, unknown_reasons, marks)
+    return _ActiveForce(course, motions, rapid, free).through(notes, unknown_reasons, marks)
 
 
-class _Held:
+class _ActiveForce:
     """The force comment in force, from line to line.
 
     :ivar now: the comment in force; a text if it is not known: the reason.

@@ -9,13 +9,13 @@ from contextlib import suppress
 from msgspec.structs import replace
 
 from postproc.dialects.krl.language import scan
-from postproc.dialects.krl.language.declarations import Declared, declared, structure
+from postproc.dialects.krl.language.declarations import DeclaredName, declared, structure
 from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.language.tokens import DECLARATION, ELEMENT, INDEX, MORE_DECLARED, NAME
-from postproc.dialects.krl.language.tree import Declaration, Imported
+from postproc.dialects.krl.language.tree import Declaration, Import
 from postproc.dialects.krl.read.folder import FolderFiles
-from postproc.dialects.krl.read.known import Unknown, Unread, stored_originals
+from postproc.dialects.krl.read.known import UnknownValue, UnparsedValue, stored_originals
 from postproc.dialects.krl.read.variables import FRAME_ARRAYS, Variables
 from postproc.errors import ProgramError
 
@@ -44,7 +44,7 @@ def read_data(
         if is_unfiltered and (element := ELEMENT.match(text, start, stop)):
             name = variables.scope.stored(element[1].upper())
             variables.initial.add(name)
-            key, value = f"{name}[{int(element[2])}]", Unread(source, element.end(), stop)
+            key, value = f"{name}[{int(element[2])}]", UnparsedValue(source, element.end(), stop)
             if name in FRAME_ARRAYS:
                 variables.state_frame(key, value, f"{source.document.name}, line {line}")
             variables.put(key, value)
@@ -98,21 +98,23 @@ def _declare(
         if declarator.kind == "STRUC" and (named_structure := structure(source, *source.code_span(line))):
             variables.structures.setdefault(*named_structure)
         if declarator.value >= 0 and name.partition("[")[0] in FRAME_ARRAYS:
-            variables.state_frame(name, Unread(source, declarator.value, stop), f"{source.document.name}, line {line}")
+            variables.state_frame(
+                name, UnparsedValue(source, declarator.value, stop), f"{source.document.name}, line {line}"
+            )
         if declarator.value >= 0 and not (fill and name in variables):
             variables.initial.add(variables.scope.stored(declarator.name))
-            variables.put(name, Unread(source, declarator.value, stop))
+            variables.put(name, UnparsedValue(source, declarator.value, stop))
 
 
 def _import(variables: Variables, at: Place) -> None:
     """Note that a variable of another `.dat` has a second name here: either may be written at any time."""
     imported = statement(at.source, at.line)
-    if isinstance(imported, Imported):
+    if isinstance(imported, Import):
         for name in (variables.scope.stored(imported.name), *stored_originals(imported)):
-            variables.changing.setdefault(name, Unknown(str(at)))
+            variables.changing.setdefault(name, UnknownValue(str(at)))
 
 
-def declare(variables: Variables, source: Source, declaration: Declaration, row: int) -> tuple[Declared, ...]:
+def declare(variables: Variables, source: Source, declaration: Declaration, row: int) -> tuple[DeclaredName, ...]:
     """Take one declaration of a `.src`, with initial values; return what it declares.
 
     :param row: of the execution trace; 0 if it is not in it.
@@ -122,11 +124,11 @@ def declare(variables: Variables, source: Source, declaration: Declaration, row:
     for declarator in declaration.names:
         name = _noted(variables, declarator)
         if declarator.value >= 0:
-            variables.put(name, Unread(source, declarator.value, declaration.stop, row))
+            variables.put(name, UnparsedValue(source, declarator.value, declaration.stop, row))
     return declaration.names
 
 
-def _noted(variables: Variables, declarator: Declared, *, fill: bool = False) -> str:
+def _noted(variables: Variables, declarator: DeclaredName, *, fill: bool = False) -> str:
     """Note type and scope of a declared name; return the key of its value."""
     name = variables.scope.stored(declarator.name)
     by_call = declarator.name in variables.scope.local  # parameters have their types from the call
@@ -165,7 +167,7 @@ def read_shared(
     unique_names = {name for name in missing_names - local if times[name] == 1}
     for name in (name for name in missing_names - local if times[name] > 1):
         file_names = ", ".join(sorted(path.name for path, names in global_names.items() if name in names))
-        variables.put(name, Unknown(why=f"it is GLOBAL in more than one .dat: {file_names}"))
+        variables.put(name, UnknownValue(why=f"it is GLOBAL in more than one .dat: {file_names}"))
     for path, names in global_names.items():
         if not unique_names.isdisjoint(names):
             with suppress(ProgramError):  # they have no values then, and a motion that needs one says so

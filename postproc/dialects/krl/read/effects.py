@@ -21,15 +21,15 @@ from postproc.dialects.krl.language.tokens import occurrences
 from postproc.dialects.krl.language.tree import (
     Assignment,
     CallStatement,
-    Cyclic,
+    CyclicInput,
     Declaration,
     Event,
-    Faulty,
+    FaultyStatement,
     For,
     Goto,
-    Imported,
+    IdleDeclaration,
+    Import,
     Motion,
-    Outside,
     Spline,
     Statement,
 )
@@ -100,14 +100,14 @@ class Effects(Struct, eq=False):
 Callee = tuple[Module, Routine]
 
 
-class _Direct(Struct, eq=False):
+class _DirectEffects(Struct, eq=False):
     """Effects of a routine itself, and its calls; the same for the actions that it declares."""
 
     effects: Effects = field(default_factory=Effects)
     callees: list[Callee] = []
     action_effects: Effects = field(default_factory=Effects)
     action_callees: list[Callee] = []
-    public: list[_Direct] = []
+    public: list[_DirectEffects] = []
     """For each GLOBAL interrupt its action alone."""
     has_actions: bool = False
 
@@ -120,7 +120,7 @@ class Analysis:
 
     def __init__(self, library: Library, scope_of: Callable[[Module, Routine], Scope]) -> None:
         self.library, self.scope_of = library, scope_of
-        self._direct: dict[Routine, _Direct] = {}
+        self._direct: dict[Routine, _DirectEffects] = {}
         self._all: dict[Routine, Effects] = {}
         self._noted: dict[Source, tuple[int, ...]] = {}
         self._names: dict[Routine, frozenset[str]] = {}
@@ -208,12 +208,12 @@ class Analysis:
 
         Motions back to where an interrupt has stopped the robot leave its path as it is: they are not among them.
         """
-        direct, total = _Direct(has_actions=True), Effects()
+        direct, total = _DirectEffects(has_actions=True), Effects()
         _Statement(self, module, routine, place, direct.action_effects, direct.action_callees, scope).read_event(event)
         self._add_later(total, direct)
         return total
 
-    def _add_later(self, total: Effects, direct: _Direct) -> None:
+    def _add_later(self, total: Effects, direct: _DirectEffects) -> None:
         if not direct.has_actions:
             return
         total.add_action(direct.action_effects)
@@ -237,10 +237,10 @@ class Analysis:
                     queued_routines.add(following[1])
                     waiting.append(following)
 
-    def _of_routine(self, module: Module, routine: Routine) -> _Direct:
+    def _of_routine(self, module: Module, routine: Routine) -> _DirectEffects:
         direct = self._direct.get(routine)
         if direct is None:
-            direct = self._direct[routine] = _Direct()
+            direct = self._direct[routine] = _DirectEffects()
             if routine.motion:
                 direct.effects.motion = Place(routine.source, routine.motion)
             comment_lines = self.noted(routine.source)
@@ -255,9 +255,9 @@ class Analysis:
                 self._read(direct, stmt, (module, routine), place)
         return direct
 
-    def _read(self, direct: _Direct, stmt: Statement, node: Callee, place: Place) -> None:
+    def _read(self, direct: _DirectEffects, stmt: Statement, node: Callee, place: Place) -> None:
         """Note the effects of one statement."""
-        if not isinstance(stmt, Event | Cyclic | Imported):
+        if not isinstance(stmt, Event | CyclicInput | Import):
             _Statement(self, *node, place, direct.effects, direct.callees).read(stmt)
             return
         direct.has_actions = True
@@ -265,12 +265,12 @@ class Analysis:
         if isinstance(stmt, Event):
             later_statement.read_event(stmt)
             if stmt.public:
-                event_effects = _Direct(has_actions=True)
+                event_effects = _DirectEffects(has_actions=True)
                 _Statement(self, *node, place, event_effects.action_effects, event_effects.action_callees).read_event(
                     stmt
                 )
                 direct.public.append(event_effects)
-        elif isinstance(stmt, Cyclic):
+        elif isinstance(stmt, CyclicInput):
             later_statement.writes(stmt.name)
         else:
             later_statement.writes(stmt.name)
@@ -297,7 +297,7 @@ class _Statement(Struct, eq=False):
 
     def read(self, stmt: Statement) -> None:
         """Note the effects of a statement; a statement that cannot be read has none."""
-        if isinstance(stmt, Declaration | Outside | Imported | Faulty):
+        if isinstance(stmt, Declaration | IdleDeclaration | Import | FaultyStatement):
             return
         if stmt.word == "BAS":
             command = command_of(self.place.source, stmt.call) if isinstance(stmt, CallStatement) else ""

@@ -33,7 +33,7 @@ _UNCHANGED = 1e-3 * RAD_PER_DEG
 """Orientations closer than this [rad] are the same."""
 
 
-class Led(Struct, frozen=True, eq=False):
+class OrientationControl(Struct, frozen=True, eq=False):
     """Orientation control of M motions, if other than interpolation to their own A, B, C.
 
     :param constant: (M,) True if the start orientation is kept: ``$ORI_TYPE=#CONSTANT``.
@@ -94,7 +94,7 @@ class _Follower:
         present: _RobotPosition,
         kinematics: Callable[[Array], Array],
         carriage: Carriage | None,
-        control: Led,
+        control: OrientationControl,
     ) -> None:
         self.trace, self.line, self.kinematics, self.carriage = trace, line, kinematics, carriage
         self.control = control
@@ -264,7 +264,7 @@ def end_poses(
     moves: Mapping[int, MotionStatement],
     start_joints: Array,
     kinematics: Callable[[Array], Array],
-    control: Led,
+    control: OrientationControl,
     carriage: Carriage | None = None,
     predecessors: Ints | None = None,
 ) -> EndPoses:

@@ -13,13 +13,13 @@ from postproc.dialects.krl.language.values import (
     Chain,
     Condition,
     Number,
-    Opaque,
+    OpaqueText,
     Operation,
     Reference,
     Value,
     walk,
 )
-from postproc.dialects.krl.read.known import NOTHING, Known, Unknown
+from postproc.dialects.krl.read.known import NOTHING, Known, UnknownValue
 from postproc.dialects.krl.read.state import RELEVANT
 from postproc.dialects.krl.read.variables import Variables
 
@@ -38,7 +38,7 @@ def without_value(variables: Variables, source: Source, values: Iterable[Value])
 
 def why_unknown(variables: Variables, source: Source, value: Value | Known) -> str:
     """Return why a value is not known, for a message."""
-    if isinstance(value, Position | Unknown):
+    if isinstance(value, Position | UnknownValue):
         return "it is computed while the program runs"
     if isinstance(value, Chain):
         for operand in value.operands:
@@ -54,16 +54,16 @@ def why_unknown(variables: Variables, source: Source, value: Value | Known) -> s
     if isinstance(value, Call) and value.name in PURE:
         sides = list(value.arguments)
     for side in sides:
-        if isinstance(variables.evaluate(side), Unknown):
+        if isinstance(variables.evaluate(side), UnknownValue):
             return why_unknown(variables, source, side)
-    if isinstance(value, Operation) and isinstance(result := variables.evaluate(value), Unknown) and result.why:
+    if isinstance(value, Operation) and isinstance(result := variables.evaluate(value), UnknownValue) and result.why:
         return f"{text}: {result.why}"
     if isinstance(value, Reference) and value.name[0] == "$":
         result = variables.looked_up(value)
-        if isinstance(result, Unknown) and result != NOTHING:
+        if isinstance(result, UnknownValue) and result != NOTHING:
             return result.said(text)
         return f"{text} is computed while the program runs"
-    if isinstance(value, Opaque | Condition | Call | Operation):
+    if isinstance(value, OpaqueText | Condition | Call | Operation):
         return f"{text} is computed while the program runs"
     if isinstance(value, Reference):
         if variables.key_of(value) is None:
@@ -73,7 +73,7 @@ def why_unknown(variables: Variables, source: Source, value: Value | Known) -> s
             suffix = f": {why_unknown(variables, source, unknown[0])}" if unknown else ""
             return f"the index of {text} is not known before the program runs{suffix}"
         result = variables.looked_up(value)
-        if isinstance(result, Unknown):
+        if isinstance(result, UnknownValue):
             return result.said(text)
     return f"{text} has the wrong type here"
 
@@ -89,7 +89,7 @@ def why_not_decided(variables: Variables, source: Source, values: Sequence[Value
         return f": it asks {call.spelt(source)}()"
     for part in walk(values):
         result = variables.looked_up(part) if isinstance(part, Reference) else NOTHING
-        if isinstance(result, Unknown) and result != NOTHING:
+        if isinstance(result, UnknownValue) and result != NOTHING:
             return f": {why_unknown(variables, source, part)}"
     for part in walk(values):
         if isinstance(part, Operation) and not isinstance(variables.evaluate(part), Number):

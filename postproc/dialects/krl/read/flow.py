@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from postproc.dialects.krl.course import Branch, Fork, Join, Occasion, PlainBody, PlainRounds, Repeated
+from postproc.dialects.krl.course import Branch, Fork, Join, Occasion, PlainBody, PlainRounds, UnrolledLoop
 from postproc.dialects.krl.language import tree
 from postproc.dialects.krl.language.expressions import calls
 from postproc.dialects.krl.language.parser import statement
@@ -544,7 +544,7 @@ class Flow:
             return 1 + table.get(selector.value, table[None])
         for index, part in enumerate(block.parts[1:], 1):
             case = statement(source, part.head)
-            if isinstance(case, tree.Faulty):
+            if isinstance(case, tree.FaultyStatement):
                 raise case.error
             values = case.cases if isinstance(case, tree.Case) else ()
             is_chosen = case.word == "DEFAULT" or self.run.variables.chosen(selector, values)
@@ -708,7 +708,7 @@ class Flow:
         """Return how often variables, and how often frames, speeds and modes, have changed."""
         return self.run.variables.changes, len(self.run.settings.changes)
 
-    def _plainly(self, source: Source, block: Block, counter: Counter, recorder: Recorder, loop: Repeated) -> None:
+    def _plainly(self, source: Source, block: Block, counter: Counter, recorder: Recorder, loop: UnrolledLoop) -> None:
         """Record all rounds of a FOR at once if its body is plain."""
         if block not in self._plain:
             self._plain[block] = plain_body(source, block) or computed_body(source, block)

@@ -26,7 +26,7 @@ from postproc.dialects.krl.language.tokens import occurrences
 from postproc.dialects.krl.read import plain_lines
 from postproc.dialects.text import decode
 from postproc.errors import ProgramError, together
-from postproc.program import Document, Needed
+from postproc.program import Document, NeededFile
 
 _LARGEST = 20_000_000
 """Bytes of the largest file that is searched."""
@@ -280,7 +280,7 @@ def module_of(source: Source, data: Source | None = None) -> Module:
 
 def needed(
     documents: Sequence[Document], code: Iterable[Code], files: FolderFiles, moving: Collection[str]
-) -> tuple[Needed, ...]:
+) -> tuple[NeededFile, ...]:
     """Return the files that a program needs from its folder, sorted by name.
 
     :param documents: its files, with those that are written with it; the main one first.
@@ -372,17 +372,17 @@ class _Links:
         self.imported |= data_names
         self._use(data_names)
 
-    def needed(self, name: str, moving: Collection[str]) -> Needed:
+    def needed(self, name: str, moving: Collection[str]) -> NeededFile:
         """Return a file that was found, as the program needs it."""
         path, source = self.siblings[name], self.siblings.get(f"{PurePath(name).stem}.SRC")
         if name in self.called:
             uncorrected = name.endswith(".SRC") and scan.moves(scan.without_comments(self._text(path)))
-            return Needed(str(path), moves=name in moving, uncorrected=uncorrected)
+            return NeededFile(str(path), moves=name in moving, uncorrected=uncorrected)
         if source is None or not self._moves(source):
-            return Needed(str(path), moves=False)
+            return NeededFile(str(path), moves=False)
         variables = tuple(sorted(variable for variable in self.named if name in self.variables[variable]))
         variables = () if name in self.imported else variables
-        return Needed(str(path), moves=False, program=source.name, variables=variables)
+        return NeededFile(str(path), moves=False, program=source.name, variables=variables)
 
     def _use(self, names: Collection[str]) -> None:
         for name in sorted(set(names) - self.used):

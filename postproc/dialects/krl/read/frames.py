@@ -11,7 +11,7 @@ from postproc.dialects.krl.language.positions import CARTESIAN, FARTHEST, HALF_T
 from postproc.dialects.krl.language.source import Place
 from postproc.dialects.krl.language.values import Call, Number, Reference, Value
 from postproc.dialects.krl.read.explanations import why_unknown
-from postproc.dialects.krl.read.known import NOTHING, Known, Unknown
+from postproc.dialects.krl.read.known import NOTHING, Known, UnknownValue
 from postproc.dialects.krl.read.state import FIELDS, Reasons, State
 from postproc.dialects.krl.read.variables import ANGLES, Variables, component, with_component
 from postproc.errors import ProgramError
@@ -98,14 +98,14 @@ class Frames:
         """Return `$BASE` or `$TOOL` as it is in force, or a component of it."""
         row, frames = (state.base, self.bases) if name == "$BASE" else (state.tool, self.tools)
         if row < 0:
-            return Unknown(why=self.reasons.errors[-1 - row].problem)
+            return UnknownValue(why=self.reasons.errors[-1 - row].problem)
         if self.asks and name in self.assumed(state):
             self.doubtful.add(name)
         position = from_pose(frames[row])
         if field is None:
             return position
         if field in ANGLES and (name, row) in self._folded:
-            return Unknown(why=f"whether {field} is kept as it was given is in no source")
+            return UnknownValue(why=f"whether {field} is kept as it was given is in no source")
         return component(position, field) if field in CARTESIAN else NOTHING
 
     def _with_field(self, state: State, target: Reference, value: Value | Known) -> Position | None:
@@ -124,7 +124,7 @@ class Frames:
         if position is None:
             value = self.variables.evaluate(reference)
             reason = f"{key} is neither in the cell nor in the $config.dat"
-            if isinstance(value, Unknown) and value != NOTHING:
+            if isinstance(value, UnknownValue) and value != NOTHING:
                 reason = value.said(key)
             return self.unknown(state, name, at, reason)
         if not position.complete:

@@ -15,11 +15,11 @@ from postproc.dialects.krl.language.names import OPENING, WITHOUT_MOTION
 from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.source import Place
 from postproc.dialects.krl.language.structures import LOOPS
-from postproc.dialects.krl.language.values import Call, Opaque, Reference, Unreadable, Value, Word, walk
+from postproc.dialects.krl.language.values import Call, OpaqueText, Reference, UnreadableText, Value, Word, walk
 from postproc.dialects.krl.read.calls import IN_ORDER, Calls
 from postproc.dialects.krl.read.data_lists import declare
 from postproc.dialects.krl.read.explanations import why_not_decided, why_unknown, without_value
-from postproc.dialects.krl.read.known import NOTHING, Known, Unknown, inexact, stored_originals
+from postproc.dialects.krl.read.known import NOTHING, Known, UnknownValue, inexact, stored_originals
 from postproc.dialects.krl.read.run import SETTING_ADVICE, Run
 from postproc.dialects.krl.read.state import RELEVANT, STORED, State
 from postproc.dialects.krl.read.variables import Variables, converted
@@ -106,7 +106,7 @@ class Interpreter:
             raise at.error(*undecided_jump(self.run.variables, control))
         elif isinstance(stmt, tree.Return):
             self._return(at, stmt)
-        elif isinstance(stmt, tree.Timed):
+        elif isinstance(stmt, tree.SplineTiming):
             self._timed(at, stmt)
         elif word in _ASYNCHRONOUS:
             raise at.error(f"{word} moves external axes", "Only fixed external axes are supported.")
@@ -116,7 +116,7 @@ class Interpreter:
             self._condition(at, stmt)
         return True
 
-    def _timed(self, at: Place, stmt: tree.Timed) -> None:
+    def _timed(self, at: Place, stmt: tree.SplineTiming) -> None:
         """Follow a statement on the speed of spline motions, which is kept unchanged.
 
         :raises ProgramError: it is not understood, or not allowed here.
@@ -165,11 +165,11 @@ class Interpreter:
             if isinstance(stmt, tree.Trigger) and self.run.in_main:
                 self.run.triggers.append(self.run.row)
             self._event(at, stmt)
-        elif isinstance(stmt, (tree.Cyclic, tree.Imported)):
+        elif isinstance(stmt, (tree.CyclicInput, tree.Import)):
             if stmt.name in RELEVANT:
                 raise at.error(f"{stmt.word} changes {stmt.name} at any time", SETTING_ADVICE)
             self.run.changes_always(at, self.run.stored(stmt.name))
-            if isinstance(stmt, tree.Imported):
+            if isinstance(stmt, tree.Import):
                 for name in stored_originals(stmt):
                     self.run.changes_always(at, name)
         elif isinstance(stmt, tree.Declaration):
@@ -179,11 +179,11 @@ class Interpreter:
                 self.run.understand(*(declarator.at for declarator in names))
         elif stmt.word == "EXIT":
             self._exit(at)
-        elif isinstance(stmt, tree.Outside):
+        elif isinstance(stmt, tree.IdleDeclaration):
             return
         elif stmt.word in WITHOUT_MOTION:
             self.follow_functions(at, stmt.values)
-        elif isinstance(stmt, tree.Faulty):
+        elif isinstance(stmt, tree.FaultyStatement):
             raise stmt.error
         elif not isinstance(stmt, tree.Label):
             raise at.error("the statement is not understood", "Check its spelling.")
@@ -200,7 +200,7 @@ class Interpreter:
             )
 
     def _bas(self, at: Place, stmt: tree.Statement) -> None:
-        if isinstance(stmt, tree.Faulty):
+        if isinstance(stmt, tree.FaultyStatement):
             raise stmt.error
         if not isinstance(stmt, tree.CallStatement) or not stmt.call.arguments:
             raise at.error("BAS is not understood", "Write BAS(#COMMAND,value).")
@@ -249,9 +249,9 @@ class Interpreter:
         elif value == NOTHING and name == "$H_POS" and target.field is None:
             return
         else:
-            unclear = isinstance(value, Unknown) and not (value.where if value.why else target.field is None)
+            unclear = isinstance(value, UnknownValue) and not (value.where if value.why else target.field is None)
             if value == NOTHING or unclear:
-                value = Unknown(str(at), why_unknown(self.run.variables, at.source, expression))
+                value = UnknownValue(str(at), why_unknown(self.run.variables, at.source, expression))
             if target.field is None:
                 self.run.copy(expression, value, name)
                 self.run.variables.set(key, value, at)
@@ -277,13 +277,13 @@ class Interpreter:
     def _set_to(self, at: Place, target: Reference, expression: Value) -> None:
         """Follow an assignment to a variable of the controller that motions depend on."""
         value: Value | Known = expression
-        if isinstance(expression, Unreadable):
+        if isinstance(expression, UnreadableText):
             raise expression.error
-        if isinstance(expression, Opaque) and expression.rest >= 0:
+        if isinstance(expression, OpaqueText) and expression.rest >= 0:
             raise at.error(f"{at.source.text[expression.rest : expression.stop].strip()!r} is not understood")
         if isinstance(expression, Call) or calls([expression]):
             result = self.calls.value(at, expression)
-            if isinstance(expression, Call) and not isinstance(result, Unknown):
+            if isinstance(expression, Call) and not isinstance(result, UnknownValue):
                 value = result
         self._set(at, self.run.settings.assigned(self.run.settings.state, at, target, value))
 

@@ -16,10 +16,10 @@ from postproc.dialects.krl.language.tree import Motion, Return
 from postproc.dialects.krl.layout import Layout
 from postproc.dialects.krl.read.main_routine import MainRoutine
 from postproc.dialects.krl.read.motion_columns import MotionColumns
-from postproc.dialects.krl.read.run import Apart, Run
+from postproc.dialects.krl.read.run import Run, UntracedCall
 from postproc.dialects.krl.read.state import State
 from postproc.errors import Issue, ProgramError, first_of
-from postproc.program import ForceNote, Ints, Unfollowed
+from postproc.program import ForceNote, Ints, UnfollowedCall
 
 _MOST_NAMES = 10
 """Most names of points in one message."""
@@ -161,16 +161,16 @@ def refuse_loaded(run: Run, notes: Sequence[tuple[int, ForceNote]]) -> None:
             raise _loaded(run, call, ": a force comment holds there")
 
 
-def unfollowed(run: Run) -> tuple[Unfollowed, ...]:
+def unfollowed(run: Run) -> tuple[UnfollowedCall, ...]:
     """Return the calls of routines that are not followed and cut."""
     return tuple(
-        Unfollowed(run.trace.shown_line(call.row), _loaded(run, call))
+        UnfollowedCall(run.trace.shown_line(call.row), _loaded(run, call))
         for call in run.moved
         if run.analysis.cuts(call.module, call.routine)
     )
 
 
-def _loaded(run: Run, call: Apart, force: str = "") -> ProgramError:
+def _loaded(run: Run, call: UntracedCall, force: str = "") -> ProgramError:
     cause, at = call.cause, run.trace.place(call.row)
     place_text = f"{at.source.document.name}, line {at.line}"
     problem = f"{cause.problem}; {call.name}(), called in {place_text}, would stay uncorrected under force{force}"

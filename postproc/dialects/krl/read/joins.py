@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from postproc.dialects.krl.course import Branch, Course, Fork, Join, Occasion, Repeated
+from postproc.dialects.krl.course import Branch, Course, Fork, Join, Occasion, UnrolledLoop
 from postproc.dialects.krl.layout import CONSTANT
 from postproc.dialects.krl.read.motions import OrderedMotions, settings_at
 from postproc.dialects.krl.read.settings import Settings
@@ -56,13 +56,13 @@ class JoinedEnds(NamedTuple):
 
 def free_joins(course: Course, sequence: OrderedMotions) -> frozenset[Join]:
     """Return joins at which poses may differ: what follows, on every path, is a PTP to joint angles, or nothing."""
-    following = _Following(course, sequence)
+    following = _Successors(course, sequence)
     return frozenset(
         step for number, step in enumerate(following.steps) if isinstance(step, Join) and following.to_joints(number)
     )
 
 
-class _Following:
+class _Successors:
     """The motions that may follow the forks, branches and joins of a trace."""
 
     def __init__(self, course: Course, sequence: OrderedMotions) -> None:
@@ -282,7 +282,7 @@ def _branch_error(
 
 def check_round(
     course: Course,
-    loop: Repeated,
+    loop: UnrolledLoop,
     line: Ints,
     motions: Motions,
     start: Starts,
@@ -336,7 +336,12 @@ def _moved(first: int, last: int, motions: Motions, start: Starts, carriage: Car
 
 
 def starts(
-    loop: Repeated, line: Ints, motions: Motions, frames: tuple[Array, Array], flange: Array, predecessors: Ints | None
+    loop: UnrolledLoop,
+    line: Ints,
+    motions: Motions,
+    frames: tuple[Array, Array],
+    flange: Array,
+    predecessors: Ints | None,
 ) -> Starts:
     """Return the start poses of motions, and one more: the first motion of an endless loop in its second iteration.
 
@@ -353,7 +358,7 @@ def starts(
     )
 
 
-def _check_force(course: Course, loop: Repeated, line: int, notes: Sequence[tuple[int, ForceNote]]) -> None:
+def _check_force(course: Course, loop: UnrolledLoop, line: int, notes: Sequence[tuple[int, ForceNote]]) -> None:
     """Refuse a loop whose first motion has another force in the second iteration.
 
     :param line: of its first motion.
@@ -366,10 +371,10 @@ def _check_force(course: Course, loop: Repeated, line: int, notes: Sequence[tupl
         raise _loop_error(course, loop, "its round ends under another force than it began with", _FORCE_ADVICE)
 
 
-def _line(course: Course, loop: Repeated) -> int:
+def _line(course: Course, loop: UnrolledLoop) -> int:
     """Return the line of a LOOP in its file, which precedes its body."""
     return course.trace.place(loop.first).line - 1
 
 
-def _loop_error(course: Course, loop: Repeated, problem: str, advice: str) -> ProgramError:
+def _loop_error(course: Course, loop: UnrolledLoop, problem: str, advice: str) -> ProgramError:
     return course.main.source.line_error(f"LOOP never ends, and {problem}", _line(course, loop), advice)

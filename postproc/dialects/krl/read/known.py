@@ -12,12 +12,12 @@ from postproc.dialects.krl.language.expressions import value_at
 from postproc.dialects.krl.language.positions import Position
 from postproc.dialects.krl.language.routines import Routine
 from postproc.dialects.krl.language.source import Place, Source
-from postproc.dialects.krl.language.tree import Imported
+from postproc.dialects.krl.language.tree import Import
 from postproc.dialects.krl.language.values import Aggregate, Number, Value, Word
 from postproc.errors import ProgramError
 
 
-class Unknown(Struct, frozen=True):
+class UnknownValue(Struct, frozen=True):
     """A variable whose value is not known before run time.
 
     :param where: what changes it, as text for a message; empty if it has no value at all.
@@ -36,13 +36,13 @@ class Unknown(Struct, frozen=True):
         return f"{name} has no value in the program, its .dat, the $config.dat or [krl.values] of the cell"
 
 
-NOTHING = Unknown()
+NOTHING = UnknownValue()
 
 
-Known = Number | Word | Aggregate | Position | Unknown
+Known = Number | Word | Aggregate | Position | UnknownValue
 
 
-class Unread(Struct, frozen=True):
+class UnparsedValue(Struct, frozen=True):
     """A value in a declaration, parsed on first use.
 
     :param row: of the execution trace with the declaration; 0 in data lists.
@@ -89,7 +89,7 @@ class Scope(Struct, frozen=True):
         return local if local is not None else self.prefix + name if name in self.own else name
 
 
-def stored_originals(imported: Imported) -> tuple[str, str]:
+def stored_originals(imported: Import) -> tuple[str, str]:
     """Return the names under which the variable of an IMPORT may be stored, see `Scope`."""
     return imported.original, f"{imported.file}/{imported.original}"
 

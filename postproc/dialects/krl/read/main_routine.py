@@ -17,13 +17,13 @@ from postproc.dialects.krl.course import (
     Body,
     Branch,
     Course,
-    Enter,
     Fork,
     Join,
-    Kept,
     Lines,
     Occasion,
     PlainRounds,
+    RoutineEntry,
+    UnresolvedStructure,
 )
 from postproc.dialects.krl.language.expressions import calls
 from postproc.dialects.krl.language.names import MOTION_WORDS, RESERVED, fault_of
@@ -34,15 +34,15 @@ from postproc.dialects.krl.language.structures import Block, Node, checked, node
 from postproc.dialects.krl.language.tokens import NAME
 from postproc.dialects.krl.language.trace import Trace
 from postproc.dialects.krl.language.tree import CallStatement, For, Goto, Motion, Return, Statement
-from postproc.dialects.krl.read.collected import Collected
+from postproc.dialects.krl.read.collected import CollectedMotions
 from postproc.dialects.krl.read.computed_rounds import computed_motions
 from postproc.dialects.krl.read.flow import Flow
 from postproc.dialects.krl.read.folder import Library
 from postproc.dialects.krl.read.interpreter import JUMP_ADVICE
 from postproc.dialects.krl.read.motion_reader import MotionReader
-from postproc.dialects.krl.read.plain_lines import Plain, not_plain
+from postproc.dialects.krl.read.plain_lines import PlainLines, not_plain
 from postproc.dialects.krl.read.plain_rounds import ElementMotions, columns_of
-from postproc.dialects.krl.read.plain_settings import Coming, PlainSettings
+from postproc.dialects.krl.read.plain_settings import PlainAssignments, PlainSettings
 from postproc.dialects.krl.read.run import Run
 from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.state import FIELDS
@@ -72,7 +72,7 @@ class Start(Struct, frozen=True, eq=False):
     cell: Cell
     joints: tuple[float, ...]
 
-    def collected(self, trace: Trace | None = None, *, has_rows: bool = True) -> Collected:
+    def collected(self, trace: Trace | None = None, *, has_rows: bool = True) -> CollectedMotions:
         """Return motions to be collected, none yet.
 
         :param trace: the execution trace; None: that of a program whose lines run one after the other.
@@ -81,10 +81,10 @@ class Start(Struct, frozen=True, eq=False):
         settings = Settings(self.variables.copied(), self.cell)
         run = Run(self.library, self.main, settings, trace or Trace.of(self.main.source), has_rows=has_rows)
         run.elsewhere = self.obstacles
-        return Collected(run, MotionReader(settings, self.joints))
+        return CollectedMotions(run, MotionReader(settings, self.joints))
 
 
-def course_of(start: Start) -> tuple[Course, Collected | None]:
+def course_of(start: Start) -> tuple[Course, CollectedMotions | None]:
     """Return the lines of a program in the order in which they run, and the motions that they make.
 
     There are no motions where the statements must run once more, along the complete trace: where branches meet that may
@@ -98,7 +98,7 @@ def course_of(start: Start) -> tuple[Course, Collected | None]:
     return _course(start, collects=False)
 
 
-def _course(start: Start, *, collects: bool) -> tuple[Course, Collected | None]:
+def _course(start: Start, *, collects: bool) -> tuple[Course, CollectedMotions | None]:
     """Return what `course_of` does.
 
     :param collects: whether motions are read too.
@@ -182,7 +182,7 @@ class MainRoutine:
     :ivar splines: the spline blocks.
     """
 
-    def __init__(self, collected: Collected, course: Course, plain: Plain) -> None:
+    def __init__(self, collected: CollectedMotions, course: Course, plain: PlainLines) -> None:
         self.course = course
         self.run, self.reader = collected.run, collected.reader
         self._collected = collected
@@ -235,11 +235,11 @@ class MainRoutine:
         for step in self.course.steps:
             if isinstance(step, Lines):
                 self._run(step, lines[step])
-            elif isinstance(step, Kept):
+            elif isinstance(step, UnresolvedStructure):
                 self._keep(step)
             elif isinstance(step, Fork | Branch | Join):
                 self._divide(step)
-            elif isinstance(step, Enter):
+            elif isinstance(step, RoutineEntry):
                 self._enter(step)
             else:
                 self._flow.interpreter.calls.leave()
@@ -256,7 +256,7 @@ class MainRoutine:
         if errors:
             raise together({(error.file, error.line, error.problem): error for error in reversed(errors)}.values())
 
-    def _between(self, step: Lines | Kept) -> tuple[Sequence[int], Sequence[int]]:
+    def _between(self, step: Lines | UnresolvedStructure) -> tuple[Sequence[int], Sequence[int]]:
         """Return the lines of a step that are not plain, and those that are settings."""
         lines, setting_lines = self._lines, self._setting_lines
         step_settings = setting_lines[bisect_left(setting_lines, step.first) : bisect_right(setting_lines, step.last)]
@@ -272,7 +272,7 @@ class MainRoutine:
                     free[free_lines] = True
         settings = self._settings
         is_free = free[settings.line]
-        self.run.settings.coming = Coming(PlainSettings(settings.line[is_free], settings.values[:, is_free]))
+        self.run.settings.coming = PlainAssignments(PlainSettings(settings.line[is_free], settings.values[:, is_free]))
         return step_lines
 
     def _run(self, step: Lines, lines: Sequence[int]) -> None:
@@ -382,7 +382,7 @@ class MainRoutine:
                 return False
         return True
 
-    def _enter(self, step: Enter) -> None:
+    def _enter(self, step: RoutineEntry) -> None:
         at = self.run.come_to(step.row)
         stmt = statement(at.source, at.line)
         if isinstance(stmt, CallStatement):
@@ -399,7 +399,7 @@ class MainRoutine:
         else:
             self.run.join(self.run.trace.place(step.row), complete=step.complete)
 
-    def _keep(self, step: Kept) -> None:
+    def _keep(self, step: UnresolvedStructure) -> None:
         """Pass over a control structure of which it is not known what runs; its motions stay as they are."""
         run = self.run
         lines, setting_lines = self._between(step)

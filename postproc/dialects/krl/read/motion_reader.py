@@ -11,7 +11,7 @@ from postproc.dialects.krl.language.names import CIRCLES
 from postproc.dialects.krl.language.positions import AXES, CARTESIAN, FARTHEST, NotANumberError, Position
 from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.language.tree import Assignment, Motion, Spline, Statement, Tail
-from postproc.dialects.krl.language.values import Aggregate, Reference, Unreadable, Value, walk
+from postproc.dialects.krl.language.values import Aggregate, Reference, UnreadableText, Value, walk
 from postproc.dialects.krl.read.explanations import why_unknown
 from postproc.dialects.krl.read.frames import out_of_reach
 from postproc.dialects.krl.read.known import NOTHING, unresolved
@@ -61,7 +61,7 @@ def stays(motion: Motion) -> bool:
     """
     if motion.word in CIRCLES or motion.word not in KINDS:
         return False
-    if isinstance(motion.end, Unreadable):
+    if isinstance(motion.end, UnreadableText):
         raise motion.end.error
     return isinstance(motion.end, Reference) and motion.end.name in HERE and motion.end.field is None
 

@@ -15,7 +15,7 @@ from postproc.dialects.krl.language.tokens import words_in
 from postproc.dialects.krl.language.trace import Trace
 from postproc.dialects.krl.layout import CONSTANT, FREE, IGNORE, JOINT, ORIENTATIONS, Elements, Layout, Offsets
 from postproc.dialects.krl.read.auxiliary_points import left_out
-from postproc.dialects.krl.read.end_poses import EndPoses, Led, circles, end_poses, same_orientation
+from postproc.dialects.krl.read.end_poses import EndPoses, OrientationControl, circles, end_poses, same_orientation
 from postproc.dialects.krl.read.external_axes import external_axes
 from postproc.dialects.krl.read.main_routine import MainRoutine
 from postproc.dialects.krl.read.motion_columns import MotionColumns, merged
@@ -351,7 +351,7 @@ def _unsettled(
                     yield cause
 
 
-def _led(trace: Trace, rows: MotionColumns, states: list[State], state: Ints) -> Led:
+def _led(trace: Trace, rows: MotionColumns, states: list[State], state: Ints) -> OrientationControl:
     """Return the orientation control: KUKA, KSS 8.x, `$ORI_TYPE` and `$CIRC_TYPE`.
 
     Under #CONSTANT the orientation of the start stays and the programmed one is disregarded. Under #PATH a circle takes
@@ -370,7 +370,7 @@ def _led(trace: Trace, rows: MotionColumns, states: list[State], state: Ints) ->
         raise trace.error(problem, int(rows.line[first]), "Use $CIRC_TYPE=#BASE, or $ORI_TYPE=#VAR.")
     constant = _column(states, state, lambda s: s.orientation == CONSTANT) & (rows.kind != PTP)
     with_path = _column(states, state, lambda s: s.circle == "#PATH" and s.orientation in _BY_ROTATION)
-    return Led(constant, round_ & with_path, rows.via)
+    return OrientationControl(constant, round_ & with_path, rows.via)
 
 
 def _by_wrist(
@@ -440,7 +440,7 @@ def _arcs(
     ends: EndPoses,
     given_ends: Array,
     moves: Mapping[int, MotionStatement],
-    control: Led,
+    control: OrientationControl,
     settings: Settings,
     in_force: tuple[list[State], Ints],
     carriage: Carriage | None,

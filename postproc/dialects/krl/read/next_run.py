@@ -14,7 +14,7 @@ from postproc.dialects.krl.course import Course
 from postproc.dialects.krl.language.positions import Position
 from postproc.dialects.krl.read.main_routine import MainRoutine, Start, course_of
 from postproc.dialects.krl.read.motions import OrderedMotions, ordered_motions
-from postproc.dialects.krl.read.plain_lines import Plain
+from postproc.dialects.krl.read.plain_lines import PlainLines
 from postproc.dialects.krl.read.rounds import Uses
 from postproc.dialects.krl.read.settings import Settings
 from postproc.errors import Issue, ProgramError, first_of
@@ -28,7 +28,7 @@ def changed_data_issues(
     main: MainRoutine,
     change_places: Mapping[str, str],
     first: OrderedMotions,
-    plain: Plain,
+    plain: PlainLines,
     start_joints: tuple[float, ...],
 ) -> Iterator[Issue]:
     """Yield a warning if the next run, with the values that this one leaves, moves differently or is not known.

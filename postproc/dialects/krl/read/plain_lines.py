@@ -292,7 +292,7 @@ def _approximated(raw: Bytes, begins: Ints, ptp: Bools) -> Bools:
     return is_approximated
 
 
-class Plain(Struct, frozen=True):
+class PlainLines(Struct, frozen=True):
     """Plain lines of a text.
 
     :ivar motions: in parts.
@@ -323,12 +323,12 @@ def not_plain(count: int, moving: Ints, settings: PlainSettings) -> Bools:
     return is_other
 
 
-def plain_of(source: Source, *, bulk: bool = True) -> Plain:
+def plain_of(source: Source, *, bulk: bool = True) -> PlainLines:
     """Return the plain lines of a text; not `bulk`: none, so that all are read one by one."""
-    return Plain(scan(source), plain_settings.scan(source)) if bulk else Plain([none()], no_settings())
+    return PlainLines(scan(source), plain_settings.scan(source)) if bulk else PlainLines([none()], no_settings())
 
 
-def gathered(trace: Trace, plain_by_source: Mapping[Source, Plain], *, bulk: bool = True) -> Plain:
+def gathered(trace: Trace, plain_by_source: Mapping[Source, PlainLines], *, bulk: bool = True) -> PlainLines:
     """Return the plain rows of an execution trace, taken from the plain lines of its files: no line is scanned twice.
 
     :param plain_by_source: plain lines of files that were scanned already.
@@ -352,7 +352,7 @@ def gathered(trace: Trace, plain_by_source: Mapping[Source, Plain], *, bulk: boo
     given_line = np.concatenate([part.line for part in settings])
     values = np.concatenate([part.values for part in settings], axis=1)
     in_order = np.argsort(given_line, kind="stable")
-    return Plain([merged(motions, order)], PlainSettings(given_line[in_order], values[:, in_order]))
+    return PlainLines([merged(motions, order)], PlainSettings(given_line[in_order], values[:, in_order]))
 
 
 def _numbers_of(lines: Ints, count: int) -> Ints:

@@ -83,7 +83,7 @@ def is_plain(source: Source, line: int) -> bool:
     return match is not None and (match[1] is None or match[1][0] in "Aa" or 0.0 < float(match[2]) <= FASTEST)
 
 
-class Coming:
+class PlainAssignments:
     """Plain assignments, in execution order.
 
     :param settings: those that run, in order.

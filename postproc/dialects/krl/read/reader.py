@@ -41,13 +41,13 @@ from postproc.dialects.krl.read.main_routine import MainRoutine, Start, course_o
 from postproc.dialects.krl.read.motion_columns import MotionColumns, merged
 from postproc.dialects.krl.read.motions import OrderedMotions, motions_and_layout, ordered_motions, unsettled
 from postproc.dialects.krl.read.next_run import changed_data_issues, kept_values
-from postproc.dialects.krl.read.plain_lines import Plain, gathered, plain_of
-from postproc.dialects.krl.read.unresolved import Separated, needs_start, without_unresolved
+from postproc.dialects.krl.read.plain_lines import PlainLines, gathered, plain_of
+from postproc.dialects.krl.read.unresolved import SeparatedMotions, needs_start, without_unresolved
 from postproc.dialects.krl.read.variables import Variables
 from postproc.dialects.text import decode
 from postproc.errors import CellError, Issue, ProgramError, together
 from postproc.frames import DEG_PER_RAD, Array, any_column
-from postproc.program import PTP, Document, Needed, Program, distinct
+from postproc.program import PTP, Document, NeededFile, Program, distinct
 
 
 def read_program(
@@ -118,7 +118,9 @@ class _Reading(Struct, frozen=True, eq=False):
     faults: list[ProgramError]
     code: str
 
-    def followed(self, plain: Plain, obstacles: Mapping[Routine | Occasion, ProgramError], *, bulk: bool) -> _Followed:
+    def followed(
+        self, plain: PlainLines, obstacles: Mapping[Routine | Occasion, ProgramError], *, bulk: bool
+    ) -> _ExecutedProgram:
         """Follow the program, and read what moves.
 
         :param plain: plain lines of the `.src`.
@@ -141,9 +143,9 @@ class _Reading(Struct, frozen=True, eq=False):
         parts = [*plain.motions] if change_places else plain.motions  # emptied; a second run needs them
         sequence = ordered_motions(main, parts)
         data_issues = list(changed_data_issues(main, change_places, sequence, plain, joints))
-        return _Followed(start, main, without_unresolved(main, sequence), data_issues)
+        return _ExecutedProgram(start, main, without_unresolved(main, sequence), data_issues)
 
-    def _follow(self, main: MainRoutine, plain: Plain) -> None:
+    def _follow(self, main: MainRoutine, plain: PlainLines) -> None:
         """Run the statements along the complete trace.
 
         :raises ProgramError: all that is wrong in them, and settings that motions lack.
@@ -168,7 +170,7 @@ class _Reading(Struct, frozen=True, eq=False):
                 raise
             raise together([*faults, *setting_faults]) from None
 
-    def _executed(self, main: MainRoutine, plain: Plain) -> Plain:
+    def _executed(self, main: MainRoutine, plain: PlainLines) -> PlainLines:
         """Return the plain lines that run.
 
         :raises ProgramError: nothing moves.
@@ -182,7 +184,7 @@ class _Reading(Struct, frozen=True, eq=False):
             return plain
         return replace(plain, motions=[merged(plain.motions, np.arange(len(is_executed))).take(is_executed)])
 
-    def program(self, followed: _Followed) -> Program:
+    def program(self, followed: _ExecutedProgram) -> Program:
         """Return the program, with the layout of its text."""
         main, cell, separation = followed.main, self.cell, followed.separation
         run, course, sequence, trace = main.run, main.course, separation.ordered, main.course.trace
@@ -236,7 +238,7 @@ class _Reading(Struct, frozen=True, eq=False):
             layout=replace(layout, notes=tuple(line for line, _ in notes)),
         )
 
-    def _files(self, main: MainRoutine) -> tuple[tuple[Document, ...], tuple[Needed, ...]]:
+    def _files(self, main: MainRoutine) -> tuple[tuple[Document, ...], tuple[NeededFile, ...]]:
         """Return the files of the program, inlined ones included, and those that it needs besides."""
         library = self.library
         first = self.documents[0]
@@ -268,7 +270,7 @@ class _Reading(Struct, frozen=True, eq=False):
         return variables
 
 
-class _Followed(Struct, frozen=True, eq=False):
+class _ExecutedProgram(Struct, frozen=True, eq=False):
     """A program whose statements have run.
 
     :param separation: its motions, those that stay as they are apart.
@@ -277,11 +279,11 @@ class _Followed(Struct, frozen=True, eq=False):
 
     start: Start
     main: MainRoutine
-    separation: Separated
+    separation: SeparatedMotions
     data_issues: list[Issue]
 
 
-def _issues_of_cell(followed: _Followed) -> Iterator[Issue]:
+def _issues_of_cell(followed: _ExecutedProgram) -> Iterator[Issue]:
     """Yield what is taken from the cell: the home position, values of variables."""
     main, start = followed.main, followed.start
     if main.reader.home_used:
@@ -333,7 +335,7 @@ def _config(cell: Cell, path: str) -> Source:
     return Source.of(decode(file.name, data), 2)
 
 
-def _main(source: Source, plain: Plain, name: str) -> tuple[Module, Routine, list[ProgramError]]:
+def _main(source: Source, plain: PlainLines, name: str) -> tuple[Module, Routine, list[ProgramError]]:
     """Return the routines, the one to follow (that of the program's name, else the first), and faults of bounds."""
     other_lines = np.flatnonzero(plain.others(len(source.starts))) + 1
     by_name, faults = routines(source, other_lines.tolist(), plain.moving, plain.settings.line.tolist())

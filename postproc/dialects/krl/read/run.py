@@ -19,7 +19,7 @@ from postproc.dialects.krl.language.values import Aggregate, Reference, Value
 from postproc.dialects.krl.read.data_lists import read_data
 from postproc.dialects.krl.read.effects import Analysis
 from postproc.dialects.krl.read.folder import Library
-from postproc.dialects.krl.read.known import NOTHING, Known, Scope, Unknown, Unread
+from postproc.dialects.krl.read.known import NOTHING, Known, Scope, UnknownValue, UnparsedValue
 from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.state import State
 from postproc.dialects.krl.read.variables import Variables
@@ -107,7 +107,7 @@ class Level(Struct, eq=False):
         return bool(self.returned or self.left or self.jump)
 
 
-class Apart(Struct, frozen=True, eq=False):
+class UntracedCall(Struct, frozen=True, eq=False):
     """A call of a routine of another file whose motions are not in the execution trace.
 
     :param row: of the trace; after it the robot position is not known.
@@ -131,10 +131,10 @@ class _Fork(Struct, eq=False):
     :ivar ends: the same at the ends of the branches.
     """
 
-    values: tuple[dict[str, Known | Unread], dict[str, Unknown]]
+    values: tuple[dict[str, Known | UnparsedValue], dict[str, UnknownValue]]
     state: State
     is_begun: bool = False
-    ends: list[tuple[tuple[dict[str, Known | Unread], dict[str, Unknown]], State]] = []
+    ends: list[tuple[tuple[dict[str, Known | UnparsedValue], dict[str, UnknownValue]], State]] = []
 
 
 class Run:
@@ -185,7 +185,7 @@ class Run:
         self.resumable = False
         self.resumed: Place | None = None
         self.triggers: list[int] = []
-        self.moved: list[Apart] = []
+        self.moved: list[UntracedCall] = []
         self.stops: list[tuple[int, ProgramError]] = []
         self.unfollowed: set[Routine] = set()
         self.shifted: set[int] = set()
@@ -307,8 +307,8 @@ class Run:
         """Note that names may have another value at any time."""
         for name, place in names.items():
             cause_place = cause if cause.endswith(f"in {place}") else f"{cause}, {place}"
-            self.variables.changing.setdefault(name, Unknown(f"by {cause_place}"))
+            self.variables.changing.setdefault(name, UnknownValue(f"by {cause_place}"))
 
     def changes_always(self, at: Place, name: str) -> None:
         """Note that a name, as it is stored, changes cyclically."""
-        self.variables.changing.setdefault(name, Unknown(str(at)))
+        self.variables.changing.setdefault(name, UnknownValue(str(at)))

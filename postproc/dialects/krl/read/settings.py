@@ -10,9 +10,9 @@ from postproc.dialects.krl.language.source import Place
 from postproc.dialects.krl.language.values import Call, Number, Reference, Value, Word
 from postproc.dialects.krl.read.bas import Bas
 from postproc.dialects.krl.read.frames import Frames
-from postproc.dialects.krl.read.known import NOTHING, Known, Unknown
+from postproc.dialects.krl.read.known import NOTHING, Known, UnknownValue
 from postproc.dialects.krl.read.path_settings import MODES, PathSettings
-from postproc.dialects.krl.read.plain_settings import Coming, no_settings
+from postproc.dialects.krl.read.plain_settings import PlainAssignments, no_settings
 from postproc.dialects.krl.read.state import FIELDS, Reasons, State
 from postproc.dialects.krl.read.variables import ZERO, Variables, component
 from postproc.errors import ProgramError
@@ -35,7 +35,7 @@ class Settings:
         variables.current = self.current
         self.state = State()
         self.changes: list[tuple[int, State]] = [(0, self.state)]
-        self.coming = Coming(no_settings())
+        self.coming = PlainAssignments(no_settings())
         self.follows_numbers, self.lacked_numbers = True, False
         self._reasons = Reasons()  # shared: whichever part makes a field uncertain, its reason is found by the state
         self.frames = Frames(variables, cell, self._reasons)
@@ -46,12 +46,12 @@ class Settings:
         """Return the present value of one of the `RELEVANT` variables, or of a component of it."""
         state = self.state
         if state.block:
-            return Unknown(why="which value it has inside of a spline block is in no source")
+            return UnknownValue(why="which value it has inside of a spline block is in no source")
         if name in ("$BASE", "$TOOL"):
             return self.frames.current(state, name, field)
         for uncertain, reason in state.uncertain:
             if uncertain == FIELDS.get(name):
-                return Unknown(why=self._reasons.errors[reason].problem)
+                return UnknownValue(why=self._reasons.errors[reason].problem)
         if name in ("$WORLD", "$ROBROOT"):
             return ZERO if field is None else component(ZERO, field) if field in CARTESIAN else NOTHING
         if (name, field) == ("$VEL", "CP") and not state.assumed:

@@ -24,7 +24,7 @@ from postproc.errors import Issue
 from postproc.program import SPL, Bools, Ints, Motions, distinct
 
 
-class Opened(Struct, frozen=True):
+class OpenBlock(Struct, frozen=True):
     """A block that is open.
 
     :ivar row: of the trace, with its first line; `at` the place of that line.
@@ -48,7 +48,7 @@ class SplineBlocks:
 
     def __init__(self, settings: Settings, reader: MotionReader) -> None:
         self.settings, self.reader = settings, reader
-        self.open: Opened | None = None
+        self.open: OpenBlock | None = None
         self.approximated: list[int] = []
         self.ended: list[int] = []
 
@@ -62,7 +62,7 @@ class SplineBlocks:
             if self.open is not None:
                 raise at.error(f"{stmt.word} inside of a spline block ({self.open.at})")
             state = self.reader.block(at, stmt)
-            self.open = Opened(row, at, self.settings.state, state)
+            self.open = OpenBlock(row, at, self.settings.state, state)
             self.settings.change(row, state)
             return
         if self.open is None:

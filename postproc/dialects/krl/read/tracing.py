@@ -13,17 +13,17 @@ from postproc.chunks import ragged_range
 from postproc.dialects.krl.course import (
     Body,
     Branch,
-    Called,
     Course,
-    Enter,
     Fork,
+    InlinedRoutine,
     Join,
-    Kept,
-    Leave,
     Lines,
     PlainRounds,
-    Repeated,
+    RoutineEntry,
+    RoutineExit,
     Step,
+    UnresolvedStructure,
+    UnrolledLoop,
 )
 from postproc.dialects.krl.language.routines import Module, Routine
 from postproc.dialects.krl.language.source import Place, Source
@@ -90,7 +90,7 @@ class Recorder:
         """Record lines up to a line whose branch taken is not known before run time."""
         first = self.count + 1
         self._next(line, live=True)
-        self._steps.append(Kept(first, self.count, cause))
+        self._steps.append(UnresolvedStructure(first, self.count, cause))
         self.pinned = True
         self.is_final = False
 
@@ -131,9 +131,9 @@ class Recorder:
         """
         caller = self._open[-1]
         self.pass_to(at.line)
-        self._steps.append(Enter(self.count, module, routine))
+        self._steps.append(RoutineEntry(self.count, module, routine))
         body = Body(self.count + 1)
-        caller.bodies[-1].parts.append(Called(self.count, name, routine, body))
+        caller.bodies[-1].parts.append(InlinedRoutine(self.count, name, routine, body))
         is_own = routine.source is self.main.source
         shown_line = 0 if is_own else caller.shown_line or at.line
         self._open.append(_OpenRoutine(routine.source, routine.first + 1, shown_line, [body]))
@@ -145,9 +145,9 @@ class Recorder:
         """End the routine that was entered last."""
         body = self._open.pop().bodies[0]
         body.last = self.count + 1
-        self._steps.append(Leave())
+        self._steps.append(RoutineExit())
 
-    def begin(self, block: Block, counter: str, step: int, *, left: bool, closing: int = 0) -> Repeated:
+    def begin(self, block: Block, counter: str, step: int, *, left: bool, closing: int = 0) -> UnrolledLoop:
         """Begin to unroll a loop; `counter`, as it is spelled, and `step` of FOR, else empty and 0.
 
         :param closing: first of the lines that close it; 0: its last line does alone.
@@ -156,11 +156,11 @@ class Recorder:
         source = self._open[-1].source
         opening_text = _lines(source, block.first, block.first)
         closing_text = _lines(source, closing or block.last, block.last)
-        loop = Repeated(opening_text, closing_text, counter, step, left, self.count + 1)
+        loop = UnrolledLoop(opening_text, closing_text, counter, step, left, self.count + 1)
         self._open[-1].bodies[-1].parts.append(loop)
         return loop
 
-    def repeat(self, loop: Repeated, block: Block, number: int | None) -> None:
+    def repeat(self, loop: UnrolledLoop, block: Block, number: int | None) -> None:
         """Begin an iteration of a loop.
 
         :param number: of the counter of FOR; None for other loops.
@@ -171,7 +171,7 @@ class Recorder:
         self._assign(block, number)
         self._open[-1].cursor = block.first + 1
 
-    def plain_rounds(self, loop: Repeated, block: Block, rounds: PlainRounds) -> None:
+    def plain_rounds(self, loop: UnrolledLoop, block: Block, rounds: PlainRounds) -> None:
         """Record rounds that differ in the number of the counter only."""
         open_routine = self._open[-1]
         first, last = block.first + 1, block.last - 1
@@ -195,7 +195,7 @@ class Recorder:
         self.pass_to(block.last - 1, live=False)
         self._open[-1].bodies.pop().last = self.count + 1
 
-    def end(self, loop: Repeated, block: Block, number: int | None) -> None:
+    def end(self, loop: UnrolledLoop, block: Block, number: int | None) -> None:
         """End a loop.
 
         :param number: that the counter of FOR has then; None if the loop is left, and for other loops.

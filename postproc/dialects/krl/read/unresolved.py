@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 from msgspec import Struct
 
-from postproc.dialects.krl.course import Enter
+from postproc.dialects.krl.course import RoutineEntry
 from postproc.dialects.krl.language.names import SYNCHRONISING
 from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.source import Source
@@ -23,7 +23,7 @@ from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.state import fields_used
 from postproc.dialects.krl.read.variables import PARTLY_GIVEN
 from postproc.errors import Issue, ProgramError
-from postproc.program import CIRC, PTP, SPL, Ints, Unresolved, distinct
+from postproc.program import CIRC, PTP, SPL, Ints, UnresolvedMotion, distinct
 
 _WAITING, _OTHER_WORD = "#PROGSYNC", "?"
 _PIECE = 1_000_000
@@ -40,7 +40,7 @@ _OPEN = (
 )
 
 
-class Separated(Struct, frozen=True, eq=False):
+class SeparatedMotions(Struct, frozen=True, eq=False):
     """The motions of a program, separated by whether they can be corrected.
 
     :param ordered: those that can.
@@ -51,11 +51,11 @@ class Separated(Struct, frozen=True, eq=False):
 
     ordered: OrderedMotions
     after: Ints | None = None
-    unresolved: tuple[Unresolved, ...] = ()
+    unresolved: tuple[UnresolvedMotion, ...] = ()
     issues: tuple[Issue, ...] = ()
 
 
-def without_unresolved(main: MainRoutine, sequence: OrderedMotions) -> Separated:
+def without_unresolved(main: MainRoutine, sequence: OrderedMotions) -> SeparatedMotions:
     """Take out the motions that stay as they are, where that is wanted, and note which motions follow them.
 
     :param sequence: motions whose targets are known.
@@ -73,7 +73,7 @@ def without_unresolved(main: MainRoutine, sequence: OrderedMotions) -> Separated
         is_dropped[row] = True
     stop_lines = [line for line, _ in run.stops] if run.keep else []
     if not reasons and not run.moved and not stop_lines:
-        return Separated(sequence)
+        return SeparatedMotions(sequence)
     open_: set[int] = set()
     for line in sorted({*reasons, *(call.row for call in run.moved), *stop_lines}):
         row = int(np.searchsorted(rows.line, line, side="right"))
@@ -102,7 +102,7 @@ def without_unresolved(main: MainRoutine, sequence: OrderedMotions) -> Separated
         moves,
     )
     unresolved, issues = _reported(main, reasons)
-    return Separated(left, predecessors, unresolved, (*issues, *_opened(main, left, begins)))
+    return SeparatedMotions(left, predecessors, unresolved, (*issues, *_opened(main, left, begins)))
 
 
 def _uncertain(settings: Settings, sequence: OrderedMotions) -> Iterator[tuple[int, ProgramError]]:
@@ -169,7 +169,7 @@ def _marks(main: MainRoutine) -> list[tuple[int, bool]]:
         for _, routine in routines
         for at in routine.lines
     )
-    entry_lines = {step.row for step in course.steps if isinstance(step, Enter)}
+    entry_lines = {step.row for step in course.steps if isinstance(step, RoutineEntry)}
     marks = []
     trace = course.trace
     for at in range(course.body.first, course.body.last):
@@ -225,9 +225,9 @@ def needs_start(sequence: OrderedMotions, row: int, *, arcs: bool = True) -> boo
     return bool(np.isnan(sequence.rows.numbers[row]).any())
 
 
-def _reported(main: MainRoutine, reasons: dict[int, ProgramError]) -> tuple[tuple[Unresolved, ...], list[Issue]]:
+def _reported(main: MainRoutine, reasons: dict[int, ProgramError]) -> tuple[tuple[UnresolvedMotion, ...], list[Issue]]:
     """Return each uncorrected line, and a warning for it."""
-    by_place: dict[str, Unresolved] = {}
+    by_place: dict[str, UnresolvedMotion] = {}
     issues = []
     for line, reason in sorted(reasons.items()):
         origin = main.run.trace.place(line)
@@ -235,7 +235,7 @@ def _reported(main: MainRoutine, reasons: dict[int, ProgramError]) -> tuple[tupl
             continue
         shown_line: int | None = main.run.trace.shown_line(line)
         text = origin.source.text[slice(*origin.source.code_span(origin.line))]
-        by_place[str(origin)] = Unresolved(origin.source.document.name, origin.line, text, reason.problem)
+        by_place[str(origin)] = UnresolvedMotion(origin.source.document.name, origin.line, text, reason.problem)
         suffix = _SHIFT_TEXT if _starts_here(main, line, reason) else ""
         is_elsewhere = origin.source is not main.run.routine.source
         prefix, shown_line = (f"{origin}: ", None) if is_elsewhere else ("", shown_line)

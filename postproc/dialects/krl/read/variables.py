@@ -22,16 +22,16 @@ from postproc.dialects.krl.language.values import (
     Chain,
     Condition,
     Number,
-    Opaque,
+    OpaqueText,
     Operation,
     Reference,
-    Unreadable,
+    UnreadableText,
     Value,
     Word,
     parts,
 )
 from postproc.dialects.krl.read.conditions import joined, plain, same
-from postproc.dialects.krl.read.known import NOTHING, Known, Scope, Unknown, Unread
+from postproc.dialects.krl.read.known import NOTHING, Known, Scope, UnknownValue, UnparsedValue
 from postproc.dialects.krl.read.state import RELEVANT
 from postproc.errors import CellError, ProgramError
 from postproc.frames import Array, inverse
@@ -50,9 +50,9 @@ FUNCTIONS: dict[str, Callable[..., float]] = {
 """Functions of the controller that give a number of numbers; angles in degrees."""
 ZERO = Position((0.0,) * 6)
 _SCALAR = (Number, Word)
-_CONSTANT = (Number, Word, Opaque)
-_EVALUATED = (Number, Position, Word, Unknown)
-_WITHOUT_PARTS = (Number, Word, Position, Unknown, Opaque, Unreadable)
+_CONSTANT = (Number, Word, OpaqueText)
+_EVALUATED = (Number, Position, Word, UnknownValue)
+_WITHOUT_PARTS = (Number, Word, Position, UnknownValue, OpaqueText, UnreadableText)
 ANGLES = CARTESIAN[3:]
 WHOLE = "INT or REAL"
 """Type of a parameter without ``:IN`` whose argument has the other of these types: no source says which it is."""
@@ -64,10 +64,10 @@ _OPERATIONS: dict[str, Callable[[float, float], float]] = {
     "*": lambda a, b: a * b,
     "/": lambda a, b: a / b,
 }
-_ROUNDED = Unknown(why="to which side the quotient of negative INTs is rounded is in no source")
+_ROUNDED = UnknownValue(why="to which side the quotient of negative INTs is rounded is in no source")
 PARTLY_GIVEN = "not all of its components are given, and it had others"
 """Why a position is not known: it may keep the others or lack them, and a motion then keeps those of the robot."""
-_BEYOND_INT = Unknown(why="what becomes of an INT beyond 32 bits is in no source")
+_BEYOND_INT = UnknownValue(why="what becomes of an INT beyond 32 bits is in no source")
 _HALF = 1e-5
 """REALs that are closer than this share to the middle between two INTs may be rounded to either: they have fewer
 digits on a controller."""
@@ -145,20 +145,20 @@ class Variables:
     """
 
     def __init__(self, cell: Cell) -> None:
-        self._values: dict[str, Known | Unread] = {}
+        self._values: dict[str, Known | UnparsedValue] = {}
         self._elements: defaultdict[str, list[str]] = defaultdict(list)
         self.changes = 0
         self.types: dict[str, str] = {}
         self.structures: dict[str, dict[str, str]] = {}
         self.public: set[str] = set()
         self.scope = Scope()
-        self.changing: dict[str, Unknown] = {}
+        self.changing: dict[str, UnknownValue] = {}
         self.used: set[str] = set()
         self.changed: dict[str, str] = {}
         self.initial = set(FRAME_ARRAYS)
         self.current: Callable[[str, str | None], Known] = _not_followed
         self.functions: Functions = _NoFunctions()
-        self.late: dict[str, Known | Unread] = {}
+        self.late: dict[str, Known | UnparsedValue] = {}
         self.reading_late = False
         self._stated = {f"{name}[0]": (ZERO, "the controller, whose number 0 is $NULLFRAME") for name in FRAME_ARRAYS}
         self.given = {key.upper(): _from_cell(value) for key, value in cell.krl.values.items()}
@@ -175,7 +175,7 @@ class Variables:
         self.state_frame(key, frame, place)
         self.put(key, frame)
 
-    def state_frame(self, key: str, value: Known | Unread, place: str) -> None:
+    def state_frame(self, key: str, value: Known | UnparsedValue, place: str) -> None:
         """Note the frame that the cell or a file gives for ``BASE_DATA[n]`` or ``TOOL_DATA[n]``.
 
         Components that one of two frames lacks do not count. A value that cannot be read is not noted.
@@ -184,7 +184,7 @@ class Variables:
         :raises CellError: another place gives another frame.
         """
         try:
-            read = value.value if isinstance(value, Unread) else value
+            read = value.value if isinstance(value, UnparsedValue) else value
             frame = self.position(read)
         except ProgramError:  # an error where it is used
             return
@@ -220,7 +220,7 @@ class Variables:
             if not name or name == root:
                 self.put(key, converted(value, self.types.get(root, "")))
 
-    def put(self, key: str, value: Known | Unread) -> None:
+    def put(self, key: str, value: Known | UnparsedValue) -> None:
         """Store a value as it is. `set` converts those of assignments to the type of the variable."""
         is_new = key not in self._values
         self.changes += self._values.get(key) != value
@@ -242,7 +242,7 @@ class Variables:
         if isinstance(value, Number):
             value = converted(value, self.types.get(name, ""))
         elif isinstance(value, Aggregate) and self._ambiguous(key, value):
-            value = Unknown(str(place), PARTLY_GIVEN)
+            value = UnknownValue(str(place), PARTLY_GIVEN)
         self.put(key, value)
 
     def _ambiguous(self, key: str, new: Aggregate) -> bool:
@@ -268,18 +268,18 @@ class Variables:
         first = field.partition(".")[0].partition("[")[0]
         if isinstance(whole, Position) and field in CARTESIAN and not whole.axis and isinstance(value, Number):
             new_position = with_component(whole, field, value.value)
-            self.put(key, Unknown(str(place)) if new_position is None else new_position)
-        elif isinstance(whole, Unknown) and whole.why:
+            self.put(key, UnknownValue(str(place)) if new_position is None else new_position)
+        elif isinstance(whole, UnknownValue) and whole.why:
             return
         elif not isinstance(whole, Aggregate):
-            self.put(key, Unknown(str(place), value.why if isinstance(value, Unknown) else ""))
+            self.put(key, UnknownValue(str(place), value.why if isinstance(value, UnknownValue) else ""))
         elif "[" not in field and (new := _with_member(self, whole, field.split("."), value)) is not None:
             self.put(key, new)
         elif first not in _COMPONENTS:
-            items = {**whole.items, first: Opaque(whole.start, whole.stop)}
+            items = {**whole.items, first: OpaqueText(whole.start, whole.stop)}
             self.put(key, replace(whole, items=items, computed=True))
         else:
-            self.put(key, Unknown(str(place), value.why if isinstance(value, Unknown) else ""))
+            self.put(key, UnknownValue(str(place), value.why if isinstance(value, UnknownValue) else ""))
 
     def forget(self, name: str, place: str) -> None:
         """Note that a variable (all its elements) has a value that is not known; variables of the controller without a
@@ -289,25 +289,25 @@ class Variables:
             return
         self.changed.setdefault(name, place)
         for key in (name, *self._elements.get(name, ())):
-            self._values[key] = Unknown(place)
+            self._values[key] = UnknownValue(place)
 
-    def as_now(self) -> tuple[dict[str, Known | Unread], dict[str, Unknown]]:
+    def as_now(self) -> tuple[dict[str, Known | UnparsedValue], dict[str, UnknownValue]]:
         """Return all values, for `as_then` and `meet`."""
         return dict(self._values), dict(self.changing)
 
-    def as_then(self, snapshot: tuple[dict[str, Known | Unread], dict[str, Unknown]]) -> None:
+    def as_then(self, snapshot: tuple[dict[str, Known | UnparsedValue], dict[str, UnknownValue]]) -> None:
         """Give all variables the values that they had."""
         self._values, self.changing = self.late | snapshot[0], dict(snapshot[1])
 
-    def meet(self, snapshot: tuple[dict[str, Known | Unread], dict[str, Unknown]], place: str) -> None:
+    def meet(self, snapshot: tuple[dict[str, Known | UnparsedValue], dict[str, UnknownValue]], place: str) -> None:
         """Merge with the values of another branch: those that differ become unknown."""
         values, volatile_names = self.late | snapshot[0], snapshot[1]
         self.changing = volatile_names | self.changing
         for key in self._values.keys() | values.keys():
             if not self._same(self._values.get(key), values.get(key)):
-                self._values[key] = Unknown(place)
+                self._values[key] = UnknownValue(place)
 
-    def differing(self, snapshot: tuple[dict[str, Known | Unread], dict[str, Unknown]]) -> frozenset[str]:
+    def differing(self, snapshot: tuple[dict[str, Known | UnparsedValue], dict[str, UnknownValue]]) -> frozenset[str]:
         """Return the names of variables whose values are not what they were."""
         values, volatile_names = self.late | snapshot[0], snapshot[1]
         keys = (key for key in self._values.keys() | values.keys())
@@ -317,9 +317,9 @@ class Variables:
     def _same(self, first: object, second: object) -> bool:
         if first is second or (not isinstance(first, Aggregate) and first == second):
             return True
-        if isinstance(second, Unread):
+        if isinstance(second, UnparsedValue):
             first, second = second, first
-        if isinstance(first, Unread):
+        if isinstance(first, UnparsedValue):
             if isinstance(second, Aggregate):
                 is_same_text = second.source is first.source and second.row == first.row
                 return is_same_text and not second.computed and first.start <= second.start < first.stop
@@ -344,7 +344,7 @@ class Variables:
         spans, source = [], None
         for number in numbers:
             value = self._values.get(f"{name}[{number}]")
-            if not isinstance(value, Unread | Aggregate) or (isinstance(value, Aggregate) and value.computed):
+            if not isinstance(value, UnparsedValue | Aggregate) or (isinstance(value, Aggregate) and value.computed):
                 return None
             if value.source is not (source := source or value.source) or source.index == 0 or value.row:
                 return None
@@ -400,7 +400,7 @@ class Variables:
         if key in self.given:
             self.relied.add(key)
         value = self._values.get(key)
-        if isinstance(value, Unread):
+        if isinstance(value, UnparsedValue):
             value = self.evaluate(value.value)
             if isinstance(value, Number):
                 value = converted(value, self.types.get(key.partition("[")[0], ""))
@@ -408,7 +408,7 @@ class Variables:
         return value
 
     def evaluate(self, value: Value | Known) -> Known:
-        """Return the present value; `Unknown` when that is not known before the program runs.
+        """Return the present value; `UnknownValue` when that is not known before the program runs.
 
         :raises ProgramError: it cannot be read.
         """
@@ -426,7 +426,7 @@ class Variables:
             return self._function(value)
         if isinstance(value, Condition):
             return self._decided(value)
-        if isinstance(value, Unreadable):
+        if isinstance(value, UnreadableText):
             raise value.error
         return NOTHING
 
@@ -440,7 +440,7 @@ class Variables:
         items: dict[str, Value] = {}
         for name, item in aggregate.items.items():
             result = self.evaluate(item)
-            items[name] = result if isinstance(result, Number | Word | Aggregate) else Opaque(*_span(item))
+            items[name] = result if isinstance(result, Number | Word | Aggregate) else OpaqueText(*_span(item))
         if all(result is item for result, item in zip(items.values(), aggregate.items.values(), strict=True)):
             return aggregate
         return replace(aggregate, items=items, computed=True)
@@ -475,14 +475,14 @@ class Variables:
             return Word(str(value).upper(), condition.start, condition.stop)
         if isinstance(value, _SCALAR):
             return value
-        return next((term_value for term_value in term_values if isinstance(term_value, Unknown)), NOTHING)
+        return next((term_value for term_value in term_values if isinstance(term_value, UnknownValue)), NOTHING)
 
     def _computed(self, operation: Operation) -> Known:
         """Return a sum, difference, product or quotient, see `computed`."""
         left = Number(0.0, 0, 0, True) if operation.left is None else self.evaluate(operation.left)
         right = self.evaluate(operation.right)
         if not isinstance(left, Number) or not isinstance(right, Number):
-            return next((side for side in (left, right) if isinstance(side, Unknown)), NOTHING)
+            return next((side for side in (left, right) if isinstance(side, UnknownValue)), NOTHING)
         integer = left.integer and right.integer
         value = computed(operation.operator, left.value, right.value, integer=integer)
         return Number(value, operation.start, operation.stop, integer) if isinstance(value, int | float) else value
@@ -564,7 +564,7 @@ class Variables:
         """
         computed = False
         for name in path.split("."):
-            if isinstance(value, Unknown):
+            if isinstance(value, UnknownValue):
                 return value
             item = value.items.get(name) if isinstance(value, Aggregate) else None
             if item is None or not isinstance(value, Aggregate):
@@ -619,7 +619,7 @@ class Variables:
         result = self.evaluate(call.arguments[0])
         if isinstance(result, Aggregate):
             return result.items.get(field)
-        return call.arguments[0] if isinstance(result, Unknown) else result
+        return call.arguments[0] if isinstance(result, UnknownValue) else result
 
     def check_name(self, source: Source, reference: Reference) -> None:
         """Refuse a name that is longer than the controller accepts."""
@@ -653,7 +653,7 @@ def component(position: Position, field: str) -> Known:
     """
     value = position.values[CARTESIAN.index(field)]
     if field in ANGLES and not _one_set(position):
-        return Unknown(why=f"two sets of A, B, C describe this orientation, and {field} may be that of either")
+        return UnknownValue(why=f"two sets of A, B, C describe this orientation, and {field} may be that of either")
     return Number(value, 0, 0, False)
 
 
@@ -728,13 +728,13 @@ def converted(value: Known, kind: str) -> Known:
         return replace(value, integer=False) if isinstance(value, Number) else value
     whole = value.value == int(value.value)
     if kind == WHOLE and not whole:
-        return Unknown(why=f"whether {value.value:g} is rounded to an INT is in no source")
+        return UnknownValue(why=f"whether {value.value:g} is rounded to an INT is in no source")
     if kind in ("INT", WHOLE) and abs(value.value) >= LARGEST_INT:
         return _BEYOND_INT
     if kind == "INT" and not whole:
         nearest = round(value.value)
         if abs(abs(value.value - nearest) - 0.5) < _HALF * max(1.0, abs(value.value)):
-            return Unknown(why=f"to which side {value.value:g} is rounded is in no source")
+            return UnknownValue(why=f"to which side {value.value:g} is rounded is in no source")
         return replace(value, value=float(nearest), integer=True)
     return replace(value, integer=whole)
 

@@ -15,14 +15,14 @@ from postproc.dialects.krl.language.routines import Routine
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.tokens import fold_at
 from postproc.dialects.krl.language.tree import (
-    Cyclic,
+    CyclicInput,
     Declaration,
     Event,
     Goto,
-    Imported,
+    IdleDeclaration,
+    Import,
     Label,
     Motion,
-    Outside,
     Return,
     Spline,
     Statement,
@@ -84,7 +84,9 @@ def places(source: Source, main: Routine) -> CutPoints:
             first, is_waiting = first or line, False
         elif isinstance(node, Trigger) or node.word == "CONTINUE":
             is_waiting = True
-        elif isinstance(node, Declaration | Outside | Imported) or (isinstance(node, Cyclic) and node.word == "SIGNAL"):
+        elif isinstance(node, Declaration | IdleDeclaration | Import) or (
+            isinstance(node, CyclicInput) and node.word == "SIGNAL"
+        ):
             declarations.append(line)
         elif isinstance(node, Event) and not node.public:
             first_call = 0

@@ -32,7 +32,7 @@ from postproc.dialects.krl.write.target_statements import aggregate_text
 from postproc.dialects.new_program import LINE_END, NewProgram, Words, check_name, number
 from postproc.errors import group_issues
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, xyzabc_from_pose
-from postproc.program import CIRC, PTP, Bools, Document, Ints, Program, TargetForces, Targets, Written, constant
+from postproc.program import CIRC, PTP, Bools, Document, Ints, Program, TargetForces, Targets, WrittenProgram, constant
 from postproc.version import VERSION
 
 _FRAME_DECIMALS = 6
@@ -56,7 +56,7 @@ _INITIALISATION = (
 _WORDS = Words(";", "WAIT SEC {}", "HALT", lambda joints: axis_motion(joints * DEG_PER_RAD, 5), wait="WAIT SEC 0")
 
 
-def emit(program: Program, targets: Targets, cell: Cell, comment_forces: TargetForces | None = None) -> Written:
+def emit(program: Program, targets: Targets, cell: Cell, comment_forces: TargetForces | None = None) -> WrittenProgram:
     """Return a program read from G-code as KRL for the cell's controller.
 
     :param program: its motions, frames, events and name.
@@ -95,7 +95,7 @@ class Emitter:
         self.has_force_comment = np.zeros(len(targets), dtype=np.bool_)
         self.call_rows: list[int] = []
 
-    def write(self) -> Written:
+    def write(self) -> WrittenProgram:
         """Return the written program."""
         new, count = self.new, len(self.targets)
         new.stops |= set(self.starts)
@@ -121,7 +121,7 @@ class Emitter:
         )
         encoding = "ascii" if text.isascii() else "cp1252"  # the same bytes, but much faster
         document = Document(f"{self.program.name}.src", text, encoding)
-        return Written((document,), output_line, "krl", group_issues(new.issues))
+        return WrittenProgram((document,), output_line, "krl", group_issues(new.issues))
 
     def header(self, name: str, *comments: str) -> list[str]:
         """Return header and initialisation of a module.

@@ -19,7 +19,7 @@ from msgspec import Struct, field
 from msgspec.structs import replace
 
 from postproc.chunks import ragged_range
-from postproc.dialects.krl.course import Body, Called, Course, Repeated
+from postproc.dialects.krl.course import Body, Course, InlinedRoutine, UnrolledLoop
 from postproc.dialects.krl.language.names import Names
 from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.routines import Routine
@@ -34,7 +34,7 @@ _Key = tuple[tuple[int, object], ...]
 """Changed lines of a body, each with what it becomes; empty if nothing changes."""
 
 
-class Folded(Struct, frozen=True):
+class FoldedProgram(Struct, frozen=True):
     """The files of a program.
 
     :ivar documents: the `.src`, then changed files of routines that it calls.
@@ -50,7 +50,7 @@ class Folded(Struct, frozen=True):
     issues: tuple[Issue, ...]
 
 
-def fold(course: Course, main: Routine, new_rows: EditedRows) -> Folded:
+def fold(course: Course, main: Routine, new_rows: EditedRows) -> FoldedProgram:
     """Return the files of a program whose trace was corrected.
 
     :param main: its main routine.
@@ -86,12 +86,12 @@ class _Folder(Struct, eq=False):
     edited: EditedRows
     versions: defaultdict[Routine, dict[_Key, _Version]] = field(default_factory=lambda: defaultdict(dict))
     names: Names | None = None
-    outside: list[Called] = []
+    outside: list[InlinedRoutine] = []
     issues: list[Issue] = []
     _keys: dict[Body, _Key] = {}
-    _calls: dict[Called, _Version] = {}
+    _calls: dict[InlinedRoutine, _Version] = {}
 
-    def fold(self) -> Folded:
+    def fold(self) -> FoldedProgram:
         """Return the files of the program, with the line of each row of the trace in the main file."""
         key = self._key(self.course.body)
         body = self._body(self.course.body)
@@ -115,7 +115,7 @@ class _Folder(Struct, eq=False):
         for call in self.outside:
             rows = line[call.body.first : call.body.last]
             rows[rows == 0] = line[call.row]
-        return Folded(tuple(documents), line, is_inside, tuple(self.issues))
+        return FoldedProgram(tuple(documents), line, is_inside, tuple(self.issues))
 
     def _warn_users(self, source: Source) -> None:
         """Warn of other programs that call routines of a file that is changed."""
@@ -136,9 +136,11 @@ class _Folder(Struct, eq=False):
             changes: list[tuple[int, object]] = []
             row = body.first
             for part in body.parts:
-                first, last = (part.row, part.body.last) if isinstance(part, Called) else (part.first, part.last)
+                first, last = (
+                    (part.row, part.body.last) if isinstance(part, InlinedRoutine) else (part.first, part.last)
+                )
                 self._add_changes(changes, row, first)
-                change = self._call_key(part) if isinstance(part, Called) else self._loop_key(part)
+                change = self._call_key(part) if isinstance(part, InlinedRoutine) else self._loop_key(part)
                 if change:
                     changes.append((self._line(first), change))
                 row = last
@@ -155,7 +157,7 @@ class _Folder(Struct, eq=False):
     def _line(self, row: int) -> int:
         return self.course.trace.line.item(row - 1)
 
-    def _loop_key(self, loop: Repeated) -> object:
+    def _loop_key(self, loop: UnrolledLoop) -> object:
         """Return a key of the changes in a loop: of its body if all rounds are alike, else of each round."""
         keys = [self._key(body) for body in loop.bodies]
         if all(key == keys[0] for key in keys):
@@ -167,24 +169,24 @@ class _Folder(Struct, eq=False):
         end = self.course.count(loop, loop.bodies[-1].last) if self._sets_counter(loop) else None
         return ("rounds", end, *zip(self._counts(loop), keys, strict=True))
 
-    def _sets_counter(self, loop: Repeated) -> bool:
+    def _sets_counter(self, loop: UnrolledLoop) -> bool:
         """Return whether the counter of a FOR is set behind its last round."""
         return loop.step != 0 and loop.last > loop.bodies[-1].last
 
-    def _unchanged_rows(self, loop: Repeated) -> _Key:
+    def _unchanged_rows(self, loop: UnrolledLoop) -> _Key:
         """Return what changes in the lines of a loop that does not run."""
         changes: list[tuple[int, object]] = []
         self._add_changes(changes, loop.first, loop.last)
         return tuple(changes)
 
-    def _call_key(self, call: Called) -> object:
+    def _call_key(self, call: InlinedRoutine) -> object:
         """Return what changes in a call: the line itself, and the name of the version that is called."""
         version = self._version(call)
         name = "" if version.name == call.routine.name else version.name
         key = self.edited.keys[call.row - 1]
         return (key, name) if key or name else ()
 
-    def _version(self, call: Called) -> _Version:
+    def _version(self, call: InlinedRoutine) -> _Version:
         """Return the version of a routine that a call needs."""
         versions, routine = self.versions[call.routine], call.routine
         key = self._key(call.body)
@@ -196,7 +198,7 @@ class _Folder(Struct, eq=False):
         self._calls[call] = versions[key]
         return versions[key]
 
-    def _counts(self, loop: Repeated) -> list[int]:
+    def _counts(self, loop: UnrolledLoop) -> list[int]:
         """Return the counter of a FOR in each round; of other loops zeros."""
         return [self.course.count(loop, body.first) if loop.step else 0 for body in loop.bodies]
 
@@ -206,7 +208,7 @@ class _Folder(Struct, eq=False):
         """Return the lines of a body as they are written, from a row of the trace on; 0: from its first."""
         pieces, row = [], begin or body.first
         for part in body.parts:
-            if isinstance(part, Called):
+            if isinstance(part, InlinedRoutine):
                 pieces += [self._lines(row, part.row), self._call(part)]
                 row = part.body.last
             else:
@@ -222,12 +224,12 @@ class _Folder(Struct, eq=False):
         begins = self.edited.begins
         return _Piece(int(begins[last - 1] - begins[first - 1]), ((first, last),), ((0, first, last),))
 
-    def _counter(self, loop: Repeated, row: int, blanks: str) -> _Piece:
+    def _counter(self, loop: UnrolledLoop, row: int, blanks: str) -> _Piece:
         """Return an assignment to the counter of a FOR; `blanks` it the blanks of a line."""
         text = f"{blanks}{loop.counter}={self.course.count(loop, row)}{_line_end(loop.opener)}"
         return _Piece(1, (text,), ((0, row, row + 1),))
 
-    def _loop(self, loop: Repeated) -> _Piece:
+    def _loop(self, loop: UnrolledLoop) -> _Piece:
         """Return a loop with its body corrected where all rounds are alike, else one round behind the other."""
         if not loop.bodies:
             return self._lines(loop.first, loop.last - (loop.step != 0))
@@ -250,7 +252,7 @@ class _Folder(Struct, eq=False):
             pieces.append(_of(f"{blanks}EXIT{end}{blanks}ENDLOOP{end}"))
         return _concatenate(pieces)
 
-    def _run(self, loop: Repeated, first: int, rounds: Sequence[_Piece]) -> Iterator[_Piece]:
+    def _run(self, loop: UnrolledLoop, first: int, rounds: Sequence[_Piece]) -> Iterator[_Piece]:
         """Yield the text of equal rounds: a single one unchanged, several of FOR as a new FOR.
 
         :param first: number of the first of them, from 0.
@@ -268,7 +270,7 @@ class _Folder(Struct, eq=False):
         yield _merge_rounds(rounds)
         yield _of(loop.closer)
 
-    def _call(self, call: Called) -> _Piece:
+    def _call(self, call: InlinedRoutine) -> _Piece:
         """Return the line of a call, with the name of the version that it calls."""
         body, version = self._body(call.body), self._calls[call]
         if version.piece is None:
@@ -285,7 +287,7 @@ class _Folder(Struct, eq=False):
 
     # --- routines ----------------------------------------------------------------------------------------------------
 
-    def _unused_name(self, call: Called) -> str:
+    def _unused_name(self, call: InlinedRoutine) -> str:
         """Return a name for a copy of a routine."""
         if self.names is None:
             sources = dict.fromkeys([*self.course.trace.sources, *(routine.source for routine in self.versions)])

@@ -41,7 +41,7 @@ from postproc.program import (
     TargetForces,
     TargetJoints,
     Targets,
-    Written,
+    WrittenProgram,
 )
 
 _MB = 1e6
@@ -62,7 +62,7 @@ _END_RULE = "between two rapid moves, with the tool above everything that the pr
 
 def divide_into_modules(
     program: Program, targets: Targets, joints: TargetJoints, cell: Cell, comment_forces: TargetForces | None = None
-) -> Written:
+) -> WrittenProgram:
     """Return a program read from G-code as KRL, see `emit`; in modules if it is too large and the cell wants them.
 
     :param joints: joint angles at the targets.
@@ -77,13 +77,13 @@ def divide_into_modules(
     return _Divider(emitter, emitter.write(), starts, joints).write()
 
 
-def _ends(output: Written) -> Ints:
+def _ends(output: WrittenProgram) -> Ints:
     """Return where the lines (n,) of the targets end: offsets of the characters behind them."""
     content = np.frombuffer(output.documents[0].to_bytes(), dtype=np.uint8)
     return np.asarray(np.flatnonzero(content == ord("\n"))[output.output_line - 1] + 1)
 
 
-def _starts(program: Program, targets: Targets, cell: Cell, emitter: Emitter, output: Written) -> list[int]:
+def _starts(program: Program, targets: Targets, cell: Cell, emitter: Emitter, output: WrittenProgram) -> list[int]:
     """Return the targets before which new modules begin: as few as possible.
 
     :raises ProgramError: what is between two places is too large for one module.
@@ -152,7 +152,7 @@ def _places(program: Program, cell: Cell) -> Ints:
     return np.asarray(np.sort(candidates[best[height[best] > _SAME_HEIGHT]]))
 
 
-class _Switched(Struct, frozen=True):
+class _SwitchLines(Struct, frozen=True):
     """Spindle or coolant that is on where a module ends: lines of the cell to switch it on and off."""
 
     event: Event
@@ -163,7 +163,7 @@ class _Switched(Struct, frozen=True):
 class _Divider:
     """Divides the text of a program at its targets `starts`."""
 
-    def __init__(self, emitter: Emitter, whole: Written, starts: Sequence[int], joints: TargetJoints) -> None:
+    def __init__(self, emitter: Emitter, whole: WrittenProgram, starts: Sequence[int], joints: TargetJoints) -> None:
         self.new, self.emitter, self.whole, self.joints = emitter.new, emitter, whole, joints
         self.first = (0, *starts)
         name, tail = emitter.program.name, len(str(len(self.first))) + 1
@@ -179,7 +179,7 @@ class _Divider:
                     "divide_into_modules = false.",
                 )
 
-    def write(self) -> Written:
+    def write(self) -> WrittenProgram:
         """Return the program in one piece, and in modules."""
         text, ends = self.whole.documents[0].text, _ends(self.whole)
         head = sum(len(line) + len(LINE_END) for line in self.emitter.header(self.emitter.program.name))
@@ -238,7 +238,7 @@ class _Divider:
         lines = [line for switch in self._active_switches(k) for line in switch.off]
         return [self.new.words.wait, *lines] if lines else []
 
-    def _active_switches(self, k: int) -> Iterator[_Switched]:
+    def _active_switches(self, k: int) -> Iterator[_SwitchLines]:
         """Yield spindle and coolant if they are on before a target.
 
         :raises ProgramError: the cell has lines to switch it on, and none to switch it off.
@@ -260,7 +260,7 @@ class _Divider:
                     line=switch_events[-1].line,
                     advice=f"Give {off_kind} in [gcode] of the cell.",
                 )
-            yield _Switched(switch_events[-1], on_lines, off_lines if on_lines else [])
+            yield _SwitchLines(switch_events[-1], on_lines, off_lines if on_lines else [])
 
     def _switches(self, event: Event, k: int) -> bool:
         """Return whether the program switches what an event does at a target too."""

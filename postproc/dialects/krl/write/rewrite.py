@@ -47,14 +47,14 @@ from postproc.dialects.krl.write.target_statements import (
 from postproc.dialects.krl.write.trigger_places import place
 from postproc.dialects.new_program import number
 from postproc.errors import Issue, ProgramError, group_issues
-from postproc.program import CIRC, LIN, PTP, Bools, Document, Ints, Program, TargetForces, Targets, Written
+from postproc.program import CIRC, LIN, PTP, Bools, Document, Ints, Program, TargetForces, Targets, WrittenProgram
 
 _STOP = "The robot stops at an inserted target, as it does at the end of this motion, which has no C_DIS: "
 _BLENDED_STOP = f"{_STOP}approximation might round the path there by too much."
 _UNSURE = f"{_STOP}$APO.CDIS is not known there, by which approximation would round the path."
 
 
-def rewrite(program: Program, targets: Targets, comment_forces: TargetForces | None = None) -> Written:
+def rewrite(program: Program, targets: Targets, comment_forces: TargetForces | None = None) -> WrittenProgram:
     """Return a KRL program with other targets.
 
     :param program: as `read` returned it.
@@ -87,11 +87,11 @@ class _Rewriter:
         self.row = targets.motion
         self.last = np.append(self.row[1:] != self.row[:-1], True) if len(self.row) else np.zeros(0, dtype=np.bool_)
 
-    def write(self) -> Written:
+    def write(self) -> WrittenProgram:
         """Make all edits and return the documents."""
         last, keep = self.last, self.targets.keep
         if (last & keep).all() and not len(_lowered_motions(self.program)):
-            return Written(self.documents, self.program.motions.line[self.row], "krl")
+            return WrittenProgram(self.documents, self.program.motions.line[self.row], "krl")
         self.commanded = target_numbers(self.program.motions, self.layout, self.targets)
         moves = self.layout.statements
         has_names = self.layout.elements or any(
@@ -125,7 +125,7 @@ class _Rewriter:
             self._special()
         output_line = self._insert()
         documents, output_line = self._files(output_line)
-        return Written(documents, output_line, "krl", group_issues(self.issues))
+        return WrittenProgram(documents, output_line, "krl", group_issues(self.issues))
 
     def _files(self, line: Ints) -> tuple[tuple[Document, ...], Ints]:
         """Return the files with all edits, and the lines of the targets in the `.src`.

@@ -11,7 +11,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from msgspec import Struct, field
 from msgspec.structs import replace
 
-from postproc.dialects.krl.language.declarations import DataLine, Declared, data_lines, declared
+from postproc.dialects.krl.language.declarations import DataLine, DeclaredName, data_lines, declared
 from postproc.dialects.krl.language.expressions import calls
 from postproc.dialects.krl.language.names import DECLARING, MAX_LENGTH, unused
 from postproc.dialects.krl.language.parser import statement
@@ -27,7 +27,7 @@ from postproc.dialects.krl.language.tokens import (
     occurrences,
     word_at,
 )
-from postproc.dialects.krl.language.tree import Assignment, Cyclic, Declaration, Definition, Event, For
+from postproc.dialects.krl.language.tree import Assignment, CyclicInput, Declaration, Definition, Event, For
 from postproc.dialects.krl.write.division import ADVICE, division_error
 from postproc.dialects.krl.write.edits import Replacements
 from postproc.errors import ProgramError
@@ -150,7 +150,7 @@ class Sharing:
         source, node = self.source, statement(self.source, line)
         if isinstance(node, For):
             return {node.name}
-        if isinstance(node, Event) or (isinstance(node, Cyclic) and node.word != "SIGNAL"):
+        if isinstance(node, Event) or (isinstance(node, CyclicInput) and node.word != "SIGNAL"):
             return names_in(source.text, node.start, node.stop)
         names = {node.target.name} if isinstance(node, Assignment) else set()
         for call in calls(node.values):
@@ -162,7 +162,7 @@ class Sharing:
                 names = names.union(*(names_in(source.text, item.start, item.stop) for item in open_))
         return names
 
-    def _check_types(self, local_names: Collection[str], data_names: Mapping[str, Declared]) -> None:
+    def _check_types(self, local_names: Collection[str], data_names: Mapping[str, DeclaredName]) -> None:
         """Refuse variables and parameters of types that are declared for this program alone."""
         types = set() if self.data is None else set(_types(self.data))
         if not types:
@@ -189,7 +189,7 @@ class Sharing:
 
     # --- declarations --------------------------------------------------------------------------------------------
 
-    def _declarations(self, line: int) -> list[Declared]:
+    def _declarations(self, line: int) -> list[DeclaredName]:
         """Return the variables that a line of the program declares."""
         node = statement(self.source, line)
         return list(node.names) if isinstance(node, Declaration) and not node.public and node.word != "STRUC" else []
@@ -203,7 +203,7 @@ class Sharing:
         return statement(self.source, line).word in ("STRUC", "ENUM")
 
     @staticmethod
-    def _names_by_line(declarations: Iterable[tuple[int, Declared]]) -> list[set[str]]:
+    def _names_by_line(declarations: Iterable[tuple[int, DeclaredName]]) -> list[set[str]]:
         lines: dict[int, set[str]] = {}
         for line, item in declarations:
             lines.setdefault(line, set()).add(item.name)
@@ -291,7 +291,7 @@ class Sharing:
         return replace(self.data.document, text=edits.apply(text))
 
 
-def _data_declarations(data: Source, data_line: DataLine) -> Iterator[Declared]:
+def _data_declarations(data: Source, data_line: DataLine) -> Iterator[DeclaredName]:
     """Yield the variables that a line of a `.dat` declares or gives a value to."""
     start, stop = data.code_span(data_line.line)
     if word_at(data.text, start, stop) not in DECLARING:

@@ -35,7 +35,7 @@ from postproc.dialects.krl.language.tree import Definition
 from postproc.dialects.krl.write.division import bounds, division_error, places
 from postproc.dialects.krl.write.shared_names import Sharing
 from postproc.errors import Issue, first_of, together
-from postproc.program import Document, Ints, Written
+from postproc.program import Document, Ints, WrittenProgram
 
 
 def add_data_files(sources: Sequence[Document], data: Document | None) -> Iterator[Document]:
@@ -98,11 +98,11 @@ _MOST_NAMES = 5
 def split_files(
     name: str,
     documents: Sequence[Document],
-    output: Written,
+    output: WrittenProgram,
     limit: int,
     used_names: Collection[str] = (),
     resume_place: str = "",
-) -> Written:
+) -> WrittenProgram:
     """Return a written program in as many files as it needs, or as it had.
 
     :param name: of the program.
@@ -125,7 +125,7 @@ def split_files(
     return _Splitter(name, output, limit, used_names).write()
 
 
-def _restore_files(documents: Sequence[Document], output: Written, limit: int) -> Written:
+def _restore_files(documents: Sequence[Document], output: WrittenProgram, limit: int) -> WrittenProgram:
     """Return a program that was read from several files in these files."""
     whole = joined(documents)
     if whole is None or all(
@@ -157,7 +157,7 @@ class _File(Struct, frozen=True, eq=False):
 class _Splitter:
     """Divides one program."""
 
-    def __init__(self, name: str, output: Written, limit: int, used_names: Collection[str]) -> None:
+    def __init__(self, name: str, output: WrittenProgram, limit: int, used_names: Collection[str]) -> None:
         self.whole, self.limit, self.issues = output, limit, list(output.issues)
         self.source = Source.of(output.documents[0], 0)
         lines = range(1, len(self.source.starts) + 1)
@@ -177,7 +177,7 @@ class _Splitter:
         starts, stops = self.source.starts, self.source.stops
         self.line_end = self.source.text[int(stops[main.first - 1]) : int(starts[main.first])]
 
-    def write(self) -> Written:
+    def write(self) -> WrittenProgram:
         """Return the program in several files, each line of a target counted on from file to file."""
         for line in chain.from_iterable(routine.lines for routine in (self.main, *self.others)):
             if statement(self.source, line).word == "RESUME":

@@ -42,7 +42,7 @@ def piece_of(trigger: Trigger, ends: Array, speed: float) -> tuple[int, float] |
     return piece, float(place - (begin if trigger.from_start else end)[piece])
 
 
-class Placed(Struct, frozen=True, eq=False):
+class PlacedTriggers(Struct, frozen=True, eq=False):
     """The TRIGGERs of one divided motion, and where its inserted targets go.
 
     :param at: for each inserted target, the 1-based line before which it is.
@@ -57,7 +57,7 @@ class Placed(Struct, frozen=True, eq=False):
     lost: list[Trigger]
 
 
-def place(triggers: Sequence[Trigger], line: int, ends: Array, speed: float) -> Placed:
+def place(triggers: Sequence[Trigger], line: int, ends: Array, speed: float) -> PlacedTriggers:
     """Return the targets of one motion at which its TRIGGERs and inserted targets are written.
 
     A TRIGGER stays on its line wherever the inserted targets can be around it.
@@ -67,7 +67,7 @@ def place(triggers: Sequence[Trigger], line: int, ends: Array, speed: float) -> 
     :param ends: (n,) where the pieces of the motion end, as shares of it.
     :param speed: [m/s].
     """
-    placement = Placed([line] * (len(ends) - 1), [[] for _ in ends], {}, [])
+    placement = PlacedTriggers([line] * (len(ends) - 1), [[] for _ in ends], {}, [])
     earliest = len(ends)
     for trigger in reversed(triggers):
         piece_and_offset = piece_of(trigger, ends, speed)
