@@ -118,7 +118,7 @@ class PlainFormat:
     ) -> str:
         """Return a table as text.
 
-        >>> print(Plain().table(("axis", "mm"), [("X", "1.5"), ("Y", "-12.0")], right=(1,)))
+        >>> print(PlainFormat().table(("axis", "mm"), [("X", "1.5"), ("Y", "-12.0")], right=(1,)))
         axis     mm
         X       1.5
         Y     -12.0
