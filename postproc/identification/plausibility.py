@@ -236,20 +236,34 @@ def check_frames(robot: RobotModel, data: Measurements) -> Placement:
             line=_first_line_of_configuration(data, worst),
             advice="Check its angles (degrees, KUKA signs) and its readings, or leave it out.",
         )
-    for split in range(2, size - 1):
-        halves = [_rms(robot, data, np.arange(split)), _rms(robot, data, np.arange(split, size))]
-        if max(halves) < _MAX_DISTANCE:
-            raise MeasurementError(
-                f"readings from config {data.config[split]:g} on are in another frame of the measuring device",
-                file=data.file,
-                line=_first_line_of_configuration(data, split),
-                advice="The tracker was moved or set up anew: identify from one set-up, or bring both into one frame.",
-            )
+    if (split := _frame_change(robot, data)) is not None:
+        raise MeasurementError(
+            f"readings from config {data.config[split]:g} on are in another frame of the measuring device",
+            file=data.file,
+            line=_first_line_of_configuration(data, split),
+            advice="The tracker was moved or set up anew: identify from one set-up, or bring both into one frame.",
+        )
     raise MeasurementError(
         f"the readings without load are {placement.rms * MM_PER_M:.0f} mm (RMS) off the geometry of {robot.name}",
         file=data.file,
         advice="Check the robot named in the experiment, the signs of A1…A6 and the guesses of the points.",
     )
+
+
+def _frame_change(robot: RobotModel, data: Measurements) -> int | None:
+    """Return the configuration from which on readings are best explained by another frame; None if none does.
+
+    After a small move several splits are within the limit: a configuration on the wrong side adds little to its part.
+    """
+    size = len(data.q)
+    rms = {
+        split: np.array([_rms(robot, data, np.arange(split)), _rms(robot, data, np.arange(split, size))])
+        for split in range(2, size - 1)
+    }
+    total = {
+        split: float(halves**2 @ [split, size - split]) for split, halves in rms.items() if halves.max() < _MAX_DISTANCE
+    }
+    return min(total, key=lambda split: total[split], default=None)
 
 
 def _rms(robot: RobotModel, data: Measurements, rows: Ints) -> float:

@@ -5,10 +5,11 @@ import re
 import numpy as np
 import pytest
 
+from postproc.errors import MeasurementError
 from postproc.identification.measurement_model import locate
 from postproc.identification.model_folder import geometry_folder
 from postproc.identification.moved_device import moved_device
-from postproc.identification.plausibility import check_loads
+from postproc.identification.plausibility import check_frames, check_loads
 from postproc.identification.procedure import identify
 from postproc.identification.readings import gaps, read, read_experiment
 from samples.paper_study import harness, simulator
@@ -38,6 +39,18 @@ def test_a_tracker_that_moved_by_a_millimetre_between_two_poses_is_named(tmp_pat
     (warning,) = moved_device(harness.PRIOR, data, locate(harness.PRIOR, data))
     match = re.match(r"from config 18 on the measuring device seems to have moved by ([\d.]+) mm", warning)
     assert float(match[1]) == pytest.approx(1.0, abs=0.25)
+
+
+@pytest.mark.parametrize("distance", [0.05, 0.07, 0.2])
+def test_a_tracker_that_moved_by_centimetres_is_named_at_the_configuration_where_it_moved(tmp_path, distance):
+    """By 50 mm: with a configuration on the wrong side both parts are within the limit too."""
+
+    def change(raw):
+        raw[15:] += distance * np.array([0.6, -0.64, 0.48])
+
+    data = measured(tmp_path, 0, change)
+    with pytest.raises(MeasurementError, match="from config 16 on are in another frame of the measuring device"):
+        check_frames(harness.PRIOR, data)
 
 
 def test_the_calibration_of_the_geometry_alone_names_it_too(tmp_path):
