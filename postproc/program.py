@@ -553,6 +553,8 @@ class Program(Struct, frozen=True, eq=False):
     :param joins: control-flow joins: rows of motions (−1: the start) that end branches not known before run time, or
         iterations of an endless loop.
     :param branches: first motion of each branch not known before run time, and the one behind its last (rows).
+    :param transitions: motions that may also begin at the end of another one than `after` says, and that one (rows;
+        −1: the start): behind branches that end apart, and in the second round of a LOOP without EXIT.
     :param swivel: orientation along motions given by rotary axes; None: LIN and CIRC turn it by one rotation.
     :param by_wrist: (M,) True for lines on which the wrist axes turn the tool (``$ORI_TYPE=#JOINT``); None: on none.
     :param wrist: how they do so with the robot of the cell, see `under_load.led_by_wrist`.
@@ -581,6 +583,7 @@ class Program(Struct, frozen=True, eq=False):
     after: Ints | None = None
     joins: tuple[tuple[int, ...], ...] = ()
     branches: tuple[tuple[int, int], ...] = ()
+    transitions: tuple[tuple[int, int], ...] = ()
     swivel: Swivel | None = None
     by_wrist: Bools | None = None
     wrist: Turning | None = None

@@ -17,6 +17,7 @@ from msgspec.structs import replace
 
 from postproc import collision, toolpath
 from postproc.collision import Body, Scene, Solids
+from postproc.correction.runs import Run, runs, samples_before
 from postproc.errors import Issue
 from postproc.forces import StockInTime
 from postproc.frames import M_PER_MM, MM_PER_M, Array, norm
@@ -80,15 +81,21 @@ def path_clearance(path: PathUnderLoad, commanded_q: Array) -> tuple[SmallestCle
     smallest: SmallestClearance | None = None
     stock = path.motions.forces.stock
     worst = _SmallestDistance(program.motions, stock)
-    for rows, tool in _runs(program.motions.tool[sample.motion]):
-        scene = collision.Scene.of(robot_in_cell.robot, robot_in_cell.cell, program.tools[tool])
-        from_start = rows.start == 0 and program.motions.kind[0] == PTP
-        start_q = robot_in_cell.cell.start_joints if rows.start == 0 else path_q[rows.start - 1]
+    scenes: dict[int, Scene] = {}
+    largest_decrease = 0.0
+    for run in runs(program, sample.motion, path_q):
+        rows, first_motion = run.rows, int(sample.motion[run.rows.start])
+        if run.tool not in scenes:
+            scenes[run.tool] = collision.Scene.of(robot_in_cell.robot, robot_in_cell.cell, program.tools[run.tool])
+        scene = scenes[run.tool]
+        from_start = run.before < 0 and program.motions.kind[first_motion] == PTP
+        start_q = robot_in_cell.cell.start_joints if run.before < 0 else path_q[run.before]
         q = np.concatenate([start_q[None], path_q[rows]])
-        command_q = np.concatenate([start_q[None], commanded_q[rows]])
+        command_q = np.concatenate([start_q[None] if run.before < 0 else commanded_q[[run.before]], commanded_q[rows]])
         corrected_q = None if np.array_equal(q, command_q) else command_q
-        shift = _shift(path, sample, rows)
+        shift = _shift(path, sample, run)
         distances = collision.path_hits(scene, q, need, shift, corrected_q)
+        largest_decrease = max(largest_decrease, distances.largest_decrease)
         lines = np.append(line[rows][:1], line[rows])
         closest_pair = distances.closest
         if smallest is None or (closest_pair is not None and closest_pair.distance < smallest.distance):
@@ -98,27 +105,28 @@ def path_clearance(path: PathUnderLoad, commanded_q: Array) -> tuple[SmallestCle
             remarks = (
                 *scene.remarks,
                 *_stock_sentences(scene, stock),
-                *_correction_sentence(distances.largest_decrease),
             )
             smallest = SmallestClearance(distance, names, int(lines[at]), scene, remarks)
         hits = []
         for row, first, second, distance in zip(
             distances.row, distances.first, distances.second, distances.distance, strict=True
         ):
-            begins = from_start and bool(sample.motion[rows][max(int(row) - 1, 0)] == 0)
+            begins = from_start and bool(sample.motion[rows][max(int(row) - 1, 0)] == first_motion)
             hits.append((_names(scene, first, second), float(distance), int(lines[row]), need, begins))
         states = States(sample.motion[rows], q, corrected_q, shift)
         arrival = _too_close(scene, states.arrival(), stock, need) if from_start else set()
         for names, distance, at, clearance, begins in hits:
             worst.note(names, distance, at, clearance, begins and names not in arrival)
-        contacts = part_contacts(scene, states, program.motions.rapid[states.motion] & ~_retracts(path, sample, rows))
+        contacts = part_contacts(scene, states, program.motions.rapid[states.motion] & ~_retracts(path, sample, run))
         if stock is not None:
             contacts = chain(contacts, stock_contacts(scene, states, stock, need))
         for contact in contacts:
-            begins = from_start and contact.motion == 0 and contact.names not in arrival
+            begins = from_start and contact.motion == first_motion and contact.names not in arrival
             worst.note(contact.names, contact.distance, int(program.motions.line[contact.motion]), contact.need, begins)
-    units = [] if smallest is None else list(_units(smallest.scene))
-    return smallest, [*worst.issues(), *units]
+    if smallest is None:
+        return None, worst.issues()
+    remarks = (*smallest.remarks, *_correction_sentence(largest_decrease))
+    return replace(smallest, remarks=remarks), [*worst.issues(), *_units(smallest.scene)]
 
 
 def _units(scene: Scene) -> Iterator[Issue]:
@@ -159,14 +167,15 @@ def _refine_arcs(path: PathUnderLoad, commanded_q: Array) -> tuple[Toolpath, Arr
     except UnreachableError as cause:
         raise ImpossiblePathError(unreachable(path.program, motion[row[list(cause.rows)]])) from None
     correction = commanded_q - q  # smooth along an arc: between two samples it is taken to change evenly
-    previous = correction[np.maximum(row - 1, 0)]
+    previous = correction[np.maximum(samples_before(path.program, motion)[row], 0)]
     return dense, dense_q, dense_q + previous + share[:, None] * (correction[row] - previous)
 
 
-def _retracts(path: PathUnderLoad, sample: Toolpath, rows: slice) -> Bools:
+def _retracts(path: PathUnderLoad, sample: Toolpath, run: Run) -> Bools:
     """Return at which samples (n,) the tool moves along its own axis, away from the part: it leaves its cut."""
-    pose = sample.pose
-    previous = np.maximum(np.arange(rows.start, rows.stop) - 1, 0)
+    pose, rows = sample.pose, run.rows
+    previous = np.arange(rows.start, rows.stop) - 1
+    previous[0] = max(run.before, 0)
     step = pose[rows, :3, 3] - pose[previous, :3, 3]
     up = -pose[rows, :3, :3] @ np.array(AXIS[path.robot_in_cell.spindle])
     return np.asarray(np.einsum("ni,ni->n", step, up) >= (1.0 - _AXIS_SHARE) * norm(step))
@@ -217,13 +226,6 @@ def _stock_sentences(scene: collision.Scene, stock: StockInTime | None) -> Itera
         yield "the stock is not checked: there is no process with [material], and no obstacle with part = true"
 
 
-def _runs(tool: Ints) -> Iterator[tuple[slice, int]]:
-    """Yield the rows between changes of the tool, and the tool."""
-    ends = np.append(np.flatnonzero(np.diff(tool)) + 1, len(tool))
-    for begin, end in zip(np.append(0, ends[:-1]).tolist(), ends.tolist(), strict=True):
-        yield slice(begin, end), int(tool[begin])
-
-
 def _correction_sentence(reduction: float) -> Iterator[str]:
     """Yield a sentence on the reduction of distances [m] for the correction."""
     if reduction > _NO_REDUCTION:
@@ -233,15 +235,15 @@ def _correction_sentence(reduction: float) -> Iterator[str]:
         )
 
 
-def _shift(path: PathUnderLoad, sample: Toolpath, rows: slice) -> Array | None:
+def _shift(path: PathUnderLoad, sample: Toolpath, run: Run) -> Array | None:
     """Return the displacements (n + 1, 3) [m] of the robot by E1 before and at samples; None without a linear axis."""
     carriage = path.program.carriage
     if carriage is None:
         return None
-    row = max(rows.start - 1, 0)
-    t = sample.t[row : row + 1] if rows.start else np.zeros(1)
+    row = max(run.before, 0)
+    t = sample.t[row : row + 1] if run.before >= 0 else np.zeros(1)
     start = carriage.offset(sample.motion[row : row + 1], t)
-    return np.concatenate([start, carriage.offset(sample.motion[rows], sample.t[rows])])
+    return np.concatenate([start, carriage.offset(sample.motion[run.rows], sample.t[run.rows])])
 
 
 def _names(scene: collision.Scene, first: int, second: int) -> tuple[str, str]:

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from postproc.correction import collisions
 from postproc.correction.collisions import STOCK, Contact, States
+from postproc.correction.runs import Run
 from tests.programs import program
 
 
@@ -176,20 +177,12 @@ def test_parts_of_a_path_begin_before_their_first_sample(shift):
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_runs_of_tools_and_of_samples_are_those_of_a_loop(seed):
-    rng = np.random.default_rng(seed)
-    tool, rows = rng.integers(0, 3, 15), rng.random(15) < 0.5
-    runs = [(part.start, part.stop, number) for part, number in collisions._runs(tool)]
-    expected_runs, stretches = [], []
+def test_stretches_of_samples_are_those_of_a_loop(seed):
+    rows, stretches = np.random.default_rng(seed).random(15) < 0.5, []
     for i in range(15):
-        if i and tool[i] == tool[i - 1]:
-            expected_runs[-1] = (expected_runs[-1][0], i + 1, tool[i])
-        else:
-            expected_runs.append((i, i + 1, tool[i]))
         if rows[i]:
             stretches += [] if i and rows[i - 1] else [[i, i]]
             stretches[-1][1] = i + 1
-    assert runs == expected_runs
     assert [list(stretch) for stretch in collisions._stretches(rows)] == stretches
 
 
@@ -213,7 +206,11 @@ def test_a_tool_leaves_its_cut_along_its_axis_away_from_the_part(spindle, axis, 
     pose[1:, :3, 3] = np.cumsum(steps, axis=0)
     path, sample = SimpleNamespace(robot_in_cell=SimpleNamespace(spindle=spindle)), SimpleNamespace(pose=pose)
     expected = [True, True, True, False, False, False, True, True]
-    assert collisions._retracts(path, sample, slice(begin, 8)).tolist() == expected[begin:]
+    assert collisions._retracts(path, sample, Run(slice(begin, 8), 0, begin - 1)).tolist() == expected[begin:]
+    pose[begin, :3, 3] += pose[6, :3, 3] + up - pose[max(begin - 1, 0), :3, 3]  # from the seventh sample upwards
+    assert collisions._retracts(path, sample, Run(slice(begin, begin + 1), 0, 6)).all()
+    pose[begin, :3, 3] -= 2.0 * up
+    assert not collisions._retracts(path, sample, Run(slice(begin, begin + 1), 0, 6)).any()
 
 
 def test_e1_carries_the_robot_from_the_place_before_the_samples():
@@ -226,9 +223,15 @@ def test_e1_carries_the_robot_from_the_place_before_the_samples():
     sample = SimpleNamespace(motion=np.array([0, 0, 1, 1, 2]), t=np.array([0.5, 1.0, 0.25, 1.0, 1.0]))
     path = SimpleNamespace(program=SimpleNamespace(carriage=SimpleNamespace(offset=offset)))
     e1 = [0.05, 0.1, 0.2, 0.5, 0.4]
-    np.testing.assert_allclose(collisions._shift(path, sample, slice(0, 3)), np.outer([0.0, *e1[:3]], direction))
-    np.testing.assert_allclose(collisions._shift(path, sample, slice(3, 5)), np.outer([0.2, 0.5, 0.4], direction))
-    assert collisions._shift(SimpleNamespace(program=SimpleNamespace(carriage=None)), sample, slice(0, 3)) is None
+    for run, places in (
+        (Run(slice(0, 3), 0, -1), [0.0, *e1[:3]]),
+        (Run(slice(3, 5), 0, 2), [0.2, 0.5, 0.4]),
+        (Run(slice(2, 3), 0, 4), [0.4, 0.2]),
+        (Run(slice(4, 5), 0, 4), [0.4, 0.4]),
+    ):
+        np.testing.assert_allclose(collisions._shift(path, sample, run), np.outer(places, direction))
+    fixed = SimpleNamespace(program=SimpleNamespace(carriage=None))
+    assert collisions._shift(fixed, sample, Run(slice(0, 3), 0, -1)) is None
 
 
 def worst_of(notes, stock=True):
@@ -356,7 +359,9 @@ def test_distances_are_those_of_the_bodies_of_each_tool_from_the_place_before(
         np.testing.assert_array_equal(call[0], q)
         assert call[1] is None
         if is_corrected:
-            np.testing.assert_array_equal(call[2], [before, *commanded[begin:end]])
+            np.testing.assert_array_equal(
+                call[2], [before if begin == 0 else commanded[begin - 1], *commanded[begin:end]]
+            )
         assert (call[2] is None) != is_corrected
         lines = [line[begin], *line[begin:end]]
         for n, row in enumerate(q):

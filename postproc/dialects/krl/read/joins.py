@@ -210,6 +210,53 @@ def branches(course: Course, line: Ints) -> tuple[tuple[int, int], ...]:
     return tuple(rows)
 
 
+def transitions(
+    course: Course, line: Ints, predecessors: Ints | None, kept_lines: Sequence[int], free: Set[Join]
+) -> tuple[tuple[int, int], ...]:
+    """Return further motions at whose end motions begin, see `Program.transitions`.
+
+    :param line: (M,) lines of the trace with the motions.
+    :param predecessors: (M,) the motion at whose end each begins, see `Program.after`.
+    :param kept_lines: lines of uncorrected motions: where a round ends behind the last of them is not known.
+    :param free: joins at which branches may end in different poses; at others all end in that of the first.
+    """
+    after = np.arange(len(line)) - 1 if predecessors is None else predecessors
+    pairs: list[tuple[int, int]] = []
+    open_: list[tuple[set[int], set[int], bool]] = []  # per open fork: ends before it, ends of its branches, begun
+    ends, count = {-1}, 0
+
+    def run_to(row: int) -> None:
+        nonlocal ends, count
+        if row > count:
+            if after[count] != count:
+                pairs.extend((count, end) for end in sorted(ends) if end != after[count])
+            ends, count = {row - 1}, row
+
+    for step in course.steps:
+        if not isinstance(step, Fork | Branch | Join):
+            continue
+        run_to(int(np.searchsorted(line, step.row, side="right")))
+        if isinstance(step, Fork):
+            open_.append((ends, set(), False))
+            continue
+        entries, branch_ends, is_begun = open_.pop()
+        branch_ends = branch_ends | ends if is_begun or isinstance(step, Join) else branch_ends
+        if isinstance(step, Branch):
+            open_.append((entries, branch_ends, True))
+            ends = entries
+        else:
+            branch_ends = branch_ends if step.complete else branch_ends | entries
+            ends = branch_ends if step in free else {min(branch_ends)}
+    run_to(len(line))
+    loop = course.endless
+    if loop is not None and max(kept_lines, default=0) < max(line, default=0):
+        first, stop = np.searchsorted(line, [loop.first, loop.last]).tolist()
+        rows = first + np.flatnonzero(after[first:stop] == after[first : first + 1])
+        for row in rows[after[rows] != rows].tolist():
+            pairs.extend((row, end) for end in sorted(ends) if end != after[row])
+    return tuple(dict.fromkeys(pairs))
+
+
 def check_joins(
     course: Course,
     joins: Sequence[JoinedEnds],

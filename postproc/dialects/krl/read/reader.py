@@ -35,6 +35,7 @@ from postproc.dialects.krl.read.joins import (
     check_round,
     free_joins,
     starts,
+    transitions,
 )
 from postproc.dialects.krl.read.known import InexactError
 from postproc.dialects.krl.read.main_routine import MainRoutine, Start, course_of
@@ -232,6 +233,7 @@ class _Reading(Struct, frozen=True, eq=False):
             after=predecessors,
             joins=(*(join.ends for join in joins), *rounds),
             branches=branches(course, sequence.rows.line),
+            transitions=transitions(course, layout.line, predecessors, uncorrected_lines, free),
             unresolved=separation.unresolved,
             unfollowed=() if cell.krl.keep_unresolved else unfollowed(run),
             needed=needed_files,
