@@ -104,7 +104,7 @@ def last_travel(program: Program, path: Segments, axis: str) -> tuple[Array, Boo
     turning = np.flatnonzero((m.kind == CIRC) & (sine < _PARALLEL))
     x[turning], sine[turning] = _square_to(z[turning], tangent(program, path, turning, end[turning] - _TANGENT_OFFSET))
     needs = sine < _PARALLEL
-    source = np.concatenate([[-1], np.maximum.accumulate(np.where(needs, -1, rows))[:-1]])
+    source = _last_across(predecessors(program), needs)
     source[source < 0] = -1 if needs.all() else int(np.argmin(needs))
     rotation = program.bases[:, :3, :3]
     in_root = np.einsum("nij,nj->ni", rotation[m.base[source]], x[source])
@@ -112,6 +112,25 @@ def last_travel(program: Program, path: Segments, axis: str) -> tuple[Array, Boo
     last[source < 0] = np.nan
     last[_square_to(z, last)[1] < _PARALLEL] = np.nan  # the tool has turned into the direction of travel
     return last, needs
+
+
+def predecessors(program: Program) -> Ints:
+    """Return the motion (M,) at whose end each motion begins; −1 at the start of the program."""
+    return np.arange(len(program.motions)) - 1 if program.after is None else program.after
+
+
+def _last_across(previous: Ints, needs: Bools) -> Ints:
+    """Return the last motion (M,) executed before each that has a travel direction of its own; −1 if there is none.
+
+    :param previous: (M,) the motion at whose end each begins, see `Program.after`.
+    :param needs: (M,) True for motions without such a direction.
+    """
+    rows = np.arange(len(needs))
+    previous = np.append(np.where(previous == rows, -1, previous), -1)  # row −1: the start
+    source = np.where(np.append(needs, False), previous, np.append(rows, -1))
+    for _ in range(len(needs).bit_length()):  # each round follows twice as many motions
+        source = source[source]
+    return np.asarray(source[previous[:-1]])
 
 
 def _towards_spindle(sample: Toolpath, axis: str) -> Array:
@@ -165,11 +184,6 @@ class Axes(Struct, frozen=True, eq=False):
                 rotated_columns[rows] = np.einsum(product, rotation, columns[rows])
         return rotated_columns
 
-    def previous(self) -> Ints:
-        """Return the motion (M,) at whose end each motion begins; −1 at the start of the program."""
-        program = self.program
-        return np.arange(len(program.motions)) - 1 if program.after is None else program.after
-
     def at_start(self, columns: Array, frame: Ints) -> Array:
         """Return the columns that act at the start of motions: those at the end of the motion before.
 
@@ -177,7 +191,7 @@ class Axes(Struct, frozen=True, eq=False):
         :param frame: (M,) frames in which they are given.
         :returns: (M, 2, 3, m) in `$BASE` axes of the motion; zero at the start of the program.
         """
-        m, bases, previous = self.program.motions, self.program.bases, self.previous()
+        m, bases, previous = self.program.motions, self.program.bases, predecessors(self.program)
         ends = columns.copy()
         rows = np.flatnonzero((frame == TOOL) | (frame == FEED))
         end = at(self.program, self.path, rows, np.ones(len(rows)))

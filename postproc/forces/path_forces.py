@@ -17,7 +17,7 @@ from msgspec.structs import replace
 
 from postproc.chunks import Runs, compact, in_chunks
 from postproc.errors import MAX_ERRORS, ForceError, Issue, together
-from postproc.forces.axes import TURNS, Axes, is_arc_across, is_line_across, last_travel
+from postproc.forces.axes import TURNS, Axes, is_arc_across, is_line_across, last_travel, predecessors
 from postproc.forces.precedence import combine, comment_knots, small_forces, unused_comments
 from postproc.forces.sources import BASE, FEED, ByLaw, ForceSource, Knots, StockInTime
 from postproc.frames import Array, any_column, largest, norm
@@ -242,7 +242,7 @@ def _resolve(knots: Knots, axes: Axes, ramp: float, issues: tuple[Issue, ...], b
     begins = first[:-1][changes]  # the only knot of each
     factor = knots.factor
     if factor.any():
-        previous = axes.previous()[changes]
+        previous = predecessors(axes.program)[changes]
         factor = np.insert(factor, begins, np.where(previous >= 0, knots.factor[last[previous]], 0.0))
     else:
         factor = constant(0.0, len(factor) + len(begins))

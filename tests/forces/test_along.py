@@ -128,6 +128,37 @@ def test_on_a_plunge_feed_x_is_the_last_travel_across_the_spindle():
     assert (issue.kind, issue.level, issue.source_line, issue.count) == ("feed-direction", "info", 3, 2)
 
 
+def test_a_plunge_at_the_begin_of_a_branch_takes_the_last_travel_before_the_branches():
+    """The fifth move begins where the second ends; the third and fourth are another branch, which did not run."""
+    moves = [("PTP", 0, 0, 10), ("LIN", 30, 40, 10), ("LIN", 30, 40, 0), ("LIN", 0, 40, 0), ("LIN", 30, 40, 5)]
+    moves += [("LIN", 30, 40, 0), ("LIN", 30, 0, 0), ("LIN", 30, 0, 20)]
+    made = program(moves, notes=[(2, (10.0, 5.0, 30.0, 0, 0, 0), "FEED")])
+    made = replace(made, after=np.array([-1, 0, 1, 2, 1, 4, 5, 6]))
+    for motion in (2, 4, 5):
+        np.testing.assert_allclose(along(made, motion, 4), [6 - 4, 8 + 3, 30, 0, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(along(made, 7, 4), [5, -10, 30, 0, 0, 0], atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_the_last_travel_is_that_of_the_moves_executed_before(seed):
+    """Random moves and predecessors, one of them at an unknown start; each is followed back one by one."""
+    rng = np.random.default_rng(seed)
+    steps = np.array([[10.0, 0, 0], [0, 10, 0], [0, 0, 5]])[rng.integers(0, 3, 30)]
+    made = program([("LIN", *point) for point in np.cumsum(steps, axis=0)])
+    after = np.array([-1, *(int(rng.integers(max(-1, k - 4), k)) for k in range(1, 30))])
+    after[7] = 7
+    made = replace(made, after=after)
+    path = toolpath.segments(made, START)
+    travel, needs = forces.last_travel(made, path, "+Z")
+    across = toolpath.tangent(made, path, np.arange(30), np.ones(30))[:, :2]
+    for k in range(30):
+        row = after[k]
+        while row >= 0 and needs[row]:
+            row = after[row] if after[row] != row else -1
+        row = row if row >= 0 and row != k else int(np.argmin(needs))
+        np.testing.assert_allclose(travel[k, :2], across[row] / np.linalg.norm(across[row]), atol=1e-9)
+
+
 def test_after_an_arc_a_retract_takes_the_direction_at_its_end():
     moves = [("PTP", 50, 0, 0), ("CIRC", 0, 50, 0, 0, 0, 0, 90.0, (0, 0, 1)), ("LIN", 0, 50, 20)]
     made = program(moves, notes=[(2, (10.0, 0, 0, 0, 0, 0), "FEED")])
