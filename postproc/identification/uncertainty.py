@@ -533,24 +533,41 @@ def _distrust(data: Measurements, fit: Fit, choice: Choice | None) -> str:
     Least squares need spare readings: with fewer they describe the readings and not the robot. Structures with priors
     take as many numbers from the readings as these determine.
     """
-    numbers = _numbers_of_a_configuration(data)
-    fewest = _FEWEST if choice is not None else max(_FEWEST, int(np.ceil(_SPARE * len(fit.values) / numbers)))
+    directions = float(np.mean(load_directions(data)))
+    parameters = 0 if choice is not None else len(fit.values)
+    fewest = fewest_configurations(parameters, len(data.points), directions)
     if len(data.q) >= fewest:
         return ""
     return (
-        f"{len(data.q)} configurations were measured, which determine about {numbers:.0f} numbers each; the model "
-        f"needs {fewest} configurations at least (30 are usual)"
+        f"{len(data.q)} configurations were measured, which determine about "
+        f"{_numbers_of_a_configuration(len(data.points), directions):.0f} numbers each; the model needs {fewest} "
+        "configurations at least (30 are usual)"
     )
 
 
-def _numbers_of_a_configuration(data: Measurements) -> float:
-    """Return the number of spring parameters that a configuration determines, by its points and load directions."""
+def fewest_configurations(parameters: int, points: int, directions: float) -> int:
+    """Return the number of configurations below which a model may not be used.
+
+    :param parameters: number of parameters of least squares.
+    :param points: number of reference points.
+    :param directions: mean number of independent loads of a configuration.
+    """
+    numbers = _numbers_of_a_configuration(points, directions)
+    return max(_FEWEST, int(np.ceil(_SPARE * parameters / numbers)))
+
+
+def load_directions(data: Measurements) -> list[int]:
+    """Return the number of independent loads of each configuration."""
     wrench, config = data.wrench[data.loaded_states], data.state_config[data.loaded_states]
-    directions = [
-        np.linalg.matrix_rank(wrench[config == index] / norm(wrench[config == index])[:, None], tol=0.1)
+    return [
+        int(np.linalg.matrix_rank(wrench[config == index] / norm(wrench[config == index])[:, None], tol=0.1))
         for index in range(len(data.q))
     ]
-    return _NUMBERS.get(len(data.points), 6) * float(np.mean(directions))
+
+
+def _numbers_of_a_configuration(points: int, directions: float) -> float:
+    """Return the number of spring parameters that a configuration determines, by its points and load directions."""
+    return _NUMBERS.get(points, 6) * directions
 
 
 def _notes(data: Measurements, fit: Fit, choice: Choice | None) -> list[str]:

@@ -16,6 +16,7 @@ from msgspec.structs import replace
 from postproc.errors import PlanError
 from postproc.frames import DEG_PER_RAD, MM_PER_M, RAD_PER_DEG, Array, norm
 from postproc.identification.readings import Measurements
+from postproc.identification.uncertainty import fewest_configurations, load_directions
 from postproc.kinematics.forward import GRAVITY
 from postproc.plan import constraints
 from postproc.plan.criterion import (
@@ -143,6 +144,8 @@ def left_uncertain(accuracy: Accuracy, joint2: Joint2, blocked_rows: Ints) -> li
     return warnings
 
 
+_COMPENSATOR_PARAMETERS = 2
+"""K_c and s₀."""
 _STEP = 4.0 * RAD_PER_DEG
 """Largest turn of a joint between two poses that are checked on the way from one configuration to the next
 (assumed)."""
@@ -382,6 +385,7 @@ def plan_measurements(
     :param progress: called at each step.
     :raises PlanError: no pose can be measured, or the readings are fewer than the unknowns.
     """
+    _check_identifiable(len(JOINT_COMPLIANCES), options, len(site.points), data)
     if data is None and options.levels > options.configurations:
         raise PlanError(
             f"{options.levels} levels of q2 for {options.configurations} configurations",
@@ -508,6 +512,8 @@ def _problem(site: Site, tests: TestPoses, scale: Array, options: Options, data:
         )
 
     joint2 = _joint2(site, tests, earlier_data, with_joint2, options.seed)
+    if joint2.free:
+        _check_identifiable(len(JOINT_COMPLIANCES) + _COMPENSATOR_PARAMETERS, options, len(site.points), data)
     return _Problem(with_joint2(joint2), readings, joint2, earlier_data, warnings)
 
 
@@ -565,6 +571,25 @@ def _order_plan(problem: _Problem, plan: Plan) -> tuple[Plan, Array, float, tupl
     value = problem.task.criterion_at(q2).value(problem.readings.information_of(q, force), level)
     via, blocked_rows = detours(site, q, hit)
     return Plan(q, tilt, level, q2, value), force, seconds, via, blocked_rows
+
+
+def _check_identifiable(parameters: int, options: Options, points: int, data: Measurements | None) -> None:
+    """Raise a `PlanError` if `identify` would not trust a model from so few configurations, with those of `data`.
+
+    :param parameters: number of parameters of least squares.
+    """
+    # both loads of a planned pose have the same direction
+    directions = [*([] if data is None else load_directions(data)), *[1] * options.configurations]
+    fewest = fewest_configurations(parameters, points, float(np.mean(directions)))
+    if len(directions) >= fewest:
+        return
+    earlier = "" if data is None else f" with the {len(data.q)} that were measured"
+    raise PlanError(
+        f"{len(directions)} configurations of {points} points{earlier} are too few: `identify` would not trust a model "
+        f"from fewer than {fewest}",
+        advice=f"Ask for {options.configurations + fewest - len(directions)} or more with --configurations"
+        + (" (15 are usual), or give earlier readings with --measured." if data is None else "."),
+    )
 
 
 def _check_number(

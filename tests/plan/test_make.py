@@ -177,6 +177,42 @@ def test_more_than_can_be_determined_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("points", "fewest"),
+    [(3, 3), (2, 3), (1, 4)],  # two numbers for each of six springs: 12; a configuration has 6, 5 or 3
+)
+def test_fewer_configurations_than_identify_needs_are_refused(tmp_path, points, fewest):
+    text = (BASIC if points == 3 else BASIC[: BASIC.index(f"[points.P{points + 1}]")]) + RIG
+    short = {"text": text, "starts": 1, "rounds": 1, "test_poses": 3}
+    message = (
+        f"{fewest - 1} configurations of {points} points are too few: `identify` would not trust a model from fewer "
+        f"than {fewest}. Ask for {fewest} or more with --configurations"
+    )
+    with pytest.raises(PlanError, match=re.escape(message)):
+        setting.quick(tmp_path, configurations=fewest - 1, levels=1, **short)
+    assert len(setting.quick(tmp_path, configurations=fewest, levels=1, **short).plan.q) == fewest
+
+
+def test_configurations_that_were_measured_count_towards_those_that_identify_needs(tmp_path):
+    data, _, _ = measured_so_far(tmp_path)
+    short = {"starts": 1, "rounds": 1, "test_poses": 3, "configurations": 1, "levels": 1}
+    assert len(setting.quick(tmp_path, data=data.take_configurations(np.arange(2)), **short).plan.q) == 1
+    message = "2 configurations of 3 points with the 1 that were measured are too few"
+    with pytest.raises(PlanError, match=f"{message}.*Ask for 2 or more with --configurations"):
+        setting.quick(tmp_path, data=data.take_configurations(np.arange(1)), **short)
+
+
+@pytest.mark.parametrize(("configurations", "is_refused"), [(5, True), (6, False)])
+def test_a_compensator_that_is_identified_needs_configurations_too(configurations, is_refused):
+    """Two numbers for each of eight parameters: 16; a configuration of one point has three."""
+    arguments = 8, Options(configurations=configurations), 1, None
+    if is_refused:
+        with pytest.raises(PlanError, match="from fewer than 6"):
+            planning._check_identifiable(*arguments)
+        return
+    planning._check_identifiable(*arguments)
+
+
+@pytest.mark.parametrize(
     ("options", "points", "keep", "enough"),
     [
         # pooled: k1, k3 … k6 and a k2 for each level
