@@ -465,6 +465,39 @@ def test_data_that_a_routine_changes_under_another_name_is_changed(call, routine
 
 
 @pytest.mark.parametrize(
+    ("size", "rounds"),
+    [("Dim(list,1)", 3), ("Dim(table,1)", 2), ("Dim(table,2)", 4), ("Dim(own,1)", 5), ("Dim(own,1)-Dim(table,1)", 3)],
+)
+def test_a_for_over_the_size_of_an_array_has_as_many_rounds(size, rounds):
+    """Also where values are not known, the size is a constant, or the routine has a constant of that name itself."""
+    data = f"{DATA}CONST num n:=2;\nVAR num list{{3}};\nPERS num table{{n,2*n}}:=[[1,2,3,4],[1,2,3,4]];\n"
+    code = [
+        "CONST num n:=5;",
+        "VAR num own{n};",
+        f"FOR i FROM 1 TO {size} DO",
+        f"MoveL Offs(pA,i,0,0){tail()}",
+        "ENDFOR",
+    ]
+    program = read(module(code, data, ""))
+    assert (program.motions.target[1:, 0, 3] * 1e3).round(6).tolist() == list(range(1, rounds + 1))
+
+
+@pytest.mark.parametrize("size", ["Dim(list,2)", "Dim(list,0)", "Dim(list,1.5)", "Dim(x,1)", "Dim(list)"])
+def test_a_dimension_that_an_array_does_not_have_is_not_known(size):
+    with pytest.raises(PostprocError, match="the function DIM gives its value at run time"):
+        places([f"x:={size};", THERE], "VAR num list{3};\nPROC keep()\nENDPROC")
+
+
+def test_the_size_of_a_parameter_is_that_of_the_array_it_refers_to_and_not_known_of_a_copy():
+    data = f"{DATA}PERS num list{{7}}:=[1,2,3,4,5,6,7];\n"
+    routine = "PROC one(PERS num a{*})\nx:=Dim(a,1);\nMoveL Offs(pA,x,y,0)" + tail() + "\nENDPROC"
+    program = read(module(["one list;"], data, routine))
+    assert (program.motions.target[1:, 0, 3] * 1e3).round(6).tolist() == [7.0]
+    with pytest.raises(PostprocError, match="DIM gives its value at run time, but for arrays that the module declares"):
+        read(module(["one list;"], data, routine.replace("PERS num a", "num a")))
+
+
+@pytest.mark.parametrize(
     "code",
     [
         "VAR num k:=1;\nk:=doubled(x);",

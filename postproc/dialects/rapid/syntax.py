@@ -87,7 +87,7 @@ class Declaration(Statement, frozen=True, eq=False):
     local: bool
     type: str
     name: str
-    dimensions: int
+    dimensions: tuple[Expression, ...]
     value: Expression | None
 
 
@@ -553,17 +553,15 @@ class Parser:
         if kind not in _KINDS:
             raise self.fault("CONST, PERS or VAR")
         self.step()
-        type_, name, dimensions = self.identifier(), self.identifier(), 0
+        type_, name, dimensions = self.identifier(), self.identifier(), list[Expression]()
         if self.accept("{"):
-            dimensions = 1
-            self.expression()
+            dimensions.append(self.expression())
             while self.accept(","):
-                self.expression()
-                dimensions += 1
+                dimensions.append(self.expression())
             self.take("}")
         value = self.expression() if self.accept(":=") else None
         self.take(";")
-        return Declaration(start, self.behind, kind, local, type_, name, dimensions, value)
+        return Declaration(start, self.behind, kind, local, type_, name, tuple(dimensions), value)
 
     # --- modules
 

@@ -364,6 +364,9 @@ def _call(expression: Expression, scope: Scope) -> tuple[Value, str]:
         is_given = scope.presence.get(base_name(expression.items[0].value))
         if is_given is not None:
             return is_given, "BOOL"
+    arguments = [argument.value for argument in expression.items if argument.value is not None]
+    if expression.value == "DIM" and len(arguments) == 2:
+        return _size(arguments[0], arguments[1], scope), "NUM"
     function = _FUNCTIONS.get(expression.value)
     if function is None:
         raise UnknownValueError(f"the function {expression.value} gives its value at run time")
@@ -373,6 +376,19 @@ def _call(expression: Expression, scope: Scope) -> tuple[Value, str]:
         return function([value for value, _ in positional], options)
     except (ValueError, TypeError, IndexError, ZeroDivisionError, OverflowError):
         raise UnknownValueError(f"the call of {expression.value} is not understood") from None
+
+
+def _size(array: Expression, dimension: Expression, scope: Scope) -> float:
+    """Return ``Dim(array, dimension)``: the number of elements in a dimension, which no assignment changes.
+
+    :raises UnknownValueError: the declaration of the array is not known, or it has no such dimension.
+    """
+    place = number(dimension, scope)
+    variable = scope.variable(array.value) if array.kind == "name" else None
+    sizes = () if variable is None or variable.declaration is None else variable.declaration.dimensions
+    if place not in range(1, len(sizes) + 1):
+        raise UnknownValueError("the function DIM gives its value at run time, but for arrays that the module declares")
+    return number(sizes[int(place) - 1], scope if array.value in scope.inner else Scope(scope.outer))
 
 
 def _rotation(turn: list[float]) -> Array:
@@ -452,7 +468,7 @@ _FUNCTIONS: dict[str, Callable[[list[Value], dict[str, float]], tuple[Value, str
     "ATAN": _plain(lambda a: math.degrees(math.atan(a))),
     "ATAN2": _plain(lambda a, b: math.degrees(math.atan2(a, b))),
 }
-FOLLOWED_FUNCTIONS = frozenset({*_FUNCTIONS, "PRESENT"})
+FOLLOWED_FUNCTIONS = frozenset({*_FUNCTIONS, "PRESENT", "DIM"})
 """Functions of RAPID whose values are known here."""
 _EVALUATORS: dict[str, Callable[[Expression, Scope], tuple[Value, str]]] = {
     "number": _literal,
