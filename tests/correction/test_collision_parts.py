@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,6 +13,9 @@ from scipy.spatial.transform import Rotation
 from postproc.correction import collisions
 from postproc.correction.collisions import STOCK, Contact, States
 from postproc.correction.runs import Run
+from postproc.program import CIRC
+from tests.collision.setting import frame
+from tests.correction.test_closely import arcs_and_lines
 from tests.programs import program
 
 
@@ -497,3 +501,37 @@ def test_what_is_too_close_where_the_robot_arrives_is_too_close_with_all_bodies(
     found = collisions._too_close(scene, states, "stock" if has_stock else None, 0.005)
     assert found == {("link", "vice"), ("tip", "vice"), ("tip", "blank")} | ({("link", STOCK)} if has_stock else set())
     assert rows == [[True, True]]
+
+
+def test_chords_of_arcs_are_off_by_a_hundredth_of_a_millimetre_and_are_no_shorter_than_that_needs():
+    """The arm by Pinocchio. Places of the path stay; between them corrections are linear."""
+    path = arcs_and_lines()
+    rng, sample, m = np.random.default_rng(3), path.sample, path.program.motions
+    commanded = path.joints.q + np.radians(0.05) * rng.normal(size=path.joints.q.shape)
+    dense, q, dense_commanded = collisions._refine_arcs(path, commanded)
+    places = list(zip(dense.motion.tolist(), dense.t.tolist(), strict=True))
+    kept = [places.index(place) for place in zip(sample.motion.tolist(), sample.t.tolist(), strict=True)]
+    np.testing.assert_allclose(dense_commanded[kept], commanded, atol=1e-9)
+    program = path.program
+    for k, (motion, _) in enumerate(places):
+        base, tool = program.bases[m.base[motion]], program.tools[m.tool[motion]]
+        np.testing.assert_allclose(frame(q[k], 6) @ tool, base @ dense.pose[k], atol=1e-9)
+    radius = np.linalg.norm(m.target[:][:, :3, 3] - m.centre, axis=1)
+    ends, added = [-1, *kept], 0
+    for begin, end in pairwise(ends):
+        motion = places[end][0]
+        previous = places[begin][1] if begin >= 0 and places[begin][0] == motion else 0.0
+        if m.kind[motion] != CIRC:
+            assert end == begin + 1
+            continue
+        angle = m.sweep[motion] * np.diff([previous, *(t for _, t in places[begin + 1 : end + 1])])
+        np.testing.assert_allclose(angle, angle[0], rtol=1e-6)
+        allowed = 2.0 * np.arccos(1.0 - 1e-5 / radius[motion])
+        assert angle[0] <= allowed * (1.0 + 1e-3)
+        assert len(angle) - 1 <= angle.sum() / allowed * (1.0 + 1e-3)
+        share = np.arange(1, len(angle) + 1)[:, None] / len(angle)
+        correction = (dense_commanded - q)[begin + 1 : end + 1]
+        before = (dense_commanded - q)[begin] if begin >= 0 else correction[-1]
+        np.testing.assert_allclose(correction, before + share * (correction[-1] - before), atol=1e-9)
+        added += len(angle) - 1
+    assert added > 0

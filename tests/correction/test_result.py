@@ -36,6 +36,11 @@ def test_statistics_are_those_of_cutting_targets():
     assert (none.largest, none.rms, none.mean, none.p95) == (0.0, 0.0, 0.0, 0.0)
 
 
+def test_a_result_without_a_path_has_six_joint_margins_that_are_not_known():
+    """As many as the joints: the report lists them in order."""
+    np.testing.assert_array_equal(EMPTY.joint_margin, [np.nan] * 6)
+
+
 def test_rows_of_a_result_are_those_of_its_motions():
     before, after = np.array([[3e-4, 0, 4e-4]] * 4), np.array([[0, 1e-6, 0]] * 4)
     result = replace(EMPTY, motion=np.array([1, 1, 2, 3]), t=np.array([0.4, 1, 1, 1]), deviation_before=before)
