@@ -23,7 +23,7 @@ from postproc.comparison.result import (
     place_of,
     warning_at,
 )
-from postproc.comparison.settings import SAME_LENGTH, axis_targets, bases_and_tools, forces, settings
+from postproc.comparison.settings import SAME_LENGTH, axis_targets, bases_and_tools, forces, lowered_feeds, settings
 from postproc.comparison.statements import statement_differences
 from postproc.correction.targets import corners_of_motions
 from postproc.errors import Level
@@ -58,13 +58,14 @@ def differences(
     """Return the differences besides offsets.
 
     :param in_file: forces of the nominal program come from a file.
-    :param same_origin: one conversion made the second program of the first, or both: only missing or additional targets
-        and what the forces show are differences then.
+    :param same_origin: one conversion made the second program of the first, or both: only lowered feeds, missing or
+        additional targets and what the forces show are differences then.
     :param pairs_certain: pairs are the targets that the loaded tip comes to, or those that the conversion states.
     """
     uncertain = () if pairs_certain else tuple(_ambiguous(comparison, nominal_path, corrected_path))
     if same_origin:
         return (
+            *lowered_feeds(comparison),
             *_uncompared_motions(comparison),
             *_unpaired_targets(comparison, nominal_path),
             *_under_forces(comparison, nominal_path),

@@ -125,10 +125,14 @@ class Comparison(Struct, frozen=True, eq=False):
         return norm(self.offset)
 
     @property
+    def nominal_feed(self) -> Array:
+        """(M,) speeds of the nominal program as its text states them [m/s]; NaN where unknown, as for PTP."""
+        return self.nominal.motions.feed if self.nominal.feed_as_read is None else self.nominal.feed_as_read
+
+    @property
     def speeds(self) -> Array:
         """(P, 2) speeds of both programs as their texts state them [m/s]; NaN where unknown, as for PTP."""
-        nominal_feed = self.nominal.motions.feed if self.nominal.feed_as_read is None else self.nominal.feed_as_read
-        return np.stack([nominal_feed[self.pair[:, 0]], self.corrected.motions.feed[self.pair[:, 1]]], 1)
+        return np.stack([self.nominal_feed[self.pair[:, 0]], self.corrected.motions.feed[self.pair[:, 1]]], 1)
 
     @property
     def speed_differs(self) -> Bools:

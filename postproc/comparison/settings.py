@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from msgspec.structs import replace
 
 from postproc.comparison.paths import SAME_FRAME, PlacedProgram
 from postproc.comparison.result import Comparison, Difference, file_and_line, pair_warning, warning_at
@@ -49,6 +50,18 @@ def settings(
     yield from _status_and_turn(comparison, corrected_path)
     yield from _orientation_type(comparison)
     yield from bases_and_tools(comparison)
+
+
+def lowered_feeds(comparison: Comparison) -> Iterator[Difference]:
+    """Yield the feeds that the conversion has lowered, for information."""
+    nominal_speed, corrected_speed = comparison.speeds.T * MM_PER_M
+    pairs = np.flatnonzero(comparison.speed_differs & (corrected_speed < nominal_speed))
+    if len(pairs):
+        lowest = pairs[np.argmin(corrected_speed[pairs] / nominal_speed[pairs])]
+        speeds = f"{corrected_speed[lowest]:.4g} mm/s instead of {nominal_speed[lowest]:.4g} mm/s"
+        message = f"the conversion has lowered the feed: {speeds}."
+        places = warning_at(comparison, "speed", message, comparison.pair[lowest].tolist(), len(pairs))
+        yield replace(places, level="info")
 
 
 def _kind(comparison: Comparison) -> Iterator[Difference]:

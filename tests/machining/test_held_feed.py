@@ -148,6 +148,17 @@ def test_a_comparison_takes_the_forces_of_the_feeds_that_are_written(tmp_path):
     written = tmp_path / "out" / "part.src"
     said = run("compare", tmp_path / "part.nc", written, "--forces", tmp_path / "process.toml", *forces).output
     assert "They belong together." in said
+    compared = json.loads((tmp_path / "out" / "part.compare.report.json").read_text(encoding="utf-8"))
+    assert compared["differences"]["speed"] == report["feed"]["lowered_moves"]
+    (lowered,) = (issue for issue in compared["issues"] if issue["kind"] == "speed")
+    assert lowered["level"] == "info"
+    feed = min(float(value) for value in re.findall(r"^\$VEL\.CP=([\d.]+)", written.read_text(), re.MULTILINE))
+    message = f"the conversion has lowered the feed: {1e3 * feed:.4g} mm/s instead of 40 mm/s"
+    assert message in lowered["message"]
+    assert message in said
+    rows = (tmp_path / "out" / "part.compare.pairs.csv").read_text(encoding="utf-8").splitlines()
+    column = rows[0].split(",").index("speed_nominal_mm_per_s")
+    assert "40.000" in {row.split(",")[column] for row in rows}
 
 
 def test_without_need_nothing_is_lowered_and_nothing_is_tried(tmp_path):

@@ -284,6 +284,7 @@ def comparison_summary(
             "both come from the same program, cell and robot model; the forces of the correction are in a file: give "
             "it with --forces to check what remains"
         )
+    holds += [_issue_text(issue) for issue in content.issues if issue.level == "info"]
     verdict = join("convert", drive, None, _tolerance(content), holds, words=WORDS)
     return replace(content, verdict=verdict)
 
@@ -569,7 +570,7 @@ def _numbers_of_pairs(comparison: Comparison, state: Ints, nominal_row: Ints, co
             corrected_pose,
             of_pairs(comparison.distance * MM_PER_M),
             of_pairs(comparison.rotation * DEG_PER_RAD),
-            np.where(nominal_row >= 0, nominal.feed[nominal_row], np.nan) * MM_PER_M,
+            np.where(nominal_row >= 0, comparison.nominal_feed[nominal_row], np.nan) * MM_PER_M,
             np.where(corrected_row >= 0, corrected.feed[corrected_row], np.nan) * MM_PER_M,
             *(of_pairs(None if deviation is None else norm(deviation) * MM_PER_M) for deviation in cuts),
             of_pairs(comparison.between * MM_PER_M),
