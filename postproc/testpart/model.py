@@ -47,6 +47,9 @@ _STATED_LIFT = 1e-4
 """Lift of a program over the block that is worth a warning [m] (assumed)."""
 _MOST_TILT = 3e-3
 """Tilt of a program against the uncut top [rad]. Assumed: more is a wrong touch-off point, or a wrong `$BASE`."""
+_VAGUE_TILT = 10e-3
+"""Half width of the 95 % interval of the tilt [rad] beyond which it is not determined (assumed): over 100 mm of part
+the depth of cut would be unknown by a millimetre."""
 _VAGUE_LIFT = 0.25
 """Half width of the 95 % interval of the lift, as a share of the flattest cut, beyond which its depth is not known
 (assumed)."""
@@ -296,12 +299,15 @@ def _touch_off_fault(fit: Fit) -> str:
                 f"the touch-off points {', '.join(top.points)} are on no plane: probe them again, or leave the wrong "
                 "deviation_mm empty"
             )
+        half_tilt = 2.0 * float(np.sqrt(np.trace(lift.covariance[1:, 1:])))
+        if half_tilt > _VAGUE_TILT:
+            return _vague_tilt(fit, top, half_tilt)
         if np.abs(lift.at(points)).max() > MOST_LIFT * depth:
             return (
                 f"the program ran {_too_high(error.lift_mm)} over the block at {error.frame}, more than half of the "
                 f"flattest cut ({depth * MM_PER_M:g} mm): touch off again, and cut and probe a new part"
             )
-        if np.hypot(*lift.height[1:]) > _MOST_TILT + 2.0 * np.sqrt(np.trace(lift.covariance[1:, 1:])):
+        if np.hypot(*lift.height[1:]) > _MOST_TILT + half_tilt:
             return (
                 f"the program is tilted by {error.tilt_mm_per_m:.1f} mm/m against the uncut top at {error.frame}: "
                 "probe the touch-off points again; if they agree, measure $BASE anew and cut a new part"
@@ -312,6 +318,22 @@ def _touch_off_fault(fit: Fit) -> str:
                 "(floor, ref_floor) of the features too"
             )
     return ""
+
+
+def _vague_tilt(fit: Fit, top: Top, half_tilt: float) -> str:
+    """Return that the probed features are too few, or too near each other, to show how the program is tilted.
+
+    :param half_tilt: half width of the 95 % interval of the tilt [rad].
+    """
+    probe_data = fit.readings.probed
+    is_here = (probe_data.base == top.base) & (probe_data.mass == 0.0)
+    count = len({name.partition(".")[0] for name, here in zip(probe_data.name, is_here, strict=True) if here})
+    frame = Placement("" if top.base < 0 else str(top.base)).title
+    features = "one feature is too few" if count == 1 else f"{count} features so close together are too few"
+    return (
+        f"{features} at {frame}: how the program is tilted against the uncut top is known to "
+        f"± {half_tilt * MM_PER_M:.2g} mm/m only; probe more features, far from each other"
+    )
 
 
 def _too_high(lift_mm: float) -> str:

@@ -116,6 +116,23 @@ def test_a_program_that_ran_too_high_is_refused_beyond_half_the_flattest_cut(par
     assert "touch off again, and cut and probe a new part" in output
 
 
+def test_one_groove_does_not_show_a_tilt(tmp_path):
+    """Across one groove a tilt looks like the deflection; the readings of the other features are empty."""
+    demo = SAMPLES / "demo"
+    text = (demo / "testpart" / "probed.csv").read_text()
+    table, output = tmp_path / "probed.csv", tmp_path / "robot"
+    for names, code in ((("F01",), 3), (("F01", "F02"), 0)):
+        table.write_text(changed(text, lambda name, v, kept=names: v if name.startswith(("T", *kept)) else ""))
+        program = demo / "testpart" / "testpart.nc"
+        files = ("--process", demo / "testpart" / "testpart.process.toml", "--program", program, "--overwrite")
+        printed = run("identify", "part", table, "--cell", demo / "cell.toml", *files, "-o", output, code=code).output
+        assert printed.startswith("NOT TO BE TRUSTED: one feature is too few at [base]: how the program is") == bool(
+            code
+        )
+        assert ("probe more features" in printed) == bool(code)
+        assert "is tilted by" not in printed
+
+
 def test_a_touch_off_error_that_is_counted_is_printed(part, tables):
     output = identified_by_command(part, tables(TOO_LOW), 0)
     assert output.startswith("the model may be used")
