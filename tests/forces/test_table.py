@@ -145,6 +145,7 @@ def test_stated_deviations_without_a_factor_are_the_whole_covariance(tmp_path):
     path, load = put_on(made, tmp_path, "line,Fx,Fy,Fz,Mx,sFx,sFy,sMx\n2,100,-50,9,8,3,5,2\n3,1,1,1,1,,,\n")
     (factors,) = load.spread_in_root(toolpath.at(made, path, np.array([1]), np.array([1.0])))
     np.testing.assert_allclose(factors @ factors.T, np.diag([9.0, 25, 0, 4, 0, 0]), atol=1e-9)
+    assert factors.shape == (6, 6), "one covariance: further columns would be that of a factor"
 
 
 def test_behind_a_branch_the_ramp_begins_with_the_factor_of_the_move_that_leads_there(tmp_path):
