@@ -42,12 +42,14 @@ LIMITS_AND_COLLISIONS = "joint limits, speeds and collisions"
 """What a comparison leaves to a prediction of the second program."""
 SPLINES = "splines between their points"
 RUN_TIME = "motions that are known at run time only"
+TOOL_CHANGES = "paths behind tool changes"
 UNCHECKED = {
     "collisions": "the cell has no [collision]",
     "moves through material": "no stock is known: give --process",
     LIMITS_AND_COLLISIONS: "predict checks them",
     SPLINES: "they are followed along their chords",
     RUN_TIME: "they are kept as they are",
+    TOOL_CHANGES: "they begin where the called program leaves the robot",
 }
 """What may be left unchecked, and why."""
 

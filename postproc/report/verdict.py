@@ -16,6 +16,7 @@ from postproc.program import SPL
 from postproc.report.answers import (
     RUN_TIME,
     SPLINES,
+    TOOL_CHANGES,
     Drive,
     Improvement,
     Remedy,
@@ -62,8 +63,8 @@ _FIRST = np.inf
 """Cost [mm] of a finding that comes first."""
 _NO_SIZE = 0.0
 """Cost [mm] of a finding without a length."""
-
-
+_AFTER_TOOL_CHANGE = "after-tool-change"
+"""Kind of the issue of a path that begins where a called program leaves the robot."""
 ASSUMED_STOCK = "assumed-stock"
 """Kind of the issue of a stock that nobody stated."""
 STOCK_REMARK = "The stock is assumed: check it first."
@@ -104,6 +105,7 @@ def _drive(result: Result, content: Summary, warnings: Sequence[Issue]) -> Drive
         "moves through material": result.is_stock_known,
         SPLINES: not bool((result.program.motions.kind == SPL).any()),
         RUN_TIME: not result.program.unresolved,
+        TOOL_CHANGES: all(issue.kind != _AFTER_TOOL_CHANGE for issue in result.issues),
     }
     unchecked = [name for name, is_known in checks.items() if not is_known]
     state: State = "failed" if errors else "warning" if doubts else "ok"

@@ -1,5 +1,7 @@
 """New KRL programs from G-code: the text byte for byte, and what the controller makes of it."""
 
+import json
+import re
 from functools import partial
 from importlib.metadata import version
 
@@ -16,9 +18,11 @@ from postproc.poses import Poses
 from postproc.program import CIRC, FORCE_FRAMES, LIN, PTP, Document, Event, Motions, TargetForces, Targets
 from tests import programs
 from tests.attack.krl_interpreter import Controller
+from tests.commands import invoke
 from tests.dialects.krl_programs import CELL, check_commands, forward
 from tests.effort import calls_for_each
 from tests.oracle.arm import abc
+from tests.places import ROOT
 
 MILLING = changed(
     CELL,
@@ -142,7 +146,7 @@ def test_a_program_for_krc4_byte_for_byte():
     written = krl.emit(program, wanted, MILLING)
     assert written.documents[0].to_bytes() == golden(KRC4).encode("cp1252")
     assert written.documents[0].name == "part.src"
-    assert [(issue.kind, issue.source_line) for issue in written.issues] == [("no-lines", 6)]
+    assert [(issue.kind, issue.source_line) for issue in written.issues] == [("no-lines", 6), ("after-tool-change", 2)]
 
 
 def test_a_program_for_krc2_declares_what_its_controller_needs():
@@ -219,6 +223,25 @@ def test_after_a_routine_that_changes_the_tool_all_is_as_programmed():
         if motion.kind == "LIN":
             assert (motion.speed, motion.cdis) in ((0.05, 0.5), (0.05, None))
     assert [motion.cdis for motion in own][3] == 0.5
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [("CHANGE({T})", ["CHANGE(1)", "CHANGE(2)"]), ("HALT", []), ("$OUT[{T}]=TRUE", []), ("; CHANGE({T})", [])],
+)
+def test_the_path_behind_a_tool_change_that_calls_a_program_is_named_as_not_checked(tmp_path, change, named):
+    cell = (ROOT / "samples" / "cell_kr270.toml").read_text(encoding="utf-8").partition("[collision]")[0]
+    cell = re.sub(r"^tool_change = .*$", f'tool_change = ["{change}"]', cell, flags=re.MULTILINE)
+    (tmp_path / "cell.toml").write_text(f"{cell}\n[tools.1]\nZ = 300\n[tools.2]\nZ = 310\n", encoding="utf-8")
+    lines = "G21 G90 G17 G94", "T1 M6", "G0 X0 Y0 Z30", "G1 X50 F600", "T2 M6", "G0 X0 Y0 Z30", "T1 M6", "M30", ""
+    (tmp_path / "part.nc").write_text("\n".join(lines))
+    done = invoke("convert", str(tmp_path / "part.nc"), "-o", str(tmp_path / "out"), cell=str(tmp_path / "cell.toml"))
+    report = json.loads((tmp_path / "out" / "part.report.json").read_text(encoding="utf-8"))
+    issues = [issue for issue in report["issues"] if issue["kind"] == "after-tool-change"]
+    assert [(issue["level"], issue["source_line"]) for issue in issues] == [("info", 2), ("info", 5)][: len(named)]
+    for issue, call in zip(issues, named, strict=True):
+        assert f"The path from where {call} leaves the robot to the next target is not checked." in issue["message"]
+    assert ("paths behind tool changes (they begin where the called program leaves" in done.output) == bool(named)
 
 
 @pytest.mark.parametrize("own", [["; tool {T} by hand", "HALT"], ["$OUT[{T}]=TRUE", ""], ["WAIT FOR ($IN[1])"]])

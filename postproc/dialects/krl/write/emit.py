@@ -13,7 +13,7 @@ Decisions, where KUKA leaves a choice:
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import PurePath
 
 import numpy as np
@@ -30,7 +30,7 @@ from postproc.dialects.krl.language.tree import CallStatement
 from postproc.dialects.krl.write.target_numbers import DECIMALS, fixed_point
 from postproc.dialects.krl.write.target_statements import aggregate_text
 from postproc.dialects.new_program import LINE_END, NewProgram, Words, check_name, number
-from postproc.errors import group_issues
+from postproc.errors import Issue, group_issues
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, xyzabc_from_pose
 from postproc.program import CIRC, PTP, Bools, Document, Ints, Program, TargetForces, Targets, WrittenProgram, constant
 from postproc.version import VERSION
@@ -102,6 +102,7 @@ class Emitter:
         head = [*self.header(self.program.name), *self.begin()]
         new.events()
         self.call_rows = [k for k, statements in sorted(new.own.items()) if k < count and calls(statements)]
+        new.issues += self._after_tool_changes()
         changes = set(new.frame_changes())
         for k in sorted(changes.union(self.call_rows)):
             self._set_frames(k)
@@ -157,6 +158,21 @@ class Emitter:
             self.new.before[k].append(f"$BASE={_frame(self.program.bases[base])}")
         if tool != old_tool:
             self.new.before[k].append(f"$TOOL={_frame(self.program.tools[tool])}")
+
+    def _after_tool_changes(self) -> Iterator[Issue]:
+        """Yield where the robot moves on from where a called tool change leaves it."""
+        for event in self.program.events:
+            k = self.new.first_target(event)
+            if event.kind != "tool_change" or k == len(self.targets):
+                continue
+            for line in self.new.lines_of(event):
+                if calls([line]):
+                    call = line.strip()
+                    message = (
+                        f"The path from where {call} leaves the robot to the next target is not checked. Let the "
+                        "called program return to where it was called."
+                    )
+                    yield Issue("info", "after-tool-change", message, event.line, subject=call)
 
     def _follows_call(self, rows: Ints) -> Bools:
         """Return which of some targets (n,), in order, are the first behind a program that was called."""
