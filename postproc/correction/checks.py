@@ -27,7 +27,8 @@ from postproc.robot import JOINTS, RobotModel
 from postproc.toolpath import Toolpath
 
 _SAME_POSE = 8e-7
-"""Branches corrected more alike than this [m, rad] where they meet are read as meeting there, digits and all."""
+"""Corrections of branches that differ by less [m, rad] at a control-flow join count as equal: about the rounding of the
+written text, which has at least 1e-4 mm and 1e-5° (assumed)."""
 _WRIST = 0.2 * RAD_PER_DEG
 """|A5| below this is in the wrist singularity (assumed)."""
 _ELBOW = 0.2 * RAD_PER_DEG
@@ -40,14 +41,16 @@ _JUMP = 45.0 * RAD_PER_DEG
 """A joint that turns more than this between neighbouring samples passes (nearly) through a singularity (assumed)."""
 _CORRECTED_TWIST = 1e-9
 """Targets that are commanded nearer than this to where they were [m, rad] are as they were (assumed)."""
-_OPEN_WAY = 0.2 * RAD_PER_DEG
-"""Turns by 180° less this may become turns the other way by the correction, which turns the tool by less than that."""
+_HALF_TURN_MARGIN = 0.2 * RAD_PER_DEG
+"""A rotation within this of 180° may change its direction by the correction, which turns the tool by less (assumed)."""
 _HALF_TURN = 150.0 * RAD_PER_DEG
-"""A turn of A4 or A6 from [start] beyond this winds cables and hoses by about half a turn: worth a look."""
+"""A turn of A4 or A6 from [start] beyond this winds cables and hoses by about half a turn (assumed)."""
 _LIMIT_ROUNDING = 1e-9
 """Angles beyond a limit by less [rad] are at it: rounding of the inverse kinematics."""
 _START_DEPTH = 1e-3
 """Starts that are lower than they should be by less [m] are not reported (assumed)."""
+_SHORTEST_TRAVEL = 1e-6
+"""Pieces of path shorter than this [m] have no joint speed by their feed (assumed)."""
 _ORIENTATION_SPEED = 200.0 * RAD_PER_DEG
 """$VEL.ORI1 and $VEL.ORI2 of a KUKA controller by default [rad/s]."""
 _TORQUE_FACTOR = 1.1
@@ -58,15 +61,20 @@ _NO_SIGN = 0.01 * RAD_PER_DEG
 """A joint angle nearer to zero than this has no sign that T could name (assumed)."""
 
 
-def _first(
-    program: Program, motion: Ints, bad: Bools, kind: str, message: str, level: Level = "error"
+def _issue_of_rows(
+    program: Program, motion: Ints, is_bad: Bools, kind: str, message: str, level: Level = "error"
 ) -> Iterator[Issue]:
-    """Yield one issue for all bad rows; it names the first one's line."""
-    if bad.any():
-        yield program.motions.issue(level, kind, message, motion[bad])
+    """Yield one issue for all places with an error, none without one; it names the line of the first.
+
+    :param motion: (N,) row of `Motions` of each place.
+    :param is_bad: (N,) True where the place has the error.
+    """
+    if is_bad.any():
+        yield program.motions.issue(level, kind, message, motion[is_bad])
 
 
-def _turn_the_tool(program: Program) -> str:
+def _turn_advice(program: Program) -> str:
+    """Return the advice, without a full stop, on how to change the turn of the tool or the branch of the joints."""
     if program.keeps_text:
         return "turn the tool about its axis"
     home = ", choose another [machine] home" if np.isfinite(program.motions.joints).any() else ""
@@ -74,16 +82,20 @@ def _turn_the_tool(program: Program) -> str:
 
 
 def joint_limits(program: Program, robot: RobotModel, sample: Toolpath, q: Array) -> Iterator[Issue]:
-    """Yield an issue if commanded joint angles (N, 6) [rad] are beyond the joint limits."""
+    """Yield an issue for each joint whose commanded angle is beyond a limit at samples.
+
+    :param sample: N samples of the path.
+    :param q: (N, 6) commanded joint angles [rad].
+    """
     for axis in np.flatnonzero(~(kinematics.joint_margin(robot, q) >= -_LIMIT_ROUNDING)).tolist():
         low, high = robot.lower[axis], robot.upper[axis]
         is_outside = ~(np.minimum(q[:, axis] - low, high - q[:, axis]) >= -_LIMIT_ROUNDING)
-        first = int(np.argmax(is_outside))
+        first_row = int(np.argmax(is_outside))
         message = (
-            f"{JOINTS[axis]} = {q[first, axis] * DEG_PER_RAD:.3f}° is outside its limits {low * DEG_PER_RAD:g}…"
-            f"{high * DEG_PER_RAD:g}°. Move the part, {_turn_the_tool(program)} or start elsewhere."
+            f"{JOINTS[axis]} = {q[first_row, axis] * DEG_PER_RAD:.3f}° is outside its limits {low * DEG_PER_RAD:g}…"
+            f"{high * DEG_PER_RAD:g}°. Move the part, {_turn_advice(program)} or start elsewhere."
         )
-        yield from _first(program, sample.motion, is_outside, f"joint-limit-{JOINTS[axis]}", message)
+        yield from _issue_of_rows(program, sample.motion, is_outside, f"joint-limit-{JOINTS[axis]}", message)
 
 
 def singularities(
@@ -95,11 +107,11 @@ def singularities(
     :param sparse_motions: motions with samples far apart, for which a large turn between samples is normal.
     """
     form = kinematics.closed_form(robot)
-    linear = program.motions.kind[sample.motion] != PTP
+    is_cartesian = program.motions.kind[sample.motion] != PTP
 
-    def near(rows: Ints) -> tuple[Bools, ...]:
-        angles = q[rows]
-        jumps = largest(angles - q[np.maximum(rows - 1, 0)]) > _JUMP
+    def conditions_at(samples: Ints) -> tuple[Bools, ...]:
+        angles = q[samples]
+        jumps = largest(angles - q[np.maximum(samples - 1, 0)]) > _JUMP
         return (
             np.abs(angles[:, 4]) < _WRIST,
             np.abs(form.elbow(angles)) < _ELBOW,
@@ -107,21 +119,22 @@ def singularities(
             np.asarray(jumps),
         )
 
-    wrist, elbow, shoulder, jump = (linear & is_near for is_near in in_chunks(near, np.arange(len(q))))
-    jump &= (np.diff(sample.motion, prepend=sample.motion[:1]) <= 1) & ~(wrist | elbow | shoulder)
-    jump &= ~np.isin(sample.motion, sparse_motions)
-    rows, flip = np.flatnonzero(jump), np.zeros(len(q), dtype=np.bool_)
-    flip[rows] = np.isin(np.argmax(np.abs(q[rows] - q[rows - 1]), axis=1), (3, 5))
-    advice = f"Move the part or {_turn_the_tool(program)}."
+    wrist, elbow, shoulder, has_jump = (is_cartesian & is_met for is_met in in_chunks(conditions_at, np.arange(len(q))))
+    # samples of motions that do not follow each other are not connected: a turn between them is no jump
+    has_jump &= (np.diff(sample.motion, prepend=sample.motion[:1]) <= 1) & ~(wrist | elbow | shoulder)
+    has_jump &= ~np.isin(sample.motion, sparse_motions)
+    samples, is_flip = np.flatnonzero(has_jump), np.zeros(len(q), dtype=np.bool_)
+    is_flip[samples] = np.isin(np.argmax(np.abs(q[samples] - q[samples - 1]), axis=1), (3, 5))
+    advice = f"Move the part or {_turn_advice(program)}."
     flip_problem = "wrist singularity: A5 passes through or near 0°, A4 and A6 turn by more than 45° at once"
-    for bad, kind, problem in (
+    for is_bad, kind, problem in (
         (wrist, "wrist-singularity", "wrist singularity: A5 passes through 0°"),
         (elbow, "elbow-singularity", "elbow singularity: the arm is stretched out"),
         (shoulder, "shoulder-singularity", "shoulder singularity: the wrist is above the A1 axis"),
-        (jump & flip, "wrist-singularity", flip_problem),
-        (jump & ~flip, "joint-jump", "singularity: a joint turns by more than 45° on a short piece of path"),
+        (has_jump & is_flip, "wrist-singularity", flip_problem),
+        (has_jump & ~is_flip, "joint-jump", "singularity: a joint turns by more than 45° on a short piece of path"),
     ):
-        yield from _first(program, sample.motion, bad, kind, f"{problem}. {advice}")
+        yield from _issue_of_rows(program, sample.motion, is_bad, kind, f"{problem}. {advice}")
 
 
 def half_turns(program: Program, sample: Toolpath, turn: Array, pose: Poses) -> Iterator[Issue]:
@@ -134,11 +147,11 @@ def half_turns(program: Program, sample: Toolpath, turn: Array, pose: Poses) -> 
     :param pose: commanded, of the samples in `$BASE`.
     """
     m = program.motions
-    free = m.kind != PTP
+    has_open_direction = m.kind != PTP
     if program.turning is not None:
-        free &= ~program.turning.active
+        has_open_direction &= ~program.turning.active
     rotation = turn if program.with_path is None else turn - np.where(program.with_path, m.sweep, 0.0)
-    motion = np.flatnonzero(free & (rotation > np.pi - _OPEN_WAY))
+    motion = np.flatnonzero(has_open_direction & (rotation > np.pi - _HALF_TURN_MARGIN))
     if not len(motion):
         return
     previous = motion - 1 if program.after is None else program.after[motion]
@@ -157,7 +170,9 @@ def half_turns(program: Program, sample: Toolpath, turn: Array, pose: Poses) -> 
         (~may_reverse, "warning", "and the joints were checked for one direction only"),
     )
     for has_half_turn, level, consequence in cases:
-        yield from _first(program, motion, has_half_turn, "half-turn", f"{problem}, {consequence}. {advice}", level)
+        yield from _issue_of_rows(
+            program, motion, has_half_turn, "half-turn", f"{problem}, {consequence}. {advice}", level
+        )
 
 
 def status_and_turn(program: Program, robot: RobotModel, sample: Toolpath, q: Array) -> Iterator[Issue]:
@@ -166,17 +181,17 @@ def status_and_turn(program: Program, robot: RobotModel, sample: Toolpath, q: Ar
     :param q: (N, 6) joint angles found for the nominal targets [rad].
     """
     m = program.motions
-    ends = np.flatnonzero(sample.ends & (m.kind[sample.motion] == PTP) & np.isnan(m.joints[sample.motion, 0]))
-    motion = sample.motion[ends]
-    has_sign = np.abs(q[ends]) > _NO_SIGN
+    ptp_samples = np.flatnonzero(sample.ends & (m.kind[sample.motion] == PTP) & np.isnan(m.joints[sample.motion, 0]))
+    motion = sample.motion[ptp_samples]
+    has_sign = np.abs(q[ptp_samples]) > _NO_SIGN
     turn_bits = m.turn[motion, None] >> np.arange(6) & 1
-    wrong_turn = (m.turn[motion] >= 0) & (((q[ends] < 0.0) != (turn_bits == 1)) & has_sign).any(axis=1)
-    wrong_status = (m.status[motion] >= 0) & (kinematics.status_of(robot, q[ends]) != m.status[motion] & 7)
+    wrong_turn = (m.turn[motion] >= 0) & (((q[ptp_samples] < 0.0) != (turn_bits == 1)) & has_sign).any(axis=1)
+    wrong_status = (m.status[motion] >= 0) & (kinematics.status_of(robot, q[ptp_samples]) != m.status[motion] & 7)
     wrong_status &= has_sign[:, 4]
     advice = "The controller would drive the axes elsewhere, or stop: correct S and T, or leave them out."
-    for differs, name in ((wrong_status, "status S"), (wrong_turn, "turn T")):
+    for is_wrong, name in ((wrong_status, "status S"), (wrong_turn, "turn T")):
         message = f"no configuration within the joint limits has the {name} of this target. {advice}"
-        yield from _first(program, motion, differs, "status-turn", message)
+        yield from _issue_of_rows(program, motion, is_wrong, "status-turn", message)
 
 
 def start_joints(program: Program, robot: RobotModel, start: Array) -> Iterator[Issue]:
@@ -201,7 +216,7 @@ def first_move(program: Program, path: JointPath, start: Array) -> Iterator[Issu
         if abs(rotation[axis]) > _HALF_TURN:
             message = (
                 f"The first move turns {JOINTS[axis]} by {rotation[axis] * DEG_PER_RAD:.0f}° from the [start] joints "
-                f"of the cell. Check cables and hoses; {_turn_the_tool(program)} or choose other [start] joints."
+                f"of the cell. Check cables and hoses; {_turn_advice(program)} or choose other [start] joints."
             )
             yield Issue("warning", f"first-move-{JOINTS[axis]}", message, source_line=int(m.line[0]))
 
@@ -215,7 +230,7 @@ def height_of_start(program: Program, tip: Array, clearance: float | None) -> It
 
     It begins below `clearance_Z`, which is above part and clamps, or below its target. Or it passes below its target:
     all axes move at once, so the tip may come down on the way although both ends are high. Coming down to a target
-    below `clearance_Z` is what the program asks for. A program that starts at its first target has no way to it.
+    below `clearance_Z` is what the program asks for. There is no first move if [start] is the first target.
 
     :param tip: (n, 3) positions of the tip from [start] to the first target in `$BASE` [m].
     :param clearance: [machine] clearance_Z [m].
@@ -230,18 +245,18 @@ def height_of_start(program: Program, tip: Array, clearance: float | None) -> It
     start_limit, start_name = target, "the first target"
     if clearance is not None and clearance > target:
         start_limit, start_name = clearance, "clearance_Z"
-    way_limit, way_name = target, "the first target"
+    path_limit, path_limit_name = target, "the first target"
     if clearance is not None and clearance < target:
-        way_limit, way_name = clearance, "clearance_Z"
+        path_limit, path_limit_name = clearance, "clearance_Z"
     if start_limit - start > _START_DEPTH:
         problem = (
             f"The first move begins below {start_name}: at [start] the tip is at Z {start * MM_PER_M:.1f} mm of $BASE, "
             f"{(start_limit - start) * MM_PER_M:.1f} mm below it."
         )
-    elif way_limit - lowest_z > _START_DEPTH:
+    elif path_limit - lowest_z > _START_DEPTH:
         problem = (
-            f"The first move passes below {way_name}: all axes move at once from [start], and the tip comes down to Z "
-            f"{lowest_z * MM_PER_M:.1f} mm of $BASE, {(way_limit - lowest_z) * MM_PER_M:.1f} mm below it."
+            f"The first move passes below {path_limit_name}: all axes move at once from [start], and the tip comes "
+            f"down to Z {lowest_z * MM_PER_M:.1f} mm of $BASE, {(path_limit - lowest_z) * MM_PER_M:.1f} mm below it."
         )
     else:
         return
@@ -250,17 +265,19 @@ def height_of_start(program: Program, tip: Array, clearance: float | None) -> It
 
 
 def posture(program: Program, robot: RobotModel, sample: Toolpath, path: JointPath, start: Array) -> Iterator[Issue]:
-    """Yield an issue if a PTP changes the posture of the arm (status S): overhead, elbow or wrist turned over."""
+    """Yield an issue if a PTP changes the posture of the arm (status S): overhead, elbow or wrist turned over.
+
+    :param path: joint angles of the N samples.
+    :param start: (6,) joint angles where the program starts [rad].
+    """
     ends = np.flatnonzero(sample.ends & (program.motions.kind[sample.motion] == PTP))
     start_status = kinematics.status_of(robot, np.where(ends[:, None] > 0, path.q[ends - 1], start))
     end_status = kinematics.status_of(robot, path.q[ends])
     changes = np.flatnonzero(start_status != end_status)
     if len(changes):
-        first = changes[0]
-        message = (
-            f"The arm changes its posture (status S from {start_status[first]} to {end_status[first]}): the way there "
-            "is the controller's."
-        )
+        old_status, new_status = start_status[changes[0]], end_status[changes[0]]
+        status_change = f"status S from {old_status} to {new_status}"
+        message = f"The arm changes its posture ({status_change}): the way there is the controller's."
         yield program.motions.issue("info", "posture", message, sample.motion[ends[changes]])
 
 
@@ -273,66 +290,76 @@ def joint_speed(program: Program, sample: Toolpath, turn: Array, q: Array, posit
     """
     m = program.motions
     feed = m.feed[sample.motion[1:]]
-    following = np.diff(sample.motion)
+    motion_step = np.diff(sample.motion)
     unchanged_frames = [rows[sample.motion[1:]] == rows[sample.motion[:-1]] for rows in (m.base, m.tool)]
-    has_same_frames = unchanged_frames[0] & unchanged_frames[1] & (following <= 1) | (following == 0)
-    nominal = norm(np.diff(sample.pose[:, :3, 3], axis=0))
-    travel = np.maximum(nominal, norm(np.diff(position, axis=0)))
+    has_same_frames = unchanged_frames[0] & unchanged_frames[1] & (motion_step <= 1) | (motion_step == 0)
+    nominal_travel = norm(np.diff(sample.pose[:, :3, 3], axis=0))
+    travel = np.maximum(nominal_travel, norm(np.diff(position, axis=0)))
     # a run that turns the tool more than it moves it is timed by the controller's orientation speed, not by the feed
-    turns = np.flatnonzero(turn[sample.motion[1:]] > _TURNS)
-    relative = sample.pose[turns + 1, :3, :3] @ np.swapaxes(sample.pose[turns, :3, :3], 1, 2)
-    by_turning = np.zeros(len(nominal), dtype=bool)
-    by_feed = norm(rotation_vector(relative)) * np.nan_to_num(feed[turns])
-    by_turning[turns] = by_feed > _ORIENTATION_SPEED * nominal[turns]
-    usable = (m.kind[sample.motion[1:]] != PTP) & has_same_frames & ~by_turning & (nominal > 1e-6) & (feed > 0)
+    turning_runs = np.flatnonzero(turn[sample.motion[1:]] > _TURNS)
+    rotation = sample.pose[turning_runs + 1, :3, :3] @ np.swapaxes(sample.pose[turning_runs, :3, :3], 1, 2)
+    is_timed_by_turning = np.zeros(len(nominal_travel), dtype=bool)
+    rotation_at_feed = norm(rotation_vector(rotation)) * np.nan_to_num(feed[turning_runs])
+    is_timed_by_turning[turning_runs] = rotation_at_feed > _ORIENTATION_SPEED * nominal_travel[turning_runs]
+    is_timed_by_feed = (
+        (m.kind[sample.motion[1:]] != PTP)
+        & has_same_frames
+        & ~is_timed_by_turning
+        & (nominal_travel > _SHORTEST_TRAVEL)
+        & (feed > 0)
+    )
     speed = np.abs(np.diff(q, axis=0, prepend=q[:1]))
-    speed[1:] *= np.where(usable, feed / np.where(usable, travel, 1.0), 0.0)[:, None]
+    speed[1:] *= np.where(is_timed_by_feed, feed / np.where(is_timed_by_feed, travel, 1.0), 0.0)[:, None]
     return speed
 
 
 def joint_speeds(program: Program, robot: RobotModel, sample: Toolpath, speed: Array) -> Iterator[Issue]:
-    """Yield issues where joint speeds (N, 6) at the programmed feed exceed the limits of the robot.
+    """Yield issues where joint speeds at the programmed feed exceed the limits of the robot.
 
     If a program relies on the default speed, which may be set differently on the controller, it is only a warning.
+
+    :param sample: N samples of the path.
+    :param speed: (N, 6) joint speeds [rad/s].
     """
     level: Level = "warning" if any(issue.kind == "default-speed" for issue in program.issues) else "error"
     rapid = program.motions.rapid[sample.motion]
     feed = np.nan_to_num(program.motions.feed[sample.motion])
     (is_too_fast,) = in_chunks(lambda speed: (np.asarray(speed > robot.speed),), speed)
     for axis, name in enumerate(JOINTS):
-        for rows, at, advice in (
+        for is_of_group, feed_name, advice in (
             (~rapid, "the programmed feed", "Lower the feed to {feed} mm/min"),
             (rapid, "the speed of rapid moves", "Lower rapid_m_per_s in [gcode] of the cell"),
         ):
-            fast = rows & is_too_fast[:, axis]
-            if not fast.any():
+            is_fast = is_of_group & is_too_fast[:, axis]
+            if not is_fast.any():
                 continue
-            turning = speed[np.flatnonzero(fast), axis]
-            allowable_feed = float((feed[fast] * robot.speed[axis] / turning).min()) * MM_PER_MIN
+            turning_speed = speed[np.flatnonzero(is_fast), axis]
+            allowable_feed = float((feed[is_fast] * robot.speed[axis] / turning_speed).min()) * MM_PER_MIN
             advice = advice.format(feed=_round_down(allowable_feed))
             message = (
-                f"{name} would turn at {turning.max() * DEG_PER_RAD:.0f}°/s at {at} (limit "
+                f"{name} would turn at {turning_speed.max() * DEG_PER_RAD:.0f}°/s at {feed_name} (limit "
                 f"{robot.speed[axis] * DEG_PER_RAD:.0f}°/s). {advice} or turn the tool about its axis."
             )
-            yield from _first(program, sample.motion, fast, f"{JOINT_SPEED}{name}", message, level)
+            yield from _issue_of_rows(program, sample.motion, is_fast, f"{JOINT_SPEED}{name}", message, level)
 
 
 def _round_down(value: float) -> str:
-    """Return a positive number with two digits, rounded down."""
+    """Return a positive number as text with two significant digits, rounded down."""
     step = 10.0 ** (np.floor(np.log10(value)) - 1.0)
+    # the factor keeps a number of two digits from being rounded down to the one below it
     return f"{np.floor(value / step * (1.0 + 1e-12)) * step:.6g}"
 
 
 def joints_at_joins(program: Program, sample: Toolpath, q: Array, start: Array) -> Iterator[Issue]:
-    """Yield an issue if branches, or rounds of an endless loop, end in one pose with a joint one turn apart.
+    """Yield an issue if branches, or rounds of an endless loop, end in one pose with a joint that differs by a turn.
 
     The pose of the tool is the same, but the motions after it would begin with that joint 360° farther each time.
 
     :param q: (N, 6) joint angles of the samples, `start` (6,) where the program starts [rad].
     """
-    end = np.flatnonzero(sample.ends)
+    last_samples = np.flatnonzero(sample.ends)
     for rows in program.joins:
-        angles = np.array([q[end[row]] if row >= 0 else start for row in rows])
+        angles = np.array([q[last_samples[row]] if row >= 0 else start for row in rows])
         spread = np.ptp(angles, axis=0)
         axis = int(spread.argmax())
         if not spread[axis] > np.pi:
@@ -348,21 +375,24 @@ def joints_at_joins(program: Program, sample: Toolpath, q: Array, start: Array) 
         yield Issue("error", "branch-joints", message, lines[0], count=len(lines), lines=tuple(lines))
 
 
-def joins(program: Program, sample: Toolpath, pose: Poses, wrench: Runs) -> Iterator[Issue]:
+def corrections_at_joins(program: Program, sample: Toolpath, pose: Poses, wrench: Runs) -> Iterator[Issue]:
     """Yield an issue if branches taken at run time have different corrections at a control-flow join.
 
     :param pose: commanded, `wrench` (N, 6), of the samples in `$BASE`.
     """
-    end = np.flatnonzero(sample.ends)
+    last_samples = np.flatnonzero(sample.ends)
     for rows in program.joins:
         motions = np.array([row for row in rows if row >= 0], dtype=np.int64)
-        correction = twist_between(sample.pose[end[motions]], pose[end[motions]])
+        correction = twist_between(sample.pose[last_samples[motions]], pose[last_samples[motions]])
         if len(motions) < len(rows):
             correction = np.append(correction, np.zeros((1, 6)), axis=0)  # the start, which is not corrected
         if not len(motions) or np.ptp(correction, axis=0).max() < _SAME_POSE:
             continue
         lines = program.motions.line[motions].tolist()
-        forces = [f"line {line}: {_force(wrench[end[row]])}" for line, row in zip(lines, motions.tolist(), strict=True)]
+        forces = [
+            f"line {line}: {_force_text(wrench[last_samples[row]])}"
+            for line, row in zip(lines, motions.tolist(), strict=True)
+        ]
         message = (
             f"{_BRANCHES} end under different forces ({', '.join(forces)}): the next motion would begin at different "
             "corrected places. Give their last motions the same force in $BASE."
@@ -373,22 +403,29 @@ def joins(program: Program, sample: Toolpath, pose: Poses, wrench: Runs) -> Iter
 _BRANCHES = "branches that are chosen at run time, or the rounds of a LOOP without EXIT,"
 
 
-def _force(wrench: Array) -> str:
+def _force_text(wrench: Array) -> str:
+    """Return the force of a wrench (6,) [N, N·m] for a message, with four digits."""
     return f"F = ({', '.join(f'{value:.4g}' for value in wrench[:3].tolist())}) N"
 
 
 def correction_size(program: Program, motion: Ints, correction: Array, limit: float) -> Iterator[Issue]:
-    """Yield an issue if a commanded position is farther from nominal than allowed; distances (N,) [m]."""
+    """Yield an issue if a commanded position is farther from nominal than allowed.
+
+    :param motion: (N,) motion of each sample.
+    :param correction: (N,) distance of the commanded from the nominal position [m].
+    :param limit: largest allowed distance [m].
+    """
     message = (
         f"the correction of {correction.max() * MM_PER_M:.3f} mm is larger than max_correction_mm = "
         f"{limit * MM_PER_M:g}. Check the forces and the robot model, or raise max_correction_mm in the cell."
     )
-    yield from _first(program, motion, ~(correction <= limit), "correction-size", message)
+    yield from _issue_of_rows(program, motion, ~(correction <= limit), "correction-size", message)
 
 
 def blending(program: Program, motion: Ints, extra_rounding: Array, tolerance: float) -> Iterator[Issue]:
-    """Yield an issue if the correction increases the rounding of a corner by more than the tolerance.
+    """Yield an issue if the correction increases the rounding of a corner by more than the tolerance [m].
 
+    :param motion: (K,) motion of each target.
     :param extra_rounding: (K,) by how much the written path is rounded more at each target than the programmed one [m].
     """
     message = (
@@ -397,7 +434,7 @@ def blending(program: Program, motion: Ints, extra_rounding: Array, tolerance: f
         f"than the programmed one; tolerance_mm is {tolerance * MM_PER_M:g}. Use a smaller approximation distance "
         "where this matters."
     )
-    yield from _first(program, motion, extra_rounding > tolerance, "blending", message, "warning")
+    yield from _issue_of_rows(program, motion, extra_rounding > tolerance, "blending", message, "warning")
 
 
 def torque_warnings(
@@ -407,7 +444,7 @@ def torque_warnings(
 
     :param motion: (K,) of each target.
     :param q: (K, 6) [rad].
-    :param tool: (4, 4) or (K, 4, 4).
+    :param tool: (4, 4) or (K, 4, 4) `$TOOL` [m].
     :param wrench: (K, 6) at the TCP, root axes [N, N·m].
     """
     if robot.measured is None:
@@ -418,10 +455,12 @@ def torque_warnings(
         return (np.abs(np.einsum("kij,ki->kj", jacobian, wrench))[:, list(robot.actuated)],)
 
     torque = in_chunks(torques, q, np.broadcast_to(tool, (len(q), 4, 4)), wrench)[0]
-    exceeds = torque > _TORQUE_FACTOR * robot.measured.torque
-    for joint in np.flatnonzero(exceeds.any(axis=0)).tolist():
+    is_extrapolated = torque > _TORQUE_FACTOR * robot.measured.torque
+    for joint in np.flatnonzero(is_extrapolated.any(axis=0)).tolist():
         message = (
             f"the forces put up to {torque[:, joint].max():.0f} N·m on {JOINTS[joint]}; the robot model was measured "
             f"up to {robot.measured.torque[joint]:.0f}: it and its bound are extrapolated. Measure such loads too."
         )
-        yield from _first(program, motion, exceeds[:, joint], f"beyond-measured-{JOINTS[joint]}", message, "warning")
+        yield from _issue_of_rows(
+            program, motion, is_extrapolated[:, joint], f"beyond-measured-{JOINTS[joint]}", message, "warning"
+        )

@@ -47,58 +47,41 @@ class Slowing(Struct, frozen=True):
 
     def issue(self, motions: Motions) -> Issue:
         """Return the remark: on moves at feed if there are any, else on positioning moves."""
-        slow = np.flatnonzero(self.joint >= 0)
-        names = " and ".join(JOINTS[axis] for axis in distinct(self.joint[slow]).tolist())
-        cut = slow[self.is_capped[slow]]
-        if len(cut):
-            lowest_feed = f"{motions.feed[cut].min() * MM_PER_M * 60.0:.0f} mm/min"
+        slowed_motions = np.flatnonzero(self.joint >= 0)
+        names = " and ".join(JOINTS[axis] for axis in distinct(self.joint[slowed_motions]).tolist())
+        slowed_cuts = slowed_motions[self.is_capped[slowed_motions]]
+        if len(slowed_cuts):
+            lowest_feed = f"{motions.feed[slowed_cuts].min() * MM_PER_M * 60.0:.0f} mm/min"
             message = f"Moves at feed in which {names} would turn too fast are slowed, to {lowest_feed} at the lowest."
-            return motions.issue("warning", "feed-capped", message, slow)
-        slowest_feed = f"{motions.feed[slow].min():.3g} m/s at the slowest"
+            return motions.issue("warning", "feed-capped", message, slowed_motions)
+        slowest_feed = f"{motions.feed[slowed_motions].min():.3g} m/s at the slowest"
         message = f"Positioning moves in which {names} would turn too fast are slowed, to {slowest_feed}."
-        return motions.issue("info", "rapid-slowed", message, slow)
+        return motions.issue("info", "rapid-slowed", message, slowed_motions)
 
 
 def slow_rapids(
     path: PathUnderLoad, q: Array, position: Array, before: Slowing | None, fast_lines: Collection[int]
 ) -> tuple[MotionsUnderLoad, Slowing] | None:
-    """Return the motions with positioning moves slowed to what the joints can do, and which these are, or None.
+    """Return the motions with moves slowed to what the joints can do, and which these are; None if none is slowed.
 
     Positioning moves are rapid ones, those at feed that come from `[start]`, on which no force may act, and straight
     ones at the speed of rapid moves or faster on which none acts. Only programs whose text is written anew have
     straight ones with a speed of their own. With ``[limits] feed = "cap"``, moves at feed are slowed in any program.
 
     :param q: (N, 6) commanded joint angles of the samples [rad], `position` (N, 3) commanded positions [m].
-    :param before: what was slowed already, and was not enough: the written program is a few per cent faster where it is
-        nearly singular, or has more targets. Each time these motions get a smaller share of the largest speed.
+    :param before: motions that were slowed already, but not enough: the written program is a few per cent faster where
+        it is nearly singular, or has more targets. Each time these motions get a smaller share of the largest speed.
     :param fast_lines: source lines on which a joint still turns too fast.
     """
-    program, robot = path.program, path.robot_in_cell.robot
-    m = program.motions
-    positioning = _positioning(path)
+    program, m = path.program, path.program.motions
+    positioning = _is_positioning(path)
     is_capped = np.isin(m.kind, (LIN, CIRC)) & ~m.rapid & ~positioning
     is_capped &= path.robot_in_cell.cell.limits.feed == "cap"
     slowable = positioning | is_capped
     if not slowable.any():
         return None
     share_of_limit = _SPEED_SHARE * _NEXT_SHARE ** (0 if before is None else before.count)
-    speed = commanded_speed(path, q, position)
-    share = np.zeros(len(m))
-    joint = np.zeros(len(m), dtype=np.int64)
-
-    def take(motion: Ints, speed: Array) -> None:
-        of_limit = speed / robot.speed
-        worst = of_limit.max(axis=1)
-        rows = np.flatnonzero(slowable[motion] & (worst > share_of_limit))
-        rows = rows[np.argsort(worst[rows])]
-        rows = rows[worst[rows] > share[motion[rows]]]
-        share[motion[rows]], joint[motion[rows]] = worst[rows], of_limit[rows].argmax(axis=1)
-
-    for part in chunks(len(path)):
-        take(path.sample.motion[part], speed[part])
-    _, lines = stretches_to_examine(path, q, speed)
-    for close, exact, exact_position in dense_places(path, q, position, lines):
-        take(close.motion, checks.joint_speed(program, close, path.motions.segments.turn, exact, exact_position))
+    share, joint = _largest_speeds(path, q, position, slowable, share_of_limit)
     is_fast, on_fast_line = share > 1.0, slowable & np.isin(m.line, list(fast_lines))
     if before is not None and on_fast_line.any():  # else what is too fast cannot be slowed
         is_fast |= (share > share_of_limit) & ((before.joint >= 0) | on_fast_line)
@@ -118,7 +101,36 @@ def slow_rapids(
     )
 
 
-def _positioning(path: PathUnderLoad) -> Bools:
+def _largest_speeds(
+    path: PathUnderLoad, q: Array, position: Array, slowable: Bools, least_share: float
+) -> tuple[Array, Ints]:
+    """Return the largest joint speed on each motion as a share of the limit (M,), and the joint (M,), counted from 0.
+
+    Both are 0 on motions that are not `slowable` (M,) or stay below `least_share`. For the others see `slow_rapids`.
+    """
+    program, limit = path.program, path.robot_in_cell.robot.speed
+    share, joint = np.zeros(len(slowable)), np.zeros(len(slowable), dtype=np.int64)
+
+    def add(motion: Ints, speed: Array) -> None:
+        joint_share = speed / limit
+        sample_share = joint_share.max(axis=1)
+        rows = np.flatnonzero(slowable[motion] & (sample_share > least_share))
+        # in increasing order: of several samples on one motion, the last assignment is the largest
+        rows = rows[np.argsort(sample_share[rows])]
+        rows = rows[sample_share[rows] > share[motion[rows]]]
+        share[motion[rows]], joint[motion[rows]] = sample_share[rows], joint_share[rows].argmax(axis=1)
+
+    speed = commanded_speed(path, q, position)
+    for part in chunks(len(path)):
+        add(path.sample.motion[part], speed[part])
+    _, lines = stretches_to_examine(path, q, speed)
+    for places, place_joints, place_position in dense_places(path, q, position, lines):
+        place_speed = checks.joint_speed(program, places, path.motions.segments.turn, place_joints, place_position)
+        add(places.motion, place_speed)
+    return share, joint
+
+
+def _is_positioning(path: PathUnderLoad) -> Bools:
     """Return which motions (M,) only position the tool, and may be slowed; none in a program that keeps its text."""
     program, m = path.program, path.program.motions
     if program.keeps_text:
@@ -142,38 +154,45 @@ def commanded_speed(path: PathUnderLoad, q: Array, position: Array) -> Array:
     m, segments = path.program.motions, path.motions.segments
     speed = np.zeros((len(path), 6))
     for part in chunks(len(path)):
-        rows = slice(max(part.start - 1, 0), part.stop)
-        chunk_speed = checks.joint_speed(path.program, path.sample.take(rows), segments.turn, q[rows], position[rows])
-        speed[part] = chunk_speed[part.start - rows.start :]
+        rows_with_previous = slice(max(part.start - 1, 0), part.stop)
+        chunk_speed = checks.joint_speed(
+            path.program,
+            path.sample.take(rows_with_previous),
+            segments.turn,
+            q[rows_with_previous],
+            position[rows_with_previous],
+        )
+        speed[part] = chunk_speed[part.start - rows_with_previous.start :]
     travel = segments.length[0] * path.sample.t[0]
     if travel > 1e-6 and m.feed[0] > 0.0:  # a PTP has no feed (NaN)
         speed[:1] = np.abs(q[:1] - path.robot_in_cell.cell.start_joints) * m.feed[0] / travel
     return speed
 
 
-_SPACING = 5.0 * RAD_PER_DEG
+_ARC_SPACING = 5.0 * RAD_PER_DEG
 """Spacing of the places on an arc: between two of them a sine leaves its chord by 0.1 % of its size."""
 _SHARE_OF_SPEED = 0.75
 """Share of a joint's largest speed at samples: between two that are 60° apart a sine is up to 1 / cos 30° steeper."""
 _LARGE_STEP = 10.0 * RAD_PER_DEG
-"""Rotation from one sample to the next; a joint turns by more only near a wrist or shoulder singularity (assumed)."""
+"""Largest rotation of a joint between samples, unless a wrist or shoulder singularity is near (assumed)."""
 _NEAR_WRIST = 1.0 * RAD_PER_DEG
-"""Change of A5 between two samples that is counted at least: an arc may pass the wrist singularity between them."""
+"""Smallest change of A5 that is counted between two samples: an arc may pass the wrist singularity there (assumed)."""
 _NEAR_ELBOW = 20.0 * RAD_PER_DEG
-"""A3 changes with the root of the distance to where the arm is stretched: nearer than this it may get there unseen."""
+"""Change of A3 that is counted between two samples (assumed): it changes with the root of the distance to the stretched
+arm, so fast that the steps between samples do not bound it."""
 _CHUNK = 8192
-"""Number of places examined in one batch."""
+"""Number of places examined in one batch: some megabytes of temporary arrays."""
 _STEPS = 2.0
 """A smooth quantity exceeds its values at the samples by less than one step between them; two for safety."""
-_LONG, _TURNS = 0.002, 0.5 * RAD_PER_DEG
+_LINE_SPACING, _TURN_SPACING = 0.002, 0.5 * RAD_PER_DEG
 """Spacing of the places on a line; pieces that are shorter and turn the tool less are not examined (assumed)."""
-_NEAREST = 0.15
-"""From the wrist, and the wrist from the axes of A1 to A3 [m], about: a joint turns by no more than the way through it,
-unless the arm is nearly singular."""
-_PER_TURN = 6.0
+_SMALLEST_LEVER = 0.15
+"""Smallest lever arm of a joint [m], unless the arm is nearly singular (assumed): on a path of length s, no joint turns
+by more than s over this."""
+_JOINT_PER_TOOL_TURN = 6.0
 """Largest ratio of joint rotation to tool rotation, unless the wrist is nearly singular (assumed)."""
 _ELBOW_PER_M, _ELBOW_PER_TURN = 5.0, 3.0
-"""Largest change of A3 towards the stretched arm within a piece of a line, per length [rad/m] and per turn; assumed."""
+"""Largest change of A3 towards the stretched arm within a piece of a line, by length [rad/m] and rotation (assumed)."""
 _REACH_PER_TURN = 0.5
 """How far the wrist may move by turning the tool [m/rad] (assumed)."""
 
@@ -203,22 +222,23 @@ def stretches_to_examine(path: PathUnderLoad, q: Array, speed: Array) -> tuple[S
     :param speed: (N, 6) joint speeds on the way to each [rad/s].
     """
     limit = _SHARE_OF_SPEED * path.robot_in_cell.robot.speed
-    fast = in_chunks(lambda speed: (np.asarray((speed > limit).any(axis=1)),), speed)[0]
-    return _arcs(path, q, fast), _lines(path, q, fast)
+    is_fast = in_chunks(lambda speed: (np.asarray((speed > limit).any(axis=1)),), speed)[0]
+    return _arcs(path, q, is_fast), _lines(path, q, is_fast)
 
 
-def _states(path: PathUnderLoad, q: Array, rows: Ints) -> tuple[Array, Array, Array]:
-    """Return margins before and at samples (n,), and how much the angles and margins change between: (9, n) each.
+def _margins_and_steps(path: PathUnderLoad, q: Array, rows: Ints) -> tuple[Array, Array, Array]:
+    """Return margins at the samples before `rows` (n,), margins at `rows`, and changes between them: (9, n) each.
 
-    Rows are A1…A6 to their nearer limits [rad]; A5 [rad]; the distance of the wrist centre ahead of A1 [m]; A3 measured
-    from the stretched arm [rad].
+    Rows of the margins are A1…A6 to their nearer limits [rad]; |A5| [rad]; the distance of the wrist centre from the
+    axis of A1 [m]; A3 from the stretched arm [rad]. Rows of the changes are |difference| of these quantities, of A1…A6
+    that of the angle.
     """
     robot, form = path.robot_in_cell.robot, kinematics.closed_form(path.robot_in_cell.robot)
     states, margins = [], []
-    for at in (rows - 1, rows):
+    for samples in (rows - 1, rows):
         state = np.empty((9, len(rows)))
-        state[:6] = q[at].T
-        state[:6, at < 0] = path.robot_in_cell.cell.start_joints[:, None]
+        state[:6] = q[samples].T
+        state[:6, samples < 0] = path.robot_in_cell.cell.start_joints[:, None]
         state[_WRIST], state[_SHOULDER], state[_ELBOW] = state[4], form.reach(state.T), form.elbow(state.T)
         margin = np.abs(state)
         margin[:6] = np.minimum(state[:6] - robot.lower[:, None], robot.upper[:, None] - state[:6])
@@ -227,22 +247,23 @@ def _states(path: PathUnderLoad, q: Array, rows: Ints) -> tuple[Array, Array, Ar
     return margins[0], margins[1], np.abs(states[1] - states[0])
 
 
-def _arcs(path: PathUnderLoad, q: Array, fast: Bools) -> Stretches:
+def _arcs(path: PathUnderLoad, q: Array, is_fast: Bools) -> Stretches:
     """Return the arcs to be examined every 5°: their margins are small compared with the steps between samples."""
     m, motion = path.program.motions, path.sample.motion
     rows = np.flatnonzero(m.kind[motion] == CIRC)
     if len(rows):
-        _, margin, step = _states(path, q, rows)
-        certain = motion[rows[fast[rows] | (step[:6].max(axis=0) > _LARGE_STEP)]]
-        # what comes near by the largest step of any arc may come near by that of its own
-        may_be = (margin < _state_changes(step.max(axis=1, keepdims=True))).any(axis=0)
-        in_reach = np.isin(motion[rows], motion[rows[may_be]])
-        rows, margin, step = rows[in_reach], margin[:, in_reach], step[:, in_reach]
-        first = np.flatnonzero(np.diff(motion[rows], prepend=-1))
-        threshold = _state_changes(np.maximum.reduceat(step, first, axis=1))
-        close = (np.minimum.reduceat(margin, first, axis=1) < threshold).any(axis=0)
-        rows = distinct(np.append(certain, motion[rows[first[close]]]))
-    parts = np.ceil(m.sweep[rows] / _SPACING - 1e-9).clip(1).astype(np.int64)
+        _, margin, step = _margins_and_steps(path, q, rows)
+        fast_motions = motion[rows[is_fast[rows] | (step[:6].max(axis=0) > _LARGE_STEP)]]
+        # a cheap first pass with the largest step of any arc: no other arc can be near a limit by its own steps
+        is_candidate = (margin < _state_changes(step.max(axis=1, keepdims=True))).any(axis=0)
+        is_on_candidate_arc = np.isin(motion[rows], motion[rows[is_candidate]])
+        rows, margin, step = rows[is_on_candidate_arc], margin[:, is_on_candidate_arc], step[:, is_on_candidate_arc]
+        # of each arc, the smallest margin and the largest step of its samples, which are consecutive
+        first_rows = np.flatnonzero(np.diff(motion[rows], prepend=-1))
+        threshold = _state_changes(np.maximum.reduceat(step, first_rows, axis=1))
+        is_near_limit = (np.minimum.reduceat(margin, first_rows, axis=1) < threshold).any(axis=0)
+        rows = distinct(np.append(fast_motions, motion[rows[first_rows[is_near_limit]]]))
+    parts = np.ceil(m.sweep[rows] / _ARC_SPACING - 1e-9).clip(1).astype(np.int64)
     return Stretches(rows, np.zeros(len(rows)), np.ones(len(rows)), parts)
 
 
@@ -255,28 +276,34 @@ def _state_changes(step: Array) -> Array:
     return change
 
 
-def _lines(path: PathUnderLoad, q: Array, fast: Bools) -> Stretches:
+def _lines(path: PathUnderLoad, q: Array, is_fast: Bools) -> Stretches:
     """Return the pieces of lines to be examined every 2 mm and half a degree."""
     sample, segments = path.sample, path.motions.segments
-    first = np.diff(sample.motion, prepend=-1) != 0
-    begin = np.where(first, 0.0, np.roll(sample.t, 1))
-    way, turn = (of_motion[sample.motion] * (sample.t - begin) for of_motion in (segments.travel, segments.turn))
+    is_first = np.diff(sample.motion, prepend=-1) != 0
+    begin = np.where(is_first, 0.0, np.roll(sample.t, 1))
+    length, turn = (of_motion[sample.motion] * (sample.t - begin) for of_motion in (segments.travel, segments.turn))
     rows = np.flatnonzero(
-        np.isin(path.program.motions.kind[sample.motion], (LIN, SPL)) & ((way > _LONG) | (turn > _TURNS))
+        np.isin(path.program.motions.kind[sample.motion], (LIN, SPL))
+        & ((length > _LINE_SPACING) | (turn > _TURN_SPACING))
     )
-    way, turn = way[rows], turn[rows]
+    length, turn = length[rows], turn[rows]
 
-    def near_something(rows: Ints, way: Array, turn: Array) -> tuple[Bools]:
-        start_margin, margin, step = _states(path, q, rows)
+    def is_near_limit(rows: Ints, length: Array, turn: Array) -> tuple[Bools]:
+        start_margin, margin, step = _margins_and_steps(path, q, rows)
         change = _STEPS * step
-        change[:_SHOULDER] += way / _NEAREST + _PER_TURN * turn
-        change[_SHOULDER] += way + _REACH_PER_TURN * turn + checks.SHOULDER
-        change[_ELBOW] = _ELBOW_PER_M * way + _ELBOW_PER_TURN * turn
+        change[:_SHOULDER] += length / _SMALLEST_LEVER + _JOINT_PER_TOOL_TURN * turn
+        change[_SHOULDER] += length + _REACH_PER_TURN * turn + checks.SHOULDER
+        change[_ELBOW] = _ELBOW_PER_M * length + _ELBOW_PER_TURN * turn
         return (np.asarray((np.minimum(start_margin, margin) < change).any(axis=0)),)
 
-    close = in_chunks(near_something, rows, way, turn)[0] | fast[rows]
-    rows, way, turn = rows[close], way[close], turn[close]
-    return Stretches(sample.motion[rows], begin[rows], sample.t[rows], toolpath.even_parts(way, turn, _LONG, _TURNS))
+    is_examined = in_chunks(is_near_limit, rows, length, turn)[0] | is_fast[rows]
+    rows, length, turn = rows[is_examined], length[is_examined], turn[is_examined]
+    return Stretches(
+        sample.motion[rows],
+        begin[rows],
+        sample.t[rows],
+        toolpath.even_parts(length, turn, _LINE_SPACING, _TURN_SPACING),
+    )
 
 
 def between_samples(
@@ -285,15 +312,15 @@ def between_samples(
     """Yield issues of joint limits, singularities and joint speeds between samples.
 
     :param q: (N, 6) commanded joint angles of the samples [rad], `position` (N, 3) commanded positions [m].
-    :param sparse_motions: motions of whose stretches not all follow each other.
+    :param sparse_motions: motions with gaps between their stretches, over which a joint may turn far.
     """
     program, robot = path.program, path.robot_in_cell.robot
     try:
-        for close, exact, commanded_position in dense_places(path, q, position, stretches):
-            yield from checks.joint_limits(program, robot, close, exact)
-            yield from checks.singularities(program, robot, close, exact, sparse_motions)
-            speed = checks.joint_speed(program, close, path.motions.segments.turn, exact, commanded_position)
-            yield from checks.joint_speeds(program, robot, close, speed)
+        for places, place_joints, place_position in dense_places(path, q, position, stretches):
+            yield from checks.joint_limits(program, robot, places, place_joints)
+            yield from checks.singularities(program, robot, places, place_joints, sparse_motions)
+            speed = checks.joint_speed(program, places, path.motions.segments.turn, place_joints, place_position)
+            yield from checks.joint_speeds(program, robot, places, speed)
     except ImpossiblePathError as cause:
         yield cause.issue
 
@@ -301,7 +328,7 @@ def between_samples(
 def dense_places(
     path: PathUnderLoad, q: Array, position: Array, stretches: Stretches
 ) -> Iterator[tuple[Toolpath, Array, Array]]:
-    """Yield places on stretches with commanded joint angles (n, 6) [rad] and positions (n, 3) [m].
+    """Yield places on stretches, in batches of n, with commanded joint angles (n, 6) [rad] and positions (n, 3) [m].
 
     :param q: (N, 6) commanded joint angles of the samples [rad], `position` (N, 3) commanded positions [m]: the
         correction of both is taken for linear between samples.
@@ -310,29 +337,35 @@ def dense_places(
     program, robot, sample, joints = path.program, path.robot_in_cell.robot, path.sample, path.joints
     if len(stretches.motion) == 0:
         return
-    last = np.flatnonzero(sample.ends)
+    end_samples = np.flatnonzero(sample.ends)
     sample_place = sample.motion + sample.t
-    group = np.cumsum(stretches.parts + 1) // _CHUNK
+    group = np.cumsum(stretches.parts + 1) // _CHUNK  # of each stretch: batches have whole stretches
     for batch in np.split(np.arange(len(group)), np.flatnonzero(np.diff(group)) + 1):
         stretch, share = toolpath.even_places(batch, stretches.parts[batch], "both ends")
         begin, end = stretches.begin[stretch], stretches.end[stretch]
         motion, t = stretches.motion[stretch], begin + (end - begin) * share
-        close = toolpath.at(program, path.motions.segments, motion, t)
-        flange = toolpath.flange_from_tcp(program, motion, close.pose[:], t)
-        exact = kinematics.branch_joints(robot, flange, joints.branch[last[motion]])
-        is_out_of_reach = any_column(np.isnan(exact))
+        places = toolpath.at(program, path.motions.segments, motion, t)
+        flange = toolpath.flange_from_tcp(program, motion, places.pose[:], t)
+        place_joints = kinematics.branch_joints(robot, flange, joints.branch[end_samples[motion]])
+        is_out_of_reach = any_column(np.isnan(place_joints))
         if is_out_of_reach.any():
             raise ImpossiblePathError(unreachable(program, motion[is_out_of_reach]))
-        first, final = np.searchsorted(sample_place, [(motion + t).min(), (motion + t).max()]).tolist()
-        neighbours = slice(max(first - 1, 0), final + 1)
-        nominal, at = joints.q[neighbours], position[neighbours] - sample.pose[neighbours, :3, 3]
-        values = np.column_stack([nominal, q[neighbours] - nominal, at])
+        # only the samples around the places of this batch are needed for interpolation
+        first_sample, last_sample = np.searchsorted(sample_place, [(motion + t).min(), (motion + t).max()]).tolist()
+        neighbours = slice(max(first_sample - 1, 0), last_sample + 1)
+        nominal_joints, position_correction = (
+            joints.q[neighbours],
+            position[neighbours] - sample.pose[neighbours, :3, 3],
+        )
+        values = np.column_stack([nominal_joints, q[neighbours] - nominal_joints, position_correction])
         neighbour_values = np.column_stack(
             [np.interp(motion + t, sample_place[neighbours], column) for column in values.T]
         )
         # the branch gives angles within one turn: those of the path are the nearest by whole turns
-        exact += 2.0 * np.pi * np.round((neighbour_values[:, :6] - exact) / (2.0 * np.pi)) + neighbour_values[:, 6:12]
-        yield close, exact, close.pose[:, :3, 3] + neighbour_values[:, 12:]
+        place_joints += (
+            2.0 * np.pi * np.round((neighbour_values[:, :6] - place_joints) / (2.0 * np.pi)) + neighbour_values[:, 6:12]
+        )
+        yield places, place_joints, places.pose[:, :3, 3] + neighbour_values[:, 12:]
 
 
 def origin_issues(program: Program, mode: Mode) -> list[Issue]:
@@ -416,12 +449,12 @@ def frame_issues(program: Program, cell: Cell) -> list[Issue]:
         return []
     m = program.motions
     issues = []
-    for name, section, frames, row, in_cell in (
+    for name, section, frames, row, cell_frame in (
         ("$BASE", "[base]", program.bases, m.base, cell.base),
         ("$TOOL", "[tool]", program.tools, m.tool, cell.tool),
     ):
-        is_another = np.abs(frames - in_cell.pose()).max(axis=(1, 2)) > _SAME_FRAME
-        motion = np.flatnonzero(is_another[row] & np.isnan(m.joints[:, 0]))
+        is_other_frame = np.abs(frames - cell_frame.pose()).max(axis=(1, 2)) > _SAME_FRAME
+        motion = np.flatnonzero(is_other_frame[row] & np.isnan(m.joints[:, 0]))
         if len(motion):
             values = (xyzabc_from_pose(frames[row[motion[0]]]).round(4) + 0.0).tolist()
             frame = ", ".join(f"{axis} {value:.8g}" for axis, value in zip("XYZABC", values, strict=True))
@@ -432,14 +465,14 @@ def frame_issues(program: Program, cell: Cell) -> list[Issue]:
     return issues
 
 
-_ON_FIRST = 200
-"""Places on the first move: the tip, moved by joints, is lower between two of them by a few tenths of a millimetre."""
+_FIRST_MOVE_PARTS = 200
+"""Number of parts of the first move: the tip, moved by joints, is at most some tenths of a millimetre lower between."""
 
 
 def _first_tips(path: PathUnderLoad) -> Array:
     """Return positions of the tip (n, 3) in `$BASE` [m] from [start] to the end of the first motion."""
-    motion = np.zeros(_ON_FIRST + 1, dtype=np.int64)
-    share = np.linspace(0.0, 1.0, _ON_FIRST + 1)
+    motion = np.zeros(_FIRST_MOVE_PARTS + 1, dtype=np.int64)
+    share = np.linspace(0.0, 1.0, _FIRST_MOVE_PARTS + 1)
     return toolpath.positions(path.program, path.motions.segments, motion, share)
 
 
@@ -465,7 +498,7 @@ def path_issues(path: PathUnderLoad, command: Commands) -> list[Issue]:
         *checks.singularities(program, robot, sample, q, arcs.motion),
         *checks.joint_speeds(program, robot, sample, speed),
         *checks.joints_at_joins(program, sample, q, start),
-        *checks.joins(program, sample, command.pose, path.wrench),
+        *checks.corrections_at_joins(program, sample, command.pose, path.wrench),
         *checks.correction_size(program, sample.motion, norm(position - sample.pose[:, :3, 3]), limit),
     ]
     kinds = {issue.kind for issue in issues}

@@ -37,9 +37,9 @@ _SET_SIGNAL = re.compile(
 )
 """KRL ``$OUT[1]=TRUE``, RAPID ``SetDO doSpindle,1;``."""
 _SAME_LENGTH = 1e-6
-"""Tools whose lengths differ by less [m] are equally long (assumed)."""
-_BESIDE = 0.05
-"""Width around the cuts [m] in which stock and clamps are."""
+"""Tools with lengths that differ by less [m] are equally long (assumed)."""
+_CUT_MARGIN = 0.05
+"""Width around the cuts [m] in which stock and clamps are (assumed)."""
 
 
 def setup_questions(program: Program, cell: Cell, robot: RobotModel) -> Iterator[Issue]:
@@ -65,35 +65,33 @@ def setup_questions(program: Program, cell: Cell, robot: RobotModel) -> Iterator
 
 
 def short_tool(tool: Array, table: str) -> str:
-    """Return the question on a `$TOOL` (4, 4) whose tip is at the flange; empty if it is not.
+    """Return the question on a `$TOOL` (4, 4) [m] with its tip at the flange; empty for any other.
 
-    :param table: where it is given.
+    :param table: where it is given, in words for the message.
     """
     length = float(norm(tool[:3, 3]))
     if length >= _SHORT_TOOL:
         return ""
-    message = f"the tip of $TOOL ({_place(tool)}) is {length * MM_PER_M:.3g} mm from the flange"
+    message = f"the tip of $TOOL ({_position_text(tool)}) is {length * MM_PER_M:.3g} mm from the flange"
     return f"{message}: is Z in mm? {table} is in mm: a tool of 0.35 m has Z = 350"
 
 
 def near_base(base: Array, table: str) -> str:
-    """Return the question on a `$BASE` (4, 4) inside the foot of the arm; empty if it is not there, or zero.
+    """Return the question on a `$BASE` (4, 4) [m] inside the foot of the arm; empty for any other, and for zero.
 
-    :param table: where it is given.
+    :param table: where it is given, in words for the message.
     """
     distance = float(norm(base[:3, 3]))
     if not 0.0 < distance < _NEAR_BASE:
         return ""
-    message = f"$BASE ({_place(base)}) is {distance * MM_PER_M:.3g} mm from the robot root"
+    message = f"$BASE ({_position_text(base)}) is {distance * MM_PER_M:.3g} mm from the robot root"
     return f"{message}: are X, Y, Z in mm? {table} is in mm: 1.5 m are 1500"
 
 
 def force_questions(program: Program, forces: PathForces, cell: Cell, robot: RobotModel) -> Iterator[Issue]:
-    """Yield a question where a force is more than the arm carries, or a moment belongs to no cutter; where the spindle
-    is off, or the feed has another unit, in moves that have a force.
-    """
+    """Yield questions on cutting moves with forces: overload, too long a lever, spindle off, a feed in another unit."""
     m = program.motions
-    motion = np.repeat(np.arange(len(m)), np.diff(forces.first))
+    motion = np.repeat(np.arange(len(m)), np.diff(forces.first))  # of each force
     cutting = ~np.asarray(m.rapid)[motion]  # a rapid move begins with the force that ends on it
     size, moment = (norm(forces.wrench.values[:, columns])[forces.wrench.run] for columns in (slice(3), slice(3, 6)))
     size, moment = size * cutting, moment * cutting
@@ -107,7 +105,7 @@ def force_questions(program: Program, forces: PathForces, cell: Cell, robot: Rob
         level: Level = "warning" if size.max() > _OVERLOAD * rating * GRAVITY else "info"
         yield m.issue(level, "force-rating", message, distinct(motion[too_strong]))
     if not program.keeps_text:
-        yield from _cutting(program, cell, distinct(motion[size > 0.0]))
+        yield from _feed_and_spindle_questions(program, cell, distinct(motion[size > 0.0]))
     too_long = moment > np.where(size > 0.0, _LONGEST_LEVER * size, np.inf)
     if too_long.any():
         row = int(np.argmax(np.where(too_long, moment, 0.0)))
@@ -118,10 +116,10 @@ def force_questions(program: Program, forces: PathForces, cell: Cell, robot: Rob
         yield m.issue("warning", "moment-unit", message, distinct(motion[too_long]))
 
 
-def _cutting(program: Program, cell: Cell, rows: Ints) -> Iterator[Issue]:
-    """Yield a warning where motions (n,) that cut have a feed that no cutter has, or the spindle does not turn.
+def _feed_and_spindle_questions(program: Program, cell: Cell, rows: Ints) -> Iterator[Issue]:
+    """Yield a warning where motions that cut have a feed that no cutter has, or the spindle is off.
 
-    The spindle of a cell without lines for it is switched otherwise.
+    :param rows: (n,) motions that cut.
     """
     m = program.motions
     feed = MM_PER_MIN * m.feed[rows]
@@ -140,13 +138,20 @@ def _cutting(program: Program, cell: Cell, rows: Ints) -> Iterator[Issue]:
             )
             yield m.issue("warning", "spindle-off", message, rows)
         return
+    yield from _spindle_questions(program, cell, rows)
+
+
+def _spindle_questions(program: Program, cell: Cell, rows: Ints) -> Iterator[Issue]:
+    """Yield a warning where the spindle is off on motions (n,) that cut, in a cell with lines that switch it."""
+    m = program.motions
     effects = {code: _spindle_effect(cell, lines) for code, lines in cell.m_codes.items()}
     kinds = [effects[f"M{event.value:g}"] if event.kind == "m_code" else event.kind for event in program.events]
     switches = [event for event, kind in zip(program.events, kinds, strict=True) if kind in _SWITCHING]
-    last = np.searchsorted([event.before for event in switches], rows, side="right") - 1
-    is_off = np.array([kind == "spindle_off" for kind in kinds if kind in _SWITCHING] + [True])[last]
+    last_switch = np.searchsorted([event.before for event in switches], rows, side="right") - 1
+    # before the first switch, `last_switch` is −1: the entry at the end
+    is_off = np.array([kind == "spindle_off" for kind in kinds if kind in _SWITCHING] + [True])[last_switch]
     if is_off.any():
-        index = int(last[np.argmax(is_off)])
+        index = int(last_switch[np.argmax(is_off)])
         cause = f"line {switches[index].line} switches it off" if index >= 0 else "nothing switches it on before"
         message = (
             f"a cut with the spindle off: {cause}. Switch it on in the program, or write spindle_on = [] in [gcode] of "
@@ -158,7 +163,8 @@ def _cutting(program: Program, cell: Cell, rows: Ints) -> Iterator[Issue]:
 def _spindle_effect(cell: Cell, lines: Sequence[str]) -> str:
     """Return the kind of event by which lines of `[m_codes]` switch the spindle; empty if they do not.
 
-    They switch it if they set one of the signals that spindle_on and spindle_ccw set: off by a line of spindle_off.
+    They switch it if they set one of the signals that spindle_on and spindle_ccw set. The last such line decides: it
+    switches the spindle off if it is one of spindle_off.
     """
     gcode = cell.gcode
     signals = {signal for line in (*(gcode.spindle_on or ()), *(gcode.spindle_ccw or ())) if (signal := _signal(line))}
@@ -180,38 +186,40 @@ def _plain(line: str) -> str:
 
 
 def tool_changes(program: Program) -> Iterator[Issue]:
-    """Yield a warning where the tip of a longer tool is among or below the cuts when it is mounted.
+    """Yield a warning for each tool change where the tip of a longer tool is mounted among or below the cuts.
 
-    The flange stays where it is at a tool change, so the new tip is lower by the difference of the lengths. Lower is
-    along the new tool. It counts below the deepest cut anywhere, and below the highest one over the cuts, which are
+    The flange does not move at a tool change, so the new tip is deeper, along the new tool, by the difference of the
+    lengths. A tip below the deepest cut is reported anywhere; one below the highest cut only over the cuts, which are
     widened by 50 mm.
     """
     m = program.motions
     cutting = np.flatnonzero(~m.rapid)
     changes = 1 + np.flatnonzero((m.tool[1:] != m.tool[:-1]) & (m.base[1:] == m.base[:-1]))
     for row in changes.tolist():
-        before, after = program.tools[m.tool[row - 1]], program.tools[m.tool[row]]
-        reach = np.linalg.norm(after[:3, 3]) - np.linalg.norm(before[:3, 3])
+        old_tool, new_tool = program.tools[m.tool[row - 1]], program.tools[m.tool[row]]
+        extra_length = np.linalg.norm(new_tool[:3, 3]) - np.linalg.norm(old_tool[:3, 3])
         points = m.target[cutting[m.base[cutting] == m.base[row]], :3, 3]
-        if reach <= _SAME_LENGTH or not len(points):
+        if extra_length <= _SAME_LENGTH or not len(points):
             continue
-        end = m.target[row - 1]
-        tip = end @ np.linalg.solve(before, after)
-        axis = tip[:3, 3] - end[:3, 3]
+        last_pose = m.target[row - 1]
+        tip = last_pose @ np.linalg.solve(old_tool, new_tool)
+        axis = tip[:3, 3] - last_pose[:3, 3]
         axis /= np.linalg.norm(axis)
         depth = (points - tip[:3, 3]) @ axis  # of the cuts below the new tip
-        across = points - tip[:3, 3] - depth[:, None] * axis
-        is_over = (across.min(axis=0) - _BESIDE <= 0.0).all() and (across.max(axis=0) + _BESIDE >= 0.0).all()
+        lateral_offset = points - tip[:3, 3] - depth[:, None] * axis
+        is_over = (lateral_offset.min(axis=0) - _CUT_MARGIN <= 0.0).all() and (
+            lateral_offset.max(axis=0) + _CUT_MARGIN >= 0.0
+        ).all()
         if depth.max() < 0.0 or (is_over and depth.min() < 0.0):
             message = (
-                f"the new tool is {reach * MM_PER_M:.4g} mm longer: where it is mounted its tip is at "
-                f"{_place(tip)} of $BASE, which is {'among' if depth.max() >= 0.0 else 'below all'} the cuts. Retract "
-                "further before the tool change"
+                f"the new tool is {extra_length * MM_PER_M:.4g} mm longer: where it is mounted its tip is at "
+                f"{_position_text(tip)} of $BASE, which is {'among' if depth.max() >= 0.0 else 'below all'} the cuts. "
+                "Retract further before the tool change"
             )
             yield m.issue("warning", "tool-change-depth", message, np.array([row]))
 
 
-def _place(pose: Array) -> str:
+def _position_text(pose: Array) -> str:
     """Return X, Y, Z of a pose [m] in millimetres, in words."""
     return ", ".join(
         f"{name} {value:.6g}" for name, value in zip("XYZ", (pose[:3, 3] * MM_PER_M).round(4) + 0.0, strict=True)

@@ -53,11 +53,11 @@ def corrected_commands(path: PathUnderLoad) -> Commands:
 
     :raises ImpossiblePathError: a sample has no loaded equilibrium.
     """
-    stays = np.isfinite(path.program.motions.joints[path.sample.motion, 0])
+    is_axis_target = np.isfinite(path.program.motions.joints[path.sample.motion, 0])
     q = np.zeros((len(path), 6))
     theta = np.zeros((len(path), path.robot_in_cell.robot.actual.nv))
 
-    def in_chunk(row: Ints) -> tuple[Array, Array]:
+    def corrected_pose(row: Ints) -> tuple[Array, Array]:
         pose, tool, wrench = path.pose_in_root(row), path.tool(row), path.wrench_in_root(row)
         compensation = path.robot_in_cell.compensate(pose, path.joints.q[row], tool, wrench)
         motion, t = path.sample.motion[row], path.sample.t[row]
@@ -65,8 +65,8 @@ def corrected_commands(path: PathUnderLoad) -> Commands:
         q[row], theta[row] = compensation.q, compensation.theta
         return command[:, :3, 3], xyzabc_from_pose(command)[:, 3:]
 
-    movable, unmoved = np.flatnonzero(~stays), np.flatnonzero(stays)
-    position, angles = _solve_in_chunks(path, in_chunk, movable)
+    movable, unmoved = np.flatnonzero(~is_axis_target), np.flatnonzero(is_axis_target)
+    position, angles = _solve_in_chunks(path, corrected_pose, movable)
     if len(unmoved):
         q[unmoved] = path.joints.q[unmoved]
         parts, nominal = (position, angles), path.sample.pose
@@ -83,17 +83,17 @@ def uncorrected_deviations(path: PathUnderLoad, rows: Ints, theta: Array) -> tup
         the deflection of holder, spindle and tool, or None if they are rigid.
     :raises ImpossiblePathError: there is no equilibrium somewhere.
     """
-    rigid, rest_is_nominal = path.robot_in_cell.tool_spring is None, path.robot_in_cell.rest_is_nominal
+    is_rigid_tool, rest_is_nominal = path.robot_in_cell.tool_spring is None, path.robot_in_cell.rest_is_nominal
 
-    def in_chunk(row: Ints) -> tuple[Array, ...]:
-        q, wrench, guess = path.joints.q[row], path.wrench_in_root(row), theta[row]
-        tip, by_tool = path.tip_in_base(row, q, wrench, guess)
+    def deviations(row: Ints) -> tuple[Array, ...]:
+        q, wrench, start_theta = path.joints.q[row], path.wrench_in_root(row), theta[row]
+        tip, by_tool = path.tip_in_base(row, q, wrench, start_theta)
         deviation = tip - path.sample.pose[row, :3, 3]
-        by_wrench = () if rest_is_nominal else (tip - path.tip_in_base(row, q, np.zeros_like(wrench), guess)[0],)
-        return (deviation, *by_wrench) if rigid else (deviation, *by_wrench, by_tool)
+        by_wrench = () if rest_is_nominal else (tip - path.tip_in_base(row, q, np.zeros_like(wrench), start_theta)[0],)
+        return (deviation, *by_wrench) if is_rigid_tool else (deviation, *by_wrench, by_tool)
 
-    columns = _solve_in_chunks(path, in_chunk, rows)
-    return columns[0], columns[0 if rest_is_nominal else 1], None if rigid else columns[-1]
+    columns = _solve_in_chunks(path, deviations, rows)
+    return columns[0], columns[0 if rest_is_nominal else 1], None if is_rigid_tool else columns[-1]
 
 
 def _solve_in_chunks(
@@ -118,7 +118,7 @@ _NOT_FINITE = (
 
 _NO_DEVIATION = 1e-6
 """Uncorrected deviations below this everywhere leave nothing to judge on a part [m] (assumed)."""
-_BY_PASS = (
+_DIFFERENT_PASSES = (
     "passes of this line have different forces: no force file can hold them, and none is written. `predict` of the "
     "written program needs the process, or forces as comments."
 )
@@ -127,6 +127,8 @@ _BY_PASS = (
 class Task(Struct, frozen=True, eq=False):
     """Settings for processing a program, see `process`.
 
+    :param robot: the robot model, `mode` and `linearize_arcs` as given to `process`.
+    :param writer: writer of the dialect of the written program.
     :param in_file: True if its forces are read from and written to a file, False for comments.
     :param initial_issues: issues found before anything is computed.
     :param turn: the turn of the tool about its axis, if it was chosen.
@@ -150,8 +152,8 @@ class Draft(Struct, frozen=True, eq=False):
     :param selection: the targets.
     :param issues: issues found so far.
     :param simulation: simulation of the written program; None if it is not written yet, or cannot be used.
-    :param carried: forces that a file must give to the written program, and `unlike`, the issues of that file; None if
-        its comments do.
+    :param carried: forces that a file must give to the written program; None if its comments give them.
+    :param force_file_issues: issues of that file.
     """
 
     path: PathUnderLoad
@@ -161,7 +163,7 @@ class Draft(Struct, frozen=True, eq=False):
     issues: tuple[Issue, ...]
     simulation: SimulatedPath | None = None
     carried: Knots | None = None
-    unlike: tuple[Issue, ...] = ()
+    force_file_issues: tuple[Issue, ...] = ()
 
     @classmethod
     def of(cls, task: Task, path: PathUnderLoad, command: Commands, selection: TargetSelection) -> Draft:
@@ -205,8 +207,8 @@ class Draft(Struct, frozen=True, eq=False):
         draft = replace(draft, simulation=simulation, issues=(*draft.issues, *new_issues))
         if draft.failed or not task.in_file:
             return draft
-        knots, unlike = _readback_forces(draft, readback)
-        return replace(draft, carried=knots, unlike=unlike)
+        knots, force_file_issues = _readback_forces(draft, readback)
+        return replace(draft, carried=knots, force_file_issues=force_file_issues)
 
     def _text(self, task: Task) -> WrittenProgram:
         """Return the program with the targets of this draft, as its dialect writes it."""
@@ -241,7 +243,7 @@ def result_of(task: Task, draft: Draft, corrected_draft: Draft) -> Result:
     path, row, targets, program = draft.path, draft.selection.row, draft.selection.targets, draft.path.program
     deviation, deflection, by_tool, path_deviation = _uncorrected_at_targets(task, draft)
     reversals = _reversals(corrected_draft)
-    bound, errors, error_issues = _errors(task, corrected_draft, deviation, reversals)
+    bound, errors, error_issues = _expected_errors(task, corrected_draft, deviation, reversals)
     q = draft.q[row]
 
     def corrections(target: Ints) -> tuple[Array]:
@@ -257,7 +259,7 @@ def result_of(task: Task, draft: Draft, corrected_draft: Draft) -> Result:
         t=targets.t,
         output_line=program.motions.line[targets.motion],
         nominal=path.sample.pose if len(row) == len(path) else path.sample.pose.take(row),
-        printed=_numbers(task, draft),
+        printed=_printed_numbers(task, draft),
         wrench=path.wrench.of_rows(row),
         deflection=deflection,
         deflection_by_tool=by_tool,
@@ -279,12 +281,15 @@ def result_of(task: Task, draft: Draft, corrected_draft: Draft) -> Result:
         redundancy_deg=None if program.keeps_text else path.robot_in_cell.cell.gcode.redundancy_deg,
         largest_correction=float(in_chunks(corrections, np.arange(len(row)))[0].max(initial=0.0)),
     )
-    if (simulation := draft.simulation) is None:
-        return result
+    return result if draft.simulation is None else _with_simulation(result, draft, draft.simulation)
+
+
+def _with_simulation(result: Result, draft: Draft, simulation: SimulatedPath) -> Result:
+    """Return a result with the documents of the written program and the values that its simulation predicts."""
     text = simulation.text.modules or simulation.text
     return replace(
         result,
-        issues=group_issues([*result.issues, *draft.unlike]),
+        issues=group_issues([*result.issues, *draft.force_file_issues]),
         documents=() if draft.failed else text.documents,
         output_line=text.output_line,
         modules=() if isinstance(text, WrittenProgram) else text.first,
@@ -296,9 +301,10 @@ def result_of(task: Task, draft: Draft, corrected_draft: Draft) -> Result:
 
 
 def _uncorrected_at_targets(task: Task, draft: Draft) -> tuple[Array, Array, Array | None, float]:
-    """Return deviation, deflection and that of the tool (T, 3) at the targets without correction [m].
+    """Return deviation, deflection and that of the tool at the targets without correction, and the largest deviation.
 
-    The fourth is the largest deviation [m]: of a prediction along the whole path, else at the targets.
+    :returns: (K, 3) each, `$BASE` [m], the third None if the tool is rigid; the largest distance from nominal [m]: of a
+        prediction along the whole path, else at the targets.
     """
     path, row = draft.path, draft.selection.row
     if task.mode != "predict":
@@ -306,9 +312,10 @@ def _uncorrected_at_targets(task: Task, draft: Draft) -> tuple[Array, Array, Arr
         return deviation, deflection, by_tool, float(norm(deviation).max(initial=0.0))
     deviation, deflection, by_tool = uncorrected_deviations(path, np.arange(len(path)), draft.theta)
     largest = float(norm(deviation).max(initial=0.0))
-    at_targets = deviation[row]
-    deflection = at_targets if deflection is deviation else deflection[row]  # a rigid tool: the same values, kept once
-    return at_targets, deflection, by_tool if by_tool is None else by_tool[row], largest
+    target_deviation = deviation[row]
+    # one array where the load is the only cause of deviation: both have the same values
+    deflection = target_deviation if deflection is deviation else deflection[row]
+    return target_deviation, deflection, by_tool if by_tool is None else by_tool[row], largest
 
 
 def _causes(path: PathUnderLoad) -> tuple[str, ...]:
@@ -317,17 +324,17 @@ def _causes(path: PathUnderLoad) -> tuple[str, ...]:
     robot = robot_in_cell.robot
     return tuple(
         cause
-        for cause, acts in (
+        for cause, is_present in (
             ("the cutting forces", bool(path.wrench.values.any())),
             ("the payload", robot_in_cell.cell.payload.mass_kg > 0.0),
             ("the calibrated geometry", not robot.geometry_is_nominal),
             ("the weight of the arm", robot.has_weight and not robot.subtract_reference),
         )
-        if acts
+        if is_present
     )
 
 
-def _numbers(task: Task, draft: Draft) -> Array:
+def _printed_numbers(task: Task, draft: Draft) -> Array:
     """Return X, Y, Z, A, B, C (K, 6) of the targets [mm, deg] as printed in the written (or unchanged) text."""
     if draft.simulation is not None:
         return draft.simulation.numbers
@@ -346,14 +353,14 @@ def _loads(draft: Draft) -> tuple[Array, Array, Array]:
 
 
 def _reversals(draft: Draft) -> Reversals:
-    """Return where joints change the direction of their torque on cutting moves; rows are those of the targets."""
+    """Return where joints change the direction of their torque on cutting moves; `row` and `before` are targets."""
     path = draft.path
     points = elastostatics.reversals(path.robot_in_cell.robot, *_loads(draft))
     cuts = ~path.program.motions.rapid[draft.selection.targets.motion[points.row]]
     return Reversals(points.row[cuts], points.before[cuts], points.joint[cuts], points.step[cuts])
 
 
-def _errors(
+def _expected_errors(
     task: Task, draft: Draft, deviation: Array, reversals: Reversals
 ) -> tuple[Array | None, ExpectedErrors | None, list[Issue]]:
     """Return the bound (K,) of the prediction (95 %), the expected errors on the part, and issues; None where unknown.
@@ -370,23 +377,23 @@ def _errors(
     issues = list(checks.torque_warnings(program, robot, motion, *_loads(draft)))
     if robot.covariance is None:
         return None, None, issues
-    turning = np.zeros((len(row), 6), dtype=bool)
-    turning[reversals.row, reversals.joint] = turning[reversals.before, reversals.joint] = True
     is_scaled = path.robot_in_cell.has_model_factor(path.motions.forces, path.sample.motion[row])
-    simulation = None if task.mode == "nominal" else draft.simulation
-    left = np.broadcast_to(0.0, deviation.shape) if simulation is None else simulation.deviation
-    path_distance = np.zeros(len(row)) if simulation is None else simulation.path_distance
-    excess = np.maximum(path_distance - norm(left), 0.0)
+    deviation_left, path_distance = _errors_left(task, draft)
+    excess = np.maximum(path_distance - norm(deviation_left), 0.0)  # between targets, beyond that at targets
     cuts = ~program.motions.rapid[motion]
-    gain, error_by_remedy, extra_error = elastostatics.ChanceOfGain(), np.zeros(2), _beyond_targets(draft)
+    gain, error_by_remedy, extra_error = elastostatics.ChanceOfGain(), np.zeros(2), _extra_rounding(draft)
 
-    def in_chunk(target: Ints, turning: Bools, is_scaled: Bools) -> tuple[Array, Array, Array]:
+    def errors_at_targets(target: Ints, reverses: Bools, is_scaled: Bools) -> tuple[Array, Array, Array]:
+        """Return bound and expected errors without and with correction, (n,) each [m]; add to the sums over all."""
         sample = row[target]
-        load = draft.q[sample], path.tool(sample), path.wrench_in_root(sample), *_uncertain(path, sample)
-        sources = elastostatics.sources_of_error(robot, *elastostatics.loads(*load, turning, is_scaled))
-        pair = [toolpath.directions_in_root(program, motion[target], offset[target]) for offset in (deviation, left)]
-        gain.add(sources, pair[0], pair[1], path_distance[target], cuts[target])
-        expectation = elastostatics.expected_errors(sources, pair[0], pair[1])
+        load = draft.q[sample], path.tool(sample), path.wrench_in_root(sample), *_load_uncertainty(path, sample)
+        sources = elastostatics.sources_of_error(robot, *elastostatics.loads(*load, reverses, is_scaled))
+        offset_directions = [
+            toolpath.directions_in_root(program, motion[target], offset[target])
+            for offset in (deviation, deviation_left)
+        ]
+        gain.add(sources, offset_directions[0], offset_directions[1], path_distance[target], cuts[target])
+        expectation = elastostatics.expected_errors(sources, offset_directions[0], offset_directions[1])
         for k, error in enumerate((expectation.with_known_robot, expectation.with_known_forces)):
             error_by_remedy[k] = max(
                 error_by_remedy[k],
@@ -394,7 +401,8 @@ def _errors(
             )
         return expectation.bound, expectation.before, expectation.after
 
-    bound, uncorrected_error, corrected_error = in_chunks(in_chunk, np.arange(len(row)), turning, is_scaled)
+    reverses = _joints_near_reversal(reversals, len(row))
+    bound, uncorrected_error, corrected_error = in_chunks(errors_at_targets, np.arange(len(row)), reverses, is_scaled)
     if not np.isfinite(bound).all():
         issues.append(program.motions.issue("error", "no-bound", _NOT_FINITE, motion[~np.isfinite(bound)]))
         return None, None, issues
@@ -407,37 +415,65 @@ def _errors(
     return bound, errors, issues
 
 
-def _beyond_targets(draft: Draft) -> Array:
+def _errors_left(task: Task, draft: Draft) -> tuple[Array, Array]:
+    """Return what correction leaves: deviation (K, 3) at targets, `$BASE`, and path errors (K,) before them [m].
+
+    Both are zero without a simulation, and for a nominal program, which is judged by an exact correction.
+    """
+    number = len(draft.selection.row)
+    if draft.simulation is None or task.mode == "nominal":
+        return np.broadcast_to(0.0, (number, 3)), np.zeros(number)
+    return draft.simulation.deviation, draft.simulation.path_distance
+
+
+def _joints_near_reversal(reversals: Reversals, number: int) -> Bools:
+    """Return which joints (K, 6) may be on either flank of their gear: at K = `number` targets next to a reversal."""
+    reverses = np.zeros((number, 6), dtype=bool)
+    reverses[reversals.row, reversals.joint] = reverses[reversals.before, reversals.joint] = True
+    return reverses
+
+
+def _extra_rounding(draft: Draft) -> Array:
     """Return the rounding (K,) at targets by approximate positioning beyond that of the program as read [m]."""
     if draft.simulation is None:
         return np.zeros(len(draft.selection.row))
     return np.maximum(draft.simulation.rounding - draft.selection.programmed, 0.0)
 
 
-def _uncertain(path: PathUnderLoad, row: Ints) -> tuple[Array | None, Array | None]:
-    """Return spread of the wrench, see `position_bound`, and compliance of the tool (n, 6, 6) at samples, root axes."""
+def _load_uncertainty(path: PathUnderLoad, row: Ints) -> tuple[Array | None, Array | None]:
+    """Return the uncertainty of loads at samples (n,): the spread of the wrench and the compliance of the tool.
+
+    :returns: the spread as in `elastostatics.position_bound`, or None if no force states one; (n, 6, 6) compliance in
+        root axes, or None if the tool is rigid.
+    """
     spread, spring = path.motions.forces.spread_in_root(path.sample.take(row)), path.robot_in_cell.tool_spring
     return spread, None if spring is None else spring.matrices(path.pose_in_root(row)[:, :3, :3])
 
 
 def _readback_forces(draft: Draft, readback: ReadBackProgram) -> tuple[Knots | None, tuple[Issue, ...]]:
-    """Return the forces that a file gives to the written program, None with a warning if it cannot hold them."""
+    """Return the forces that a file gives to the written program; None with a warning if a file cannot give them.
+
+    A file gives one force to a line, but passes of a line may have different ones.
+    """
     path_forces, targets = draft.path.motions.forces, draft.selection.targets
     travel, _ = forces.last_travel(readback.program, readback.segments, path_forces.axes.spindle)
     axes = Axes(readback.program, readback.segments, path_forces.axes.spindle, travel)
     piece_forces = forces.piece_knots(path_forces, targets, draft.forces_at_targets(), axes, readback.row)
-    knots, differ = forces.once_a_line(piece_forces, readback.text.output_line)
-    if not len(differ):
+    knots, differing = forces.once_a_line(piece_forces, readback.text.output_line)
+    if not len(differing):
         return knots, ()
-    return None, (draft.path.program.motions.issue("warning", "forces-by-pass", _BY_PASS, targets.motion[differ]),)
+    return None, (
+        draft.path.program.motions.issue("warning", "forces-by-pass", _DIFFERENT_PASSES, targets.motion[differing]),
+    )
 
 
 _ROUNDS = 8
 """Largest number of rounds that insert targets where the simulated program exceeds the tolerance (assumed)."""
 _SLOWINGS = 5
-"""Times that moves are slowed further, each by 5 %, until no joint of the written program turns too fast (assumed)."""
+"""Largest number of times that moves are slowed further, by 5 % each, if joints of the written program are too fast
+(assumed)."""
 _MOST_PARTS = 4
-"""Largest number of parts into which a piece of an arc is divided in one round."""
+"""Largest number of parts into which a piece of an arc is divided in one round (assumed)."""
 
 
 def read(documents: Sequence[Document], robot: RobotModel, cell: Cell, name: str, dialect: str) -> Program:
@@ -494,14 +530,7 @@ def process(
         linearize_arcs=linearize_arcs,
         writer=writer,
         in_file=source is not None,
-        initial_issues=(
-            *inspection.origin_issues(program, mode),
-            *inspection.tool_change_issues(program, cell),
-            *inspection.frame_issues(program, cell),
-            *inspection.holder_issues(program, cell),
-            *plausibility.setup_questions(program, cell, robot),
-            *plausibility.tool_changes(program),
-        ),
+        initial_issues=_initial_issues(program, robot, cell, mode),
     )
     errors = [issue for issue in task.initial_issues if issue.level == "error"]
     robot_in_cell = RobotInCell.of(robot, cell)
@@ -513,16 +542,34 @@ def process(
         try:
             motions = MotionsUnderLoad.of(program, robot_in_cell, source)
             questions = plausibility.force_questions(program, motions.forces, cell, robot)
-            task, draft = _refine_until_tolerated(
-                replace(task, initial_issues=(*task.initial_issues, *questions)), motions
-            )
-            smallest, collision_issues = collisions.path_clearance(draft.path, draft.q)
-            draft = replace(draft, issues=(*draft.issues, *collision_issues))
-            result = result_of(task, _without_correction(task, draft) if mode == "predict" else draft, draft)
-            return replace(result, clearance=smallest)
+            return _result_under_load(replace(task, initial_issues=(*task.initial_issues, *questions)), motions)
         except ImpossiblePathError as cause:
             errors = [cause.issue]
     return Result(program, robot, cell.tool.axis, mode, group_issues([*program.issues, *errors]))
+
+
+def _initial_issues(program: Program, robot: RobotModel, cell: Cell, mode: Mode) -> tuple[Issue, ...]:
+    """Return the issues of program and cell that need no kinematics and no forces."""
+    return (
+        *inspection.origin_issues(program, mode),
+        *inspection.tool_change_issues(program, cell),
+        *inspection.frame_issues(program, cell),
+        *inspection.holder_issues(program, cell),
+        *plausibility.setup_questions(program, cell, robot),
+        *plausibility.tool_changes(program),
+    )
+
+
+def _result_under_load(task: Task, motions: MotionsUnderLoad) -> Result:
+    """Return the result of motions under load: drafted until the tolerance holds, and checked for collisions.
+
+    :raises ImpossiblePathError: a pose is out of reach or has no loaded equilibrium.
+    """
+    task, draft = _refine_until_tolerated(task, motions)
+    smallest_clearance, collision_issues = collisions.path_clearance(draft.path, draft.q)
+    draft = replace(draft, issues=(*draft.issues, *collision_issues))
+    result = result_of(task, _without_correction(task, draft) if task.mode == "predict" else draft, draft)
+    return replace(result, clearance=smallest_clearance)
 
 
 def _check_language(file: str, robot: RobotModel, language: str) -> None:
@@ -547,7 +594,7 @@ def _refine_until_tolerated(task: Task, motions: MotionsUnderLoad) -> tuple[Task
     pieces, extra_places = _first_pieces(task, motions), motions.swing_places
     first_issues, slowing = task.initial_issues, None
     for _ in range(_ROUNDS):
-        draft = _draft(task, PathUnderLoad.of(motions, pieces, extra_places))
+        draft = _written_draft(task, PathUnderLoad.of(motions, pieces, extra_places))
         for _ in range(_SLOWINGS):
             too_fast = [issue for issue in draft.issues if issue.kind.startswith(checks.JOINT_SPEED)]
             if not too_fast:
@@ -559,7 +606,7 @@ def _refine_until_tolerated(task: Task, motions: MotionsUnderLoad) -> tuple[Task
                 break
             motions, slowing = slow_motions
             task = replace(task, initial_issues=(*first_issues, slowing.issue(motions.program.motions)))
-            draft = _draft(task, PathUnderLoad.of(motions, pieces, extra_places))
+            draft = _written_draft(task, PathUnderLoad.of(motions, pieces, extra_places))
         if draft.simulation is None or task.mode == "nominal" or len(draft.simulation.missed[0]) == 0:
             break
         pieces, extra_places = _refine(task, draft.path, draft.simulation.missed, extra_places)
@@ -578,13 +625,18 @@ def _first_pieces(task: Task, motions: MotionsUnderLoad) -> Pieces:
 def _refine(
     task: Task, path: PathUnderLoad, exceedances: tuple[Ints, Array, Array], extra_places: tuple[Ints, Array]
 ) -> tuple[Pieces, tuple[Ints, Array]]:
-    """Return finer pieces of arcs and more places on straight motions where the path left the tolerance."""
+    """Return finer pieces of arcs and more places on straight motions where the path left the tolerance.
+
+    :param exceedances: motion (n,), t (n,) and distance from the path (n,) [m] of these places.
+    :param extra_places: motion and t of the places that were inserted before; the new ones are appended.
+    """
     motion, t, distance = exceedances
-    on_arc = (path.program.motions.kind[motion] == CIRC) & (not task.linearize_arcs)
-    parts = np.sqrt(distance[on_arc] / (SHARE_OF_TOLERANCE * path.robot_in_cell.tolerance))
+    is_on_arc = (path.program.motions.kind[motion] == CIRC) & (not task.linearize_arcs)
+    # the path error falls with the square of the length of a piece
+    parts = np.sqrt(distance[is_on_arc] / (SHARE_OF_TOLERANCE * path.robot_in_cell.tolerance))
     parts = np.clip(np.ceil(parts), 2, _MOST_PARTS).astype(np.int64)
-    pieces = path.arcs.finer(motion[on_arc], t[on_arc], parts)
-    return pieces, (np.append(extra_places[0], motion[~on_arc]), np.append(extra_places[1], t[~on_arc]))
+    pieces = path.arcs.finer(motion[is_on_arc], t[is_on_arc], parts)
+    return pieces, (np.append(extra_places[0], motion[~is_on_arc]), np.append(extra_places[1], t[~is_on_arc]))
 
 
 def _commands(task: Task, path: PathUnderLoad) -> Commands:
@@ -599,9 +651,9 @@ def _commands(task: Task, path: PathUnderLoad) -> Commands:
         return programmed_commands(path)  # what cannot be corrected can still be predicted
 
 
-def _draft(task: Task, path: PathUnderLoad) -> Draft:
+def _written_draft(task: Task, path: PathUnderLoad) -> Draft:
     """Draft the program with targets at some of the samples; write it and read it back unless there is an error."""
-    draft = _selection_of(task, path)
+    draft = _unwritten_draft(task, path)
     try:
         return draft if draft.failed else draft.write(task)
     except ProgramError:
@@ -610,7 +662,7 @@ def _draft(task: Task, path: PathUnderLoad) -> Draft:
         raise
 
 
-def _selection_of(task: Task, path: PathUnderLoad) -> Draft:
+def _unwritten_draft(task: Task, path: PathUnderLoad) -> Draft:
     """Draft the program with targets at some of the samples."""
     command = _commands(task, path)
     selection = choose_targets(path, command, task.writer.least_arc, linearize_arcs=task.linearize_arcs)

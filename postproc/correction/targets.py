@@ -28,7 +28,7 @@ from postproc.toolpath import Pieces, Segments, Toolpath, circle_through
 from postproc.under_load import SHARE_OF_TOLERANCE, PathUnderLoad
 
 _FLAT = 1e-6
-"""Sagitta [m] below which a piece of an arc is written as a line."""
+"""Sagitta [m] below which a piece of an arc is written as a line (assumed)."""
 
 
 class Commands(Struct, frozen=True, eq=False):
@@ -51,7 +51,7 @@ class CommandedPath(Struct, frozen=True, eq=False):
     :param arcs: the pieces of its arcs.
     :param position: (N, 3) commanded positions at the places, `$BASE` [m].
     :param start: (M, 3) commanded position at the start of each motion, `$BASE` [m].
-    :param limit: what may be missed between targets [m].
+    :param limit: largest path error allowed between targets [m].
     """
 
     sample: Toolpath
@@ -73,27 +73,27 @@ class CommandedPath(Struct, frozen=True, eq=False):
         return cls(path.sample, path.arcs, position, start, SHARE_OF_TOLERANCE * path.robot_in_cell.tolerance)
 
 
-def choose(
-    path: CommandedPath, kind: Ints, whole: Bools, is_dense: Bools, least_arc: tuple[float, float]
+def choose_samples(
+    path: CommandedPath, kind: Ints, is_whole: Bools, is_dense: Bools, least_arc: tuple[float, float]
 ) -> tuple[Ints, Ints, Ints]:
     """Choose which samples become targets.
 
     :param kind: (M,) kind of each motion to be written; arcs to be written as lines are given as `LIN`.
-    :param whole: (M,) motions that are written as one target whatever lies between (their text is kept).
+    :param is_whole: (M,) motions that are written as one target because their text is kept.
     :param is_dense: (M,) motions of which every sample becomes a target.
-    :param least_arc: see `dialects.dialect.Writer`; a piece of an arc that is less becomes a line.
+    :param least_arc: smallest arc of the controller, see `dialects.dialect.Writer`; smaller ones become lines.
     :returns: (K,) rows of the samples, in order; (K,) `LIN`, `CIRC`, `PTP` or `SPL`; (K,) row of the sample that is the
         auxiliary point of a CIRC, −1 elsewhere.
     """
     sample, arcs = path.sample, path.arcs
     is_target, kinds, via = sample.ends | is_dense[sample.motion], kind[sample.motion], np.full(len(sample), -1)
     count = np.bincount(sample.motion, minlength=len(kind))
-    lines = np.flatnonzero((count > 1) & (kind == LIN) & ~whole)
-    if len(lines):
-        is_target[_divide_lines(path, lines)] = True
-    circles = np.flatnonzero(((kind == CIRC) & ~whole)[arcs.motion])
-    if len(circles):
-        start, middle, end = _ends(path, circles)
+    divisible_lines = np.flatnonzero((count > 1) & (kind == LIN) & ~is_whole)
+    if len(divisible_lines):
+        is_target[_divide_lines(path, divisible_lines)] = True
+    circle_stretches = np.flatnonzero(((kind == CIRC) & ~is_whole)[arcs.motion])
+    if len(circle_stretches):
+        start, middle, end = _piece_samples(path, circle_stretches)
         is_arc = ~_is_flat(start, path.position[middle], path.position[end], *least_arc)
         is_target[end], kinds[end], via[end] = True, np.where(is_arc, CIRC, LIN), np.where(is_arc, middle, -1)
     row = np.flatnonzero(is_target)
@@ -101,10 +101,11 @@ def choose(
 
 
 def arc_pieces(path: CommandedPath) -> Pieces:
-    """Return the number of pieces that arcs need, from the error of circles through pieces twice as large."""
+    """Return the arcs in the pieces that the tolerance needs, by the error of circles through pieces twice as large."""
     arcs, command = path.arcs, path.position
     stretch = np.flatnonzero(arcs.uncertain)
-    begin, middle_row, end_row = _ends(path, stretch)
+    begin, middle_row, end_row = _piece_samples(path, stretch)
+    # pieces 2i and 2i + 1 together are the larger one: the samples at its quarters are their middles
     start, quarter, middle = begin[::2], middle_row[::2], end_row[::2]
     three_quarters, end = middle_row[1::2], end_row[1::2]
     centre, radial, tangential, angle = circle_through(start, command[middle], command[end])
@@ -113,19 +114,23 @@ def arc_pieces(path: CommandedPath) -> Pieces:
         part_angle = (angle * share)[:, None]
         arc_point = centre + np.cos(part_angle) * radial + np.sin(part_angle) * tangential
         path_error = np.maximum(path_error, norm(command[row] - arc_point))
+    # the error falls with the square of the length: √(error / limit) times as many pieces
     pairs = arcs.number[stretch] // 2
     number = arcs.number.copy()
-    worst = np.maximum.reduceat(path_error, np.cumsum(pairs) - pairs)
-    number[stretch] = np.ceil(pairs * np.sqrt(worst / path.limit)).astype(np.int64)
+    largest_error = np.maximum.reduceat(path_error, np.cumsum(pairs) - pairs)
+    number[stretch] = np.ceil(pairs * np.sqrt(largest_error / path.limit)).astype(np.int64)
     return arcs.with_enough_pieces(number)
 
 
-def _ends(path: CommandedPath, stretch: Ints) -> tuple[Array, Ints, Ints]:
-    """Return the start points (n, 3) of all pieces of stretches, and the samples (n,) at their middle and end.
+def _piece_samples(path: CommandedPath, stretch: Ints) -> tuple[Array, Ints, Ints]:
+    """Return the start points (n, 3) of all pieces of stretches, `$BASE` [m], and the samples at middle and end (n,).
 
     A piece has an even number of consecutive samples; it starts at the last sample of the piece before.
+
+    :param stretch: rows of `path.arcs`.
     """
     arcs, sample = path.arcs, path.sample
+    # the samples on arcs are those of the stretches in order: the running sum of sizes is where each stretch begins
     size = arcs.number * arcs.each
     first = np.flatnonzero(np.isin(sample.motion, arcs.motion))[np.cumsum(size) - size]
     number, samples_of_piece = arcs.number[stretch], np.repeat(arcs.each[stretch], arcs.number[stretch])
@@ -138,9 +143,13 @@ def _ends(path: CommandedPath, stretch: Ints) -> tuple[Array, Ints, Ints]:
 
 
 def _divide_lines(path: CommandedPath, motions: Ints) -> Ints:
-    """Divide lines at their largest error until every piece fits; return the samples (n,) at which pieces end."""
+    """Divide lines (n,) at their largest error until every piece fits; return the samples at which pieces end.
+
+    All pieces of all lines are divided at once: `left` and `right` are rows of the points that bound each.
+    """
     count = np.bincount(path.sample.motion, minlength=len(path.start))
-    size = count[motions] + 1  # the start of each motion is put before its samples
+    # the points of a line are its start, in a row of its own, and its samples
+    size = count[motions] + 1
     first = np.cumsum(size) - size
     row = ragged_range(size, (np.cumsum(count) - count)[motions] - 1)
     t, position = path.sample.t[row], path.position[row]
@@ -152,21 +161,25 @@ def _divide_lines(path: CommandedPath, motions: Ints) -> Ints:
         piece = np.repeat(np.arange(len(left)), count)
         candidate = ragged_range(count, left + 1)
         share = (t[candidate] - t[left][piece]) / (t[right] - t[left])[piece]
-        a, b = position[left], position[right]
-        miss = norm(position[candidate] - a[piece] - share[:, None] * (b - a)[piece])
-        order = np.lexsort((miss, piece))
-        last = order[np.cumsum(count[count > 0]) - 1]
-        worst, cut = np.zeros(len(left)), np.full(len(left), -1)
-        worst[piece[last]], cut[piece[last]] = miss[last], candidate[last]
-        is_divided = worst > path.limit
+        start, end = position[left], position[right]
+        distance = norm(position[candidate] - start[piece] - share[:, None] * (end - start)[piece])
+        # sorted by piece, then by distance: the last point of each piece is the farthest
+        order = np.lexsort((distance, piece))
+        farthest = order[np.cumsum(count[count > 0]) - 1]
+        largest_distance, division = np.zeros(len(left)), np.full(len(left), -1)
+        largest_distance[piece[farthest]], division[piece[farthest]] = distance[farthest], candidate[farthest]
+        is_divided = largest_distance > path.limit
         piece_ends.append(right[~is_divided])
-        cut = cut[is_divided]
-        left, right = np.concatenate([left[is_divided], cut]), np.concatenate([cut, right[is_divided]])
+        division = division[is_divided]
+        left, right = np.concatenate([left[is_divided], division]), np.concatenate([division, right[is_divided]])
     return np.asarray(row[np.concatenate(piece_ends)])
 
 
 def _is_flat(a: Array, b: Array, c: Array, distance: float, angle: float) -> Bools:
-    """Return which arcs from a through b to c are lines: flat to a micrometre, or less than a controller takes."""
+    """Return which arcs (n,) from a through b to c, (n, 3) each [m], are lines: flat, or less than a controller takes.
+
+    :param distance: smallest distance of the points [m], and `angle` [rad] at a between b and c, that it takes.
+    """
     chord, first = c - a, b - a
     length, height = norm(chord), norm(np.cross(chord, first))
     flat = height < _FLAT * length
@@ -174,10 +187,10 @@ def _is_flat(a: Array, b: Array, c: Array, distance: float, angle: float) -> Boo
     return np.asarray((length > 0.0) & (flat | small | (height < np.tan(angle) * (chord * first).sum(axis=1))))
 
 
-_SHARE = 0.2
-"""Of the tolerance, what rounding may use up at inserted targets."""
+_ROUNDING_SHARE = 0.2
+"""Share of the tolerance that rounding may use at inserted targets (assumed)."""
 _DECIMALS = 7
-"""Decimals of positions [m] in the written text: on short arcs they turn the direction."""
+"""Decimals of positions [m] in the written text: on short arcs, rounding changes the direction."""
 _STEPS = np.array([1.0, 2.0, 5.0])
 """Digits of approximation distances: each is at least two fifths of the largest that is allowed."""
 
@@ -213,7 +226,10 @@ def _corners(bend: Array, length: Array, is_continuous: Bools) -> Corners:
 
 
 def _is_continuous(program: Program, motion: Ints, kind: Ints) -> Bools:
-    """Return whether (n,) targets continue on a path: the next motion is none of PTP or SPL and has the same frames."""
+    """Return which targets (n,) can be rounded: they and the next are LIN or CIRC, which follows in the same frames.
+
+    :param motion: (n,) motion of each target, and `kind` (n,) as written.
+    """
     m = program.motions
     following = np.append(motion[1:], -1)
     is_same_frame = (
@@ -226,24 +242,28 @@ def _is_continuous(program: Program, motion: Ints, kind: Ints) -> Bools:
 
 
 def corners_of_targets(program: Program, targets: Targets, start: Array) -> tuple[Corners, Array]:
-    """Return the corners of a path to be written, and its direction (K, 3) before each of them.
+    """Return the K corners of a path to be written, and its unit direction (K, 3) before each, `$BASE`.
 
     :param start: (M, 3) commanded position at the start of each motion, `$BASE` [m].
     """
     bend, length, arrive = np.zeros(len(targets)), np.zeros(len(targets)), np.zeros((len(targets), 3))
     for part in chunks(len(targets)):
         row = np.arange(max(part.start - 1, 0), min(part.stop, len(targets)))  # from the last one of the part before
-        leave, arrive[row], length[row] = _pieces(targets, start, row)
+        leave, arrive[row], length[row] = _piece_geometry(targets, start, row)
         bend[row[1:]] = norm(leave[1:] - arrive[row[:-1]])
     return _corners(bend[1:], length, _is_continuous(program, targets.motion, targets.kind)), arrive
 
 
-def _pieces(targets: Targets, start: Array, row: Ints) -> tuple[Array, Array, Array]:
-    """Return the unit directions (n, 3) at the start and at the end of the pieces to targets (n,), and lengths [m]."""
+def _piece_geometry(targets: Targets, start: Array, row: Ints) -> tuple[Array, Array, Array]:
+    """Return the unit directions (n, 3) at the start and the end of the pieces to targets, and their lengths (n,) [m].
+
+    :param start: (M, 3) commanded position at the start of each motion, `$BASE` [m].
+    :param row: (n,) rows of the targets.
+    """
     motion, previous = targets.motion[row], np.maximum(row - 1, 0)
-    end, last = (np.round(targets.pose[rows, :3, 3], _DECIMALS) for rows in (row, previous))
-    first = (row == 0) | (targets.motion[previous] != motion)
-    begin = np.where(first[:, None], np.round(start[motion], _DECIMALS), last)
+    end, previous_end = (np.round(targets.pose[rows, :3, 3], _DECIMALS) for rows in (row, previous))
+    is_first = (row == 0) | (targets.motion[previous] != motion)
+    begin = np.where(is_first[:, None], np.round(start[motion], _DECIMALS), previous_end)
     step = end - begin
     length = norm(step)
     leave = step / np.where(length > 0.0, length, 1.0)[:, None]
@@ -259,7 +279,7 @@ def _pieces(targets: Targets, start: Array, row: Ints) -> tuple[Array, Array, Ar
 
 
 def corners_of_motions(program: Program, path: Segments, motion: Ints) -> Corners:
-    """Return the corners at the ends of some motions (n,), in order."""
+    """Return the corners of a program at the ends of motions (n,), which are in execution order."""
     kind = program.motions.kind[motion]
 
     def bends(motion: Ints, following: Ints) -> tuple[Array]:
@@ -295,16 +315,16 @@ def approximation_distances(program: Program, targets: Targets, corners: Corners
     :param cell: the approximation distance of inserted targets, and the tolerance.
     """
     m, motion = program.motions, targets.motion
-    at_end = m.blend[motion]
-    stop = corners.rounding(at_end) > m.rounding[motion]
-    limit = 4.0 * _SHARE * cell.tolerance / np.maximum(corners.sharp, 1e-9)
+    end_distance = m.blend[motion]
+    is_exact_stop = corners.rounding(end_distance) > m.rounding[motion]
+    limit = 4.0 * _ROUNDING_SHARE * cell.tolerance / np.maximum(corners.sharp, 1e-9)
     if program.keeps_text:
-        inner_distance = np.where((at_end > 0.0) | (corners.reach <= limit), np.inf, 0.0)
+        inner_distance = np.where((end_distance > 0.0) | (corners.reach <= limit), np.inf, 0.0)
     else:
-        inner_distance = np.maximum(at_end, cell.gcode.approximation_mm * M_PER_MM)
-        narrow = limit < np.minimum(inner_distance, corners.reach)
-        inner_distance[narrow] = _round_down(limit[narrow])
-    distance = np.where(targets.t == 1.0, np.where(stop, 0.0, at_end), inner_distance)
+        inner_distance = np.maximum(end_distance, cell.gcode.approximation_mm * M_PER_MM)
+        is_limited = limit < np.minimum(inner_distance, corners.reach)
+        inner_distance[is_limited] = _round_down(limit[is_limited])
+    distance = np.where(targets.t == 1.0, np.where(is_exact_stop, 0.0, end_distance), inner_distance)
     return np.where(targets.kind == PTP, 0.0, distance)
 
 
@@ -345,11 +365,11 @@ def choose_targets(
     :param linearize_arcs: arcs are written as lines.
     """
     program, sample, m = path.program, path.sample, path.program.motions
-    whole, keeps_end = _unchanged_motions(path, command)
+    is_whole, keeps_end = _unchanged_motions(path, command)
     commanded_path = CommandedPath.of(path, command)
     kind = np.where(m.kind == CIRC, LIN, m.kind) if linearize_arcs else m.kind
-    is_dense = ~whole & (toolpath.swivel_pieces(program, path.motions.segments, path.robot_in_cell.tolerance) > 1)
-    selection = choose(commanded_path, kind, whole, is_dense, least_arc)
+    is_dense = ~is_whole & (toolpath.swivel_pieces(program, path.motions.segments, path.robot_in_cell.tolerance) > 1)
+    selection = choose_samples(commanded_path, kind, is_whole, is_dense, least_arc)
     movable = np.isnan(m.joints[sample.motion[selection[0]], 0])
     row, target_kind, via_row = (values[movable] for values in selection)
     motion = sample.motion[row]
@@ -358,8 +378,8 @@ def choose_targets(
         via = via.copy()
         via[arcs] = commanded_path.position[via_row[arcs]]
     status, turn = _status_and_turn(program, path.robot_in_cell.robot, motion, command.q[row])
-    keep, pose = keeps_end[motion] & (sample.t[row] == 1.0), command.pose.take(row)
-    targets = Targets(motion, sample.t[row], target_kind, pose, via, keep, status, turn, m.blend[motion])
+    keeps_pose, pose = keeps_end[motion] & (sample.t[row] == 1.0), command.pose.take(row)
+    targets = Targets(motion, sample.t[row], target_kind, pose, via, keeps_pose, status, turn, m.blend[motion])
     corners, arrive = corners_of_targets(program, targets, commanded_path.start)
     blend = approximation_distances(program, targets, corners, path.robot_in_cell.cell)
     if not (path.motions.forces.frame == FEED).any():
@@ -371,8 +391,8 @@ def choose_targets(
 def _unchanged_motions(path: PathUnderLoad, command: Commands) -> tuple[Bools, Bools]:
     """Return which motions (M,) become a single target, and which (M,) keep the end that their text states.
 
-    In a program that keeps its text that is those that need no correction. Where a motion starts matters to straight
-    lines, which may then have to be divided, and to circles, which are other circles then; a PTP ends where it ends.
+    Both are motions of programs that keep their text, and need no correction. A line or circle needs none if its start
+    needs none too: from another start it is another line or circle. For a PTP the end is enough.
     """
     m, sample = path.program.motions, path.sample
     if not path.program.keeps_text:
@@ -381,20 +401,28 @@ def _unchanged_motions(path: PathUnderLoad, command: Commands) -> tuple[Bools, B
         lambda rows: (largest(twist_between(sample.pose[rows], command.pose[rows])) > _UNCHANGED,),
         np.arange(len(sample)),
     )
-    first = np.flatnonzero(np.diff(sample.motion, prepend=-1))
+    first_samples = np.flatnonzero(np.diff(sample.motion, prepend=-1))
     end_differs = is_corrected[sample.ends]
-    path_differs = np.maximum.reduceat(is_corrected, first) | np.concatenate([[False], end_differs[:-1]])
-    arcs = m.kind == CIRC
-    # a circle is what it was if it starts where it did to the last digit, and so does each circle before it
-    rows, differs = np.arange(len(m)), np.where(arcs, path_differs, end_differs)
+    path_differs = np.maximum.reduceat(is_corrected, first_samples) | np.concatenate([[False], end_differs[:-1]])
+    is_arc = m.kind == CIRC
+    # the text of a circle is kept if its start is that of the text: no change since the last motion that is no circle,
+    # whose end is printed as it was
+    rows, differs = np.arange(len(m)), np.where(is_arc, path_differs, end_differs)
     last_change = np.maximum.accumulate(np.where(differs, rows, -2))
-    last_line = np.maximum.accumulate(np.where(arcs, -1, rows))
-    keeps_end = np.where(arcs, last_change < last_line, ~end_differs)
+    last_line = np.maximum.accumulate(np.where(is_arc, -1, rows))
+    keeps_end = np.where(is_arc, last_change < last_line, ~end_differs)
     return np.where(m.kind == LIN, ~path_differs, keeps_end), keeps_end
 
 
 def _status_and_turn(program: Program, robot: RobotModel, motion: Ints, q: Array) -> tuple[Ints, Ints]:
-    """Return S and T of targets (K,): of PTP, where the program gives them if it keeps its text; else −1."""
+    """Return status S and turn T of targets (K,); −1 for none.
+
+    Only PTP targets have them; in a program that keeps its text, only those to which it gives them. Its other bits
+    remain.
+
+    :param motion: (K,) motion of each target.
+    :param q: (K, 6) commanded joint angles [rad].
+    """
     m = program.motions
     ptp = np.flatnonzero(m.kind[motion] == PTP)
     if not len(ptp):
@@ -402,6 +430,6 @@ def _status_and_turn(program: Program, robot: RobotModel, motion: Ints, q: Array
     status, turn = np.full(len(motion), -1), np.full(len(motion), -1)
     status[ptp], turn[ptp] = kinematics.status_of(robot, q[ptp]), kinematics.turn_of(q[ptp])
     if program.keeps_text:
-        for new, programmed_bits, bits in ((status, m.status[motion], 7), (turn, m.turn[motion], 63)):
-            new[:] = np.where(programmed_bits >= 0, programmed_bits & ~bits | new, -1)
+        for target_bits, programmed_bits, bits in ((status, m.status[motion], 7), (turn, m.turn[motion], 63)):
+            target_bits[:] = np.where(programmed_bits >= 0, programmed_bits & ~bits | target_bits, -1)
     return status, turn

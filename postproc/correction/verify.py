@@ -23,11 +23,11 @@ from postproc.toolpath import Segments
 from postproc.under_load import ImpossiblePathError, MotionsUnderLoad, PathUnderLoad, led_by_wrist
 
 _PRECISION = 1e-6
-"""What printing may move a commanded pose by [m, rad], or change a speed by [m/s]; the text has at least 1e-4 mm,
-1e-5° and 1e-3 mm/s."""
+"""Largest rounding of a commanded pose [m, rad] or a speed [m/s] by printing; the text has at least 1e-4 mm, 1e-5° and
+1e-3 mm/s."""
 
-_START = 1e-5
-"""How far a module may begin from where the one before ends [m, rad]: joint angles have 5 decimals."""
+_MODULE_GAP = 1e-5
+"""Largest gap between the end of a module and the begin of the next [m, rad]: joint angles have 5 decimals."""
 
 
 class UnusableTextError(PostprocError):
@@ -115,14 +115,17 @@ def _other_module(path: PathUnderLoad, whole: Program, row: Ints, modules: Modul
             (module.tools[module_motions.tool], whole.tools[m.tool[rows]]),
         ]
         is_equal = all(np.array_equal(module_column, column, equal_nan=True) for module_column, column in pairs)
-        begins_at_end = np.abs(module_motions.target[:1] - m.target[rows[:1]]).max() <= _START
+        begins_at_end = np.abs(module_motions.target[:1] - m.target[rows[:1]]).max() <= _MODULE_GAP
         if not (is_equal and begins_at_end and m.blend[begin] == 0.0):
             return document.name
     return None
 
 
 def _other_track_position(program: Program, targets: Targets, output_program: Program, row: Ints) -> Bools:
-    """Return which targets (K,) have the robot carried elsewhere than they were to have."""
+    """Return at which targets (K,) the linear axis of the program as read back is not where it should be.
+
+    :param row: (K,) motion of the program as read back that ends at each target.
+    """
     if program.carriage is None or output_program.carriage is None:
         return np.full(len(targets), program.carriage is not output_program.carriage)
     carriage = program.carriage.at(targets.motion, targets.t)
@@ -130,7 +133,10 @@ def _other_track_position(program: Program, targets: Targets, output_program: Pr
 
 
 def _mismatch(program: Program, targets: Targets, output_program: Program, row: Ints) -> Issue | None:
-    """Return an error if the program as read back differs from the one that was to be written."""
+    """Return an error if the program as read back differs from the one that was to be written, else None.
+
+    :param row: (K,) motion of the program as read back that ends at each target.
+    """
     m, nominal = output_program.motions, program.motions
     if len(row) != len(targets):
         return Issue("error", "read-back", f"the written program has {len(row)} targets instead of {len(targets)}")
@@ -144,8 +150,8 @@ def _mismatch(program: Program, targets: Targets, output_program: Program, row: 
         (output_program.bases, program.bases, m.base[row], nominal.base[targets.motion]),
         (output_program.tools, program.tools, m.tool[row], nominal.tool[targets.motion]),
     ):
-        differ = np.abs(twist_between(frames[:, None], expected_frames[None])).max(axis=2) > _PRECISION
-        differs |= differ[frame, expected_frame]
+        frames_differ = np.abs(twist_between(frames[:, None], expected_frames[None])).max(axis=2) > _PRECISION
+        differs |= frames_differ[frame, expected_frame]
     differs |= np.abs(m.feed[row] - nominal.feed[targets.motion]) > _PRECISION  # of PTP it is NaN, which is not more
     differs |= _other_track_position(program, targets, output_program, row)
     if differs.any():
@@ -162,20 +168,20 @@ def _mismatch(program: Program, targets: Targets, output_program: Program, row: 
 
 
 _SPEED_SHARE = 0.75
-"""Share of a joint's largest speed from which on the written path is examined closely."""
+"""Share of a joint's largest speed from which on the written path is examined closely (assumed)."""
 _NO_TRAVEL = 1e-6
 """Pieces shorter than this [m] have no speed (assumed)."""
 _TARGET_TOLERANCE = 1e-6
 """Largest distance of the tip from nominal at a target of a corrected program [m], including rounding."""
 _SAFE = 0.8
-"""Share of the tolerance allowed at the places examined: the error may be slightly larger between them."""
+"""Share of the tolerance allowed at the places examined: the error may be slightly larger between them (assumed)."""
 _STEEP = 2e-4
-"""Runs over which the correction changes by more than this [m] are examined between their ends."""
+"""Runs over which the correction changes by more than this [m] are examined between their ends (assumed)."""
 _UNEVEN = 0.2
-"""Of the tolerance, by how much the written path may be displaced unevenly along a piece of an arc before it is looked
-at there as often as on such runs; else at its middle and end."""
+"""Share of the tolerance by which the displacement may vary along a piece of an arc; pieces with more are examined as
+often as steep runs, others at middle and end (assumed)."""
 _JUMP_LENGTH = 1e-6
-"""Length of a piece [m] on which a force that changes jumps: it is divided no more."""
+"""Length of a piece [m] on which a change of force is a jump: it is not divided further (assumed)."""
 _SAME_SAMPLE = 1e-10
 """Places of a motion (t) that are no farther apart are the same (assumed)."""
 
@@ -202,8 +208,8 @@ class SimulatedPath(Struct, frozen=True, eq=False):
     :param path_distance: (K,) largest distance from the nominal path on the way to each target [m], where correction
         was possible.
     :param rounding: (K,) how far approximate positioning passes each target [m].
-    :param missed: places where the path uses up too much of the tolerance, and more targets may help: row of `Motions`
-        (n,), t (n,) on it, how far the tip is from the path there (n,) [m].
+    :param missed: places where the path error uses too much of the tolerance, and more targets may help: row of
+        `Motions` (n,), t (n,) on it, distance of the tip from the path (n,) [m].
     :param issues: why the program must not be released (level error), or what to look at.
     """
 
@@ -222,7 +228,7 @@ class SimulatedPath(Struct, frozen=True, eq=False):
 
 
 class _Probes(Struct, frozen=True, eq=False):
-    """Places of the written program where it is looked at, n of them.
+    """The n places of the written program at which its path error is computed.
 
     :param target: (n,) row of the target at the end of the piece.
     :param share: (n,) place on the piece, in (0, 1].
@@ -258,10 +264,10 @@ def simulate(
     probes = _probes(path, selection, readback)
     deviation, distance, near_limit = _deviation(path, selection, theta, readback, probes)
     too_fast = tuple(_joint_speeds(path, selection, readback)) if near_limit else ()
-    step, jump, is_judged = _special(path, targets, probes)
+    step, jump, is_judged = _conditions_of_probes(path, targets, probes)
     issues: list[Issue] = []
     if is_corrected:
-        issues += _left(path, probes, distance, step=step, jump=is_judged & jump, smooth=is_judged & ~jump)
+        issues += _tolerance_issues(path, probes, distance, step=step, jump=is_judged & jump, smooth=is_judged & ~jump)
         if path.program.keeps_text:
             issues += checks.blending(path.program, targets.motion, rounding - selection.programmed, tolerance)
     issues += too_fast
@@ -279,19 +285,19 @@ def simulate(
     )
 
 
-def _special(path: PathUnderLoad, targets: Targets, probes: _Probes) -> tuple[Bools, Bools, Bools]:
-    """Return which places (n,) are behind a step of the force, before a jump of it, and settled: held to nominal."""
+def _conditions_of_probes(path: PathUnderLoad, targets: Targets, probes: _Probes) -> tuple[Bools, Bools, Bools]:
+    """Return which probes (n,) follow a step of the force, are in a jump of it, and must hold the tolerance."""
     m, forces, length = path.program.motions, path.motions.forces, path.motions.segments.length
     # at the start, and at an axis target, no correction was possible
     has_no_correction = np.append(True, np.isfinite(m.joints[:-1, 0])) & (not path.robot_in_cell.rest_is_nominal)
 
-    def in_chunk(target: Ints, share: Array, motion: Ints) -> tuple[Bools, Bools, Bools]:
+    def conditions(target: Ints, share: Array, motion: Ints) -> tuple[Bools, Bools, Bools]:
         is_inner, end = share < 1.0, targets.t[target]
         step = forces.behind_step(motion, end) & is_inner
         jump = (length[motion] * (end - targets.begin(target)) < _JUMP_LENGTH) & is_inner
         return step, jump, ~(has_no_correction[motion] & is_inner) & ~step
 
-    step, jump, is_judged = in_chunks(in_chunk, probes.target, probes.share, probes.motion)
+    step, jump, is_judged = in_chunks(conditions, probes.target, probes.share, probes.motion)
     return step, jump, is_judged
 
 
@@ -300,7 +306,7 @@ def _deviation(
 ) -> tuple[Array, Array, bool]:
     """Return the deviation of the loaded tip from nominal, and whether a joint is near its largest speed.
 
-    :returns: (K, 3) at the targets, `$BASE` [m]; the distance at all places (n,) [m]; True if a joint does.
+    :returns: (K, 3) at the targets, `$BASE` [m]; (n,) distance at all probes [m]; True if a joint is near its speed.
     :raises UnusableTextError: a commanded pose is out of reach, or there is no equilibrium.
     """
     robot_in_cell, output_program = path.robot_in_cell, readback.program
@@ -309,39 +315,39 @@ def _deviation(
     deviation = np.zeros((len(selection.targets), 3))
     last_state: tuple[Array, Array] | None = None  # joint angles and position at the end of the chunk before
 
-    def in_chunk(target: Ints, motion: Ints, t: Array, share: Array) -> tuple[Array, Bools]:
+    def errors_in_chunk(target: Ints, motion: Ints, t: Array, share: Array) -> tuple[Array, Bools]:
+        """Return the distances of the loaded tip from nominal at probes (n,) [m], and which are near a joint speed."""
         nonlocal last_state
-        on, sample, inner = (
-            readback.row[target],
-            selection.row[target],
-            share < 1.0,
-        )  # the sample there, or the next one
-        sample[inner] = np.searchsorted(place, motion[inner] + t[inner] - _SAME_SAMPLE)
+        output_motion, is_inside = readback.row[target], share < 1.0
+        nominal_sample = selection.row[target]  # at a target its sample, inside a piece the next sample
+        nominal_sample[is_inside] = np.searchsorted(place, motion[is_inside] + t[is_inside] - _SAME_SAMPLE)
         nominal = toolpath.at(path.program, path.motions.segments, motion, t)
-        wrench = toolpath.wrench_in_root(output_program, on, path.motions.forces.at(nominal))
-        pose, q = driven_program.commanded_poses(on, share, path.joints.branch[sample])
+        wrench = toolpath.wrench_in_root(output_program, output_motion, path.motions.forces.at(nominal))
+        pose, q = driven_program.commanded_poses(output_motion, share, path.joints.branch[nominal_sample])
         if np.isnan(q).any():
             raise NotConvergedError("a commanded pose is out of reach", np.flatnonzero(np.isnan(q).any(axis=1)))
-        tip = driven_program.loaded_tip(on, q, wrench, driven_program.carriage_displacement(on, share), theta[sample])
+        tip = driven_program.loaded_tip(
+            output_motion, q, wrench, driven_program.carriage_displacement(output_motion, share), theta[nominal_sample]
+        )
         position = pose[:, :3, 3]
         last_q, last_position = (q[:1], position[:1]) if last_state is None else last_state
         travel = norm(np.diff(position, axis=0, prepend=last_position))
         joint_time = (np.abs(np.diff(q, axis=0, prepend=last_q)) / robot_in_cell.robot.speed).max(axis=1, initial=0.0)
-        fast = (joint_time * np.nan_to_num(output_program.motions.feed[on]) > _SPEED_SHARE * travel) & (
+        is_fast = (joint_time * np.nan_to_num(output_program.motions.feed[output_motion]) > _SPEED_SHARE * travel) & (
             travel > _NO_TRAVEL
         )
         last_state = q[-1:], position[-1:]
-        error = driven_program.to_base(on, tip) - nominal.pose[:, :3, 3]
-        deviation[target[~inner]] = error[~inner]
-        return norm(error), fast
+        error = driven_program.to_base(output_motion, tip) - nominal.pose[:, :3, 3]
+        deviation[target[~is_inside]] = error[~is_inside]
+        return norm(error), is_fast
 
     try:
-        distance, fast = in_chunks(in_chunk, probes.target, probes.motion, probes.t, probes.share)
+        distance, is_fast = in_chunks(errors_in_chunk, probes.target, probes.motion, probes.t, probes.share)
     except NotConvergedError as cause:
         line = int(path.program.motions.line[probes.motion[cause.rows[0]]])
         message = f"the written program cannot be simulated: {cause}"
         raise UnusableTextError(Issue("error", "read-back", message, source_line=line)) from None
-    return deviation, distance, bool(fast.any())
+    return deviation, distance, bool(is_fast.any())
 
 
 def _probes(path: PathUnderLoad, selection: TargetSelection, readback: ReadBackProgram) -> _Probes:
@@ -358,41 +364,53 @@ def _probes(path: PathUnderLoad, selection: TargetSelection, readback: ReadBackP
 
     rows = np.arange(len(targets))
     arc_rows = np.flatnonzero((path.program.motions.kind[targets.motion] == CIRC) | (m.kind[readback.row] == CIRC))
-    is_curved, uneven = np.zeros((2, len(targets)), dtype=np.bool_)
+    is_curved, is_uneven = np.zeros((2, len(targets)), dtype=np.bool_)
     # samples that were found needless are where the force changes: the path is off by part of the tolerance there
     skips_samples = np.diff(selection.row, prepend=-1) > 1
     is_curved[arc_rows] = True
     limit = _UNEVEN * path.robot_in_cell.tolerance
-    uneven[arc_rows] = _unevenness(path, selection, readback, arc_rows, correction(arc_rows)) > limit
+    is_uneven[arc_rows] = _unevenness(path, selection, readback, arc_rows, correction(arc_rows)) > limit
 
-    def places(target: Ints) -> tuple[Ints]:
-        on = readback.row[target]
-        length, turn, kind = readback.segments.travel[on], readback.segments.turn[on], m.kind[on]
+    def numbers_of_places(target: Ints) -> tuple[Ints]:
+        output_motion = readback.row[target]
+        length, turn, kind = (
+            readback.segments.travel[output_motion],
+            readback.segments.turn[output_motion],
+            m.kind[output_motion],
+        )
         correction_step = norm(correction(target) - correction(np.maximum(target - 1, 0)))
-        steep = (correction_step > _STEEP) | uneven[target]
+        is_steep = (correction_step > _STEEP) | is_uneven[target]
         is_divided = is_curved[target] | skips_samples[target]
-        number = number_of_places(kind, length, turn, is_curved=is_divided, steep=steep)
+        number = number_of_places(kind, length, turn, is_curved=is_divided, steep=is_steep)
         return (number.astype(np.int32),)
 
-    (number,) = in_chunks(places, rows)
+    (number,) = in_chunks(numbers_of_places, rows)
     target, share = toolpath.even_places(rows.astype(np.int32), number)
 
-    def place(target: Ints, share: Array) -> tuple[Array]:
+    def t_of_probes(target: Ints, share: Array) -> tuple[Array]:
         begin, end = targets.begin(target), targets.t[target]
         return (np.where(share == 1.0, end, begin + share * (end - begin)),)
 
-    return _Probes(target, share, targets.motion[target], in_chunks(place, target, share)[0])
+    return _Probes(target, share, targets.motion[target], in_chunks(t_of_probes, target, share)[0])
 
 
 def _unevenness(
     path: PathUnderLoad, selection: TargetSelection, readback: ReadBackProgram, arc_rows: Ints, correction: Array
 ) -> Array:
-    """Return by how much more pieces (n,) are displaced at a quarter of their length than at their end, (n, 3) [m]."""
+    """Return how much the displacement of the written path varies along pieces of arcs (n,) [m].
 
-    def in_chunk(of: Ints, begin: Array, end: Array, on: Ints, correction: Array) -> tuple[Array]:
+    It is the larger difference of the displacement, at 1/4 and at 3/4 of a piece, from that at its end.
+
+    :param arc_rows: (n,) targets at the ends of the pieces.
+    :param correction: (n, 3) displacement there, `$BASE` [m].
+    """
+
+    def largest_differences(
+        motion: Ints, begin: Array, end: Array, output_motion: Ints, correction: Array
+    ) -> tuple[Array]:
         quarters = (
-            toolpath.positions(readback.program, readback.segments, on, np.full(len(on), share))
-            - toolpath.positions(path.program, path.motions.segments, of, begin + share * (end - begin))
+            toolpath.positions(readback.program, readback.segments, output_motion, np.full(len(output_motion), share))
+            - toolpath.positions(path.program, path.motions.segments, motion, begin + share * (end - begin))
             for share in (0.25, 0.75)
         )
         at_quarter, at_three_quarters = (norm(displacement - correction) for displacement in quarters)
@@ -400,48 +418,55 @@ def _unevenness(
 
     targets = selection.targets
     pieces = targets.motion[arc_rows], targets.begin(arc_rows), targets.t[arc_rows], readback.row[arc_rows]
-    return in_chunks(in_chunk, *pieces, correction)[0]
+    return in_chunks(largest_differences, *pieces, correction)[0]
 
 
-def _left(
+def _tolerance_issues(
     path: PathUnderLoad, probes: _Probes, distance: Array, *, step: Bools, jump: Bools, smooth: Bools
 ) -> Iterator[Issue]:
-    """Yield errors where the tip misses a target or leaves the tolerance between targets: distances (n,) [m].
+    """Yield issues where the tip misses a target or leaves the tolerance between targets.
 
-    :param step: (n,) just behind the start of a motion whose force begins with a step.
-    :param jump: (n,) where the force jumps within a motion, `smooth` (n,) where it does not.
+    :param distance: (n,) of the tip from the path at the probes [m].
+    :param step: (n,) probes just after the start of a motion at which the force has a step.
+    :param jump: (n,) judged probes in a jump of the force within a motion, `smooth` (n,) the other judged ones.
     """
-    wide = ~(distance <= path.robot_in_cell.tolerance)
+    is_exceeded = ~(distance <= path.robot_in_cell.tolerance)
     cases: tuple[tuple[Level, str, Bools, str], ...] = (
-        ("warning", "force-step", step & wide, _STEP),
-        ("error", "force-jump", jump & wide, _JUMP),
+        ("warning", "force-step", step & is_exceeded, _STEP),
+        ("error", "force-jump", jump & is_exceeded, _JUMP),
         ("error", "tolerance", ~probes.is_inside & ~(distance <= _TARGET_TOLERANCE), _TARGET_ERROR),
-        ("error", "tolerance", smooth & wide, _PATH_ERROR),
+        ("error", "tolerance", smooth & is_exceeded, _PATH_ERROR),
     )
-    for level, kind, exceeds, message in cases:
-        if exceeds.any():
-            left, tolerance_mm = np.nanmax(distance[exceeds]) * MM_PER_M, path.robot_in_cell.tolerance * MM_PER_M
-            message = message.format(left=f"{left:.4f} mm", allowed=f"{tolerance_mm:g} mm")
-            yield path.program.motions.issue(level, kind, message, probes.motion[exceeds])
+    for level, kind, is_case, message in cases:
+        if is_case.any():
+            largest_error, tolerance_mm = (
+                np.nanmax(distance[is_case]) * MM_PER_M,
+                path.robot_in_cell.tolerance * MM_PER_M,
+            )
+            message = message.format(left=f"{largest_error:.4f} mm", allowed=f"{tolerance_mm:g} mm")
+            yield path.program.motions.issue(level, kind, message, probes.motion[is_case])
 
 
 def _joint_speeds(path: PathUnderLoad, selection: TargetSelection, readback: ReadBackProgram) -> Iterator[Issue]:
-    """Yield the joint speeds of the written program beyond the limits, as a prediction of it finds them."""
+    """Yield issues of joint speeds beyond the limits in the written program, by its samples and places between them.
+
+    The issues name the output line, and the source line of the target there.
+    """
     output_program, robot = readback.program, path.robot_in_cell.robot
     motions = MotionsUnderLoad.of(output_program, path.robot_in_cell, None)
     loaded_path = PathUnderLoad.of(motions, motions.pieces(linearize_arcs=False))
     speed = inspection.commanded_speed(loaded_path, loaded_path.joints.q, loaded_path.sample.pose[:, :3, 3])
     _, lines = inspection.stretches_to_examine(loaded_path, loaded_path.joints.q, speed)
     issues = list(checks.joint_speeds(output_program, robot, loaded_path.sample, speed))
-    for close, exact, position in inspection.dense_places(
+    for places, place_joints, position in inspection.dense_places(
         loaded_path, loaded_path.joints.q, loaded_path.sample.pose[:, :3, 3], lines
     ):
-        speed = checks.joint_speed(output_program, close, loaded_path.motions.segments.turn, exact, position)
-        issues += checks.joint_speeds(output_program, robot, close, speed)
+        speed = checks.joint_speed(output_program, places, loaded_path.motions.segments.turn, place_joints, position)
+        issues += checks.joint_speeds(output_program, robot, places, speed)
     kinds = set()
     for issue in issues:
         if issue.kind not in kinds:
             kinds.add(issue.kind)
-            at = int(np.argmax(output_program.motions.line[readback.row] == issue.source_line))
-            line = int(path.program.motions.line[selection.targets.motion[at]])
+            target = int(np.argmax(output_program.motions.line[readback.row] == issue.source_line))
+            line = int(path.program.motions.line[selection.targets.motion[target]])
             yield replace(issue, output_line=issue.source_line, source_line=line, lines=(line,))

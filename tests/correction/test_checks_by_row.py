@@ -359,11 +359,14 @@ def test_branches_that_are_corrected_differently_are_an_error():
     pose[3, 0, 3] += 1e-3 + 9e-7
     wrench = np.zeros((5, 6))
     wrench[1, :3], wrench[3, :3] = (10.0, 0.0, -5.5), (10.5, 0.0, 0.0)
-    issues = list(checks.joins(made, at, Poses.of(pose), Runs.of(wrench)))
+    issues = list(checks.corrections_at_joins(made, at, Poses.of(pose), Runs.of(wrench)))
     assert [(issue.kind, issue.lines) for issue in issues] == [("branch-forces", (2, 4))]
     assert "(line 2: F = (10, 0, -5.5) N, line 4: F = (10.5, 0, 0) N)" in issues[0].message
     pose[4, 2, 3] += 1e-6
-    assert [issue.lines for issue in checks.joins(made, at, Poses.of(pose), Runs.of(wrench))] == [(2, 4), (5,)]
+    assert [issue.lines for issue in checks.corrections_at_joins(made, at, Poses.of(pose), Runs.of(wrench))] == [
+        (2, 4),
+        (5,),
+    ]
 
 
 def test_a_correction_beyond_its_limit_and_rounding_beyond_the_tolerance_are_named():

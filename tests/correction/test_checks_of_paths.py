@@ -355,7 +355,7 @@ def meet(moved, rows):
     pose, commanded = five_poses(moved)
     wrench = np.outer(np.arange(5.0), np.arange(1.0, 7.0))
     sample = sampled((0, 1, 2, 2, 3), (1.0, 1.0, 0.5, 1.0, 1.0), pose)
-    return list(checks.joins(replace(MADE, joins=rows), sample, commanded, wrench))
+    return list(checks.corrections_at_joins(replace(MADE, joins=rows), sample, commanded, wrench))
 
 
 @pytest.mark.parametrize("axis", range(6))

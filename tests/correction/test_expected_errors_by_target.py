@@ -52,14 +52,14 @@ def errors(request, tmp_path_factory):
         cell, rows = CELL, replace(rows, sigma=0.0 * rows.sigma, factor=0.0 * rows.factor)
     program = read_files({"part.src" if kind == "krl" else "part.nc": KRL if kind == "krl" else TEXT}, cell)
     calls = []
-    original = process._errors
+    original = process._expected_errors
 
     def recorded(task, draft, deviation, reversals):
         calls.append((task, draft, deviation, reversals, original(task, draft, deviation, reversals)))
         return calls[-1][-1]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(process, "_errors", recorded)
+        patch.setattr(process, "_expected_errors", recorded)
         result = process.process(program, ROBOT, cell, rows, "nominal" if kind == "nominal" else "convert")
     assert not result.failed, result.issues
     return kind, *calls[-1], result

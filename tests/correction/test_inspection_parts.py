@@ -279,7 +279,7 @@ def test_pieces_of_lines_are_examined_where_a_state_may_reach_its_limit_between_
         calls.append(chunk.tolist())
         return before, after, step
 
-    monkeypatch.setattr(inspection, "_states", states)
+    monkeypatch.setattr(inspection, "_margins_and_steps", states)
     found = inspection._lines(PATH, None, fast)
     assert calls == [rows]
     expected = [n for i, n in enumerate(rows) if near[i] or fast[n]]
@@ -310,7 +310,7 @@ def test_arcs_are_examined_where_a_state_may_reach_its_limit_by_twice_their_larg
             k = int(rng.integers(9))
             room[k, own[rng.integers(len(own))]] = limit[k] * 0.999
     fast = rng.random(len(PATH)) < 0.02
-    monkeypatch.setattr(inspection, "_states", lambda path, q, chunk: (room + 1.0, room, step))
+    monkeypatch.setattr(inspection, "_margins_and_steps", lambda path, q, chunk: (room + 1.0, room, step))
     found = inspection._arcs(PATH, None, fast)
     turns = {int(motion[n]) for i, n in enumerate(rows) if fast[n] or step[:6, i].max() > np.radians(10.0)}
     expected = [arc for arc in arcs if near[arc] or arc in turns]
@@ -326,7 +326,7 @@ def test_states_are_distances_of_joints_to_their_limits_and_of_the_arm_to_singul
     robot, start = PATH.robot_in_cell.robot, CELL.start_joints
     q = rng.uniform(0.6 * robot.lower, 0.6 * robot.upper, (len(PATH), 6))
     rows = np.array([0, 3, 7])
-    before, after, step = inspection._states(PATH, q, rows)
+    before, after, step = inspection._margins_and_steps(PATH, q, rows)
 
     def states(angles):
         shoulder, elbow, wrist = (frame(angles, carrier)[:3, 3] for carrier in (1, 2, 4))
@@ -344,7 +344,7 @@ def test_states_are_distances_of_joints_to_their_limits_and_of_the_arm_to_singul
 
 CHECKS = (
     "start_joints", "first_move", "height_of_start", "half_turns", "posture", "status_and_turn", "joint_limits",
-    "singularities", "joint_speeds", "joints_at_joins", "joins", "correction_size",
+    "singularities", "joint_speeds", "joints_at_joins", "corrections_at_joins", "correction_size",
 )  # fmt: skip
 
 

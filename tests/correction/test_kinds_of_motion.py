@@ -25,8 +25,8 @@ KINDS = {
 }
 """Check → kind of motion → kind of the issue, or why there is none."""
 OF_ONE_PLACE = {
-    "start_joints", "first_move", "height_of_start", "status_and_turn", "posture", "joints_at_joins", "joins",
-    "half_turns", "blending", "torque_warnings",
+    "start_joints", "first_move", "height_of_start", "status_and_turn", "posture", "joints_at_joins",
+    "corrections_at_joins", "half_turns", "blending", "torque_warnings",
 }  # fmt: skip
 """Checks of the start, of targets and of corners, which hold for any motion that has them."""
 

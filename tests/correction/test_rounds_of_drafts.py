@@ -30,7 +30,7 @@ class Script:
         self.log = []
         patch.setattr(process, "_first_pieces", lambda task, motions: "pieces 0")
         patch.setattr(process, "PathUnderLoad", SimpleNamespace(of=lambda *parts: parts))
-        patch.setattr(process, "_draft", self.drafted)
+        patch.setattr(process, "_written_draft", self.drafted)
         patch.setattr(process, "_refine", self.closer)
         patch.setattr(process.inspection, "slow_rapids", self.slowed)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from postproc.correction.targets import CommandedPath, arc_pieces, choose
+from postproc.correction.targets import CommandedPath, arc_pieces, choose_samples
 from postproc.program import CIRC, LIN, PTP, SPL
 from postproc.toolpath import Pieces, Toolpath
 
@@ -100,13 +100,14 @@ def test_targets_are_those_of_the_recursion_and_of_the_loop(seed):
     nothing, rng = np.zeros(8, bool), np.random.default_rng(seed)
     whole, every = rng.random(8) < 0.2, (rng.random(8) < 0.2) & (KINDS != CIRC)
     for kept, all_ in ((nothing, nothing), (whole, nothing), (nothing, every)):
-        found = np.transpose(choose(path, KINDS, kept, all_, LEAST))
+        found = np.transpose(choose_samples(path, KINDS, kept, all_, LEAST))
         np.testing.assert_array_equal(found, by_loops(path, kept, all_))
 
 
 def test_both_kinds_of_pieces_and_of_lines_are_among_them():
     found = [
-        np.transpose(choose(commanded(seed), KINDS, np.zeros(8, bool), np.zeros(8, bool), LEAST)) for seed in range(12)
+        np.transpose(choose_samples(commanded(seed), KINDS, np.zeros(8, bool), np.zeros(8, bool), LEAST))
+        for seed in range(12)
     ]
     on_arcs = [kind for rows, seed in zip(found, range(12), strict=True)
                for row, kind, _ in rows if commanded(seed).sample.motion[row] in (2, 6)]  # fmt: skip

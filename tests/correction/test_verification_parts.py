@@ -50,7 +50,7 @@ def test_places_behind_steps_at_jumps_and_without_a_correction_before_them_are_k
     target = np.repeat(np.arange(7), 2)
     share = np.tile([0.5, 1.0], 7)
     probes = _Probes(target, share, motion[target], np.zeros(14))
-    step, jump, is_judged = verify._special(path, targets_of(motion, t), probes)
+    step, jump, is_judged = verify._conditions_of_probes(path, targets_of(motion, t), probes)
     for n in range(14):
         row, is_inner = target[n], share[n] < 1.0
         end = t[row]
@@ -88,7 +88,7 @@ def test_errors_that_are_left_are_named_with_the_largest_of_their_kind(seed):
         "target": [n for n in range(count) if share[n] == 1.0 and distance[n] > 1e-6],
         "path": [n for n in range(count) if smooth[n] and is_wide[n]],
     }
-    issues = list(verify._left(path, probes, distance, step=step, jump=jump, smooth=smooth))
+    issues = list(verify._tolerance_issues(path, probes, distance, step=step, jump=jump, smooth=smooth))
     expected = [(name, rows) for name, rows in cases.items() if rows]
     assert len(issues) == len(expected)
     for issue, (name, rows) in zip(issues, expected, strict=True):
@@ -217,8 +217,9 @@ def simulated(monkeypatch, seed, *, is_corrected, keeps_text, near_limit=False):
 
     for name, function in (
         ("corners_of_motions", lambda made, segments, row: corners), ("_probes", lambda *parts: probes),
-        ("_deviation", lambda *parts: (deviation, distance, near_limit)), ("_left", left),
-        ("_special", lambda *parts: (step, jump, is_judged)), ("_joint_speeds", lambda *parts: iter(["fast"])),
+        ("_deviation", lambda *parts: (deviation, distance, near_limit)), ("_tolerance_issues", left),
+        ("_conditions_of_probes", lambda *parts: (step, jump, is_judged)),
+        ("_joint_speeds", lambda *parts: iter(["fast"])),
     ):  # fmt: skip
         monkeypatch.setattr(verify, name, function)
     monkeypatch.setattr(verify.checks, "blending", blending)
