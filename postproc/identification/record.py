@@ -26,6 +26,10 @@ class Record(Struct, frozen=True):
         return msgspec.json.format(msgspec.json.encode(self), indent=2)
 
 
+RESERVATION = ", with a reservation: "
+"""Begins the reservation in the line of a verdict."""
+
+
 class Verdict(Struct, frozen=True):
     """Whether the model may be used, and in one line why not."""
 

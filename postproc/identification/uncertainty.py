@@ -52,6 +52,7 @@ from postproc.identification.measurement_model import (
     whitening,
 )
 from postproc.identification.readings import Measurements
+from postproc.identification.record import RESERVATION
 from postproc.program import Ints
 from postproc.robot import (
     JOINT_COMPLIANCES,
@@ -472,7 +473,7 @@ class Judgement(Struct, frozen=True):
         if self.distrust:
             return f"NOT TO BE TRUSTED: {self.distrust}"
         usable = "the model may be used, within its bound"
-        return f"{usable}, with a reservation: {self.reservation}" if self.reservation else usable
+        return f"{usable}{RESERVATION}{self.reservation}" if self.reservation else usable
 
 
 def judge(data: Measurements, fit: Fit, choice: Choice | None, workspace: Workspace, ratio: float) -> Judgement:

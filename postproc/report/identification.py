@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from postproc.identification.record import IdentificationRecord, Parameter
+from postproc.identification.record import RESERVATION, IdentificationRecord, Parameter
 from postproc.report.formatting import places
 from postproc.report.kit import (
     Axis,
@@ -54,6 +54,8 @@ def verdict(data: IdentificationRecord) -> Section | None:
     if data.verdict.refused:
         reason = data.verdict.line.partition(": ")[2]
         part = Verdict("failed", "Not to be trusted.", f"{reason[:1].upper()}{reason[1:].rstrip('.')}.")
+    elif reservation := data.verdict.line.partition(RESERVATION)[2]:
+        part = Verdict("warning", "May be used,", f"within its bound{RESERVATION}{reservation.rstrip('.')}.")
     else:
         part = Verdict("ok", "May be used,", "within its bound.")
     notes = [Note(f"{level.line[:1].upper()}{level.line[1:]}.") for level in data.discrepancy or ()]

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from postproc.identification import identify_folder
-from postproc.identification.record import Parameter
-from postproc.report.identification import page, value_texts
+from postproc.identification.record import IdentificationRecord, Parameter, Verdict
+from postproc.identification.uncertainty import Judgement
+from postproc.report.identification import page, value_texts, verdict
 from postproc.robot import parameters
 from samples.paper_study import simulator
 from tests.html_page import read_page
@@ -35,6 +36,24 @@ def test_report_shows_every_configuration_and_parameter_and_loads_nothing(tmp_pa
         assert f"{entry.name} is not observable" in read.text("to-know")
     assert ("structures" in read.ids) == (kind == "hard")
     assert "correlations" in read.ids
+
+
+def record_of(judged):
+    return IdentificationRecord(
+        verdict=judged, method="serial", robot="r", sigma_mm=0.03, base={}, points={}, unloaded_rms_mm=0.1, outliers=[],
+        warnings=[],
+    )  # fmt: skip
+
+
+def test_the_page_shows_the_reservation_of_a_verdict():
+    text = "4 configurations show little of what the model lacks: measure 5 or more (30 are usual)"
+    line = Judgement(distrust="", reservation=text, notes=[]).line
+    part = verdict(record_of(Verdict(False, line))).parts[0]
+    assert part.state == "warning"
+    assert part.sentence == f"within its bound, with a reservation: {text}."
+    certain = Verdict(False, Judgement(distrust="", reservation="", notes=[]).line)
+    part = verdict(record_of(certain)).parts[0]
+    assert (part.state, part.sentence) == ("ok", "within its bound.")
 
 
 @pytest.mark.parametrize(
