@@ -51,6 +51,9 @@ _OVERHANG = 0.02
 """Share of what tools that turn remove that may be lost above them: later cuts of it would have no force."""
 _HOLLOW = 0.02
 """Warn if the map of the stock exceeds its volume by more than this share (assumed)."""
+_HIDDEN, _NOISE = 0.05, 5e-4
+"""The same for earlier cuts: this share of what they removed, and of the stock; turned maps of one stock differ by less
+than a fifth of that (assumed)."""
 _LARGE = 5.0
 """Warn if the path is this many times as large as the stock in X and in Y (assumed)."""
 _SAME_DIAMETER = 1e-6
@@ -297,7 +300,7 @@ def _swept_setups(task: _Task, in_order: list[Setup], material: Stock, segments:
             left_volume = material.volume()
             material = _next_map(material, in_order[number - 1], setup, process.stock.cell)
             start = material.volume()
-            issues += _hollows(start, left_volume)
+            issues += _hidden_cuts(start - left_volume, removed_volume, left_volume)
             steps = task.segments(setup.frame, material.cell)
         steps = steps.of(setup.motions)
         is_compared[steps.motion[~steps.leans]] = True
@@ -420,6 +423,22 @@ def _stock(process: Process, frame: Array, cell: float, path: Path | None) -> tu
         faces, volume = np.asarray(mesh.faces, dtype=np.int64), abs(float(mesh.volume)) * M_PER_MM**3
     material = stocks.from_mesh(vertices @ to_map[:3, :3].T + to_map[:3, 3], faces, cell, name)
     return material, [*notes, *_hollows(material.volume(), volume)]
+
+
+def _hidden_cuts(gain: float, removed: float, left: float) -> list[Issue]:
+    """Warn if earlier cuts overhang seen along the new direction of the tool, so that they count as material again.
+
+    :param gain: volume of the new map beyond that of the old one [m³].
+    :param removed: volume that was removed before, left: that of the old map [m³].
+    """
+    if gain <= min(_HOLLOW * left, max(_HIDDEN * removed, _NOISE * left)):
+        return []
+    message = (
+        "what was cut before this program turned the tool overhangs, seen along the tool now: "
+        f"{100 * min(gain / max(removed, 1e-18), 1.0):.0f} % of it counts as material again, and later cuts there have "
+        "too large a force. Give forces for them, or divide the program and give the stock of each part"
+    )
+    return [Issue("warning", "hidden-cuts", message)]
 
 
 def _hollows(map_volume: float, volume: float) -> list[Issue]:

@@ -189,9 +189,12 @@ def sweep(stock: Stock, cutter: Cutter, tip: Array, axis: Array, top: float) -> 
         index, row, column = cells(stock, corner, window)
         x, y = (values.astype(float) for values in middles(stock, tip[rows], row, column))
         low, sinks, high = _under_moves(cutter, tip, axis, rows, x, y)
-        is_cut = low < stock.high.reshape(-1)[index]
-        last = (rows == len(tip) - 2)[:, None, None]
-        parts.append((index[is_cut], low[is_cut], high[is_cut], (sinks & last)[is_cut]))
+        material = stock.high.reshape(-1)[index]
+        is_cut, last = low < material, rows == len(tip) - 2
+        front = sinks & last[:, None, None]
+        if last.any():  # where a tool leans back, and at its rim, what it enters next is not below it
+            front[last] |= _leads(cutter, tip, axis, rows[last], (x[last], y[last]), material[last], stock.cell)
+        parts.append((index[is_cut], low[is_cut], high[is_cut], front[is_cut]))
     if not parts:
         return SweptCells(Footprint.empty(), Footprint.empty(), 0.0, 0.0, 0.0)
     index, low, high, front = (np.concatenate(column) for column in zip(*parts, strict=True))
@@ -210,6 +213,36 @@ def sweep(stock: Stock, cutter: Cutter, tip: Array, axis: Array, top: float) -> 
     return SweptCells(
         footprint.of(~is_front, no_rim), footprint.of(is_front, no_rim), float(deep.max(initial=0.0)), overhang, volume
     )
+
+
+def _leads(
+    cutter: Cutter,
+    tip: Array,
+    axis: Array,
+    rows: Ints,
+    point: tuple[Array, Array],
+    level: Array | Floats,
+    margin: float,
+) -> Bools:
+    """Return where a tool moves outwards at the end of moves, and points (L, h, w) are near its side or outside of it.
+
+    :param rows: (L,) first pose of each move.
+    :param point: x and y (L, h, w) of the points from the tip at that pose [m]; level: (L, h, w) their heights [m].
+    :param margin: distance of points inside of the tool from its side that counts as near [m].
+    """
+    shift, turn = (values[rows + 1] - values[rows] for values in (tip, axis))
+    place = [
+        point[0] - shift[:, 0, None, None],
+        point[1] - shift[:, 1, None, None],
+        level - tip[rows + 1, 2, None, None],
+    ]
+    a, d, v = ([vectors[:, k, None, None] for k in range(3)] for vectors in (axis[rows + 1], turn, shift))
+    along, lean = (sum(p * u for p, u in zip(place, direction, strict=True)) for direction in (a, d))
+    to_side = [p - along * u for p, u in zip(place, a, strict=True)]
+    outwards = sum(n * (step + along * change - u * lean) for n, step, change, u in zip(to_side, v, d, a, strict=True))
+    rounding = cutter.corner - np.sqrt(cutter.corner**2 - np.clip(cutter.corner - along, 0.0, cutter.corner) ** 2)
+    distance = np.sqrt(sum(n * n for n in to_side))
+    return np.asarray((distance > cutter.radius - rounding - margin) & (outwards > 0.0))
 
 
 def _under_moves(cutter: Cutter, tip: Array, axis: Array, rows: Ints, x: Array, y: Array) -> tuple[Array, Bools, Array]:

@@ -65,6 +65,31 @@ def test_a_cut_that_would_hang_over_in_one_map_gets_a_map_of_its_own(tmp_path):
     )
 
 
+@pytest.mark.parametrize("turn", [3, 10])
+def test_a_slot_along_an_arc_has_one_force_although_a_later_cut_turns_the_tool(tmp_path, turn):
+    """Where the tool leans back from its travel in the map, the material of its front is above it.
+
+    It was taken for removed at the end of each chord, and the force fell to a fifth behind it.
+    """
+    arc = "G3 X10 Y30 I0 J10"
+    text = gcode("G0 X-20 Y10 B0 C0", "Z-3", "G1 X10 F1200", arc, f"G1 X-20 B{turn}", "G0 Z40")
+    box = ((0, 40), (0, 40), (-20, 0))
+    program, found = forces(tmp_path, text, process(tool(10, 3), box, 0.25), FIVE)
+    places = np.linspace(0.02, 0.98, 641)
+    strength = [np.linalg.norm(on_line(program, found, line_of(text, arc), place)[:3]) for place in places]
+    np.testing.assert_allclose(strength, np.median(strength), rtol=0.08)
+
+
+@pytest.mark.parametrize(("slot", "is_hidden"), [(("X20 Y-20", "Y40"), True), (("X-20 Y10", "X60"), False)])
+def test_earlier_cuts_that_overhang_seen_from_a_new_direction_are_told(tmp_path, slot, is_hidden):
+    """A small slot of a large stock: the warning counted 2 % of the stock, and the slot was solid again without it."""
+    text = gcode(
+        f"G0 {slot[0]} B0 C0", "Z-3", f"G1 {slot[1]} F1200", "G0 Z60", "G0 X-40 Y-30 Z-16 B90", "G1 Y60", "G0 X-60"
+    )
+    _, found = forces(tmp_path, text, process(tool(8, 2), ((0, 40), (-20, 40), (-60, 0)), 1.0), FIVE)
+    assert any("overhangs, seen along the tool now" in issue.message for issue in found.issues) == is_hidden
+
+
 def test_material_that_a_leaning_tool_leaves_above_itself_is_refused(tmp_path):
     """A groove from 5° to 60° and back in one cut has walls that hang over, whatever the direction."""
     text = gcode("G0 X20 Y-20 B-40 C0", "Z-8", "G1 Y5 F2400", "Y15 B40", "Y40", "G0 Z40")
