@@ -75,4 +75,6 @@ def testpart(as_json: bool, programs: tuple[str, ...], other_programs: tuple[str
         return
     for line in design_lines(files.design, files.prior, files.cutting, files.parts):
         click.echo(line)
+    for text in files.warnings:
+        click.echo(f"warning: {text}")
     click.echo("written: " + ", ".join(str(path) for path in files.written_files))

@@ -28,7 +28,7 @@ _OVERLOAD = 2.0
 for which they are rated, and small ones mill with forces above their rating."""
 _LONGEST_LEVER = 0.5
 """Moment over force [m] that no cutter has: a face mill of 250 mm has its cutting force at 0.125 m."""
-_SLOWEST, _FASTEST = 10.0, 30e3
+SLOWEST, FASTEST = 10.0, 30e3
 """Feeds of cuts [mm/min] that are questioned beyond, assumed: 1.2 is m/min that is read in mm/min."""
 _SWITCHING = ("spindle_on", "spindle_ccw", "spindle_off")
 """Kinds of events that switch the spindle."""
@@ -123,7 +123,7 @@ def _feed_and_spindle_questions(program: Program, cell: Cell, rows: Ints) -> Ite
     """
     m = program.motions
     feed = MM_PER_MIN * m.feed[rows]
-    unusual = (feed < _SLOWEST) | (feed > _FASTEST)
+    unusual = (feed < SLOWEST) | (feed > FASTEST)
     if unusual.any():
         message = f"a cut with a feed of {feed[np.argmax(unusual)]:.3g} mm/min: is its unit right?"
         yield m.issue("warning", "feed-unit", message, rows[unusual])

@@ -15,6 +15,7 @@ from postproc import cell as cells
 from postproc import correction, files, kinematics, machining
 from postproc import robot as robots
 from postproc.cell import Box, Cell
+from postproc.correction.plausibility import FASTEST, SLOWEST
 from postproc.dialects import registry
 from postproc.errors import ForceError, InputError, MeasurementError, ModelError
 from postproc.files import FileEntry
@@ -26,10 +27,13 @@ from postproc.jobs.output_plan import protect
 from postproc.jobs.programs import Settings, find_jobs, load_robot
 from postproc.jobs.started_program import read_program
 from postproc.machining import Process, ProcessSource
+from postproc.machining.estimate import THICK_CHIP
 from postproc.machining.material import CuttingLaw
 from postproc.machining.process import ProcessFile, StockTable, ToolTable
 from postproc.report.testpart import design_page, part_page
+from postproc.robot import RobotModel
 from postproc.robot.model_file import ModelFile
+from postproc.robot.rating import exceeded_rating
 from postproc.testpart import design, features, probing
 from postproc.testpart.cut import ClampedProgram, CutForces, Surfaces, at_nominal_height, surfaces
 from postproc.testpart.design import MOST_CHANGE, Design, Tests
@@ -97,6 +101,7 @@ class TestPartFiles(Struct, frozen=True, eq=False):
     cutting: Cutting
     parts: dict[Placement, features.Program]
     written_files: tuple[Path, ...]
+    warnings: tuple[str, ...]
 
 
 def block_of(text: str) -> Box:
@@ -181,12 +186,33 @@ def make_testpart(request: TestPartRequest, progress: Callable[[str], None] = la
     contents["probing.csv"] = probing.table(parts)
     contents[PROCESS] = _process(process, box)
     contents["testpart.html"] = design_page(selection, prior, cutting, parts, box, cell.robot)
-    data = _data(selection, prior, cutting, parts)
+    warnings = questions(request.weight_kg, robot, cutting, tool.flutes)
+    data = _data(selection, prior, cutting, parts) | {"warnings": list(warnings)}
     paths = files.write_whole(
         request.output,
         files.add_record(contents, _RECORD, lambda entries: files.json_bytes({**data, "files": entries})),
     )
-    return TestPartFiles(selection, prior, cutting, parts, tuple(paths))
+    return TestPartFiles(selection, prior, cutting, parts, tuple(paths), warnings)
+
+
+def questions(weight_kg: float, robot: RobotModel, cutting: Cutting, flutes: int) -> tuple[str, ...]:
+    """Return warnings of a weight above the robot's rating and of feeds that no cutter has."""
+    warnings = []
+    if (rating := exceeded_rating(weight_kg, robot.title, robot.name)) is not None:
+        warnings.append(
+            f"the weight of {weight_kg:g} kg is more than the {rating:g} kg that the robot is rated for: take a "
+            "lighter one (--weight)"
+        )
+    feed = cutting.feed * MM_PER_M * 60.0
+    if not SLOWEST <= feed <= FASTEST:
+        warnings.append(f"a feed of {feed:.4g} mm/min: cutters have {SLOWEST:g} to {FASTEST:g}. Give --feed in mm/min")
+    chip = feed / (cutting.rpm * flutes)
+    if chip > THICK_CHIP * cutting.diameter * MM_PER_M:
+        warnings.append(
+            f"{chip:.3g} mm per tooth with a tool of {cutting.diameter * MM_PER_M:.4g} mm: check --feed, and rpm and "
+            "flutes of the tool"
+        )
+    return tuple(warnings)
 
 
 def _cutting(request: TestPartRequest, key: str, tool: ToolTable, box: Box) -> Cutting:

@@ -60,7 +60,7 @@ _SAME_DIAMETER = 1e-6
 """Diameters of one tool differ by less [m] (assumed)."""
 _DEEP = 4.0
 """Warn beyond this depth of cut, in tool diameters: no cutter cuts that deep."""
-_THICK = 0.1
+THICK_CHIP = 0.1
 """Warn beyond this feed per tooth, in tool diameters (assumed): catalogues give 0.002 to 0.05."""
 _LEAST_TEETH = 1e-9
 """Teeth per second of a spindle that stands still: its cuts are refused."""
@@ -554,7 +554,7 @@ def _thick_chips(program: Program, cuts: Cuts, tools: ToolStates, process: Proce
     is_drill, place = np.array([table.shape == "drill" for table in tables]), tools.tool[cuts.motion]
     teeth = tools.rpm[cuts.motion] / 60.0 * flutes[place]
     chip = MM_PER_M * program.motions.feed[cuts.motion] / np.maximum(teeth, _LEAST_TEETH)
-    rows = np.flatnonzero((chip > _THICK * diameter[place]) & ~is_drill[place])
+    rows = np.flatnonzero((chip > THICK_CHIP * diameter[place]) & ~is_drill[place])
     if len(rows):
         worst = rows[int(np.argmax(chip[rows]))]
         message = (

@@ -46,7 +46,7 @@ from postproc.plan.sensitivity import Readings, direction
 from postproc.plan.site import Site
 from postproc.program import Bools, Ints
 from postproc.robot import JOINT_COMPLIANCES, CompensatorStiffness, JointCompliance
-from postproc.robot.rating import rated_payload
+from postproc.robot.rating import exceeded_rating
 
 NO_TORQUES = (
     "static joint torques are not checked: robot.urdf states no limits (effort) and [rig] no max_torque_Nm; see that "
@@ -57,8 +57,6 @@ OVER_RATING = (
     "weight, or give [rig] max_torque_Nm as the manufacturer allows it"
 )
 NO_TRACKER = "line of sight is not checked: the experiment has no [tracker]"
-_OVERLOAD = 1.2
-"""Load over the rating from which a plan is questioned, assumed: arms were calibrated with loads just above it."""
 VERTICAL = 0.02
 """Largest angle [rad] of a load that counts as vertical (assumed)."""
 _LEAST_SHARE, _LARGEST_SHARE = 0.1, 0.4
@@ -70,8 +68,8 @@ def unchecked_warnings(site: Site) -> list[str]:
     warnings = []
     if site.torque_limit is None:
         warnings.append(NO_TORQUES)
-        rating = rated_payload(site.robot.title, site.robot.name)
-        if rating is not None and site.rig.force > _OVERLOAD * rating * GRAVITY:
+        rating = exceeded_rating(site.rig.force / GRAVITY, site.robot.title, site.robot.name)
+        if rating is not None:
             warnings.append(OVER_RATING.format(load=site.rig.force, kg=rating, rated=rating * GRAVITY))
     if site.tracker is None:
         warnings.append(NO_TRACKER)

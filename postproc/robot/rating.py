@@ -11,6 +11,15 @@ _CLASSES = (
 """Names that state the payload [kg]. KUKA: KR 210 R2700, kr120_r2700_2; with a longer arm KR 210-2 L150 (150 kg).
 ABB: IRB 6700-200/2.60 (payload and reach)."""
 
+_OVERLOAD = 1.2
+"""Load over the rating from which it is questioned, assumed: arms were calibrated with loads just above it."""
+
+
+def exceeded_rating(mass: float, *names: str) -> float | None:
+    """Return the payload [kg] that names of an arm state if a weight [kg] on it is questionable; None if not."""
+    rating = rated_payload(*names)
+    return rating if rating is not None and mass > _OVERLOAD * rating else None
+
 
 def rated_payload(*names: str) -> float | None:
     """Return the payload [kg] that the first of these names with a class states; None if none does.
