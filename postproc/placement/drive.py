@@ -19,7 +19,9 @@ from postproc.under_load import RobotInCell
 
 REASONS = ("free", "out of reach", "joint limit", "singular pose", "joint speed", "collision")
 """Why a pose is refused, in the order in which they are checked."""
-FREE, REACH, LIMIT, SINGULAR, SPEED, COLLISION = range(6)
+PLACE_REASONS = (*REASONS, "collision on the move from [start]")
+"""Why a place is refused."""
+FREE, REACH, LIMIT, SINGULAR, SPEED, COLLISION, FIRST_MOVE = range(7)
 REAL = 0.02
 """Share of the expected error that another place or turn must save, or today's stays (assumed)."""
 TURNS = np.arange(-180.0, 180.0, 30.0) * RAD_PER_DEG

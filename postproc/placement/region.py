@@ -96,7 +96,7 @@ class JudgedPlace(Struct, frozen=True):
     """A place and how the programs are there, by samples of their paths.
 
     :param place: X, Y, Z, A, E1 [mm, deg].
-    :param reason: row of `drive.REASONS`; 0 = the programs can be driven.
+    :param reason: row of `drive.PLACE_REASONS`; 0 = the programs can be driven.
     :param deflection: largest deflection on cuts [m], NaN if refused.
     :param u95: largest expected error (95 %) on cuts [m], NaN if refused or if the model has none.
     :param margin: smallest distance of a joint to its limits [rad], NaN out of reach.
@@ -120,7 +120,7 @@ class JudgedPlace(Struct, frozen=True):
     def problem(self) -> str:
         """Why the programs cannot be driven; empty if they can."""
         if self.reason != FREE:
-            return drive.REASONS[self.reason]
+            return drive.PLACE_REASONS[self.reason]
         return "" if self.assessment is None else self.assessment.problem
 
     @property
@@ -149,6 +149,7 @@ class Search(Struct, frozen=True, eq=False):
     :param trials: all places; those of the map first.
     :param slice: X and Y of the finer slice, at the Z, A and E1 of `slice_place`; empty if X or Y is fixed.
     :param slice_place: place through which the slice goes.
+    :param refusals: places that can be driven at stations but were refused by every sample or by a conversion there.
     """
 
     today: JudgedPlace
@@ -156,6 +157,7 @@ class Search(Struct, frozen=True, eq=False):
     trials: tuple[JudgedPlace, ...]
     slice: tuple[tuple[float, ...], tuple[float, ...]]
     slice_place: tuple[float, ...]
+    refusals: tuple[JudgedPlace, ...] = ()
 
 
 class _Stations(Struct, frozen=True, eq=False):
@@ -165,6 +167,7 @@ class _Stations(Struct, frozen=True, eq=False):
     :param shift: (2n, 3) how far E1 carries the robot [m].
     :param branch: (2n,) from the program, −1 = that of the start.
     :param cuts: (n,) False on rapid moves.
+    :param first_joints: (k, 6) joint targets before the first station [rad].
     """
 
     samples: PathSamples
@@ -173,6 +176,7 @@ class _Stations(Struct, frozen=True, eq=False):
     shift: Array
     branch: Ints
     cuts: Bools
+    first_joints: Array
 
 
 class Programs:
@@ -238,8 +242,9 @@ class Programs:
             joint_paths.append((group, q))
         if self.bodies is not None:
             for bodies, (group, q) in zip(self.bodies, joint_paths, strict=True):
-                if self._collides(bodies, group, q, base_motion, e1_shift):
-                    return JudgedPlace(coordinates, drive.COLLISION, margin=margin, turn=turn, branch=branch)
+                reason = self._collision(bodies, group, q, base_motion, e1_shift)
+                if reason != FREE:
+                    return JudgedPlace(coordinates, reason, margin=margin, turn=turn, branch=branch)
         deflection = u95 = 0.0
         singular = np.inf
         for group, q in joint_paths:
@@ -302,17 +307,26 @@ class Programs:
         pose[:, :3, 3] += group.shift[len(group.row) :][cuts]
         return wrench, spread, pose, is_scaled
 
-    def _collides(self, bodies: Bodies, group: _Stations, q: Array, base_motion: Array, e1_shift: Array) -> bool:
-        """Return whether bodies come too close at stations; between them too if these are all samples of a program."""
+    def _collision(self, bodies: Bodies, group: _Stations, q: Array, base_motion: Array, e1_shift: Array) -> int:
+        """Return the reason if bodies come too close at stations, or on the move from [start] to them; else `FREE`.
+
+        If the stations are all samples of a program, bodies are compared between them too.
+        """
         count = len(group.row)
         shift = group.shift[count:] + e1_shift
         if bodies.is_closer(q, group.row, shift, base_motion):
-            return True
-        if count < len(group.samples):
-            return False
-        start, first = self.robot_in_cell.cell.start_joints[None], shift[:1]
-        path, shift, rows = np.concatenate([start, q]), np.concatenate([first, shift]), np.append(0, group.row)
-        return bool(bodies.is_hit_along_path(path, rows, np.zeros(len(path), dtype=bool), shift, base_motion).any())
+            return drive.COLLISION
+        approach = np.concatenate([self.robot_in_cell.cell.start_joints[None], group.first_joints])
+        used = count if count == len(group.samples) else 1
+        path, rows = (
+            np.concatenate([approach, q[:used]]),
+            np.append(np.full(len(approach), group.row[0]), group.row[:used]),
+        )
+        shift = np.concatenate([np.repeat(shift[:1], len(approach), axis=0), shift[:used]])
+        is_hit = bodies.is_hit_along_path(path, rows, np.zeros(len(path), dtype=bool), shift, base_motion)
+        if is_hit[len(approach) + 1 :].any():
+            return drive.COLLISION
+        return drive.FIRST_MOVE if is_hit.any() else FREE
 
     def _wound(self, q: Array) -> Bools:
         """Return which samples (n,) of a whole program wind A4 or A6 past their limits, counted from the start."""
@@ -369,7 +383,8 @@ def _stations(samples: PathSamples, max_count: int) -> _Stations:
             branch = joint_path.branch[pair_rows]
         except UnreachableError:
             pass  # the status of targets cannot be resolved at today's place: the branch of the start is taken
-    return _Stations(samples, row, previous, shift, branch, np.asarray(samples.cuts[row]))
+    first_joints = m.joints[: motion[row[0]]]
+    return _Stations(samples, row, previous, shift, branch, np.asarray(samples.cuts[row]), first_joints)
 
 
 def check_base(program: Program, robot_in_cell: RobotInCell, shifted_program: Program | None = None) -> None:
@@ -454,11 +469,12 @@ def search(
     steps = np.array([0.5 * float(np.diff(line[:2]).sum()) for line in lines])
     for start in starts:
         _descend(judged, region, start, steps)
-    best = _best_by_conversion(programs, region, judgements, assess)
+    best, refusals = _best_by_conversion(programs, region, judgements, assess)
     limit = np.inf if best is None else (1.0 + drive.REAL) * best.stated_cost
     if _contains(region, today) and today.reachable and today.stated_cost <= limit:
         best = today
-    return Search(today, best, tuple(judgements), (tuple(x.tolist()), tuple(y.tolist())), tuple(slice_centre.tolist()))
+    slice_lines = tuple(x.tolist()), tuple(y.tolist())
+    return Search(today, best, tuple(judgements), slice_lines, tuple(slice_centre.tolist()), refusals)
 
 
 def _assess(place: JudgedPlace, assess: Assess | None) -> JudgedPlace:
@@ -492,30 +508,46 @@ def _contains(region: Region, place: JudgedPlace) -> bool:
     return bool(np.allclose(region.clip(np.array(place.place)), place.place, rtol=0.0, atol=1e-9))
 
 
-_MAX_CHECKS = 40
+_MAX_CHECKS = 200
 """Places that are judged by all samples until one can be driven (assumed)."""
-_MAX_ASSESSMENTS = 6
-"""Places at which the programs are converted until all can be."""
+_MAX_ASSESSMENTS = 40
+"""Places at which the programs are converted until all can be (assumed)."""
+_NEIGHBOURHOOD, _CONVERSION_NEIGHBOURHOOD = 1.0 / 30.0, 1.0 / 10.0
+"""Share of the region around a place, along every axis, that is taken to be refused with it: by samples, and by a
+conversion, which takes longer (assumed)."""
 
 
 def _best_by_conversion(
     programs: Programs, region: Region, judgements: Sequence[JudgedPlace], assess: Assess | None
-) -> JudgedPlace | None:
-    """Return the best place by every sample of the programs, at which they are converted; None if there is none.
+) -> tuple[JudgedPlace | None, tuple[JudgedPlace, ...]]:
+    """Return the best place by every sample of the programs, at which they are converted, and the refused places.
 
-    It is one that a person sets: next to a place of the grid, in whole millimetres and degrees.
+    It is one that a person sets: next to a place of the grid, in whole millimetres and degrees. Neighbours of a refused
+    place are not tried.
     """
     reachable = sorted((place for place in judgements if place.reachable), key=lambda place: place.cost)
     similar = [place for place in reachable if place.cost <= (1.0 + _SIMILAR_COST) * reachable[0].cost]
     order = sorted(similar, key=lambda place: -place.margin) + [place for place in reachable if place not in similar]
+    span = np.subtract(region.high, region.low)[region.free]
+    refusals: list[JudgedPlace] = []
     assessments = 0
-    for place in order[:_MAX_CHECKS]:
-        by_all_samples = programs.judge(region.settable(np.array(place.place)), all_samples=True)
-        if by_all_samples.reachable:
-            assessment = _assess(by_all_samples, assess)
+    for place in order:
+        if any(_is_neighbour(region, span, place, refusal) for refusal in refusals):
+            continue
+        judgement = programs.judge(region.settable(np.array(place.place)), all_samples=True)
+        if judgement.reachable:
+            judgement = _assess(judgement, assess)
             assessments += 1
-            if assessment.reachable:
-                return assessment
-            if assessments >= _MAX_ASSESSMENTS:
-                break
-    return None
+            if judgement.reachable:
+                return judgement, tuple(refusals)
+        refusals.append(judgement)
+        if len(refusals) >= _MAX_CHECKS or assessments >= _MAX_ASSESSMENTS:
+            break
+    return None, tuple(refusals)
+
+
+def _is_neighbour(region: Region, span: Array, place: JudgedPlace, refusal: JudgedPlace) -> bool:
+    """Return whether a place is so near to a refused one that it is refused too; `span` of the free axes."""
+    share = _NEIGHBOURHOOD if refusal.assessment is None else _CONVERSION_NEIGHBOURHOOD
+    gap = np.abs(np.subtract(place.place, refusal.place))[region.free]
+    return bool((gap < share * span).all())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -11,7 +12,7 @@ from msgspec.structs import replace
 from postproc.cell import Cell
 from postproc.files import FileEntry, json_bytes
 from postproc.frames import DEG_PER_RAD, MM_PER_M
-from postproc.placement import REASONS
+from postproc.placement.drive import PLACE_REASONS
 from postproc.placement.region import AXES, Assessment, JudgedPlace, Region, Search
 from postproc.report.formatting import two_digits
 from postproc.report.kit import Axis, Map, Note, Notes, Page, Plot, Points, Row, Section, Table, Tile, Tiles
@@ -32,6 +33,8 @@ _SAME_PLANE = 0.5
 """Distance of a place from the plane of a map within which it is on it [mm, deg]."""
 _NO_BODIES = "Collisions do not count in this choice: the cell has no [collision]."
 _NO_STOCK = "Stock is not among these bodies: convert checks it, with --process."
+_LATER_REFUSALS = 4
+"""Reasons of the whole path or of conversions that are printed."""
 _SAME_PLACE = 0.01
 """Share of the expected error below which a gain is none."""
 _NO_FORCE_NOTE = "No cutting move carries a force, so the error is not compared: give --forces or --process."
@@ -75,6 +78,7 @@ class PlaceSummary(Struct, frozen=True, omit_defaults=True, kw_only=True):
     tried: int
     reachable: int
     refused: dict[str, int]
+    refused_later: dict[str, int] = {}
     sentence: str
     files: list[FileEntry] | None = None
 
@@ -93,7 +97,7 @@ def summary(
     :param clearance_mm: distance of bodies that was kept; None: they were not compared.
     :param start: how the start was chosen; None: the cell states it.
     """
-    reasons = np.bincount([place.reason for place in search.trials], minlength=len(REASONS)).tolist()
+    reasons = np.bincount([place.reason for place in search.trials], minlength=len(PLACE_REASONS)).tolist()
     return PlaceSummary(
         programs=list(programs),
         robot=cell.robot,
@@ -106,7 +110,8 @@ def summary(
         grid="place.csv",
         tried=len(search.trials),
         reachable=reasons[0],
-        refused={name: count for name, count in zip(REASONS[1:], reasons[1:], strict=True) if count},
+        refused={name: count for name, count in zip(PLACE_REASONS[1:], reasons[1:], strict=True) if count},
+        refused_later=dict(Counter(place.problem for place in search.refusals)),
         sentence=_sentence(search),
     )
 
@@ -144,6 +149,12 @@ def _entry(place: JudgedPlace) -> PlaceEntry:
 def _sentence(search: Search) -> str:
     """Return the advice of the search in one sentence: where to move the part, and the gain."""
     today, best = search.today, search.best
+    if best is None and search.refusals:
+        place = search.refusals[0]
+        return (
+            f"No place of the region was found at which the programs can be driven: {len(search.refusals)} that can be "
+            f"by samples of the path were tried further. {_coordinates(place.place)}: {place.problem}."
+        )
     if best is None:
         return "No place in the region can be driven."
     moves = []
@@ -208,8 +219,10 @@ def as_text(content: PlaceSummary) -> str:
     lines += [_line("today", content.today), _line("best", content.best)]
     refusals = ", ".join(f"{count} {name}" for name, count in content.refused.items())
     lines.append(
-        f"  {content.tried} places tried, {content.reachable} can be driven" + (f"; {refusals}" if refusals else "")
+        f"  {content.tried} places tried, {content.reachable} can be driven by samples of the path"
+        + (f"; {refusals}" if refusals else "")
     )
+    lines += [f"  {note}" for note in _later_refusals(content)]
     lines += [] if content.start is None else [f"  {content.start}"]
     margins = f"  kept: {content.margin_deg:g}° to joint limits"
     if content.clearance_mm is not None:
@@ -218,6 +231,16 @@ def as_text(content: PlaceSummary) -> str:
         )
     lines += [margins, f"  {_NO_BODIES}"]
     return "\n".join(lines)
+
+
+def _later_refusals(content: PlaceSummary) -> Iterator[str]:
+    """Yield why places were refused by the whole path, or by a conversion there, most frequent reason first."""
+    reasons = sorted(content.refused_later.items(), key=lambda item: -item[1])
+    for reason, count in reasons[:_LATER_REFUSALS]:
+        yield f"refused by the whole path or its conversion: {count} ({reason})"
+    if len(reasons) > _LATER_REFUSALS:
+        others = sum(count for _, count in reasons[_LATER_REFUSALS:])
+        yield f"refused by the whole path or its conversion: {others} (other reasons, see place.json)"
 
 
 def _line(name: str, entry: PlaceEntry | None) -> str:
@@ -276,7 +299,8 @@ def _verdict(search: Search, content: PlaceSummary) -> Section:
         note = f"{kind}; {place_text}; joint margin {place.margin * DEG_PER_RAD:.1f}°"
         tiles.append(Tile(title, _cost(place), "mm", note))
     start_notes = () if content.start is None else (Note(content.start),)
-    notes = Notes((Note(content.sentence), Note(_collisions(content)), *start_notes))
+    later_notes = map(Note, _later_refusals(content))
+    notes = Notes((Note(content.sentence), Note(_collisions(content)), *later_notes, *start_notes))
     return Section("place", "Where the part should be", (notes, Tiles(tuple(tiles))))
 
 
@@ -329,7 +353,12 @@ def _map(
         else "expected error (95 %), mm"
     )
     grid = Map(
-        list(x), list(y), values, [[judged_place.reason for judged_place in row] for row in rows], REASONS, quantity
+        list(x),
+        list(y),
+        values,
+        [[judged_place.reason for judged_place in row] for row in rows],
+        PLACE_REASONS,
+        quantity,
     )
     marks, notes = [], []
     if _is_on_map(search, axes, x, y):
@@ -371,6 +400,6 @@ def _coordinates(place: Sequence[float]) -> str:
 
 def _table(content: PlaceSummary) -> Section:
     rows = tuple(Row((name, f"{count}")) for name, count in content.refused.items())
-    rows = (Row(("can be driven", f"{content.reachable}")), *rows)
+    rows = (Row(("can be driven by samples of the path", f"{content.reachable}")), *rows)
     table = Table(("What", "places"), rows, "Places that were tried")
     return Section("refused", "Places that were tried", (table,))

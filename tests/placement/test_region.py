@@ -261,6 +261,59 @@ def test_a_frame_by_number_that_is_equal_to_the_base_does_not_move_with_it(tmp_p
     assert (done.exit_code, "[base_data.n] of the cell is not moved either" in done.output) == (1, True), done.output
 
 
+WALL = ObstacleTable(name="wall", frame="root", box=Box((1000, 1200), (-600, -450), (0, 1600)))
+
+
+def test_a_place_whose_move_from_the_start_collides_is_refused_for_that_where_convert_refuses_it():
+    """The arm turns A1 from the start at 0° to the part, and the tool passes through the wall."""
+    own = with_bodies(in_line(), WALL)
+    reasons = {}
+    for y in (-1100.0, 300.0):
+        judged, _, _ = programs(own, clearance_mm=5.0)
+        place = np.array([900.0, y, 600.0, 0.0, 0.0])
+        reasons[y] = [judged.judge(place, all_samples=every).reason for every in (False, True)]
+        there = replace(own, base=Frame(X=900.0, Y=y, Z=600.0))
+        program, model = read(PART, there)
+        result = correction.process(program, model, there, mode="nominal")
+        assert any("collision" in issue.message for issue in result.issues if issue.level == "error") == (y < 0.0)
+    assert reasons == {-1100.0: [region.drive.FIRST_MOVE] * 2, 300.0: [region.drive.FREE] * 2}
+
+
+def test_after_a_refused_place_its_neighbours_are_skipped_and_the_next_distinct_place_is_converted():
+    """Conversions are refused up to X = 1450, where most of the best places are: 6 neighbours are not the end."""
+    judged, _, _ = programs(in_line())
+    bounds = Region((1100.0, 0.0, 600.0, 0.0, 0.0), (1700.0, 0.0, 600.0, 0.0, 0.0))
+    tried = []
+
+    def assess(place, limit=1450.0):
+        tried.append(place.place[0])
+        return region.Assessment(1e-4, 1e-4, 1e-4, problem="bodies touch" if place.place[0] < limit else "")
+
+    search = region.search(judged, bounds, assess=assess)
+    assert search.best is not None
+    assert search.best.place[0] >= 1450.0
+    refused = [place.place[0] for place in search.refusals]
+    assert len(refused) > 1
+    assert np.diff(sorted(refused)).min() >= 60.0 - 1.0, "a tenth of the region, and the rounding to whole millimetres"
+    search = region.search(judged, bounds, assess=lambda place: assess(place, np.inf))
+    assert search.best is None
+    assert {place.problem for place in search.refusals} == {"bodies touch"}
+
+
+def test_a_search_whose_conversions_are_all_refused_does_not_contradict_itself(tmp_path, monkeypatch):
+    monkeypatch.setattr(
+        "postproc.jobs.place_files._assessment", lambda *_: region.Assessment(problem="part.nc, line 3: bodies touch")
+    )
+    (tmp_path / "part.nc").write_text(PART)
+    command = ("place", tmp_path / "part.nc", "-o", tmp_path / "out", "--region", "X=1400:1500")
+    done = run(*command, cell=SAMPLES / "cell_kr270.toml", code=1)
+    content = json.loads((tmp_path / "out" / "place.json").read_text("utf-8"))
+    assert "No place in the region can be driven" not in done.output
+    assert "part.nc, line 3: bodies touch" in content["sentence"]
+    assert content["refused_later"] == {"part.nc, line 3: bodies touch": sum(content["refused_later"].values())}
+    assert f"{content['reachable']} can be driven by samples of the path" in done.output
+
+
 def test_a_search_without_a_result_removes_the_place_of_an_earlier_one(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "part.nc").write_text(PART)

@@ -97,7 +97,7 @@ def test_a_region_in_which_nothing_can_be_driven_has_its_slice_through_the_middl
     assert search.slice_place == (1300.0, 0.0, 500.0, 0.0, 0.0)
 
 
-def test_places_are_converted_until_all_programs_can_be_and_six_at_most():
+def test_places_are_converted_until_all_programs_can_be_and_forty_at_most():
     converted = []
 
     def assess(place, problem="a limit"):
@@ -117,7 +117,8 @@ def test_places_are_converted_until_all_programs_can_be_and_six_at_most():
 
     never = region.search(Bowl((1500.0, -250.0, 500.0, 0.0)), REGION, assess=refused)
     assert never.best is None
-    assert len(converted) == 7  # today's place, and six
+    assert len(converted) == 41  # today's place, and forty
+    assert [place.place for place in never.refusals] == converted[1:]
 
 
 def test_the_best_of_places_that_are_alike_is_the_one_with_more_margin():

@@ -2,7 +2,7 @@
 // Plots that are plain data (`kit/plots.py`) become figures of the plot library.
 const plots = (() => {
   const { colour } = theme;
-  const REFUSED = ["#26262b", "#8c3b2a", "#6f6fd0", "#e69f00", "#f2b8d4"]; // of cells of a map, by reason: each lighter than the one before
+  const REFUSED = ["#26262b", "#8c3b2a", "#6f6fd0", "#e69f00", "#f2b8d4", "#fdf0c8"]; // of cells of a map, by reason: each lighter than the one before
 
   const traced = {
     curve: ({ x, y, name, colour: of, dots, dashed, places }) => ({
