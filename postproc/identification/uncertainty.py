@@ -23,9 +23,9 @@ correction is expected to do more harm than good (a chance below `elastostatics.
 chance is Φ(d/2σ) at a place with the deflection d (`elastostatics.expected_error`): a wide bound brings it near to one
 half, and never below. So width alone refuses no model. Where it is below `elastostatics.WIDE` at 5 % of the poses, the
 verdict says so, and where the bound is about as large as the deflection; each program that is converted states its own
-chance. Refused are readings from which no bound can be
-estimated, models that have no equilibrium under loads that were measured, and robots that deflect as no robot of their
-kind does: a common error of all loads is in no residual. Noise of the measuring device decides
+chance. A robot that deflects as no robot of its kind does gets a reservation too: a common error of all loads is in no
+residual. Refused are readings from which no bound can be estimated, and models that have no equilibrium under loads
+that were measured. Noise of the measuring device decides
 nothing: a better one shows more of what the model lacks, of the same robot.
 """
 
@@ -481,7 +481,11 @@ def judge(data: Measurements, fit: Fit, choice: Choice | None, workspace: Worksp
 
     :param ratio: of the displacements to those of the prior robot (`plausibility.displacement_ratio`).
     """
-    reservations = [_large_misfit(data, fit, choice), workspace.reservation]
+    reservations = [
+        _large_misfit(data, fit, choice),
+        workspace.reservation,
+        _implausible_scale(fit.structure.prior, ratio),
+    ]
     if len(data.q) < _FEW_CONFIGURATIONS:
         reservations.insert(
             1,
@@ -489,7 +493,7 @@ def judge(data: Measurements, fit: Fit, choice: Choice | None, workspace: Worksp
             "(30 are usual)",
         )
     return Judgement(
-        _distrust(data, fit, choice) or workspace.refusal or _implausible_scale(fit.structure.prior, ratio),
+        _distrust(data, fit, choice) or workspace.refusal,
         "; ".join(filter(None, reservations)),
         _notes(data, fit, choice),
     )
@@ -503,7 +507,7 @@ def _implausible_scale(robot: RobotModel, ratio: float) -> str:
         return ""
     return (
         f"all points move {ratio:.2g} times as far as {robot.name} would, and robots of one kind differ by a factor of "
-        f"{largest_ratio:.1f} at most: check the scale and the unit of the forces (N)"
+        f"{largest_ratio:.1f} at most: check the scale and the unit of the forces (N), and the robot of the experiment"
     )
 
 
