@@ -512,6 +512,9 @@ _MAX_CHECKS = 200
 """Places that are judged by all samples until one can be driven (assumed)."""
 _MAX_ASSESSMENTS = 40
 """Places at which the programs are converted until all can be (assumed)."""
+_MAX_SAME = 8
+"""Places at which the programs are converted if the error is the same each time: it does not depend on the place
+(assumed)."""
 _NEIGHBOURHOOD, _CONVERSION_NEIGHBOURHOOD = 1.0 / 30.0, 1.0 / 10.0
 """Share of the region around a place, along every axis, that is taken to be refused with it: by samples, and by a
 conversion, which takes longer (assumed)."""
@@ -530,18 +533,19 @@ def _best_by_conversion(
     order = sorted(similar, key=lambda place: -place.margin) + [place for place in reachable if place not in similar]
     span = np.subtract(region.high, region.low)[region.free]
     refusals: list[JudgedPlace] = []
-    assessments = 0
+    problems: list[str] = []  # of the places at which the programs were converted
     for place in order:
         if any(_is_neighbour(region, span, place, refusal) for refusal in refusals):
             continue
         judgement = programs.judge(region.settable(np.array(place.place)), all_samples=True)
         if judgement.reachable:
             judgement = _assess(judgement, assess)
-            assessments += 1
             if judgement.reachable:
                 return judgement, tuple(refusals)
+            problems.append(judgement.problem)
         refusals.append(judgement)
-        if len(refusals) >= _MAX_CHECKS or assessments >= _MAX_ASSESSMENTS:
+        is_everywhere = len(problems) >= _MAX_SAME and len(set(problems)) == 1
+        if len(refusals) >= _MAX_CHECKS or len(problems) >= _MAX_ASSESSMENTS or is_everywhere:
             break
     return None, tuple(refusals)
 

@@ -97,7 +97,7 @@ def test_a_region_in_which_nothing_can_be_driven_has_its_slice_through_the_middl
     assert search.slice_place == (1300.0, 0.0, 500.0, 0.0, 0.0)
 
 
-def test_places_are_converted_until_all_programs_can_be_and_forty_at_most():
+def test_places_are_converted_until_all_programs_can_be_and_forty_at_most_or_eight_with_one_error():
     converted = []
 
     def assess(place, problem="a limit"):
@@ -109,16 +109,17 @@ def test_places_are_converted_until_all_programs_can_be_and_forty_at_most():
     assert search.best.place == converted[-1]
     assert search.today.problem == "a limit"
     assert search.best.stated_cost == 1.5e-4
-    converted.clear()
+    for problem, count in (("{}", 40), ("x", 8)):
 
-    def refused(place):
-        converted.append(place.place)
-        return Assessment(problem="x")
+        def refused(place, problem=problem):
+            converted.append(place.place)
+            return Assessment(problem=problem.format(place.place))
 
-    never = region.search(Bowl((1500.0, -250.0, 500.0, 0.0)), REGION, assess=refused)
-    assert never.best is None
-    assert len(converted) == 41  # today's place, and forty
-    assert [place.place for place in never.refusals] == converted[1:]
+        converted.clear()
+        never = region.search(Bowl((1500.0, -250.0, 500.0, 0.0)), REGION, assess=refused)
+        assert never.best is None
+        assert len(converted) == 1 + count  # today's place besides
+        assert [place.place for place in never.refusals] == converted[1:]
 
 
 def test_the_best_of_places_that_are_alike_is_the_one_with_more_margin():
