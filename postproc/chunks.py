@@ -102,7 +102,7 @@ class Runs(Struct, frozen=True, eq=False):
         return cls(array[begins], np.cumsum(begins, dtype=np.int32) - 1)
 
     @classmethod
-    def few(cls, shape: tuple[int, int], row_values: Mapping[int, NDArray[np.float64]]) -> Runs:
+    def from_rows(cls, shape: tuple[int, int], row_values: Mapping[int, NDArray[np.float64]]) -> Runs:
         """Return an array (N, n) of NaN in which some rows are given (n,)."""
         run = np.zeros(shape[0], dtype=np.int32)
         run[list(row_values)] = np.arange(1, len(row_values) + 1)

@@ -97,7 +97,7 @@ class InputError(PostprocError):
     """A file, a line or a value cannot be used.
 
     The message reads ``file:line: problem. Text: '…'. Advice.``; every part is an attribute too. Further
-    errors of the same input (`further_errors`, see `together`) follow, each on its own line.
+    errors of the same input (`further_errors`, see `combined_error`) follow, each on its own line.
 
     :param problem: description of the error, without a full stop.
     :param file: name of the file as the user knows it.
@@ -144,7 +144,7 @@ class InputError(PostprocError):
 AnyInputError = TypeVar("AnyInputError", bound=InputError)
 
 
-def together(errors: Iterable[AnyInputError]) -> AnyInputError:
+def combined_error(errors: Iterable[AnyInputError]) -> AnyInputError:
     """Return all errors of one input as one: the first in order of lines, with the others as `further_errors`.
 
     :param errors: at least one, in any order and without others of their own; those of one file follow each other, in

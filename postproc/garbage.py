@@ -12,7 +12,7 @@ from contextlib import contextmanager
 
 
 @contextmanager
-def kept() -> Iterator[None]:
+def collection_paused() -> Iterator[None]:
     """Collect no cycles inside the context; objects without cycles are released as always."""
     if not gc.isenabled():  # as the caller wants it
         yield

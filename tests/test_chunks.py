@@ -49,7 +49,7 @@ def test_an_array_with_few_rows_is_indexed_like_one_with_all():
     whole = np.full((5, 2), np.nan)
     for row, values in rows.items():
         whole[row] = values
-    np.testing.assert_array_equal(chunks.Runs.few((5, 2), rows)[:], whole)
+    np.testing.assert_array_equal(chunks.Runs.from_rows((5, 2), rows)[:], whole)
     np.testing.assert_array_equal(chunks.Runs.of(whole)[:], whole)
 
 

@@ -4,7 +4,7 @@ import pickle
 
 import pytest
 
-from postproc.errors import MAX_ERRORS, Issue, ProgramError, did_you_mean, group_issues, together
+from postproc.errors import MAX_ERRORS, Issue, ProgramError, combined_error, did_you_mean, group_issues
 
 
 def _error(line: int, file: str = "part.nc") -> ProgramError:
@@ -12,13 +12,13 @@ def _error(line: int, file: str = "part.nc") -> ProgramError:
 
 
 def test_errors_of_a_file_are_told_together_in_order_of_lines() -> None:
-    error = together([_error(7), _error(3), _error(5)])
+    error = combined_error([_error(7), _error(3), _error(5)])
     assert (error.problem, error.line) == ("odd word 3", 3)
     assert str(error).splitlines() == [f"part.nc:{n}: odd word {n}. Text: 'G9{n}'. Remove it." for n in (3, 5, 7)]
 
 
 def test_errors_of_the_first_file_come_first() -> None:
-    error = together([_error(7, "part.src"), _error(3, "part.dat"), _error(5, "part.src")])
+    error = combined_error([_error(7, "part.src"), _error(3, "part.dat"), _error(5, "part.src")])
     assert [(e.file, e.line) for e in (error, *error.further_errors)] == [
         ("part.src", 5),
         ("part.src", 7),
@@ -27,19 +27,19 @@ def test_errors_of_the_first_file_come_first() -> None:
 
 
 def test_equal_errors_are_printed_once() -> None:
-    assert str(together([_error(7), _error(3), _error(7)])) == str(together([_error(3), _error(7)]))
-    assert str(together([_error(7), _error(7)])) == str(_error(7))
+    assert str(combined_error([_error(7), _error(3), _error(7)])) == str(combined_error([_error(3), _error(7)]))
+    assert str(combined_error([_error(7), _error(7)])) == str(_error(7))
 
 
 def test_one_error_stays_what_it_is() -> None:
     error = _error(3)
-    assert together([error]) is error
+    assert combined_error([error]) is error
 
 
 def test_no_more_than_the_first_errors_are_shown() -> None:
     exactly, more = (
-        together([_error(n) for n in range(MAX_ERRORS)]),
-        together([_error(n) for n in range(MAX_ERRORS + 5)]),
+        combined_error([_error(n) for n in range(MAX_ERRORS)]),
+        combined_error([_error(n) for n in range(MAX_ERRORS + 5)]),
     )
     assert len(str(exactly).splitlines()) == MAX_ERRORS
     assert len(str(more).splitlines()) == MAX_ERRORS + 1
@@ -47,7 +47,7 @@ def test_no_more_than_the_first_errors_are_shown() -> None:
 
 
 def test_errors_survive_a_process_pool_and_a_change_of_the_file_name() -> None:
-    error = pickle.loads(pickle.dumps(together([_error(3), _error(5), _error(1, "part.dat")])))
+    error = pickle.loads(pickle.dumps(combined_error([_error(3), _error(5), _error(1, "part.dat")])))
     moved = error.with_file("part.nc", "jobs/part.nc")
     assert isinstance(moved, ProgramError)
     assert [(e.file, e.line) for e in (moved, *moved.further_errors)] == [

@@ -20,7 +20,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from postproc.errors import MAX_ERRORS, InputError, choices, did_you_mean, nearest_name, together
+from postproc.errors import MAX_ERRORS, InputError, choices, combined_error, did_you_mean, nearest_name
 from postproc.files.toml_lines import line_of, line_of_unknown
 from postproc.frames import M_PER_MM, Array
 
@@ -142,7 +142,7 @@ def convert(
                 error(problem, file=file, line=line_of_unknown(text, problem), advice=valid)
                 for (problem, _), valid in zip(wrong_keys, advices, strict=True)
             ]
-            raise together(errors) from cause
+            raise combined_error(errors) from cause
         message, key = str(cause).removesuffix("`"), ""
         if " - at `$" in message:
             message, key = message.split(" - at `$")
@@ -283,7 +283,7 @@ def read_csv(
     """Read a CSV file as `parse_csv` does; all errors in its rows are raised together."""
     numbers, texts, line, faults = parse_csv(path, required_columns, optional, error, text_columns, may_be_empty)
     if faults:
-        raise together(faults)
+        raise combined_error(faults)
     return numbers, texts, line
 
 
@@ -370,7 +370,7 @@ def check_sizes(
         for row in np.flatnonzero(np.abs(numbers[name]) > limit)
     ]
     if faults:
-        raise together(faults)
+        raise combined_error(faults)
 
 
 _COMMAS = "Separate the columns by commas, and write numbers with a decimal point (as English Excel saves CSV)."

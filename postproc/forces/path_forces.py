@@ -16,7 +16,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc.chunks import Runs, compact, in_chunks
-from postproc.errors import MAX_ERRORS, ForceError, Issue, together
+from postproc.errors import MAX_ERRORS, ForceError, Issue, combined_error
 from postproc.forces.axes import TURNS, Axes, is_arc_across, is_line_across, last_travel, predecessors
 from postproc.forces.precedence import combine, comment_knots, small_forces, unused_comments
 from postproc.forces.sources import BASE, FEED, ByLaw, ForceSource, Knots, StockInTime
@@ -204,7 +204,7 @@ def _check_start(program: Program, knots: Knots) -> None:
     if len(lines):
         name, problem = program.documents[0].name, "a force on a move from [start] of the cell"
         advice = "Program X, Y and Z in rapid moves (G0) before cutting, or switch the force on after this move."
-        raise together(
+        raise combined_error(
             ForceError(problem, file=name, line=line, advice=advice) for line in lines[: MAX_ERRORS + 1].tolist()
         )
 
@@ -297,7 +297,7 @@ def _travel(program: Program, path: Segments, knots: Knots, axis: str) -> tuple[
         name, problem = program.documents[0].name, "a FEED force on a piece of a spline, whose direction is not known"
         advice = "Give its force in BASE or TOOL axes."
         lines = distinct(m.line[spline_motions])[: MAX_ERRORS + 1].tolist()
-        raise together(ForceError(problem, file=name, line=line, advice=advice) for line in lines)
+        raise combined_error(ForceError(problem, file=name, line=line, advice=advice) for line in lines)
     travel, needs = last_travel(program, path, axis)
     acts = np.zeros(len(m), dtype=np.bool_)
     is_lateral = (knots.wrench[:, [0, 1, 3, 4]] != 0.0) | (knots.sigma[:, [0, 1, 3, 4]] != 0.0)
@@ -311,7 +311,7 @@ def _travel(program: Program, path: Segments, knots: Knots, axis: str) -> tuple[
         )
         name, problem = program.documents[0].name, "a FEED force on a move along the spindle"
         lines = distinct(m.line[unknown])[: MAX_ERRORS + 1].tolist()
-        raise together(ForceError(problem, file=name, line=line, advice=advice) for line in lines)
+        raise combined_error(ForceError(problem, file=name, line=line, advice=advice) for line in lines)
     issues = []
     if needs.any():
         message = (

@@ -20,7 +20,7 @@ from msgspec.structs import replace
 
 from postproc import files
 from postproc.chunks import Runs, ragged_range
-from postproc.errors import MAX_ERRORS, ForceError, Issue, choices, together
+from postproc.errors import MAX_ERRORS, ForceError, Issue, choices, combined_error
 from postproc.forces.axes import TURNS, Axes, axes_of_travel
 from postproc.forces.path_forces import PathForces
 from postproc.forces.sources import BASE, FEED, TOOL, Knots
@@ -130,7 +130,7 @@ def read_force_csv(path: Path) -> ForceTable:
     :raises ForceError: no rows, missing or unknown column, a value that is not finite or out of range, a line number
         that is not a positive integer, `line_end` before `line`, an unknown frame, two rows for one line without t,
         places t that do not increase along a line, standard deviations below zero or given twice; all of them together
-        (`errors.together`).
+        (`errors.combined_error`).
     """
     numbers, texts, at, faults = files.parse_csv(
         path, _REQUIRED_COLUMNS, _OPTIONAL, ForceError, ("frame",), ("line_end", "t", *_SIGMAS, *_PERCENT)
@@ -144,7 +144,7 @@ def read_force_csv(path: Path) -> ForceTable:
     order = np.lexsort((columns.row, begin))
     columns.check_order(order, (begin, end, t, frame), usable)
     if faults:
-        raise together(faults)
+        raise combined_error(faults)
     if not len(columns.row):
         advice = "Add the rows, or convert without this file if the program cuts nothing."
         raise ForceError("a header without rows: the file states no force", file=str(path), advice=advice)

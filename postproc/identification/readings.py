@@ -19,7 +19,7 @@ from msgspec.structs import replace
 
 from postproc import files
 from postproc.cell import Frame, Length
-from postproc.errors import MeasurementError, choices, together
+from postproc.errors import MeasurementError, choices, combined_error
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array
 from postproc.program import WRENCH, Bools, Ints
 from postproc.robot import JOINTS
@@ -424,7 +424,7 @@ def _drop_empty_rows(
         for row in np.flatnonzero(is_empty.any(axis=1) & ~is_empty.all(axis=1))
     ]
     if faults:
-        raise together(faults)
+        raise combined_error(faults)
     rows = np.flatnonzero(~is_empty.any(axis=1))
     return (
         {name: column[rows] for name, column in numbers.items()},

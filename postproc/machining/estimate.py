@@ -12,7 +12,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from postproc import files
-from postproc.errors import MAX_ERRORS, ForceError, Issue, together
+from postproc.errors import MAX_ERRORS, ForceError, Issue, combined_error
 from postproc.forces import Knots
 from postproc.frames import M_PER_MM, MM_PER_INCH, MM_PER_M, Array, inverse, norm
 from postproc.machining import stock as stocks
@@ -507,7 +507,7 @@ def _issues(
     lines, name = program.motions.line, program.documents[0].name
     if stopped_motions:
         advice = "Start the spindle (M3 S…) before the cut, or lift the tool."
-        raise together(
+        raise combined_error(
             ForceError("the tool moves through material while the spindle is off", file=name, line=line, advice=advice)
             for line in sorted({int(lines[motion]) for motion in stopped_motions})[: MAX_ERRORS + 1]
         )

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from msgspec.structs import replace
 
-from postproc.errors import ForceError, Issue, line_names, together
+from postproc.errors import ForceError, Issue, combined_error, line_names
 from postproc.forces import ByLaw, Knots
 from postproc.machining.estimate import ProcessForces, estimate
 from postproc.machining.process import OperationTable, Process
@@ -54,7 +54,7 @@ def operation_knots(program: Program, process: Process) -> Knots:
     used_entries = {entry_number for _, _, entry_number in [*tool_marks, *name_marks]}
     unused = [name for k, name in enumerate(names) if k not in used_entries]
     if unused:
-        raise together(_unmatched_error(program, process, name, program_operations) for name in unused)
+        raise combined_error(_unmatched_error(program, process, name, program_operations) for name in unused)
     motion = np.flatnonzero((place >= 0) & ~program.motions.rapid)
     entries = [process.operations[name] for name in names]
     wrench = np.array([_wrench(entry) for entry in entries]).reshape(-1, 6)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from postproc import toolpath
 from postproc.chunks import Columns
-from postproc.errors import MAX_ERRORS, ForceError, Issue, Level, together
+from postproc.errors import MAX_ERRORS, ForceError, Issue, Level, combined_error
 from postproc.frames import MM_PER_M, Array, inverse, norm
 from postproc.machining.process import Process
 from postproc.program import CIRC, PTP, Bools, Ints, Program, distinct
@@ -114,7 +114,7 @@ def _refuse(program: Program, process: Process, number: Ints, lacks_tool: Bools)
         else:
             problem, advice = f"tool T{value} is not in {process.path}", f"Give [tools.{value}]; found: {tool_list}."
         errors.append(ForceError(problem, file=program.documents[0].name, line=line, advice=advice))
-    raise together(errors)
+    raise combined_error(errors)
 
 
 _SAME_TIP = 1e-4
@@ -164,7 +164,7 @@ def refuse_unread_cuts(program: Program) -> None:
     :raises ProgramError: there is one; the error names the cause.
     """
     if program.unfollowed:
-        raise together(call.error for call in program.unfollowed)
+        raise combined_error(call.error for call in program.unfollowed)
 
 
 def unread_cuts(program: Program) -> list[Issue]:

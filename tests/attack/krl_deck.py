@@ -146,4 +146,4 @@ class Deck(Snippets):
             main += routine
         files = {"part.src": main, "part.dat": [*FIXED.splitlines(), *self.data, "ENDDAT"], **self.others}
         end = self.one("\r\n", "\n")
-        return {name: "".join(self.spelt(line) + end for line in lines if line) for name, lines in files.items()}
+        return {name: "".join(self.spelling(line) + end for line in lines if line) for name, lines in files.items()}

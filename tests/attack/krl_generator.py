@@ -451,7 +451,7 @@ class Generator:
         if self.maybe(0.04):
             files["sps.sub"] = ["DEF sps()", self.one("IG=IG+1", "XG1.Z=XG1.Z+1", "BASE_DATA[3].X=4"), "END"]
         end = self.one("\r\n", "\n")
-        return {name: "".join(self.spelt(line) + end for line in lines) for name, lines in files.items()}
+        return {name: "".join(self.spelling(line) + end for line in lines) for name, lines in files.items()}
 
     def local(self, main):
         """Give the main routine variables of its own that hide those of the data file."""
@@ -459,7 +459,7 @@ class Generator:
         value = {"E6POS": "{X 3,Y 3,Z 3,A 1,B 2,C 3}", "INT": "2", "REAL": "0.5"}[kind]
         main[1:1] = [f"DECL {kind} {name}", f"{name}={value}"]
 
-    def spelt(self, line):
+    def spelling(self, line):
         """The same line in another spelling."""
         choice = self.rng.random()
         if choice < 0.12:

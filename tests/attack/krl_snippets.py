@@ -1263,4 +1263,4 @@ class Snippets(Generator):
             written = next((line.split()[3].split("=")[0] for line in self.data if " GLOBAL INT " in line), "")
             files["sps.sub"] = ["DEF sps()", f"{written}=2" if written else "$OUT[3]=TRUE", "END"]
         end = self.one("\r\n", "\n")
-        return {name: "".join(self.spelt(line) + end for line in lines if line) for name, lines in files.items()}
+        return {name: "".join(self.spelling(line) + end for line in lines if line) for name, lines in files.items()}

@@ -7,7 +7,7 @@ import pytest
 
 from postproc.dialects.krl.read import flow, unresolved
 from postproc.dialects.krl.read.calls import Calls
-from postproc.dialects.krl.read.known import NOTHING
+from postproc.dialects.krl.read.known import NO_VALUE
 from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.variables import Variables
 from postproc.dialects.krl.write.named_points import NamedPoints
@@ -138,7 +138,7 @@ def test_damaged_programs_are_refused_with_a_message_or_read():
 
 
 FAULTS = {
-    "calls are passed over": (Calls, "call", lambda self, at, call, certain: NOTHING),
+    "calls are passed over": (Calls, "call", lambda self, at, call, certain: NO_VALUE),
     "what may happen is taken not to": (Calls, "_may_have_run", lambda self, at, name, effects: None),
     "arguments keep their values": (Calls, "_forget_arguments", lambda self, at, call, routine: None),
     "branches keep values": (Variables, "forget", lambda self, name, where: None),

@@ -10,7 +10,7 @@ from msgspec.structs import replace as changed
 
 from postproc.dialects import krl
 from postproc.dialects.krl.dialect import KRL
-from postproc.dialects.krl.language.parts import joined, taken_apart
+from postproc.dialects.krl.language.parts import joined_program, separated_texts
 from postproc.dialects.krl.write import split_files
 from postproc.dialects.text import decode
 from postproc.errors import PostprocError, ProgramError
@@ -116,10 +116,10 @@ def test_each_line_of_the_body_stands_in_one_of_the_files_as_it_was():
 def test_files_are_joined_and_taken_apart_to_the_byte():
     written, _ = divided(long(), 20)
     sources = [document.text for document in written.documents if document.name.endswith(".src")]
-    whole = joined(written.documents)
-    assert taken_apart(whole.documents[0].text) == sources
+    whole = joined_program(written.documents)
+    assert separated_texts(whole.documents[0].text) == sources
     unended = [replace(document, text=document.text.rstrip("\r\n")) for document in written.documents]
-    assert taken_apart(joined(unended).documents[0].text) == [text.rstrip("\r\n") for text in sources]
+    assert separated_texts(joined_program(unended).documents[0].text) == [text.rstrip("\r\n") for text in sources]
 
 
 def test_a_program_that_is_short_enough_stays_in_one_file():
@@ -269,7 +269,7 @@ def test_a_program_with_routines_variables_and_interrupts_of_its_own_moves_as_be
     np.testing.assert_array_equal(numbers(again), numbers(read(OWN, OWN_DATA)))
     sources = [document.text for document in written.documents if document.name.endswith(".src")]
     assert all(text.count("\n") <= limit for text in sources)
-    assert taken_apart(joined(written.documents).documents[0].text) == sources
+    assert separated_texts(joined_program(written.documents).documents[0].text) == sources
 
 
 def test_what_several_files_use_is_global_under_names_that_are_the_programs_own():

@@ -25,7 +25,7 @@ from postproc.dialects.apt.statements import Statements
 from postproc.dialects.apt.survey import survey
 from postproc.dialects.apt.walk import execute
 from postproc.dialects.dialect import CamFormat
-from postproc.errors import ForceError, InputError, Issue, ProgramError, together
+from postproc.errors import ForceError, InputError, Issue, ProgramError, combined_error
 from postproc.frames import M_PER_MM, RAD_PER_DEG, S_PER_MIN, Array, inverse, norm
 from postproc.poses import Poses
 from postproc.program import (
@@ -74,7 +74,7 @@ def read(document: Document, cell: Cell, forward_kinematics: Callable[[Array], A
     faults = list(course.faults)
     faults += _opposite_directions(moves, source)
     if faults or wrong:
-        raise together([*(_error(source, fault.row, fault.problem, fault.advice) for fault in faults), *wrong])
+        raise combined_error([*(_error(source, fault.row, fault.problem, fault.advice) for fault in faults), *wrong])
     if not course.parts:
         advice = "Check that the file is the right one and complete."
         raise ProgramError("the program moves nothing", file=document.name, advice=advice)

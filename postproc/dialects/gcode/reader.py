@@ -51,7 +51,7 @@ from postproc.dialects.gcode.rotary import RotaryAxes
 from postproc.dialects.gcode.survey import survey
 from postproc.dialects.gcode.words import Fault
 from postproc.dialects.text import decode, line_spans
-from postproc.errors import ForceError, InputError, Issue, ProgramError, together
+from postproc.errors import ForceError, InputError, Issue, ProgramError, combined_error
 from postproc.frames import M_PER_MM, MM_PER_M, MM_PER_MIN, RAD_PER_DEG, Array, inverse
 from postproc.program import Document, Event, ForceNote, Program, distinct, parse_force_note
 
@@ -83,7 +83,7 @@ def read(document: Document, cell: Cell, forward_kinematics: Callable[[Array], A
     :raises InputError: `ProgramError` with file, line, text and advice: a code is not supported or not known, a word
         cannot be read, an arc is impossible, a cutting move has no feed or comes before X, Y and Z have been programmed
         in rapid moves, the program is cut off, it moves nothing, or it is for another control; `ForceError`: a force
-        comment cannot be read. All that is wrong is raised together, see `errors.together`.
+        comment cannot be read. All that is wrong is raised together, see `errors.combined_error`.
     """
     return _read(document, cell, forward_kinematics, name, bulk=True)
 
@@ -164,7 +164,7 @@ def _executed_program(
         advice = "Check that the file was transferred completely."
         faults.append(Fault(modes.rows - 1, "the program begins with % but ends without %, M2 or M30", advice))
     if faults or force_faults or isinstance(path, list):
-        raise together([*_errors(run, faults), *force_faults])
+        raise combined_error([*_errors(run, faults), *force_faults])
     if not len(path.motions):
         advice = "Check that the file is the right one and complete."
         if len(path.held_back):

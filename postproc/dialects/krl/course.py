@@ -225,7 +225,7 @@ class Course(Struct, frozen=True, eq=False):
         number = loop.plain.number(row) if loop.plain is not None and row < loop.plain.beyond else None
         return self.counts[row] if number is None else number
 
-    def counted(self) -> Array:
+    def counter_values(self) -> Array:
         """Return the values (L,) that the rows of the trace assign to the counter of a FOR; NaN for lines of files."""
         counter = np.full(len(self.trace), np.nan)
         rows = np.array([*self.counts], dtype=np.int64)

@@ -15,7 +15,7 @@ from postproc.cell import Cell
 from postproc.dialects.krl import write
 from postproc.dialects.krl.language import scan
 from postproc.dialects.krl.language.names import fault_of, valid
-from postproc.dialects.krl.language.parts import MAIN, beyond, called, joined, part_of
+from postproc.dialects.krl.language.parts import MAIN, called_parts, files_of_routines, joined_program, part_of
 from postproc.dialects.krl.language.scan import DEF_LINE
 from postproc.dialects.krl.layout import Layout
 from postproc.dialects.krl.read import read_program
@@ -46,7 +46,10 @@ def _parts(path: Path, names: Sequence[str]) -> list[str]:
 
     try:
         main = decode(path.name, path.read_bytes())
-        return [*(name for name, _ in called(main)), *(PurePath(document.name).stem for document in beyond(main, find))]
+        return [
+            *(name for name, _ in called_parts(main)),
+            *(PurePath(document.name).stem for document in files_of_routines(main, find)),
+        ]
     except (OSError, ProgramError):
         return []
 
@@ -60,7 +63,7 @@ def _main_of(part: Document) -> str | None:
     try:
         siblings = sorted(Path(part.folder).iterdir()) if part.folder and stem[-1:].isdigit() else []
         for path in (path for path in siblings if path.name.lower() == main_file):
-            calls = [name.lower() for name, _ in called(decode(path.name, path.read_bytes()))]
+            calls = [name.lower() for name, _ in called_parts(decode(path.name, path.read_bytes()))]
             return path.stem if stem.lower() in calls else None
     except (OSError, ProgramError):
         return None
@@ -185,7 +188,7 @@ class Krl:
         self, documents: Sequence[Document], cell: Cell, forward_kinematics: Callable[[Array], Array], name: str
     ) -> Program:
         """Return a program, see `read.reader`; one in several files as one, see `language.parts`."""
-        whole = joined(documents)
+        whole = joined_program(documents)
         if whole is None:
             try:
                 return read_program(documents, cell, forward_kinematics, name)
@@ -200,14 +203,14 @@ class Krl:
         try:
             program = read_program((*whole.documents, *subprograms), cell, forward_kinematics, name)
         except ProgramError as cause:
-            raise whole.located(cause) from None
+            raise whole.error_in_file(cause) from None
         layout = program.layout
         if isinstance(layout, Layout):
             course_names = {document.name for document in layout.course.files}
             documents = [*(d for d in documents if d.name not in course_names), *layout.course.files]
             layout = replace(layout, documents=(*whole.documents, *layout.course.files), files=whole.files)
         name = PurePath(documents[0].name).stem[: -len(MAIN)]
-        unresolved = tuple(whole.placed(item) for item in program.unresolved)
+        unresolved = tuple(whole.motion_in_file(item) for item in program.unresolved)
         needed_files = tuple(item for item in program.needed if Path(item.path).stem.lower() not in stems)
         documents = tuple(documents)
         return replace(
@@ -267,5 +270,5 @@ def _file(path: Path) -> _File:
     gives = {name}
     if all(routine.empty for routine in routines if routine.name == name):
         gives |= {routine.name for routine in routines if routine.public}
-    calls = scan.called(scan.without_comments(text)) if path.stem.lower() != _SELECTION_FILE else set[str]()
+    calls = scan.called_names(scan.without_comments(text)) if path.stem.lower() != _SELECTION_FILE else set[str]()
     return _File(frozenset(calls), frozenset(gives))

@@ -30,7 +30,7 @@ from postproc.dialects.rapid.syntax import Comment, Module, RapidSyntaxError, Ro
 from postproc.dialects.rapid.syntax import Instruction as RapidInstruction
 from postproc.dialects.rapid.values import NONE, UnknownValueError, Value, record_numbers
 from postproc.dialects.text import line_spans
-from postproc.errors import InputError, Issue, ProgramError, first_of, line_names, together
+from postproc.errors import InputError, Issue, ProgramError, combined_error, first_of, line_names
 from postproc.frames import M_PER_MM, Array, inverse, norm, xyzabc_from_pose
 from postproc.poses import Poses
 from postproc.program import (
@@ -65,7 +65,7 @@ def read(document: Document, cell: Cell, forward_kinematics: Callable[[Array], A
         controller.
     :raises InputError: what cannot be followed, all together, each with its line and advice.
     """
-    with garbage.kept():
+    with garbage.collection_paused():
         return _Reader(document, cell).program(forward_kinematics, name)
 
 
@@ -86,7 +86,7 @@ class _Reader:
         if execution.errors:
             lines = self._lines(whole, np.array([cause.start for cause in execution.errors])).tolist()
             pairs = zip(execution.errors, lines, strict=True)
-            raise together([self._at(cause.problem, at, cause.advice) for cause, at in pairs])
+            raise combined_error([self._at(cause.problem, at, cause.advice) for cause, at in pairs])
         if not execution.moves:
             raise ProgramError(
                 "there are no motions", file=self.document.name, advice="Check that this is the program."
@@ -188,7 +188,7 @@ class _Reader:
                 comments.append(comment)
                 notes.append(replace(note, before=motion_index))
         if errors:
-            raise together(errors)
+            raise combined_error(errors)
         return tuple(comments), tuple(notes)
 
     # --- motions

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from msgspec.structs import replace
 
-from postproc.errors import ProgramError, together
+from postproc.errors import ProgramError, combined_error
 from postproc.program import LIN, PTP, Motions, Program, parse_force_note
 
 MM = 1e-3
@@ -44,7 +44,7 @@ class Points:
             points.append(point[:3])
             feeds.append(point[3] if points[1:] else np.nan)
         if faults:
-            raise together(faults)
+            raise combined_error(faults)
         count = len(points)
         target = np.tile(np.eye(4), (count, 1, 1))
         target[:, :3, :3] = cell.tool_pose_in_program()

@@ -9,13 +9,13 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc.dialects.krl.language.expressions import split, value_at
-from postproc.dialects.krl.language.names import CONTROLLER_DATA, DECLARING
+from postproc.dialects.krl.language.names import CONTROLLER_DATA, DECLARATIONS
 from postproc.dialects.krl.language.source import Source, code_span
 from postproc.dialects.krl.language.tokens import (
     DECLARATION,
     ELEMENT,
     NAME,
-    NEXT_DECLARED,
+    NEXT_NAME,
     after_word,
     key_word,
     word_at,
@@ -42,18 +42,18 @@ class DeclaredName(Struct, frozen=True):
     value: int
 
 
-def declared(source: Source, start: int, stop: int) -> Iterator[DeclaredName]:
+def declared_in(source: Source, start: int, stop: int) -> Iterator[DeclaredName]:
     """Yield what one line declares, also several names: ``DECL E6POS A={…},B={…}``."""
     match = DECLARATION.match(source.text, start, stop)
     if not match:
         return
-    first = _first(source, match)
+    first = _first_name(source, match)
     yield first
     end = match.end()
     while True:
         if source.text[end - 1] == "=":
             end = _value_stop(source, end, stop)
-        following = NEXT_DECLARED.match(source.text, end, stop)
+        following = NEXT_NAME.match(source.text, end, stop)
         if not following:
             return
         end = following.end()
@@ -61,7 +61,8 @@ def declared(source: Source, start: int, stop: int) -> Iterator[DeclaredName]:
         yield DeclaredName(following[1].upper(), following.start(1), following[2], first.kind, first.public, value)
 
 
-def _first(source: Source, match: re.Match[str]) -> DeclaredName:
+def _first_name(source: Source, match: re.Match[str]) -> DeclaredName:
+    """Return the first name that a line declares, from its match of `DECLARATION`."""
     public = key_word(source.text, match.start(), match.start(2), "GLOBAL") is not None
     kind, value = (match[1] or "").upper(), match.end() if match[4] else -1
     return DeclaredName(match[2].upper(), match.start(2), match[3], kind, public, value)
@@ -103,7 +104,7 @@ def declared_names(source: Source) -> tuple[frozenset[str], frozenset[str]]:
             continue
         start, stop = code_span(source.text, begin, end)
         if start < stop and source.text[start] != "&":
-            for item in declared(source, start, stop):
+            for item in declared_in(source, start, stop):
                 (public if item.public else local_names).add(item.name)
     return frozenset(local_names - public), frozenset(public)
 
@@ -133,8 +134,8 @@ def data_lines(data: Source) -> list[DataLine]:
             continue
         begin, end = int(data.starts[line - 1]), int(data.stops[line - 1])
         next_start = int(data.starts[line]) if line < len(data.starts) else len(data.text)
-        declarations = list(declared(data, start, stop)) if word not in DECLARING else []
-        names = frozenset(item.name for item in declarations) or _declared_otherwise(data.text[start:stop], word)
+        declarations = list(declared_in(data, start, stop)) if word not in DECLARATIONS else []
+        names = frozenset(item.name for item in declarations) or _other_declared_names(data.text[start:stop], word)
         public = any(item.public for item in declarations) or _is_public(data.text, start, stop)
         public = public or not names.isdisjoint(CONTROLLER_DATA)
         text = data.text[begin:next_start] if next_start > end else data.text[begin:end] + "\r\n"
@@ -151,8 +152,8 @@ def _is_public(text: str, start: int, stop: int) -> bool:
     return after_word(text, max(start, next_sign), stop, "GLOBAL") >= 0
 
 
-def _declared_otherwise(code: str, word: str) -> frozenset[str]:
+def _other_declared_names(code: str, word: str) -> frozenset[str]:
     """Return the name that a STRUC, ENUM, SIGNAL or CHANNEL declares."""
-    if word not in DECLARING:
+    if word not in DECLARATIONS:
         return frozenset()
     return frozenset(name.upper() for name in NAME.findall(code)[1:2])

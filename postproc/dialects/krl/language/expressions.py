@@ -78,9 +78,9 @@ def value_in(source: Source, start: int, stop: int) -> Value:
     try:
         value, end = value_at(source, start, stop)
     except ProgramError as error:
-        return unreadable(source, start, stop, error)
+        return unreadable_text(source, start, stop, error)
     rest = after_blanks(source.text, end, stop)
-    return value if rest == stop else opaque(source, start, stop, rest)
+    return value if rest == stop else opaque_text(source, start, stop, rest)
 
 
 def value_at(source: Source, start: int, stop: int) -> _Read:
@@ -109,8 +109,8 @@ def value_at(source: Source, start: int, stop: int) -> _Read:
             return value, end
     except ProgramError:
         end = begin if first is None else first[1]
-    end = beyond(source, end, stop)
-    return opaque(source, begin, end), end
+    end = value_end(source, end, stop)
+    return opaque_text(source, begin, end), end
 
 
 def condition(source: Source, start: int, stop: int, first: _Read | None = None) -> _Read:
@@ -142,14 +142,15 @@ def arithmetic(source: Source, start: int, stop: int, first: _Read | None = None
     :param first: its first operand, if it has been read.
     :raises ProgramError: as for `value_at`.
     """
-    return _joined(source, start, stop, first, "+-", _product)
+    return _left_to_right(source, start, stop, first, "+-", _product)
 
 
 def _product(source: Source, start: int, stop: int, first: _Read | None) -> _Read:
-    return _joined(source, start, stop, first, "*/", _factor)
+    """Return factors joined by ``*`` and ``/``, from left to right, and the offset behind them."""
+    return _left_to_right(source, start, stop, first, "*/", _factor)
 
 
-def _joined(
+def _left_to_right(
     source: Source,
     start: int,
     stop: int,
@@ -157,7 +158,13 @@ def _joined(
     operators: str,
     part: Callable[[Source, int, int, _Read | None], _Read],
 ) -> _Read:
-    """Return parts joined by operators, from left to right."""
+    """Return operands joined by operators of one rank, from left to right, and the offset behind them.
+
+    :param first: the first operand, if it has been read.
+    :param operators: their signs.
+    :param part: reads an operand, which operators of a higher rank may join.
+    :raises ProgramError: there are more than `_MOST_TERMS`.
+    """
     text = source.text
     value, end = part(source, start, stop, first)
     next_sign, terms = after_blanks(text, end, stop), 1
@@ -223,12 +230,13 @@ def operand(source: Source, start: int, stop: int) -> _Read:
         return Word(match[0], start, match.end()), match.end()
     if match := ENUM.match(text, start, stop):
         return Word(match[0].upper(), start, match.end()), match.end()
-    end = beyond(source, start, stop)
-    return opaque(source, start, end), end
+    end = value_end(source, start, stop)
+    return opaque_text(source, start, end), end
 
 
 def _in_brackets(source: Source, start: int, stop: int) -> _Read:
-    close = matching(source, start, stop)
+    """Return the value in the bracket at `start`, marked as bracketed, and the offset behind the bracket."""
+    close = closing_bracket(source, start, stop)
     value = value_in(source, start + 1, close)
     if isinstance(value, UnreadableText):
         raise value.error
@@ -240,15 +248,16 @@ def _in_brackets(source: Source, start: int, stop: int) -> _Read:
 
 
 def _variable(source: Source, name: re.Match[str], stop: int) -> _Read:
-    text, start, end, spelt = source.text, name.start(), name.end(), name[0].upper()
-    if spelt in ("TRUE", "FALSE"):
-        return Word(spelt, start, end), end
+    """Return the variable, function call, TRUE or FALSE that begins with a name, and the offset behind it."""
+    text, start, end, upper_name = source.text, name.start(), name.end(), name[0].upper()
+    if upper_name in ("TRUE", "FALSE"):
+        return Word(upper_name, start, end), end
     next_sign = after_blanks(text, end, stop)
     if next_sign == stop or text[next_sign] not in "([.":
-        return Reference(spelt, None, None, start, end), end
+        return Reference(upper_name, None, None, start, end), end
     if text[next_sign] == "(":
-        close = matching(source, next_sign, stop)
-        return Call(spelt, list_in(source, next_sign + 1, close), start, close + 1), close + 1
+        close = closing_bracket(source, next_sign, stop)
+        return Call(upper_name, list_in(source, next_sign + 1, close), start, close + 1), close + 1
     indices: tuple[Value, ...] | None = None
     inner: tuple[Value, ...] = ()
     path: list[str] = []
@@ -257,7 +266,7 @@ def _variable(source: Source, name: re.Match[str], stop: int) -> _Read:
         if indices is None and not path and (index := _index(text, next_sign, stop)) is not None:
             indices, end = index
         elif next_sign < stop and text[next_sign] == "[":
-            close = matching(source, next_sign, stop)
+            close = closing_bracket(source, next_sign, stop)
             if path:
                 path[-1] += text[next_sign : close + 1].upper()
                 inner += list_in(source, next_sign + 1, close)
@@ -271,7 +280,7 @@ def _variable(source: Source, name: re.Match[str], stop: int) -> _Read:
             end = match.end()
         else:
             break
-    return Reference(spelt, indices, ".".join(path) or None, start, end, inner), end
+    return Reference(upper_name, indices, ".".join(path) or None, start, end, inner), end
 
 
 def _index(text: str, start: int, stop: int) -> tuple[tuple[Value, ...], int] | None:
@@ -300,7 +309,7 @@ def list_in(source: Source, start: int, stop: int) -> tuple[Value, ...]:
     )
 
 
-def opaque(source: Source, start: int, stop: int, rest: int = -1) -> OpaqueText:
+def opaque_text(source: Source, start: int, stop: int, rest: int = -1) -> OpaqueText:
     """Return a piece of code of which only the calls are known.
 
     :param rest: where the text that follows a value begins, see `OpaqueText`.
@@ -309,7 +318,7 @@ def opaque(source: Source, start: int, stop: int, rest: int = -1) -> OpaqueText:
     return OpaqueText(start, stop, _calls_in(source, start, stop), rest)
 
 
-def unreadable(source: Source, start: int, stop: int, error: ProgramError) -> UnreadableText:
+def unreadable_text(source: Source, start: int, stop: int, error: ProgramError) -> UnreadableText:
     """Return a piece of code that cannot be read."""
     try:
         return UnreadableText(start, stop, error, _calls_in(source, start, stop))
@@ -403,26 +412,34 @@ def _component(source: Source, opening: int, position: int, stop: int) -> tuple[
     text = source.text
     match = ITEM_NAME.match(text, position, stop)
     if not match:
-        _not_closed_or(source, opening, position, stop, "a component such as 'X 12.5' is expected")
+        _raise_aggregate_error(source, opening, position, stop, "a component such as 'X 12.5' is expected")
     name = match[1].upper()
     if match.end() >= stop or text[match.end()] in ",}":
-        _not_closed_or(source, opening, match.end(), stop, f"component {name} has no value")
+        _raise_aggregate_error(source, opening, match.end(), stop, f"component {name} has no value")
     value, end = value_at(source, match.end(), stop)
     end = after_blanks(text, end, stop)
     if isinstance(value, Reference) and value.name in ("NAN", "INF", "INFINITY"):
         raise source.error(f"component {name} is not a finite number", value.start)
     if end >= stop or text[end] not in ",}":
-        _not_closed_or(source, opening, end, stop, f"a comma is missing after component {name}")
+        _raise_aggregate_error(source, opening, end, stop, f"a comma is missing after component {name}")
     return name, value, text[end] == ",", end + (text[end] == ",")
 
 
-def _not_closed_or(source: Source, opening: int, position: int, stop: int, problem: str) -> NoReturn:
+def _raise_aggregate_error(source: Source, opening: int, position: int, stop: int, problem: str) -> NoReturn:
+    """Raise the error in an aggregate: its brace is not closed, or else `problem`.
+
+    :param opening: offset of its ``{``; `position` that of the problem.
+    """
     if after_blanks(source.text, position, stop) >= stop or "}" not in source.text[position:stop]:
         raise source.error("the brace { is not closed", opening, "Check that the file is complete.")
     raise source.error(problem, position)
 
 
 def _finite(source: Source, match: re.Match[str], group: int = 0) -> float:
+    """Return the number that a group of a match is.
+
+    :raises ProgramError: it is not finite.
+    """
     value = float(match[group])
     if not math.isfinite(value):
         raise source.error(f"{match[group][:40]} is not a finite number", match.start(group))
@@ -432,7 +449,7 @@ def _finite(source: Source, match: re.Match[str], group: int = 0) -> float:
 # --- brackets --------------------------------------------------------------------------------------------------------
 
 
-def matching(source: Source, start: int, stop: int) -> int:
+def closing_bracket(source: Source, start: int, stop: int) -> int:
     """Return the offset of the bracket that closes the one at `start`.
 
     :raises ProgramError: there is none before `stop`.
@@ -469,7 +486,7 @@ def split(source: Source, start: int, stop: int) -> list[tuple[int, int]]:
     while offset < stop:
         char = text[offset]
         if char in _PAIRS:
-            offset = matching(source, offset, stop)
+            offset = closing_bracket(source, offset, stop)
         elif char == '"':
             offset = text.find('"', offset + 1, stop)
             if offset < 0:
@@ -483,12 +500,12 @@ def split(source: Source, start: int, stop: int) -> list[tuple[int, int]]:
     return spans
 
 
-def beyond(source: Source, start: int, stop: int) -> int:
-    """Return where a value that is not looked into ends: at a comma or a closing bracket that is not its own."""
+def value_end(source: Source, start: int, stop: int) -> int:
+    """Return where a value that is not parsed ends: at a comma or a closing bracket that is not its own."""
     text, offset = source.text, start
     while offset < stop and text[offset] not in ",)]}":
         if text[offset] in _PAIRS:
-            offset = matching(source, offset, stop)
+            offset = closing_bracket(source, offset, stop)
         elif text[offset] == '"':
             offset = text.find('"', offset + 1, stop)
             if offset < 0:

@@ -137,4 +137,5 @@ def triggers(trace: Trace, rows: Sequence[tuple[int, int, bool]], length: Array)
 
 
 def _number(value: Value) -> float:
+    """Return a number as such; NaN for any other value."""
     return value.value if isinstance(value, Number) else float("nan")

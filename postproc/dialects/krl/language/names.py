@@ -50,7 +50,7 @@ WITHOUT_MOTION = words(
 )
 """Statements that move nothing and change nothing that a motion depends on."""
 
-DECLARING = words("CHANNEL ENUM EXT EXTFCT EXTFCTP EXTP IMPORT SIGNAL STRUC")
+DECLARATIONS = words("CHANNEL ENUM EXT EXTFCT EXTFCTP EXTP IMPORT SIGNAL STRUC")
 """Statements that declare and do nothing."""
 
 PURE = words(

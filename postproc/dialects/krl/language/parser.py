@@ -8,12 +8,20 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import cast
 
-from postproc.dialects.krl.language.declarations import declared, structure
-from postproc.dialects.krl.language.expressions import list_in, opaque, operand, split, unreadable, value_at, value_in
+from postproc.dialects.krl.language.declarations import declared_in, structure
+from postproc.dialects.krl.language.expressions import (
+    list_in,
+    opaque_text,
+    operand,
+    split,
+    unreadable_text,
+    value_at,
+    value_in,
+)
 from postproc.dialects.krl.language.names import (
     APPROXIMATIONS,
     CIRCLES,
-    DECLARING,
+    DECLARATIONS,
     FRAMES,
     MOTION_WORDS,
     OPENING,
@@ -89,7 +97,7 @@ def statement_in(source: Source, start: int, stop: int) -> Statement:
         word = word_at(source.text, first, stop)
     try:
         node = _READERS[word](source, word, start, first, stop) if word in _READERS else None
-        return node or _other(source, word, start, first, stop)
+        return node or _ordinary_statement(source, word, start, first, stop)
     except ProgramError as error:
         return FaultyStatement(word, start, stop, error, code=_code(source, start, stop))
 
@@ -99,12 +107,12 @@ def _code(source: Source, start: int, stop: int) -> Value | None:
     if "(" not in source.text[start:stop]:
         return None
     try:
-        return opaque(source, start, stop)
+        return opaque_text(source, start, stop)
     except ProgramError as error:
-        return unreadable(source, start, stop, error)
+        return unreadable_text(source, start, stop, error)
 
 
-def _other(source: Source, word: str, start: int, first: int, stop: int) -> Statement:
+def _ordinary_statement(source: Source, word: str, start: int, first: int, stop: int) -> Statement:
     """Return an assignment, a call, a label, a declaration without DECL, or a plain statement."""
     text = source.text
     if first == stop or text[first] == "&" or (word in RESERVED and word not in TYPES):
@@ -129,6 +137,7 @@ def _other(source: Source, word: str, start: int, first: int, stop: int) -> Stat
 
 
 def _definition(source: Source, word: str, start: int, first: int, stop: int) -> Statement | None:
+    """Return DEF or DEFFCT with name, type of the result and parameters; None without a name."""
     text, position = source.text, after_blanks(source.text, first + len(word), stop)
     result = ""
     if word == "DEFFCT":
@@ -146,7 +155,7 @@ def _definition(source: Source, word: str, start: int, first: int, stop: int) ->
     bracket = after_sign(text, end, stop, "(")
     close = text.find(")", bracket, stop) if bracket >= 0 else -1
     content = text[bracket : close if close >= 0 else stop] if bracket >= 0 else ""
-    parameters = tuple(one for part in content.split(",") if (one := _parameter(part)) is not None)
+    parameters = tuple(parameter for part in content.split(",") if (parameter := _parameter(part)) is not None)
     return Definition(word, start, stop, first > start, text[position:end], position, result, parameters)
 
 
@@ -156,10 +165,10 @@ def _parameter(text: str) -> Parameter | None:
     name = word_at(text, begin, stop)
     if not name:
         return None
-    opened = after_sign(text, begin + len(name), stop, "[")
-    end = text.find("]", opened) + 1 if opened >= 0 else begin + len(name)
+    bracket = after_sign(text, begin + len(name), stop, "[")
+    end = text.find("]", bracket) + 1 if bracket >= 0 else begin + len(name)
     colon = after_sign(text, end, stop, ":")
-    return Parameter(name, colon >= 0 and after_word(text, colon, stop, "IN") >= 0, opened >= 0)
+    return Parameter(name, colon >= 0 and after_word(text, colon, stop, "IN") >= 0, bracket >= 0)
 
 
 def _is_declaration(text: str, start: int, stop: int) -> bool:
@@ -178,25 +187,29 @@ def _is_declaration(text: str, start: int, stop: int) -> bool:
 
 
 def _declaration(source: Source, word: str, start: int, first: int, stop: int) -> Statement:
-    names = tuple(declared(source, first, stop))
+    """Return DECL, CONST, STRUC, or a type with names, and what is declared."""
+    names = tuple(declared_in(source, first, stop))
     constant = bool(names) and key_word(source.text, first, names[0].at, "CONST") is not None
     return Declaration(word, start, stop, first > start, constant, names, structure(source, first, stop))
 
 
-def _cyclic(source: Source, word: str, start: int, first: int, stop: int) -> Statement | None:
+def _cyclic_input(source: Source, word: str, start: int, first: int, stop: int) -> Statement | None:
+    """Return ANIN ON, DIGIN ON or SIGNAL with its name; without one, a plain statement."""
     position = first + len(word)
     if word != "SIGNAL":
         position = after_word(source.text, position, stop, "ON")
     name_start = after_blanks(source.text, position, stop)
     name = word_at(source.text, name_start, stop) if 0 <= position < name_start else ""
-    return CyclicInput(word, start, stop, name) if name else _outside(source, word, start, first, stop)
+    return CyclicInput(word, start, stop, name) if name else _idle_declaration(source, word, start, first, stop)
 
 
-def _outside(source: Source, word: str, start: int, first: int, stop: int) -> Statement | None:
-    return IdleDeclaration(word, start, stop) if word in DECLARING else Statement(word, start, stop)
+def _idle_declaration(source: Source, word: str, start: int, first: int, stop: int) -> Statement | None:
+    """Return a declaration of which nothing is needed, or another statement of that word."""
+    return IdleDeclaration(word, start, stop) if word in DECLARATIONS else Statement(word, start, stop)
 
 
-def _imported(source: Source, word: str, start: int, first: int, stop: int) -> Statement | None:
+def _import(source: Source, word: str, start: int, first: int, stop: int) -> Statement | None:
+    """Return ``IMPORT type name IS /R1/file..original``; an `IdleDeclaration` if it is something else."""
     text = source.text
     kind = NAME.match(text, after_blanks(text, first + len(word), stop), stop)
     name = NAME.match(text, after_blanks(text, kind.end(), stop), stop) if kind else None
@@ -247,7 +260,7 @@ def _point(source: Source, start: int, stop: int) -> tuple[Value, int]:
     try:
         return value_at(source, start, stop)
     except ProgramError as error:
-        return unreadable(source, start, stop, error), -1
+        return unreadable_text(source, start, stop, error), -1
 
 
 def is_approximated(text: str) -> bool:
@@ -280,14 +293,14 @@ def tail_in(source: Source, start: int, stop: int) -> Tail:
         rest = _stripped(text, start, end)
         return Tail(start, stop, end, (), tuple(words), rest if rest.start < rest.stop else None)
     try:
-        assignments = tuple(_given(source, *span) for span in split(source, with_end, end))
+        assignments = tuple(_with_assignment(source, *span) for span in split(source, with_end, end))
         return Tail(start, stop, end, assignments, tuple(words))
     except ProgramError as error:
         return Tail(start, stop, end, (), tuple(words), error=error)
 
 
-def _given(source: Source, start: int, stop: int) -> Statement:
-    """Return an assignment of WITH."""
+def _with_assignment(source: Source, start: int, stop: int) -> Statement:
+    """Return an assignment of WITH, or a plain statement if it is something else."""
     target, end = operand(source, start, stop)
     equals = after_sign(source.text, end, stop, "=")
     word, span = word_at(source.text, after_blanks(source.text, start, stop), stop), _stripped(source.text, start, stop)
@@ -297,15 +310,18 @@ def _given(source: Source, start: int, stop: int) -> Statement:
 
 
 def _spline(source: Source, word: str, start: int, first: int, stop: int) -> Statement | None:
+    """Return SPLINE or PTP_SPLINE with its approximation and WITH."""
     return Spline(word, start, stop, tail_in(source, first + len(word), stop))
 
 
 def _end_spline(source: Source, word: str, start: int, first: int, stop: int) -> Statement | None:
+    """Return ENDSPLINE and the text behind it."""
     rest_start = first + len(word)
     return EndSpline(word, start, stop, source.text[rest_start:stop].strip(), code=_code(source, rest_start, stop))
 
 
-def _timed(source: Source, word: str, start: int, first: int, stop: int) -> Statement | None:
+def _spline_timing(source: Source, word: str, start: int, first: int, stop: int) -> Statement | None:
+    """Return CONST_VEL, TIME_BLOCK or STOP WHEN PATH, and whether it has all that it needs."""
     text, position = source.text, first + len(word)
     if word == "STOP":
         when_end = after_word(text, position, stop, "WHEN")
@@ -327,6 +343,7 @@ def _timed(source: Source, word: str, start: int, first: int, stop: int) -> Stat
 
 
 def _event(source: Source, word: str, start: int, first: int, stop: int) -> Statement | None:
+    """Return INTERRUPT or TRIGGER with the statement behind DO."""
     do = key_word(source.text, first, stop, "DO")
     head = Span(first, stop if do is None else do.start)
     action = None if do is None else statement_in(source, after_blanks(source.text, do.stop, stop), stop)
@@ -367,6 +384,7 @@ def _stripped(text: str, start: int, stop: int) -> Span:
 
 
 def _if(source: Source, word: str, start: int, first: int, stop: int) -> Statement | None:
+    """Return IF with its condition and the text behind THEN."""
     begin = first + len(word)
     then_word = key_word(source.text, begin, stop, "THEN")
     head = _stripped(source.text, begin, stop if then_word is None else then_word.start)
@@ -376,18 +394,22 @@ def _if(source: Source, word: str, start: int, first: int, stop: int) -> Stateme
 
 
 def _while(source: Source, word: str, start: int, first: int, stop: int) -> Statement | None:
+    """Return WHILE or UNTIL with its condition."""
     return While(word, start, stop, value_in(source, first + len(word), stop))
 
 
 def _switch(source: Source, word: str, start: int, first: int, stop: int) -> Statement | None:
+    """Return SWITCH with its value."""
     return Switch(word, start, stop, value_in(source, first + len(word), stop))
 
 
 def _case(source: Source, word: str, start: int, first: int, stop: int) -> Statement | None:
+    """Return CASE with its values."""
     return Case(word, start, stop, list_in(source, first + len(word), stop))
 
 
-def _bare(source: Source, word: str, start: int, first: int, stop: int) -> Statement | None:
+def _bare_word(source: Source, word: str, start: int, first: int, stop: int) -> Statement | None:
+    """Return a word that is alone on its line, and the text behind it, which should be empty."""
     rest_start = first + len(word)
     return BareWord(word, start, stop, source.text[rest_start:stop].strip(), code=_code(source, rest_start, stop))
 
@@ -396,6 +418,7 @@ _FOR_ADVICE = "Write FOR counter=first TO last STEP step; STEP may be left out."
 
 
 def _for(source: Source, word: str, start: int, first: int, stop: int) -> Statement | None:
+    """Return ``FOR counter = first TO last STEP step``; `error` says why it cannot be read."""
     text = source.text
     begin = after_blanks(text, first + len(word), stop)
     name = word_at(text, begin, stop) if begin > first + len(word) else ""
@@ -427,16 +450,19 @@ def _bounds(source: Source, start: int, stop: int) -> tuple[Value, Value, Value 
 
 
 def _goto(source: Source, word: str, start: int, first: int, stop: int) -> Statement | None:
+    """Return GOTO with its label."""
     begin = after_blanks(source.text, first + len(word), stop)
     return Goto(word, start, stop, word_at(source.text, begin, stop))
 
 
 def _return(source: Source, word: str, start: int, first: int, stop: int) -> Statement | None:
+    """Return RETURN with its value, if it has one."""
     begin = after_blanks(source.text, first + len(word), stop)
     return Return(word, start, stop, value_in(source, begin, stop) if begin < stop else None)
 
 
 def _bas(source: Source, word: str, start: int, first: int, stop: int) -> Statement | None:
+    """Return BAS as a call; a plain statement if it is something else."""
     call, _ = operand(source, first, stop)
     if isinstance(call, Call):
         return CallStatement(word, start, stop, call)
@@ -447,17 +473,17 @@ _Reader = Callable[[Source, str, int, int, int], Statement | None]
 _READERS: dict[str, _Reader] = {
     **dict.fromkeys(MOTION_WORDS, _motion),
     **dict.fromkeys(SPLINES, _spline),
-    **dict.fromkeys((*OPENING.values(), "ELSE", "DEFAULT", "LOOP", "REPEAT", "END", "ENDFCT"), _bare),
+    **dict.fromkeys((*OPENING.values(), "ELSE", "DEFAULT", "LOOP", "REPEAT", "END", "ENDFCT"), _bare_word),
     **dict.fromkeys(("WHILE", "UNTIL"), _while),
-    **dict.fromkeys(("CONST_VEL", "STOP", "TIME_BLOCK"), _timed),
-    **dict.fromkeys(DECLARING - {"STRUC"}, _outside),
+    **dict.fromkeys(("CONST_VEL", "STOP", "TIME_BLOCK"), _spline_timing),
+    **dict.fromkeys(DECLARATIONS - {"STRUC"}, _idle_declaration),
     **dict.fromkeys(("DECL", "CONST", "STRUC"), _declaration),
-    **dict.fromkeys(("ANIN", "DIGIN", "SIGNAL"), _cyclic),
+    **dict.fromkeys(("ANIN", "DIGIN", "SIGNAL"), _cyclic_input),
     **dict.fromkeys(("INTERRUPT", "TRIGGER"), _event),
     **dict.fromkeys(("DEF", "DEFFCT"), _definition),
     "SWITCH": _switch,
     "CASE": _case,
-    "IMPORT": _imported,
+    "IMPORT": _import,
     "ENDSPLINE": _end_spline,
     "IF": _if,
     "FOR": _for,

@@ -53,26 +53,28 @@ class JoinedProgram(Struct, frozen=True, eq=False):
         name, first = [file_and_line for file_and_line in self.files if file_and_line[1] <= line][-1]
         return name, line + 1 - first
 
-    def placed(self, left: UnresolvedMotion) -> UnresolvedMotion:
+    def motion_in_file(self, left: UnresolvedMotion) -> UnresolvedMotion:
         """Return a motion that stays as it is with its file and its line there."""
         file, line = self.place(left.file, left.line)
         return replace(left, file=file, line=line)
 
-    def located(self, error: ProgramError) -> ProgramError:
+    def error_in_file(self, error: ProgramError) -> ProgramError:
         """Return an error with the file and the line of it that it is about."""
         file, line = error.file, error.line
         if line is not None and file is not None:
             file, line = self.place(file, line)
         text = None if error.text is None else error.text.lstrip("".join((_DIVIDES, _BEGINS, _UNENDED)))
         later_errors = [
-            self.located(later_error) for later_error in error.further_errors if isinstance(later_error, ProgramError)
+            self.error_in_file(later_error)
+            for later_error in error.further_errors
+            if isinstance(later_error, ProgramError)
         ]
         return ProgramError(
             error.problem, file=file, line=line, text=text, advice=error.advice, further_errors=later_errors
         )
 
 
-def called(main: Document) -> list[tuple[str, int]]:
+def called_parts(main: Document) -> list[tuple[str, int]]:
     """Return the programs that a main program calls one after the other at its end, and the line of each call.
 
     :returns: names as they are spelled there; empty if it is no main program of several files.
@@ -86,7 +88,7 @@ def called(main: Document) -> list[tuple[str, int]]:
     base_name = stem[: -len(MAIN)].lower().rstrip("0123456789")
     for line in range(len(source.starts), 0, -1):
         node = statement(source, line)
-        callee = node.call.spelt(source) if isinstance(node, CallStatement) and not node.call.arguments else ""
+        callee = node.call.spelling(source) if isinstance(node, CallStatement) and not node.call.arguments else ""
         if has_end and callee and callee.lower().rstrip("0123456789") == base_name:
             calls.append((callee, line))
         elif not has_end and _is_end(source, line):
@@ -98,17 +100,17 @@ def called(main: Document) -> list[tuple[str, int]]:
     return calls if [name.lower() for name, _ in calls] == expected_names else []
 
 
-def beyond(main: Document, find: Callable[[str], Document | None]) -> list[Document]:
+def files_of_routines(main: Document, find: Callable[[str], Document | None]) -> list[Document]:
     """Return the files with routines of a main program of several files, which follow those that it calls.
 
     :param find: returns a file by its name, None if there is none.
     """
     files: list[Document] = []
-    stem, calls = PurePath(main.name).stem, called(main)
+    stem, calls = PurePath(main.name).stem, called_parts(main)
     while calls:
         document = find(f"{stem[: -len(MAIN)]}{len(calls) + len(files) + 1}.src")
-        says = None if document is None else part_of(document)
-        if document is None or says is None or says.lower() != stem.lower():
+        main_name = None if document is None else part_of(document)
+        if document is None or main_name is None or main_name.lower() != stem.lower():
             break
         files.append(document)
     return files
@@ -116,18 +118,18 @@ def beyond(main: Document, find: Callable[[str], Document | None]) -> list[Docum
 
 def part_of(document: Document) -> str | None:
     """Return the main program of which a file says that it is a part; None if it does not."""
-    says = _PART_OF.search(document.text)
-    return None if says is None else says[1]
+    main_name = _PART_OF.search(document.text)
+    return None if main_name is None else main_name[1]
 
 
-def joined(documents: Sequence[Document]) -> JoinedProgram | None:
+def joined_program(documents: Sequence[Document]) -> JoinedProgram | None:
     """Return the files of a program as one; None if it is a program of one file.
 
     :param documents: the main program first, the others in any order.
     :raises ProgramError: a file is missing, or cannot be one of several.
     """
     main, *other_files = documents
-    calls = called(main)
+    calls = called_parts(main)
     document_of = {document.name.lower(): document for document in other_files}
     if not calls or not any(f"{name}.src".lower() in document_of for name, _ in calls):
         return None
@@ -136,7 +138,7 @@ def joined(documents: Sequence[Document]) -> JoinedProgram | None:
         advice = "Put all files of the program next to it."
         raise Source.of(main, 0).line_error(f"{absent_calls[0][0]}.src is not there", absent_calls[0][1], advice)
     parts = [document_of[f"{name}.src".lower()] for name, _ in calls]
-    routine_files = beyond(main, lambda name: document_of.get(name.lower()))
+    routine_files = files_of_routines(main, lambda name: document_of.get(name.lower()))
     texts = [_main_text(main, [line for _, line in calls]), *(_part_text(part) for part in parts[:-1])]
     texts += [
         _part_text(parts[-1], ends=bool(routine_files)),
@@ -154,7 +156,7 @@ def joined(documents: Sequence[Document]) -> JoinedProgram | None:
     return JoinedProgram((whole, *([_joined_data(main, data)] if data else [])), tuple(files))
 
 
-def taken_apart(text: str) -> list[str]:
+def separated_texts(text: str) -> list[str]:
     """Return the texts of the files that one text was joined from, the main one first."""
     pieces = text.removesuffix(_END).split(_BEGINS)
     return [_UNENDED_LINE.sub(r"\1", piece).replace(_DIVIDES, "") for piece in pieces]

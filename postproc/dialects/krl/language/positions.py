@@ -22,7 +22,7 @@ _CARTESIAN_TAGS = ("", "E6POS", "E3POS", "POS", "FRAME")
 _AXIS_TAGS = ("", "E6AXIS", "E3AXIS", "AXIS")
 MAX_STATUS, MAX_TURN = 31, 63
 """S has five bits and T six, one for each joint (KSS, Status and Turn)."""
-FARTHEST = 1e6
+LARGEST_COORDINATE = 1e6
 """Largest coordinate [mm, deg] that is read: beyond it, numbers are slips."""
 LARGEST_B = 90.0
 """Controllers show B from −90° to 90°; beyond, a second set of angles describes the same orientation."""
@@ -55,7 +55,7 @@ class Position(Struct, frozen=True, eq=False):
         return not any(value != value for value in self.values)
 
     @property
-    def farthest(self) -> float:
+    def largest_coordinate(self) -> float:
         """Its largest coordinate [mm, deg]; missing ones do not count."""
         return max([abs(value) for value in self.values if value == value], default=0.0)
 
@@ -96,21 +96,22 @@ def from_aggregate(aggregate: Aggregate) -> Position:
     numbers = {}
     for name, value in items.items():
         if name not in components or not isinstance(value, Number):
-            raise _wrong_component(aggregate, name, components)
+            raise _component_error(aggregate, name, components)
         numbers[name] = value.value
     get = numbers.get
     names = AXES if axis else CARTESIAN
     return Position(
         tuple([get(name, _NAN) for name in names]),
         axis,
-        _bits(aggregate, "S", get("S"), MAX_STATUS),
-        _bits(aggregate, "T", get("T"), MAX_TURN),
+        _status_or_turn(aggregate, "S", get("S"), MAX_STATUS),
+        _status_or_turn(aggregate, "T", get("T"), MAX_TURN),
         tuple([get(name, _NAN) for name in EXTERNAL]) if not _EXTERNAL.isdisjoint(numbers) else (),
         None if aggregate.computed else aggregate,
     )
 
 
-def _wrong_component(aggregate: Aggregate, name: str, components: frozenset[str]) -> ProgramError:
+def _component_error(aggregate: Aggregate, name: str, components: frozenset[str]) -> ProgramError:
+    """Return the error for a component that a position does not have, or that is not a number."""
     if name not in components:
         valid = ", ".join(
             component for component in (*AXES, *CARTESIAN, "S", "T", *EXTERNAL) if component in components
@@ -132,7 +133,12 @@ def _wrong_component(aggregate: Aggregate, name: str, components: frozenset[str]
     return not_a_number
 
 
-def _bits(aggregate: Aggregate, name: str, value: float | None, highest: int) -> int:
+def _status_or_turn(aggregate: Aggregate, name: str, value: float | None, highest: int) -> int:
+    """Return S or T of a position; −1 if it is not given.
+
+    :param highest: largest number that its bits can hold.
+    :raises ProgramError: it is not an integer from 0 to `highest`.
+    """
     if value is None:
         return -1
     if value != int(value) or not 0 <= value <= highest:

@@ -110,10 +110,10 @@ def routines(
         if isinstance(node, Definition):
             if open_routine is not None:
                 faults.append(source.line_error(f"DEF {open_routine.name} (line {open_routine.line}) has no END", line))
-                routine_of.setdefault(open_routine.name, _ended(source, open_routine, line, plain, settings))
+                routine_of.setdefault(open_routine.name, _closed_routine(source, open_routine, line, plain, settings))
             open_routine = _OpenRoutine(node.name.upper(), line, node)
         elif node.word in ("END", "ENDFCT") and open_routine is not None:
-            routine_of.setdefault(open_routine.name, _ended(source, open_routine, line, plain, settings))
+            routine_of.setdefault(open_routine.name, _closed_routine(source, open_routine, line, plain, settings))
             open_routine = None
         elif open_routine is not None:
             open_routine.lines.append(line)
@@ -121,11 +121,19 @@ def routines(
             faults.append(source.line_error(f"{node.word} is outside of DEF … END", line))
     if open_routine is not None:
         faults.append(source.line_error(f"DEF {open_routine.name} has no END", open_routine.line, _INCOMPLETE))
-        routine_of.setdefault(open_routine.name, _ended(source, open_routine, len(source.starts) + 1, plain, settings))
+        routine_of.setdefault(
+            open_routine.name, _closed_routine(source, open_routine, len(source.starts) + 1, plain, settings)
+        )
     return routine_of, faults
 
 
-def _ended(source: Source, open_routine: _OpenRoutine, line: int, plain: Ints, settings: Sequence[int]) -> Routine:
+def _closed_routine(
+    source: Source, open_routine: _OpenRoutine, line: int, plain: Ints, settings: Sequence[int]
+) -> Routine:
+    """Return a routine whose END is on a 1-based line.
+
+    :param plain: (P,) lines of all plain motions of the file, in order; `settings` likewise.
+    """
     types: dict[str, str] = {}
     for inner_line in open_routine.lines:
         node = statement(source, inner_line)

@@ -76,7 +76,7 @@ def global_variables(text: str) -> frozenset[str]:
     return frozenset(name.upper() for name in _GLOBAL_VARIABLE.findall(text))
 
 
-def assigned(text: str) -> frozenset[str]:
+def assigned_variables(text: str) -> frozenset[str]:
     """Return the names, upper case, of variables that statements of a `.src` set and it does not declare itself."""
     local_names = set().union(*map(names_in, _DECLARATION.findall(text)))
     return frozenset(name.upper() for name in _ASSIGNMENT.findall(text)) - local_names
@@ -92,7 +92,7 @@ def without_comments(text: str) -> str:
     return _NO_CODE.sub(" ", text)
 
 
-def called(code: str) -> set[str]:
+def called_names(code: str) -> set[str]:
     """Return the names, upper case, that are followed by a bracket in code without comments, but for its own routines.
 
     Words of KRL and functions of the controller are among them.
@@ -100,12 +100,12 @@ def called(code: str) -> set[str]:
     return {name.upper() for name in _CALL.findall(code)} - {routine.name for routine in routines(code)}
 
 
-def moves(code: str) -> bool:
+def has_motion(code: str) -> bool:
     """Return whether code without comments may move the robot."""
     return _MOTION.search(code) is not None
 
 
-def imported(data: str) -> set[str]:
+def imported_files(data: str) -> set[str]:
     """Return the names, upper case, of the files from which a `.dat` imports variables."""
     return {name.upper() for name in _IMPORT.findall(data)}
 

@@ -11,9 +11,9 @@ from postproc.dialects.text import line_spans
 from postproc.errors import ProgramError
 from postproc.program import Document, Ints
 
-LONGEST = 10_000
+MOST_CHARACTERS = 10_000
 """Characters of the longest statement that is read; controllers write up to 1000."""
-_AROUND = " \t\r"
+_BLANKS = " \t\r"
 """Blanks around code."""
 
 
@@ -40,14 +40,14 @@ class Source(Struct, frozen=True, eq=False):
     def of(cls, document: Document, index: int) -> Source:
         """Return the document with its lines.
 
-        :raises ProgramError: the code of a line is longer than `LONGEST`.
+        :raises ProgramError: the code of a line is longer than `MOST_CHARACTERS`.
         """
         starts, stops = line_spans(document.text)
         source = cls(document, document.text, index, starts, stops)
-        for row in np.flatnonzero(stops - starts > LONGEST).tolist():
+        for row in np.flatnonzero(stops - starts > MOST_CHARACTERS).tolist():
             start, stop = source.code_span(row + 1)
-            if stop - start > LONGEST:
-                problem = f"the statement has {stop - start} characters, {LONGEST} are allowed"
+            if stop - start > MOST_CHARACTERS:
+                problem = f"the statement has {stop - start} characters, {MOST_CHARACTERS} are allowed"
                 raise source.line_error(problem, row + 1, "Write it as several statements.")
         return source
 
@@ -68,8 +68,8 @@ class Source(Struct, frozen=True, eq=False):
         text, start, stop = self.text, self.starts.item(line - 1), self.stops.item(line - 1)
         if (
             start < stop
-            and text[start] not in _AROUND
-            and text[stop - 1] not in _AROUND
+            and text[start] not in _BLANKS
+            and text[stop - 1] not in _BLANKS
             and text.find(";", start, stop) < 0
         ):
             return start, stop  # most lines: asked several times for each
@@ -103,9 +103,9 @@ class Place(NamedTuple):
 def code_span(text: str, start: int, stop: int) -> tuple[int, int]:
     """Return the span of the code within a line: without its comment, stripped."""
     stop = comment_start(text, start, stop)
-    while start < stop and text[start] in _AROUND:
+    while start < stop and text[start] in _BLANKS:
         start += 1
-    while stop > start and text[stop - 1] in _AROUND:
+    while stop > start and text[stop - 1] in _BLANKS:
         stop -= 1
     return start, stop
 

@@ -14,7 +14,7 @@ from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.tokens import word_at, words_in
 from postproc.dialects.krl.language.trace import Trace
 from postproc.dialects.krl.language.tree import BareWord, If, Statement
-from postproc.errors import MAX_ERRORS, ProgramError, together
+from postproc.errors import MAX_ERRORS, ProgramError, combined_error
 from postproc.program import Bools, Ints
 
 _DEEPEST = 100
@@ -54,7 +54,7 @@ class Block(Struct, frozen=True, eq=False):
     def moved(self, shift: int) -> Block:
         """Return the control structure on other lines, by a number that is added to each."""
         parts = (
-            Part(part.head + shift, part.beyond + shift, tuple(_moved(node, shift) for node in part.nodes))
+            Part(part.head + shift, part.beyond + shift, tuple(_shifted(node, shift) for node in part.nodes))
             for part in self.parts
         )
         return Block(self.word, self.first + shift, self.last + shift, tuple(parts))
@@ -75,11 +75,14 @@ Node = int | Block
 """The line of a statement, or a control structure."""
 
 
-def _moved(node: Node, shift: int) -> Node:
+def _shifted(node: Node, shift: int) -> Node:
+    """Return the line of a statement, or a control structure, on other lines."""
     return node.moved(shift) if isinstance(node, Block) else node + shift
 
 
 class _OpenStructure(Struct, eq=False):
+    """A control structure that is not closed yet; `head` is the line of the word that began its last part."""
+
     word: str
     first: int
     parts: list[Part]
@@ -87,6 +90,7 @@ class _OpenStructure(Struct, eq=False):
     nodes: list[Node]
 
     def divide(self, line: int) -> None:
+        """End the part that is open at a line with ELSE, CASE, DEFAULT or the closing word, and begin the next one."""
         self.parts.append(Part(self.head, line, tuple(self.nodes)))
         self.head, self.nodes = line, []
 
@@ -138,7 +142,7 @@ def _word(source: Source | Trace, line: int) -> str:
     return word_at(source.text, *source.code_span(line))
 
 
-def outside(source: Source | Trace, lines: Sequence[int], line_numbers: Ints) -> Bools:
+def is_outside(source: Source | Trace, lines: Sequence[int], line_numbers: Ints) -> Bools:
     """Return which of other lines, or rows, (n,) are outside of control structures that some lines open and close."""
     begin_lines: list[int] = []
     end_lines: list[int] = []
@@ -154,14 +158,14 @@ def outside(source: Source | Trace, lines: Sequence[int], line_numbers: Ints) ->
     return np.asarray(np.searchsorted(begin_lines, line_numbers) == np.searchsorted(end_lines, line_numbers))
 
 
-def checked(source: Source, nodes: tuple[Node, ...]) -> tuple[Node, ...]:
+def checked_nodes(source: Source, nodes: tuple[Node, ...]) -> tuple[Node, ...]:
     """Return statements and control structures as they are.
 
     :raises ProgramError: something follows words of control structures, where it would not be read; or they lack
         something.
     """
     if errors := list(islice(_mistakes(source, nodes, in_loop=False), MAX_ERRORS + 1)):
-        raise together(errors)
+        raise combined_error(errors)
     return nodes
 
 
@@ -199,7 +203,7 @@ def _mistake(source: Source, line: int) -> tuple[str, str] | None:
     if isinstance(node, BareWord):
         return (f"{node.behind!r} follows {node.word}", own_line_advice) if node.behind else None
     if isinstance(node, If):
-        if not node.then:
+        if not node.has_then:
             return "IF without THEN", "Write THEN behind the condition, on the same line."
         if node.condition is None:
             return "IF without a condition", "Write it between IF and THEN."

@@ -41,8 +41,8 @@ ELEMENT = re.compile(
     re.ASCII,
 )
 """An element of a data list that gets one aggregate without others in it."""
-NEXT_DECLARED = re.compile(r"[ \t]*,[ \t]*([A-Za-z_$][\w$]*)[ \t]*(\[[^\]]*\])?[ \t]*(=?)", re.ASCII)
-MORE_DECLARED = re.compile(r"[}\d'\"][ \t]*,[ \t]*[A-Za-z_$][\w$]*[ \t]*(?:\[[^\]]*\])?[ \t]*=", re.ASCII)
+NEXT_NAME = re.compile(r"[ \t]*,[ \t]*([A-Za-z_$][\w$]*)[ \t]*(\[[^\]]*\])?[ \t]*(=?)", re.ASCII)
+NEXT_INITIAL_VALUE = re.compile(r"[}\d'\"][ \t]*,[ \t]*[A-Za-z_$][\w$]*[ \t]*(?:\[[^\]]*\])?[ \t]*=", re.ASCII)
 """Behind an initial value: another name with one."""
 _COLON = re.compile(r"[ \t]*:")
 _OPEN = re.compile(r"[ \t]*\(")
@@ -137,13 +137,13 @@ class Occurrence(Struct, frozen=True):
 
     :ivar start: offset of its first character; `stop` the one behind its last.
     :ivar name: upper case.
-    :ivar called: whether a bracket follows: it is a routine, or a function.
+    :ivar is_called: whether a bracket follows: it is a routine, or a function.
     """
 
     start: int
     stop: int
     name: str
-    called: bool
+    is_called: bool
 
 
 def names_in(text: str, start: int = 0, stop: int = sys.maxsize) -> set[str]:

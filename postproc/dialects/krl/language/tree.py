@@ -187,7 +187,7 @@ class If(Statement, frozen=True, eq=False):
     PARTS = ("condition",)
 
     condition: Value | None
-    then: bool
+    has_then: bool
     behind: str
 
 

@@ -59,7 +59,7 @@ class Call(Struct, frozen=True):
     start: int
     stop: int
 
-    def spelt(self, source: Source) -> str:
+    def spelling(self, source: Source) -> str:
         """Return the name as the text has it."""
         return source.text[self.start : self.start + len(self.name)]
 

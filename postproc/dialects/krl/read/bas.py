@@ -9,7 +9,7 @@ from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.language.values import Aggregate, Call, Number, Reference
 from postproc.dialects.krl.read.explanations import why_unknown
 from postproc.dialects.krl.read.frames import Frames
-from postproc.dialects.krl.read.known import Known
+from postproc.dialects.krl.read.known import VariableValue
 from postproc.dialects.krl.read.path_settings import PathSettings
 from postproc.dialects.krl.read.state import FIELDS, State
 from postproc.dialects.krl.read.variables import Variables
@@ -86,7 +86,7 @@ class Bas:
     def _no_frames(self, state: State, at: Place, reason: str) -> State:
         return self.frames.unknown(self.frames.unknown(state, "$BASE", at, reason), "$TOOL", at, reason)
 
-    def _data(self, name: str, at: Place) -> Known:
+    def _data(self, name: str, at: Place) -> VariableValue:
         """Return what the structure is that a command reads."""
         return self.variables.evaluate(self._component(name, None, at))
 
@@ -108,6 +108,7 @@ class Bas:
         return state
 
     def _frame_data(self, state: State, at: Place) -> State:
+        """Return the state after BAS(#FRAMES): FDAT_ACT gives `$IPO_MODE` and the numbers of `$BASE` and `$TOOL`."""
         data = self._data("FDAT_ACT", at)
         if not isinstance(data, Aggregate):
             return self._no_frames(

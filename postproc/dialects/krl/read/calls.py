@@ -15,9 +15,9 @@ from postproc.dialects.krl.language.source import Place
 from postproc.dialects.krl.language.values import Aggregate, Call, OpaqueText, Reference, Value, writable
 from postproc.dialects.krl.read.effects import Effects
 from postproc.dialects.krl.read.explanations import why_unknown
-from postproc.dialects.krl.read.known import NOTHING, Known, Scope, UnknownValue, inexact
+from postproc.dialects.krl.read.known import NO_VALUE, Scope, UnknownValue, VariableValue, inexact
 from postproc.dialects.krl.read.run import SETTING_ADVICE, Level, Run, UntracedCall
-from postproc.dialects.krl.read.state import FIELDS, RELEVANT, STORED
+from postproc.dialects.krl.read.state import FIELDS, RELEVANT, STORED_VARIABLES
 from postproc.dialects.krl.read.variables import WHOLE, converted
 from postproc.errors import Issue, ProgramError
 
@@ -40,7 +40,7 @@ class Calls:
         run.variables.functions = _PureFunctions(self)
         self.entered: list[_Bound] = []
 
-    def value(self, at: Place, value: Value, *, is_copied: bool = False) -> Known:
+    def value(self, at: Place, value: Value, *, is_copied: bool = False) -> VariableValue:
         """Return the present value of an expression; run the functions in it.
 
         :param is_copied: of a variable that is a point, return the text that has its numbers. See `Run.copy`.
@@ -59,34 +59,36 @@ class Calls:
             return replace(result, computed=True)  # the text of its numbers belongs to another variable
         if isinstance(result, Aggregate) and not result.computed:
             return self.run.in_trace(result)
-        if result == NOTHING and not (isinstance(value, Reference) and value.name[0] != "$"):
+        if result == NO_VALUE and not (isinstance(value, Reference) and value.name[0] != "$"):
             return UnknownValue(str(at), why_unknown(self.run.variables, at.source, value))
         return result
 
-    def call(self, at: Place, call: Call, *, certain: bool) -> Known:
+    def call(self, at: Place, call: Call, *, certain: bool) -> VariableValue:
         """Follow a call; return the value of a function."""
         callee = self.run.library.find(call.name, self.run.level.module)
-        unknown = UnknownValue(str(at), f"what {call.spelt(at.source)}() gives is not known")
+        unknown = UnknownValue(str(at), f"what {call.spelling(at.source)}() gives is not known")
         self._note_stop(at, call)
         if callee is None:
             self._absent(at, call)
             ours = call.name in PURE or call.name in STANDARD
-            return unknown if ours else UnknownValue(str(at), f"{call.spelt(at.source)}() is in no file of the program")
+            return (
+                unknown if ours else UnknownValue(str(at), f"{call.spelling(at.source)}() is in no file of the program")
+            )
         effects = self.run.analysis.of(*callee)
         self.notice(at, call.name, effects)
         self._check_motion(at, call, *callee, effects)
         if callee[0] is self.run.library.program:
             self.run.reached.add(callee[1])
-        if _harmless(effects):
+        if _has_no_effects(effects):
             result = None if self._obstacle(at, call, *callee, effects) else self._executed(at, call, *callee)
             return unknown if result is None else result
         if certain and not self._obstacle(at, call, *callee, effects):
             result = self._executed(at, call, *callee)
             if result is not None:
                 return result
-        if effects.interrupting is not None:
+        if effects.interrupt_motion is not None:
             problem = f"{call.name} is called, and declares a GLOBAL interrupt that moves the robot"
-            raise at.error(f"{problem} ({effects.interrupting})", IN_ORDER)
+            raise at.error(f"{problem} ({effects.interrupt_motion})", IN_ORDER)
         self._forget_arguments(at, call, callee[1])
         self._may_have_run(at, call.name, effects)
         return unknown
@@ -109,7 +111,7 @@ class Calls:
         if call.name in PURE:
             return
         if call.name not in STANDARD:
-            self.run.absent.append((call.spelt(at.source), self.run.here))
+            self.run.absent.append((call.spelling(at.source), self.run.here))
         self._forget_arguments(at, call, None)
 
     def notice(self, at: Place, subject: str, effects: Effects, source: str | None = None) -> None:
@@ -119,10 +121,10 @@ class Calls:
         :param source: the same for errors of later lines.
         :raises ProgramError: frames or speeds may change so, or a variable that a caller gave.
         """
-        if not (effects.lasting or effects.absent or effects.resumes or effects.anytime):
+        if not (effects.lasting_write or effects.absent or effects.resumes or effects.anytime):
             return
-        if effects.lasting is not None:
-            problem = f"{subject} has a parameter that changes at any time from then on ({effects.lasting})"
+        if effects.lasting_write is not None:
+            problem = f"{subject} has a parameter that changes at any time from then on ({effects.lasting_write})"
             raise at.error(problem, "Change a variable of a .dat there, or make the parameter :IN.")
         self.run.absent += [(name, self.run.here) for name in effects.absent.values()]
         self.run.resumable |= effects.resumes is not None
@@ -134,6 +136,7 @@ class Calls:
         self.run.may_change(effects.anytime, source or subject)
 
     def _forget_arguments(self, at: Place, call: Call, routine: Routine | None) -> None:
+        """Note that the variables which a call may write have no known value behind it."""
         for _, reference in self._by_reference(at, call, routine):
             if reference.name in FIELDS:
                 problem = f"{reference.name} is given to {call.name}, which may change it"
@@ -185,7 +188,7 @@ class Calls:
         advice = "Begin behind the call with a PTP to joint angles, all of A1 … A6."
         if self.run.level.open:
             raise at.error(f"{problem} inside {self.run.level.open[-1][0]}", advice)
-        name = call.spelt(at.source)
+        name = call.spelling(at.source)
         unseen = at.error(f"{problem}, in a way that cannot be followed", _INLINE_ADVICE)
         cause = self.run.elsewhere.get(routine, unseen)
         reason = at.error(f"{problem}: where the next motion begins is not known", advice)
@@ -228,19 +231,19 @@ class Calls:
         """Return from the routine that was entered last."""
         self._end(self.entered.pop())
 
-    def _executed(self, at: Place, call: Call, module: Module, routine: Routine) -> Known | None:
+    def _executed(self, at: Place, call: Call, module: Module, routine: Routine) -> VariableValue | None:
         """Run a routine; None if that cannot be done exactly."""
         bound = self._bound(at, call, module, routine)
         level = self._begin(bound, is_traced=False)
         try:
             self._run_routine()
         except ProgramError:
-            self._back(bound)
+            self._leave_routine(bound)
             return None
         finally:
             self.run.place = at
         self._end(bound)
-        return level.result if level.result != NOTHING else UnknownValue(str(at))
+        return level.result if level.result != NO_VALUE else UnknownValue(str(at))
 
     def _obstacle(self, at: Place, call: Call, module: Module, routine: Routine, effects: Effects) -> str:
         """Return why a call cannot be run exactly, for a message; empty if it can."""
@@ -284,7 +287,7 @@ class Calls:
         roots = [self.run.stored(reference.name) for _, reference in references]
         self.run.calls += 1
         scope = self.run.scopes.of_call(module, routine, self.run.calls, arrays)
-        argument_values: dict[int, Known] = {}
+        argument_values: dict[int, VariableValue] = {}
         arguments = [
             _Argument(index, reference, self.run.variables.key_of(reference))  # as they are before the call
             for index, reference in references
@@ -294,7 +297,7 @@ class Calls:
             is_empty = isinstance(argument, OpaqueText) and not at.source.text[argument.start : argument.stop].strip()
             is_array = isinstance(argument, Reference) and argument.indices == ()
             if is_empty or is_array:
-                argument_values[index] = NOTHING
+                argument_values[index] = NO_VALUE
                 continue
             value = argument_values[index] = self.value(at, argument, is_copied=is_traced)
             if is_traced:
@@ -329,7 +332,7 @@ class Calls:
                 kind = WHOLE
             if kind:
                 self.run.variables.types[stored_name] = kind
-            argument_value = bound.argument_values.get(index, NOTHING)
+            argument_value = bound.argument_values.get(index, NO_VALUE)
             value = converted(argument_value, kind) if kind else argument_value
             self.run.variables.put(stored_name, argument_value if value == argument_value else value)
         self.run.variables.changing |= bound.volatile_names
@@ -338,7 +341,8 @@ class Calls:
         self.run.variables.scope = bound.scope
         return self.run.level
 
-    def _back(self, bound: _Bound) -> None:
+    def _leave_routine(self, bound: _Bound) -> None:
+        """Return to the level and the scope of the caller."""
         self.run.stack.pop()
         self.run.level, self.run.variables.scope = bound.caller, bound.caller_scope
         for name in bound.volatile_names:
@@ -346,13 +350,13 @@ class Calls:
 
     def _end(self, bound: _Bound) -> None:
         """Continue after a call, with the values that it leaves in its arguments."""
-        self._back(bound)
+        self._leave_routine(bound)
         at, variables = bound.at, self.run.variables
         for index, reference, key in bound.references:
             value = variables.value(bound.scope.stored(bound.routine.parameters[index].name))
             if value is bound.argument_values[index] or value is None:
                 continue
-            if key is None or (reference.name[0] == "$" and reference.name not in STORED):
+            if key is None or (reference.name[0] == "$" and reference.name not in STORED_VARIABLES):
                 variables.forget(self.run.stored(reference.name), str(at))
             elif reference.field is not None:
                 variables.set_field(key, reference.field, value, at)
@@ -360,11 +364,11 @@ class Calls:
                 variables.set(key, value, at)
 
 
-def _harmless(effects: Effects) -> bool:
+def _has_no_effects(effects: Effects) -> bool:
     """Return whether a routine does nothing but give a value."""
     changes = effects.writes or effects.anytime or effects.absent
-    moves = effects.motion or effects.interrupting or effects.force or effects.resumes
-    return not (changes or moves or effects.parameter or effects.lasting or effects.jumps)
+    moves = effects.motion or effects.interrupt_motion or effects.force or effects.resumes
+    return not (changes or moves or effects.parameter or effects.lasting_write or effects.jumps)
 
 
 class _PureFunctions(Struct, frozen=True, eq=False):
@@ -378,12 +382,12 @@ class _PureFunctions(Struct, frozen=True, eq=False):
         if call.name in PURE:
             return True
         callee = run.library.find(call.name, run.level.module)
-        return callee is not None and bool(callee[1].result) and _harmless(run.analysis.of(*callee))
+        return callee is not None and bool(callee[1].result) and _has_no_effects(run.analysis.of(*callee))
 
-    def value(self, call: Call) -> Known:
+    def value(self, call: Call) -> VariableValue:
         """Return what it gives."""
         at = self.calls.run.place
-        return NOTHING if at is None else self.calls.call(at, call, certain=False)
+        return NO_VALUE if at is None else self.calls.call(at, call, certain=False)
 
 
 class _Argument(NamedTuple):
@@ -412,7 +416,7 @@ class _Bound(Struct, frozen=True, eq=False):
     routine: Routine
     scope: Scope
     references: list[_Argument]
-    argument_values: dict[int, Known]
+    argument_values: dict[int, VariableValue]
     kinds: dict[int, str]
     volatile_names: dict[str, UnknownValue]
     caller: Level

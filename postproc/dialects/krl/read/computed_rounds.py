@@ -16,13 +16,13 @@ from postproc.dialects.krl.course import PlainBody, PlainRounds
 from postproc.dialects.krl.language.motion_statements import MotionStatement, Point
 from postproc.dialects.krl.language.names import CIRCLES, MAX_LENGTH
 from postproc.dialects.krl.language.parser import statement
-from postproc.dialects.krl.language.positions import CARTESIAN, FARTHEST, Position, from_aggregate
+from postproc.dialects.krl.language.positions import CARTESIAN, LARGEST_COORDINATE, Position, from_aggregate
 from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.language.structures import Block
 from postproc.dialects.krl.language.tree import Assignment, For, Motion
 from postproc.dialects.krl.language.values import Aggregate, Call, Number, Operation, Reference, Value, walk
 from postproc.dialects.krl.read import plain_settings
-from postproc.dialects.krl.read.motion_reader import HERE, KINDS, MotionReader
+from postproc.dialects.krl.read.motion_reader import KINDS, ROBOT_POSITIONS, MotionReader
 from postproc.dialects.krl.read.run import Run
 from postproc.dialects.krl.read.state import RELEVANT
 from postproc.dialects.krl.read.variables import FUNCTIONS, computed, converted
@@ -100,7 +100,7 @@ def _moves(stmt: Motion, names: set[str], unset: set[str]) -> bool:
         return False
     if isinstance(end, Reference):
         is_whole = end.indices is None and end.field is None and not end.bracketed
-        return is_whole and end.name in names and end.name not in HERE and len(end.name) <= MAX_LENGTH
+        return is_whole and end.name in names and end.name not in ROBOT_POSITIONS and len(end.name) <= MAX_LENGTH
     if not isinstance(end, Aggregate) or end.tag not in _TAGS or set(end.items) != set(CARTESIAN):
         return False
     values = end.items.values()
@@ -168,7 +168,7 @@ class _Rounds:
             positions = [Position(values) for values in zip(*columns, strict=True)]
         else:
             raise _NoColumnError
-        if not all(position.farthest <= FARTHEST for position in positions):
+        if not all(position.largest_coordinate <= LARGEST_COORDINATE for position in positions):
             raise _NoColumnError
         return positions
 
@@ -195,6 +195,10 @@ class _Rounds:
         raise _NoColumnError
 
     def _variable(self, reference: Reference) -> _Column:
+        """Return the values of a variable or an array element, one for each round.
+
+        :raises _NoColumnError: they are not known before run time.
+        """
         if reference.indices is not None:
             return _as_column(self._elements(reference))
         column = self.columns.get(reference.name)

@@ -14,7 +14,7 @@ import numpy as np
 
 from postproc.dialects.krl.language.tree import Case, Statement
 from postproc.dialects.krl.language.values import Condition, Number, Word
-from postproc.dialects.krl.read.known import Known
+from postproc.dialects.krl.read.known import VariableValue
 
 _LOGIC = ("AND", "EXOR", "OR")
 _BITWISE: dict[str, Callable[[int, int], int]] = {"B_AND": and_, "B_EXOR": xor, "B_OR": or_}
@@ -24,26 +24,26 @@ _CLOSE = 1e-5
 Term = bool | Number | Word | None
 
 
-def joined(values: Sequence[Known], condition: Condition) -> Term:
+def condition_value(values: Sequence[VariableValue], condition: Condition) -> Term:
     """Return the value of terms joined by operators; None where it is not known.
 
     :param values: values of the terms of the condition.
     """
     terms: list[Term] = []
     for value, inverse in zip(values, condition.negated, strict=True):
-        term = plain(value)
+        term = as_term(value)
         terms.append((not term if isinstance(term, bool) else None) if inverse else term)
     if any(
         (inverse or next_inverse) and operator not in _LOGIC
         for (inverse, next_inverse), operator in zip(pairwise(condition.negated), condition.operators, strict=True)
     ):
         return None  # whether NOT or the operator comes first matters
-    return _joined(terms, list(condition.operators))
+    return _evaluate(terms, list(condition.operators))
 
 
-def same(value: Known, case: Known) -> bool | None:
+def matches_case(value: VariableValue, case: VariableValue) -> bool | None:
     """Return whether the value of a SWITCH is one behind CASE; None where that is not known."""
-    return _compared("==", plain(value), plain(case))
+    return _comparison("==", as_term(value), as_term(case))
 
 
 def constant_cases(heads: Sequence[Statement]) -> dict[float | None, int] | None:
@@ -64,8 +64,12 @@ def constant_cases(heads: Sequence[Statement]) -> dict[float | None, int] | None
     return {None: -2, **table}
 
 
-def _joined(terms: list[Term], operators: list[str]) -> Term:
-    if not _by_bits(terms, operators):
+def _evaluate(terms: list[Term], operators: list[str]) -> Term:
+    """Return the value of terms joined by operators; None where it is not known. Both lists are used up.
+
+    KRL joins by bits, by AND, EXOR, OR, and compares last. A result that depends on comparing first is not known.
+    """
+    if not _apply_bitwise(terms, operators):
         return None
     is_mixed = any(operator in _LOGIC for operator in operators)
     index = 0
@@ -76,7 +80,7 @@ def _joined(terms: list[Term], operators: list[str]) -> Term:
         left, right = terms[index], terms[index + 1]
         if is_mixed and (isinstance(left, bool) or isinstance(right, bool)):
             return None
-        terms[index : index + 2] = [_compared(operators[index], left, right)]
+        terms[index : index + 2] = [_comparison(operators[index], left, right)]
         del operators[index]
         if index < len(operators) and operators[index] not in _LOGIC:
             return None  # a comparison of a comparison
@@ -88,7 +92,7 @@ def _joined(terms: list[Term], operators: list[str]) -> Term:
     return terms[0]
 
 
-def _by_bits(terms: list[Term], operators: list[str]) -> bool:
+def _apply_bitwise(terms: list[Term], operators: list[str]) -> bool:
     """Join terms by B_AND, B_EXOR and B_OR, in this order; they take INTs alone, so that comparisons cannot be first.
 
     :returns: False if one of their terms is not known, or is no INT of 32 bits.
@@ -106,6 +110,7 @@ def _by_bits(terms: list[Term], operators: list[str]) -> bool:
 
 
 def _logical(operator: str, left: Term, right: Term) -> bool | None:
+    """Return the value of AND, OR or EXOR; None where a term decides it that is not known."""
     operands = [side for side in (left, right) if isinstance(side, bool)]
     if operator == "AND":
         return False if False in operands else True if len(operands) == 2 else None
@@ -114,23 +119,28 @@ def _logical(operator: str, left: Term, right: Term) -> bool | None:
     return operands[0] != operands[1] if len(operands) == 2 else None
 
 
-def plain(value: Known) -> Term:
+def as_term(value: VariableValue) -> Term:
     """Return a BOOL as such, numbers and words as they are, None for all other values."""
     if isinstance(value, Word) and value.text in ("TRUE", "FALSE"):
         return value.text == "TRUE"
     return value if isinstance(value, (Number, Word)) else None
 
 
-def _compared(operator: str, left: Term, right: Term) -> bool | None:
+def _comparison(operator: str, left: Term, right: Term) -> bool | None:
+    """Return whether a comparison holds; None where it is not known, or its terms cannot be compared."""
     if isinstance(left, Number) and isinstance(right, Number):
-        return _numbers(operator, left, right)
+        return _number_comparison(operator, left, right)
     if left is None or right is None or operator not in ("==", "<>") or type(left) is not type(right):
         return None
     left_value, right_value = (side.text if isinstance(side, Word) else side for side in (left, right))
     return (left_value == right_value) == (operator == "==")
 
 
-def _numbers(operator: str, left: Number, right: Number) -> bool | None:
+def _number_comparison(operator: str, left: Number, right: Number) -> bool | None:
+    """Return whether a comparison of numbers holds.
+
+    None for REALs that are equal within the digits of a controller, unless both are the same 32-bit number.
+    """
     a, b = left.value, right.value
     if not (left.integer and right.integer):
         close = abs(a - b) <= _CLOSE * max(1.0, abs(a), abs(b))

@@ -97,6 +97,10 @@ class Counter:
         return self._whole(width)
 
     def _whole(self, value: Value) -> int:
+        """Return the integer that a bound or a step is.
+
+        :raises ProgramError: it is a REAL, or not known before run time.
+        """
         number = self.run.variables.evaluate(value)
         if not isinstance(number, Number):
             raise self._unknown()
@@ -106,6 +110,7 @@ class Counter:
         return int(number.value)
 
     def _set(self, number: int) -> None:
+        """Give the counter a value."""
         self.run.variables.set(self.key, Number(float(number), 0, 0, True), self.at)
 
     def now(self) -> int:
@@ -116,4 +121,5 @@ class Counter:
         return int(value.value)
 
     def _unknown(self) -> InexactError:
+        """Return the error that the bounds are not known before run time."""
         return undecided(self.run, self.at, [bound for bound in self.given if bound is not None])

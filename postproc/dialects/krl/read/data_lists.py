@@ -9,10 +9,10 @@ from contextlib import suppress
 from msgspec.structs import replace
 
 from postproc.dialects.krl.language import scan
-from postproc.dialects.krl.language.declarations import DeclaredName, declared, structure
+from postproc.dialects.krl.language.declarations import DeclaredName, declared_in, structure
 from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.source import Place, Source
-from postproc.dialects.krl.language.tokens import DECLARATION, ELEMENT, INDEX, MORE_DECLARED, NAME
+from postproc.dialects.krl.language.tokens import DECLARATION, ELEMENT, INDEX, NAME, NEXT_INITIAL_VALUE
 from postproc.dialects.krl.language.tree import Declaration, Import
 from postproc.dialects.krl.read.folder import FolderFiles
 from postproc.dialects.krl.read.known import UnknownValue, UnparsedValue, stored_originals
@@ -86,11 +86,11 @@ def _declare(
     match = DECLARATION.match(source.text, start, stop)
     if not match:
         return
-    if match[4] and not MORE_DECLARED.search(source.text, match.end(), stop):
-        names = [next(declared(source, start, match.end()))]
+    if match[4] and not NEXT_INITIAL_VALUE.search(source.text, match.end(), stop):
+        names = [next(declared_in(source, start, match.end()))]
     else:
         start, stop = source.code_span(line)
-        names = list(declared(source, start, stop))
+        names = list(declared_in(source, start, stop))
     for declarator in names:
         if wanted_names is not None and declarator.name not in wanted_names:
             continue

@@ -55,45 +55,47 @@ class Effects(Struct, eq=False):
     :ivar writes: names, as they are stored, that may get another value while it runs, and where.
     :ivar anytime: names that may get another value at any time afterwards: by interrupts, triggers, cyclic statements.
     :ivar motion: where the robot moves; None if it does not.
-    :ivar interrupting: where a GLOBAL interrupt moves the robot that it declares; None if none does.
-    :ivar back: motion back to the point at which an interrupt stopped the robot.
+    :ivar interrupt_motion: where a GLOBAL interrupt moves the robot that it declares; None if none does.
+    :ivar return_motion: motion back to the point at which an interrupt stopped the robot.
     :ivar force: place of a force comment; None if there is none.
     :ivar absent: called programs that are in no file, by name: as they are spelled.
     :ivar jumps: GOTO or RESUME, so that it may not run line by line; None if there is none.
     :ivar resumes: RESUME that may break off the running routine; None if there is none.
     :ivar parameter: where a parameter without :IN is written; None if none is.
-    :ivar lasting: where such a parameter, and so the variable given for it, is said to change at any time from then on.
+    :ivar lasting_write: where such a parameter, and so the variable given for it, is said to change at any time from
+        then on.
     """
 
     writes: dict[str, Place] = {}
     anytime: dict[str, Place] = {}
     motion: Place | None = None
-    interrupting: Place | None = None
-    back: Place | None = None
+    interrupt_motion: Place | None = None
+    return_motion: Place | None = None
     force: Place | None = None
     absent: dict[str, str] = {}
     jumps: Place | None = None
     resumes: Place | None = None
     parameter: Place | None = None
-    lasting: Place | None = None
+    lasting_write: Place | None = None
 
     def add(self, effects: Effects) -> None:
         """Add the effects of a called routine."""
         for name, place in effects.writes.items():
             self.writes.setdefault(name, place)
         self.force = self.force or effects.force
-        self._add_rest(effects)
+        self._add_common(effects)
 
     def add_action(self, effects: Effects) -> None:
         """Add the effects of an interrupt or a trigger."""
         for name, place in effects.writes.items():
             self.anytime.setdefault(name, place)
-        self._add_rest(effects)
+        self._add_common(effects)
 
-    def _add_rest(self, effects: Effects) -> None:
+    def _add_common(self, effects: Effects) -> None:
+        """Add the effects that a called routine and an action share: absent programs, motions, RESUME."""
         self.absent = effects.absent | self.absent
         self.motion = self.motion or effects.motion
-        self.back = self.back or effects.back
+        self.return_motion = self.return_motion or effects.return_motion
         self.resumes = self.resumes or effects.resumes
 
 
@@ -130,28 +132,28 @@ class Analysis:
         total = self._all.get(routine)
         if total is not None:
             return total
-        local_effects = self._of_routine(module, routine).effects
+        local_effects = self._direct_effects(module, routine).effects
         total = Effects(jumps=local_effects.jumps, parameter=local_effects.parameter)
-        for node in self._reached([(module, routine)]):
-            direct = self._of_routine(*node)
+        for node in self._reachable([(module, routine)]):
+            direct = self._direct_effects(*node)
             total.add(direct.effects)
-            self._add_later(total, direct)
+            self._add_action_effects(total, direct)
             for event in direct.public:
                 action = Effects()
-                self._add_later(action, event)
-                total.interrupting = total.interrupting or action.motion
-        total.motion = total.motion or total.back
+                self._add_action_effects(action, event)
+                total.interrupt_motion = total.interrupt_motion or action.motion
+        total.motion = total.motion or total.return_motion
         self._all[routine] = total
         return total
 
     def reached(self, module: Module, routine: Routine) -> set[Routine]:
         """Return the routine and all routines that it may call, directly or not, also by interrupts and triggers."""
-        return {callee for _, callee in self._reached([(module, routine)])}
+        return {callee for _, callee in self._reachable([(module, routine)])}
 
     def names(self, module: Module, routine: Routine) -> frozenset[str]:
         """Return the names, as they are stored, of all variables in the code of a routine and of all that it calls."""
         stored_names: set[str] = set()
-        for node in self._reached([(module, routine)]):
+        for node in self._reachable([(module, routine)]):
             if node[1] not in self._names:
                 source, scope = node[1].source, self.scope_of(*node)
                 spans = [source.code_span(line) for line in node[1].lines]
@@ -162,7 +164,7 @@ class Analysis:
 
     def cuts(self, module: Module, routine: Routine) -> bool:
         """Return whether a routine, or one that it calls, moves by other than PTP, which carries no force."""
-        for _, node in self._reached([(module, routine)]):
+        for _, node in self._reachable([(module, routine)]):
             for line in (*node.plain.tolist(), *node.lines):
                 stmt = statement(node.source, line)
                 if isinstance(stmt, Motion | Spline) and not stmt.word.startswith(_RAPID):
@@ -197,7 +199,7 @@ class Analysis:
                 return None, True
         return None, False
 
-    def noted(self, source: Source) -> tuple[int, ...]:
+    def force_comment_lines(self, source: Source) -> tuple[int, ...]:
         """Return the lines of a file with force comments."""
         if source not in self._noted:
             self._noted[source] = noted_lines(source)
@@ -210,40 +212,42 @@ class Analysis:
         """
         direct, total = _DirectEffects(has_actions=True), Effects()
         _Statement(self, module, routine, place, direct.action_effects, direct.action_callees, scope).read_event(event)
-        self._add_later(total, direct)
+        self._add_action_effects(total, direct)
         return total
 
-    def _add_later(self, total: Effects, direct: _DirectEffects) -> None:
+    def _add_action_effects(self, total: Effects, direct: _DirectEffects) -> None:
+        """Add the effects of the actions that a routine declares, and of all routines that these call."""
         if not direct.has_actions:
             return
         total.add_action(direct.action_effects)
-        total.lasting = total.lasting or direct.action_effects.parameter
-        for node in self._reached(direct.action_callees):
-            node_effects = self._of_routine(*node)
+        total.lasting_write = total.lasting_write or direct.action_effects.parameter
+        for node in self._reachable(direct.action_callees):
+            node_effects = self._direct_effects(*node)
             total.add_action(node_effects.effects)
             total.add_action(node_effects.action_effects)
-            total.lasting = total.lasting or node_effects.action_effects.parameter
+            total.lasting_write = total.lasting_write or node_effects.action_effects.parameter
 
-    def _reached(self, first: list[Callee]) -> Iterator[Callee]:
+    def _reachable(self, first: list[Callee]) -> Iterator[Callee]:
         """Yield routines and all that they call, the actions that they declare included."""
         waiting = list(first)
         queued_routines = {routine for _, routine in waiting}
         while waiting:
             node = waiting.pop()
             yield node
-            direct = self._of_routine(*node)
+            direct = self._direct_effects(*node)
             for following in (*direct.callees, *direct.action_callees):
                 if following[1] not in queued_routines:
                     queued_routines.add(following[1])
                     waiting.append(following)
 
-    def _of_routine(self, module: Module, routine: Routine) -> _DirectEffects:
+    def _direct_effects(self, module: Module, routine: Routine) -> _DirectEffects:
+        """Return the effects of the statements of a routine, called routines left out; each is read once."""
         direct = self._direct.get(routine)
         if direct is None:
             direct = self._direct[routine] = _DirectEffects()
             if routine.motion:
                 direct.effects.motion = Place(routine.source, routine.motion)
-            comment_lines = self.noted(routine.source)
+            comment_lines = self.force_comment_lines(routine.source)
             if (first := bisect_right(comment_lines, routine.first)) < bisect_left(comment_lines, routine.last):
                 direct.effects.force = Place(routine.source, comment_lines[first])
             for line in routine.lines:
@@ -291,7 +295,7 @@ class _Statement(Struct, eq=False):
 
     def read_event(self, event: Event) -> None:
         """Note the effects of an INTERRUPT or a TRIGGER: its action, and functions in condition, PATH and DELAY."""
-        self._calls(() if event.code is None else (event.code,))
+        self._note_calls(() if event.code is None else (event.code,))
         if event.action is not None:
             self.read(event.action)
 
@@ -305,7 +309,7 @@ class _Statement(Struct, eq=False):
                 self.effects.writes.setdefault(name, self.place)
             return
         if isinstance(stmt, Motion) and _leads_back(stmt):
-            self.effects.back = self.effects.back or self.place
+            self.effects.return_motion = self.effects.return_motion or self.place
         elif isinstance(stmt, Motion | Spline):
             self.effects.motion = self.effects.motion or self.place
         elif isinstance(stmt, For) and stmt.name:
@@ -314,12 +318,13 @@ class _Statement(Struct, eq=False):
             component = _COMPONENT.get(stmt.target.name)
             if component is None or stmt.target.field in (None, component):
                 self.writes(stmt.target.name)
-        self._calls(stmt.values)
+        self._note_calls(stmt.values)
 
-    def _calls(self, values: Iterable[Value]) -> None:
+    def _note_calls(self, values: Iterable[Value]) -> None:
+        """Note the calls in some values; none where brackets are not balanced."""
         try:
             for call in calls(values):
-                self._called(call)
+                self._note_call(call)
         except ProgramError:
             return
 
@@ -334,7 +339,8 @@ class _Statement(Struct, eq=False):
         elif any(parameter.name == name and not parameter.by_value for parameter in self.routine.parameters):
             self.effects.parameter = self.effects.parameter or self.place
 
-    def _called(self, call: Call) -> None:
+    def _note_call(self, call: Call) -> None:
+        """Note a call: variables given for parameters that it may write; the routine, or that it is in no file."""
         callee = self.analysis.library.find(call.name, self.module)
         parameters = callee[1].parameters if callee else ()
         for index, argument in enumerate(call.arguments):
@@ -345,7 +351,7 @@ class _Statement(Struct, eq=False):
         if callee is not None:
             self.callees.append(callee)
         elif call.name not in STANDARD:
-            self.effects.absent.setdefault(call.name, call.spelt(self.place.source))
+            self.effects.absent.setdefault(call.name, call.spelling(self.place.source))
 
 
 def _leads_back(motion: Motion) -> bool:

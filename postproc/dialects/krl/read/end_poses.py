@@ -132,9 +132,13 @@ class _Follower:
             return
         self.resumed[first] = self.present.numbers is None
         for part in chunks(last - first):
-            self._some(first + part.start, min(first + part.stop, last))
+            self._fill_in_rows(first + part.start, min(first + part.stop, last))
 
-    def _some(self, first: int, last: int) -> None:
+    def _fill_in_rows(self, first: int, last: int) -> None:
+        """Fill in missing components of absolute targets first … last − 1, a chunk, from the target before.
+
+        A running maximum of row numbers finds the latest given component of each column.
+        """
         block = self.numbers[first:last]
         is_missing = np.isnan(block)
         if is_missing.any():
@@ -306,7 +310,7 @@ def end_poses(
     is_ignored, constant = np.zeros(len(line), dtype=np.bool_), np.flatnonzero(control.constant)
     is_ignored[constant] = any_column(np.abs(own_angles - numbers[constant, 3:]) > _ANGLE_TOLERANCE)
     _check_ignored(trace, line, is_incomplete, moves, control.constant, is_ignored)
-    joints = Runs.few(numbers.shape, follower.joints)
+    joints = Runs.from_rows(numbers.shape, follower.joints)
     return EndPoses(numbers, pose, joints, start, follower.resumed, is_ignored, follower.circles)
 
 

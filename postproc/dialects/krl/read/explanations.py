@@ -19,7 +19,7 @@ from postproc.dialects.krl.language.values import (
     Value,
     walk,
 )
-from postproc.dialects.krl.read.known import NOTHING, Known, UnknownValue
+from postproc.dialects.krl.read.known import NO_VALUE, UnknownValue, VariableValue
 from postproc.dialects.krl.read.state import RELEVANT
 from postproc.dialects.krl.read.variables import Variables
 
@@ -31,12 +31,12 @@ def without_value(variables: Variables, source: Source, values: Iterable[Value])
         if not isinstance(value, Reference) or value.field is not None or value.name in RELEVANT:
             continue
         key = variables.key_of(value)
-        if key is not None and "@" not in key and variables.value(key) in (None, NOTHING):
+        if key is not None and "@" not in key and variables.value(key) in (None, NO_VALUE):
             spellings[source.text[value.start : value.stop]] = None
     return list(spellings)
 
 
-def why_unknown(variables: Variables, source: Source, value: Value | Known) -> str:
+def why_unknown(variables: Variables, source: Source, value: Value | VariableValue) -> str:
     """Return why a value is not known, for a message."""
     if isinstance(value, Position | UnknownValue):
         return "it is computed while the program runs"
@@ -60,8 +60,8 @@ def why_unknown(variables: Variables, source: Source, value: Value | Known) -> s
         return f"{text}: {result.why}"
     if isinstance(value, Reference) and value.name[0] == "$":
         result = variables.looked_up(value)
-        if isinstance(result, UnknownValue) and result != NOTHING:
-            return result.said(text)
+        if isinstance(result, UnknownValue) and result != NO_VALUE:
+            return result.message_for(text)
         return f"{text} is computed while the program runs"
     if isinstance(value, OpaqueText | Condition | Call | Operation):
         return f"{text} is computed while the program runs"
@@ -74,7 +74,7 @@ def why_unknown(variables: Variables, source: Source, value: Value | Known) -> s
             return f"the index of {text} is not known before the program runs{suffix}"
         result = variables.looked_up(value)
         if isinstance(result, UnknownValue):
-            return result.said(text)
+            return result.message_for(text)
     return f"{text} has the wrong type here"
 
 
@@ -86,10 +86,10 @@ def why_not_decided(variables: Variables, source: Source, values: Sequence[Value
     for call in calls(values):
         if variables.functions.pure(call):
             continue
-        return f": it asks {call.spelt(source)}()"
+        return f": it asks {call.spelling(source)}()"
     for part in walk(values):
-        result = variables.looked_up(part) if isinstance(part, Reference) else NOTHING
-        if isinstance(result, UnknownValue) and result != NOTHING:
+        result = variables.looked_up(part) if isinstance(part, Reference) else NO_VALUE
+        if isinstance(result, UnknownValue) and result != NO_VALUE:
             return f": {why_unknown(variables, source, part)}"
     for part in walk(values):
         if isinstance(part, Operation) and not isinstance(variables.evaluate(part), Number):

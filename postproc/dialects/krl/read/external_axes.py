@@ -45,11 +45,11 @@ def external_axes(
         given_rows = np.flatnonzero(~np.isnan(values))
         step_rows = np.flatnonzero(np.abs(steps[:, axis]) > _AXIS_TOLERANCE)
         if len(step_rows):
-            raise _moves(trace, axis, f"by {steps[step_rows[0], axis]:g}", int(rows.line[step_rows[0]]))
+            raise _motion_error(trace, axis, f"by {steps[step_rows[0], axis]:g}", int(rows.line[step_rows[0]]))
         moving = given_rows[np.abs(values[given_rows] - values[given_rows[:1]]) > _AXIS_TOLERANCE]
         if len(moving):
             change = f"from {values[given_rows[0]]:g} to {values[moving[0]]:g}"
-            raise _moves(trace, axis, change, int(rows.line[moving[0]]))
+            raise _motion_error(trace, axis, change, int(rows.line[moving[0]]))
         if len(given_rows) and abs(values[given_rows[0]]) > _AXIS_TOLERANCE:
             issues.append(_fixed_axis(axis, values[given_rows[0]], int(rows.line[given_rows[0]]), len(given_rows)))
     if direction is None or (np.isnan(external[:, 0]).all() and not steps[:, 0].any()):
@@ -68,7 +68,7 @@ def external_axes(
         and rows.kind[assumed_starts[0]] != PTP
         and (predecessors is None or predecessors[assumed_starts[0]] != assumed_starts[0])
     ):
-        issues.append(_start(float(end[assumed_starts[0]]), int(rows.line[assumed_starts[0]])))
+        issues.append(_assumed_start_warning(float(end[assumed_starts[0]]), int(rows.line[assumed_starts[0]])))
     begin = np.where(np.isnan(begin), end, begin)
     return issues, Carriage(np.nan_to_num(begin) * M_PER_MM, np.nan_to_num(end) * M_PER_MM, direction)
 
@@ -92,7 +92,12 @@ def _along(positions: Array, steps: Array, predecessors: Ints | None) -> tuple[A
     return begin, end
 
 
-def _moves(trace: Trace, axis: int, change: str, line: int) -> ProgramError:
+def _motion_error(trace: Trace, axis: int, change: str, line: int) -> ProgramError:
+    """Return the error that an external axis moves.
+
+    :param axis: 0 for E1.
+    :param change: from where to where, for the message.
+    """
     name = EXTERNAL[axis]
     advice = "Only external axes that do not move are supported."
     if axis == 0:
@@ -119,7 +124,8 @@ def _fixed_axis(axis: int, value: float, line: int, count: int) -> Issue:
     return Issue("warning", "external-axis", message, line, count=count, subject=name)
 
 
-def _start(value: float, line: int) -> Issue:
+def _assumed_start_warning(value: float, line: int) -> Issue:
+    """Return the warning that a motion is assumed to begin with E1 at a value [mm or deg]."""
     message = (
         f"The position of E1 before this line is not given: this motion is taken to begin with E1 at {value:g}. "
         "Give E1 in a PTP before it."

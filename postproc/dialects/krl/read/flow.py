@@ -141,12 +141,13 @@ class Flow:
         """
         if isinstance(node, int):
             return self._statement_moves(source, node)
-        comment_lines = self.run.analysis.noted(source)
+        comment_lines = self.run.analysis.force_comment_lines(source)
         return bisect_left(comment_lines, node.first) < bisect_left(comment_lines, node.last) or self._moves(
             source, node
         )
 
     def _moves(self, source: Source, node: Block) -> bool:
+        """Return whether a control structure moves the robot or calls what does; the result is stored."""
         module = self.run.level.module
         key = node, module
         if key not in self._moving:
@@ -157,6 +158,7 @@ class Flow:
         return self._moving[key]
 
     def _statement_moves(self, source: Source, line: int) -> bool:
+        """Return whether a statement moves the robot, calls a routine that does, or is a GOTO."""
         stmt = statement(source, line)
         if isinstance(stmt, (tree.Goto, tree.Spline)):
             return True  # the motions after a GOTO depend on it
@@ -182,6 +184,7 @@ class Flow:
     # --- statements --------------------------------------------------------------------------------------------------
 
     def _statement(self, at: Place, stmt: tree.Statement) -> None:
+        """Follow a statement; EXIT and GOTO end the round or the routine that is followed."""
         level, word = self.run.level, stmt.word
         if level.traced:
             self._reach(at.line)
@@ -205,6 +208,7 @@ class Flow:
         run.row = line + run.shift
 
     def _guarded(self, at: Place, stmt: tree.Statement) -> None:
+        """Follow a statement; an error in a traced routine is noted, so that later ones are reported too."""
         try:
             self.interpreter.statement(at, stmt)
         except InexactError:
@@ -215,6 +219,10 @@ class Flow:
             self._fault(at, cause)
 
     def _count(self, at: Place) -> None:
+        """Count a statement that runs.
+
+        :raises InexactError: more statements run than are followed.
+        """
         if self._still or not self.run.level.traced:
             self.run.steps += 1
             if self.run.steps > MOST_STATEMENTS:
@@ -280,6 +288,7 @@ class Flow:
             raise inexact(at, cause.problem, cause.advice, routine) from None
 
     def _moves_robot(self, call: Call) -> bool:
+        """Return whether a call, directly or not, moves the robot."""
         callee = self.interpreter.calls.moving(call)
         return callee is not None and self.run.analysis.of(*callee).motion is not None
 
@@ -291,6 +300,7 @@ class Flow:
         values, state = run.variables.as_now() if run.keep else None, run.settings.state
 
         def undo() -> None:
+            """Restore the run, the trace and the open calls."""
             if values is not None:
                 run.variables.as_then(values)
                 run.settings.change(run.row, state)
@@ -302,6 +312,7 @@ class Flow:
         return undo
 
     def _inlined(self, at: Place, call: Call, recorder: Recorder, module: Module, routine: Routine) -> None:
+        """Record the call of a routine with motions, follow its statements, and return to the caller."""
         run = self.run
         recorder.run_to(at.line - 1)
         recorder.enter(at, (call.start, call.start + len(call.name)), module, routine)
@@ -319,6 +330,7 @@ class Flow:
     # --- control structures ------------------------------------------------------------------------------------------
 
     def _block(self, source: Source, block: Block) -> None:
+        """Follow a control structure: exactly if its branches are known, else by what it may change."""
         if self.recorder is not None and self.run.level.traced and self.matters(source, block):
             self._kept(source, block, self.recorder)
             return
@@ -555,6 +567,11 @@ class Flow:
         return -1
 
     def _loop(self, source: Source, block: Block, recorder: Recorder | None) -> None:
+        """Follow the rounds of a loop, and record them if it matters.
+
+        :param recorder: records the trace; None for a loop without motions.
+        :raises InexactError: the number of rounds is not known, or too large.
+        """
         level, part = self.run.level, block.parts[0]
         words = {statement(source, line).word for line in block.lines()}
         if block.word == "LOOP" and words.isdisjoint(ENDS_LOOPS):
@@ -698,7 +715,7 @@ class Flow:
         :param closing: lines that close it before its last.
         :raises ProgramError: there is one.
         """
-        comment_lines = self.run.analysis.noted(source)
+        comment_lines = self.run.analysis.force_comment_lines(source)
         for line in (block.first, *closing, block.last):
             if line in comment_lines[bisect_left(comment_lines, line) :][:1]:
                 problem = f"a force comment is on the line of {statement(source, line).word}"
@@ -781,6 +798,10 @@ class Flow:
         return block.word != "WHILE" or self._holds(source, block.first)
 
     def _holds(self, source: Source, line: int) -> bool:
+        """Return whether the condition of WHILE or UNTIL on a line holds.
+
+        :raises InexactError: it is not known before run time.
+        """
         stmt, holds = statement(source, line), None
         self.run.place = Place(source, line)
         if isinstance(stmt, tree.While):

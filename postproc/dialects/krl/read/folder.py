@@ -25,7 +25,7 @@ from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.tokens import occurrences
 from postproc.dialects.krl.read import plain_lines
 from postproc.dialects.text import decode
-from postproc.errors import ProgramError, together
+from postproc.errors import ProgramError, combined_error
 from postproc.program import Document, NeededFile
 
 _LARGEST = 20_000_000
@@ -47,7 +47,7 @@ class FolderFiles:
     def paths(self) -> dict[str, Path]:
         """The files by name, upper case."""
         by_name: dict[str, Path] = {}
-        for path in _listed(self._folders):
+        for path in _program_files(self._folders):
             by_name.setdefault(path.name.upper(), path)
         for name, document in self._given.items():
             by_name.setdefault(name, Path(document.folder) / document.name)
@@ -67,7 +67,9 @@ class FolderFiles:
 
         :param own_routines: names, upper case, of the other routines of its file: they come first.
         """
-        paths = {name: self.paths.get(f"{name}.SRC") for name in scan.called(code) - own_routines - _OF_THE_CONTROLLER}
+        paths = {
+            name: self.paths.get(f"{name}.SRC") for name in scan.called_names(code) - own_routines - _OF_THE_CONTROLLER
+        }
         callees = {self._public.get(name) if path is None else path for name, path in paths.items()}
         return {path for path in callees if path is not None}
 
@@ -117,11 +119,12 @@ def moving(paths: Sequence[Path], search: Sequence[Path]) -> dict[Path, set[Path
 
     @cache
     def called(path: Path) -> tuple[bool, set[Path]]:
+        """Return whether a file has motions, and the files that it calls."""
         try:
             code = scan.without_comments(decode(path.name, path.read_bytes()).text)
         except (OSError, ProgramError):  # what calls it says so
             return False, set()
-        return scan.moves(code), files.called(code)
+        return scan.has_motion(code), files.called(code)
 
     moving_files: dict[Path, set[Path]] = {}
     for path in paths:
@@ -134,7 +137,8 @@ def moving(paths: Sequence[Path], search: Sequence[Path]) -> dict[Path, set[Path
     return moving_files
 
 
-def _listed(folders: Sequence[Path]) -> Iterator[Path]:
+def _program_files(folders: Sequence[Path]) -> Iterator[Path]:
+    """Yield the `.src`, `.dat` and `.sub` files of folders, sorted in each; none of a folder that cannot be read."""
     for folder in folders:
         try:
             yield from sorted(path for path in folder.iterdir() if path.suffix.upper() in (".SRC", ".DAT", ".SUB"))
@@ -148,11 +152,15 @@ def calls_in(path: Path) -> set[str]:
         text = path.read_bytes().decode("latin-1") if path.stat().st_size <= _LARGEST else ""
     except OSError:
         return set()
-    return scan.called(scan.without_comments(text))
+    return scan.called_names(scan.without_comments(text))
 
 
 @lru_cache(maxsize=4096)
 def _names_in(path: Path, find: Callable[[str], frozenset[str]], mtime: int, size: int) -> frozenset[str]:
+    """Return the names that a function of `language.scan` finds in a file; none where it cannot be read.
+
+    :param mtime: time of the last change [ns]; with `size` [bytes] it is part of the cache's key.
+    """
     del mtime, size  # a file that changes is read again
     try:
         return find(path.read_bytes().decode("latin-1"))
@@ -179,7 +187,7 @@ class Library:
         if routine is not None:
             return caller, routine
         if name not in self._found:
-            self._found[name] = self._search(name)
+            self._found[name] = self._find_routine(name)
         return self._found[name]
 
     def submit(self) -> Iterator[Module]:
@@ -223,11 +231,15 @@ class Library:
         writer_names: dict[str, list[str]] = {}
         for file, path in self.files.paths.items() if names else ():
             if file.endswith(".SRC") and file not in read and path.stem.upper() not in _OF_THE_CONTROLLER:
-                for name in names & self.files.declared(path, scan.assigned):
+                for name in names & self.files.declared(path, scan.assigned_variables):
                     writer_names.setdefault(name, []).append(path.name)
         return {name: tuple(sorted(writer_names[name])) for name in sorted(writer_names)}
 
-    def _search(self, name: str) -> tuple[Module, Routine] | None:
+    def _find_routine(self, name: str) -> tuple[Module, Routine] | None:
+        """Return a routine by its name, upper case, with its file; None if it is in no file.
+
+        The program's own routines come first, then the file of that name, then GLOBAL routines of other files.
+        """
         program = self.program.routines.get(name)
         if program is not None and (program.public or name == self.program.name):
             return self.program, program
@@ -245,16 +257,18 @@ class Library:
         return None
 
     def _module(self, path: Path, name: str = "") -> Module | None:
+        """Return the routines of a file, read once; None if it cannot be read: `faults` says why."""
         if path not in self._modules:
             self._modules[path] = None
             try:
                 source = self.files.source(path)
-                self._modules[path] = module_of(source, self._data(path))
+                self._modules[path] = module_of(source, self._data_source(path))
             except ProgramError as cause:
                 self.faults[name] = str(cause)
         return self._modules[path]
 
-    def _data(self, path: Path) -> Source | None:
+    def _data_source(self, path: Path) -> Source | None:
+        """Return the `.dat` next to a `.src`; None without a readable one."""
         data = self.files.paths.get(f"{path.stem.upper()}.DAT")
         if data is None or data.parent != path.parent:
             return None
@@ -274,7 +288,7 @@ def module_of(source: Source, data: Source | None = None) -> Module:
     is_other_line[plain - 1] = False
     by_name, faults = routines(source, (np.flatnonzero(is_other_line) + 1).tolist(), plain)
     if faults:
-        raise together(faults)
+        raise combined_error(faults)
     return Module(source, by_name, data)
 
 
@@ -364,19 +378,19 @@ class _Links:
             variable_names = (names & self.variables.keys()) - code.names
             self.named |= variable_names
             for name in sorted(variable_names):
-                self._use(self.variables[name])
+                self._note_data(self.variables[name])
 
     def follow_data(self, text: str) -> None:
         """Note the files from which a data list takes variables."""
-        data_names = {name for stem in scan.imported(text) if (name := f"{stem}.DAT") in self.siblings}
+        data_names = {name for stem in scan.imported_files(text) if (name := f"{stem}.DAT") in self.siblings}
         self.imported |= data_names
-        self._use(data_names)
+        self._note_data(data_names)
 
     def needed(self, name: str, moving: Collection[str]) -> NeededFile:
         """Return a file that was found, as the program needs it."""
         path, source = self.siblings[name], self.siblings.get(f"{PurePath(name).stem}.SRC")
         if name in self.called:
-            uncorrected = name.endswith(".SRC") and scan.moves(scan.without_comments(self._text(path)))
+            uncorrected = name.endswith(".SRC") and scan.has_motion(scan.without_comments(self._text(path)))
             return NeededFile(str(path), moves=name in moving, uncorrected=uncorrected)
         if source is None or not self._moves(source):
             return NeededFile(str(path), moves=False)
@@ -384,12 +398,14 @@ class _Links:
         variables = () if name in self.imported else variables
         return NeededFile(str(path), moves=False, program=source.name, variables=variables)
 
-    def _use(self, names: Collection[str]) -> None:
+    def _note_data(self, names: Collection[str]) -> None:
+        """Note data lists of which variables are used, and those from which they import."""
         for name in sorted(set(names) - self.used):
             self.used.add(name)
             self.follow_data(self._text(self.siblings[name]))
 
     def _follow_file(self, name: str) -> None:
+        """Note a called file, its `.dat`, and the files that these name."""
         data = self.siblings.get(f"{PurePath(name).stem}.DAT")
         if data is not None:
             self.called.add(data.name.upper())
@@ -406,9 +422,10 @@ class _Links:
 
     def _moves(self, path: Path) -> bool:
         """Return whether a file moves the robot, or one that it calls."""
-        return any(map(scan.moves, self.files.reached(self._text(path))))
+        return any(map(scan.has_motion, self.files.reached(self._text(path))))
 
     def _text(self, path: Path) -> str:
+        """Return the text of a file; empty where it cannot be read."""
         try:
             return self.files.source(path).text
         except ProgramError:  # it is needed all the same

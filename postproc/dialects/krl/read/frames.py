@@ -7,11 +7,18 @@ import re
 import numpy as np
 
 from postproc.cell import Cell
-from postproc.dialects.krl.language.positions import CARTESIAN, FARTHEST, HALF_TURN, LARGEST_B, Position, from_pose
+from postproc.dialects.krl.language.positions import (
+    CARTESIAN,
+    HALF_TURN,
+    LARGEST_B,
+    LARGEST_COORDINATE,
+    Position,
+    from_pose,
+)
 from postproc.dialects.krl.language.source import Place
 from postproc.dialects.krl.language.values import Call, Number, Reference, Value
 from postproc.dialects.krl.read.explanations import why_unknown
-from postproc.dialects.krl.read.known import NOTHING, Known, UnknownValue
+from postproc.dialects.krl.read.known import NO_VALUE, UnknownValue, VariableValue
 from postproc.dialects.krl.read.state import FIELDS, Reasons, State
 from postproc.dialects.krl.read.variables import ANGLES, Variables, component, with_component
 from postproc.errors import ProgramError
@@ -43,7 +50,7 @@ class Frames:
         self._rows: dict[tuple[str, tuple[float, ...]], int] = {}
         self._folded: set[tuple[str, int]] = set()
 
-    def assigned(self, state: State, at: Place, target: Reference, value: Value | Known) -> State:
+    def assigned(self, state: State, at: Place, target: Reference, value: Value | VariableValue) -> State:
         """Return the state behind ``$BASE = value`` or ``$TOOL = value``, or that of a component of it.
 
         :raises ProgramError: the base is moved while the program runs.
@@ -53,7 +60,7 @@ class Frames:
             number = self.variables.argument(value, "BASE_NO" if value.name == "SBASE" else "TOOL_NO")
             if not isinstance(number, Number):
                 text = at.source.text[value.start : value.stop]
-                reason = why_unknown(self.variables, at.source, number or NOTHING)
+                reason = why_unknown(self.variables, at.source, number or NO_VALUE)
                 return self.unknown(state, name, at, f"{text}: the number is not known: {reason}")
             return self.numbered(state, at, name, int(number.value))
         if isinstance(value, Call) and value.name == "EK":
@@ -62,7 +69,7 @@ class Frames:
             return self.unknown(state, name, at, "its component is not understood")
         if isinstance(value, Reference) and value.name in ("BASE_DATA", "TOOL_DATA") and value.field is None:
             key = self.variables.key_of(value)
-            return self._named(state, at, name, value, key or value.name)
+            return self._with_named_frame(state, at, name, value, key or value.name)
         if target.field is not None:
             position = self._with_field(state, target, value)
         else:
@@ -71,14 +78,14 @@ class Frames:
             return self.unknown(state, name, at, why_unknown(self.variables, at.source, value))
         if not position.complete:
             return self.unknown(state, name, at, _lacking(position))
-        if position.farthest > FARTHEST:
-            raise out_of_reach(at, position.farthest)
-        return self._put(state, name, position)
+        if position.largest_coordinate > LARGEST_COORDINATE:
+            raise out_of_reach(at, position.largest_coordinate)
+        return self._with_frame(state, name, position)
 
     def numbered(self, state: State, at: Place, name: str, number: int) -> State:
         """Return the state behind ``$BASE=BASE_DATA[number]`` or ``$TOOL=TOOL_DATA[number]``."""
         key = f"{name[1:]}_DATA[{number}]"
-        return self._named(state, at, name, _numbered(f"{name[1:]}_DATA", number), key)
+        return self._with_named_frame(state, at, name, _numbered(f"{name[1:]}_DATA", number), key)
 
     def unknown(self, state: State, name: str, at: Place, reason: str) -> State:
         """Return a state in which `$BASE` or `$TOOL` is not known."""
@@ -94,7 +101,7 @@ class Frames:
         frame = self.bases[0] if name == "$BASE" else self.tools[0]
         return position is not None and bool(np.abs(position.pose() - frame).max() < _FRAME_TOLERANCE)
 
-    def current(self, state: State, name: str, field: str | None) -> Known:
+    def current(self, state: State, name: str, field: str | None) -> VariableValue:
         """Return `$BASE` or `$TOOL` as it is in force, or a component of it."""
         row, frames = (state.base, self.bases) if name == "$BASE" else (state.tool, self.tools)
         if row < 0:
@@ -106,9 +113,9 @@ class Frames:
             return position
         if field in ANGLES and (name, row) in self._folded:
             return UnknownValue(why=f"whether {field} is kept as it was given is in no source")
-        return component(position, field) if field in CARTESIAN else NOTHING
+        return component(position, field) if field in CARTESIAN else NO_VALUE
 
-    def _with_field(self, state: State, target: Reference, value: Value | Known) -> Position | None:
+    def _with_field(self, state: State, target: Reference, value: Value | VariableValue) -> Position | None:
         """Return the frame in force with another component; None if that is not known."""
         name, field = target.name, target.field or ""
         whole, number = self.current(state, name, None), self.variables.number(value)
@@ -117,24 +124,29 @@ class Frames:
             return None
         return with_component(whole, field, number)
 
-    def _named(self, state: State, at: Place, name: str, reference: Reference, key: str) -> State:
+    def _with_named_frame(self, state: State, at: Place, name: str, reference: Reference, key: str) -> State:
+        """Return the state with `$BASE` or `$TOOL` set to a variable, stored as `key`; unknown if its value is."""
         position = self.variables.position(reference)
-        if position is not None and position.farthest > FARTHEST:
-            raise out_of_reach(at, position.farthest)
+        if position is not None and position.largest_coordinate > LARGEST_COORDINATE:
+            raise out_of_reach(at, position.largest_coordinate)
         if position is None:
             value = self.variables.evaluate(reference)
             reason = f"{key} is neither in the cell nor in the $config.dat"
-            if isinstance(value, UnknownValue) and value != NOTHING:
-                reason = value.said(key)
+            if isinstance(value, UnknownValue) and value != NO_VALUE:
+                reason = value.message_for(key)
             return self.unknown(state, name, at, reason)
         if not position.complete:
             return self.unknown(state, name, at, f"{_lacking(position)} in {key}")
-        state = self._put(state, name, position)
+        state = self._with_frame(state, name, position)
         if name == "$TOOL" and (number := _ELEMENT.search(key)):
             self.tool_numbers.setdefault(state.tool, set()).add(int(number[1]))
         return state
 
-    def _put(self, state: State, name: str, position: Position) -> State:
+    def _with_frame(self, state: State, name: str, position: Position) -> State:
+        """Return the state with `$BASE` or `$TOOL` at a position.
+
+        Equal frames share a row of the table, so that motions can be grouped by it.
+        """
         row = self._rows.get((name, position.values))
         if row is None:
             frames = self.bases if name == "$BASE" else self.tools
@@ -168,5 +180,5 @@ def _lacking(position: Position) -> str:
 
 
 def out_of_reach(at: Place, number: float) -> ProgramError:
-    """Return the error for a coordinate beyond `FARTHEST`."""
+    """Return the error for a coordinate beyond `LARGEST_COORDINATE`."""
     return at.error(f"{number:g} is out of any robot's reach", "Coordinates are in mm and degrees.")

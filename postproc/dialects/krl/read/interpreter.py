@@ -19,9 +19,9 @@ from postproc.dialects.krl.language.values import Call, OpaqueText, Reference, U
 from postproc.dialects.krl.read.calls import IN_ORDER, Calls
 from postproc.dialects.krl.read.data_lists import declare
 from postproc.dialects.krl.read.explanations import why_not_decided, why_unknown, without_value
-from postproc.dialects.krl.read.known import NOTHING, Known, UnknownValue, inexact, stored_originals
+from postproc.dialects.krl.read.known import NO_VALUE, UnknownValue, VariableValue, inexact, stored_originals
 from postproc.dialects.krl.read.run import SETTING_ADVICE, Run
-from postproc.dialects.krl.read.state import RELEVANT, STORED, State
+from postproc.dialects.krl.read.state import RELEVANT, STORED_VARIABLES, State
 from postproc.dialects.krl.read.variables import Variables, converted
 
 _CLOSING = {closing: opening for opening, closing in OPENING.items()} | {"UNTIL": "REPEAT"}
@@ -113,7 +113,7 @@ class Interpreter:
         else:
             return False
         if word in _CONDITIONS:
-            self._condition(at, stmt)
+            self._control_statement(at, stmt)
         return True
 
     def _timed(self, at: Place, stmt: tree.SplineTiming) -> None:
@@ -132,6 +132,10 @@ class Interpreter:
             self.run.triggers.append(self.run.row)
 
     def _return(self, at: Place, stmt: tree.Return) -> None:
+        """Follow RETURN: the routine ends, with its value if it is a function.
+
+        :raises InexactError: it is not known whether it runs.
+        """
         level = self.run.level
         if not self.run.certain:
             if not level.traced or len(self.run.stack) > 1:
@@ -141,7 +145,8 @@ class Interpreter:
             level.result = converted(self.calls.value(at, stmt.value), level.routine.result)
         level.returned = level.returned or at.line
 
-    def _condition(self, at: Place, stmt: tree.Statement) -> None:
+    def _control_statement(self, at: Place, stmt: tree.Statement) -> None:
+        """Follow the functions in the head of a control structure; the counter of a FOR has no known value then."""
         self.follow_functions(at, stmt.values)
         if isinstance(stmt, tree.For) and stmt.name:
             self.run.variables.forget(self.run.stored(stmt.name), str(at))
@@ -200,6 +205,7 @@ class Interpreter:
             )
 
     def _bas(self, at: Place, stmt: tree.Statement) -> None:
+        """Follow BAS: it sets speeds, frames and modes by its command."""
         if isinstance(stmt, tree.FaultyStatement):
             raise stmt.error
         if not isinstance(stmt, tree.CallStatement) or not stmt.call.arguments:
@@ -236,7 +242,7 @@ class Interpreter:
             raise at.error(
                 f"{name} superposes a motion on the path", "Only programs that leave it #OFF are understood."
             )
-        if name.startswith("$") and name not in STORED:
+        if name.startswith("$") and name not in STORED_VARIABLES:
             self.run.variables.forget(name, str(at))
             return
         if target.field is None and self.run.in_main:
@@ -246,11 +252,11 @@ class Interpreter:
             self.run.variables.forget(self.run.stored(name), self._which_element(at, target, expression))
         elif not self.run.certain or key is None or target.indices == ():
             self.run.variables.forget(self.run.stored(name), str(at))
-        elif value == NOTHING and name == "$H_POS" and target.field is None:
+        elif value == NO_VALUE and name == "$H_POS" and target.field is None:
             return
         else:
             unclear = isinstance(value, UnknownValue) and not (value.where if value.why else target.field is None)
-            if value == NOTHING or unclear:
+            if value == NO_VALUE or unclear:
                 value = UnknownValue(str(at), why_unknown(self.run.variables, at.source, expression))
             if target.field is None:
                 self.run.copy(expression, value, name)
@@ -276,7 +282,7 @@ class Interpreter:
 
     def _set_to(self, at: Place, target: Reference, expression: Value) -> None:
         """Follow an assignment to a variable of the controller that motions depend on."""
-        value: Value | Known = expression
+        value: Value | VariableValue = expression
         if isinstance(expression, UnreadableText):
             raise expression.error
         if isinstance(expression, OpaqueText) and expression.rest >= 0:

@@ -86,8 +86,8 @@ def _never_reached(main: MainRoutine) -> Iterator[Issue]:
     routine, source, end = main.run.routine, main.run.routine.source, main.run.level.returned
     if not end or main.course.live is None or not isinstance(statement(source, end), Return):
         return
-    others = [line for line in routine.others if line > end and isinstance(statement(source, line), Motion)]
-    lines = np.sort([*routine.plain[routine.plain > end].tolist(), *others]).astype(np.int64)
+    motion_lines = [line for line in routine.others if line > end and isinstance(statement(source, line), Motion)]
+    lines = np.sort([*routine.plain[routine.plain > end].tolist(), *motion_lines]).astype(np.int64)
     rows, index = main.course.rows_of(source, lines)
     lines = np.delete(lines, index[main.course.live[rows - 1]])
     if len(lines):
@@ -146,7 +146,7 @@ def refuse_noted(run: Run) -> None:
     for call in run.moved:
         force = run.analysis.of(call.module, call.routine).force
         if force is not None and run.analysis.cuts(call.module, call.routine):
-            raise _loaded(run, call, f": it contains a force comment ({force})")
+            raise _uncorrected_error(run, call, f": it contains a force comment ({force})")
 
 
 def refuse_loaded(run: Run, notes: Sequence[tuple[int, ForceNote]]) -> None:
@@ -158,19 +158,23 @@ def refuse_loaded(run: Run, notes: Sequence[tuple[int, ForceNote]]) -> None:
     for call in run.moved:
         acting_notes = [note for line, note in notes if line < call.row][-1:]
         if acting_notes and any(acting_notes[0].wrench) and run.analysis.cuts(call.module, call.routine):
-            raise _loaded(run, call, ": a force comment holds there")
+            raise _uncorrected_error(run, call, ": a force comment holds there")
 
 
 def unfollowed(run: Run) -> tuple[UnfollowedCall, ...]:
     """Return the calls of routines that are not followed and cut."""
     return tuple(
-        UnfollowedCall(run.trace.shown_line(call.row), _loaded(run, call))
+        UnfollowedCall(run.trace.shown_line(call.row), _uncorrected_error(run, call))
         for call in run.moved
         if run.analysis.cuts(call.module, call.routine)
     )
 
 
-def _loaded(run: Run, call: UntracedCall, force: str = "") -> ProgramError:
+def _uncorrected_error(run: Run, call: UntracedCall, force: str = "") -> ProgramError:
+    """Return the error that a called routine would stay uncorrected under force.
+
+    :param force: suffix of the message: which force.
+    """
     cause, at = call.cause, run.trace.place(call.row)
     place_text = f"{at.source.document.name}, line {at.line}"
     problem = f"{cause.problem}; {call.name}(), called in {place_text}, would stay uncorrected under force{force}"

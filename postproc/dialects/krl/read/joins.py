@@ -77,6 +77,8 @@ class _Successors:
         return self._known[number]
 
     def _to_joints(self, number: int) -> bool:
+        """Return what `to_joints` does, from the step behind: a motion, a fork, a branch, a join, or the end."""
+        """Return whether a motion is a PTP to six joint angles."""
         lines, step = self._ordered.rows.line, self.steps[number]
         next_step = self.steps[number + 1] if number + 1 < len(self.steps) else None
         row = int(np.searchsorted(lines, step.row, side="right"))
@@ -90,6 +92,7 @@ class _Successors:
         return self.to_joints(number + 1 if isinstance(next_step, Join) else self._parts(number)[1])
 
     def _complete(self, number: int) -> bool:
+        """Return whether the step is a join one of whose branches runs for certain."""
         join = self.steps[number]
         return isinstance(join, Join) and join.complete
 
@@ -152,6 +155,7 @@ def branching(
     previous_row, row_count = -1, 0
 
     def run_to(row: int) -> None:
+        """Make motions up to `row` follow each other; the first of them begins at the end of `previous_row`."""
         nonlocal previous_row, row_count
         if row > row_count:
             if branch_predecessors[row_count] != row_count:
@@ -321,6 +325,7 @@ def _why(sequence: OrderedMotions, row: int) -> str:
 def _branch_error(
     course: Course, forks: Mapping[int, set[Occasion]], fork: int, problem: str, advice: str = _BRANCH_ADVICE
 ) -> BranchError:
+    """Return the error of a motion in a branch, at the fork of that branch."""
     base = course.trace.error(f"motion in branches whose condition is not known: {problem}", fork, advice)
     error = BranchError(base.problem, file=base.file, line=base.line, text=base.text, advice=base.advice)
     error.occasions = frozenset(forks[fork])

@@ -27,7 +27,7 @@ class UnknownValue(Struct, frozen=True):
     where: str = ""
     why: str = ""
 
-    def said(self, name: str) -> str:
+    def message_for(self, name: str) -> str:
         """Return for a message that a variable has no known value, and why."""
         if self.why:
             return f"{name} is set to a value that is not known ({': '.join(filter(None, (self.where, self.why)))})"
@@ -36,10 +36,10 @@ class UnknownValue(Struct, frozen=True):
         return f"{name} has no value in the program, its .dat, the $config.dat or [krl.values] of the cell"
 
 
-NOTHING = UnknownValue()
+NO_VALUE = UnknownValue()
 
 
-Known = Number | Word | Aggregate | Position | UnknownValue
+VariableValue = Number | Word | Aggregate | Position | UnknownValue
 
 
 class UnparsedValue(Struct, frozen=True):

@@ -90,6 +90,10 @@ class LeastStatements:
         return count
 
     def _of_block(self, source: Source, block: Block, module: Module, *, left: bool) -> int:
+        """Return a lower bound on the number of statements that a control structure runs.
+
+        :param left: whether EXIT may end it early; the bound is 0 then.
+        """
         if block.word == "IF" and len(block.parts) > 1:
             return min(self._of_nodes(source, part.nodes, module) for part in block.parts)
         stmt = statement(source, block.first)

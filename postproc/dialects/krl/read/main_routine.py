@@ -30,7 +30,7 @@ from postproc.dialects.krl.language.names import MOTION_WORDS, RESERVED, fault_o
 from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.routines import Routine
 from postproc.dialects.krl.language.source import Place, Source
-from postproc.dialects.krl.language.structures import Block, Node, checked, nodes_of, outside
+from postproc.dialects.krl.language.structures import Block, Node, checked_nodes, is_outside, nodes_of
 from postproc.dialects.krl.language.tokens import NAME
 from postproc.dialects.krl.language.trace import Trace
 from postproc.dialects.krl.language.tree import CallStatement, For, Goto, Motion, Return, Statement
@@ -48,7 +48,7 @@ from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.state import FIELDS
 from postproc.dialects.krl.read.tracing import Recorder
 from postproc.dialects.krl.read.variables import Variables
-from postproc.errors import MAX_ERRORS, ProgramError, together
+from postproc.errors import MAX_ERRORS, ProgramError, combined_error
 from postproc.program import Bools, Ints
 
 _MOST_SETTINGS = 1000
@@ -109,16 +109,18 @@ def _course(start: Start, *, collects: bool) -> tuple[Course, CollectedMotions |
     run, settings = collected.run, collected.run.settings
     reserved_names = library.programs() if settings.cell.output.lines_per_file else frozenset[str]()
     lines, free_settings = _one_by_one(main.source, main.others, main.settings)
-    nodes = checked(main.source, nodes_of(main.source, lines))
+    nodes = checked_nodes(main.source, nodes_of(main.source, lines))
     settings.follows_numbers = len(free_settings) <= _MOST_SETTINGS  # else plain ones are no statements here
     run.is_final = collects and settings.follows_numbers
 
     def taken(at: Place, stmt: Statement) -> None:
+        """Follow the functions in a motion, and collect it while nothing is in doubt."""
         flow.interpreter.follow_functions(at, stmt.values)  # they may change what a condition depends on
         if run.is_final and recorder.is_final:
             collected.take(at, stmt)
 
     def wrong(_at: Place, _cause: ProgramError) -> None:
+        """Note that a statement has an error: it is reported when the recorded trace is followed."""
         run.is_final = False  # reported when the trace is followed
 
     flow = Flow(run, taken, wrong, recorder)
@@ -254,7 +256,9 @@ class MainRoutine:
                 run.routine.source.line_error(f"{word} is not closed", open_line, "Check that the file is complete.")
             )
         if errors:
-            raise together({(error.file, error.line, error.problem): error for error in reversed(errors)}.values())
+            raise combined_error(
+                {(error.file, error.line, error.problem): error for error in reversed(errors)}.values()
+            )
 
     def _between(self, step: Lines | UnresolvedStructure) -> tuple[Sequence[int], Sequence[int]]:
         """Return the lines of a step that are not plain, and those that are settings."""
@@ -337,6 +341,7 @@ class MainRoutine:
             self._flow.count(at, stmt.counter, number)
 
     def _follow_lines(self, lines: Ints, rounds: PlainRounds | None = None) -> None:
+        """Follow the lines of a trace that are not read in bulk, with the counter of plain rounds."""
         for line in _coded(self.run.trace, lines[self._others[lines - 1]]):
             self.run.settings.come_to(line)
             self._follow(line, None if rounds is None else rounds.number(line))
@@ -383,6 +388,7 @@ class MainRoutine:
         return True
 
     def _enter(self, step: RoutineEntry) -> None:
+        """Enter a called routine: bind its arguments."""
         at = self.run.come_to(step.row)
         stmt = statement(at.source, at.line)
         if isinstance(stmt, CallStatement):
@@ -391,6 +397,7 @@ class MainRoutine:
             self._flow.interpreter.calls.enter(at, stmt.call, step.module, step.routine)
 
     def _divide(self, step: Fork | Branch | Join) -> None:
+        """Store, exchange or merge values at a fork, a branch or a join."""
         self.run.row = step.row
         if isinstance(step, Fork):
             self.run.fork()
@@ -433,7 +440,7 @@ def _one_by_one(source: Source | Trace, lines: Sequence[int], settings: Sequence
     setting_lines = np.array(settings, dtype=np.int64)
     if not settings:
         return lines, setting_lines
-    free = outside(source, lines, setting_lines)
+    free = is_outside(source, lines, setting_lines)
     return (lines if free.all() else sorted([*lines, *setting_lines[~free].tolist()])), setting_lines[free]
 
 

@@ -8,13 +8,13 @@ from msgspec.structs import replace
 
 from postproc.dialects.krl.language.motion_statements import MotionStatement, Point
 from postproc.dialects.krl.language.names import CIRCLES
-from postproc.dialects.krl.language.positions import AXES, CARTESIAN, FARTHEST, NotANumberError, Position
+from postproc.dialects.krl.language.positions import AXES, CARTESIAN, LARGEST_COORDINATE, NotANumberError, Position
 from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.language.tree import Assignment, Motion, Spline, Statement, Tail
 from postproc.dialects.krl.language.values import Aggregate, Reference, UnreadableText, Value, walk
 from postproc.dialects.krl.read.explanations import why_unknown
 from postproc.dialects.krl.read.frames import out_of_reach
-from postproc.dialects.krl.read.known import NOTHING, unresolved
+from postproc.dialects.krl.read.known import NO_VALUE, unresolved
 from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.state import RELEVANT, State, fields_used
 from postproc.errors import ProgramError
@@ -34,7 +34,7 @@ _NO_EFFECT = (
     "$SPL_VEL_",
 )
 """What names in WITH begin with that change how fast a path is driven, and nothing else."""
-HERE = frozenset({"$POS_ACT", "$POS_ACT_MES", "$AXIS_ACT", "$AXIS_ACT_MEAS"})
+ROBOT_POSITIONS = frozenset({"$POS_ACT", "$POS_ACT_MES", "$AXIS_ACT", "$AXIS_ACT_MEAS"})
 """Where the robot is now (KUKA, System Variables)."""
 _HOME = frozenset({"XHOME", "HOME", "$H_POS"})
 RUN_TIME_ADVICE = (
@@ -63,13 +63,13 @@ def stays(motion: Motion) -> bool:
         return False
     if isinstance(motion.end, UnreadableText):
         raise motion.end.error
-    return isinstance(motion.end, Reference) and motion.end.name in HERE and motion.end.field is None
+    return isinstance(motion.end, Reference) and motion.end.name in ROBOT_POSITIONS and motion.end.field is None
 
 
 def asks_position(stmt: Statement) -> bool:
     """Return whether a statement asks where the robot is."""
     try:
-        return any(isinstance(value, Reference) and value.name in HERE for value in walk(stmt.values))
+        return any(isinstance(value, Reference) and value.name in ROBOT_POSITIONS for value in walk(stmt.values))
     except ProgramError:
         return False
 
@@ -137,7 +137,7 @@ class MotionReader:
         name = ""
         if isinstance(value, Reference):
             self.variables.check_name(source, value)
-            if value.name in HERE:
+            if value.name in ROBOT_POSITIONS:
                 return None
             name = value.name
             names.append(value.start)
@@ -146,14 +146,14 @@ class MotionReader:
             position = self.variables.position(value)
         except NotANumberError as cause:
             raise unresolved(self._explained(source, value, cause)) from None
-        if position is None and name in _HOME and self.variables.evaluate(value) == NOTHING:
+        if position is None and name in _HOME and self.variables.evaluate(value) == NO_VALUE:
             self.home_used = self.home_used or row
             position = Position(self.home, axis=True)
         if position is None:
             reason = why_unknown(self.variables, source, value)
             raise unresolved(at.error(f"the target is not known: {reason}", RUN_TIME_ADVICE))
-        if position.farthest > FARTHEST:
-            raise out_of_reach(at, position.farthest)
+        if position.largest_coordinate > LARGEST_COORDINATE:
+            raise out_of_reach(at, position.largest_coordinate)
         return Point(position, value.start, value.stop, name)
 
     def _explained(self, source: Source, value: Value, cause: NotANumberError) -> ProgramError:
@@ -165,12 +165,17 @@ class MotionReader:
         return source.error(problem, item.start, cause.advice)
 
     def _angle(self, at: Place, value: Value) -> float:
+        """Return CA of a circle [deg].
+
+        :raises ProgramError: it is unknown, 0, or larger than any angle of a program.
+        """
         angle = self.variables.number(value)
-        if angle is None or not 0.0 < abs(angle) <= FARTHEST:
+        if angle is None or not 0.0 < abs(angle) <= LARGEST_COORDINATE:
             raise at.error("the circular angle CA is not a number of degrees other than 0")
         return angle
 
     def _check(self, at: Place, word: str, kind: int, end: Point, via: Point | None) -> None:
+        """Refuse axis angles as the target of a motion other than PTP."""
         if kind != PTP and (end.position.axis or (via and via.position.axis)):
             raise at.error(f"{word} to axis angles", "Write a Cartesian target, or use PTP.")
 

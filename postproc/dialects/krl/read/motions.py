@@ -24,7 +24,7 @@ from postproc.dialects.krl.read.plain_settings import NUMBERS
 from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.spline_blocks import approximated, check_words, is_spline, path_unknown
 from postproc.dialects.krl.read.state import DEFAULT_SPEED, State, fields_used
-from postproc.errors import Issue, ProgramError, together
+from postproc.errors import Issue, ProgramError, combined_error
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, angle_between, any_column, norm
 from postproc.program import CIRC, LIN, PTP, Bools, Carriage, Ints, Motions, Starts, constant, distinct
 
@@ -324,7 +324,7 @@ def _check_settings(
     """Refuse motions that depend on unknown frames, speeds or modes."""
     faults = list(_unsettled(settings, rows, states, state, moves))
     if faults:
-        raise together(faults)
+        raise combined_error(faults)
 
 
 def unsettled(main: MainRoutine, plain: list[MotionColumns]) -> Iterator[ProgramError]:
@@ -336,6 +336,10 @@ def unsettled(main: MainRoutine, plain: list[MotionColumns]) -> Iterator[Program
 def _unsettled(
     settings: Settings, rows: MotionColumns, states: list[State], state: Ints, moves: Mapping[int, MotionStatement]
 ) -> Iterator[ProgramError]:
+    """Yield the errors of motions that depend on a setting which is not known, once for each reason.
+
+    :param state: (M,) index in `states` of each motion; `moves` the motions that were not read in bulk, by row.
+    """
     reason_keys: set[tuple[str | None, int | None, str]] = set()
     for index, motion_state in enumerate(states):
         if not motion_state.uncertain and motion_state.base >= 0 and motion_state.tool >= 0:

@@ -85,7 +85,7 @@ def kept_values(main: MainRoutine) -> dict[str, str]:
 def _elsewhere(first: Course, second: Course) -> int | None:
     """Return the first row at which two traces differ; None if they are equal."""
     rows = min(len(first.trace), len(second.trace))
-    columns = [(*_places(course), course.counted()) for course in (first, second)]
+    columns = [(*_places(course), course.counter_values()) for course in (first, second)]
     differs = np.zeros(rows, dtype=np.bool_)
     for first_column, second_column in zip(*columns, strict=True):
         differs |= (first_column[:rows] != second_column[:rows]) & ~(
@@ -120,12 +120,13 @@ def _first_difference(
     ):
         is_same &= ((a == b) | (np.isnan(a) & np.isnan(b))).all(axis=1)
     for row, move in first.moves.items():
-        is_same[row] &= row in second.moves and _same(move.end.position, second.moves[row].end.position)
+        is_same[row] &= row in second.moves and _are_equal(move.end.position, second.moves[row].end.position)
     rows = np.flatnonzero(~is_same)
     return int(first.rows.line[rows[0]]) if len(rows) else None
 
 
-def _same(position: Position, other_position: Position) -> bool:
+def _are_equal(position: Position, other_position: Position) -> bool:
+    """Return whether two positions have the same components, type, S, T and external axes; NaN equals NaN."""
     a, b = (
         np.array([*p.values, p.axis, p.status, p.turn, *p.external], dtype=np.float64)
         for p in (position, other_position)
@@ -150,4 +151,5 @@ def _in_force(settings: Settings, sequence: OrderedMotions) -> Array:
 
 
 def _frame(frames: list[Array], row: int) -> Array:
+    """Return a frame (16,), row by row; NaN for a negative row, which stands for an unknown frame."""
     return frames[row].ravel() if row >= 0 else np.full(16, np.nan)

@@ -6,7 +6,7 @@ from postproc.dialects.krl.language.source import Place
 from postproc.dialects.krl.language.values import Aggregate, Call, Value, Word
 from postproc.dialects.krl.layout import ORIENTATIONS
 from postproc.dialects.krl.read.explanations import why_unknown
-from postproc.dialects.krl.read.known import NOTHING, Known
+from postproc.dialects.krl.read.known import NO_VALUE, VariableValue
 from postproc.dialects.krl.read.state import FIELDS, Reasons, State
 from postproc.dialects.krl.read.variables import Variables
 from postproc.errors import ProgramError
@@ -43,7 +43,7 @@ class PathSettings:
     def __init__(self, variables: Variables, reasons: Reasons, *, has_carriage: bool) -> None:
         self.variables, self.reasons, self.has_carriage = variables, reasons, has_carriage
 
-    def speed(self, state: State, at: Place, field: str | None, value: Value | Known) -> State:
+    def speed(self, state: State, at: Place, field: str | None, value: Value | VariableValue) -> State:
         """Return the state after ``$VEL.CP = value``, or after ``$VEL = {…}`` if `field` is None; other fields are
         ignored.
 
@@ -63,7 +63,7 @@ class PathSettings:
             raise at.error(f"the speed $VEL.CP is {number:g} m/s", f"Give a speed above 0, up to {FASTEST:g} m/s.")
         return state.with_known(speed=number, assumed=False)
 
-    def distance(self, state: State, at: Place, field: str | None, value: Value | Known) -> State:
+    def distance(self, state: State, at: Place, field: str | None, value: Value | VariableValue) -> State:
         """Return the state after ``$APO.CDIS = value``, or after ``$APO = {…}`` if `field` is None; other fields are
         ignored.
         """
@@ -82,12 +82,12 @@ class PathSettings:
             return self._unknown(state, "cdis", at, "the approximation distance $APO.CDIS is not known", component)
         return state.with_known(cdis=number * M_PER_MM)
 
-    def mode(self, state: State, at: Place, name: str, value: Value | Known) -> State:
+    def mode(self, state: State, at: Place, name: str, value: Value | VariableValue) -> State:
         """Return the state after ``$ORI_TYPE = value``, or an assignment to another of the `MODES`.
 
         :raises ProgramError: ``$IPO_MODE`` of a robot that moves the workpiece.
         """
-        argument: Value | Known | None = value
+        argument: Value | VariableValue | None = value
         if isinstance(value, Call) and value.name in _MODE_OF:
             argument = self.variables.argument(value, _MODE_OF[value.name])
         word = self._word(at, name, argument, MODES[name])
@@ -102,14 +102,14 @@ class PathSettings:
             return state
         return state.with_known(**{FIELDS[name]: word})
 
-    def auxiliary(self, state: State, at: Place, field: str | None, value: Value | Known) -> State:
+    def auxiliary(self, state: State, at: Place, field: str | None, value: Value | VariableValue) -> State:
         """Return the state behind ``$CIRC_MODE = value``, or a component of it: what SCIRC makes of auxiliary points.
 
         What it makes of end points (TARGET_PT) matters for circles with CA only, see `motions`.
 
         :raises ProgramError: the axis that carries the robot is led through that of an auxiliary point.
         """
-        argument: Value | Known | None = value
+        argument: Value | VariableValue | None = value
         if isinstance(value, Call) and value.name == "SCIRC_M":
             argument = self.variables.argument(value, "CB")
         word = self._word(at, "$CIRC_MODE.AUX_PT.E1", self._of_auxiliary(at, field, argument, "E1"), _AUXILIARY)
@@ -126,37 +126,41 @@ class PathSettings:
         return state.with_known(auxiliary=word)
 
     def _of_auxiliary(
-        self, at: Place, field: str | None, value: Value | Known | None, component: str
-    ) -> Value | Known | None:
+        self, at: Place, field: str | None, value: Value | VariableValue | None, component: str
+    ) -> Value | VariableValue | None:
         """Return what an assignment to `$CIRC_MODE`, or to a component of it, gives to a component of AUX_PT."""
         path = [] if field is None else field.split(".")
         names = ["AUX_PT", component]
         if path != names[: len(path)]:
             return None
         for name in names[len(path) :]:
-            result = NOTHING if value is None else self.variables.evaluate(value)
+            result = NO_VALUE if value is None else self.variables.evaluate(value)
             if value is None or not isinstance(result, Aggregate):
                 return value
             value = result.items.get(name)
         return value
 
-    def _word(self, at: Place, name: str, value: Value | Known | None, words: tuple[str, ...]) -> str | ProgramError:
+    def _word(
+        self, at: Place, name: str, value: Value | VariableValue | None, words: tuple[str, ...]
+    ) -> str | ProgramError:
         """Return the mode that a value is, the first where there is none; or why it is not known."""
         result = None if value is None else self.variables.evaluate(value)
         word = words[0] if result is None else result.text if isinstance(result, Word) else ""
         if word in words:
             return word
-        reason = f"there is no {word}" if word else why_unknown(self.variables, at.source, value or NOTHING)
+        reason = f"there is no {word}" if word else why_unknown(self.variables, at.source, value or NO_VALUE)
         advice = f"Write its value, one of {', '.join(words)}{'.' if word else f', or {_IN_A_FILE}.'}"
         return at.error(f"{name} is not known: {reason}", advice)
 
-    def _component(self, at: Place, field: str | None, component: str, value: Value | Known) -> Value | Known | None:
+    def _component(
+        self, at: Place, field: str | None, component: str, value: Value | VariableValue
+    ) -> Value | VariableValue | None:
         """Return the value assigned to one component of a structure; None if another is assigned, or it is left out."""
         if field is not None:
             return value if field == component else None
         result = self.variables.evaluate(value)
         return result.items.get(component) if isinstance(result, Aggregate) else value
 
-    def _unknown(self, state: State, field: str, at: Place, problem: str, value: Value | Known) -> State:
+    def _unknown(self, state: State, field: str, at: Place, problem: str, value: Value | VariableValue) -> State:
         reason = why_unknown(self.variables, at.source, value)
         return self.reasons.unknown(state, field, at.error(f"{problem}: {reason}", _RUN_TIME))

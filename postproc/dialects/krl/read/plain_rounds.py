@@ -15,7 +15,7 @@ from postproc.dialects.krl.course import PlainBody, PlainRounds
 from postproc.dialects.krl.language.expressions import calls
 from postproc.dialects.krl.language.names import CIRCLES, MAX_LENGTH
 from postproc.dialects.krl.language.parser import statement
-from postproc.dialects.krl.language.positions import FARTHEST
+from postproc.dialects.krl.language.positions import LARGEST_COORDINATE
 from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.language.structures import Block
 from postproc.dialects.krl.language.tree import Assignment, For, Motion, Statement, Trigger
@@ -23,7 +23,7 @@ from postproc.dialects.krl.language.values import Number, Operation, Reference, 
 from postproc.dialects.krl.layout import Offsets
 from postproc.dialects.krl.read import plain_lines, plain_settings
 from postproc.dialects.krl.read.motion_columns import MotionColumns, merged
-from postproc.dialects.krl.read.motion_reader import HERE, KINDS, MotionReader
+from postproc.dialects.krl.read.motion_reader import KINDS, ROBOT_POSITIONS, MotionReader
 from postproc.dialects.krl.read.path_settings import FASTEST
 from postproc.dialects.krl.read.plain_settings import NUMBERS, PlainSettings
 from postproc.dialects.krl.read.run import Run
@@ -85,12 +85,18 @@ def _switches(stmt: Statement) -> bool:
 
 
 def _is_plain(stmt: Statement, counter: str) -> bool:
+    """Return whether a statement is a motion to an element of an array at the counter, and nothing else."""
     if not isinstance(stmt, Motion) or stmt.word not in KINDS or stmt.word in (*CIRCLES, "SPL"):
         return False
     tail, end = stmt.tail, stmt.end
     if stmt.angle is not None or stmt.frame or tail.given or tail.rest is not None or tail.error is not None:
         return False
-    if not isinstance(end, Reference) or end.field is not None or end.name in HERE or len(end.name) > MAX_LENGTH:
+    if (
+        not isinstance(end, Reference)
+        or end.field is not None
+        or end.name in ROBOT_POSITIONS
+        or len(end.name) > MAX_LENGTH
+    ):
         return False
     return _step_from(end, counter) is not None
 
@@ -196,7 +202,7 @@ def _motions(run: Run, reader: MotionReader, rounds: PlainRounds, at: int, motio
     lines = Source(replace(source.document, text=text), text, source.index, starts, ends - 1)
     points = plain_lines.scan(lines)
     rows = merged(points, np.arange(sum(map(len, points))))
-    if len(rows) != rounds.count or (np.abs(rows.numbers) > FARTHEST).any():
+    if len(rows) != rounds.count or (np.abs(rows.numbers) > LARGEST_COORDINATE).any():
         return None
     shift = np.array([start for start, _ in spans]) - starts - len(_PREFIX)
     kind = KINDS[motion.word]

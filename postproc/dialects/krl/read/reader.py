@@ -18,7 +18,7 @@ from postproc import garbage
 from postproc.cell import Cell
 from postproc.chunks import in_chunks
 from postproc.dialects.krl.course import Occasion
-from postproc.dialects.krl.language.positions import FARTHEST
+from postproc.dialects.krl.language.positions import LARGEST_COORDINATE
 from postproc.dialects.krl.language.routines import Module, Routine, routines
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.trace import Trace
@@ -46,7 +46,7 @@ from postproc.dialects.krl.read.plain_lines import PlainLines, gathered, plain_o
 from postproc.dialects.krl.read.unresolved import SeparatedMotions, needs_start, without_unresolved
 from postproc.dialects.krl.read.variables import Variables
 from postproc.dialects.text import decode
-from postproc.errors import CellError, Issue, ProgramError, together
+from postproc.errors import CellError, Issue, ProgramError, combined_error
 from postproc.frames import DEG_PER_RAD, Array, any_column
 from postproc.program import PTP, Document, NeededFile, Program, distinct
 
@@ -73,7 +73,7 @@ def read_program(
     :raises CellError: the `$config.dat` that the cell names cannot be read, or the cell and the files give different
         frames for one number.
     """
-    with garbage.kept():
+    with garbage.collection_paused():
         return _followed(documents, cell, kinematics, name, bulk=_bulk)
 
 
@@ -169,7 +169,7 @@ class _Reading(Struct, frozen=True, eq=False):
             ]
             if not setting_faults:
                 raise
-            raise together([*faults, *setting_faults]) from None
+            raise combined_error([*faults, *setting_faults]) from None
 
     def _executed(self, main: MainRoutine, plain: PlainLines) -> PlainLines:
         """Return the plain lines that run.
@@ -264,7 +264,7 @@ class _Reading(Struct, frozen=True, eq=False):
             if _belongs(document, self.documents[0]):
                 read_data(variables, Source.of(document, 1))
         if self.cell.config_dat is not None:
-            read_data(variables, _config(self.cell, self.cell.config_dat), fill=True, is_global=True)
+            read_data(variables, _config_source(self.cell, self.cell.config_dat), fill=True, is_global=True)
         program = self.documents[0]
         program_names = [program.name, *(document.name for document in self.documents if _belongs(document, program))]
         read_shared(variables, self.code, program_names, self.library.files, self.entry.local)
@@ -326,7 +326,12 @@ def _about(cause: ProgramError, culprit: Routine | Occasion) -> ProgramError:
     return own_errors[0] if own_errors else cause
 
 
-def _config(cell: Cell, path: str) -> Source:
+def _config_source(cell: Cell, path: str) -> Source:
+    """Return the `$config.dat` of a cell.
+
+    :param path: relative to the folder of the cell.
+    :raises CellError: it cannot be read.
+    """
     file = Path(cell.folder) / path
     try:
         data = file.read_bytes()
@@ -344,7 +349,7 @@ def _main(source: Source, plain: PlainLines, name: str) -> tuple[Module, Routine
     module = Module(source, by_name)
     main = module.main(name)
     if main is None and faults:
-        raise together(faults)
+        raise combined_error(faults)
     if main is None:
         raise ProgramError(
             "there is no DEF", file=source.document.name, line=1, advice="Check that this is a KRL program."
@@ -361,7 +366,9 @@ def _folders(document: Document, cell: Cell) -> list[Path]:
 def _check_size(trace: Trace, rows: MotionColumns) -> None:
     """Refuse coordinates that no robot reaches."""
     (is_too_far,) = in_chunks(
-        lambda numbers, via: (any_column(np.abs(numbers) > FARTHEST) | any_column(np.abs(via) > FARTHEST),),
+        lambda numbers, via: (
+            any_column(np.abs(numbers) > LARGEST_COORDINATE) | any_column(np.abs(via) > LARGEST_COORDINATE),
+        ),
         rows.numbers,
         rows.via,
     )

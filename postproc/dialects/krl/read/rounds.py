@@ -11,10 +11,10 @@ from postproc.dialects.krl.language.structures import Block, Node
 from postproc.dialects.krl.language.tokens import words_in
 from postproc.dialects.krl.language.tree import Assignment, For, Statement
 from postproc.dialects.krl.language.values import Aggregate
-from postproc.dialects.krl.read.known import Known, UnknownValue, UnparsedValue
+from postproc.dialects.krl.read.known import UnknownValue, UnparsedValue, VariableValue
 from postproc.dialects.krl.read.run import Run
 
-Values = tuple[dict[str, Known | UnparsedValue], dict[str, UnknownValue]]
+Values = tuple[dict[str, VariableValue | UnparsedValue], dict[str, UnknownValue]]
 
 
 def carried_over(run: Run, source: Source, block: Block, start_values: Values) -> list[str]:

@@ -13,13 +13,13 @@ from postproc.dialects.krl.language.declarations import declared_names
 from postproc.dialects.krl.language.names import CONTROLLER_DATA
 from postproc.dialects.krl.language.routines import Module, Routine
 from postproc.dialects.krl.language.source import Place
-from postproc.dialects.krl.language.structures import Node, check_closed, checked, nodes_of
+from postproc.dialects.krl.language.structures import Node, check_closed, checked_nodes, nodes_of
 from postproc.dialects.krl.language.trace import Trace
 from postproc.dialects.krl.language.values import Aggregate, Reference, Value
 from postproc.dialects.krl.read.data_lists import read_data
 from postproc.dialects.krl.read.effects import Analysis
 from postproc.dialects.krl.read.folder import Library
-from postproc.dialects.krl.read.known import NOTHING, Known, Scope, UnknownValue, UnparsedValue
+from postproc.dialects.krl.read.known import NO_VALUE, Scope, UnknownValue, UnparsedValue, VariableValue
 from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.state import State
 from postproc.dialects.krl.read.variables import Variables
@@ -99,7 +99,7 @@ class Level(Struct, eq=False):
     left: bool = False
     jump: int = 0
     returned: int = 0
-    result: Known = NOTHING
+    result: VariableValue = NO_VALUE
 
     @property
     def broken_off(self) -> bool:
@@ -131,10 +131,10 @@ class _Fork(Struct, eq=False):
     :ivar ends: the same at the ends of the branches.
     """
 
-    values: tuple[dict[str, Known | UnparsedValue], dict[str, UnknownValue]]
+    values: tuple[dict[str, VariableValue | UnparsedValue], dict[str, UnknownValue]]
     state: State
     is_begun: bool = False
-    ends: list[tuple[tuple[dict[str, Known | UnparsedValue], dict[str, UnknownValue]], State]] = []
+    ends: list[tuple[tuple[dict[str, VariableValue | UnparsedValue], dict[str, UnknownValue]], State]] = []
 
 
 class Run:
@@ -215,7 +215,7 @@ class Run:
         """Note that the use of names in the present statement is followed."""
         self.understood.update([(self.row, offset) for offset in offsets])
 
-    def copy(self, expression: Value, value: Known, name: str) -> None:
+    def copy(self, expression: Value, value: VariableValue, name: str) -> None:
         """Note that the present statement gives a variable, or a parameter, the text of a point, if it does.
 
         :param value: that of the expression, see `Calls.value`.
@@ -230,7 +230,7 @@ class Run:
         :raises ProgramError: a control structure is not closed properly.
         """
         if routine not in self._nodes:
-            nodes = checked(routine.source, nodes_of(routine.source, routine.lines))
+            nodes = checked_nodes(routine.source, nodes_of(routine.source, routine.lines))
             if routine is not self.routine:  # whose errors are reported together
                 check_closed(routine.source, nodes)
             self._nodes[routine] = nodes

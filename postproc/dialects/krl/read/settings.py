@@ -10,7 +10,7 @@ from postproc.dialects.krl.language.source import Place
 from postproc.dialects.krl.language.values import Call, Number, Reference, Value, Word
 from postproc.dialects.krl.read.bas import Bas
 from postproc.dialects.krl.read.frames import Frames
-from postproc.dialects.krl.read.known import NOTHING, Known, UnknownValue
+from postproc.dialects.krl.read.known import NO_VALUE, UnknownValue, VariableValue
 from postproc.dialects.krl.read.path_settings import MODES, PathSettings
 from postproc.dialects.krl.read.plain_settings import PlainAssignments, no_settings
 from postproc.dialects.krl.read.state import FIELDS, Reasons, State
@@ -42,7 +42,7 @@ class Settings:
         self._path = PathSettings(variables, self._reasons, has_carriage=cell.carriage is not None)
         self._bas = Bas(variables, cell, self.frames, self._path)
 
-    def current(self, name: str, field: str | None) -> Known:
+    def current(self, name: str, field: str | None) -> VariableValue:
         """Return the present value of one of the `RELEVANT` variables, or of a component of it."""
         state = self.state
         if state.block:
@@ -53,19 +53,19 @@ class Settings:
             if uncertain == FIELDS.get(name):
                 return UnknownValue(why=self._reasons.errors[reason].problem)
         if name in ("$WORLD", "$ROBROOT"):
-            return ZERO if field is None else component(ZERO, field) if field in CARTESIAN else NOTHING
+            return ZERO if field is None else component(ZERO, field) if field in CARTESIAN else NO_VALUE
         if (name, field) == ("$VEL", "CP") and not state.assumed:
             return self._followed(state.speed)
         if (name, field) == ("$APO", "CDIS"):
             return self._followed(state.cdis / M_PER_MM)
         if field is None and name in MODES:
             return Word("#BASE" if name == "$IPO_MODE" else str(getattr(state, FIELDS[name])), 0, 0)
-        return NOTHING
+        return NO_VALUE
 
-    def _followed(self, value: float) -> Known:
+    def _followed(self, value: float) -> VariableValue:
         """Return a number that plain assignments give, if these are followed."""
         self.lacked_numbers |= not self.follows_numbers
-        return Number(value, 0, 0) if self.follows_numbers else NOTHING
+        return Number(value, 0, 0) if self.follows_numbers else NO_VALUE
 
     def change(self, line: int, state: State) -> None:
         """Put a state into force after a line of the program."""
@@ -98,7 +98,7 @@ class Settings:
         """
         self._reasons.refuse(state, fields)
 
-    def assigned(self, state: State, at: Place, target: Reference, value: Value | Known) -> State:
+    def assigned(self, state: State, at: Place, target: Reference, value: Value | VariableValue) -> State:
         """Return the state behind ``target = value`` for one of the `RELEVANT` variables.
 
         :raises ProgramError: the value moves the robot in a way that is not modelled.

@@ -32,7 +32,7 @@ FIELDS = {
 """What of the `State` a variable sets; the others of `RELEVANT` must not change at all."""
 RELEVANT = frozenset({*FIELDS, "$IPO_MODE", "$ROBROOT", "$WORLD", "$EX_AX_IGNORE"})
 """System variables that a motion depends on."""
-STORED = frozenset({"$H_POS", "$FLAG"})
+STORED_VARIABLES = frozenset({"$H_POS", "$FLAG"})
 """Other system variables that keep what a program writes until a program writes them again."""
 
 

@@ -247,6 +247,7 @@ class Recorder:
         return True
 
     def _put(self, source: Source, first: int, last: int, shown_line: int, *, live: bool) -> None:
+        """Record lines first … last of a file; `live` says whether they run."""
         if last < first:
             return
         self._from.append((self._sources.setdefault(source, len(self._sources)), first, last, shown_line, 0, live))

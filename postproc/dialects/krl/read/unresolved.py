@@ -17,7 +17,7 @@ from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.tree import CallStatement, Event, Motion
 from postproc.dialects.krl.language.values import Call, Reference, Word, walk
 from postproc.dialects.krl.read.main_routine import MainRoutine
-from postproc.dialects.krl.read.motion_reader import HERE, from_here
+from postproc.dialects.krl.read.motion_reader import ROBOT_POSITIONS, from_here
 from postproc.dialects.krl.read.motions import OrderedMotions
 from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.state import fields_used
@@ -102,7 +102,7 @@ def without_unresolved(main: MainRoutine, sequence: OrderedMotions) -> Separated
         moves,
     )
     unresolved, issues = _reported(main, reasons)
-    return SeparatedMotions(left, predecessors, unresolved, (*issues, *_opened(main, left, begins)))
+    return SeparatedMotions(left, predecessors, unresolved, (*issues, *_open_start_warnings(main, left, begins)))
 
 
 def _uncertain(settings: Settings, sequence: OrderedMotions) -> Iterator[tuple[int, ProgramError]]:
@@ -249,11 +249,12 @@ def _starts_here(main: MainRoutine, line: int, reason: ProgramError) -> bool:
     stmt = statement(*main.run.trace.place(line))
     if line in main.run.shifted or (isinstance(stmt, Motion) and from_here(stmt)):
         return True
-    is_here = PARTLY_GIVEN in reason.problem or any(name in reason.problem.upper() for name in HERE)
+    is_here = PARTLY_GIVEN in reason.problem or any(name in reason.problem.upper() for name in ROBOT_POSITIONS)
     return isinstance(stmt, Motion) and is_here
 
 
-def _opened(main: MainRoutine, sequence: OrderedMotions, begins: list[int]) -> Iterator[Issue]:
+def _open_start_warnings(main: MainRoutine, sequence: OrderedMotions, begins: list[int]) -> Iterator[Issue]:
+    """Yield warnings on motions with an unknown start: one for each line of other files, one for the program."""
     trace = main.run.trace
     origins = {line: trace.place(line) for line in sequence.rows.line[begins].tolist()}
     own_lines = [line for line, origin in origins.items() if origin.source is main.run.routine.source]

@@ -30,8 +30,8 @@ from postproc.dialects.krl.language.values import (
     Word,
     parts,
 )
-from postproc.dialects.krl.read.conditions import joined, plain, same
-from postproc.dialects.krl.read.known import NOTHING, Known, Scope, UnknownValue, UnparsedValue
+from postproc.dialects.krl.read.conditions import as_term, condition_value, matches_case
+from postproc.dialects.krl.read.known import NO_VALUE, Scope, UnknownValue, UnparsedValue, VariableValue
 from postproc.dialects.krl.read.state import RELEVANT
 from postproc.errors import CellError, ProgramError
 from postproc.frames import Array, inverse
@@ -84,7 +84,7 @@ _SAME_ANGLE = math.radians(1e-3)
 """The same for orientations [rad]."""
 
 
-def computed(operator: str, a: float, b: float, *, integer: bool) -> float | Known:
+def computed(operator: str, a: float, b: float, *, integer: bool) -> float | VariableValue:
     """Return a sum, difference, product or quotient of two numbers, or why it is not known.
 
     The quotient of two INTs has no decimal places (KUKA, Expert Programming); to which side those of a negative one
@@ -93,15 +93,15 @@ def computed(operator: str, a: float, b: float, *, integer: bool) -> float | Kno
     :param integer: both are INTs.
     """
     if operator == "B_NOT":
-        return -1.0 - b if integer else NOTHING
+        return -1.0 - b if integer else NO_VALUE
     if operator == "/" and b == 0.0:
-        return NOTHING
+        return NO_VALUE
     if operator == "/" and integer and a % b != 0.0:
         return _ROUNDED if a < 0.0 or b < 0.0 else a // b
     value = _OPERATIONS[operator](a, b)
     if integer and abs(value) >= LARGEST_INT:
         return _BEYOND_INT
-    return value if math.isfinite(value) else NOTHING
+    return value if math.isfinite(value) else NO_VALUE
 
 
 class Functions(Protocol):
@@ -110,7 +110,7 @@ class Functions(Protocol):
     def pure(self, call: Call) -> bool:
         """Return whether a call gives a value and changes nothing, so that it does not matter when and how often."""
 
-    def value(self, call: Call) -> Known:
+    def value(self, call: Call) -> VariableValue:
         """Return what a call gives that is `pure`."""
 
 
@@ -118,8 +118,8 @@ class _NoFunctions:
     def pure(self, call: Call) -> bool:
         return False
 
-    def value(self, call: Call) -> Known:
-        return NOTHING
+    def value(self, call: Call) -> VariableValue:
+        return NO_VALUE
 
 
 class Variables:
@@ -145,7 +145,7 @@ class Variables:
     """
 
     def __init__(self, cell: Cell) -> None:
-        self._values: dict[str, Known | UnparsedValue] = {}
+        self._values: dict[str, VariableValue | UnparsedValue] = {}
         self._elements: defaultdict[str, list[str]] = defaultdict(list)
         self.changes = 0
         self.types: dict[str, str] = {}
@@ -156,12 +156,12 @@ class Variables:
         self.used: set[str] = set()
         self.changed: dict[str, str] = {}
         self.initial = set(FRAME_ARRAYS)
-        self.current: Callable[[str, str | None], Known] = _not_followed
+        self.current: Callable[[str, str | None], VariableValue] = _not_followed
         self.functions: Functions = _NoFunctions()
-        self.late: dict[str, Known | UnparsedValue] = {}
+        self.late: dict[str, VariableValue | UnparsedValue] = {}
         self.reading_late = False
         self._stated = {f"{name}[0]": (ZERO, "the controller, whose number 0 is $NULLFRAME") for name in FRAME_ARRAYS}
-        self.given = {key.upper(): _from_cell(value) for key, value in cell.krl.values.items()}
+        self.given = {key.upper(): _cell_value(value) for key, value in cell.krl.values.items()}
         _check_given(self.given)
         self.relied: set[str] = set()
         for number, base in cell.base_data.items():
@@ -175,7 +175,7 @@ class Variables:
         self.state_frame(key, frame, place)
         self.put(key, frame)
 
-    def state_frame(self, key: str, value: Known | UnparsedValue, place: str) -> None:
+    def state_frame(self, key: str, value: VariableValue | UnparsedValue, place: str) -> None:
         """Note the frame that the cell or a file gives for ``BASE_DATA[n]`` or ``TOOL_DATA[n]``.
 
         Components that one of two frames lacks do not count. A value that cannot be read is not noted.
@@ -193,7 +193,7 @@ class Variables:
         first, other_place = self._stated.setdefault(key, (frame, place))
         if not _agree(first, frame):
             raise CellError(
-                f"{key} has two values: {_shown(first)} by {other_place}, and {_shown(frame)} by {place}",
+                f"{key} has two values: {_frame_text(first)} by {other_place}, and {_frame_text(frame)} by {place}",
                 advice="Make them equal, or remove the one that the controller does not have.",
             )
 
@@ -220,7 +220,7 @@ class Variables:
             if not name or name == root:
                 self.put(key, converted(value, self.types.get(root, "")))
 
-    def put(self, key: str, value: Known | UnparsedValue) -> None:
+    def put(self, key: str, value: VariableValue | UnparsedValue) -> None:
         """Store a value as it is. `set` converts those of assignments to the type of the variable."""
         is_new = key not in self._values
         self.changes += self._values.get(key) != value
@@ -231,7 +231,7 @@ class Variables:
             self._elements[array].append(key)
         self._values[key] = value
 
-    def set(self, key: str, value: Known, place: Place) -> None:
+    def set(self, key: str, value: VariableValue, place: Place) -> None:
         """Set a variable to a value, converted to its type.
 
         :param place: where the program does.
@@ -255,11 +255,11 @@ class Variables:
             names = AXES if not new.items.keys().isdisjoint(AXES) else CARTESIAN
         missing_names = [name for name in names if name not in new.items]
         old = self.value(key)
-        if not missing_names or old is None or old == NOTHING:
+        if not missing_names or old is None or old == NO_VALUE:
             return False
         return not isinstance(old, Aggregate) or any(name in old.items for name in missing_names)
 
-    def set_field(self, key: str, field: str, value: Known, place: Place) -> None:
+    def set_field(self, key: str, field: str, value: VariableValue, place: Place) -> None:
         """Give one component of a variable a value (``XP1.X=5``)."""
         whole = self.value(key)
         name = key.partition("[")[0]
@@ -291,30 +291,37 @@ class Variables:
         for key in (name, *self._elements.get(name, ())):
             self._values[key] = UnknownValue(place)
 
-    def as_now(self) -> tuple[dict[str, Known | UnparsedValue], dict[str, UnknownValue]]:
+    def as_now(self) -> tuple[dict[str, VariableValue | UnparsedValue], dict[str, UnknownValue]]:
         """Return all values, for `as_then` and `meet`."""
         return dict(self._values), dict(self.changing)
 
-    def as_then(self, snapshot: tuple[dict[str, Known | UnparsedValue], dict[str, UnknownValue]]) -> None:
+    def as_then(self, snapshot: tuple[dict[str, VariableValue | UnparsedValue], dict[str, UnknownValue]]) -> None:
         """Give all variables the values that they had."""
         self._values, self.changing = self.late | snapshot[0], dict(snapshot[1])
 
-    def meet(self, snapshot: tuple[dict[str, Known | UnparsedValue], dict[str, UnknownValue]], place: str) -> None:
+    def meet(
+        self, snapshot: tuple[dict[str, VariableValue | UnparsedValue], dict[str, UnknownValue]], place: str
+    ) -> None:
         """Merge with the values of another branch: those that differ become unknown."""
         values, volatile_names = self.late | snapshot[0], snapshot[1]
         self.changing = volatile_names | self.changing
         for key in self._values.keys() | values.keys():
-            if not self._same(self._values.get(key), values.get(key)):
+            if not self._have_same_value(self._values.get(key), values.get(key)):
                 self._values[key] = UnknownValue(place)
 
-    def differing(self, snapshot: tuple[dict[str, Known | UnparsedValue], dict[str, UnknownValue]]) -> frozenset[str]:
+    def differing(
+        self, snapshot: tuple[dict[str, VariableValue | UnparsedValue], dict[str, UnknownValue]]
+    ) -> frozenset[str]:
         """Return the names of variables whose values are not what they were."""
         values, volatile_names = self.late | snapshot[0], snapshot[1]
         keys = (key for key in self._values.keys() | values.keys())
-        names = {key.partition("[")[0] for key in keys if not self._same(self._values.get(key), values.get(key))}
+        names = {
+            key.partition("[")[0] for key in keys if not self._have_same_value(self._values.get(key), values.get(key))
+        }
         return frozenset(names | (self.changing.keys() ^ volatile_names.keys()))
 
-    def _same(self, first: object, second: object) -> bool:
+    def _have_same_value(self, first: object, second: object) -> bool:
+        """Return whether two stored values are equal; an aggregate equals the unparsed text that it was read from."""
         if first is second or (not isinstance(first, Aggregate) and first == second):
             return True
         if isinstance(second, UnparsedValue):
@@ -333,7 +340,7 @@ class Variables:
             second.start,
             second.computed,
             second.items.keys(),
-        ) and all(self._same(item, second.items[name]) for name, item in first.items.items())
+        ) and all(self._have_same_value(item, second.items[name]) for name, item in first.items.items())
 
     def literals(self, name: str, numbers: Sequence[int]) -> tuple[Source, list[tuple[int, int]]] | None:
         """Return the data list that gives elements of an array their values, and the spans of these; None if they have
@@ -391,7 +398,7 @@ class Variables:
     def __contains__(self, key: str) -> bool:
         return key in self._values
 
-    def value(self, key: str) -> Known | None:
+    def value(self, key: str) -> VariableValue | None:
         """Return the value of a variable or an element, None where it has none."""
         if key[0] == "$" and (root := key.partition("[")[0]) in RELEVANT:
             return self.current(root, None)
@@ -407,7 +414,7 @@ class Variables:
             self._values[key] = value
         return value
 
-    def evaluate(self, value: Value | Known) -> Known:
+    def evaluate(self, value: Value | VariableValue) -> VariableValue:
         """Return the present value; `UnknownValue` when that is not known before the program runs.
 
         :raises ProgramError: it cannot be read.
@@ -428,7 +435,7 @@ class Variables:
             return self._decided(value)
         if isinstance(value, UnreadableText):
             raise value.error
-        return NOTHING
+        return NO_VALUE
 
     def _resolved(self, aggregate: Aggregate) -> Aggregate:
         """Return an aggregate whose components have the values that they have now."""
@@ -450,78 +457,78 @@ class Variables:
         try:
             if condition is None or not all(map(self.functions.pure, calls([condition]))):
                 return None
-            value = plain(self.evaluate(condition))
+            value = as_term(self.evaluate(condition))
         except ProgramError:
             return None
         return value if isinstance(value, bool) else None
 
-    def chosen(self, value: Known, cases: Sequence[Value]) -> bool | None:
+    def chosen(self, value: VariableValue, cases: Sequence[Value]) -> bool | None:
         """Return whether one of the values behind CASE is that of its SWITCH; None where that is not known."""
         equal: bool | None = False
         for case in cases:
-            is_equal = same(value, self.evaluate(case))
+            is_equal = matches_case(value, self.evaluate(case))
             if is_equal:
                 return True
             equal = None if is_equal is None else equal
         return equal
 
-    def _decided(self, condition: Condition) -> Known:
+    def _decided(self, condition: Condition) -> VariableValue:
         """Return the value of terms joined by comparisons and logic, or of one alone in brackets."""
         term_values = [self.evaluate(term) for term in condition.terms]
         if not condition.operators and not (condition.negated and condition.negated[0]):
             return term_values[0]
-        value = joined(term_values, condition)
+        value = condition_value(term_values, condition)
         if isinstance(value, bool):
             return Word(str(value).upper(), condition.start, condition.stop)
         if isinstance(value, _SCALAR):
             return value
-        return next((term_value for term_value in term_values if isinstance(term_value, UnknownValue)), NOTHING)
+        return next((term_value for term_value in term_values if isinstance(term_value, UnknownValue)), NO_VALUE)
 
-    def _computed(self, operation: Operation) -> Known:
+    def _computed(self, operation: Operation) -> VariableValue:
         """Return a sum, difference, product or quotient, see `computed`."""
         left = Number(0.0, 0, 0, True) if operation.left is None else self.evaluate(operation.left)
         right = self.evaluate(operation.right)
         if not isinstance(left, Number) or not isinstance(right, Number):
-            return next((side for side in (left, right) if isinstance(side, UnknownValue)), NOTHING)
+            return next((side for side in (left, right) if isinstance(side, UnknownValue)), NO_VALUE)
         integer = left.integer and right.integer
         value = computed(operation.operator, left.value, right.value, integer=integer)
         return Number(value, operation.start, operation.stop, integer) if isinstance(value, int | float) else value
 
-    def _function(self, call: Call) -> Known:
-        """Return the value of a call (angles in degrees) if its arguments alone determine it, else `NOTHING`."""
+    def _function(self, call: Call) -> VariableValue:
+        """Return the value of a call (angles in degrees) if its arguments alone determine it, else `NO_VALUE`."""
         function = FUNCTIONS.get(call.name)
         if function is None and call.name != "INV_POS":
-            return self.functions.value(call) if self.functions.pure(call) else NOTHING
+            return self.functions.value(call) if self.functions.pure(call) else NO_VALUE
         argument_values = [self.evaluate(argument) for argument in call.arguments]
         numbers = [argument_value.value for argument_value in argument_values if isinstance(argument_value, Number)]
         if call.name == "INV_POS" and len(argument_values) == 1:
             position = self.position(argument_values[0])
-            return NOTHING if position is None or position.axis else from_pose(inverse(position.pose()))
+            return NO_VALUE if position is None or position.axis else from_pose(inverse(position.pose()))
         if (
             function is None
             or len(numbers) < len(argument_values)
             or len(argument_values) != 1 + (call.name == "ATAN2")
         ):
-            return NOTHING
+            return NO_VALUE
         try:
             value = function(*numbers)
         except ValueError:
-            return NOTHING
+            return NO_VALUE
         integer = call.name == "ABS" and all(
             argument_value.integer for argument_value in argument_values if isinstance(argument_value, Number)
         )
         return Number(value, call.start, call.stop, integer)
 
-    def _product(self, chain: Chain) -> Known:
+    def _product(self, chain: Chain) -> VariableValue:
         """Return the position that a chain of frames gives: S, T and external axes are those of its last operand."""
         pose, part = np.eye(4), None
         for operand in chain.operands:
             part = self.position(operand)
             if part is None or part.axis or (isinstance(operand, Reference) and not part.complete):
-                return NOTHING
+                return NO_VALUE
             pose = pose @ part.pose()
         if part is None:
-            return NOTHING
+            return NO_VALUE
         return replace(from_pose(pose), status=part.status, turn=part.turn, external=part.external)
 
     def key_of(self, reference: Reference) -> str | None:
@@ -539,7 +546,7 @@ class Variables:
         index = self.number(value)
         return None if index is None or index != int(index) else int(index)
 
-    def looked_up(self, reference: Reference) -> Known:
+    def looked_up(self, reference: Reference) -> VariableValue:
         """Return the present value of a variable, an element or a component of it."""
         if reference.name in RELEVANT:
             return self.current(reference.name, reference.field)
@@ -555,9 +562,9 @@ class Variables:
             value = self._member_of(value, reference.field)
             if isinstance(value, Number):
                 value = self._member(reference, value)
-        return value if value is not None else NOTHING
+        return value if value is not None else NO_VALUE
 
-    def _member_of(self, value: Known | None, path: str) -> Known | None:
+    def _member_of(self, value: VariableValue | None, path: str) -> VariableValue | None:
         """Return a member of a structure, or a member of that: ``F.X``; None if it has no value.
 
         Of a structure that was computed, the text of a member may be that of another variable.
@@ -573,7 +580,7 @@ class Variables:
             value = self.evaluate(item)
         return replace(value, computed=True) if computed and isinstance(value, Aggregate) else value
 
-    def _member(self, reference: Reference, number: Number) -> Known:
+    def _member(self, reference: Reference, number: Number) -> VariableValue:
         """Return a number converted to the type of a member of a structure."""
         kind = self.kind(reference)
         return converted(number, kind) if kind else number
@@ -589,7 +596,7 @@ class Variables:
                 kind = "REAL" if name in _REAL else ""
         return kind
 
-    def position(self, value: Value | Known) -> Position | None:
+    def position(self, value: Value | VariableValue) -> Position | None:
         """Return the position that a value gives, or None when it is not known before the program runs.
 
         :raises ProgramError: it is known but not a valid position.
@@ -599,12 +606,12 @@ class Variables:
             return from_aggregate(result)
         return result if isinstance(result, Position) else None
 
-    def number(self, value: Value | Known) -> float | None:
+    def number(self, value: Value | VariableValue) -> float | None:
         """Return a number, or None when it is not known before the program runs."""
         result = self.evaluate(value)
         return result.value if isinstance(result, Number) else None
 
-    def rely(self, value: Value | Known) -> None:
+    def rely(self, value: Value | VariableValue) -> None:
         """Note which names a motion, a frame or a speed depends on."""
         if isinstance(value, Reference):
             self.used.add(self.scope.stored(value.name))
@@ -612,10 +619,10 @@ class Variables:
             for part in parts(value):
                 self.rely(part)
 
-    def argument(self, call: Call, field: str) -> Value | Known | None:
+    def argument(self, call: Call, field: str) -> Value | VariableValue | None:
         """Return the first argument of a call, of a structure the component in question: None where it says nothing."""
         if not call.arguments:
-            return NOTHING
+            return NO_VALUE
         result = self.evaluate(call.arguments[0])
         if isinstance(result, Aggregate):
             return result.items.get(field)
@@ -627,8 +634,8 @@ class Variables:
             raise source.error(f"the name {reference.name} is longer than {MAX_LENGTH} characters", reference.start)
 
 
-def _not_followed(name: str, field: str | None) -> Known:
-    return NOTHING
+def _not_followed(name: str, field: str | None) -> VariableValue:
+    return NO_VALUE
 
 
 def _check_given(keys: Iterable[str]) -> None:
@@ -645,7 +652,7 @@ def _check_given(keys: Iterable[str]) -> None:
             )
 
 
-def component(position: Position, field: str) -> Known:
+def component(position: Position, field: str) -> VariableValue:
     """Return a component of a Cartesian position that was computed.
 
     A, B and C are known only where one set of them describes the orientation: which of two sets the controller has is
@@ -678,7 +685,7 @@ def _one_set(position: Position, *, whole_turns: bool = False) -> bool:
     return abs(b) < 90.0 - _TURN and (whole_turns or (abs(a) < 180.0 - _TURN and abs(c) < 180.0 - _TURN))
 
 
-def _with_member(variables: Variables, whole: Aggregate, path: Sequence[str], value: Known) -> Aggregate | None:
+def _with_member(variables: Variables, whole: Aggregate, path: Sequence[str], value: VariableValue) -> Aggregate | None:
     """Return a structure with another value of a member, or of a member of that; None if that is not known.
 
     What becomes of components that a position lacks and had before is not certain.
@@ -686,7 +693,7 @@ def _with_member(variables: Variables, whole: Aggregate, path: Sequence[str], va
     name, *inner_path = path
     item = whole.items.get(name)
     old = None if item is None else variables.evaluate(item)
-    member: Known | None = value
+    member: VariableValue | None = value
     if inner_path:
         member = _with_member(variables, old, inner_path, value) if isinstance(old, Aggregate) else None
     elif isinstance(value, Aggregate) and isinstance(old, Aggregate) and not old.items.keys() <= value.items.keys():
@@ -707,19 +714,21 @@ def _agree(frame: Position, other_frame: Position) -> bool:
     return bool(difference[:3, 3].max() < _SAME_PLACE and difference[:3, :3].max() < _SAME_ANGLE)
 
 
-def _shown(frame: Position) -> str:
+def _frame_text(frame: Position) -> str:
+    """Return the given components of a frame as KRL writes them, for messages [mm, deg]."""
     names = AXES if frame.axis else CARTESIAN
     components = [f"{name} {value + 0.0:.10g}" for name, value in zip(names, np.round(frame.values, 6), strict=True)]
     return f"{{{', '.join(component for component in components if not component.endswith('nan'))}}}"
 
 
-def _from_cell(value: float) -> Number | Word:
+def _cell_value(value: float) -> Number | Word:
+    """Return a value of the cell as KRL has it: a BOOL, an INT or a REAL."""
     if isinstance(value, bool):
         return Word(str(value).upper(), 0, 0)
     return Number(float(value), 0, 0, isinstance(value, int))
 
 
-def converted(value: Known, kind: str) -> Known:
+def converted(value: VariableValue, kind: str) -> VariableValue:
     """Return a value converted to the type of a variable: a REAL is rounded to an INT (KUKA, Expert Programming).
 
     :param kind: its type, upper case; empty if that is not known; `WHOLE` if it is REAL or INT.
@@ -740,4 +749,5 @@ def converted(value: Known, kind: str) -> Known:
 
 
 def _span(value: Value) -> tuple[int, int]:
+    """Return offsets of the first character of a value and behind its last."""
     return value.start, value.stop

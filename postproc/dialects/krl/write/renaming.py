@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from postproc.dialects.krl.language import scan
 from postproc.dialects.krl.language.names import MAX_LENGTH, fault_of, unused
-from postproc.dialects.krl.language.parts import MAIN, beyond, called
+from postproc.dialects.krl.language.parts import MAIN, called_parts, files_of_routines
 from postproc.dialects.krl.language.tokens import BLANKS, NAME, after_blanks, after_sign, names_in
 from postproc.program import Document
 
@@ -23,7 +23,7 @@ def rename(documents: Sequence[Document], name: str) -> tuple[Document, ...]:
     """
     if not documents:
         return ()
-    calls = called(documents[0])
+    calls = called_parts(documents[0])
     if not calls:
         stem = PurePath(documents[0].name).stem.lower()
         return tuple(
@@ -33,7 +33,7 @@ def rename(documents: Sequence[Document], name: str) -> tuple[Document, ...]:
     old = PurePath(documents[0].name).stem[: -len(MAIN)]
     new = name[: MAX_LENGTH - len(MAIN)]
     document_of = {document.name.lower(): document for document in documents}
-    inner_files = beyond(documents[0], lambda name: document_of.get(name.lower()))
+    inner_files = files_of_routines(documents[0], lambda name: document_of.get(name.lower()))
     parts = [*(call for call, _ in calls), *(PurePath(document.name).stem for document in inner_files)]
     stems = {f"{old}{MAIN}": f"{new}{MAIN}"} | {part: f"{new}{part[len(old) :]}" for part in parts}
     new_stems = {old_stem.lower(): new_stem for old_stem, new_stem in stems.items()}

@@ -11,9 +11,9 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from msgspec import Struct, field
 from msgspec.structs import replace
 
-from postproc.dialects.krl.language.declarations import DataLine, DeclaredName, data_lines, declared
+from postproc.dialects.krl.language.declarations import DataLine, DeclaredName, data_lines, declared_in
 from postproc.dialects.krl.language.expressions import calls
-from postproc.dialects.krl.language.names import DECLARING, MAX_LENGTH, unused
+from postproc.dialects.krl.language.names import DECLARATIONS, MAX_LENGTH, unused
 from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.parts import MAIN
 from postproc.dialects.krl.language.routines import Routine
@@ -254,7 +254,7 @@ class Sharing:
                 if is_kept or all_names.isdisjoint(names_in(text, start, stop)):
                     continue
                 for item in occurrences(text, start, stop):
-                    is_call = item.called or line == routine.first
+                    is_call = item.is_called or line == routine.first
                     new = routines.get(item.name) if is_call else names.get(item.name)
                     if new is not None:
                         edits.add(item.start, item.stop, new)
@@ -294,8 +294,8 @@ class Sharing:
 def _data_declarations(data: Source, data_line: DataLine) -> Iterator[DeclaredName]:
     """Yield the variables that a line of a `.dat` declares or gives a value to."""
     start, stop = data.code_span(data_line.line)
-    if word_at(data.text, start, stop) not in DECLARING:
-        yield from declared(data, start, stop)
+    if word_at(data.text, start, stop) not in DECLARATIONS:
+        yield from declared_in(data, start, stop)
 
 
 def _types(data: Source) -> Iterator[str]:

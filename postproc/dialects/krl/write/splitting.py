@@ -26,7 +26,7 @@ from msgspec.structs import replace
 from postproc.dialects.krl.language.declarations import DataLine, data_lines
 from postproc.dialects.krl.language.names import MAX_LENGTH, MOTION_WORDS, fault_of
 from postproc.dialects.krl.language.parser import statement
-from postproc.dialects.krl.language.parts import MAIN, joined, taken_apart
+from postproc.dialects.krl.language.parts import MAIN, joined_program, separated_texts
 from postproc.dialects.krl.language.routines import Module, routines
 from postproc.dialects.krl.language.scan import with_name
 from postproc.dialects.krl.language.source import Source
@@ -34,7 +34,7 @@ from postproc.dialects.krl.language.tokens import names_in, word_at
 from postproc.dialects.krl.language.tree import Definition
 from postproc.dialects.krl.write.division import bounds, division_error, places
 from postproc.dialects.krl.write.shared_names import Sharing
-from postproc.errors import Issue, first_of, together
+from postproc.errors import Issue, combined_error, first_of
 from postproc.program import Document, Ints, WrittenProgram
 
 
@@ -113,7 +113,7 @@ def split_files(
     :param resume_place: where RESUME in another file goes back to the program; empty: nowhere.
     :raises ProgramError: it is too long, and cannot be divided.
     """
-    old_text = joined(documents) if documents else None
+    old_text = joined_program(documents) if documents else None
     if old_text is not None:
         return _restore_files(documents, output, limit)
     if not limit or (
@@ -127,12 +127,12 @@ def split_files(
 
 def _restore_files(documents: Sequence[Document], output: WrittenProgram, limit: int) -> WrittenProgram:
     """Return a program that was read from several files in these files."""
-    whole = joined(documents)
+    whole = joined_program(documents)
     if whole is None or all(
         new_file.text == old_file.text for new_file, old_file in zip(output.documents, whole.documents, strict=True)
     ):
         return replace(output, documents=tuple(documents))
-    texts = taken_apart(output.documents[0].text)
+    texts = separated_texts(output.documents[0].text)
     document_of = {document.name: document for document in documents}
     sources = [replace(document_of[file], text=text) for (file, _), text in zip(whole.files, texts, strict=True)]
     longest_file = max(sources, key=lambda document: document.text.count("\n"))
@@ -163,7 +163,7 @@ class _Splitter:
         lines = range(1, len(self.source.starts) + 1)
         routine_of, faults = routines(self.source, lines, np.zeros(0, dtype=np.int64))
         if faults:
-            raise together(faults)
+            raise combined_error(faults)
         main = Module(self.source, routine_of).main(PurePath(output.documents[0].name).stem)
         if main is None:
             raise division_error(self.source, "it has no DEF, END or motion", 1)
