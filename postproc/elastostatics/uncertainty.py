@@ -249,7 +249,10 @@ def sensitivity(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Arra
     try:
         by_file = np.linalg.inv(linear)[:, [order.index(parameter) for parameter in parameters]]
     except np.linalg.LinAlgError:
-        raise ModelError("[covariance] is of a compensator that has no spring") from None
+        raise ModelError(
+            "[covariance] is of a compensator that has no spring",
+            advice="Identify the model anew, or remove [covariance].",
+        ) from None
     return np.asarray(_linear_sensitivity(robot, order, q, tool, wrench) @ by_file)
 
 

@@ -58,7 +58,9 @@ def read_bytes(path: Path, error: type[InputError], absent: str | None = None) -
     except FileNotFoundError:
         raise error("no such file", file=str(path), advice=absent) from None
     except OSError as cause:
-        raise error(f"cannot be read ({cause.strerror})", file=str(path)) from cause
+        raise error(
+            f"cannot be read ({cause.strerror})", file=str(path), advice="Check its path, and that you may read it."
+        ) from cause
 
 
 def read_text(path: Path, error: type[InputError], absent: str | None = None) -> str:

@@ -107,7 +107,7 @@ def read(path: Path) -> CutReadings:
     numbers, texts, line = files.read_csv(path, _REQUIRED_COLUMNS, _EMPTY, ForceError, ("mode",), _EMPTY)
     count = len(line)
     if count == 0:
-        raise ForceError("no readings", file=str(path))
+        raise ForceError("no readings", file=str(path), advice="Give at least one row of readings.")
     column = {name: numbers.get(name, np.full(count, np.nan)) for name in (*_REQUIRED_COLUMNS[1:], *_EMPTY)}
     for k, mode in enumerate(texts["mode"]):
         problem = advice = None

@@ -159,7 +159,11 @@ def load(path: str | Path, *, tools_only: bool = False) -> Process:
     if content.stock.box is not None:
         for axis, span in zip("XYZ", (content.stock.box.X, content.stock.box.Y, content.stock.box.Z), strict=True):
             if not span[0] < span[1]:
-                raise ForceError(f"[stock] box {axis}: {list(span)} is not from smaller to larger", file=file)
+                raise ForceError(
+                    f"[stock] box {axis}: {list(span)} is not from smaller to larger",
+                    file=file,
+                    advice="Write the smaller number first.",
+                )
     if content.material is None and not content.operations and not tools_only:
         raise ForceError("neither [material] nor [operations]", file=file, advice=_EXAMPLE)
     return Process(**{name: getattr(content, name) for name in content.__struct_fields__}, path=file)

@@ -94,7 +94,11 @@ def load(folder: str | Path) -> RobotModel:
         raise ModelError(f"no [joints.{absent_joints[0]}]", file=file_name, advice="Every joint needs a compliance.")
     for name, spring in content.joints.items():
         if spring.fades > spring.compliance_urad_per_Nm * (1 + 1e-6):
-            raise ModelError(f"[joints.{name}]: the sum of the stiffening parts exceeds the compliance", file=file_name)
+            raise ModelError(
+                f"[joints.{name}]: the sum of the stiffening parts exceeds the compliance",
+                file=file_name,
+                advice="Reduce the stiffening parts, or raise the compliance.",
+            )
         _check_terms(name, spring, file_name)
     _check_covariance(content, file_name)
     _check_angles(content.geometry_error, file_name)
@@ -103,7 +107,11 @@ def load(folder: str | Path) -> RobotModel:
         and discrepancy.load_N[0] > 0.0
         and np.all(np.diff(discrepancy.load_N) > 0.0)
     ):
-        raise ModelError("[discrepancy] needs ascending load_N above zero, and as many u95_mm", file=file_name)
+        raise ModelError(
+            "[discrepancy] needs ascending load_N above zero, and as many u95_mm",
+            file=file_name,
+            advice="Sort them by load_N, one u95_mm for each.",
+        )
     path = folder / "robot.urdf"
     text = files.read_text(path, ModelError)
     robot = assemble(folder.resolve().name, content, urdf.read(text, str(path)))
@@ -288,7 +296,11 @@ def _check_covariance(content: ModelFile, file_name: str) -> None:
     if not np.allclose(matrix, matrix.T, rtol=1e-6, atol=0.0) or np.linalg.eigvalsh(matrix).min(
         initial=0.0
     ) < -1e-9 * np.abs(matrix).max(initial=0.0):
-        raise ModelError("[covariance] matrix is not symmetric positive semidefinite", file=file_name)
+        raise ModelError(
+            "[covariance] matrix is not symmetric positive semidefinite",
+            file=file_name,
+            advice="Identify the model anew, or remove [covariance].",
+        )
 
 
 def sourced_values(content: ModelFile, nominal: Chain) -> Iterator[SourcedValue]:

@@ -81,7 +81,10 @@ class Covariance(Struct, frozen=True, eq=False):
         parameter_of = {name: parameters.parameter_of_name(name) for name in names}
         unknown = [name for name, parameter in parameter_of.items() if parameter is None]
         if unknown:
-            raise ModelError(f"[covariance] names {unknown[0]!r}, which is no parameter of the elastic model")
+            raise ModelError(
+                f"[covariance] names {unknown[0]!r}, which is no parameter of the elastic model",
+                advice="Identify the model anew, or remove [covariance].",
+            )
         return cls(tuple(p for p in parameter_of.values() if p is not None), np.array(matrix, dtype=float))
 
 
@@ -528,4 +531,7 @@ def waves(q: Array) -> Array:
 
 
 def _missing_parameter(parameter: Parameter) -> ModelError:
-    return ModelError(f"[covariance] names {parameter.name!r}, which the model does not have")
+    return ModelError(
+        f"[covariance] names {parameter.name!r}, which the model does not have",
+        advice="Identify the model anew, or remove [covariance].",
+    )

@@ -184,7 +184,7 @@ def _factor(source: Source, start: int, stop: int, first: _Read | None) -> _Read
     start = after_blanks(text, start, stop)
     if text[start:stop][:1] in ("+", "-") and not NUMBER.match(text, start, stop):
         if text[after_blanks(text, start + 1, stop) : stop][:1] in ("+", "-"):
-            raise source.error("two signs in a row", start)
+            raise source.error("two signs in a row", start, advice="Put the second sign and its value in brackets.")
         value, end = _factor(source, start + 1, stop, None)
         return Operation(text[start], None, value, start, end), end
     value, end = first or operand(source, start, stop)
@@ -207,7 +207,9 @@ def operand(source: Source, start: int, stop: int) -> _Read:
     text = source.text
     start = after_blanks(text, start, stop)
     if start >= stop:
-        raise source.error("a value is missing", min(start, len(text) - 1))
+        raise source.error(
+            "a value is missing", min(start, len(text) - 1), advice="Write a number, a name or an expression there."
+        )
     first = text[start]
     if first == "{":
         aggregate = parse_aggregate(source, start, stop)
@@ -223,7 +225,7 @@ def operand(source: Source, start: int, stop: int) -> _Read:
         return Number(_finite(source, match), start, match.end(), match[0].lstrip("+-").isdigit()), match.end()
     if match := INTEGER_LITERAL.match(text, start, stop):
         if match.end() - start > _MAX_LENGTH:
-            raise source.error(f"{match[0][:20]}… is not an INT", start)
+            raise source.error(f"{match[0][:20]}… is not an INT", start, advice="Write the number in decimal notation.")
         number = float(int(match[1], 2) if match[1] else int(match[2], 16))
         return Number(number, start, match.end(), True), match.end()
     if match := STRING.match(text, start, stop):
@@ -385,7 +387,7 @@ def parse_aggregate(source: Source, start: int, stop: int) -> Aggregate:
         else:
             name, value, has_comma, position = _component(source, start, position, stop)
         if name in items:
-            raise source.error(f"component {name} is given twice", position - 1)
+            raise source.error(f"component {name} is given twice", position - 1, advice="Remove one of them.")
         items[name] = value
     position = after_blanks(text, position, stop)
     return Aggregate(source, start, position + 1, tag, items)
@@ -419,7 +421,9 @@ def _component(source: Source, opening: int, position: int, stop: int) -> tuple[
     value, end = value_at(source, match.end(), stop)
     end = after_blanks(text, end, stop)
     if isinstance(value, Reference) and value.name in ("NAN", "INF", "INFINITY"):
-        raise source.error(f"component {name} is not a finite number", value.start)
+        raise source.error(
+            f"component {name} is not a finite number", value.start, advice="Write it as a finite number."
+        )
     if end >= stop or text[end] not in ",}":
         _raise_aggregate_error(source, opening, end, stop, f"a comma is missing after component {name}")
     return name, value, text[end] == ",", end + (text[end] == ",")
@@ -442,7 +446,9 @@ def _finite(source: Source, match: re.Match[str], group: int = 0) -> float:
     """
     value = float(match[group])
     if not math.isfinite(value):
-        raise source.error(f"{match[group][:40]} is not a finite number", match.start(group))
+        raise source.error(
+            f"{match[group][:40]} is not a finite number", match.start(group), advice="Write it as a finite number."
+        )
     return value
 
 
@@ -490,7 +496,7 @@ def split(source: Source, start: int, stop: int) -> list[tuple[int, int]]:
         elif char == '"':
             offset = text.find('"', offset + 1, stop)
             if offset < 0:
-                raise source.error("a string is not closed", start)
+                raise source.error("a string is not closed", start, advice='Close it with " on the same line.')
         elif char == ",":
             spans.append((begin, offset))
             begin = offset + 1

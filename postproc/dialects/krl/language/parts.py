@@ -215,7 +215,11 @@ def _is_end(source: Source, line: int) -> bool:
 def _with_marks(source: Source, lines: Sequence[int]) -> str:
     """Return the text of a file with some of its lines (ascending) as comments, and with an end of its last line."""
     if any(mark in source.text for mark in (_DIVIDES, _BEGINS, _UNENDED)):
-        raise ProgramError("control characters in the program", file=source.document.name)
+        raise ProgramError(
+            "control characters in the program",
+            file=source.document.name,
+            advice="Remove them: a program is plain text.",
+        )
     pieces, last = [], 0
     for line in lines:
         start = int(source.starts[line - 1])

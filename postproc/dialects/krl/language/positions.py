@@ -89,7 +89,9 @@ def from_aggregate(aggregate: Aggregate) -> Position:
     components, tags = (_AXIS_COMPONENTS, _AXIS_TAGS) if axis else (_CARTESIAN_COMPONENTS, _CARTESIAN_TAGS)
     if aggregate.tag not in tags:
         kind = "an axis position" if axis else "a Cartesian position"
-        raise aggregate.source.error(f"{aggregate.tag} is not the type of {kind}", aggregate.start)
+        raise aggregate.source.error(
+            f"{aggregate.tag} is not the type of {kind}", aggregate.start, advice=f"Valid types: {', '.join(tags[1:])}."
+        )
     values = [value.value for value in items.values() if isinstance(value, Number)]
     if len(values) == len(CARTESIAN) and tuple(items) == CARTESIAN and aggregate.tag in _CARTESIAN_TAGS:
         return Position(tuple(values), aggregate=None if aggregate.computed else aggregate)  # nearly all of them

@@ -109,7 +109,13 @@ def routines(
         node = statement_at(source, line, start, stop)
         if isinstance(node, Definition):
             if open_routine is not None:
-                faults.append(source.line_error(f"DEF {open_routine.name} (line {open_routine.line}) has no END", line))
+                faults.append(
+                    source.line_error(
+                        f"DEF {open_routine.name} (line {open_routine.line}) has no END",
+                        line,
+                        advice="Write END before this DEF.",
+                    )
+                )
                 routine_of.setdefault(open_routine.name, _closed_routine(source, open_routine, line, plain, settings))
             open_routine = _OpenRoutine(node.name.upper(), line, node)
         elif node.word in ("END", "ENDFCT") and open_routine is not None:
@@ -118,7 +124,9 @@ def routines(
         elif open_routine is not None:
             open_routine.lines.append(line)
         elif isinstance(node, Motion):
-            faults.append(source.line_error(f"{node.word} is outside of DEF … END", line))
+            faults.append(
+                source.line_error(f"{node.word} is outside of DEF … END", line, advice="Move it into a routine.")
+            )
     if open_routine is not None:
         faults.append(source.line_error(f"DEF {open_routine.name} has no END", open_routine.line, _INCOMPLETE))
         routine_of.setdefault(

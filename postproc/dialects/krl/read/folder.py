@@ -96,7 +96,9 @@ class FolderFiles:
         try:
             return Source.of(replace(decode(path.name, path.read_bytes()), folder=str(path.parent)), 2)
         except OSError as cause:
-            raise ProgramError(f"cannot be read ({cause.strerror})", file=str(path)) from cause
+            raise ProgramError(
+                f"cannot be read ({cause.strerror})", file=str(path), advice="Check its path, and that you may read it."
+            ) from cause
 
     def declared(self, path: Path, find: Callable[[str], frozenset[str]]) -> frozenset[str]:
         """Return the names that a function of `language.scan` finds in a file; none where it cannot be read."""

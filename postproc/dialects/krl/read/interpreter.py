@@ -98,7 +98,9 @@ class Interpreter:
             level.open.append((word, at.line))
         elif word in _CLOSING:
             if not level.open or level.open[-1][0] != _CLOSING[word]:
-                raise at.error(f"{word} without {_CLOSING[word]}")
+                raise at.error(
+                    f"{word} without {_CLOSING[word]}", advice="Check that the control structure is complete."
+                )
             level.open.pop()
         elif isinstance(stmt, tree.Goto):
             lines = [line for word, line in level.open if word in _CONDITIONS]
@@ -286,7 +288,10 @@ class Interpreter:
         if isinstance(expression, UnreadableText):
             raise expression.error
         if isinstance(expression, OpaqueText) and expression.rest >= 0:
-            raise at.error(f"{at.source.text[expression.rest : expression.stop].strip()!r} is not understood")
+            raise at.error(
+                f"{at.source.text[expression.rest : expression.stop].strip()!r} is not understood",
+                advice="Check its spelling.",
+            )
         if isinstance(expression, Call) or calls([expression]):
             result = self.calls.value(at, expression)
             if isinstance(expression, Call) and not isinstance(result, UnknownValue):

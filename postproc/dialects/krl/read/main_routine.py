@@ -249,7 +249,11 @@ class MainRoutine:
                 break
         errors = self._errors
         if self.splines.open is not None and not errors:
-            errors.append(self.splines.open.at.error("the spline block is not closed"))
+            errors.append(
+                self.splines.open.at.error(
+                    "the spline block is not closed", advice="Write ENDSPLINE behind its last motion."
+                )
+            )
         if run.level.open and not errors:
             word, open_line = run.level.open[-1]
             errors.append(
@@ -370,7 +374,9 @@ class MainRoutine:
             in_routine |= (plain > routine.first) & (plain < routine.last)
         outside_rows = np.flatnonzero(~in_routine)
         if len(outside_rows):
-            raise self.run.trace.error("the motion is outside of DEF … END", int(plain[outside_rows[0]]))
+            raise self.run.trace.error(
+                "the motion is outside of DEF … END", int(plain[outside_rows[0]]), advice="Move it into a routine."
+            )
         return is_executed
 
     def in_one_block(self, first: int, last: int) -> bool:

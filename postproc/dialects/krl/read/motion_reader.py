@@ -98,7 +98,10 @@ class MotionReader:
         if motion.via is not None:
             via = self._point(at, motion.via, names, row)
             if not via or motion.end is None:
-                raise at.error(f"{motion.word} needs an auxiliary point and an end point")
+                raise at.error(
+                    f"{motion.word} needs an auxiliary point and an end point",
+                    advice="Write the auxiliary point, a comma and the end point.",
+                )
         if stays(motion):
             return None, self.settings.state, names
         end = None if motion.end is None else self._point(at, motion.end, names, row)
@@ -171,7 +174,10 @@ class MotionReader:
         """
         angle = self.variables.number(value)
         if angle is None or not 0.0 < abs(angle) <= LARGEST_COORDINATE:
-            raise at.error("the circular angle CA is not a number of degrees other than 0")
+            raise at.error(
+                "the circular angle CA is not a number of degrees other than 0",
+                advice="Write an angle in degrees, such as CA 90.",
+            )
         return angle
 
     def _check(self, at: Place, word: str, kind: int, end: Point, via: Point | None) -> None:
@@ -199,15 +205,15 @@ class MotionReader:
         if tail.error is not None:
             raise tail.error
         if tail.rest is not None:
-            raise at.error(f"{tail.rest.of(text)!r} is not understood")
+            raise at.error(f"{tail.rest.of(text)!r} is not understood", advice="Check its spelling.")
         for item in tail.given:
             if not isinstance(item, Assignment):
-                raise at.error(f"{text[item.start : item.stop]!r} is not understood")
+                raise at.error(f"{text[item.start : item.stop]!r} is not understood", advice="Check its spelling.")
             if item.target.name in RELEVANT:
                 self._check_asked(at, item.target.name, item.value)
                 state = self.settings.assigned(state, at, item.target, item.value)
             elif not item.target.name.startswith(_NO_EFFECT):
-                raise at.error(f"{item.target.name} in WITH is not understood")
+                raise at.error(f"{item.target.name} in WITH is not understood", advice="Check its spelling.")
         if state != self.settings.state:
             for value in points:
                 self._check_asked(at, "WITH", value)

@@ -60,16 +60,22 @@ class SplineBlocks:
         """
         if isinstance(stmt, Spline):
             if self.open is not None:
-                raise at.error(f"{stmt.word} inside of a spline block ({self.open.at})")
+                raise at.error(
+                    f"{stmt.word} inside of a spline block ({self.open.at})",
+                    advice="End that block with ENDSPLINE first.",
+                )
             state = self.reader.block(at, stmt)
             self.open = OpenBlock(row, at, self.settings.state, state)
             self.settings.change(row, state)
             return
         if self.open is None:
-            raise at.error("ENDSPLINE without SPLINE")
+            raise at.error(
+                "ENDSPLINE without SPLINE",
+                advice="Write SPLINE before the first motion of the block, or remove ENDSPLINE.",
+            )
         tail = stmt.behind if isinstance(stmt, EndSpline) else ""
         if tail.upper() not in ("", "C_SPL"):
-            raise at.error(f"{tail!r} is not understood")
+            raise at.error(f"{tail!r} is not understood", advice="Check its spelling.")
         if tail:
             self.approximated.append(row)
         block_state, end_state = self.open.block_state, self.settings.state

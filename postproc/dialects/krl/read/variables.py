@@ -631,7 +631,11 @@ class Variables:
     def check_name(self, source: Source, reference: Reference) -> None:
         """Refuse a name that is longer than the controller accepts."""
         if len(reference.name) > MAX_LENGTH:
-            raise source.error(f"the name {reference.name} is longer than {MAX_LENGTH} characters", reference.start)
+            raise source.error(
+                f"the name {reference.name} is longer than {MAX_LENGTH} characters",
+                reference.start,
+                advice="Give the variable a shorter name.",
+            )
 
 
 def _not_followed(name: str, field: str | None) -> VariableValue:
