@@ -46,6 +46,7 @@ class Compensator(Struct, frozen=True):
             )
 
     def _parts(self, q2: Array) -> tuple[float, Array, Array, Array]:
+        """Return |P0P2|·L [m²], and for q2 (n,) sine and cosine (n,) of the crank angle, and |P0P1| (n,) [m]."""
         a_l = float(np.hypot(self.ax, self.ay)) * self.L
         angle = np.arctan2(self.ay, self.ax) - q2
         sine, cosine = sine_and_cosine(angle)

@@ -250,6 +250,7 @@ def without_trailing_zeros(text: bytes) -> bytes:
 
 
 def _width(part: Part) -> int:
+    """Return the number of bytes that a part of a row takes."""
     if isinstance(part, bytes):
         return len(part)
     return part.width if isinstance(part, Number) else part.shape[1]

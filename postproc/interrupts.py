@@ -125,12 +125,14 @@ def _handlers(by: Callable[[object], bool], handler: _Handler) -> Iterator[None]
 
 
 def _leave(number: int, _frame: FrameType | None) -> None:
+    """Handle a signal before the work begins: end the process with one line."""
     with contextlib.suppress(OSError):
         os.write(2, b"Interrupted.\n")
     os._exit(128 + number)
 
 
 def _note(number: int, _frame: FrameType | None) -> None:
+    """Handle a signal during the work: raise `Interrupt` where it is expected, else keep it for later."""
     _State.number = number
     if _State.hearing:
         _State.hearing = False
@@ -138,6 +140,7 @@ def _note(number: int, _frame: FrameType | None) -> None:
 
 
 def _hear() -> None:
+    """Let signals raise `Interrupt` from now on; one that has come already does so at once."""
     _State.hearing = True
     if _State.number is not None:
         _State.hearing = False

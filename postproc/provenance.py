@@ -163,6 +163,7 @@ def _text(documents: Sequence[Document], line: re.Match[str]) -> str:
 
 
 def _cut_line(document: Document, start: int, stop: int) -> Document:
+    """Return a document without the line from `start` to `stop`, offsets in its text."""
     if start == stop:
         return document
     return replace(document, text=document.text[:start] + document.text[stop:])

@@ -76,6 +76,7 @@ class Run:
         self._close_pipe()
 
     def _close_pipe(self) -> None:
+        """Close the input of the command, which may have ended already."""
         assert self._process.stdin is not None
         with contextlib.suppress(OSError):
             self._process.stdin.close()
@@ -167,6 +168,10 @@ class Runs:
             change()
 
     def _check_idle(self) -> None:
+        """Refuse a change of the cell while a command reads it.
+
+        :raises InputError: a command runs.
+        """
         for run in self.active():
             problem = f"{run.title!r} runs and reads the cell: nothing was changed"
             raise InputError(problem, advice="Wait until it has ended, or stop it.")

@@ -140,6 +140,10 @@ class _Handler(BaseHTTPRequestHandler):
         return dict(parse_qsl(self.rfile.read(size).decode(errors="replace"), keep_blank_values=True))
 
     def _size(self) -> int:
+        """Return the size of the body [bytes].
+
+        :raises InputError: the request does not state it.
+        """
         text = self.headers.get("Content-Length") or "0"
         if not (text.isascii() and text.isdecimal()) or self.headers.get("Transfer-Encoding"):
             raise InputError("the size of what was sent is not stated")

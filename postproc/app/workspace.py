@@ -216,6 +216,7 @@ class Workspace(Struct, frozen=True):
         ]
 
     def _changes(self, name: str, entry: Entry | None, setup: Setup) -> tuple[str, ...]:
+        """Return what has changed since the result of a program; empty without a result."""
         if entry is None:
             return ()
         report = self.results / f"{entry.page.removesuffix('.html')}.json"

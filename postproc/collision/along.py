@@ -189,6 +189,7 @@ class _Search:
             self.closest = SmallestDistance(distance, first, second, row)
 
     def _note(self, first: int, second: int, row: int, distance: float) -> None:
+        """Keep the smallest distance [m] of two bodies on a row as a hit."""
         key = (row, first, second)
         self.hits[key] = min(distance, self.hits.get(key, np.inf))
         self._nearer(first, second, row, distance)

@@ -329,5 +329,6 @@ def _round(
     pose: Array,
     mesh: object,
 ) -> Body:
+    """Return a body with the points and facets of a mesh of trimesh [m]."""
     points = np.asarray(mesh.vertices)  # type: ignore[attr-defined]
     return Body(name, carrier, of, kind, size, pose, points, np.asarray(mesh.faces, dtype=np.int64))  # type: ignore[attr-defined]

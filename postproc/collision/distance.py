@@ -214,6 +214,7 @@ class Solids:
 
 
 def _is_convex(body: Body) -> bool:
+    """Return whether a body fills its convex hull: it is closed, and its volume is that of the hull."""
     from trimesh import Trimesh
 
     mesh = Trimesh(body.points, body.faces, process=True)

@@ -336,6 +336,10 @@ class Search(Struct, frozen=True, eq=False):
         ) - self.nominal_path.points(length)
 
     def _tip(self, q: Array, displacement: Array, motion: Ints, wrench: Array) -> Array:
+        """Return the loaded tips (n, 3) [m] at joint angles q (n, 6) [rad] under wrenches (n, 6) [N, N·m].
+
+        :raises ForceError: there is no equilibrium on a motion.
+        """
         try:
             return self.nominal_path.loaded_tip(motion, q, wrench, displacement)
         except NotConvergedError as cause:

@@ -406,6 +406,7 @@ class _Search:
 
 
 def _solids(scene: Scene, moving: Sequence[Body], fixed_bodies: Sequence[Body]) -> Solids:
+    """Return the solids of moving and fixed bodies, paired where the first one moves with the arm."""
     pairs = [
         (i, len(moving) + j) for i in range(len(moving)) for j in range(len(fixed_bodies)) if moving[i].carrier >= 0
     ]

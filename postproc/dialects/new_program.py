@@ -230,7 +230,11 @@ class NewProgram:
         return text, np.cumsum(step[:count], dtype=step.dtype)
 
     def _chunk(self, rows: Ints, print_lines: Callable[[int, Ints], bytes], note_targets: Ints) -> str:
-        """Return the lines of consecutive targets (n,), with those before targets `note_targets` (m,) of them."""
+        """Return the lines of consecutive targets (n,), with those before targets `note_targets` (m,) of them.
+
+        Targets are printed kind by kind, in bulk. `rank` is the place of a target among those of its kind, so that
+        the texts can be cut at line ends and put in order.
+        """
         kind = self.targets.kind[rows]
         rank = np.zeros(len(rows), dtype=np.int64)
         texts, ends = {}, {}

@@ -208,6 +208,10 @@ def _needs_iteration(size: Array, previous: Array, tolerance: float) -> Bools:
 
 
 def _check_size(theta: Array) -> None:
+    """Check that deflections (nv, n) [rad, m] are in the range of the linear springs.
+
+    :raises NotConvergedError: one is not; it names the columns.
+    """
     large = _largest(theta) > _LARGEST_DEFLECTION
     if large.any():
         raise NotConvergedError("the load is too large for the springs", np.flatnonzero(large).tolist())

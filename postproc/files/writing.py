@@ -259,6 +259,7 @@ def _naming(folder: Path, names: Collection[str]) -> Iterator[list[Path]]:
 
 
 def _write(path: Path, content: bytes | Iterable[bytes]) -> None:
+    """Write a file and wait until it is on the disk, so that a rename afterwards is safe."""
     with path.open("wb") as file:
         file.writelines([content] if isinstance(content, bytes) else content)
         file.flush()

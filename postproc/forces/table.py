@@ -224,7 +224,13 @@ class _Columns(Struct, frozen=True, eq=False):
         return t
 
     def check_order(self, order: Ints, values: tuple[Ints, Ints, Array, Ints], usable: Bools) -> None:
-        """Check that rows of one line are in order of t and have one frame, and that no other rows share a line."""
+        """Check that rows of one line are in order of t and have one frame, and that no other rows share a line.
+
+        A row is compared with the one before it, after sorting by `order` (n,).
+
+        :param values: first line, last line, t and frame of each row (n,).
+        :param usable: (n,) False for rows with other faults, which are not reported again.
+        """
         begin, end, t, frame = (column[order] for column in values)
         usable = usable[order]
         shares_line = np.append(False, (np.diff(begin) == 0) & (np.diff(end) == 0)) & ~np.isnan(t)

@@ -132,6 +132,7 @@ def _setup_findings(setup: Experiment) -> list[Finding]:
 
 
 def _torque_finding(torque: np.ndarray) -> Finding:
+    """Return the finding on the largest torques (6,) [N·m] by the loads, with the joints that are hardly loaded."""
     bare = [name for name, size in zip(JOINTS, torque, strict=True) if size < _TORQUE_SHARE * torque.max()]
     sizes = ", ".join(f"{size:.0f}" for size in torque)
     text = f"torques up to {sizes} N·m on A1 … A6"

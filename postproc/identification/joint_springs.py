@@ -185,6 +185,7 @@ def _joint_reason(
 
 
 def _correlation(covariance: Array) -> Array:
+    """Return the correlations (p, p) of a covariance (p, p); 0 for parameters without variance."""
     deviation = np.sqrt(np.diag(covariance))
     with np.errstate(invalid="ignore", divide="ignore"):
         correlation = covariance / np.outer(deviation, deviation)
@@ -355,6 +356,7 @@ def _refutes_prior_spring(fit: Fit, data: Measurements, placement: Placement) ->
 
 
 def _attempt(structure: Structure, data: Measurements, placement: Placement, values: Array) -> Fit:
+    """Return the fit from start values (p,); where it fails, two iterations from the prior."""
     try:
         return gauss_newton(structure, data, placement, start=values)
     except PostprocError:  # a start far off: the prior itself

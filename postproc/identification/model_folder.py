@@ -138,6 +138,7 @@ def _compensator(
 
 
 def _masses(prior: Masses | None, mass_table: dict[str, float], source: str) -> Masses | None:
+    """Return the link masses of `model.toml`: those of the prior, replaced by the identified ones."""
     if not mass_table:
         return prior
     old = Masses(source="robot.urdf", assumed=True) if prior is None else prior
@@ -319,6 +320,7 @@ def _residual(result: Identification) -> record.Residual:
 
 
 def _unexplained_records(discrepancy: Discrepancy) -> list[record.CrossValidation]:
+    """Return the cross-validation errors at each level of loads, in mm."""
     lengths = np.stack([discrepancy.held_out, discrepancy.noise, discrepancy.own, discrepancy.u95], axis=1) * MM_PER_M
     return [
         record.CrossValidation(load, *row)
@@ -327,6 +329,7 @@ def _unexplained_records(discrepancy: Discrepancy) -> list[record.CrossValidatio
 
 
 def _states(data: Measurements) -> list[record.State]:
+    """Return the loaded states of the readings, angles in degrees."""
     angles = (data.q[data.state_config[data.loaded_states]] * DEG_PER_RAD).round(6).tolist()
     return [
         record.State(tuple(q), tuple(load))

@@ -210,6 +210,7 @@ def _located_joints(
 
 
 def _left_by_joints(fit: Fit) -> str:
+    """Return for messages what the joint springs and the compensator leave unexplained."""
     return (
         f"joint springs and compensator leave {fit.rms * MM_PER_M:.3f} mm RMS, {fit.chi2 / fit.dof:.1f} times the "
         "noise variance"

@@ -271,7 +271,10 @@ class Measurements(Struct, frozen=True, eq=False):
         return order
 
     def means(self) -> tuple[Array, Array]:
-        """Return mean positions (S, P, 3) [m] of the readings used (zero if none), and how many there are (S, P)."""
+        """Return mean positions (S, P, 3) [m] of the readings used (zero if none), and how many there are (S, P).
+
+        Sums are taken over one key for each pair of state and point.
+        """
         shape = (len(self.load), len(self.points))
         key = (self.state * shape[1] + self.point)[self.used]
         count = np.bincount(key, minlength=shape[0] * shape[1]).astype(float)

@@ -37,6 +37,10 @@ def numbers(text: str) -> Numbers:
 
 
 def _finite(values: Numbers, text: str) -> Numbers:
+    """Return numbers as they are.
+
+    :raises InputError: one of them is not finite.
+    """
     if not all(map(math.isfinite, values)):
         raise InputError(f"{text!r}: give finite numbers")
     return values

@@ -74,6 +74,7 @@ def schema_file(name: str) -> Path:
 
 
 def _files(root: Path) -> Iterator[Path]:
+    """Yield the files of a folder and its subfolders, sorted, without compiled Python."""
     for path in sorted(root.rglob("*")):
         if path.is_file() and "__pycache__" not in path.parts:
             yield path

@@ -177,6 +177,7 @@ def make_compensator_plan(request: CompensatorRequest) -> CompensatorPlanFiles:
 
 
 def _test_poses(request: PlanRequest, robot: RobotModel, cell: Cell) -> TestPoses:
+    """Return the poses and loads in which the plan shall be accurate: of a file, or of cutting motions."""
     if request.poses is not None:
         return milling.from_file(request.poses, robot, cell)
     return milling.join(cutting_states(request.programs, request.forces, robot, cell))

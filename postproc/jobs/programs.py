@@ -217,6 +217,7 @@ def _callers(unnamed: Sequence[Path], programs: Sequence[Path], dialect: str | N
 
 
 def _unique(paths: Iterable[Path]) -> list[Path]:
+    """Return paths without those that lead to the same file as an earlier one."""
     by_location: dict[Path, Path] = {}
     for path in paths:
         by_location.setdefault(resolve(path), path)

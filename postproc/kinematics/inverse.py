@@ -108,7 +108,13 @@ def follow(
 
 
 def _path_branches(robot: RobotModel, flange: Array, start: Array, axis_target: Array, status: Ints) -> Ints:
-    """Return the branch before the first PTP move, and from each of them on (J + 1,)."""
+    """Return the branch before the first PTP move, and from each of them on (J + 1,).
+
+    Moves that state no branch keep the one before: a running maximum finds the last move that states one.
+
+    :param axis_target: (J, 6) joint angles of PTP moves to them [rad], NaN for others.
+    :param status: (J,) S, −1 if it is not given.
+    """
     form = closed_form(robot)
     branch = np.full(len(status) + 1, -1)
     branch[0] = form.branch_of(np.asarray(start)[None])[0]

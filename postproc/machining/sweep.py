@@ -441,11 +441,13 @@ class Sweep(Struct, eq=False):
         return Footprint.empty()
 
     def _cutter(self, number: int) -> Cutter:
+        """Return the cutter of a tool by its number in the program; each is made once."""
         if number not in self._cutters:
             self._cutters[number] = self.process.cutter(self.tools.keys[number])
         return self._cutters[number]
 
     def _edge(self, number: int) -> Edge:
+        """Return the cutting edge of a tool by its number in the program; each is made once."""
         if number not in self._edges:
             self._edges[number] = edge(self._cutter(number), self.stock.cell)
         return self._edges[number]

@@ -140,6 +140,7 @@ def cutter_of(text: str, *, inches: bool) -> CommentedTool:
 
 
 def _mm(match: re.Match[str], inches: bool) -> float:
+    """Return a length that a comment states, in mm; `inches` is the unit of lengths without one."""
     unit, inches = (match[2] or "").lower(), inches or "/" in match[1]
     factor = MM_PER_INCH if (unit and unit != "mm") or (not unit and inches) else 1.0
     return round(_value(match[1]) * factor, 6)

@@ -87,7 +87,11 @@ class Blocks(Struct, frozen=True, eq=False):
 
     @classmethod
     def of(cls, samples: PathSamples) -> Blocks:
-        """Return the path divided into blocks."""
+        """Return the path divided into blocks, and these into bins.
+
+        A block is a piece of a run between PTP motions or changes of rapid; its samples are divided evenly into bins.
+        All sums over blocks and bins are differences of running sums over the path.
+        """
         program, segments, motion = samples.program, samples.segments, samples.sample.motion
         m = program.motions
         jump = m.kind == PTP
@@ -147,7 +151,11 @@ class Blocks(Struct, frozen=True, eq=False):
 
 
 def _block_of_motion(length: Array, starts_run: Array, step: float) -> Ints:
-    """Return the block (M,) of each motion: runs are divided where another `step` of their length begins."""
+    """Return the block (M,) of each motion: runs are divided where another `step` of their length begins.
+
+    :param length: (M,) of the motions [m].
+    :param starts_run: (M,) True where a run begins.
+    """
     run = np.cumsum(starts_run) - 1
     path_length = np.cumsum(length)
     begin = (path_length - length)[np.flatnonzero(starts_run)]
@@ -380,7 +388,10 @@ def _tool_frames(samples: PathSamples, rows: Ints) -> Array:
 
 
 def _wound(step: Array, starts: Ints) -> Array:
-    """Return the turns (k, 2, 3) of joints along bins: in all, least and most, from steps (2, n) between samples."""
+    """Return the turns (k, 2, 3) of joints along bins: in all, least and most, from steps (2, n) between samples.
+
+    :param starts: (k,) first sample of each bin; turns count from there: the running sum before it is subtracted.
+    """
     total = np.cumsum(step, axis=1)
     bin_start = np.concatenate([np.zeros((2, 1)), total[:, starts[1:] - 1]], axis=1)
     lowest_turn = np.minimum.reduceat(total, starts, axis=1) - bin_start

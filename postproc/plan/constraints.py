@@ -133,6 +133,7 @@ def torques(site: Site, state: State) -> Array:
 
 
 def _floor(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
+    """Yield which configurations (N,) keep arm, tool and load above the floor, with the name of the limit."""
     is_above_floor = np.ones(len(state.q), dtype=bool)
     for part in (*arm_parts(site, state)[1:], *tool_parts(site, state), *load_parts(site, state)):
         is_above_floor &= np.minimum(part.start[:, 2], part.end[:, 2]) - part.radius >= site.floor + site.clearance
@@ -140,6 +141,7 @@ def _floor(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
 
 
 def _torque(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
+    """Yield for each joint which configurations (N,) keep its static torque within its limit."""
     if site.torque_limit is not None:
         is_allowed = np.abs(torques(site, state)) <= site.torque_limit
         for joint in range(6):
@@ -190,6 +192,7 @@ def _straight_distances(site: Site) -> Array:
 
 
 def _room(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
+    """Yield for each obstacle which configurations (N,) keep their clearance from it."""
     parts = (*arm_parts(site, state)[1:], *tool_parts(site, state), *load_parts(site, state))
     for obstacle in site.obstacles:
         yield obstacle.name, _clear(site, parts, obstacle, len(state.q))

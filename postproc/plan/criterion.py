@@ -309,6 +309,10 @@ def _parameters(joint2: Joint2, keep: list[int], q: Array) -> Array:
 
 
 def _inverse(normal: Array) -> Array:
+    """Return the inverse of a normal matrix (p, p).
+
+    Parameters are scaled to a unit diagonal, and a weak prior is added: the matrix may be singular.
+    """
     scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
     matrix = normal * np.outer(scale, scale) + _OPEN**2 * np.eye(len(normal))
     return np.asarray(np.linalg.inv(matrix) * np.outer(scale, scale))

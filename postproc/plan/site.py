@@ -276,6 +276,7 @@ def _normals(experiment: Experiment) -> Array:
 
 
 def _torque_limit(robot: RobotModel, stated_limit: tuple[float, ...] | None) -> Array | None:
+    """Return the static torques (6,) [N·m] that are allowed: as stated, else those of the URDF; None without."""
     if stated_limit is not None:
         return np.array(stated_limit)
     effort = robot.nominal.effort

@@ -151,6 +151,7 @@ def index_page(entries: Sequence[Entry], folder: str) -> bytes:
 
 
 def _rank(entry: Entry) -> tuple[int, float, str]:
+    """Return the key that sorts the overview: by state, then by the expected error, largest first, then by name."""
     if entry.content is None:
         return _STATES.index(entry.state), 0.0, entry.name
     worst = entry.content.expected_mm[1]

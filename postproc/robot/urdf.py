@@ -241,6 +241,10 @@ class _Reader:
 
 
 def _attribute(element: ET.Element, name: str) -> str:
+    """Return an attribute of an XML element.
+
+    :raises _RefusedError: the element does not have it.
+    """
     value = element.get(name)
     if value is None:
         raise _RefusedError(f"a <{element.tag}> has no {name}")
@@ -248,6 +252,10 @@ def _attribute(element: ET.Element, name: str) -> str:
 
 
 def _element(parent: ET.Element, tag: str) -> ET.Element:
+    """Return a child of an XML element.
+
+    :raises _RefusedError: there is none with this tag.
+    """
     element = parent.find(tag)
     if element is None:
         raise _RefusedError(f"{parent.tag} {parent.get('name', '')} has no <{tag}>".replace("  ", " "))

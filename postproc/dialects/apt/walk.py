@@ -328,6 +328,11 @@ class _Walk:
         self.axis = axis
 
     def _add(self, row: Ints, end: Array, axis: Array, code: int, feed: float, **properties: Any) -> None:
+        """Add moves to the course; the last of their ends becomes the place of the tool.
+
+        :param row: (n,) rows of the statements; `end` (n, 3) places [m], `axis` (n, 3) directions of the tool.
+        :param feed: [m/s].
+        """
         self.course.parts.append(Part(row, end, axis, code, feed, self.tool, **properties))
         self.number += len(row)
         self.place = end[-1]
@@ -377,6 +382,10 @@ class _Walk:
         return text[len(word) :].lstrip(" \t/").strip("' \t$")
 
     def _one_number(self, words: list[float | str], subject: str) -> float:
+        """Return the first number among the values of a statement.
+
+        :raises StatementError: there is none.
+        """
         numbers = [value for value in words if isinstance(value, float)]
         if not numbers:
             raise StatementError(f"{subject} without a number", "Check the values behind /.")
@@ -401,6 +410,7 @@ class _Walk:
             raise StatementError(*cause.args[:2]) from cause
 
     def _step(self, row: int, words: list[float | str]) -> None:
+        """Read GODLTA: a move by a step from the place of the tool."""
         step = numbers_of(words, 3) * self.unit
         if not self.known:
             raise StatementError("GODLTA before the position is known", "Write RAPID and a GOTO before it.")
@@ -464,6 +474,7 @@ class _Walk:
         self._add_move(row, self.place + self.axis * rise, self.axis, RAPID, 0.0)
 
     def _next_rapid(self, row: int, words: list[float | str]) -> None:
+        """Read RAPID: the next move is rapid."""
         del row
         if words:
             raise StatementError("RAPID with values", "Write RAPID alone.")
@@ -633,6 +644,7 @@ class _Walk:
             self._add_move(row, self.place, self.axis, RAPID, 0.0)
 
     def _wait(self, row: int, words: list[float | str]) -> None:
+        """Read DELAY as a dwell [s]."""
         words = [value for value in words if value != "DWELL"]
         if "REV" in words:
             raise StatementError("DELAY in turns", "Give it in seconds.")
@@ -643,6 +655,7 @@ class _Walk:
         self._event(row, "stop")
 
     def _skip(self, row: int, words: list[float | str]) -> None:
+        """Read OPSKIP, and remark that the statements behind it are executed."""
         if words != ["OFF"]:
             message = "OPSKIP: the statements behind it are executed, as with the switch off."
             self.course.remarks.append((row, "info", "block-delete", message))
@@ -734,6 +747,7 @@ class _Walk:
         self._set_axis(axis)
 
     def _mode(self, row: int, words: list[float | str]) -> None:
+        """Read MODE; only MILL is supported."""
         del row
         if words != ["MILL"]:
             raise StatementError("MODE is not understood", "Only milling programs (MODE/MILL) are supported.")

@@ -291,6 +291,7 @@ class _Run:
                 raise _EndError from cause  # the next line is not known
 
     def _take(self, first: int, last: int, text: str | None = None) -> None:
+        """Add rows first … last − 1 of the present file to the program; `text` replaces theirs."""
         main = self.main if self.unit else -1
         self.pieces.append(Piece(self.unit, first, last, main, text))
         self.rows += last - first
@@ -385,6 +386,7 @@ class _Run:
         self.unit, self.row = unit, frame.begin
 
     def _leave(self) -> None:
+        """Return to the caller of a subprogram, with its local parameters."""
         frame = self.frames.pop()
         self.unit, self.row, self.main = frame.unit, frame.row, frame.main
         self.known.leave()

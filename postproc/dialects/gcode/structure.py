@@ -205,6 +205,7 @@ class Unit(Struct, eq=False):
 
 
 def _read(code: str) -> Order | Block | None:
+    """Return a block, or a control order with its O word; None for a line that begins with %."""
     if code.startswith("%"):
         return None
     head = _HEAD.match(code)

@@ -242,6 +242,7 @@ def _name(expression: Expression, scope: Scope) -> tuple[Value, str]:
 
 
 def _numbers(expression: Expression, scope: Scope) -> tuple[Value, str]:
+    """Return the value and type of a robtarget that is written as 17 numbers: position, orientation, posture, axes."""
     del scope
     values = [float(text) for text in expression.value]
     return [values[:3], values[3:7], values[7:11], values[11:]], "ROBTARGET"

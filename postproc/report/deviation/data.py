@@ -312,12 +312,14 @@ def _sharp_edges(points: Array, faces: Ints) -> Ints:
 
 
 def _histogram(values: Array) -> Histogram:
+    """Return the histogram of values (n,) from 0 to the largest; up to 1 if all are 0."""
     top = float(values.max(initial=0.0)) or 1.0
     counts, edges = np.histogram(values, bins=_BINS, range=(0.0, top))
     return Histogram(edges.tolist(), counts.tolist())
 
 
 def _in_mm(pose: Array) -> list[float]:
+    """Return a pose (4, 4) [m] row by row, its translation in mm."""
     pose_mm = pose.copy()
     pose_mm[:3, 3] *= MM_PER_M
     return [float(value) for value in pose_mm.ravel()]

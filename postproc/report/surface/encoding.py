@@ -65,6 +65,10 @@ def glb(surface: Surface, limit: float) -> bytes:
 
 
 def _colours(values: Array, limit: float) -> np.ndarray:
+    """Return colours (n, 3), 0 to 255, of deviations (n,) [m]; a colour of its own for NaN.
+
+    :param limit: deviation [m] of the full colours.
+    """
     share = np.clip(np.nan_to_num(values) / limit, -1.0, 1.0)
     colour = np.stack([np.interp(share, [-1.0, 0.0, 1.0], _STOPS[:, channel]) for channel in range(3)], axis=1)
     colour[np.isnan(values)] = _UNTOUCHED

@@ -358,7 +358,9 @@ class MainRoutine:
         return _coded(self.run.trace, np.flatnonzero(is_other) + 1)
 
     def executed(self, plain: Ints) -> Bools:
-        """Return which plain motions, by their lines, are those of the course.
+        """Return which plain motions (n,), by their lines, are those of the course.
+
+        A running sum of +1 where steps of the course begin and −1 behind their ends is above zero inside them.
 
         :raises ProgramError: one of them is outside of DEF … END.
         """

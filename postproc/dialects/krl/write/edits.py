@@ -178,7 +178,10 @@ class InsertedLines(Struct, eq=False):
         self.add(at, text)
 
     def numbers(self, line: Ints) -> Ints:
-        """Return the lines of targets (K,) in the written text: of those added, and of those that were on a `line`."""
+        """Return the lines of targets (K,) in the written text: of those added, and of those that were on a `line`.
+
+        A line moves down by the number of lines added up to it, and up by the number of those removed before it.
+        """
         at, target = np.array(self._at, dtype=np.int64), np.array(self._target, dtype=np.int64)
         order = np.argsort(at, kind="stable")
         at, target = at[order], target[order]

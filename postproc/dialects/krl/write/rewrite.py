@@ -290,7 +290,10 @@ class _Rewriter:
         return lines.numbers(line)
 
     def _free_orientation_spans(self) -> tuple[set[int], set[int]]:
-        """Return targets before which `$ORI_TYPE` is set for free orientation, and those behind which it is reset."""
+        """Return targets before which `$ORI_TYPE` is set for free orientation, and those behind which it is reset.
+
+        Motions are found among the ascending rows of the targets, of which one motion may have several.
+        """
         rows = np.flatnonzero(self.commanded.is_free)
         pairs = runs(self.layout, rows[[not self.statements.is_spline(row) for row in rows.tolist()]])
         first, last = np.array(pairs, dtype=np.int64).reshape(-1, 2).T

@@ -204,6 +204,7 @@ class Sharing:
 
     @staticmethod
     def _names_by_line(declarations: Iterable[tuple[int, DeclaredName]]) -> list[set[str]]:
+        """Return the sets of names that lines declare, one for each line with a declaration."""
         lines: dict[int, set[str]] = {}
         for line, item in declarations:
             lines.setdefault(line, set()).add(item.name)
