@@ -11,8 +11,10 @@ from postproc import robot
 from postproc.compensator import Compensator
 from postproc.errors import MeasurementError
 from postproc.identification import joint_springs, plausibility, procedure, uncertainty, validation
-from postproc.identification.measurement_model import Placement, locate
+from postproc.identification.fit import gauss_newton
+from postproc.identification.measurement_model import Placement, Structure, locate
 from postproc.identification.readings import Measurements
+from postproc.robot import JOINT_COMPLIANCES
 from samples.paper_study import harness
 from tests.oracle.arm import Arm
 
@@ -389,3 +391,19 @@ def test_displacements_and_bounds_of_a_point_are_the_same_from_whichever_point_t
         np.testing.assert_allclose(bound[:, index], there[1][:, index], rtol=1e-9)
         # the moment turns with the arm from there on: a small share of what it moves
         np.testing.assert_allclose(there[0][:, index], moved[:, index], atol=5e-3 * np.abs(moved).max())
+
+
+def test_points_that_were_not_read_leave_no_residual_and_do_not_move_the_frame():
+    """One point without load, another under load: what is not read is neither at zero nor where the model has it."""
+    data = readings(forces(6), count=6)
+    hidden = replace(
+        data,
+        used=~(((data.state == 2) & (data.point == 0)) | ((data.state == 5) & (data.point == 1))),
+    )
+    structure = Structure(JOINT_COMPLIANCES, harness.PRIOR)
+    left = gauss_newton(structure, hidden, placed(data)).residual
+    assert not left[1, 0].any()
+    assert not left[2, 1].any()
+    assert (np.abs(np.delete(left.reshape(-1, 3), [1 * 4, 2 * 4 + 1], axis=0)).max(axis=1) > 0.0).all()
+    whole, partial = (locate(harness.PRIOR, measured) for measured in (data, hidden))
+    np.testing.assert_allclose(partial.root_in_device, whole.root_in_device, atol=1e-6)
