@@ -52,7 +52,7 @@ class Columns(Struct, frozen=True, eq=False):
 
 
 def _rows(array: NDArray[Any], rows: NDArray[Any] | slice) -> NDArray[Any]:
-    """Return some rows of an array; one of one value takes no memory then too."""
+    """Return the chosen rows of an array; where the array repeats one value without memory, so does the result."""
     if any(array.strides) or not array.size:
         return np.asarray(array[rows])
     count = len(np.broadcast_to(np.False_, len(array))[rows])

@@ -131,7 +131,7 @@ def numbers_in(text: Bytes) -> tuple[Ints, Ints]:
     return borders[0::2], borders[1::2]
 
 
-def parsed(text: Bytes, starts: Ints, stops: Ints) -> Array | None:
+def parsed_numbers(text: Bytes, starts: Ints, stops: Ints) -> Array | None:
     """Return the numbers (n,) in a text, as `float` reads them; None if one of them is not plain.
 
     Plain are an optional sign and at most eight digits on either side of an optional point, together at most 15.
@@ -139,7 +139,7 @@ def parsed(text: Bytes, starts: Ints, stops: Ints) -> Array | None:
     :param text: (l,) bytes; every point in it belongs to a number.
     :param starts: (n,) offsets, ascending; `stops` (n,) those behind.
 
-    >>> parsed(np.frombuffer(b"X 1.5 Y -.25", dtype=np.uint8), np.array([2, 8]), np.array([5, 12])).tolist()
+    >>> parsed_numbers(np.frombuffer(b"X 1.5 Y -.25", dtype=np.uint8), np.array([2, 8]), np.array([5, 12])).tolist()
     [1.5, -0.25]
     """
     points = np.flatnonzero(text == ord("."))

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from postproc.decimals import fixed, lines, parsed
+from postproc.decimals import fixed, lines, parsed_numbers
 
 
 def texts(values, decimals):
@@ -69,7 +69,7 @@ def test_numbers_are_read_as_float_reads_them():
     texts += [f"{value:.{places}f}" for places in range(8) for value in rng.uniform(-9999, 9999, 300)]
     text, starts = " ".join(texts), np.cumsum([0, *(len(word) + 1 for word in texts)])
     raw = np.frombuffer(text.encode(), dtype=np.uint8)
-    found = parsed(raw, starts[:-1], starts[1:] - 1)
+    found = parsed_numbers(raw, starts[:-1], starts[1:] - 1)
     np.testing.assert_array_equal(found, [float(word) for word in texts])
     np.testing.assert_array_equal(np.signbit(found), [word.startswith("-") for word in texts])
 
@@ -79,4 +79,4 @@ def test_numbers_are_read_as_float_reads_them():
 )
 def test_what_is_no_plain_number_is_not_read(text):
     raw = np.frombuffer(f"1.5 {text}".encode(), dtype=np.uint8)
-    assert parsed(raw, np.array([0, 4]), np.array([3, len(raw)])) is None
+    assert parsed_numbers(raw, np.array([0, 4]), np.array([3, len(raw)])) is None

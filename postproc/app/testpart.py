@@ -39,7 +39,7 @@ class TestPart(Struct, frozen=True):
 
     @property
     def model(self) -> Path:
-        """The folder of the model that is identified from it."""
+        """The folder of the model that is identified from the test part."""
         return self.workspace.folder / MODELS / FOLDER
 
     def file(self, name: str) -> Path:

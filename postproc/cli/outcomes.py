@@ -43,7 +43,7 @@ def run_jobs(
 ) -> list[Outcome]:
     """Convert or predict programs, print their outcomes and return them; an interrupt ends the command."""
     from postproc.errors import PostprocError
-    from postproc.jobs import convert_all, left
+    from postproc.jobs import convert_all, leftover_note
 
     outcome_of: dict[str, Outcome] = {}
     try:
@@ -51,7 +51,9 @@ def run_jobs(
         for outcome in _show_progress(run, len(jobs)):
             outcome_of[outcome.program] = outcome
     except (KeyboardInterrupt, PostprocError) as cause:
-        remark = left([job for job in jobs if not job.callers and str(job.program) not in outcome_of], settings.mode)
+        remark = leftover_note(
+            [job for job in jobs if not job.callers and str(job.program) not in outcome_of], settings.mode
+        )
         if isinstance(cause, PostprocError):
             if remark:
                 click.echo(remark, err=True)

@@ -24,7 +24,7 @@ _OFF_CIRCLE = 100.0
 """A point whose distance from a circle is so many times that of start and first point is not of the arc (assumed)."""
 
 
-def through(start: Array, via: Array, end: Array) -> tuple[Array, Array, Array, Bools]:
+def arcs_through(start: Array, via: Array, end: Array) -> tuple[Array, Array, Array, Bools]:
     """Return centres (n, 3), axes (n, 3) and angles (n,) > 0 [rad] of arcs through three points, (n, 3) each [m].
 
     :returns: besides (n,) True where the three points lie on a straight line, or two of them coincide: no circle.
@@ -54,7 +54,7 @@ class Circle(Struct, frozen=True, eq=False):
     axis: Array
     radius: float
 
-    def polar(self, point: Array) -> tuple[Array, float]:
+    def polar_components(self, point: Array) -> tuple[Array, float]:
         """Return the component of a point (3,) across the axis, seen from the centre (3,), and its length."""
         radial = point - self.centre
         radial = radial - self.axis * (self.axis @ radial)
@@ -62,7 +62,7 @@ class Circle(Struct, frozen=True, eq=False):
 
     def fault_at(self, point: Array) -> str | None:
         """Return the reason that a point (3,) is not on the circle, or None if it is on it."""
-        length = self.polar(point)[1]
+        length = self.polar_components(point)[1]
         deviation = abs(length - self.radius)
         if self.radius < _LEAST_MM or deviation > max(TOLERANCE_MM, _RELATIVE * self.radius):
             return f"{length:.4f} mm from the axis of a circle with radius {self.radius:.4f} mm"
@@ -70,7 +70,7 @@ class Circle(Struct, frozen=True, eq=False):
 
     def sweep(self, start: Array, end: Array) -> float:
         """Return the angle from one point (3,) to another [rad], in (0, 2π]."""
-        start_vector, end_vector = self.polar(start)[0], self.polar(end)[0]
+        start_vector, end_vector = self.polar_components(start)[0], self.polar_components(end)[0]
         if norm(end_vector - start_vector) <= _SAME_MM:
             return 2.0 * np.pi
         angle = float(np.arctan2(self.axis @ np.cross(start_vector, end_vector), start_vector @ end_vector))
@@ -82,7 +82,7 @@ class Circle(Struct, frozen=True, eq=False):
 
     def centre_at_height(self, point: Array) -> Array:
         """Return the centre (3,) at the height of a point."""
-        return np.asarray(point - self.polar(point)[0])
+        return np.asarray(point - self.polar_components(point)[0])
 
 
 def leaving(start: Array, direction: Array, centre: Array, radius: float) -> Circle | None:
@@ -113,7 +113,7 @@ def belonging(circle: Circle, start: Array, points: Array, digit_mm: float) -> i
     sweeps = np.array([circle.sweep(begin, end) for begin, end in pairwise(path)])
     total_sweep, height = np.cumsum(sweeps), (points[:count] - start) @ circle.axis
     off_helix = np.abs(height - height[0] * total_sweep / total_sweep[0]) > TOLERANCE_MM
-    deviation = np.array([abs(circle.polar(point)[1] - circle.radius) for point in path])
+    deviation = np.array([abs(circle.polar_components(point)[1] - circle.radius) for point in path])
     is_beside = deviation[1:] > max(digit_mm, _OFF_CIRCLE * float(deviation[:2].max()))
     is_off_circle = off_helix | is_beside
     if is_off_circle.any():

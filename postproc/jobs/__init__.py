@@ -5,7 +5,7 @@ makes them, in this process or in `workers`. Other jobs have a module of their o
 `identification_files`; they are imported from there: what they need is loaded with them only.
 """
 
-from postproc.jobs.output_plan import left
+from postproc.jobs.output_plan import leftover_note
 from postproc.jobs.programs import Job, Outcome, Settings, find_jobs, load_robot, load_setup, read_documents
 from postproc.jobs.runs import convert_all
 from postproc.jobs.started_program import read_program
@@ -16,7 +16,7 @@ __all__ = [
     "Settings",
     "convert_all",
     "find_jobs",
-    "left",
+    "leftover_note",
     "load_robot",
     "load_setup",
     "read_documents",

@@ -164,7 +164,7 @@ def write_cell(request: CellRequest) -> tuple[str, ...]:
     is_shipped = request.robot in robots.shipped_models()
     place = request.robot if is_shipped else relative_path(folder, Path(request.robot))
     robot = load_robot(request.robot)
-    start = USUAL_START if request.start is None else _six("start joints", request.start, 6)
+    start = USUAL_START if request.start is None else _six_values("start joints", request.start, 6)
     is_outside = (np.radians(start) < robot.lower) | (np.radians(start) > robot.upper)
     if is_outside.any():
         joint = int(np.argmax(is_outside))
@@ -185,7 +185,7 @@ def write_cell(request: CellRequest) -> tuple[str, ...]:
     ):
         cell = msgspec.structs.replace(cell, start=msgspec.convert({"joints": start_joints}, Start))
     turn, remarks = _turn_of_tool(cell, robot)
-    tools = {number: Frame(*_six(f"$TOOL of T{number}", words, 3)) for number, words in request.tools.items()}
+    tools = {number: Frame(*_six_values(f"$TOOL of T{number}", words, 3)) for number, words in request.tools.items()}
     remarks = (
         *_metre_questions(cell, tools),
         *_base_warnings(cell),
@@ -230,7 +230,7 @@ def usual_base(robot: str) -> Numbers:
     return round(0.55 * reach, -2), 0.0, round(0.25 * reach, -2)
 
 
-def _six(title: str, values: Numbers, min_count: int) -> Numbers:
+def _six_values(title: str, values: Numbers, min_count: int) -> Numbers:
     """Return values filled up to six by zeros.
 
     :raises OptionError: too few, too many, or not finite.
@@ -247,7 +247,7 @@ def _six(title: str, values: Numbers, min_count: int) -> Numbers:
 def _frame(array: str, value: Numbers | int, request: CellRequest, robot: RobotModel) -> Numbers:
     """Return X…C of a frame, mm and degrees."""
     if not isinstance(value, int):
-        return _six("$BASE" if array == "BASE_DATA" else "$TOOL", value, 3)
+        return _six_values("$BASE" if array == "BASE_DATA" else "$TOOL", value, 3)
     if request.config_dat is None:
         raise OptionError(
             f"{array}[{value}] is in no file", advice="Name it with --config-dat, or give X,Y,Z[,A,B,C] instead."
@@ -452,7 +452,7 @@ def _tools(tools: Mapping[int, Frame]) -> str:
 
 def _work_offsets(frame_values: Mapping[str, Numbers]) -> str:
     """Return the tables of work offsets, or an example of one."""
-    frames = {code: Frame(*_six(code, words, 3)) for code, words in frame_values.items()}
+    frames = {code: Frame(*_six_values(code, words, 3)) for code, words in frame_values.items()}
     tables = "\n".join(f"\n[work_offsets.{_table_key(code)}]\n{_keys(frame)}" for code, frame in frames.items())
     if tables:
         return f"# frames in $BASE after G55 and so on; G54 is $BASE itself{tables}"
@@ -463,7 +463,7 @@ def _work_offsets(frame_values: Mapping[str, Numbers]) -> str:
 
 def _numbered_frames(table: Literal["base_data", "tool_data"], values: Mapping[int, Numbers]) -> str:
     """Return the tables of frames that KRL programs name by number; empty where there are none."""
-    frames = {number: Frame(*_six(f"{table.upper()}[{number}]", words, 3)) for number, words in values.items()}
+    frames = {number: Frame(*_six_values(f"{table.upper()}[{number}]", words, 3)) for number, words in values.items()}
     return "".join(
         f"\n{f'[{table}.{number}]':<33}# {table.upper()}[{number}] of KRL programs\n{_keys(frame)}\n"
         for number, frame in frames.items()

@@ -181,7 +181,7 @@ def judge(touches: TouchedPoints, flange: Array, nominal_point: Array, tip: Arra
         suspect = (
             "undecided" if plausible_suspects[0] == "tool" and "base" in plausible_suspects else plausible_suspects[0]
         )
-    visible = _visible(of_tool, matrices["base"])
+    visible = _smallest_residual(of_tool, matrices["base"])
     if suspect == "none" and visible < _LEAST_VISIBLE:
         suspect = "unturned" if angle_between(flange[:1], flange).max() < _LEAST_TURN else "one-axis"
     if suspect in ("none", "unturned", "one-axis", "contradiction", "undecided"):
@@ -197,7 +197,7 @@ def judge(touches: TouchedPoints, flange: Array, nominal_point: Array, tip: Arra
     return FrameCheck(suspect, touches, distances, norm(left[frame_name].reshape(-1, 3)), **parts)
 
 
-def _visible(of_tool: Array, of_base: Array) -> float:
+def _smallest_residual(of_tool: Array, of_base: Array) -> float:
     """Return the least length of the residuals by a unit error of `$TOOL`, with the `$BASE` that hides most of it.
 
     :param of_tool: (3 n, 3) residuals by unit errors of `$TOOL`, `of_base` (3 n, 6) likewise of `$BASE`.
@@ -244,12 +244,12 @@ _HEADLINES: dict[Suspect, str] = {
 def _lengths(error: Array, half: Array) -> str:
     """Return by how much `$TOOL` is too long or too short along X, Y, Z; error and half widths (3,) [m]."""
     return ", ".join(
-        f"{axis} {_too_long(value)} {abs(value):z.2f} ± {width:.2f} mm"
+        f"{axis} {_error_meaning(value)} {abs(value):z.2f} ± {width:.2f} mm"
         for axis, value, width in zip("XYZ", error * MM_PER_M, half * MM_PER_M, strict=True)
     )
 
 
-def _too_long(value: float) -> str:
+def _error_meaning(value: float) -> str:
     """Return what the sign of an error [mm] means; an error of zero as printed has none."""
     return "off by" if abs(value) < _PRINTED_ZERO else "too long by" if value > 0.0 else "too short by"
 

@@ -471,7 +471,8 @@ class OutputPlan:
         if outcome.is_skipped:
             return outcome
         return replace(
-            outcome, earlier_remark=left([job], self._mode) if outcome.keeps_old_files else self._retire_results(job)
+            outcome,
+            earlier_remark=leftover_note([job], self._mode) if outcome.keeps_old_files else self._retire_results(job),
         )
 
     def _retire_results(self, job: Job) -> str:
@@ -495,12 +496,12 @@ class OutputPlan:
             return ""
         inputs = {_key(path) for path in job.reads()}
         if changed_files or any(_key(job.output / name) in inputs for name in own_names):
-            return left([job], mode)
+            return leftover_note([job], mode)
         try:
             for path in (job.output / name for name in own_names):
                 path.rename(_backup_path(path))
         except OSError:
-            return left([job], mode)
+            return leftover_note([job], mode)
         other_owners = ", and its reports likewise" if len(own_names) > 1 else ""
         return f"{job.output / own_names[0]} is of an earlier run: renamed to {own_names[0]}.old{other_owners}."
 
@@ -643,7 +644,7 @@ def protect(inputs: Iterable[Path], folder: Path, names: Iterable[str]) -> None:
             raise InputError("this input would be overwritten", file=str(path), advice=advice)
 
 
-def left(jobs: Iterable[Job], mode: Mode) -> str:
+def leftover_note(jobs: Iterable[Job], mode: Mode) -> str:
     """Return a sentence on programs of earlier runs in the output folders; empty if there are none."""
     programs = [job.output / name for job in jobs for name in _programs(job, mode)]
     return f"There before, not of this run: {path_list(programs)}." if programs else ""

@@ -30,7 +30,7 @@ from postproc.dialects import registry
 from postproc.errors import InputError, PostprocError
 from postproc.jobs import inputs
 from postproc.jobs.conversion import options_of, origin_of
-from postproc.jobs.output_plan import OVERVIEW, left, same_names, shared_name_problem
+from postproc.jobs.output_plan import OVERVIEW, leftover_note, same_names, shared_name_problem
 from postproc.jobs.programs import (
     FAILED,
     GOOD,
@@ -287,7 +287,7 @@ class _Watcher:
             yield from self._convert_jobs(jobs, states)
         except PostprocError as cause:
             if len(ready) == 1:
-                remark = left(jobs or self._jobs_without_forces(ready[0]), self.settings.mode)
+                remark = leftover_note(jobs or self._jobs_without_forces(ready[0]), self.settings.mode)
                 failure = Outcome(str(ready[0]), FAILED, message=str(cause), earlier_remark=remark)
                 self._record(ready[0], failure, *states[ready[0]])
                 self._write_overview()

@@ -295,7 +295,7 @@ class ClusterWorkers:
 
     def lost_outcome(self, task: Task) -> Outcome | None:
         """Return a failure if the cluster, or the worker that has the task, has not been there for some time."""
-        self._look()
+        self._update_workers()
         if time.monotonic() > self._alive + PATIENCE:
             return self._loss_outcome(task)
         worker = self._holder.get(self._begun[task.job.program].key)
@@ -307,8 +307,8 @@ class ClusterWorkers:
         )
         return Outcome(str(task.job.program), FAILED, message=message, keeps_old_files=True)
 
-    def _look(self) -> None:
-        """Look, now and then, which workers are there, when each was last seen, and which tasks they have."""
+    def _update_workers(self) -> None:
+        """Note, at intervals, which workers are alive, when the scheduler saw each last, and which tasks each has."""
         time_s = time.monotonic()
         if time_s < self._looked + min(_LOOK, PATIENCE / 4.0) or self._client.status != "running":
             return

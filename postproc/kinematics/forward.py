@@ -152,7 +152,7 @@ def _steps(chain: Chain) -> tuple[Array, tuple[_Step, ...], Array]:
     With A_i any rotation that carries Z to the axis of joint i, what lies between two joints is a rotation
     A_iᵀ·R·A_(i+1) = Rz(a)·Rx(b)·Rz(c): a adds to the angle of the joint before, c to that of the joint behind.
     """
-    upright = [np.eye(3), *map(_upright, chain.axis)]
+    upright = [np.eye(3), *map(_upright_rotation, chain.axis)]
     steps: list[_Step] = []
     next_turn = 0.0
     for joint in reversed(range(chain.nv)):
@@ -181,7 +181,7 @@ def _steps(chain: Chain) -> tuple[Array, tuple[_Step, ...], Array]:
     return clean(_about_z(next_turn))[..., None], tuple(steps), clean(upright[-1].T @ chain.flange[:3])[..., None]
 
 
-def _upright(axis: Array) -> Array:
+def _upright_rotation(axis: Array) -> Array:
     """Return a rotation (3, 3) that carries Z to a unit axis (3,)."""
     unit_vector = np.eye(3)[int(np.argmin(np.abs(axis)))]
     x = np.cross(unit_vector, axis)

@@ -100,7 +100,7 @@ def follow(
         has_turn = ~is_axis_target & (turn[targets] >= 0)
         exact[at[has_turn]] = _whole_turns(robot, exact[at[has_turn]], turn[targets][has_turn])
         if len(rows) and not unreached:
-            q[part], wound = _continuous(exact, start_angles, wound, at[is_axis_target | has_turn])
+            q[part], wound = _continuous_angles(exact, start_angles, wound, at[is_axis_target | has_turn])
             start_angles = exact[-1]
     if unreached:
         raise UnreachableError(unreached)
@@ -129,7 +129,7 @@ def _path_branches(robot: RobotModel, flange: Array, start: Array, axis_target: 
     return np.asarray(branch[last])
 
 
-def _continuous(q: Array, start_angles: Array, wound: Array, exact_rows: Ints) -> tuple[Array, Array]:
+def _continuous_angles(q: Array, start_angles: Array, wound: Array, exact_rows: Ints) -> tuple[Array, Array]:
     """Return angles (n, 6) with the whole turns that make them continuous; those `exact_rows` stay.
 
     :param start_angles: (6,) angles before the first of them, without whole turns.

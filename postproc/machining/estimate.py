@@ -258,7 +258,7 @@ def _estimate(task: _Task, widest: float, cell_factors: dict[int, int]) -> tuple
     ]
     issues += _issues(program, stopped_motions, task.law, cuts, tools, process)
     passes = thin_passes(program, tools, swept.by_cells)
-    issues += _coarse(program, tools, passes, in_order, cell)
+    issues += _coarse_contact_warnings(program, tools, passes, in_order, cell)
     issues += [*_collisions(program, collisions, guard), *_other_cutter(program, tools, process, guard)]
     power = np.zeros(len(program.motions))
     np.maximum.at(power, cuts.motion, cuts.power)
@@ -309,7 +309,7 @@ def _swept_setups(task: _Task, in_order: list[Setup], material: Stock, segments:
         poses = ToolPoses(program, task.path, setup.frame, task.axis, leans)
         has_shift = task.shift is not None
         sweep = Sweep(material, process, tools, feed, law, poses, swing, by_cells, has_shift, task.guard, ceiling)
-        cuts = _thin(sweep, steps, _offset(task.progress, segment_count, len(segments.motion)))
+        cuts = _needed_stations(sweep, steps, _offset(task.progress, segment_count, len(segments.motion)))
         segment_count += len(steps.motion)
         sweeps.append(sweep)
         parts.append(cuts)
@@ -362,7 +362,7 @@ def _offset(progress: Callable[[int, int], None] | None, first: int, total: int)
     return None if progress is None else lambda count: progress(first + count, total)
 
 
-def _thin(sweep: Sweep, steps: StraightSegments, progress: Callable[[int], None] | None) -> Cuts:
+def _needed_stations(sweep: Sweep, steps: StraightSegments, progress: Callable[[int], None] | None) -> Cuts:
     """Return the stations that are needed. They are thinned out batch by batch to limit memory."""
     thin_cuts: list[Cuts] = []
     open_: list[Cuts] = []
@@ -514,7 +514,7 @@ def _issues(
     issues = []
     if law.warning is not None:
         issues.append(Issue("warning", "material", law.warning))
-    issues += _too_strong(cuts, lines, process.spindle.power_kW)
+    issues += _power_warnings(cuts, lines, process.spindle.power_kW)
     diameter = np.array([process.tools[key].diameter_mm * M_PER_MM for key in tools.keys])
     drill = np.array([process.tools[key].shape == "drill" for key in tools.keys])
     place = tools.tool[cuts.motion]
@@ -564,7 +564,7 @@ def _thick_chips(program: Program, cuts: Cuts, tools: ToolStates, process: Proce
         yield Issue("warning", "chip-load", message, int(program.motions.line[cuts.motion[worst]]), count=len(rows))
 
 
-def _coarse(
+def _coarse_contact_warnings(
     program: Program, tools: ToolStates, passes: list[ThinPasses], in_order: list[Setup], cell: float
 ) -> Iterator[Issue]:
     """Warn of passes whose forces are uncertain because their contact is few cells of the map wide, once for a tool.
@@ -663,7 +663,7 @@ def _tool_length_advice(program: Program, motion: int) -> str:
     return f". The new tool is {extra_length * MM_PER_M:.4g} mm longer: retract further before the tool change"
 
 
-def _too_strong(cuts: Cuts, lines: Ints, limit: float | None) -> list[Issue]:
+def _power_warnings(cuts: Cuts, lines: Ints, limit: float | None) -> list[Issue]:
     """Warn of cuts that take more than the power of the spindle [kW]."""
     power = cuts.power * 1e-3
     strong_rows = np.flatnonzero(power > (np.inf if limit is None else limit))

@@ -227,7 +227,7 @@ def identify(readings: CutReadings, tool: ToolTable, prior: MaterialTable | None
         warnings += [f"{NAMES[k]} is {estimate[k]:.2g}, within its error: taken as 0" for k in negative]
         estimate[is_excited] = _positive_fit(predictor[:, is_excited], fitted_part, sigma, np.flatnonzero(is_excited))
         error = predictor @ estimate - readout
-    warnings += reading_checks.check_sizes(estimate, readings.force, _tangential(prior, file), file)
+    warnings += reading_checks.check_sizes(estimate, readings.force, _tangential_coefficient(prior, file), file)
     covariance[np.ix_(is_excited, is_excited)] = spread
     half = 1.96 * np.sqrt(np.diag(covariance))
     forces = rows.component < 3
@@ -299,7 +299,7 @@ def _positive_fit(predictor: Array, readout: Array, sigma: Array, coefficient: I
     return np.asarray(lsq_linear(matrix / scale, readout / sigma, (least, np.inf), method="bvls").x / scale)
 
 
-def _tangential(prior: MaterialTable | None, file: str) -> float | None:
+def _tangential_coefficient(prior: MaterialTable | None, file: str) -> float | None:
     """Return Ktc or kc1.1 of a material [N/mm²]; None without a usable one: the readings may be there to replace it."""
     if prior is None:
         return None

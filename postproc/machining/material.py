@@ -243,13 +243,13 @@ def law(material: MaterialTable, file: str) -> CuttingLaw:
         exponent=entry.mc or 0.0,
         sigma=sigma,
         name=material.name or "given in [material]",
-        warning=entry.warning if isinstance(entry, Entry) else _too_soft(entry),
+        warning=entry.warning if isinstance(entry, Entry) else _unit_warning(entry),
         unknown_axial=0.0 if cutting[2] or edge[2] else _AXIAL,
         covariance=covariance,
     )
 
 
-def _too_soft(material: MaterialTable) -> str | None:
+def _unit_warning(material: MaterialTable) -> str | None:
     """Return a warning for a cutting coefficient that is probably in kN/mm²; None: it is usual."""
     coefficients = {"Ktc_N_per_mm2": material.Ktc_N_per_mm2, "kc11_N_per_mm2": material.kc11_N_per_mm2}
     for key, value in coefficients.items():

@@ -82,11 +82,11 @@ class Ceiling:
         self.stock = stock
         self._factor = max(1, -(-max(stock.high.shape) // _SIDE_CELLS))
         self.cell = self._factor * stock.cell
-        self._level = self._highest(slice(None), slice(None))
+        self._level = self._highest_material(slice(None), slice(None))
         self._first = self._level.copy()
         self._sunk: list[tuple[int, Ints, Floats]] = []
 
-    def _highest(self, rows: slice, columns: slice) -> Floats:
+    def _highest_material(self, rows: slice, columns: slice) -> Floats:
         """Return the highest material of coarse cells; slices of fine cells from multiples of the factor on."""
         high, floor = self.stock.high[rows, columns], self.stock.floor[rows, columns]
         high = np.where(high > floor, high, -np.inf)
@@ -113,7 +113,9 @@ class Ceiling:
         if not old_level.size:
             return
         k = self._factor
-        new_level = self._highest(slice(rows.start * k, rows.stop * k), slice(columns.start * k, columns.stop * k))
+        new_level = self._highest_material(
+            slice(rows.start * k, rows.stop * k), slice(columns.start * k, columns.stop * k)
+        )
         row, column = np.nonzero(new_level < old_level)
         if len(row):
             index = (row + rows.start) * self._level.shape[1] + column + columns.start

@@ -308,7 +308,7 @@ class Sweep(Struct, eq=False):
         """Return the sample points of the edge that can be in material at these positions."""
         cutter, pieces = self._cutter(number), self._edge(number)
         is_descent = bool((heading[:, 2] < -1e-6).any())
-        high = self._highest(position, cutter.radius)
+        high = self._highest_level(position, cutter.radius)
         piece_count = int(np.searchsorted(pieces.low, high - float(position[:, 2].min()), side="left"))
         ends = is_descent and bool((pieces.part == BOTTOM).any())
         piece_count = max(piece_count, 1)
@@ -323,7 +323,7 @@ class Sweep(Struct, eq=False):
             self._turns[key] = Turn.of(kept_edge, cutter, self.law, step, min(steep / _SLOPES, 1.0))
         return self._turns[key]
 
-    def _highest(self, position: Array, radius: float) -> float:
+    def _highest_level(self, position: Array, radius: float) -> float:
         """Return the highest level of the map near some positions."""
         stock, reach = self.stock, radius + 2.0 * self.stock.cell
         (x0, y0), (x1, y1) = position[:, :2].min(axis=0) - reach, position[:, :2].max(axis=0) + reach
@@ -352,7 +352,7 @@ class Sweep(Struct, eq=False):
             bottom = float(position[:, 2].min()) - 0.5 * abs(float(position[-1, 2] - position[0, 2])) / max(
                 1, len(t) - 1
             )
-            deep = max(self._highest(position, cutter.radius) - bottom, 0.0)
+            deep = max(self._highest_level(position, cutter.radius) - bottom, 0.0)
         return self._cuts(turn, number, (motion, t, is_axial), loads, engagement.length * chip.share, deep)
 
     def _cuts(
@@ -424,7 +424,7 @@ class Sweep(Struct, eq=False):
         height = max(self.top - float(path.tip[:, 2].min()) + cutter.radius, 0.0)
         steepest = float(path.axis[:, 2].min())
         reach = height * float(np.sqrt(1.0 - steepest**2)) / steepest
-        return path, max(self._highest(path.tip, cutter.radius + reach), float(path.tip[:, 2].min()))
+        return path, max(self._highest_level(path.tip, cutter.radius + reach), float(path.tip[:, 2].min()))
 
     def _tilted_sweep(self, path: TiltedPath, cutter: Cutter, top: float, *, goes_on: bool) -> Footprint:
         """Remove what a tool that leans or turns sweeps, and return the cells under its front where it goes on."""

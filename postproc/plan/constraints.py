@@ -195,10 +195,10 @@ def _room(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
     """Yield for each obstacle which configurations (N,) keep their clearance from it."""
     parts = (*arm_parts(site, state)[1:], *tool_parts(site, state), *load_parts(site, state))
     for obstacle in site.obstacles:
-        yield obstacle.name, _clear(site, parts, obstacle, len(state.q))
+        yield obstacle.name, _keeps_clearance(site, parts, obstacle, len(state.q))
 
 
-def _clear(site: Site, parts: tuple[Capsule, ...], obstacle: BoxShape | MeshShape, count: int) -> Bools:
+def _keeps_clearance(site: Site, parts: tuple[Capsule, ...], obstacle: BoxShape | MeshShape, count: int) -> Bools:
     """Return at which poses (n,) parts keep their clearance from an obstacle."""
     is_clear = np.ones(count, dtype=bool)
     for part in parts:

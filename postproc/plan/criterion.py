@@ -368,8 +368,8 @@ def directions(torque: Array, tests: TestPoses, poses: int, data_torque: Array |
     :param data_torque: (m, 6) torques of configurations measured already [N·m].
     """
     sides = split_signs(torque)
-    rig_torque = _typical(sides, np.full(len(torque), 1.0 / max(len(torque), 1)))
-    work = _typical(split_signs(tests.torque), tests.weight)
+    rig_torque = _typical_torques(sides, np.full(len(torque), 1.0 / max(len(torque), 1)))
+    work = _typical_torques(split_signs(tests.torque), tests.weight)
     threshold = np.clip(work, _SMALLEST * rig_torque, _LARGEST * rig_torque)
     earlier_torque = np.zeros((0, 6)) if data_torque is None else data_torque
     need = np.where(rig_torque > 0.0, min(MIN_CONFIGURATIONS, (poses + len(earlier_torque)) // _OF_POSES), 0)
@@ -378,7 +378,7 @@ def directions(torque: Array, tests: TestPoses, poses: int, data_torque: Array |
     return Directions(left, empty.least, rig_torque, work)
 
 
-def _typical(sides: Array, weight: Array) -> Array:
+def _typical_torques(sides: Array, weight: Array) -> Array:
     """Return the weighted 95 % quantile (6, 2) of the torques on each side that are any; 0 where fewer than 1 % are."""
     quantile = np.zeros((6, 2))
     for joint, side in np.ndindex(6, 2):

@@ -119,7 +119,7 @@ def second_load(site: Site, tests: TestPoses) -> float:
     return float(np.clip(work / site.rig.force, _LEAST_SHARE, _LARGEST_SHARE))
 
 
-def left_uncertain(accuracy: Accuracy, joint2: Joint2, blocked_rows: Ints) -> list[str]:
+def uncertainty_warnings(accuracy: Accuracy, joint2: Joint2, blocked_rows: Ints) -> list[str]:
     """Return warnings on parameters that stay uncertain with the plan, and on blocked moves.
 
     :param blocked_rows: rows that the robot cannot reach without an obstacle.
@@ -407,7 +407,7 @@ def plan_measurements(
     others = _OtherPlans(np.zeros(0), None, (), is_interrupted)
     if options.comparisons and not is_interrupted:
         others = _other_plans(problem.task, options, plan, report)
-    warnings = (*problem.warnings, *left_uncertain(accuracy, problem.joint2, blocked_rows))
+    warnings = (*problem.warnings, *uncertainty_warnings(accuracy, problem.joint2, blocked_rows))
     full_moment, sample_moment = (t.second_moment * np.outer(scale, scale) for t in (tests, sample))
     return PlanResult(
         options=options,
@@ -493,7 +493,10 @@ def _problem(site: Site, tests: TestPoses, scale: Array, options: Options, data:
 
     torque = candidates.torque.reshape(-1, 6)
     demand = directions(
-        torque[torque.any(axis=1)], tests, options.configurations, None if data is None else _largest(data, readings)
+        torque[torque.any(axis=1)],
+        tests,
+        options.configurations,
+        None if data is None else _largest_torques(data, readings),
     )
     warnings = (*warnings, *out_of_reach(demand, site.rig.largest_tilt < VERTICAL))
 
@@ -515,7 +518,7 @@ def _problem(site: Site, tests: TestPoses, scale: Array, options: Options, data:
     return _Problem(with_joint2(joint2), readings, joint2, earlier_data, warnings)
 
 
-def _largest(data: Measurements, readings: Readings) -> Array:
+def _largest_torques(data: Measurements, readings: Readings) -> Array:
     """Return the torques (C, 6) of the largest load of each configuration that was loaded [N·m]."""
     config, load = data.state_config[data.loaded_states], data.wrench[data.loaded_states]
     order = np.argsort(norm(load))[::-1]

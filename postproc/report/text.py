@@ -147,8 +147,8 @@ def programs_table(rows: Sequence[tuple[str, Summary | None, str]], display: Dis
     if len(rows) > 1 and summaries:
         answers = [better for content in summaries if (better := content.verdict.better) is not None]
         worst = (
-            _largest([answer.uncorrected_mm for answer in answers]),
-            _largest([answer.corrected_mm for answer in answers]),
+            _largest_length([answer.uncorrected_mm for answer in answers]),
+            _largest_length([answer.corrected_mm for answer in answers]),
         )
         words = [_verdict_word(content) for content in summaries]
         counts = [f"{words.count(word)} {word}" for word in (*_STATES.values(), _NO_FORCES) if word in words]
@@ -165,10 +165,10 @@ def _pair(verdict: Verdict) -> tuple[str, str, str]:
     if better is None:
         return "-", "-", "-"
     chance = "-" if better.chance is None else chance_in_words(better.chance)
-    return _largest([better.uncorrected_mm]), _largest([better.corrected_mm]), chance
+    return _largest_length([better.uncorrected_mm]), _largest_length([better.corrected_mm]), chance
 
 
-def _largest(lengths_mm: Sequence[float | None]) -> str:
+def _largest_length(lengths_mm: Sequence[float | None]) -> str:
     """Return the largest of some lengths; a dash if none is known."""
     lengths = [length for length in lengths_mm if length is not None]
     return two_digits(max(lengths)) if lengths else "-"

@@ -88,7 +88,7 @@ def verdict(result: Result, content: Summary, other_remedies: Sequence[Remedy] =
     of_forces = [issue for issue in warnings if issue.kind.partition("-A")[0] in _OF_FORCES]
     drive = _drive(result, content, [issue for issue in warnings if issue not in of_forces])
     tolerance = _tolerance(result, content, other_remedies)
-    better = _better(result, content, _issue_findings(of_forces, result.mode), tolerance)
+    better = _is_better(result, content, _issue_findings(of_forces, result.mode), tolerance)
     holds = _holds(result, content)
     remark = STOCK_REMARK if any(issue.kind == ASSUMED_STOCK for issue in result.issues) else ""
     return join(result.mode, drive, better, tolerance, _texts(holds), _assumptions(result), remark=remark)
@@ -112,7 +112,7 @@ def _drive(result: Result, content: Summary, warnings: Sequence[Issue]) -> Drive
     return Drive(state, [*errors, *_texts(doubts)], unchecked)
 
 
-def _better(result: Result, content: Summary, doubts: list[Finding], tolerance: Tolerance | None) -> Improvement:
+def _is_better(result: Result, content: Summary, doubts: list[Finding], tolerance: Tolerance | None) -> Improvement:
     """Return whether the corrected program is better than the uncorrected one.
 
     :param doubts: about forces and model.
@@ -241,7 +241,7 @@ def _holds(result: Result, content: Summary) -> list[Finding]:
             *_surface_findings(content)[1],
             *_expected_findings(result, content),
             *_margin(content),
-            *_clear(content),
+            *_clearance_finding(content),
         ]
     if content.mode != "predict" and result.documents:
         text = "the program was read back as it is written, and simulated with its rounded numbers"
@@ -390,7 +390,7 @@ def clearance(content: Summary) -> str:
     return f"smallest clearance {result.min_clearance_mm:.3g} mm, {place}"
 
 
-def _clear(content: Summary) -> list[Finding]:
+def _clearance_finding(content: Summary) -> list[Finding]:
     """Return the smallest clearance as a finding; none if collisions were not checked."""
     return [] if content.collision is None else [Finding(_NO_SIZE, clearance(content))]
 

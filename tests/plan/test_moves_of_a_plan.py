@@ -135,7 +135,7 @@ def test_the_typical_largest_torque_is_the_weighted_quantile_of_those_that_turn_
     rare = np.argsort(weight)[:3]
     sides[:, 4, 0] = 0.0
     sides[rare, 4, 0] = 500.0  # of less than one per cent of the work
-    found = criterion._typical(sides, weight)
+    found = criterion._typical_torques(sides, weight)
     for joint in range(6):
         for side in range(2):
             rows = [n for n in range(400) if sides[n, joint, side] > 1.0]

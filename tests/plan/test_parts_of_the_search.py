@@ -268,7 +268,7 @@ def test_torques_of_earlier_readings_are_those_of_the_largest_load_of_each_confi
         wrench=np.vstack([data.wrench, 0.5 * data.wrench[3], 2.0 * data.wrench[5]]),
     )  # fmt: skip
     readings = Readings(site.arm, LOAD, MARKERS, 1.0, 1.0, np.ones(6))
-    found = planning._largest(second, readings)
+    found = planning._largest_torques(second, readings)
     for row, factor in enumerate((1.0, 1.0, 2.0, 1.0)):
         moved = setting.differences(lambda x: setting.ORACLE.tcp(x, setting.in_flange(LOAD))[:3, 3], data.q[row])
         np.testing.assert_allclose(
@@ -429,12 +429,12 @@ def test_what_stays_uncertain_is_named_with_what_to_do():
     spring = SimpleNamespace(compensator=object(), free=False)
     parameters = (JOINT_COMPLIANCES[0], JOINT_COMPLIANCES[4])
     accuracy = SimpleNamespace(uncertain=parameters)
-    first, second, third = planning.left_uncertain(accuracy, spring, np.array([0, 4]))
+    first, second, third = planning.uncertainty_warnings(accuracy, spring, np.array([0, 4]))
     assert first.startswith("k1, k5: the 95 % interval will be wider than half the value")
     assert second.startswith("the spring of the gravity compensator (K_c, s_0) cannot be determined")
     assert "on its way to configuration 1, 5: jog it there by hand" in third
     for joint2 in (SimpleNamespace(compensator=None, free=False), SimpleNamespace(compensator=object(), free=True)):
-        assert planning.left_uncertain(SimpleNamespace(uncertain=()), joint2, np.zeros(0, dtype=int)) == []
+        assert planning.uncertainty_warnings(SimpleNamespace(uncertain=()), joint2, np.zeros(0, dtype=int)) == []
 
 
 def test_a_parameter_is_uncertain_from_half_its_value_on():
@@ -627,7 +627,7 @@ def test_a_long_part_is_compared_with_an_obstacle_all_along(site):
     shape = BoxShape.of(Box(size=(100.0, 100.0, 100.0), X=0.0), 1)
     end = np.array([[0.6, 0.0, 0.0], [0.6, 0.3, 0.0], [0.0, 0.6, 0.1]])
     parts = (constraints.Capsule("tool", -end, end, 0.02), constraints.Capsule("rope", end + 1.0, end + 2.0, 0.01))
-    assert constraints._clear(site, parts, shape, 3).tolist() == [False, False, False]
+    assert constraints._keeps_clearance(site, parts, shape, 3).tolist() == [False, False, False]
     away = np.array([0.0, 0.0, 0.5])
     parts = (constraints.Capsule("tool", away - end, away + end, 0.02),)
-    assert constraints._clear(site, parts, shape, 3).tolist() == [True, True, True]
+    assert constraints._keeps_clearance(site, parts, shape, 3).tolist() == [True, True, True]

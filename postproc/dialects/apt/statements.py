@@ -14,7 +14,7 @@ import numpy as np
 from msgspec import Struct
 
 from postproc.chunks import ragged_range
-from postproc.decimals import numbers_in, parsed
+from postproc.decimals import numbers_in, parsed_numbers
 from postproc.dialects.text import line_spans
 from postproc.errors import did_you_mean
 from postproc.frames import Array
@@ -161,7 +161,7 @@ def _points(chars: np.typing.NDArray[np.uint8], ends: Ints) -> tuple[Ints, Array
         rows = rows[whole]  # a number is missing between two commas
     if not len(rows):
         return empty
-    values = parsed(text, first, last)
+    values = parsed_numbers(text, first, last)
     if values is None:
         try:
             values = np.array([float(word) for word in digits.split()])

@@ -199,7 +199,7 @@ class _Walk:
             self.place, self.known, self.rapid = end[-1], True, False
         elif at < len(row):
             if self.rapid or not self.known:
-                self._single(int(row[at]), end[at], axis[at])
+                self._single_move(int(row[at]), end[at], axis[at])
                 at += 1
             if at < len(row):
                 self._add(row[at:], end[at:], axis[at:], LINE, self._feed_per_minute(int(row[at])))
@@ -227,7 +227,7 @@ class _Walk:
         latest = np.maximum.accumulate(np.append(0, np.where(is_stated, np.arange(1, len(row) + 1), 0)))
         return np.asarray(unit[latest][1:])
 
-    def _single(self, row: int, end: Array, axis: Array) -> None:
+    def _single_move(self, row: int, end: Array, axis: Array) -> None:
         """Make one move that is rapid, or whose start is not known."""
         rapid, self.rapid = self.rapid, False
         if self.known:
@@ -391,7 +391,7 @@ class _Walk:
             raise StatementError(f"{subject} without a number", "Check the values behind /.")
         return numbers[0]
 
-    def _goto_odd(self, row: int, words: list[float | str]) -> None:
+    def _checked_goto(self, row: int, words: list[float | str]) -> None:
         """Read a GOTO with several points, or whose direction of the tool needs a check."""
         points = numbers_of(words, *((3, 6) if self.pending is None else range(3, 301, 3)))
         if len(points) in (3, 6) and (len(points) == 3 or abs(norm(points[3:]) - 1.0) < UNIT_LENGTH):
@@ -613,7 +613,7 @@ class _Walk:
             self.spindle = "spindle_on"
         self._event(row, "spindle_ccw" if self.spindle == "spindle_ccw" else "spindle_on", self.speed)
 
-    def _cool(self, row: int, words: list[float | str]) -> None:
+    def _coolant(self, row: int, words: list[float | str]) -> None:
         self.coolant = "OFF" not in words
         self._event(row, "coolant_on" if self.coolant else "coolant_off")
 
@@ -807,12 +807,12 @@ _STATEMENTS: Mapping[str, tuple[Any, list[float | str]]] = {
     "M3": (_Walk._spin, ["CLW"]),
     "M4": (_Walk._spin, ["CCLW"]),
     "M5": (_Walk._spin, ["OFF"]),
-    **dict.fromkeys(("M7", "M8"), (_Walk._cool, ["ON"])),
-    "M9": (_Walk._cool, ["OFF"]),
+    **dict.fromkeys(("M7", "M8"), (_Walk._coolant, ["ON"])),
+    "M9": (_Walk._coolant, ["OFF"]),
 }
 """Statements that do what an M code does which `[m_codes]` does not take."""
 _HANDLERS: Mapping[str, Any] = {
-    "GOTO": _Walk._goto_odd,
+    "GOTO": _Walk._checked_goto,
     "GODLTA": _Walk._step,
     "FROM": _Walk._start_place,
     "GOHOME": _Walk._home,
@@ -832,7 +832,7 @@ _HANDLERS: Mapping[str, Any] = {
     "INDIRV": _Walk._direction,
     "CYCLE": _Walk._cycles,
     "SPINDL": _Walk._spin,
-    "COOLNT": _Walk._cool,
+    "COOLNT": _Walk._coolant,
     "LOADTL": _Walk._load,
     "LOAD": _Walk._load,
     "DELAY": _Walk._wait,

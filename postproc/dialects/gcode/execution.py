@@ -21,7 +21,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc.chunks import compact, ragged_range
-from postproc.dialects.gcode.expressions import Parameters, whole
+from postproc.dialects.gcode.expressions import Parameters, nearest_integer
 from postproc.dialects.gcode.structure import Block, Order, Unit, end_words, is_controlled
 from postproc.dialects.gcode.words import CUT_SHORT, MARK, BlockError, Fault, Source, line_feeds, split
 from postproc.dialects.text import decode
@@ -251,7 +251,7 @@ class _Run:
     def result(self) -> ExecutedProgram:
         """Execute the program from its first line, unless its O-words have faults."""
         for fault in self.units[0].faults:
-            self._wrong(fault.row, fault.problem, fault.advice)
+            self._add_fault(fault.row, fault.problem, fault.advice)
         try:
             while not self.units[0].faults:
                 self._step()
@@ -286,7 +286,7 @@ class _Run:
             else:
                 self._tape(at)
         except BlockError as cause:
-            self._wrong(at, *cause.args)
+            self._add_fault(at, *cause.args)
             if isinstance(unit.lines.get(at), Order) or len(self.wrong) > MAX_ERRORS:
                 raise _EndError from cause  # the next line is not known
 
@@ -296,14 +296,14 @@ class _Run:
         self.pieces.append(Piece(self.unit, first, last, main, text))
         self.rows += last - first
 
-    def _wrong(self, row: int, problem: str, advice: str | None = None) -> None:
+    def _add_fault(self, row: int, problem: str, advice: str | None = None) -> None:
         """Record a fault. The text of the line is recorded too, so that later steps know which words are unknown."""
         if (self.unit, row) not in self.wrong:
             self.wrong[self.unit, row] = Fault(self.rows, problem, advice, self.units[self.unit].source.line(row))
         self._take(row, row + 1, "")
 
     def _stop(self, row: int, problem: str, advice: str | None = None) -> None:
-        self._wrong(row, problem, advice)
+        self._add_fault(row, problem, advice)
         raise _EndError
 
     def _tape(self, row: int) -> None:
@@ -345,7 +345,7 @@ class _Run:
         """Execute M98: call a subprogram by its number, `L` times."""
         if "P" not in number:
             raise BlockError("M98 without P", "Write, for example, M98 P100 L3: subprogram O100, three times.")
-        label, times = str(whole(number["P"])), whole(number.get("L", 1.0))
+        label, times = str(nearest_integer(number["P"])), nearest_integer(number.get("L", 1.0))
         location = self.library.find(label, self.unit, own=False)
         if location is None:
             advice = "Write M98 P100 L3 for three times." if number["P"] >= 1e4 and "L" not in number else None
@@ -445,7 +445,7 @@ class _Run:
 
         :raises BlockError: there is no such subprogram.
         """
-        label = order.label if isinstance(order.label, str) else str(whole(order.label(self.known)))
+        label = order.label if isinstance(order.label, str) else str(nearest_integer(order.label(self.known)))
         arguments = [value(self.known) for value in order.values]
         location = self.library.find(label, self.unit, own=True)
         if location is None:

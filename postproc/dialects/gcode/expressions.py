@@ -154,7 +154,7 @@ _UNARY: Mapping[str, Callable[[float], float]] = {
 }
 
 
-def whole(value: float) -> int:
+def nearest_integer(value: float) -> int:
     """Return the nearest integer; within 0.0001, as rs274 requires."""
     if abs(value - round(value)) > _EQUALITY_TOLERANCE:
         raise BlockError(f"{value:g} is not a whole number", None)
@@ -212,7 +212,7 @@ class Reader:
             key = key_of(name[1])
             return lambda _: key
         index = self.value()
-        return lambda parameters: whole(index(parameters))
+        return lambda parameters: nearest_integer(index(parameters))
 
     def _operation(self, weakest: int) -> Value:
         """Return the operations from here on that bind at least as tightly as `weakest` (precedence climbing)."""

@@ -216,7 +216,7 @@ class _Walk:
             elif begin in indexing:
                 self._index(begin)
             else:
-                self._straight(begin, end)
+                self._straight_moves(begin, end)
         self._check_return()
         return self._moves()
 
@@ -237,7 +237,7 @@ class _Walk:
         next_rows = [row + 1 for row in (*self.modes.returns, *indexing) if row + 1 < self.count]
         return sorted({0, self.count, *(np.flatnonzero(is_bound) + 1).tolist(), *single, *next_rows})
 
-    def _straight(self, begin: int, end: int) -> None:
+    def _straight_moves(self, begin: int, end: int) -> None:
         """Process lines of G0 to G3: coordinates are modal (G90), or they add up (G91)."""
         rows = self.rows
         if (rows.named[begin:end]).any() or (rows.motion[begin:end] == codes.CANCEL_CYCLE).any():
@@ -279,7 +279,7 @@ class _Walk:
             np.nan_to_num(words) if self.rows.incremental[row] else np.where(np.isnan(words), 0.0, words - start_angles)
         )
         if not turn.any():
-            self._straight(row, row + 1)
+            self._straight_moves(row, row + 1)
             return
         if self.rows.motion[row] != 0.0:
             advice = "Turn indexed axes by G0, or set the CAM system to output tool-centre-point control."
@@ -288,7 +288,7 @@ class _Walk:
         if not self.known.all():  # the move from [start] is made when X, Y and Z are known
             self._turn_part(row, start_angles + turn)
             if self.rows.is_placed[row]:
-                self._straight(row, row + 1)
+                self._straight_moves(row, row + 1)
             return
         self.cycle.end()
         self._check_height(row, row + 1)

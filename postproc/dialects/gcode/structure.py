@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping
 import numpy as np
 from msgspec import Struct
 
-from postproc.dialects.gcode.expressions import ARGUMENTS, Key, Parameters, Reader, Value, key_of, whole
+from postproc.dialects.gcode.expressions import ARGUMENTS, Key, Parameters, Reader, Value, key_of, nearest_integer
 from postproc.dialects.gcode.words import MARK, BlockError, Fault, Source
 from postproc.program import Document, Ints, distinct
 
@@ -275,9 +275,9 @@ def _block(code: str) -> Block:
 def _word(letter: str, value: float) -> str:
     """Return a word with its computed number; codes and counts must be whole, as in rs274, but D may be a diameter."""
     if letter in "MNTLHO":
-        return f"{letter}{whole(value)}"
+        return f"{letter}{nearest_integer(value)}"
     if letter == "G":
-        return f"G{whole(10.0 * value) / 10.0:g}"
+        return f"G{nearest_integer(10.0 * value) / 10.0:g}"
     return letter + number(value)
 
 

@@ -23,7 +23,7 @@ _OFFSETS = {f"G{code:g}" for code in codes.WORK_OFFSETS[1:]}
 def survey(document: Document) -> Survey:
     """Return the survey of a text; nothing is executed, so words of expressions and loops are not seen."""
     source = split(document)
-    words = {_normal(match[0]) for match in _CODES.finditer(source.code)}
+    words = {_normal_word(match[0]) for match in _CODES.finditer(source.code)}
     machine_codes = sorted((word for word in words if word[0] == "M" and _is_of_machine(float(word[1:]))), key=_order)
     rotary = tuple(sorted({match[1].decode() for match in _ROTARY.finditer(source.code)}))
     switches = {name for name, group in (("spindle", codes.SPINDLE[:2]), ("coolant", codes.COOLANT[:2]))
@@ -50,7 +50,7 @@ def _tool_changes(source: Source) -> Iterator[tuple[int, int]]:
     """Yield line and number of each M6, with the T in force; of a program without M6, those of each T."""
     changes, selections, tool = [], [], None
     for match in _CODE_LINE.finditer(source.code):
-        words = [_normal(word[0]) for word in _CODES.finditer(match[0])]
+        words = [_normal_word(word[0]) for word in _CODES.finditer(match[0])]
         line = source.code.count(b"\n", 0, match.start())
         for word in words:
             if word[0] == "T" and float(word[1:]) == int(float(word[1:])):
@@ -61,7 +61,7 @@ def _tool_changes(source: Source) -> Iterator[tuple[int, int]]:
     yield from changes or selections
 
 
-def _normal(word: bytes) -> str:
+def _normal_word(word: bytes) -> str:
     """Return a word as codes are written: ``G54`` for ``G054.0``; the letter alone where there is no number."""
     text = word.decode("ascii")
     try:

@@ -23,7 +23,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from postproc.chunks import chunks, compact
-from postproc.decimals import numbers_in, parsed
+from postproc.decimals import numbers_in, parsed_numbers
 from postproc.frames import Array
 from postproc.program import Document, Ints, distinct
 
@@ -220,7 +220,7 @@ def _read_lines(source: Source, first: int, last: int, rotary: str, words: Words
         letters = letters - 1
     letter = np.frombuffer(code, dtype=np.uint8)[letters]
     digits = code.translate(_TO_NUMBERS)
-    value = parsed(np.frombuffer(digits, dtype=np.uint8), *numbers_in(np.frombuffer(digits, dtype=np.uint8)))
+    value = parsed_numbers(np.frombuffer(digits, dtype=np.uint8), *numbers_in(np.frombuffer(digits, dtype=np.uint8)))
     if value is None:
         value = np.fromstring(digits, sep=" ")
 
@@ -352,11 +352,11 @@ def _split(code: str) -> list[tuple[str, str]]:
             raise BlockError(*_not_a_word(code[position:].lstrip(MARK)))
         if match[1] in "LNT" and len(match[2]) > 15:
             raise BlockError(f"{match[0].lstrip(MARK)[:20]}… has too many digits", None)
-        if match[1] in "MT" and "." in _plain(match[1], match[2]):
+        if match[1] in "MT" and "." in _plain_number(match[1], match[2]):
             raise BlockError(f"{match[1]}{match[2]} is not a whole number", _WHOLE[match[1]])
         if match[1] == "O":
             raise BlockError("an O word among other words", _O_ADVICE)
-        pairs.append((match[1], _plain(match[1], match[2])))
+        pairs.append((match[1], _plain_number(match[1], match[2])))
         if len(pairs) > _MOST_WORDS:
             raise BlockError(f"more than {_MOST_WORDS} words in one block", "Check the line ends of the file.")
         position = match.end()
@@ -366,7 +366,7 @@ def _split(code: str) -> list[tuple[str, str]]:
     return pairs
 
 
-def _plain(letter: str, number: str) -> str:
+def _plain_number(letter: str, number: str) -> str:
     """Return a number in the form that pygcode reads: no plus sign, no empty decimals in codes."""
     number = number.lstrip("+")
     if letter in "GMT" and "." in number:

@@ -353,7 +353,7 @@ class _Reader:
             via_numbers = np.array([move.via.numbers for move in moves if move.via is not None])
             self._check(via_numbers, line[rows])
             via_points = poses(via_numbers[:, :7])[:, :3, 3]
-            centre[rows], normal[rows], sweep[rows], flat = circles.through(
+            centre[rows], normal[rows], sweep[rows], flat = circles.arcs_through(
                 start[rows, :3, 3], via_points, pose[rows, :3, 3]
             )
             if flat.any():

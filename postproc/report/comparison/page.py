@@ -256,7 +256,7 @@ def _path(comparison: Comparison, rows: Ints) -> Section:
     nominal, offset, place = _drawn_path(comparison, rows)
     extent = float(np.ptp(nominal, axis=0).max())
     largest = float(norm(offset).max())
-    factor = _round(0.1 * extent / largest) if largest * MM_PER_M > ROUNDING_MM and extent > 0.0 else 1.0
+    factor = _round_scale(0.1 * extent / largest) if largest * MM_PER_M > ROUNDING_MM and extent > 0.0 else 1.0
     larger = f", offsets {factor:g} times larger" if factor > 1.0 else ""
     traces = [
         _line(nominal, "nominal", "before", place),
@@ -278,7 +278,7 @@ def _path(comparison: Comparison, rows: Ints) -> Section:
     return Section("view3d", f"Both paths{larger}", (plot,))
 
 
-def _round(factor: float) -> float:
+def _round_scale(factor: float) -> float:
     """Return the largest of 1, 2, 5, 10, 20 … that is not larger, or 1."""
     power = 10.0 ** np.floor(np.log10(factor))
     return max(1.0, float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= factor)))

@@ -30,7 +30,7 @@ SECTIONS: tuple[Callable[[Deviation], Section | None], ...] = (
     sections.histogram,
     sections.operations,
     sections.feeds,
-    sections.worst,
+    sections.worst_places,
     sections.reversals,
     sections.limits,
     sections.joints,

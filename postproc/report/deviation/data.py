@@ -166,7 +166,9 @@ class Deviation(Struct, frozen=True, dict=True):
         result = self.result
         measures = [result.before, *([result.after] if self.is_compared else [])]
         measures += [] if result.bound is None else [result.bound]
-        rows = distinct(np.concatenate([_worst(measure, result.rapid, result.source_line) for measure in measures]))
+        rows = distinct(
+            np.concatenate([_worst_rows(measure, result.rapid, result.source_line) for measure in measures])
+        )
         return rows[np.argsort(-result.before[rows], kind="stable")]
 
     @cached_property
@@ -286,7 +288,7 @@ class Deviation(Struct, frozen=True, dict=True):
         )
 
 
-def _worst(measure: Array, rapid: Bools, line: Ints) -> Ints:
+def _worst_rows(measure: Array, rapid: Bools, line: Ints) -> Ints:
     """Return the rows of the largest value of each of the lines with the largest ones."""
     value = np.where(rapid, -1.0, np.nan_to_num(measure, nan=np.inf))
     count = min(len(value), 400 * _WORST)

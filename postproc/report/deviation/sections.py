@@ -441,7 +441,7 @@ def feeds(data: Deviation) -> Section | None:
     return Section("feeds", "Feeds that hold the tolerance", (notes, table))
 
 
-def worst(data: Deviation) -> Section | None:
+def worst_places(data: Deviation) -> Section | None:
     """Return a table of the worst place of each of the worst lines, before and after."""
     result = data.result
     if not len(result) or data.uncorrected_reason is not None:

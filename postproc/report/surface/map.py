@@ -90,7 +90,7 @@ def surface(
     cut_row[depth <= (CHORD if coarse is None else coarse + CHORD)] = -1
     centre = corners.mean(axis=1)
     if cutters is None:
-        place = _nearest(paths, centre, normal)
+        place = _nearest_place(paths, centre, normal)
         before, after = (
             np.einsum("fi,fi->f", _at(result, place, frames.to_mesh(values)), normal)
             for values in (result.deviation_before, result.deviation_after)
@@ -152,7 +152,7 @@ def _cuts(paths: list[tuple[CutPath, Cutter | None]], corners: Array, normal: Ar
     return depth, row
 
 
-def _nearest(paths: list[tuple[CutPath, Cutter | None]], centre: Array, normal: Array) -> _Place:
+def _nearest_place(paths: list[tuple[CutPath, Cutter | None]], centre: Array, normal: Array) -> _Place:
     """Return the nearest place from which a tool of any shape can touch facets (F, 3)."""
     row, share, distance = np.full(len(centre), -1), np.zeros(len(centre)), np.full(len(centre), np.inf)
     for path, _ in paths:

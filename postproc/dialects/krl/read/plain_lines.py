@@ -18,7 +18,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc.chunks import chunks, compact
-from postproc.decimals import Bytes, numbers_in, parsed
+from postproc.decimals import Bytes, numbers_in, parsed_numbers
 from postproc.dialects.krl.language.positions import COLUMNS
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.trace import Trace
@@ -192,7 +192,7 @@ def _number_tokens(body: bytes) -> tuple[Array, Ints, Ints] | None:
     """Return the numbers (T,) in a text, and where each starts and stops (T,); None if one cannot be read."""
     digits = _digits(body)
     starts, stops = numbers_in(digits)
-    values = parsed(digits, starts, stops)
+    values = parsed_numbers(digits, starts, stops)
     if values is None:
         values = _values(digits)
     return None if len(values) != len(starts) else (values, starts, stops)

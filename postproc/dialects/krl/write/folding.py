@@ -288,7 +288,7 @@ class _Folder(Struct, eq=False):
     # --- routines ----------------------------------------------------------------------------------------------------
 
     def _unused_name(self, call: InlinedRoutine) -> str:
-        """Return a name for a copy of a routine."""
+        """Return a new name for the copy of a routine, and note for the user why it is copied."""
         if self.names is None:
             sources = dict.fromkeys([*self.course.trace.sources, *(routine.source for routine in self.versions)])
             words = (names_in(source.text) for source in sources)

@@ -178,6 +178,7 @@ def _names(source: Source, line: int) -> list[tuple[str, int]]:
 
 
 def _text_place(aggregate: Aggregate) -> _TextPlace:
+    """Return where the text of an aggregate is: file, row of the trace, offset."""
     return aggregate.source, aggregate.row, aggregate.start
 
 
