@@ -174,4 +174,5 @@ def _line_at(text: str, offset: int) -> int:
 
 
 def _ending(line: str) -> str:
+    """Return the line end of a line; empty if it has none."""
     return line[len(line.rstrip("\r\n")) :]

@@ -146,7 +146,7 @@ class Balance(Struct, frozen=True, eq=False):
         return np.swapaxes(np.linalg.solve(np.swapaxes(tangent, 1, 2), np.swapaxes(jacobian, 1, 2)), 1, 2)
 
     def deflection_by(self, torque: Array) -> Array:
-        """Return the deflections (nv, ..., n) by small torques (nv, ..., n), at first order."""
+        """Return the deflections (nv, ..., n) [rad, m] by small torques (nv, ..., n) [N·m, N], at first order."""
         slope = self.slope.reshape(len(self.slope), *(1,) * (torque.ndim - 2), -1)
         deflection = slope * torque
         if self.robot.coupling_compliance is not None:

@@ -363,6 +363,7 @@ def _first_line(data: Measurements, state: int) -> int:
 
 
 def _first_line_of_configuration(data: Measurements, row: int) -> int:
+    """Return the first line of the file with readings of a configuration, by its row in `data.q`."""
     return int(data.line[np.flatnonzero(data.state_config[data.state] == row)[0]])
 
 

@@ -142,7 +142,10 @@ class _Reader:
             raise _NO_TREE
 
     def chain(self) -> Chain:
-        """Return the chain of a file of ours."""
+        """Return the chain of a file that postproc wrote.
+
+        :raises _RefusedError: the joints are not A1 to A6, or the last link is not the flange.
+        """
         names = tuple(str(joint.get("name")) for joint in self.joints)
         if names != JOINTS:
             raise _RefusedError(

@@ -225,7 +225,7 @@ class _Folder(Struct, eq=False):
         return _Piece(int(begins[last - 1] - begins[first - 1]), ((first, last),), ((0, first, last),))
 
     def _counter(self, loop: UnrolledLoop, row: int, blanks: str) -> _Piece:
-        """Return an assignment to the counter of a FOR; `blanks` it the blanks of a line."""
+        """Return an assignment to the counter of a FOR; `blanks` are those before it."""
         text = f"{blanks}{loop.counter}={self.course.count(loop, row)}{_line_end(loop.opener)}"
         return _Piece(1, (text,), ((0, row, row + 1),))
 
