@@ -149,4 +149,4 @@ def test_a_place_where_convert_refuses_a_program_is_not_recommended(tmp_path, mo
     content = json.loads(Path("place/place.json").read_text())
     assert content["best"] is None
     assert "through.nc" in content["today"]["reason"]
-    assert "No place in the region can be driven" in printed
+    assert "No place of the region was found at which the programs can be driven" in printed

@@ -683,7 +683,7 @@ def test_programs_of_one_conversion_are_compared_by_their_targets_and_forces_alo
     """Corners that are cut count only where no path difference explains them."""
     names = {
         "_unresolved_differences": "unresolved", "_uncompared_motions": "not compared",
-        "_calls": "calls", "settings": "settings",
+        "_calls": "calls", "settings": "settings", "lowered_feeds": "lowered",
         "statement_differences": "statements", "forces": "forces", "_rapid": "rapid", "_repeated_positions": "twice",
         "_backward_moves": "back", "_unpaired_targets": "alone", "axis_targets": "axis", "_orientation": "orientation",
         "_off_path": "off", "_under_forces": "under", "_cut_corners": "corners", "_ambiguous": "ambiguous",
@@ -698,7 +698,7 @@ def test_programs_of_one_conversion_are_compared_by_their_targets_and_forces_alo
     )
     uncertain = [] if pairs_certain else ["ambiguous"]
     if same_origin:
-        assert list(found) == ["not compared", "alone", *(["under"] if is_off else []), *uncertain]
+        assert list(found) == ["lowered", "not compared", "alone", *(["under"] if is_off else []), *uncertain]
         return
     whole = [
         "unresolved",

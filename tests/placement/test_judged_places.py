@@ -257,7 +257,7 @@ class Touching:
         self.calls.append((q, rows, shift, base_motion))
         assert not breaks.any()
         hit = np.zeros(len(q), dtype=bool)
-        hit[[] if self.between is None else self.between] = True
+        hit[[] if self.between is None or self.between >= len(q) else self.between] = True
         return hit
 
 
@@ -265,10 +265,13 @@ PLACE = np.array([1450.0, 60.0, 720.0, 10.0, 40.0])
 
 
 @pytest.mark.parametrize(
-    ("at_poses", "between", "all_samples", "hit"),
-    [(True, None, False, True), (False, 3, False, False), (False, 3, True, True), (False, None, True, False)],
-)
-def test_bodies_are_compared_at_poses_and_along_a_whole_program_from_the_start(at_poses, between, all_samples, hit):
+    ("at_poses", "between", "all_samples", "reason"),
+    [
+        (True, None, False, drive.COLLISION), (False, 3, False, drive.FREE), (False, 3, True, drive.COLLISION),
+        (False, None, True, drive.FREE), (False, 1, False, drive.FIRST_MOVE), (False, 1, True, drive.FIRST_MOVE),
+    ],
+)  # fmt: skip
+def test_bodies_are_compared_at_poses_and_along_a_whole_program_from_the_start(at_poses, between, all_samples, reason):
     """Their path begins at [start] with E1 as at the first sample; the part is moved by what separates the places."""
     away, back = (f"LIN {{{{X {x},Y 0,Z 0,A 180,B 0,C 180,E1 {{1}}}}}}\n" for x in (300, 0))
     long = KRL.replace("END", (away + back) * 5 + "END")
@@ -277,7 +280,7 @@ def test_bodies_are_compared_at_poses_and_along_a_whole_program_from_the_start(a
     judged = Programs([samples], BARE)
     judged.bodies = [Touching(at_poses, between)]
     result = judged.judge(PLACE, all_samples=all_samples)
-    assert result.reason == (drive.COLLISION if hit else drive.FREE)
+    assert result.reason == reason
     there = krl_at(PLACE, long)
     single = SampleBySample(there, judged.branch, np.zeros(len(there)))
     motion, t = there.sample.motion, there.sample.t
@@ -287,13 +290,15 @@ def test_bodies_are_compared_at_poses_and_along_a_whole_program_from_the_start(a
         e1 = there.program.carriage.at(motion[expected_rows], t[expected_rows])
         expected_q = single.q[expected_rows]
         if is_path:
-            expected_rows, e1 = np.append(0, expected_rows), np.append(e1[0], e1)
-            expected_q = np.concatenate([CARRIED_START[None], expected_q])
+            count = len(expected_rows) if all_samples else 1  # of stations only the first move is a path
+            expected_rows = np.append(expected_rows[0], expected_rows[:count])
+            e1 = np.append(e1[0], e1[:count])
+            expected_q = np.concatenate([CARRIED_START[None], expected_q[:count]])
         np.testing.assert_array_equal(rows, expected_rows)
         np.testing.assert_allclose(q, expected_q, atol=1e-9)
         np.testing.assert_allclose(shift, e1[:, None] * [0.0, 1.0, 0.0], atol=1e-12)
         np.testing.assert_allclose(base_motion, moving, atol=1e-12)
-    assert len(judged.bodies[0].calls) == (1 if at_poses or not all_samples else 2)
+    assert len(judged.bodies[0].calls) == (1 if at_poses else 2)
 
 
 CARRIED_START = np.radians(CARRIED.start.joints)

@@ -91,18 +91,22 @@ def by_steps(programs, bounds, today, assess):
     free = sorted([trial for trial in trials if trial.reachable], key=lambda trial: trial.cost)
     alike = [trial for trial in free if trial.cost <= 1.01 * free[0].cost]
     order = sorted(alike, key=lambda trial: -trial.margin) + [trial for trial in free if trial not in alike]
-    chosen = None
-    for trial in order[:40]:
+    chosen, refused, assessed = None, [], 0
+    span = np.subtract(bounds.high, bounds.low)
+    for trial in order:
+        gaps = [(np.abs(np.subtract(trial.place, other)), share) for other, share in refused]
+        if any(((gap < share * span) | (span == 0.0)).all() for gap, share in gaps):
+            continue
         place = settable(bounds, np.array(trial.place))
         calls.append((tuple(place), True))
         exact = programs.value(place, True)
-        if exact.reachable:
-            assessed += 1
-            if not assess or assess(exact).problem == "":
-                chosen = exact
-                break
-            if assessed == 6:
-                break
+        if exact.reachable and (not assess or assess(exact).problem == ""):
+            chosen = exact
+            break
+        assessed += exact.reachable
+        refused.append((place, 0.1 if exact.reachable else 1.0 / 30.0))
+        if len(refused) == 200 or assessed == 8:  # there is one error: "a limit"
+            break
     return calls, chosen, centre
 
 
