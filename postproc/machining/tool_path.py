@@ -447,7 +447,7 @@ def home_base(program: Program) -> int:
     """
     m = program.motions
     first = int(m.base[np.argmax(~m.rapid)])
-    if not program.keeps_text:
+    if not program.keeps_text or (m.base[~m.rapid] == first).all():
         return first
     way = _way_by_base(program)
     return first if way[first] == way.max(initial=0.0) else int(np.argmax(way))

@@ -293,17 +293,16 @@ class Flow:
         return callee is not None and self.run.analysis.of(*callee).motion is not None
 
     def _undoing(self, recorder: Recorder) -> Callable[[], None]:
-        """Return a function that restores the present state of the run; without `keep` nothing runs behind it."""
+        """Return a function that restores the run and the trace.
+
+        Values and settings stay as they are: to keep them for each call would take as long as there are variables.
+        """
         run, entered_calls = self.run, self.interpreter.calls.entered
         marks, mark, position = run.marks(), recorder.mark(), run.position()
         calls_open, depth = len(entered_calls), len(self._way)
-        values, state = run.variables.as_now() if run.keep else None, run.settings.state
 
         def undo() -> None:
             """Restore the run, the trace and the open calls."""
-            if values is not None:
-                run.variables.as_then(values)
-                run.settings.change(run.row, state)
             run.back_to(marks)
             recorder.back_to(mark)
             run.return_to(position)
@@ -631,14 +630,17 @@ class Flow:
         end, recorder = self._jumping_back(source, nodes, index, label), self.recorder
         if not end or recorder is None:
             return 0
-        undo = self._undoing(recorder)
-        self.run.is_final = False
+        run, undo = self.run, self._undoing(recorder)
+        values, state = run.variables.as_now(), run.settings.state
+        run.is_final = False
         try:
             self._rounds_of_label(source, nodes[index : end + 1], recorder)
         except InexactError:
-            if not self.run.keep:
+            if not run.keep:
                 raise
             undo()
+            run.variables.as_then(values)  # the same statements are followed again
+            run.settings.change(run.row, state)
             return 0
         return end
 
