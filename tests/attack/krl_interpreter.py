@@ -105,6 +105,10 @@ class Invalid(Exception):
     """The program stops: a value is missing, an index is none, there are too many statements."""
 
 
+class PositionUnknown(Invalid):
+    """A motion depends on where the robot is behind a motion of the other kind: this executor has no kinematics."""
+
+
 def invalid(problem):
     """Stop the program."""
     raise Invalid(problem)
@@ -1225,7 +1229,7 @@ class Controller:
         """Return A1 … A6 of a target [deg]: those that are not given stay as they are."""
         names = [f"A{number}" for number in range(1, 7)]
         if self.joints is None and (relative or any(name not in value for name in names)):
-            raise Invalid("joint angles that are not known")
+            raise PositionUnknown("joint angles that are not known")
         if relative:
             return [angle + float(value.get(name, 0.0)) for name, angle in zip(names, self.joints, strict=True)]
         return [float(value[name]) if name in value else self.joints[at] for at, name in enumerate(names)]
@@ -1233,19 +1237,19 @@ class Controller:
     def standing(self):
         """Where the robot is, in the frames of now."""
         if self.numbers is None:
-            raise Invalid("where the robot is, is not known")
+            raise PositionUnknown("where the robot is, is not known")
         base, tool = self.stood
         flange = base @ abc(*self.numbers) @ np.linalg.inv(tool)
         return components(np.linalg.inv(self.base) @ flange @ self.tool)
 
     def target(self, value):
         if self.numbers is None and any(name not in value for name in CARTESIAN):
-            raise Invalid("components are missing")
+            raise PositionUnknown("components are missing")
         return [float(value[n]) if n in value else self.numbers[k] for k, n in enumerate(CARTESIAN)]
 
     def relative(self, value, along_tool):
         if self.numbers is None:
-            raise Invalid("relative to what is not known")
+            raise PositionUnknown("relative to what is not known")
         numbers = list(self.standing().values())
         step = np.array([float(value.get(name, 0.0)) for name in "XYZ"])
         if along_tool:
