@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 
 import pytest
+import tomlkit
 
 from postproc.report.formatting import two_digits
 from tests import commands
@@ -83,6 +84,7 @@ END
 PLACED = {
     "pocket": ("cell_kr270.toml", "pocket.nc", ()),
     "KRL": ("cell_kr270.toml", "lines.src", ("--forces", "lines.csv")),
+    "KRL in a frame by number": ("cell_kr270.toml", "inline.src", ()),
     "KR 16": ("cell_kr16.toml", "part.nc", ()),
     "RAPID": ("cell_irb6700.toml", "part.nc", ()),
     "process": ("cell_kr270.toml", "bare.nc", ("--process", "process.toml")),
@@ -104,11 +106,13 @@ def test_place_states_the_numbers_of_convert_at_todays_place_and_at_the_best_one
     printed = commands.printed("place", programs, *options, "--region", region, "-o", "place", cell=cell)
     content = json.loads(Path("place/place.json").read_text())
     best = content["best"]
-    base = Path("place/place.toml").read_text()
+    moved = tomlkit.parse(text)
+    place_frames = tomllib.loads(Path("place/place.toml").read_text())
+    assert set(place_frames) == ({"base", "base_data"} if "number" in kind else {"base"})
+    moved.update(place_frames)
     if kind == "linear axis":  # the robot is carried along Y: as the part moved the other way
-        base = base.replace(f"Y = {best['Y']:.4f}", f"Y = {best['Y'] - best['E1']:.4f}")
-    start = text.index("[base]")
-    Path("moved.toml").write_text(text[:start] + base + text[text.index("\n[", start) :])
+        moved["base"]["Y"] -= best["E1"]
+    Path("moved.toml").write_text(tomlkit.dumps(moved))
     language = ("--to", "rapid") if kind == "RAPID" else ()
     for place, path in (("today", cell), ("best", "moved.toml")):
         run("convert", programs, *options, *language, "-o", place, cell=path, code=(0, 3))
@@ -125,7 +129,7 @@ def test_place_states_the_numbers_of_convert_at_todays_place_and_at_the_best_one
 
 
 def _inputs(folder):
-    for name in ("cell_kr270.toml", "cell_kr16.toml", "cell_irb6700.toml", "pocket.nc"):
+    for name in ("cell_kr270.toml", "cell_kr16.toml", "cell_irb6700.toml", "pocket.nc", "inline.src", "inline.dat"):
         shutil.copy(SAMPLES / name, folder)
     (folder / "lines.src").write_text(KRL)
     (folder / "lines.csv").write_text("line,Fx,Fy,Fz,frame,sigma_percent\n4,-60,90,40,BASE,10\n5,-80,90,40,BASE,10\n")

@@ -22,7 +22,16 @@ from postproc.app.testpart import TestPart
 from postproc.app.workspace import MEDIA_TYPES, RESULTS, Workspace
 from postproc.errors import InputError, PostprocError
 from postproc.files.fault_log import write_fault
-from postproc.jobs.cell_edit import choose_start, edit, fields_of, kept_frames, set_feed_rule, set_robot, use_model
+from postproc.jobs.cell_edit import (
+    choose_start,
+    edit,
+    fields_of,
+    kept_frames,
+    set_feed_rule,
+    set_frames,
+    set_robot,
+    use_model,
+)
 from postproc.jobs.experiments import model_of, readings_of
 from postproc.jobs.file_form import FormField, own_changes
 from postproc.jobs.guided_start import is_edited, load_answers
@@ -383,10 +392,11 @@ class _Handler(BaseHTTPRequestHandler):
         """Write the base of the best place into the cell, and correct again; both, or nothing."""
         name = self._program_name(self.form())
         workspace = self.server.workspace
-        base = tomllib.loads(workspace.place(name).read_text(encoding="utf-8"))["base"]
-        numbers = {f"base.{axis}": str(base[axis]) for axis in "XYZABC" if axis in base}
+        place = tomllib.loads(workspace.place(name).read_text(encoding="utf-8"))
+        numbered_frames = {f"base_data.{number}": frame for number, frame in place.get("base_data", {}).items()}
+        frames = {"base": place["base"], **numbered_frames}
         arguments = workspace.conversion(name)
-        self.begin(name, f"Correct {name}", arguments, lambda: edit(workspace.stated_cell(), numbers))
+        self.begin(name, f"Correct {name}", arguments, lambda: set_frames(workspace.stated_cell(), frames))
 
     def feed(self) -> None:
         """Lower feeds where the tolerance of the part would be exceeded, or keep them, and correct again."""

@@ -310,7 +310,7 @@ def _offer_place(outcome: Outcome, program: Path, cell: Path, process: Path | No
     files = make_place(request)
     click.echo(placement.as_text(files.summary))
     if files.summary.best is not None:
-        click.echo(f"Put the [base] of {folder / 'place.toml'} into {cell}, and run start again.")
+        click.echo(f"Put the frames of {folder / 'place.toml'} into {cell}, and run start again.")
 
 
 _OF_PLACE = ("joint-limit", "joint-speed", "singular", "reach", "branch", "collision")

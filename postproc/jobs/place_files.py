@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
 import msgspec
+import numpy as np
 from msgspec import Struct
 
 from postproc import cell as cells
-from postproc.cell import Cell
+from postproc.cell import Cell, Frame
 from postproc.errors import InputError, OptionError, PostprocError, did_you_mean
 from postproc.files import add_record, foreign, refuse, write_whole
 from postproc.frames import M_PER_MM, RAD_PER_DEG
@@ -77,12 +78,22 @@ def make_place(request: PlaceRequest, progress: Callable[[int, int], None] | Non
         refuse(foreign(request.output, FILES, FILES[-1]))
     assess = partial(_assessment, request, cell, robot)
     cell, start_message = _cell_with_start(request, cell, robot)
-    samples, names = _samples(request, cell, robot)
+    samples, paths = _samples(request, cell, robot)
+    frame_numbers = _numbers_of_base(samples, paths, robot, cell)
     turns = cell.gcode.redundancy != "constant" and not any(path.program.keeps_text for path in samples)
     keep, clearance = LeastMargins(joint=request.margin_deg * RAD_PER_DEG), _clearance(request, cell)
     programs = region.Programs(samples, keep, turns=turns, clearance_mm=clearance)
     search = region.search(programs, bounds, progress, assess)
-    content = report.summary(search, cell, names, request.margin_deg, clearance, bounds, start_message)
+    content = report.summary(
+        search,
+        cell,
+        [path.name for path in paths],
+        request.margin_deg,
+        clearance,
+        bounds,
+        start_message,
+        [f"base_data.{number}" for number in frame_numbers],
+    )
     contents: dict[str, bytes | Iterable[bytes]] = {
         FILES[0]: report.places_csv(search),
         FILES[1]: report.page(search, content),
@@ -198,25 +209,45 @@ def _cell_at(cell: Cell, place: JudgedPlace) -> Cell:
     E1 that is not zero is as the part moved the other way; bodies of the cell, which it does not move, are left out.
     """
     x, y, z, a, e1 = place.place
-    base = msgspec.structs.replace(cell.base, X=x, Y=y, Z=z, A=a)
     if not e1:
-        return msgspec.structs.replace(cell, base=base)
+        return _moved_cell(cell, msgspec.structs.replace(cell.base, X=x, Y=y, Z=z, A=a))
     assert cell.carriage is not None, "a region names E1 only if it carries the robot"
     dx, dy, dz = (cell.carriage * e1).tolist()
-    base = msgspec.structs.replace(base, X=x - dx, Y=y - dy, Z=z - dz)
-    return msgspec.structs.replace(cell, base=base, collision=None)
+    base = msgspec.structs.replace(cell.base, X=x - dx, Y=y - dy, Z=z - dz, A=a)
+    return msgspec.structs.replace(_moved_cell(cell, base), collision=None)
 
 
-def _samples(request: PlaceRequest, cell: Cell, robot: RobotModel) -> tuple[Sequence[PathSamples], list[str]]:
-    """Read the programs; return samples of their paths and their names.
+def _moved_cell(cell: Cell, base: Frame) -> Cell:
+    """Return the cell with another `[base]`, and with it the frames by number that are the same frame."""
+    moved_frames = dict.fromkeys(region.numbers_of_base(cell), base)
+    return msgspec.structs.replace(cell, base=base, base_data=cell.base_data | moved_frames)
+
+
+def _samples(request: PlaceRequest, cell: Cell, robot: RobotModel) -> tuple[Sequence[PathSamples], list[Path]]:
+    """Read the programs; return samples of their paths, and their files.
 
     :raises InputError: a program has frames of its own, so that moving $BASE would not move it.
     """
-    robot_in_cell, samples, names = RobotInCell.of(robot, cell), list[PathSamples](), []
-    shifted_cell = msgspec.structs.replace(cell, base=msgspec.structs.replace(cell.base, X=cell.base.X + 1.0))
+    robot_in_cell, samples, paths = RobotInCell.of(robot, cell), list[PathSamples](), []
+    shifted_cell = _moved_cell(cell, msgspec.structs.replace(cell.base, X=cell.base.X + 1.0))
     for path, program, source in programs_under_force(request.programs, request.forces or request.process, robot, cell):
         shifted_program = read_program(path, robot, shifted_cell) if program.keeps_text else None
         region.check_base(program, robot_in_cell, shifted_program)
         samples.append(PathSamples.of(program, robot_in_cell, source))
-        names.append(path.name)
-    return samples, names
+        paths.append(path)
+    return samples, paths
+
+
+def _numbers_of_base(
+    samples: Sequence[PathSamples], paths: Sequence[Path], robot: RobotModel, cell: Cell
+) -> Iterator[str]:
+    """Yield the numbers of the frames that move with `[base]` and in which a program moves."""
+    for number in region.numbers_of_base(cell):
+        frame = cell.base_data[number]
+        shifted_frame = msgspec.structs.replace(frame, X=frame.X + 1.0)
+        shifted_cell = msgspec.structs.replace(cell, base_data=cell.base_data | {number: shifted_frame})
+        for path, sampled in zip(paths, samples, strict=True):
+            program = sampled.program
+            if program.keeps_text and not np.array_equal(program.bases, read_program(path, robot, shifted_cell).bases):
+                yield number
+                break

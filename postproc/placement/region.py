@@ -17,6 +17,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc import kinematics, toolpath
+from postproc.cell import Cell
 from postproc.errors import InputError
 from postproc.frames import MM_PER_M, Array, inverse, pose_from_xyzabc, product, wrap_angles
 from postproc.kinematics import UnreachableError
@@ -387,6 +388,17 @@ def _stations(samples: PathSamples, max_count: int) -> _Stations:
     return _Stations(samples, row, previous, shift, branch, np.asarray(samples.cuts[row]), first_joints)
 
 
+def numbers_of_base(cell: Cell) -> tuple[str, ...]:
+    """Return the numbers n of `[base_data.n]` that state the same frame as `[base]`: they move with it.
+
+    None if the cell names a `$config.dat`: its frames stay as they are.
+    """
+    if cell.config_dat is not None:
+        return ()
+    base = cell.base.pose()
+    return tuple(n for n, frame in cell.base_data.items() if np.abs(frame.pose() - base).max() < _SAME_FRAME)
+
+
 def check_base(program: Program, robot_in_cell: RobotInCell, shifted_program: Program | None = None) -> None:
     """Check that a program is in the `$BASE` of the cell, and moves with it.
 
@@ -406,8 +418,8 @@ def check_base(program: Program, robot_in_cell: RobotInCell, shifted_program: Pr
                 f"line {program.motions.line[first]}: the motions are in a $BASE that the program sets itself: they "
                 "would not move with [base] of the cell",
                 file=program.documents[0].name,
-                advice="Remove what sets $BASE and let [base] give it ([krl] initmov), or leave this program out. "
-                "[base_data.n] of the cell is not moved either: convert with other frames there to compare places.",
+                advice="Give [base] the numbers of the [base_data.n] that the program uses (without config_dat): it "
+                "moves with [base] then. Or remove what sets $BASE and let [base] give it ([krl] initmov).",
             )
 
 

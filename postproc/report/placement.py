@@ -79,6 +79,7 @@ class PlaceSummary(Struct, frozen=True, omit_defaults=True, kw_only=True):
     reachable: int
     refused: dict[str, int]
     refused_later: dict[str, int] = {}
+    moved_frames: list[str] = []
     sentence: str
     files: list[FileEntry] | None = None
 
@@ -91,11 +92,13 @@ def summary(
     clearance_mm: float | None,
     region: Region,
     start: str | None,
+    moved_frames: list[str],
 ) -> PlaceSummary:
     """Return the result as plain data.
 
     :param clearance_mm: distance of bodies that was kept; None: they were not compared.
     :param start: how the start was chosen; None: the cell states it.
+    :param moved_frames: tables of frames by number that move with `[base]`, such as ``"base_data.1"``.
     """
     reasons = np.bincount([place.reason for place in search.trials], minlength=len(PLACE_REASONS)).tolist()
     return PlaceSummary(
@@ -112,6 +115,7 @@ def summary(
         reachable=reasons[0],
         refused={name: count for name, count in zip(PLACE_REASONS[1:], reasons[1:], strict=True) if count},
         refused_later=dict(Counter(place.problem for place in search.refusals)),
+        moved_frames=moved_frames,
         sentence=_sentence(search),
     )
 
@@ -194,7 +198,7 @@ def places_csv(search: Search) -> Iterator[bytes]:
 
 
 def base_toml(search: Search, cell: Cell, content: PlaceSummary) -> bytes:
-    """Return the `[base]` of the best place, ready to paste."""
+    """Return the `[base]` of the best place, and what moves with it, ready to paste."""
     best = search.best
     assert best is not None
     x, y, z, a, e1 = best.place
@@ -203,8 +207,11 @@ def base_toml(search: Search, cell: Cell, content: PlaceSummary) -> bytes:
         lines.append(f"# Seen from E1 = 0; E1 is at {e1:.1f} mm, or this much farther than a KRL program has it.")
     if best.turn:
         lines.append(f"# With the tool turned by {best.turn * DEG_PER_RAD:+.0f}° about its axis.")
-    lines += ["[base]", *(f"{axis} = {value:.4f}" for axis, value in zip("XYZA", (x, y, z, a), strict=True))]
-    lines += [f"{axis} = {getattr(cell.base, axis):.4f}" for axis in "BC" if getattr(cell.base, axis)]
+    lines += [f"# {note}" for note in _notes_of_frames(content)]
+    frame = [f"{axis} = {value:.4f}" for axis, value in zip("XYZA", (x, y, z, a), strict=True)]
+    frame += [f"{axis} = {getattr(cell.base, axis):.4f}" for axis in "BC" if getattr(cell.base, axis)]
+    for table in ("base", *content.moved_frames):
+        lines += [f"[{table}]", *frame]
     return ("\n".join(lines) + "\n").encode()
 
 
@@ -224,6 +231,7 @@ def as_text(content: PlaceSummary) -> str:
     )
     lines += [f"  {note}" for note in _later_refusals(content)]
     lines += [] if content.start is None else [f"  {content.start}"]
+    lines += [f"  {note}" for note in _notes_of_frames(content)]
     margins = f"  kept: {content.margin_deg:g}° to joint limits"
     if content.clearance_mm is not None:
         return "\n".join(
@@ -241,6 +249,13 @@ def _later_refusals(content: PlaceSummary) -> Iterator[str]:
     if len(reasons) > _LATER_REFUSALS:
         others = sum(count for _, count in reasons[_LATER_REFUSALS:])
         yield f"refused by the whole path or its conversion: {others} (other reasons, see place.json)"
+
+
+def _notes_of_frames(content: PlaceSummary) -> Iterator[str]:
+    """Yield what to do with each frame by number that moves with `[base]`."""
+    for table in content.moved_frames:
+        name, _, number = table.partition(".")
+        yield f"[{table}] moves with [base]: give {name.upper()}[{number}] of the controller these numbers too."
 
 
 def _line(name: str, entry: PlaceEntry | None) -> str:
@@ -299,8 +314,9 @@ def _verdict(search: Search, content: PlaceSummary) -> Section:
         note = f"{kind}; {place_text}; joint margin {place.margin * DEG_PER_RAD:.1f}°"
         tiles.append(Tile(title, _cost(place), "mm", note))
     start_notes = () if content.start is None else (Note(content.start),)
+    frame_notes = map(Note, _notes_of_frames(content))
     later_notes = map(Note, _later_refusals(content))
-    notes = Notes((Note(content.sentence), Note(_collisions(content)), *later_notes, *start_notes))
+    notes = Notes((Note(content.sentence), Note(_collisions(content)), *later_notes, *start_notes, *frame_notes))
     return Section("place", "Where the part should be", (notes, Tiles(tuple(tiles))))
 
 

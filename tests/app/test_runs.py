@@ -161,6 +161,22 @@ def test_a_place_is_not_taken_while_a_command_runs(shop):
         assert b"X = 1600" in window.workspace.cell.read_bytes()
 
 
+def test_frames_by_number_that_move_with_the_base_are_taken_into_the_cell(shop):
+    from postproc.app.server import Window
+    from tests.app.conftest import answering
+
+    with Window(shop, 0) as window, answering(window):
+        path = window.workspace.cell
+        path.write_text(path.read_text() + "\n[base_data.3]  # table\nX = 1500.0  # measured\nZ = 700.0\n")
+        place = shop / "corrected" / "place-part" / "place.toml"
+        place.write_text(place.read_text() + "[base_data.3]\nX = 1600.5\nY = 0.0\nZ = 700.0\nA = 0.0\n")
+        assert ask(window, "POST", "/take-place", urlencode({"name": "part.nc"}).encode())[0] == 303
+        assert "[base_data.3]  # table\nX = 1600.5  # measured\nZ = 700" in path.read_text()
+        cell = tomllib.loads(path.read_text())
+        assert cell["base"]["X"] == 1600
+        assert cell["base_data"]["3"] == {"X": 1600.5, "Y": 0, "Z": 700, "A": 0}
+
+
 @pytest.mark.parametrize("name", ["part.apt", "PART.NC", "part.src"])
 def test_programs_that_would_be_written_to_the_same_files_are_refused(shop, name):
     from postproc.app.workspace import Workspace

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import csv
 import json
+import tomllib
 from itertools import product
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -252,13 +254,62 @@ def test_a_krl_program_that_sets_the_numbers_of_the_cell_as_its_base_is_refused(
     assert (done.exit_code, "$BASE that the program sets itself" in done.output) == (1, True), done.output
 
 
-def test_a_frame_by_number_that_is_equal_to_the_base_does_not_move_with_it(tmp_path, monkeypatch):
-    """[base_data.3] of the sample cell is the frame of [base]: each place would have the numbers of today's."""
+NUMBERED = """DEF part()
+BAS(#INITMOV,0)
+$BASE=BASE_DATA[3]
+$TOOL=TOOL_DATA[2]
+$VEL.CP=0.05
+PTP {X 0,Y 0,Z 60,A 180,B 0,C 180}
+;FORCE FX=100 FY=0 FZ=-200
+LIN {X 90}
+END
+"""
+
+
+@pytest.fixture
+def numbered(tmp_path, monkeypatch):
+    """Folder with a program in BASE_DATA[3], and the text of a cell whose [base_data.3] is its [base]."""
     monkeypatch.chdir(tmp_path)
-    done = invoke(
-        "place", SAMPLES / "inline.src", "--region", "X=1500:1510", "-o", "out", cell=SAMPLES / "cell_kr270.toml"
+    (tmp_path / "part.src").write_text(NUMBERED)
+    return (SAMPLES / "cell_kr270.toml").read_text()
+
+
+def placed(text, program="part.src", code=0):
+    """Look for a place with a cell of some text; return what is printed, and place.json."""
+    Path("cell.toml").write_text(text)
+    done = invoke("place", program, "--region", "X=1300:1600,Y=-300:0", "-o", "out", "--overwrite", cell="cell.toml")
+    assert done.exit_code == code, done.output
+    return done.output, None if code else json.loads(Path("out/place.json").read_text())
+
+
+def test_a_frame_by_number_that_is_equal_to_the_base_moves_with_it(numbered):
+    """The place is that of the same program in [base]; place.toml has both frames."""
+    text, content = placed(numbered)
+    assert content["moved_frames"] == ["base_data.3"]
+    assert "give BASE_DATA[3] of the controller these numbers too" in text
+    toml = tomllib.loads(Path("out/place.toml").read_text())
+    assert toml == {"base": toml["base"], "base_data": {"3": toml["base"]}}
+    Path("in_base.src").write_text(NUMBERED.replace("$BASE=BASE_DATA[3]\n", "").replace("part()", "in_base()"))
+    text, same = placed(numbered, "in_base.src")
+    assert "BASE_DATA" not in text
+    assert "moved_frames" not in same
+    assert set(tomllib.loads(Path("out/place.toml").read_text())) == {"base"}
+    for key in ("today", "best", "tried", "reachable"):
+        assert content[key] == same[key], key
+    assert content["best"]["X"] != content["today"]["X"]
+
+
+def test_frames_by_number_that_are_others_or_in_config_dat_do_not_move(numbered):
+    other = numbered.replace("[base_data.3]", "[base_data.3]\nB = 0.001", 1)
+    assert "$BASE that the program sets itself" in placed(other, code=1)[0]
+    Path("config.dat").write_text("DEFDAT $CONFIG\nBASE_DATA[3]={X 1500,Y -200,Z 700,A 0,B 0,C 0}\nENDDAT\n")
+    assert "(without config_dat)" in placed(f'config_dat = "config.dat"\n{numbered}', code=1)[0]
+    Path("part.src").write_text(NUMBERED.replace("END\n", "$BASE=BASE_DATA[4]\nLIN {X 80,Y 0,Z 60,A 180,B 0,C 180}\nEND\n"))
+    both = f"{numbered}\n[base_data.4]\nX = 1500.0\nY = -200.0\nZ = 700.0\n"
+    assert placed(both)[1]["moved_frames"] == ["base_data.3", "base_data.4"]
+    assert (
+        "$BASE that the program sets itself" in placed(both.replace("[base_data.4]", "[base_data.4]\nC = 1"), code=1)[0]
     )
-    assert (done.exit_code, "[base_data.n] of the cell is not moved either" in done.output) == (1, True), done.output
 
 
 WALL = ObstacleTable(name="wall", frame="root", box=Box((1000, 1200), (-600, -450), (0, 1600)))
