@@ -304,7 +304,9 @@ def test_frames_by_number_that_are_others_or_in_config_dat_do_not_move(numbered)
     assert "$BASE that the program sets itself" in placed(other, code=1)[0]
     Path("config.dat").write_text("DEFDAT $CONFIG\nBASE_DATA[3]={X 1500,Y -200,Z 700,A 0,B 0,C 0}\nENDDAT\n")
     assert "(without config_dat)" in placed(f'config_dat = "config.dat"\n{numbered}', code=1)[0]
-    Path("part.src").write_text(NUMBERED.replace("END\n", "$BASE=BASE_DATA[4]\nLIN {X 80,Y 0,Z 60,A 180,B 0,C 180}\nEND\n"))
+    Path("part.src").write_text(
+        NUMBERED.replace("END\n", "$BASE=BASE_DATA[4]\nLIN {X 80,Y 0,Z 60,A 180,B 0,C 180}\nEND\n")
+    )
     both = f"{numbered}\n[base_data.4]\nX = 1500.0\nY = -200.0\nZ = 700.0\n"
     assert placed(both)[1]["moved_frames"] == ["base_data.3", "base_data.4"]
     assert (
