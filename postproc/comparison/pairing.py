@@ -104,17 +104,16 @@ def _settle(nominal_track: Track, corrected_track: Track, partner: Ints) -> None
         offset = corrected_track.position[candidate] - nominal_track.position[row]
         return norm(offset - ends[0]) + norm(offset - ends[1])
 
-    least_change = change(partner[row])
-    for step in (-1, 1):
+    first_change = change(partner[row])
+    for step in (-1, 1):  # one that moved back would only return, to no smaller change
         candidate = partner[row] + step
         free = (
             (candidate > partner[previous_row])
             & (candidate < partner[next_row])
             & (corrected_track.joint[candidate] == nominal_track.joint[row])
         )
-        better = free & (change(candidate) < least_change)
+        better = free & (change(candidate) < first_change)
         partner[row[better]] = candidate[better]
-        least_change = np.minimum(least_change, np.where(better, change(candidate), least_change))
 
 
 def _part(track: Track, rows: slice) -> Track:

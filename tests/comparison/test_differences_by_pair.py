@@ -314,7 +314,7 @@ def test_status_and_turn_are_given_in_both_programs_and_the_turn_is_that_of_the_
         if is_second:
             for first, second in found.pair:
                 turn[second] = [right[second], motions[0].turn[first], -1, 21][int(rng.integers(4))]
-        status = np.where(rng.random(COUNT) < 0.3, -1, 2)
+        status = np.where(rng.random(COUNT) < 0.3, -1, rng.choice([0, 2], COUNT))
         kind = np.where(rng.random(COUNT) < 0.8, PTP, LIN)
         motions.append(replace(made.motions, turn=turn, status=status, kind=kind))
     nominal = replace(found.nominal, motions=motions[0], layout=LAYOUT if keeps_text else None)

@@ -296,3 +296,34 @@ def test_points_of_lines_are_paired_only_where_the_other_path_misses_them(monkey
     both = [max(a, b) for a, b in zip(first, displaced, strict=True)]
     assert asked[1] == (partners.ordered_partners(np.array(both)).tolist(), [True] * COUNT)
     assert found.partner.tolist() == asked[1][0]
+
+
+def test_stated_pairs_hold_under_a_load_and_others_follow_from_the_deflection(monkeypatch):
+    """Targets are predicted against the deflection; pairs are certain where the loaded tip is within the tolerance."""
+    rng = np.random.default_rng(2)
+    deflection, wrench = rng.normal(size=(5, 3)), rng.normal(size=(5, 6))
+    left = np.array([0.0, 0.9e-4, 1.0e-4, 1.1e-4, np.nan])[:, None] * np.array([[0.6, 0.0, -0.8]])
+    sides = SimpleNamespace(track=lambda offset: ("first", offset)), SimpleNamespace(track=lambda: "second")
+
+    def swapped(nominal, corrected, partner, forces):
+        assert (nominal, corrected) == sides
+        np.testing.assert_array_equal(forces, wrench)
+        return partner[::-1]
+
+    def remaining(nominal, corrected, partner, forces):
+        assert (nominal, corrected, partner.tolist()) == (*sides, [4, 3, 2, 1, 0])
+        np.testing.assert_array_equal(forces, wrench)
+        return left
+
+    def paired(first, second):
+        np.testing.assert_array_equal(first[1], -deflection)
+        assert (first[0], second) == ("first", "second")
+        return np.arange(5)
+
+    for name, function in (("partners", paired), ("partners_under_force", swapped), ("deviation_left", remaining)):
+        monkeypatch.setattr(compare, name, function)
+    loads = SimpleNamespace(deflection=deflection, wrench=wrench)
+    partner, certain = compare._partners_under_load(*sides, loads, None, 1.05e-4)
+    assert (partner.tolist(), certain.tolist()) == ([4, 3, 2, 1, 0], [True, True, True, False, False])
+    partner, certain = compare._partners_under_load(*sides, loads, np.array([0, 2, -1]), 1e-4)
+    assert (partner.tolist(), certain.tolist()) == ([0, 2, -1], [True] * 3)

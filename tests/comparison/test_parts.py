@@ -11,6 +11,8 @@ from msgspec.structs import replace
 from postproc.comparison import differences, settings, statements
 from postproc.comparison.result import Comparison, file_and_line, pair_warning
 from postproc.program import CIRC, SPL, Document, UnresolvedMotion
+from tests.comparison.krl_moves import TURNED
+from tests.corrections import read_files
 from tests.programs import program
 
 TEXT = """DEF a( )
@@ -86,6 +88,59 @@ def test_statements_of_one_side_only_are_its_surplus_and_of_another_order_all():
         ("B", 7, True),
         ("A", 8, True),
     ]
+
+
+TWO_ROUTINES = f"""DEF main( )
+$VEL.CP=0.05
+$BASE={{X 1500,Y -200,Z 700,A 0,B 0,C 0}}
+$TOOL={{X 0,Y 0,Z 350,A 0,B 0,C 0}}
+PTP {{A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}}
+LIN {{X 0,Y 0,Z 0,{TURNED}}}
+side( )
+END
+DEF side( )
+LIN {{X 40,Y 0,Z 0,{TURNED}}}
+LIN {{X 40,Y 30,Z 0,{TURNED}}}
+END
+"""
+"""Motions on lines 6, 10 and 11: the last one is in another routine than the first."""
+
+
+def listed(second):
+    """Statement differences of a program from the one above: line in each program, count and text."""
+    programs = [read_files({f"{name}.src": text}) for name, text in (("one", TWO_ROUTINES), ("two", second))]
+    rows = [np.flatnonzero(np.isnan(made.motions.joints[:, 0])) for made in programs]
+    found = statements.statement_differences(compared(*programs, pair=np.stack(rows, axis=1)))
+    return [(d.kind, d.nominal, d.corrected, d.count, d.message.partition(" is ")[0]) for d in found]
+
+
+@pytest.mark.parametrize(
+    ("before", "nominal", "corrected"),
+    [
+        ("$VEL.CP", 6, 2),  # before the first motion: its place in the nominal program is that of the motion behind
+        ("side( )\nEND", 10, 7),
+        ("LIN {X 40,Y 30", 11, 11),
+        ("END\n", 11, 12),  # behind the last motion, to the end of its own routine
+    ],
+)
+def test_a_statement_in_any_part_of_two_routines_is_named_by_its_line(before, nominal, corrected):
+    head, middle, tail = TWO_ROUTINES.rpartition(before)
+    found = listed(f"{head}$OUT[3]=TRUE\n{middle}{tail}")
+    assert found == [("statement", ("one.src", nominal), ("two.src", corrected), 1, "$OUT[3]=TRUE")]
+
+
+@pytest.mark.parametrize("count", [19, 20, 21, 23])
+def test_twenty_statements_are_listed_and_the_others_counted(count):
+    """Each is at two places."""
+    added = "".join(f"$OUT[{n}]=TRUE\n" for n in range(count))
+    text = TWO_ROUTINES.replace("LIN {X 40,Y 30", f"{added}LIN {{X 40,Y 30").replace("LIN {X 0,", f"{added}LIN {{X 0,")
+    found = listed(text)
+    assert [entry[4] for entry in found[:20]] == [f"$OUT[{n}]=TRUE" for n in range(min(count, 20))]
+    assert [entry[1:4] for entry in found[:20]] == [
+        (("one.src", 6), ("two.src", 6 + n), 2) for n in range(min(count, 20))
+    ]
+    words = f"{count - 20} other statements that switch, wait or set accelerations differ."
+    assert found[20:] == ([("statement", None, None, 2 * (count - 20), words)] if count > 20 else [])
 
 
 MOVES = [("PTP", 0, 0, 50), ("LIN", 0, 0, 0), ("LIN", 100, 0, 0), ("RAPID", 100, 0, 50), ("LIN", 0, 0, 50)]
@@ -169,6 +224,56 @@ def test_motions_known_at_run_time_only_are_compared_by_their_text():
         (("a0.src", 10), ("a0.src", 10)), (("a1.src", 11), None),
     ]  # fmt: skip
     assert listed[0].message.endswith("known at run time only: 'PTP p1' (why).")
+
+
+BEFORE_MOTION = """DEF a( )
+LIN p0
+; a comment
+q = $POS_ACT
+$VEL.CP=0.1
+  Q.z = q.z + 5 ; up
+LIN q
+END"""
+
+
+def with_statements(name, text, line):
+    """A program of one file with a motion on a line of it that is known at run time only."""
+    layout = SimpleNamespace(places=lambda rows: None)
+    motions = () if line is None else (UnresolvedMotion(name, line, "LIN q", "why"),)
+    return replace(program(MOVES), documents=(Document("part.src", text),), unresolved=motions, layout=layout)
+
+
+@pytest.mark.parametrize(
+    ("name", "edit", "shift", "differs"),
+    [
+        ("part.src", ("", ""), 0, False),
+        ("part.src", ("q = $POS_ACT", "Q=$pos_act ; now"), 0, False),
+        ("part.src", ("; a comment\n", ""), -1, False),
+        ("part.src", ("LIN p0", "LIN p9"), 0, False),  # the motion before it is compared as a target
+        ("part.src", ("+ 5", "+ 6"), 0, True),
+        ("part.src", ("q = $POS_ACT\n", ""), -1, True),
+        ("part.src", ("q = $POS_ACT", "i=1\nq = $POS_ACT"), 1, False),  # as far back as the nominal program goes
+        ("part.src", ("LIN q", "i=1\nLIN q"), 1, True),
+        ("other.src", ("+ 5", "+ 6"), 0, False),  # a file that is not there, such as one of a divided program
+    ],
+)
+def test_what_a_motion_known_at_run_time_only_follows_from_is_the_same_in_both(name, edit, shift, differs):
+    nominal = with_statements("part.src", BEFORE_MOTION, 7)
+    corrected = with_statements(name, BEFORE_MOTION.replace(*edit), 7 + shift)
+    expected = [("error", "unresolved-differs", ("part.src", 7), (name, 7 + shift), 1)] if differs else []
+    found = differences._unresolved_differences(compared(nominal, corrected))
+    assert [(d.level, d.kind, d.nominal, d.corrected, d.count) for d in found] == expected
+    two_files = replace(corrected, documents=(*corrected.documents, Document("more.src", "")))
+    assert list(differences._unresolved_differences(compared(nominal, two_files))) == []
+    assert list(differences._unresolved_differences(compared(nominal, replace(corrected, layout=None)))) == []
+
+
+def test_a_second_program_with_files_of_other_names_is_compared_by_its_own():
+    nominal = with_statements("part.src", BEFORE_MOTION, 7)
+    corrected = with_statements("second.src", BEFORE_MOTION.replace("+ 5", "+ 6"), 7)
+    corrected = replace(corrected, documents=(Document("second.src", corrected.documents[0].text),))
+    (found,) = differences._unresolved_differences(compared(nominal, corrected))
+    assert (found.nominal, found.corrected) == (("part.src", 7), ("second.src", 7))
 
 
 def test_a_difference_names_the_first_of_its_pairs_and_their_number():
