@@ -88,6 +88,7 @@ class PostprocError(Exception):
 
 
 def _rebuild(kind: type[PostprocError], args: tuple[object, ...], attributes: dict[str, object]) -> PostprocError:
+    """Return an error as `pickle` restores it: its `__init__` takes other arguments than `args`."""
     error = kind.__new__(kind, *args)
     vars(error).update(attributes)
     return error

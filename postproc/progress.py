@@ -49,6 +49,7 @@ def lines() -> Callable[[str, float], None]:
     last_step, last_share = "", 0.0
 
     def show(step: str, share: float) -> None:
+        """Write a line if the step is another one or the share has changed enough."""
         nonlocal last_step, last_share
         if step == last_step and abs(share - last_share) < _STEP and share < 1.0:
             return

@@ -60,6 +60,7 @@ class AutomaticConversion:
         self._end.set()
 
     def _run(self) -> None:
+        """Scan the folder every `SCAN` seconds until the end is asked for."""
         while not self._end.wait(SCAN):
             # the folder may be gone for a moment, as on a network drive, and the next scan finds it
             with contextlib.suppress(OSError, PostprocError):

@@ -63,6 +63,7 @@ def several_programs(text: str, *, is_required: bool = False) -> Callable[[Calla
     """
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
+        """Give a command the option, and the argument that takes the programs behind the first."""
         rest_argument = click.argument(
             "other_programs", nargs=-1, metavar="[PROGRAM]...", shell_complete=complete_files
         )
@@ -119,6 +120,7 @@ def conversion_options(command: _Command) -> _Command:
 
 
 def _with_options(command: _Command, options: tuple[Option, ...]) -> _Command:
+    """Return a command with options, which its help shows in this order."""
     for option in reversed(options):
         command = _decorator(option)(command)
     return command

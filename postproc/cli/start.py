@@ -231,6 +231,7 @@ def _file_of(name: str) -> str:
 
 
 def _keep(path: Path, answer_file: Any) -> None:
+    """Write the answers to a file, in a folder that need not exist."""
     from postproc.jobs.guided_start import save_answers
 
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -257,6 +258,10 @@ def _prompt_check(parse: Callable[[str], Any]) -> Callable[[str], str]:
     from postproc.errors import InputError
 
     def check(text: str) -> str:
+        """Return the text of an answer.
+
+        :raises BadParameter: it is none, so that click asks again.
+        """
         try:
             parse(text)
         except InputError as cause:

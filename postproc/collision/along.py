@@ -176,10 +176,9 @@ class _Search:
         """Compute distances at samples where they are not known."""
         rows = rows[np.isnan(distance[rows])]
         distance[rows] = self._distance(first, second, self.frames[rows])
-        for row in rows[distance[rows] < self.need].tolist():
+        is_hit = (distance[rows] < self.need) | (distance[rows] <= 0.0)  # bodies that touch, also without a clearance
+        for row in rows[is_hit].tolist():
             self._note(first, second, row, float(distance[row]))
-        for row in rows[distance[rows] <= 0.0].tolist():
-            self._note(first, second, row, 0.0)
         if len(rows):
             row = int(rows[np.argmin(distance[rows])])
             self._nearer(first, second, row, float(distance[row]))

@@ -61,6 +61,7 @@ def link_frames(chain: Chain, q: Array, shift: Array | None = None) -> Array:
     """
 
     def frames_of(q: Array) -> tuple[Array]:
+        """Return the frames of base, links and flange (n, 8, 4, 4) for joint angles (n, 6) [rad]."""
         joint_frames, flange = chain.joint_frames(q)
         turn = rotation_from_vector(q[:, :, None] * chain.axis)
         frames = np.empty((len(q), 8, 4, 4))

@@ -110,6 +110,7 @@ def singularities(
     is_cartesian = program.motions.kind[sample.motion] != PTP
 
     def conditions_at(samples: Ints) -> tuple[Bools, ...]:
+        """Return which samples are near wrist, elbow and shoulder singularity, and which follow a jump of joints."""
         angles = q[samples]
         jumps = largest(angles - q[np.maximum(samples - 1, 0)]) > _JUMP
         return (

@@ -112,6 +112,11 @@ def _largest_speeds(
     share, joint = np.zeros(len(slowable)), np.zeros(len(slowable), dtype=np.int64)
 
     def add(motion: Ints, speed: Array) -> None:
+        """Note the largest share of its speed limit on each motion, and the joint that has it.
+
+        :param motion: (n,) row of the motion of each speed.
+        :param speed: (n, 6) of the joints [rad/s].
+        """
         joint_share = speed / limit
         sample_share = joint_share.max(axis=1)
         rows = np.flatnonzero(slowable[motion] & (sample_share > least_share))
@@ -289,6 +294,12 @@ def _lines(path: PathUnderLoad, q: Array, is_fast: Bools) -> Stretches:
     length, turn = length[rows], turn[rows]
 
     def is_near_limit(rows: Ints, length: Array, turn: Array) -> tuple[Bools]:
+        """Return on which rows a margin is smaller than it can change by in between.
+
+        :param rows: (n,) samples at the end of a step.
+        :param length: (n,) of the step of the tool [m].
+        :param turn: (n,) of the tool [rad].
+        """
         start_margin, margin, step = _margins_and_steps(path, q, rows)
         change = _STEPS * step
         change[:_SHOULDER] += length / _SMALLEST_LEVER + _JOINT_PER_TOOL_TURN * turn

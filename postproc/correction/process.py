@@ -58,6 +58,7 @@ def corrected_commands(path: PathUnderLoad) -> Commands:
     theta = np.zeros((len(path), path.robot_in_cell.robot.actual.nv))
 
     def corrected_pose(row: Ints) -> tuple[Array, Array]:
+        """Return position (n, 3) [m] and A, B, C (n, 3) [deg] of the commands of samples, in `$BASE`."""
         pose, tool, wrench = path.pose_in_root(row), path.tool(row), path.wrench_in_root(row)
         compensation = path.robot_in_cell.compensate(pose, path.joints.q[row], tool, wrench)
         motion, t = path.sample.motion[row], path.sample.t[row]
@@ -86,6 +87,10 @@ def uncorrected_deviations(path: PathUnderLoad, rows: Ints, theta: Array) -> tup
     is_rigid_tool, rest_is_nominal = path.robot_in_cell.tool_spring is None, path.robot_in_cell.rest_is_nominal
 
     def deviations(row: Ints) -> tuple[Array, ...]:
+        """Return (n, 3) for samples, `$BASE` [m]: the deviation, then two parts of it that are there if they differ.
+
+        The parts are the displacement by the wrench, if the robot at rest is not nominal, and that by a soft tool.
+        """
         q, wrench, start_theta = path.joints.q[row], path.wrench_in_root(row), theta[row]
         tip, by_tool = path.tip_in_base(row, q, wrench, start_theta)
         deviation = tip - path.sample.pose[row, :3, 3]

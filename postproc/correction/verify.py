@@ -292,6 +292,12 @@ def _conditions_of_probes(path: PathUnderLoad, targets: Targets, probes: _Probes
     has_no_correction = np.append(True, np.isfinite(m.joints[:-1, 0])) & (not path.robot_in_cell.rest_is_nominal)
 
     def conditions(target: Ints, share: Array, motion: Ints) -> tuple[Bools, Bools, Bools]:
+        """Return where probes (n,) follow a step of the force, are in a jump of it, and must hold the tolerance.
+
+        :param target: (n,) row of the written target that the place leads to.
+        :param share: (n,) of the way to it.
+        :param motion: (n,) row of the nominal motion.
+        """
         is_inner, end = share < 1.0, targets.t[target]
         step = forces.behind_step(motion, end) & is_inner
         jump = (length[motion] * (end - targets.begin(target)) < _JUMP_LENGTH) & is_inner
@@ -372,6 +378,7 @@ def _probes(path: PathUnderLoad, selection: TargetSelection, readback: ReadBackP
     is_uneven[arc_rows] = _unevenness(path, selection, readback, arc_rows, correction(arc_rows)) > limit
 
     def numbers_of_places(target: Ints) -> tuple[Ints]:
+        """Return how many places (n,) the way to each target has."""
         output_motion = readback.row[target]
         length, turn, kind = (
             readback.segments.travel[output_motion],
@@ -408,6 +415,12 @@ def _unevenness(
     def largest_differences(
         motion: Ints, begin: Array, end: Array, output_motion: Ints, correction: Array
     ) -> tuple[Array]:
+        """Return how far (n,) [m] the written path is from the nominal one, moved by the correction, at its quarters.
+
+        :param motion: (n,) row of the nominal motion; it runs from `begin` to `end` of it.
+        :param output_motion: (n,) row of the written motion.
+        :param correction: (n, 3) mean one of this part [m].
+        """
         quarters = (
             toolpath.positions(readback.program, readback.segments, output_motion, np.full(len(output_motion), share))
             - toolpath.positions(path.program, path.motions.segments, motion, begin + share * (end - begin))

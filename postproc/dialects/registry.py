@@ -139,6 +139,7 @@ def written_in(dialect: str, to: str | None = None) -> tuple[str, Writer]:
 
 @cache
 def _ours(name: str) -> Dialect:
+    """Return a dialect of this package, imported when it is first asked for."""
     module, _, attribute = _OURS[name].partition(":")
     dialect: Dialect = getattr(import_module(module), attribute)
     return dialect

@@ -54,6 +54,12 @@ def reversals(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Revers
     other_joints = [joint for joint in range(6) if joint not in modelled_joints]
 
     def torques(q: Array, tool: Array, wrench: Array) -> tuple[Array]:
+        """Return the torques (n, k) [N·m] whose signs count: of joints without a term for it, then of the terms.
+
+        :param q: (n, 6) joint angles [rad].
+        :param tool: (n, 4, 4) tool in the flange frame.
+        :param wrench: (n, 6) at the tool tip, robot root [N, N·m].
+        """
         state = undeflected_balance(robot, q, tool, wrench)
         total = np.broadcast_to(state.torque - state.rest_torque, state.torque.shape)[
             [robot.actuated[j] for j in other_joints]

@@ -73,6 +73,7 @@ def position_bound(
     def bound(
         q: Array, tool: Array, wrench: Array, turning: Bools, is_proportional: Bools, *forces: Array
     ) -> tuple[Array]:
+        """Return the 95 % bound (n,) of the distance by which the position may be wrong [m]."""
         errors = sources_of_error(robot, q, tool, wrench, turning, is_proportional, *forces)
         return (largest_length(errors.covariances()),)
 

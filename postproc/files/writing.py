@@ -58,6 +58,7 @@ def add_record(
     entries: list[FileEntry] = []
 
     def digested(name: str, pieces: Iterable[bytes]) -> Iterator[bytes]:
+        """Yield the pieces of a file as they are; at its end, note its SHA-256."""
         digest = hashlib.sha256()
         for piece in pieces:
             digest.update(piece)

@@ -230,6 +230,10 @@ class RobotPost:
             self._line(line, origin)
 
     def _line(self, text: str, origin: str = "", joints: Any = ()) -> None:
+        """Add a line to the program, with where it comes from.
+
+        :param joints: A1 to A6 of the host [deg]; empty: none.
+        """
         lines = self.programs[self.name]
         if len(joints):
             self.joints[self.name][len(lines) + 1] = _numbers(joints)
@@ -253,6 +257,7 @@ def _callees_first(programs: dict[str, list[Block]]) -> list[str]:
     by_call = {name.lower(): name for name in programs}
 
     def add(name: str, call_chain: tuple[str, ...]) -> None:
+        """Add a program behind those that it calls; one that calls itself, by others too, is added once."""
         if name in order or name in call_chain:
             return
         for block in programs[name]:

@@ -301,6 +301,7 @@ def _block(command: Any) -> str:
 
 
 def _word(letter: str, value: float) -> str:
+    """Return a word of G-code; the host has feeds in mm/s, F in mm/min."""
     if value == int(value):
         return f"{letter}{int(value) * (60 if letter == 'F' else 1)}"
     return f"{letter}{value * (60.0 if letter == 'F' else 1.0):.7f}".rstrip("0").rstrip(".")

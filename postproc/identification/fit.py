@@ -514,6 +514,10 @@ def learn(equations: LinearEquations, prior: Prior, columns: Ints) -> Regression
     wide = np.array([*(FACTORS[name][1] for name in kinds), _NOISE_SPREAD])
 
     def factors(logs: Array) -> Array:
+        """Return the factor on each column, 1 for those of no group.
+
+        :param logs: natural logarithms of the factors of the groups.
+        """
         factor = np.ones(len(columns))
         for log, rows in zip(logs, members, strict=False):
             factor[rows] = np.exp(log)

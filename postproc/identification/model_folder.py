@@ -349,6 +349,10 @@ def _entries_of(result: Identification, values: dict[Parameter, tuple[float, flo
     def put(
         name: str, value: tuple[float, float] | None, unit: str, prior_value: float | None, source: str | None = None
     ) -> None:
+        """Add a parameter.
+
+        :param value: with its u95; None: the data do not show it, and it has the value of the prior.
+        """
         if value is None:
             entries[name] = record.Parameter(
                 prior_value, None, unit, observable=False, prior=prior_value, source="prior"
@@ -391,6 +395,7 @@ def _k2_curve(result: Identification) -> list[tuple[float, float]]:
 
 
 def _correlation(covariance: Array) -> list[list[float]]:
+    """Return the correlations of a covariance; 0 for what has no variance."""
     deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     safe = np.where(deviation > 0.0, deviation, 1.0)
     return [[round(float(v), 4) for v in row] for row in covariance / np.outer(safe, safe)]

@@ -267,6 +267,7 @@ def _frame_change(robot: RobotModel, data: Measurements) -> int | None:
 
 
 def _rms(robot: RobotModel, data: Measurements, rows: Ints) -> float:
+    """Return the residual RMS [m] of markers that are located by these configurations; inf: they cannot be."""
     try:
         return locate(robot, data.take_configurations(rows)).rms
     except (PostprocError, np.linalg.LinAlgError):

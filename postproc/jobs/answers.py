@@ -186,6 +186,10 @@ def one_of(*values: str) -> Any:
     """Return a function that takes one of some words."""
 
     def parse(text: str) -> str:
+        """Return an answer.
+
+        :raises InputError: it is none of the values.
+        """
         word = text.strip()
         if word not in values:
             raise InputError(f"{text!r}: no such answer", advice=f"Give {' or '.join(values)}.")

@@ -94,6 +94,10 @@ def edit_process(path: Path, needs: ProgramNeeds, texts: Mapping[str, str]) -> b
 
 
 def _check(path: Path) -> None:
+    """Read a process file as `convert` does.
+
+    :raises InputError: it is unusable.
+    """
     process = load_process(path)
     if process.material is not None or not process.operations:
         process.law()

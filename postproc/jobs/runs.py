@@ -130,6 +130,7 @@ def _outcomes_of(
     running: dict[Any, Task] = {}
 
     def begin() -> None:
+        """Begin all programs that wait for no other one."""
         for task in plan.ready():
             future = workers.begin(task)
             running[future] = task

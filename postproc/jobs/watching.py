@@ -120,6 +120,7 @@ def _pause(folder: Path, stop: Event) -> Callable[[], object]:
         return lambda: stop.wait(SCAN)
 
     def wait() -> None:
+        """Wait until something in the folder changes, or a scan is due."""
         start = time.monotonic()
         try:
             options = {"yield_on_timeout": True, "recursive": False, "rust_timeout": int(1e3 * SCAN), "debounce": 200}

@@ -368,6 +368,10 @@ def _task() -> Callable[[str, bytes], Outcome | OtherCode]:
     """Return the function that a cluster worker runs; sent as code, because its postproc may be another version."""
 
     def work(code: str, content: bytes) -> Any:
+        """Do one job in a worker on another machine; return its address and version if its code is not the same.
+
+        Only what every machine has is imported before that is known.
+        """
         import pickle
 
         from distributed import get_worker

@@ -462,6 +462,7 @@ def search(
     judgements: list[JudgedPlace] = []
 
     def judged(place: Array) -> JudgedPlace:
+        """Return the judgement of a place by samples, noted, with the progress shown."""
         judgements.append(programs.judge(place))
         if progress is not None:
             progress(min(len(judgements), total), total)

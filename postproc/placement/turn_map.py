@@ -717,6 +717,7 @@ def _is_bad_between(bad: Bools, places: Array) -> Bools:
     :param bad: (J,) columns of the bin that are refused.
     :param places: (2, J, D) column at the start and at the end of the bin; beyond the map by less than a round.
     """
+    # three rounds of the map: ways may lead beyond it by less than one; differences of the running sum are counts
     bad_count = np.concatenate([[0], np.cumsum(np.tile(bad, 3))])
     low_place, high_place = np.sort(places, axis=0)
     first = np.floor(low_place + _EXACT).astype(np.int64)

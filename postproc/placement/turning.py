@@ -270,6 +270,7 @@ def _is_tilting(samples: PathSamples) -> Bools:
 def _find(
     samples: PathSamples, whole: TurnMap, keep: LeastMargins, mode: Mode, *, is_circle: bool
 ) -> Line | BlockedMap:
+    """Return the line of turns through a map, or what blocks every line."""
     robot, start = samples.robot_in_cell.robot, samples.robot_in_cell.cell.start_joints
     return turn_map.line_through(robot, whole, keep, start, turn_at_feed=mode == "path", is_circle=is_circle)
 
@@ -475,6 +476,7 @@ def _free_of_collisions(samples: PathSamples, rows: Ints, found_q: list[list[Arr
 
 
 def _start(q: Array, reason: str) -> ChosenStart:
+    """Return a start at joint angles [rad], rounded as a user would write them, with its message."""
     joints = [round(float(angle), _DECIMALS) + 0.0 for angle in q * DEG_PER_RAD]
     joint_text = ", ".join(f"{angle:.1f}" for angle in joints)
     message = f"The cell has no [start]: the program starts at A1…A6 = {joint_text}, its first target, {reason}."

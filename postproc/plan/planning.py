@@ -501,6 +501,7 @@ def _problem(site: Site, tests: TestPoses, scale: Array, options: Options, data:
     warnings = (*warnings, *out_of_reach(demand, site.rig.largest_tilt < VERTICAL))
 
     def with_joint2(joint2: Joint2) -> Task:
+        """Return the task of choosing configurations for a model of joint 2."""
         return Task(
             site,
             readings,

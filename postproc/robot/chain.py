@@ -96,6 +96,11 @@ def elastic_chain(chain: Chain, springs: Sequence[LinkSpring]) -> tuple[Chain, t
     place = np.eye(4)
 
     def add(direction: Array, turning: bool, joint: int = -1) -> int:
+        """Add a spring, or an actuated joint, behind the others; return its number.
+
+        :param direction: (3,) of its axis.
+        :param joint: number of the actuated joint; -1: a spring.
+        """
         nonlocal place
         placement.append(place)
         axis.append(direction)
@@ -105,6 +110,7 @@ def elastic_chain(chain: Chain, springs: Sequence[LinkSpring]) -> tuple[Chain, t
         return len(axis) - 1
 
     def add_spring(spring: LinkSpring) -> None:
+        """Add a spring behind the others, and note its row."""
         rows[spring] = add(spring.direction, not spring.slides)
 
     for index, link in enumerate((BASE, *JOINTS)):
@@ -122,6 +128,7 @@ def elastic_chain(chain: Chain, springs: Sequence[LinkSpring]) -> tuple[Chain, t
                 add_spring(spring)
 
     def spread(values: Array, source: dict[int, int], default: float) -> Array:
+        """Return values of some of the axes as an array over all, the others at a default."""
         array = np.full((len(axis), *values.shape[1:]), default)
         array[list(source)] = values[list(source.values())]
         return array

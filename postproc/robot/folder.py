@@ -249,6 +249,7 @@ def _geometry_error(entry: GeometryErrorEntry | None) -> GeometryError | None:
 
 
 def _placement(entry: Displacement) -> Array:
+    """Return the pose (4, 4) [m] of a displacement in mm, with its rotation vector in degrees."""
     pose = np.eye(4)
     pose[:3, :3] = rotation_from_vector(np.array([entry.RX_deg, entry.RY_deg, entry.RZ_deg]) * RAD_PER_DEG)
     pose[:3, 3] = np.array([entry.X_mm, entry.Y_mm, entry.Z_mm]) * M_PER_MM

@@ -531,6 +531,7 @@ def waves(q: Array) -> Array:
 
 
 def _missing_parameter(parameter: Parameter) -> ModelError:
+    """Return the error for a covariance of a parameter that the model lacks."""
     return ModelError(
         f"[covariance] names {parameter.name!r}, which the model does not have",
         advice="Identify the model anew, or remove [covariance].",

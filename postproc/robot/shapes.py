@@ -51,6 +51,7 @@ class LinkShape(Struct, frozen=True, eq=False):
         return bytes(self._mesh().export(file_type="stl"))
 
     def _mesh(self) -> Any:
+        """Return the triangles as a `trimesh.Trimesh` [m], with vertices as they are."""
         import trimesh
 
         return trimesh.Trimesh(self.points, self.faces, process=False)

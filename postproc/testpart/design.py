@@ -332,11 +332,13 @@ def _features_of_kind(
     normals = np.array([probe.normal for probe in probes])
 
     def of_all(vectors: Array, *, is_direction: bool = False) -> Array:
+        """Return vectors in the frames of all features of the kind, one feature after the other, in `$BASE`."""
         return np.concatenate(
             [features.to_base(f, cutting.top, vectors, is_direction=is_direction) for f in features_of_kind]
         )
 
     def of_wrench(wrench: Array) -> Array:
+        """Return wrenches in the frames of all features of the kind, in `$BASE`."""
         return np.concatenate([of_all(part, is_direction=True) for part in (wrench[:, :3], wrench[:, 3:])], axis=1)
 
     tip, point, normal = of_all(load.tip), of_all(points), of_all(normals, is_direction=True)

@@ -104,6 +104,7 @@ def _error(source: Statements, row: int, problem: str, advice: str | None) -> Pr
 
 
 def _changed_system(source: Statements, line: int) -> ProgramError:
+    """Return the error for a second machining axis system."""
     problem = "the machining axis system changes: coordinates from here on are in another system"
     advice = "Write one file for each machining axis system, and give its place as [base] of a cell."
     return ProgramError(problem, file=source.document.name, line=line, advice=advice)

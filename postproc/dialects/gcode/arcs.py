@@ -146,6 +146,12 @@ def _faults(
     faults: dict[int, ArcFault] = {}
 
     def check(wrong: Bools, problem: str, advice: str | None = None, *, placed: bool = False) -> None:
+        """Note the first arcs on which a check fails; an arc keeps its first fault.
+
+        :param wrong: (n,) where it fails.
+        :param problem: with names of radii in braces.
+        :param placed: it is a fault only if the start of the arc is known.
+        """
         for n in np.flatnonzero(wrong)[: MAX_ERRORS + 1].tolist():
             values = {"r1": r_start[n], "r2": r_end[n], "reach": half[n], "radius": abs(words.radius[n])}
             faults.setdefault(n, ArcFault(n, problem.format(**values), advice, placed))

@@ -249,6 +249,7 @@ class Reader:
         return _unary_value(name[1], inner)
 
     def _match(self, pattern: re.Pattern[str]) -> re.Match[str] | None:
+        """Return what a pattern matches here, and go on behind it; None: nothing."""
         match = pattern.match(self.code, self.at)
         if match is not None:
             self.at = match.end()
@@ -279,6 +280,10 @@ def _unary_value(name: str, inner: Value) -> Value:
     function = _UNARY[name]
 
     def apply(parameters: Parameters) -> float:
+        """Return the value of the function.
+
+        :raises BlockError: it has none.
+        """
         value = inner(parameters)
         try:
             return function(value)
@@ -292,6 +297,10 @@ def _binary_value(name: str, function: Callable[[float, float], float], left: Va
     """Return a value that combines two others by an operator."""
 
     def apply(parameters: Parameters) -> float:
+        """Return the value of the operation.
+
+        :raises BlockError: it has none.
+        """
         a, b = left(parameters), right(parameters)
         try:
             return function(a, b)

@@ -315,9 +315,11 @@ class _Doubt:
         line = np.arange(count)
 
         def latest(at: Array | Bools) -> Ints:
+            """Return for each row (L,) the latest one so far that is marked; -1: none."""
             return np.asarray(np.maximum.accumulate(np.where(at, line, -1)), dtype=np.int64)
 
         def lost(letters: str) -> Ints:
+            """Return for each row (L,) the latest one so far whose fault lost one of some words; -1: none."""
             at = np.zeros(count, dtype=bool)
             at[[fault.row for fault in faults if set(letters) & set(fault.lost)]] = True
             return latest(at)

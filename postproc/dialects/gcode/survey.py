@@ -41,6 +41,7 @@ def survey(document: Document) -> Survey:
 
 
 def _is_of_machine(code: float) -> bool:
+    """Return whether an M code is one that only the machine knows."""
     if code in codes.ACCEPTED_M or code in codes.OVERRIDES or code != int(code):
         return False
     return int(code) not in FIXED_M_CODES

@@ -417,6 +417,7 @@ class Execution:
                 return
 
     def _holds(self, statement: Conditional, condition: Expression, scope: Scope) -> bool:
+        """Return whether IF or WHILE has this condition, or TEST this value."""
         if statement.subject is None:
             return truth(condition, scope)
         subject, _ = evaluate(statement.subject, scope)
@@ -592,6 +593,10 @@ class Execution:
             self._forget_data_of(name)
 
     def _refuse(self, statement: Statement, problem: str, advice: str) -> None:
+        """Note an error, and read on.
+
+        :raises RapidError: there are too many.
+        """
         self.done.errors.append(RapidError(problem, statement.start, advice))
         if len(self.done.errors) > MAX_ERRORS:
             raise self.done.errors.pop()
@@ -690,6 +695,7 @@ class Execution:
         return parameter.name in changed_names or base in changed_names or names.count(base) > 1
 
     def _frame_of_cell(self, name: str, type_: str) -> Value | None:
+        """Return what the cell states for a tool or work object that no module declares, and note that it was used."""
         value = self.from_cell(name, type_)
         if value is not None:
             self.done.assumed[name] = type_

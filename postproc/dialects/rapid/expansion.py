@@ -136,6 +136,7 @@ def _changes(text: str, whole: Sequence[Module], execution: ExecutedProgram) -> 
 
 
 def _free_name(name: str, number: int, routines: dict[str, Routine]) -> str:
+    """Return the name of a copy of a routine that no routine has, of at most 32 characters as RAPID allows."""
     copy = f"{name[:28]}_{number}"
     while copy.upper() in routines:
         copy = f"{copy[:30]}c"

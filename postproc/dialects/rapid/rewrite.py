@@ -166,6 +166,7 @@ class _Rewriter:
         length = 0
 
         def add(text: str) -> None:
+            """Add a line behind the others."""
             nonlocal length
             pieces.append(f"{text}{end}{indent}")
             length += len(pieces[-1])

@@ -447,6 +447,10 @@ def _plain(function: Callable[..., float]) -> Callable[[list[Value], dict[str, f
     """Return a function of numbers as a RAPID function without options."""
 
     def call(values: list[Value], options: dict[str, float]) -> tuple[Value, str]:
+        """Return the value of the function for numbers.
+
+        :raises ValueError: something else is given.
+        """
         if options or any(isinstance(value, bool) or not isinstance(value, float) for value in values):
             raise ValueError
         return float(function(*values)), "NUM"

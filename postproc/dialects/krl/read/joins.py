@@ -230,6 +230,7 @@ def transitions(
     ends, count = {-1}, 0
 
     def run_to(row: int) -> None:
+        """Go on to a motion; note the ends at which the first of this stretch may begin, but for that of `after`."""
         nonlocal ends, count
         if row > count:
             if after[count] != count:

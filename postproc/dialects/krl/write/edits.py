@@ -121,6 +121,7 @@ class Replacements(Struct, eq=False):
 
 
 def _codes(text: str, is_ascii: bool) -> Codes:
+    """Return the code of each character of a text."""
     if is_ascii:
         return np.frombuffer(text.encode("ascii"), dtype=np.uint8)
     return np.frombuffer(text.encode("utf-32-le"), dtype="<u4")
