@@ -250,7 +250,7 @@ def _resolve(knots: Knots, axes: Axes, ramp: float, issues: tuple[Issue, ...], b
         spread = np.insert(spread, begins, at_start[changes], axis=0)
     length = axes.path.length[changes]
     t = knots.t.copy()
-    t[begins] = np.where(length > ramp, ramp / np.where(length > ramp, length, 1.0), 1.0)
+    t[begins] = ramp / np.maximum(length, ramp)
     t = np.insert(t, begins, 0.0)
     first = first + np.concatenate([[0], np.cumsum(changes)])
     return PathForces(

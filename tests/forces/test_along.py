@@ -165,11 +165,16 @@ def test_after_an_arc_a_retract_takes_the_direction_at_its_end():
     np.testing.assert_allclose(along(made, 2, 10), [-10, 0, 0, 0, 0, 0], atol=1e-12)
 
 
+@pytest.mark.parametrize("rise", [1, -1])
 @pytest.mark.parametrize("side", [1, -1])
-def test_after_an_arc_that_ends_along_the_spindle_a_plunge_takes_the_direction_just_before_its_end(side):
-    arc = ("CIRC", 20 * side, 0, -20, 0, 0, -20, 90.0, (0, side, 0))  # a quarter, outwards and down
-    made = program([("PTP", 0, 0, 0), arc, ("LIN", 20 * side, 0, -50)], notes=[(3, (10.0, 4, 0, 0, 0, 0), "FEED")])
+def test_after_an_arc_that_ends_along_the_spindle_a_plunge_takes_the_direction_just_before_its_end(side, rise):
+    arc = ("CIRC", 20 * side, 0, 20 * rise, 0, 0, 20 * rise, 90.0, (0, -side * rise, 0))  # a quarter, up or down
+    moves = [("PTP", 0, 0, 0), arc, ("LIN", 20 * side, 0, 50 * rise)]
+    made = program(moves, notes=[(3, (10.0, 4, 0, 0, 0, 0), "FEED")])
     np.testing.assert_allclose(along(made, 2, 20), [10 * side, 4 * side, 0, 0, 0, 0], atol=1e-6)
+    last, needs = forces.last_travel(made, toolpath.segments(made, START), "+Z")
+    np.testing.assert_allclose(last[2], [side, 0.0, 0.0], atol=1e-9)
+    assert needs.tolist()[1:] == [False, True]
 
 
 def test_a_plunge_after_the_first_motion_takes_the_direction_from_the_start():

@@ -167,6 +167,7 @@ def test_the_largest_force_of_the_cuts_is_questioned_below_three_newtons(seed):
     motion = np.arange(COUNT)
     wrench = np.zeros((COUNT, 6))
     wrench[:, :3] = rng.choice([0.0, 0.5, 1.7], (COUNT, 3)) * (rng.random(COUNT) < 0.7)[:, None]
+    wrench[:, :3] *= rng.choice([1.0, 0.1])  # all of them below 1 N too
     wrench[rng.integers(COUNT), 3] = rng.choice([0.0, 1.0], p=[0.8, 0.2])
     sizes = np.linalg.norm(wrench[:, :3], axis=1) * ~made.motions.rapid
     issues = list(precedence.small_forces(made, Knots.throughout(motion, wrench, 0 * motion)))
@@ -174,7 +175,8 @@ def test_the_largest_force_of_the_cuts_is_questioned_below_three_newtons(seed):
     if issues:
         row = int(sizes.argmax())
         assert issues[0].source_line == made.motions.line[row]
-        assert f"the largest force is {sizes[row]:.2g} N" in issues[0].message
+        assert issues[0].message.startswith(f"the largest force is {sizes[row]:.2g} N: are these kN?")
+        assert (issues[0].level, issues[0].kind, issues[0].count) == ("warning", "force-unit", 1)
 
 
 @pytest.mark.parametrize("seed", range(30))

@@ -48,7 +48,8 @@ def test_a_comment_that_switches_the_force_off_is_no_second_source(tmp_path):
 
 def test_a_comment_that_holds_on_no_cutting_move_is_a_warning():
     unused = assigned(notes=[(1, FORCE), (2, (9.0, 0, 0, 0, 0, 0)), (5, FORCE)])[0]["force-unused"]
-    assert (unused.level, unused.lines, unused.count) == ("warning", (1, 5), 2)
+    assert (unused.level, unused.lines, unused.count, unused.source_line) == ("warning", (1, 5), 2, 1)
+    assert unused.message.startswith("a force comment that holds on no cutting move: ")
     assert "force-unused" not in assigned(notes=[(1, FORCE), (5, (0.0,) * 6)])[0]
     again = assigned(notes=[(1, (9.0, 0, 0, 0, 0, 0)), (2, FORCE), (5, FORCE)])[0]["force-unused"]
     assert again.lines == (1,), "the force of line 5 acts already, as where branches meet"
@@ -58,6 +59,9 @@ def test_a_comment_that_holds_on_no_cutting_move_is_a_warning():
 def test_a_row_on_a_move_of_zero_length_is_a_warning(tmp_path, rows, lines):
     still = assigned(rows, path=tmp_path, still=(7, 9))[0].get("force-on-still")
     assert (still.lines if still else None) == lines
+    if still:
+        message = f"a move of zero length carries no force: its row of {tmp_path / 'f.csv'} is not used"
+        assert (still.level, still.message, still.source_line, still.count) == ("warning", message, 7, 2)
 
 
 @pytest.mark.parametrize(("force", "questioned"), [(0.4, True), (2.9, True), (3.1, False), (400.0, False)])

@@ -83,6 +83,18 @@ def test_the_first_reason_to_refuse_counts(changes, expected):
     assert drive.any_bad(reasons)[0, 0] == (expected != FREE)
 
 
+def test_margins_are_those_of_the_documentation_and_the_least_ones_just_what_a_conversion_accepts():
+    """The checks of a conversion refuse 0° to a joint limit, 0.2° of A5 and A3, 5 mm, all of a speed, turns of 45°."""
+    keep, bare = LeastMargins(), drive.BARE
+    assert np.degrees([keep.joint, keep.wrist, keep.elbow]) == pytest.approx([2.0, 1.0, 1.0])
+    assert (keep.shoulder, keep.speed, np.degrees(keep.jump)) == (0.02, 0.95, pytest.approx(40.0))
+    assert 0.0 < np.degrees(bare.joint) < 0.02
+    for least, refused in ((np.degrees(bare.wrist), 0.2), (np.degrees(bare.elbow), 0.2), (bare.shoulder, 5e-3)):
+        assert refused < least <= 1.26 * refused
+    for largest, refused in ((bare.speed, 1.0), (np.degrees(bare.jump), 45.0)):
+        assert 0.97 * refused < largest < refused
+
+
 def test_the_largest_share_of_a_joint_speed_counts():
     step = np.array([[0.2, 0.0], [-0.9, 0.0], [0.1, 0.0], [0.0, -0.3], [0.0, 0.1], [0.0, 0.0]])
     share = drive.timed_speed(KR270, step, np.array([0.5, np.inf]))

@@ -102,6 +102,19 @@ def test_a_program_whose_turn_is_free_starts_within_half_a_turn_of_a4_and_a6():
     assert np.abs(np.array(joints)[[3, 5]]).max() < 180.0
 
 
+@pytest.mark.parametrize(("turn", "a6"), [(90.0, 40.0), (180.0, 130.0), (270.0, 220.0)])
+def test_a_program_of_a_constant_turn_starts_with_the_turn_of_a6_that_the_path_needs(turn, a6):
+    """An arc of 260° about A1, with the tool upright: A1 goes from 130° to −130°, and A6 goes back as far.
+
+    At 220° A6 ends at −40°, 130° from its limits; at the same flange, −140°, it would end at −400°.
+    """
+    own = in_line("kuka_kr270", base=(0.0, 0.0, 700.0))
+    own = replace(own, gcode=replace(own.gcode, redundancy_deg=turn))
+    program, model = read(around(1400, 130), own)
+    joints = chosen_start(program, RobotInCell.of(model, own)).joints
+    np.testing.assert_allclose(np.array(joints)[[0, 3, 5]], [130.0, 0.0, a6], atol=1e-3)
+
+
 def _flange(program, model, own):
     """Flange at the first target of a program, by an arm of another code."""
     tool = np.eye(4)
