@@ -200,13 +200,16 @@ def _check_start(program: Program, knots: Knots) -> None:
     """Refuse forces on moves from `[start]` of the cell: the program does not define the path there."""
     unforced = np.isin(knots.motion, program.unforced)  # few, so that few wrenches are written out
     motions = knots.motion[unforced][any_column(knots.wrench[unforced] != 0.0)]
-    lines = distinct(program.motions.line[motions])
-    if len(lines):
-        name, problem = program.documents[0].name, "a force on a move from [start] of the cell"
+    if len(motions):
         advice = "Program X, Y and Z in rapid moves (G0) before cutting, or switch the force on after this move."
-        raise combined_error(
-            ForceError(problem, file=name, line=line, advice=advice) for line in lines[: MAX_ERRORS + 1].tolist()
-        )
+        raise _refusal(program, motions, "a force on a move from [start] of the cell", advice)
+
+
+def _refusal(program: Program, motions: Ints, problem: str, advice: str) -> ForceError:
+    """Return one error for each line of motions (n,), as one."""
+    name, lines = program.documents[0].name, distinct(program.motions.line[motions])
+    lines = lines[: MAX_ERRORS + 1]  # one more than are shown, by which the message says that there are others
+    return combined_error(ForceError(problem, file=name, line=line, advice=advice) for line in lines.tolist())
 
 
 _NO_LENGTH = 1e-9
@@ -229,7 +232,6 @@ def _resolve(knots: Knots, axes: Axes, ramp: float, issues: tuple[Issue, ...], b
     wrench = knots.wrench.take(last, axis=0)
     start, start_frame = _wrench_before(wrench, frame, axes), np.full(len(motions), BASE)
     steady = _continuous(wrench, frame, start, axes)
-    steady = steady[has_ramp[steady]]
     start[steady], start_frame[steady] = wrench[steady], frame[steady]
     changes = has_ramp & (any_column(start != wrench) | (start_frame != frame))
     del wrench
@@ -294,10 +296,8 @@ def _travel(program: Program, path: Segments, knots: Knots, axis: str) -> tuple[
         return np.zeros((0, 3)), []
     spline_motions = distinct(knots.motion[feed & (m.kind[knots.motion] == SPL) & any_column(knots.wrench != 0.0)])
     if len(spline_motions):
-        name, problem = program.documents[0].name, "a FEED force on a piece of a spline, whose direction is not known"
-        advice = "Give its force in BASE or TOOL axes."
-        lines = distinct(m.line[spline_motions])[: MAX_ERRORS + 1].tolist()
-        raise combined_error(ForceError(problem, file=name, line=line, advice=advice) for line in lines)
+        problem = "a FEED force on a piece of a spline, whose direction is not known"
+        raise _refusal(program, spline_motions, problem, "Give its force in BASE or TOOL axes.")
     travel, needs = last_travel(program, path, axis)
     acts = np.zeros(len(m), dtype=np.bool_)
     is_lateral = (knots.wrench[:, [0, 1, 3, 4]] != 0.0) | (knots.sigma[:, [0, 1, 3, 4]] != 0.0)
@@ -309,9 +309,7 @@ def _travel(program: Program, path: Segments, knots: Knots, axis: str) -> tuple[
             "No other move of the program has a feed direction across the spindle that this one could use. "
             "Give its force in BASE or TOOL axes."
         )
-        name, problem = program.documents[0].name, "a FEED force on a move along the spindle"
-        lines = distinct(m.line[unknown])[: MAX_ERRORS + 1].tolist()
-        raise combined_error(ForceError(problem, file=name, line=line, advice=advice) for line in lines)
+        raise _refusal(program, np.flatnonzero(unknown), "a FEED force on a move along the spindle", advice)
     issues = []
     if needs.any():
         message = (

@@ -385,6 +385,15 @@ def test_all_errors_of_a_force_file_are_told_in_order_of_lines(tmp_path):
     ]
 
 
+@pytest.mark.parametrize("line", ["0", "x", "2.5", "1e300", "-3", ""])
+def test_a_row_without_a_line_is_no_second_row_for_another_one(tmp_path, line):
+    for rows in (f"{line},1,0,0\n1,1,0,0\n2,1,0,0\n", f"1,1,0,0\n{line},1,0,0\n2,1,0,0\n"):
+        with pytest.raises(ForceError) as caught:
+            forces.read_force_csv(write(tmp_path, "line,Fx,Fy,Fz\n" + rows))
+        assert caught.value.line == 2 + rows.split("\n").index(f"{line},1,0,0")
+        assert not caught.value.further_errors
+
+
 def test_force_comments_are_read_in_any_case_and_others_are_left_alone():
     note = parse_force_note(" force fx=120 FY=-40.5 Fz=3e2 mx=1 FRAME=tool", 7, "a.nc")
     assert (note.wrench, note.frame, note.line) == ((120.0, -40.5, 300.0, 1.0, 0.0, 0.0), "TOOL", 7)

@@ -191,7 +191,7 @@ def test_a_line_that_is_passed_several_times_has_the_forces_of_its_first_pass(se
         inner, wrench = base[int(line[k])]
         off, odd = (
             rng.choice([0.0, 1.9e-3, 2.1e-3], p=[0.6, 0.2, 0.2]),
-            str(rng.choice(["", "t", "frame", "sigma", "factor", "count"], p=[0.7, 0.06, 0.06, 0.06, 0.06, 0.06])),
+            str(rng.choice(["", "t", "frame", "sigma", "factor", "count"], p=[0.6, 0.05, 0.05, 0.05, 0.05, 0.2])),
         )
         off *= int(line[k]) in first
         odd = odd if int(line[k]) in first else ""

@@ -11,6 +11,7 @@ from msgspec.structs import replace
 from postproc import forces, toolpath
 from postproc.errors import MAX_ERRORS, ForceError, ProgramError
 from postproc.forces import Knots
+from postproc.poses import Poses
 from postproc.program import SPL
 from tests.programs import program
 
@@ -47,6 +48,29 @@ def test_places_behind_a_step_lie_within_one_and_a_half_times_its_length():
     motion = np.array([1, 1, 4, 4, 3])
     t = np.array([1.4e-5, 1.6e-5, 1.4e-5, 1.6e-5, 1.4e-5]) / length[motion]
     assert load.behind_step(motion, t).tolist() == [True, False, True, False, False]
+
+
+@pytest.mark.parametrize("count", [1, 3, MAX_ERRORS + 4])
+def test_moves_along_the_spindle_and_from_the_start_name_their_lines(count):
+    rows = list(range(1, count + 1))
+    made = program([("LIN", 0, 0, 10.0 - k) for k in range(count + 1)])
+    made = replace(made, motions=replace(made.motions, rapid=np.arange(count + 1) == 0))
+    drill = put_on(made, whole(rows, [0.0, 0, 5, 0, 0, 1], FEED))
+    assert (drill.frame[1:] == FEED).all()
+    start = replace(made, unforced=np.arange(count + 1), motions=replace(made.motions, line=made.motions.line + 4))
+    x, y = 1e3 * (np.array([0.0, 0.0]) - [1.5, -0.2])  # under the tool at [start]: the first move is along it too
+    target = made.motions.target[:]
+    target[:, :2, 3] = np.array([x, y]) / 1e3
+    plunge = replace(made, motions=replace(made.motions, target=Poses.of(target)))
+    for refused, frame, words, first in (
+        (plunge, FEED, "on a move along the spindle", 2), (start, BASE, r"on a move from \[start\]", 6),
+    ):  # fmt: skip
+        with pytest.raises(ForceError, match=words) as caught:
+            put_on(refused, whole(rows, [1.0, 0, 0, 0, 0, 0], frame))
+        assert (caught.value.file, caught.value.line) == ("part.nc", first)
+        assert [each.line for each in caught.value.further_errors] == [
+            row + first - 1 for row in rows[1 : MAX_ERRORS + 1]
+        ]
 
 
 @pytest.mark.parametrize("count", [1, 3, MAX_ERRORS + 4])

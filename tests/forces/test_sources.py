@@ -11,9 +11,9 @@ import pytest
 from msgspec.structs import replace
 
 from postproc import forces, toolpath
-from postproc.errors import ForceError
+from postproc.errors import ForceError, Issue
 from postproc.forces import sources
-from postproc.forces.sources import BASE, FEED, Knots
+from postproc.forces.sources import BASE, FEED, ByLaw, Knots
 from postproc.jobs import find_jobs
 from tests.programs import program
 
@@ -51,6 +51,24 @@ def test_a_source_wins_over_comments_for_the_motions_it_knows():
     made, load = put_on(rising(), notes=[(1, (7.0, 0, 0, 0, 0, 0))])
     sample = toolpath.at(made, toolpath.segments(made, np.eye(4)), np.array([1, 2]), np.array([0.5, 1.0]))
     np.testing.assert_allclose(load.at(sample)[:, 0], [50, 7])
+
+
+def test_what_a_source_states_besides_forces_goes_with_them():
+    """Its issues, the motions of a cutting law and the stock; a law knows its units, so small forces are right."""
+    known = {
+        "issues": (Issue("info", "from-source", "words", 2),), "by_law": ByLaw((1.0, 2.0), np.array([1])),
+        "stock": object(),
+    }  # fmt: skip
+    small = np.array([[0.0] * 6, [0.5, 0, 0, 0, 0, 0]])
+    _, load = put_on(rising(wrench=small, **known), notes=[(3, (0.4, 0, 0, 0, 0, 0))])
+    assert (load.by_law, load.stock) == (known["by_law"], known["stock"])
+    kinds = [issue.kind for issue in load.issues]
+    assert kinds == ["force-sources", "from-source"]
+    _, load = put_on(rising(wrench=small), notes=[(3, (0.4, 0, 0, 0, 0, 0))])
+    assert [issue.kind for issue in load.issues] == ["force-sources", "force-unit"]
+    assert (load.by_law, load.stock) == (None, None)
+    _, load = put_on(None, notes=[(2, (70.0, 0, 0, 0, 0, 0))])
+    assert (load.issues, load.by_law, load.stock) == ((), None, None)
 
 
 @pytest.mark.parametrize(

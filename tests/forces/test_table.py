@@ -137,7 +137,10 @@ def test_on_the_ramp_the_deviation_is_mixed_as_the_force_is(tmp_path):
 
 
 def test_without_deviations_there_is_no_covariance(tmp_path):
-    assert covariance(program(MOVES), tmp_path, "line,Fx,Fy,Fz\n2,1,1,1\n", 1, 1.0) is None
+    made = program(MOVES)
+    assert covariance(made, tmp_path, "line,Fx,Fy,Fz\n2,1,1,1\n", 1, 1.0) is None
+    path, load = put_on(made, tmp_path, "line,Fx,Fy,Fz\n2,1,1,1\n")
+    assert load.spread_in_root(toolpath.at(made, path, np.array([1]), np.array([1.0]))) is None
 
 
 def test_stated_deviations_without_a_factor_are_the_whole_covariance(tmp_path):

@@ -7,6 +7,7 @@ the forces.
 from __future__ import annotations
 
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,10 +15,10 @@ from msgspec.structs import replace
 
 from postproc import forces, frames, toolpath
 from postproc.chunks import Runs
-from postproc.forces import Knots
+from postproc.forces import Knots, table
 from postproc.forces.axes import is_arc_across, is_line_across
 from postproc.poses import Poses
-from postproc.program import CIRC, ForceNote, Targets
+from postproc.program import CIRC, LIN, ForceNote, Targets
 from tests.programs import program
 from tests.toolpath.setting import START, arc, begins, mixed, point, turned, unit
 
@@ -44,9 +45,15 @@ def random_knots(rng, made):
     for k in np.flatnonzero(~made.motions.rapid).tolist():
         ramped, frame = rng.uniform() < 0.5, int(rng.integers(0, 3))
         places = [1.0] if ramped else np.unique(np.round(rng.uniform(0.0, 1.0, rng.integers(2, 6)), 3))
+        if not ramped and rng.uniform() < 0.5:
+            places[0] = 0.0
         rows += [(k, t, frame, ramped) for t in places]
     motion, t, frame, ramped = (np.array(column) for column in zip(*rows, strict=True))
     wrench, sigma = rng.normal(0.0, 100.0, (len(t), 6)), rng.uniform(0.0, 9.0, (len(t), 6))
+    for n in range(1, len(t)):
+        if ramped[n] and rng.uniform() < 0.4:  # as before, in one base: there is nothing to ramp
+            frame[[n - 1, n]], wrench[n], sigma[n] = BASE, wrench[n - 1], sigma[n - 1]
+            frame[motion == motion[n - 1]] = BASE
     return Knots(motion, t.astype(float), wrench, frame, sigma, rng.uniform(0.0, 0.5, len(t)), ramped)
 
 
@@ -145,7 +152,7 @@ def test_the_displacement_by_the_force_is_estimated_from_its_changes(seed):
     knots = random_knots(rng, made)
     knots.wrench[np.ix_(knots.motion == 6, [0, 1, 3, 4])] = 0.0  # along the spindle alone
     knots.frame[knots.motion == 6] = FEED
-    keep = knots.motion == 3  # on this line the force goes straight on through its knots, but for one
+    keep = (knots.motion == 3) & ~knots.ramped  # on this line the force goes straight on through its knots, but for one
     knots.wrench[keep] = 50.0 * knots.t[keep, None] + np.where(knots.t[keep, None] > 0.6, 9.0, 0.0)
     path = toolpath.segments(made, START)
     load = forces.assign(made, path, Given(knots), "+Z", RAMP)
@@ -463,6 +470,24 @@ def test_forces_that_go_with_a_divided_program_are_those_of_the_program(seed):
             np.testing.assert_allclose(
                 np.trace(written_, axis1=2, axis2=3), np.trace(covariance, axis1=2, axis2=3), atol=1e-6
             )
+
+
+@pytest.mark.parametrize(
+    ("frame", "kind", "turn", "written"),
+    [
+        (BASE, LIN, 0.0, BASE), (BASE, CIRC, 0.0, BASE), (BASE, LIN, 0.1, BASE), (BASE, CIRC, 0.1, BASE),
+        (TOOL, LIN, 0.0, BASE), (TOOL, CIRC, 0.0, BASE), (TOOL, LIN, 0.1, TOOL), (TOOL, CIRC, 0.1, TOOL),
+        (FEED, LIN, 0.0, BASE), (FEED, CIRC, 0.0, FEED), (FEED, LIN, 0.1, FEED), (FEED, CIRC, 0.1, FEED),
+    ],
+)  # fmt: skip
+def test_forces_keep_their_axes_on_pieces_on_which_these_turn(frame, kind, turn, written):
+    """TOOL axes turn with the tool, FEED axes along arcs too; others are constant in `$BASE`."""
+    load = SimpleNamespace(
+        frame=np.array([0, 1, 2, frame]), axes=SimpleNamespace(path=SimpleNamespace(turn=np.zeros(4)))
+    )
+    load.axes.path.turn[3] = turn
+    targets = SimpleNamespace(motion=np.array([3, 3]), kind=np.array([kind, kind]))
+    assert table._frame(load, targets).tolist() == [written] * 2
 
 
 def test_a_force_that_stays_as_it_is_is_given_once_to_each_piece():
