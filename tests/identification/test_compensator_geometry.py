@@ -132,6 +132,26 @@ def test_angles_in_radians_are_recognised(tmp_path):
         cg.read(path)
 
 
+@pytest.mark.parametrize(
+    ("angles", "words"),
+    [
+        ([-6.28, 0.0, 1.0], "all q2 lie between -6.28 and 1: these look like radians"),
+        ([-6.29, 0.0, 20.0], None),
+        ([0.0, 6.0], "2 angles q2 over 6°: too few for a circle"),
+        ([], "0 angles q2 over 0°: too few for a circle"),
+        ([-100.0, -98.0, -90.1], "3 angles q2 over 9.9°: too few for a circle"),
+        ([-100.0, -98.0, -89.9], None),
+    ],
+)
+def test_three_angles_over_ten_degrees_are_a_circle_unless_all_are_within_a_turn_in_radians(angles, words):
+    if words is None:
+        cg._check_angles(np.array(angles), "c.csv")
+        return
+    with pytest.raises(MeasurementError) as refused:
+        cg._check_angles(np.array(angles), "c.csv")
+    assert (refused.value.problem, refused.value.file) == (words, "c.csv")
+
+
 def test_metres_are_recognised(tmp_path):
     exact, raw = readings()
     path = write(tmp_path / "c.csv", PAPER_Q2, raw, ("P1", *exact.markers))

@@ -296,6 +296,8 @@ def test_loads_in_the_workspace_are_those_that_were_measured_and_no_joint_gets_m
     tips = np.array([ARM.tcp(angles, TOOL)[:3, 3] for angles in q])
     assert tips[:, 2].min() > 0.0
     assert np.hypot(tips[:, 0], tips[:, 1]).min() > 0.6  # a quarter of the reach, about
+    assert np.hypot(tips[:, 0], tips[:, 1]).min() < 0.9
+    assert np.abs(tips[:, :2]).min(axis=0).max() < 0.1  # all around the axis of A1
     np.testing.assert_allclose(np.linalg.norm(direction, axis=1), 1.0)
 
     def torques(angles, force):
