@@ -203,9 +203,12 @@ class _Walk:
         kind, symbol, other = BINARY[type(node.op)]
         at, after = self._operator(node.left, node.right, symbol)
         yield self._mutant(node, kind, at, after, other)
-        if isinstance(node.op, ast.Add | ast.Sub | ast.Mult | ast.Div):
+        neutral = (
+            1.0 if isinstance(node.op, ast.Mult | ast.Div) else 0.0
+        )  # 1.0 * RAD_PER_DEG: without it nothing changes
+        if isinstance(node.op, ast.Add | ast.Sub | ast.Mult | ast.Div) and not _is_number(node.right, neutral):
             yield self._mutant(node, "factor", start, end, self._text(start, at))
-        if isinstance(node.op, ast.Add | ast.Mult):
+        if isinstance(node.op, ast.Add | ast.Mult) and not _is_number(node.left, neutral):
             yield self._mutant(node, "factor", start, end, self._text(after, end))
 
     def _augmented(self, node: ast.AugAssign) -> Iterator[Mutant]:
@@ -336,6 +339,10 @@ def _targets(node: ast.Assign) -> list[ast.expr]:
     for target in node.targets:
         flat += target.elts if isinstance(target, ast.Tuple) else [target]
     return flat
+
+
+def _is_number(node: ast.expr, value: float) -> bool:
+    return isinstance(node, ast.Constant) and node.value == value
 
 
 def _is_text(node: ast.expr) -> bool:

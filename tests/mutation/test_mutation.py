@@ -132,6 +132,7 @@ def test_what_numpy_takes_for_the_same_is_not_planted(tmp_path):
     path.write_text(
         "def f(a, b, c):\n"
         "    x = a.reshape(-1, 3) + b.reshape((2, -1)) + dict(zip(a, b, strict=True))\n"
+        "    y = 1.0 * x / 1.0 + 0.0\n"
         "    return np.einsum('ij,ij,jk->ik', a, b, c) + np.clip(x, 0, 1)\n"
     )
     texts = {mutant.after for mutant in mutants_of(path, tmp_path)}
@@ -140,6 +141,12 @@ def test_what_numpy_takes_for_the_same_is_not_planted(tmp_path):
     assert any("a.reshape(-1, 4)" in text for text in texts)
     assert not any("b, a, c" in text or "strict=False" in text for text in texts)
     assert any("a, c, b" in text for text in texts)
+    assert not texts & {
+        "y = x / 1.0 + 0.0",
+        "y = 1.0 * x + 0.0",
+        "y = 1.0 * x / 1.0",
+    }  # a factor of one, a summand of zero
+    assert texts >= {"y = 1.0 / 1.0 + 0.0", "y = 1.0 / x / 1.0 + 0.0", "y = 2.0 * x / 1.0 + 0.0"}
     assert not any("np.clip(0, x, 1)" in text for text in texts)
     assert any("np.clip(x, 1, 0)" in text for text in texts)
 
