@@ -246,7 +246,7 @@ def corners_of_targets(program: Program, targets: Targets, start: Array) -> tupl
 
     :param start: (M, 3) commanded position at the start of each motion, `$BASE` [m].
     """
-    bend, length, arrive = np.zeros(len(targets)), np.zeros(len(targets)), np.zeros((len(targets), 3))
+    bend, length, arrive = np.empty(len(targets)), np.empty(len(targets)), np.empty((len(targets), 3))
     for part in chunks(len(targets)):
         row = np.arange(max(part.start - 1, 0), min(part.stop, len(targets)))  # from the last one of the part before
         leave, arrive[row], length[row] = _piece_geometry(targets, start, row)

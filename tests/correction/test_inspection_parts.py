@@ -12,7 +12,7 @@ from postproc.correction import checks, inspection
 from postproc.correction.inspection import Slowing, Stretches
 from postproc.poses import Poses
 from postproc.program import CIRC, LIN, Event
-from tests.collision.setting import frame
+from tests.collision.setting import KR270, frame
 from tests.correction.test_closely import CELL, arcs_and_lines
 
 PATH = arcs_and_lines()
@@ -130,6 +130,7 @@ def test_motions_are_slowed_to_a_share_of_the_joint_speeds_that_falls_each_time(
     if times:
         joint = np.full(len(m), -1)
         joint[2] = 3
+        joint[0] = 4  # is not slowed again, and stays named
         before = Slowing(joint, np.zeros(len(m), dtype=bool), times)
     for fast_lines in ((), (int(m.line[5]),), (int(m.line[7]), int(m.line[8]))):
         feed, joint, is_capped = slowed_by_loop(path, q, position, before, fast_lines, cap=cap)
@@ -288,6 +289,21 @@ def test_pieces_of_lines_are_examined_where_a_state_may_reach_its_limit_between_
     np.testing.assert_allclose(found.end, [PATH.sample.t[n] for n in expected])
     parts = [int(np.ceil(max(way[n] / 0.002, turn[n] / np.radians(0.5)) - 1e-9)) for n in expected]
     assert found.parts.tolist() == parts
+
+
+def test_arcs_of_whole_steps_of_five_degrees_have_as_many_parts():
+    """Their sweeps in radians are rounded up or down."""
+    degrees = np.array([*np.arange(5.0, 361.0, 5.0), 0.1, 4.9, 5.1, 7.5, 359.9])
+    parts = [*range(1, 73), 1, 1, 2, 2, 72]
+    motions = SimpleNamespace(kind=np.full(len(degrees), CIRC), sweep=np.radians(degrees))
+    count = np.arange(len(degrees))
+    path = SimpleNamespace(
+        program=SimpleNamespace(motions=motions),
+        sample=SimpleNamespace(motion=count),
+        robot_in_cell=SimpleNamespace(robot=KR270, cell=SimpleNamespace(start_joints=np.zeros(6))),
+    )
+    found = inspection._arcs(path, np.zeros((len(degrees), 6)), np.ones(len(degrees), dtype=bool))
+    assert (found.motion.tolist(), found.parts.tolist()) == (count.tolist(), parts)
 
 
 @pytest.mark.parametrize("seed", range(40))

@@ -7,7 +7,7 @@ import pytest
 from msgspec.structs import replace
 
 from postproc.cell import Rotary
-from postproc.correction import checks, inspection, process
+from postproc.correction import checks, inspection, process, verify
 from postproc.frames import pose_from_xyzabc
 from postproc.poses import Poses
 from postproc.program import PTP
@@ -188,6 +188,27 @@ def test_a_first_move_without_travel_or_feed_has_no_known_speed(first, feed):
     assert speed[moved].any()
 
 
+@pytest.mark.parametrize(("share", "near"), [(0.65, False), (0.72, False), (0.78, True), (0.95, True)])
+def test_the_written_path_is_near_a_joint_speed_from_three_quarters_of_it_on(monkeypatch, share, near):
+    """Share of the largest speed of a joint on a cut along one line, by the angles of the path that is commanded."""
+    cell = replace(CELL, gcode=replace(CELL.gcode, rapid_m_per_s=0.001))
+    program = read_files({"part.nc": CUT.format(feed=3000)}, cell)
+    motions = MotionsUnderLoad.of(program, RobotInCell.of(ROBOT, cell), None)
+    path = PathUnderLoad.of(motions, motions.pieces(linearize_arcs=False))
+    cuts = ~program.motions.rapid[path.sample.motion]
+    speed = inspection.commanded_speed(path, path.joints.q, path.sample.pose[:, :3, 3])[cuts]
+    robot = replace(ROBOT, speed=ROBOT.speed * (speed / ROBOT.speed).max() / share)
+    found, deviation = [], verify._deviation
+
+    def seen(*arguments):
+        found.append(deviation(*arguments)[2])
+        return deviation(*arguments)
+
+    monkeypatch.setattr(verify, "_deviation", seen)
+    process(read_files({"part.nc": CUT.format(feed=3000)}, cell, robot), robot, cell)
+    assert found[-1] is near
+
+
 @pytest.mark.parametrize("slower", [1.0, 0.01])
 def test_the_written_path_of_any_robot_is_checked(monkeypatch, slower):
     robot = replace(ROBOT, speed=ROBOT.speed * slower)
@@ -195,7 +216,9 @@ def test_the_written_path_of_any_robot_is_checked(monkeypatch, slower):
     text = CUT.format(feed=400000 * slower)
     program = read_files({"part.nc": text}, robot=robot)
     result = process(program, robot, CELL)
-    assert "joint-speed" in " ".join(issue.kind for issue in result.issues if issue.level == "error")
+    kinds = [issue.kind for issue in result.issues if issue.level == "error"]
+    assert "joint-speed" in " ".join(kinds)
+    assert len(kinds) == len(set(kinds))  # each joint once, however many places it is too fast at
 
 
 def test_the_written_path_is_checked(monkeypatch):

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from postproc.correction import verify
 from postproc.correction.verify import _Probes
-from postproc.errors import ProgramError
+from postproc.errors import Issue, ProgramError
 from postproc.program import CIRC, LIN
 from tests.programs import program
 
@@ -262,6 +262,48 @@ def test_places_that_use_up_four_fifths_of_the_tolerance_are_missed(monkeypatch,
 def test_joint_speeds_of_the_text_are_looked_at_where_one_comes_near_its_limit(monkeypatch, near_limit):
     result, _ = simulated(monkeypatch, 1, is_corrected=True, keeps_text=False, near_limit=near_limit)
     assert result.issues == (("left", "fast") if near_limit else ("left",))
+
+
+def test_a_joint_that_is_too_fast_at_several_places_is_named_once_with_the_lines_of_both_programs(monkeypatch):
+    """At the first of its places, those at samples before those between; the target on its line is that of a motion."""
+    nominal, written = (
+        program([("LIN", 10 * k, 0, 0) for k in range(3)]),
+        program([("LIN", 5 * k, 0, 0) for k in range(6)]),
+    )
+    written = replace(written, motions=replace(written.motions, line=np.arange(20, 26)))
+    nominal = replace(nominal, motions=replace(nominal.motions, line=np.array([7, 8, 11])))
+    path = SimpleNamespace(program=nominal, robot_in_cell=SimpleNamespace(robot="robot"))
+    selection = SimpleNamespace(targets=SimpleNamespace(motion=np.array([0, 1, 1, 2, 2])))
+    readback = SimpleNamespace(program=written, row=np.arange(1, 6))
+
+    def issue(axis, line):
+        return Issue("error", f"joint-speed-A{axis}", f"A{axis} on {line}", line, count=2, lines=(line, 99))
+
+    joints = SimpleNamespace(q="q")
+    sample = SimpleNamespace(pose=np.zeros((1, 4, 4)))
+    segments = SimpleNamespace(turn="turn")
+    loaded = SimpleNamespace(sample=sample, joints=joints, motions=SimpleNamespace(segments=segments))
+    places = {
+        "at samples": [issue(3, 23), issue(5, 25)],
+        "first": [issue(3, 22), issue(1, 22)],
+        "second": [issue(1, 24)],
+    }
+    monkeypatch.setattr(
+        verify.MotionsUnderLoad, "of", lambda made, place, source: SimpleNamespace(pieces=lambda **_: "")
+    )
+    monkeypatch.setattr(verify.PathUnderLoad, "of", lambda motions, pieces: loaded)
+    monkeypatch.setattr(verify.inspection, "commanded_speed", lambda *_: "at samples")
+    monkeypatch.setattr(verify.inspection, "stretches_to_examine", lambda *_: ("arcs", "lines"))
+    batches = [("places", "first", "position"), ("places", "second", "position")]
+    monkeypatch.setattr(verify.inspection, "dense_places", lambda *parts: batches if parts[3] == "lines" else [])
+    monkeypatch.setattr(verify.checks, "joint_speed", lambda made, at, turn, q, position: q if turn == "turn" else None)
+    monkeypatch.setattr(verify.checks, "joint_speeds", lambda made, robot, at, speed: places[speed])
+    found = list(verify._joint_speeds(path, selection, readback))
+    named = [(entry.kind, entry.message, entry.output_line, entry.source_line, entry.lines) for entry in found]
+    assert named == [
+        ("joint-speed-A3", "A3 on 23", 23, 8, (8,)), ("joint-speed-A5", "A5 on 25", 25, 11, (11,)),
+        ("joint-speed-A1", "A1 on 22", 22, 8, (8,)),
+    ]  # fmt: skip
 
 
 def modules_of(change=None):
