@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from postproc.comparison import loaded_path
 from postproc.comparison.result import Cuts
+from postproc.errors import NotConvergedError
 from tests.comparison.test_differences_by_pair import COUNT, random_pairs
 
 compare = importlib.import_module("postproc.comparison.compare")
@@ -113,3 +115,75 @@ def test_additional_targets_at_which_the_loaded_tip_is_on_the_path_were_inserted
     assert made.inserted_rows.tolist() == sorted([*found.inserted_rows.tolist(), *moved])
     assert made.additional_rows.tolist() == [int(k) for k in found.additional_rows if int(k) not in on_path]
     assert made.cuts.row is row
+
+
+def test_a_force_without_an_equilibrium_names_the_motion_of_the_first_of_its_places():
+    made = random_pairs(np.random.default_rng(1)).nominal
+    error = loaded_path.no_equilibrium(made, np.array([9, 4, 7, 2]), NotConvergedError("too large", [2, 3]))
+    assert (error.problem, error.line) == ("the arm does not hold this force here: too large", 8)
+    assert error.file.endswith("part.nc")
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_pieces_are_looked_at_inside_if_they_cover_some_of_the_nominal_path_without_a_step_of_the_force(
+    monkeypatch, seed
+):
+    """Places out of reach are left out; each place has the length along its piece, and ends have their own."""
+    rng = np.random.default_rng(seed)
+    found = random_pairs(rng)
+    ends = np.sort(rng.choice(np.setdiff1d(np.arange(COUNT), found.pair[:, 1]), 3, replace=False))
+    pieces = np.sort(rng.choice(np.union1d(found.pair[:, 1], ends), 8, replace=False))
+    arc_length = np.append(0.0, np.cumsum(rng.uniform(0.01, 0.03, COUNT)))
+    out_of_reach = {int(ends[0])} if rng.random() < 0.5 else set()
+    at_end = {int(row): rng.uniform(0.0, 0.1) for row in ends}
+    place = {int(b): arc_length[a + 1] for a, b in found.pair} | at_end
+    for row in out_of_reach:
+        del place[row]
+    begin = np.array([place.get(int(row), 0.0) - rng.choice([-0.01, 1.9e-5, 2.1e-5, 0.01]) for row in pieces])
+    with_step = {float(place[int(row)]) for row in pieces if int(row) in place and rng.random() < 0.2}
+    asked = []
+
+    def deviations(self, row, t, q, guess, *, enough):
+        asked.append((row.tolist(), t.tolist(), guess.tolist(), enough))
+        return np.array([at_end[int(k)] for k in row] if (t == 1.0).all() and len(row) else guess), 10.0 * t, 20.0 * t
+
+    def samples(side, rows, steep):
+        assert steep.tolist() == (rows % 2 == 0).tolist()
+        return np.repeat(rows, 2), np.tile([0.25, 0.75], len(rows))
+
+    ways = SimpleNamespace(
+        targets=lambda comparison: ends, pieces=lambda: pieces, guess=lambda rows: rows * 1e-3,
+        begins=lambda rows, values: begin,
+    )  # fmt: skip
+    for name, value in (
+        ("Ways", SimpleNamespace(from_pairs=lambda *sides: ways)),
+        ("_begins_with_step", lambda side, load, values: np.array([float(v) in with_step for v in values], dtype=bool)),
+        ("_steep", lambda one, other, rows, values: rows % 2 == 0), ("places_on_pieces", samples),
+        ("_orientation_errors_at", lambda one, other, load, length, row: length + row),
+    ):  # fmt: skip
+        monkeypatch.setattr(loaded_path, name, value)
+    monkeypatch.setattr(loaded_path.Search, "deviations", deviations)
+
+    def joints_at(row, t):
+        bad = [(int(k) in out_of_reach and s == 1.0) or (k % 5 == 0 and s == 0.75) for k, s in zip(row, t, strict=True)]
+        q = np.zeros((len(row), 6))
+        q[np.array(bad, dtype=bool), 2] = np.nan
+        return q
+
+    nominal = SimpleNamespace(arc_length=arc_length, robot_in_cell=SimpleNamespace(tolerance=1e-4))
+    corrected = SimpleNamespace(program=found.corrected, joints_at=joints_at)
+    empty = np.zeros(0)
+    cuts = loaded_path.cuts_between_pairs(found, Cuts(*[empty] * 10), nominal, corrected, "forces")
+    reached = [int(row) for row in ends if int(row) not in out_of_reach]
+    assert asked[0] == (reached, [1.0] * len(reached), [row * 1e-3 for row in reached], 1e-8)
+    expected = [(row, 1.0, at_end[row], 10.0, 20.0, at_end[row] + row) for row in reached]
+    for row, start in zip(pieces.tolist(), begin, strict=True):
+        end = place.get(row, np.nan)
+        if end - start > 2e-5 and end not in with_step:
+            for t in (0.25, 0.75):
+                if not (row % 5 == 0 and t == 0.75):
+                    expected.append((row, t, start + t * (end - start), 10.0 * t, 20.0 * t, 0.0))
+    names = ("row", "t", "length", "nominal_distance", "corrected_distance", "path_rotation")
+    columns = np.transpose([getattr(cuts, name) for name in names])
+    np.testing.assert_allclose(columns, sorted(expected), rtol=1e-12)
+    assert asked[1][3] == 1e-4

@@ -14,7 +14,7 @@ from msgspec.structs import replace
 from scipy.spatial.transform import Rotation, Slerp
 
 from postproc import frames, robot
-from postproc.comparison.differences import _distance_of_way
+from postproc.comparison.differences import _distance_of_way, _inserted_rotations
 from postproc.comparison.loaded_path import Ways
 from postproc.comparison.partners import pair_targets
 from postproc.comparison.paths import Chain, Curves, PlacedProgram, nearest
@@ -302,3 +302,27 @@ def test_a_way_is_judged_by_its_own_inserted_targets_wherever_it_is_in_the_progr
     made = pair_targets(one, other, partner, np.ones(5, dtype=bool))
     assert made.inserted_rows.tolist()[-2:] == [last + 1, last + 2]
     assert _distance_of_way(made, one, other, 3) == pytest.approx(distance, abs=2e-5)
+
+
+@pytest.mark.parametrize("frames_of_second", [{}, {"base": BASE, "tool": TOOL}], ids=str)
+def test_inserted_targets_turn_the_tool_by_more_than_the_pairs_next_to_them(frames_of_second):
+    """From the orientation at the same share of the nominal way; a target before the first pair has none."""
+    pairs = np.array([[1, 2], [2, 3], [3, 4], [5, 6], [6, 7]])
+    one, other = Path(ONE, TURNED), Path(TWO, ALSO, **frames_of_second)
+    rotation = np.radians([0.1, 0.5, 0.2, 0.05, 0.3])
+    comparison = SimpleNamespace(
+        cuts=None, pair=pairs, rotation=rotation, inserted_rows=np.array([1, 5]),
+        curves=Curves.of(one.placed, other.placed, pairs),
+    )  # fmt: skip
+    rows, angles = _inserted_rotations(comparison, one.placed, other.placed)
+    share = other.length(5) / (other.length(5) + other.length(6))
+    k, t = place_at(one, pairs[:, 0], 2.0 + share)
+    commanded = np.linalg.inv(one.base) @ other.flange(5, 1.0) @ one.tool
+    turned = Rotation.from_matrix(one.pose(k, t)[:3, :3].T @ commanded[:3, :3]).magnitude()
+    assert rows.tolist() == [5]
+    np.testing.assert_allclose(angles, [turned - np.radians(0.2)], atol=1e-9)
+    for field, value in (("curves", None), ("inserted_rows", np.array([1]))):
+        rows, angles = _inserted_rotations(
+            SimpleNamespace(**vars(comparison) | {field: value}), one.placed, other.placed
+        )
+        assert (len(rows), len(angles)) == (0, 0)
