@@ -38,6 +38,7 @@ from postproc.machining.tool_path import (
     shared_cutters,
     stock_base_issues,
     straight_segments,
+    tapping_motions,
     tool_states,
     unread_cuts,
 )
@@ -310,6 +311,7 @@ def _swept_setups(task: _Task, in_order: list[Setup], material: Stock, segments:
         has_shift = task.shift is not None
         sweep = Sweep(material, process, tools, feed, law, poses, swing, by_cells, has_shift, task.guard, ceiling)
         cuts = _needed_stations(sweep, steps, _offset(task.progress, segment_count, len(segments.motion)))
+        cuts = _without_taps(cuts, program, tools)
         segment_count += len(steps.motion)
         sweeps.append(sweep)
         parts.append(cuts)
@@ -378,6 +380,38 @@ def _needed_stations(sweep: Sweep, steps: StraightSegments, progress: Callable[[
             open_, waiting = [partial_cuts], len(partial_cuts.t)
     cuts = Cuts.join([Cuts.empty(), *open_])
     return Cuts.join([*thin_cuts, cuts.take(thin_out(cuts.motion, cuts.wrench))])
+
+
+def _without_taps(cuts: Cuts, program: Program, tools: ToolStates) -> Cuts:
+    """Return cuts in which taps have no force.
+
+    A tap pulls itself into the hole, in a holder that gives it length: its force is not that of a drill with the pitch
+    as feed.
+    """
+    is_tap = np.isin(cuts.motion, tapping_motions(program, tools)) & cuts.along
+    if not is_tap.any():
+        return cuts
+    is_cut = ~is_tap
+    return replace(
+        cuts,
+        wrench=cuts.wrench * is_cut[:, None],
+        deviation=cuts.deviation * is_cut[:, None],
+        torque=cuts.torque * is_cut,
+        power=cuts.power * is_cut,
+    )
+
+
+def _tap_issues(program: Program, cuts: Cuts, tools: ToolStates) -> Iterator[Issue]:
+    """Yield a warning for taps, whose forces are not computed."""
+    taps = np.intersect1d(tapping_motions(program, tools), cuts.motion[cuts.along])
+    if len(taps):
+        number = tools.number[taps[0]]
+        name = f"[operations.T{number}]" if number > 0 else "[operations]"
+        message = (
+            "forces of taps are not computed: none is assumed, as in a floating holder. If this tap pushes the tool, "
+            f"state its force in {name} of the process"
+        )
+        yield program.motions.issue("warning", "tap-force", message, taps)
 
 
 def _next_map(material: Stock, last_setup: Setup, setup: Setup, cell: float) -> Stock:
@@ -525,9 +559,11 @@ def _issues(
             "axial_ratio, or Kac and Kae, or measure them (identify forces)."
         )
         issues.append(Issue("info", "no-axial-force", message))
+    has_force = norm(cuts.wrench) > 0.0
+    issues += _tap_issues(program, cuts, tools)
     issues += _drilled_by_mills(program, cuts, drill[place])
     issues += _thick_chips(program, cuts, tools, process)
-    drill_rows = np.flatnonzero(drill[place])
+    drill_rows = np.flatnonzero(drill[place] & has_force)
     if len(drill_rows):
         message = (
             "the feed force of drills is estimated: 0.65 kc fn D/2, the middle of published thrusts. It depends on the "
@@ -536,7 +572,7 @@ def _issues(
         )
         at = distinct(lines[cuts.motion[drill_rows]])
         issues.append(Issue("info", "drill-thrust", message, int(at[0]), count=len(at)))
-    deep = np.flatnonzero((cuts.depth > _DEEP * diameter[place]) & ~drill[place])
+    deep = np.flatnonzero((cuts.depth > _DEEP * diameter[place]) & ~drill[place] & has_force)
     if len(deep):
         worst = deep[int(np.argmax(cuts.depth[deep]))]
         message = (
@@ -554,7 +590,8 @@ def _thick_chips(program: Program, cuts: Cuts, tools: ToolStates, process: Proce
     is_drill, place = np.array([table.shape == "drill" for table in tables]), tools.tool[cuts.motion]
     teeth = tools.rpm[cuts.motion] / 60.0 * flutes[place]
     chip = MM_PER_M * program.motions.feed[cuts.motion] / np.maximum(teeth, _LEAST_TEETH)
-    rows = np.flatnonzero((chip > THICK_CHIP * diameter[place]) & ~is_drill[place])
+    has_force = norm(cuts.wrench) > 0.0  # stations in air precede and follow cuts
+    rows = np.flatnonzero((chip > THICK_CHIP * diameter[place]) & ~is_drill[place] & has_force)
     if len(rows):
         worst = rows[int(np.argmax(chip[rows]))]
         message = (

@@ -79,6 +79,12 @@ def tool_states(program: Program, process: Process) -> ToolStates:
     return ToolStates(place, keys, rpm, hand, number)
 
 
+def tapping_motions(program: Program, tools: ToolStates) -> Ints:
+    """Return the motions at feed at whose end the spindle reverses before another motion at feed: into a thread."""
+    is_cut = ~np.asarray(program.motions.rapid)
+    return np.flatnonzero((tools.hand[1:] != tools.hand[:-1]) & is_cut[1:] & is_cut[:-1])
+
+
 def _stated_number(program: Program, process: Process, row: int) -> int:
     """Return the number of a tool of a KRL program: that with an entry in [tools], else its only one, else −1.
 

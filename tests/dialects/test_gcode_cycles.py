@@ -210,6 +210,10 @@ def test_a_tap_is_not_drawn_out_by_a_spindle_that_turns_on() -> None:
     assert [event.kind for event in program.events].count("spindle_ccw") == 1
     (question,) = [issue for issue in program.issues if issue.kind == "tapping"]
     assert (question.level, question.source_line) == ("warning", text.splitlines().index("G84 X1 Y1 Z-4 R2 F100") + 1)
+    assert "spindle_ccw and spindle_on wait" in question.message
+    by_hand = replace(CELL, gcode=replace(CELL.gcode, spindle_on=[], spindle_off=[]))
+    (warning,) = [issue for issue in read(text, by_hand).issues if issue.kind == "tapping"]
+    assert "No line reverses the spindle at the bottom" in warning.message
 
 
 ORIGINS = {

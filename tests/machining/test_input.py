@@ -69,6 +69,36 @@ def test_a_feed_of_more_than_a_tenth_of_the_tool_for_each_tooth_is_asked_about(t
     ] * is_asked
 
 
+def test_fast_moves_in_air_are_not_asked_about(tmp_path):
+    """The slot is cut at 0.05 mm per tooth; the tool comes down and leaves beside the stock at 10 mm per tooth."""
+    text = gcode("G0 X-20 Y0 Z50", "G1 Z-1 F20000", "X120 F100", "Z50 F20000", spindle="S1000 M3")
+    _, loads = forces(tmp_path, text, process(tool(10, 2), BOX, 1.0))
+    assert loads.removed == pytest.approx(100e-3 * 10e-3 * 1e-3, rel=0.02)
+    assert "chip-load" not in {issue.kind for issue in loads.issues}
+
+
+@pytest.mark.parametrize("shape", ["drill", "flat"])
+def test_a_tap_has_no_computed_force(tmp_path, shape):
+    """A drill makes two holes, an M8 tap threads one of them: the holes keep their force, the tap has none."""
+    holes = ("G0 X20 Y0 Z20", "G81 Z-9 R2 F300", "X40", "G80")
+    tap = ("T2 M6", "S500 M3", "G84 X20 Z-8 R2 F625", "G80")
+    tools = process(tool(6.8, 2, "drill"), BOX, 0.5).replace("[stock]", f"[tools.2]\n{tool(8, 3, shape)}\n[stock]")
+    lines = replace(CELL.gcode, spindle_ccw=["$OUT[2]=TRUE"])
+    cell = replace(CELL, tools={"1": Tool(Z=300.0), "2": Tool(Z=300.0)}, gcode=lines)
+    drilled, holes_alone = forces(tmp_path, gcode(*holes, spindle="S2000 M3"), tools, cell=cell)
+    _, threaded = forces(tmp_path, gcode(*holes, *tap, spindle="S2000 M3"), tools, cell=cell)
+    thrust = np.abs(threaded.cuts.wrench[:, 2])
+    is_tap = threaded.cuts.motion >= len(drilled.motions)
+    assert is_tap.any()
+    assert thrust[is_tap].max() == 0.0
+    assert threaded.power[len(drilled.motions) :].max() == 0.0
+    np.testing.assert_array_equal(thrust[~is_tap], np.abs(holes_alone.cuts.wrench[:, 2]))
+    (warning,) = [issue for issue in threaded.issues if issue.kind == "tap-force"]
+    assert (warning.level, warning.source_line) == ("warning", gcode(*holes, *tap).splitlines().index(tap[2]) + 1)
+    assert "[operations.T2]" in warning.message
+    assert "drilled-by-mill" not in {issue.kind for issue in threaded.issues}
+
+
 def test_a_tool_that_is_not_described(tmp_path):
     told = refused(tmp_path, gcode(*SLOT).replace("T1 M6", "T7 M6"))
     assert "part.nc:5: tool T7 is not in" in told

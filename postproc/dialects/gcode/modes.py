@@ -619,9 +619,18 @@ class _Reader:
                     advice = "Give spindle_ccw in [gcode] of the cell: KRL lines that reverse the spindle."
                     raise BlockError("G84 reverses the spindle at the bottom, but the cell has no spindle_ccw", advice)
                 if code == 84.0:
+                    if self.cell.gcode.spindle_ccw:
+                        advice = (
+                            "Let the lines of spindle_ccw and spindle_on wait for the reversal, and keep the override "
+                            "at 100 %."
+                        )
+                    else:
+                        advice = (
+                            "No line reverses the spindle at the bottom, because the cell has no spindle_ccw: take a "
+                            "holder that reverses by itself, and keep the override at 100 %."
+                        )
                     message = (
-                        "G84 with a robot taps in a floating holder only: feed and spindle are not in step. Let the "
-                        "lines of spindle_ccw and spindle_on wait for the reversal, and keep the override at 100 %."
+                        f"G84 with a robot taps in a floating holder only: feed and spindle are not in step. {advice}"
                     )
                     self._remark("warning", "tapping", message, row)
             elif (
