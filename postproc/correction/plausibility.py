@@ -15,9 +15,11 @@ from postproc.errors import Issue, Level
 from postproc.forces.path_forces import PathForces
 from postproc.frames import MM_PER_M, MM_PER_MIN, Array, norm
 from postproc.kinematics.forward import GRAVITY
+from postproc.placement.samples import AXIS
 from postproc.program import Ints, Program, distinct
 from postproc.robot import RobotModel
 from postproc.robot.rating import rated_payload
+from postproc.toolpath import retract_motions
 
 _SHORT_TOOL = 0.005
 """A tip nearer to the flange [m] is none of a spindle: 0.35 is a length in metres that is read in millimetres."""
@@ -185,28 +187,30 @@ def _plain(line: str) -> str:
     return "".join(line.split()).upper()
 
 
-def tool_changes(program: Program) -> Iterator[Issue]:
+def tool_changes(program: Program, axis: str) -> Iterator[Issue]:
     """Yield a warning for each tool change where the tip of a longer tool is mounted among or below the cuts.
 
     The flange does not move at a tool change, so the new tip is deeper, along the new tool, by the difference of the
     lengths. A tip below the deepest cut is reported anywhere; one below the highest cut only over the cuts, which are
-    widened by 50 mm.
+    widened by 50 mm. Retracts at feed, and moves at their height, are no cuts.
+
+    :param axis: of the tool frame, from the spindle to the tip: ``"+Z"`` and so on.
     """
     m = program.motions
-    cutting = np.flatnonzero(~m.rapid)
+    target: Array = m.target[:]
+    to_tip = np.array(AXIS[axis])
+    cutting = np.flatnonzero(~m.rapid & ~retract_motions(target[:, :3, 3], -(target[:, :3, :3] @ to_tip)))
     changes = 1 + np.flatnonzero((m.tool[1:] != m.tool[:-1]) & (m.base[1:] == m.base[:-1]))
     for row in changes.tolist():
         old_tool, new_tool = program.tools[m.tool[row - 1]], program.tools[m.tool[row]]
-        extra_length = np.linalg.norm(new_tool[:3, 3]) - np.linalg.norm(old_tool[:3, 3])
-        points = m.target[cutting[m.base[cutting] == m.base[row]], :3, 3]
+        points = target[cutting[m.base[cutting] == m.base[row]], :3, 3]
+        tip = target[row - 1] @ np.linalg.solve(old_tool, new_tool)
+        down = tip[:3, :3] @ to_tip
+        extra_length = float((tip[:3, 3] - target[row - 1, :3, 3]) @ down)
         if extra_length <= _SAME_LENGTH or not len(points):
             continue
-        last_pose = m.target[row - 1]
-        tip = last_pose @ np.linalg.solve(old_tool, new_tool)
-        axis = tip[:3, 3] - last_pose[:3, 3]
-        axis /= np.linalg.norm(axis)
-        depth = (points - tip[:3, 3]) @ axis  # of the cuts below the new tip
-        lateral_offset = points - tip[:3, 3] - depth[:, None] * axis
+        depth = (points - tip[:3, 3]) @ down  # of the cuts below the new tip
+        lateral_offset = points - tip[:3, 3] - depth[:, None] * down
         is_over = (lateral_offset.min(axis=0) - _CUT_MARGIN <= 0.0).all() and (
             lateral_offset.max(axis=0) + _CUT_MARGIN >= 0.0
         ).all()

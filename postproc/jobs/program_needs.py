@@ -25,7 +25,7 @@ from postproc.frames import MM_PER_M, Array
 from postproc.jobs import answers as parse
 from postproc.jobs.programs import load_robot, read_documents, states_forces
 from postproc.machining.tool_comments import Comment, CommentedTool, commented_tools, stock_size
-from postproc.program import CIRC, Document, Ints, Motions, Program, distinct
+from postproc.program import CIRC, Document, Ints, Program, distinct
 from postproc.robot import RobotModel
 
 _ROBOT, _RAPID_ROBOT = "kuka_kr270", "abb_irb6700_200_260"
@@ -184,21 +184,24 @@ def _add_content(needs: ProgramNeeds, program: Program) -> ProgramNeeds:
         has_forces=bool(program.notes),
         has_speeds=any(event.kind in ("spindle_on", "spindle_ccw") and event.value > 0.0 for event in program.events),
         span=None if needs.rotary and not needs.tip_controlled else _span(program),  # it may be that of machine axes
-        low_rapids=_low_rapids(motions),
+        low_rapids=_low_rapids(program),
     )
 
 
-def _low_rapids(motions: Motions) -> tuple[tuple[float, float], ...]:
+def _low_rapids(program: Program) -> tuple[tuple[float, float], ...]:
     """Return X, Y of rapid moves that end below the highest cutting target, each once to 1 mm.
 
     Those to a place that was cut before, as into a hole between two pecks, are left out.
     """
+    motions = program.motions
     ends = motions.target[:][:, :3, 3]
     rapid = np.asarray(motions.rapid)
     if rapid.all():
         return ()
     places = [tuple(place) for place in np.round(ends[:, :2] * MM_PER_M).tolist()]
-    is_low = rapid & (ends[:, 2] < max(0.0, ends[~rapid, 2].max()) - _LOW_M)
+    cutting = _cutting(program)
+    top = ends[cutting, 2].max() if len(cutting) else 0.0
+    is_low = rapid & (ends[:, 2] < max(0.0, top) - _LOW_M)
     has_been_cut: set[tuple[float, ...]] = set()
     points: dict[tuple[float, float], None] = {}
     for place, is_rapid, is_low_end in zip(places, rapid.tolist(), is_low.tolist(), strict=True):
@@ -225,8 +228,10 @@ def _exclude_points(low: Array, high: Array, points: Sequence[tuple[float, float
 
 
 def _cutting(program: Program) -> Ints:
-    """Return the motions that cut: not rapid and, if comments state forces, under one."""
+    """Return the motions that cut: not rapid, not a retract at feed and, if comments state forces, under one."""
     is_cutting = ~np.asarray(program.motions.rapid)
+    ends: Array = program.motions.target[:][:, :3, 3]
+    is_cutting &= ~toolpath.retract_motions(ends, np.array([0.0, 0.0, 1.0]))
     if program.notes:
         begins = np.array([note.before for note in program.notes])
         is_loaded = np.array([False, *(any(note.wrench) for note in program.notes)])

@@ -27,6 +27,7 @@ from postproc.toolpath.path import (
     tool_of,
     wrench_in_root,
 )
+from postproc.toolpath.retracts import retract_motions
 from postproc.toolpath.sampling import (
     DisplacementEstimate,
     Pieces,
@@ -60,6 +61,7 @@ __all__ = [
     "pose_in_base",
     "pose_in_root",
     "positions",
+    "retract_motions",
     "segments",
     "starts",
     "swivel_pieces",

@@ -202,6 +202,30 @@ def test_a_box_around_the_sweep_leaves_out_where_rapid_moves_come_down():
     assert box.X[1] == 80.0 + 8.0 + 5.0
 
 
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        (
+            "holes.nc",
+            "G21 G90 G94\nT1 M6\nS9000 M3\nG0 X10 Y10 Z20\nG85 X10 Y10 Z-9 R2 F300\nG89 X30 Z-9 R2 P1\nG80\nM30\n",
+        ),
+        (
+            "holes.src",
+            "DEF holes()\n$BASE={X 1500,Y 0,Z 700,A 0,B 0,C 0}\n$TOOL={X 0,Y 0,Z 350,A 0,B 0,C 0}\n$VEL.CP=0.3\n"
+            "PTP {A1 0,A2 -90,A3 100,A4 0,A5 80,A6 0}\nPTP {X 10,Y 10,Z 60,A 180,B 0,C 180}\n"
+            "LIN {X 10,Y 10,Z -9,A 180,B 0,C 180}\nLIN {X 10,Y 10,Z 60,A 180,B 0,C 180}\n"
+            "LIN {X 30,Y 10,Z 60,A 180,B 0,C 180}\nLIN {X 30,Y 10,Z -9,A 180,B 0,C 180}\n"
+            "LIN {X 30,Y 10,Z 250,A 180,B 0,C 180}\nEND\n",
+        ),
+    ],
+)
+def test_the_box_around_the_sweep_ends_below_retracts_at_feed(name, text):
+    """Two holes at X 10 and 30 with a drill of 8 mm: 4 + 5 mm on each side, 5 mm below, up to Z 0."""
+    Path(name).write_text(text)
+    box = needs_of(Path(name)).stock_box({1: 8.0})
+    assert (box.X, box.Y, box.Z) == ((1.0, 39.0), (1.0, 19.0), (-14.0, 0.0))
+
+
 def test_without_a_terminal_all_that_is_missing_is_listed_with_its_option():
     done = invoke("start", "part.nc")
     assert done.exit_code == 2

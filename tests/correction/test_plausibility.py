@@ -206,11 +206,38 @@ def test_a_longer_tool_that_is_mounted_among_the_cuts_is_a_warning(height, x, le
     tools = {"1": cells.Frame(Z=350.0), "2": cells.Frame(Z=length)}
     cell = replace(CELL, tools=tools)
     program = correction.read([decode("p", CHANGE % (height, x))], ROBOT, cell, "p", "gcode")
-    issues = list(plausibility.tool_changes(program))
+    issues = list(plausibility.tool_changes(program, "+Z"))
     assert bool(issues) == bool(words)
     if words:
         assert words in issues[0].message
         assert f"X {x}, Y 0, Z {350 + height - length:g}" in issues[0].message
+
+
+RETRACTS = (
+    b"DEF P()\n$BASE={X 1500,Y -200,Z 700,A 0,B 0,C 0}\n$TOOL={X 0,Y 0,Z 350,A 0,B 0,C 0}\n"
+    b"PTP {A1 0,A2 -90,A3 100,A4 0,A5 80,A6 0}\nPTP {X 0,Y 0,Z 200,A 180,B 0,C 180}\n"
+    b"LIN {X 0,Y 0,Z -3,A 180,B 0,C 180}\nLIN {X 80,Y 0,Z -3,A 180,B 0,C 180}\n"
+    b"LIN {X 80,Y 0,Z 200,A 180,B 0,C 180}\nPTP {X 40,Y 0,Z 50,A 180,B 0,C 180}\n"
+    b"LIN {X 40,Y 0,Z -2,A 180,B 0,C 180}\nLIN {X 40,Y 0,Z 160,A 180,B 0,C 180}\n"
+    b"LIN {X 0,Y 0,Z 160,A 180,B 0,C 180}\n$TOOL={X %d,Y 0,Z %d,A 0,B 0,C 0}\n"
+    b"PTP {X 50,Y 0,Z 200,A 180,B 0,C 180}\nLIN {X 50,Y 0,Z -1,A 180,B 0,C 180}\nEND\n"
+)
+
+
+@pytest.mark.parametrize(
+    ("x", "length", "words"),
+    [
+        (0, 450, ""),  # the tip is mounted at 60, above all cuts and below the retract to 200
+        (0, 512, "162 mm longer: where it is mounted its tip is at X 0, Y 0, Z -2 of $BASE, which is among"),
+        (300, 349, ""),  # an angle head, 1 mm shorter along the spindle and longer from the flange
+        (30, 512, "162 mm longer: where it is mounted its tip is at X -30, Y 0, Z -2 of $BASE, which is among"),
+    ],
+)  # fmt: skip
+def test_retracts_at_feed_are_no_cuts_and_the_length_is_that_along_the_spindle(x, length, words):
+    program = correction.read([decode("p", RETRACTS % (x, length))], ROBOT, CELL, "p", "krl")
+    messages = [issue.message for issue in plausibility.tool_changes(program, "+Z")]
+    assert len(messages) == bool(words)
+    assert all(words in message for message in messages)
 
 
 def test_a_longer_tool_in_a_base_without_cuts_raises_no_question():
@@ -222,4 +249,4 @@ def test_a_longer_tool_in_a_base_without_cuts_raises_no_question():
     )
     program = correction.read([decode("p", text)], ROBOT, CELL, "p", "krl")
     assert (len(program.tools), len(program.bases)) == (2, 2)
-    assert list(plausibility.tool_changes(program)) == []
+    assert list(plausibility.tool_changes(program, "+Z")) == []

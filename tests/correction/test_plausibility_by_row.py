@@ -176,6 +176,12 @@ def test_a_longer_tool_is_asked_about_where_it_reaches_below_cuts(seed):
         made.motions, target=target, tool=np.sort(rng.integers(0, 3, COUNT)), base=np.sort(rng.integers(0, 2, COUNT))
     )
     made = replace(made, motions=motions)
+    up = -(turn @ down @ [0.0, 0.0, 1.0])
+    is_retract = [False] * COUNT
+    for k in range(1, COUNT):
+        step = target[k, :3, 3] - target[k - 1, :3, 3]
+        is_straight = np.linalg.norm(step - (step @ up) * up) < 1e-6
+        is_retract[k] = step @ up > 0 and (is_straight or is_retract[k - 1])
     expected = []
     for k in range(1, COUNT):
         before, after = motions.tool[k - 1], motions.tool[k]
@@ -183,7 +189,11 @@ def test_a_longer_tool_is_asked_about_where_it_reaches_below_cuts(seed):
             continue
         axis = turn @ down @ [0.0, 0.0, 1.0]
         tip = target[k - 1, :3, 3] + 1e-3 * (lengths[after] - lengths[before]) * axis
-        cuts = [target[n, :3, 3] for n in range(COUNT) if not motions.rapid[n] and motions.base[n] == motions.base[k]]
+        cuts = [
+            target[n, :3, 3]
+            for n in range(COUNT)
+            if not (motions.rapid[n] or is_retract[n]) and motions.base[n] == motions.base[k]
+        ]
         if not cuts:
             continue
         depths = [(point - tip) @ axis for point in cuts]
@@ -196,7 +206,7 @@ def test_a_longer_tool_is_asked_about_where_it_reaches_below_cuts(seed):
             )
             longer = f"{lengths[after] - lengths[before]:.4g} mm longer: where it is mounted its tip is at {numbers}"
             expected.append((k + 1, f"is {longer} of $BASE, which is {where} the cuts."))
-    issues = list(plausibility.tool_changes(made))
+    issues = list(plausibility.tool_changes(made, "+Z"))
     assert [issue.source_line for issue in issues] == [row for row, _ in expected]
     for issue, (_, words) in zip(issues, expected, strict=True):
         assert (issue.level, issue.kind) == ("warning", "tool-change-depth")

@@ -1,0 +1,33 @@
+"""Motions at feed that do not cut: a retract, and the moves at its height.
+
+A robot program, and a G-code program for a control with slow rapids, moves at feed through air too.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from postproc.frames import Array, norm
+from postproc.program import Bools
+
+_STRAIGHT = 1e-6
+"""A retract moves aside by less [m]."""
+
+
+def retract_motions(ends: Array, up: Array) -> Bools:
+    """Return which motions retract straight up, or follow a retract before the tool comes down again.
+
+    :param ends: (M, 3) ends of all motions [m], in order.
+    :param up: unit vector from the part to the spindle, (3,) or (M, 3).
+    """
+    if len(ends) < 2:
+        return np.zeros(len(ends), dtype=bool)
+    step = np.diff(ends, axis=0, prepend=ends[:1])
+    rise = np.einsum("...i,...i->...", step, np.broadcast_to(up, step.shape))
+    aside = norm(step - rise[:, None] * up)
+    is_retract = (rise > _STRAIGHT) & (aside <= _STRAIGHT)
+    is_descent = rise < -_STRAIGHT
+    # the last retract or descent up to each motion decides
+    row = np.arange(len(ends))
+    last = np.maximum.accumulate(np.where(is_retract | is_descent, row, 0))
+    return np.asarray(is_retract[last])
