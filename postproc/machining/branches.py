@@ -18,19 +18,19 @@ _ADVICE = (
 )
 
 
-def check_branches(program: Program, cut: Ints, near: Bools) -> None:
+def check_branches(program: Program, cut: Ints, is_near: Bools) -> None:
     """Refuse material that a branch removes if a motion behind that branch comes near the stock.
 
     :param cut: rows of motions that remove material.
-    :param near: (M,) which motions come near the stock as it is before the program.
+    :param is_near: (M,) which motions come near the stock as it is before the program.
     :raises ForceError: names the cut of the branch, and the motion behind it.
     """
-    removes = np.zeros(len(program.motions), dtype=bool)
-    removes[cut] = True
-    for first, beyond in program.branches:
-        behind = np.flatnonzero(near[beyond:])
-        if removes[first:beyond].any() and len(behind):
-            rows = np.array([first + np.argmax(removes[first:beyond]), beyond + behind[0]])
+    is_removal = np.zeros(len(program.motions), dtype=bool)
+    is_removal[cut] = True
+    for first, end in program.branches:
+        near_rows = np.flatnonzero(is_near[end:])
+        if is_removal[first:end].any() and len(near_rows):
+            rows = np.array([first + np.argmax(is_removal[first:end]), end + near_rows[0]])
             (file, line), (other_file, other_line) = (program.places(rows).of(row) for row in range(2))
             place = f"line {other_line}" if other_file == file else f"{other_file}:{other_line}"
             problem = (
@@ -49,8 +49,8 @@ def near_stock(segments: StraightSegments, bounds: tuple[float, ...], margin: fl
     """
     low, high = np.minimum(segments.begin, segments.end), np.maximum(segments.begin, segments.end)
     x_low, x_high, y_low, y_high, top = bounds
-    is_near = (high[:, 0] > x_low - margin) & (low[:, 0] < x_high + margin)
-    is_near &= (high[:, 1] > y_low - margin) & (low[:, 1] < y_high + margin) & (low[:, 2] < top)
-    near = np.zeros(count, dtype=bool)
-    near[segments.motion[is_near]] = True
-    return near
+    is_near_segment = (high[:, 0] > x_low - margin) & (low[:, 0] < x_high + margin)
+    is_near_segment &= (high[:, 1] > y_low - margin) & (low[:, 1] < y_high + margin) & (low[:, 2] < top)
+    is_near_motion = np.zeros(count, dtype=bool)
+    is_near_motion[segments.motion[is_near_segment]] = True
+    return is_near_motion

@@ -53,9 +53,9 @@ _NO_CHIP = 1e-12
 """and changes of the chip along a piece of edge below this [m] (assumed)."""
 _ROUNDING = np.float32(0.01)
 """Shares of a cell that differ by less are equal: coordinates have seven digits."""
-_ALONG = 2.0
-"""Cells to both sides over which an edge runs along a wall. A wall that crosses the edge at 20° is off by three
-quarters of a cell there."""
+_WALL_CELLS = 2.0
+"""Number of cells to both sides over which an edge must follow a wall (assumed). A wall that crosses the edge at 20° is
+three quarters of a cell away there."""
 
 
 class EngagedEdge(Struct, frozen=True, eq=False):
@@ -86,18 +86,18 @@ def cut_edge(stock: Stock, turn: Turn, x: Floats, y: Floats, position: Floats, d
     length = np.zeros(x.shape, dtype=np.float32)
     tip = position[:, 2]
     z = tip[:, None]
-    end = turn.side.start
-    if end > 0:
-        corners = nearby_cells(stock, x[:, :end], y[:, :end])
-        in_part = _has_partly_cut(stock, corners)
-        on_floor = float(tip.min()) < stock.ground
-        if turn.round.start < end:
+    end_count = turn.side.start
+    if end_count > 0:
+        corners = nearby_cells(stock, x[:, :end_count], y[:, :end_count])
+        has_partly_cut = _has_partly_cut(stock, corners)
+        is_near_floor = float(tip.min()) < stock.ground
+        if turn.round.start < end_count:
             low, rise = turn.low[turn.round], turn.rise[turn.round]
-            level, coverage = _levels(stock, corners, turn.round, z + low, in_part, on_floor)
+            level, coverage = _levels(stock, corners, turn.round, z + low, has_partly_cut, is_near_floor)
             level -= z
             level -= low
             height = np.minimum(np.maximum(level, 0.0, out=level), rise, out=level)
-            if on_floor:
+            if is_near_floor:
                 floor = stock.floor.reshape(-1).take(corners.cell[0][:, turn.round]) - z
                 height -= np.minimum(np.maximum(floor - low, 0.0), rise)
                 np.maximum(height, 0.0, out=height)
@@ -107,19 +107,22 @@ def cut_edge(stock: Stock, turn: Turn, x: Floats, y: Floats, position: Floats, d
         if turn.bottom.start < turn.bottom.stop:
             depth = np.maximum(descent, np.float32(1e-7))[:, None]
             bottom_height = _blend(
-                stock, corners, turn.bottom, lambda level: np.minimum(np.maximum(level - z, 0.0), depth), in_part
+                stock, corners, turn.bottom, lambda level: np.minimum(np.maximum(level - z, 0.0), depth), has_partly_cut
             )
             length[:, turn.bottom] = bottom_height / depth * turn.length[turn.bottom]
     moment = np.zeros((len(x), 0), dtype=np.float32)
     if turn.side.start < turn.side.stop:
-        at = _nearest(stock, x[:, turn.side], y[:, turn.side])
-        length[:, turn.side], moment = _cylinder(stock, at, position, turn)
+        nearest_cells = _nearest(stock, x[:, turn.side], y[:, turn.side])
+        length[:, turn.side], moment = _cylinder(stock, nearest_cells, position, turn)
     length[length < _NO_CONTACT] = 0.0
     return EngagedEdge(length, moment)
 
 
 def nearby_cells(stock: Stock, x: Floats, y: Floats) -> Corners:
-    """Return the four cells around points (n, P) of the map [m]."""
+    """Return the four cells around points, and their weights of bilinear interpolation.
+
+    :param x: (n, P) and `y`: coordinates in the map [m].
+    """
     rows, columns = stock.high.shape
     scale = np.float32(1.0 / stock.cell)
     fx = (x - np.float32(stock.x)) * scale - np.float32(0.5)
@@ -138,7 +141,7 @@ def nearby_cells(stock: Stock, x: Floats, y: Floats) -> Corners:
 
 
 def _nearest(stock: Stock, x: Floats, y: Floats) -> NDArray[np.int32]:
-    """Return the index of the cell that contains each point."""
+    """Return the index (n, P) in the flat map of the cell that contains each point; `x` and `y` (n, P) [m]."""
     rows, columns = stock.high.shape
     scale = np.float32(1.0 / stock.cell)
     column = ((x - np.float32(stock.x)) * scale).astype(np.int32)
@@ -160,24 +163,24 @@ def _has_partly_cut(stock: Stock, corners: Corners) -> bool:
 
 
 def _blend(
-    stock: Stock, corners: Corners, pieces: slice, function: Callable[[Floats], Floats], in_part: bool
+    stock: Stock, corners: Corners, pieces: slice, function: Callable[[Floats], Floats], has_partly_cut: bool
 ) -> Floats:
     """Return function(level) − function(floor), interpolated between the cells around each point."""
     high, low, share, floor = (values.reshape(-1) for values in (stock.high, stock.low, stock.share, stock.floor))
-    total = None
+    result = None
     for cell, weight in zip(corners.cell, corners.weight, strict=True):
-        at = cell[:, pieces]
-        top = high.take(at)
-        value = function(top)
-        if in_part:
-            part = share.take(at)
-            if part.any():
-                value += part * (function(np.minimum(low.take(at), top)) - value)
-        value = value - function(floor.take(at))
+        cell_index = cell[:, pieces]
+        upper = high.take(cell_index)
+        value = function(upper)
+        if has_partly_cut:
+            cut_share = share.take(cell_index)
+            if cut_share.any():
+                value += cut_share * (function(np.minimum(low.take(cell_index), upper)) - value)
+        value = value - function(floor.take(cell_index))
         np.maximum(value, 0.0, out=value)
         value *= weight[:, pieces]
-        total = value if total is None else total + value
-    return np.asarray(total)
+        result = value if result is None else result + value
+    return np.asarray(result)
 
 
 def _cylinder(stock: Stock, nearest: NDArray[np.int32], position: Floats, turn: Turn) -> tuple[Floats, Floats]:
@@ -208,7 +211,7 @@ def _cylinder(stock: Stock, nearest: NDArray[np.int32], position: Floats, turn: 
 def _is_inside_earlier_cut(
     stock: Stock, nearest: NDArray[np.int32], position: Floats, turn: Turn, high: Floats, low: Floats, share: Floats
 ) -> Bools:
-    """Return at which points (n, K) the cylinder is inside what was cut before, with `_ALONG` cells to both sides.
+    """Return at which points (n, K) the cylinder is inside what was cut before, with `_WALL_CELLS` cells to both sides.
 
     It is inside where it covers no more of a cell than was cut of it: cut areas of a cell are taken for nested, as
     `stock` does. Where a wall crosses the edge, the cylinder is outside beyond the crossing, so that points near it
@@ -223,11 +226,12 @@ def _is_inside_earlier_cut(
     covered = (radius - np.hypot(x, y)) / cell + np.float32(0.5)
     # a cell that is as low as the cut shares of the others was cut as a whole, an uncut one is as high as they are
     is_part = share > 0.0
-    middle = np.float32(0.5) * (high + np.minimum(low, high)) * is_part
-    mean_middle = middle.sum(axis=1, keepdims=True) / np.maximum(is_part.sum(axis=1, keepdims=True), 1)
+    mid_level = np.float32(0.5) * (high + np.minimum(low, high)) * is_part
+    mean_middle = mid_level.sum(axis=1, keepdims=True) / np.maximum(is_part.sum(axis=1, keepdims=True), 1)
     is_cut = ~is_part & (high <= mean_middle)
     is_outside = (covered > share + _ROUNDING) & (covered < 1.0) & ~is_cut
-    reach = int(np.ceil(_ALONG * stock.cell / (float(turn.width[turn.side.start]) * float(radius))))
+    reach = int(np.ceil(_WALL_CELLS * stock.cell / (float(turn.width[turn.side.start]) * float(radius))))
+    # differences of running counts are the number of points outside, `reach` points to both sides
     count = np.zeros((len(covered), covered.shape[1] + 1), dtype=np.int32)
     np.cumsum(is_outside, axis=1, out=count[:, 1:])
     points = np.arange(covered.shape[1])
@@ -267,7 +271,7 @@ def _levels(
         if not covered.all():
             is_covered = False
             weights[k] = weights[k] * covered
-            level, plane = (np.where(covered > 0, values, np.float32(_HIGH)) for values in (level, plane))
+            level, plane = (np.where(covered > 0, values, np.float32(_OUTSIDE_LEVEL)) for values in (level, plane))
         levels.append(level)
         planes.append(plane)
     coverage = None
@@ -299,20 +303,21 @@ def _slopes(stock: Stock, corners: Corners, pieces: slice) -> list[Floats]:
     return rises
 
 
-_LEVEL = 1e-3
+_LEVEL_SINE = 1e-3
 """Sine of the angle to the level below which a cut is level."""
-_POINT = 0.5 / 1.3
+_THRUST_SHARE = 0.5 / 1.3
 """Feed forces of drills differ from the computed one by this share at most, either way: by chisel edge and thinning."""
 BY_CELLS = 0.2
 """Standard deviation of a force by the cells of the map, as a share of it, times √n: n is the area of the front of the
 tool in material in cells. The RMS error of balls against exact fronts is 0.06 to 0.12 of 1/√n, for n from 4 to 590,
 cells of 0.15 to 0.4 mm, depths of 0.1 to 1 mm; some surfaces have more (`python -m tests.benchmarks.fronts`)."""
 _WALL = 3.0
-"""Cells that are lower than a point by this many widths are beyond a wall: slopes of the map are at most as steep."""
-_HIGH = 1e3
+"""Cells that are lower than a point by this many widths are beyond a wall: the slopes of a map are no steeper, see
+`stock`."""
+_OUTSIDE_LEVEL = 1e3
 """Level of cells that do not count [m]."""
 _ONE_THREAD = 200_000
-"""Products below which OpenBLAS keeps to one thread (its limit is 2^18)."""
+"""Number of products below which OpenBLAS uses one thread (its limit is 2^18)."""
 
 
 class Loads(Struct, frozen=True, eq=False):
@@ -383,44 +388,43 @@ def mean(turn: Turn, engagement: EngagedEdge, chip: Chips, descent_sine: Floats,
     patch = (turn.radius * turn.width.astype(np.float32))[:, None]
     area = times(rubbing, patch)[:, 0].astype(float)
     removal = times(rubbing * chip.thickness, patch)[:, 0]
-    uncertain_rubbing = np.where(descent_sine > _LEVEL, 1.0 - descent_sine, 0.0)[:, None] * rubbing[:, turn.bottom]
+    uncertain_edge = np.where(descent_sine > _LEVEL_SINE, 1.0 - descent_sine, 0.0)[:, None] * rubbing[:, turn.bottom]
     rubbing[:, turn.bottom] *= descent_sine[:, None]
     wrench = (times(cutting, turn.cut) + times(rubbing, turn.rub)).astype(float)
-    thin = chip.thickness[:, turn.side]
-    push = times(engagement.moment * turn.law.chip(thin), turn.cut[turn.side, :2])
-    push += times(engagement.moment * (thin > 0.0), turn.rub[turn.side, :2])
-    wrench[:, 3] -= push[:, 1]
-    wrench[:, 4] += push[:, 0]
-    square = (
-        np.square(times(uncertain_rubbing, turn.rub[turn.bottom]).astype(float)) / 3.0
-    )  # uniform from none of it to all
+    side_chip = chip.thickness[:, turn.side]
+    force_moment = times(engagement.moment * turn.law.chip(side_chip), turn.cut[turn.side, :2])
+    force_moment += times(engagement.moment * (side_chip > 0.0), turn.rub[turn.side, :2])
+    wrench[:, 3] -= force_moment[:, 1]
+    wrench[:, 4] += force_moment[:, 0]
+    # uniform from none of it to all: the variance is a third of the square of half the range
+    square = np.square(times(uncertain_edge, turn.rub[turn.bottom]).astype(float)) / 3.0
     if turn.drill:
-        square[:, 2] += np.square(_POINT * wrench[:, 2]) / 3.0
+        square[:, 2] += np.square(_THRUST_SHARE * wrench[:, 2]) / 3.0
     if turn.law.covariance is not None:
-        unit_wrench = _unit_wrenches(turn, engagement, (cutting, rubbing), thin)
+        unit_wrench = _unit_wrenches(turn, engagement, (cutting, rubbing), side_chip)
         square += np.einsum("kni,kl,lni->ni", unit_wrench, np.array(turn.law.covariance), unit_wrench)
     by_cells = np.minimum(
         BY_CELLS * turn.sampling * cell / np.sqrt(np.maximum(area, 1e-12)), 0.0 if turn.drill else 1.0
     )
-    for half in (slice(0, 3), slice(3, 6)):  # in any direction
-        square[:, half] += (np.square(by_cells * norm(wrench[:, half])) / 3.0)[:, None]
+    for components in (slice(0, 3), slice(3, 6)):  # in any direction
+        square[:, components] += (np.square(by_cells * norm(wrench[:, components])) / 3.0)[:, None]
     return Loads(wrench, np.sqrt(np.maximum(square, 0.0)), by_cells, np.asarray(removal, dtype=float))
 
 
-def _unit_wrenches(turn: Turn, engagement: EngagedEdge, edges: tuple[Floats, Floats], thin: Floats) -> Array:
+def _unit_wrenches(turn: Turn, engagement: EngagedEdge, edges: tuple[Floats, Floats], side_chip: Floats) -> Array:
     """Return the mean wrench (6, n, 6) for 1 of each coefficient: Ktc, Krc, Kac [N/m²], Kte, Kre, Kae [N/m].
 
     :param edges: (n, P) engaged lengths times chip, and lengths that rub; thin: (n, C) chips on the cylinder.
     """
-    wrench = np.zeros((6, len(thin), 6))
-    sides = turn.law.chip(thin), np.asarray(thin > 0.0, np.float32)
-    for half, (edge, side) in enumerate(zip(edges, sides, strict=True)):
+    wrench = np.zeros((6, len(side_chip), 6))
+    sides = turn.law.chip(side_chip), np.asarray(side_chip > 0.0, np.float32)
+    for kind, (edge, side) in enumerate(zip(edges, sides, strict=True)):
         for axis, unit in enumerate(turn.unit_wrench):
-            row = wrench[3 * half + axis]
+            row = wrench[3 * kind + axis]
             row[:] = times(edge, unit)
-            push = times(engagement.moment * side, unit[turn.side, :2])
-            row[:, 3] -= push[:, 1]
-            row[:, 4] += push[:, 0]
+            force_moment = times(engagement.moment * side, unit[turn.side, :2])
+            row[:, 3] -= force_moment[:, 1]
+            row[:, 4] += force_moment[:, 0]
     return wrench
 
 

@@ -45,30 +45,31 @@ from postproc.machining.tool_path import (
 from postproc.program import PTP, Bools, Ints, Program, distinct
 from postproc.toolpath import Segments
 
-_WIDEST, _NARROWER = np.radians(60.0), np.radians(20.0)
-"""A tool that turns while it cuts is within this angle of z of the map. Each new map blurs the stock a little, so the
-second angle is used only where the first leaves material above the tool."""
-_OVERHANG = 0.02
-"""Share of what tools that turn remove that may be lost above them: later cuts of it would have no force."""
-_HOLLOW = 0.02
+_LARGEST_TILT, _SECOND_TILT = np.radians(60.0), np.radians(20.0)
+"""Largest angles between z of the map and a tool that turns while it cuts (assumed). Each new map blurs the stock a
+little, so the second angle is used only where the first leaves material above the tool."""
+_OVERHANG_SHARE = 0.02
+"""Largest share of the volume that turning tools remove that may be lost above them (assumed): later cuts of it would
+have no force."""
+_HOLLOW_SHARE = 0.02
 """Warn if the map of the stock exceeds its volume by more than this share (assumed)."""
-_HIDDEN, _NOISE = 0.05, 5e-4
+_HIDDEN_SHARE, _NOISE_SHARE = 0.05, 5e-4
 """The same for earlier cuts: this share of what they removed, and of the stock; turned maps of one stock differ by less
 than a fifth of that (assumed)."""
-_LARGE = 5.0
+_LARGE_RATIO = 5.0
 """Warn if the path is this many times as large as the stock in X and in Y (assumed)."""
 _SAME_DIAMETER = 1e-6
 """Diameters of one tool differ by less [m] (assumed)."""
-_DEEP = 4.0
+_DEEP_CUT = 4.0
 """Warn beyond this depth of cut, in tool diameters: no cutter cuts that deep."""
 THICK_CHIP = 0.1
 """Warn beyond this feed per tooth, in tool diameters (assumed): catalogues give 0.002 to 0.05."""
 _LEAST_TEETH = 1e-9
 """Teeth per second of a spindle that stands still: its cuts are refused."""
 _LEAST_RISE = 2e-5
-"""Minimum length over which the force of a motion builds up [m]."""
+"""Minimum length over which the force of a motion builds up [m] (assumed)."""
 _BATCH = 200_000
-"""Number of stations to collect before they are thinned out."""
+"""Number of stations to collect before they are thinned out: some 40 MB."""
 
 
 _ASSUMED_STOCK = (
@@ -116,6 +117,29 @@ class _OverhangError(ForceError):
     """A tool that leans leaves material above itself."""
 
 
+class _ToolColumns(NamedTuple):
+    """Values of the tools of a program, one row for each of T entries of `ToolStates.keys`.
+
+    :param diameter_mm: (T,) [mm].
+    :param flutes: (T,) number of teeth.
+    :param is_drill: (T,) True for drills.
+    """
+
+    diameter_mm: Array
+    flutes: Ints
+    is_drill: Bools
+
+    @classmethod
+    def of(cls, tools: ToolStates, process: Process) -> _ToolColumns:
+        """Return the values of tools as the process states them."""
+        tables = [process.tools[key] for key in tools.keys]
+        return cls(
+            np.array([table.diameter_mm for table in tables]),
+            np.array([table.flutes for table in tables]),
+            np.array([table.shape == "drill" for table in tables]),
+        )
+
+
 def estimate(
     program: Program,
     path: Segments,
@@ -147,7 +171,7 @@ def estimate(
     directions = Directions.of(program, path, axis)
     task = _Task(program, path, process, axis, law, tools, directions, stock, base_axes, shift, guard, progress)
 
-    def swept(widest: float) -> ProcessForces:
+    def forces_by_tilt(widest: float) -> ProcessForces:
         cell_factors: dict[int, int] = {}
         while True:
             if guard is not None:
@@ -160,10 +184,10 @@ def estimate(
                 return forces
 
     try:
-        return swept(_WIDEST)
+        return forces_by_tilt(_LARGEST_TILT)
     except _OverhangError as overhang:
         try:
-            return swept(_NARROWER)
+            return forces_by_tilt(_SECOND_TILT)
         except ForceError:
             raise overhang from None
 
@@ -194,8 +218,8 @@ class _Task(NamedTuple):
         return straight_segments(self.program, self.path, self.tools, frame, cell, self.shift, self.directions)
 
     def least_rise(self) -> Array:
-        """Return the length (M,) over which the force of each motion builds up at least [m]: half a feed per tooth."""
-        teeth = np.array([self.process.tools[key].flutes for key in self.tools.keys])[self.tools.tool]
+        """Return the smallest length (M,) over which the force of each motion builds up [m]: half a feed per tooth."""
+        teeth = _ToolColumns.of(self.tools, self.process).flutes[self.tools.tool]
         per_tooth = np.nan_to_num(self.program.motions.feed) * 60.0 / np.maximum(self.tools.rpm * teeth, 1.0)
         return np.asarray(np.maximum(0.5 * per_tooth, _LEAST_RISE))
 
@@ -230,37 +254,37 @@ def _estimate(task: _Task, widest: float, cell_factors: dict[int, int]) -> tuple
     """
     program, process, tools, guard = task.program, task.process, task.tools, task.guard
     cell = process.stock.cell
-    in_order = divide_by_cells(setups(program, task.directions, widest), cell_factors, task.directions.cuts)
-    material, issues = _stock(process, in_order[0].frame, cell / in_order[0].factor, task.stock)
+    ordered_setups = divide_by_cells(setups(program, task.directions, widest), cell_factors, task.directions.cuts)
+    material, issues = _stock_map(process, ordered_setups[0].frame, cell / ordered_setups[0].factor, task.stock)
     bounds = (*material.bounds, material.top)
-    segments = task.segments(in_order[0].frame, cell)
+    segments = task.segments(ordered_setups[0].frame, cell)
     _check_speed(program, segments, tools)
-    swept = _swept_setups(task, in_order, material, segments)
+    swept = _swept_setups(task, ordered_setups, material, segments)
     _refuse_unknown_forces(program, swept.sweeps)
     if not any(sweep.contact for sweep in swept.sweeps):
-        raise _no_contact(program, segments, bounds, process, task.stock)
+        raise _no_contact_error(program, segments, bounds, process, task.stock)
     cuts = Cuts.join(swept.cuts)
     margin = 0.5 * max(table.diameter_mm for table in process.tools.values()) * M_PER_MM
     if program.branches:
         count = len(program.motions)
-        # a tool that leans may touch the stock with its tip beside it
-        near = np.ones(count, dtype=bool) if len(in_order) > 1 else near_stock(segments, bounds, margin, count)
-        check_branches(program, distinct(cuts.motion[norm(cuts.wrench) > 0.0]), near)
+        # with several directions of the tool, it may touch the stock with its tip beside it: any motion may be near
+        is_near = np.ones(count, dtype=bool) if len(ordered_setups) > 1 else near_stock(segments, bounds, margin, count)
+        check_branches(program, distinct(cuts.motion[norm(cuts.wrench) > 0.0]), is_near)
     collisions = {motion: depth for sweep in swept.sweeps for motion, depth in sweep.collisions.items()}
     stopped_motions = set[int]().union(*(sweep.stopped_motions for sweep in swept.sweeps))
     issues += [
         *override_issues(program),
         *stock_base_issues(program),
-        *([] if len(in_order) > 1 else _cuts_beside(program, segments, bounds, margin)),
+        *([] if len(ordered_setups) > 1 else _beside_stock_issues(program, segments, bounds, margin)),
         *swept.issues,
         *unread_cuts(program),
         *shared_cutters(program, task.tools),
-        *_out_of_scale(segments, bounds),
+        *_scale_issues(segments, bounds),
     ]
-    issues += _issues(program, stopped_motions, task.law, cuts, tools, process)
+    issues += _cut_issues(program, stopped_motions, task.law, cuts, tools, process)
     passes = thin_passes(program, tools, swept.by_cells)
-    issues += _coarse_contact_warnings(program, tools, passes, in_order, cell)
-    issues += [*_collisions(program, collisions, guard), *_other_cutter(program, tools, process, guard)]
+    issues += _coarse_contact_warnings(program, tools, passes, ordered_setups, cell)
+    issues += [*_collision_issues(program, collisions, guard), *_cutter_mismatch(program, tools, process, guard)]
     power = np.zeros(len(program.motions))
     np.maximum.at(power, cuts.motion, cuts.power)
     forces = ProcessForces(
@@ -268,17 +292,19 @@ def _estimate(task: _Task, widest: float, cell_factors: dict[int, int]) -> tuple
         cuts=cuts,
         power=power,
         tools=tools,
-        drills=tuple(process.tools[key].shape == "drill" for key in tools.keys),
+        drills=tuple(_ToolColumns.of(tools, process).is_drill.tolist()),
         stock=swept.stock,
-        map_in_base=in_order[-1].frame,
+        map_in_base=ordered_setups[-1].frame,
         removed=swept.removed_volume,
         issues=tuple(issues),
-        over_time=None if guard is None else _over_time(program, in_order, swept.sweeps, swept.is_compared),
+        over_time=None if guard is None else _stock_in_time(program, ordered_setups, swept.sweeps, swept.is_compared),
     )
     return forces, passes
 
 
-def _swept_setups(task: _Task, in_order: list[Setup], material: Stock, segments: StraightSegments) -> _SweptSetups:
+def _swept_setups(
+    task: _Task, ordered_setups: list[Setup], material: Stock, segments: StraightSegments
+) -> _SweptSetups:
     """Cut the stock by the motions of all set-ups, one after the other.
 
     :param material: the stock in the frame of the first set-up; it is cut in place.
@@ -286,40 +312,42 @@ def _swept_setups(task: _Task, in_order: list[Setup], material: Stock, segments:
     """
     program, process, law, tools = task.program, task.process, task.law, task.tools
     count, feed, rise = len(program.motions), program.motions.feed, task.least_rise()
-    swing = np.full(count, np.nan) if program.swivel is None else program.swivel.rate
+    swing_rate = np.full(count, np.nan) if program.swivel is None else program.swivel.rate
     sigma = 0.0 if law.covariance is not None else law.sigma
-    start, removed_volume, segment_count = material.volume(), 0.0, 0
+    start_volume, removed_volume, segment_count = material.volume(), 0.0, 0
     sweeps: list[Sweep] = []
-    parts: list[Cuts] = []
+    cuts_of_setups: list[Cuts] = []
     knots: list[Knots] = []
     issues: list[Issue] = []
     is_compared, by_cells = np.zeros(count, dtype=bool), np.zeros((count, 2))
-    for number, setup in enumerate(in_order):
-        steps = segments
+    for number, setup in enumerate(ordered_setups):
+        setup_segments = segments
         if number:
-            removed_volume += start - material.volume()
+            removed_volume += start_volume - material.volume()
             left_volume = material.volume()
-            material = _next_map(material, in_order[number - 1], setup, process.stock.cell)
-            start = material.volume()
-            issues += _hidden_cuts(start - left_volume, removed_volume, left_volume)
-            steps = task.segments(setup.frame, material.cell)
-        steps = steps.of(setup.motions)
-        is_compared[steps.motion[~steps.leans]] = True
+            material = _next_map(material, ordered_setups[number - 1], setup, process.stock.cell)
+            start_volume = material.volume()
+            issues += _hidden_cut_issues(start_volume - left_volume, removed_volume, left_volume)
+            setup_segments = task.segments(setup.frame, material.cell)
+        setup_segments = setup_segments.of(setup.motions)
+        is_compared[setup_segments.motion[~setup_segments.leans]] = True
         ceiling = None if task.guard is None else Ceiling(material)
         leans = ~task.directions.is_within(setup.frame[:3, 2], TURNS)
         poses = ToolPoses(program, task.path, setup.frame, task.axis, leans)
         has_shift = task.shift is not None
-        sweep = Sweep(material, process, tools, feed, law, poses, swing, by_cells, has_shift, task.guard, ceiling)
-        cuts = _needed_stations(sweep, steps, _offset(task.progress, segment_count, len(segments.motion)))
+        sweep = Sweep(material, process, tools, feed, law, poses, swing_rate, by_cells, has_shift, task.guard, ceiling)
+        cuts = _needed_stations(
+            sweep, setup_segments, _progress_of_part(task.progress, segment_count, len(segments.motion))
+        )
         cuts = _without_taps(cuts, program, tools)
-        segment_count += len(steps.motion)
+        segment_count += len(setup_segments.motion)
         sweeps.append(sweep)
-        parts.append(cuts)
+        cuts_of_setups.append(cuts)
         stations = cuts.motion, cuts.t, cuts.wrench, cuts.deviation
         if len(cuts.motion):  # none where the spindle is off on all motions of a set-up: refused with their lines below
             knots.append(smooth_steps(poses, stations, rise, (sigma, law.unknown_axial), base_axes=task.base_axes))
-    removed_volume = removed_volume + start - material.volume()
-    return _SweptSetups(sweeps, parts, knots, material, removed_volume, issues, is_compared, by_cells)
+    removed_volume = removed_volume + start_volume - material.volume()
+    return _SweptSetups(sweeps, cuts_of_setups, knots, material, removed_volume, issues, is_compared, by_cells)
 
 
 def _refuse_unknown_forces(program: Program, sweeps: list[Sweep]) -> None:
@@ -335,7 +363,7 @@ def _refuse_unknown_forces(program: Program, sweeps: list[Sweep]) -> None:
         raise ForceError(problem, file=name, line=int(lines[min(unpaced)]), advice=advice)
     overhang = {motion: volume for sweep in sweeps for motion, volume in sweep.overhang.items()}
     share = sum(overhang.values()) / max(sum(sweep.tilted_volume for sweep in sweeps), 1e-18)
-    if share > _OVERHANG:
+    if share > _OVERHANG_SHARE:
         worst = max(overhang, key=lambda motion: (overhang[motion], -motion))
         problem = (
             f"the tool leaves material above itself, as in an undercut: {overhang[worst] * MM_PER_M**3:.3g} mm³ here, "
@@ -345,7 +373,7 @@ def _refuse_unknown_forces(program: Program, sweeps: list[Sweep]) -> None:
         raise _OverhangError(problem, file=name, line=int(lines[worst]), advice=advice)
 
 
-def _over_time(program: Program, setups: list[Setup], sweeps: list[Sweep], is_compared: Bools) -> StockInTime:
+def _stock_in_time(program: Program, setups: list[Setup], sweeps: list[Sweep], is_compared: Bools) -> StockInTime:
     """Return the stock over time of swept set-ups.
 
     :param is_compared: (M,) motions on which the parts of the tool were compared while the stock was swept.
@@ -360,25 +388,31 @@ def _over_time(program: Program, setups: list[Setup], sweeps: list[Sweep], is_co
     )
 
 
-def _offset(progress: Callable[[int, int], None] | None, first: int, total: int) -> Callable[[int], None] | None:
+def _progress_of_part(
+    progress: Callable[[int, int], None] | None, first: int, total: int
+) -> Callable[[int], None] | None:
+    """Return the callback of a part of the segments, which begins at the segment `first` of `total`; None for none."""
     return None if progress is None else lambda count: progress(first + count, total)
 
 
 def _needed_stations(sweep: Sweep, steps: StraightSegments, progress: Callable[[int], None] | None) -> Cuts:
-    """Return the stations that are needed. They are thinned out batch by batch to limit memory."""
+    """Return the stations that are needed, thinned out batch by batch to limit memory.
+
+    The last motion of a batch may go on in the next one: its stations are thinned with it.
+    """
     thin_cuts: list[Cuts] = []
-    open_: list[Cuts] = []
-    waiting = 0
-    for part in sweep.run(steps, progress):
-        open_.append(part)
-        waiting += len(part.t)
-        if waiting > _BATCH:
-            cuts = Cuts.join(open_)
-            whole = int(np.searchsorted(cuts.motion, cuts.motion[-1], side="left"))
-            partial_cuts, cuts = cuts.take(slice(whole, None)), cuts.take(slice(None, whole))
+    pending_cuts: list[Cuts] = []
+    pending_count = 0
+    for new_cuts in sweep.run(steps, progress):
+        pending_cuts.append(new_cuts)
+        pending_count += len(new_cuts.t)
+        if pending_count > _BATCH:
+            cuts = Cuts.join(pending_cuts)
+            complete_count = int(np.searchsorted(cuts.motion, cuts.motion[-1], side="left"))
+            partial_cuts, cuts = cuts.take(slice(complete_count, None)), cuts.take(slice(None, complete_count))
             thin_cuts.append(cuts.take(thin_out(cuts.motion, cuts.wrench)))
-            open_, waiting = [partial_cuts], len(partial_cuts.t)
-    cuts = Cuts.join([Cuts.empty(), *open_])
+            pending_cuts, pending_count = [partial_cuts], len(partial_cuts.t)
+    cuts = Cuts.join([Cuts.empty(), *pending_cuts])
     return Cuts.join([*thin_cuts, cuts.take(thin_out(cuts.motion, cuts.wrench))])
 
 
@@ -429,10 +463,10 @@ def _next_map(material: Stock, last_setup: Setup, setup: Setup, cell: float) -> 
     return stocks.from_mesh(vertices @ to_map[:3, :3].T + to_map[:3, 3], faces, cell / setup.factor)
 
 
-def _stock(process: Process, frame: Array, cell: float, path: Path | None) -> tuple[Stock, list[Issue]]:
+def _stock_map(process: Process, frame: Array, cell: float, path: Path | None) -> tuple[Stock, list[Issue]]:
     """Return the map of the stock, and warnings and notes about it."""
     table = process.stock
-    notes = [Issue("warning", "assumed-stock", _ASSUMED_STOCK)] if table.assumed and path is None else []
+    issues = [Issue("warning", "assumed-stock", _ASSUMED_STOCK)] if table.assumed and path is None else []
     if path is None and table.box is not None and table.file is not None:
         raise ForceError("[stock] has a box and a file", file=process.path, advice="Give one of them.")
     if path is None and table.file is not None:
@@ -444,41 +478,41 @@ def _stock(process: Process, frame: Array, cell: float, path: Path | None) -> tu
             raise ForceError("no stock", file=process.path, advice=advice)
         low, high = box_corners(table.box)
         if np.array_equal(frame, np.eye(4)):
-            return stocks.from_box(low, high, cell, process.path), notes
+            return stocks.from_box(low, high, cell, process.path), issues
         import trimesh
 
         box = trimesh.creation.box(bounds=np.stack([low, high]))
         vertices, faces, name = np.asarray(box.vertices), np.asarray(box.faces), process.path
         volume = float(np.prod(high - low))
     else:
-        mesh, name = _mesh(path), str(path)
+        mesh, name = _closed_mesh(path), str(path)
         pose = table.place.pose()
         vertices = np.asarray(mesh.vertices, dtype=float) * M_PER_MM @ pose[:3, :3].T + pose[:3, 3]
         faces, volume = np.asarray(mesh.faces, dtype=np.int64), abs(float(mesh.volume)) * M_PER_MM**3
     material = stocks.from_mesh(vertices @ to_map[:3, :3].T + to_map[:3, 3], faces, cell, name)
-    return material, [*notes, *_hollows(material.volume(), volume)]
+    return material, [*issues, *_hollow_stock_issues(material.volume(), volume)]
 
 
-def _hidden_cuts(gain: float, removed: float, left: float) -> list[Issue]:
+def _hidden_cut_issues(gain: float, removed_volume: float, left_volume: float) -> list[Issue]:
     """Warn if earlier cuts overhang seen along the new direction of the tool, so that they count as material again.
 
     :param gain: volume of the new map beyond that of the old one [m³].
-    :param removed: volume that was removed before, left: that of the old map [m³].
+    :param removed_volume: volume that was removed before, left_volume: that of the old map [m³].
     """
-    if gain <= min(_HOLLOW * left, max(_HIDDEN * removed, _NOISE * left)):
+    if gain <= min(_HOLLOW_SHARE * left_volume, max(_HIDDEN_SHARE * removed_volume, _NOISE_SHARE * left_volume)):
         return []
     message = (
         "what was cut before this program turned the tool overhangs, seen along the tool now: "
-        f"{100 * min(gain / max(removed, 1e-18), 1.0):.0f} % of it counts as material again, and later cuts there have "
-        "too large a force. Give forces for them, or divide the program and give the stock of each part"
+        f"{100 * min(gain / max(removed_volume, 1e-18), 1.0):.0f} % of it counts as material again, and later cuts "
+        "there have too large a force. Give forces for them, or divide the program and give the stock of each part"
     )
     return [Issue("warning", "hidden-cuts", message)]
 
 
-def _hollows(map_volume: float, volume: float) -> list[Issue]:
+def _hollow_stock_issues(map_volume: float, volume: float) -> list[Issue]:
     """Warn if the map of a stock contains more material than the stock (volumes in m³)."""
     hollow = map_volume / max(volume, 1e-18) - 1.0
-    if hollow <= _HOLLOW:
+    if hollow <= _HOLLOW_SHARE:
         return []
     message = (
         "the stock has hollows or undercuts, seen along the tool: they are treated as material "
@@ -487,7 +521,7 @@ def _hollows(map_volume: float, volume: float) -> list[Issue]:
     return [Issue("warning", "hollow-stock", message)]
 
 
-def _mesh(path: Path) -> Any:
+def _closed_mesh(path: Path) -> Any:
     """Read a closed mesh.
 
     :raises ForceError: it cannot be read, contains no surface or is not closed.
@@ -508,24 +542,26 @@ def _check_speed(program: Program, steps: StraightSegments, tools: ToolStates) -
     """
     motion = distinct(steps.motion[steps.cutting])
     if len(motion) and not (tools.rpm[motion] > 0.0).any():
-        starts = [event for event in program.events if event.kind in ("spindle_on", "spindle_ccw")]
-        ends = [e.line for e in program.events if e.kind == "spindle_off" and e.before <= motion[0]]
+        start_events = [event for event in program.events if event.kind in ("spindle_on", "spindle_ccw")]
+        stop_lines = [
+            event.line for event in program.events if event.kind == "spindle_off" and event.before <= motion[0]
+        ]
         line = int(program.motions.line[motion[0]])
         problem, advice = (
             "the spindle is never started",
             "Give S and M3 in the program, or [tools.n] rpm in the process file.",
         )
-        if any(event.value > 0.0 for event in starts) and ends:
+        if any(event.value > 0.0 for event in start_events) and stop_lines:
             problem, advice = (
-                f"the cuts begin with the spindle off: line {ends[-1]} stops it",
+                f"the cuts begin with the spindle off: line {stop_lines[-1]} stops it",
                 "Stop it behind the cuts.",
             )
-        elif starts:
-            problem, line = "the spindle is started without a speed", starts[0].line
+        elif start_events:
+            problem, line = "the spindle is started without a speed", start_events[0].line
         raise ForceError(problem, file=program.documents[0].name, line=line, advice=advice)
 
 
-def _issues(
+def _cut_issues(
     program: Program,
     stopped_motions: set[int],
     law: CuttingLaw,
@@ -533,7 +569,7 @@ def _issues(
     tools: ToolStates,
     process: Process,
 ) -> list[Issue]:
-    """Return warnings and notes for the user.
+    """Return warnings and notes about the cuts: material, power, tools, depths and chips.
 
     :param stopped_motions: motions through material with the spindle off.
     :raises ForceError: the spindle is off on cutting moves in contact with material.
@@ -549,10 +585,9 @@ def _issues(
     if law.warning is not None:
         issues.append(Issue("warning", "material", law.warning))
     issues += _power_warnings(cuts, lines, process.spindle.power_kW)
-    diameter = np.array([process.tools[key].diameter_mm * M_PER_MM for key in tools.keys])
-    drill = np.array([process.tools[key].shape == "drill" for key in tools.keys])
-    place = tools.tool[cuts.motion]
-    if law.unknown_axial and not drill[place].all():
+    columns, tool = _ToolColumns.of(tools, process), tools.tool[cuts.motion]
+    diameter, is_drill = columns.diameter_mm[tool] * M_PER_MM, columns.is_drill[tool]
+    if law.unknown_axial and not is_drill.all():
         message = (
             "the material has no axial coefficients: the axial force is missing. Measured axial forces are 40 to 90 % "
             f"of the force across the feed; the bound includes {100 * law.unknown_axial:.0f} % of it. Give "
@@ -561,48 +596,47 @@ def _issues(
         issues.append(Issue("info", "no-axial-force", message))
     has_force = norm(cuts.wrench) > 0.0
     issues += _tap_issues(program, cuts, tools)
-    issues += _drilled_by_mills(program, cuts, drill[place])
-    issues += _thick_chips(program, cuts, tools, process)
-    drill_rows = np.flatnonzero(drill[place] & has_force)
+    issues += _drilling_with_mills(program, cuts, is_drill)
+    issues += _chip_load_issues(program, cuts, tools, process)
+    drill_rows = np.flatnonzero(is_drill & has_force)
     if len(drill_rows):
         message = (
             "the feed force of drills is estimated: 0.65 kc fn D/2, the middle of published thrusts. It depends on the "
             "chisel edge in the middle: the bound includes 38 % more or less. Measure it, or give forces in a file, "
             "where the depth of holes matters."
         )
-        at = distinct(lines[cuts.motion[drill_rows]])
-        issues.append(Issue("info", "drill-thrust", message, int(at[0]), count=len(at)))
-    deep = np.flatnonzero((cuts.depth > _DEEP * diameter[place]) & ~drill[place] & has_force)
-    if len(deep):
-        worst = deep[int(np.argmax(cuts.depth[deep]))]
+        drill_lines = distinct(lines[cuts.motion[drill_rows]])
+        issues.append(Issue("info", "drill-thrust", message, int(drill_lines[0]), count=len(drill_lines)))
+    deep_rows = np.flatnonzero((cuts.depth > _DEEP_CUT * diameter) & ~is_drill & has_force)
+    if len(deep_rows):
+        worst = deep_rows[int(np.argmax(cuts.depth[deep_rows]))]
         message = (
-            f"a depth of cut of {cuts.depth[worst] * 1e3:.4g} mm, more than {_DEEP:g} diameters: check position and "
-            "units of the stock (an inch is 25.4 mm)"
+            f"a depth of cut of {cuts.depth[worst] * 1e3:.4g} mm, more than {_DEEP_CUT:g} diameters: check position "
+            "and units of the stock (an inch is 25.4 mm)"
         )
-        issues.append(Issue("warning", "deep-cut", message, int(lines[cuts.motion[worst]]), count=len(deep)))
+        issues.append(Issue("warning", "deep-cut", message, int(lines[cuts.motion[worst]]), count=len(deep_rows)))
     return issues
 
 
-def _thick_chips(program: Program, cuts: Cuts, tools: ToolStates, process: Process) -> Iterator[Issue]:
+def _chip_load_issues(program: Program, cuts: Cuts, tools: ToolStates, process: Process) -> Iterator[Issue]:
     """Yield a warning where the feed per tooth is a large part of the tool: a wrong unit, or a move that is no cut."""
-    tables = [process.tools[key] for key in tools.keys]
-    diameter, flutes = (np.array([getattr(table, name) for table in tables]) for name in ("diameter_mm", "flutes"))
-    is_drill, place = np.array([table.shape == "drill" for table in tables]), tools.tool[cuts.motion]
-    teeth = tools.rpm[cuts.motion] / 60.0 * flutes[place]
-    chip = MM_PER_M * program.motions.feed[cuts.motion] / np.maximum(teeth, _LEAST_TEETH)
+    columns, tool = _ToolColumns.of(tools, process), tools.tool[cuts.motion]
+    diameter = columns.diameter_mm[tool]
+    teeth_per_second = tools.rpm[cuts.motion] / 60.0 * columns.flutes[tool]
+    chip = MM_PER_M * program.motions.feed[cuts.motion] / np.maximum(teeth_per_second, _LEAST_TEETH)
     has_force = norm(cuts.wrench) > 0.0  # stations in air precede and follow cuts
-    rows = np.flatnonzero((chip > THICK_CHIP * diameter[place]) & ~is_drill[place] & has_force)
+    rows = np.flatnonzero((chip > THICK_CHIP * diameter) & ~columns.is_drill[tool] & has_force)
     if len(rows):
         worst = rows[int(np.argmax(chip[rows]))]
         message = (
-            f"{chip[worst]:.3g} mm per tooth with a tool of {diameter[place[worst]]:.4g} mm: check feed, speed and "
+            f"{chip[worst]:.3g} mm per tooth with a tool of {diameter[worst]:.4g} mm: check feed, speed and "
             "flutes, or whether this move is to go through the material at all"
         )
         yield Issue("warning", "chip-load", message, int(program.motions.line[cuts.motion[worst]]), count=len(rows))
 
 
 def _coarse_contact_warnings(
-    program: Program, tools: ToolStates, passes: list[ThinPasses], in_order: list[Setup], cell: float
+    program: Program, tools: ToolStates, passes: list[ThinPasses], ordered_setups: list[Setup], cell: float
 ) -> Iterator[Issue]:
     """Warn of passes whose forces are uncertain because their contact is few cells of the map wide, once for a tool.
 
@@ -610,7 +644,7 @@ def _coarse_contact_warnings(
     """
     for number in sorted({thin.tool for thin in passes}):
         worst = max((thin for thin in passes if thin.tool == number), key=lambda thin: thin.share)
-        factor = next(setup.factor for setup in in_order if setup.motions[worst.first])
+        factor = next(setup.factor for setup in ordered_setups if setup.motions[worst.first])
         finer = cell / factor * MM_PER_M * ENOUGH / worst.share
         key, line = tools.keys[number], int(program.motions.line[worst.first])
         message = (
@@ -621,15 +655,17 @@ def _coarse_contact_warnings(
         yield Issue("warning", "coarse-stock", message, line, subject=key)
 
 
-def _other_cutter(program: Program, tools: ToolStates, process: Process, guard: Guard | None) -> Iterator[Issue]:
+def _cutter_mismatch(program: Program, tools: ToolStates, process: Process, guard: Guard | None) -> Iterator[Issue]:
     """Yield an error if the cutter of [collision] has another diameter than the tools of the process."""
     if guard is None or guard.cutter is None:
         return
     tool_keys = [tools.keys[n] for n in distinct(tools.tool[~program.motions.rapid]).tolist()]
-    wide = {key: process.tools[key].diameter_mm for key in tool_keys}
-    differing_keys = [key for key, diameter in wide.items() if abs(diameter * M_PER_MM - guard.cutter) > _SAME_DIAMETER]
+    diameters = {key: process.tools[key].diameter_mm for key in tool_keys}
+    differing_keys = [
+        key for key, diameter in diameters.items() if abs(diameter * M_PER_MM - guard.cutter) > _SAME_DIAMETER
+    ]
     if differing_keys:
-        differences = ", ".join(f"tools.{key} of the process has {wide[key]:g} mm" for key in differing_keys)
+        differences = ", ".join(f"tools.{key} of the process has {diameters[key]:g} mm" for key in differing_keys)
         message = (
             f"[collision] holder begins with a cutter of {guard.cutter * MM_PER_M:g} mm, but {differences}: "
             "collisions would be those of another tool. Give the cylinders of the tool that this program uses, and "
@@ -638,7 +674,7 @@ def _other_cutter(program: Program, tools: ToolStates, process: Process, guard: 
         yield Issue("error", "other-cutter", message)
 
 
-def _collisions(program: Program, depth_of_motion: dict[int, float], guard: Guard | None) -> list[Issue]:
+def _collision_issues(program: Program, depth_of_motion: dict[int, float], guard: Guard | None) -> list[Issue]:
     """Return the issues of what touches the stock and does not cut: errors if there is a guard.
 
     :param depth_of_motion: rapid motions through material, and how deep [m].
@@ -646,18 +682,17 @@ def _collisions(program: Program, depth_of_motion: dict[int, float], guard: Guar
     m, issues = program.motions, []
     if depth_of_motion:
         motion = np.array(sorted(depth_of_motion))
-        hit = distinct(m.line[motion]).tolist()
-        deep = f"{max(depth_of_motion.values()) * MM_PER_M:.2g} mm deep"
+        lines_in_material = distinct(m.line[motion]).tolist()
+        depth_text = f"{max(depth_of_motion.values()) * MM_PER_M:.2g} mm deep"
         tool_note = _tool_length_advice(program, max(depth_of_motion, key=lambda row: (depth_of_motion[row], -row)))
         if guard is None:
-            place = f"line {', '.join(map(str, hit[:5]))}{' …' if len(hit) > 5 else ''}"
-            message = (
-                f"a rapid move goes through material ({place}), {deep}. {_rapid_advice(program, motion)}{tool_note}"
-            )
-            issues.append(replace(m.issue("error", "rapid-in-material", message, motion), count=len(hit)))
+            place = f"line {', '.join(map(str, lines_in_material[:5]))}{' …' if len(lines_in_material) > 5 else ''}"
+            advice = f"{_rapid_advice(program, motion)}{tool_note}"
+            message = f"a rapid move goes through material ({place}), {depth_text}. {advice}"
+            issues.append(replace(m.issue("error", "rapid-in-material", message, motion), count=len(lines_in_material)))
         else:
             advice = f"{_rapid_advice(program, motion)}{tool_note}"
-            message = f"collision: cutter goes {deep} into the stock in a rapid move. {advice}"
+            message = f"collision: cutter goes {depth_text} into the stock in a rapid move. {advice}"
             issues.append(replace(m.issue("error", "collision", message, motion), subject="cutter, stock"))
     if guard is None:
         return issues
@@ -714,7 +749,7 @@ def _power_warnings(cuts: Cuts, lines: Ints, limit: float | None) -> list[Issue]
     return [Issue("warning", "spindle-power", message, int(lines[cuts.motion[worst]]), count=count)]
 
 
-def _drilled_by_mills(program: Program, cuts: Cuts, drill: Bools) -> list[Issue]:
+def _drilling_with_mills(program: Program, cuts: Cuts, drill: Bools) -> list[Issue]:
     """Warn of drilling cycles that use a milling tool.
 
     A cycle is one line that makes rapid moves and cuts along the spindle.
@@ -735,13 +770,13 @@ def _drilled_by_mills(program: Program, cuts: Cuts, drill: Bools) -> list[Issue]
     return [m.issue("warning", "drilled-by-mill", message, cut[in_cycle])]
 
 
-def _out_of_scale(steps: StraightSegments, bounds: tuple[float, ...]) -> list[Issue]:
+def _scale_issues(steps: StraightSegments, bounds: tuple[float, ...]) -> list[Issue]:
     """Warn if the path is many times as large as the stock, although they touch."""
     x0, x1, y0, y1, _ = bounds
     low = np.minimum(steps.begin, steps.end)[steps.cutting, :2].min(axis=0)
     high = np.maximum(steps.begin, steps.end)[steps.cutting, :2].max(axis=0)
     ratio = float(((high - low) / np.maximum([x1 - x0, y1 - y0], 1e-9)).min())
-    if ratio < _LARGE:
+    if ratio < _LARGE_RATIO:
         return []
     message = (
         f"the path is {ratio:.0f} times as large as the stock in X and Y: check the units of both (an inch is 25.4 mm)"
@@ -749,7 +784,9 @@ def _out_of_scale(steps: StraightSegments, bounds: tuple[float, ...]) -> list[Is
     return [Issue("warning", "stock-scale", message)]
 
 
-def _cuts_beside(program: Program, segments: StraightSegments, bounds: tuple[float, ...], margin: float) -> list[Issue]:
+def _beside_stock_issues(
+    program: Program, segments: StraightSegments, bounds: tuple[float, ...], margin: float
+) -> list[Issue]:
     """Return a warning if cuts of a CAM program lie beside the stock: each run of them between rapid moves as a whole.
 
     In a robot program each LIN counts as a cut, also one that positions: see `stock_base_issues`.
@@ -760,13 +797,15 @@ def _cuts_beside(program: Program, segments: StraightSegments, bounds: tuple[flo
     m = program.motions
     if program.keeps_text:
         return []
-    near = near_stock(segments, (*bounds[:4], np.inf), margin, len(m))
+    is_near = near_stock(segments, (*bounds[:4], np.inf), margin, len(m))
     length = np.bincount(segments.motion, norm((segments.end - segments.begin)[:, :2]), minlength=len(m))
-    feed = np.flatnonzero(~m.rapid)
-    run = np.cumsum(np.diff(feed, prepend=-2) > 1) - 1
+    cut_motions = np.flatnonzero(~m.rapid)
+    run = np.cumsum(np.diff(cut_motions, prepend=-2) > 1) - 1
     count = int(run[-1]) + 1 if len(run) else 0
-    is_beside = (np.bincount(run, near[feed], count) == 0.0) & (np.bincount(run, length[feed], count) > 2.0 * margin)
-    motions = feed[is_beside[run]]
+    is_beside = (np.bincount(run, is_near[cut_motions], count) == 0.0) & (
+        np.bincount(run, length[cut_motions], count) > 2.0 * margin
+    )
+    motions = cut_motions[is_beside[run]]
     if not len(motions):
         return []
     x0, x1, y0, y1, _ = (1e3 * value for value in bounds)
@@ -777,7 +816,7 @@ def _cuts_beside(program: Program, segments: StraightSegments, bounds: tuple[flo
     return [m.issue("warning", "beside-stock", message, motions)]
 
 
-def _no_contact(
+def _no_contact_error(
     program: Program, steps: StraightSegments, bounds: tuple[float, ...], process: Process, stock: Path | None
 ) -> ForceError:
     """Return the error for a tool that never touches the stock."""

@@ -27,7 +27,7 @@ NAMES = ("Ktc", "Krc", "Kac", "Kte", "Kre", "Kae")
 KEYS = ("Ktc_N_per_mm2", "Krc_N_per_mm2", "Kac_N_per_mm2", "Kte_N_per_mm", "Kre_N_per_mm", "Kae_N_per_mm")
 _MODES = ("slot", "up", "down")
 _REQUIRED_COLUMNS = ("mode", "ap_mm", "rpm", "feed_mm_per_min")
-_EMPTY = ("ae_mm", "Fx", "Fy", "Fz", "sigma_N", "power_W")
+_OPTIONAL_COLUMNS = ("ae_mm", "Fx", "Fy", "Fz", "sigma_N", "power_W")
 _RANK = 1e-6
 """Singular value, as a share of the largest, below which a combination of coefficients is not excited."""
 _LEAST_RANGE = 1.3
@@ -104,11 +104,13 @@ def read(path: Path) -> CutReadings:
 
     :raises ForceError: a column is missing or unknown, a mode is unknown, a value is out of range.
     """
-    numbers, texts, line = files.read_csv(path, _REQUIRED_COLUMNS, _EMPTY, ForceError, ("mode",), _EMPTY)
+    numbers, texts, line = files.read_csv(
+        path, _REQUIRED_COLUMNS, _OPTIONAL_COLUMNS, ForceError, ("mode",), _OPTIONAL_COLUMNS
+    )
     count = len(line)
     if count == 0:
         raise ForceError("no readings", file=str(path), advice="Give at least one row of readings.")
-    column = {name: numbers.get(name, np.full(count, np.nan)) for name in (*_REQUIRED_COLUMNS[1:], *_EMPTY)}
+    column = {name: numbers.get(name, np.full(count, np.nan)) for name in (*_REQUIRED_COLUMNS[1:], *_OPTIONAL_COLUMNS)}
     for k, mode in enumerate(texts["mode"]):
         problem = advice = None
         if mode not in _MODES:
@@ -151,27 +153,27 @@ def equations(readings: CutReadings, tool: ToolTable) -> Array:
     width = np.where(np.array(readings.mode) == "slot", 2.0 * radius, np.minimum(readings.width, 2.0 * radius))
     arc = np.arccos(1.0 - width / radius)
     is_down = np.array(readings.mode) == "down"
-    begin, end = np.where(is_down, np.pi - arc, 0.0), np.where(is_down, np.pi, arc)
-    chip = readings.feed / (readings.rpm * teeth)
-    derivatives = np.zeros((len(chip), 4, 6))
+    start_angle, end_angle = np.where(is_down, np.pi - arc, 0.0), np.where(is_down, np.pi, arc)
+    chip_thickness = readings.feed / (readings.rpm * teeth)
+    derivatives = np.zeros((len(chip_thickness), 4, 6))
     per_mm = teeth * readings.depth / (2.0 * np.pi)
-    for phi, sign in ((end, 1.0), (begin, -1.0)):
+    for phi, sign in ((end_angle, 1.0), (start_angle, -1.0)):
         cos2, angle_term = np.cos(2.0 * phi), 2.0 * phi - np.sin(2.0 * phi)
         sine, cosine = np.sin(phi), np.cos(phi)
-        cut, edge = sign * per_mm * chip, sign * per_mm
-        derivatives[:, 0, 0] += cut * cos2 / 4.0
-        derivatives[:, 0, 1] -= cut * angle_term / 4.0
-        derivatives[:, 0, 3] -= edge * sine
-        derivatives[:, 0, 4] += edge * cosine
-        derivatives[:, 1, 0] += cut * angle_term / 4.0
-        derivatives[:, 1, 1] += cut * cos2 / 4.0
-        derivatives[:, 1, 3] -= edge * cosine
-        derivatives[:, 1, 4] -= edge * sine
-        derivatives[:, 2, 2] -= cut * cosine
-        derivatives[:, 2, 5] += edge * phi
+        cut_factor, edge_factor = sign * per_mm * chip_thickness, sign * per_mm
+        derivatives[:, 0, 0] += cut_factor * cos2 / 4.0
+        derivatives[:, 0, 1] -= cut_factor * angle_term / 4.0
+        derivatives[:, 0, 3] -= edge_factor * sine
+        derivatives[:, 0, 4] += edge_factor * cosine
+        derivatives[:, 1, 0] += cut_factor * angle_term / 4.0
+        derivatives[:, 1, 1] += cut_factor * cos2 / 4.0
+        derivatives[:, 1, 3] -= edge_factor * cosine
+        derivatives[:, 1, 4] -= edge_factor * sine
+        derivatives[:, 2, 2] -= cut_factor * cosine
+        derivatives[:, 2, 5] += edge_factor * phi
         watts = radius * 1e-3 * readings.rpm * (2.0 * np.pi / 60.0)
-        derivatives[:, 3, 0] -= cut * cosine * watts
-        derivatives[:, 3, 3] += edge * phi * watts
+        derivatives[:, 3, 0] -= cut_factor * cosine * watts
+        derivatives[:, 3, 3] += edge_factor * phi * watts
     if tool.spindle == "M4":
         derivatives[:, 1] *= -1.0
     return derivatives
@@ -205,8 +207,8 @@ def identify(readings: CutReadings, tool: ToolTable, prior: MaterialTable | None
     """
     chip = readings.feed / (readings.rpm * tool.flutes)
     reading_checks.check_feeds(chip, tool.diameter_mm, file)
-    rows = _linear_equations(readings, tool, file)
-    predictor, readout, sigma = rows.predictor, rows.readout, rows.sigma
+    system = _linear_equations(readings, tool, file)
+    predictor, readout, sigma = system.predictor, system.readout, system.sigma
     is_excited = np.abs(predictor).max(axis=0) > 1e-9 * np.abs(predictor).max()
     _check_separable(readings, tool, predictor, sigma, is_excited, file)
     estimate, fixed_sigma, warnings = _prior_coefficients(prior, is_excited, file)
@@ -218,7 +220,7 @@ def identify(readings: CutReadings, tool: ToolTable, prior: MaterialTable | None
     warnings += _check_signs(readings, tool, estimate, is_excited, file)
     value, spread = _fit(predictor[:, is_excited], fitted_part, sigma)
     error = predictor[:, is_excited] @ value - fitted_part
-    spread, scatter_warnings = _scaled_spread(spread, error, rows, freedom)
+    spread, scatter_warnings = _scaled_spread(spread, error, system, freedom)
     warnings += scatter_warnings
     covariance = np.diag(fixed_sigma**2)
     estimate[is_excited] = value
@@ -229,13 +231,13 @@ def identify(readings: CutReadings, tool: ToolTable, prior: MaterialTable | None
         error = predictor @ estimate - readout
     warnings += reading_checks.check_sizes(estimate, readings.force, _tangential_coefficient(prior, file), file)
     covariance[np.ix_(is_excited, is_excited)] = spread
-    half = 1.96 * np.sqrt(np.diag(covariance))
-    forces = rows.component < 3
-    for k in np.flatnonzero(is_excited & (half > 0.5 * np.abs(estimate))).tolist():
+    half_width = 1.96 * np.sqrt(np.diag(covariance))
+    is_force = system.component < 3
+    for k in np.flatnonzero(is_excited & (half_width > 0.5 * np.abs(estimate))).tolist():
         warnings.append(
-            f"{NAMES[k]} is known to ±{half[k]:.2g} only ({estimate[k]:.3g}): measure more feeds, or deeper cuts"
+            f"{NAMES[k]} is known to ±{half_width[k]:.2g} only ({estimate[k]:.3g}): measure more feeds, or deeper cuts"
         )
-    sigma_percent = max(_LEAST_SIGMA, _percent_of_readout(rows, covariance, error))
+    sigma_percent = max(_LEAST_SIGMA, _percent_of_readout(system, covariance, error))
     if sigma_percent > _MOST_SIGMA:
         raise ForceError(
             f"no coefficients fit these readings: forces computed with them have a sigma of {sigma_percent:.0f} %",
@@ -244,17 +246,17 @@ def identify(readings: CutReadings, tool: ToolTable, prior: MaterialTable | None
         )
     return IdentifiedMaterial(
         value=estimate,
-        half=half,
+        half=half_width,
         covariance=covariance,
         identified=is_excited,
         predictor=predictor,
         measured=readout,
         sigma=sigma,
-        reading=rows.reading,
-        component=rows.component,
-        residual=float(np.sqrt(np.mean(error[forces] ** 2))) if forces.any() else float("nan"),
+        reading=system.reading,
+        component=system.component,
+        residual=float(np.sqrt(np.mean(error[is_force] ** 2))) if is_force.any() else float("nan"),
         left_out=_cross_validation_error(
-            predictor[:, is_excited], fitted_part, readout, sigma, np.round(chip[rows.reading], 6)
+            predictor[:, is_excited], fitted_part, readout, sigma, np.round(chip[system.reading], 6)
         ),
         sigma_percent=sigma_percent,
         warnings=tuple(warnings),
@@ -267,23 +269,23 @@ def _check_signs(readings: CutReadings, tool: ToolTable, estimate: Array, is_exc
     :param estimate: (6,) values of the coefficients that no reading depends on, 0 for the others.
     """
 
-    def fit_of(force: Array) -> tuple[Array, Array, float] | None:
-        rows = _linear_equations(replace(readings, force=force), tool, file)
-        matrix, target = rows.predictor[:, is_excited], rows.readout - rows.predictor @ estimate
+    def fit_of_forces(force: Array) -> tuple[Array, Array, float] | None:
+        system = _linear_equations(replace(readings, force=force), tool, file)
+        matrix, target = system.predictor[:, is_excited], system.readout - system.predictor @ estimate
         scale = np.linalg.norm(matrix, axis=0)
-        if not scale.all() or np.linalg.matrix_rank(matrix / rows.sigma[:, None] / scale) < matrix.shape[1]:
+        if not scale.all() or np.linalg.matrix_rank(matrix / system.sigma[:, None] / scale) < matrix.shape[1]:
             return None
         value, sigma = estimate.copy(), np.zeros(6)
-        value[is_excited], spread = _fit(matrix, target, rows.sigma)
-        error = (matrix @ value[is_excited] - target) / rows.sigma
+        value[is_excited], spread = _fit(matrix, target, system.sigma)
+        error = (matrix @ value[is_excited] - target) / system.sigma
         freedom = len(target) - matrix.shape[1]
-        spread, _ = _scaled_spread(spread, error * rows.sigma, rows, freedom)
+        spread, _ = _scaled_spread(spread, error * system.sigma, system, freedom)
         sigma[is_excited] = np.sqrt(np.diag(spread))
         # computed readings have residuals of rounding alone: these do not rank arrangements
-        size = float(np.linalg.norm(rows.readout / rows.sigma))
+        size = float(np.linalg.norm(system.readout / system.sigma))
         return value, sigma, max(_LEAST_SCATTER, float(np.linalg.norm(error)) / size)
 
-    return reading_checks.check_signs(readings.force, fit_of, file)
+    return reading_checks.check_signs(readings.force, fit_of_forces, file)
 
 
 def _positive_fit(predictor: Array, readout: Array, sigma: Array, coefficient: Ints) -> Array:
@@ -295,8 +297,8 @@ def _positive_fit(predictor: Array, readout: Array, sigma: Array, coefficient: I
 
     matrix = predictor / sigma[:, None]
     scale = np.linalg.norm(matrix, axis=0)
-    least = np.where(np.isin(coefficient, _AT_LEAST_ZERO), 0.0, -np.inf)
-    return np.asarray(lsq_linear(matrix / scale, readout / sigma, (least, np.inf), method="bvls").x / scale)
+    lower_bound = np.where(np.isin(coefficient, _AT_LEAST_ZERO), 0.0, -np.inf)
+    return np.asarray(lsq_linear(matrix / scale, readout / sigma, (lower_bound, np.inf), method="bvls").x / scale)
 
 
 def _tangential_coefficient(prior: MaterialTable | None, file: str) -> float | None:
@@ -322,13 +324,13 @@ def _linear_equations(readings: CutReadings, tool: ToolTable, file: str) -> _Equ
     has_sigma = np.isfinite(readings.sigma)
     sigma = np.where(has_sigma, readings.sigma, 1.0)[reading]
     power_size, force_size = (np.linalg.norm(derivatives[:, row, [0, 3]], axis=1) for row in (3, 1))
-    watt = power_size / np.maximum(force_size, 1e-12)
-    sigma = np.where(component == 3, sigma * watt[reading], sigma)
+    watt_per_newton = power_size / np.maximum(force_size, 1e-12)
+    sigma = np.where(component == 3, sigma * watt_per_newton[reading], sigma)
     predictor, readout = derivatives[reading, component], values[reading, component]
     return _Equations(predictor, readout, sigma, reading, component, bool(has_sigma.all()))
 
 
-def _scaled_spread(spread: Array, error: Array, rows: _Equations, freedom: int) -> tuple[Array, list[str]]:
+def _scaled_spread(spread: Array, error: Array, system: _Equations, freedom: int) -> tuple[Array, list[str]]:
     """Return the covariance (k, k) of coefficients, scaled by the scatter of the readings, and warnings about it.
 
     :param spread: (k, k) covariance if the readings scatter as `rows.sigma` says.
@@ -336,37 +338,37 @@ def _scaled_spread(spread: Array, error: Array, rows: _Equations, freedom: int) 
     :param freedom: number of readings beyond that of coefficients.
     """
     warnings: list[str] = []
-    scale = float(np.sum((error / rows.sigma) ** 2)) / freedom
+    scale = float(np.sum((error / system.sigma) ** 2)) / freedom
     factor = 1.96
-    if not rows.has_sigma:
-        least_scale = _LEAST_SCATTER**2 * float(np.mean((rows.readout / rows.sigma) ** 2))
+    if not system.has_sigma:
+        least_scale = _LEAST_SCATTER**2 * float(np.mean((system.readout / system.sigma) ** 2))
         if scale < least_scale:
             scale = least_scale
             warnings.append(
                 "the readings scatter less than any sensor does: were they computed? The intervals are those of a "
                 f"scatter of {100.0 * _LEAST_SCATTER:g} %; state sigma_N"
             )
-    if not rows.has_sigma or scale > 1.0:
+    if not system.has_sigma or scale > 1.0:
         from scipy.special import stdtrit
 
         spread = spread * scale
         factor = float(stdtrit(freedom, 0.975))
-    if rows.has_sigma and scale > 2.0:
+    if system.has_sigma and scale > 2.0:
         warnings.append(
             f"the readings scatter {np.sqrt(scale):.1f} times as much as sigma_N says: the intervals are wider by that"
         )
     return spread * (factor / 1.96) ** 2, warnings
 
 
-def _percent_of_readout(rows: _Equations, covariance: Array, error: Array) -> float:
+def _percent_of_readout(system: _Equations, covariance: Array, error: Array) -> float:
     """Return the RMS deviation of readings from their model, uncertain coefficients included, in % of their RMS.
 
     :param covariance: (6, 6) of the coefficients.
     :param error: (m,) residuals [N], [W].
     """
-    variance = np.einsum("mi,ij,mj->m", rows.predictor, covariance, rows.predictor) + error**2
-    size = float(np.sqrt(np.sum((rows.readout / rows.sigma) ** 2)))
-    return 100.0 * float(np.sqrt(np.sum(variance / rows.sigma**2))) / size
+    variance = np.einsum("mi,ij,mj->m", system.predictor, covariance, system.predictor) + error**2
+    rms_readout = float(np.sqrt(np.sum((system.readout / system.sigma) ** 2)))
+    return 100.0 * float(np.sqrt(np.sum(variance / system.sigma**2))) / rms_readout
 
 
 def _fit(predictor: Array, readout: Array, sigma: Array) -> tuple[Array, Array]:
@@ -377,9 +379,9 @@ def _fit(predictor: Array, readout: Array, sigma: Array) -> tuple[Array, Array]:
     return value, np.linalg.inv((matrix / scale).T @ (matrix / scale)) / np.outer(scale, scale)
 
 
-def _cross_validation_error(predictor: Array, rest: Array, readout: Array, sigma: Array, chip: Array) -> float:
+def _cross_validation_error(predictor: Array, fitted_part: Array, readout: Array, sigma: Array, chip: Array) -> float:
     """Return the RMS error at each feed per tooth, predicted by the others, as a share of the RMS reading."""
-    total = 0.0
+    square_sum = 0.0
     for chip_value in np.unique(chip):
         of_chip = chip == chip_value
         matrix = predictor[~of_chip] / sigma[~of_chip, None]
@@ -387,11 +389,11 @@ def _cross_validation_error(predictor: Array, rest: Array, readout: Array, sigma
             not of_chip.all()
             and np.linalg.matrix_rank(matrix / np.linalg.norm(predictor, axis=0)) == predictor.shape[1]
         ):
-            value, _ = _fit(predictor[~of_chip], rest[~of_chip], sigma[~of_chip])
-            total += float(np.sum(((predictor[of_chip] @ value - rest[of_chip]) / sigma[of_chip]) ** 2))
+            value, _ = _fit(predictor[~of_chip], fitted_part[~of_chip], sigma[~of_chip])
+            square_sum += float(np.sum(((predictor[of_chip] @ value - fitted_part[of_chip]) / sigma[of_chip]) ** 2))
         else:
             return float("nan")
-    return float(np.sqrt(total / np.sum((readout / sigma) ** 2)))
+    return float(np.sqrt(square_sum / np.sum((readout / sigma) ** 2)))
 
 
 def _check_separable(
@@ -411,13 +413,13 @@ def _check_separable(
         )
     matrix = predictor[:, is_excited] / sigma[:, None]
     matrix = matrix / np.linalg.norm(matrix, axis=0)
-    _, size, axes = np.linalg.svd(matrix, full_matrices=True)
-    size = np.append(size, np.zeros(len(axes) - len(size)))
-    open_ = np.abs(axes[size < _RANK * size[0]]).max(axis=0, initial=0.0) > 1e-3
-    if open_.any():
-        open_names = ", ".join(name for name, is_open in zip(names, open_, strict=True) if is_open)
+    _, singular_values, axes = np.linalg.svd(matrix, full_matrices=True)
+    singular_values = np.append(singular_values, np.zeros(len(axes) - len(singular_values)))
+    is_unexcited = np.abs(axes[singular_values < _RANK * singular_values[0]]).max(axis=0, initial=0.0) > 1e-3
+    if is_unexcited.any():
+        unexcited_names = ", ".join(name for name, is_open in zip(names, is_unexcited, strict=True) if is_open)
         advice = "Measure Fx and Fy, at several feeds; `--propose` writes test cuts."
-        raise ForceError(f"these readings do not separate {open_names}", file=file, advice=advice)
+        raise ForceError(f"these readings do not separate {unexcited_names}", file=file, advice=advice)
 
 
 def _prior_coefficients(prior: MaterialTable | None, is_excited: Bools, file: str) -> tuple[Array, Array, list[str]]:
@@ -452,9 +454,9 @@ def as_toml(material: IdentifiedMaterial, tool: ToolTable, name: str) -> bytes:
     if np.isfinite(material.residual):
         table["residual_N"] = float(f"{round(material.residual, 6):.4g}")
     table["ci95"] = {name: float(f"{v:.4g}") for name, v in zip(NAMES, material.half, strict=True)}
-    size = np.sqrt(np.diag(material.covariance))
+    deviation = np.sqrt(np.diag(material.covariance))
     significant = np.where(
-        np.abs(material.covariance) > _LEAST_CORRELATION * np.outer(size, size), material.covariance, 0.0
+        np.abs(material.covariance) > _LEAST_CORRELATION * np.outer(deviation, deviation), material.covariance, 0.0
     )
     table["covariance"] = [[float(f"{v:.6g}") for v in row] for row in significant]
     comment = 'Cutting coefficients, identified by `postproc identify forces`. In process.toml: [material] file = "…".'
@@ -469,20 +471,20 @@ def proposal(process: Process, key: str, tool: ToolTable) -> tuple[bytes, bytes]
     feeds, depth = proposed_feeds(tool)
     rpm = tool.rpm or float(np.floor(min(12_000.0, 150_000.0 / (np.pi * tool.diameter_mm)) / 100.0) * 100.0)
     box = process.stock.box
-    left, low, top = (0.0, 0.0, 0.0) if box is None else (box.X[0], box.Y[0], box.Z[1])
+    x_min, y_min, z_max = (0.0, 0.0, 0.0) if box is None else (box.X[0], box.Y[0], box.Z[1])
     length = 60.0 if box is None else min(60.0 + tool.diameter_mm, box.X[1] - box.X[0] + 1.2 * tool.diameter_mm)
     lines = [
         "(Test cuts for `postproc identify forces`: five feeds in a slot. Measure the mean force of each, after entry)",
-        "G21 G90 G17 G94", f"T{key if key.isdecimal() else 1} M6", f"S{rpm:g} {tool.spindle}", f"G0 Z{top + 20:g}",
+        "G21 G90 G17 G94", f"T{key if key.isdecimal() else 1} M6", f"S{rpm:g} {tool.spindle}", f"G0 Z{z_max + 20:g}",
     ]  # fmt: skip
     rows = ["mode,ap_mm,ae_mm,rpm,feed_mm_per_min,Fx,Fy,Fz,sigma_N"]
     for k, chip in enumerate(feeds.tolist()):
         feed = chip * rpm * tool.flutes
-        y = low + (1.5 * k + 1.0) * tool.diameter_mm
+        y = y_min + (1.5 * k + 1.0) * tool.diameter_mm
         lines += [
-            f"(slot {k + 1}: {chip:.3f} mm per tooth)", f"G0 X{left - tool.diameter_mm:.3f} Y{y:.3f}",
-            f"G0 Z{top + 2:.3f}", f"G1 Z{top - depth:.3f} F1000",
-            f"X{left - tool.diameter_mm + length:.3f} F{feed:.1f}", f"G0 Z{top + 20:g}",
+            f"(slot {k + 1}: {chip:.3f} mm per tooth)", f"G0 X{x_min - tool.diameter_mm:.3f} Y{y:.3f}",
+            f"G0 Z{z_max + 2:.3f}", f"G1 Z{z_max - depth:.3f} F1000",
+            f"X{x_min - tool.diameter_mm + length:.3f} F{feed:.1f}", f"G0 Z{z_max + 20:g}",
         ]  # fmt: skip
         rows.append(f"slot,{depth:g},,{rpm:g},{feed:.1f},,,,")
     lines += ["M5", "M30", ""]

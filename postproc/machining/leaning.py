@@ -16,9 +16,9 @@ from postproc.program import Ints
 
 _FLUSH = 2e-5
 """Ends of tools that are less [m] below a surface touch it only: levels are single precision, cuts end there."""
-_LEAST_ANGLES, _MOST_ANGLES = 12, 48
+_FEWEST_ANGLES, _MOST_ANGLES = 12, 48
 """Number of points around the tool; between those limits they are a cell apart (assumed)."""
-_PLACES = 128
+_PLACES_AT_ONCE = 128
 """Places of the tool that are compared at once."""
 
 
@@ -29,8 +29,8 @@ def depth_inside(stock: Stock, cutter: Cutter, tip: Array, axis: Array) -> float
     :param axis: (n, 3) unit directions from the tip to the spindle.
     """
     deepest = 0.0
-    for first in range(0, len(tip), _PLACES):
-        part = slice(first, first + _PLACES)
+    for first in range(0, len(tip), _PLACES_AT_ONCE):
+        part = slice(first, first + _PLACES_AT_ONCE)
         deepest = max(deepest, _deepest(stock, cutter, tip[part], axis[part]))
     return deepest
 
@@ -41,12 +41,15 @@ def _deepest(stock: Stock, cutter: Cutter, tip: Array, axis: Array) -> float:
     place, distance, height = _rings(stock, cutter, tip, axis, radius)
     if not len(place):
         return 0.0
-    angles = int(np.clip(np.ceil(2.0 * np.pi * radius / stock.cell), _LEAST_ANGLES, _MOST_ANGLES))
-    turn = np.arange(angles) * (2.0 * np.pi / angles)
-    second, third = _square_to(axis)
-    rim = np.cos(turn)[:, None] * second[place][:, None] + np.sin(turn)[:, None] * third[place][:, None]
-    middle = tip[place] + height[:, None] * axis[place]
-    points = (middle[:, None] + distance[:, None, None] * rim).reshape(-1, 3)
+    angles = int(np.clip(np.ceil(2.0 * np.pi * radius / stock.cell), _FEWEST_ANGLES, _MOST_ANGLES))
+    angle = np.arange(angles) * (2.0 * np.pi / angles)
+    first_direction, second_direction = _perpendicular_directions(axis)
+    rim = (
+        np.cos(angle)[:, None] * first_direction[place][:, None]
+        + np.sin(angle)[:, None] * second_direction[place][:, None]
+    )
+    centre = tip[place] + height[:, None] * axis[place]
+    points = (centre[:, None] + distance[:, None, None] * rim).reshape(-1, 3)
     column = np.floor((points[:, 0] - stock.x) / stock.cell).astype(np.int64)
     row = np.floor((points[:, 1] - stock.y) / stock.cell).astype(np.int64)
     rows, columns = stock.high.shape
@@ -68,20 +71,20 @@ def _rings(stock: Stock, cutter: Cutter, tip: Array, axis: Array, radius: float)
     high = np.array([x1, y1, stock.top]) + radius
     reach = float(norm(np.maximum(np.abs(tip - low), np.abs(tip - high))).max())
     corner = max(cutter.corner - stock.cell, 0.0)
-    smaller = Cutter(radius, min(corner, radius), cutter.teeth)
-    end = np.linspace(0.0, radius, max(2, int(np.ceil(radius / stock.cell)) + 1))
-    lift = _FLUSH if cutter.corner == 0.0 else stock.cell
-    shank = np.arange(lift + smaller.corner, reach, max(2.0 * stock.cell, 0.25 * radius))
-    distance = np.concatenate([end, np.full(len(shank), radius)])
-    height = np.concatenate([lift + smaller.height(end), shank])
-    middle = tip[:, None] + height[:, None] * axis[:, None]
-    place, ring = np.nonzero(((middle > low) & (middle < high)).all(axis=2))
+    inner_cutter = Cutter(radius, min(corner, radius), cutter.teeth)
+    end_radii = np.linspace(0.0, radius, max(2, int(np.ceil(radius / stock.cell)) + 1))
+    end_height = _FLUSH if cutter.corner == 0.0 else stock.cell
+    shank_heights = np.arange(end_height + inner_cutter.corner, reach, max(2.0 * stock.cell, 0.25 * radius))
+    distance = np.concatenate([end_radii, np.full(len(shank_heights), radius)])
+    height = np.concatenate([end_height + inner_cutter.height(end_radii), shank_heights])
+    centre = tip[:, None] + height[:, None] * axis[:, None]
+    place, ring = np.nonzero(((centre > low) & (centre < high)).all(axis=2))
     return place, distance[ring], height[ring]
 
 
-def _square_to(direction: Array) -> tuple[Array, Array]:
+def _perpendicular_directions(direction: Array) -> tuple[Array, Array]:
     """Return two unit vectors (n, 3) square to directions (n, 3) and to each other."""
     axis = np.where(np.abs(direction[:, :1]) < 0.9, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
-    second = np.cross(direction, axis)
-    second /= norm(second)[:, None]
-    return second, np.cross(direction, second)
+    first_direction = np.cross(direction, axis)
+    first_direction /= norm(first_direction)[:, None]
+    return first_direction, np.cross(direction, first_direction)

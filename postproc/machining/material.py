@@ -135,7 +135,7 @@ for end milling and 1.10 to 1.25 for light and medium face milling, as two publi
 book was not looked up. Drilling (1.30) and heavy face milling (1.30 to 1.60) are above it. Anything up to the value is
 taken for as likely."""
 _WEAR_STATES = 41
-"""Number of states of wear over which a probability is averaged."""
+"""Number of states of wear over which a probability is averaged (assumed)."""
 _SIGMAS_OF_95 = 1.959964
 """95 % of normal numbers of standard deviation 1 are between ± this."""
 
@@ -152,6 +152,7 @@ def _spread_with_wear(sigma: float) -> float:
     (0.401, 0.12)
     """
     growth = 1.0 + 0.01 * _WEAR_PERCENT * (np.arange(_WEAR_STATES) + 0.5) / _WEAR_STATES
+    # bisection: the half width of the interval that holds for 95 %
     low, high = 0.0, 10.0 * (sigma + 0.01 * _WEAR_PERCENT)
     for _ in range(50):
         half = 0.5 * (low + high)
@@ -199,17 +200,7 @@ def law(material: MaterialTable, file: str) -> CuttingLaw:
     """
     materials, covariance = table(), None
     if material.file is not None:
-        path = Path(file).parent / material.file
-        if material.name or material.Ktc_N_per_mm2 or material.kc11_N_per_mm2:
-            raise ForceError("[material] file together with values", file=file, advice="Give one of them.")
-        content = files.read_toml(path, dict[str, IdentifiedTable], ForceError)
-        if set(content) != {"material"} or content["material"].file is not None:
-            raise ForceError("this file has no [material] of its own, or more than that", file=str(path))
-        file_table = content["material"]
-        if material.sigma_percent is None:
-            material, covariance = file_table, _covariance(file_table, str(path))
-        else:
-            material = replace(file_table, sigma_percent=material.sigma_percent)
+        material, covariance = _material_of_file(material, Path(file).parent / material.file, file)
     entry: MaterialTable = material
     is_by_name = material.name is not None and material.Ktc_N_per_mm2 is None and material.kc11_N_per_mm2 is None
     if is_by_name:
@@ -247,6 +238,26 @@ def law(material: MaterialTable, file: str) -> CuttingLaw:
         unknown_axial=0.0 if cutting[2] or edge[2] else _AXIAL,
         covariance=covariance,
     )
+
+
+def _material_of_file(
+    material: MaterialTable, path: Path, process_file: str
+) -> tuple[MaterialTable, tuple[tuple[float, ...], ...] | None]:
+    """Return the material of a file that `[material]` names, and its covariance, SI.
+
+    The covariance is None if the file states none, or if the process states `sigma_percent` instead.
+
+    :raises ForceError: the process has values too, or the file is no material file.
+    """
+    if material.name or material.Ktc_N_per_mm2 or material.kc11_N_per_mm2:
+        raise ForceError("[material] file together with values", file=process_file, advice="Give one of them.")
+    content = files.read_toml(path, dict[str, IdentifiedTable], ForceError)
+    if set(content) != {"material"} or content["material"].file is not None:
+        raise ForceError("this file has no [material] of its own, or more than that", file=str(path))
+    file_table = content["material"]
+    if material.sigma_percent is None:
+        return file_table, _covariance(file_table, str(path))
+    return replace(file_table, sigma_percent=material.sigma_percent), None
 
 
 def _unit_warning(material: MaterialTable) -> str | None:

@@ -23,7 +23,7 @@ from postproc.machining.tool_path import TURNS, ToolPoses, home_base
 from postproc.program import CIRC, LIN, Bools, Ints, Program, constant
 from postproc.toolpath import Segments, tangent
 
-_SHARE = 0.01
+_TOLERANCE_SHARE = 0.01
 """Tolerance between stations as a share of the largest force and of the largest moment of a motion,"""
 _LEAST_TOLERANCE = 1.0, 0.1
 """but at least this [N, N·m]: one newton at 100 mm of tool. Changes at the start of a motion that are smaller than
@@ -44,36 +44,39 @@ def thin_out(motion: Ints, wrench: Array) -> NDArray[np.int64]:
     count = np.diff(bounds)
     # forces and moments are divided by their own tolerances, so that 1 is the limit for both
     halves = np.array(wrench, dtype=float).reshape(-1, 2, 3)
-    tolerance = np.maximum(_SHARE * np.maximum.reduceat(norm(halves), bounds[:-1]), _LEAST_TOLERANCE)
+    tolerance = np.maximum(_TOLERANCE_SHARE * np.maximum.reduceat(norm(halves), bounds[:-1]), _LEAST_TOLERANCE)
     halves /= np.repeat(tolerance, count, axis=0)[:, :, None]
     low, high = np.minimum.reduceat(halves, bounds[:-1]), np.maximum.reduceat(halves, bounds[:-1])
-    constant = norm(high - low).max(axis=1) <= 1.0
-    middle = bounds[:-1] + count // 2
-    rows = [middle[constant]]
-    for place in np.flatnonzero(~constant).tolist():
-        begin, end = int(bounds[place]), int(bounds[place + 1])
-        rows.append(begin + np.array(sorted(_places(halves[begin:end])), dtype=np.int64))
+    # constant: the diagonal of the box of all values is within the tolerance
+    is_constant = norm(high - low).max(axis=1) <= 1.0
+    middle_rows = bounds[:-1] + count // 2
+    rows = [middle_rows[is_constant]]
+    for motion_number in np.flatnonzero(~is_constant).tolist():
+        begin, end = int(bounds[motion_number]), int(bounds[motion_number + 1])
+        rows.append(begin + np.array(sorted(_kept_rows(halves[begin:end])), dtype=np.int64))
     return np.sort(np.concatenate(rows))
 
 
-def _places(halves: Array) -> Iterator[int]:
-    """Yield the rows to keep of forces and moments (n, 2, 3), each in units of its tolerance.
+def _kept_rows(halves: Array) -> Iterator[int]:
+    """Yield the rows that a piecewise linear profile of forces and moments needs, in no order.
 
-    Ramer 1972, Douglas and Peucker 1973, over the row number.
+    The algorithm of Ramer 1972 and of Douglas and Peucker 1973, over the row number.
+
+    :param halves: (n, 2, 3) forces and moments, each in units of its tolerance.
     """
     last = len(halves) - 1
     yield from {0, last}
-    todo = [(0, last)]
-    while todo:
-        a, b = todo.pop()
-        if b - a < 2:
+    open_ranges = [(0, last)]
+    while open_ranges:
+        begin, end = open_ranges.pop()
+        if end - begin < 2:
             continue
-        share = ((np.arange(a + 1, b) - a) / (b - a))[:, None, None]
-        deviation = norm(halves[a + 1 : b] - (halves[a] + share * (halves[b] - halves[a]))).max(axis=1)
-        worst = int(np.argmax(deviation))
-        if deviation[worst] > 1.0:
-            yield a + 1 + worst
-            todo += [(a, a + 1 + worst), (a + 1 + worst, b)]
+        share = ((np.arange(begin + 1, end) - begin) / (end - begin))[:, None, None]
+        deviation = norm(halves[begin + 1 : end] - (halves[begin] + share * (halves[end] - halves[begin]))).max(axis=1)
+        farthest = int(np.argmax(deviation))
+        if deviation[farthest] > 1.0:
+            yield begin + 1 + farthest
+            open_ranges += [(begin, begin + 1 + farthest), (begin + 1 + farthest, end)]
 
 
 def smooth_steps(
@@ -84,7 +87,7 @@ def smooth_steps(
     *,
     base_axes: bool,
 ) -> Knots:
-    """Return wrenches that are continuous from motion to motion.
+    """Return the knots of wrenches that are continuous from motion to motion.
 
     At the start of a motion the force changes from that at the end of the motion before, zero after a rapid one, to
     its own; at the end of the motion it acts in full.
@@ -103,16 +106,18 @@ def smooth_steps(
     last = np.append(first[1:], len(motion)) - 1
     single = first == last
     cut_motions = motion[first]
-    at_end = _axes(poses, cut_motions, np.ones(len(cut_motions)))[0]
-    ends, loose_ends = _turn(at_end, wrench[last]), _turn_deviation(at_end, own_deviation[last])
+    at_end = _feed_axes(poses, cut_motions, np.ones(len(cut_motions)))[0]
+    ends, loose_ends = _in_other_axes(at_end, wrench[last]), _deviation_in_other_axes(at_end, own_deviation[last])
     follows = np.flatnonzero(np.diff(cut_motions, prepend=-2) == 1)
     start_wrench, start_deviation = np.zeros((len(cut_motions), 6)), np.zeros((len(cut_motions), 6))
-    starts, _ = _axes(poses, cut_motions[follows], np.zeros(len(follows)))
-    start_wrench[follows] = _turn(np.swapaxes(starts, 1, 2), ends[follows - 1])
-    start_deviation[follows] = _turn_deviation(np.swapaxes(starts, 1, 2), loose_ends[follows - 1])
+    starts, _ = _feed_axes(poses, cut_motions[follows], np.zeros(len(follows)))
+    start_wrench[follows] = _in_other_axes(np.swapaxes(starts, 1, 2), ends[follows - 1])
+    start_deviation[follows] = _deviation_in_other_axes(np.swapaxes(starts, 1, 2), loose_ends[follows - 1])
     reach = np.minimum(1.0, rise[cut_motions] / np.maximum(path.length[cut_motions], 1e-9))
     rows = np.arange(len(cut_motions))
-    reach[_begins_with_last_force(start_wrench, _at(motion, t, wrench, cut_motions, reach), wrench, first)] = 1.0
+    reach[_begins_with_last_force(start_wrench, _wrenches_at(motion, t, wrench, cut_motions, reach), wrench, first)] = (
+        1.0
+    )
     # at 0 the force of the motion before, within a turn its own, then its stations, and its own at the end
     row = np.repeat(rows, last - first + 1)
     inner = (t > np.where(reach < 1.0, reach, 0.0)[row] + 1e-9) & (t < 1.0) & ~single[row]
@@ -123,20 +128,24 @@ def smooth_steps(
     order = np.lexsort((places, row_of_place))
     row_of_place, places = row_of_place[order], places[order]
     values, loose = (
-        _at(motion, t, station_values, cut_motions[row_of_place], places) for station_values in (wrench, own_deviation)
+        _wrenches_at(motion, t, station_values, cut_motions[row_of_place], places)
+        for station_values in (wrench, own_deviation)
     )
     begins = np.flatnonzero(np.diff(row_of_place, prepend=-1))
     values[begins], loose[begins] = start_wrench, start_deviation
     axial_sigma = sigma[1] * norm(values[:, :2])
     count = np.diff(begins, append=len(row_of_place))
     motions = cut_motions[row_of_place]
-    axes, is_axial = _axes(poses, motions, places)
+    axes, is_axial = _feed_axes(poses, motions, places)
     steady = np.repeat(single, count)
     turns_axes = (program.motions.kind[motions] == CIRC) | (path.turn[motions] > TURNS)
     # stations are thinned where the wrench is linear in FEED axes: where these turn, it is not linear in $BASE
     in_base = (is_axial[np.repeat(np.cumsum(count) - 1, count)] & ~(steady & turns_axes)) | (~turns_axes & base_axes)
     to_base = _to_base(program, motions[in_base], poses.frame) @ axes[in_base]
-    values[in_base], loose[in_base] = _turn(to_base, values[in_base]), _turn_deviation(to_base, loose[in_base])
+    values[in_base], loose[in_base] = (
+        _in_other_axes(to_base, values[in_base]),
+        _deviation_in_other_axes(to_base, loose[in_base]),
+    )
     deviation = np.hypot(np.abs(values) * sigma[0], loose)
     # on moves along the spindle in $BASE axes: z of $BASE is taken for the axis of the tool
     deviation[:, 2] = np.hypot(deviation[:, 2], axial_sigma)
@@ -145,32 +154,44 @@ def smooth_steps(
 
 
 def _begins_with_last_force(start_wrench: Array, wrench_at_rise: Array, wrench: Array, first: Ints) -> Bools:
-    """Return which motions begin with a force (k, 6) that is about that at the end of the motion before."""
+    """Return which cutting motions (k,) begin with about the force at the end of the motion before.
+
+    :param start_wrench: (k, 6) at the end of the motion before, `wrench_at_rise` (k, 6) after the rise.
+    :param wrench: (n, 6) of all stations; `first` (k,) row of the first station of each motion.
+    """
     is_alike = np.ones(len(wrench_at_rise), dtype=bool)
     for half, least_tolerance in zip((slice(0, 3), slice(3, 6)), _LEAST_TOLERANCE, strict=True):
         largest = np.maximum.reduceat(norm(wrench[:, half]), first)
         is_alike &= norm(wrench_at_rise[:, half] - start_wrench[:, half]) <= np.maximum(
-            _SHARE * largest, least_tolerance
+            _TOLERANCE_SHARE * largest, least_tolerance
         )
     return is_alike
 
 
-def _at(motion: Ints, t: Array, wrench: Array, place_motion: Ints, places: Array) -> Array:
-    """Return wrenches (k, 6) at places on motions: linear between the stations of each, constant outside of them."""
+def _wrenches_at(motion: Ints, t: Array, wrench: Array, place_motion: Ints, places: Array) -> Array:
+    """Return wrenches (k, 6) at places on motions: linear between the stations of each, constant outside of them.
+
+    :param motion: (n,) motion of each station, `t` (n,) place on it, `wrench` (n, 6).
+    :param place_motion: (k,) motion of each place, and `places` (k,) on it in [0, 1].
+    """
+    # half of t keeps the end of a motion apart from the start of the next in one sorted key
     next_station = np.searchsorted(motion + 0.5 * t, place_motion + 0.5 * places)
-    low, high = (
+    first_rows, last_rows = (
         np.searchsorted(motion, place_motion, side="left"),
         np.searchsorted(motion, place_motion, side="right") - 1,
     )
-    b = np.clip(next_station, low, high)
-    a = np.clip(next_station - 1, low, high)
-    gap = t[b] - t[a]
-    share = np.clip((places - t[a]) / np.where(gap > 0.0, gap, 1.0), 0.0, 1.0)
-    return np.asarray(wrench[a] + share[:, None] * (wrench[b] - wrench[a]))
+    next_row = np.clip(next_station, first_rows, last_rows)
+    last_row = np.clip(next_station - 1, first_rows, last_rows)
+    interval = t[next_row] - t[last_row]
+    share = np.clip((places - t[last_row]) / np.where(interval > 0.0, interval, 1.0), 0.0, 1.0)
+    return np.asarray(wrench[last_row] + share[:, None] * (wrench[next_row] - wrench[last_row]))
 
 
-def _axes(poses: ToolPoses, motion: Ints, t: Array) -> tuple[Array, Bools]:
-    """Return FEED axes (n, 3, 3) as columns in those of the map, and which places lie on moves along the spindle."""
+def _feed_axes(poses: ToolPoses, motion: Ints, t: Array) -> tuple[Array, Bools]:
+    """Return FEED axes (n, 3, 3) as columns in those of the map, and which places (n,) are on moves along the spindle.
+
+    :param motion: (n,) rows of `Motions`, and `t` (n,) places on them.
+    """
     direction = tangent(poses.program, poses.path, motion, t)
     to_map = np.swapaxes(_to_base(poses.program, motion, poses.frame), 1, 2)
     direction = np.einsum("nij,nj->ni", to_map, direction)
@@ -178,26 +199,26 @@ def _axes(poses: ToolPoses, motion: Ints, t: Array) -> tuple[Array, Bools]:
 
 
 def _to_base(program: Program, motion: Ints, map_in_base: Array) -> Array:
-    """Return the axes of the map (n, 3, 3) in the `$BASE` of motions."""
+    """Return the axes of the map (n, 3, 3) as columns in the `$BASE` of motions (n,); `map_in_base` is (4, 4)."""
     base = program.motions.base[motion]
     home = program.bases[home_base(program), :3, :3]
     return np.asarray(np.swapaxes(program.bases[base, :3, :3], 1, 2) @ home @ map_in_base[:3, :3])
 
 
-def _turn(rotation: Array, wrench: Array) -> Array:
-    """Return wrenches (n, 6) in other axes."""
+def _in_other_axes(rotation: Array, wrench: Array) -> Array:
+    """Return wrenches (n, 6) in other axes, to which `rotation` (n, 3, 3) turns them."""
     halves = [np.einsum("nij,nj->ni", rotation, wrench[:, half]) for half in (slice(0, 3), slice(3, 6))]
     return np.concatenate(halves, axis=1)
 
 
-def _turn_deviation(rotation: Array, deviation: Array) -> Array:
-    """Return standard deviations (n, 6) of independent components in other axes."""
-    return np.asarray(np.sqrt(_turn(rotation * rotation, deviation * deviation)))
+def _deviation_in_other_axes(rotation: Array, deviation: Array) -> Array:
+    """Return standard deviations (n, 6) of independent components in axes to which `rotation` (n, 3, 3) turns."""
+    return np.asarray(np.sqrt(_in_other_axes(rotation * rotation, deviation * deviation)))
 
 
 _SAME_FORCE = 2e-3
 """Forces that differ by less [N, N·m] count as equal: the file has three decimals."""
-_PARALLEL = 1.0 - 1e-6
+_PARALLEL_COSINE = 1.0 - 1e-6
 """Cosine of the angle between a move and the spindle above which the move is along it."""
 _COMMENT = re.compile(r"\([^)]*\)|;.*")
 _CALL = re.compile(r"M[ \t]*0*98(?![\d.])|CALL", re.IGNORECASE)
@@ -264,8 +285,8 @@ def _are_equal(first: _Profile, second: _Profile) -> bool:
         return False
     if np.isnan(t[0]):
         return bool(np.abs(values[0] - values_[0]).max() <= _SAME_FORCE)
-    at = np.union1d(t, t_)
-    differences = [np.interp(at, t, a) - np.interp(at, t_, b) for a, b in zip(values.T, values_.T, strict=True)]
+    places = np.union1d(t, t_)
+    differences = [np.interp(places, t, a) - np.interp(places, t_, b) for a, b in zip(values.T, values_.T, strict=True)]
     return bool(np.abs(differences).max() <= _SAME_FORCE)
 
 
@@ -278,15 +299,15 @@ def _is_cycle(program: Program, path: Segments, column: int, moves: Ints, text: 
     if len(rows) != rows[-1] - rows[0] + 1 or not m.rapid[rows].any():
         return False
     cosine = np.einsum("ni,ni->n", tangent(program, path, moves, np.ones(len(moves))), m.target[moves, :3, column])
-    return bool(((m.kind[moves] == LIN) & (np.abs(cosine) > _PARALLEL)).all())
+    return bool(((m.kind[moves] == LIN) & (np.abs(cosine) > _PARALLEL_COSINE)).all())
 
 
-def _profile_conflict(program: Program, two: Ints, count: int, text: str) -> ForceError:
-    """Return the error for motions of one line whose forces differ; `two`: rows of two of them."""
-    line, file = int(program.motions.line[two[0]]), program.documents[0].name
-    places = program.places(two)
-    at = [f"{name}:{number}" for name, number in map(places.of, range(2)) if (name, number) != (file, line)]
-    place_text = f" ({', '.join(at)} …)" if at else ""
+def _profile_conflict(program: Program, rows: Ints, count: int, text: str) -> ForceError:
+    """Return the error for motions of one line whose forces differ; `rows`: rows of two of them."""
+    line, file = int(program.motions.line[rows[0]]), program.documents[0].name
+    places = program.places(rows)
+    place_texts = [f"{name}:{number}" for name, number in map(places.of, range(2)) if (name, number) != (file, line)]
+    place_text = f" ({', '.join(place_texts)} …)" if place_texts else ""
     problem = (
         f"the {count} cutting moves of this line{place_text} have different forces: a force CSV has one for all of them"
     )

@@ -157,17 +157,17 @@ def check_sizes(value: Array, force: Array, prior_tangential: float | None, file
                 advice="Give forces in N, ap_mm and ae_mm in mm, feed_mm_per_min in mm/min.",
             )
     ratio = None if prior_tangential is None else tangential / prior_tangential
-    largest = float(np.nanmax(np.abs(force), initial=0.0)) if np.isfinite(force).any() else np.inf
+    largest_force = float(np.nanmax(np.abs(force), initial=0.0)) if np.isfinite(force).any() else np.inf
     agrees = ratio is not None and 1.0 / _SAME_MATERIAL < ratio < _SAME_MATERIAL
-    is_small = largest < _SMALL_FORCE and tangential < _SOFT and not agrees
+    is_small = largest_force < _SMALL_FORCE and tangential < _SOFT and not agrees
     if is_small and (tangential < _SOFTEST or (ratio is not None and _KILONEWTON[0] < ratio < _KILONEWTON[1])):
         raise ForceError(
-            f"the largest force is {largest:.2g} N, Ktc {tangential:.2g} N/mm²: the forces look like kN",
+            f"the largest force is {largest_force:.2g} N, Ktc {tangential:.2g} N/mm²: the forces look like kN",
             file=file,
             advice="Give Fx, Fy, Fz in N. If a foam is that soft, state it as [material] of the process.",
         )
     return (
-        [f"the largest force is {largest:.2g} N, Ktc {tangential:.2g} N/mm²: are these kN? Foam is as soft"]
+        [f"the largest force is {largest_force:.2g} N, Ktc {tangential:.2g} N/mm²: are these kN? Foam is as soft"]
         if is_small
         else []
     )

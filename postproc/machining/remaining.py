@@ -26,9 +26,9 @@ _SIDE_CELLS = 128
 """Coarse cells along a side of the stock (assumed)."""
 _HALF_DIAGONAL = 0.7072
 """Half of the diagonal of a cell, √2 / 2 of its width, rounded up: a tool that touches a cell reaches its middle."""
-_FLUSH = 1e-6
+_FLUSH_DEPTH = 1e-6
 """Bodies that reach into material by less [m] are flush with it (assumed)."""
-_EXACT = 5e-5
+_DISTANCE_ERROR = 5e-5
 """To which the distance of a part that is too close is found [m]."""
 _MOST_HITS = 20
 """Motions on which a part of the tool is too close, after which it is not compared any more."""
@@ -57,14 +57,16 @@ def touches(stock: Stock, body: Cutter, begin: Array, end: Array) -> Bools:
     :param begin: (L, 3) lower end of the body where a segment begins; end: (L, 3) where it ends [m].
     """
     is_touching = np.zeros(len(begin), dtype=bool)
-    wide = replace(body, radius=body.radius + _HALF_DIAGONAL * stock.cell)
+    widened_body = replace(body, radius=body.radius + _HALF_DIAGONAL * stock.cell)
     high, floor = stock.high.reshape(-1), stock.floor.reshape(-1)
-    for rows, corner, window in windows(stock, wide.radius + stock.cell, begin, end):
+    for rows, corner, window in windows(stock, widened_body.radius + stock.cell, begin, end):
         index, row, column = cells(stock, corner, window)
-        distance, level = tool_levels(wide, begin[rows], end[rows], *middles(stock, begin[rows], row, column))
+        distance, level = tool_levels(widened_body, begin[rows], end[rows], *middles(stock, begin[rows], row, column))
         material = high[index]
         is_hit = (
-            (distance < np.float32(wide.radius)) & (material > level + np.float32(_FLUSH)) & (material > floor[index])
+            (distance < np.float32(widened_body.radius))
+            & (material > level + np.float32(_FLUSH_DEPTH))
+            & (material > floor[index])
         )
         is_touching[rows] = is_hit.any(axis=(1, 2))
     return is_touching
@@ -126,10 +128,10 @@ class Ceiling:
         """Return the highest material (ny, nx) of the coarse cells when a motion begins [m]."""
         level = self._first.copy()
         flat = level.reshape(-1)
-        for last, index, low in self._sunk:
-            if last >= motion:
+        for end_motion, index, sunk_level in self._sunk:
+            if end_motion >= motion:
                 break
-            flat[index] = low
+            flat[index] = sunk_level
         return level
 
     def mesh(self, motion: int) -> tuple[Array, NDArray[np.int64]]:
@@ -187,10 +189,14 @@ def _boxes(level: Array) -> list[tuple[float, ...]]:
     """Return rectangles of cells with one level: columns and rows from, to (exclusive), and the level."""
     boxes: list[tuple[float, ...]] = []
     first_row: dict[tuple[int, int, float], int] = {}
-    for row, line in enumerate([*level, np.full(level.shape[1], -np.inf)]):
-        ends = np.append(np.flatnonzero(line[1:] != line[:-1]) + 1, len(line))
+    for row, row_levels in enumerate([*level, np.full(level.shape[1], -np.inf)]):
+        ends = np.append(np.flatnonzero(row_levels[1:] != row_levels[:-1]) + 1, len(row_levels))
         starts = np.append(0, ends[:-1])
-        runs = {(int(a), int(b), float(line[a])) for a, b in zip(starts, ends, strict=True) if np.isfinite(line[a])}
+        runs = {
+            (int(a), int(b), float(row_levels[a]))
+            for a, b in zip(starts, ends, strict=True)
+            if np.isfinite(row_levels[a])
+        }
         for run in [run for run in first_row if run not in runs]:
             boxes.append((run[0], run[1], first_row.pop(run), row, run[2]))
         for run in runs:
@@ -251,41 +257,43 @@ class Guard(Struct, eq=False):
         """
         begin, end, motion = segments.begin[rows], segments.end[rows], segments.motion[rows]
         reach = max(part.radius + self.need, cutter.radius) + 3.0 * stock.cell
-        left = _copy(stock, np.minimum(begin, end).min(axis=0) - reach, np.maximum(begin, end).max(axis=0) + reach)
+        remaining_stock = _copied_part(
+            stock, np.minimum(begin, end).min(axis=0) - reach, np.maximum(begin, end).max(axis=0) + reach
+        )
         if segments.continues[rows.start]:
-            remove(left, cutter, begin[:1], begin[:1])
+            remove(remaining_stock, cutter, begin[:1], begin[:1])
         step = max(stock.cell, 0.5 * (part.height - self.need))
         for start, stop, row_motion in zip(begin, end, motion.tolist(), strict=True):
             if not removes:
-                self._note(part, left, row_motion, (start[None], stop[None]))
+                self._note(part, remaining_stock, row_motion, (start[None], stop[None]))
                 continue
-            for piece in _pieces(start, stop, step):
-                if touches(left, *self._swept_volume(part, *piece, self.need))[0]:
-                    for little in _pieces(piece[0][0], piece[1][0], stock.cell):
-                        self._note(part, left, row_motion, little)
-                        remove(left, cutter, *little)
+            for piece in _segment_pieces(start, stop, step):
+                if touches(remaining_stock, *self._swept_volume(part, *piece, self.need))[0]:
+                    for short_piece in _segment_pieces(piece[0][0], piece[1][0], stock.cell):
+                        self._note(part, remaining_stock, row_motion, short_piece)
+                        remove(remaining_stock, cutter, *short_piece)
                 else:
-                    remove(left, cutter, *piece)
+                    remove(remaining_stock, cutter, *piece)
 
     def _note(self, part: Part, stock: Stock, motion: int, segment: tuple[Array, Array]) -> None:
         """Note how close a part comes on a segment, if that is closer than allowed and than before on its motion."""
         key = part.name, motion
 
-        def hit(need: float) -> bool:
+        def is_hit(need: float) -> bool:
             return bool(touches(stock, *self._swept_volume(part, *segment, need))[0])
 
         low, high = 0.0, self.close.get(key, self.need)
-        if not hit(high):
+        if not is_hit(high):
             return
-        if hit(low):
+        if is_hit(low):
             high = low
-        while high - low > _EXACT:
+        while high - low > _DISTANCE_ERROR:
             middle = 0.5 * (low + high)
-            low, high = (low, middle) if hit(middle) else (middle, high)
+            low, high = (low, middle) if is_hit(middle) else (middle, high)
         self.close[key] = high
 
 
-def _pieces(begin: Array, end: Array, step: float) -> Iterator[tuple[Array, Array]]:
+def _segment_pieces(begin: Array, end: Array, step: float) -> Iterator[tuple[Array, Array]]:
     """Yield the parts of a segment, (1, 3) each, that are no longer than a step [m]."""
     count = max(1, int(np.ceil(np.sqrt(np.sum((end - begin) ** 2)) / step - 1e-9)))
     places = begin + np.linspace(0.0, 1.0, count + 1)[:, None] * (end - begin)
@@ -293,12 +301,12 @@ def _pieces(begin: Array, end: Array, step: float) -> Iterator[tuple[Array, Arra
         yield places[k : k + 1], places[k + 1 : k + 2]
 
 
-def _copy(stock: Stock, low: Array, high: Array) -> Stock:
+def _copied_part(stock: Stock, low: Array, high: Array) -> Stock:
     """Return a copy of the map between two points [m]."""
     origin = np.array([stock.x, stock.y])
-    first = np.floor((low[:2] - origin) / stock.cell).astype(int).clip(0)
-    last = np.ceil((high[:2] - origin) / stock.cell).astype(int).clip(0) + 1
-    part = slice(int(first[1]), int(last[1])), slice(int(first[0]), int(last[0]))
-    upper, lower, share, floor = (values[part].copy() for values in (stock.high, stock.low, stock.share, stock.floor))
-    x, y = origin + first * stock.cell
-    return Stock(float(x), float(y), stock.cell, upper, lower, share, stock.slope[part].copy(), floor, stock.ground)
+    first_cell = np.floor((low[:2] - origin) / stock.cell).astype(int).clip(0)
+    end_cell = np.ceil((high[:2] - origin) / stock.cell).astype(int).clip(0) + 1
+    window = slice(int(first_cell[1]), int(end_cell[1])), slice(int(first_cell[0]), int(end_cell[0]))
+    upper, lower, share, floor = (values[window].copy() for values in (stock.high, stock.low, stock.share, stock.floor))
+    x, y = origin + first_cell * stock.cell
+    return Stock(float(x), float(y), stock.cell, upper, lower, share, stock.slope[window].copy(), floor, stock.ground)

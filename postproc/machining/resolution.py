@@ -43,27 +43,27 @@ def thin_passes(program: Program, tools: ToolStates, by_cells: Array) -> list[Th
     :param by_cells: (M, 2) sums of squares of deviations and forces on each motion [N²], see `Sweep`.
     """
     cuts = ~program.motions.rapid
-    begins = np.flatnonzero(np.diff(cuts.astype(np.int8), prepend=0) > 0)
-    if not len(begins):
+    pass_begins = np.flatnonzero(np.diff(cuts.astype(np.int8), prepend=0) > 0)
+    if not len(pass_begins):
         return []
-    sums = np.add.reduceat(by_cells, begins, axis=0)
-    firsts = [operation.first for operation in operations(program, at_retracts=True)]
-    changes = np.flatnonzero(np.diff(tools.tool[begins])) + 1
-    blocks = np.unique([0, *np.searchsorted(begins, firsts), *changes, len(begins)]).tolist()
+    sums = np.add.reduceat(by_cells, pass_begins, axis=0)
+    operation_begins = [operation.first for operation in operations(program, at_retracts=True)]
+    changes = np.flatnonzero(np.diff(tools.tool[pass_begins])) + 1
+    blocks = np.unique([0, *np.searchsorted(pass_begins, operation_begins), *changes, len(pass_begins)]).tolist()
     passes = []
     for begin, end in pairwise(blocks):
-        deviation = _share(sums[begin:end])
+        pass_share = _rms_shares(sums[begin:end])
         # a finer map holds from a pass to the end of the block: it must be worth it for all of that
-        onward = _share(np.cumsum(sums[begin:end][::-1], axis=0)[::-1])
-        thin = np.flatnonzero((deviation > COARSE) & (onward > COARSE))
-        if len(thin):
-            row = int(thin[0])
-            first = int(begins[begin + row])
-            passes.append(ThinPasses(first, int(tools.tool[first]), float(onward[row])))
+        share_to_end = _rms_shares(np.cumsum(sums[begin:end][::-1], axis=0)[::-1])
+        is_thin = np.flatnonzero((pass_share > COARSE) & (share_to_end > COARSE))
+        if len(is_thin):
+            row = int(is_thin[0])
+            first = int(pass_begins[begin + row])
+            passes.append(ThinPasses(first, int(tools.tool[first]), float(share_to_end[row])))
     return passes
 
 
-def _share(sums: Array) -> Array:
+def _rms_shares(sums: Array) -> Array:
     """Return the RMS deviations as shares of the forces (n,), from sums of squares (n, 2)."""
     return np.asarray(np.sqrt(sums[:, 0] / np.maximum(sums[:, 1], 1e-300)))
 
@@ -71,5 +71,8 @@ def _share(sums: Array) -> Array:
 def factors(passes: list[ThinPasses], cells: int) -> dict[int, int]:
     """Return by which whole number cells must be divided from each motion on, for maps of so many cells."""
     max_factor = int(np.sqrt(_MOST_FINE / cells))
-    factor_of_motion = {thin.first: min(int(np.ceil(thin.share / ENOUGH - 0.1)), max_factor) for thin in passes}
+    factor_of_motion = {
+        passes_of_tool.first: min(int(np.ceil(passes_of_tool.share / ENOUGH - 0.1)), max_factor)
+        for passes_of_tool in passes
+    }
     return {first: factor for first, factor in factor_of_motion.items() if factor > 1}

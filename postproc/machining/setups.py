@@ -11,7 +11,7 @@ from postproc.machining.tool_path import TURNS, Directions
 from postproc.program import Bools, Program
 
 _CONE_STEPS = 60
-"""Steps of the search for the middle of directions."""
+"""Steps of the search for the middle of directions: the error of the middle falls with one over this (assumed)."""
 
 
 class Setup(Struct, frozen=True, eq=False):
@@ -40,14 +40,14 @@ def setups(program: Program, directions: Directions, widest: float) -> list[Setu
     cuts = directions.cuts
     if not cuts.any():
         raise ForceError("no cutting move in this program", file=program.documents[0].name)
-    bounds = np.flatnonzero(np.diff(cuts.astype(np.int8), prepend=0, append=0)).reshape(-1, 2).tolist()
+    ranges_of_cuts = np.flatnonzero(np.diff(cuts.astype(np.int8), prepend=0, append=0)).reshape(-1, 2).tolist()
     map_directions: list[Array] = []
     starts: list[int] = []
-    for begin, end in bounds:
-        first = directions.end[begin]
-        if (directions.of_range(begin, end) @ first > np.cos(TURNS)).all():
-            if not map_directions or first @ map_directions[-1] < np.cos(TURNS):
-                map_directions.append(first)
+    for begin, end in ranges_of_cuts:
+        first_direction = directions.end[begin]
+        if (directions.of_range(begin, end) @ first_direction > np.cos(TURNS)).all():
+            if not map_directions or first_direction @ map_directions[-1] < np.cos(TURNS):
+                map_directions.append(first_direction)
                 starts.append(begin)
             continue
         while begin < end:
@@ -59,34 +59,39 @@ def setups(program: Program, directions: Directions, widest: float) -> list[Setu
             ):
                 row += 1
             if row < end:
-                map_directions.append(_cone(program, directions, row, widest))
+                map_directions.append(_middle_of_cone(program, directions, row, widest))
                 starts.append(row)
             begin = row
-    number = np.searchsorted(starts[1:], np.arange(len(cuts)), side="right")
-    return [Setup(_frame(direction), np.asarray(number == k)) for k, direction in enumerate(map_directions)]
+    setup_number = np.searchsorted(starts[1:], np.arange(len(cuts)), side="right")
+    return [Setup(_frame(direction), np.asarray(setup_number == k)) for k, direction in enumerate(map_directions)]
 
 
-def divide_by_cells(in_order: list[Setup], cell_factors: dict[int, int], cuts: Bools) -> list[Setup]:
+def divide_by_cells(ordered_setups: list[Setup], cell_factors: dict[int, int], cuts: Bools) -> list[Setup]:
     """Divide set-ups where the cells of their map become finer; parts without a cut are not divided.
 
     :param cell_factors: by which whole number cells are divided from a motion on, to the end of its set-up at least.
     :param cuts: (M,) cutting motions.
     """
-    parts = []
-    for setup in in_order:
+    divided_setups = []
+    for setup in ordered_setups:
         rows = np.flatnonzero(setup.motions)
-        first_motions = [first for first in sorted(cell_factors) if setup.motions[first]]
-        begin, factor, number = int(rows[0]), 1, np.arange(len(setup.motions))
-        for first in [*first_motions, int(rows[-1]) + 1]:
-            if cuts[begin:first].any():
-                parts.append(Setup(setup.frame, np.asarray((number >= begin) & (number < first)), factor))
-                begin = first
-            factor = max(factor, cell_factors.get(first, 1))
-    return parts
+        first_motions = [end_row for end_row in sorted(cell_factors) if setup.motions[end_row]]
+        begin, factor, motion_rows = int(rows[0]), 1, np.arange(len(setup.motions))
+        for end_row in [*first_motions, int(rows[-1]) + 1]:
+            if cuts[begin:end_row].any():
+                divided_setups.append(
+                    Setup(setup.frame, np.asarray((motion_rows >= begin) & (motion_rows < end_row)), factor)
+                )
+                begin = end_row
+            factor = max(factor, cell_factors.get(end_row, 1))
+    return divided_setups
 
 
-def _cone(program: Program, directions: Directions, begin: int, widest: float) -> Array:
-    """Return the middle of the directions of as many cutting motions as have one (Badoiu and Clarkson 2003).
+def _middle_of_cone(program: Program, directions: Directions, begin: int, widest: float) -> Array:
+    """Return the axis (3,) of a cone about the directions of as many cutting motions as one holds, from `begin` on.
+
+    The number of motions is halved until a cone of the half angle `widest` [rad] holds them. The axis is the centre of
+    the smallest ball about the directions (Badoiu and Clarkson 2003).
 
     :raises ForceError: there is none for the first of them.
     """

@@ -45,24 +45,24 @@ def operation_knots(program: Program, process: Process) -> Knots:
     names, program_operations = list(process.operations), operations(program, at_retracts=True)
     tools = {int(match[1]): k for k, name in enumerate(names) if (match := _TOOL.fullmatch(name.strip()))}
     blocks = {match[1]: k for k, name in enumerate(names) if (match := _BLOCK.fullmatch(name.strip()))}
-    titles = {_plain(name): k for k, name in enumerate(names) if k not in {*tools.values(), *blocks.values()}}
+    titles = {_normal_text(name): k for k, name in enumerate(names) if k not in {*tools.values(), *blocks.values()}}
     changes = [event for event in program.events if event.kind == "tool_change"]
     tool_marks = [(event.before, 0, tools.get(int(event.value), -1)) for event in changes]
     name_marks = _named_marks(program, program_operations, titles, blocks)
-    by_name = _last_entry(name_marks, len(program.motions))
-    place = np.where(by_name >= 0, by_name, _last_entry(tool_marks, len(program.motions)))
+    named_entry = _last_entry(name_marks, len(program.motions))
+    entry_of_motion = np.where(named_entry >= 0, named_entry, _last_entry(tool_marks, len(program.motions)))
     used_entries = {entry_number for _, _, entry_number in [*tool_marks, *name_marks]}
     unused = [name for k, name in enumerate(names) if k not in used_entries]
     if unused:
         raise combined_error(_unmatched_error(program, process, name, program_operations) for name in unused)
-    motion = np.flatnonzero((place >= 0) & ~program.motions.rapid)
+    motion = np.flatnonzero((entry_of_motion >= 0) & ~program.motions.rapid)
     entries = [process.operations[name] for name in names]
-    wrench = np.array([_wrench(entry) for entry in entries]).reshape(-1, 6)
+    wrench = np.array([_wrench_of_entry(entry) for entry in entries]).reshape(-1, 6)
     frame = np.array([FORCE_FRAMES.index(entry.frame) for entry in entries], dtype=np.int64)
     share = np.array([entry.sigma_percent / 100.0 for entry in entries])
-    rows = place[motion]
+    rows = entry_of_motion[motion]
     sigma = np.abs(wrench[rows]) * share[rows, None]
-    issues = tuple(_passed_comments(program, by_name, names))
+    issues = tuple(_passed_comments(program, named_entry, names))
     return replace(Knots.throughout(motion, wrench[rows], frame[rows], sigma, share[rows]), issues=issues)
 
 
@@ -74,30 +74,30 @@ def _named_marks(
     program: Program, program_operations: tuple[Operation, ...], titles: dict[str, int], blocks: dict[str, int]
 ) -> list[_Mark]:
     """Return the begins and ends of entries that a comment or an N word names."""
-    marks = [(operation.first, 1, titles.get(_plain(operation.name), -1)) for operation in program_operations]
+    marks = [(operation.first, 1, titles.get(_normal_text(operation.name), -1)) for operation in program_operations]
     cuts = _cut_counts(program)
-    row, running = 0, -1  # the last comment that names an entry
+    entry_row, running_entry = 0, -1  # the last comment that names an entry
     new_tool: float | None = None  # the tool changed to since then
     for event in _add_tool_changes(program):
         if event.kind == "tool_change":
-            if cuts[event.before] > cuts[row] or new_tool not in (None, event.value):
-                marks.append((event.before, 2 if running >= 0 and row == event.before else 0, -1))
-                running = -1
+            if cuts[event.before] > cuts[entry_row] or new_tool not in (None, event.value):
+                marks.append((event.before, 2 if running_entry >= 0 and entry_row == event.before else 0, -1))
+                running_entry = -1
             new_tool = event.value
         elif event.kind == "comment":
-            entry = titles.get(_plain(title(event.text)), titles.get(_plain(event.text), -1))
+            entry = titles.get(_normal_text(title(event.text)), titles.get(_normal_text(event.text), -1))
             end_title = finished_operation(event.text)
             if entry >= 0:
                 marks.append((event.before, 2, entry))
-                row, running, new_tool = event.before, entry, None
-            elif end_title is not None and running >= 0 and titles.get(_plain(end_title)) == running:
+                entry_row, running_entry, new_tool = event.before, entry, None
+            elif end_title is not None and running_entry >= 0 and titles.get(_normal_text(end_title)) == running_entry:
                 marks.append((event.before, 0, -1))
     line = program.motions.line
     for number, text in enumerate(program.documents[0].text.splitlines() if blocks else (), start=1):
         match = _N_WORD.match(text)
         if match is not None and match[1] in blocks:
             begins = (line >= number) & (np.concatenate([[0], line[:-1]]) < number)
-            marks += [(row, 3, blocks[match[1]]) for row in np.flatnonzero(begins).tolist()]
+            marks += [(entry_row, 3, blocks[match[1]]) for entry_row in np.flatnonzero(begins).tolist()]
     return marks
 
 
@@ -149,9 +149,9 @@ def _last_entry(marks: list[_Mark], count: int) -> Ints:
 
     :param marks: those of one row and rank in the order in which they count, the last one wins.
     """
-    in_order = [(-1, 0, -1), *sorted(marks, key=lambda mark: mark[:2])]
-    last = np.searchsorted([row for row, _, _ in in_order], np.arange(count), side="right") - 1
-    return np.array([entry for _, _, entry in in_order], dtype=np.int64)[last]
+    ordered_marks = [(-1, 0, -1), *sorted(marks, key=lambda mark: mark[:2])]
+    last_mark = np.searchsorted([row for row, _, _ in ordered_marks], np.arange(count), side="right") - 1
+    return np.array([entry for _, _, entry in ordered_marks], dtype=np.int64)[last_mark]
 
 
 def _unmatched_error(
@@ -161,8 +161,12 @@ def _unmatched_error(
     file = program.documents[0].name
     operation_names = list(dict.fromkeys(item.name for item in program_operations))
     comments = [title(event.text) for event in program.events if event.kind == "comment" and event.text.strip()]
-    matches = difflib.get_close_matches(_plain(name), [_plain(item) for item in [*operation_names, *comments]], 1)
-    nearest = next((item for item in [*operation_names, *comments] if matches and _plain(item) == matches[0]), None)
+    matches = difflib.get_close_matches(
+        _normal_text(name), [_normal_text(item) for item in [*operation_names, *comments]], 1
+    )
+    nearest = next(
+        (item for item in [*operation_names, *comments] if matches and _normal_text(item) == matches[0]), None
+    )
     name_list = ", ".join(f"{item!r}" for item in operation_names[:_MAX_NAMES]) + (
         " …" if len(operation_names) > _MAX_NAMES else ""
     )
@@ -175,11 +179,13 @@ def _unmatched_error(
     )
 
 
-def _plain(text: str) -> str:
+def _normal_text(text: str) -> str:
+    """Return a text with single blanks and without case, in which names are compared."""
     return " ".join(text.split()).casefold()
 
 
-def _wrench(entry: OperationTable) -> tuple[float, ...]:
+def _wrench_of_entry(entry: OperationTable) -> tuple[float, ...]:
+    """Return force [N] and moment [N·m] of an entry."""
     return entry.Fx, entry.Fy, entry.Fz, entry.Mx, entry.My, entry.Mz
 
 

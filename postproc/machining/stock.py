@@ -31,11 +31,11 @@ SLOPE = 1e-4
 _STEEPEST = 3.0
 """and the steepest one: walls are located by the levels of their cells."""
 _STEP = 0.25
-"""Distance of the levels between which a slope is taken, in cells."""
-_SUB = 4
-"""Columns and rows into which a cell is divided to find the share of it that a mesh covers."""
-_PAIRS = 4_000_000
-"""Pairs of triangle and cell that are processed together."""
+"""Distance from the middle of a cell of the two levels from which its slope is computed, in cells (assumed)."""
+_SUBDIVISION = 4
+"""Number of columns and of rows into which a cell is divided to find the share of it that a mesh covers (assumed)."""
+_MOST_PAIRS = 4_000_000
+"""Largest number of pairs of triangle and cell that are processed at once: it limits memory."""
 
 
 class Stock(Struct, frozen=True, eq=False):
@@ -111,21 +111,21 @@ def _surface_at(high: Floats, rise: Floats, has_slope: Bools, y_shift: float, x_
     """
     x_side, y_side = 1 if x_shift >= 0.0 else -1, 1 if y_shift >= 0.0 else -1
     steps = [(0, 0), (0, x_side), (y_side, 0), (y_side, x_side)]
-    size, distance = high.shape, (abs(y_shift), abs(x_shift))
-    usable, border = np.ones(size, dtype=bool), ((1, 1), (1, 1))
-    wide_high, wide_has_slope = np.pad(high, border, mode="edge"), np.pad(has_slope, border, mode="edge")
-    wide_rise = np.pad(rise, (*border, (0, 0)), mode="edge")
+    shape, distance = high.shape, (abs(y_shift), abs(x_shift))
+    has_all_slopes, border = np.ones(shape, dtype=bool), ((1, 1), (1, 1))
+    padded_high, padded_has_slope = np.pad(high, border, mode="edge"), np.pad(has_slope, border, mode="edge")
+    padded_rise = np.pad(rise, (*border, (0, 0)), mode="edge")
     levels, planes, weights = list[Floats](), list[Floats](), list[Floats]()
     for row_step, column_step in steps:
-        window = slice(1 + row_step, 1 + row_step + size[0]), slice(1 + column_step, 1 + column_step + size[1])
-        slope = wide_rise[window]
-        usable &= wide_has_slope[window]
-        levels.append(wide_high[window])
+        window = slice(1 + row_step, 1 + row_step + shape[0]), slice(1 + column_step, 1 + column_step + shape[1])
+        slope = padded_rise[window]
+        has_all_slopes &= padded_has_slope[window]
+        levels.append(padded_high[window])
         plane_rise = np.float32(x_shift - column_step) * slope[..., 0] + np.float32(y_shift - row_step) * slope[..., 1]
         planes.append(np.asarray(levels[-1] + plane_rise, dtype=np.float32))
         share = (distance[0] if row_step else 1.0 - distance[0]) * (distance[1] if column_step else 1.0 - distance[1])
-        weights.append(np.full(size, share, dtype=np.float32))
-    return np.where(usable, between_cells(levels, planes, weights), high)
+        weights.append(np.full(shape, share, dtype=np.float32))
+    return np.where(has_all_slopes, between_cells(levels, planes, weights), high)
 
 
 def between_cells(levels: list[Floats], planes: list[Floats], weights: list[Floats]) -> Floats:
@@ -149,7 +149,7 @@ def level(high: Floats) -> NDArray[np.int16]:
     return np.zeros((*high.shape, 2), dtype=np.int16)
 
 
-def _empty(lower: Array, upper: Array, cell: float, file: str) -> tuple[float, float, int, int]:
+def _map_extent(lower: Array, upper: Array, cell: float, file: str) -> tuple[float, float, int, int]:
     """Return origin x, y [m] and numbers of cells in x, y of a map with a border.
 
     :raises ForceError: it would be too large.
@@ -167,7 +167,7 @@ def from_box(lower: Array, upper: Array, cell: float, file: str = "stock") -> St
 
     :raises ForceError: it would have too many cells.
     """
-    x, y, nx, ny = _empty(lower, upper, cell, file)
+    x, y, nx, ny = _map_extent(lower, upper, cell, file)
     axis_coverage = []
     for first, count, begin, end in ((x, nx, lower[0], upper[0]), (y, ny, lower[1], upper[1])):
         edge = first + cell * np.arange(count + 1)
@@ -186,24 +186,26 @@ def from_mesh(vertices: Array, faces: NDArray[np.int64], cell: float, file: str 
     :param vertices: (V, 3) [m], in the frame of the map; faces: (F, 3).
     :raises ForceError: it would have too many cells.
     """
-    x, y, nx, ny = _empty(vertices.min(axis=0), vertices.max(axis=0), cell, file)
+    x, y, nx, ny = _map_extent(vertices.min(axis=0), vertices.max(axis=0), cell, file)
     high, low, share = (np.zeros((ny, nx), dtype=np.float32) for _ in range(3))
     floor = np.full((ny, nx), np.inf, dtype=np.float32)
-    span = max(1, _PAIRS // (nx * _SUB * _SUB))
+    rows_at_once = max(1, _MOST_PAIRS // (nx * _SUBDIVISION * _SUBDIVISION))
     face_bottom, face_top = (np.asarray(edge(vertices[faces, 1], axis=1)) for edge in (np.min, np.max))
-    for first in range(0, ny, span):
-        rows = min(span, ny - first)
-        begin, end = y + first * cell, y + (first + rows) * cell
+    for first in range(0, ny, rows_at_once):
+        row_count = min(rows_at_once, ny - first)
+        begin, end = y + first * cell, y + (first + row_count) * cell
         row_faces = faces[(face_top >= begin) & (face_bottom <= end)]
-        upper, lower = _columns(vertices, row_faces, (x, begin), cell / _SUB, (nx * _SUB, rows * _SUB))
-        solid = upper > lower
-        blocks = (rows, _SUB, nx, _SUB)
-        count = solid.reshape(blocks).sum(axis=(1, 3))
-        mean = np.where(solid, upper, 0.0).reshape(blocks).sum(axis=(1, 3)) / np.maximum(count, 1)
-        mean_floor = np.where(solid, lower, 0.0).reshape(blocks).sum(axis=(1, 3)) / np.maximum(count, 1)
-        map_rows = slice(first, first + rows)
+        upper, lower = _surfaces_of_columns(
+            vertices, row_faces, (x, begin), cell / _SUBDIVISION, (nx * _SUBDIVISION, row_count * _SUBDIVISION)
+        )
+        is_solid = upper > lower
+        blocks = (row_count, _SUBDIVISION, nx, _SUBDIVISION)
+        count = is_solid.reshape(blocks).sum(axis=(1, 3))
+        mean = np.where(is_solid, upper, 0.0).reshape(blocks).sum(axis=(1, 3)) / np.maximum(count, 1)
+        mean_floor = np.where(is_solid, lower, 0.0).reshape(blocks).sum(axis=(1, 3)) / np.maximum(count, 1)
+        map_rows = slice(first, first + row_count)
         high[map_rows], floor[map_rows] = np.where(count > 0, mean, np.nan), np.where(count > 0, mean_floor, np.nan)
-        share[map_rows] = np.where(count > 0, 1.0 - count / _SUB**2, 0.0)
+        share[map_rows] = np.where(count > 0, 1.0 - count / _SUBDIVISION**2, 0.0)
     is_empty = np.isnan(high)
     ground = float(np.nanmin(floor)) if not is_empty.all() else 0.0
     high[is_empty] = floor[is_empty] = ground
@@ -211,54 +213,61 @@ def from_mesh(vertices: Array, faces: NDArray[np.int64], cell: float, file: str 
     return Stock(x, y, cell, high, low, share, level(high), floor, float(floor.max()) + 1e-6)
 
 
-def _columns(
+def _surfaces_of_columns(
     vertices: Array, faces: NDArray[np.int64], origin: tuple[float, float], step: float, count: tuple[int, int]
 ) -> tuple[Array, Array]:
-    """Return the highest and the lowest surface above the points of a grid, (ny, nx) each; −inf, inf if none."""
+    """Return the highest and the lowest height of a mesh over a grid, (ny, nx) each [m]; −inf, inf if none.
+
+    :param origin: corner of the grid x, y [m]; its points are in the middles of squares of a width `step` [m].
+    :param count: number of points along x and y.
+    """
     nx, ny = count
     upper, lower = np.full(ny * nx, -np.inf), np.full(ny * nx, np.inf)
-    for corner, index, triangle in _pairs(vertices[faces], origin, step, count):
+    for corner, index, triangle in _points_in_boxes(vertices[faces], origin, step, count):
         a, b, c = (corner[triangle, k] for k in range(3))
         px = origin[0] + (index % nx + 0.5) * step
         py = origin[1] + (index // nx + 0.5) * step
         # barycentric coordinates v, w of the point in the triangle seen from above; vertical triangles have no area
         # there
         area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
-        flat = np.abs(area) > 1e-16
-        area = np.where(flat, area, 1.0)
+        is_not_vertical = np.abs(area) > 1e-16
+        area = np.where(is_not_vertical, area, 1.0)
         v = ((px - a[:, 0]) * (c[:, 1] - a[:, 1]) - (py - a[:, 1]) * (c[:, 0] - a[:, 0])) / area
         w = ((b[:, 0] - a[:, 0]) * (py - a[:, 1]) - (b[:, 1] - a[:, 1]) * (px - a[:, 0])) / area
-        hit = flat & (v >= -1e-9) & (w >= -1e-9) & (v + w <= 1.0 + 1e-9)
-        z = (a[:, 2] + v * (b[:, 2] - a[:, 2]) + w * (c[:, 2] - a[:, 2]))[hit]
-        np.maximum.at(upper, index[hit], z)
-        np.minimum.at(lower, index[hit], z)
+        is_inside = is_not_vertical & (v >= -1e-9) & (w >= -1e-9) & (v + w <= 1.0 + 1e-9)
+        z = (a[:, 2] + v * (b[:, 2] - a[:, 2]) + w * (c[:, 2] - a[:, 2]))[is_inside]
+        np.maximum.at(upper, index[is_inside], z)
+        np.minimum.at(lower, index[is_inside], z)
     return upper.reshape(ny, nx), lower.reshape(ny, nx)
 
 
-def _pairs(
+def _points_in_boxes(
     corner: Array, origin: tuple[float, float], step: float, count: tuple[int, int]
 ) -> Iterator[tuple[Array, NDArray[np.int64], NDArray[np.int64]]]:
-    """Yield triangles and the grid points in their boxes: corners (F, 3, 3), point (n,), triangle (n,)."""
-    first, number = [], []
+    """Yield pairs of triangle and grid point in its box, in batches: corners (F, 3, 3), point (n,), triangle (n,).
+
+    :param corner: (F, 3, 3) corners of triangles [m]; for the grid see `_surfaces_of_columns`.
+    """
+    first_index, index_count = [], []
     for axis in range(2):
         low, high = corner[:, :, axis].min(axis=1), corner[:, :, axis].max(axis=1)
         begin = np.clip(np.ceil((low - origin[axis]) / step - 0.5 - 1e-9), 0, count[axis]).astype(np.int64)
         end = np.clip(np.floor((high - origin[axis]) / step - 0.5 + 1e-9) + 1, 0, count[axis]).astype(np.int64)
-        first.append(begin)
-        number.append(np.maximum(end - begin, 0))
-    point_count = number[0] * number[1]
-    total = np.cumsum(point_count)
+        first_index.append(begin)
+        index_count.append(np.maximum(end - begin, 0))
+    point_count = index_count[0] * index_count[1]
+    running_count = np.cumsum(point_count)  # batches of whole triangles are taken from it
     begin = 0
     while begin < len(point_count):
-        pair_count = total[begin - 1] if begin else 0
-        end = max(begin + 1, int(np.searchsorted(total, pair_count + _PAIRS, side="right")))
+        last_count = running_count[begin - 1] if begin else 0
+        end = max(begin + 1, int(np.searchsorted(running_count, last_count + _MOST_PAIRS, side="right")))
         rows = np.repeat(np.arange(begin, end), point_count[begin:end])
         # number of each point within the box of its triangle
         index = np.arange(len(rows)) - np.repeat(
-            total[begin:end] - point_count[begin:end] - pair_count, point_count[begin:end]
+            running_count[begin:end] - point_count[begin:end] - last_count, point_count[begin:end]
         )
-        column = first[0][rows] + index % np.maximum(number[0][rows], 1)
-        row = first[1][rows] + index // np.maximum(number[0][rows], 1)
+        column = first_index[0][rows] + index % np.maximum(index_count[0][rows], 1)
+        row = first_index[1][rows] + index // np.maximum(index_count[0][rows], 1)
         yield corner, row * count[0] + column, rows
         begin = end
 
@@ -269,34 +278,28 @@ def mesh_of(stock: Stock, most_cells: int = 250_000) -> tuple[Array, NDArray[np.
     Larger maps are made coarser, to about `most_cells` cells at most.
     """
     factor = int(np.ceil(np.sqrt(stock.high.size / most_cells)))
-    thick, floor = stock.thickness(), stock.floor.astype(float)
-    rows, columns = (-(-size // factor) for size in thick.shape)
-    pad = ((0, rows * factor - thick.shape[0]), (0, columns * factor - thick.shape[1]))
+    thickness, floor = stock.thickness(), stock.floor.astype(float)
+    rows, columns = (-(-size // factor) for size in thickness.shape)
+    pad = ((0, rows * factor - thickness.shape[0]), (0, columns * factor - thickness.shape[1]))
     block = (rows, factor, columns, factor)
-    solid = np.pad(thick > 1e-9, pad).reshape(block).sum(axis=(1, 3))
-    thick = np.pad(thick, pad).reshape(block).sum(axis=(1, 3)) / factor**2
+    solid_count = np.pad(thickness > 1e-9, pad).reshape(block).sum(axis=(1, 3))
+    thickness = np.pad(thickness, pad).reshape(block).sum(axis=(1, 3)) / factor**2
     bottom = (np.pad(np.where(stock.thickness() > 1e-9, floor, 0.0), pad).reshape(block).sum(axis=(1, 3))) / np.maximum(
-        solid, 1
+        solid_count, 1
     )
-    is_filled = thick > 1e-6
-    # cells that touch at a corner only would share an edge of four faces: such a mesh is not closed
-    diagonal = np.ones(1)
-    while diagonal.any():
-        main_diagonal = is_filled[:-1, :-1] & is_filled[1:, 1:] & ~is_filled[:-1, 1:] & ~is_filled[1:, :-1]
-        cross_diagonal = is_filled[:-1, 1:] & is_filled[1:, :-1] & ~is_filled[:-1, :-1] & ~is_filled[1:, 1:]
-        diagonal = main_diagonal | cross_diagonal
-        is_filled[:-1, :-1] &= ~main_diagonal
-        is_filled[:-1, 1:] &= ~cross_diagonal
+    is_filled = thickness > 1e-6
+    _separate_diagonal_cells(is_filled)
     width = stock.cell * factor
-    weight = np.pad(is_filled, 1).astype(float)
+    cell_weight = np.pad(is_filled, 1).astype(float)
 
     def at_corners(values: Array) -> Array:
+        """Return the means of values of cells (ny, nx) over the filled ones around each corner (ny + 1, nx + 1)."""
         cell_values = np.pad(np.where(is_filled, values, 0.0), 1)
         total = cell_values[:-1, :-1] + cell_values[1:, :-1] + cell_values[:-1, 1:] + cell_values[1:, 1:]
-        number = weight[:-1, :-1] + weight[1:, :-1] + weight[:-1, 1:] + weight[1:, 1:]
+        number = cell_weight[:-1, :-1] + cell_weight[1:, :-1] + cell_weight[:-1, 1:] + cell_weight[1:, 1:]
         return np.asarray(total / np.maximum(number, 1.0))
 
-    lower, upper = at_corners(bottom), at_corners(bottom + thick)
+    lower, upper = at_corners(bottom), at_corners(bottom + thickness)
     gx, gy = np.meshgrid(stock.x + width * np.arange(columns + 1), stock.y + width * np.arange(rows + 1))
     layer = gx.size
     vertices = np.concatenate([np.stack([gx, gy, z], axis=-1).reshape(-1, 3) for z in (upper, lower)])
@@ -311,13 +314,27 @@ def mesh_of(stock: Stock, most_cells: int = 250_000) -> tuple[Array, NDArray[np.
         (0, -1, (0, 0), (1, 0)),
         (0, 1, (1, 1), (0, 1)),
     ):
-        open_ = ~edge[r + 1 + dr, c + 1 + dc]
-        a, b = number[r[open_] + p[0], c[open_] + p[1]], number[r[open_] + q[0], c[open_] + q[1]]
+        is_open = ~edge[r + 1 + dr, c + 1 + dc]
+        a, b = number[r[is_open] + p[0], c[is_open] + p[1]], number[r[is_open] + q[0], c[is_open] + q[1]]
         quads.append(np.stack([a, b, b + layer, a + layer], axis=-1))
     quad = np.concatenate(quads)
     faces = np.concatenate([quad[:, [0, 1, 2]], quad[:, [0, 2, 3]]])
     vertex_rows, faces = np.unique(faces, return_inverse=True)
     return vertices[vertex_rows], faces.reshape(-1, 3).astype(np.int64)
+
+
+def _separate_diagonal_cells(is_filled: Bools) -> None:
+    """Empty one of two filled cells (ny, nx) that touch at a corner only, in place.
+
+    They would share an edge of four faces: such a mesh is not closed.
+    """
+    is_diagonal: Bools = np.ones(1, dtype=bool)
+    while is_diagonal.any():
+        main_diagonal = is_filled[:-1, :-1] & is_filled[1:, 1:] & ~is_filled[:-1, 1:] & ~is_filled[1:, :-1]
+        cross_diagonal = is_filled[:-1, 1:] & is_filled[1:, :-1] & ~is_filled[:-1, :-1] & ~is_filled[1:, 1:]
+        is_diagonal = main_diagonal | cross_diagonal
+        is_filled[:-1, :-1] &= ~main_diagonal
+        is_filled[:-1, 1:] &= ~cross_diagonal
 
 
 def as_trimesh(vertices: Array, faces: NDArray[np.int64]) -> Any:
@@ -329,10 +346,10 @@ def as_trimesh(vertices: Array, faces: NDArray[np.int64]) -> Any:
 
 _HALVINGS = 18
 """Golden sections: an interval of 10 mm becomes 2 µm."""
-_WHOLE = np.float32(0.999)
+_WHOLE_SHARE = np.float32(0.999)
 """A cell that is cut over at least this share of its area counts as fully cut (assumed)."""
-_CELLS = 200_000
-"""Cells under segments that are processed together."""
+_MOST_CELLS_AT_ONCE = 200_000
+"""Largest number of cells under segments that are processed at once: it limits memory."""
 
 
 class Footprint(Struct, frozen=True, eq=False):
@@ -390,22 +407,22 @@ def remove(stock: Stock, cutter: Cutter, begin: Array, end: Array, heading: Arra
     if heading is None:
         cut(stock, footprint)
         return Footprint.empty()
-    left = _is_ahead(stock, cutter, footprint.cell, end[-1], heading, rim=False)
-    left_rim = _is_ahead(stock, cutter, footprint.rim, end[-1], heading, rim=True)
-    cut(stock, footprint.of(~left, ~left_rim))
-    return footprint.of(left, left_rim)
+    is_ahead = _is_ahead(stock, cutter, footprint.cell, end[-1], heading, rim=False)
+    is_ahead_rim = _is_ahead(stock, cutter, footprint.rim, end[-1], heading, rim=True)
+    cut(stock, footprint.of(~is_ahead, ~is_ahead_rim))
+    return footprint.of(is_ahead, is_ahead_rim)
 
 
 def cut(stock: Stock, footprint: Footprint) -> None:
     """Remove the material of cells under a tool."""
     high = stock.high.reshape(-1)
-    lower = np.flatnonzero(footprint.level < high[footprint.cell])
-    cell, level = footprint.cell[lower], footprint.level[lower]
+    deeper_rows = np.flatnonzero(footprint.level < high[footprint.cell])
+    cell, level = footprint.cell[deeper_rows], footprint.level[deeper_rows]
     np.minimum.at(high, cell, level)
     is_lowest = level <= high[cell]
-    stock.slope.reshape(-1, 2)[cell[is_lowest]] = _slopes(stock, footprint, lower[is_lowest])
+    stock.slope.reshape(-1, 2)[cell[is_lowest]] = _slopes(stock, footprint, deeper_rows[is_lowest])
     if len(footprint.rim):
-        _cut_in_part(stock, *_widest(footprint.rim, footprint.coverage, footprint.rim_level))
+        _cut_in_part(stock, *_largest_coverage(footprint.rim, footprint.coverage, footprint.rim_level))
 
 
 def _slopes(stock: Stock, footprint: Footprint, rows: Ints) -> NDArray[np.int16]:
@@ -445,17 +462,19 @@ def _is_ahead(stock: Stock, cutter: Cutter, cell: Ints, point: Array, direction:
         return np.asarray(advance > 0.0)
     distance = np.hypot(x, y)
     corner_distance = np.maximum(distance - (cutter.radius - cutter.corner), 0.0)
-    radial = corner_distance / np.maximum(distance, 1e-12)  # the normal, times the radius of the corner
-    axial = np.sqrt(np.maximum(cutter.corner**2 - corner_distance**2, 0.0)) if cutter.corner > 0.0 else 1.0
-    return np.asarray((advance * radial - axial * direction[2] > 0.0) & (distance < cutter.radius + stock.cell))
+    radial_normal = corner_distance / np.maximum(distance, 1e-12)  # the normal, times the radius of the corner
+    axial_normal = np.sqrt(np.maximum(cutter.corner**2 - corner_distance**2, 0.0)) if cutter.corner > 0.0 else 1.0
+    return np.asarray(
+        (advance * radial_normal - axial_normal * direction[2] > 0.0) & (distance < cutter.radius + stock.cell)
+    )
 
 
 def depth_of(stock: Stock, cutter: Cutter, begin: Array, end: Array) -> float:
     """Return the largest depth of cut [m] from tip positions to others, (L, 3) [m], in cells that the tool covers."""
     high, floor, deepest = stock.high.reshape(-1), stock.floor.reshape(-1), 0.0
     for footprint in _footprints(stock, cutter, begin, end):
-        cut = high[footprint.cell] - np.maximum(footprint.level, floor[footprint.cell])
-        deepest = max(deepest, float(cut.max(initial=0.0)))
+        depth = high[footprint.cell] - np.maximum(footprint.level, floor[footprint.cell])
+        deepest = max(deepest, float(depth.max(initial=0.0)))
     return deepest
 
 
@@ -481,9 +500,9 @@ def windows(stock: Stock, reach: float, begin: Array, end: Array) -> Iterator[tu
     order = order[size[order] > 0]
     row_count = 0
     while row_count < len(order):
-        # sorted by size, the last window of a batch is the largest: its size limits the batch to `_CELLS` cells
-        rows = order[row_count : row_count + max(1, _CELLS // int(size[order[row_count]]))]
-        rows = rows[: max(1, _CELLS // int(size[rows[-1]]))]
+        # sorted by size, the last window of a batch is the largest: its size limits the cells of the batch
+        rows = order[row_count : row_count + max(1, _MOST_CELLS_AT_ONCE // int(size[order[row_count]]))]
+        rows = rows[: max(1, _MOST_CELLS_AT_ONCE // int(size[rows[-1]]))]
         row_count += len(rows)
         window = np.minimum(count[rows].max(axis=0), map_size)
         corner = np.minimum(first[rows], map_size - window)
@@ -502,16 +521,18 @@ def _footprint(
     if top <= float(tip_height.min()):
         return None
     distance, level = tool_levels(cutter, begin, end, *middles(stock, begin, row, column))
-    inner = np.float32(cutter.radius - 0.5 * cell)
-    wall = tip_height + cutter.corner < top
-    full = distance < np.where(wall, inner, np.float32(cutter.radius)).astype(np.float32)[:, None, None]
+    inner_radius = np.float32(cutter.radius - 0.5 * cell)
+    is_wall = tip_height + cutter.corner < top
+    is_full = distance < np.where(is_wall, inner_radius, np.float32(cutter.radius)).astype(np.float32)[:, None, None]
     rim, coverage, rim_level = np.zeros(0, dtype=np.int64), np.zeros(0, np.float32), np.zeros(0, np.float32)
-    if wall.any():
-        part = (distance >= inner) & (distance < inner + np.float32(cell)) & wall[:, None, None]
-        rim, rim_level = index[part], level[part]
-        coverage = np.minimum((inner + np.float32(cell) - distance[part]) / np.float32(cell), np.float32(1.0))
-    segment = np.repeat(rows.astype(np.int32), np.count_nonzero(full, axis=(1, 2)))
-    return Footprint(index[full], level[full], segment, rim, coverage, rim_level, path)
+    if is_wall.any():
+        is_partial = (distance >= inner_radius) & (distance < inner_radius + np.float32(cell)) & is_wall[:, None, None]
+        rim, rim_level = index[is_partial], level[is_partial]
+        coverage = np.minimum(
+            (inner_radius + np.float32(cell) - distance[is_partial]) / np.float32(cell), np.float32(1.0)
+        )
+    segment = np.repeat(rows.astype(np.int32), np.count_nonzero(is_full, axis=(1, 2)))
+    return Footprint(index[is_full], level[is_full], segment, rim, coverage, rim_level, path)
 
 
 def cells(stock: Stock, corner: Ints, window: Ints) -> tuple[Ints, Ints, Ints]:
@@ -534,30 +555,32 @@ def tool_levels(cutter: Cutter, begin: Array, end: Array, px: Floats, py: Floats
     Above a cell the height of the tool is z + slope·t + height(distance at t), which is convex in t.
     """
     chord = end - begin
-    run = np.hypot(chord[:, 0], chord[:, 1])
-    is_vertical = run < 1e-9
-    unit = np.where(is_vertical[:, None], [1.0, 0.0], chord[:, :2] / np.where(is_vertical, 1.0, run)[:, None])
-    ux, uy, length = (component.astype(np.float32)[:, None, None] for component in (unit[:, 0], unit[:, 1], run))
+    travel_length = np.hypot(chord[:, 0], chord[:, 1])
+    is_vertical = travel_length < 1e-9
+    unit = np.where(is_vertical[:, None], [1.0, 0.0], chord[:, :2] / np.where(is_vertical, 1.0, travel_length)[:, None])
+    ux, uy, length = (
+        component.astype(np.float32)[:, None, None] for component in (unit[:, 0], unit[:, 1], travel_length)
+    )
     travel = ux * px + uy * py
     offset = ux * py - uy * px
     square = offset * offset
     nearest = np.minimum(np.maximum(travel, 0.0), length)
     distance = np.sqrt(square + (travel - nearest) ** 2)
     z = np.where(is_vertical, np.minimum(begin[:, 2], end[:, 2]), begin[:, 2]).astype(np.float32)[:, None, None]
-    slope = np.where(is_vertical, 0.0, chord[:, 2] / np.where(is_vertical, 1.0, run))
+    slope = np.where(is_vertical, 0.0, chord[:, 2] / np.where(is_vertical, 1.0, travel_length))
     if np.abs(slope).max() < 1e-9:
         return distance, np.broadcast_to(z + cutter.height(distance).astype(np.float32), distance.shape)
-    slope_ = slope.astype(np.float32)[:, None, None]
-    half = np.sqrt(np.maximum(np.float32(cutter.radius**2) - square, 0.0))
+    slope_of_row = slope.astype(np.float32)[:, None, None]
+    half_chord = np.sqrt(np.maximum(np.float32(cutter.radius**2) - square, 0.0))
     if cutter.corner == 0.0:
-        t = np.where(slope_ < 0.0, travel + half, travel - half)
+        t = np.where(slope_of_row < 0.0, travel + half_chord, travel - half_chord)
     elif cutter.corner >= cutter.radius * (1.0 - 1e-9):  # a ball: where its normal is square to the segment
-        t = travel - slope_ / np.sqrt(1.0 + slope_ * slope_) * half
+        t = travel - slope_of_row / np.sqrt(1.0 + slope_of_row * slope_of_row) * half_chord
     else:
-        t = _lowest_position(cutter, travel, square, half, length, slope_)
+        t = _lowest_position(cutter, travel, square, half_chord, length, slope_of_row)
     t = np.minimum(np.maximum(t, 0.0), length)
     axis_distance = np.sqrt(square + (travel - t) ** 2)
-    return distance, np.asarray(z + slope_ * t + cutter.height(axis_distance), dtype=np.float32)
+    return distance, np.asarray(z + slope_of_row * t + cutter.height(axis_distance), dtype=np.float32)
 
 
 def _lowest_position(
@@ -573,23 +596,28 @@ def _lowest_position(
 
     for _ in range(_HALVINGS):
         first, second = b - ratio * (b - a), a + ratio * (b - a)
-        left = height(first) < height(second)
-        a, b = np.where(left, a, first), np.where(left, second, b)
+        is_left_lower = height(first) < height(second)
+        a, b = np.where(is_left_lower, a, first), np.where(is_left_lower, second, b)
     return np.asarray(0.5 * (a + b), dtype=np.float32)
 
 
-def _widest(cell: Ints, coverage: Floats, level: Floats) -> tuple[Ints, Floats, Floats]:
-    """Return each cell once, with the largest share that a segment covers, and the level of that segment."""
+def _largest_coverage(cell: Ints, coverage: Floats, level: Floats) -> tuple[Ints, Floats, Floats]:
+    """Return each cell once, with the largest share that a segment covers, and the level of that segment [m]."""
+    # sorted by cell, then by coverage: the last entry of each cell is the largest
     order = np.lexsort((coverage, cell))
     final = order[np.flatnonzero(np.diff(cell[order], append=-1))]
     return cell[final], coverage[final], level[final]
 
 
-def _cut_in_part(stock: Stock, at: Ints, coverage: Floats, level: Floats) -> None:
-    """Cut shares of cells down to levels. Cut areas of one cell are assumed nested, the smaller inside the larger."""
+def _cut_in_part(stock: Stock, cell: Ints, coverage: Floats, level: Floats) -> None:
+    """Cut shares of cells down to levels. Cut areas of one cell are assumed nested, the smaller inside the larger.
+
+    :param cell: (k,) index in the flat map, each once.
+    :param coverage: (k,) share of the cell that the cylinder covers, and `level` (k,) its lower side there [m].
+    """
     flat_high, flat_low, flat_share = (values.reshape(-1) for values in (stock.high, stock.low, stock.share))
-    high, low, share = flat_high[at], flat_low[at], flat_share[at]
-    cuts = level < high
+    high, low, share = flat_high[cell], flat_low[cell], flat_share[cell]
+    is_cut = level < high
     low = np.where(share > 0.0, np.minimum(low, high), high)
     overlap = np.minimum(share, coverage)
     union = np.maximum(share, coverage)
@@ -597,7 +625,7 @@ def _cut_in_part(stock: Stock, at: Ints, coverage: Floats, level: Floats) -> Non
     mean = (overlap * np.minimum(low, level) + (union - overlap) * remaining_height) / np.maximum(
         union, np.float32(1e-6)
     )
-    flat_low[at] = np.where(cuts, mean, low)
-    flat_share[at] = np.where(cuts, union, share)
-    flat_high[at] = np.where(cuts & (coverage > _WHOLE), level, high)
-    stock.slope.reshape(-1, 2)[at[cuts]] = 0
+    flat_low[cell] = np.where(is_cut, mean, low)
+    flat_share[cell] = np.where(is_cut, union, share)
+    flat_high[cell] = np.where(is_cut & (coverage > _WHOLE_SHARE), level, high)
+    stock.slope.reshape(-1, 2)[cell[is_cut]] = 0

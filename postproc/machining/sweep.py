@@ -28,31 +28,31 @@ from postproc.machining.tool_path import StraightSegments, ToolPoses, ToolStates
 from postproc.program import Bools, Ints, distinct
 from postproc.toolpath import even_places
 
-_STRAIGHT = np.cos(np.radians(10.0))
+_STRAIGHT_COSINE = np.cos(np.radians(10.0))
 """Segments that turn by less are processed together (assumed)."""
 _GROUP_LENGTH = 20.0
 """Maximum length of segments that are processed together, in radii of the tool (assumed)."""
-_AXIAL = 1e-3
+_AXIAL_SINE = 1e-3
 """Sine of the angle to the spindle below which a segment is along it."""
-_ELEMENTS = 200_000
+_MOST_POINTS = 200_000
 """Points of edges that are processed together."""
-_SLOPES = 16
+_SLOPE_STEPS = 16
 """Steps of the sine of the slope for which the part of the edge that can cut is found."""
-_FINE = 0.5
+_RIM_SPACING = 0.5
 """Distance of sample points at the rim, in cells, if only the cylinder cuts (assumed)."""
-_TALLER = 4
+_SLICE_STEP = 4
 """Edges of tools that lean are divided up to multiples of this many cells,"""
 _TILT_KEY = -1
 """and kept under this number instead of a slope."""
-_AXES = np.cos(np.radians(3.0))
+_AXIS_COSINE = np.cos(np.radians(3.0))
 """Tools that turn while they cut are processed together while their axis turns by less (assumed)."""
 _ON_LINE = 1e-6
 """Directions that differ by less count as one straight line (assumed)."""
-_LITTLE = 0.05
+_ENGAGED_SHARE = 0.05
 """Share of an edge in material below which it does not count for angles and width of engagement."""
 _SAGITTA = 1e-3
 """The path of a tool that leans leaves its chords by less [m] (assumed)."""
-_ON_CHORD = 4
+_FEWEST_PLACES = 4
 """Smallest number of places on such a chord where the tool is compared with the stock (assumed)."""
 _LEAST_DEPTH = 2e-5
 """Depth [m] to which a rapid move, or a move with the spindle off, may touch material without a warning."""
@@ -144,7 +144,7 @@ class Sweep(Struct, eq=False):
         """
         self.top = self.stock.top
         may_touch = self._can_touch(segments, self.top)
-        left = Footprint.empty()  # under the front of the tool where a group of segments ends
+        uncut_front = Footprint.empty()  # under the front of the tool where a group of segments ends
         for begin, end in self._groups(segments, may_touch):
             if progress is not None:
                 progress(end)
@@ -166,19 +166,23 @@ class Sweep(Struct, eq=False):
                 path, top = self._tilted_path(segments, begin, end, cutter)
                 if self.tools.rpm[path.motion[0]] > 0.0:
                     yield from self._tilted_cut(path, number, top)
-                cut(self.stock, left)
-                left = self._tilted_sweep(path, cutter, top, goes_on=goes_on)
+                cut(self.stock, uncut_front)
+                uncut_front = self._tilted_sweep(path, cutter, top, goes_on=goes_on)
             elif cuts and self.tools.rpm[segments.motion[begin]] > 0.0:
                 yield from self._cut(segments, begin, end, number)
-                cut(self.stock, left)
-                first = _runs(segments, begin, end)
+                cut(self.stock, uncut_front)
+                run_begins = _straight_runs(segments, begin, end)
                 heading = segments.arrive[end - 1] if goes_on else None
-                left = remove(
-                    self.stock, cutter, segments.begin[first], segments.end[[*(first[1:] - 1), end - 1]], heading
+                uncut_front = remove(
+                    self.stock,
+                    cutter,
+                    segments.begin[run_begins],
+                    segments.end[[*(run_begins[1:] - 1), end - 1]],
+                    heading,
                 )
             else:
-                cut(self.stock, left)
-                left = Footprint.empty()
+                cut(self.stock, uncut_front)
+                uncut_front = Footprint.empty()
                 self._record_contact(segments, begin, end, cutter)
             if self.ceiling is not None:
                 self.ceiling.sink(*_extent(segments, begin, end, cutter), int(segments.motion[end - 1]))
@@ -210,7 +214,7 @@ class Sweep(Struct, eq=False):
         """Record rapid motions that turn the tool and move it through material, which is left where it is."""
         length = np.linalg.norm(segments.end[begin:end] - segments.begin[begin:end], axis=1)
         cutter = self._cutter(int(self.tools.tool[segments.motion[begin]]))
-        for k, pieces in enumerate(np.maximum(_ON_CHORD, np.ceil(length / self.stock.cell)).astype(int).tolist()):
+        for k, pieces in enumerate(np.maximum(_FEWEST_PLACES, np.ceil(length / self.stock.cell)).astype(int).tolist()):
             row = begin + k
             t = segments.first[row] + (segments.last[row] - segments.first[row]) * np.linspace(0.0, 1.0, pieces + 1)
             motion = int(segments.motion[row])
@@ -234,11 +238,11 @@ class Sweep(Struct, eq=False):
         """Yield ranges of segments that are processed together."""
         motion = segments.motion
         length = np.linalg.norm(segments.end - segments.begin, axis=1)
-        is_axial = np.hypot(segments.leave[:, 0], segments.leave[:, 1]) < _AXIAL
+        is_axial = np.hypot(segments.leave[:, 0], segments.leave[:, 1]) < _AXIAL_SINE
         is_descent = segments.leave[:, 2] < -1e-6
         joins_previous = np.zeros(len(motion), dtype=bool)
-        running = np.stack([self.tools.tool[motion], self.tools.rpm[motion], self.tools.hand[motion]], axis=1)
-        joins_previous[1:] = segments.continues[1:] & (running[1:] == running[:-1]).all(axis=1)
+        spindle_state = np.stack([self.tools.tool[motion], self.tools.rpm[motion], self.tools.hand[motion]], axis=1)
+        joins_previous[1:] = segments.continues[1:] & (spindle_state[1:] == spindle_state[:-1]).all(axis=1)
         joins_previous[1:] &= (may_touch[1:] == may_touch[:-1]) & (segments.cutting[1:] == segments.cutting[:-1])
         rapid, leans = ~segments.cutting, segments.leans
         joins_previous[1:] |= (rapid & leans)[1:] & (motion[1:] == motion[:-1]) & (may_touch[1:] == may_touch[:-1])
@@ -247,18 +251,18 @@ class Sweep(Struct, eq=False):
         axes = self._tilted_axes(segments, may_touch)
         begin, limit, group_length = 0, 0.0, 0.0
         heading: list[float] | None = None
-        lengths, leave, arrive, joins, close = (
+        lengths, leave, arrive, joins_list, is_near_cut = (
             length.tolist(), segments.leave.tolist(), segments.arrive.tolist(), joins_previous.tolist(),
             (may_touch & segments.cutting).tolist(),
         )  # fmt: skip
         for segment in range(len(motion)):
             if segment > begin or heading is None:
-                ends = heading is None or not joins[segment] or group_length > limit
-                if heading is not None and not ends and close[segment]:
+                is_group_end = heading is None or not joins_list[segment] or group_length > limit
+                if heading is not None and not is_group_end and is_near_cut[segment]:
                     first_heading, last_heading = leave[segment], arrive[segment]
-                    ends = min(_dot(heading, first_heading), _dot(heading, last_heading)) < _STRAIGHT
-                    ends |= segment in axes and _dot(axes[begin], axes[segment]) < _AXES
-                if ends:
+                    is_group_end = min(_dot(heading, first_heading), _dot(heading, last_heading)) < _STRAIGHT_COSINE
+                    is_group_end |= segment in axes and _dot(axes[begin], axes[segment]) < _AXIS_COSINE
+                if is_group_end:
                     if segment > begin:
                         yield begin, segment
                     begin, group_length, heading = segment, 0.0, leave[segment]
@@ -282,7 +286,7 @@ class Sweep(Struct, eq=False):
         t = 0.5 * (segments.first[begin:end] + segments.last[begin:end])
         heading = segments.leave[begin:end]
         axis_sine = np.hypot(heading[:, 0], heading[:, 1])
-        is_axial = axis_sine < _AXIAL
+        is_axial = axis_sine < _AXIAL_SINE
         return Cuts(
             segments.motion[begin:end], t, wrench, wrench, is_axial, zero, zero, no_angle, no_angle, zero, zero, zero,
         )  # fmt: skip
@@ -299,7 +303,7 @@ class Sweep(Struct, eq=False):
         t = segments.first[segment] + share * (segments.last[segment] - segments.first[segment])
         motion = segments.motion[segment]
         turn = self._turn(number, position, heading)
-        chunk = max(1, _ELEMENTS // len(turn.phi))
+        chunk = max(1, _MOST_POINTS // len(turn.phi))
         for start in range(0, len(segment), chunk):
             rows = slice(start, start + chunk)
             yield self._loads(turn, number, position[rows], heading[rows], motion[rows], t[rows])
@@ -308,19 +312,19 @@ class Sweep(Struct, eq=False):
         """Return the sample points of the edge that can be in material at these positions."""
         cutter, pieces = self._cutter(number), self._edge(number)
         is_descent = bool((heading[:, 2] < -1e-6).any())
-        high = self._highest_level(position, cutter.radius)
-        piece_count = int(np.searchsorted(pieces.low, high - float(position[:, 2].min()), side="left"))
-        ends = is_descent and bool((pieces.part == BOTTOM).any())
+        surface_level = self._highest_level(position, cutter.radius)
+        piece_count = int(np.searchsorted(pieces.low, surface_level - float(position[:, 2].min()), side="left"))
+        has_end_face = is_descent and bool((pieces.part == BOTTOM).any())
         piece_count = max(piece_count, 1)
-        steep = int(np.ceil(_SLOPES * float((-heading[:, 2]).max()) - 1e-6))
-        key = (number, ends, piece_count, steep)
+        slope_steps = int(np.ceil(_SLOPE_STEPS * float((-heading[:, 2]).max()) - 1e-6))
+        key = (number, has_end_face, piece_count, slope_steps)
         if key not in self._turns:
-            is_used = (np.arange(len(pieces.low)) < piece_count) & (ends | (pieces.part != BOTTOM))
+            is_used = (np.arange(len(pieces.low)) < piece_count) & (has_end_face | (pieces.part != BOTTOM))
             if not is_used.any():
                 is_used[-1] = True
             kept_edge = take_pieces(pieces, is_used)
-            step = self.stock.cell * (_FINE if (kept_edge.part == SIDE).all() else 1.0)
-            self._turns[key] = Turn.of(kept_edge, cutter, self.law, step, min(steep / _SLOPES, 1.0))
+            step = self.stock.cell * (_RIM_SPACING if (kept_edge.part == SIDE).all() else 1.0)
+            self._turns[key] = Turn.of(kept_edge, cutter, self.law, step, min(slope_steps / _SLOPE_STEPS, 1.0))
         return self._turns[key]
 
     def _highest_level(self, position: Array, radius: float) -> float:
@@ -335,7 +339,7 @@ class Sweep(Struct, eq=False):
         """Return the loads at positions (n, 3) [m] with headings (n, 3) (unit), places t (n,) on their motions."""
         cutter = self._cutter(number)
         axis_sine = np.hypot(heading[:, 0], heading[:, 1])
-        is_axial = axis_sine < _AXIAL
+        is_axial = axis_sine < _AXIAL_SINE
         ux = np.where(is_axial, 1.0, heading[:, 0] / np.where(is_axial, 1.0, axis_sine))
         uy = np.where(is_axial, 0.0, heading[:, 1] / np.where(is_axial, 1.0, axis_sine))
         rpm, hand = self.tools.rpm[motion], self.tools.hand[motion]
@@ -346,22 +350,28 @@ class Sweep(Struct, eq=False):
         chip = cutting.chips(turn, feed, descent)
         descent_sine = np.maximum(-heading[:, 2], 0.0).astype(np.float32)
         loads = cutting.mean(turn, engagement, chip, descent_sine, self.stock.cell)
-        deep = 0.0
+        hole_depth = 0.0
         if cutter.drill:
             # all stations get the depth of the hole, as thinning keeps few; the last one is half a step above the end
-            bottom = float(position[:, 2].min()) - 0.5 * abs(float(position[-1, 2] - position[0, 2])) / max(
+            lowest_tip = float(position[:, 2].min()) - 0.5 * abs(float(position[-1, 2] - position[0, 2])) / max(
                 1, len(t) - 1
             )
-            deep = max(self._highest_level(position, cutter.radius) - bottom, 0.0)
-        return self._cuts(turn, number, (motion, t, is_axial), loads, engagement.length * chip.share, deep)
+            hole_depth = max(self._highest_level(position, cutter.radius) - lowest_tip, 0.0)
+        return self._cuts(turn, number, (motion, t, is_axial), loads, engagement.length * chip.share, hole_depth)
 
     def _cuts(
-        self, turn: Turn, number: int, stations: tuple[Ints, Array, Bools], loads: Loads, cuts: Floats, deep: float
+        self,
+        turn: Turn,
+        number: int,
+        stations: tuple[Ints, Array, Bools],
+        loads: Loads,
+        cuts: Floats,
+        hole_depth: float,
     ) -> Cuts:
         """Return engagement and loads at stations: motions, places on them, and whether they are along the spindle.
 
         :param cuts: (n, P) length of edge that cuts [m].
-        :param deep: depth of the hole of a drill [m].
+        :param hole_depth: depth of the hole of a drill [m].
         """
         motion, t, is_axial = stations
         wrench, rpm, hand = loads.wrench, self.tools.rpm[motion], self.tools.hand[motion]
@@ -374,7 +384,7 @@ class Sweep(Struct, eq=False):
         np.add.at(self.by_cells, motion, np.stack([loads.by_cells**2 * square, square], axis=1))
         enter, leave, depth, width = _engagement(turn, cuts)
         if turn.drill:
-            depth = np.where(cuts.any(axis=1), deep, 0.0)
+            depth = np.where(cuts.any(axis=1), hole_depth, 0.0)
         torque = wrench[:, 5] * hand
         return Cuts(
             motion, t, wrench, loads.deviation, is_axial, torque, torque * rpm * (2.0 * np.pi / 60.0), enter, leave,
@@ -398,14 +408,14 @@ class Sweep(Struct, eq=False):
         """Yield engagement and loads of a tool that leans or turns; `top` is the highest material near [m]."""
         cutter, step = self._cutter(number), self.stock.cell
         height = (top - float(path.tip[:, 2].min()) + cutter.radius) / float(path.axis[:, 2].min())
-        count = max(1, int(np.ceil(height / step / _TALLER))) * _TALLER
+        count = max(1, int(np.ceil(height / step / _SLICE_STEP))) * _SLICE_STEP
         key = (number, True, count, _TILT_KEY)
         if key not in self._turns:
             self._turns[key] = Turn.of(
                 slice_cylinder(self._edge(number), step, count * step), cutter, self.law, step, None
             )
         turn = self._turns[key]
-        chunk = max(1, _ELEMENTS // len(turn.phi))
+        chunk = max(1, _MOST_POINTS // len(turn.phi))
         for start in range(0, len(path.t), chunk):
             part = path.take(slice(start, start + chunk))
             rpm, hand = self.tools.rpm[part.motion], self.tools.hand[part.motion]
@@ -459,7 +469,7 @@ def _extent(segments: StraightSegments, begin: int, end: int, cutter: Cutter) ->
     return ends.min(axis=0) - cutter.radius, ends.max(axis=0) + cutter.radius
 
 
-def _runs(segments: StraightSegments, begin: int, end: int) -> Ints:
+def _straight_runs(segments: StraightSegments, begin: int, end: int) -> Ints:
     """Return the first segment of each straight run: the material of a run is removed at once."""
     chord = segments.end[begin:end] - segments.begin[begin:end]
     chord /= np.linalg.norm(chord, axis=1)[:, None]
@@ -473,8 +483,8 @@ def _dot(a: list[float], b: list[float]) -> float:
 
 def _engagement(turn: Turn, cuts: Floats) -> tuple[Array, Array, Array, Array]:
     """Return smallest and largest angle in material [rad], depth and width of cut [m], (n,) each."""
-    is_engaged = cuts > _LITTLE * np.where(np.isfinite(turn.rise), turn.length, 0.0)
-    is_engaged[:, turn.side] &= cuts[:, turn.side] > _LITTLE * cuts[:, turn.side].max(
+    is_engaged = cuts > _ENGAGED_SHARE * np.where(np.isfinite(turn.rise), turn.length, 0.0)
+    is_engaged[:, turn.side] &= cuts[:, turn.side] > _ENGAGED_SHARE * cuts[:, turn.side].max(
         axis=1, keepdims=True, initial=0.0
     )
     has_contact = is_engaged.any(axis=1)

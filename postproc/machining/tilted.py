@@ -27,13 +27,13 @@ from postproc.toolpath import even_places
 
 _HALVINGS = 28
 """Steps of the search for the lower side of a rounded corner: it is found to 10⁻⁸ of the size of the tool."""
-_RIDGE = 1e-6
+_RIDGE_HEIGHT = 1e-6
 """Ridges between two poses of a tool are at most this high [m] (assumed)."""
-_RESTS = 1e-9
+_REST_LENGTH = 1e-9
 """Moves of the tip that are shorter [m] only turn the tool (assumed)."""
 _PARALLEL = 1e-7
 """Square of the sine of a tilt that is not told from 0 (assumed)."""
-_FLUSH = 2e-6
+_FLUSH_DEPTH = 2e-6
 """An end face that is less [m] below the surface is flush with it (assumed)."""
 _STEEPEST = 2.0
 """Levels around a point of the edge count up to this many cells above and below it: surfaces that are less steep are
@@ -98,10 +98,10 @@ class TiltedPath(Columns, frozen=True, eq=False):
         """  # fmt: skip
         length, turn = norm(segments.end - segments.begin), norm(end_axis - begin_axis)
         rounding = cutter.corner if cutter.corner > 0.0 else cutter.radius
-        step = min(cell, math.sqrt(8.0 * rounding * _RIDGE))
+        step = min(cell, math.sqrt(8.0 * rounding * _RIDGE_HEIGHT))
         count = np.maximum(1, np.ceil((length + cutter.radius * turn) / step - 1e-6)).astype(np.int64)
         piece, share = even_places(np.arange(len(count)), count, "middle")
-        half = 0.5 / count[piece]
+        half_share = 0.5 / count[piece]
 
         def between(first: Array, last: Array, at: Array) -> Array:
             return np.asarray(first[piece] + at[:, None] * (last - first)[piece])
@@ -109,11 +109,13 @@ class TiltedPath(Columns, frozen=True, eq=False):
         def unit(vectors: Array) -> Array:
             return np.asarray(vectors / np.maximum(norm(vectors), 1e-12)[:, None])
 
-        rests, swing_rate = length < _RESTS, swing[segments.motion]
-        speed = np.where(rests, np.where(np.isnan(swing_rate), np.nan, 0.0), feed[segments.motion])
-        time = np.where(rests, turn / np.where(swing_rate > 0.0, swing_rate, 1.0), length / np.maximum(speed, 1e-12))
-        axes = [unit(between(begin_axis, end_axis, share + side * half)) for side in (-1.0, 0.0, 1.0)]
-        tips = [between(segments.begin, segments.end, share + side * half) for side in (-1.0, 0.0, 1.0)]
+        is_at_rest, swing_rate = length < _REST_LENGTH, swing[segments.motion]
+        speed = np.where(is_at_rest, np.where(np.isnan(swing_rate), np.nan, 0.0), feed[segments.motion])
+        time = np.where(
+            is_at_rest, turn / np.where(swing_rate > 0.0, swing_rate, 1.0), length / np.maximum(speed, 1e-12)
+        )
+        axes = [unit(between(begin_axis, end_axis, share + side * half_share)) for side in (-1.0, 0.0, 1.0)]
+        tips = [between(segments.begin, segments.end, share + side * half_share) for side in (-1.0, 0.0, 1.0)]
         t = segments.first[piece] + share * (segments.last - segments.first)[piece]
         rate = (end_axis - begin_axis) / np.maximum(time, 1e-12)[:, None]
         return cls(
@@ -139,17 +141,17 @@ def loads(stock: Stock, turn: Turn, path: TiltedPath, tooth: Array, hand: Ints) 
     edge_axes[:, :, 1] *= hand[:, None]
     sine, cosine = np.sin(turn.phi), np.cos(turn.phi)
     rise = np.where(np.isfinite(turn.rise), turn.rise, 0.0)
-    edge = np.stack([turn.radius * sine, turn.radius * cosine, turn.low + 0.5 * rise]).astype(np.float32)
+    edge_points = np.stack([turn.radius * sine, turn.radius * cosine, turn.low + 0.5 * rise]).astype(np.float32)
     sine_of_kappa = np.sqrt(np.maximum(1.0 - turn.axial**2, 0.0))
     normal = np.stack([turn.front, sine_of_kappa * cosine, -turn.axial]).astype(np.float32)
-    point = path.tip.astype(np.float32)[:, None] + np.einsum("nik,kp->npi", edge_axes.astype(np.float32), edge)
+    point = path.tip.astype(np.float32)[:, None] + np.einsum("nik,kp->npi", edge_axes.astype(np.float32), edge_points)
     travel = np.nan_to_num(path.pace * tooth)[:, None] * np.einsum("nik,ni->nk", edge_axes, path.heading)
-    lean = tooth[:, None] * np.einsum("nik,ni->nk", edge_axes, path.swing)
+    axis_step = tooth[:, None] * np.einsum("nik,ni->nk", edge_axes, path.swing)
     # the points of a tool whose axis changes by e move by e h − a (e·r)
-    travel_, lean_ = travel.astype(np.float32), lean[:, :2].astype(np.float32)
+    travel_row, axis_step_row = travel.astype(np.float32), axis_step[:, :2].astype(np.float32)
     middle, change = (
-        travel_ @ direction + lean_ @ (direction[:2] * point[2] - direction[2] * point[:2])
-        for direction, point in ((normal, edge), (turn.tangent[turn.round].T, edge[:, turn.round]))
+        travel_row @ direction + axis_step_row @ (direction[:2] * point[2] - direction[2] * point[:2])
+        for direction, point in ((normal, edge_points), (turn.tangent[turn.round].T, edge_points[:, turn.round]))
     )
     chip = Chips.of(turn, middle, change)
     engagement = cut_edge(stock, turn, point, edge_axes)
@@ -186,8 +188,8 @@ def sweep(stock: Stock, cutter: Cutter, tip: Array, axis: Array, top: float) -> 
     ends = np.stack([tip[:-1], tip[1:], (tip + axis_end)[:-1], (tip + axis_end)[1:]])
     parts = []
     for rows, corner, window in windows(stock, cutter.radius + stock.cell, ends.min(axis=0), ends.max(axis=0)):
-        index, row, column = cells(stock, corner, window)
-        x, y = (values.astype(float) for values in middles(stock, tip[rows], row, column))
+        index, cell_row, column = cells(stock, corner, window)
+        x, y = (values.astype(float) for values in middles(stock, tip[rows], cell_row, column))
         low, sinks, high = _under_moves(cutter, tip, axis, rows, x, y)
         material = stock.high.reshape(-1)[index]
         is_cut, last = low < material, rows == len(tip) - 2
@@ -198,20 +200,20 @@ def sweep(stock: Stock, cutter: Cutter, tip: Array, axis: Array, top: float) -> 
     if not parts:
         return SweptCells(Footprint.empty(), Footprint.empty(), 0.0, 0.0, 0.0)
     index, low, high, front = (np.concatenate(column) for column in zip(*parts, strict=True))
-    cell, row = np.unique(index, return_inverse=True)
+    cell, cell_row = np.unique(index, return_inverse=True)
     level, upper, is_front = np.full(len(cell), np.inf), np.full(len(cell), -np.inf), np.zeros(len(cell), dtype=bool)
-    np.minimum.at(level, row, low)
-    np.maximum.at(upper, row, high)
-    is_front[row[front]] = True
+    np.minimum.at(level, cell_row, low)
+    np.maximum.at(upper, cell_row, high)
+    is_front[cell_row[front]] = True
     material, floor = (values.reshape(-1)[cell] for values in (stock.high, stock.floor))
     overhang = float(np.maximum(material - np.maximum(upper, floor), 0.0)[~is_front].sum()) * stock.cell**2
-    deep = np.maximum(material - np.maximum(level, floor), 0.0)
-    volume = float(deep[~is_front].sum()) * stock.cell**2
+    depth = np.maximum(material - np.maximum(level, floor), 0.0)
+    volume = float(depth[~is_front].sum()) * stock.cell**2
     no_rim = np.zeros(0, dtype=bool)
     segment = np.zeros(len(cell), dtype=np.int32)  # not used: slopes of turned surfaces are not kept
     footprint = replace(Footprint.empty(), cell=cell, level=level.astype(np.float32), segment=segment)
     return SweptCells(
-        footprint.of(~is_front, no_rim), footprint.of(is_front, no_rim), float(deep.max(initial=0.0)), overhang, volume
+        footprint.of(~is_front, no_rim), footprint.of(is_front, no_rim), float(depth.max(initial=0.0)), overhang, volume
     )
 
 
@@ -259,7 +261,7 @@ def _under_moves(cutter: Cutter, tip: Array, axis: Array, rows: Ints, x: Array, 
     for pose in (rows, rows + 1):
         displacement = (pose != rows)[:, None] * shift
         px, py = x - displacement[:, 0, None, None], y - displacement[:, 1, None, None]
-        low, high, slope = _sides(cutter, axis[pose], px, py, shift, turn)
+        low, high, slope = _lower_and_upper_sides(cutter, axis[pose], px, py, shift, turn)
         sides.append((low + tip[pose, 2, None, None], high + tip[pose, 2, None, None], slope))
     (low_a, high_a, slope_a), (low_b, high_b, slope_b) = sides
     level = np.minimum(low_a, low_b)
@@ -275,7 +277,9 @@ def _under_moves(cutter: Cutter, tip: Array, axis: Array, rows: Ints, x: Array, 
     return level, np.isfinite(low_b) & (slope_b < 0.0), np.maximum(high_a, high_b)
 
 
-def _sides(cutter: Cutter, axis: Array, x: Array, y: Array, shift: Array, turn: Array) -> tuple[Array, Array, Array]:
+def _lower_and_upper_sides(
+    cutter: Cutter, axis: Array, x: Array, y: Array, shift: Array, turn: Array
+) -> tuple[Array, Array, Array]:
     """Return the lower and the upper side of a tool over points above the tip, and how the lower one rises (L, h, w).
 
     :param axis: (L, 3) unit directions to the spindle; x: (L, h, w) and y: of the points from the tip [m].
@@ -286,35 +290,36 @@ def _sides(cutter: Cutter, axis: Array, x: Array, y: Array, shift: Array, turn: 
     axial = x * ax + y * ay  # of the point at the height of the tip, along the axis
     sine = np.maximum(1.0 - az * az, _PARALLEL)
     root = axial * axial * az * az - sine * (x * x + y * y - axial * axial - cutter.radius**2)
-    meets = root > 0.0
-    half = np.sqrt(np.where(meets, root, 0.0))
-    low, high = (axial * az - half) / sine, (axial * az + half) / sine  # the cylinder, without ends
+    is_met = root > 0.0
+    half_root = np.sqrt(np.where(is_met, root, 0.0))
+    low, high = (axial * az - half_root) / sine, (axial * az + half_root) / sine  # the cylinder, without ends
     low = np.maximum(low, -axial / az)  # above the plane of the tip
-    meets &= low < high
-    flat, corner = cutter.radius - cutter.corner, cutter.corner
-    if flat <= 1e-9 * cutter.radius:
-        low, meets = _ball(cutter.radius, axis, (x, y), axial, low, high, meets)
+    is_met &= low < high
+    flat_radius, corner = cutter.radius - cutter.corner, cutter.corner
+    if flat_radius <= 1e-9 * cutter.radius:
+        low, is_met = _ball(cutter.radius, axis, (x, y), axial, low, high, is_met)
     elif corner > 0.0:
-        low, meets = _corner_side(cutter, axial, az, x * x + y * y, low, high, meets)
+        low, is_met = _corner_side(cutter, axial, az, x * x + y * y, low, high, is_met)
     height = axial + low * az
     px, py, pz = (component - height * a for component, a in ((x, ax), (y, ay), (low, az)))
     distance = np.sqrt(px * px + py * py + pz * pz)
     if corner > 0.0:
         axial_part = np.maximum(corner - height, 0.0)
-        radial_part = np.where(axial_part > 0.0, np.maximum(distance - flat, 0.0), 1.0)
+        radial_part = np.where(axial_part > 0.0, np.maximum(distance - flat_radius, 0.0), 1.0)
     else:
         axial_part = (height < 1e-9).astype(float)
         radial_part = 1.0 - axial_part
     scale = radial_part / np.maximum(distance, 1e-12)
     normal = [p * scale - axial_part * a for p, a in ((px, ax), (py, ay), (pz, az))]  # outward, of any length
     dx, dy, dz = (turn[:, k, None, None] for k in range(3))
-    lean = x * dx + y * dy + low * dz
+    axis_motion = x * dx + y * dy + low * dz
     velocity = [
-        shift[:, k, None, None] + height * d - a * lean for k, (d, a) in enumerate(((dx, ax), (dy, ay), (dz, az)))
+        shift[:, k, None, None] + height * d - a * axis_motion
+        for k, (d, a) in enumerate(((dx, ax), (dy, ay), (dz, az)))
     ]
-    rises = sum(n * v for n, v in zip(normal, velocity, strict=True))
-    slope = rises / np.where(normal[2] < -1e-9, normal[2], -1e-9)
-    return np.where(meets, low, np.inf), np.where(meets, high, -np.inf), np.where(meets, slope, 0.0)
+    normal_speed = sum(n * v for n, v in zip(normal, velocity, strict=True))
+    slope = normal_speed / np.where(normal[2] < -1e-9, normal[2], -1e-9)
+    return np.where(is_met, low, np.inf), np.where(is_met, high, -np.inf), np.where(is_met, slope, 0.0)
 
 
 def _ball(
@@ -346,8 +351,8 @@ def _corner_side(
     ratio = 0.5 * (math.sqrt(5.0) - 1.0)
     for _ in range(_HALVINGS):  # the innermost place on the line
         first, second = b - ratio * (b - a), a + ratio * (b - a)
-        left = _surface_distances(cutter, first, *lines) < _surface_distances(cutter, second, *lines)
-        a, b = np.where(left, a, first), np.where(left, second, b)
+        is_left_closer = _surface_distances(cutter, first, *lines) < _surface_distances(cutter, second, *lines)
+        a, b = np.where(is_left_closer, a, first), np.where(is_left_closer, second, b)
     inner = 0.5 * (a + b)
     has_inside = _surface_distances(cutter, inner, *lines) < 0.0
     meets.ravel()[rows] = has_inside
@@ -364,7 +369,7 @@ def _corner_side(
 def _surface_distances(cutter: Cutter, z: Array, axial: Array, az: Array, square: Array) -> Array:
     """Return the distances (n,) from the surface of a tool with a rounded corner, < 0 inside: convex along a line.
 
-    :param z: (n,) heights on vertical lines above the tip [m]; see `_sides` and `_rounded`.
+    :param z: (n,) heights on vertical lines above the tip [m]; see `_lower_and_upper_sides` and `_rounded`.
     """
     height = axial + z * az
     radial_excess = np.sqrt(np.maximum(square + z * z - height * height, 0.0)) - (cutter.radius - cutter.corner)
@@ -389,21 +394,21 @@ def cut_edge(stock: Stock, turn: Turn, point: Array, axes: Array) -> EngagedEdge
     high, low, share, floor = (values.reshape(-1) for values in (stock.high, stock.low, stock.share, stock.floor))
     depth = np.zeros_like(x)
     for cell, weight in zip(corners.cell, corners.weight, strict=True):
-        top = high.take(cell)
-        level = np.where(top > floor.take(cell), np.clip(top - z, -steepest, steepest), -steepest)
-        part = share.take(cell)
-        if part.any():
-            level += part * (np.clip(np.minimum(low.take(cell), top) - z, -steepest, steepest) - level)
+        upper = high.take(cell)
+        level = np.where(upper > floor.take(cell), np.clip(upper - z, -steepest, steepest), -steepest)
+        cut_share = share.take(cell)
+        if cut_share.any():
+            level += cut_share * (np.clip(np.minimum(low.take(cell), upper) - z, -steepest, steepest) - level)
         depth += weight * level
-    depth[:, turn.bottom] -= np.float32(_FLUSH)
-    extent = _extents(turn, axes)
+    depth[:, turn.bottom] -= np.float32(_FLUSH_DEPTH)
+    extent = _half_extents(turn, axes)
     share_in_material = np.clip(0.5 + depth / extent, 0.0, 1.0)
     if float(z.min()) < stock.ground:
         share_in_material *= z > floor.take(corners.cell[0])
     return EngagedEdge(share_in_material * turn.length, np.zeros((len(x), 0), dtype=np.float32))
 
 
-def _extents(turn: Turn, axes: Array) -> Floats:
+def _half_extents(turn: Turn, axes: Array) -> Floats:
     """Return the half extents of pieces of edge (n, P) along z of the map [m]."""
     up = axes[:, 2].astype(np.float32)  # z of the map in the axes of the tool
     sine, cosine = np.sin(turn.phi).astype(np.float32), np.cos(turn.phi).astype(np.float32)

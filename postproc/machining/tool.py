@@ -12,9 +12,9 @@ from postproc.machining.material import CuttingLaw, Floats
 BOTTOM, CORNER, SIDE = range(3)
 """Values of `Edge.part`: the end face of a flat or bull tool, the round of a ball or bull tool, the cylinder."""
 _RINGS = 3
-"""Rings of a flat face, at least (assumed)."""
+"""Smallest number of rings of a flat face (assumed)."""
 _MOST_SLICES = 160
-"""Slices of an edge, at most: time grows with them (assumed)."""
+"""Largest number of slices of an edge: time grows with it (assumed)."""
 
 
 class Cutter(Struct, frozen=True):
@@ -69,12 +69,12 @@ class Edge(Struct, frozen=True, eq=False):
 
 
 def edge(cutter: Cutter, step: float) -> Edge:
-    """Divide the edge of a cutter into pieces of about `step` [m]."""
-    flat, corner = cutter.radius - cutter.corner, cutter.corner
+    """Return the edge of a cutter in pieces of about `step` [m]: of the end, of the corner, and the cylinder."""
+    flat_radius, corner = cutter.radius - cutter.corner, cutter.corner
     parts, radius, low, rise, length, kappa, bend = [], [], [], [], [], [], []
-    if flat > 0.0:
-        rings = max(_RINGS, min(_MOST_SLICES, int(np.ceil(flat / step))))
-        width = flat / rings
+    if flat_radius > 0.0:
+        rings = max(_RINGS, min(_MOST_SLICES, int(np.ceil(flat_radius / step))))
+        width = flat_radius / rings
         parts.append(np.full(rings, BOTTOM))
         radius.append((np.arange(rings) + 0.5) * width)
         low.append(np.zeros(rings))
@@ -88,7 +88,7 @@ def edge(cutter: Cutter, step: float) -> Edge:
         middle = 0.5 * (bounds[1:] + bounds[:-1])
         heights = corner * (1.0 - np.cos(bounds))
         parts.append(np.full(slices, CORNER))
-        radius.append(flat + corner * np.sin(middle))
+        radius.append(flat_radius + corner * np.sin(middle))
         low.append(heights[:-1])
         rise.append(np.diff(heights))
         length.append(np.full(slices, corner * 0.5 * np.pi / slices))
@@ -187,43 +187,50 @@ class Turn(Struct, frozen=True, eq=False):
 
     @classmethod
     def of(cls, edge: Edge, cutter: Cutter, law: CuttingLaw, step: float, descent: float | None) -> Turn:
-        """Divide a turn so that points are about `step` [m] apart.
+        """Return the sample points of a turn, about `step` [m] apart, and their wrenches per coefficient.
 
         :param descent: sine of the steepest downward angle of the feed, < 0 upward: points without a possible chip
             are omitted. None: the tool turns, and any point may have one.
         """
-        half = cutter.teeth * max(int(np.ceil(np.pi * cutter.radius / step / cutter.teeth)), -(-24 // cutter.teeth))
+        half_count = cutter.teeth * max(
+            int(np.ceil(np.pi * cutter.radius / step / cutter.teeth)), -(-24 // cutter.teeth)
+        )
         piece, phi, width = [], [], []
-        for place, radius in enumerate(edge.radius.tolist()):
-            wide = 1
-            while half % (2 * wide) == 0 and half // (2 * wide) >= _LEAST_POINTS and 2 * wide * radius <= cutter.radius:
-                wide *= 2
-            count = 2 * half // wide
-            piece.append(np.full(count, place))
+        for piece_number, radius in enumerate(edge.radius.tolist()):
+            divisor = 1
+            while (
+                half_count % (2 * divisor) == 0
+                and half_count // (2 * divisor) >= _LEAST_POINTS
+                and 2 * divisor * radius <= cutter.radius
+            ):
+                divisor *= 2
+            count = 2 * half_count // divisor
+            piece.append(np.full(count, piece_number))
             phi.append((np.arange(count) + 0.5) * (2.0 * np.pi / count))
             width.append(np.full(count, 2.0 * np.pi / count))
-        row, angle, wide_ = (np.concatenate(column) for column in (piece, phi, width))
+        row, angle, point_width = (np.concatenate(column) for column in (piece, phi, width))
         sine, cosine = np.sin(angle), np.cos(angle)
-        sk, ck = np.sin(edge.kappa)[row], np.cos(edge.kappa)[row]
-        ck = np.where(np.abs(ck) < 1e-12, 0.0, ck)
-        cuts, half_bend = np.zeros(len(row), dtype=bool), 0.5 * edge.bend[row]
+        sin_kappa, cos_kappa = np.sin(edge.kappa)[row], np.cos(edge.kappa)[row]
+        cos_kappa = np.where(np.abs(cos_kappa) < 1e-12, 0.0, cos_kappa)
+        is_used, half_bend = np.zeros(len(row), dtype=bool), 0.5 * edge.bend[row]
         if descent is not None:
             level = np.sqrt(1.0 - descent**2)
-            chip_change = half_bend * np.abs(ck * sine * level - sk * descent)
-            cuts = sk * sine * level + ck * descent + chip_change > 1e-9
-        if not cuts.any():
-            cuts[:] = True
-        columns = row, angle, wide_, sine, cosine, sk, ck, half_bend
-        row, angle, wide_, sine, cosine, sk, ck, half_bend = (column[cuts] for column in columns)
+            chip_change = half_bend * np.abs(cos_kappa * sine * level - sin_kappa * descent)
+            is_used = sin_kappa * sine * level + cos_kappa * descent + chip_change > 1e-9
+        if not is_used.any():
+            is_used[:] = True
+        columns = row, angle, point_width, sine, cosine, sin_kappa, cos_kappa, half_bend
+        row, angle, point_width, sine, cosine, sin_kappa, cos_kappa, half_bend = (column[is_used] for column in columns)
         zero, part, rise = np.zeros(len(row)), edge.part[row], edge.rise[row]
-        normal = np.stack([sk * sine, sk * cosine, zero - ck], axis=-1)
+        normal = np.stack([sin_kappa * sine, sin_kappa * cosine, zero - cos_kappa], axis=-1)
         tangential = np.stack([zero - cosine, sine, zero], axis=-1)
-        axial = np.stack([ck * sine, ck * cosine, sk], axis=-1)
+        axial = np.stack([cos_kappa * sine, cos_kappa * cosine, sin_kappa], axis=-1)
         z = np.where(part == CORNER, edge.low[row] + 0.5 * np.where(np.isfinite(rise), rise, 0.0), 0.0)
         point = np.stack([edge.radius[row] * sine, edge.radius[row] * cosine, z], axis=-1)
-        share = (cutter.teeth * wide_ / (2.0 * np.pi))[:, None]
+        share = (cutter.teeth * point_width / (2.0 * np.pi))[:, None]
 
         def wrench(k: tuple[float, float, float]) -> Floats:
+            """Return the wrench (P, 6) for a tangential, a radial and an axial coefficient."""
             radial = DRILL_THRUST * k[0] if cutter.drill else k[1]
             force = k[0] * tangential - radial * normal + k[2] * axial
             return np.asarray(np.concatenate([force, np.cross(point, force)], axis=-1) * share, dtype=np.float32)
@@ -233,18 +240,18 @@ class Turn(Struct, frozen=True, eq=False):
             np.stack([wrench(axis) for axis in axes]) if axes else np.zeros((0, len(row), 6), dtype=np.float32)
         )
 
-        def single(column: Array) -> Floats:
+        def as_single(column: Array) -> Floats:
             return np.ascontiguousarray(column, dtype=np.float32)
 
         first, second, third, end = np.searchsorted(part, [BOTTOM, CORNER, SIDE, SIDE + 1]).tolist()
         height = (np.where(np.isfinite(rise), rise, 1.0) / edge.length[row])[:, None]
         return cls(
-            law, cutter.teeth, cutter.drill, _SAMPLING[cutter.shape], angle, wide_,
-            single(edge.radius[row]), single(edge.low[row]),
-            single(rise), single(edge.length[row]), slice(first, second), slice(second, third), slice(third, end),
-            single(normal[:, 0]), single(-normal[:, 2]), single(half_bend[:, None] * axial),
+            law, cutter.teeth, cutter.drill, _SAMPLING[cutter.shape], angle, point_width,
+            as_single(edge.radius[row]), as_single(edge.low[row]),
+            as_single(rise), as_single(edge.length[row]), slice(first, second), slice(second, third), slice(third, end),
+            as_single(normal[:, 0]), as_single(-normal[:, 2]), as_single(half_bend[:, None] * axial),
             wrench(law.cutting), wrench(law.edge),
-            unit_wrench, single(_is_covered(angle, wide_, 2 * half) * height),
+            unit_wrench, as_single(_is_covered(angle, point_width, 2 * half_count) * height),
         )  # fmt: skip
 
 

@@ -124,8 +124,8 @@ def cutter_of(text: str, *, inches: bool) -> CommentedTool:
     >>> cutter_of("D=16. CR=0. - ZMIN=-5. - flat end mill", inches=False)
     CommentedTool(shape='flat', diameter_mm=16.0, corner_radius_mm=0.0, flutes=None, text='')
     """
-    diameter = next((_mm(match, inches) for form in _DIAMETERS if (match := form.search(text))), None)
-    corner = 0.0 if (match := _CORNER.search(text)) is None else _mm(match, inches)
+    diameter = next((_length_mm(match, inches) for form in _DIAMETERS if (match := form.search(text))), None)
+    corner = 0.0 if (match := _CORNER.search(text)) is None else _length_mm(match, inches)
     if (apt := _APT.search(text)) is not None:
         corner = float(apt[3] or 0.0) * (MM_PER_INCH if inches else 1.0)
     shape = next((shape for form, shape in _SHAPES if form.search(text)), None)
@@ -139,17 +139,17 @@ def cutter_of(text: str, *, inches: bool) -> CommentedTool:
     return CommentedTool(shape, diameter, corner if shape == "bull" else 0.0, flutes or None)
 
 
-def _mm(match: re.Match[str], inches: bool) -> float:
-    """Return a length that a comment states, in mm; `inches` is the unit of lengths without one."""
+def _length_mm(match: re.Match[str], inches: bool) -> float:
+    """Return a length of a comment [mm]: groups 1 and 2 are number and unit; fractions are of an inch."""
     unit, inches = (match[2] or "").lower(), inches or "/" in match[1]
     factor = MM_PER_INCH if (unit and unit != "mm") or (not unit and inches) else 1.0
-    return round(_value(match[1]) * factor, 6)
+    return round(_number_value(match[1]) * factor, 6)
 
 
-def _value(text: str) -> float:
+def _number_value(text: str) -> float:
     """Return the value of a number; 0 of one that is none, such as 1/0.
 
-    >>> _value("12.7"), _value("3/8"), _value("1-1/4")
+    >>> _number_value("12.7"), _number_value("3/8"), _number_value("1-1/4")
     (12.7, 0.375, 1.25)
     """
     try:
@@ -172,12 +172,12 @@ def stock_size(comments: Iterable[Comment], *, inches: bool) -> tuple[float, flo
         if sides := _SIDES.search(comment.text):
             unit = (sides[4] or "").lower()
             factor = MM_PER_INCH if (unit and unit != "mm") or (not unit and inches) else 1.0
-            x, y, z = (_value(sides[place]) * factor for place in (1, 2, 3))
+            x, y, z = (_number_value(sides[place]) * factor for place in (1, 2, 3))
             return x, y, z
         if _SIZE_TITLE.search(comment.text):
             title_line = comment.line
         if comment.line - title_line <= 2 and all(side.search(comment.text) for side in _SIDE.values()):
             matches = [side.search(comment.text) for side in _SIDE.values()]
-            x, y, z = (_mm(match, inches) for match in matches if match is not None)
+            x, y, z = (_length_mm(match, inches) for match in matches if match is not None)
             return x, y, z
     return None

@@ -75,7 +75,7 @@ def tool_states(program: Program, process: Process) -> ToolStates:
                 hand[has_tool] = 1 if entry[1].spindle == "M3" else -1
     lacks_tool = (place < 0) & ~program.motions.rapid
     if lacks_tool.any():
-        _refuse(program, process, number, lacks_tool)
+        _refuse_missing_tools(program, process, number, lacks_tool)
     return ToolStates(place, keys, rpm, hand, number)
 
 
@@ -100,7 +100,7 @@ def _stated_number(program: Program, process: Process, row: int) -> int:
     return stated_numbers[0] if stated_numbers else numbers[0] if len(numbers) == 1 else -1
 
 
-def _refuse(program: Program, process: Process, number: Ints, lacks_tool: Bools) -> None:
+def _refuse_missing_tools(program: Program, process: Process, number: Ints, lacks_tool: Bools) -> None:
     """Raise for the tools of cutting motions that the process file lacks.
 
     :raises ForceError: always, one error for each tool.
@@ -136,10 +136,10 @@ def shared_cutters(program: Program, tools: ToolStates) -> Iterator[Issue]:
     for place in distinct(tools.tool[~m.rapid]).tolist():
         rows = distinct(m.tool[(tools.tool == place) & ~m.rapid])
         tips = program.tools[rows, :3, 3]
-        apart = norm(tips - tips[0])
-        if len(rows) < 2 or apart.max() <= _SAME_TIP:
+        tip_distance = norm(tips - tips[0])
+        if len(rows) < 2 or tip_distance.max() <= _SAME_TIP:
             continue
-        pair = [int(rows[0]), int(rows[int(np.argmax(apart))])]
+        pair = [int(rows[0]), int(rows[int(np.argmax(tip_distance))])]
         motion = [int(np.flatnonzero((m.tool == row) & (tools.tool == place) & ~m.rapid)[0]) for row in pair]
         names = [
             f"{_tool_name(program, row)} (line {m.line[row_motion]})"
@@ -149,7 +149,7 @@ def shared_cutters(program: Program, tools: ToolStates) -> Iterator[Issue]:
         entries = " and ".join(f"[tools.{number}]" for number in numbers if str(number) != tools.keys[place])
         advice = f"Give {entries}" if entries else "Divide the program where it changes tools"
         message = (
-            f"{' and '.join(names)}, whose tips are {apart.max() * MM_PER_M:.4g} mm apart, both cut as "
+            f"{' and '.join(names)}, whose tips are {tip_distance.max() * MM_PER_M:.4g} mm apart, both cut as "
             f"[tools.{tools.keys[place]}]: are they one cutter? {advice} if they are not."
         )
         yield Issue("warning", "one-cutter", message, int(m.line[motion[1]]), subject=tools.keys[place])
@@ -191,19 +191,19 @@ def unread_cuts(program: Program) -> list[Issue]:
     return [Issue("warning", "cuts-unseen", message, count=len(lines))]
 
 
-_SAG = 0.1
-"""An arc is divided into chords that deviate from it by this share of a cell at most,"""
-_TURN = np.radians(8.0)
-"""and that turn by this angle at most."""
-_LEANS = np.radians(2.0)
+_CHORD_ERROR = 0.1
+"""An arc is divided into chords that deviate from it by this share of a cell at most (assumed),"""
+_CHORD_ANGLE = np.radians(8.0)
+"""and that turn by this angle at most (assumed)."""
+_RAPID_ROTATION = np.radians(2.0)
 """Rapid moves that turn the tool are divided into pieces on which no axis turns by more than this: their chords leave
 the path by half a millimetre at most (an arc of 2° with a radius of 3 m)."""
 TURNS = np.radians(0.5)
 """A tool whose axis differs by less from that of the map is taken for one along it."""
-_ON_CUT = np.radians(1.0)
-"""Cuts that turn the tool are divided into pieces on which it turns by this much at most."""
-_ON_MOTION = 1e-9, 0.25, 0.5, 0.75
-"""Places of motions at which the direction of the tool is looked at."""
+_CUT_ROTATION = np.radians(1.0)
+"""Cuts that turn the tool are divided into pieces on which it turns by this angle at most (assumed)."""
+_PLACES_ON_MOTION = 1e-9, 0.25, 0.5, 0.75
+"""Places of motions at which the direction of the tool is compared (assumed); the first is the start."""
 _NO_LENGTH = 1e-9
 """Segments shorter than this [m] do not move the tool; also the first place on a motion, since 0 is none."""
 _END_OF_MOTION = 1.0 - 1e-7
@@ -287,45 +287,58 @@ def straight_segments(
     :param directions: of the tool; None: along z of the map.
     """
     m = program.motions
-    count = np.ones(len(m), dtype=np.int64)
-    arcs = path.arcs
-    radius = norm(arcs.radial)
-    angle = np.minimum(_TURN, np.sqrt(8.0 * _SAG * cell / np.maximum(radius, cell)))
-    count[arcs.motion] = np.maximum(1, np.ceil(arcs.sweep / angle)).astype(np.int64)
-    leans = _leaning(program, path, frame, directions)
-    rotation = path.turn.astype(float)
-    ptp = np.flatnonzero(leans & (m.kind == PTP))
-    if path.joint_moves is not None:
-        rotation[ptp] = path.joint_moves.turn(ptp)
-    max_rotation = np.where(m.rapid, _LEANS, _ON_CUT)
-    count[leans] = np.maximum(count[leans], np.ceil(rotation[leans] / max_rotation[leans]).astype(np.int64))
-    count[(m.kind == PTP) & ~leans] = 0
+    is_leaning = _is_leaning(program, path, frame, directions)
+    count = _segment_counts(program, path, is_leaning, cell)
     motions = np.arange(len(m))
     (motion, first), last = even_places(motions, count, "start"), even_places(motions, count)[1]
     if shift is not None:
-        motion, first, last = _cut_at(motion, first, last, shift)
+        motion, first, last = _divided_at_shift(motion, first, last, shift)
     begin = path.begin(motion)
     is_inner = first > 0.0
     begin[is_inner] = positions(program, path, motion[is_inner], first[is_inner])
     end = positions(program, path, motion, last)
-    arc = m.kind[motion] == CIRC
+    is_arc = m.kind[motion] == CIRC
     chord = end - begin
     length = norm(chord)
     leave = chord / np.where(length > 0.0, length, 1.0)[:, None]
     arrive = leave.copy()
-    if arc.any():
-        leave[arc] = tangent(program, path, motion[arc], first[arc])
-        arrive[arc] = tangent(program, path, motion[arc], last[arc])
+    if is_arc.any():
+        leave[is_arc] = tangent(program, path, motion[is_arc], first[is_arc])
+        arrive[is_arc] = tangent(program, path, motion[is_arc], last[is_arc])
     if shift is not None:
         begin, end = begin + shift.at(motion, first), end + shift.at(motion, last)
     begin, end, leave, arrive = _to_map(program, motion, frame, (begin, end), (leave, arrive))
     continues = np.zeros(len(motion), dtype=bool)
     continues[1:] = (norm(begin[1:] - end[:-1]) < 1e-6) & (tools.tool[motion[1:]] == tools.tool[motion[:-1]])
-    lean = leans[motion]
-    continues[1:] &= (lean[1:] == lean[:-1]) & ~(lean & m.rapid[motion])[1:]
-    moves = ((norm(end - begin) > _NO_LENGTH) | lean) & (tools.tool[motion] >= 0)
-    columns = (motion, first, last, begin, end, leave, arrive, ~m.rapid[motion], continues, lean)
-    return StraightSegments(*(np.asarray(column[moves]) for column in columns))
+    segment_leans = is_leaning[motion]
+    continues[1:] &= (segment_leans[1:] == segment_leans[:-1]) & ~(segment_leans & m.rapid[motion])[1:]
+    is_kept = ((norm(end - begin) > _NO_LENGTH) | segment_leans) & (tools.tool[motion] >= 0)
+    columns = (motion, first, last, begin, end, leave, arrive, ~m.rapid[motion], continues, segment_leans)
+    return StraightSegments(*(np.asarray(column[is_kept]) for column in columns))
+
+
+def _segment_counts(program: Program, path: Segments, is_leaning: Bools, cell: float) -> Ints:
+    """Return the number of straight segments of each motion (M,); 0 for a PTP on which the tool is along z of the map.
+
+    :param is_leaning: (M,) motions on which the tool turns or leans from z of the map.
+    :param cell: width of a cell [m].
+    """
+    m = program.motions
+    count = np.ones(len(m), dtype=np.int64)
+    arcs = path.arcs
+    radius = norm(arcs.radial)
+    angle = np.minimum(_CHORD_ANGLE, np.sqrt(8.0 * _CHORD_ERROR * cell / np.maximum(radius, cell)))
+    count[arcs.motion] = np.maximum(1, np.ceil(arcs.sweep / angle)).astype(np.int64)
+    rotation = path.turn.astype(float)
+    ptp = np.flatnonzero(is_leaning & (m.kind == PTP))
+    if path.joint_moves is not None:
+        rotation[ptp] = path.joint_moves.turn(ptp)
+    max_rotation = np.where(m.rapid, _RAPID_ROTATION, _CUT_ROTATION)
+    count[is_leaning] = np.maximum(
+        count[is_leaning], np.ceil(rotation[is_leaning] / max_rotation[is_leaning]).astype(np.int64)
+    )
+    count[(m.kind == PTP) & ~is_leaning] = 0
+    return count
 
 
 class Directions(Struct, frozen=True, eq=False):
@@ -348,8 +361,8 @@ class Directions(Struct, frozen=True, eq=False):
         """
         m, column = program.motions, _SPINDLE[axis][0]
         turning = np.flatnonzero((path.turn > TURNS) & (m.kind != PTP))
-        inner = np.zeros((len(_ON_MOTION), len(turning), 3))
-        for k, t in enumerate(_ON_MOTION if len(turning) else ()):
+        inner = np.zeros((len(_PLACES_ON_MOTION), len(turning), 3))
+        for k, t in enumerate(_PLACES_ON_MOTION if len(turning) else ()):
             pose = toolpath.at(program, path, turning, np.full(len(turning), t)).pose[:]
             inner[k] = _towards_spindle(program, axis, turning, pose[:, :3, column])
         end = _towards_spindle(program, axis, np.arange(len(m)), m.target[:, :3, column])
@@ -368,7 +381,7 @@ class Directions(Struct, frozen=True, eq=False):
         return np.asarray(is_within)
 
 
-def _leaning(program: Program, path: Segments, frame: Array, directions: Directions | None) -> Bools:
+def _is_leaning(program: Program, path: Segments, frame: Array, directions: Directions | None) -> Bools:
     """Return the motions (M,) on which the tool turns or leans from z of the map; a PTP if its path is known."""
     m = program.motions
     leans = m.rapid & (path.turn > TURNS)
@@ -395,9 +408,9 @@ class ToolPoses(Struct, frozen=True, eq=False):
     def upright_or(self, motion: Ints, t: Array) -> Array:
         """Return the directions from tip to spindle (n, 3) at places: z of the map, except on motions that lean."""
         direction = np.tile([0.0, 0.0, 1.0], (len(motion), 1))
-        leans = np.flatnonzero(self.leans[motion])
-        if len(leans):
-            direction[leans] = self.at(motion[leans], t[leans])[1]
+        leaning_rows = np.flatnonzero(self.leans[motion])
+        if len(leaning_rows):
+            direction[leaning_rows] = self.at(motion[leaning_rows], t[leaning_rows])[1]
         return direction
 
     def at(self, motion: Ints, t: Array) -> tuple[Array, Array]:
@@ -410,8 +423,9 @@ class ToolPoses(Struct, frozen=True, eq=False):
         return tip, direction
 
 
-def _cut_at(motion: Ints, first: Array, last: Array, shift: Shift) -> tuple[Ints, Array, Array]:
-    """Divide segments where displacements are given."""
+def _divided_at_shift(motion: Ints, first: Array, last: Array, shift: Shift) -> tuple[Ints, Array, Array]:
+    """Return segments, divided where displacements are given: motion, begin and end (k,) of the parts."""
+    # motion + t is one sorted key of all places
     keys = np.unique(np.concatenate([motion + first, shift.motion + shift.t, motion + last]))
     segment = np.searchsorted(motion + first, keys[:-1], side="right") - 1
     part_motion = motion[segment]
@@ -441,26 +455,26 @@ _SPINDLE = {"+Z": (2, -1.0), "-Z": (2, 1.0), "+X": (0, -1.0), "-X": (0, 1.0)}
 """Column of the tool frame, and its sign, that points from the tip to the spindle, by the axis of the tool."""
 
 
-_BESIDE = 0.1
-"""A frame with less than this share of the way at feed only positions (assumed)."""
+_POSITIONING_SHARE = 0.1
+"""A frame with less than this share of the length of moves at feed only positions (assumed)."""
 
 
 def home_base(program: Program) -> int:
     """Return the row of `Program.bases` in which the stock is given.
 
     It is that of the first cutting motion. In a robot program, where each LIN counts as one, also one that positions,
-    it is that of most of the way at feed.
+    it is that with the greatest length of moves at feed.
     """
     m = program.motions
     first = int(m.base[np.argmax(~m.rapid)])
     if not program.keeps_text or (m.base[~m.rapid] == first).all():
         return first
-    way = _way_by_base(program)
-    return first if way[first] == way.max(initial=0.0) else int(np.argmax(way))
+    length = _length_by_base(program)
+    return first if length[first] == length.max(initial=0.0) else int(np.argmax(length))
 
 
-def _way_by_base(program: Program) -> Array:
-    """Return the way at feed in each $BASE (nb,) [m], arcs by their chords; moves from another frame have none."""
+def _length_by_base(program: Program) -> Array:
+    """Return the length of moves at feed in each $BASE (nb,) [m], without moves between frames; arcs as chords."""
     m = program.motions
     chord = norm(np.diff(m.target[:][:, :3, 3], axis=0, prepend=0.0))
     is_within = ~m.rapid & (np.diff(m.base, prepend=-1) == 0)
@@ -475,14 +489,14 @@ def stock_base_issues(program: Program) -> Iterator[Issue]:
     m = program.motions
     bases = distinct(m.base[~m.rapid])
     if program.keeps_text and len(bases) > 1:
-        home, way = home_base(program), _way_by_base(program)
+        home, length = home_base(program), _length_by_base(program)
         rows = np.flatnonzero(~m.rapid & (m.base == home))
         message = (
             f"the program moves at feed in {len(bases)} frames $BASE: the stock stands in that of this line, in which "
             "most of the way is. If the stock is given in another one, the forces are wrong"
         )
         is_of_cell = home == 0 and bool(program.tool_numbers)  # of KRL: row 0 is [base]
-        is_certain = is_of_cell or way.sum() - way[home] < _BESIDE * way.sum()
+        is_certain = is_of_cell or length.sum() - length[home] < _POSITIONING_SHARE * length.sum()
         level: Level = "info" if is_certain else "warning"
         yield Issue(level, "stock-base", message, int(m.line[rows[0]]), count=len(rows))
 

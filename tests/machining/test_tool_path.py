@@ -9,7 +9,7 @@ import pytest
 from msgspec.structs import replace
 
 from postproc import frames, toolpath
-from postproc.machining.estimate import _no_contact, _out_of_scale
+from postproc.machining.estimate import _no_contact_error, _scale_issues
 from postproc.machining.tool_path import Directions, Shift, straight_segments, tool_states
 from tests.toolpath.setting import BASES, START, begins, mixed, point
 
@@ -142,7 +142,7 @@ def test_a_path_that_misses_the_stock_says_where_both_are_and_whether_units_may_
     begin, far = np.array([0.5, 0.6, -0.02]), np.array([9.0, 9.0, 9.0])
     end = begin + size * np.eye(3)[axis] + [0, 0, 0.01]
     process = SimpleNamespace(path="process.toml")
-    error = _no_contact(None, cutting(end, begin, far), BOUNDS, process, None)
+    error = _no_contact_error(None, cutting(end, begin, far), BOUNDS, process, None)
     low, high = 1e3 * np.minimum(begin, end), 1e3 * np.maximum(begin, end)
     where = ", ".join(f"{name} {a:.4g} … {b:.4g}" for name, a, b in zip("XYZ", low, high, strict=True))
     assert f"cutting moves lie within {where} mm" in str(error)
@@ -156,7 +156,7 @@ def test_a_path_five_times_as_large_as_the_stock_is_a_warning():
         begin = np.array([-0.3, -0.4, 0.0])
         for wide in ((0.1 * size, 0.05 * size), (0.1 * size, 1.0), (1.0, 0.05 * size)):
             end = begin + np.array([*wide, 0.0])
-            found = _out_of_scale(cutting(end, begin, begin + 9.0), BOUNDS)
+            found = _scale_issues(cutting(end, begin, begin + 9.0), BOUNDS)
             assert [issue.kind for issue in found] == expected
             assert not found or "the path is 5 times as large as the stock" in found[0].message
 
