@@ -156,11 +156,11 @@ def _all_pairs(
     """Return the comparison of targets with their partners (n,), those included that were moved alone."""
     load = None if loads is None else loads.path
     # a target that only divides a line or an arc may have a partner that divides it elsewhere: the path passes it then
-    divides = nominal_path.is_continued[nominal_path.rows] & (partner >= 0) & ~certain & (loads is not None)
-    pairs = pair_targets(nominal_path, corrected_path, np.where(divides, -1, partner), certain)
+    is_division_point = nominal_path.is_continued[nominal_path.rows] & (partner >= 0) & ~certain & (loads is not None)
+    pairs = pair_targets(nominal_path, corrected_path, np.where(is_division_point, -1, partner), certain)
     comparison = judge_unpaired(pairs, nominal_path, corrected_path, load)
     displaced_partner = moved_partners(comparison, nominal_path, corrected_path)
-    is_missing = np.isin(nominal_path.rows, comparison.only_nominal) & divides
+    is_missing = np.isin(nominal_path.rows, comparison.only_nominal) & is_division_point
     displaced_partner[is_missing] = partner[is_missing]
     if not (displaced_partner >= 0).any():
         return comparison
@@ -175,9 +175,9 @@ def _complete_cuts(
     """Return a comparison with where both programs cut under the nominal forces, also between targets."""
     index = np.searchsorted(nominal_path.rows, comparison.pair[:, 0])
     partner = partners_of(comparison, nominal_path, corrected_path)
-    left = deviation_left(nominal_path, corrected_path, partner, loads.wrench)
-    sides = nominal_path, corrected_path
-    cuts = pair_cuts(comparison, *sides, loads.wrench[index], loads.deflection[index], left[index])
+    deviation_in_second = deviation_left(nominal_path, corrected_path, partner, loads.wrench)
+    paths = nominal_path, corrected_path
+    cuts = pair_cuts(comparison, *paths, loads.wrench[index], loads.deflection[index], deviation_in_second[index])
     cuts = cuts_between_pairs(comparison, cuts, nominal_path, corrected_path, loads.path)
     ends = cuts.row[(cuts.t == 1.0) & (cuts.corrected_distance <= tolerance)]
     return count_as_inserted(replace(comparison, cuts=cuts), np.isin(comparison.additional_rows, ends))
@@ -185,11 +185,11 @@ def _complete_cuts(
 
 def _explain_as_inserted(comparison: Comparison, nominal_path: PlacedProgram) -> Comparison:
     """Return a comparison of two programs of one conversion: targets without a partner were inserted or left out."""
-    rows, by = (
+    rows, distances = (
         (comparison.passed_rows, comparison.only_nominal),
         (comparison.passing_distance, comparison.missing_distance),
     )
-    comparison = replace(comparison, passed_rows=np.concatenate(rows), passing_distance=np.concatenate(by))
+    comparison = replace(comparison, passed_rows=np.concatenate(rows), passing_distance=np.concatenate(distances))
     comparison = replace(
         comparison, only_nominal=nominal_path.rows[:0], missing_distance=comparison.missing_distance[:0]
     )
@@ -198,11 +198,11 @@ def _explain_as_inserted(comparison: Comparison, nominal_path: PlacedProgram) ->
 
 def _add_cuts(comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram) -> Comparison:
     """Return a comparison with where both programs cut under the forces that the corrected one states."""
-    first, second = comparison.pair.T
-    wrench = corrected_path.wrench(corrected_path.forces(None), second)
+    nominal_rows, corrected_rows = comparison.pair.T
+    wrench = corrected_path.wrench(corrected_path.forces(None), corrected_rows)
     deflections = (
-        deviation(nominal_path, first, side.joints[rows], wrench, side.carriage_displacement(rows))
-        for side, rows in ((nominal_path, first), (corrected_path, second))
+        deviation(nominal_path, nominal_rows, path.joints[rows], wrench, path.carriage_displacement(rows))
+        for path, rows in ((nominal_path, nominal_rows), (corrected_path, corrected_rows))
     )
     return replace(comparison, cuts=pair_cuts(comparison, nominal_path, corrected_path, wrench, *deflections))
 

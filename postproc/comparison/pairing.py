@@ -1,13 +1,13 @@
 """Which target of one program is which of another: the same path, commanded with other numbers and in other steps.
 
 A correction moves targets by millimetres, often by more than they are apart, and inserts some: the nearest one is not
-the right one. What it hardly changes is the step from one target to the next, and the length of the way between them.
+the right one. What it hardly changes is the step from one target to the next, and the length of path between them.
 Sought is the assignment, in order, under which these change least (dynamic programming, as in aligning sequences):
 
 - a step that changes costs the logarithm of 1 + its change over a quarter of the step, 1.2 at most, and half as much by
-  how much longer or shorter the way is, and 0.6 more from 8 mm on; so a target that was moved costs 4.8 at most;
-- targets passed over between two pairs cost nothing (they are inserted) if the way through them is as long as the step;
-  by how much it is longer costs as much as a step that changes;
+  how much longer or shorter the path is, and 0.6 more from 8 mm on; so a target that was moved costs 4.8 at most;
+- targets passed over between two pairs cost nothing (they are inserted) if the path through them is as long as the
+  step; by how much it is longer costs as much as a step that changes;
 - a target of the first program without a partner costs 3.2: a missing line is cheaper than pairing every later target
   with a neighbour, and a moved target cheaper than one missing and one too many;
 - where it only divides a line or an arc, it costs 2: the other program may divide that curve elsewhere.
@@ -23,28 +23,28 @@ from msgspec import Struct
 from postproc.frames import Array, norm
 from postproc.program import Bools, Ints
 
-_SHARE, _LEAST_STEP, _MAX_ROWS = 0.25, 1e-4, 1e-3
-"""A step changes noticeably by this share of it, but by so much [m] at least and at most (assumed)."""
+_CHANGE_SHARE, _LEAST_CHANGE, _MOST_CHANGE = 0.25, 1e-4, 1e-3
+"""A noticeable change of a step: the second [m] plus this share of the step, at most the third [m] (assumed)."""
 _STEP_TOLERANCE = 0.1
-"""Of that, what steps differ by that are taken for the same at once."""
-_CAP, _WAY = 1.2, 0.5
-"""Largest cost of a change of the offset or of the length of the way, so that a jump costs less than a missing target,
-and the weight of the latter where partners follow one another (assumed)."""
-_OTHER_WAY, _EXCESS_LENGTH = 0.6, 8e-3
-"""A way that is longer or shorter by the second number [m], which no correction causes, costs the first more."""
+"""Share of a noticeable change below which steps are equal (assumed)."""
+_MAX_CHANGE_COST, _LENGTH_WEIGHT = 1.2, 0.5
+"""Largest cost of a change of the offset or of the length of path, so that a jump costs less than a missing target, and
+the weight of the change of length where partners follow one another (assumed)."""
+_LENGTH_COST, _EXCESS_LENGTH = 0.6, 8e-3
+"""Cost of a path that is longer or shorter by the second number [m], which no correction causes (assumed)."""
 _MISSING_COST, _PASSED_COST = 3.2, 2.0
 """Cost of a target without a partner, and of one whose motion is continued by the next (assumed)."""
 _OTHER_KIND = 2.0
 """Cost of a PTP as the partner of a LIN or CIRC (assumed)."""
 _WINDOW = 14
-"""Partners looked at on either side of the place at the same length of path (assumed)."""
+"""Number of partners considered on either side of the place at the same length of path (assumed)."""
 _MAX_STATES = 48
-"""Assignments followed at the same time (assumed)."""
+"""Largest number of assignments that are kept at each target (assumed)."""
 _PASSES = 3
 """Each pass moves a partner by one place at most: assignments are off by no more than three (assumed)."""
 _EQUAL = 5e-6
 """Targets that are this near [m], after steps that differ by no more, are the same ones (assumed)."""
-_RUN, _RUN_CHUNK = 3, 4096
+_MIN_RUN, _RUN_CHUNK = 3, 4096
 """Equal targets in a row that leave no other assignment likely, and the number of targets compared at once; assumed."""
 _NO_PARTNER = -1
 """Row that no target has."""
@@ -54,7 +54,7 @@ class Track(Struct, frozen=True, eq=False):
     """The Cartesian targets of a program.
 
     :param position: (n, 3) in a frame that both programs share [m].
-    :param step: (n,) length of the way to each from the one before [m]; of an arc, along it.
+    :param step: (n,) length of path to each from the one before [m].
     :param joint: (n,) True for PTP.
     :param is_continued: (n,) True where the path goes on along the same line or arc: a division point, no corner.
     """
@@ -69,9 +69,9 @@ class Track(Struct, frozen=True, eq=False):
 
 
 def partners(nominal_track: Track, corrected_track: Track) -> Ints:
-    """Return the target of the other program for each of one (n,), ascending; −1 where it has none."""
+    """Return the partner (n,) of each target of the nominal program: its index in the other, ascending; −1 for none."""
     partner = np.full(len(nominal_track), _NO_PARTNER)
-    if len(corrected_track) < len(nominal_track):  # it is the first one, then, that has targets between
+    if len(corrected_track) < len(nominal_track):  # the assignment needs the one with inserted targets second
         indices = partners(corrected_track, nominal_track)
         paired_rows = np.flatnonzero(indices != _NO_PARTNER)
         partner[indices[paired_rows]] = paired_rows
@@ -124,8 +124,9 @@ def _reverse_track(track: Track) -> Track:
     return Track(track.position[::-1], np.roll(track.step, -1)[::-1], track.joint[::-1], track.is_continued[::-1])
 
 
-def _scale(step: Array) -> Array:
-    return np.asarray(np.minimum(_LEAST_STEP + _SHARE * step, _MAX_ROWS))
+def _noticeable_change(step: Array) -> Array:
+    """Return the change (n,) [m] by which steps of these lengths (n,) [m] change noticeably."""
+    return np.asarray(np.minimum(_LEAST_CHANGE + _CHANGE_SHARE * step, _MOST_CHANGE))
 
 
 def _common_length(nominal_track: Track, corrected_track: Track) -> int:
@@ -134,7 +135,7 @@ def _common_length(nominal_track: Track, corrected_track: Track) -> int:
     offset = corrected_track.position[:count] - nominal_track.position[:count]
     change = norm(np.diff(offset, axis=0, prepend=np.zeros((min(1, count), 3))))
     change += np.abs(corrected_track.step[:count] - nominal_track.step[:count])
-    is_same = (change < _STEP_TOLERANCE * _scale(nominal_track.step[:count])) & (
+    is_same = (change < _STEP_TOLERANCE * _noticeable_change(nominal_track.step[:count])) & (
         nominal_track.joint[:count] == corrected_track.joint[:count]
     )
     if is_same.all() and len(nominal_track) == len(corrected_track):
@@ -143,7 +144,12 @@ def _common_length(nominal_track: Track, corrected_track: Track) -> int:
 
 
 class _States(Struct, eq=False):
-    """The cheapest assignments of the targets so far whose last pair is (`row`, `partner`); each field (w,)."""
+    """The w cheapest assignments of the targets so far.
+
+    :param partner: (w,) partner of the last pair, and `row` (w,) its nominal target; −1 before the first.
+    :param cost: (w,) of the assignment.
+    :param offset: (w, 3) of the last pair [m].
+    """
 
     partner: Ints
     row: Ints
@@ -152,7 +158,10 @@ class _States(Struct, eq=False):
 
 
 def _assign_partners(nominal_track: Track, corrected_track: Track, last_pair: tuple[Array, Array] | None) -> Ints:
-    """Return the partners (n,) of the targets of one program in the other; `last_pair`: the pair before both begin."""
+    """Return the partners (n,) of the targets of one program in the other, by dynamic programming.
+
+    :param last_pair: positions (3,) of the pair before both tracks begin [m]; None: it is not known.
+    """
     if not len(nominal_track) or not len(corrected_track):
         return np.full(len(nominal_track), _NO_PARTNER)
     start = np.zeros((1, 3)) if last_pair is None else (last_pair[1] - last_pair[0])[None]
@@ -165,39 +174,43 @@ def _assign_partners(nominal_track: Track, corrected_track: Track, last_pair: tu
     origins: dict[int, tuple[Ints, Ints, Ints]] = {}  # of each row: its window of partners, and the pair before each
     row = 0
     while row < len(nominal_track):
-        best = int(np.argmin(states.cost))
-        if states.row[best] == row - 1 >= 0 and norm(states.offset[best]) < _EQUAL:
-            run = _equal(nominal_track, corrected_track, row, int(states.partner[best]) + 1)
-            if run >= _RUN:  # nothing else is more likely
+        cheapest = int(np.argmin(states.cost))
+        if states.row[cheapest] == row - 1 >= 0 and norm(states.offset[cheapest]) < _EQUAL:
+            run = _equal_count(nominal_track, corrected_track, row, int(states.partner[cheapest]) + 1)
+            if run >= _MIN_RUN:  # nothing else is more likely
                 _follow(assignment, states, origins)
-                place = int(states.partner[best]) + run
+                place = int(states.partner[cheapest]) + run
                 assignment[row : row + run] = np.arange(place - run, place) + 1
                 row += run
                 offset = corrected_track.position[place] - nominal_track.position[row - 1]
                 states = _States(np.array([place]), np.array([row - 1]), np.zeros(1), offset[None])
                 origins.clear()
                 continue
-        length = lengths[row + 1] - lengths[states.row[best] + 1]
-        middle = int(np.searchsorted(corrected_lengths[1:], corrected_lengths[states.partner[best] + 1] + length))
-        window = np.arange(max(0, middle - _WINDOW), min(len(corrected_track), middle + _WINDOW + 1))
+        length = lengths[row + 1] - lengths[states.row[cheapest] + 1]
+        expected_partner = int(
+            np.searchsorted(corrected_lengths[1:], corrected_lengths[states.partner[cheapest] + 1] + length)
+        )
+        window = np.arange(
+            max(0, expected_partner - _WINDOW), min(len(corrected_track), expected_partner + _WINDOW + 1)
+        )
         offset = corrected_track.position[window] - nominal_track.position[row]
         change = norm(offset[:, None] - states.offset)
         step = lengths[row + 1] - lengths[states.row + 1]
-        way = corrected_lengths[window + 1][:, None] - corrected_lengths[states.partner + 1]
-        scale = _scale(step)
-        cost = np.minimum(np.log1p(change / scale), _CAP)
+        path_length = corrected_lengths[window + 1][:, None] - corrected_lengths[states.partner + 1]
+        scale = _noticeable_change(step)
+        cost = np.minimum(np.log1p(change / scale), _MAX_CHANGE_COST)
         if last_pair is None:  # nothing is known of the step to the first pair, but that nothing should come before it
             cost[:, states.row == _NO_PARTNER] = 0.0
-        weight = np.where(window[:, None] - states.partner > 1, 1.0, _WAY)
-        cost += weight * np.minimum(np.log1p(np.abs(way - step) / scale), _CAP)
-        cost += _OTHER_WAY * np.minimum(np.abs(way - step) / _EXCESS_LENGTH, 1.0)
+        weight = np.where(window[:, None] - states.partner > 1, 1.0, _LENGTH_WEIGHT)
+        cost += weight * np.minimum(np.log1p(np.abs(path_length - step) / scale), _MAX_CHANGE_COST)
+        cost += _LENGTH_COST * np.minimum(np.abs(path_length - step) / _EXCESS_LENGTH, 1.0)
         cost += states.cost
         cost[window[:, None] <= states.partner] = np.inf
-        last = np.argmin(cost, axis=1)
-        least_cost = cost[np.arange(len(window)), last] + _OTHER_KIND * (
+        previous_state = np.argmin(cost, axis=1)
+        least_cost = cost[np.arange(len(window)), previous_state] + _OTHER_KIND * (
             nominal_track.joint[row] != corrected_track.joint[window]
         )
-        origins[row] = window, states.row[last], states.partner[last]
+        origins[row] = window, states.row[previous_state], states.partner[previous_state]
         reachable_columns = np.flatnonzero(np.isfinite(least_cost))
         pair_states = _States(
             window[reachable_columns],
@@ -212,18 +225,26 @@ def _assign_partners(nominal_track: Track, corrected_track: Track, last_pair: tu
 
 
 def _follow(assignment: Ints, states: _States, origins: dict[int, tuple[Ints, Ints, Ints]]) -> None:
-    """Write the pairs of the cheapest assignment into `assignment` (n,) from the last back to where `origins` begin."""
-    best = int(np.argmin(states.cost))
-    row, partner = int(states.row[best]), int(states.partner[best])
+    """Write the pairs of the cheapest assignment into `assignment` (n,), in place, from the last pair backwards.
+
+    :param origins: of each row: its window of partners, and row and partner of the pair before each. It ends where
+        `origins` has no row.
+    """
+    cheapest = int(np.argmin(states.cost))
+    row, partner = int(states.row[cheapest]), int(states.partner[cheapest])
     while row in origins:
         assignment[row] = partner
         window, rows, partners = origins[row]
-        place = partner - int(window[0])
-        row, partner = int(rows[place]), int(partners[place])
+        column = partner - int(window[0])
+        row, partner = int(rows[column]), int(partners[column])
 
 
-def _equal(nominal_track: Track, corrected_track: Track, row: int, partner: int) -> int:
-    """Return the number of consecutive targets at equal places after steps of equal length."""
+def _equal_count(nominal_track: Track, corrected_track: Track, row: int, partner: int) -> int:
+    """Return the number of targets in a row, from `row` and `partner` on, that are equal after steps of equal length.
+
+    The positions of equal targets differ by less than `_EQUAL`, and so do the lengths of the steps to them; both are
+    PTP or neither is. At most `_RUN_CHUNK` targets are compared.
+    """
     count = min(len(nominal_track) - row, len(corrected_track) - partner, _RUN_CHUNK)
     nominal_part, corrected_part = (
         _part(nominal_track, slice(row, row + count)),
@@ -236,16 +257,18 @@ def _equal(nominal_track: Track, corrected_track: Track, row: int, partner: int)
     return count if is_same.all() else int(np.argmin(is_same))
 
 
-def _cheapest(pair_states: _States, older: _States, unpaired_cost: float) -> _States:
+def _cheapest(pair_states: _States, unpaired_states: _States, unpaired_cost: float) -> _States:
     """Return the cheapest assignments, of those that end with this target and those that leave it without partner.
 
     :param unpaired_cost: cost of the latter.
     """
-    cost = np.concatenate([pair_states.cost, older.cost + unpaired_cost])
-    keep = np.argpartition(cost, _MAX_STATES)[:_MAX_STATES] if len(cost) > _MAX_STATES else np.arange(len(cost))
+    cost = np.concatenate([pair_states.cost, unpaired_states.cost + unpaired_cost])
+    cheapest_rows = (
+        np.argpartition(cost, _MAX_STATES)[:_MAX_STATES] if len(cost) > _MAX_STATES else np.arange(len(cost))
+    )
     return _States(
-        np.concatenate([pair_states.partner, older.partner])[keep],
-        np.concatenate([pair_states.row, older.row])[keep],
-        cost[keep],
-        np.concatenate([pair_states.offset, older.offset])[keep],
+        np.concatenate([pair_states.partner, unpaired_states.partner])[cheapest_rows],
+        np.concatenate([pair_states.row, unpaired_states.row])[cheapest_rows],
+        cost[cheapest_rows],
+        np.concatenate([pair_states.offset, unpaired_states.offset])[cheapest_rows],
     )

@@ -16,7 +16,8 @@ from postproc.frames import Array, norm, twist_between
 from postproc.program import PTP, Bools, Ints
 
 _MAX_MOVES, _MAX_CANDIDATES = 200, 64
-"""Targets for which other partners are tried, and how many: where there are more, it is another program."""
+"""Largest numbers of targets for which other partners are tried, and of partners that are tried (assumed): with more,
+it is another program."""
 
 
 def partners_of(comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram) -> Ints:
@@ -69,25 +70,31 @@ def partners_under_force(
                 new_partner[:k][new_partner[:k] >= 0],
                 new_partner[k + 1 :][new_partner[k + 1 :] >= 0],
             )
-            first = lower_partners[-1] + 1 if len(lower_partners) else 0
-            free = np.arange(first, upper_partners[0] if len(upper_partners) else len(corrected_path.rows))
-            free = free[kinds[1][free] == kinds[0][k]]
-            free = free[np.argsort(np.abs(free - partner[k]), kind="stable")[:_MAX_CANDIDATES]]
-            rows, index = corrected_path.rows[free], np.full(len(free), k)
+            first_candidate = lower_partners[-1] + 1 if len(lower_partners) else 0
+            candidates = np.arange(
+                first_candidate, upper_partners[0] if len(upper_partners) else len(corrected_path.rows)
+            )
+            candidates = candidates[kinds[1][candidates] == kinds[0][k]]
+            candidates = candidates[np.argsort(np.abs(candidates - partner[k]), kind="stable")[:_MAX_CANDIDATES]]
+            rows, index = corrected_path.rows[candidates], np.full(len(candidates), k)
             q, displacement = corrected_path.joints[rows], corrected_path.carriage_displacement(rows)
-            left = norm(deviation(nominal_path, nominal_path.rows[index], q, wrench[index], displacement))
-            if len(free) and left.min() <= tolerance:
-                new_partner[k] = free[np.argmin(left)]
+            distance = norm(deviation(nominal_path, nominal_path.rows[index], q, wrench[index], displacement))
+            if len(candidates) and distance.min() <= tolerance:
+                new_partner[k] = candidates[np.argmin(distance)]
     return new_partner
 
 
-def distances_from_path(nominal_path: PlacedProgram, spot: Array, begin: Array, end: Array) -> Array:
+def distances_from_path(nominal_path: PlacedProgram, positions: Array, begin: Array, end: Array) -> Array:
     """Return the distances (n,) of points (n, 3) from the nominal path between two arc lengths (n,) [m]."""
 
-    def distances(spot: Array, begin: Array, end: Array) -> tuple[Array]:
-        return (nearest(lambda at: nominal_path.points(at.ravel()).reshape(*at.shape, 3), spot, begin, end)[1],)
+    def distances(positions: Array, begin: Array, end: Array) -> tuple[Array]:
+        return (
+            nearest(
+                lambda lengths: nominal_path.points(lengths.ravel()).reshape(*lengths.shape, 3), positions, begin, end
+            )[1],
+        )
 
-    return in_chunks(distances, spot, begin, end)[0]
+    return in_chunks(distances, positions, begin, end)[0]
 
 
 def pair_targets(
@@ -150,12 +157,12 @@ def moved_partners(comparison: Comparison, nominal_path: PlacedProgram, correcte
     gaps = [np.searchsorted(comparison.pair[:, k], rows) for k, rows in enumerate(unpaired_rows)]
     counts = [np.bincount(gap, minlength=len(comparison.pair) + 1) for gap in gaps]
     same_count = counts[0] == counts[1]
-    first, second = (rows[same_count[gap]] for rows, gap in zip(unpaired_rows, gaps, strict=True))
-    is_same_kind = (nominal_path.program.motions.kind[first] == PTP) == (
-        corrected_path.program.motions.kind[second] == PTP
+    missing_rows, additional_rows = (rows[same_count[gap]] for rows, gap in zip(unpaired_rows, gaps, strict=True))
+    is_same_kind = (nominal_path.program.motions.kind[missing_rows] == PTP) == (
+        corrected_path.program.motions.kind[additional_rows] == PTP
     )
-    partner[np.searchsorted(nominal_path.rows, first[is_same_kind])] = np.searchsorted(
-        corrected_path.rows, second[is_same_kind]
+    partner[np.searchsorted(nominal_path.rows, missing_rows[is_same_kind])] = np.searchsorted(
+        corrected_path.rows, additional_rows[is_same_kind]
     )
     return partner
 
@@ -176,8 +183,9 @@ def missed_targets(
 ) -> tuple[Array, Bools]:
     """Return the distances of the second path from nominal targets without partner (n,) [m], and which it passes (n,).
 
-    Without forces the correction is unknown. What the offsets of the pairs next to it differ by is then no miss, and a
-    point that only divides a line or an arc is passed within a multiple of them, as inserted targets are on the path.
+    Without forces the correction is unknown. A distance up to the difference of the offsets of the neighbouring pairs
+    is then no miss, and a point that only divides a line or an arc is passed within a multiple of them, as inserted
+    targets are on the path.
     """
     rows = comparison.only_nominal
     offset = in_cell(comparison.nominal, comparison.pair[:, 0], comparison.pose[:, :3, 3]) - in_cell(
@@ -186,13 +194,15 @@ def missed_targets(
     distances = missing_distances(nominal_path, corrected_path, comparison.pair, rows, load, offset)
     if load is not None or not len(comparison.pair):
         return distances, distances <= nominal_path.robot_in_cell.tolerance
-    way = np.searchsorted(comparison.pair[:, 0], rows)
-    previous_pair, next_pair = np.maximum(way - 1, 0), np.minimum(way, len(comparison.pair) - 1)
-    divides = distances <= OFF_PATH + TIMES_OFFSET * np.maximum(
+    pair_after = np.searchsorted(comparison.pair[:, 0], rows)
+    previous_pair, next_pair = np.maximum(pair_after - 1, 0), np.minimum(pair_after, len(comparison.pair) - 1)
+    is_near_curve = distances <= OFF_PATH + TIMES_OFFSET * np.maximum(
         comparison.distance[previous_pair], comparison.distance[next_pair]
     )
     distances = np.maximum(distances - norm(offset[next_pair] - offset[previous_pair]), 0.0)
-    return distances, (distances <= nominal_path.robot_in_cell.tolerance) | (nominal_path.is_continued[rows] & divides)
+    return distances, (distances <= nominal_path.robot_in_cell.tolerance) | (
+        nominal_path.is_continued[rows] & is_near_curve
+    )
 
 
 def offsets_of(nominal_path: PlacedProgram, corrected_path: PlacedProgram, pair: Ints) -> tuple[Array, Array]:
@@ -207,8 +217,13 @@ def moved_pairs(
 ) -> Ints:
     """Return pairs (P, 2) with targets that were moved instead of their neighbours.
 
-    A target off the path (`rows`) next to one that has a partner was moved, and not added, if that other one is on
-    the path as inserted ones are, and its offset is like that of neither neighbouring pair, and the larger one.
+    A target off the path (`rows`) next to one with a partner was moved, and not added, under two conditions: the target
+    with the partner is on the path, as inserted ones are, and its offset is the larger one and unlike those of the
+    neighbouring pairs.
+
+    :param pair: (P, 2) motions of the pairs, `offset` (P, 3) of their targets [m].
+    :param rows: (r,) motions of the second program.
+    :param certain: (P,) True for pairs that are right for certain.
     """
     pair, distance = pair.copy(), norm(offset)
     change = np.pad(norm(np.diff(offset, axis=0)), 1, constant_values=np.inf)
@@ -234,31 +249,34 @@ def _is_on_path(
 ) -> Bools:
     """Return which of the second program's targets without partner, `rows` (r,), are on the nominal path.
 
-    That is: on the way to a pair, hardly farther from the nominal path than the offsets (P,) there.
+    They are on the path between two pairs, hardly farther from the nominal path than these are from their partners.
+
+    :param pair: (P, 2) motions of the pairs, `distance` (P,) sizes of their offsets [m].
     """
     is_on_path, m = np.zeros(len(rows), dtype=bool), nominal_path.program.motions
     next_pair = np.searchsorted(pair[:, 1], rows)
     candidates = np.flatnonzero((next_pair < len(pair)) & (corrected_path.program.motions.kind[rows] != PTP))
-    unknown = np.append(0, np.cumsum((m.kind == PTP) & np.isnan(m.joints[:, 0])))
-    last, previous_row = pair[next_pair[candidates], 0], np.append(-1, pair[:, 0])[next_pair[candidates]]
-    candidates = candidates[unknown[last + 1] == unknown[previous_row + 1]]
+    # no target on the path if a PTP, whose path is not known, is between the pairs
+    ptp_count = np.append(0, np.cumsum((m.kind == PTP) & np.isnan(m.joints[:, 0])))
+    next_row, previous_row = pair[next_pair[candidates], 0], np.append(-1, pair[:, 0])[next_pair[candidates]]
+    candidates = candidates[ptp_count[next_row + 1] == ptp_count[previous_row + 1]]
     rows, next_pair = rows[candidates], next_pair[candidates]
-    last, previous_row = pair[next_pair, 0], np.append(-1, pair[:, 0])[next_pair]
+    next_row, previous_row = pair[next_pair, 0], np.append(-1, pair[:, 0])[next_pair]
     target = toolpath.at(corrected_path.program, corrected_path.segments, rows, np.ones(len(rows))).pose[:]
     pose = toolpath.flange_from_tcp(corrected_path.program, rows, target, None) @ toolpath.tool_of(
-        nominal_path.program, last
+        nominal_path.program, next_row
     )
     position = pose[:, :3, 3]
     limit = OFF_PATH + TIMES_OFFSET * np.maximum(np.append(0.0, distance)[next_pair], distance[next_pair])
-    begin, end = nominal_path.arc_length[previous_row + 1], nominal_path.arc_length[last + 1]
-    first, final = (
+    begin, end = nominal_path.arc_length[previous_row + 1], nominal_path.arc_length[next_row + 1]
+    first_length, last_length = (
         corrected_path.arc_length[np.append(-1, pair[:, 1])[next_pair] + 1],
         corrected_path.arc_length[pair[next_pair, 1] + 1],
     )
     length_at_row, path_distance = corrected_path.arc_length[rows + 1], np.full(len(rows), np.inf)
     # a detour of the other program is on one side only
-    share = begin + (length_at_row - first) / np.maximum(final - first, 1e-12) * (end - begin)
-    for length in (share, begin + length_at_row - first, end - (final - length_at_row)):
+    share = begin + (length_at_row - first_length) / np.maximum(last_length - first_length, 1e-12) * (end - begin)
+    for length in (share, begin + length_at_row - first_length, end - (last_length - length_at_row)):
         path_distance = np.minimum(path_distance, norm(position - nominal_path.points(np.clip(length, begin, end))))
     distant_rows = np.flatnonzero(~(path_distance <= limit))
     if len(distant_rows):
@@ -291,18 +309,20 @@ def missing_distances(
         return distances
     motion, positions = rows[indices], nominal_path.points(nominal_path.arc_length[rows[indices] + 1])
     wrench = np.zeros((len(indices), 6)) if load is None else nominal_path.wrench(load, motion)
-    way = np.searchsorted(pair[:, 0], motion)
-    last = np.minimum(way, len(pair) - 1)
+    pair_after = np.searchsorted(pair[:, 0], motion)
+    next_pair = np.minimum(pair_after, len(pair) - 1)
     # a missing target is sought on the second path between the pairs before and behind it
-    begin = np.where(way > 0, corrected_path.arc_length[pair[way - 1, 1] + 1], 0.0)
-    end = np.where(way < len(pair), corrected_path.arc_length[pair[last, 1] + 1], corrected_path.arc_length[-1])
+    begin = np.where(pair_after > 0, corrected_path.arc_length[pair[pair_after - 1, 1] + 1], 0.0)
+    end = np.where(
+        pair_after < len(pair), corrected_path.arc_length[pair[next_pair, 1] + 1], corrected_path.arc_length[-1]
+    )
     if load is None:
         lengths = nominal_path.arc_length[pair[:, 0] + 1]
         offsets = [np.interp(nominal_path.arc_length[motion + 1], lengths, column) for column in offset.T]
         positions = positions + np.stack(offsets, axis=1)
 
-    def distance(motion: Ints, positions: Array, wrench: Array, begin: Array, end: Array) -> tuple[Array]:
-        def points(length: Array) -> Array:
+    def distances_in_chunk(motion: Ints, positions: Array, wrench: Array, begin: Array, end: Array) -> tuple[Array]:
+        def positions_at(length: Array) -> Array:
             point_index = np.repeat(np.arange(len(length)), length.shape[1])
             row, t = corrected_path.at(length.ravel())
             if load is None:
@@ -321,9 +341,9 @@ def missing_distances(
             return position.reshape(*length.shape, 3)
 
         try:
-            return (nearest(points, positions, begin, end)[1],)
+            return (nearest(positions_at, positions, begin, end)[1],)
         except NotConvergedError as cause:
             raise no_equilibrium(nominal_path.program, motion[:1], NotConvergedError(str(cause), [0])) from None
 
-    distances[indices] = in_chunks(distance, motion, positions, wrench, begin, end)[0]
+    distances[indices] = in_chunks(distances_in_chunk, motion, positions, wrench, begin, end)[0]
     return distances

@@ -28,15 +28,16 @@ from postproc.under_load import RobotInCell
 SAME_FRAME = 1e-6
 """Frames that differ by less [m, rad] are the same (assumed)."""
 _PLACES, _REFINEMENTS, _FINE_SAMPLES = 33, 6, 9
-"""The nearest place of a path is sought among this many, then so often between the neighbours of the best, among as
-many as the last number says (assumed)."""
+"""Search for the nearest place of a path: number of samples of the first round, number of further rounds between the
+neighbours of the nearest sample, and number of their samples (assumed)."""
 _SAMPLES, _ROUNDS = 9, 4
-"""Search for the largest distance of two arcs: places per round, and rounds between the neighbours of the best."""
+"""Search for the largest distance of two arcs: places of a round, and rounds between the neighbours of the best place
+(assumed)."""
 _NO_DISTANCE = 1e-12
 """Lengths and shares below this are rounding: quotients by it stay finite."""
 _NO_LENGTH, _PER_RADIAN, _MIN_SIZE = 1e-9, 1e-3, 1e-4
-"""A motion shorter than the first [m] does not move the tip: it counts so much arc length for the angle by which it
-turns the tool [m/rad], and at least the last [m], because the force may change along it."""
+"""A motion shorter than the first [m] does not move the tip. Its arc length is the second [m/rad] times the rotation of
+the tool, and at least the last [m], because the force may change along it (assumed)."""
 
 
 class PlacedProgram(DrivenProgram, frozen=True, eq=False, dict=True):
@@ -66,7 +67,7 @@ class PlacedProgram(DrivenProgram, frozen=True, eq=False, dict=True):
         is_rotation = (m.kind != PTP) & (segments.length < _NO_LENGTH)
         size = np.where(is_rotation, np.maximum(_PER_RADIAN * segments.turn, _MIN_SIZE), segments.length)
         path_lengths, rows = np.append(0.0, np.cumsum(size)), np.flatnonzero(np.isnan(m.joints[:, 0]))
-        ends = _ends(program, robot_in_cell)
+        ends = _end_joints(program, robot_in_cell)
         return cls(program, robot_in_cell, segments, size, path_lengths, rows, ends.q[:], ends.branch)
 
     def track(self, offset: Array | float = 0.0) -> Track:
@@ -123,7 +124,7 @@ def file_and_line(program: Program, row: int) -> tuple[str, int]:
     return str(Path(program.documents[0].folder) / file), line
 
 
-def _ends(program: Program, robot_in_cell: RobotInCell) -> JointPath:
+def _end_joints(program: Program, robot_in_cell: RobotInCell) -> JointPath:
     """Return the joint angles at the ends of the motions."""
     count = len(program.motions)
     try:
@@ -148,11 +149,14 @@ def nearest(points: Callable[[Array], Array], positions: Array, begin: Array, en
     for _ in range(1 + _REFINEMENTS):
         lengths = low[:, None] + (high - low)[:, None] * np.linspace(1e-9, 1.0, count)
         distances = norm((points(lengths) - positions[:, None]).reshape(-1, 3)).reshape(lengths.shape)
-        best = np.argmin(distances, axis=1)
-        low, high = lengths[rows, np.maximum(best - 1, 0)], lengths[rows, np.minimum(best + 1, count - 1)]
-        place, distance = lengths[rows, best], distances[rows, best]
+        nearest_sample = np.argmin(distances, axis=1)
+        low, high = (
+            lengths[rows, np.maximum(nearest_sample - 1, 0)],
+            lengths[rows, np.minimum(nearest_sample + 1, count - 1)],
+        )
+        nearest_length, distance = lengths[rows, nearest_sample], distances[rows, nearest_sample]
         count = _FINE_SAMPLES
-    return place, distance
+    return nearest_length, distance
 
 
 class Chain(Struct, frozen=True, eq=False):

@@ -24,12 +24,12 @@ _STATEMENT_WORDS = re.compile(
 """Statements that are compared; what frames, speeds and targets say is compared by value."""
 _DISTANCE = re.compile(r"WHEN(?:DISTANCE|PATH)=.*?DO", re.IGNORECASE)
 """Where a TRIGGER acts: the correction keeps it in place on a path that it divides."""
-_HEAD = re.compile(r"(?:FOR|WHILE|LOOP|REPEAT)\b", re.IGNORECASE)
-_TAIL = re.compile(r"(?:ENDFOR|ENDWHILE|ENDLOOP|UNTIL)\b", re.IGNORECASE)
+_LOOP_BEGIN = re.compile(r"(?:FOR|WHILE|LOOP|REPEAT)\b", re.IGNORECASE)
+_LOOP_END = re.compile(r"(?:ENDFOR|ENDWHILE|ENDLOOP|UNTIL)\b", re.IGNORECASE)
 _ROUTINE = re.compile(r"(?:GLOBAL\s+)?DEF(?:FCT)?\b", re.IGNORECASE)
 _END = re.compile(r"END(?:FCT)?\b", re.IGNORECASE)
 _MAX_STATEMENTS = 20
-"""Statements that are listed; more are counted together."""
+"""Largest number of statements that are listed (assumed); others are counted together."""
 
 Statement = tuple[str, int]
 """A statement without blanks, in capitals, and its 1-based line."""
@@ -51,8 +51,8 @@ class _Texts:
             return None
         if start[1] < end[1]:
             return self._compared_statements(start[0], range(start[1] + 1, end[1]))
-        tail = self._edge(start[0], range(start[1] + 1, len(self.lines[start[0]]) + 1), _HEAD, _TAIL)
-        head = self._edge(end[0], range(end[1] - 1, 0, -1), _TAIL, _HEAD)
+        tail = self._loop_bound(start[0], range(start[1] + 1, len(self.lines[start[0]]) + 1), _LOOP_BEGIN, _LOOP_END)
+        head = self._loop_bound(end[0], range(end[1] - 1, 0, -1), _LOOP_END, _LOOP_BEGIN)
         if tail is None or head is None:
             return None
         return [
@@ -68,7 +68,7 @@ class _Texts:
         last = next((n for n in range(line + 1, len(lines) + 1) if _END.match(self.statement(file, n))), len(lines) + 1)
         return (file, first), (file, last)
 
-    def _edge(self, file: str, numbers: range, opens: re.Pattern[str], closes: re.Pattern[str]) -> int | None:
+    def _loop_bound(self, file: str, numbers: range, opens: re.Pattern[str], closes: re.Pattern[str]) -> int | None:
         """Return the line of the begin or end of the loop that is around the first of these lines."""
         depth = 0
         for number in numbers:
@@ -86,11 +86,13 @@ class _Texts:
         return self.lines[file][number - 1].partition(";")[0].strip()
 
     def _compared_statements(self, file: str, numbers: range) -> list[Statement]:
+        """Return the statements that are compared on these lines of a file."""
         texts = ((self.statement(file, number), number) for number in numbers)
         return [(_normal_text(text), number) for text, number in texts if _STATEMENT_WORDS.match(text)]
 
 
 def _normal_text(text: str) -> str:
+    """Return a statement without blanks and in capitals, and a TRIGGER without the place where it acts."""
     return _DISTANCE.sub("DO", "".join(text.split()).upper())
 
 
@@ -100,7 +102,7 @@ def statement_differences(comparison: Comparison) -> Iterator[Difference]:
     if any(program.dialect != "krl" or not program.keeps_text for program in programs) or not len(comparison.pair):
         return
     texts = [_Texts(program) for program in programs]
-    motions = [_places(program, rows) for program, rows in zip(programs, comparison.pair.T, strict=True)]
+    motions = [_places_of_motions(program, rows) for program, rows in zip(programs, comparison.pair.T, strict=True)]
     occurrences: dict[tuple[str, bool], list[tuple[int, int]]] = {}
     for places, text in zip(motions, texts, strict=True):
         places.insert(0, text.routine(places[0])[0])
@@ -114,7 +116,8 @@ def statement_differences(comparison: Comparison) -> Iterator[Difference]:
     yield from _list_differences(comparison, occurrences, texts)
 
 
-def _places(program: Program, rows: Ints) -> list[tuple[str, int]]:
+def _places_of_motions(program: Program, rows: Ints) -> list[tuple[str, int]]:
+    """Return file and line of motions (n,)."""
     places = program.places(rows)
     return [(places.files[int(file)], int(line)) for file, line in zip(places.file, places.line, strict=True)]
 

@@ -108,7 +108,7 @@ def test_targets_in_equal_places_after_equal_steps_are_paired_in_order_from_ther
         expected = np.arange(20) + (np.arange(20) >= at) - (np.arange(20) > at + gap)
         expected[at + gap] = -1
         assert (found == expected).all(), seed
-        assert pairing._equal(one, other, at + 1, at + 2) == gap - 1
+        assert pairing._equal_count(one, other, at + 1, at + 2) == gap - 1
 
 
 @pytest.mark.parametrize("what", ["position", "step", "joint"])
@@ -122,7 +122,7 @@ def test_equal_targets_are_counted_up_to_the_first_one_that_differs(what):
         step[6] -= by * (what == "step")
         joint[6] ^= what == "joint"
         other = Track(position, step, joint, none)
-        counts = [pairing._equal(one, other, k, k) for k in range(9)]
+        counts = [pairing._equal_count(one, other, k, k) for k in range(9)]
         assert counts == ([9 - k for k in range(9)] if limit == 9 else [6, 5, 4, 3, 2, 1, 0, 2, 1])
 
 
