@@ -92,12 +92,8 @@ def partners(nominal_track: Track, corrected_track: Track) -> Ints:
 
 def _settle(nominal_track: Track, corrected_track: Track, partner: Ints) -> None:
     """Move partners (n,) to a free neighbour where the offsets then change less, in metres, from pair to pair."""
-    row = np.flatnonzero(partner != _NO_PARTNER)[1:-1]
-    if not len(row):
-        return
-    place = np.searchsorted(row, row) + 1
     paired_rows = np.flatnonzero(partner != _NO_PARTNER)
-    previous_row, next_row = paired_rows[place - 1], paired_rows[place + 1]
+    previous_row, row, next_row = paired_rows[:-2], paired_rows[1:-1], paired_rows[2:]
     ends = [corrected_track.position[partner[k]] - nominal_track.position[k] for k in (previous_row, next_row)]
 
     def change(candidate: Ints) -> Array:

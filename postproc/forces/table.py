@@ -232,7 +232,7 @@ class _Columns(Struct, frozen=True, eq=False):
         :param usable: (n,) False for rows with other faults, which are not reported again.
         """
         begin, end, t, frame = (column[order] for column in values)
-        usable = usable[order]
+        usable, rank = usable[order], np.argsort(order)  # the rank of each row of the file
         shares_line = np.append(False, (np.diff(begin) == 0) & (np.diff(end) == 0)) & ~np.isnan(t)
         shares_line &= ~np.isnan(np.append(np.nan, t[:-1]))
         previous_end = np.append(0, np.maximum.accumulate(end)[:-1])
@@ -243,11 +243,7 @@ class _Columns(Struct, frozen=True, eq=False):
             (usable & shares_line & (step <= 0.0), "t = {:g} is not larger than in the row before", t, _STEP),
             (usable & shares_line & (np.diff(frame, prepend=0) != 0), "another frame than the row before", t, None),
         ):
-            is_wrong = np.zeros(len(order), dtype=np.bool_)
-            is_wrong[order] = is_invalid
-            row_values = np.zeros(len(order))
-            row_values[order] = column
-            self.check(is_wrong, problem, row_values, advice)
+            self.check(is_invalid[rank], problem, column[rank].astype(float), advice)
 
     def check(
         self,

@@ -163,6 +163,21 @@ def test_arcs_are_drawn_by_a_chord_for_each_angle():
     assert Curves.of(one, other, three).parts(math.radians(10)).tolist() == [1, 9, 18, 1]
 
 
+def test_the_largest_distance_inside_a_piece_is_found_wherever_it_is():
+    """Distances that fall off from their largest one evenly, at other shares of pieces of different lengths."""
+    share = np.append(np.linspace(0.001, 0.999, 41), [0.93, 0.97])
+    begin = 2.0 * np.arange(len(share))
+    end = begin + np.linspace(0.1, 1.0, len(share))
+    top = begin + share * (end - begin)
+
+    def distance(u):
+        return 0.5 - np.abs(u - top[np.floor(u / 2.0).astype(int)])
+
+    (largest,) = Curves._largest(SimpleNamespace(_distance=distance), begin, end)
+    assert (largest <= 0.5).all()
+    np.testing.assert_allclose(largest, 0.5, atol=1.0 / 8 / 4**3)  # eighths of the piece, then thrice a quarter of that
+
+
 def test_a_chain_begins_behind_the_first_pair_and_ends_with_the_last():
     chain = Chain.of(Path(ONE).placed, np.array([1, 3, 5]))
     path = Path(ONE)

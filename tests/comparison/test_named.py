@@ -321,6 +321,16 @@ def test_the_nearest_place_is_sought_on_its_way_alone(share):
     np.testing.assert_allclose(found, low + share * (high - low), atol=1e-3)  # 120 mm in 64 parts, refined
 
 
+def test_the_nearest_place_of_a_short_way_is_not_behind_its_end():
+    """The way is 0.3 mm, a tenth of what a force needs to come up thrice; the tip is 0.2 mm behind it."""
+    side = placed("\n".join([HEAD, *(f"LIN {{X {x},Y 0,Z 0,{TURNED}}}" for x in (0, 0.3, 60)), "END", ""]))
+    search = Search(side, side, side.forces(None), None)
+    motion, t = np.array([3]), np.array([0.2 / 59.7])
+    low, high = side.arc_length[[2]], side.arc_length[[3]]
+    found = search._nearest_lengths(side.joints_at(motion, t), np.zeros((1, 3)), (low, high))
+    np.testing.assert_allclose(found, high, atol=1e-9)
+
+
 def lines(*points):
     return placed("\n".join([HEAD, *(f"LIN {{X {x},Y {y},Z 0,{TURNED}}}" for x, y in points), "END", ""]))
 

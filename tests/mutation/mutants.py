@@ -248,7 +248,11 @@ class _Walk:
     def _on_call(self, node: ast.Call) -> Iterator[Mutant]:
         function = node.func
         name = function.attr if isinstance(function, ast.Attribute) else getattr(function, "id", "")
-        if name in OTHER_NAME:
+        length = node.args[0] if node.args else None
+        if isinstance(length, ast.Tuple) and length.elts:
+            length = length.elts[0]
+        is_empty = length is not None and _is_number(length, 0)  # zeros and ones of length 0 are the same
+        if name in OTHER_NAME and not is_empty:
             end = self._range(function)[1]
             yield self._mutant(function, "operator", end - len(name), end, OTHER_NAME[name])
         first = node.args[0] if node.args else None

@@ -133,6 +133,7 @@ def test_what_numpy_takes_for_the_same_is_not_planted(tmp_path):
         "def f(a, b, c):\n"
         "    x = a.reshape(-1, 3) + b.reshape((2, -1)) + dict(zip(a, b, strict=True))\n"
         "    y = 1.0 * x / 1.0 + 0.0\n"
+        "    z = np.zeros(0) + np.zeros((0, 3)) + np.zeros(1)\n"
         "    return np.einsum('ij,ij,jk->ik', a, b, c) + np.clip(x, 0, 1)\n"
     )
     texts = {mutant.after for mutant in mutants_of(path, tmp_path)}
@@ -147,6 +148,7 @@ def test_what_numpy_takes_for_the_same_is_not_planted(tmp_path):
         "y = 1.0 * x / 1.0",
     }  # a factor of one, a summand of zero
     assert texts >= {"y = 1.0 / 1.0 + 0.0", "y = 1.0 / x / 1.0 + 0.0", "y = 2.0 * x / 1.0 + 0.0"}
+    assert [text for text in texts if "ones" in text] == ["z = np.zeros(0) + np.zeros((0, 3)) + np.ones(1)"]
     assert not any("np.clip(0, x, 1)" in text for text in texts)
     assert any("np.clip(x, 1, 0)" in text for text in texts)
 
