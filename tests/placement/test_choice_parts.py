@@ -255,7 +255,8 @@ def test_an_error_without_a_refused_turn_has_no_reasons(path, mode):
     assert "(" not in turning._blocked_error(samples, free, BlockedMap(1), mode, branch, None).message
 
 
-def test_the_error_of_collisions_names_the_bodies_at_the_turn_where_they_are_farthest(path, monkeypatch):
+@pytest.mark.parametrize("limited", [[2, 3], [5, 6, 7, 8, 9, 10, 11], [0, 1, 2, 3, 4, 5]])
+def test_the_error_of_collisions_names_the_bodies_at_the_turn_where_they_are_farthest(path, monkeypatch, limited):
     """Of each turn the sample with the smallest distance counts, of these the largest."""
     samples, _, branch = path
     monkeypatch.setattr(turn_map, "_BINS", 1)
@@ -263,11 +264,11 @@ def test_the_error_of_collisions_names_the_bodies_at_the_turn_where_they_are_far
     row = int(np.argmax(np.diff([*blocks.first, len(samples)])))
     reasons = np.zeros((len(blocks.first), 12), dtype=int)
     reasons[row] = drive.COLLISION
-    reasons[row, [2, 3]] = drive.LIMIT
+    reasons[row, limited] = drive.LIMIT
     base = np.random.default_rng(4).uniform(-0.1, 0.1, len(samples))
     whole = replace(map_of_reasons(samples, blocks, reasons), base=base)
     part = range(blocks.first[row], [*blocks.first, len(samples)][row + 1])
-    columns = [column for column in range(12) if column not in (2, 3)]
+    columns = [column for column in range(12) if column not in limited]
     singles = {n: SampleBySample(samples, branch, base + whole.offset[n]) for n in columns}
 
     def distances(q):
@@ -284,7 +285,7 @@ def test_the_error_of_collisions_names_the_bodies_at_the_turn_where_they_are_far
     farthest = max(least.values())
     name = round(farthest * 1e7)
     assert re.search(
-        r"\(joint limit at 17 % of all turns, collision at 83 % of all turns: "
+        rf"\(joint limit at {len(limited) / 0.12:.0f} % of all turns, collision at {len(columns) / 0.12:.0f} % of all turns: "
         rf"body {name} {1e3 * farthest:.2g} mm from body {name + 1} at best, and 80 mm are needed\)",
         issue.message,
     ), issue.message
