@@ -284,8 +284,9 @@ def test_the_error_of_collisions_names_the_bodies_at_the_turn_where_they_are_far
     least = {n: min(distances(single.q[i]) for i in part) for n, single in singles.items()}
     farthest = max(least.values())
     name = round(farthest * 1e7)
+    shares = [f"{len(part_of_turns) / 0.12:.0f} % of all turns" for part_of_turns in (limited, columns)]
     assert re.search(
-        rf"\(joint limit at {len(limited) / 0.12:.0f} % of all turns, collision at {len(columns) / 0.12:.0f} % of all turns: "
+        rf"\(joint limit at {shares[0]}, collision at {shares[1]}: "
         rf"body {name} {1e3 * farthest:.2g} mm from body {name + 1} at best, and 80 mm are needed\)",
         issue.message,
     ), issue.message
