@@ -76,6 +76,11 @@ def test_where_a_key_is_unknown_and_another_missing_no_example_hides_the_first(t
             r"cell.toml:5: not valid TOML: .* \(column 9\). .*with a point, not a comma: 1500\.0",
         ),
         ("[base]", "[bases]", r"unknown table \[bases\]. Did you mean `base`"),
+        (
+            "[work_offsets.G54]",
+            "[work_offsets.G59.3]",
+            r"unknown table \[work_offsets.G59.3\]. A name with a dot is in quotes: \[work_offsets.\"G59.3\"\]. Valid",
+        ),
         ("X = 1500.0", "X = 1e300", "base.X: Expected `float` <= 1000000.0"),
         ("X = 1500.0", "X = 1" + "0" * 400, "base.X: "),
         ("X = 1500.0", "X = 1" + "0" * 5000, "not valid TOML"),

@@ -23,7 +23,7 @@ from postproc.app.testpart import SENT_FILES as FILES_OF_PART
 from postproc.app.testpart import TestPart
 from postproc.app.workspace import MEDIA_TYPES, RESULTS, Item, Workspace
 from postproc.errors import InputError, PostprocError
-from postproc.jobs.cell_edit import feed_rule, robot_of, table_help
+from postproc.jobs.cell_edit import FRAMES, feed_rule, frame_tables, robot_of, table_help
 from postproc.jobs.cell_picture import cell_picture
 from postproc.jobs.experiments import Readings, model_of
 from postproc.jobs.file_form import FormField
@@ -238,12 +238,12 @@ def setup(
     *,
     is_posted: bool,
     kept_cell: str = "",
-    tools_of_one_frame: str = "",
+    frames: Sequence[str] = (),
 ) -> Page:
     """Return the page that asks what a program needs.
 
     :param kept_cell: robot and frames of the cell that is used as it is; empty: the page asks for them.
-    :param tools_of_one_frame: numbers of several tools for which that cell has one `$TOOL`, with commas between.
+    :param frames: tables of frames that the program needs and that cell lacks, such as ``"tools.2"``.
     :param fault: why nothing was begun though all answers can be used; empty: there is no reason.
     :param is_posted: the form came back: faults are shown.
     """
@@ -267,7 +267,8 @@ def setup(
         command=command,
         fault=fault,
         kept_cell=kept_cell,
-        tools_of_one_frame=tools_of_one_frame,
+        frames=",".join(frame_tables(",".join(frames))),
+        frame_titles=", ".join(map(_table_title, frames)),
     )
 
 
@@ -352,6 +353,12 @@ _CELL_TITLES = {
 }
 
 
+def _table_title(table: str) -> str:
+    """Return the heading of a table of the cell."""
+    name, _, number = table.partition(".")
+    return FRAMES[name][0].format(number) if number else _CELL_TITLES[name]
+
+
 def cell(
     workspace: Workspace,
     fields: Sequence[FormField],
@@ -359,17 +366,22 @@ def cell(
     texts: Mapping[str, str],
     *,
     is_saved: bool,
-    tools: str = "",
+    frames: str = "",
 ) -> Page:
     """Return the page of the cell.
 
     :param fault: why the posted numbers were not written; empty: none were posted.
     :param texts: posted numbers that were not written, by name of the field.
-    :param tools: numbers of tools that the form has fields for, with commas between.
+    :param frames: tables of frames that the form has fields for, with commas between.
     """
     filled_fields = _posted_fields(fields, texts)
     tables = [
-        {"name": name, "help": table_help(name), "fields": [field for field in filled_fields if field.table == name]}
+        {
+            "name": name,
+            "title": _table_title(name),
+            "help": table_help(name),
+            "fields": [field for field in filled_fields if field.table == name],
+        }
         for name in dict.fromkeys(field.table for field in filled_fields)
     ]
     file = f"{RESULTS}/{workspace.cell.name}"
@@ -382,8 +394,7 @@ def cell(
         fault=fault,
         saved=is_saved,
         file=file,
-        tools=tools,
-        titles=_CELL_TITLES,
+        frames=frames,
         robots=_robot_titles(),
         cell_robot=robot_of(workspace.cell, workspace.cell)[0],
         command="",

@@ -26,7 +26,9 @@ from postproc.jobs.cell_edit import (
     choose_start,
     edit,
     fields_of,
+    frame_tables,
     kept_frames,
+    missing_frames,
     set_feed_rule,
     set_frames,
     set_robot,
@@ -233,7 +235,8 @@ class _Handler(BaseHTTPRequestHandler):
             except InputError as cause:
                 fault = str(cause)
         cutters = [named_text(number, cutter.text) for number, cutter in needs.cutters.items() if cutter.text]
-        kept_cell, tools = ("", ()) if asking["cell"] else kept_frames(workspace.cell, needs.tools)
+        kept_cell = "" if asking["cell"] else kept_frames(workspace.cell, needs.tools)
+        frames = () if asking["cell"] else missing_frames(workspace.cell, needs)
         page = screens.setup(
             name,
             cutters,
@@ -243,7 +246,7 @@ class _Handler(BaseHTTPRequestHandler):
             fault,
             is_posted=texts is not None,
             kept_cell=kept_cell,
-            tools_of_one_frame=",".join(map(str, tools)),
+            frames=frames,
         )
         self._page(page)
         return None
@@ -278,9 +281,9 @@ class _Handler(BaseHTTPRequestHandler):
         if not workspace.cell.is_file():
             text = "There is no cell yet: the set-up of the first program asks for robot, base and tool."
             return self._page(screens.message("Cell", text))
-        fields = fields_of(workspace.stated_cell(), self._tools())
-        tools = ",".join(map(str, self._tools()))
-        page = screens.cell(workspace, fields, fault, texts, is_saved="saved" in self.query, tools=tools)
+        frames = self._frames()
+        fields = fields_of(workspace.stated_cell(), frames)
+        page = screens.cell(workspace, fields, fault, texts, is_saved="saved" in self.query, frames=",".join(frames))
         return self._page(page, 400 if fault else 200)
 
     def process(self, fault: str = "", texts: Mapping[str, str] = _NOTHING) -> None:
@@ -494,22 +497,21 @@ class _Handler(BaseHTTPRequestHandler):
 
     def posted_cell(self) -> None:
         """Take numbers of the cell."""
-        form, path, tools = self.form(), self.server.workspace.stated_cell(), self._tools()
-        texts = screens.posted_fields(form, fields_of(path, tools))
+        form, path, frames = self.form(), self.server.workspace.stated_cell(), self._frames()
+        texts = screens.posted_fields(form, fields_of(path, frames))
 
         def write() -> None:
-            edit(path, own_changes(fields_of(path, tools), texts, screens.shown_texts(form)), tools)
+            edit(path, own_changes(fields_of(path, frames), texts, screens.shown_texts(form)), frames)
 
         try:
             self.server.runs.edit(write)
         except InputError as cause:
             return self.cell(str(cause), texts)
-        return self._lead(f"/cell?saved&tools={','.join(map(str, tools))}" if tools else "/cell?saved")
+        return self._lead(f"/cell?saved&frames={','.join(frames)}" if frames else "/cell?saved")
 
-    def _tools(self) -> tuple[int, ...]:
-        """Return the numbers of tools that the address names, to which the cell may give frames."""
-        words = self.query.get("tools", "").split(",")
-        return tuple(int(word) for word in words if word.isascii() and word.isdecimal() and len(word) <= 4)
+    def _frames(self) -> tuple[str, ...]:
+        """Return the tables of frames that the address names, which the cell may get."""
+        return frame_tables(self.query.get("frames", ""))
 
     def posted_process(self) -> None:
         """Take tools, material and stock of a program."""

@@ -207,12 +207,15 @@ def _entries(data: object, key: str) -> Iterator[tuple[str, object]]:
             yield from _entries(value, f"{key}[{index}]")
 
 
-def _wrong_keys(data: object, kind: Any, at: str) -> Iterator[tuple[str, str | None]]:
-    """Yield the errors in the keys of a table and its subtables: problem and advice."""
+def _wrong_keys(data: object, kind: Any, at: str, *, is_entry: bool = False) -> Iterator[tuple[str, str | None]]:
+    """Yield the errors in the keys of a table and its subtables: problem and advice.
+
+    :param is_entry: the table is an entry of one with any names, which may have a dot.
+    """
     kind = _inner(kind)
     if isinstance(kind, msgspec.inspect.DictType) and isinstance(data, Mapping):
         for name, value in data.items():
-            yield from _wrong_keys(value, kind.value_type, _full_key(at, str(name)))
+            yield from _wrong_keys(value, kind.value_type, _full_key(at, str(name)), is_entry=True)
     elif isinstance(kind, msgspec.inspect.ListType) and isinstance(data, list):
         for value in data:
             yield from _wrong_keys(value, kind.item_type, at)
@@ -222,7 +225,11 @@ def _wrong_keys(data: object, kind: Any, at: str) -> Iterator[tuple[str, str | N
         unknown_names = [str(name) for name in data if name not in fields] if kind.forbid_unknown_fields else []
         for name in unknown_names:
             key = f"table [{_full_key(at, name)}]" if isinstance(data[name], Mapping) else f"key {name!r}{table}"
-            yield f"unknown {key}", choices(name, fields, "Valid keys")
+            advice = choices(name, fields, "Valid keys")
+            if is_entry and isinstance(data[name], Mapping):
+                parent, _, entry = at.rpartition(".")
+                advice = f'A name with a dot is in quotes: [{parent}."{entry}.{name}"]. {advice}'
+            yield f"unknown {key}", advice
         misspelt = {nearest_name(name, fields) for name in unknown_names}
         missing_keys = [
             f"[{_full_key(at, name)}]" if isinstance(_inner(field.type), msgspec.inspect.StructType) else name

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from postproc import robot as robots
 from postproc.errors import CellError, InputError, PostprocError
 from postproc.jobs.file_form import FormField, edit_text, fields_of_table, parse, table_schema, write_valid
 from postproc.jobs.first_steps import CLEARANCE_MM, relative_path
+from postproc.jobs.program_needs import ProgramNeeds
 from postproc.jobs.programs import load_robot
 from postproc.jobs.start_joints import QUARTER_TURNS, USUAL_START, joints_above_part
 
@@ -21,28 +23,60 @@ TABLES = ("base", "tool", "machine", "payload", "part", "tool_compliance")
 """Tables that have fields: what a shop measures, and the height to which programs retract."""
 
 
-def fields_of(path: Path, tools: Sequence[int] = ()) -> list[FormField]:
-    """Return the fields of a cell file: of its tables, and those of tools by their numbers.
+FRAMES: Mapping[str, tuple[str, str]] = {
+    "tools": ("Tool {}", "$TOOL after T{} M6: the tool tip in the flange frame"),
+    "work_offsets": ("Work offset {}", "Place of {} in $BASE"),
+    "base_data": ("BASE_DATA[{}]", "$BASE number {} of the controller, in the robot root"),
+    "tool_data": ("TOOL_DATA[{}]", "$TOOL number {} of the controller: the tool tip in the flange frame"),
+}
+"""Tables of frames by number or code → heading, and what they state."""
+_FRAME_TABLE = re.compile(r"(?:tools|base_data|tool_data)\.[0-9]{1,4}|work_offsets\.G5[4-9]", re.ASCII)
 
-    :param tools: numbers of tools that the file need not have yet.
+
+def frame_tables(text: str) -> tuple[str, ...]:
+    """Return the names of tables of frames in a text with commas between; others are left out."""
+    return tuple(word for word in text.split(",") if _FRAME_TABLE.fullmatch(word))
+
+
+def fields_of(path: Path, frames: Sequence[str] = ()) -> list[FormField]:
+    """Return the fields of a cell file: of its tables, and of frames by number or code.
+
+    :param frames: tables of frames that the file need not have yet, such as ``"tools.2"``.
     :raises CellError: it cannot be read.
     """
     document = parse(files.read_text(path, CellError), str(path), CellError)
-    stated_tools = document.get("tools", {})
-    names = [name for name in (stated_tools if hasattr(stated_tools, "get") else ()) if name.isdecimal()]
-    numbers = sorted({*map(int, names), *tools})
-    tables = [*TABLES[:2], *(f"tools.{number}" for number in numbers), *TABLES[2:]]
+    stated_tables = ((name, document.get(name, {})) for name in FRAMES)
+    names = [f"{name}.{key}" for name, table in stated_tables if hasattr(table, "get") for key in table]
+    names = [*{*filter(_FRAME_TABLE.fullmatch, names), *frames}]
+    names.sort(key=lambda name: (list(FRAMES).index(name.partition(".")[0]), len(name), name))
+    tables = [*TABLES[:2], *names, *TABLES[2:]]
     return [field for table in tables for field in fields_of_table(document, "cell", table, "number")]
 
 
 def table_help(table: str) -> str:
     """Return what a table of the cell states."""
     name, _, number = table.partition(".")
-    return f"$TOOL after T{number} M6: the tool tip in the flange frame" if number else table_schema("cell", name).help
+    return FRAMES[name][1].format(number) if number else table_schema("cell", name).help
 
 
-def kept_frames(path: Path, tools: Sequence[int]) -> tuple[str, tuple[int, ...]]:
-    """Return robot and frames of a cell in words, and the tools that share `[tool]` although there are several.
+def missing_frames(path: Path, needs: ProgramNeeds) -> tuple[str, ...]:
+    """Return the tables of frames that a program needs and a cell lacks, such as ``"base_data.3"``.
+
+    Frames by number that a `config_dat` of the cell may have are left out, and all of a cell that is unusable.
+    """
+    try:
+        cell = cells.load(path)
+    except PostprocError:
+        return ()
+    stated_frames = {f"{name}.{key}" for name in FRAMES for key in getattr(cell, name)}
+    tools = [f"tools.{number}" for number in needs.tools if number] if cell.tools or needs.changes_tools else []
+    by_number = () if cell.config_dat else needs.frames
+    offsets = [f"work_offsets.{code}" for code in needs.work_offsets]
+    return tuple(table for table in (*tools, *offsets, *by_number) if table not in stated_frames)
+
+
+def kept_frames(path: Path, tools: Sequence[int]) -> str:
+    """Return robot and frames of a cell in words.
 
     :param tools: numbers of the tools of a program.
     """
@@ -50,14 +84,14 @@ def kept_frames(path: Path, tools: Sequence[int]) -> tuple[str, tuple[int, ...]]
         cell = cells.load(path)
         robot = load_robot(cell.robot, cell.folder)
     except PostprocError as cause:
-        return str(cause), ()
+        return str(cause)
     frames = {"$BASE": cell.base}
     if cell.tools:
         frames |= {f"$TOOL of T{number}": cell.tools[str(number)] for number in tools if str(number) in cell.tools}
     else:
         frames[f"$TOOL{f' of T{tools[0]}' if len(tools) == 1 else ''}"] = cell.tool
     words = [f"{name} {_in_words(frame)}" for name, frame in frames.items()]
-    return ", ".join([robot.title, *words]), tuple(tools) if len(tools) > 1 and not cell.tools else ()
+    return ", ".join([robot.title, *words])
 
 
 def _in_words(frame: cells.Frame) -> str:
@@ -67,18 +101,18 @@ def _in_words(frame: cells.Frame) -> str:
     return " ".join(f"{axis} {value:g}" for axis, value in zip("XYZABC", values, strict=False))
 
 
-def edit(path: Path, texts: Mapping[str, str], tools: Sequence[int] = ()) -> bool:
+def edit(path: Path, texts: Mapping[str, str], frames: Sequence[str] = ()) -> bool:
     """Write numbers into a cell file, checked as `convert` checks it; return whether anything has changed.
 
     Only numbers that differ are touched: comments and all else stay. Nothing is written if the cell would be unusable.
 
     :param texts: numbers by the name of the field; empty: the key is removed.
-    :param tools: see `fields_of`.
+    :param frames: see `fields_of`.
     :raises InputError: a text is no number, or the cell would be unusable.
     """
     old_text = files.read_text(path, CellError)
     document = parse(old_text, str(path), CellError)
-    new_text = edit_text(old_text, document, fields_of(path, tools), texts)
+    new_text = edit_text(old_text, document, fields_of(path, frames), texts)
     if new_text == old_text:
         return False
     write_valid(path, new_text, cells.load)

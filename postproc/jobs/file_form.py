@@ -11,6 +11,7 @@ from typing import Any, Literal
 
 import tomlkit
 from msgspec import Struct
+from tomlkit.container import Container, OutOfOrderTableProxy
 from tomlkit.exceptions import TOMLKitError
 
 from postproc import files
@@ -173,9 +174,11 @@ def edit_text(text: str, document: Any, fields: Sequence[FormField], texts: Mapp
 def _made_table(document: Any, table: str) -> Any:
     """Return a table of a document; one that is not there is added."""
     content = document
-    for depth, key in enumerate(table.split(".")):
+    for key in table.split("."):
         if key not in content:
-            content[key] = tomlkit.table() if depth == 0 or content.is_super_table() else tomlkit.inline_table()
+            # a table in parts, [a.1] [b] [a.2], has sections of its own like one without keys of its own
+            is_section = isinstance(content, (Container, OutOfOrderTableProxy)) or content.is_super_table()
+            content[key] = tomlkit.table() if is_section else tomlkit.inline_table()
         content = content[key]
     return content
 

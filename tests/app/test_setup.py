@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import shutil
 import tomllib
+from pathlib import Path
 
 import pytest
 
 from postproc import cell as cells
 from postproc.app.screens import posted_answers
-from postproc.jobs.cell_edit import edit, fields_of, kept_frames
-from postproc.jobs.program_needs import needs_of
+from postproc.jobs.cell_edit import edit, fields_of, frame_tables, kept_frames, missing_frames
+from postproc.jobs.program_needs import ProgramNeeds, needs_of
 from postproc.jobs.setup_form import CHECKED, OFFERED, setup_form, start_arguments
 from tests.app.test_window import looked_at, opened
 from tests.commands import run
@@ -101,15 +102,40 @@ def test_a_stated_stock_is_not_assumed_even_if_it_is_the_one_that_is_offered(pro
 def test_tools_of_a_program_get_frames_of_their_own_in_the_cell(tmp_path):
     path = tmp_path / "cell.toml"
     path.write_text(CELL_TEXT.split("[tools")[0])
-    words, shared = kept_frames(path, (1, 5))
-    assert shared == (1, 5)
-    assert words == "KUKA KR 270-2 (2000 series), $BASE X 1500 Y -200 Z 700, $TOOL X 0 Y 0 Z 350"
-    assert kept_frames(path, (5,))[0].endswith("$TOOL of T5 X 0 Y 0 Z 350")
-    assert edit(path, {"tools.1.Z": "350", "tools.5.Z": "301.5"}, (1, 5))
+    two, other = (ProgramNeeds(Path("two.nc"), "gcode", tools=tools) for tools in ((1, 5), (3,)))
+    assert (missing_frames(path, two), missing_frames(path, other)) == (("tools.1", "tools.5"), ())
+    assert kept_frames(path, (1, 5)) == "KUKA KR 270-2 (2000 series), $BASE X 1500 Y -200 Z 700, $TOOL X 0 Y 0 Z 350"
+    assert kept_frames(path, (5,)).endswith("$TOOL of T5 X 0 Y 0 Z 350")
+    assert edit(path, {"tools.1.Z": "350", "tools.5.Z": "301.5"}, ("tools.1", "tools.5"))
     assert {name: tool.Z for name, tool in cells.load(path).tools.items()} == {"1": 350.0, "5": 301.5}
     assert [field.text for field in fields_of(path) if field.name == "tools.5.Z"] == ["301.5"]
-    words, shared = kept_frames(path, (1, 5))
-    assert (shared, "$TOOL of T5 X 0 Y 0 Z 301.5" in words) == ((), True)
+    assert (missing_frames(path, two), missing_frames(path, other)) == ((), ("tools.3",))
+    assert "$TOOL of T5 X 0 Y 0 Z 301.5" in kept_frames(path, (1, 5))
+
+
+def test_frames_by_number_and_work_offsets_that_a_cell_lacks_are_named_and_can_be_given(tmp_path):
+    path = tmp_path / "cell.toml"
+    path.write_text(CELL_TEXT.split("[tools")[0] + "[base_data.8]\nX = 10\n")
+    needs = ProgramNeeds(
+        Path("p.src"), "krl", work_offsets=("G55", "G59.1"), frames=("base_data.8", "base_data.5", "tool_data.7")
+    )
+    assert missing_frames(path, needs) == ("work_offsets.G55", "work_offsets.G59.1", "base_data.5", "tool_data.7")
+    tables = frame_tables(",".join([*missing_frames(path, needs), "part", "base_data.x", "tools.1.Z"]))
+    assert tables == ("work_offsets.G55", "base_data.5", "tool_data.7")
+    texts = {"work_offsets.G55.Y": "-40", "base_data.5.X": "1500", "base_data.5.Z": "700", "tool_data.7.Z": "412.5"}
+    assert edit(path, texts, tables)
+    cell = cells.load(path)
+    assert (cell.work_offsets["G55"].Y, cell.base_data["5"].Z, cell.tool_data["7"].Z) == (-40.0, 700.0, 412.5)
+    assert missing_frames(path, needs) == ("work_offsets.G59.1",)
+    assert {field.table for field in fields_of(path)} >= {
+        "base_data.8",
+        "base_data.5",
+        "tool_data.7",
+        "work_offsets.G55",
+    }
+    path.write_text(f'config_dat = "$config.dat"\n{CELL_TEXT.split("[tools")[0]}')
+    (tmp_path / "$config.dat").write_text("DEFDAT $CONFIG PUBLIC\nENDDAT\n")
+    assert missing_frames(path, needs) == ("work_offsets.G55", "work_offsets.G59.1")
 
 
 @needs_chromium
@@ -122,7 +148,7 @@ def test_a_program_with_two_tools_leads_to_a_frame_for_each(browser, window):
         page.get_by_role("link", name="two.nc", exact=True).click()
         page.get_by_text("$TOOL X 0 Y 0 Z 350").wait_for()
         looked_at(page, "15-kept-cell")
-        page.get_by_role("link", name="Give $TOOL of each tool first.").click()
+        page.get_by_role("link", name="Give them first.").click()
         page.locator("input[name='tools.1.Z']").fill("350")
         page.locator("input[name='tools.5.Z']").fill("280")
         looked_at(page, "16-tools")
@@ -132,5 +158,5 @@ def test_a_program_with_two_tools_leads_to_a_frame_for_each(browser, window):
         page.go_back()
         page.reload()
         page.get_by_text("$TOOL of T5 X 0 Y 0 Z 280").wait_for()
-        assert page.get_by_role("link", name="Give $TOOL of each tool first.").count() == 0
+        assert page.get_by_role("link", name="Give them first.").count() == 0
     assert cells.load(window.workspace.cell).tools["5"].Z == 280.0

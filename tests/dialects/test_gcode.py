@@ -550,6 +550,11 @@ def test_what_cannot_be_read_is_an_error(block: str, problem: str) -> None:
     assert error.file == "part.nc"
 
 
+@pytest.mark.parametrize(("code", "table"), [("G57", "[work_offsets.G57]"), ("G59.2", '[work_offsets."G59.2"]')])
+def test_the_table_of_a_missing_work_offset_is_named_as_toml_has_it(code: str, table: str) -> None:
+    assert table in str(fault(f"{HEAD}{code}\nM30\n"))
+
+
 REFUSED_G = (
     5.1,
     7,

@@ -602,7 +602,8 @@ class _Reader:
         for code in g:
             group = codes.GROUP_OF.get(code)
             if group == "offset" and f"G{code:g}" not in self.frame_codes.offsets:
-                advice = f"Give its frame in $BASE in the cell: [work_offsets.G{code:g}]."
+                name = f"G{code:g}" if code.is_integer() else f'"G{code:g}"'  # TOML: a name with a dot is in quotes
+                advice = f"Give its frame in $BASE in the cell: [work_offsets.{name}]."
                 first_refusal = first_refusal or (f"work offset G{code:g} is not in the cell", advice)
             elif group == "offset" and self._is_turned_with_indexed_axes(code):
                 first_refusal = first_refusal or (f"[work_offsets.G{code:g}] {TURNED_OFFSET}", TURNED_OFFSET_ADVICE)
