@@ -11,8 +11,9 @@ from postproc.program import CIRC, Bools, Ints, Program
 from postproc.toolpath import Segments, Toolpath, at, tangent
 
 _SPINDLE = {"+Z": (2, 1.0), "-Z": (2, -1.0), "+X": (0, 1.0), "-X": (0, -1.0)}
+"""Column of the tool frame, and its sign, that points from the spindle to the tip, by the axis of the tool."""
 _PARALLEL = 1e-3
-"""Sine of the angle between travel and spindle below which the travel has no direction across the spindle."""
+"""Sine of the angle between travel and spindle below which the travel is along the spindle (assumed)."""
 TURNS = 1e-6
 """Rotations of the tool below this [rad] count as none (assumed)."""
 _LEAST_ANGLE = 45.0 * RAD_PER_DEG
@@ -31,37 +32,41 @@ def feed_axes(program: Program, path: Segments, sample: Toolpath, axis: str, las
     :param last: (M, 3) x for motions along the spindle, see `last_travel`; where it is NaN, any x perpendicular to z.
     """
     z = _towards_spindle(sample, axis)
-    x, sine = _square_to(z, tangent(program, path, sample.motion, sample.t))
+    x, sine = _perpendicular_directions(z, tangent(program, path, sample.motion, sample.t))
     parallel_rows = np.flatnonzero(sine < _PARALLEL)
     if len(parallel_rows):
         motion, t = sample.motion[parallel_rows], sample.t[parallel_rows]
         offset_tangent = tangent(
             program, path, motion, np.where(t > _TANGENT_OFFSET, t - _TANGENT_OFFSET, t + _TANGENT_OFFSET)
         )
-        direction, sine = _square_to(z[parallel_rows], offset_tangent)
-        undefined = np.flatnonzero(sine < _PARALLEL)
-        fallback, tool_axis = last[motion[undefined]], sample.pose[parallel_rows[undefined], :3, _SPINDLE[axis][0] - 2]
+        direction, sine = _perpendicular_directions(z[parallel_rows], offset_tangent)
+        undefined_rows = np.flatnonzero(sine < _PARALLEL)
+        sample_rows = parallel_rows[undefined_rows]
+        # column − 2 is the next column of the tool frame, perpendicular to the spindle: 2 → 0, 0 → −2, which is 1
+        fallback, tool_axis = last[motion[undefined_rows]], sample.pose[sample_rows, :3, _SPINDLE[axis][0] - 2]
         fallback = np.where(np.isnan(fallback), tool_axis, fallback)
-        direction[undefined] = _square_to(z[parallel_rows[undefined]], fallback)[0]
+        direction[undefined_rows] = _perpendicular_directions(z[sample_rows], fallback)[0]
         x[parallel_rows] = direction
     return np.stack([x, np.cross(z, x), z], axis=-1)
 
 
 def is_arc_across(program: Program, path: Segments, arcs: Ints, axis: str) -> Bools:
-    """Return which arcs (n,), rows of `Motions`, keep 45° from the direction of the spindle.
+    """Return on which arcs (n,), rows of `Motions`, the travel keeps 45° from the direction of the spindle.
 
     On these arcs FEED axes turn about as fast as the travel. Near the direction of the spindle they swing by up to half
     a turn, the faster the nearer, and at that direction they jump.
     """
     m = program.motions
+    # the angle of the spindle to the axis of the arc at the worse end, half the turn of the tool, and the pitch of a
+    # helix add up to the largest deviation of the travel from the plane across the spindle
     z = _towards_spindle(at(program, path, arcs, np.ones(len(arcs))), axis)
     start = path.start.at(arcs)[:, :3, _SPINDLE[axis][0]]
-    square = [
+    angles_to_axis = [
         np.arccos(np.minimum(np.abs(np.einsum("ni,ni->n", m.normal[arcs], vector)), 1.0)) for vector in (z, start)
     ]
     row = np.searchsorted(path.arcs.motion, arcs)
     pitch = np.arctan2(norm(path.arcs.climb[row]), norm(path.arcs.radial[row]) * path.arcs.sweep[row])
-    return np.asarray(np.maximum(*square) + 0.5 * path.turn[arcs] + pitch < _LEAST_ANGLE)
+    return np.asarray(np.maximum(*angles_to_axis) + 0.5 * path.turn[arcs] + pitch < _LEAST_ANGLE)
 
 
 def is_line_across(program: Program, path: Segments, lines: Ints, axis: str) -> Bools:
@@ -85,7 +90,7 @@ def axes_of_travel(orientation: Array, travel: Array, axis: str) -> tuple[Array,
     """
     column, sign = _SPINDLE[axis]
     z = -sign * orientation[:, :, column]
-    x, sine = _square_to(z, travel)
+    x, sine = _perpendicular_directions(z, travel)
     return np.stack([x, np.cross(z, x), z], axis=-1), np.asarray(sine >= _PARALLEL)
 
 
@@ -100,18 +105,21 @@ def last_travel(program: Program, path: Segments, axis: str) -> tuple[Array, Boo
     m = program.motions
     rows, end = np.arange(len(m)), np.ones(len(m))
     z = _towards_spindle(at(program, path, rows, end), axis)
-    x, sine = _square_to(z, tangent(program, path, rows, end))
-    turning = np.flatnonzero((m.kind == CIRC) & (sine < _PARALLEL))
-    x[turning], sine[turning] = _square_to(z[turning], tangent(program, path, turning, end[turning] - _TANGENT_OFFSET))
-    needs = sine < _PARALLEL
-    source = _last_across(predecessors(program), needs)
-    source[source < 0] = -1 if needs.all() else int(np.argmin(needs))
+    x, sine = _perpendicular_directions(z, tangent(program, path, rows, end))
+    tangent_arcs = np.flatnonzero((m.kind == CIRC) & (sine < _PARALLEL))
+    x[tangent_arcs], sine[tangent_arcs] = _perpendicular_directions(
+        z[tangent_arcs], tangent(program, path, tangent_arcs, end[tangent_arcs] - _TANGENT_OFFSET)
+    )
+    is_undefined = sine < _PARALLEL
+    source = _last_across(predecessors(program), is_undefined)
+    source[source < 0] = -1 if is_undefined.all() else int(np.argmin(is_undefined))
     rotation = program.bases[:, :3, :3]
-    in_root = np.einsum("nij,nj->ni", rotation[m.base[source]], x[source])
-    last = np.einsum("nji,nj->ni", rotation[m.base], in_root)
-    last[source < 0] = np.nan
-    last[_square_to(z, last)[1] < _PARALLEL] = np.nan  # the tool has turned into the direction of travel
-    return last, needs
+    travel_in_root = np.einsum("nij,nj->ni", rotation[m.base[source]], x[source])
+    inherited_travel = np.einsum("nji,nj->ni", rotation[m.base], travel_in_root)
+    inherited_travel[source < 0] = np.nan
+    has_turned = _perpendicular_directions(z, inherited_travel)[1] < _PARALLEL  # the tool, into that direction
+    inherited_travel[has_turned] = np.nan
+    return inherited_travel, is_undefined
 
 
 def predecessors(program: Program) -> Ints:
@@ -119,27 +127,31 @@ def predecessors(program: Program) -> Ints:
     return np.arange(len(program.motions)) - 1 if program.after is None else program.after
 
 
-def _last_across(previous: Ints, needs: Bools) -> Ints:
+def _last_across(previous: Ints, is_undefined: Bools) -> Ints:
     """Return the last motion (M,) executed before each that has a travel direction of its own; −1 if there is none.
 
     :param previous: (M,) the motion at whose end each begins, see `Program.after`.
-    :param needs: (M,) True for motions without such a direction.
+    :param is_undefined: (M,) True for motions without such a direction.
     """
-    rows = np.arange(len(needs))
+    rows = np.arange(len(is_undefined))
     previous = np.append(np.where(previous == rows, -1, previous), -1)  # row −1: the start
-    source = np.where(np.append(needs, False), previous, np.append(rows, -1))
-    for _ in range(len(needs).bit_length()):  # each round follows twice as many motions
+    source = np.where(np.append(is_undefined, False), previous, np.append(rows, -1))
+    for _ in range(len(is_undefined).bit_length()):  # each round follows twice as many motions
         source = source[source]
     return np.asarray(source[previous[:-1]])
 
 
 def _towards_spindle(sample: Toolpath, axis: str) -> Array:
+    """Return the unit directions from the tip to the spindle (n, 3) at samples, `$BASE`; `axis` as of `feed_axes`."""
     column, sign = _SPINDLE[axis]
     return np.asarray(-sign * sample.pose[:, :3, column])
 
 
-def _square_to(z: Array, travel: Array) -> tuple[Array, Array]:
-    """Return unit vectors (n, 3) along the component of the travel perpendicular to z, and its length (n,)."""
+def _perpendicular_directions(z: Array, travel: Array) -> tuple[Array, Array]:
+    """Return unit vectors (n, 3) along the component of the travel perpendicular to z, and its length (n,).
+
+    :param z: (n, 3) unit vectors, `travel` (n, 3) vectors in the same axes; the unit vector of no component is zero.
+    """
     component = travel - np.einsum("ni,ni->n", travel, z)[:, None] * z
     length = norm(component)
     return component / np.where(length > 0.0, length, 1.0)[:, None], length
@@ -152,7 +164,7 @@ class Axes(Struct, frozen=True, eq=False):
 
     :param program: the program, `path` the geometry of its motions.
     :param spindle: axis of the tool frame that points from the spindle to the tip: "+Z", "-Z", "+X" or "-X".
-    :param travel: (M, 3) x of `FEED` for motions along the spindle, see `feed.last_travel`; (0, 3) without FEED.
+    :param travel: (M, 3) x of `FEED` for motions along the spindle, see `last_travel`; (0, 3) without FEED.
     """
 
     program: Program
@@ -169,8 +181,9 @@ class Axes(Struct, frozen=True, eq=False):
         return self._rotate_to_base(columns, frame, sample, "nji,nhjm->nhim")
 
     def _rotate_to_base(self, columns: Array, frame: Ints, sample: Toolpath, product: str) -> Array:
-        """Return columns (N, 2, 3, m) of force and moment in $BASE axes; `frame` (N,): their axes, `product`: of
-        einsum.
+        """Return columns (n, 2, 3, m) rotated between frames (n,) at samples and `$BASE`.
+
+        :param product: subscripts of einsum that apply the rotation from frame to `$BASE`, or its transpose.
         """
         rotated_columns = columns.copy()
         for code in (TOOL, FEED):
@@ -198,6 +211,6 @@ class Axes(Struct, frozen=True, eq=False):
         ends[rows] = self.into_base(columns[rows], frame[rows], end)
         at_starts = np.where((previous >= 0)[:, None, None, None], ends[previous], 0.0)
         base_change = np.flatnonzero(m.base != m.base[previous])
-        turn = np.swapaxes(bases[m.base[base_change], :3, :3], 1, 2) @ bases[m.base[previous[base_change]], :3, :3]
-        at_starts[base_change] = np.einsum("nij,nhjm->nhim", turn, at_starts[base_change])
+        rotation = np.swapaxes(bases[m.base[base_change], :3, :3], 1, 2) @ bases[m.base[previous[base_change]], :3, :3]
+        at_starts[base_change] = np.einsum("nij,nhjm->nhim", rotation, at_starts[base_change])
         return at_starts

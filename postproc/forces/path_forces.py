@@ -27,7 +27,7 @@ from postproc.toolpath import DisplacementEstimate, Pieces, Segments, Toolpath, 
 BEHIND_STEP = 1e-5
 """Distance behind a force step at which the path is sampled [m]: the correction changes over that length."""
 _CONTINUOUS = 2e-3
-"""Relative change between consecutive forces below which no ramp is inserted."""
+"""Relative change between consecutive forces below which no ramp is inserted (assumed)."""
 
 
 class PathForces(Struct, frozen=True, eq=False):
@@ -69,16 +69,19 @@ class PathForces(Struct, frozen=True, eq=False):
     def at(self, sample: Toolpath) -> Array:
         """Return the wrench (N, 6) at samples of the path [N, N·m], `$BASE` axes of their motions."""
 
-        def wrench(knots: Ints) -> Array:
+        def wrench_columns(knots: Ints) -> Array:
             return self.wrench.take(knots).reshape(-1, 2, 3, 1)
 
         def in_chunk(rows: Ints) -> tuple[Array]:
-            return (self._columns_in_base(wrench, sample.take(rows)).reshape(-1, 6),)
+            return (self._columns_in_base(wrench_columns, sample.take(rows)).reshape(-1, 6),)
 
         return in_chunks(in_chunk, np.arange(len(sample)))[0]
 
     def spread_at(self, sample: Toolpath) -> Array | None:
-        """Return L (N, 2, 3, 3) of the covariances L·Lᵀ of force and moment at samples; None if all are zero."""
+        """Return L (N, 2, 3, 3) of the covariances L·Lᵀ of force [N²] and moment [(N·m)²] at samples, `$BASE` axes.
+
+        None if all are zero.
+        """
         spread = self.spread
         return None if spread is None else self._columns_in_base(lambda knots: spread.take(knots, axis=0), sample)
 
@@ -96,20 +99,22 @@ class PathForces(Struct, frozen=True, eq=False):
         independent = self.spread_at(sample)
         if independent is None:
             return None
-        halves = [independent]
-        if self.factor.any():
-            halves += [
+        deviations = [independent]
+        has_factor = self.factor.any()
+        if has_factor:
+            deviations += [
                 self._columns_in_base(self._remaining_deviation, sample),
                 self._columns_in_base(self._factor_deviation, sample),
             ]
-        in_root = [columns_in_root(self.axes.program, sample.motion, root_columns) for root_columns in halves]
-        factors = np.zeros((len(sample), 6, 13 if len(halves) > 1 else 6))
-        for place, root_columns in enumerate(in_root[:2]):
-            factors[:, :3, 6 * place : 6 * place + 3] = root_columns[:, 0]
-            factors[:, 3:, 6 * place + 3 : 6 * place + 6] = root_columns[:, 1]
-        if len(halves) > 1:
-            factors[:, :, 12] = in_root[2].reshape(-1, 6)
-        return factors
+        in_root = [columns_in_root(self.axes.program, sample.motion, columns) for columns in deviations]
+        spread = np.zeros((len(sample), 6, 13 if has_factor else 6))
+        # force and moment are independent: two blocks (3, 3) on the diagonal of six columns, for each covariance
+        for index, columns in enumerate(in_root[:2]):
+            spread[:, :3, 6 * index : 6 * index + 3] = columns[:, 0]
+            spread[:, 3:, 6 * index + 3 : 6 * index + 6] = columns[:, 1]
+        if has_factor:
+            spread[:, :, 12] = in_root[2].reshape(-1, 6)
+        return spread
 
     def _factor_deviation(self, knots: Ints) -> Array:
         """Return the change (n, 2, 3, 1) of the wrench at knots for one standard deviation of its factor."""
@@ -118,18 +123,22 @@ class PathForces(Struct, frozen=True, eq=False):
     def _remaining_deviation(self, knots: Ints) -> Array:
         """Return L (n, 2, 3, 3) at knots without the part of the deviation that is one factor."""
         assert self.spread is not None
-        square = (
-            np.sum(np.square(self.spread.take(knots, axis=0)), axis=3)
-            - np.square(self._factor_deviation(knots))[..., 0]
-        )
-        return np.asarray(np.sqrt(np.maximum(square, 0.0))[..., None] * np.eye(3))
+        total_variance = np.sum(np.square(self.spread.take(knots, axis=0)), axis=3)
+        variance = total_variance - np.square(self._factor_deviation(knots))[..., 0]
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0))[..., None] * np.eye(3))
 
     def wrench_before(self) -> Array:
-        """Return the wrench (M, 6) at the end of the motion before each, `$BASE` axes; zero before the first."""
+        """Return the wrench (M, 6) [N, N·m] at the end of the motion before each, in `$BASE` axes of each.
+
+        Zero before the first motion.
+        """
         return _wrench_before(self.wrench.take(self.first[1:] - 1), self.frame, self.axes)
 
     def behind_step(self, motion: Ints, t: Array) -> Bools:
-        """Return which places (n,) are just behind the start of a motion whose force may start with a step."""
+        """Return which places (motion, t), n of them, are just behind a start with a possible step of the force.
+
+        Just behind are 1.5 times `BEHIND_STEP`: the sample at that distance, and rounding.
+        """
         return np.asarray(~self.ramped[motion] & (self.axes.path.length[motion] * t < 1.5 * BEHIND_STEP))
 
     def _next_knot(self, sample: Toolpath) -> Ints:
@@ -138,22 +147,25 @@ class PathForces(Struct, frozen=True, eq=False):
         return np.clip(np.searchsorted(self.place, sample.motion + sample.t), first, last)
 
     def _columns_in_base(self, columns: Callable[[Ints], Array], sample: Toolpath) -> Array:
-        """Return columns (N, 2, 3, m) of force and moment in `$BASE` axes at samples.
+        """Return columns (N, 2, 3, m) of force and moment at samples in `$BASE` axes: linear between knots.
 
-        :param columns: returns those (n, 2, 3, m) at knots (n,).
+        Between knots of one frame columns are interpolated in that frame and then rotated. On a ramp, whose first knot
+        is in `$BASE` axes, the later knot is rotated first.
+
+        :param columns: returns those (n, 2, 3, m) at knots (n,), in their frames.
         """
         t, right = sample.t, self._next_knot(sample)
         left = np.where(self.t[right] > t, np.maximum(right - 1, self.first[sample.motion]), right)
         values, frame = columns(right), self.knot_frame[right]
-        inner = np.flatnonzero(left != right)
-        left, right = left[inner], right[inner]
-        share = ((t[inner] - self.t[left]) / (self.t[right] - self.t[left]))[:, None, None, None]
+        inner_rows = np.flatnonzero(left != right)
+        left, right = left[inner_rows], right[inner_rows]
+        share = ((t[inner_rows] - self.t[left]) / (self.t[right] - self.t[left]))[:, None, None, None]
         begin = columns(left)
-        same_frame = self.knot_frame[left] == frame[inner]
-        plain, ramp = inner[same_frame], inner[~same_frame]
-        values[plain] = begin[same_frame] + share[same_frame] * (values[plain] - begin[same_frame])
+        same_frame = self.knot_frame[left] == frame[inner_rows]
+        steady_rows, ramp_rows = inner_rows[same_frame], inner_rows[~same_frame]
+        values[steady_rows] = begin[same_frame] + share[same_frame] * (values[steady_rows] - begin[same_frame])
         values = self.axes.into_base(values, frame, sample)
-        values[ramp] = begin[~same_frame] + share[~same_frame] * (values[ramp] - begin[~same_frame])
+        values[ramp_rows] = begin[~same_frame] + share[~same_frame] * (values[ramp_rows] - begin[~same_frame])
         return values
 
 
@@ -197,7 +209,10 @@ def assign(program: Program, path: Segments, source: ForceSource | None, axis: s
 
 
 def _check_start(program: Program, knots: Knots) -> None:
-    """Refuse forces on moves from `[start]` of the cell: the program does not define the path there."""
+    """Refuse forces on moves from `[start]` of the cell: the program does not define the path there.
+
+    :raises ForceError: a knot on one of `Program.unforced` has a force.
+    """
     unforced = np.isin(knots.motion, program.unforced)  # few, so that few wrenches are written out
     motions = knots.motion[unforced][any_column(knots.wrench[unforced] != 0.0)]
     if len(motions):
@@ -206,7 +221,7 @@ def _check_start(program: Program, knots: Knots) -> None:
 
 
 def _refusal(program: Program, motions: Ints, problem: str, advice: str) -> ForceError:
-    """Return one error for each line of motions (n,), as one."""
+    """Return one error that combines those of all source lines of motions (n,), with the same problem and advice."""
     name, lines = program.documents[0].name, distinct(program.motions.line[motions])
     lines = lines[: MAX_ERRORS + 1]  # one more than are shown, by which the message says that there are others
     return combined_error(ForceError(problem, file=name, line=line, advice=advice) for line in lines.tolist())
@@ -224,7 +239,13 @@ def _warning(program: Program, motion: Ints, kind: str, message: str) -> list[Is
 
 
 def _resolve(knots: Knots, axes: Axes, ramp: float, issues: tuple[Issue, ...], by_law: ByLaw | None) -> PathForces:
-    """Return the forces from knots that cover every motion, with ramps inserted."""
+    """Return the forces from knots that cover every motion, with ramps inserted.
+
+    A ramp needs a second knot at the start of its motion, with the values of the motion before; the only knot of the
+    motion moves to the end of the ramp.
+
+    :param ramp: length over which a force builds up if it is given for a whole motion [m].
+    """
     motions = np.arange(len(axes.program.motions))
     first = np.searchsorted(knots.motion, np.append(motions, len(motions)))
     last = first[1:] - 1
@@ -241,27 +262,27 @@ def _resolve(knots: Knots, axes: Axes, ramp: float, issues: tuple[Issue, ...], b
         at_start = axes.at_start(spread[last], frame)
         at_start[steady] = spread[last[steady]]
         changes |= has_ramp & (at_start != spread[last]).any(axis=(1, 2, 3))
-    begins = first[:-1][changes]  # the only knot of each
-    factor = knots.factor
-    if factor.any():
+    ramp_knots = first[:-1][changes]  # a ramped motion has one knot
+    if knots.factor.any():
         previous = predecessors(axes.program)[changes]
-        factor = np.insert(factor, begins, np.where(previous >= 0, knots.factor[last[previous]], 0.0))
+        start_factor = np.where(previous >= 0, knots.factor[last[previous]], 0.0)
+        factor = np.insert(knots.factor, ramp_knots, start_factor)
     else:
-        factor = constant(0.0, len(factor) + len(begins))
+        factor = constant(0.0, len(knots.factor) + len(ramp_knots))
     if spread is not None and at_start is not None:
-        spread = np.insert(spread, begins, at_start[changes], axis=0)
+        spread = np.insert(spread, ramp_knots, at_start[changes], axis=0)
     length = axes.path.length[changes]
     t = knots.t.copy()
-    t[begins] = ramp / np.maximum(length, ramp)
-    t = np.insert(t, begins, 0.0)
+    t[ramp_knots] = ramp / np.maximum(length, ramp)  # a motion shorter than the ramp is all ramp
+    t = np.insert(t, ramp_knots, 0.0)
     first = first + np.concatenate([[0], np.cumsum(changes)])
     return PathForces(
         axes,
         compact(first, np.int32),
         np.repeat(motions, np.diff(first)) + t,
         t,
-        Runs.of(np.insert(knots.wrench, begins, start[changes], axis=0)),
-        compact(np.insert(knots.frame, begins, start_frame[changes]), np.int8),
+        Runs.of(np.insert(knots.wrench, ramp_knots, start[changes], axis=0)),
+        compact(np.insert(knots.frame, ramp_knots, start_frame[changes]), np.int8),
         spread,
         factor,
         compact(frame, np.int8),
@@ -272,7 +293,10 @@ def _resolve(knots: Knots, axes: Axes, ramp: float, issues: tuple[Issue, ...], b
 
 
 def _wrench_before(wrench: Array, frame: Ints, axes: Axes) -> Array:
-    """Return the wrench (M, 6) before each motion, `$BASE` axes, from that at the end of each, in `frame`."""
+    """Return the wrench (M, 6) at the start of each motion, `$BASE` axes: that at the end of the motion before.
+
+    :param wrench: (M, 6) at the end of each motion [N, N·m], in the axes of `frame` (M,).
+    """
     return axes.at_start(wrench.reshape(-1, 2, 3, 1), frame).reshape(-1, 6)
 
 
@@ -284,12 +308,16 @@ def _continuous(wrench: Array, frame: Ints, previous: Array, axes: Axes) -> Ints
     """
     rows = np.flatnonzero(frame == FEED)
     start = at(axes.program, axes.path, rows, np.zeros(len(rows)))
-    begin = axes.into_base(wrench[rows].reshape(-1, 2, 3, 1), frame[rows], start).reshape(-1, 6)
-    return rows[any_column(begin != 0.0) & (norm(begin - previous[rows]) < _CONTINUOUS * norm(begin))]
+    start_wrench = axes.into_base(wrench[rows].reshape(-1, 2, 3, 1), frame[rows], start).reshape(-1, 6)
+    difference = norm(start_wrench - previous[rows])
+    return rows[any_column(start_wrench != 0.0) & (difference < _CONTINUOUS * norm(start_wrench))]
 
 
 def _travel(program: Program, path: Segments, knots: Knots, axis: str) -> tuple[Array, list[Issue]]:
-    """Return `Axes.travel`, and notes about it for the user."""
+    """Return `Axes.travel` (M, 3), or (0, 3) without forces in FEED axes, and notes about it for the user.
+
+    :raises ForceError: a FEED force on a piece of a spline, or on a move along the spindle without a travel direction.
+    """
     m = program.motions
     feed = knots.frame == FEED
     if not feed.any():
@@ -298,32 +326,33 @@ def _travel(program: Program, path: Segments, knots: Knots, axis: str) -> tuple[
     if len(spline_motions):
         problem = "a FEED force on a piece of a spline, whose direction is not known"
         raise _refusal(program, spline_motions, problem, "Give its force in BASE or TOOL axes.")
-    travel, needs = last_travel(program, path, axis)
-    acts = np.zeros(len(m), dtype=np.bool_)
+    travel, needs_direction = last_travel(program, path, axis)
+    # components along z, the spindle, are the same for any travel direction
     is_lateral = (knots.wrench[:, [0, 1, 3, 4]] != 0.0) | (knots.sigma[:, [0, 1, 3, 4]] != 0.0)
-    acts[knots.motion[feed & any_column(is_lateral)]] = True
-    needs &= acts
-    unknown = needs & np.isnan(travel[:, 0])
-    if unknown.any():
+    has_lateral_force = np.zeros(len(m), dtype=np.bool_)
+    has_lateral_force[knots.motion[feed & any_column(is_lateral)]] = True
+    needs_direction &= has_lateral_force
+    is_undefined = needs_direction & np.isnan(travel[:, 0])
+    if is_undefined.any():
         advice = (
             "No other move of the program has a feed direction across the spindle that this one could use. "
             "Give its force in BASE or TOOL axes."
         )
-        raise _refusal(program, np.flatnonzero(unknown), "a FEED force on a move along the spindle", advice)
+        raise _refusal(program, np.flatnonzero(is_undefined), "a FEED force on a move along the spindle", advice)
     issues = []
-    if needs.any():
+    if needs_direction.any():
         message = (
             "a FEED force on a move along the spindle, which has no feed direction: x is the travel direction of the "
             "last move across the spindle, or of the first one if none precedes"
         )
-        issues.append(m.issue("info", "feed-direction", message, np.flatnonzero(needs)))
+        issues.append(m.issue("info", "feed-direction", message, np.flatnonzero(needs_direction)))
     return travel, issues
 
 
 _NO_CHANGE = 1e-9
 """Changes of the force below this [N, N·m] count as none (assumed)."""
 _STEP = 1e-8
-"""Displacement [m] below which a change of the force from motion to motion does not count as a step."""
+"""Displacement [m] below which a change of the force from motion to motion does not count as a step (assumed)."""
 
 
 def displacement_estimate(forces: PathForces, compliance: tuple[float, float]) -> DisplacementEstimate:
@@ -332,47 +361,71 @@ def displacement_estimate(forces: PathForces, compliance: tuple[float, float]) -
     :param compliance: approximate compliance at the tip per force [m/N] and per moment [m/(N·m)].
     """
     m, path = forces.axes.program.motions, forces.axes.path
-    turning = (m.kind == CIRC) & (forces.frame == FEED)
-
-    def moves(wrench: Array) -> Array:
-        return np.asarray(compliance[0] * norm(wrench[:, :3]) + compliance[1] * norm(wrench[:, 3:]))
-
-    begins = np.zeros(len(forces.t), dtype=np.bool_)
-    first = forces.first[:-1]
-    begins[first[forces.ramped & (forces.t[first] == 0.0)]] = True  # the force of the motion before
-
-    def largest_of_own(values: Array) -> Array:
-        return np.asarray(np.maximum.reduceat(np.where(begins, 0.0, values), first))
-
     motion = np.repeat(np.arange(len(m)), np.diff(forces.first))
     change, bends = _changes(forces, motion)
-    step_size = moves(_steps(forces))
+    step_size = _displacement_sizes(_steps(forces), compliance)
     step = np.flatnonzero(step_size > _STEP)
     step_place = np.minimum(0.5, BEHIND_STEP / np.maximum(path.length[step], BEHIND_STEP))
-    swings, rotating_size = np.zeros(len(m), dtype=np.bool_), constant(0.0, len(m))
-    if turning.any():
-        lateral = forces.wrench[:] * (1.0, 1.0, 0.0, 1.0, 1.0, 0.0)  # z, along the spindle, does not turn
-        rotating_size = np.where(turning, largest_of_own(moves(lateral)), 0.0)
-        acts = np.zeros(len(m), dtype=np.bool_)
-        acts[motion[any_column(lateral != 0.0)]] = True
-        arcs = np.flatnonzero(turning & acts)
-        swings[arcs] = ~is_arc_across(forces.axes.program, path, arcs, forces.axes.spindle)
+    rotating_size, swings = _turning_displacements(forces, motion, compliance)
     knot_rows = np.flatnonzero(bends | (m.kind[motion] == CIRC))
     places = np.append(motion[knot_rows], step), np.append(forces.t[knot_rows], step_place)
     order = np.lexsort(places[::-1])
     return DisplacementEstimate(
         motion=places[0][order],
         t=places[1][order],
-        change=np.append(moves(change)[knot_rows], step_size[step])[order],
+        change=np.append(_displacement_sizes(change, compliance)[knot_rows], step_size[step])[order],
         bends=np.append(bends[knot_rows], np.ones(len(step), dtype=np.bool_))[order],
         turning=rotating_size,
-        size=largest_of_own(moves(forces.wrench[:])),
+        size=_largest_of_motions(forces, _displacement_sizes(forces.wrench[:], compliance)),
         swings=swings,
     )
 
 
+def _displacement_sizes(wrench: Array, compliance: tuple[float, float]) -> Array:
+    """Return upper bounds (n,) [m] of the displacements by wrenches (n, 6) [N, N·m].
+
+    :param compliance: approximate compliance at the tip per force [m/N] and per moment [m/(N·m)].
+    """
+    return np.asarray(compliance[0] * norm(wrench[:, :3]) + compliance[1] * norm(wrench[:, 3:]))
+
+
+def _largest_of_motions(forces: PathForces, values: Array) -> Array:
+    """Return the largest of values (K,) >= 0 at knots for each motion (M,).
+
+    A knot at the start of a ramp has the force of the motion before: it does not count.
+    """
+    first = forces.first[:-1]
+    is_inherited = np.zeros(len(forces.t), dtype=np.bool_)
+    is_inherited[first[forces.ramped & (forces.t[first] == 0.0)]] = True
+    return np.asarray(np.maximum.reduceat(np.where(is_inherited, 0.0, values), first))
+
+
+def _turning_displacements(forces: PathForces, motion: Ints, compliance: tuple[float, float]) -> tuple[Array, Bools]:
+    """Return sizes (M,) [m] of the displacement that turns with arcs, and (M,) True for arcs on which FEED axes swing.
+
+    :param motion: (K,) motion of each knot.
+    :param compliance: approximate compliance at the tip per force [m/N] and per moment [m/(N·m)].
+    """
+    m, path = forces.axes.program.motions, forces.axes.path
+    has_turning_force = (m.kind == CIRC) & (forces.frame == FEED)
+    swings = np.zeros(len(m), dtype=np.bool_)
+    if not has_turning_force.any():
+        return constant(0.0, len(m)), swings
+    lateral = forces.wrench[:] * (1.0, 1.0, 0.0, 1.0, 1.0, 0.0)  # z, along the spindle, does not turn
+    size = np.where(has_turning_force, _largest_of_motions(forces, _displacement_sizes(lateral, compliance)), 0.0)
+    has_force = np.zeros(len(m), dtype=np.bool_)
+    has_force[motion[any_column(lateral != 0.0)]] = True
+    arcs = np.flatnonzero(has_turning_force & has_force)
+    swings[arcs] = ~is_arc_across(forces.axes.program, path, arcs, forces.axes.spindle)
+    return size, swings
+
+
 def _changes(forces: PathForces, motion: Ints) -> tuple[Array, Bools]:
-    """Return the change (K, 6) of the force since the knot before, and (K,) True where its rate changes."""
+    """Return the change (K, 6) of the force since the knot before, and (K,) True where its rate changes.
+
+    :param motion: (K,) motion of each knot.
+    :returns: the change [N, N·m] in the axes of the later knot, zero at the first knot of a motion.
+    """
     t, count = forces.t, len(forces.t)
     follows = np.append(False, np.diff(motion) == 0)
     # wrenches in the same frame are subtracted; otherwise both are turned into the axes of the later knot
@@ -383,7 +436,7 @@ def _changes(forces: PathForces, motion: Ints) -> tuple[Array, Bools]:
     place = at(forces.axes.program, forces.axes.path, motion[rows], t[rows])
     change[rows] = forces.at(place) - forces.wrench[rows - 1]
     bends = np.zeros(count, dtype=np.bool_)
-    inner = np.flatnonzero((t > 0.0) & (t < 1.0))
+    inner_knots = np.flatnonzero((t > 0.0) & (t < 1.0))
 
     def rate(rows: Ints) -> Array:
         """Return the change (n, 6) per t up to knots (n,); 0 at the first knot of a motion."""
@@ -392,14 +445,14 @@ def _changes(forces: PathForces, motion: Ints) -> tuple[Array, Bools]:
         rates[has_previous] = change[rows] / (t[rows] - t[rows - 1])[:, None]
         return rates
 
-    # a change of slope matters by what it amounts to over the interval before it
-    width = np.where(follows[inner], t[inner] - t[inner - 1], 1.0)
-    bends[inner] = largest((rate(inner + 1) - rate(inner)) * width[:, None]) >= _NO_CHANGE
+    # a change of the rate counts by the change of force that it makes over the interval before it
+    width = np.where(follows[inner_knots], t[inner_knots] - t[inner_knots - 1], 1.0)
+    bends[inner_knots] = largest((rate(inner_knots + 1) - rate(inner_knots)) * width[:, None]) >= _NO_CHANGE
     return change, bends
 
 
 def _steps(forces: PathForces) -> Array:
-    """Return the step of the force (M, 6) at the start of each motion, from the end of the motion before."""
+    """Return the step (M, 6) [N, N·m] of the force at the start of each motion, `$BASE` axes; zero on ramps."""
     rows = np.flatnonzero(~forces.ramped)
     if not len(rows):
         return np.broadcast_to(0.0, (len(forces.ramped), 6))
@@ -412,7 +465,7 @@ def _steps(forces: PathForces) -> Array:
 _SHORTEST = 1e-7
 """Length [m] and share of the arc below which no piece is halved: the decimals of a program resolve none shorter."""
 _QUARTERS = (0.0, 0.25, 0.5, 0.75, 1.0)
-"""Shares of a piece of arc at which it is compared with its chord."""
+"""Shares of a piece at which its circle, or its chord, is compared with the displacement."""
 
 
 def refined_arcs(
@@ -426,18 +479,18 @@ def refined_arcs(
     swings = estimate.swings[arcs.motion]
     if not swings.any():
         return arcs
-    left = arcs.take(swings)
-    left = left.with_enough_pieces(left.min_number).cut(left.min_number)
-    pieces = [arcs.take(~swings)]
+    open_pieces = arcs.take(swings)
+    open_pieces = open_pieces.with_enough_pieces(open_pieces.min_number).cut(open_pieces.min_number)
+    finished_pieces = [arcs.take(~swings)]
     length = forces.axes.path.length
-    while len(left.motion):
-        share = left.end - left.begin
-        long = np.minimum(share, share * length[left.motion]) > _SHORTEST
-        too_coarse = long & (_circle_deviation(forces, left, compliance) > limit)
-        pieces.append(left.take(~too_coarse))
-        left = left.take(too_coarse)
-        left = left.cut(np.full(len(left.motion), 2))
-    return Pieces.join(pieces).sort()
+    while len(open_pieces.motion):
+        share = open_pieces.end - open_pieces.begin
+        is_divisible = np.minimum(share, share * length[open_pieces.motion]) > _SHORTEST
+        is_too_coarse = is_divisible & (_circle_deviation(forces, open_pieces, compliance) > limit)
+        finished_pieces.append(open_pieces.take(~is_too_coarse))
+        open_pieces = open_pieces.take(is_too_coarse)
+        open_pieces = open_pieces.cut(np.full(len(open_pieces.motion), 2))
+    return Pieces.join(finished_pieces).sort()
 
 
 def swing_places(forces: PathForces, compliance: tuple[float, float], limit: float) -> tuple[Ints, Array]:
@@ -449,8 +502,8 @@ def swing_places(forces: PathForces, compliance: tuple[float, float], limit: flo
     :param limit: permitted deviation between two places [m].
     """
     program, path = forces.axes.program, forces.axes.path
-    turns = (program.motions.kind == LIN) & (forces.frame == FEED) & (path.turn > TURNS) & (path.length > 0.0)
-    motion = np.flatnonzero(turns)
+    is_turning = (program.motions.kind == LIN) & (forces.frame == FEED) & (path.turn > TURNS) & (path.length > 0.0)
+    motion = np.flatnonzero(is_turning)
     motion = motion[~is_line_across(program, path, motion, forces.axes.spindle)]
     begin, end = np.zeros(len(motion)), np.ones(len(motion))
     motions, places = [motion[:0]], [begin[:0]]
@@ -459,16 +512,16 @@ def swing_places(forces: PathForces, compliance: tuple[float, float], limit: flo
         for share in _QUARTERS:
             wrench = forces.at(at(program, path, motion, begin + share * (end - begin)))
             displacements.append(np.hstack([compliance[0] * wrench[:, :3], compliance[1] * wrench[:, 3:]]))
-        first, last = displacements[0], displacements[-1]
+        start_displacement, end_displacement = displacements[0], displacements[-1]
         deviations = [
-            norm(displacement - first - share * (last - first))
+            norm(displacement - start_displacement - share * (end_displacement - start_displacement))
             for share, displacement in zip(_QUARTERS, displacements, strict=True)
         ]
         length_share = end - begin
-        too_coarse = (np.maximum.reduce(deviations) > limit) & (
+        is_too_coarse = (np.maximum.reduce(deviations) > limit) & (
             np.minimum(length_share, length_share * path.length[motion]) > _SHORTEST
         )
-        motion, begin, end = motion[too_coarse], begin[too_coarse], end[too_coarse]
+        motion, begin, end = motion[is_too_coarse], begin[is_too_coarse], end[is_too_coarse]
         middle = 0.5 * (begin + end)
         motions.append(motion)
         places.append(middle)
@@ -477,19 +530,24 @@ def swing_places(forces: PathForces, compliance: tuple[float, float], limit: flo
 
 
 def _circle_deviation(forces: PathForces, arcs: Pieces, compliance: tuple[float, float]) -> Array:
-    """Return the largest deviation (n,) [m] of circles through start, middle and end at the quarters of pieces."""
-    displacements = []
+    """Return the largest deviation (n,) [m] of pieces from circles through their starts, middles and ends.
+
+    Compared at quarters are positions with the tool displaced by the force.
+
+    :param compliance: approximate compliance at the tip per force [m/N] and per moment [m/(N·m)].
+    """
+    positions = []
     for share in _QUARTERS:
         t = np.where(share == 1.0, arcs.end, arcs.begin + share * (arcs.end - arcs.begin))
         sample = at(forces.axes.program, forces.axes.path, arcs.motion, t)
         wrench = forces.at(sample)
-        displacements.append(sample.pose[:, :3, 3] - compliance[0] * wrench[:, :3] - compliance[1] * wrench[:, 3:])
-    begin, _, middle, _, end = displacements
+        positions.append(sample.pose[:, :3, 3] - compliance[0] * wrench[:, :3] - compliance[1] * wrench[:, 3:])
+    begin, _, middle, _, end = positions
     centre, radial, tangential, angle = circle_through(begin, middle, end)
     deviation = np.zeros(len(begin))
-    for share, displacement in zip(_QUARTERS, displacements, strict=True):
+    for share, position in zip(_QUARTERS, positions, strict=True):
         part_angle = (angle * share)[:, None]
         deviation = np.maximum(
-            deviation, norm(displacement - centre - np.cos(part_angle) * radial - np.sin(part_angle) * tangential)
+            deviation, norm(position - centre - np.cos(part_angle) * radial - np.sin(part_angle) * tangential)
         )
     return deviation

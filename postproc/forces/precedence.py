@@ -54,7 +54,7 @@ def comment_knots(program: Program) -> Knots:
 
     :raises ValueError: the reader of the program has not set the first motion of a comment.
     """
-    index = _notes(program)
+    index = _note_of_motion(program)
     motion = np.flatnonzero(index >= 0)
     values = np.array([note.wrench for note in program.notes]).reshape(len(program.notes), 6)
     frames = np.array([FORCE_FRAMES.index(note.frame) for note in program.notes], dtype=np.int64)
@@ -67,14 +67,14 @@ def unused_comments(program: Program) -> Iterator[Issue]:
     Where branches begin and meet, the reader of KRL states the force that holds there once more: a force that acts
     somewhere is used.
     """
-    stated = [note for note in program.notes if any(note.wrench)]
-    if not stated:
+    stated_notes = [note for note in program.notes if any(note.wrench)]
+    if not stated_notes:
         return
-    note_rows = distinct(_notes(program)[~program.motions.rapid])
+    note_rows = distinct(_note_of_motion(program)[~program.motions.rapid])
     used_forces = {
         (program.notes[index].wrench, program.notes[index].frame) for index in note_rows[note_rows >= 0].tolist()
     }
-    lines = sorted({note.line for note in stated if (note.wrench, note.frame) not in used_forces})
+    lines = sorted({note.line for note in stated_notes if (note.wrench, note.frame) not in used_forces})
     if lines:
         message = "a force comment that holds on no cutting move: rapid moves and moves of zero length carry no force"
         yield Issue("warning", "force-unused", message, lines[0], count=len(lines), lines=tuple(lines))
@@ -90,7 +90,7 @@ def small_forces(program: Program, knots: Knots) -> Iterator[Issue]:
         yield program.motions.issue("warning", "force-unit", message, knots.motion[row : row + 1])
 
 
-def _notes(program: Program) -> Ints:
+def _note_of_motion(program: Program) -> Ints:
     """Return the force comment (M,) that holds on each motion, as index of `Program.notes`; −1 before the first."""
     first = [note.before for note in program.notes]
     if min(first, default=0) < 0:
@@ -99,7 +99,7 @@ def _notes(program: Program) -> Ints:
 
 
 def _has_force(knots: Knots, count: int) -> Bools:
-    """Return which motions (count,) have a force other than zero."""
+    """Return which of the `count` motions of a program (count,) have a knot with a force other than zero."""
     has_force = np.zeros(count, dtype=np.bool_)
     has_force[knots.motion[any_column(knots.wrench != 0.0)]] = True
     return has_force

@@ -46,7 +46,7 @@ class StockInTime(Protocol):
 
     @property
     def accuracy(self) -> float:
-        """By how much the bound is larger than the stock at most [m]."""
+        """Largest distance by which the bound exceeds the stock [m]."""
 
     def mesh(self, motion: int) -> tuple[Array, NDArray[np.int64]]:
         """Return all material when a motion begins: vertices (V, 3) in the robot root [m], faces (F, 3)."""
@@ -88,7 +88,10 @@ class Knots(Columns, frozen=True, eq=False):
     def throughout(
         cls, motion: Ints, wrench: Array, frame: Ints, sigma: Array | None = None, factor: Array | None = None
     ) -> Knots:
-        """Return one wrench (n, 6) for the whole of each motion (n,), ramped at its start."""
+        """Return one wrench (n, 6) for the whole of each motion (n,), ramped at its start.
+
+        :param sigma: (n, 6) standard deviations, `factor` (n,) of one factor, see `Knots`; None: zero.
+        """
         return replace(
             cls.along(motion, np.ones(len(motion)), wrench, frame, sigma, factor),
             ramped=np.broadcast_to(np.True_, len(motion)),
@@ -104,7 +107,7 @@ class Knots(Columns, frozen=True, eq=False):
         sigma: Array | None = None,
         factor: Array | None = None,
     ) -> Knots:
-        """Return wrenches (n, 6) at places of motions, without a ramp."""
+        """Return wrenches (n, 6) at places (motion, t), in order, without a ramp; other parameters as of `Knots`."""
         sigma = np.broadcast_to(0.0, np.shape(wrench)) if sigma is None else sigma
         factor = constant(0.0, len(motion)) if factor is None else factor
         return cls(motion, t, wrench, frame, sigma, factor, np.zeros(len(motion), dtype=np.bool_))
@@ -126,15 +129,26 @@ class Knots(Columns, frozen=True, eq=False):
         :raises ForceError: knots are not in order, name a motion that the program does not have, are not finite or
             too large, or have several frames on one motion.
         """
-        count, shapes = (
-            len(self.motion),
-            [np.shape(getattr(self, array)) for array in ("t", "frame", "ramped", "factor")],
-        )
+        count = len(self.motion)
+        shapes = [np.shape(array) for array in (self.t, self.frame, self.ramped, self.factor)]
         if shapes != [(count,)] * 4 or [np.shape(array) for array in (self.wrench, self.sigma)] != [(count, 6)] * 2:
             raise ForceError(f"the arrays of the source of forces {name} do not have one row per knot")
+        for is_invalid, problem in self._faults(len(program.motions)):
+            if np.any(is_invalid):
+                motion = int(self.motion[int(np.argmax(is_invalid))])
+                line = int(program.motions.line[motion]) if 0 <= motion < len(program.motions) else None
+                text = f"the source of forces {name} gives {problem}"
+                raise ForceError(text, file=program.documents[0].name, line=line, advice="Report this to its author.")
+        return self
+
+    def _faults(self, motion_count: int) -> tuple[tuple[Bools, str], ...]:
+        """Return the possible faults of knots: where each is, (K,) or (K − 1,) True, and its description.
+
+        :param motion_count: number of motions of the program.
+        """
         same_motion = np.diff(self.motion) == 0
-        for is_invalid, problem in (
-            ((self.motion < 0) | (self.motion >= len(program.motions)), "a motion that does not exist"),
+        return (
+            ((self.motion < 0) | (self.motion >= motion_count), "a motion that does not exist"),
             (~((self.t >= 0.0) & (self.t <= 1.0)), "a place outside a motion (t in 0…1)"),
             (
                 any_column(~(np.abs(self.wrench) <= MOST_FORCE)),
@@ -153,13 +167,7 @@ class Knots(Columns, frozen=True, eq=False):
                 np.append(same_motion & (self.ramped[1:] | self.ramped[:-1]), False),
                 "a ramped motion with several knots",
             ),
-        ):
-            if np.any(is_invalid):
-                motion = int(self.motion[int(np.argmax(is_invalid))])
-                line = int(program.motions.line[motion]) if 0 <= motion < len(program.motions) else None
-                text = f"the source of forces {name} gives {problem}"
-                raise ForceError(text, file=program.documents[0].name, line=line, advice="Report this to its author.")
-        return self
+        )
 
 
 class ForceSource(Protocol):
@@ -212,7 +220,10 @@ def read(path: Path) -> ForceSource:
 
 
 def _read_by(entry: EntryPoint, path: Path) -> ForceSource:
-    """Read a file with the reader of another package; errors name that package."""
+    """Read a file with the reader of another package; errors name that package.
+
+    :raises ForceError: the reader fails in any way. Errors of the `PostprocError` family pass unchanged.
+    """
     package = entry.dist.name if entry.dist is not None else entry.value
     try:
         source: ForceSource = entry.load()(path)

@@ -34,7 +34,7 @@ _SIGMAS = tuple(f"s{name}" for name in WRENCH)
 _PERCENT = ("sigma_percent", "factor_percent")
 _OPTIONAL = (*WRENCH[3:], "frame", "line_end", "t", *_SIGMAS, *_PERCENT)
 _MOST_LINES = 1e9
-"""Line numbers beyond it are another quantity in the wrong column; they fit int32."""
+"""Line numbers beyond it are another quantity in the wrong column (assumed); they fit int32."""
 _LISTED_LINES = 5
 """Lines that a message names; three dots stand for the others."""
 
@@ -79,12 +79,13 @@ class ForceTable(Struct, frozen=True, eq=False):
             if np.any(self.wrench[(self.first <= call.line) & (call.line <= self.last)]):
                 raise call.error
         self._check_rows(program)
+        # rows of one first line are a block: its rows are the knots of each motion that starts on its lines
         begins = np.flatnonzero(np.diff(self.first, prepend=-1))
         line, number = program.motions.line, np.diff(np.append(begins, len(self.row)))
         block = np.searchsorted(self.first[begins], line, side="right") - 1
         rapid = program.motions.rapid
-        carries = ~rapid | ~np.isin(line, line[~rapid])
-        motion = np.flatnonzero((block >= 0) & (line <= self.last[begins[block]]) & carries)
+        has_knots = ~rapid | ~np.isin(line, line[~rapid])
+        motion = np.flatnonzero((block >= 0) & (line <= self.last[begins[block]]) & has_knots)
         count = number[block[motion]]
         index = ragged_range(count)
         row = np.repeat(begins[block[motion]], count) + index
@@ -109,9 +110,9 @@ class ForceTable(Struct, frozen=True, eq=False):
     def _check_rows(self, program: Program) -> None:
         """Check that every row names at least one line on which a motion starts."""
         lines = np.sort(np.concatenate([program.motions.line, program.still]))
-        empty = np.searchsorted(lines, self.first, side="left") == np.searchsorted(lines, self.last, side="right")
-        if empty.any():
-            first, row = (values[empty].tolist() for values in (self.first, self.row))
+        is_empty = np.searchsorted(lines, self.first, side="left") == np.searchsorted(lines, self.last, side="right")
+        if is_empty.any():
+            first, row = (values[is_empty].tolist() for values in (self.first, self.row))
             line_list = ", ".join(str(line) for line in first[1 : 1 + _LISTED_LINES])
             line_list += ", …" if len(first) > 1 + _LISTED_LINES else ""
             suffix = f", nor on {line_list}: {len(first)} rows of {len(self.row)}"
@@ -155,30 +156,39 @@ def read_force_csv(path: Path) -> ForceTable:
 
 
 class _Columns(Struct, frozen=True, eq=False):
-    """Columns of a force CSV as read. Each method checks some of them and adds errors to `wrong`."""
+    """The R rows of a force CSV by column, as read. Each method checks some columns and adds errors to `errors`.
+
+    :param row: (R,) line of each row in the file.
+    :param numbers: columns (R,) of numbers by header; NaN for an empty cell.
+    :param frames: the column `frame`; empty without it.
+    """
 
     file: str
     row: Ints
     numbers: dict[str, Array]
     frames: Sequence[str]
-    wrong: list[ForceError]
+    errors: list[ForceError]
 
     def lines(self) -> tuple[Array, Array, Bools]:
-        """Return first and last line of each row (n,), and (n,) True where they are valid."""
+        """Return the first and the last source line of each row (R,), and (R,) True where both are valid."""
         first = self.numbers["line"]
         last = self.numbers.get("line_end", first)
         last = np.where(np.isnan(last), first, last)
         usable = np.ones(len(first), dtype=np.bool_)
-        for label, column, new in (("line", first, True), ("line_end", last, last != first)):
+        # a fault of `line` is not reported again as one of the `line_end` that is copied from it
+        for label, column, is_separate in (("line", first, True), ("line_end", last, last != first)):
             is_invalid = (column != np.floor(column)) | ~((column >= 1.0) & (column <= _MOST_LINES))
-            is_new_fault = is_invalid & new & np.isfinite(column)
+            is_new_fault = is_invalid & is_separate & np.isfinite(column)
             self.check(is_new_fault, f"{label} is {{:g}}", column, "Give a line number of the program, counted from 1.")
             usable &= ~is_invalid
         self.check(usable & (last < first), "line_end is before line", last)
         return first, last, usable
 
     def wrench(self) -> tuple[Array, Array, Array]:
-        """Return wrenches and their standard deviations, both (n, 6), and those (n,) of one factor."""
+        """Return wrenches and their standard deviations, both (R, 6) [N, N·m], and the deviations (R,) of one factor.
+
+        Percentages give the deviation of all six components; a column of one component replaces it.
+        """
         wrench, sigma = np.zeros((len(self.row), 6)), np.zeros((len(self.row), 6))
         for index, name in enumerate(WRENCH):
             if name in self.numbers:
@@ -209,15 +219,15 @@ class _Columns(Struct, frozen=True, eq=False):
         return wrench, sigma, factor
 
     def frame(self) -> Ints:
-        """Return the frames (n,)."""
+        """Return the frames (R,) as indices in `FORCE_FRAMES`; BASE where none is given, −1 for unknown ones."""
         names = [name.upper() or "BASE" for name in self.frames] or ["BASE"] * len(self.row)
-        code: dict[str, int] = {name: place for place, name in enumerate(FORCE_FRAMES)}
-        frame = np.array([code.get(name, -1) for name in names], dtype=np.int64)
+        code_of: dict[str, int] = {name: code for code, name in enumerate(FORCE_FRAMES)}
+        frame = np.array([code_of.get(name, -1) for name in names], dtype=np.int64)
         self.check(frame < 0, "unknown frame {!r}", names, valid=FORCE_FRAMES)
         return frame
 
     def places(self) -> Array:
-        """Return positions along the moves (n,); NaN where a row applies to the whole move."""
+        """Return positions along the moves (R,) in [0, 1]; NaN where a row applies to the whole move."""
         t = self.numbers.get("t", np.full(len(self.row), np.nan))
         advice = "Give a position along the move: 0 at its start, 1 at its end."
         self.check(~((t >= 0.0) & (t <= 1.0) | np.isnan(t)), "t is {:g}", t, advice)
@@ -226,10 +236,10 @@ class _Columns(Struct, frozen=True, eq=False):
     def check_order(self, order: Ints, values: tuple[Ints, Ints, Array, Ints], usable: Bools) -> None:
         """Check that rows of one line are in order of t and have one frame, and that no other rows share a line.
 
-        A row is compared with the one before it, after sorting by `order` (n,).
+        A row is compared with the one before it, after sorting by `order` (R,).
 
-        :param values: first line, last line, t and frame of each row (n,).
-        :param usable: (n,) False for rows with other faults, which are not reported again.
+        :param values: first line, last line, t and frame of each row (R,).
+        :param usable: (R,) False for rows with other faults, which are not reported again.
         """
         begin, end, t, frame = (column[order] for column in values)
         usable, rank = usable[order], np.argsort(order)  # the rank of each row of the file
@@ -247,17 +257,22 @@ class _Columns(Struct, frozen=True, eq=False):
 
     def check(
         self,
-        wrong: Bools,
+        is_wrong: Bools,
         problem: str,
         values: Sequence[object] | Array,
         advice: str | None = None,
         valid: Sequence[str] = (),
     ) -> None:
-        """Add an error for each wrong row; `valid` are the names that the value may be."""
-        for place in np.flatnonzero(wrong)[: MAX_ERRORS + 1].tolist():
-            text = problem.format(values[place])
-            row_advice = choices(str(values[place]), valid, "Valid frames") if valid else advice
-            self.wrong.append(ForceError(text, file=self.file, line=int(self.row[place]), advice=row_advice))
+        """Add an error for each wrong row, up to one more than are shown.
+
+        :param is_wrong: (R,) True for those rows.
+        :param problem: format of the message, with one field for the value (R,) of the row.
+        :param valid: names that the value may be, for the advice.
+        """
+        for index in np.flatnonzero(is_wrong)[: MAX_ERRORS + 1].tolist():
+            text = problem.format(values[index])
+            row_advice = choices(str(values[index]), valid, "Valid frames") if valid else advice
+            self.errors.append(ForceError(text, file=self.file, line=int(self.row[index]), advice=row_advice))
 
 
 _NOT_NEGATIVE = "Give a standard deviation, 0 or larger, in newtons, newton metres or percent."
@@ -281,7 +296,7 @@ def target_forces(forces: PathForces, targets: Targets, arrive: Array, wrench: R
     :param arrive: (K, 3) direction of travel at the end of each piece, `$BASE`; (0, 3) without forces in FEED axes.
     :param wrench: (K, 6) wrench that acts there [N, N·m], `$BASE` axes.
     """
-    frame = np.where(any_column(wrench.values != 0.0)[wrench.run], _frame(forces, targets), BASE)
+    frame = np.where(any_column(wrench.values != 0.0)[wrench.run], _piece_frames(forces, targets), BASE)
     if (frame == BASE).all():
         return TargetForces(wrench, frame)
     values = wrench[:]
@@ -292,8 +307,8 @@ def target_forces(forces: PathForces, targets: Targets, arrive: Array, wrench: R
             axes, is_defined = axes_of_travel(axes, arrive[rows], forces.axes.spindle)
             frame[rows[~is_defined]] = BASE
             rows, axes = rows[is_defined], axes[is_defined]
-        for half in (slice(0, 3), slice(3, 6)):
-            values[rows, half] = np.einsum("nji,nj->ni", axes, values[rows, half])
+        for components in (slice(0, 3), slice(3, 6)):
+            values[rows, components] = np.einsum("nji,nj->ni", axes, values[rows, components])
     return TargetForces(Runs.of(values), frame)
 
 
@@ -307,24 +322,24 @@ def piece_knots(forces: PathForces, targets: Targets, at_end: TargetForces, outp
     :returns: knots; `motion` is here the row of the target at the end of the piece, and t the place on the piece.
     """
     has_ramp = forces.ramped[targets.motion]
-    target, share = _places(forces, targets)
-    whole = has_ramp[target]
-    frame = np.where(whole, at_end.frame[target], _frame(forces, targets)[target])
+    target, share = _knot_places(forces, targets)
+    is_whole = has_ramp[target]
+    frame = np.where(is_whole, at_end.frame[target], _piece_frames(forces, targets)[target])
     begin, end = targets.begin(target), targets.t[target]
     program, path = forces.axes.program, forces.axes.path
     nominal = at(program, path, targets.motion[target], np.where(share == 1.0, end, begin + share * (end - begin)))
     output_place = at(output_axes.program, output_axes.path, row[target], share)
     wrench = output_axes.out_of_base(forces.at(nominal).reshape(-1, 2, 3, 1), frame, output_place).reshape(-1, 6)
-    wrench[whole] = at_end.wrench[target[whole]]
+    wrench[is_whole] = at_end.wrench[target[is_whole]]
     spread = forces.spread_at(nominal)
     sigma = np.zeros_like(wrench)
     if spread is not None:
         sigma = norm(output_axes.out_of_base(spread, frame, output_place)).reshape(-1, 6)
-    return _merge_knots(Knots(target, share, wrench, frame, sigma, forces.factor_at(nominal), whole))
+    return _merge_knots(Knots(target, share, wrench, frame, sigma, forces.factor_at(nominal), is_whole))
 
 
 def once_a_line(knots: Knots, line: Ints) -> tuple[Knots, Ints]:
-    """Return the knots of one pass of each line, by line, and rows of targets of which other passes have other forces.
+    """Return the knots of one pass of each line, in order of lines, and targets (n,) whose force differs from it.
 
     A line is passed several times in loops; a force file has one force for all of its passes.
 
@@ -332,60 +347,62 @@ def once_a_line(knots: Knots, line: Ints) -> tuple[Knots, Ints]:
     :param line: (K,) line of each target in the written program.
     """
     target, begin, count = np.unique(knots.motion, return_index=True, return_counts=True)
-    _, first, of = np.unique(line[target], return_index=True, return_inverse=True)
-    differ = []
-    for k in np.flatnonzero(first[of] != np.arange(len(target))).tolist():
-        first_pass = first[of[k]]
+    _, first, line_of_target = np.unique(line[target], return_index=True, return_inverse=True)
+    differing_targets = []
+    for k in np.flatnonzero(first[line_of_target] != np.arange(len(target))).tolist():
+        first_pass = first[line_of_target[k]]
         is_same = count[k] == count[first_pass]
         if is_same:
-            a, b = (slice(begin[i], begin[i] + count[i]) for i in (k, first_pass))
-            is_same = bool((knots.frame[a] == knots.frame[b]).all())
+            pass_rows, first_rows = (slice(begin[i], begin[i] + count[i]) for i in (k, first_pass))
+            is_same = bool((knots.frame[pass_rows] == knots.frame[first_rows]).all())
             for values, tolerance in (
                 (knots.t, _SAME_PLACE), (knots.wrench, _SAME_FORCE),
                 (knots.sigma, _SAME_FORCE), (knots.factor, _SAME_PLACE),
             ):  # fmt: skip
-                is_same &= bool(np.abs(values[a] - values[b]).max() <= tolerance)
+                is_same &= bool(np.abs(values[pass_rows] - values[first_rows]).max() <= tolerance)
         if not is_same:
-            differ.append(target[k])
+            differing_targets.append(target[k])
     knot_rows = np.flatnonzero(np.isin(knots.motion, target[first]))
     return knots.take(knot_rows[np.argsort(line[knots.motion[knot_rows]], kind="stable")]), np.array(
-        differ, dtype=np.int64
+        differing_targets, dtype=np.int64
     )
 
 
-def _places(forces: PathForces, targets: Targets) -> tuple[Ints, Array]:
-    """Return the places on the pieces where the force is given: row of the target (p,) and position on its piece.
+def _knot_places(forces: PathForces, targets: Targets) -> tuple[Ints, Array]:
+    """Return the p places on pieces where the force is given: row of the target (p,) and position (p,) on its piece.
 
     That is the end of the piece if the force is ramped, else its start, its end and the knots between.
     """
     begin, end = targets.begin(np.arange(len(targets))), targets.t
+    # motion + t is one increasing key: knots from `low` to `high` (exclusive) are inside the piece
     low = np.searchsorted(forces.place, targets.motion + begin + _SAME_PLACE)
     high = np.maximum(np.searchsorted(forces.place, targets.motion + end - _SAME_PLACE), low)
     count = np.where(forces.ramped[targets.motion], 1, high - low + 2)
     target = np.repeat(np.arange(len(targets)), count)
     index = ragged_range(count)
-    last = index == count[target] - 1
-    knot = np.where(last | (index == 0), 0, low[target] + index - 1)
+    is_last = index == count[target] - 1
+    # start and end of a piece need no knot: knot 0 is a placeholder, whose share is not used
+    knot = np.where(is_last | (index == 0), 0, low[target] + index - 1)
     share = (forces.t[knot] - begin[target]) / (end - begin)[target]
-    return target, np.where(last, 1.0, np.where(index == 0, 0.0, share))
+    return target, np.where(is_last, 1.0, np.where(index == 0, 0.0, share))
 
 
 def _merge_knots(knots: Knots) -> Knots:
-    """Return fewer knots: of a piece with constant force only the last one."""
+    """Return the knots (n,) of pieces with changing force, and the last one of pieces with constant force."""
     last = np.flatnonzero(np.diff(knots.motion, append=-1) != 0)
-    end = last[np.searchsorted(last, np.arange(len(knots)))]
+    last_knot = last[np.searchsorted(last, np.arange(len(knots)))]
     columns = np.hstack([knots.wrench, knots.sigma, knots.factor[:, None]])
-    differs = largest(columns - columns[end]) > _NO_CHANGE
-    changes = np.zeros(len(knots), dtype=np.bool_)
-    changes[end[differs]] = True
-    keep = changes[end]
-    keep[last] = True
-    return knots.take(keep)
+    differs = largest(columns - columns[last_knot]) > _NO_CHANGE
+    has_change = np.zeros(len(knots), dtype=np.bool_)
+    has_change[last_knot[differs]] = True
+    is_kept = has_change[last_knot]
+    is_kept[last] = True
+    return knots.take(is_kept)
 
 
-def _frame(forces: PathForces, targets: Targets) -> Ints:
-    """Return the frame in which the force on each piece (K,) is constant or changes linearly."""
+def _piece_frames(forces: PathForces, targets: Targets) -> Ints:
+    """Return the frame (K,) in which the force on each piece is constant or changes linearly."""
     frame, turn = forces.frame[targets.motion], forces.axes.path.turn[targets.motion]
-    turns = turn > TURNS
-    turning = (frame == FEED) & ((targets.kind == CIRC) | turns) | (frame == TOOL) & turns
-    return np.where(turning, frame, BASE)
+    turns_tool = turn > TURNS
+    keeps_frame = (frame == FEED) & ((targets.kind == CIRC) | turns_tool) | (frame == TOOL) & turns_tool
+    return np.where(keeps_frame, frame, BASE)

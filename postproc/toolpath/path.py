@@ -94,7 +94,7 @@ class Arcs(Struct, frozen=True, eq=False):
     sweep: Array
 
     def position(self, motion: Ints, t: Array) -> Array:
-        """Return the positions (n, 3) at places (motion, t)."""
+        """Return the positions (n, 3) at places (motion, t) [m]."""
         arc = np.searchsorted(self.motion, motion)
         (sine, cosine), scale = sine_and_cosine(self.sweep[arc] * t), 1.0 + self.growth[arc] * t
         point = self.centre.take(arc, axis=0)  # `take` of rows is several times faster than an index
@@ -103,7 +103,7 @@ class Arcs(Struct, frozen=True, eq=False):
         return point
 
     def velocity(self, motion: Ints, t: Array) -> Array:
-        """Return the derivatives (n, 3) of the positions by t."""
+        """Return the derivatives (n, 3) of the positions by t at places (motion, t) [m]."""
         arc = np.searchsorted(self.motion, motion)
         angle, scale, growth = self.sweep[arc] * t, 1.0 + self.growth[arc] * t, self.growth[arc]
         (sin, cos), turning = sine_and_cosine(angle), self.sweep[arc] * scale
@@ -157,6 +157,7 @@ def segments(program: Program, start_flange_in_root: Array) -> Segments:
     start = starts(program, m.target.__getitem__, start_flange_in_root)
 
     def chord(rows: Ints) -> tuple[Array, Array]:
+        """Return distance (n,) [m] and angle (n,) [rad] between the poses at start and end of motions (n,)."""
         begin, end = start.at(rows), m.target.take(rows)
         return norm(end.position - begin[:, :3, 3]), angle_between(begin[:, :3, :3], end.rotation)
 
@@ -168,8 +169,9 @@ def segments(program: Program, start_flange_in_root: Array) -> Segments:
     if program.with_path is not None:
         turn = turn.copy()
         rows = np.flatnonzero(program.with_path)
-        relative = _turn_back(program, rows, m.sweep[rows], m.target[rows, :3, :3])
-        turn[rows] = m.sweep[rows] + angle_between(start.at(rows)[:, :3, :3], relative)
+        orientation_from_path = _turn_back(program, rows, m.sweep[rows], m.target[rows, :3, :3])
+        # the turn of the path and that relative to it: their sum is an upper bound
+        turn[rows] = m.sweep[rows] + angle_between(start.at(rows)[:, :3, :3], orientation_from_path)
     arcs = _arcs(program, start)
     length[arcs.motion] = np.hypot(norm(arcs.radial) * arcs.sweep, norm(arcs.climb))
     length[m.kind == PTP] = 0.0
@@ -178,10 +180,14 @@ def segments(program: Program, start_flange_in_root: Array) -> Segments:
 
 
 def _arcs(program: Program, start: Starts) -> Arcs:
-    """Return the arcs of a program as helices about their axes, with the centre at the height of the start."""
+    """Return the A arcs of a program as helices about their axes, each in `$BASE` of its motion [m].
+
+    :param start: tool frames where the motions start.
+    """
     m = program.motions
     motion = np.flatnonzero(m.kind == CIRC)
     begin, end, normal = start.at(motion)[:, :3, 3], m.target[motion, :3, 3], m.normal[motion]
+    # the programmed centre may be anywhere on the axis; `Arcs` needs the one at the height of the start
     height = np.einsum("ni,ni->n", begin - m.centre[motion], normal)[:, None] * normal
     climb = np.einsum("ni,ni->n", end - begin, normal)[:, None] * normal
     centre = m.centre[motion] + height
@@ -191,7 +197,7 @@ def _arcs(program: Program, start: Starts) -> Arcs:
 
 
 def at(program: Program, path: Segments, motion: Ints, t: Array) -> Toolpath:
-    """Return the nominal path at places (motion, t).
+    """Return the nominal path at n places: motion (n,), t (n,) in [0, 1].
 
     LIN: position linear, orientation by one rotation, or as rotary axes or the wrist turn (`Program.turning`). CIRC:
     rotation about the arc's axis with a linear rise, the orientation as for LIN, or so as seen from the path
@@ -200,9 +206,9 @@ def at(program: Program, path: Segments, motion: Ints, t: Array) -> Toolpath:
     """
     m = program.motions
     pose = m.target.take(motion)
-    inner = np.flatnonzero((t < 1.0) & (m.kind[motion] != PTP))
-    turn = path.turn[motion[inner]]
-    small_turn, turning = inner[(turn > 0.0) & (turn < _LEAST_TURN)], inner[turn >= _LEAST_TURN]
+    inner_rows = np.flatnonzero((t < 1.0) & (m.kind[motion] != PTP))
+    turn = path.turn[motion[inner_rows]]
+    small_turn, turning = inner_rows[(turn > 0.0) & (turn < _LEAST_TURN)], inner_rows[turn >= _LEAST_TURN]
     rotation = pose.rotation
     if pose.is_fixed and len(small_turn) + len(turning):
         rotation = rotation.copy()
@@ -210,21 +216,21 @@ def at(program: Program, path: Segments, motion: Ints, t: Array) -> Toolpath:
         start_rotation, end_rotation = path.start.at(motion[small_turn])[:, :3, :3], rotation[small_turn]
         rotation[small_turn] = end_rotation + (1.0 - t[small_turn])[:, None, None] * (start_rotation - end_rotation)
     if program.turning is not None:
-        active = program.turning.active[motion[turning]]
-        swivel_rows, turning = turning[active], turning[~active]
+        is_swivel = program.turning.active[motion[turning]]
+        swivel_rows, turning = turning[is_swivel], turning[~is_swivel]
         rotation[swivel_rows] = program.turning.at(motion[swivel_rows], t[swivel_rows])
     if program.with_path is not None:
         is_led = program.with_path[motion[turning]]
-        with_path, turning = turning[is_led], turning[~is_led]
-        rotation[with_path] = _arc_orientations(program, path, motion[with_path], t[with_path])
+        led_rows, turning = turning[is_led], turning[~is_led]
+        rotation[led_rows] = _arc_orientations(program, path, motion[led_rows], t[led_rows])
     if len(turning):
         rows = motion[turning]
         rotation[turning] = interpolate(path.start.at(rows), m.target[rows], t[turning])[:, :3, :3]
-    _place(program, path, motion, t, pose.position)
-    axes = _axis_interpolated_rows(program, path, motion, t)
-    if path.joint_moves is not None and len(axes):
+    _move_to_places(program, path, motion, t, pose.position)
+    joint_move_rows = _axis_interpolated_rows(program, path, motion, t)
+    if path.joint_moves is not None and len(joint_move_rows):
         rotation = rotation.copy() if pose.is_fixed else rotation
-        rotation[axes] = path.joint_moves.at(motion[axes], t[axes])[:, :3, :3]
+        rotation[joint_move_rows] = path.joint_moves.at(motion[joint_move_rows], t[joint_move_rows])[:, :3, :3]
     return Toolpath(motion, t, Poses(pose.position, rotation), path.length[motion] * t)
 
 
@@ -236,39 +242,42 @@ def _axis_interpolated_rows(program: Program, path: Segments, motion: Ints, t: A
 
 
 def _arc_orientations(program: Program, path: Segments, rows: Ints, t: Array) -> Array:
-    """Return the orientations (n, 3, 3) on arcs with which the tool turns."""
+    """Return the orientations (n, 3, 3) at places (rows, t) of arcs with which the tool turns, `$BASE`."""
     m = program.motions
     end = m.target[rows]
     end[:, :3, :3] = _turn_back(program, rows, m.sweep[rows], end[:, :3, :3])
-    relative = interpolate(path.start.at(rows), end, t)[:, :3, :3]
-    return _turn_back(program, rows, -t * m.sweep[rows], relative)
+    orientation_from_path = interpolate(path.start.at(rows), end, t)[:, :3, :3]
+    return _turn_back(program, rows, -t * m.sweep[rows], orientation_from_path)
 
 
 def _turn_back(program: Program, rows: Ints, angle: Array, orientation: Array) -> Array:
-    """Return orientations (n, 3, 3) turned back by angles (n,) about the axes of arcs (n,)."""
+    """Return orientations (n, 3, 3) turned back by angles (n,) [rad] about the axes of arcs, rows (n,) of `Motions`."""
     return np.asarray(rotation_from_vector(-angle[:, None] * program.motions.normal[rows]) @ orientation)
 
 
 def positions(program: Program, path: Segments, motion: Ints, t: Array) -> Array:
-    """Return where the TCP is nominally (n, 3) at places (motion, t), as `at`."""
+    """Return the nominal positions (n, 3) of the TCP in `$BASE` [m] at places (motion, t), as `at`."""
     position = program.motions.target.position[motion]
-    _place(program, path, motion, t, position)
+    _move_to_places(program, path, motion, t, position)
     return position
 
 
-def _place(program: Program, path: Segments, motion: Ints, t: Array, spot: Array) -> None:
-    """Move the ends of motions (n, 3) back to places (motion, t)."""
-    inner = np.flatnonzero(t < 1.0)
-    kind = program.motions.kind[motion[inner]]
-    lines, arcs = inner[(kind == LIN) | (kind == SPL)], inner[kind == CIRC]
+def _move_to_places(program: Program, path: Segments, motion: Ints, t: Array, position: Array) -> None:
+    """Move positions (n, 3) [m] from the ends of motions to places (motion, t), in place.
+
+    Before the end of a PTP without a known path, positions stay at its end.
+    """
+    inner_rows = np.flatnonzero(t < 1.0)
+    kind = program.motions.kind[motion[inner_rows]]
+    lines, arcs = inner_rows[(kind == LIN) | (kind == SPL)], inner_rows[kind == CIRC]
     if len(lines):
         begin = path.begin(motion[lines])
-        spot[lines] = begin + t[lines, None] * (spot[lines] - begin)
+        position[lines] = begin + t[lines, None] * (position[lines] - begin)
     if len(arcs):
-        spot[arcs] = path.arcs.position(motion[arcs], t[arcs])
-    axes = _axis_interpolated_rows(program, path, motion, t)
-    if path.joint_moves is not None and len(axes):
-        spot[axes] = path.joint_moves.at(motion[axes], t[axes])[:, :3, 3]
+        position[arcs] = path.arcs.position(motion[arcs], t[arcs])
+    joint_move_rows = _axis_interpolated_rows(program, path, motion, t)
+    if path.joint_moves is not None and len(joint_move_rows):
+        position[joint_move_rows] = path.joint_moves.at(motion[joint_move_rows], t[joint_move_rows])[:, :3, 3]
 
 
 def tangent(program: Program, path: Segments, motion: Ints, t: Array) -> Array:
@@ -289,8 +298,7 @@ def tangent(program: Program, path: Segments, motion: Ints, t: Array) -> Array:
 def continues(program: Program, path: Segments) -> Bools:
     """Return which motions (M,) continue the line or the arc before: where they begin is no corner.
 
-    A helix may be divided into arcs in planes of their own: arcs need about the same radius and axis. Both motions have
-    the same `$BASE` and `$TOOL`, turn the tool by as much per length, and are both rapid or not.
+    Both motions have the same `$BASE` and `$TOOL`, turn the tool by as much per length, and are both rapid or not.
     """
     m = program.motions
     is_continued = np.zeros(len(m), dtype=bool)
@@ -300,30 +308,40 @@ def continues(program: Program, path: Segments) -> Bools:
     if program.after is not None:
         smooth &= program.after[1:] == np.arange(len(m) - 1)
     lines, arcs = (np.flatnonzero(smooth & (m.kind[1:] == kind)) for kind in (LIN, CIRC))
+    is_continued[lines + 1] = _is_line_continued(program, path, lines)
+    is_continued[arcs + 1] = _is_arc_continued(program, path, arcs)
+    return is_continued
+
+
+def _is_line_continued(program: Program, path: Segments, lines: Ints) -> Bools:
+    """Return which lines (n,), rows of `Motions`, go straight on in the line that follows each."""
+    m = program.motions
     begin, corner, end = path.begin(lines), m.target[lines, :3, 3], m.target[lines + 1, :3, 3]
-    # lines: the corner is on the chord of both, and travel goes on in the same direction
     chord = end - begin
     corner_distance = norm(np.cross(corner - begin, chord)) / np.maximum(norm(chord), _SAME_LINE)
-    is_continued[lines + 1] = (corner_distance < _SAME_LINE) & (
-        np.einsum("ni,ni->n", corner - begin, end - corner) > 0.0
-    )
+    return np.asarray((corner_distance < _SAME_LINE) & (np.einsum("ni,ni->n", corner - begin, end - corner) > 0.0))
+
+
+def _is_arc_continued(program: Program, path: Segments, arcs: Ints) -> Bools:
+    """Return which arcs (n,), rows of `Motions`, go on in the arc that follows each: tangent, axis and radius agree.
+
+    They agree roughly only: a helix may be divided into arcs, each in a plane of its own.
+    """
+    m = program.motions
     end_tangent = tangent(program, path, arcs, np.ones(len(arcs)))
     start_tangent = tangent(program, path, arcs + 1, np.zeros(len(arcs)))
     radius, next_radius = (norm(path.arcs.radial[np.searchsorted(path.arcs.motion, rows)]) for rows in (arcs, arcs + 1))
     is_same_arc = (np.einsum("ni,ni->n", end_tangent, start_tangent) > np.cos(_SAME_TANGENT)) & (
         np.abs(next_radius - radius) < _SAME_RADIUS * radius
     )
-    is_continued[arcs + 1] = is_same_arc & (
-        np.einsum("ni,ni->n", m.normal[arcs], m.normal[arcs + 1]) > np.cos(_SAME_AXIS)
-    )
-    return is_continued
+    return np.asarray(is_same_arc & (np.einsum("ni,ni->n", m.normal[arcs], m.normal[arcs + 1]) > np.cos(_SAME_AXIS)))
 
 
 def circle_through(a: Array, b: Array, c: Array) -> tuple[Array, Array, Array, Array]:
-    """Return the arcs from a through b to c (each (n, 3)).
+    """Return the arcs from points a through b to c, each (n, 3) in one frame and unit of length.
 
-    :returns: centre (n, 3), radius vector to a (n, 3), the vector square to it in the direction of travel (n, 3), and
-        the angle from a to c (n,) in (0, 2π). Points on one line have none: their radius is zero.
+    :returns: centre (n, 3); vector from it to a (n, 3); the same turned by 90° in the direction of travel (n, 3); angle
+        from a to c (n,) in (0, 2π) [rad]. Points on one line give centre a and vectors of zero.
     """
     ab, ac = b - a, c - a
     normal = np.cross(ab, ac)
@@ -342,7 +360,8 @@ def circle_through(a: Array, b: Array, c: Array) -> tuple[Array, Array, Array, A
 
 
 Place = Array | float | None
-"""Where on their motions, in (0, 1], (n,) or all of them: where a carriage has brought the robot; None: it is at 0."""
+"""Places t on motions in (0, 1], (n,) or one for all, for which the position of the linear axis is used; None: it is at
+0."""
 
 
 def tool_of(program: Program, motion: Ints) -> Array:
@@ -356,22 +375,22 @@ def base_of(program: Program, motion: Ints) -> Array:
 
 
 def _frames_of_rows(frames: Array, row: Ints) -> Array:
-    """Return rows of frames (k, 4, 4): (4, 4) if there is but one, else (n, 4, 4)."""
+    """Return the frames of rows (n,) of frames (k, 4, 4): (n, 4, 4), or the only one (4, 4), which broadcasts."""
     return np.asarray(frames[0] if len(frames) == 1 else frames.take(row, axis=0))
 
 
 def pose_in_root(program: Program, motion: Ints, pose_in_base: Array, t: Place = 1.0) -> Array:
-    """Return poses (n, 4, 4) in the root of poses in `$BASE` of their motions, at places t on them."""
+    """Return poses in the root (n, 4, 4) [m] of poses (n, 4, 4) in `$BASE` of motions (n,), at places t on them."""
     return _move_by_track(program, motion, t, product(base_of(program, motion), pose_in_base), -1.0)
 
 
 def pose_in_base(program: Program, motion: Ints, pose_in_root: Array, t: Place = 1.0) -> Array:
-    """Return poses (n, 4, 4) in `$BASE` of their motions of poses in the root, at places t on them."""
+    """Return poses in `$BASE` of motions (n,) (n, 4, 4) [m] of poses (n, 4, 4) in the root, at places t on them."""
     return product(inverse(base_of(program, motion)), _move_by_track(program, motion, t, pose_in_root, 1.0))
 
 
 def points_in_base(program: Program, motion: Ints, point_in_root: Array, t: Place = 1.0) -> Array:
-    """Return points (n, 3) in `$BASE` of their motions of points in the root [m], at places t on them."""
+    """Return points in `$BASE` of motions (n,) (n, 3) [m] of points (n, 3) in the root, at places t on them."""
     base = base_of(program, motion)
     if program.carriage is not None and t is not None:
         point_in_root = point_in_root + program.carriage.offset(motion, t)
@@ -380,7 +399,10 @@ def points_in_base(program: Program, motion: Ints, point_in_root: Array, t: Plac
 
 
 def _move_by_track(program: Program, motion: Ints, t: Place, pose: Array, sign: float) -> Array:
-    """Return poses (n, 4, 4) as seen from the robot where its carriage has brought it (`sign` −1), or back (1)."""
+    """Return poses (n, 4, 4) [m] moved by the travel of the linear axis at places (motion, t).
+
+    :param sign: −1: from the axis at 0 to the robot where it is; 1: the inverse.
+    """
     if program.carriage is not None and t is not None:
         pose = pose.copy()
         pose[..., :3, 3] += sign * program.carriage.offset(motion, t)
@@ -388,14 +410,14 @@ def _move_by_track(program: Program, motion: Ints, t: Place, pose: Array, sign: 
 
 
 def wrench_in_root(program: Program, motion: Ints, wrench_in_base: Array) -> Array:
-    """Return wrenches (n, 6) turned from `$BASE` axes to root axes."""
+    """Return wrenches (n, 6) [N, N·m] of motions (n,) rotated from `$BASE` axes to root axes, about the same point."""
     rotation = base_of(program, motion)[..., :3, :3]
     pairs = wrench_in_base.reshape((-1, 3) if rotation.ndim == 2 else (-1, 2, 3))
     return np.asarray(pairs @ np.swapaxes(rotation, -1, -2)).reshape(-1, 6)
 
 
 def directions_in_root(program: Program, motion: Ints, direction_in_base: Array) -> Array:
-    """Return vectors (n, 3) turned from `$BASE` axes to root axes."""
+    """Return vectors (n, 3) of motions (n,) rotated from `$BASE` axes to root axes."""
     return np.asarray(np.einsum("...ij,...j->...i", base_of(program, motion)[..., :3, :3], direction_in_base))
 
 
@@ -405,14 +427,18 @@ def columns_in_root(program: Program, motion: Ints, columns_in_base: Array) -> A
 
 
 def flange_from_tcp(program: Program, motion: Ints, pose_tcp_in_base: Array, t: Place = 1.0) -> Array:
-    """Return flange poses in the root (N, 4, 4) for tool frames in `$BASE` of motions (N,), at places t on them."""
+    """Return flange poses in the root (N, 4, 4) [m] of tool frames (N, 4, 4) in `$BASE` of motions (N,) at places t."""
     from_tool = _frames_of_rows(inverse(program.tools), program.motions.tool[motion])
     pose = product(base_of(program, motion), pose_tcp_in_base, from_tool)
     return _move_by_track(program, motion, t, pose, -1.0)
 
 
 def flange_points(program: Program, motion: Ints, pose_tcp_in_base: Array, point: Array, t: Place = 1.0) -> Array:
-    """Return the position (N, 3) in the root of a point (3,) of the flange frame [m]; else as `flange_from_tcp`."""
+    """Return positions in the root (N, 3) of a point (3,) of the flange frame [m].
+
+    :param motion: (N,) rows of `Motions`, `pose_tcp_in_base` (N, 4, 4) the tool frames in their `$BASE` [m].
+    :param t: places on the motions.
+    """
     m = program.motions
     in_tool = inverse(program.tools) @ np.append(point, 1.0)
     if len(program.bases) == len(program.tools) == 1:

@@ -11,11 +11,11 @@ from postproc.frames import Array, norm
 from postproc.program import Bools
 
 _STRAIGHT = 1e-6
-"""A retract moves aside by less [m]."""
+"""A retract rises by more and moves aside by at most this [m]: the rounding of written coordinates (assumed)."""
 
 
 def retract_motions(ends: Array, up: Array) -> Bools:
-    """Return which motions retract straight up, or follow a retract before the tool comes down again.
+    """Return which motions (M,) retract straight up, or follow a retract before the tool comes down again.
 
     :param ends: (M, 3) ends of all motions [m], in order.
     :param up: unit vector from the part to the spindle, (3,) or (M, 3).

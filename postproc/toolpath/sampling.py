@@ -23,32 +23,32 @@ _STEP = 0.020
 """Spacing of samples [m] for a tolerance of 0.01 mm; it grows with the root of the tolerance (a chord's sagitta)."""
 _REFERENCE_TOLERANCE = 1e-5
 """Tolerance [m] that `_STEP` is for."""
-_TURN = 3.0 * RAD_PER_DEG
+_SAMPLE_ROTATION = 3.0 * RAD_PER_DEG
 """Largest rotation of the tool between samples (assumed)."""
 _LEVER = 0.1
-"""Length of tool [m] along which it must not lean from where its axes hold it by more than the tolerance."""
+"""Length of tool [m] over which an error of its orientation must stay within the tolerance (assumed)."""
 _MOST_SWIVEL = 60.0 * RAD_PER_DEG
-"""Rotary axes turn by at most this on one piece: two rotations of the same ends are then distinct."""
-_LARGEST = 120.0 * RAD_PER_DEG
-"""Pieces of arcs turn by at most this angle: three points then define the circle well."""
+"""Largest turn of rotary axes on one piece: the two rotations between its ends are then distinct (assumed)."""
+_LARGEST_ANGLE = 120.0 * RAD_PER_DEG
+"""Largest angle of a piece of an arc: three points then define the circle well (assumed)."""
 _COARSE_ANGLE = 45.0 * RAD_PER_DEG
 """Pieces at most this large show how many are needed: their error grows with the square of their angle."""
 _TURNING, _GROWING = 0.2, 0.13
 """A circle through three points of an arc misses displacements that turn with the arc by the first times the square of
 its angle [1/rad²], and those that grow along it by the second times its angle [1/rad] (found by trying: of their
 size)."""
-_ARM = 1.0
-"""Length [m] over which the deflection changes by its own size."""
+_DEFLECTION_LENGTH = 1.0
+"""Length [m] over which the deflection changes by its own size: about that of an arm (assumed)."""
 _LEAST_SHARE = 0.1
-"""Of the tolerance, by how much the displacement must change along an arc that is divided where the force bends
+"""Share of the tolerance by which the displacement must change along an arc that is divided at bends of the force
 (assumed)."""
 _CERTAIN = 0.2
-"""Of the tolerance, what a piece may miss by this estimate without being measured (assumed)."""
+"""Share of the tolerance up to which the estimated error of a piece is accepted without being measured (assumed)."""
 
 
 _Row = TypeVar("_Row", bound=np.integer[Any])
 _OFFSET = {"start": 0.0, "middle": 0.5, "end": 1.0, "both ends": 0.0}
-"""Of the first place of a motion or piece, in parts."""
+"""Offset of the first place from the start of a motion or piece, in parts."""
 
 
 def even_places(
@@ -72,7 +72,7 @@ def even_places(
 
 
 def even_parts(length: Array, turn: Array, spacing: float, rotation: float) -> Ints:
-    """Return into how many equal parts (K,) pieces are divided, so that none is longer or turns the tool by more.
+    """Return the least number of equal parts (K,) of pieces that are no longer than, and turn by no more than, limits.
 
     :param length: (K,) [m], `turn` (K,) rotation of the tool [rad].
     :param spacing: largest length of a part [m], `rotation` its largest rotation [rad].
@@ -88,10 +88,10 @@ class DisplacementEstimate(Struct, frozen=True, eq=False):
     :param motion: (K,) row of `Motions` of places where the force is given, in order along the path: all of arcs, of
         other motions those where it bends.
     :param t: (K,) place on it, in [0, 1].
-    :param change: (K,) how much the displacement changes since the place before on the motion [m].
-    :param bends: (K,) True inside a motion where the force does not go straight on.
-    :param turning: (M,) how large the displacement is that turns with the direction of travel [m].
-    :param size: (M,) how large the displacement is at most [m].
+    :param change: (K,) change of the displacement since the previous place on the motion [m].
+    :param bends: (K,) True inside a motion where the rate of the force changes, or the force has a step.
+    :param turning: (M,) size of the displacement that turns with the direction of travel [m].
+    :param size: (M,) largest size of the displacement [m].
     :param swings: (M,) True for arcs that come near the direction of the spindle, where FEED axes turn quickly.
     """
 
@@ -105,16 +105,17 @@ class DisplacementEstimate(Struct, frozen=True, eq=False):
 
 
 class Pieces(Columns, frozen=True, eq=False):
-    """Into how many equal pieces arcs are divided: S stretches of arcs, between the places where the force bends, and
-    wherever more of them are needed than elsewhere.
+    """The division of arcs into equal pieces, by S stretches with a number of pieces each.
+
+    Stretches are bounded by the places where the force bends, and where the number of pieces per length changes.
 
     :param motion: (S,) row of `Motions`, never decreasing.
     :param begin: (S,) place t where the stretch begins, in order along a motion.
     :param end: (S,) place t where it ends.
     :param number: (S,) of pieces.
     :param min_number: (S,) the least number, whatever the force.
-    :param samples: (S,) how many samples the stretch needs, whatever the pieces.
-    :param uncertain: (S,) True where the number is even and yet to be found by what such pieces miss.
+    :param samples: (S,) number of samples that the stretch needs, whatever the pieces.
+    :param uncertain: (S,) True where the number is a first try: even, and to be corrected by the error of such pieces.
     """
 
     motion: Ints
@@ -141,20 +142,24 @@ class Pieces(Columns, frozen=True, eq=False):
         return self.take(np.lexsort((self.begin, self.motion)))
 
     def cut(self, parts: Ints) -> Pieces:
-        """Return the stretches cut into equal parts (S,): by their number of pieces each piece is a stretch."""
+        """Return the stretches cut into equal parts, `parts` (S,) the number of parts of each.
+
+        Pieces are shared out, rounded up: cut into as many parts as it has pieces, each piece becomes a stretch.
+        """
         stretches = self.take(np.repeat(np.arange(len(parts)), parts))
         index = ragged_range(parts)
         parts = np.repeat(parts, parts)
         begin = stretches.begin + (stretches.end - stretches.begin) * (index / parts)
+        # a part ends exactly where the next one begins, the last part exactly where the stretch ends
         end = np.where(index == parts - 1, stretches.end, np.roll(begin, -1))
-        number, min_pieces = -(-stretches.number // parts), -(-stretches.min_number // parts)
+        number, min_pieces = -(-stretches.number // parts), -(-stretches.min_number // parts)  # rounded up
         return Pieces(stretches.motion, begin, end, number, min_pieces, stretches.samples / parts, stretches.uncertain)
 
     def finer(self, motion: Ints, t: Array, parts: Ints) -> Pieces:
         """Return the stretches with those pieces divided on which the path exceeds the tolerance.
 
         :param motion: (n,) rows of `Motions` and t (n,) places on them where it does.
-        :param parts: (n,) into how many the piece there is to be divided.
+        :param parts: (n,) least number of parts of the piece there.
         """
         is_divided = np.zeros(len(self.motion), dtype=bool)
         is_divided[self._at(motion, t)] = True
@@ -164,7 +169,7 @@ class Pieces(Columns, frozen=True, eq=False):
         return stretches.with_enough_pieces(number)
 
     def _at(self, motion: Ints, t: Array) -> Ints:
-        """Return the stretches (n,) on which places lie."""
+        """Return the stretches (n,) on which places (motion, t) are: motion + t is one increasing key."""
         return np.searchsorted(self.motion + self.begin, motion + t) - 1
 
 
@@ -178,7 +183,10 @@ def pieces(
 ) -> Pieces:
     """Return the numbers of pieces with which the subdivision of the arcs begins.
 
-    :param tolerance: what the path may be left by [m].
+    Where the estimated error of the least number of pieces is small that number is final, elsewhere a first try.
+
+    :param tolerance: largest path error [m].
+    :param estimate: the change of the displacement along the motions.
     :param linearize_arcs: pieces are chords that keep half the tolerance.
     """
     arcs = path.arcs
@@ -187,11 +195,11 @@ def pieces(
     share = end - begin
     angle, radius = arcs.sweep[arc] * share, norm(arcs.radial)[arc]
     step = _STEP * np.sqrt(tolerance / _REFERENCE_TOLERANCE)
-    samples = share * np.maximum(path.travel[motion] / step, path.turn[motion] / _TURN)
-    if linearize_arcs:
+    samples = share * np.maximum(path.travel[motion] / step, path.turn[motion] / _SAMPLE_ROTATION)
+    if linearize_arcs:  # the sagitta radius·(angle/n)²/8 of n chords is half the tolerance
         samples = np.maximum(samples, angle * np.sqrt(radius / tolerance) / 2.0)
-    min_pieces = np.maximum(1, np.ceil(angle / _LARGEST - 1e-9).astype(np.int64))
-    turning = estimate.turning[motion] + estimate.size[motion] * radius / _ARM
+    min_pieces = np.maximum(1, np.ceil(angle / _LARGEST_ANGLE - 1e-9).astype(np.int64))
+    turning = estimate.turning[motion] + estimate.size[motion] * radius / _DEFLECTION_LENGTH
     growing = change + share * (
         norm(arcs.climb)[arc] + np.abs(arcs.growth[arc]) * radius + estimate.size[motion] * path.turn[motion]
     )
@@ -211,14 +219,14 @@ def _stretches(arcs: Ints, estimate: DisplacementEstimate, tolerance: float) -> 
     arc_of_row = np.searchsorted(arcs, estimate.motion[rows])
     is_noticeable = np.bincount(arc_of_row, estimate.change[rows], len(arcs)) > _LEAST_SHARE * tolerance
     rows, arc_of_row = rows[is_noticeable[arc_of_row]], arc_of_row[is_noticeable[arc_of_row]]
-    inner = estimate.bends[rows]
-    arc = np.concatenate([np.arange(len(arcs)), arc_of_row[inner]])
-    begin = np.concatenate([np.zeros(len(arcs)), estimate.t[rows[inner]]])
+    is_bend = estimate.bends[rows]
+    arc = np.concatenate([np.arange(len(arcs)), arc_of_row[is_bend]])
+    begin = np.concatenate([np.zeros(len(arcs)), estimate.t[rows[is_bend]]])
     # a stretch ends where the next one of its arc begins, the last one of an arc at t = 1
     order = np.lexsort((begin, arc))
     arc, begin = arc[order], begin[order]
-    last = np.append(np.diff(arc) != 0, np.ones(min(1, len(arc)), dtype=np.bool_))
-    end = np.where(last, 1.0, np.append(begin[1:], 1.0)[: len(arc)])
+    is_last = np.append(np.diff(arc) != 0, np.ones(min(1, len(arc)), dtype=np.bool_))
+    end = np.where(is_last, 1.0, np.append(begin[1:], 1.0)[: len(arc)])
     # arc + t grows along all arcs, since t is in 0 … 1: one search finds the stretch of each knot
     stretch = np.searchsorted(arc + begin, arc_of_row + estimate.t[rows]) - 1
     is_inside = estimate.t[rows] > 0.0
@@ -234,15 +242,18 @@ def places(
     arcs: Pieces,
     extra_places: tuple[Ints, Array] | None = None,
 ) -> tuple[Ints, Array]:
-    """Choose where on the path to compute: every end, middle and end of each piece of an arc, enough places between.
+    """Choose the places at which the path is computed: every end, middle and end of each piece of an arc, and between.
 
-    :param tolerance: what the path may be left by [m].
+    :param tolerance: largest path error [m].
+    :param arcs: the pieces of the arcs.
     :param extra_places: further places of straight motions: motion (n,) and t (n,).
     :returns: motion (N,) and t (N,), in order.
     """
     m = program.motions
     step = _STEP * np.sqrt(tolerance / _REFERENCE_TOLERANCE)
-    parts = np.maximum(even_parts(path.travel, path.turn, step, _TURN), swivel_pieces(program, path, tolerance))
+    parts = np.maximum(
+        even_parts(path.travel, path.turn, step, _SAMPLE_ROTATION), swivel_pieces(program, path, tolerance)
+    )
     parts[(m.kind == PTP) | (m.kind == SPL)] = 1
     straight = np.flatnonzero(m.kind != CIRC)
     motion, t = even_places(straight, parts[straight])
@@ -260,16 +271,19 @@ def places(
         t = np.concatenate([t, *(places for _, places in further_places)])
         order = np.lexsort((t, motion))
         motion, t = motion[order], t[order]
+        # of places that differ by rounding the later one stays: it may be the end, t = 1
         repetitions = np.flatnonzero((np.diff(motion) == 0) & (np.diff(t) < 1e-9))
         motion, t = np.delete(motion, repetitions), np.delete(t, repetitions)
     return motion, t
 
 
 def swivel_pieces(program: Program, path: Segments, tolerance: float) -> Ints:
-    """Return into how many pieces (M,) straight motions are divided so that the tool turns as `Program.turning` says.
+    """Return the number of pieces (M,) of straight motions along which the tool turns as `Program.turning` says.
 
-    A robot turns the tool by one rotation along each piece. How far it leans wrongly goes with its length squared;
-    over `_LEVER` of the tool that must stay within the tolerance.
+    A robot turns the tool by one rotation along each piece. The error of the orientation is proportional to the square
+    of the length of a piece; times `_LEVER` it must stay within the tolerance.
+
+    :param tolerance: largest path error [m].
     """
     turning = program.turning
     number = np.ones(len(program.motions), dtype=np.int64)
@@ -278,10 +292,12 @@ def swivel_pieces(program: Program, path: Segments, tolerance: float) -> Ints:
     travel = turning.travel
     rows = np.flatnonzero((travel > 0.0) & (program.motions.kind == LIN))
     start, end = path.start.at(rows), program.motions.target[rows]
-    leans = np.zeros(len(rows))
+    orientation_error = np.zeros(len(rows))  # [rad]
     for share in (0.25, 0.5, 0.75):
         t = np.full(len(rows), share)
-        leans = np.maximum(leans, angle_between(interpolate(start, end, t)[:, :3, :3], turning.at(rows, t)))
-    piece_count = np.maximum(np.sqrt(leans * _LEVER / tolerance), travel[rows] / _MOST_SWIVEL)
+        orientation_error = np.maximum(
+            orientation_error, angle_between(interpolate(start, end, t)[:, :3, :3], turning.at(rows, t))
+        )
+    piece_count = np.maximum(np.sqrt(orientation_error * _LEVER / tolerance), travel[rows] / _MOST_SWIVEL)
     number[rows] = np.maximum(1, np.ceil(piece_count - 1e-9)).astype(np.int64)
     return number

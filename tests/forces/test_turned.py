@@ -487,7 +487,7 @@ def test_forces_keep_their_axes_on_pieces_on_which_these_turn(frame, kind, turn,
     )
     load.axes.path.turn[3] = turn
     targets = SimpleNamespace(motion=np.array([3, 3]), kind=np.array([kind, kind]))
-    assert table._frame(load, targets).tolist() == [written] * 2
+    assert table._piece_frames(load, targets).tolist() == [written] * 2
 
 
 def test_a_force_that_stays_as_it_is_is_given_once_to_each_piece():
