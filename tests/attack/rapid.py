@@ -214,10 +214,13 @@ def check_reading(text: str):
     return program
 
 
-def check_motions(program, wanted) -> None:
-    """Compare the motions of a program with those of the controller."""
+def check_motions(program, wanted, *, ends_early=False) -> None:
+    """Compare the motions of a program with those of the controller.
+
+    :param ends_early: the controller may have made the first of them only.
+    """
     m = program.motions
-    if len(m) != len(wanted):
+    if len(m) != len(wanted) and not (ends_early and len(m) > len(wanted)):
         raise Wrong(f"{len(m)} motions instead of {len(wanted)}")
     forces = [""] * len(m)
     for note in program.notes:

@@ -360,13 +360,13 @@ class StateGenerator:
 # --- runs
 
 
-def runs(text: str) -> list[list[Motion]]:
-    """Return the motions for all answers of the inputs.
+def runs(text: str) -> list[tuple[list[Motion], bool]]:
+    """Return the motions for all answers of the inputs, and whether the main routine ended by RETURN.
 
     :raises UndefinedError: the controller stops in one of them, or asks too often.
     """
     waiting: list[list[bool]] = [[]]
-    results: list[list[Motion]] = []
+    results: list[tuple[list[Motion], bool]] = []
     while waiting:
         decided = waiting.pop()
         asked = count()
@@ -380,7 +380,8 @@ def runs(text: str) -> list[list[Motion]]:
                 decided.append(False)
             return decided[number]
 
-        results.append(Controller(text, answer).run())
+        controller = Controller(text, answer)
+        results.append((controller.run(), controller.main_returned))
     return results
 
 
@@ -405,9 +406,9 @@ def attack(seed: int, *, correct: bool = False, read: Callable[[str], Program] =
     except PostprocError as cause:
         return f"refused: {getattr(cause, 'problem', cause)}"
     try:
-        for wanted in results:
-            check_motions(program, wanted)
-        if correct and len(results) == 1:
+        for wanted, main_returned in results:
+            check_motions(program, wanted, ends_early=main_returned)
+        if correct and len(results) == 1 and not results[0][1]:
             return check_correction(text, program)
     except Wrong as cause:
         raise Wrong(f"seed {seed}: {cause}\n{text}") from None

@@ -155,6 +155,7 @@ class Controller:
         self.inputs = inputs or (lambda: False)
         self.routines: dict[tuple[str, str], Routine] = {}
         self.motions: list[Motion] = []
+        self.main_returned = False
         self.force, self.at, self.count = "", 0, 0
         system = {**SPEEDS, **ZONES, "tool0": [True, ORIGIN], "wobj0": [0, 0, 0, ORIGIN, ORIGIN]}
         self.data: dict[tuple[str, str], Place] = {("", name): data_of(value) for name, value in system.items()}
@@ -425,6 +426,7 @@ class Controller:
                 self.block(("endproc", "endfunc", "error"))
             except _Return as end:
                 value = end.args[0]
+                self.main_returned = len(self.scopes) == 1
             except _Jump as jump:
                 self.at = self.label(routine, jump.args[0])
                 continue
