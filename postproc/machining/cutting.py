@@ -200,22 +200,22 @@ def _cylinder(stock: Stock, nearest: NDArray[np.int32], position: Floats, turn: 
     top = np.maximum(high - tip, bottom)
     height, moment = top - bottom, top * top - bottom * bottom
     if share.any():
-        is_inside = _is_inside_earlier_cut(stock, nearest, position, turn, high, low, share)
-        share = np.where((share > 0.0) & is_inside, np.float32(1.0), share)
+        is_inside, is_outside = _sides_of_earlier_cut(stock, nearest, position, turn, high, low, share)
+        share = np.where(share > 0.0, np.where(is_inside, np.float32(1.0), share * ~is_outside), share)
         deep = np.maximum(np.minimum(low - tip, top), bottom)
         height += share * (deep - top)
         moment += share * (deep * deep - top * top)
     return height, np.float32(0.5) * moment
 
 
-def _is_inside_earlier_cut(
+def _sides_of_earlier_cut(
     stock: Stock, nearest: NDArray[np.int32], position: Floats, turn: Turn, high: Floats, low: Floats, share: Floats
-) -> Bools:
-    """Return at which points (n, K) the cylinder is inside what was cut before, with `_WALL_CELLS` cells to both sides.
+) -> tuple[Bools, Bools]:
+    """Return at which points (n, K) the cylinder is inside what was cut before, and at which it is outside of it.
 
-    It is inside where it covers no more of a cell than was cut of it: cut areas of a cell are taken for nested, as
-    `stock` does. Where a wall crosses the edge, the cylinder is outside beyond the crossing, so that points near it
-    are not meant.
+    It is inside where it covers no more of a cell than was cut of it, else outside: cut areas of a cell are taken for
+    nested, as `stock` does. Both are meant of points with `_WALL_CELLS` cells to both sides alike: nearer to where a
+    wall crosses the edge, neither is certain. There the share of the cell counts, right in the mean over both sides.
 
     :param high: (n, K) levels of the nearest cells, low: and share: likewise.
     """
@@ -229,12 +229,18 @@ def _is_inside_earlier_cut(
     mid_level = np.float32(0.5) * (high + np.minimum(low, high)) * is_part
     mean_middle = mid_level.sum(axis=1, keepdims=True) / np.maximum(is_part.sum(axis=1, keepdims=True), 1)
     is_cut = ~is_part & (high <= mean_middle)
-    is_outside = (covered > share + _ROUNDING) & (covered < 1.0) & ~is_cut
+    is_beyond = (covered > share + _ROUNDING) & (covered < 1.0) & ~is_cut
+    is_within = is_part & (covered <= share + _ROUNDING) & (covered > 0.0) | is_cut
     reach = int(np.ceil(_WALL_CELLS * stock.cell / (float(turn.width[turn.side.start]) * float(radius))))
-    # differences of running counts are the number of points outside, `reach` points to both sides
-    count = np.zeros((len(covered), covered.shape[1] + 1), dtype=np.int32)
-    np.cumsum(is_outside, axis=1, out=count[:, 1:])
-    points = np.arange(covered.shape[1])
+    return _is_free_of(is_beyond, reach), _is_free_of(is_within, reach)
+
+
+def _is_free_of(marked: Bools, reach: int) -> Bools:
+    """Return at which points (n, K) no point is marked up to so many points away."""
+    # differences of running counts are the number of marked points, `reach` points to both sides
+    count = np.zeros((len(marked), marked.shape[1] + 1), dtype=np.int32)
+    np.cumsum(marked, axis=1, out=count[:, 1:])
+    points = np.arange(marked.shape[1])
     last, first = np.minimum(points + reach + 1, len(points)), np.maximum(points - reach, 0)
     return np.asarray(count[:, last] == count[:, first])
 

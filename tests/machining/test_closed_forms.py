@@ -12,6 +12,7 @@ from postproc.machining import material, stock, table
 from tests.machining.setting import AL7075, forces, gcode, line_of, on_line, process, tool
 
 BOX = ((0, 100), (-40, 40), (-20, 0))
+WHOLE = ((-50, 50), (-40, 40), (-20, 0))
 
 
 def altintas(teeth, depth, chip, k, begin, end):
@@ -34,6 +35,24 @@ def test_the_published_slot_to_three_digits(tmp_path):
     wrench = on_line(program, found, line_of(text, "X110 (here)"), 0.5)
     np.testing.assert_allclose(wrench[:3], (-152, 336, 89), atol=0.5)
     np.testing.assert_allclose(wrench[:3], altintas(4, 3, 0.1, AL7075, 0, math.pi), rtol=1e-3)
+
+
+@pytest.mark.parametrize("sense", ["G2", "G3"])
+@pytest.mark.parametrize(("wider", "resolution", "error"), [(0.3, 0.25, 0.05), (0.75, 0.25, 0.05), (0.75, 0.1, 0.02)])
+def test_a_hole_that_is_hardly_wider_than_the_tool(tmp_path, sense, wider, resolution, error):
+    """On the first half of a circle about a plunge the wall of that hole crosses the edge at a very small angle."""
+    radius, depth, feed = 6.0, 1.5, 1200.0
+    circle = f"{sense} I{-wider}"
+    text = gcode("G0 X0 Y0 Z5", f"G1 Z{-depth} F{feed}", f"X{wider}", circle)
+    program, found = forces(tmp_path, text, process(tool(2 * radius, 4), WHOLE, resolution))
+    (motion,) = np.flatnonzero(program.motions.line == line_of(text, circle))
+    rows = (found.cuts.motion == motion) & (found.cuts.t > 0.15) & (found.cuts.t < 0.45)
+    beyond = math.asin(0.5 * wider / radius)  # the circles of tool and hole cross so far beyond the heading
+    left = sense == "G2"  # the solid is on this side
+    begin, end = (0.0, 0.5 * math.pi + beyond) if left else (0.5 * math.pi - beyond, math.pi)
+    expected = altintas(4, depth, feed / 6000 / 4, AL7075, begin, end)
+    difference = found.cuts.wrench[rows, :3].mean(axis=0) - expected
+    assert np.linalg.norm(difference) < error * np.linalg.norm(expected)
 
 
 @pytest.mark.parametrize(("name", "entry"), [(n, e) for n, e in table().items() if e.Ktc_N_per_mm2 is not None])

@@ -53,11 +53,12 @@ def cell_of(stock, x, y):
     return min(max(row, 0), rows - 1), min(max(column, 0), columns - 1)
 
 
-def inside_earlier_cut(stock, turn, x, y, axis):
-    """Whether points of the cylinder about an axis, and two cells to both sides, are inside what was cut before.
+def sides_of_earlier_cut(stock, turn, x, y, axis):
+    """For points of the cylinder about an axis, whether they, and two cells to both sides, are inside what was cut
+    before, and whether all these are outside.
 
     A point is outside if the cylinder covers more of its cell than was cut of it, unless that cell was cut as a whole:
-    it is then as low as the cut shares of others are.
+    it is then as low as the cut shares of others are. Cells that the cylinder covers fully or not at all do not tell.
     """
     radius = float(turn.radius[turn.side.start])
     cells = [cell_of(stock, *point) for point in zip(x, y, strict=True)]
@@ -66,21 +67,23 @@ def inside_earlier_cut(stock, turn, x, y, axis):
         for cell in cells
         if stock.share[cell] > 0.0
     ]
-    outside = []
+    outside, inside = [], []
     for row, column in cells:
         place = stock.x + (column + 0.5) * CELL, stock.y + (row + 0.5) * CELL
         covered, share = (radius - np.hypot(*np.subtract(place, axis))) / CELL + 0.5, float(stock.share[row, column])
         is_low = share == 0.0 and bool(middles) and stock.high[row, column] <= np.mean(middles)
         outside.append(share + 0.01 < covered < 1.0 and not is_low)
+        inside.append(is_low or (share > 0.0 and 0.0 < covered <= share + 0.01))
     reach = int(np.ceil(2.0 * CELL / (turn.width[turn.side.start] * radius)))
-    return [not any(outside[max(k - reach, 0) : k + reach + 1]) for k in range(len(cells))]
+    around = [slice(max(k - reach, 0), k + reach + 1) for k in range(len(cells))]
+    return [not any(outside[near]) for near in around], [not any(inside[near]) for near in around]
 
 
 def by_loops(stock, turn, x, y, position, descent):
     """Length (n, P) and moment (n, C) of the edge in material."""
     side, tip = turn.side, position[:, 2]
-    is_inside = [
-        inside_earlier_cut(stock, turn, x[n, side], y[n, side], position[n, :2]) if side.start < side.stop else []
+    sides = [
+        sides_of_earlier_cut(stock, turn, x[n, side], y[n, side], position[n, :2]) if side.start < side.stop else []
         for n in range(len(x))
     ]
     length, moment = np.zeros(x.shape), np.zeros((len(x), turn.side.stop - turn.side.start))
@@ -124,7 +127,9 @@ def by_loops(stock, turn, x, y, position, descent):
         else:
             cell = cell_of(stock, x[n, p], y[n, p])
             high, floor, share = (float(one[cell]) for one in (stock.high, stock.floor, stock.share))
-            share = 1.0 if share > 0.0 and is_inside[n][p - side.start] else share
+            if share > 0.0:
+                is_inside, is_outside = (points[p - side.start] for points in sides[n])
+                share = 1.0 if is_inside else 0.0 if is_outside else share
             start = float(turn.low[turn.side.start])
             under = max(floor - z, start)
             top = max(high - z, under)
