@@ -1154,6 +1154,22 @@ def test_an_index_of_two_that_is_not_known_is_refused():
         read(body("LIN P[2,2]"), GRID)
 
 
+JOB = "DEFDAT part\nSTRUC JOB REAL Q[6],INT N\nDECL JOB JB\nENDDAT\n"
+
+
+@pytest.mark.parametrize(
+    ("lines", "reason"),
+    [
+        (["JB={N 3}", "JB.Q[2]=5", "LIN {X JB.Q[2],Y 0,Z 9,A 0,B 0,C 0}"], r"JB.Q\[2\] is an element of an array in a"),
+        (["JB.N=3", "LIN {X JB.N,Y 0,Z 9,A 0,B 0,C 0}"], "its structure had no value as a whole: give all members"),
+    ],
+)
+def test_the_reason_why_a_member_of_a_structure_is_not_known_is_told(lines, reason):
+    with pytest.raises(ProgramError, match=reason):
+        read(body(*lines), JOB)
+    assert numbers(read(body("JB={N 3}", "JB.N=4", "LIN {X JB.N,Y 0,Z 9,A 0,B 0,C 0}"), JOB))[0, 0] == 4.0
+
+
 def test_a_loop_over_an_unknown_index_makes_all_elements_unknown():
     with pytest.raises(ProgramError, match=r"P\[1,1\] is changed while the program runs"):
         read(body("FOR J=1 TO $ANIN[1]", "P[1,J].X=5", "ENDFOR", "LIN P[1,1]"), GRID)

@@ -72,6 +72,8 @@ def why_unknown(variables: Variables, source: Source, value: Value | VariableVal
             ]
             suffix = f": {why_unknown(variables, source, unknown[0])}" if unknown else ""
             return f"the index of {text} is not known before the program runs{suffix}"
+        if value.field is not None and "[" in value.field:
+            return f"{text} is an element of an array in a structure, which is not followed: use a variable of its own"
         result = variables.looked_up(value)
         if isinstance(result, UnknownValue):
             return result.message_for(text)

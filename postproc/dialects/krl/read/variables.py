@@ -67,6 +67,7 @@ _OPERATIONS: dict[str, Callable[[float, float], float]] = {
 _ROUNDED = UnknownValue(why="to which side the quotient of negative INTs is rounded is in no source")
 PARTLY_GIVEN = "not all of its components are given, and it had others"
 """Why a position is not known: it may keep the others or lack them, and a motion then keeps those of the robot."""
+_MEMBER_ALONE = "its structure had no value as a whole: give all members at once before"
 _BEYOND_INT = UnknownValue(why="what becomes of an INT beyond 32 bits is in no source")
 _HALF = 1e-5
 """REALs that are closer than this share to the middle between two INTs may be rounded to either: they have fewer
@@ -271,6 +272,8 @@ class Variables:
             self.put(key, UnknownValue(str(place)) if new_position is None else new_position)
         elif isinstance(whole, UnknownValue) and whole.why:
             return
+        elif whole in (None, NO_VALUE) and not isinstance(value, UnknownValue):
+            self.put(key, UnknownValue(str(place), _MEMBER_ALONE))
         elif not isinstance(whole, Aggregate):
             self.put(key, UnknownValue(str(place), value.why if isinstance(value, UnknownValue) else ""))
         elif "[" not in field and (new := _with_member(self, whole, field.split("."), value)) is not None:
