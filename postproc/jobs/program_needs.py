@@ -40,6 +40,8 @@ _SIDE_MM = 5.0
 
 _ARC_STEP = np.radians(3.0)
 """Points on arcs: the widest ones are missed by a third of a thousandth of the radius."""
+_UPRIGHT = float(np.cos(np.radians(30.0)))
+"""A tool that is tilted by more cuts on its way up (assumed)."""
 _LOW_M = 1e-4
 """A rapid move that ends this much below the highest cut is beside the stock [m] (assumed)."""
 
@@ -230,8 +232,10 @@ def _exclude_points(low: Array, high: Array, points: Sequence[tuple[float, float
 def _cutting(program: Program) -> Ints:
     """Return the motions that cut: not rapid, not a retract at feed and, if comments state forces, under one."""
     is_cutting = ~np.asarray(program.motions.rapid)
-    ends: Array = program.motions.target[:][:, :3, 3]
-    is_cutting &= ~toolpath.retract_motions(ends, np.array([0.0, 0.0, 1.0]))
+    target: Array = program.motions.target[:]
+    columns = [0, 2] if program.keeps_text else [2]  # the axis of the tool: a robot program does not say which it is
+    is_upright = (np.abs(target[:, 2, columns]) > _UPRIGHT).any(axis=1)
+    is_cutting &= ~(toolpath.retract_motions(target[:, :3, 3], np.array([0.0, 0.0, 1.0])) & is_upright)
     if program.notes:
         begins = np.array([note.before for note in program.notes])
         is_loaded = np.array([False, *(any(note.wrench) for note in program.notes)])

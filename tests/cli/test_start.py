@@ -226,6 +226,14 @@ def test_the_box_around_the_sweep_ends_below_retracts_at_feed(name, text):
     assert (box.X, box.Y, box.Z) == ((1.0, 39.0), (1.0, 19.0), (-14.0, 0.0))
 
 
+def test_a_tilted_tool_cuts_on_its_way_up():
+    Path("wall.nc").write_text(
+        "G21 G90 G94 G17\nS9000 M3\nG0 A-80. C90.\nG43.4 H1\nG0 X0. Y0. Z60.\nG1 Z0. F800.\nG1 Z40.\nX10.\nG0 Z60.\n"
+        "G49\nM30\n"
+    )
+    assert needs_of(Path("wall.nc")).span == ((0.0, 0.0, 0.0), (10.0, 0.0, 40.0))
+
+
 def test_without_a_terminal_all_that_is_missing_is_listed_with_its_option():
     done = invoke("start", "part.nc")
     assert done.exit_code == 2
