@@ -855,3 +855,10 @@ def test_tool_number_zero_is_one_and_a_move_to_where_the_tool_is_is_counted():
     assert [(i.kind, i.source_line, i.count, i.lines) for i in program.issues if i.kind == "null-move"] == [
         ("null-move", 7, 2, (7, 9))
     ]
+
+
+def test_the_axis_of_an_arc_has_length_1():
+    for axis in ("0,0,1.5", "0,0.1,1", "0,0,0.5"):
+        with pytest.raises(ProgramError, match="axis of the arc does not have length 1"):
+            read(HEAD + f"GOTO/10,0,9\nCIRCLE/0,0,9,{axis},10\nGOTO/0,10,9\n")
+    np.testing.assert_allclose(arc("CIRCLE/0,0,9,0,0,0.99999999,10\nGOTO/0,10,9"), [0, 0, 90], atol=1e-4)

@@ -230,3 +230,20 @@ def test_a_slot_cut_through_leaves_two_closed_parts(tmp_path):
     assert mesh.is_watertight
     assert len(mesh.split()) == 2
     assert mesh.volume == pytest.approx(100 * 70 * 20, rel=2e-3)
+
+
+@pytest.mark.parametrize("place", [(140.0, 90.0, 60.0), (-160.0, -130.0, -80.0)])
+@pytest.mark.parametrize("shape", ["flat", "ball"])
+def test_forces_do_not_depend_on_where_the_part_is(tmp_path, place, shape):
+    wrenches = []
+    for x, y, z in ((0.0, 0.0, 0.0), place):
+        text = gcode(
+            f"G0 X{x - 10} Y{y} Z{z + 5}", f"G1 Z{z - 2} F1200", f"X{x + 20} Y{y + 7}", f"X{x + 40} Y{y - 5} Z{z - 3}"
+        )
+        box = ((x, x + 60), (y - 30, y + 30), (z - 20, z))
+        _, found = forces(tmp_path, text, process(tool(10, 3, shape), box, 0.5))
+        wrenches.append((found.cuts.t, found.cuts.wrench))
+    np.testing.assert_allclose(wrenches[1][0], wrenches[0][0], atol=1e-9)
+    size = np.abs(wrenches[0][1][:, :3]).max()
+    assert size > 50.0
+    np.testing.assert_allclose(wrenches[1][1][:, :3], wrenches[0][1][:, :3], atol=2e-3 * size)

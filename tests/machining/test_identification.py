@@ -275,3 +275,12 @@ def test_the_program_of_a_slot_makes_the_force_of_the_equations(tmp_path):
     program, found = forces(tmp_path, text, process(tool(10, 4), ((0, 100), (-40, 40), (-20, 0))))
     own = on_line(program, found, line_of(text, "X110 F1440"), 0.5)[:3]
     np.testing.assert_allclose(predicted(TRUE, "slot", np.nan, 0.06), own, rtol=1e-3)
+
+
+def test_fewer_readings_than_coefficients_are_refused():
+    """Two forces along the feed tell four coefficients no more than two combinations of them."""
+    few = readings([SLOTS[0], SLOTS[-1]])
+    few.force[:, 1:] = np.nan
+    few.force[1, 1] = SLOTS[-1][3][1]
+    with pytest.raises(ForceError, match="these readings do not separate Ktc, Kte"):
+        identification.identify(few, TOOL, None, "measured.csv")

@@ -41,7 +41,19 @@ _PAIRS = (
     "zeros_like ones_like"
 )
 OTHER_NAME = {a: b for pair in _PAIRS.split("|") for a, b in (pair.split(), pair.split()[::-1])}
-SYMMETRIC = {"min", "max", "minimum", "maximum", "fmin", "fmax", "hypot", "array_equal", "union1d", "logical_and"}
+SYMMETRIC = {
+    "min",
+    "max",
+    "minimum",
+    "maximum",
+    "fmin",
+    "fmax",
+    "hypot",
+    "array_equal",
+    "union1d",
+    "logical_and",
+    "swapaxes",
+}
 """Functions whose arguments may change places."""
 AXES = {"axis", "axis1", "axis2", "k"}
 _UNIT = re.compile(r"[A-Z_]*_PER_[A-Z]+")

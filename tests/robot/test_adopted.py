@@ -217,3 +217,15 @@ def test_the_flange_is_taken_where_there_is_no_tool0_and_the_base_link_where_the
     np.testing.assert_allclose(chain.placement, KR270.nominal.placement, atol=1e-7)
     neither = adopt(text.replace('"base_link"', '"socket"'), "arm.urdf").chain  # the first link: it is the floor's
     np.testing.assert_allclose(neither.placement[0, :3, 3], KR270.nominal.placement[0, :3, 3] + [2, 3, 1], atol=1e-7)
+
+
+def test_the_payload_is_that_of_the_name_in_the_urdf_and_the_compensator_is_noted():
+    """The title is the user's: "KR 16 of cell 3" must not make a KR 270 soft."""
+    text = with_reach(1.0).replace('<robot name="arm">', '<robot name="KUKA KR 120 R2700-2">')
+    named = adopt(text, "arm.urdf", "KR 16 of cell 3")
+    assert named.content.name == "KR 16 of cell 3"
+    expected = adopt(text, "arm.urdf").content.joints
+    assert {joint: spring.compliance_urad_per_Nm for joint, spring in named.content.joints.items()} == {
+        joint: spring.compliance_urad_per_Nm for joint, spring in expected.items()
+    }
+    assert "a gravity compensator, if the arm has one, is not in the model" in named.notes
