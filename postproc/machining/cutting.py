@@ -165,7 +165,12 @@ def _has_partly_cut(stock: Stock, corners: Corners) -> bool:
 def _blend(
     stock: Stock, corners: Corners, pieces: slice, function: Callable[[Floats], Floats], has_partly_cut: bool
 ) -> Floats:
-    """Return function(level) − function(floor), interpolated between the cells around each point."""
+    """Return function(level) − function(floor), interpolated between the cells around each point (n, k).
+
+    :param pieces: which k of the points of `corners`.
+    :param function: of levels (n, k) [m]; it does not fall with them.
+    :param has_partly_cut: whether any of the cells is at two levels: they count by their shares.
+    """
     high, low, share, floor = (values.reshape(-1) for values in (stock.high, stock.low, stock.share, stock.floor))
     result = None
     for cell, weight in zip(corners.cell, corners.weight, strict=True):
@@ -190,6 +195,7 @@ def _cylinder(stock: Stock, nearest: NDArray[np.int32], position: Floats, turn: 
     edge runs along a wall that was cut before, as at the end of each layer of a slot, it is inside of it: it meets the
     lower level alone, and what stands behind the wall does not count.
 
+    :param nearest: (n, K) index in the flat map of the cell that contains each point on the cylinder.
     :param position: (n, 3) of the tip [m].
     """
     high, low, share, floor = (
@@ -217,20 +223,23 @@ def _sides_of_earlier_cut(
     nested, as `stock` does. Both are meant of points with `_WALL_CELLS` cells to both sides alike: nearer to where a
     wall crosses the edge, neither is certain. There the share of the cell counts, right in the mean over both sides.
 
-    :param high: (n, K) levels of the nearest cells, low: and share: likewise.
+    :param nearest: (n, K) index in the flat map of the cell that contains each point on the cylinder.
+    :param position: (n, 3) of the tip [m].
+    :param high: (n, K) upper levels of these cells, `low` (n, K) lower levels [m], `share` (n, K) at the lower one.
     """
     radius, cell = turn.radius[turn.side.start], np.float32(stock.cell)
     row, column = np.divmod(nearest, np.int32(stock.high.shape[1]))
     x = (column + np.float32(0.5)) * cell + (np.float32(stock.x) - position[:, :1])
     y = (row + np.float32(0.5)) * cell + (np.float32(stock.y) - position[:, 1:2])
-    covered = (radius - np.hypot(x, y)) / cell + np.float32(0.5)
+    # share of a cell that a straight rim at this distance from its middle covers
+    coverage = (radius - np.hypot(x, y)) / cell + np.float32(0.5)
     # a cell that is as low as the cut shares of the others was cut as a whole, an uncut one is as high as they are
     is_part = share > 0.0
     mid_level = np.float32(0.5) * (high + np.minimum(low, high)) * is_part
     mean_middle = mid_level.sum(axis=1, keepdims=True) / np.maximum(is_part.sum(axis=1, keepdims=True), 1)
     is_cut = ~is_part & (high <= mean_middle)
-    is_beyond = (covered > share + _ROUNDING) & (covered < 1.0) & ~is_cut
-    is_within = is_part & (covered <= share + _ROUNDING) & (covered > 0.0) | is_cut
+    is_beyond = (coverage > share + _ROUNDING) & (coverage < 1.0) & ~is_cut
+    is_within = is_part & (coverage <= share + _ROUNDING) & (coverage > 0.0) | is_cut
     reach = int(np.ceil(_WALL_CELLS * stock.cell / (float(turn.width[turn.side.start]) * float(radius))))
     return _is_free_of(is_beyond, reach), _is_free_of(is_within, reach)
 
@@ -246,38 +255,42 @@ def _is_free_of(marked: Bools, reach: int) -> Bools:
 
 
 def _levels(
-    stock: Stock, corners: Corners, pieces: slice, z: Floats, in_part: bool, on_floor: bool
+    stock: Stock, corners: Corners, pieces: slice, z: Floats, has_partly_cut: bool, is_near_floor: bool
 ) -> tuple[Floats, Floats | None]:
     """Return the level of the surface at each point between the four cells around it, and its coverage by material.
 
     Cells far below the point are beyond a wall, or out of the stock: they have no part in the level, and are not
     covered. Cells that are less deep are the slope of one surface.
 
-    :param z: (n, P) heights of the points [m].
-    :returns: levels (n, P) [m], and shares 0 … 1 (n, P); None where all are 1.
+    :param pieces: which k of the points of `corners`.
+    :param z: (n, k) heights of these points [m].
+    :param has_partly_cut: whether any of the cells is at two levels.
+    :param is_near_floor: whether points may be below the material.
+    :returns: levels (n, k) [m], and shares 0 … 1 (n, k); None where all are 1.
     """
     high, low, share, floor = (values.reshape(-1) for values in (stock.high, stock.low, stock.share, stock.floor))
     slopes = _slopes(stock, corners, pieces)
     bottom = z - np.float32(_WALL * stock.cell)
     levels, planes, weights, is_covered = [], [], [weight[:, pieces] for weight in corners.weight], True
     for k, cell in enumerate(corners.cell):
-        at = cell[:, pieces]
-        level = high.take(at)
-        covered = level > bottom
-        if on_floor:
-            covered &= level > floor.take(at)
-        if in_part:
-            part = share.take(at)
-            if part.any():
-                lower = np.minimum(low.take(at), level)
+        cell_index = cell[:, pieces]
+        level = high.take(cell_index)
+        material = level > bottom
+        if is_near_floor:
+            material &= level > floor.take(cell_index)
+        if has_partly_cut:
+            cut_share = share.take(cell_index)
+            if cut_share.any():
+                lower = np.minimum(low.take(cell_index), level)
+                # two levels of one surface are averaged; a lower one beyond a wall leaves the cell covered in part
                 is_step = lower > bottom
-                level = level + np.where(is_step, part * (lower - level), np.float32(0.0))
-                covered = covered * np.where(is_step, np.float32(1.0), 1 - part)
+                level = level + np.where(is_step, cut_share * (lower - level), np.float32(0.0))
+                material = material * np.where(is_step, np.float32(1.0), 1 - cut_share)
         plane = level + slopes[k] if slopes else level
-        if not covered.all():
+        if not material.all():
             is_covered = False
-            weights[k] = weights[k] * covered
-            level, plane = (np.where(covered > 0, values, np.float32(_OUTSIDE_LEVEL)) for values in (level, plane))
+            weights[k] = weights[k] * material
+            level, plane = (np.where(material > 0, values, np.float32(_OUTSIDE_LEVEL)) for values in (level, plane))
         levels.append(level)
         planes.append(plane)
     coverage = None
@@ -292,7 +305,12 @@ def _levels(
 
 
 def _slopes(stock: Stock, corners: Corners, pieces: slice) -> list[Floats]:
-    """Return the rise [m] of the surface from the middle of each cell around points (n, P) to them; none if level."""
+    """Return the rise of the surface from the middle of each of the four cells around points (n, k) to them [m].
+
+    :param pieces: which k of the points of `corners`.
+    :returns: four arrays (n, k); none if all cells are level.
+    """
+    # one int32 holds both slopes of a cell (int16), so that one look-up gets both
     slope_pairs = stock.slope.reshape(-1, 2).view(np.int32)[:, 0]
     x_share, y_share = (
         (corners.weight[1] + corners.weight[3])[:, pieces],
@@ -373,14 +391,14 @@ class Chips(Struct, frozen=True, eq=False):
 
 
 def chips(turn: Turn, feed: Floats, descent: Floats) -> Chips:
-    """Return the chips: feed per tooth along x (n,) and down (n,) [m]."""
+    """Return the chips of a tool that feeds by `feed` (n,) along x and by `descent` (n,) down in a tooth pitch [m]."""
     middle = feed[:, None] * turn.front
     middle += descent[:, None] * turn.axial
     tangent = turn.tangent[turn.round]
     return Chips.of(turn, middle, feed[:, None] * tangent[:, 0] - descent[:, None] * tangent[:, 2])
 
 
-def mean(turn: Turn, engagement: EngagedEdge, chip: Chips, descent_sine: Floats, cell: float | Array) -> Loads:
+def mean_loads(turn: Turn, engagement: EngagedEdge, chip: Chips, descent_sine: Floats, cell: float | Array) -> Loads:
     """Return the loads averaged over a turn, with their standard deviations.
 
     :param chip: from `chips`.
@@ -400,8 +418,7 @@ def mean(turn: Turn, engagement: EngagedEdge, chip: Chips, descent_sine: Floats,
     side_chip = chip.thickness[:, turn.side]
     force_moment = times(engagement.moment * turn.law.chip(side_chip), turn.cut[turn.side, :2])
     force_moment += times(engagement.moment * (side_chip > 0.0), turn.rub[turn.side, :2])
-    wrench[:, 3] -= force_moment[:, 1]
-    wrench[:, 4] += force_moment[:, 0]
+    _add_moment_of_height(wrench, force_moment)
     # uniform from none of it to all: the variance is a third of the square of half the range
     square = np.square(times(uncertain_edge, turn.rub[turn.bottom]).astype(float)) / 3.0
     if turn.drill:
@@ -417,10 +434,20 @@ def mean(turn: Turn, engagement: EngagedEdge, chip: Chips, descent_sine: Floats,
     return Loads(wrench, np.sqrt(np.maximum(square, 0.0)), by_cells, np.asarray(removal, dtype=float))
 
 
+def _add_moment_of_height(wrench: Array, force_moment: Floats) -> None:
+    """Add to wrenches (n, 6), in place, the moment of forces that act above the tip: (0, 0, z) × F = (−z Fy, z Fx, 0).
+
+    :param force_moment: (n, 2) ∫ z dF along x and y [N·m].
+    """
+    wrench[:, 3] -= force_moment[:, 1]
+    wrench[:, 4] += force_moment[:, 0]
+
+
 def _unit_wrenches(turn: Turn, engagement: EngagedEdge, edges: tuple[Floats, Floats], side_chip: Floats) -> Array:
     """Return the mean wrench (6, n, 6) for 1 of each coefficient: Ktc, Krc, Kac [N/m²], Kte, Kre, Kae [N/m].
 
-    :param edges: (n, P) engaged lengths times chip, and lengths that rub; thin: (n, C) chips on the cylinder.
+    :param edges: (n, P) engaged lengths times chip [m²], and lengths that rub [m].
+    :param side_chip: (n, C) thickness of the chips on the cylinder [m].
     """
     wrench = np.zeros((6, len(side_chip), 6))
     sides = turn.law.chip(side_chip), np.asarray(side_chip > 0.0, np.float32)
@@ -428,14 +455,12 @@ def _unit_wrenches(turn: Turn, engagement: EngagedEdge, edges: tuple[Floats, Flo
         for axis, unit in enumerate(turn.unit_wrench):
             row = wrench[3 * kind + axis]
             row[:] = times(edge, unit)
-            force_moment = times(engagement.moment * side, unit[turn.side, :2])
-            row[:, 3] -= force_moment[:, 1]
-            row[:, 4] += force_moment[:, 0]
+            _add_moment_of_height(row, times(engagement.moment * side, unit[turn.side, :2]))
     return wrench
 
 
 def times(matrix: Floats, factor: Floats) -> Floats:
-    """Return the product of matrices (n, P) and (P, k), in blocks small enough for BLAS to use one thread.
+    """Return the product (n, k) of `matrix` (n, P) and `factor` (P, k), in blocks so small that BLAS uses one thread.
 
     At such sizes threads cost more than they gain, and much more if other processes need the processors too.
     """

@@ -103,54 +103,75 @@ def smooth_steps(
     program, path = poses.program, poses.path
     motion, t, wrench, own_deviation = stations
     first = np.flatnonzero(np.diff(motion, prepend=-1))
-    last = np.append(first[1:], len(motion)) - 1
-    single = first == last
+    has_one_station = first == np.append(first[1:], len(motion)) - 1
     cut_motions = motion[first]
-    at_end = _feed_axes(poses, cut_motions, np.ones(len(cut_motions)))[0]
-    ends, loose_ends = _in_other_axes(at_end, wrench[last]), _deviation_in_other_axes(at_end, own_deviation[last])
-    follows = np.flatnonzero(np.diff(cut_motions, prepend=-2) == 1)
-    start_wrench, start_deviation = np.zeros((len(cut_motions), 6)), np.zeros((len(cut_motions), 6))
-    starts, _ = _feed_axes(poses, cut_motions[follows], np.zeros(len(follows)))
-    start_wrench[follows] = _in_other_axes(np.swapaxes(starts, 1, 2), ends[follows - 1])
-    start_deviation[follows] = _deviation_in_other_axes(np.swapaxes(starts, 1, 2), loose_ends[follows - 1])
+    start_wrench, start_deviation = _start_wrenches(poses, first, stations)
     reach = np.minimum(1.0, rise[cut_motions] / np.maximum(path.length[cut_motions], 1e-9))
-    rows = np.arange(len(cut_motions))
-    reach[_begins_with_last_force(start_wrench, _wrenches_at(motion, t, wrench, cut_motions, reach), wrench, first)] = (
-        1.0
+    wrench_at_rise = _wrenches_at(motion, t, wrench, cut_motions, reach)
+    reach[_begins_with_last_force(start_wrench, wrench_at_rise, wrench, first)] = 1.0
+    row, places = _knot_places(path.length[cut_motions] > rise[cut_motions], reach, first, t)
+    values, free_deviation = (
+        _wrenches_at(motion, t, station_values, cut_motions[row], places) for station_values in (wrench, own_deviation)
     )
-    # at 0 the force of the motion before, within a turn its own, then its stations, and its own at the end
-    row = np.repeat(rows, last - first + 1)
-    inner = (t > np.where(reach < 1.0, reach, 0.0)[row] + 1e-9) & (t < 1.0) & ~single[row]
-    inner &= (reach < 1.0)[row] | (path.length[cut_motions] > rise[cut_motions])[row]
-    early_rows = np.flatnonzero(reach < 1.0)
-    row_of_place = np.concatenate([rows, early_rows, row[inner], rows])
-    places = np.concatenate([np.zeros(len(cut_motions)), reach[early_rows], t[inner], np.ones(len(cut_motions))])
-    order = np.lexsort((places, row_of_place))
-    row_of_place, places = row_of_place[order], places[order]
-    values, loose = (
-        _wrenches_at(motion, t, station_values, cut_motions[row_of_place], places)
-        for station_values in (wrench, own_deviation)
-    )
-    begins = np.flatnonzero(np.diff(row_of_place, prepend=-1))
-    values[begins], loose[begins] = start_wrench, start_deviation
+    begins = np.flatnonzero(np.diff(row, prepend=-1))
+    values[begins], free_deviation[begins] = start_wrench, start_deviation
     axial_sigma = sigma[1] * norm(values[:, :2])
-    count = np.diff(begins, append=len(row_of_place))
-    motions = cut_motions[row_of_place]
+    count = np.diff(begins, append=len(row))
+    motions = cut_motions[row]
     axes, is_axial = _feed_axes(poses, motions, places)
-    steady = np.repeat(single, count)
+    is_steady = np.repeat(has_one_station, count)
     turns_axes = (program.motions.kind[motions] == CIRC) | (path.turn[motions] > TURNS)
     # stations are thinned where the wrench is linear in FEED axes: where these turn, it is not linear in $BASE
-    in_base = (is_axial[np.repeat(np.cumsum(count) - 1, count)] & ~(steady & turns_axes)) | (~turns_axes & base_axes)
+    in_base = (is_axial[np.repeat(np.cumsum(count) - 1, count)] & ~(is_steady & turns_axes)) | (~turns_axes & base_axes)
     to_base = _to_base(program, motions[in_base], poses.frame) @ axes[in_base]
-    values[in_base], loose[in_base] = (
-        _in_other_axes(to_base, values[in_base]),
-        _deviation_in_other_axes(to_base, loose[in_base]),
-    )
-    deviation = np.hypot(np.abs(values) * sigma[0], loose)
+    values[in_base] = _in_other_axes(to_base, values[in_base])
+    free_deviation[in_base] = _deviation_in_other_axes(to_base, free_deviation[in_base])
+    deviation = np.hypot(np.abs(values) * sigma[0], free_deviation)
     # on moves along the spindle in $BASE axes: z of $BASE is taken for the axis of the tool
     deviation[:, 2] = np.hypot(deviation[:, 2], axial_sigma)
     factor = constant(sigma[0], len(motions))
     return Knots.along(motions, places, values, np.where(in_base, BASE, FEED), deviation, factor)
+
+
+def _start_wrenches(poses: ToolPoses, first: Ints, stations: tuple[Ints, Array, Array, Array]) -> tuple[Array, Array]:
+    """Return the wrenches at the starts of cutting motions, and their standard deviations, (k, 6) each, in FEED axes.
+
+    They are those at the end of the motion before, in the axes there; zero after a rapid motion.
+
+    :param first: (k,) first station of each cutting motion; `stations` see `smooth_steps`.
+    """
+    motion, _, wrench, deviation = stations
+    last, cut_motions = np.append(first[1:], len(motion)) - 1, motion[first]
+    end_axes = _feed_axes(poses, cut_motions, np.ones(len(cut_motions)))[0]
+    ends, end_deviation = _in_other_axes(end_axes, wrench[last]), _deviation_in_other_axes(end_axes, deviation[last])
+    follows = np.flatnonzero(np.diff(cut_motions, prepend=-2) == 1)
+    start_wrench, start_deviation = np.zeros((len(cut_motions), 6)), np.zeros((len(cut_motions), 6))
+    start_axes = np.swapaxes(_feed_axes(poses, cut_motions[follows], np.zeros(len(follows)))[0], 1, 2)
+    start_wrench[follows] = _in_other_axes(start_axes, ends[follows - 1])
+    start_deviation[follows] = _deviation_in_other_axes(start_axes, end_deviation[follows - 1])
+    return start_wrench, start_deviation
+
+
+def _knot_places(is_long: Bools, reach: Array, first: Ints, t: Array) -> tuple[Ints, Array]:
+    """Return cutting motion (m,), as a place in `first`, and place on it (m,) of knots, in order.
+
+    At 0 there is the force of the motion before; where the rise ends that of the motion itself; then its stations, and
+    its own force at the end. A motion that is all rise has no knots between, unless it is long and goes on as before.
+
+    :param is_long: (k,) motions longer than their rise.
+    :param reach: (k,) where the rise ends on a motion, 0 … 1; 1 too for one that begins with the force before it.
+    :param first: (k,) first station of each motion; `t` (n,) places of all stations.
+    """
+    rows = np.arange(len(first))
+    count = np.diff(first, append=len(t))
+    row = np.repeat(rows, count)
+    is_inner = (t > np.where(reach < 1.0, reach, 0.0)[row] + 1e-9) & (t < 1.0) & ~(count == 1)[row]
+    is_inner &= ((reach < 1.0) | is_long)[row]
+    early_rows = np.flatnonzero(reach < 1.0)
+    row_of_place = np.concatenate([rows, early_rows, row[is_inner], rows])
+    places = np.concatenate([np.zeros(len(rows)), reach[early_rows], t[is_inner], np.ones(len(rows))])
+    order = np.lexsort((places, row_of_place))
+    return row_of_place[order], places[order]
 
 
 def _begins_with_last_force(start_wrench: Array, wrench_at_rise: Array, wrench: Array, first: Ints) -> Bools:
@@ -199,20 +220,27 @@ def _feed_axes(poses: ToolPoses, motion: Ints, t: Array) -> tuple[Array, Bools]:
 
 
 def _to_base(program: Program, motion: Ints, map_in_base: Array) -> Array:
-    """Return the axes of the map (n, 3, 3) as columns in the `$BASE` of motions (n,); `map_in_base` is (4, 4)."""
+    """Return the axes of the map (n, 3, 3) as columns in the `$BASE` of motions.
+
+    :param motion: (n,) rows of `Motions`.
+    :param map_in_base: (4, 4) frame of the map in the `$BASE` of the stock, see `home_base`.
+    """
     base = program.motions.base[motion]
     home = program.bases[home_base(program), :3, :3]
     return np.asarray(np.swapaxes(program.bases[base, :3, :3], 1, 2) @ home @ map_in_base[:3, :3])
 
 
 def _in_other_axes(rotation: Array, wrench: Array) -> Array:
-    """Return wrenches (n, 6) in other axes, to which `rotation` (n, 3, 3) turns them."""
+    """Return wrenches (n, 6) in other axes: `rotation` (n, 3, 3) times force and times moment of `wrench` (n, 6)."""
     halves = [np.einsum("nij,nj->ni", rotation, wrench[:, half]) for half in (slice(0, 3), slice(3, 6))]
     return np.concatenate(halves, axis=1)
 
 
 def _deviation_in_other_axes(rotation: Array, deviation: Array) -> Array:
-    """Return standard deviations (n, 6) of independent components in axes to which `rotation` (n, 3, 3) turns."""
+    """Return standard deviations (n, 6) in other axes, see `_in_other_axes`: components are taken for independent.
+
+    :param deviation: (n, 6) standard deviations of the components in the present axes [N, N·m].
+    """
     return np.asarray(np.sqrt(_in_other_axes(rotation * rotation, deviation * deviation)))
 
 
@@ -225,6 +253,7 @@ _CALL = re.compile(r"M[ \t]*0*98(?![\d.])|CALL", re.IGNORECASE)
 _ADVICE = "Omit the CSV: `convert --process process.toml` and `predict --process` give each move its own force."
 
 _Profile = tuple[Array, Array, Ints]
+"""Places on a move (k,), wrenches with standard deviations (k, 12) and their frames (k,)."""
 
 
 def one_move_a_line(program: Program, path: Segments, axis: str, knots: Knots) -> Knots:
@@ -265,7 +294,9 @@ def one_move_a_line(program: Program, path: Segments, axis: str, knots: Knots) -
 
 
 def _profile(knots: Knots, low: int, high: int) -> _Profile:
-    """Return places on a move (k,), wrenches with standard deviations (k, 12) and their frames (k,); zero if none.
+    """Return places on a move (k,), wrenches with standard deviations (k, 12) and their frames (k,).
+
+    One wrench of zero if the rows from `low` to `high` of the knots, those of the move, are none.
 
     The place is NaN if one wrench holds for the whole move.
     """
@@ -277,7 +308,7 @@ def _profile(knots: Knots, low: int, high: int) -> _Profile:
 
 
 def _are_equal(first: _Profile, second: _Profile) -> bool:
-    """Whether the forces along two moves, linear between their places, are equal."""
+    """Return whether the forces along two moves, linear between their places, are equal within `_SAME_FORCE`."""
     (t, values, frame), (t_, values_, frame_) = first, second
     if np.abs(values).max() <= _SAME_FORCE and np.abs(values_).max() <= _SAME_FORCE:
         return True
@@ -291,7 +322,11 @@ def _are_equal(first: _Profile, second: _Profile) -> bool:
 
 
 def _is_cycle(program: Program, path: Segments, column: int, moves: Ints, text: str) -> bool:
-    """Whether a line is a drilling cycle: consecutive rapid moves and cuts along the spindle, without a call."""
+    """Return whether a line is a drilling cycle: consecutive rapid moves and cuts along the spindle, without a call.
+
+    :param column: of the tool frame that is along the spindle.
+    :param moves: (k,) cutting motions of the line; `text` of the line.
+    """
     m = program.motions
     if program.keeps_text or _CALL.search(_COMMENT.sub("", text)):
         return False
@@ -303,7 +338,7 @@ def _is_cycle(program: Program, path: Segments, column: int, moves: Ints, text: 
 
 
 def _profile_conflict(program: Program, rows: Ints, count: int, text: str) -> ForceError:
-    """Return the error for motions of one line whose forces differ; `rows`: rows of two of them."""
+    """Return the error for the `count` cutting motions of one line whose forces differ; `rows` (2,): two of them."""
     line, file = int(program.motions.line[rows[0]]), program.documents[0].name
     places = program.places(rows)
     place_texts = [f"{name}:{number}" for name, number in map(places.of, range(2)) if (name, number) != (file, line)]

@@ -349,7 +349,7 @@ class Sweep(Struct, eq=False):
         engagement = self._engagement(turn, cutter, position, (ux, uy, hand), descent)
         chip = cutting.chips(turn, feed, descent)
         descent_sine = np.maximum(-heading[:, 2], 0.0).astype(np.float32)
-        loads = cutting.mean(turn, engagement, chip, descent_sine, self.stock.cell)
+        loads = cutting.mean_loads(turn, engagement, chip, descent_sine, self.stock.cell)
         hole_depth = 0.0
         if cutter.drill:
             # all stations get the depth of the hole, as thinning keeps few; the last one is half a step above the end

@@ -17,7 +17,7 @@ from msgspec.structs import replace
 
 from postproc.chunks import Columns
 from postproc.frames import Array, norm
-from postproc.machining.cutting import Chips, EngagedEdge, Loads, mean, nearby_cells
+from postproc.machining.cutting import Chips, EngagedEdge, Loads, mean_loads, nearby_cells
 from postproc.machining.material import Floats
 from postproc.machining.stock import Footprint, Stock, cells, middles, windows
 from postproc.machining.tool import Cutter, Turn
@@ -103,10 +103,12 @@ class TiltedPath(Columns, frozen=True, eq=False):
         piece, share = even_places(np.arange(len(count)), count, "middle")
         half_share = 0.5 / count[piece]
 
-        def between(first: Array, last: Array, at: Array) -> Array:
+        def interpolated(first: Array, last: Array, at: Array) -> Array:
+            """Return values (S, …) between those at the begin and the end of segments (L, …), at shares (S,)."""
             return np.asarray(first[piece] + at[:, None] * (last - first)[piece])
 
         def unit(vectors: Array) -> Array:
+            """Return vectors (n, 3) divided by their lengths; zero remains zero."""
             return np.asarray(vectors / np.maximum(norm(vectors), 1e-12)[:, None])
 
         is_at_rest, swing_rate = length < _REST_LENGTH, swing[segments.motion]
@@ -114,13 +116,13 @@ class TiltedPath(Columns, frozen=True, eq=False):
         time = np.where(
             is_at_rest, turn / np.where(swing_rate > 0.0, swing_rate, 1.0), length / np.maximum(speed, 1e-12)
         )
-        axes = [unit(between(begin_axis, end_axis, share + side * half_share)) for side in (-1.0, 0.0, 1.0)]
-        tips = [between(segments.begin, segments.end, share + side * half_share) for side in (-1.0, 0.0, 1.0)]
+        axes = [unit(interpolated(begin_axis, end_axis, share + side * half_share)) for side in (-1.0, 0.0, 1.0)]
+        tips = [interpolated(segments.begin, segments.end, share + side * half_share) for side in (-1.0, 0.0, 1.0)]
         t = segments.first[piece] + share * (segments.last - segments.first)[piece]
         rate = (end_axis - begin_axis) / np.maximum(time, 1e-12)[:, None]
         return cls(
-            segments.motion[piece], t, tips[1], axes[1], unit(between(segments.leave, segments.arrive, share)), tips[0],
-            axes[0], tips[2], axes[2], speed[piece], rate[piece],
+            segments.motion[piece], t, tips[1], axes[1], unit(interpolated(segments.leave, segments.arrive, share)),
+            tips[0], axes[0], tips[2], axes[2], speed[piece], rate[piece],
         )  # fmt: skip
 
     @property
@@ -156,8 +158,9 @@ def loads(stock: Stock, turn: Turn, path: TiltedPath, tooth: Array, hand: Ints) 
     chip = Chips.of(turn, middle, change)
     engagement = cut_edge(stock, turn, point, edge_axes)
     descent_sine = np.maximum(-np.einsum("ni,ni->n", path.heading, path.axis), 0.0).astype(np.float32)
-    mean_loads = mean(turn, engagement, chip, descent_sine, stock.cell / np.sqrt(path.axis[:, 2]))
-    return mean_loads, engagement.length * chip.share, is_axial
+    # a cell of the map is cell² / cos(tilt) on a surface square to the tool: a square as large has this width
+    turn_loads = mean_loads(turn, engagement, chip, descent_sine, stock.cell / np.sqrt(path.axis[:, 2]))
+    return turn_loads, engagement.length * chip.share, is_axial
 
 
 class SweptCells(Struct, frozen=True, eq=False):
@@ -228,6 +231,10 @@ def _leads(
 ) -> Bools:
     """Return where a tool moves outwards at the end of moves, and points (L, h, w) are near its side or outside of it.
 
+    A point moves with the tool outwards where the velocity of the tool at it has a component along the normal of its
+    cylinder.
+
+    :param tip: (n, 3) positions of the tip [m], and `axis` (n, 3) unit directions to the spindle at the poses.
     :param rows: (L,) first pose of each move.
     :param point: x and y (L, h, w) of the points from the tip at that pose [m]; level: (L, h, w) their heights [m].
     :param margin: distance of points inside of the tool from its side that counts as near [m].
@@ -250,6 +257,10 @@ def _leads(
 def _under_moves(cutter: Cutter, tip: Array, axis: Array, rows: Ints, x: Array, y: Array) -> tuple[Array, Bools, Array]:
     """Return the lowest level of a tool over cells as it moves from pose to pose, each (L, h, w).
 
+    The slope of the lower side with the move is known at both ends, so that its minimum between them is found from two
+    planes or from a parabola.
+
+    :param tip: (n, 3) positions of the tip [m], and `axis` (n, 3) unit directions to the spindle at the poses.
     :param rows: (L,) first pose of each move.
     :param x: (L, h, w) and y: positions of cells from the tip at that pose [m].
     :returns: levels, infinite where the tool does not come; True where it still sinks at the end of the move; and the
@@ -297,7 +308,7 @@ def _lower_and_upper_sides(
     is_met &= low < high
     flat_radius, corner = cutter.radius - cutter.corner, cutter.corner
     if flat_radius <= 1e-9 * cutter.radius:
-        low, is_met = _ball(cutter.radius, axis, (x, y), axial, low, high, is_met)
+        low, is_met = _ball_side(cutter.radius, axis, (x, y), axial, low, high, is_met)
     elif corner > 0.0:
         low, is_met = _corner_side(cutter, axial, az, x * x + y * y, low, high, is_met)
     height = axial + low * az
@@ -322,10 +333,16 @@ def _lower_and_upper_sides(
     return np.where(is_met, low, np.inf), np.where(is_met, high, -np.inf), np.where(is_met, slope, 0.0)
 
 
-def _ball(
+def _ball_side(
     radius: float, axis: Array, point: tuple[Array, Array], axial: Array, low: Array, high: Array, meets: Bools
 ) -> tuple[Array, Bools]:
-    """Return the lower side of a ball-nose tool, and where there is one: of the ball, or of the cylinder above it."""
+    """Return the lower side of a ball-nose tool (L, h, w) [m], and where there is one: of the ball, or of the cylinder.
+
+    :param radius: of the tool [m]; axis: (L, 3) unit directions to the spindle.
+    :param point: x and y (L, h, w) of vertical lines from the tip [m]; axial: (L, h, w) their component along the axis.
+    :param low: (L, h, w) where a line enters the cylinder, above the tip [m], and `high` where it leaves it; `meets`
+        where it meets the cylinder at all.
+    """
     ax, ay, az = (axis[:, k, None, None] for k in range(3))
     square = radius**2 - (point[0] - radius * ax) ** 2 - (point[1] - radius * ay) ** 2
     ball = np.where(square > 0.0, radius * az - np.sqrt(np.maximum(square, 0.0)), np.inf)
@@ -339,9 +356,15 @@ def _ball(
 def _corner_side(
     cutter: Cutter, axial: Array, az: Array, square: Array, low: Array, high: Array, meets: Bools
 ) -> tuple[Array, Bools]:
-    """Return the lower side of a tool with a rounded corner, and where there is one: it is inside of a flat tool.
+    """Return the lower side of a tool with a rounded corner (L, h, w) [m], and where there is one.
 
-    :param square: squares of the horizontal distances from the tip.
+    The tool is inside of a flat one, whose lower side is `low`. The distance from its surface is convex along a line:
+    a golden section finds the innermost place, bisection the lower side below it.
+
+    :param axial: (L, h, w) component along the axis of the points of lines at the height of the tip [m]; `az` (L, 1, 1)
+        z of the axis; `square` (L, h, w) squares of the horizontal distances from the tip [m²].
+    :param low: (L, h, w) where a line enters the flat tool, above the tip [m]; `high` where it leaves it; `meets` where
+        it meets it at all.
     """
     lower_side, meets = np.where(meets, low, 0.0), meets.copy()
     rows = np.flatnonzero(meets)  # lines that miss the tool need no search
@@ -367,9 +390,11 @@ def _corner_side(
 
 
 def _surface_distances(cutter: Cutter, z: Array, axial: Array, az: Array, square: Array) -> Array:
-    """Return the distances (n,) from the surface of a tool with a rounded corner, < 0 inside: convex along a line.
+    """Return the distances (n,) [m] from the surface of a tool with a rounded corner, < 0 inside: convex along a line.
 
-    :param z: (n,) heights on vertical lines above the tip [m]; see `_lower_and_upper_sides` and `_rounded`.
+    :param z: (n,) heights on vertical lines above the tip [m].
+    :param axial: (n,) component along the axis of the points of the lines at the height of the tip [m], `az` (n,) z of
+        the axis, `square` (n,) squares of the horizontal distances of the lines from the tip [m²].
     """
     height = axial + z * az
     radial_excess = np.sqrt(np.maximum(square + z * z - height * height, 0.0)) - (cutter.radius - cutter.corner)
@@ -401,17 +426,20 @@ def cut_edge(stock: Stock, turn: Turn, point: Array, axes: Array) -> EngagedEdge
             level += cut_share * (np.clip(np.minimum(low.take(cell), upper) - z, -steepest, steepest) - level)
         depth += weight * level
     depth[:, turn.bottom] -= np.float32(_FLUSH_DEPTH)
-    extent = _half_extents(turn, axes)
+    extent = _vertical_extents(turn, axes)
     share_in_material = np.clip(0.5 + depth / extent, 0.0, 1.0)
     if float(z.min()) < stock.ground:
         share_in_material *= z > floor.take(corners.cell[0])
     return EngagedEdge(share_in_material * turn.length, np.zeros((len(x), 0), dtype=np.float32))
 
 
-def _half_extents(turn: Turn, axes: Array) -> Floats:
-    """Return the half extents of pieces of edge (n, P) along z of the map [m]."""
+def _vertical_extents(turn: Turn, axes: Array) -> Floats:
+    """Return the extents of pieces of edge (n, P) along z of the map [m], at least 0.1 µm.
+
+    :param axes: (n, 3, 3) of the tool as columns, see `local_axes`.
+    """
     up = axes[:, 2].astype(np.float32)  # z of the map in the axes of the tool
     sine, cosine = np.sin(turn.phi).astype(np.float32), np.cos(turn.phi).astype(np.float32)
-    sine_of_kappa = np.sqrt(np.maximum(1.0 - turn.axial**2, 0.0)).astype(np.float32)  # sine of kappa
+    sine_of_kappa = np.sqrt(np.maximum(1.0 - turn.axial**2, 0.0)).astype(np.float32)
     radial = turn.axial * (up[:, :1] * sine + up[:, 1:2] * cosine)  # along the edge, outwards and up
     return np.asarray(np.maximum(turn.length * np.abs(radial + sine_of_kappa * up[:, 2:]), np.float32(1e-7)))

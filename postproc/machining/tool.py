@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
 from postproc.frames import Array
 from postproc.machining.material import CuttingLaw, Floats
+from postproc.program import Bools, Ints
 
 BOTTOM, CORNER, SIDE = range(3)
 """Values of `Edge.part`: the end face of a flat or bull tool, the round of a ball or bull tool, the cylinder."""
 _RINGS = 3
 """Smallest number of rings of a flat face (assumed)."""
+_CORNER_SLICES = 8
+"""Smallest number of slices of a rounded corner (assumed)."""
 _MOST_SLICES = 160
 """Largest number of slices of an edge: time grows with it (assumed)."""
 
@@ -33,13 +38,16 @@ class Cutter(Struct, frozen=True):
 
     @property
     def shape(self) -> str:
-        """Return the shape of its end: "flat", "ball" or "bull"."""
+        """The shape of its end: "flat", "ball" or "bull"."""
         if self.corner == 0.0:
             return "flat"
         return "ball" if self.corner >= self.radius * (1.0 - 1e-9) else "bull"
 
     def height(self, distance: Array) -> Array:
-        """Return the height of its lower side above the tip [m] at distances from its axis [m], at most the radius."""
+        """Return the heights of its lower side above the tip [m], in the shape of `distance`.
+
+        :param distance: distances from its axis [m], at most the radius.
+        """
         if self.corner == 0.0:
             return np.zeros_like(distance)
         corner_distance = np.minimum(np.maximum(distance - (self.radius - self.corner), 0.0), self.corner)
@@ -54,8 +62,8 @@ class Edge(Struct, frozen=True, eq=False):
     :param low: (S,) height of its lower end above the tip [m].
     :param rise: (S,) its height [m]; infinite for `SIDE`; 0 for `BOTTOM`.
     :param length: (S,) along the edge, without helix [m]; 1 for `SIDE`, whose length is its height.
-    :param kappa: (S,) angle between the axis and the normal of the cut surface in the middle of the piece: 90° on the
-        cylinder, 0 below.
+    :param kappa: (S,) angle between the axis and the normal of the cut surface in the middle of the piece [rad]: 90° on
+        the cylinder, 0 on the end face.
     :param bend: (S,) change of that angle along the piece [rad].
     """
 
@@ -69,41 +77,39 @@ class Edge(Struct, frozen=True, eq=False):
 
 
 def edge(cutter: Cutter, step: float) -> Edge:
-    """Return the edge of a cutter in pieces of about `step` [m]: of the end, of the corner, and the cylinder."""
-    flat_radius, corner = cutter.radius - cutter.corner, cutter.corner
-    parts, radius, low, rise, length, kappa, bend = [], [], [], [], [], [], []
-    if flat_radius > 0.0:
-        rings = max(_RINGS, min(_MOST_SLICES, int(np.ceil(flat_radius / step))))
-        width = flat_radius / rings
-        parts.append(np.full(rings, BOTTOM))
-        radius.append((np.arange(rings) + 0.5) * width)
-        low.append(np.zeros(rings))
-        rise.append(np.zeros(rings))
-        length.append(np.full(rings, width))
-        kappa.append(np.zeros(rings))
-        bend.append(np.zeros(rings))
-    if corner > 0.0:
-        slices = max(8, min(_MOST_SLICES, int(np.ceil(corner * 0.5 * np.pi / step))))
-        bounds = np.linspace(0.0, 0.5 * np.pi, slices + 1)
-        middle = 0.5 * (bounds[1:] + bounds[:-1])
-        heights = corner * (1.0 - np.cos(bounds))
-        parts.append(np.full(slices, CORNER))
-        radius.append(flat_radius + corner * np.sin(middle))
-        low.append(heights[:-1])
-        rise.append(np.diff(heights))
-        length.append(np.full(slices, corner * 0.5 * np.pi / slices))
-        kappa.append(middle)
-        bend.append(np.full(slices, 0.5 * np.pi / slices))
+    """Return the edge of a cutter in pieces of about `step` [m]: of the end face, of the corner, and the cylinder."""
+    edges = []
+    if cutter.radius > cutter.corner:
+        edges.append(_face_edge(cutter, step))
+    if cutter.corner > 0.0:
+        edges.append(_corner_edge(cutter, step))
     if not cutter.drill:
-        parts.append(np.array([SIDE]))
-        radius.append(np.array([cutter.radius]))
-        low.append(np.array([corner]))
-        rise.append(np.array([np.inf]))
-        length.append(np.array([1.0]))
-        kappa.append(np.array([0.5 * np.pi]))
-        bend.append(np.zeros(1))
-    columns = [np.concatenate(column) for column in (radius, low, rise, length, kappa, bend)]
-    return Edge(np.concatenate(parts).astype(np.int64), *columns)
+        columns = cutter.radius, cutter.corner, np.inf, 1.0, 0.5 * np.pi, 0.0
+        edges.append(Edge(np.array([SIDE]), *(np.array([value]) for value in columns)))
+    part = np.concatenate([edge.part for edge in edges]).astype(np.int64)
+    return Edge(part, *(np.concatenate([getattr(edge, name) for edge in edges]) for name in _COLUMNS))
+
+
+def _face_edge(cutter: Cutter, step: float) -> Edge:
+    """Return the edge on the flat end face of a cutter, in rings about `step` [m] wide."""
+    flat_radius = cutter.radius - cutter.corner
+    rings = max(_RINGS, min(_MOST_SLICES, int(np.ceil(flat_radius / step))))
+    width, zero = flat_radius / rings, np.zeros(rings)
+    radius = np.asarray((np.arange(rings) + 0.5) * width, dtype=float)
+    return Edge(np.full(rings, BOTTOM), radius, zero, zero, np.full(rings, width), zero, zero)
+
+
+def _corner_edge(cutter: Cutter, step: float) -> Edge:
+    """Return the edge on the rounded corner of a cutter, in slices of equal angles about `step` [m] long."""
+    corner = cutter.corner
+    slices = max(_CORNER_SLICES, min(_MOST_SLICES, int(np.ceil(corner * 0.5 * np.pi / step))))
+    bounds = np.linspace(0.0, 0.5 * np.pi, slices + 1)
+    middle = 0.5 * (bounds[1:] + bounds[:-1])
+    heights = corner * (1.0 - np.cos(bounds))
+    radius = cutter.radius - corner + corner * np.sin(middle)
+    bend = np.full(slices, 0.5 * np.pi / slices)
+    length = np.full(slices, corner * 0.5 * np.pi / slices)
+    return Edge(np.full(slices, CORNER), radius, heights[:-1], np.diff(heights), length, middle, bend)
 
 
 def slice_cylinder(edge: Edge, step: float, height: float) -> Edge:
@@ -128,11 +134,12 @@ def slice_cylinder(edge: Edge, step: float, height: float) -> Edge:
 
 
 def take_pieces(edge: Edge, pieces: NDArray[np.bool_]) -> Edge:
-    """Return some of the pieces (S,) of an edge."""
+    """Return the pieces of an edge that are True in `pieces` (S,)."""
     return Edge(edge.part[pieces], *(getattr(edge, name)[pieces] for name in _COLUMNS))
 
 
 _COLUMNS = ("radius", "low", "rise", "length", "kappa", "bend")
+"""The columns of `Edge` after `part`, in order."""
 
 
 DRILL_THRUST = 0.65
@@ -140,8 +147,12 @@ DRILL_THRUST = 0.65
 _SAMPLING = {"ball": 1.0, "flat": 1.7, "bull": 5.1}
 """Error of forces by the cells of the map, relative to that of a ball with a contact of the same area: RMS against
 exact fronts on random surfaces with cells of 0.25 mm. The contact of a bull-nose tool is a strip along its corner."""
-_LEAST_POINTS = 8
-"""Minimum number of sample points in half a turn (assumed)."""
+_LEAST_POINTS, _LEAST_RIM_POINTS = 8, 24
+"""Minimum number of sample points in half a turn: on a circle, and on the rim (assumed)."""
+_NO_COSINE = 1e-12
+"""Cosines below this are 0: that of 90° is 6e-17 in floating point."""
+_NO_CHIP = 1e-9
+"""Chips below this share of the feed per tooth are none (assumed)."""
 
 
 class Turn(Struct, frozen=True, eq=False):
@@ -187,52 +198,24 @@ class Turn(Struct, frozen=True, eq=False):
 
     @classmethod
     def of(cls, edge: Edge, cutter: Cutter, law: CuttingLaw, step: float, descent: float | None) -> Turn:
-        """Return the sample points of a turn, about `step` [m] apart, and their wrenches per coefficient.
+        """Return the sample points of a turn, about `step` [m] apart on the rim, and their wrenches.
 
         :param descent: sine of the steepest downward angle of the feed, < 0 upward: points without a possible chip
             are omitted. None: the tool turns, and any point may have one.
         """
-        half_count = cutter.teeth * max(
-            int(np.ceil(np.pi * cutter.radius / step / cutter.teeth)), -(-24 // cutter.teeth)
-        )
-        piece, phi, width = [], [], []
-        for piece_number, radius in enumerate(edge.radius.tolist()):
-            divisor = 1
-            while (
-                half_count % (2 * divisor) == 0
-                and half_count // (2 * divisor) >= _LEAST_POINTS
-                and 2 * divisor * radius <= cutter.radius
-            ):
-                divisor *= 2
-            count = 2 * half_count // divisor
-            piece.append(np.full(count, piece_number))
-            phi.append((np.arange(count) + 0.5) * (2.0 * np.pi / count))
-            width.append(np.full(count, 2.0 * np.pi / count))
-        row, angle, point_width = (np.concatenate(column) for column in (piece, phi, width))
-        sine, cosine = np.sin(angle), np.cos(angle)
-        sin_kappa, cos_kappa = np.sin(edge.kappa)[row], np.cos(edge.kappa)[row]
-        cos_kappa = np.where(np.abs(cos_kappa) < 1e-12, 0.0, cos_kappa)
-        is_used, half_bend = np.zeros(len(row), dtype=bool), 0.5 * edge.bend[row]
-        if descent is not None:
-            level = np.sqrt(1.0 - descent**2)
-            chip_change = half_bend * np.abs(cos_kappa * sine * level - sin_kappa * descent)
-            is_used = sin_kappa * sine * level + cos_kappa * descent + chip_change > 1e-9
-        if not is_used.any():
-            is_used[:] = True
-        columns = row, angle, point_width, sine, cosine, sin_kappa, cos_kappa, half_bend
-        row, angle, point_width, sine, cosine, sin_kappa, cos_kappa, half_bend = (column[is_used] for column in columns)
-        zero, part, rise = np.zeros(len(row)), edge.part[row], edge.rise[row]
-        normal = np.stack([sin_kappa * sine, sin_kappa * cosine, zero - cos_kappa], axis=-1)
-        tangential = np.stack([zero - cosine, sine, zero], axis=-1)
-        axial = np.stack([cos_kappa * sine, cos_kappa * cosine, sin_kappa], axis=-1)
+        half_count = _half_turn_count(cutter, step)
+        row, angle, width = _points_of_turn(edge, cutter, half_count)
+        is_used = _can_have_chip(edge, row, angle, descent)
+        row, angle, width = row[is_used], angle[is_used], width[is_used]
+        directions, part, rise = _EdgeDirections.of(edge, row, angle), edge.part[row], edge.rise[row]
         z = np.where(part == CORNER, edge.low[row] + 0.5 * np.where(np.isfinite(rise), rise, 0.0), 0.0)
-        point = np.stack([edge.radius[row] * sine, edge.radius[row] * cosine, z], axis=-1)
-        share = (cutter.teeth * point_width / (2.0 * np.pi))[:, None]
+        point = np.stack([edge.radius[row] * np.sin(angle), edge.radius[row] * np.cos(angle), z], axis=-1)
+        share = (cutter.teeth * width / (2.0 * np.pi))[:, None]
 
         def wrench(k: tuple[float, float, float]) -> Floats:
-            """Return the wrench (P, 6) for a tangential, a radial and an axial coefficient."""
+            """Return the wrench (P, 6) for a tangential, a radial and an axial coefficient [N/m² or N/m]."""
             radial = DRILL_THRUST * k[0] if cutter.drill else k[1]
-            force = k[0] * tangential - radial * normal + k[2] * axial
+            force = k[0] * directions.tangential - radial * directions.normal + k[2] * directions.axial
             return np.asarray(np.concatenate([force, np.cross(point, force)], axis=-1) * share, dtype=np.float32)
 
         axes = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)) if law.covariance is not None else ()
@@ -241,25 +224,105 @@ class Turn(Struct, frozen=True, eq=False):
         )
 
         def as_single(column: Array) -> Floats:
+            """Return a column in single precision."""
             return np.ascontiguousarray(column, dtype=np.float32)
 
+        # points are in the order of `part`
         first, second, third, end = np.searchsorted(part, [BOTTOM, CORNER, SIDE, SIDE + 1]).tolist()
         height = (np.where(np.isfinite(rise), rise, 1.0) / edge.length[row])[:, None]
         return cls(
-            law, cutter.teeth, cutter.drill, _SAMPLING[cutter.shape], angle, point_width,
+            law, cutter.teeth, cutter.drill, _SAMPLING[cutter.shape], angle, width,
             as_single(edge.radius[row]), as_single(edge.low[row]),
             as_single(rise), as_single(edge.length[row]), slice(first, second), slice(second, third), slice(third, end),
-            as_single(normal[:, 0]), as_single(-normal[:, 2]), as_single(half_bend[:, None] * axial),
-            wrench(law.cutting), wrench(law.edge),
-            unit_wrench, as_single(_is_covered(angle, point_width, 2 * half_count) * height),
+            as_single(directions.normal[:, 0]), as_single(-directions.normal[:, 2]),
+            as_single(0.5 * edge.bend[row][:, None] * directions.axial), wrench(law.cutting), wrench(law.edge),
+            unit_wrench, as_single(_covered_parts(angle, width, 2 * half_count) * height),
         )  # fmt: skip
 
 
-def _is_covered(phi: Array, width: Array, number: int) -> Floats:
-    """Return which of equal parts of a turn are covered (P, number): 1 or 0.
+class _EdgeDirections(NamedTuple):
+    """Unit directions (P, 3) at sample points, in the axes of `postproc.machining.cutting`.
+
+    :param normal: of the cut surface, into the material; `tangential`: of the tangential force on the tool, against the
+        motion of the tooth; `axial`: along the edge, outwards and up.
+    """
+
+    normal: Array
+    tangential: Array
+    axial: Array
+
+    @classmethod
+    def of(cls, edge: Edge, row: Ints, angle: Array) -> _EdgeDirections:
+        """Return the directions at pieces of edge `row` (P,) and angles of the turn (P,) [rad]."""
+        sine, cosine, zero = np.sin(angle), np.cos(angle), np.zeros(len(row))
+        sin_kappa, cos_kappa = _sine_and_cosine_of_kappa(edge, row)
+        return cls(
+            np.stack([sin_kappa * sine, sin_kappa * cosine, zero - cos_kappa], axis=-1),
+            np.stack([zero - cosine, sine, zero], axis=-1),
+            np.stack([cos_kappa * sine, cos_kappa * cosine, sin_kappa], axis=-1),
+        )
+
+
+def _half_turn_count(cutter: Cutter, step: float) -> int:
+    """Return the number of sample points in half a turn of the rim, about `step` [m] apart.
+
+    It is a multiple of the number of teeth, so that a tooth pitch has a whole number of points.
+    """
+    least_count = -(-_LEAST_RIM_POINTS // cutter.teeth)
+    return cutter.teeth * max(int(np.ceil(np.pi * cutter.radius / step / cutter.teeth)), least_count)
+
+
+def _points_of_turn(edge: Edge, cutter: Cutter, half_count: int) -> tuple[Ints, Array, Array]:
+    """Return the sample points of a turn: piece of edge (P,), angle (P,) and width of the angle (P,) [rad].
+
+    A piece on the rim has 2 · `half_count` points. One on a smaller circle has fewer by a power of 2, so that points
+    are about as far apart there.
+    """
+    piece, phi, width = [], [], []
+    for piece_number, radius in enumerate(edge.radius.tolist()):
+        divisor = 1
+        while (
+            half_count % (2 * divisor) == 0
+            and half_count // (2 * divisor) >= _LEAST_POINTS
+            and 2 * divisor * radius <= cutter.radius
+        ):
+            divisor *= 2
+        count = 2 * half_count // divisor
+        piece.append(np.full(count, piece_number))
+        phi.append((np.arange(count) + 0.5) * (2.0 * np.pi / count))
+        width.append(np.full(count, 2.0 * np.pi / count))
+    return np.concatenate(piece), np.concatenate(phi), np.concatenate(width)
+
+
+def _can_have_chip(edge: Edge, row: Ints, angle: Array, descent: float | None) -> Bools:
+    """Return which sample points (P,) can have a chip; all of them if none can, or without a `descent`.
+
+    :param row: (P,) pieces of edge, and `angle` (P,) angles of the turn [rad].
+    :param descent: sine of the steepest downward angle of the feed; None: not known.
+    """
+    is_used = np.zeros(len(row), dtype=bool)
+    if descent is not None:
+        sine, half_bend = np.sin(angle), 0.5 * edge.bend[row]
+        sin_kappa, cos_kappa = _sine_and_cosine_of_kappa(edge, row)
+        level = np.sqrt(1.0 - descent**2)
+        # the chip is the feed times the normal; it is thicker at one end of a piece that bends
+        chip_change = half_bend * np.abs(cos_kappa * sine * level - sin_kappa * descent)
+        is_used = sin_kappa * sine * level + cos_kappa * descent + chip_change > _NO_CHIP
+    return is_used if is_used.any() else np.ones(len(row), dtype=bool)
+
+
+def _sine_and_cosine_of_kappa(edge: Edge, row: Ints) -> tuple[Array, Array]:
+    """Return sine and cosine (P,) of kappa of pieces of edge `row` (P,)."""
+    cosine = np.cos(edge.kappa)[row]
+    return np.sin(edge.kappa)[row], np.where(np.abs(cosine) < _NO_COSINE, 0.0, cosine)
+
+
+def _covered_parts(phi: Array, width: Array, number: int) -> Floats:
+    """Return 1 for the parts of a turn that intervals of angles cover, and 0 for others (P, number).
 
     :param phi: (P,) centre of the covered interval [rad].
     :param width: (P,) its width [rad].
+    :param number: of equal parts of the turn; a part is covered if its middle is.
     """
     middle = (np.arange(number) + 0.5) * (2.0 * np.pi / number)
     angle = np.abs((middle - phi[:, None] + np.pi) % (2.0 * np.pi) - np.pi)

@@ -13,7 +13,7 @@ from scipy.integrate import quad
 from postproc.machining import cutting
 from postproc.machining.cutting import EngagedEdge
 from postproc.machining.material import CuttingLaw
-from postproc.machining.tool import Cutter, Turn, _is_covered, edge
+from postproc.machining.tool import Cutter, Turn, _covered_parts, edge
 from tests.machining.setting import forces, gcode, process, tool
 
 LINEAR = CuttingLaw((800e6, 500e6, -300e6), (30e3, -20e3, 12e3), 0.0, 0.1, "linear")
@@ -99,7 +99,7 @@ def test_mean_wrench_and_volume_are_the_integrals_of_the_formulas(law, cutter, f
     n = np.ones(1, dtype=np.float32)
     chip = cutting.chips(turn, n * np.float32(feed), n * np.float32(descent))
     rubbing = 0.3
-    found = cutting.mean(turn, engaged_of(turn, begin, end), chip, np.float32(rubbing) * n, 2.5e-4)
+    found = cutting.mean_loads(turn, engaged_of(turn, begin, end), chip, np.float32(rubbing) * n, 2.5e-4)
     expected, volume = mean_by_sums(cutter, law, feed, descent, begin, end, rubbing)
     lever = np.linalg.norm(expected[:3]) * cutter.radius
     np.testing.assert_allclose(found.wrench[0, :3], expected[:3], atol=0.01 * np.linalg.norm(expected[:3]))
@@ -156,7 +156,7 @@ def test_the_edge_is_as_long_as_the_profile_and_as_high():
 def test_a_place_covers_the_parts_of_a_turn_whose_middles_are_within_it():
     rng, turn = np.random.default_rng(3), 2.0 * np.pi
     phi, width = rng.uniform(0.0, turn, 12), rng.uniform(0.05, 0.9, 12) * turn
-    found = _is_covered(phi, width, 24)
+    found = _covered_parts(phi, width, 24)
     for place in range(len(phi)):
         for part in range(24):
             middles = (part + 0.5) * turn / 24 + np.arange(-8, 9) * turn
