@@ -141,7 +141,11 @@ def _partners_under_load(
     stated_pairs: Ints | None,
     tolerance: float,
 ) -> tuple[Ints, Bools]:
-    """Return the partner of each nominal target (n,), −1 for none, and whether it is certain (n,)."""
+    """Return the partner (n,) of each nominal target, −1 for none, and whether it is certain (n,).
+
+    :param stated_pairs: (n,) partners that the conversion states; None: they follow from places and forces.
+    :param tolerance: distance of the loaded tip from its target within which a partner is certain [m].
+    """
     if stated_pairs is not None:
         return stated_pairs, np.ones(len(stated_pairs), dtype=bool)
     # the second program is expected to command poses that the deflection takes back to the targets
@@ -153,7 +157,11 @@ def _partners_under_load(
 def _all_pairs(
     nominal_path: PlacedProgram, corrected_path: PlacedProgram, partner: Ints, certain: Bools, loads: _Loads | None
 ) -> Comparison:
-    """Return the comparison of targets with their partners (n,), those included that were moved alone."""
+    """Return the comparison of targets with their partners, those included that were moved alone.
+
+    :param partner: (n,) index of the partner in `corrected_path.rows`; −1 for none.
+    :param certain: (n,) True where it is right for certain.
+    """
     load = None if loads is None else loads.path
     # a target that only divides a line or an arc may have a partner that divides it elsewhere: the path passes it then
     is_division_point = nominal_path.is_continued[nominal_path.rows] & (partner >= 0) & ~certain & (loads is not None)
@@ -172,7 +180,10 @@ def _all_pairs(
 def _complete_cuts(
     comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram, loads: _Loads, tolerance: float
 ) -> Comparison:
-    """Return a comparison with where both programs cut under the nominal forces, also between targets."""
+    """Return a comparison with where both programs cut under the nominal forces, also between targets.
+
+    :param tolerance: an additional target within this distance of the nominal path is an inserted one [m].
+    """
     index = np.searchsorted(nominal_path.rows, comparison.pair[:, 0])
     partner = partners_of(comparison, nominal_path, corrected_path)
     deviation_in_second = deviation_left(nominal_path, corrected_path, partner, loads.wrench)
@@ -210,6 +221,7 @@ def _add_cuts(comparison: Comparison, nominal_path: PlacedProgram, corrected_pat
 def _stated_partners(nominal_path: PlacedProgram, corrected_path: PlacedProgram, ends: Bools | None) -> Ints | None:
     """Return the index in `corrected_path.rows` of the partner of each of `nominal_path.rows` (n,), as converted.
 
+    :param ends: (c,) whether targets of the second program end a nominal motion, as the conversion states; None.
     :returns: None where nothing is stated, or not for programs of so many targets.
     """
     if ends is None or len(ends) != len(corrected_path.rows) or int(np.count_nonzero(ends)) != len(nominal_path.rows):

@@ -23,7 +23,14 @@ from postproc.comparison.result import (
     place_of,
     warning_at,
 )
-from postproc.comparison.settings import SAME_LENGTH, axis_targets, bases_and_tools, forces, lowered_feeds, settings
+from postproc.comparison.settings import (
+    SAME_LENGTH,
+    axis_target_differences,
+    force_differences,
+    frame_differences,
+    lowered_feed_notes,
+    setting_differences,
+)
 from postproc.comparison.statements import statement_differences
 from postproc.correction.targets import corners_of_motions
 from postproc.errors import Level
@@ -62,29 +69,32 @@ def differences(
         additional targets and what the forces show are differences then.
     :param pairs_certain: pairs are the targets that the loaded tip comes to, or those that the conversion states.
     """
-    uncertain = () if pairs_certain else tuple(_ambiguous(comparison, nominal_path, corrected_path))
+    uncertain = () if pairs_certain else tuple(_ambiguous_pairs(comparison, nominal_path, corrected_path))
     if same_origin:
         return (
-            *lowered_feeds(comparison),
+            *lowered_feed_notes(comparison),
             *_uncompared_motions(comparison),
             *_unpaired_targets(comparison, nominal_path),
-            *_under_forces(comparison, nominal_path),
+            *_deviations_under_force(comparison, nominal_path),
             *uncertain,
         )
-    path_differences = (*_off_path(comparison, nominal_path, corrected_path), *_under_forces(comparison, nominal_path))
+    path_differences = (
+        *_ways_off_path(comparison, nominal_path, corrected_path),
+        *_deviations_under_force(comparison, nominal_path),
+    )
     return (
         *_unresolved_differences(comparison),
         *_uncompared_motions(comparison),
-        *_calls(comparison),
-        *settings(comparison, nominal_path, corrected_path),
+        *_call_differences(comparison),
+        *setting_differences(comparison, nominal_path, corrected_path),
         *statement_differences(comparison),
-        *forces(comparison, corrected_path, in_file=in_file),
-        *_rapid(comparison, nominal_path),
+        *force_differences(comparison, corrected_path, in_file=in_file),
+        *_rapid_differences(comparison, nominal_path),
         *_repeated_positions(comparison, nominal_path, corrected_path),
         *_backward_moves(comparison),
         *_unpaired_targets(comparison, nominal_path),
-        *axis_targets(comparison, nominal_path, corrected_path),
-        *_orientation(comparison, nominal_path, corrected_path),
+        *axis_target_differences(comparison, nominal_path, corrected_path),
+        *_orientation_differences(comparison, nominal_path, corrected_path),
         *(path_differences or _cut_corners(comparison, nominal_path, corrected_path)),
         *uncertain,
     )
@@ -103,10 +113,10 @@ def _unresolved_differences(comparison: Comparison) -> Iterator[Difference]:
         count = abs(len(motions[0]) - len(motions[1])) or 1
         yield Difference("error", "unresolved-differs", message, places[0], places[1], count)
     elif len(comparison.nominal.documents) == len(comparison.corrected.documents):
-        yield from _statements_differ(comparison)
+        yield from _unresolved_statement_differences(comparison)
 
 
-def _statements_differ(comparison: Comparison) -> Iterator[Difference]:
+def _unresolved_statement_differences(comparison: Comparison) -> Iterator[Difference]:
     """Yield motions known at run time only if the statements that decide on them differ; not of divided programs.
 
     Those are the statements back to the motion, or the end of a block, before it.
@@ -120,10 +130,12 @@ def _statements_differ(comparison: Comparison) -> Iterator[Difference]:
     ):
         if nominal_motion.file not in texts[0] or corrected_motion.file not in texts[1]:
             continue
-        nominal_statements = list(takewhile(bool, _statements(texts[0][nominal_motion.file], nominal_motion.line)))
+        nominal_statements = list(
+            takewhile(bool, _statements_before(texts[0][nominal_motion.file], nominal_motion.line))
+        )
         corrected_statements = list(
             islice(
-                filter(None, _statements(texts[1][corrected_motion.file], corrected_motion.line)),
+                filter(None, _statements_before(texts[1][corrected_motion.file], corrected_motion.line)),
                 len(nominal_statements),
             )
         )
@@ -139,7 +151,7 @@ def _statements_differ(comparison: Comparison) -> Iterator[Difference]:
             )
 
 
-def _statements(lines: Sequence[str], line: int) -> Iterator[str]:
+def _statements_before(lines: Sequence[str], line: int) -> Iterator[str]:
     """Yield the statements before a line, backwards, except settings and declarations; empty for `_ENDS`."""
     for number in range(line - 2, -1, -1):
         text = lines[number].partition(";")[0].strip()
@@ -150,6 +162,7 @@ def _statements(lines: Sequence[str], line: int) -> Iterator[str]:
 
 
 def _normal_text(text: str) -> str:
+    """Return a statement without blanks and in capitals, as statements are compared."""
     return "".join(text.split()).upper()
 
 
@@ -172,7 +185,7 @@ def _uncompared_motions(comparison: Comparison) -> Iterator[Difference]:
         yield pair_warning(comparison, "not-compared", message, pairs)
 
 
-def _calls(comparison: Comparison) -> Iterator[Difference]:
+def _call_differences(comparison: Comparison) -> Iterator[Difference]:
     """Yield calls of programs that are in no file and that only one of the two makes."""
     calls = [
         {issue.subject: issue for issue in program.issues if issue.kind == "external-call"}
@@ -218,7 +231,7 @@ def _unpaired_targets(comparison: Comparison, nominal_path: PlacedProgram) -> It
         yield Difference("warning", "only-corrected", message, None, place_of(comparison.corrected, rows[0]), len(rows))
 
 
-def _ambiguous(
+def _ambiguous_pairs(
     comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram
 ) -> Iterator[Difference]:
     """Yield pairs whose nominal target may as well belong to a target inserted next to its partner.
@@ -251,12 +264,12 @@ def _ambiguous(
 
 
 def _next_partner(comparison: Comparison, row: int) -> tuple[str, int] | None:
-    """Return where the second program has the partner of the next target after a nominal motion."""
+    """Return file and line where the second program has the partner of the next target after nominal motion `row`."""
     pair_index = int(np.searchsorted(comparison.pair[:, 0], row))
     return place_of(comparison.corrected, comparison.pair[pair_index, 1]) if pair_index < len(comparison.pair) else None
 
 
-def _orientation(
+def _orientation_differences(
     comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram
 ) -> Iterator[Difference]:
     """Yield targets, inserted ones too, at which the tool is turned by more than the tolerance over a part of it.
@@ -268,7 +281,7 @@ def _orientation(
     pair_angles = (
         comparison.rotation if comparison.cuts is None else np.minimum(comparison.rotation, comparison.cuts.rotation)
     )
-    if comparison.cuts is None and any(difference.kind == "base" for difference in bases_and_tools(comparison)):
+    if comparison.cuts is None and any(difference.kind == "base" for difference in frame_differences(comparison)):
         return
     pairs = np.flatnonzero(pair_angles > limit)
     inserted_rows, inserted_angles = _inserted_rotations(comparison, nominal_path, corrected_path)
@@ -291,7 +304,7 @@ def _inserted_rotations(
 ) -> tuple[Ints, Array]:
     """Return inserted targets (n,) and the angles by which they turn the tool from the nominal path there (n,) [rad].
 
-    Without forces, at the same share of the way, and less the rotations of the pairs next to it.
+    Without force_differences, at the same share of the way, and less the rotations of the pairs next to it.
     """
     cuts = comparison.cuts
     if cuts is not None and len(cuts.row):
@@ -312,7 +325,7 @@ def _inserted_rotations(
     return row, angle_between(nominal_pose[:, :3, :3], corrected_pose[:, :3, :3]) - pair_rotation
 
 
-def _rapid(comparison: Comparison, nominal_path: PlacedProgram) -> Iterator[Difference]:
+def _rapid_differences(comparison: Comparison, nominal_path: PlacedProgram) -> Iterator[Difference]:
     """Yield a difference if rapid targets have an offset: no force acts on them that would explain it."""
     offsets = (
         comparison.distance
@@ -320,7 +333,7 @@ def _rapid(comparison: Comparison, nominal_path: PlacedProgram) -> Iterator[Diff
         else np.minimum(comparison.distance, norm(comparison.cuts.corrected_deviation))
     )
     pairs = np.flatnonzero((offsets > nominal_path.robot_in_cell.tolerance) & comparison.rapid)
-    if len(pairs) and not any(difference.kind == "base" for difference in bases_and_tools(comparison)):
+    if len(pairs) and not any(difference.kind == "base" for difference in frame_differences(comparison)):
         worst = pairs[np.argmax(offsets[pairs])]
         message = f"a rapid target is {offsets[worst] * MM_PER_M:.4f} mm off."
         yield warning_at(comparison, "rapid", message, comparison.pair[worst].tolist(), len(pairs))
@@ -357,13 +370,13 @@ def _backward_moves(comparison: Comparison) -> Iterator[Difference]:
         yield warning_at(comparison, "back", message, (-1, int(cuts.row[ends[reversals[0]]])), len(reversals))
 
 
-def _off_path(
+def _ways_off_path(
     comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram
 ) -> Iterator[Difference]:
     """Yield ways between pairs on which the second path is farther from the nominal one than its targets are.
 
-    An arc with a wrong auxiliary point is such a way: its targets are right. `_under_forces` reports the ways that are
-    checked under forces.
+    An arc with a wrong auxiliary point is such a way: its targets are right. `_deviations_under_force` reports the ways
+    that are checked under forces.
     """
     if comparison.curves is None:
         return
@@ -383,7 +396,7 @@ def _off_path(
         worst = int(np.argmax(distances))
         message = f"the path is {distances[worst] * MM_PER_M:.4f} mm from the nominal one on the way to this target."
         first, last = comparison.pair[off_path_rows[worst] - 1, 1], comparison.pair[off_path_rows[worst], 1]
-        message += _advice(comparison, np.arange(first + 1, last + 1))
+        message += _arc_advice(comparison, np.arange(first + 1, last + 1))
         yield warning_at(
             comparison, "between", message, comparison.pair[off_path_rows[worst]].tolist(), len(off_path_rows)
         )
@@ -425,7 +438,7 @@ def _distance_of_way(
     return largest if largest > OFF_PATH + TIMES_OFFSET * inserted_distance else 0.0
 
 
-def _under_forces(comparison: Comparison, nominal_path: PlacedProgram) -> Iterator[Difference]:
+def _deviations_under_force(comparison: Comparison, nominal_path: PlacedProgram) -> Iterator[Difference]:
     """Yield places between targets where the loaded tip is farther from the nominal path than at the targets."""
     cuts = comparison.cuts
     if cuts is None:
@@ -451,7 +464,7 @@ def _under_forces(comparison: Comparison, nominal_path: PlacedProgram) -> Iterat
             f"under the forces given it leaves {deviations[worst] * MM_PER_M:.4f} mm to the "
             "nominal path before this target."
         )
-        message += _advice(comparison, np.array([row]))
+        message += _arc_advice(comparison, np.array([row]))
         yield warning_at(
             comparison,
             "between",
@@ -508,6 +521,6 @@ def _cut_corners(
         )
 
 
-def _advice(comparison: Comparison, rows: Ints) -> str:
-    """Return the advice for motions (n,) of the second program that leave the path: arcs have an auxiliary point."""
+def _arc_advice(comparison: Comparison, rows: Ints) -> str:
+    """Return the advice for motions `rows` (n,) of the second program that leave the path; empty without an arc."""
     return " Check the auxiliary point of its arc." if CIRC in comparison.corrected.motions.kind[rows] else ""

@@ -41,8 +41,9 @@ _SHORTEST = 2.0 * BEHIND_STEP
 
 
 def deviation(side: PlacedProgram, motion: Ints, q: Array, wrench: Array, displacement: Array) -> Array:
-    """Return the loaded tip minus the targets of motions (n,), as (n, 3) in their `$BASE` [m].
+    """Return the loaded tip minus the targets of motions, (n, 3) in their `$BASE` [m].
 
+    :param motion: (n,) motions of `side`.
     :param q: (n, 6) commanded joint angles [rad].
     :param wrench: (n, 6) at the tip, root axes [N, N·m].
     :param displacement: (n, 3) how far E1 has carried the robot [m].
@@ -50,18 +51,22 @@ def deviation(side: PlacedProgram, motion: Ints, q: Array, wrench: Array, displa
     """
     program = side.program
 
-    def off(motion: Ints, q: Array, wrench: Array, displacement: Array) -> tuple[Array]:
+    def tip_offset(motion: Ints, q: Array, wrench: Array, displacement: Array) -> tuple[Array]:
+        """Return the offsets of some of the motions."""
         tip = side.loaded_tip(motion, q, wrench, displacement)
         return (side.to_base(motion, tip) - program.motions.target[motion, :3, 3],)
 
     try:
-        return in_chunks(off, motion, q, wrench, displacement)[0]
+        return in_chunks(tip_offset, motion, q, wrench, displacement)[0]
     except NotConvergedError as cause:
         raise no_equilibrium(program, motion, cause) from None
 
 
 def no_equilibrium(program: Program, motion: Ints, cause: NotConvergedError) -> ForceError:
-    """Return the error for a force that the arm does not hold at the first of motions (n,) that the cause names."""
+    """Return the error for a force under which the arm has no equilibrium.
+
+    :param motion: (n,) motions; the error names the line of the first that is in `cause.rows`.
+    """
     file, line = file_and_line(program, int(motion[cause.rows[0]]))
     return ForceError(f"the arm does not hold this force here: {cause}", file=file, line=line)
 
@@ -93,10 +98,14 @@ def pair_cuts(
 
 
 def _orientation_errors(comparison: Comparison, nominal_path: PlacedProgram, wrench: Array) -> Array:
-    """Return the angle between the commanded orientation and the one that keeps the loaded tool nominal (P,) [rad]."""
+    """Return the angle between the commanded orientation and the one that keeps the loaded tool nominal (P,) [rad].
+
+    :param wrench: (P, 6) at the tip at the pairs, root axes [N, N·m].
+    """
     program = comparison.nominal
 
     def angle(motion: Ints, wrench: Array, pose: Array) -> tuple[Array]:
+        """Return the angles at some of the pairs."""
         target = toolpath.pose_in_root(program, motion, program.motions.target[motion])
         compensated_pose = nominal_path.robot_in_cell.compensate(
             target, nominal_path.joints[motion], toolpath.tool_of(program, motion), wrench
@@ -132,7 +141,7 @@ def cuts_between_pairs(
     begin = ways.begins(pieces, place)
     is_valid = (place[pieces] - begin > _SHORTEST) & ~_begins_with_step(nominal_path, load, place[pieces])
     pieces, begin = pieces[is_valid], begin[is_valid]
-    row, t = places_on_pieces(corrected_path, pieces, _steep(nominal_path, corrected_path, pieces, place))
+    row, t = places_on_pieces(corrected_path, pieces, _is_steep(nominal_path, corrected_path, pieces, place))
     piece_index = np.searchsorted(pieces, row)
     guess = begin[piece_index] + t * (place[row] - begin[piece_index])
     joints = in_chunks(lambda row, t: (corrected_path.joints_at(row, t),), row, t)[0]
@@ -193,7 +202,7 @@ class Ways(Struct, frozen=True, eq=False):
         )
 
     def _is_known(self, row: Ints) -> Bools:
-        """Return which motions (n,) of the second program are on a known way."""
+        """Return which motions `row` (n,) of the second program are on a way that is comparable."""
         return np.append(self.is_comparable, False)[self.way[row]]
 
     def targets(self, comparison: Comparison) -> Ints:
@@ -211,25 +220,35 @@ class Ways(Struct, frozen=True, eq=False):
         return rows[self._is_known(rows) & ~_uncorrected_start(self.corrected_path)[rows]]
 
     def guess(self, row: Ints) -> Array:
-        """Return arc lengths (n,) on the nominal path at the same share of the way as the ends of motions (n,)."""
+        """Return arc lengths (n,) on the nominal path [m] at the same share of the way as the ends of motions.
+
+        :param row: (n,) motions of the second program.
+        """
         way = self.way[row]
         begin, end = self.second[way].T
         share = (self.corrected_path.arc_length[row + 1] - begin) / np.maximum(end - begin, 1e-12)
         return np.asarray(self.begin[way] + share * (self.end[way] - self.begin[way]))
 
     def begins(self, row: Ints, place: Array) -> Array:
-        """Return the arc lengths (n,) on the nominal path at which motions (n,) begin, by those of the ends (M,)."""
+        """Return the arc lengths (n,) on the nominal path at which motions begin [m].
+
+        :param row: (n,) motions of the second program.
+        :param place: (M,) arc lengths on the nominal path at which its motions end [m].
+        """
         index = np.searchsorted(self.corrected_path.rows, row) - 1
         return np.where(index >= 0, place[self.corrected_path.rows[index]], self.begin[self.way[row]])
 
 
 def _begins_with_step(nominal_path: PlacedProgram, load: PathForces, place: Array) -> Bools:
-    """Return which pieces, by the arc lengths of their ends (n,), cover a step of the force at the start of a move."""
+    """Return which pieces (n,) cover a step of the force at the start of a move.
+
+    :param place: (n,) arc lengths on the nominal path at which the pieces end [m]; NaN where unknown.
+    """
     return load.behind_step(*nominal_path.at(np.nan_to_num(place)))
 
 
 def _uncorrected_start(side: PlacedProgram) -> Bools:
-    """(M,) True for motions that begin at an unknown place, or at the start or an axis target that is not nominal."""
+    """Return the motions (M,) that begin at an unknown place, or at the start or an axis target that is not nominal."""
     m, predecessors = side.program.motions, side.program.after
     rows = np.arange(len(m))
     start_rows = rows - 1 if predecessors is None else predecessors
@@ -237,9 +256,10 @@ def _uncorrected_start(side: PlacedProgram) -> Bools:
     return np.asarray((start_rows == rows) | (axis & (not side.robot_in_cell.rest_is_nominal)))
 
 
-def _steep(nominal_path: PlacedProgram, corrected_path: PlacedProgram, pieces: Ints, place: Array) -> Bools:
+def _is_steep(nominal_path: PlacedProgram, corrected_path: PlacedProgram, pieces: Ints, place: Array) -> Bools:
     """Return which lines and arcs (n,) of the second program are displaced differently at their ends.
 
+    :param pieces: (n,) motions of the second program.
     :param place: (M,) arc lengths on the nominal path of the ends of its motions [m]; NaN where unknown.
     """
     ends = np.flatnonzero(np.isfinite(place))
@@ -250,7 +270,11 @@ def _steep(nominal_path: PlacedProgram, corrected_path: PlacedProgram, pieces: I
 
 
 def places_on_pieces(corrected_path: PlacedProgram, pieces: Ints, steep: Bools) -> tuple[Ints, Array]:
-    """Return places (row, t) inside of lines and arcs (n,) of the second program."""
+    """Return places (row, t), (k,) each, inside of lines and arcs of the second program.
+
+    :param pieces: (n,) motions of the second program.
+    :param steep: (n,) True where the displacement differs between both ends: more places are checked there.
+    """
     kind, segments = corrected_path.program.motions.kind[pieces], corrected_path.segments
     arcs = kind == CIRC
     length, turn = segments.length[pieces], segments.turn[pieces]
@@ -296,14 +320,16 @@ class Search(Struct, frozen=True, eq=False):
     ways: Ways
 
     def deviations(self, row: Ints, t: Array, q: Array, guess: Array, *, enough: float) -> tuple[Array, Array, Array]:
-        """Return arc lengths (n,) on the nominal path, and the deviations (n,) by the nominal and the second program.
+        """Return arc lengths (n,) on the nominal path, and distances (n,) of the tip by the nominal and by the second
+        program [m].
 
         :param row: (n,) motions of the second program; `t` (n,) places on them; `q` (n, 6) joint angles there [rad].
         :param guess: (n,) approximate arc lengths [m].
         :param enough: a deviation that is small enough [m].
         """
 
-        def in_chunk(row: Ints, t: Array, q: Array, guess: Array) -> tuple[Array, ...]:
+        def deviations_in_chunk(row: Ints, t: Array, q: Array, guess: Array) -> tuple[Array, ...]:
+            """Return arc lengths and both deviations for some of the places."""
             way, displacement = self.ways.way[row], self.corrected_path.carriage_displacement(row, t)
             low, high = self.ways.begin[way], self.ways.end[way]
             low = np.minimum(low + _SHORTEST * 1e-4, high)  # behind the end of the motion before
@@ -325,19 +351,25 @@ class Search(Struct, frozen=True, eq=False):
             )
             return length, nominal_deviation, distance
 
-        length, nominal_deviation, distance = in_chunks(in_chunk, row, t, q, guess)
+        length, nominal_deviation, distance = in_chunks(deviations_in_chunk, row, t, q, guess)
         return length, nominal_deviation, distance
 
     def _tip_offset(self, q: Array, displacement: Array, length: Array) -> Array:
-        """Return the tips (n, 3) under the forces at arc lengths (n,), minus the nominal path, in the cell [m]."""
+        """Return the tips (n, 3) under the forces at places of the nominal path, minus these places, in the cell [m].
+
+        :param q: (n, 6) commanded joint angles [rad], `displacement` (n, 3) how far E1 has carried the robot [m].
+        :param length: (n,) arc lengths on the nominal path [m].
+        """
         motion, t = self.nominal_path.at(length)
         return self._tip(
             q, displacement, motion, self.nominal_path.wrench(self.load, motion, t)
         ) - self.nominal_path.points(length)
 
     def _tip(self, q: Array, displacement: Array, motion: Ints, wrench: Array) -> Array:
-        """Return the loaded tips (n, 3) [m] at joint angles q (n, 6) [rad] under wrenches (n, 6) [N, N·m].
+        """Return the loaded tips (n, 3) in the cell [m] at joint angles q (n, 6) [rad].
 
+        :param displacement: (n, 3) how far E1 has carried the robot [m].
+        :param motion: (n,) nominal motions, whose tool counts; `wrench` (n, 6) at the tip, root axes [N, N·m].
         :raises ForceError: there is no equilibrium on a motion.
         """
         try:
@@ -348,8 +380,14 @@ class Search(Struct, frozen=True, eq=False):
     def _newton_steps(
         self, q: Array, displacement: Array, length: Array, limits: tuple[Array, Array], accuracy: float
     ) -> tuple[Array, Array]:
-        """Return arc lengths (n,) on the path nearest to the tip, by Newton's method from start values, and distances
-        (n,).
+        """Return arc lengths (n,) of the nominal path nearest to the tip, and the distances there (n,) [m].
+
+        Gauss-Newton steps of the square of the distance, whose derivative is a finite difference.
+
+        :param q: (n, 6) commanded joint angles [rad], `displacement` (n, 3) how far E1 has carried the robot [m].
+        :param length: (n,) start values [m]; it is overwritten.
+        :param limits: smallest and largest arc lengths, (n,) each [m].
+        :param accuracy: a distance that is not improved further [m].
         """
         deviations = self._tip_offset(q, displacement, length)
         best, distance = length.copy(), norm(deviations)
@@ -374,9 +412,13 @@ class Search(Struct, frozen=True, eq=False):
         return best, distance
 
     def _nearest_lengths(self, q: Array, displacement: Array, limits: tuple[Array, Array]) -> Array:
-        """Return the arc lengths (n,) nearest to the tip among many between limits, with the compliance at the first.
+        """Return the arc lengths (n,) nearest to the tip among many between limits [m].
 
-        The force moves the tip: on a steep ramp the tip may move back while the path goes on.
+        The force moves the tip: on a steep ramp the tip may move back while the path goes on. The deflection is taken
+        from the compliance at the end of the way, which costs seven equilibria instead of one for each place tried.
+
+        :param q: (n, 6) commanded joint angles [rad], `displacement` (n, 3) how far E1 has carried the robot [m].
+        :param limits: smallest and largest arc lengths, (n,) each [m].
         """
         low, high = limits
         motion = self.nominal_path.at(high)[0]

@@ -65,6 +65,7 @@ class Track(Struct, frozen=True, eq=False):
     is_continued: Bools
 
     def __len__(self) -> int:
+        """Return the number of targets."""
         return len(self.position)
 
 
@@ -86,17 +87,21 @@ def partners(nominal_track: Track, corrected_track: Track) -> Ints:
     indices = _assign_partners(_part(nominal_track, nominal_range), _part(corrected_track, corrected_range), last_pair)
     partner[nominal_range] = np.where(indices == _NO_PARTNER, _NO_PARTNER, indices + begin)
     for _ in range(_PASSES):
-        _settle(nominal_track, corrected_track, partner)
+        _settle_partners(nominal_track, corrected_track, partner)
     return partner
 
 
-def _settle(nominal_track: Track, corrected_track: Track, partner: Ints) -> None:
-    """Move partners (n,) to a free neighbour where the offsets then change less, in metres, from pair to pair."""
+def _settle_partners(nominal_track: Track, corrected_track: Track, partner: Ints) -> None:
+    """Move partners to a free neighbour where the offsets then change less, in metres, from pair to pair.
+
+    :param partner: (n,) partner of each nominal target, −1 for none; changed in place.
+    """
     paired_rows = np.flatnonzero(partner != _NO_PARTNER)
     previous_row, row, next_row = paired_rows[:-2], paired_rows[1:-1], paired_rows[2:]
     ends = [corrected_track.position[partner[k]] - nominal_track.position[k] for k in (previous_row, next_row)]
 
     def change(candidate: Ints) -> Array:
+        """Return the change of the offset [m] from the pair before and to the pair behind, with candidates (k,)."""
         offset = corrected_track.position[candidate] - nominal_track.position[row]
         return norm(offset - ends[0]) + norm(offset - ends[1])
 
@@ -113,15 +118,17 @@ def _settle(nominal_track: Track, corrected_track: Track, partner: Ints) -> None
 
 
 def _part(track: Track, rows: slice) -> Track:
+    """Return some of the targets of a track; `step` of the first is still that from the target before it."""
     return Track(track.position[rows], track.step[rows], track.joint[rows], track.is_continued[rows])
 
 
 def _reverse_track(track: Track) -> Track:
+    """Return a track backwards: a step leads to the target that was before it, so the steps move by one target."""
     return Track(track.position[::-1], np.roll(track.step, -1)[::-1], track.joint[::-1], track.is_continued[::-1])
 
 
 def _noticeable_change(step: Array) -> Array:
-    """Return the change (n,) [m] by which steps of these lengths (n,) [m] change noticeably."""
+    """Return the change [m] by which steps of a length `step` [m] change noticeably, in the shape of `step`."""
     return np.asarray(np.minimum(_LEAST_CHANGE + _CHANGE_SHARE * step, _MOST_CHANGE))
 
 
@@ -154,17 +161,14 @@ class _States(Struct, eq=False):
 
 
 def _assign_partners(nominal_track: Track, corrected_track: Track, last_pair: tuple[Array, Array] | None) -> Ints:
-    """Return the partners (n,) of the targets of one program in the other, by dynamic programming.
+    """Return the partners (n,) of the targets of one program in the other, by dynamic programming; −1 for none.
 
     :param last_pair: positions (3,) of the pair before both tracks begin [m]; None: it is not known.
     """
     if not len(nominal_track) or not len(corrected_track):
         return np.full(len(nominal_track), _NO_PARTNER)
     start = np.zeros((1, 3)) if last_pair is None else (last_pair[1] - last_pair[0])[None]
-    lengths, corrected_lengths = (
-        np.append(0.0, np.cumsum(nominal_track.step)),
-        np.append(0.0, np.cumsum(corrected_track.step)),
-    )
+    tracks = _Tracks.of(nominal_track, corrected_track, has_last_pair=last_pair is not None)
     assignment = np.full(len(nominal_track), _NO_PARTNER)
     states = _States(np.array([_NO_PARTNER]), np.array([_NO_PARTNER]), np.zeros(1), start)
     origins: dict[int, tuple[Ints, Ints, Ints]] = {}  # of each row: its window of partners, and the pair before each
@@ -174,7 +178,7 @@ def _assign_partners(nominal_track: Track, corrected_track: Track, last_pair: tu
         if states.row[cheapest] == row - 1 >= 0 and norm(states.offset[cheapest]) < _EQUAL:
             run = _equal_count(nominal_track, corrected_track, row, int(states.partner[cheapest]) + 1)
             if run >= _MIN_RUN:  # nothing else is more likely
-                _follow(assignment, states, origins)
+                _write_pairs(assignment, states, origins)
                 place = int(states.partner[cheapest]) + run
                 assignment[row : row + run] = np.arange(place - run, place) + 1
                 row += run
@@ -182,45 +186,79 @@ def _assign_partners(nominal_track: Track, corrected_track: Track, last_pair: tu
                 states = _States(np.array([place]), np.array([row - 1]), np.zeros(1), offset[None])
                 origins.clear()
                 continue
-        length = lengths[row + 1] - lengths[states.row[cheapest] + 1]
-        expected_partner = int(
-            np.searchsorted(corrected_lengths[1:], corrected_lengths[states.partner[cheapest] + 1] + length)
+        window = tracks.window(states, row)
+        cost = tracks.pair_costs(states, row, window)
+        previous_state = np.argmin(cost, axis=1)
+        least_cost = cost[np.arange(len(window)), previous_state] + _OTHER_KIND * (
+            nominal_track.joint[row] != corrected_track.joint[window]
         )
-        window = np.arange(
-            max(0, expected_partner - _WINDOW), min(len(corrected_track), expected_partner + _WINDOW + 1)
+        origins[row] = window, states.row[previous_state], states.partner[previous_state]
+        columns = np.flatnonzero(np.isfinite(least_cost))
+        offset = corrected_track.position[window[columns]] - nominal_track.position[row]
+        pair_states = _States(window[columns], np.full(len(columns), row), least_cost[columns], offset)
+        states = _cheapest_states(
+            pair_states, states, _PASSED_COST if nominal_track.is_continued[row] else _MISSING_COST
         )
-        offset = corrected_track.position[window] - nominal_track.position[row]
+        row += 1
+    _write_pairs(assignment, states, origins)
+    return assignment
+
+
+class _Tracks(Struct, frozen=True, eq=False):
+    """Two tracks whose targets are assigned to each other.
+
+    :param nominal: of n targets, `corrected` of c.
+    :param lengths: (n + 1,) length of path from the begin of the nominal track to its begin, and to each target [m].
+    :param corrected_lengths: (c + 1,) likewise.
+    :param has_last_pair: whether the pair before both tracks is known.
+    """
+
+    nominal: Track
+    corrected: Track
+    lengths: Array
+    corrected_lengths: Array
+    has_last_pair: bool
+
+    @classmethod
+    def of(cls, nominal: Track, corrected: Track, *, has_last_pair: bool) -> _Tracks:
+        """Return two tracks with the lengths of path to their targets."""
+        lengths, corrected_lengths = (np.append(0.0, np.cumsum(track.step)) for track in (nominal, corrected))
+        return cls(nominal, corrected, lengths, corrected_lengths, has_last_pair)
+
+    def window(self, states: _States, row: int) -> Ints:
+        """Return the possible partners (k,) of the nominal target `row`.
+
+        Those are about as far from the last pair of the cheapest assignment as the nominal target, along the path.
+        """
+        cheapest = int(np.argmin(states.cost))
+        length = self.lengths[row + 1] - self.lengths[states.row[cheapest] + 1]
+        corrected_length = self.corrected_lengths[states.partner[cheapest] + 1] + length
+        expected_partner = int(np.searchsorted(self.corrected_lengths[1:], corrected_length))
+        end = min(len(self.corrected), expected_partner + _WINDOW + 1)
+        return np.arange(max(0, expected_partner - _WINDOW), end)
+
+    def pair_costs(self, states: _States, row: int, window: Ints) -> Array:
+        """Return the costs (k, w) of the nominal target `row` with each of `window` (k,) as partner, after each state.
+
+        Infinite for partners that are not behind those of the states.
+        """
+        offset = self.corrected.position[window] - self.nominal.position[row]
         change = norm(offset[:, None] - states.offset)
-        step = lengths[row + 1] - lengths[states.row + 1]
-        path_length = corrected_lengths[window + 1][:, None] - corrected_lengths[states.partner + 1]
+        step = self.lengths[row + 1] - self.lengths[states.row + 1]
+        path_length = self.corrected_lengths[window + 1][:, None] - self.corrected_lengths[states.partner + 1]
         scale = _noticeable_change(step)
         cost = np.minimum(np.log1p(change / scale), _MAX_CHANGE_COST)
-        if last_pair is None:  # nothing is known of the step to the first pair, but that nothing should come before it
+        if not self.has_last_pair:  # the first pair may have any offset, but nothing should come before it
             cost[:, states.row == _NO_PARTNER] = 0.0
         weight = np.where(window[:, None] - states.partner > 1, 1.0, _LENGTH_WEIGHT)
         cost += weight * np.minimum(np.log1p(np.abs(path_length - step) / scale), _MAX_CHANGE_COST)
         cost += _LENGTH_COST * np.minimum(np.abs(path_length - step) / _EXCESS_LENGTH, 1.0)
         cost += states.cost
         cost[window[:, None] <= states.partner] = np.inf
-        previous_state = np.argmin(cost, axis=1)
-        least_cost = cost[np.arange(len(window)), previous_state] + _OTHER_KIND * (
-            nominal_track.joint[row] != corrected_track.joint[window]
-        )
-        origins[row] = window, states.row[previous_state], states.partner[previous_state]
-        reachable_columns = np.flatnonzero(np.isfinite(least_cost))
-        pair_states = _States(
-            window[reachable_columns],
-            np.full(len(reachable_columns), row),
-            least_cost[reachable_columns],
-            offset[reachable_columns],
-        )
-        states = _cheapest(pair_states, states, _PASSED_COST if nominal_track.is_continued[row] else _MISSING_COST)
-        row += 1
-    _follow(assignment, states, origins)
-    return assignment
+        return cost
 
 
-def _follow(assignment: Ints, states: _States, origins: dict[int, tuple[Ints, Ints, Ints]]) -> None:
+def _write_pairs(assignment: Ints, states: _States, origins: dict[int, tuple[Ints, Ints, Ints]]) -> None:
     """Write the pairs of the cheapest assignment into `assignment` (n,), in place, from the last pair backwards.
 
     :param origins: of each row: its window of partners, and row and partner of the pair before each. It ends where
@@ -253,7 +291,7 @@ def _equal_count(nominal_track: Track, corrected_track: Track, row: int, partner
     return count if is_same.all() else int(np.argmin(is_same))
 
 
-def _cheapest(pair_states: _States, unpaired_states: _States, unpaired_cost: float) -> _States:
+def _cheapest_states(pair_states: _States, unpaired_states: _States, unpaired_cost: float) -> _States:
     """Return the cheapest assignments, of those that end with this target and those that leave it without partner.
 
     :param unpaired_cost: cost of the latter.

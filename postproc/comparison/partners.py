@@ -21,7 +21,7 @@ it is another program."""
 
 
 def partners_of(comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram) -> Ints:
-    """Return the index in `corrected_path.rows` of the partner of each of `nominal_path.rows`; −1 for none."""
+    """Return the partner (n,) of each of `nominal_path.rows`: its index in `corrected_path.rows`; −1 for none."""
     partner = np.full(len(nominal_path.rows), -1)
     partner[np.searchsorted(nominal_path.rows, comparison.pair[:, 0])] = np.searchsorted(
         corrected_path.rows, comparison.pair[:, 1]
@@ -54,7 +54,8 @@ def partners_under_force(
 ) -> Ints:
     """Return partners (n,) of `nominal_path.rows`, swapped for free neighbours that bring the tip to the target.
 
-    :param wrench: (n, 6) at the tip, root axes.
+    :param partner: (n,) index in `corrected_path.rows` of the present partners; −1 for none.
+    :param wrench: (n, 6) at the tip, root axes [N, N·m].
     """
     tolerance, new_partner = nominal_path.robot_in_cell.tolerance, partner.copy()
     kinds = (
@@ -85,9 +86,14 @@ def partners_under_force(
 
 
 def distances_from_path(nominal_path: PlacedProgram, positions: Array, begin: Array, end: Array) -> Array:
-    """Return the distances (n,) of points (n, 3) from the nominal path between two arc lengths (n,) [m]."""
+    """Return the distances (n,) of points from the nominal path between two arc lengths [m].
+
+    :param positions: (n, 3) the points, in the cell [m].
+    :param begin: (n,) arc length from which the path counts, `end` (n,) to which [m].
+    """
 
     def distances(positions: Array, begin: Array, end: Array) -> tuple[Array]:
+        """Return the distances of some of the points."""
         return (
             nearest(
                 lambda lengths: nominal_path.points(lengths.ravel()).reshape(*lengths.shape, 3), positions, begin, end
@@ -168,12 +174,18 @@ def moved_partners(comparison: Comparison, nominal_path: PlacedProgram, correcte
 
 
 def ordered_partners(partner: Ints) -> Ints:
-    """Return partners (n,) without those that are not behind all partners before them; −1 for none."""
+    """Return partners without those that are not behind all partners before them.
+
+    :param partner: (n,) index in the second program of the partners of consecutive targets; −1 for none.
+    """
     return np.where(partner <= np.maximum.accumulate(np.append(-1, partner[:-1])), -1, partner)
 
 
 def count_as_inserted(comparison: Comparison, on_path: Bools) -> Comparison:
-    """Return the comparison with some of the additional targets, (n,) of them, counted as inserted ones."""
+    """Return the comparison with those additional targets counted as inserted that are True in `on_path`.
+
+    :param on_path: (a,) one for each of `comparison.additional_rows`.
+    """
     inserted_rows = np.sort(np.append(comparison.inserted_rows, comparison.additional_rows[on_path]))
     return replace(comparison, inserted_rows=inserted_rows, additional_rows=comparison.additional_rows[~on_path])
 
@@ -206,7 +218,11 @@ def missed_targets(
 
 
 def offsets_of(nominal_path: PlacedProgram, corrected_path: PlacedProgram, pair: Ints) -> tuple[Array, Array]:
-    """Return where the second program sends the nominal tool (P, 4, 4), nominal `$BASE`, and the twists (P, 6)."""
+    """Return where the second program sends the nominal tool, and the twists from the nominal targets to there.
+
+    :param pair: (P, 2) motions of the pairs.
+    :returns: poses (P, 4, 4) in the nominal `$BASE`, and twists (P, 6) [m, rad].
+    """
     target = corrected_path.program.motions.target[pair[:, 1]]
     pose = tool_of_nominal(nominal_path.program, pair[:, 0], corrected_path.program, pair[:, 1], target)
     return pose, twist_between(nominal_path.program.motions.target[pair[:, 0]], pose)
@@ -312,33 +328,24 @@ def missing_distances(
     pair_after = np.searchsorted(pair[:, 0], motion)
     next_pair = np.minimum(pair_after, len(pair) - 1)
     # a missing target is sought on the second path between the pairs before and behind it
-    begin = np.where(pair_after > 0, corrected_path.arc_length[pair[pair_after - 1, 1] + 1], 0.0)
-    end = np.where(
-        pair_after < len(pair), corrected_path.arc_length[pair[next_pair, 1] + 1], corrected_path.arc_length[-1]
-    )
+    is_after_pair, is_before_pair = pair_after > 0, pair_after < len(pair)
+    begin = np.where(is_after_pair, corrected_path.arc_length[pair[pair_after - 1, 1] + 1], 0.0)
+    end = np.where(is_before_pair, corrected_path.arc_length[pair[next_pair, 1] + 1], corrected_path.arc_length[-1])
     if load is None:
         lengths = nominal_path.arc_length[pair[:, 0] + 1]
         offsets = [np.interp(nominal_path.arc_length[motion + 1], lengths, column) for column in offset.T]
         positions = positions + np.stack(offsets, axis=1)
 
     def distances_in_chunk(motion: Ints, positions: Array, wrench: Array, begin: Array, end: Array) -> tuple[Array]:
+        """Return the distances (k,) of the second path from some of the positions (k, 3) [m]."""
+
         def positions_at(length: Array) -> Array:
-            point_index = np.repeat(np.arange(len(length)), length.shape[1])
-            row, t = corrected_path.at(length.ravel())
-            if load is None:
-                tool = toolpath.tool_of(nominal_path.program, motion[point_index])
-                pose = toolpath.at(corrected_path.program, corrected_path.segments, row, t).pose[:]
-                position = (toolpath.flange_from_tcp(corrected_path.program, row, pose, None) @ tool)[:, :3, 3]
-            else:
-                q = corrected_path.joints_at(row, t)
-                position = np.full((len(q), 3), np.inf)
-                is_reachable = np.isfinite(q).all(axis=1)
-                point_index = point_index[is_reachable]
-                displacement = corrected_path.carriage_displacement(row, t)[is_reachable]
-                position[is_reachable] = nominal_path.loaded_tip(
-                    motion[point_index], q[is_reachable], wrench[point_index], displacement
-                )
-            return position.reshape(*length.shape, 3)
+            """Return the tips (k, s, 3) of the second program at arc lengths (k, s), with the loads of the targets."""
+            index = np.repeat(np.arange(len(length)), length.shape[1])
+            load_wrench = None if load is None else wrench[index]
+            return _second_tips(nominal_path, corrected_path, motion[index], length.ravel(), load_wrench).reshape(
+                *length.shape, 3
+            )
 
         try:
             return (nearest(positions_at, positions, begin, end)[1],)
@@ -347,3 +354,29 @@ def missing_distances(
 
     distances[indices] = in_chunks(distances_in_chunk, motion, positions, wrench, begin, end)[0]
     return distances
+
+
+def _second_tips(
+    nominal_path: PlacedProgram, corrected_path: PlacedProgram, motion: Ints, length: Array, wrench: Array | None
+) -> Array:
+    """Return the tips (n, 3) of the nominal tool where the second program moves it, in the cell [m].
+
+    Infinite where the second program commands a pose out of reach of the loaded robot.
+
+    :param motion: (n,) nominal motions whose tool and load count.
+    :param length: (n,) arc lengths on the second path [m].
+    :param wrench: (n, 6) at the tip, root axes [N, N·m]; None: without deflection.
+    """
+    row, t = corrected_path.at(length)
+    if wrench is None:
+        tool = toolpath.tool_of(nominal_path.program, motion)
+        pose = toolpath.at(corrected_path.program, corrected_path.segments, row, t).pose[:]
+        return np.asarray((toolpath.flange_from_tcp(corrected_path.program, row, pose, None) @ tool)[:, :3, 3])
+    q = corrected_path.joints_at(row, t)
+    tips = np.full((len(q), 3), np.inf)
+    is_reachable = np.isfinite(q).all(axis=1)
+    displacement = corrected_path.carriage_displacement(row, t)[is_reachable]
+    tips[is_reachable] = nominal_path.loaded_tip(
+        motion[is_reachable], q[is_reachable], wrench[is_reachable], displacement
+    )
+    return tips

@@ -43,7 +43,7 @@ the tool, and at least the last [m], because the force may change along it (assu
 class PlacedProgram(DrivenProgram, frozen=True, eq=False, dict=True):
     """A program of M motions as its controller drives it, with the joint angles at the ends of its motions.
 
-    :param size: (M,) length of the motions [m]; of one that does not move the tip, a length of its own (`_STILL`).
+    :param size: (M,) length of the motions [m]; of one that does not move the tip, see `_PER_RADIAN`.
     :param arc_length: (M + 1,) arc length at which each motion begins, and that of the end: the sum of these sizes [m].
     :param rows: (n,) motions with a Cartesian target.
     :param joints: (M, 6) joint angles at the ends of the motions [rad].
@@ -71,7 +71,10 @@ class PlacedProgram(DrivenProgram, frozen=True, eq=False, dict=True):
         return cls(program, robot_in_cell, segments, size, path_lengths, rows, ends.q[:], ends.branch)
 
     def track(self, offset: Array | float = 0.0) -> Track:
-        """Return the Cartesian targets in the root, displaced by offsets (n, 3) in their `$BASE` [m]."""
+        """Return the n Cartesian targets in the root.
+
+        :param offset: (n, 3) by which they are displaced, in their `$BASE` [m]; 0: they are not.
+        """
         m, rows = self.program.motions, self.rows
         pose = m.target[rows]
         step = np.where(
@@ -87,13 +90,13 @@ class PlacedProgram(DrivenProgram, frozen=True, eq=False, dict=True):
         return np.append(toolpath.continues(self.program, self.segments)[1:], False)
 
     def at(self, length: Array) -> tuple[Ints, Array]:
-        """Return the places (motion, t), each (n,), at arc lengths (n,) [m]; t > 0."""
+        """Return the places (motion, t), each (n,), at arc lengths `length` (n,) [m]; t > 0."""
         motion = np.clip(np.searchsorted(self.arc_length, length) - 1, 0, len(self.arc_length) - 2)
         size = np.maximum(self.size[motion], _NO_DISTANCE)
         return motion, np.clip((length - self.arc_length[motion]) / size, 1e-9, 1.0)
 
     def points(self, length: Array) -> Array:
-        """Return the nominal positions (n, 3) at arc lengths (n,), in the cell [m]."""
+        """Return the programmed positions (n, 3) at arc lengths `length` (n,), in the cell [m]."""
         motion, t = self.at(length)
         return in_cell(self.program, motion, toolpath.positions(self.program, self.segments, motion, t))
 
@@ -113,19 +116,26 @@ class PlacedProgram(DrivenProgram, frozen=True, eq=False, dict=True):
 
 
 def in_cell(program: Program, motion: Ints, point: Array) -> Array:
-    """Return points (n, 3) in the cell of points in the `$BASE` of motions (n,) [m]."""
+    """Return points (n, 3) in the cell [m].
+
+    :param motion: (n,) rows of `Motions`.
+    :param point: (n, 3) in the `$BASE` of these motions [m].
+    """
     base = toolpath.base_of(program, motion)
     return np.asarray(np.einsum("...ij,...j->...i", base[..., :3, :3], point) + base[..., :3, 3])
 
 
 def file_and_line(program: Program, row: int) -> tuple[str, int]:
-    """Return the path of the file of a motion, and its line."""
+    """Return the path of the file of motion `row`, and its line."""
     file, line = program.places(np.array([row])).of(0)
     return str(Path(program.documents[0].folder) / file), line
 
 
 def _end_joints(program: Program, robot_in_cell: RobotInCell) -> JointPath:
-    """Return the joint angles at the ends of the motions."""
+    """Return the joint angles (M, 6) at the ends of all motions, and the branches (M,) of the inverse kinematics.
+
+    :raises ProgramError: a target is out of reach; the error names its line.
+    """
     count = len(program.motions)
     try:
         return robot_in_cell.follow(program, np.arange(count), np.ones(count), program.motions.target)
@@ -175,7 +185,10 @@ class Chain(Struct, frozen=True, eq=False):
 
     @classmethod
     def of(cls, side: PlacedProgram, paired_rows: Ints) -> Chain:
-        """Return the chain of the motions that end at pairs (P,), and of those between."""
+        """Return the chain of the motions between the first and the last pair.
+
+        :param paired_rows: (P,) motions of the program that end at the pairs.
+        """
         row = np.arange(paired_rows[0] + 1, paired_rows[-1] + 1)
         pair = np.searchsorted(paired_rows, row)
         start_length = side.arc_length[paired_rows[pair - 1] + 1]
@@ -194,7 +207,10 @@ class Chain(Struct, frozen=True, eq=False):
         return self.row[index], np.clip((u - self.begin[index]) / width, 1e-9, 1.0)
 
     def any_between(self, selection: Bools) -> Bools:
-        """Return for each pair (P,) whether one of the motions (M,) between it and the pair before is wanted."""
+        """Return for each pair (P,) whether a selected motion leads to it from the pair before.
+
+        :param selection: (M,) True for the selected motions.
+        """
         has_motion = np.zeros(int(self.end[-1]) + 1, dtype=bool)
         has_motion[np.ceil(self.end[selection[self.row]] - _NO_DISTANCE).astype(np.int64)] = True
         return has_motion
@@ -211,7 +227,10 @@ class Curves(Struct, frozen=True, eq=False):
 
     @classmethod
     def of(cls, nominal_path: PlacedProgram, corrected_path: PlacedProgram, pair: Ints) -> Curves | None:
-        """Return the curves between pairs (P, 2); None for fewer than two."""
+        """Return the curves between pairs; None for fewer than two.
+
+        :param pair: (P, 2) motions of both programs that end at the pairs.
+        """
         return cls(Chain.of(nominal_path, pair[:, 0]), Chain.of(corrected_path, pair[:, 1])) if len(pair) > 1 else None
 
     def at(self, u: Array) -> tuple[Array, Array]:
@@ -270,10 +289,12 @@ class Curves(Struct, frozen=True, eq=False):
 
     @property
     def _kind(self) -> Ints:
+        """(M,) kinds of the motions of the second program."""
         return self.corrected_chain.program.motions.kind
 
     @property
     def _same_tool(self) -> bool:
+        """Whether both programs have one tool, and the same: positions are then found without orientations."""
         tools = (self.nominal_chain.program.tools, self.corrected_chain.program.tools)
         return len(tools[0]) == len(tools[1]) == 1 and bool(np.abs(twist_between(*tools)).max() <= SAME_FRAME)
 
@@ -285,6 +306,7 @@ class Curves(Struct, frozen=True, eq=False):
         return np.asarray((self.nominal_chain.program.motions.kind[motion] == CIRC) | (self._kind[row] == CIRC))
 
     def _distance(self, u: Array) -> Array:
+        """Return the distances (n,) of the two paths at u (n,) [m]."""
         nominal_points, corrected_points = self.at(u)
         return norm(corrected_points - nominal_points)
 

@@ -151,7 +151,7 @@ class Comparison(Struct, frozen=True, eq=False):
 
 
 def place_of(program: Program, row: int) -> tuple[str, int]:
-    """Return the file of a motion and its line in it."""
+    """Return the file of motion `row` and its line in it."""
     return program.places(np.array([row])).of(0)
 
 
@@ -164,7 +164,11 @@ def file_and_line(program: Program, line: int | None) -> tuple[str, int] | None:
 
 
 def warning_at(comparison: Comparison, kind: str, message: str, rows: Sequence[int], count: int) -> Difference:
-    """Return a warning at a motion of each program; −1 where one has none."""
+    """Return a warning at a motion of each program.
+
+    :param rows: (2,) motion of the nominal and of the second program; −1 where one has none.
+    :param count: number of places where the difference is.
+    """
     nominal_place, corrected_place = (
         None if row < 0 else place_of(program, row)
         for program, row in zip((comparison.nominal, comparison.corrected), rows, strict=True)

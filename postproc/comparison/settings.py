@@ -33,7 +33,7 @@ _LED_ORIENTATION = "#VAR"
 """Value of `$ORI_TYPE` that the correction may set, so that a target keeps the A, B, C written."""
 
 
-def settings(
+def setting_differences(
     comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram
 ) -> Iterator[Difference]:
     """Yield the settings of paired motions that differ: speed, kind, approximation, axes, turn, orientation, frames."""
@@ -43,16 +43,16 @@ def settings(
         yield pair_warning(
             comparison, "speed", f"the speed is {corrected_speed:.4g} mm/s instead of {nominal_speed:.4g} mm/s.", pairs
         )
-    yield from _kind(comparison)
-    yield from _approximation(comparison)
-    yield from _external_axes(comparison)
-    yield from _posture(comparison, nominal_path, corrected_path)
-    yield from _status_and_turn(comparison, corrected_path)
-    yield from _orientation_type(comparison)
-    yield from bases_and_tools(comparison)
+    yield from _kind_differences(comparison)
+    yield from _approximation_differences(comparison)
+    yield from _external_axis_differences(comparison)
+    yield from _posture_differences(comparison, nominal_path, corrected_path)
+    yield from _status_and_turn_differences(comparison, corrected_path)
+    yield from _orientation_type_differences(comparison)
+    yield from frame_differences(comparison)
 
 
-def lowered_feeds(comparison: Comparison) -> Iterator[Difference]:
+def lowered_feed_notes(comparison: Comparison) -> Iterator[Difference]:
     """Yield the feeds that the conversion has lowered, for information."""
     nominal_speed, corrected_speed = comparison.speeds.T * MM_PER_M
     pairs = np.flatnonzero(comparison.speed_differs & (corrected_speed < nominal_speed))
@@ -64,7 +64,7 @@ def lowered_feeds(comparison: Comparison) -> Iterator[Difference]:
         yield replace(places, level="info")
 
 
-def _kind(comparison: Comparison) -> Iterator[Difference]:
+def _kind_differences(comparison: Comparison) -> Iterator[Difference]:
     """Yield targets, inserted ones too, that the second program moves to in another way.
 
     An arc may have become lines (``--linearize-arcs``): where these leave it, another difference gives the distance.
@@ -87,7 +87,7 @@ def _kind(comparison: Comparison) -> Iterator[Difference]:
         yield warning_at(comparison, "kind", message, (int(motion[first]), int(rows[first])), len(indices))
 
 
-def _approximation(comparison: Comparison) -> Iterator[Difference]:
+def _approximation_differences(comparison: Comparison) -> Iterator[Difference]:
     """Yield targets that are approximated by another distance; of G-code the writer chooses it."""
     if not comparison.nominal.keeps_text:
         return
@@ -105,7 +105,7 @@ def _approximation(comparison: Comparison) -> Iterator[Difference]:
         yield pair_warning(comparison, "approximation", message, pairs)
 
 
-def _external_axes(comparison: Comparison) -> Iterator[Difference]:
+def _external_axis_differences(comparison: Comparison) -> Iterator[Difference]:
     """Yield external axes with other values; of the axis that carries the robot, at pairs."""
     nominal_axis, corrected_axis = comparison.nominal.carriage, comparison.corrected.carriage
     if nominal_axis is not None and corrected_axis is not None:
@@ -145,7 +145,7 @@ def _position(axis: str, issue: Issue | None) -> str:
     return position if position.startswith("at ") else "not given before its first motion"
 
 
-def _posture(
+def _posture_differences(
     comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram
 ) -> Iterator[Difference]:
     """Yield targets with other joint angles: S, T, or an axis target before them, are others."""
@@ -164,7 +164,7 @@ def _posture(
         yield pair_warning(comparison, "posture", message, pairs)
 
 
-def _status_and_turn(comparison: Comparison, corrected_path: PlacedProgram) -> Iterator[Difference]:
+def _status_and_turn_differences(comparison: Comparison, corrected_path: PlacedProgram) -> Iterator[Difference]:
     """Yield PTP targets whose S or T one program alone gives, or whose T is not that of the joint angles there."""
     nominal_motions, corrected_motions = (program.motions for program in (comparison.nominal, comparison.corrected))
     first, second = comparison.pair.T
@@ -196,7 +196,7 @@ def _status_and_turn(comparison: Comparison, corrected_path: PlacedProgram) -> I
         yield pair_warning(comparison, "posture", message, pairs)
 
 
-def _orientation_type(comparison: Comparison) -> Iterator[Difference]:
+def _orientation_type_differences(comparison: Comparison) -> Iterator[Difference]:
     """Yield pairs whose `$ORI_TYPE` differs, except where it differs to keep the A, B, C of a corrected target."""
     nominal_layout, corrected_layout = comparison.nominal.layout, comparison.corrected.layout
     if nominal_layout is None or corrected_layout is None:
@@ -224,7 +224,7 @@ def _orientation_type(comparison: Comparison) -> Iterator[Difference]:
         yield pair_warning(comparison, "orientation-type", message, pairs)
 
 
-def bases_and_tools(comparison: Comparison) -> Iterator[Difference]:
+def frame_differences(comparison: Comparison) -> Iterator[Difference]:
     """Yield `$BASE` and `$TOOL` that differ."""
     for name, (frames, frame_index), (corrected_frames, corrected_index) in zip(
         ("$BASE", "$TOOL"), _frames_of(comparison.nominal), _frames_of(comparison.corrected), strict=True
@@ -247,11 +247,12 @@ def bases_and_tools(comparison: Comparison) -> Iterator[Difference]:
 
 
 def _frames_of(program: Program) -> tuple[tuple[Array, Ints], tuple[Array, Ints]]:
+    """Return the frames (f, 4, 4) `$BASE`, and the row (M,) of that of each motion; and the same of `$TOOL`."""
     m = program.motions
     return (program.bases, m.base), (program.tools, m.tool)
 
 
-def forces(comparison: Comparison, corrected_path: PlacedProgram, *, in_file: bool) -> Iterator[Difference]:
+def force_differences(comparison: Comparison, corrected_path: PlacedProgram, *, in_file: bool) -> Iterator[Difference]:
     """Yield places where comments of the second program give another force than the nominal program has.
 
     :param in_file: the nominal program has its forces from a file: comments in both programs must then be the same.
@@ -294,12 +295,12 @@ def forces(comparison: Comparison, corrected_path: PlacedProgram, *, in_file: bo
 
 
 def _base_wrenches(comparison: Comparison, wrench: Array) -> Array:
-    """Return wrenches (P, 6) in the nominal `$BASE` of the pairs, of wrenches in the root."""
+    """Return wrenches (P, 6) in the axes of the nominal `$BASE` of the pairs; `wrench` (P, 6) is in root axes."""
     rotation = comparison.nominal.bases[comparison.nominal.motions.base[comparison.pair[:, 0]], :3, :3]
     return np.asarray(np.einsum("nji,nkj->nki", rotation, wrench.reshape(-1, 2, 3))).reshape(-1, 6)
 
 
-def axis_targets(
+def axis_target_differences(
     comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram
 ) -> Iterator[Difference]:
     """Yield axis targets with other joint angles, and those that one program alone has between the same pairs.

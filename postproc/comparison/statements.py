@@ -39,6 +39,7 @@ class _Texts:
     """The lines of a program's files without comments, by name of the file."""
 
     def __init__(self, program: Program) -> None:
+        """Split the files of a program into lines."""
         self.program = program
         self.lines = {document.name: document.text.splitlines() for document in program.documents}
 
@@ -82,7 +83,7 @@ class _Texts:
         return None
 
     def statement(self, file: str, number: int) -> str:
-        """Return the text of a line without its comment."""
+        """Return the text of a line, `number` from 1 on, without its comment."""
         return self.lines[file][number - 1].partition(";")[0].strip()
 
     def _compared_statements(self, file: str, numbers: range) -> list[Statement]:
@@ -117,7 +118,7 @@ def statement_differences(comparison: Comparison) -> Iterator[Difference]:
 
 
 def _places_of_motions(program: Program, rows: Ints) -> list[tuple[str, int]]:
-    """Return file and line of motions (n,)."""
+    """Return file and line of motions `rows` (n,)."""
     places = program.places(rows)
     return [(places.files[int(file)], int(line)) for file, line in zip(places.file, places.line, strict=True)]
 

@@ -154,7 +154,7 @@ def test_partners_move_to_free_neighbours_where_offsets_then_change_less():
         rows = np.sort(random.choice(len(one), min(len(one), len(other)) - 2, replace=False))
         partner[rows] = np.sort(random.choice(len(other), len(rows), replace=False))
         found = partner.copy()
-        pairing._settle(one, other, found)
+        pairing._settle_partners(one, other, found)
         assert found.tolist() == settled(one, other, partner), seed
         moved += (found != partner).sum()
     assert moved > 20

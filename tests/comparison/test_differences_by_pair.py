@@ -88,10 +88,10 @@ def test_rapid_targets_have_no_offset_that_a_force_would_explain(seed, has_cuts)
     bad = [k for k in range(8) if found.nominal.motions.rapid[found.pair[k, 0]] and offsets[k] > TOLERANCE]
     worst = max(bad, key=lambda k: offsets[k], default=None)
     expected = None if worst is None else ("rapid", found.pair[worst], len(bad))
-    message = the_only(differences._rapid(found, SIDE), expected)
+    message = the_only(differences._rapid_differences(found, SIDE), expected)
     assert worst is None or f"is {1e3 * offsets[worst]:.4f} mm off." in message
     other_base = replace(found.corrected, bases=frames.pose_from_xyzabc([[1501.0, -200, 700, 0, 0, 0]]))
-    assert not list(differences._rapid(replace(found, corrected=other_base), SIDE))
+    assert not list(differences._rapid_differences(replace(found, corrected=other_base), SIDE))
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -157,7 +157,7 @@ def test_the_loaded_tip_leaves_the_path_between_targets_by_more_than_at_them(see
     expected = None
     if bad:
         expected = ("between", (found.pair[ways[worst], 0], cuts.row[worst]), len({cuts.row[n] for n in bad}))
-    message = the_only(differences._under_forces(found, SIDE), expected)
+    message = the_only(differences._deviations_under_force(found, SIDE), expected)
     if bad:
         assert f"leaves {1e3 * cuts.corrected_distance[worst]:.4f} mm" in message
         is_arc = found.corrected.motions.kind[cuts.row[worst]] == CIRC
@@ -237,7 +237,7 @@ def test_a_target_next_to_an_inserted_one_may_belong_to_it_within_twice_the_larg
                 gap = np.linalg.norm(tracks[1][row] - tracks[1][second])
                 uncertain[k] = max(gap, uncertain.get(k, 0.0))
     expected = ("pairing", found.pair[min(uncertain)], len(uncertain)) if uncertain else None
-    message = the_only(differences._ambiguous(found, *sides), expected)
+    message = the_only(differences._ambiguous_pairs(found, *sides), expected)
     assert not uncertain or f"are known to {1e3 * max(uncertain.values()):.2f} mm only." in message
 
 
@@ -257,10 +257,10 @@ def test_the_tool_is_turned_by_no_more_than_the_tolerance_over_a_tenth_of_a_metr
     entries += [(angle, rows) for rows, angle in places.items()]
     worst = max(entries, default=None, key=lambda entry: entry[0])
     expected = None if worst is None else ("orientation", worst[1], len(entries))
-    message = the_only(differences._orientation(found, SIDE, SIDE), expected)
+    message = the_only(differences._orientation_differences(found, SIDE, SIDE), expected)
     assert worst is None or f"turned by {np.degrees(worst[0]):.4f}° from" in message
     other_base = replace(found.corrected, bases=frames.pose_from_xyzabc([[1501.0, -200, 700, 0, 0, 0]]))
-    elsewhere = list(differences._orientation(replace(found, corrected=other_base), SIDE, SIDE))
+    elsewhere = list(differences._orientation_differences(replace(found, corrected=other_base), SIDE, SIDE))
     assert bool(elsewhere) == (has_cuts and worst is not None)
 
 
@@ -276,7 +276,9 @@ def test_approximation_distances_of_robot_programs_are_the_same_to_ten_micrometr
     )
     found = replace(found, nominal=nominal, corrected=corrected)
     bad = [k for k, (a, b) in enumerate(found.pair) if keeps_text and abs(blends[1][b] - blends[0][a]) > 1e-5]
-    message = the_only(settings._approximation(found), ("approximation", found.pair[bad[0]], len(bad)) if bad else None)
+    message = the_only(
+        settings._approximation_differences(found), ("approximation", found.pair[bad[0]], len(bad)) if bad else None
+    )
     if bad:
         a, b = found.pair[bad[0]]
         words = [f"{1e3 * value:.4g} mm" if value else "none" for value in (blends[1][b], blends[0][a])]
@@ -294,7 +296,9 @@ def test_joints_of_another_posture_differ_by_more_than_twenty_degrees(seed):
     sides = [SimpleNamespace(joints=q) for q in joints]
     steps = [np.degrees(np.abs(joints[0, a] - joints[1, b])) for a, b in found.pair]
     bad = [k for k in range(8) if steps[k].max() > 20.0]
-    message = the_only(settings._posture(found, *sides), ("posture", found.pair[bad[0]], len(bad)) if bad else None)
+    message = the_only(
+        settings._posture_differences(found, *sides), ("posture", found.pair[bad[0]], len(bad)) if bad else None
+    )
     if bad:
         (a, b), joint = found.pair[bad[0]], int(steps[bad[0]].argmax())
         angles = np.degrees([joints[1, b, joint], joints[0, a, joint]])
@@ -330,7 +334,7 @@ def test_status_and_turn_are_given_in_both_programs_and_the_turn_is_that_of_the_
             bad.append(k)
     sides = SimpleNamespace(joints=q)
     message = the_only(
-        settings._status_and_turn(found, sides), ("posture", found.pair[bad[0]], len(bad)) if bad else None
+        settings._status_and_turn_differences(found, sides), ("posture", found.pair[bad[0]], len(bad)) if bad else None
     )
     if bad:
         a, b = found.pair[bad[0]]
@@ -355,16 +359,18 @@ def test_e1_of_pairs_is_the_same_to_ten_micrometres(seed):
     both = replace(found, nominal=nominal, corrected=corrected)
     bad = [k for k, (a, b) in enumerate(found.pair) if abs(ends[1][b] - ends[0][a]) > 1e-5]
     expected = ("external-axis", found.pair[bad[0]], len(bad)) if bad else None
-    message = the_only(settings._external_axes(both), expected)
+    message = the_only(settings._external_axis_differences(both), expected)
     assert not bad or f"E1 is at {1e3 * ends[1][found.pair[bad[0], 1]]:.4f} mm instead of 0.0000 mm:" in message
     for one, name in (
         (replace(both, corrected=found.corrected), "nominal"),
         (replace(both, nominal=replace(found.nominal, layout=LAYOUT)), "corrected"),
     ):
-        (alone,) = settings._external_axes(one)
+        (alone,) = settings._external_axis_differences(one)
         assert (alone.kind, alone.count, alone.nominal) == ("external-axis", 8, None)
         assert f"in the {name} program only." in alone.message
-    assert not list(settings._external_axes(replace(both, nominal=found.nominal)))  # a program of G-code has none
+    assert not list(
+        settings._external_axis_differences(replace(both, nominal=found.nominal))
+    )  # a program of G-code has none
 
 
 def test_external_axes_that_stand_still_are_compared_by_what_their_readers_say():
@@ -375,13 +381,13 @@ def test_external_axes_that_stand_still_are_compared_by_what_their_readers_say()
     ]
     unknown = Issue("info", "external-axis", "E3 is moved: unknown", 4, subject="E3")
     nominal, corrected = replace(found.nominal, issues=(*at,)), replace(found.corrected, issues=(at[0], unknown))
-    (difference,) = settings._external_axes(replace(found, nominal=nominal, corrected=corrected))
+    (difference,) = settings._external_axis_differences(replace(found, nominal=nominal, corrected=corrected))
     assert (
         difference.message
         == "E3 is not given before its first motion in the corrected program, and at 7 mm in the nominal one."
     )
     assert (difference.nominal, difference.corrected) == (("part.nc", 3), ("part.nc", 4))
-    (missing,) = settings._external_axes(replace(found, nominal=replace(nominal, issues=at[:1])))
+    (missing,) = settings._external_axis_differences(replace(found, nominal=replace(nominal, issues=at[:1])))
     assert missing.message == "E2 is at 0 or not given in the corrected program, and at 5 mm in the nominal one."
     assert (missing.nominal, missing.corrected) == (("part.nc", 2), None)
 
@@ -406,11 +412,11 @@ def test_another_orientation_type_of_path_motions_is_reported_but_for_the_led_on
         if types[0][a] != types[1][b] != "#VAR" and kinds[0][a] != PTP and kinds[1][b] != PTP
     ]  # fmt: skip
     expected = ("orientation-type", found.pair[bad[0]], len(bad)) if bad else None
-    message = the_only(settings._orientation_type(found), expected)
+    message = the_only(settings._orientation_type_differences(found), expected)
     if bad:
         a, b = found.pair[bad[0]]
         assert f"$ORI_TYPE is {types[1][b]} instead of {types[0][a]}:" in message
-    assert not list(settings._orientation_type(replace(found, corrected=replace(sides[1], layout=None))))
+    assert not list(settings._orientation_type_differences(replace(found, corrected=replace(sides[1], layout=None))))
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -451,7 +457,7 @@ def test_frames_of_pairs_are_the_same_to_a_micrometre_and_a_microradian(seed):
         if bad:
             words = f"${key.upper()} differs, by {1e3 * bad[0][1]:.4f} mm and {np.degrees(bad[0][2]):.4f}°:"
             expected.append((key, tuple(found.pair[bad[0][0]]), len(bad), words))
-    listed = list(settings.bases_and_tools(found))
+    listed = list(settings.frame_differences(found))
     assert len(listed) == len(expected)
     for difference, (key, rows, count, words) in zip(listed, expected, strict=True):
         assert (difference.kind, difference.count) == (key, count)
@@ -489,12 +495,14 @@ def test_comments_give_the_forces_of_the_nominal_program_to_the_digits_written(s
         if is_cut and off > 0.05 + share * np.linalg.norm(cuts.wrench[k]):
             bad.append(k)
     expected = ("force", found.pair[bad[0]], len(bad)) if bad else None
-    message = the_only(settings.forces(found, side, in_file=False), expected)
+    message = the_only(settings.force_differences(found, side, in_file=False), expected)
     if bad:
         words = [" ".join(f"{v:.4g}" for v in w[:3]) for w in (in_base[found.pair[bad[0], 1]], cuts.wrench[bad[0]])]
         assert f"the force {words[0]} N instead of {words[1]} N ($BASE):" in message
-    assert not list(settings.forces(replace(found, cuts=None), side, in_file=False))
-    assert not list(settings.forces(replace(found, corrected=replace(corrected, notes=())), side, in_file=False))
+    assert not list(settings.force_differences(replace(found, cuts=None), side, in_file=False))
+    assert not list(
+        settings.force_differences(replace(found, corrected=replace(corrected, notes=())), side, in_file=False)
+    )
 
 
 @pytest.mark.parametrize(
@@ -514,7 +522,9 @@ def test_with_a_file_of_forces_the_comments_of_both_programs_are_the_same(mine, 
     ]
     cuts = cuts_of(np.random.default_rng(1), found)
     found = replace(found, nominal=sides[0], corrected=sides[1], cuts=cuts)
-    message = the_only(settings.forces(found, None, in_file=True), None if rows is None else ("force", rows, 1))
+    message = the_only(
+        settings.force_differences(found, None, in_file=True), None if rows is None else ("force", rows, 1)
+    )
     assert rows is None or message.endswith("than those of the nominal program.")
 
 
@@ -552,7 +562,7 @@ def test_axis_targets_are_paired_in_order_between_the_same_pairs(seed, keeps_tex
         alone[0].extend((row, -1) for row in one[shared:])
         alone[1].extend((-1, row) for row in other[shared:])
     unpaired = alone[0] + alone[1]
-    listed = list(settings.axis_targets(found, *sides))
+    listed = list(settings.axis_target_differences(found, *sides))
     assert [difference.count for difference in listed] == [len(rows) for rows in (differ, unpaired) if rows]
     if differ:
         a, b = differ[0]
@@ -584,7 +594,7 @@ def test_kinds_of_pairs_and_inserted_targets_are_those_of_the_way_they_are_on(se
         is_line_of_arc = kinds[0][first] == CIRC and kinds[1][row] == LIN
         if kinds[0][first] != kinds[1][row] and not is_line_of_arc and kinds[1][row] not in between:
             bad.append((first, row))
-    message = the_only(settings._kind(found), ("kind", bad[0], len(bad)) if bad else None)
+    message = the_only(settings._kind_differences(found), ("kind", bad[0], len(bad)) if bad else None)
     if bad:
         names = {LIN: "a line (LIN)", CIRC: "an arc (CIRC)", PTP: "point to point (PTP)", SPL: "a spline (SPL)"}
         assert f"is {names[kinds[1][bad[0][1]]]} instead of {names[kinds[0][bad[0][0]]]}." in message
@@ -598,7 +608,9 @@ def test_the_first_pair_with_another_speed_is_named_in_millimetres_a_second(seed
     path = SimpleNamespace(joints=np.zeros((COUNT, 6)))
     feeds = found.nominal.motions.feed, found.corrected.motions.feed
     bad = [k for k, (a, b) in enumerate(found.pair) if abs(feeds[1][b] - feeds[0][a]) > 1e-4]
-    listed = [difference for difference in settings.settings(found, path, path) if difference.kind == "speed"]
+    listed = [
+        difference for difference in settings.setting_differences(found, path, path) if difference.kind == "speed"
+    ]
     message = the_only(listed, ("speed", found.pair[bad[0]], len(bad)) if bad else None)
     if bad:
         a, b = found.pair[bad[0]]
@@ -634,12 +646,12 @@ def test_ways_that_leave_the_nominal_path_by_more_than_their_targets_are_named(m
     ]  # fmt: skip
     worst = max(bad, key=lambda k: exact[k], default=None)
     expected = None if worst is None else ("between", found.pair[worst], len(bad))
-    message = the_only(differences._off_path(found, SIDE, SIDE), expected)
+    message = the_only(differences._ways_off_path(found, SIDE, SIDE), expected)
     if bad:
         assert f"the path is {1e3 * exact[worst]:.4f} mm from the nominal one" in message
         way = range(found.pair[worst - 1, 1] + 1, found.pair[worst, 1] + 1)
         assert ("Check the auxiliary point" in message) == any(found.corrected.motions.kind[row] == CIRC for row in way)
-    assert not list(differences._off_path(replace(found, curves=None), SIDE, SIDE))
+    assert not list(differences._ways_off_path(replace(found, curves=None), SIDE, SIDE))
     assert differences._pairs_under_force(found).tolist() == sorted(checked)
 
 
@@ -652,13 +664,13 @@ def test_calls_of_one_program_alone_are_named_by_whether_the_other_has_the_file(
     document = found.corrected.documents[0]
     other = replace(found.corrected, issues=(issue[1],), documents=(type(document)("part.nc", text),))
     both = replace(found, nominal=replace(found.nominal, issues=tuple(issue)), corrected=other)
-    first, second = differences._calls(both)
+    first, second = differences._call_differences(both)
     assert (first.level, first.kind) == ("warning", "not-compared")
     assert first.message.startswith("the file of P1() is in the folder of the other program only")
     assert second.message == "P3(), which is in no file, is called by this program only: its effect is not compared."
     assert [(d.nominal, d.corrected) for d in (first, second)] == [(("part.nc", 2), None), (("part.nc", 4), None)]
     swapped = replace(both, nominal=both.corrected, corrected=both.nominal)
-    assert [(d.nominal, d.corrected) for d in differences._calls(swapped)] == [
+    assert [(d.nominal, d.corrected) for d in differences._call_differences(swapped)] == [
         (None, ("part.nc", 2)),
         (None, ("part.nc", 4)),
     ]
@@ -683,13 +695,15 @@ def test_programs_of_one_conversion_are_compared_by_their_targets_and_forces_alo
     """Corners that are cut count only where no path difference explains them."""
     names = {
         "_unresolved_differences": "unresolved", "_uncompared_motions": "not compared",
-        "_calls": "calls", "settings": "settings", "lowered_feeds": "lowered",
-        "statement_differences": "statements", "forces": "forces", "_rapid": "rapid", "_repeated_positions": "twice",
-        "_backward_moves": "back", "_unpaired_targets": "alone", "axis_targets": "axis", "_orientation": "orientation",
-        "_off_path": "off", "_under_forces": "under", "_cut_corners": "corners", "_ambiguous": "ambiguous",
+        "_call_differences": "calls", "setting_differences": "settings", "lowered_feed_notes": "lowered",
+        "statement_differences": "statements", "force_differences": "forces", "_rapid_differences": "rapid",
+        "_repeated_positions": "twice",
+        "_backward_moves": "back", "_unpaired_targets": "alone", "axis_target_differences": "axis",
+        "_orientation_differences": "orientation", "_ways_off_path": "off", "_deviations_under_force": "under",
+        "_cut_corners": "corners", "_ambiguous_pairs": "ambiguous",
     }  # fmt: skip
     for name, word in names.items():
-        is_empty = name in ("_off_path", "_under_forces") and not is_off
+        is_empty = name in ("_ways_off_path", "_deviations_under_force") and not is_off
         monkeypatch.setattr(
             differences, name, lambda *parts, word=word, empty=is_empty, **options: [] if empty else [word]
         )

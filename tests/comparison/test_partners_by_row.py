@@ -207,7 +207,7 @@ def test_pieces_are_steep_where_their_ends_are_displaced_differently(seed):
         before = rows[max(k - 1, 0)]
         is_known = np.isfinite(place[[row, before]]).all()
         expected.append(not is_known or np.linalg.norm(displaced[row] - displaced[before]) > 2e-4)
-    assert loaded_path._steep(nominal, corrected, rows, place).tolist() == expected
+    assert loaded_path._is_steep(nominal, corrected, rows, place).tolist() == expected
 
 
 @pytest.mark.parametrize("seed", SEEDS)

@@ -291,7 +291,7 @@ def test_a_turn_of_the_tool_beyond_the_tolerance_over_a_tenth_of_a_metre_is_list
     """0.1 mm over 100 mm of tool is 1 mrad."""
     path = SimpleNamespace(robot_in_cell=SimpleNamespace(tolerance=1e-4))
     turned = compared(rotation=np.radians([0.0, 0.0, 0.5 * degrees, degrees, 0.0]))
-    found = list(differences._orientation(turned, path, path))
+    found = list(differences._orientation_differences(turned, path, path))
     assert [entry.kind for entry in found] == ([kind] if kind else [])
     if kind:
         assert (found[0].nominal, found[0].count) == (("part.nc", 4), 1)
@@ -301,10 +301,10 @@ def test_a_turn_of_the_tool_beyond_the_tolerance_over_a_tenth_of_a_metre_is_list
 def test_another_kind_of_motion_is_named_but_for_an_arc_that_became_lines():
     corrected = program(MOVES)
     corrected.motions.kind[2] = SPL
-    (found,) = settings._kind(compared(corrected=corrected))
+    (found,) = settings._kind_differences(compared(corrected=corrected))
     assert (found.kind, found.nominal, found.corrected) == ("kind", ("part.nc", 3), ("part.nc", 3))
     assert "is a spline (SPL) instead of a line (LIN)." in found.message
     arcs = program(MOVES)
     arcs.motions.kind[2] = CIRC
-    assert list(settings._kind(compared(arcs, program(MOVES)))) == []
-    assert len(list(settings._kind(compared(program(MOVES), arcs)))) == 1
+    assert list(settings._kind_differences(compared(arcs, program(MOVES)))) == []
+    assert len(list(settings._kind_differences(compared(program(MOVES), arcs)))) == 1
