@@ -148,7 +148,11 @@ def tool_of(process: Process, number: int | None) -> tuple[str, ToolTable]:
 
 
 def equations(readings: CutReadings, tool: ToolTable) -> Array:
-    """Return the derivatives of Fx, Fy, Fz [N] and the power [W] of readings by the coefficients: (n, 4, 6)."""
+    """Return the derivatives of Fx, Fy, Fz [N] and the power [W] of readings by the coefficients: (n, 4, 6).
+
+    They are the antiderivatives of the force of a tooth over its angle, at the angle where it leaves the material less
+    those where it enters (Altintas 2012, Eq. (2.31)); with M4 Fy has the other sign.
+    """
     radius, teeth = 0.5 * tool.diameter_mm, tool.flutes
     width = np.where(np.array(readings.mode) == "slot", 2.0 * radius, np.minimum(readings.width, 2.0 * radius))
     arc = np.arccos(1.0 - width / radius)
@@ -209,6 +213,7 @@ def identify(readings: CutReadings, tool: ToolTable, prior: MaterialTable | None
     reading_checks.check_feeds(chip, tool.diameter_mm, file)
     system = _linear_equations(readings, tool, file)
     predictor, readout, sigma = system.predictor, system.readout, system.sigma
+    # a coefficient whose column is rounding has no reading that depends on it
     is_excited = np.abs(predictor).max(axis=0) > 1e-9 * np.abs(predictor).max()
     _check_separable(readings, tool, predictor, sigma, is_excited, file)
     estimate, fixed_sigma, warnings = _prior_coefficients(prior, is_excited, file)
@@ -232,18 +237,8 @@ def identify(readings: CutReadings, tool: ToolTable, prior: MaterialTable | None
     warnings += reading_checks.check_sizes(estimate, readings.force, _tangential_coefficient(prior, file), file)
     covariance[np.ix_(is_excited, is_excited)] = spread
     half_width = 1.96 * np.sqrt(np.diag(covariance))
+    warnings += _wide_interval_warnings(estimate, half_width, is_excited)
     is_force = system.component < 3
-    for k in np.flatnonzero(is_excited & (half_width > 0.5 * np.abs(estimate))).tolist():
-        warnings.append(
-            f"{NAMES[k]} is known to ±{half_width[k]:.2g} only ({estimate[k]:.3g}): measure more feeds, or deeper cuts"
-        )
-    sigma_percent = max(_LEAST_SIGMA, _percent_of_readout(system, covariance, error))
-    if sigma_percent > _MOST_SIGMA:
-        raise ForceError(
-            f"no coefficients fit these readings: forces computed with them have a sigma of {sigma_percent:.0f} %",
-            file=file,
-            advice="Check mode, ap_mm, ae_mm, rpm and feed_mm_per_min, and flutes and diameter of the tool.",
-        )
     return IdentifiedMaterial(
         value=estimate,
         half=half_width,
@@ -258,18 +253,32 @@ def identify(readings: CutReadings, tool: ToolTable, prior: MaterialTable | None
         left_out=_cross_validation_error(
             predictor[:, is_excited], fitted_part, readout, sigma, np.round(chip[system.reading], 6)
         ),
-        sigma_percent=sigma_percent,
+        sigma_percent=max(_LEAST_SIGMA, _percent_of_readout(system, covariance, error, file)),
         warnings=tuple(warnings),
     )
+
+
+def _wide_interval_warnings(estimate: Array, half_width: Array, is_excited: Bools) -> list[str]:
+    """Return a warning for each coefficient whose 95 % interval is wider than itself.
+
+    :param estimate: (6,) coefficients, `half_width` (6,) of their intervals; `is_excited` (6,) whether readings depend
+        on them.
+    """
+    return [
+        f"{NAMES[k]} is known to ±{half_width[k]:.2g} only ({estimate[k]:.3g}): measure more feeds, or deeper cuts"
+        for k in np.flatnonzero(is_excited & (half_width > 0.5 * np.abs(estimate))).tolist()
+    ]
 
 
 def _check_signs(readings: CutReadings, tool: ToolTable, estimate: Array, is_excited: Bools, file: str) -> list[str]:
     """Refuse forces in other axes and return warnings, see `reading_checks.check_signs`.
 
     :param estimate: (6,) values of the coefficients that no reading depends on, 0 for the others.
+    :param is_excited: (6,) coefficients that readings depend on.
     """
 
     def fit_of_forces(force: Array) -> tuple[Array, Array, float] | None:
+        """Return the fit of forces (n, 3) [N] in other axes, see `reading_checks.FitOf`."""
         system = _linear_equations(replace(readings, force=force), tool, file)
         matrix, target = system.predictor[:, is_excited], system.readout - system.predictor @ estimate
         scale = np.linalg.norm(matrix, axis=0)
@@ -291,6 +300,7 @@ def _check_signs(readings: CutReadings, tool: ToolTable, estimate: Array, is_exc
 def _positive_fit(predictor: Array, readout: Array, sigma: Array, coefficient: Ints) -> Array:
     """Return the weighted least-squares estimate (k,) of coefficients whose least value is 0, but for axial ones.
 
+    :param predictor: (m, k), `readout` (m,) and `sigma` (m,): see `_Equations`, for these coefficients alone.
     :param coefficient: (k,) place of each in `NAMES`.
     """
     from scipy.optimize import lsq_linear
@@ -333,7 +343,10 @@ def _linear_equations(readings: CutReadings, tool: ToolTable, file: str) -> _Equ
 def _scaled_spread(spread: Array, error: Array, system: _Equations, freedom: int) -> tuple[Array, list[str]]:
     """Return the covariance (k, k) of coefficients, scaled by the scatter of the readings, and warnings about it.
 
-    :param spread: (k, k) covariance if the readings scatter as `rows.sigma` says.
+    Standard deviations that readings state are trusted unless they scatter more. Where the scatter is estimated, the
+    interval is that of Student's t, so that 1.96 standard deviations of the result are its 95 %.
+
+    :param spread: (k, k) covariance if the readings scatter as `system.sigma` says.
     :param error: (m,) residuals [N], [W].
     :param freedom: number of readings beyond that of coefficients.
     """
@@ -360,19 +373,32 @@ def _scaled_spread(spread: Array, error: Array, system: _Equations, freedom: int
     return spread * (factor / 1.96) ** 2, warnings
 
 
-def _percent_of_readout(system: _Equations, covariance: Array, error: Array) -> float:
+def _percent_of_readout(system: _Equations, covariance: Array, error: Array, file: str) -> float:
     """Return the RMS deviation of readings from their model, uncertain coefficients included, in % of their RMS.
 
     :param covariance: (6, 6) of the coefficients.
     :param error: (m,) residuals [N], [W].
+    :raises ForceError: it is more than a process may state.
     """
     variance = np.einsum("mi,ij,mj->m", system.predictor, covariance, system.predictor) + error**2
     rms_readout = float(np.sqrt(np.sum((system.readout / system.sigma) ** 2)))
-    return 100.0 * float(np.sqrt(np.sum(variance / system.sigma**2))) / rms_readout
+    percent = 100.0 * float(np.sqrt(np.sum(variance / system.sigma**2))) / rms_readout
+    if percent > _MOST_SIGMA:
+        raise ForceError(
+            f"no coefficients fit these readings: forces computed with them have a sigma of {percent:.0f} %",
+            file=file,
+            advice="Check mode, ap_mm, ae_mm, rpm and feed_mm_per_min, and flutes and diameter of the tool.",
+        )
+    return percent
 
 
 def _fit(predictor: Array, readout: Array, sigma: Array) -> tuple[Array, Array]:
-    """Return the weighted least-squares estimate (k,) and its covariance (k, k)."""
+    """Return the weighted least-squares estimate (k,) and its covariance (k, k).
+
+    Columns are scaled to the length 1, as coefficients of the cut and of the edge differ by their units.
+
+    :param predictor: (m, k), `readout` (m,) and `sigma` (m,): see `_Equations`, for k of the coefficients.
+    """
     matrix = predictor / sigma[:, None]
     scale = np.linalg.norm(matrix, axis=0)
     value = np.linalg.lstsq(matrix / scale, readout / sigma, rcond=None)[0] / scale
@@ -380,7 +406,15 @@ def _fit(predictor: Array, readout: Array, sigma: Array) -> tuple[Array, Array]:
 
 
 def _cross_validation_error(predictor: Array, fitted_part: Array, readout: Array, sigma: Array, chip: Array) -> float:
-    """Return the RMS error at each feed per tooth, predicted by the others, as a share of the RMS reading."""
+    """Return the RMS error of readings by coefficients from those at other feeds, as a share of the RMS reading.
+
+    NaN where the readings at other feeds do not determine the coefficients.
+
+    :param predictor: (m, k) derivatives by the coefficients that readings depend on.
+    :param fitted_part: (m,) part of the readings that these coefficients explain; `readout` (m,) the readings, `sigma`
+        (m,) their standard deviations.
+    :param chip: (m,) feeds per tooth [mm].
+    """
     square_sum = 0.0
     for chip_value in np.unique(chip):
         of_chip = chip == chip_value
@@ -401,6 +435,8 @@ def _check_separable(
 ) -> None:
     """Refuse readings that do not excite a combination of coefficients.
 
+    :param predictor: (m, 6) and `sigma` (m,): see `_Equations`.
+    :param is_excited: (6,) coefficients that readings depend on.
     :raises ForceError: a combination is not identifiable; the message names the coefficients.
     """
     chip = readings.feed / (readings.rpm * tool.flutes)
@@ -415,6 +451,7 @@ def _check_separable(
     matrix = matrix / np.linalg.norm(matrix, axis=0)
     _, singular_values, axes = np.linalg.svd(matrix, full_matrices=True)
     singular_values = np.append(singular_values, np.zeros(len(axes) - len(singular_values)))
+    # coefficients with a part in a combination of singular value 0 are not determined
     is_unexcited = np.abs(axes[singular_values < _RANK * singular_values[0]]).max(axis=0, initial=0.0) > 1e-3
     if is_unexcited.any():
         unexcited_names = ", ".join(name for name, is_open in zip(names, is_unexcited, strict=True) if is_open)
@@ -425,6 +462,7 @@ def _check_separable(
 def _prior_coefficients(prior: MaterialTable | None, is_excited: Bools, file: str) -> tuple[Array, Array, list[str]]:
     """Return values (6,) and standard deviations (6,) from the process for coefficients without readings, and warnings.
 
+    :param is_excited: (6,) coefficients with readings; they are 0 in both.
     :raises ForceError: the process has no linear material.
     """
     value, sigma = np.zeros(6), np.zeros(6)

@@ -36,7 +36,10 @@ def depth_inside(stock: Stock, cutter: Cutter, tip: Array, axis: Array) -> float
 
 
 def _deepest(stock: Stock, cutter: Cutter, tip: Array, axis: Array) -> float:
-    """Return the largest depth [m] in material of points inside the cutter, one cell from its surface; 0 if none is."""
+    """Return the largest depth in material of points inside the cutter, one cell from its surface [m]; 0 if none is.
+
+    :param tip: (n, 3) positions of the tip [m], and `axis` (n, 3) unit directions to the spindle, frame of the map.
+    """
     radius = max(cutter.radius - stock.cell, 0.0)
     place, distance, height = _rings(stock, cutter, tip, axis, radius)
     if not len(place):
@@ -83,7 +86,7 @@ def _rings(stock: Stock, cutter: Cutter, tip: Array, axis: Array, radius: float)
 
 
 def _perpendicular_directions(direction: Array) -> tuple[Array, Array]:
-    """Return two unit vectors (n, 3) square to directions (n, 3) and to each other."""
+    """Return two unit vectors (n, 3) each, square to unit vectors `direction` (n, 3) and to each other."""
     axis = np.where(np.abs(direction[:, :1]) < 0.9, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
     first_direction = np.cross(direction, axis)
     first_direction /= norm(first_direction)[:, None]

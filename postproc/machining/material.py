@@ -118,7 +118,7 @@ class CuttingLaw(msgspec.Struct, frozen=True):
         return (*cutting, *edge, self.exponent, 100.0 * self.sigma)
 
     def chip(self, thickness: Floats) -> Floats:
-        """Return the factor of the cutting coefficients [m] for a chip thickness [m]; 0 without a chip."""
+        """Return the factors [m] of the cutting coefficients for chip thicknesses (…) [m]; 0 without a chip."""
         cut = np.maximum(thickness, 0.0)
         if self.exponent == 0.0:
             return cut
@@ -163,7 +163,7 @@ def _spread_with_wear(sigma: float) -> float:
 
 
 def _interval_probability(lower: float, upper: float, sigma: float) -> float:
-    """Return the probability that a normally distributed error of deviation `sigma` is between two bounds."""
+    """Return the probability that a normally distributed error of deviation `sigma` is from `lower` to `upper`."""
     if sigma <= 0.0:
         return float(lower <= 0.0 <= upper)
     return 0.5 * (math.erf(upper / (math.sqrt(2.0) * sigma)) - math.erf(lower / (math.sqrt(2.0) * sigma)))
@@ -183,7 +183,7 @@ def table() -> dict[str, Entry]:
 def six_numbers(material: MaterialTable, file: str) -> tuple[NDArray[np.float64], float] | None:
     """Return Ktc, Krc, Kac [N/mm²], Kte, Kre, Kae [N/mm] of a linear material and their relative standard deviation.
 
-    :returns: None for a Kienzle material.
+    :returns: array (6,) and deviation; None for a Kienzle material.
     :raises ForceError: an unknown name, or no coefficients at all.
     """
     cutting_law = law(material, file)

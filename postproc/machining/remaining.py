@@ -89,7 +89,10 @@ class Ceiling:
         self._sunk: list[tuple[int, Ints, Floats]] = []
 
     def _highest_material(self, rows: slice, columns: slice) -> Floats:
-        """Return the highest material of coarse cells; slices of fine cells from multiples of the factor on."""
+        """Return the highest material of coarse cells (ny, nx) [m]; −inf without any.
+
+        :param rows: rows of fine cells, and `columns`: from a multiple of the factor on.
+        """
         high, floor = self.stock.high[rows, columns], self.stock.floor[rows, columns]
         high = np.where(high > floor, high, -np.inf)
         for axis in (0, 1):
@@ -97,7 +100,7 @@ class Ceiling:
         return np.asarray(high, dtype=np.float32)
 
     def _window(self, low: Array, high: Array) -> tuple[slice, slice]:
-        """Return rows and columns of the coarse cells between two points [m]."""
+        """Return rows and columns of the coarse cells between two corners `low` and `high` (3,) of a box [m]."""
         origin = np.array([self.stock.x, self.stock.y])
         size = self._level.shape[::-1]
         first = np.clip(np.floor((low[:2] - origin) / self.cell).astype(int), 0, size)
@@ -105,11 +108,11 @@ class Ceiling:
         return slice(int(first[1]), int(last[1])), slice(int(first[0]), int(last[0]))
 
     def top(self, low: Array, high: Array) -> float:
-        """Return the highest material between two points [m]; minus infinity without any."""
+        """Return the highest material between two corners `low` and `high` (3,) of a box [m]; −inf without any."""
         return float(self._level[self._window(low, high)].max(initial=-np.inf))
 
     def sink(self, low: Array, high: Array, motion: int) -> None:
-        """Note that material between two points was removed before the end of a motion."""
+        """Note that material in the box from `low` to `high` (3,) [m] was removed by the end of a motion."""
         rows, columns = self._window(low, high)
         old_level = self._level[rows, columns]
         if not old_level.size:
@@ -186,7 +189,12 @@ _FACES = np.array([
 
 
 def _boxes(level: Array) -> list[tuple[float, ...]]:
-    """Return rectangles of cells with one level: columns and rows from, to (exclusive), and the level."""
+    """Return rectangles of cells with one level: columns from, to (exclusive), rows from, to (exclusive), level [m].
+
+    Runs of one level in a row are joined with equal runs of the rows before; an open run ends where a row lacks it.
+
+    :param level: (ny, nx) of the cells [m]; −inf without material.
+    """
     boxes: list[tuple[float, ...]] = []
     first_row: dict[tuple[int, int, float], int] = {}
     for row, row_levels in enumerate([*level, np.full(level.shape[1], -np.inf)]):
@@ -237,14 +245,21 @@ class Guard(Struct, eq=False):
                 self._compare_pieces(part, ceiling.stock, segments, rows, cutter, removes=removes)
 
     def _is_in_sweep(self, part: Part, cutter: Cutter, cell: float) -> bool:
-        """Return whether a part, with its clearance, is inside the volume that the cutter sweeps at the same time."""
+        """Return whether a part, with its clearance, is inside the volume that the cutter sweeps at the same time.
+
+        :param cell: width of a cell [m]: walls are located no better.
+        """
         reach = part.radius + self.need
         if reach > cutter.radius - 2.0 * cell:
             return False
         return part.height - self.need >= float(cutter.height(np.array([reach]))[0])
 
     def _swept_volume(self, part: Part, begin: Array, end: Array, need: float) -> tuple[Cutter, Array, Array]:
-        """Return all points within `need` [m] of a part as a body along z, and the path of its lower end."""
+        """Return all points within `need` [m] of a part as a body along z, and the path of its lower end.
+
+        :param begin: (L, 3) positions of the tip where segments begin, and `end` (L, 3) where they end [m].
+        :returns: body, and positions (L, 3) and (L, 3) of its lower end [m].
+        """
         up = np.array([0.0, 0.0, part.height - need])
         return Cutter(part.radius + need, need, 1), begin + up, end + up
 
@@ -280,8 +295,10 @@ class Guard(Struct, eq=False):
         key = part.name, motion
 
         def is_hit(need: float) -> bool:
+            """Return whether the part with a clearance [m] touches the stock on the segment."""
             return bool(touches(stock, *self._swept_volume(part, *segment, need))[0])
 
+        # bisection: the part with a larger clearance touches wherever that with a smaller one does
         low, high = 0.0, self.close.get(key, self.need)
         if not is_hit(high):
             return
@@ -294,7 +311,7 @@ class Guard(Struct, eq=False):
 
 
 def _segment_pieces(begin: Array, end: Array, step: float) -> Iterator[tuple[Array, Array]]:
-    """Yield the parts of a segment, (1, 3) each, that are no longer than a step [m]."""
+    """Yield begin and end (1, 3) of the parts of a segment from `begin` to `end` (3,), no longer than a step [m]."""
     count = max(1, int(np.ceil(np.sqrt(np.sum((end - begin) ** 2)) / step - 1e-9)))
     places = begin + np.linspace(0.0, 1.0, count + 1)[:, None] * (end - begin)
     for k in range(count):
@@ -302,7 +319,7 @@ def _segment_pieces(begin: Array, end: Array, step: float) -> Iterator[tuple[Arr
 
 
 def _copied_part(stock: Stock, low: Array, high: Array) -> Stock:
-    """Return a copy of the map between two points [m]."""
+    """Return a copy of the map between two corners `low` and `high` (3,) of a box [m]."""
     origin = np.array([stock.x, stock.y])
     first_cell = np.floor((low[:2] - origin) / stock.cell).astype(int).clip(0)
     end_cell = np.ceil((high[:2] - origin) / stock.cell).astype(int).clip(0) + 1

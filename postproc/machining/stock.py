@@ -89,6 +89,7 @@ def refine(stock: Stock, factor: int) -> Stock:
     """Return a map with cells that are narrower by a whole factor; walls stay where they are within the wider cells."""
 
     def divided(values: NDArray[Any]) -> NDArray[Any]:
+        """Return values of cells (ny, nx, …) repeated for the narrower cells in each."""
         return np.repeat(np.repeat(values, factor, axis=0), factor, axis=1)
 
     shift = ((np.arange(factor) + 0.5) / factor - 0.5).tolist()
@@ -105,9 +106,11 @@ def refine(stock: Stock, factor: int) -> Stock:
 def _surface_at(high: Floats, rise: Floats, has_slope: Bools, y_shift: float, x_shift: float) -> Floats:
     """Return the surface (ny, nx) off the middles of cells by shares of a cell along y and x, see `between_cells`.
 
+    :param high: (ny, nx) upper levels of the cells [m].
     :param rise: (ny, nx, 2) of the surface along x and y, over a cell [m].
     :param has_slope: (ny, nx) cells whose surface has one level and a slope; next to others the level is that of the
         cell.
+    :param y_shift: distance from the middles along y, and `x_shift` along x, in cells from −0.5 to 0.5.
     """
     x_side, y_side = 1 if x_shift >= 0.0 else -1, 1 if y_shift >= 0.0 else -1
     steps = [(0, 0), (0, x_side), (y_side, 0), (y_side, x_side)]
@@ -129,12 +132,14 @@ def _surface_at(high: Floats, rise: Floats, has_slope: Bools, y_shift: float, x_
 
 
 def between_cells(levels: list[Floats], planes: list[Floats], weights: list[Floats]) -> Floats:
-    """Return the surface at points between four cells.
+    """Return the level of the surface at points between four cells [m], in the shape of the parameters.
 
     The mean of interpolated levels and interpolated tangent planes is exact on a paraboloid. Where all four planes are
     above the interpolated levels, there is a ridge between them, and the lowest plane counts.
 
-    :param levels: of the cells; planes: the tangent planes of their surfaces at the points; weights: of interpolation.
+    :param levels: four arrays, one for each cell around the points: its level [m].
+    :param planes: likewise, the levels of the tangent planes of their surfaces at the points [m].
+    :param weights: likewise, the weights of bilinear interpolation; their sum is 1.
     """
     level, mean = np.zeros_like(levels[0]), np.zeros_like(levels[0])
     for weight, value, plane in zip(weights, levels, planes, strict=True):
@@ -145,13 +150,16 @@ def between_cells(levels: list[Floats], planes: list[Floats], weights: list[Floa
 
 
 def level(high: Floats) -> NDArray[np.int16]:
-    """Return the slopes (ny, nx, 2) of cells (ny, nx) whose surface is level."""
+    """Return the slopes (ny, nx, 2) of cells whose surface is level: zeros; `high` (ny, nx) gives the size."""
     return np.zeros((*high.shape, 2), dtype=np.int16)
 
 
 def _map_extent(lower: Array, upper: Array, cell: float, file: str) -> tuple[float, float, int, int]:
     """Return origin x, y [m] and numbers of cells in x, y of a map with a border.
 
+    :param lower: (3,) and `upper` (3,): corners of a box around the stock, frame of the map [m].
+    :param cell: width of a cell [m].
+    :param file: of the process or of the mesh, for messages.
     :raises ForceError: it would be too large.
     """
     count = np.ceil((upper[:2] - lower[:2]) / cell - 1e-6).astype(int) + 2 * _BORDER
@@ -163,7 +171,7 @@ def _map_extent(lower: Array, upper: Array, cell: float, file: str) -> tuple[flo
 
 
 def from_box(lower: Array, upper: Array, cell: float, file: str = "stock") -> Stock:
-    """Return the map of a box from corner `lower` (3,) to `upper` (3,) [m].
+    """Return the map of a box from corner `lower` (3,) to `upper` (3,) [m], with cells of width `cell` [m].
 
     :raises ForceError: it would have too many cells.
     """
@@ -184,6 +192,7 @@ def from_mesh(vertices: Array, faces: NDArray[np.int64], cell: float, file: str 
     """Return the map of a closed mesh: material from the lowest to the highest surface of each column.
 
     :param vertices: (V, 3) [m], in the frame of the map; faces: (F, 3).
+    :param cell: width of a cell [m].
     :raises ForceError: it would have too many cells.
     """
     x, y, nx, ny = _map_extent(vertices.min(axis=0), vertices.max(axis=0), cell, file)
@@ -218,6 +227,7 @@ def _surfaces_of_columns(
 ) -> tuple[Array, Array]:
     """Return the highest and the lowest height of a mesh over a grid, (ny, nx) each [m]; −inf, inf if none.
 
+    :param vertices: (V, 3) of the mesh [m], in the frame of the map; `faces` (F, 3).
     :param origin: corner of the grid x, y [m]; its points are in the middles of squares of a width `step` [m].
     :param count: number of points along x and y.
     """
@@ -246,7 +256,7 @@ def _points_in_boxes(
 ) -> Iterator[tuple[Array, NDArray[np.int64], NDArray[np.int64]]]:
     """Yield pairs of triangle and grid point in its box, in batches: corners (F, 3, 3), point (n,), triangle (n,).
 
-    :param corner: (F, 3, 3) corners of triangles [m]; for the grid see `_surfaces_of_columns`.
+    :param corner: (F, 3, 3) corners of triangles [m]; for `origin`, `step` and `count` see `_surfaces_of_columns`.
     """
     first_index, index_count = [], []
     for axis in range(2):
@@ -275,21 +285,12 @@ def _points_in_boxes(
 def mesh_of(stock: Stock, most_cells: int = 250_000) -> tuple[Array, NDArray[np.int64]]:
     """Return the remaining stock as a closed mesh: vertices (V, 3) [m] and faces (F, 3).
 
-    Larger maps are made coarser, to about `most_cells` cells at most.
+    :param most_cells: larger maps are made coarser, to about this many cells at most.
     """
     factor = int(np.ceil(np.sqrt(stock.high.size / most_cells)))
-    thickness, floor = stock.thickness(), stock.floor.astype(float)
-    rows, columns = (-(-size // factor) for size in thickness.shape)
-    pad = ((0, rows * factor - thickness.shape[0]), (0, columns * factor - thickness.shape[1]))
-    block = (rows, factor, columns, factor)
-    solid_count = np.pad(thickness > 1e-9, pad).reshape(block).sum(axis=(1, 3))
-    thickness = np.pad(thickness, pad).reshape(block).sum(axis=(1, 3)) / factor**2
-    bottom = (np.pad(np.where(stock.thickness() > 1e-9, floor, 0.0), pad).reshape(block).sum(axis=(1, 3))) / np.maximum(
-        solid_count, 1
-    )
+    bottom, thickness = _coarse_columns(stock, factor)
     is_filled = thickness > 1e-6
     _separate_diagonal_cells(is_filled)
-    width = stock.cell * factor
     cell_weight = np.pad(is_filled, 1).astype(float)
 
     def at_corners(values: Array) -> Array:
@@ -300,33 +301,63 @@ def mesh_of(stock: Stock, most_cells: int = 250_000) -> tuple[Array, NDArray[np.
         return np.asarray(total / np.maximum(number, 1.0))
 
     lower, upper = at_corners(bottom), at_corners(bottom + thickness)
+    rows, columns = is_filled.shape
+    width = stock.cell * factor
     gx, gy = np.meshgrid(stock.x + width * np.arange(columns + 1), stock.y + width * np.arange(rows + 1))
-    layer = gx.size
     vertices = np.concatenate([np.stack([gx, gy, z], axis=-1).reshape(-1, 3) for z in (upper, lower)])
+    quad = _faces_of_cells(is_filled)
+    faces = np.concatenate([quad[:, [0, 1, 2]], quad[:, [0, 2, 3]]])
+    vertex_rows, faces = np.unique(faces, return_inverse=True)
+    return vertices[vertex_rows], faces.reshape(-1, 3).astype(np.int64)
+
+
+def _coarse_columns(stock: Stock, factor: int) -> tuple[Array, Array]:
+    """Return the lower sides and the thicknesses of material in blocks of factor × factor cells, (ny, nx) each [m].
+
+    The lower side is the mean over cells with material, the thickness that over all, so that volumes are kept.
+    """
+    thickness, floor = stock.thickness(), stock.floor.astype(float)
+    rows, columns = (-(-size // factor) for size in thickness.shape)
+    pad = ((0, rows * factor - thickness.shape[0]), (0, columns * factor - thickness.shape[1]))
+    block = (rows, factor, columns, factor)
+    is_solid = thickness > 1e-9
+    solid_count = np.pad(is_solid, pad).reshape(block).sum(axis=(1, 3))
+    floor_sum = np.pad(np.where(is_solid, floor, 0.0), pad).reshape(block).sum(axis=(1, 3))
+    mean_thickness = np.pad(thickness, pad).reshape(block).sum(axis=(1, 3)) / factor**2
+    return floor_sum / np.maximum(solid_count, 1), mean_thickness
+
+
+def _faces_of_cells(is_filled: Bools) -> NDArray[np.int64]:
+    """Return the four-sided faces (Q, 4) around filled cells (ny, nx): above, below, and towards empty cells.
+
+    Vertices are corners of cells, row by row: first all upper ones, then all lower ones.
+    """
+    rows, columns = is_filled.shape
+    layer = (rows + 1) * (columns + 1)
     number = np.arange(layer).reshape(rows + 1, columns + 1)
     r, c = np.nonzero(is_filled)
     quads = [np.stack([number[r, c], number[r, c + 1], number[r + 1, c + 1], number[r + 1, c]], axis=-1)]
     quads.append(quads[0][:, ::-1] + layer)
-    edge = np.pad(is_filled, 1)
+    padded = np.pad(is_filled, 1)
+    # neighbour by row and column, and both ends of the side towards it, in the order that turns the face outwards
     for dr, dc, p, q in (
         (-1, 0, (0, 1), (0, 0)),
         (1, 0, (1, 0), (1, 1)),
         (0, -1, (0, 0), (1, 0)),
         (0, 1, (1, 1), (0, 1)),
     ):
-        is_open = ~edge[r + 1 + dr, c + 1 + dc]
+        is_open = ~padded[r + 1 + dr, c + 1 + dc]
         a, b = number[r[is_open] + p[0], c[is_open] + p[1]], number[r[is_open] + q[0], c[is_open] + q[1]]
         quads.append(np.stack([a, b, b + layer, a + layer], axis=-1))
-    quad = np.concatenate(quads)
-    faces = np.concatenate([quad[:, [0, 1, 2]], quad[:, [0, 2, 3]]])
-    vertex_rows, faces = np.unique(faces, return_inverse=True)
-    return vertices[vertex_rows], faces.reshape(-1, 3).astype(np.int64)
+    return np.concatenate(quads)
 
 
 def _separate_diagonal_cells(is_filled: Bools) -> None:
-    """Empty one of two filled cells (ny, nx) that touch at a corner only, in place.
+    """Empty one of two filled cells that touch at a corner only.
 
     They would share an edge of four faces: such a mesh is not closed.
+
+    :param is_filled: (ny, nx) True for filled cells; changed in place.
     """
     is_diagonal: Bools = np.ones(1, dtype=bool)
     while is_diagonal.any():
@@ -338,7 +369,7 @@ def _separate_diagonal_cells(is_filled: Bools) -> None:
 
 
 def as_trimesh(vertices: Array, faces: NDArray[np.int64]) -> Any:
-    """Return the mesh as a `trimesh.Trimesh` in mm."""
+    """Return a mesh of vertices (V, 3) [m] and faces (F, 3) as a `trimesh.Trimesh` in mm."""
     import trimesh
 
     return trimesh.Trimesh(vertices * 1e3, faces, process=False)
@@ -386,7 +417,7 @@ class Footprint(Struct, frozen=True, eq=False):
         )  # fmt: skip
 
     def of(self, cells: Bools, rims: Bools) -> Footprint:
-        """Return selected cells and cells of the rim."""
+        """Return the cells that are True in `cells` (n,), and those of the rim that are True in `rims` (r,)."""
         return Footprint(
             self.cell[cells], self.level[cells], self.segment[cells], self.rim[rims], self.coverage[rims],
             self.rim_level[rims], self.path,
@@ -394,10 +425,11 @@ class Footprint(Struct, frozen=True, eq=False):
 
 
 def remove(stock: Stock, cutter: Cutter, begin: Array, end: Array, heading: Array | None = None) -> Footprint:
-    """Remove the volume that a tool along z sweeps from tip positions to others, both (L, 3) [m].
+    """Remove the volume that a tool along z sweeps as its tip moves along L segments.
 
     The segments make one surface: where several cover a part of one cell, the one that covers most of it counts.
 
+    :param begin: (L, 3) positions of the tip where segments begin, and `end` (L, 3) where they end [m].
     :param heading: (3,) direction in which the tool goes on. Cells under its front at the last position are then not
         cut but returned, see `cut`: the front of the tool must meet uncut material next, not cells that it has partly
         cut.
@@ -451,6 +483,7 @@ def _slopes(stock: Stock, footprint: Footprint, rows: Ints) -> NDArray[np.int16]
 def _is_ahead(stock: Stock, cutter: Cutter, cell: Ints, point: Array, direction: Array, *, rim: bool) -> Bools:
     """Return over which cells (n,) of the flat map the surface of a tool moves outwards: its front.
 
+    :param cell: (n,) index in the flat map.
     :param point: (3,) of the tip [m]; direction: (3,) of its travel.
     :param rim: the cells are those that the cylinder covers in part; else those under the end of the tool.
     """
@@ -470,7 +503,10 @@ def _is_ahead(stock: Stock, cutter: Cutter, cell: Ints, point: Array, direction:
 
 
 def depth_of(stock: Stock, cutter: Cutter, begin: Array, end: Array) -> float:
-    """Return the largest depth of cut [m] from tip positions to others, (L, 3) [m], in cells that the tool covers."""
+    """Return the largest depth of cut [m] as the tip moves from `begin` (L, 3) to `end` (L, 3) [m].
+
+    Only cells that the tool covers fully count: walls are not located better than that.
+    """
     high, floor, deepest = stock.high.reshape(-1), stock.floor.reshape(-1), 0.0
     for footprint in _footprints(stock, cutter, begin, end):
         depth = high[footprint.cell] - np.maximum(footprint.level, floor[footprint.cell])
@@ -479,7 +515,9 @@ def depth_of(stock: Stock, cutter: Cutter, begin: Array, end: Array) -> float:
 
 
 def _footprints(stock: Stock, cutter: Cutter, begin: Array, end: Array) -> Iterator[Footprint]:
-    """Yield the cells under segments, a few segments at a time, small ones first."""
+    """Yield the cells under segments from `begin` (L, 3) to `end` (L, 3) [m], a few segments at a time, small ones
+    first.
+    """
     for rows, corner, window in windows(stock, cutter.radius + stock.cell, begin, end):
         footprint = _footprint(stock, cutter, begin, end, rows, corner, window)
         if footprint is not None:
@@ -487,7 +525,15 @@ def _footprints(stock: Stock, cutter: Cutter, begin: Array, end: Array) -> Itera
 
 
 def windows(stock: Stock, reach: float, begin: Array, end: Array) -> Iterator[tuple[Ints, Ints, Ints]]:
-    """Yield some segments at a time, small ones first: rows (k,), corners (k, 2) and size (2,) of parts of the map."""
+    """Yield windows of the map around segments, some segments at a time, small windows first.
+
+    All windows of a batch have the size of its largest, so that arrays hold them; a batch is limited in cells.
+
+    :param reach: distance of the edge of a window from the segment [m].
+    :param begin: (L, 3) and `end` (L, 3) of segments [m].
+    :returns: rows (k,) of segments, column and row (k, 2) of the first cell of each window, columns and rows (2,) of
+        all.
+    """
     cell = stock.cell
     origin = np.array([stock.x, stock.y])
     map_size = np.array(stock.high.shape[::-1])
@@ -512,7 +558,11 @@ def windows(stock: Stock, reach: float, begin: Array, end: Array) -> Iterator[tu
 def _footprint(
     stock: Stock, cutter: Cutter, begin: Array, end: Array, rows: Ints, corner: Ints, window: Ints
 ) -> Footprint | None:
-    """Return the cells under some segments (L), each within a window of the map that begins at `corner` (L, 2)."""
+    """Return the cells under some segments; None if none of their windows has material above the tip.
+
+    :param begin: (L, 3) and `end` (L, 3) of all segments [m].
+    :param rows: (k,) segments; `corner` (k, 2) and `window` (2,): of their windows, see `windows`.
+    """
     cell, path = stock.cell, (cutter, begin, end)
     begin, end = begin[rows], end[rows]
     index, row, column = cells(stock, corner, window)
@@ -536,23 +586,32 @@ def _footprint(
 
 
 def cells(stock: Stock, corner: Ints, window: Ints) -> tuple[Ints, Ints, Ints]:
-    """Return the cells (L, h, w) in windows as places in the flat map, with their rows and columns."""
+    """Return the cells in k windows as places in the flat map (k, h, w), with rows (k, h, 1) and columns (k, 1, w).
+
+    :param corner: (k, 2) column and row of the first cell of each; `window` (2,) columns w and rows h of all.
+    """
     column = corner[:, 0, None, None] + np.arange(window[0])
     row = corner[:, 1, None, None] + np.arange(window[1])[:, None]
     return row * stock.high.shape[1] + column, row, column
 
 
 def middles(stock: Stock, begin: Array, row: Ints, column: Ints) -> tuple[Floats, Floats]:
-    """Return x and y (L, h, w) of the middles of cells from the starts (L, 3) of segments [m]."""
+    """Return x (k, 1, w) and y (k, h, 1) of the middles of cells from the starts of segments [m].
+
+    :param begin: (k, 3) starts of segments [m].
+    :param row: (k, h, 1) and `column` (k, 1, w) of the cells.
+    """
     origin = (begin[:, :2] - (stock.x, stock.y) - 0.5 * stock.cell)[:, :, None, None]
     return (column * stock.cell - origin[:, 0]).astype(np.float32), (row * stock.cell - origin[:, 1]).astype(np.float32)
 
 
 def tool_levels(cutter: Cutter, begin: Array, end: Array, px: Floats, py: Floats) -> tuple[Floats, Floats]:
-    """Return for the cells of each segment, (L, h, w): their distance from it [m], and the lowest level of the tool
-    above them [m]. Positions of cells are relative to the start of the segment.
+    """Return the distances of cells from segments, and the lowest levels of the tool above them, (L, h, w) each [m].
 
     Above a cell the height of the tool is z + slope·t + height(distance at t), which is convex in t.
+
+    :param begin: (L, 3) positions of the tip where segments begin, and `end` (L, 3) where they end [m].
+    :param px: x and `py` y of the cells of each segment from its start [m]; together they have the shape (L, h, w).
     """
     chord = end - begin
     travel_length = np.hypot(chord[:, 0], chord[:, 1])
@@ -586,12 +645,20 @@ def tool_levels(cutter: Cutter, begin: Array, end: Array, px: Floats, py: Floats
 def _lowest_position(
     cutter: Cutter, travel: Floats, square: Floats, half: Floats, length: Floats, slope: Floats
 ) -> Floats:
-    """Return the position t on the segment where a bull-nose tool is lowest above each cell, by golden section."""
+    """Return the length t (L, h, w) along the segment at which a bull-nose tool is lowest above each cell [m].
+
+    By golden section between the places where the cell is at the rim of the tool; the height is convex there.
+
+    :param travel: (L, h, w) length along the segment of the point nearest to the cell [m]; `square` the square of the
+        distance of the cell from the line of the segment [m²]; `half` half the chord of the tool over the cell [m].
+    :param length: (L, 1, 1) of the segments, seen from above [m]; `slope` (L, 1, 1) of their rise.
+    """
     a = np.minimum(np.maximum(travel - half, 0.0), length).astype(float)
     b = np.minimum(np.maximum(travel + half, 0.0), length).astype(float)
     ratio = 0.5 * (math.sqrt(5.0) - 1.0)
 
     def height(t: Array) -> Array:
+        """Return the height of the tool above the cells [m] at lengths t [m], less that of the tip at t = 0."""
         return np.asarray(slope * t + cutter.height(np.sqrt(square + (travel - t) ** 2)))
 
     for _ in range(_HALVINGS):
@@ -602,7 +669,10 @@ def _lowest_position(
 
 
 def _largest_coverage(cell: Ints, coverage: Floats, level: Floats) -> tuple[Ints, Floats, Floats]:
-    """Return each cell once, with the largest share that a segment covers, and the level of that segment [m]."""
+    """Return each cell once (k,), with the largest share that a segment covers (k,), and its level there (k,) [m].
+
+    :param cell: (r,) index in the flat map; `coverage` (r,) share of it and `level` (r,) [m] of one segment.
+    """
     # sorted by cell, then by coverage: the last entry of each cell is the largest
     order = np.lexsort((coverage, cell))
     final = order[np.flatnonzero(np.diff(cell[order], append=-1))]

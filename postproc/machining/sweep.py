@@ -188,14 +188,17 @@ class Sweep(Struct, eq=False):
                 self.ceiling.sink(*_extent(segments, begin, end, cutter), int(segments.motion[end - 1]))
 
     def _check_holder(self, segments: StraightSegments, begin: int, end: int) -> None:
-        """Compare the parts of the tool that do not cut with the stock, before segments remove material."""
+        """Compare the parts of the tool that do not cut with the stock before segments `begin` to `end` cut it."""
         if self.guard is not None and self.ceiling is not None:
             cutter = self._cutter(int(self.tools.tool[segments.motion[begin]]))
             cuts = bool(segments.cutting[begin])
             self.guard.check(self.ceiling, segments, slice(begin, end), cutter, removes=cuts)
 
     def _record_contact(self, segments: StraightSegments, begin: int, end: int, cutter: Cutter) -> None:
-        """Record motions that touch material without cutting it (rapid, or spindle off), and remove that material."""
+        """Record motions that touch material without cutting it (rapid, or spindle off), and remove that material.
+
+        :param begin: first segment, and `end` the one after the last; all are rapid, or none is.
+        """
         start, stop = segments.begin[begin:end], segments.end[begin:end]
         is_reported = segments.cutting[begin] or not self.is_deflected
         if not is_reported or depth_of(self.stock, cutter, start, stop) <= _LEAST_DEPTH:
@@ -211,7 +214,10 @@ class Sweep(Struct, eq=False):
             remove(self.stock, cutter, start[row], stop[row])
 
     def _record_turning_rapids(self, segments: StraightSegments, begin: int, end: int) -> None:
-        """Record rapid motions that turn the tool and move it through material, which is left where it is."""
+        """Record rapid motions that turn the tool and move it through material, which is left where it is.
+
+        :param begin: first segment, and `end` the one after the last.
+        """
         length = np.linalg.norm(segments.end[begin:end] - segments.begin[begin:end], axis=1)
         cutter = self._cutter(int(self.tools.tool[segments.motion[begin]]))
         for k, pieces in enumerate(np.maximum(_FEWEST_PLACES, np.ceil(length / self.stock.cell)).astype(int).tolist()):
@@ -223,7 +229,10 @@ class Sweep(Struct, eq=False):
                 self.collisions[motion] = max(depth, self.collisions.get(motion, 0.0))
 
     def _can_touch(self, segments: StraightSegments, top: float) -> Bools:
-        """Return which segments (L,) can touch the stock at all; a tool that leans may do so beside its tip."""
+        """Return which segments (L,) can touch the stock at all; a tool that leans may do so beside its tip.
+
+        :param top: height of the highest material [m].
+        """
         x0, x1, y0, y1 = self.stock.bounds
         reach = np.zeros(len(segments.motion))
         for number in distinct(self.tools.tool[segments.motion]).tolist():
@@ -235,19 +244,15 @@ class Sweep(Struct, eq=False):
         return np.asarray(may_touch)
 
     def _groups(self, segments: StraightSegments, may_touch: Bools) -> Iterator[tuple[int, int]]:
-        """Yield ranges of segments that are processed together."""
+        """Yield ranges of segments that are processed together: first segment, and the one after the last.
+
+        A range is nearly straight where it may cut, and limited in length.
+
+        :param may_touch: (L,) segments that can touch the stock.
+        """
         motion = segments.motion
         length = np.linalg.norm(segments.end - segments.begin, axis=1)
-        is_axial = np.hypot(segments.leave[:, 0], segments.leave[:, 1]) < _AXIAL_SINE
-        is_descent = segments.leave[:, 2] < -1e-6
-        joins_previous = np.zeros(len(motion), dtype=bool)
-        spindle_state = np.stack([self.tools.tool[motion], self.tools.rpm[motion], self.tools.hand[motion]], axis=1)
-        joins_previous[1:] = segments.continues[1:] & (spindle_state[1:] == spindle_state[:-1]).all(axis=1)
-        joins_previous[1:] &= (may_touch[1:] == may_touch[:-1]) & (segments.cutting[1:] == segments.cutting[:-1])
-        rapid, leans = ~segments.cutting, segments.leans
-        joins_previous[1:] |= (rapid & leans)[1:] & (motion[1:] == motion[:-1]) & (may_touch[1:] == may_touch[:-1])
-        same_kind = (is_axial[1:] == is_axial[:-1]) & (is_descent[1:] == is_descent[:-1])
-        joins_previous[1:] &= ~may_touch[1:] | rapid[1:] | leans[1:] | same_kind
+        joins_previous = self._joins_previous(segments, may_touch)
         axes = self._tilted_axes(segments, may_touch)
         begin, limit, group_length = 0, 0.0, 0.0
         heading: list[float] | None = None
@@ -271,8 +276,30 @@ class Sweep(Struct, eq=False):
         if begin < len(motion):
             yield begin, len(motion)
 
+    def _joins_previous(self, segments: StraightSegments, may_touch: Bools) -> Bools:
+        """Return which segments (L,) may be processed together with the segment before them: they are of one kind.
+
+        :param may_touch: (L,) segments that can touch the stock.
+        """
+        motion = segments.motion
+        is_axial = np.hypot(segments.leave[:, 0], segments.leave[:, 1]) < _AXIAL_SINE
+        is_descent = segments.leave[:, 2] < -1e-6
+        joins_previous = np.zeros(len(motion), dtype=bool)
+        spindle_state = np.stack([self.tools.tool[motion], self.tools.rpm[motion], self.tools.hand[motion]], axis=1)
+        joins_previous[1:] = segments.continues[1:] & (spindle_state[1:] == spindle_state[:-1]).all(axis=1)
+        joins_previous[1:] &= (may_touch[1:] == may_touch[:-1]) & (segments.cutting[1:] == segments.cutting[:-1])
+        rapid, leans = ~segments.cutting, segments.leans
+        # pieces of one rapid motion that turns the tool belong together, though none continues the one before
+        joins_previous[1:] |= (rapid & leans)[1:] & (motion[1:] == motion[:-1]) & (may_touch[1:] == may_touch[:-1])
+        same_kind = (is_axial[1:] == is_axial[:-1]) & (is_descent[1:] == is_descent[:-1])
+        joins_previous[1:] &= ~may_touch[1:] | rapid[1:] | leans[1:] | same_kind
+        return joins_previous
+
     def _tilted_axes(self, segments: StraightSegments, may_touch: Bools) -> dict[int, list[float]]:
-        """Return the axis of the tool at the end of cuts on which it leans or turns, by row."""
+        """Return the unit axis (3) of the tool at the end of cuts on which it leans or turns, by segment.
+
+        :param may_touch: (L,) segments that can touch the stock; others are left out.
+        """
         rows = np.flatnonzero(segments.leans & segments.cutting & may_touch)
         if not len(rows):
             return {}
@@ -280,7 +307,10 @@ class Sweep(Struct, eq=False):
         return dict(zip(rows.tolist(), axes.tolist(), strict=True))
 
     def _air_stations(self, segments: StraightSegments, begin: int, end: int) -> Cuts:
-        """Return stations of segments that cannot touch the stock: one each."""
+        """Return stations without force for segments that cannot touch the stock: one in the middle of each.
+
+        :param begin: first segment, and `end` the one after the last.
+        """
         n = end - begin
         wrench, zero, no_angle = np.zeros((n, 6)), np.zeros(n), np.full(n, np.nan)
         t = 0.5 * (segments.first[begin:end] + segments.last[begin:end])
@@ -292,7 +322,11 @@ class Sweep(Struct, eq=False):
         )  # fmt: skip
 
     def _cut(self, segments: StraightSegments, begin: int, end: int, number: int) -> Iterator[Cuts]:
-        """Yield the loads at stations one cell apart along segments of tool `number`, in chunks that limit memory."""
+        """Yield the loads at stations one cell apart along segments of tool `number`, in chunks that limit memory.
+
+        :param begin: first segment, and `end` the one after the last.
+        :param number: of the tool, as an index in `ToolStates.keys`.
+        """
         cell = self.stock.cell
         length = np.linalg.norm(segments.end[begin:end] - segments.begin[begin:end], axis=1)
         count = np.maximum(1, np.ceil(length / cell - 1e-6)).astype(np.int64)
@@ -309,7 +343,11 @@ class Sweep(Struct, eq=False):
             yield self._loads(turn, number, position[rows], heading[rows], motion[rows], t[rows])
 
     def _turn(self, number: int, position: Array, heading: Array) -> Turn:
-        """Return the sample points of the edge that can be in material at these positions."""
+        """Return the sample points of the edge that can be in material at some positions; each set is made once.
+
+        :param number: of the tool, as an index in `ToolStates.keys`.
+        :param position: (n, 3) of the tip [m], `heading` (n, 3) unit directions of travel, frame of the map.
+        """
         cutter, pieces = self._cutter(number), self._edge(number)
         is_descent = bool((heading[:, 2] < -1e-6).any())
         surface_level = self._highest_level(position, cutter.radius)
@@ -328,7 +366,7 @@ class Sweep(Struct, eq=False):
         return self._turns[key]
 
     def _highest_level(self, position: Array, radius: float) -> float:
-        """Return the highest level of the map near some positions."""
+        """Return the highest level of the map within `radius` of positions (n, 3) of the tip [m]; −inf off the map."""
         stock, reach = self.stock, radius + 2.0 * self.stock.cell
         (x0, y0), (x1, y1) = position[:, :2].min(axis=0) - reach, position[:, :2].max(axis=0) + reach
         columns = slice(max(0, int((x0 - stock.x) / stock.cell)), max(0, int((x1 - stock.x) / stock.cell) + 1))
@@ -336,7 +374,11 @@ class Sweep(Struct, eq=False):
         return float(stock.high[rows, columns].max(initial=-np.inf))
 
     def _loads(self, turn: Turn, number: int, position: Array, heading: Array, motion: Ints, t: Array) -> Cuts:
-        """Return the loads at positions (n, 3) [m] with headings (n, 3) (unit), places t (n,) on their motions."""
+        """Return engagement and loads at n stations of tool `number`.
+
+        :param position: (n, 3) of the tip [m], `heading` (n, 3) unit directions of travel, frame of the map.
+        :param motion: (n,) rows of `Motions`, `t` (n,) places on them.
+        """
         cutter = self._cutter(number)
         axis_sine = np.hypot(heading[:, 0], heading[:, 1])
         is_axial = axis_sine < _AXIAL_SINE
@@ -368,8 +410,9 @@ class Sweep(Struct, eq=False):
         cuts: Floats,
         hole_depth: float,
     ) -> Cuts:
-        """Return engagement and loads at stations: motions, places on them, and whether they are along the spindle.
+        """Return engagement and loads at n stations of tool `number`, and record what the cells add to their deviation.
 
+        :param stations: motions (n,), places t (n,) on them, and whether (n,) they are along the spindle.
         :param cuts: (n, P) length of edge that cuts [m].
         :param hole_depth: depth of the hole of a drill [m].
         """
@@ -394,8 +437,11 @@ class Sweep(Struct, eq=False):
     def _engagement(
         self, turn: Turn, cutter: Cutter, position: Array, axes: tuple[Array, Array, Ints], descent: Floats
     ) -> EngagedEdge:
-        """Return the cutting edge in material; `axes`: direction x, y (n,) of the feed, and the hand of the tool (n,)
-        ±1.
+        """Return the cutting edge in material at n stations.
+
+        :param position: (n, 3) of the tip [m], frame of the map.
+        :param axes: x and y (n,) of the unit direction of the feed, and hand of the tool (n,), ±1.
+        :param descent: (n,) descent in a tooth pitch [m].
         """
         ux, uy, hand = (component.astype(np.float32)[:, None] for component in axes)
         feed_offset = np.sin(turn.phi).astype(np.float32) * turn.radius
@@ -405,7 +451,7 @@ class Sweep(Struct, eq=False):
         return cut_edge(self.stock, turn, x, y, position.astype(np.float32), descent * cutter.teeth)
 
     def _tilted_cut(self, path: TiltedPath, number: int, top: float) -> Iterator[Cuts]:
-        """Yield engagement and loads of a tool that leans or turns; `top` is the highest material near [m]."""
+        """Yield engagement and loads of tool `number`, which leans or turns; `top` is the highest material near [m]."""
         cutter, step = self._cutter(number), self.stock.cell
         height = (top - float(path.tip[:, 2].min()) + cutter.radius) / float(path.axis[:, 2].min())
         count = max(1, int(np.ceil(height / step / _SLICE_STEP))) * _SLICE_STEP
@@ -426,7 +472,10 @@ class Sweep(Struct, eq=False):
     def _tilted_path(
         self, segments: StraightSegments, begin: int, end: int, cutter: Cutter
     ) -> tuple[TiltedPath, float]:
-        """Return the path of a tool that leans or turns, and the height of the highest material near it [m]."""
+        """Return the path of a tool that leans or turns, and the height of the highest material near it [m].
+
+        :param begin: first segment of the path, and `end` the one after the last.
+        """
         rows = slice(begin, end)
         motion = segments.motion[rows]
         axes = [self.poses.at(motion, t[rows])[1] for t in (segments.first, segments.last)]
@@ -437,7 +486,10 @@ class Sweep(Struct, eq=False):
         return path, max(self._highest_level(path.tip, cutter.radius + reach), float(path.tip[:, 2].min()))
 
     def _tilted_sweep(self, path: TiltedPath, cutter: Cutter, top: float, *, goes_on: bool) -> Footprint:
-        """Remove what a tool that leans or turns sweeps, and return the cells under its front where it goes on."""
+        """Remove what a tool that leans or turns sweeps, and return the cells under its front where it goes on.
+
+        :param top: height of the highest material near [m].
+        """
         sweep = tilted.sweep(self.stock, cutter, *path.poses, top)
         last = int(path.motion[-1])
         if sweep.depth > _LEAST_DEPTH and not self.tools.rpm[last] > 0.0:
@@ -464,13 +516,13 @@ class Sweep(Struct, eq=False):
 
 
 def _extent(segments: StraightSegments, begin: int, end: int, cutter: Cutter) -> tuple[Array, Array]:
-    """Return the corners (3,) of a box around what a tool sweeps [m]."""
+    """Return the corners (3,) of a box around what a tool sweeps on the segments `begin` to `end` (exclusive) [m]."""
     ends = np.concatenate([segments.begin[begin:end], segments.end[begin:end]])
     return ends.min(axis=0) - cutter.radius, ends.max(axis=0) + cutter.radius
 
 
 def _straight_runs(segments: StraightSegments, begin: int, end: int) -> Ints:
-    """Return the first segment of each straight run: the material of a run is removed at once."""
+    """Return the first segments (k,) of the straight runs from `begin` to `end` (exclusive): one is cut at once."""
     chord = segments.end[begin:end] - segments.begin[begin:end]
     chord /= np.linalg.norm(chord, axis=1)[:, None]
     bends = np.abs(np.diff(chord, axis=0)).max(axis=1, initial=0.0) > _ON_LINE
@@ -478,11 +530,15 @@ def _straight_runs(segments: StraightSegments, begin: int, end: int) -> Ints:
 
 
 def _dot(a: list[float], b: list[float]) -> float:
+    """Return the dot product of two vectors of three numbers, which in numpy takes longer than all else in a loop."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def _engagement(turn: Turn, cuts: Floats) -> tuple[Array, Array, Array, Array]:
-    """Return smallest and largest angle in material [rad], depth and width of cut [m], (n,) each."""
+    """Return smallest and largest angle in material [rad], depth and width of cut [m], (n,) each.
+
+    :param cuts: (n, P) length of edge that cuts at the points of a turn [m].
+    """
     is_engaged = cuts > _ENGAGED_SHARE * np.where(np.isfinite(turn.rise), turn.length, 0.0)
     is_engaged[:, turn.side] &= cuts[:, turn.side] > _ENGAGED_SHARE * cuts[:, turn.side].max(
         axis=1, keepdims=True, initial=0.0
