@@ -68,6 +68,7 @@ _LEAST_TEETH = 1e-9
 """Teeth per second of a spindle that stands still: its cuts are refused."""
 _LEAST_RISE = 2e-5
 """Minimum length over which the force of a motion builds up [m] (assumed)."""
+_KILOWATT_PER_WATT = 1e-3
 _BATCH = 200_000
 """Number of stations to collect before they are thinned out: some 40 MB."""
 
@@ -172,6 +173,10 @@ def estimate(
     task = _Task(program, path, process, axis, law, tools, directions, stock, base_axes, shift, guard, progress)
 
     def forces_by_tilt(widest: float) -> ProcessForces:
+        """Return the forces, with finer cells where a first sweep shows that they are needed.
+
+        :param widest: largest angle between a tool that turns while it cuts and z of the map [rad].
+        """
         cell_factors: dict[int, int] = {}
         while True:
             if guard is not None:
@@ -214,7 +219,10 @@ class _Task(NamedTuple):
     progress: Callable[[int, int], None] | None
 
     def segments(self, frame: Array, cell: float) -> StraightSegments:
-        """Return the straight segments of all motions in the frame (4, 4) of a map with cells of a width [m]."""
+        """Return the straight segments of all motions in the frame of a map.
+
+        :param frame: (4, 4) in the `$BASE` of the stock, see `home_base`; `cell`: width of a cell [m].
+        """
         return straight_segments(self.program, self.path, self.tools, frame, cell, self.shift, self.directions)
 
     def least_rise(self) -> Array:
@@ -265,17 +273,18 @@ def _estimate(task: _Task, widest: float, cell_factors: dict[int, int]) -> tuple
         raise _no_contact_error(program, segments, bounds, process, task.stock)
     cuts = Cuts.join(swept.cuts)
     margin = 0.5 * max(table.diameter_mm for table in process.tools.values()) * M_PER_MM
+    has_one_map = len(ordered_setups) == 1
     if program.branches:
         count = len(program.motions)
         # with several directions of the tool, it may touch the stock with its tip beside it: any motion may be near
-        is_near = np.ones(count, dtype=bool) if len(ordered_setups) > 1 else near_stock(segments, bounds, margin, count)
+        is_near = near_stock(segments, bounds, margin, count) if has_one_map else np.ones(count, dtype=bool)
         check_branches(program, distinct(cuts.motion[norm(cuts.wrench) > 0.0]), is_near)
     collisions = {motion: depth for sweep in swept.sweeps for motion, depth in sweep.collisions.items()}
     stopped_motions = set[int]().union(*(sweep.stopped_motions for sweep in swept.sweeps))
     issues += [
         *override_issues(program),
         *stock_base_issues(program),
-        *([] if len(ordered_setups) > 1 else _beside_stock_issues(program, segments, bounds, margin)),
+        *(_beside_stock_issues(program, segments, bounds, margin) if has_one_map else []),
         *swept.issues,
         *unread_cuts(program),
         *shared_cutters(program, task.tools),
@@ -464,7 +473,12 @@ def _next_map(material: Stock, last_setup: Setup, setup: Setup, cell: float) -> 
 
 
 def _stock_map(process: Process, frame: Array, cell: float, path: Path | None) -> tuple[Stock, list[Issue]]:
-    """Return the map of the stock, and warnings and notes about it."""
+    """Return the map of the stock before the program, and warnings and notes about it.
+
+    :param frame: (4, 4) frame of the map in the `$BASE` of the stock; `cell`: width of a cell [m].
+    :param path: mesh of the stock, instead of that of the process; None: that of the process.
+    :raises ForceError: no stock, or two, or a mesh that cannot be used.
+    """
     table = process.stock
     issues = [Issue("warning", "assumed-stock", _ASSUMED_STOCK)] if table.assumed and path is None else []
     if path is None and table.box is not None and table.file is not None:
@@ -510,7 +524,7 @@ def _hidden_cut_issues(gain: float, removed_volume: float, left_volume: float) -
 
 
 def _hollow_stock_issues(map_volume: float, volume: float) -> list[Issue]:
-    """Warn if the map of a stock contains more material than the stock (volumes in m³)."""
+    """Warn if the map of a stock has more material than the stock: volumes `map_volume` and `volume` [m³]."""
     hollow = map_volume / max(volume, 1e-18) - 1.0
     if hollow <= _HOLLOW_SHARE:
         return []
@@ -598,24 +612,39 @@ def _cut_issues(
     issues += _tap_issues(program, cuts, tools)
     issues += _drilling_with_mills(program, cuts, is_drill)
     issues += _chip_load_issues(program, cuts, tools, process)
-    drill_rows = np.flatnonzero(is_drill & has_force)
-    if len(drill_rows):
+    issues += _drill_thrust_notes(lines, cuts, is_drill & has_force)
+    issues += _deep_cut_warnings(lines, cuts, np.where(is_drill | ~has_force, np.inf, _DEEP_CUT * diameter))
+    return issues
+
+
+def _drill_thrust_notes(lines: Ints, cuts: Cuts, is_drilling: Bools) -> Iterator[Issue]:
+    """Yield a note that the feed force of drills is estimated.
+
+    :param lines: (M,) lines of the motions; `is_drilling` (N,) stations at which a drill cuts.
+    """
+    if is_drilling.any():
         message = (
             "the feed force of drills is estimated: 0.65 kc fn D/2, the middle of published thrusts. It depends on the "
             "chisel edge in the middle: the bound includes 38 % more or less. Measure it, or give forces in a file, "
             "where the depth of holes matters."
         )
-        drill_lines = distinct(lines[cuts.motion[drill_rows]])
-        issues.append(Issue("info", "drill-thrust", message, int(drill_lines[0]), count=len(drill_lines)))
-    deep_rows = np.flatnonzero((cuts.depth > _DEEP_CUT * diameter) & ~is_drill & has_force)
+        drill_lines = distinct(lines[cuts.motion[is_drilling]])
+        yield Issue("info", "drill-thrust", message, int(drill_lines[0]), count=len(drill_lines))
+
+
+def _deep_cut_warnings(lines: Ints, cuts: Cuts, limit: Array) -> Iterator[Issue]:
+    """Yield a warning for depths of cut that no cutter reaches: the stock has another position or unit.
+
+    :param lines: (M,) lines of the motions; `limit` (N,) largest usual depth at each station [m].
+    """
+    deep_rows = np.flatnonzero(cuts.depth > limit)
     if len(deep_rows):
         worst = deep_rows[int(np.argmax(cuts.depth[deep_rows]))]
         message = (
-            f"a depth of cut of {cuts.depth[worst] * 1e3:.4g} mm, more than {_DEEP_CUT:g} diameters: check position "
-            "and units of the stock (an inch is 25.4 mm)"
+            f"a depth of cut of {cuts.depth[worst] * MM_PER_M:.4g} mm, more than {_DEEP_CUT:g} diameters: check "
+            "position and units of the stock (an inch is 25.4 mm)"
         )
-        issues.append(Issue("warning", "deep-cut", message, int(lines[cuts.motion[worst]]), count=len(deep_rows)))
-    return issues
+        yield Issue("warning", "deep-cut", message, int(lines[cuts.motion[worst]]), count=len(deep_rows))
 
 
 def _chip_load_issues(program: Program, cuts: Cuts, tools: ToolStates, process: Process) -> Iterator[Issue]:
@@ -713,7 +742,7 @@ def _collision_issues(program: Program, depth_of_motion: dict[int, float], guard
 
 
 def _rapid_advice(program: Program, motion: Ints) -> str:
-    """Return advice on rapid motions (n,) through material: the first move begins at [start] of the cell."""
+    """Return advice on rapid motions `motion` (n,) through material: the first move begins at [start] of the cell."""
     first = int(motion[0])
     if first == 0 and program.motions.kind[0] == PTP and not program.keeps_text:
         return (
@@ -736,8 +765,11 @@ def _tool_length_advice(program: Program, motion: int) -> str:
 
 
 def _power_warnings(cuts: Cuts, lines: Ints, limit: float | None) -> list[Issue]:
-    """Warn of cuts that take more than the power of the spindle [kW]."""
-    power = cuts.power * 1e-3
+    """Warn of cuts that take more than the power of the spindle.
+
+    :param lines: (M,) lines of the motions; `limit`: power of the spindle [kW], None: not stated.
+    """
+    power = cuts.power * _KILOWATT_PER_WATT
     strong_rows = np.flatnonzero(power > (np.inf if limit is None else limit))
     if not len(strong_rows):
         return []

@@ -35,7 +35,7 @@ def override_issues(program: Program) -> Iterator[Issue]:
 
 
 def _is_full(text: str) -> bool:
-    """Return whether an override is 100 %; a name is not known to be."""
+    """Return whether the text of an override is 100 %; False for a variable, whose value is not known."""
     try:
         return float(text) == _FULL
     except ValueError:

@@ -216,7 +216,7 @@ def _feed_axes(poses: ToolPoses, motion: Ints, t: Array) -> tuple[Array, Bools]:
     direction = tangent(poses.program, poses.path, motion, t)
     to_map = np.swapaxes(_to_base(poses.program, motion, poses.frame), 1, 2)
     direction = np.einsum("nij,nj->ni", to_map, direction)
-    return local_axes(direction, poses.upright_or(motion, t))
+    return local_axes(direction, poses.spindle_directions(motion, t))
 
 
 def _to_base(program: Program, motion: Ints, map_in_base: Array) -> Array:

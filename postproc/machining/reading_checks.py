@@ -130,7 +130,10 @@ def check_signs(force: Array, fit_of: FitOf, file: str) -> list[str]:
 
 
 def _is_usual(fit: tuple[Array, Array, float]) -> bool:
-    """Return whether a material may have these coefficients: what is negative is so within its error."""
+    """Return whether a material may have these coefficients: what is negative is so within its error.
+
+    :param fit: coefficients (6,), their standard deviations (6,) and the residual, see `FitOf`.
+    """
     value, sigma, _ = fit
     return (
         value[0] > 0.0

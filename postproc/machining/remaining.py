@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from postproc.frames import Array
 from postproc.machining.material import Floats
-from postproc.machining.stock import Stock, cells, middles, remove, tool_levels, windows
+from postproc.machining.stock import Stock, cell_middles, remove, tool_levels, window_cells, windows
 from postproc.machining.tool import Cutter
 from postproc.machining.tool_path import StraightSegments
 from postproc.program import Bools, Ints
@@ -60,8 +60,10 @@ def touches(stock: Stock, body: Cutter, begin: Array, end: Array) -> Bools:
     widened_body = replace(body, radius=body.radius + _HALF_DIAGONAL * stock.cell)
     high, floor = stock.high.reshape(-1), stock.floor.reshape(-1)
     for rows, corner, window in windows(stock, widened_body.radius + stock.cell, begin, end):
-        index, row, column = cells(stock, corner, window)
-        distance, level = tool_levels(widened_body, begin[rows], end[rows], *middles(stock, begin[rows], row, column))
+        index, row, column = window_cells(stock, corner, window)
+        distance, level = tool_levels(
+            widened_body, begin[rows], end[rows], *cell_middles(stock, begin[rows], row, column)
+        )
         material = high[index]
         is_hit = (
             (distance < np.float32(widened_body.radius))

@@ -64,12 +64,15 @@ def thin_passes(program: Program, tools: ToolStates, by_cells: Array) -> list[Th
 
 
 def _rms_shares(sums: Array) -> Array:
-    """Return the RMS deviations as shares of the forces (n,), from sums of squares (n, 2)."""
+    """Return RMS deviations as shares of the forces (n,), from sums of squares of both (n, 2) [N²]."""
     return np.asarray(np.sqrt(sums[:, 0] / np.maximum(sums[:, 1], 1e-300)))
 
 
 def factors(passes: list[ThinPasses], cells: int) -> dict[int, int]:
-    """Return by which whole number cells must be divided from each motion on, for maps of so many cells."""
+    """Return by which whole number cells must be divided from a motion on, by motion; at least 2.
+
+    :param cells: number of cells of the map; divided maps have at most `_MOST_FINE`.
+    """
     max_factor = int(np.sqrt(_MOST_FINE / cells))
     factor_of_motion = {
         passes_of_tool.first: min(int(np.ceil(passes_of_tool.share / ENOUGH - 0.1)), max_factor)

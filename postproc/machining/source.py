@@ -276,7 +276,7 @@ class ProcessSource:
             law_knots = replace(
                 self.found.along,
                 issues=self.found.issues,
-                by_law=ByLaw(process.law().numbers, self._scaled_motions(self.found)),
+                by_law=ByLaw(process.law().numbers, self._common_factor_motions(self.found)),
                 stock=self.found.over_time,
             )
         if not process.operations:
@@ -284,7 +284,7 @@ class ProcessSource:
         entry_knots = operation_knots(program, process)
         if law_knots is None or self.found is None:
             return entry_knots
-        by_law = ByLaw(process.law().numbers, np.setdiff1d(self._scaled_motions(self.found), entry_knots.motion))
+        by_law = ByLaw(process.law().numbers, np.setdiff1d(self._common_factor_motions(self.found), entry_knots.motion))
         return replace(
             entry_knots.or_fallback(law_knots),
             issues=(*law_knots.issues, *entry_knots.issues),
@@ -292,8 +292,8 @@ class ProcessSource:
             stock=law_knots.stock,
         )
 
-    def _scaled_motions(self, process_forces: ProcessForces) -> Ints:
-        """Return the motions of which the errors of the cutting law are one common factor."""
+    def _common_factor_motions(self, process_forces: ProcessForces) -> Ints:
+        """Return the motions (k,) of which the errors of the cutting law are one common factor."""
         law = self.process.law()
         by_factor = law.covariance is None and law.sigma > 0.0
         return distinct(process_forces.along.motion) if by_factor else np.zeros(0, dtype=np.int64)

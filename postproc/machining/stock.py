@@ -149,7 +149,7 @@ def between_cells(levels: list[Floats], planes: list[Floats], weights: list[Floa
     return np.asarray(np.where(lowest_plane > level, lowest_plane, np.float32(0.5) * (level + mean)))
 
 
-def level(high: Floats) -> NDArray[np.int16]:
+def level_slopes(high: Floats) -> NDArray[np.int16]:
     """Return the slopes (ny, nx, 2) of cells whose surface is level: zeros; `high` (ny, nx) gives the size."""
     return np.zeros((*high.shape, 2), dtype=np.int16)
 
@@ -185,7 +185,7 @@ def from_box(lower: Array, upper: Array, cell: float, file: str = "stock") -> St
     floor = np.full((ny, nx), lower[2], dtype=np.float32)
     high = np.where(coverage > 0.0, upper[2], lower[2]).astype(np.float32)
     share = np.where(coverage > 0.0, 1.0 - coverage, 0.0).astype(np.float32)
-    return Stock(x, y, cell, high, floor.copy(), share, level(high), floor, float(lower[2]) + 1e-6)
+    return Stock(x, y, cell, high, floor.copy(), share, level_slopes(high), floor, float(lower[2]) + 1e-6)
 
 
 def from_mesh(vertices: Array, faces: NDArray[np.int64], cell: float, file: str = "stock") -> Stock:
@@ -219,7 +219,7 @@ def from_mesh(vertices: Array, faces: NDArray[np.int64], cell: float, file: str 
     ground = float(np.nanmin(floor)) if not is_empty.all() else 0.0
     high[is_empty] = floor[is_empty] = ground
     low[:] = floor
-    return Stock(x, y, cell, high, low, share, level(high), floor, float(floor.max()) + 1e-6)
+    return Stock(x, y, cell, high, low, share, level_slopes(high), floor, float(floor.max()) + 1e-6)
 
 
 def _surfaces_of_columns(
@@ -466,7 +466,7 @@ def _slopes(stock: Stock, footprint: Footprint, rows: Ints) -> NDArray[np.int16]
     if cutter.corner == 0.0 and (begin[:, 2] == end[:, 2]).all():
         return slopes
     row, column = (index[:, None, None] for index in np.divmod(footprint.cell[rows], stock.high.shape[1]))
-    middle = middles(stock, begin, row, column)
+    middle = cell_middles(stock, begin, row, column)
     step = np.float32(_STEP * stock.cell)
     for axis in range(2):
         sides = [
@@ -565,12 +565,12 @@ def _footprint(
     """
     cell, path = stock.cell, (cutter, begin, end)
     begin, end = begin[rows], end[rows]
-    index, row, column = cells(stock, corner, window)
+    index, row, column = window_cells(stock, corner, window)
     tip_height = np.minimum(begin[:, 2], end[:, 2])
     top = float(stock.high[int(row.min()) : int(row.max()) + 1, int(column.min()) : int(column.max()) + 1].max())
     if top <= float(tip_height.min()):
         return None
-    distance, level = tool_levels(cutter, begin, end, *middles(stock, begin, row, column))
+    distance, level = tool_levels(cutter, begin, end, *cell_middles(stock, begin, row, column))
     inner_radius = np.float32(cutter.radius - 0.5 * cell)
     is_wall = tip_height + cutter.corner < top
     is_full = distance < np.where(is_wall, inner_radius, np.float32(cutter.radius)).astype(np.float32)[:, None, None]
@@ -585,7 +585,7 @@ def _footprint(
     return Footprint(index[is_full], level[is_full], segment, rim, coverage, rim_level, path)
 
 
-def cells(stock: Stock, corner: Ints, window: Ints) -> tuple[Ints, Ints, Ints]:
+def window_cells(stock: Stock, corner: Ints, window: Ints) -> tuple[Ints, Ints, Ints]:
     """Return the cells in k windows as places in the flat map (k, h, w), with rows (k, h, 1) and columns (k, 1, w).
 
     :param corner: (k, 2) column and row of the first cell of each; `window` (2,) columns w and rows h of all.
@@ -595,7 +595,7 @@ def cells(stock: Stock, corner: Ints, window: Ints) -> tuple[Ints, Ints, Ints]:
     return row * stock.high.shape[1] + column, row, column
 
 
-def middles(stock: Stock, begin: Array, row: Ints, column: Ints) -> tuple[Floats, Floats]:
+def cell_middles(stock: Stock, begin: Array, row: Ints, column: Ints) -> tuple[Floats, Floats]:
     """Return x (k, 1, w) and y (k, h, 1) of the middles of cells from the starts of segments [m].
 
     :param begin: (k, 3) starts of segments [m].

@@ -165,11 +165,11 @@ class Sweep(Struct, eq=False):
             if leans:
                 path, top = self._tilted_path(segments, begin, end, cutter)
                 if self.tools.rpm[path.motion[0]] > 0.0:
-                    yield from self._tilted_cut(path, number, top)
+                    yield from self._tilted_cuts(path, number, top)
                 cut(self.stock, uncut_front)
                 uncut_front = self._tilted_sweep(path, cutter, top, goes_on=goes_on)
             elif cuts and self.tools.rpm[segments.motion[begin]] > 0.0:
-                yield from self._cut(segments, begin, end, number)
+                yield from self._upright_cuts(segments, begin, end, number)
                 cut(self.stock, uncut_front)
                 run_begins = _straight_runs(segments, begin, end)
                 heading = segments.arrive[end - 1] if goes_on else None
@@ -321,7 +321,7 @@ class Sweep(Struct, eq=False):
             segments.motion[begin:end], t, wrench, wrench, is_axial, zero, zero, no_angle, no_angle, zero, zero, zero,
         )  # fmt: skip
 
-    def _cut(self, segments: StraightSegments, begin: int, end: int, number: int) -> Iterator[Cuts]:
+    def _upright_cuts(self, segments: StraightSegments, begin: int, end: int, number: int) -> Iterator[Cuts]:
         """Yield the loads at stations one cell apart along segments of tool `number`, in chunks that limit memory.
 
         :param begin: first segment, and `end` the one after the last.
@@ -336,13 +336,13 @@ class Sweep(Struct, eq=False):
         heading /= np.linalg.norm(heading, axis=1)[:, None]
         t = segments.first[segment] + share * (segments.last[segment] - segments.first[segment])
         motion = segments.motion[segment]
-        turn = self._turn(number, position, heading)
+        turn = self._turn_points(number, position, heading)
         chunk = max(1, _MOST_POINTS // len(turn.phi))
         for start in range(0, len(segment), chunk):
             rows = slice(start, start + chunk)
-            yield self._loads(turn, number, position[rows], heading[rows], motion[rows], t[rows])
+            yield self._cuts_at(turn, number, position[rows], heading[rows], motion[rows], t[rows])
 
-    def _turn(self, number: int, position: Array, heading: Array) -> Turn:
+    def _turn_points(self, number: int, position: Array, heading: Array) -> Turn:
         """Return the sample points of the edge that can be in material at some positions; each set is made once.
 
         :param number: of the tool, as an index in `ToolStates.keys`.
@@ -373,7 +373,7 @@ class Sweep(Struct, eq=False):
         rows = slice(max(0, int((y0 - stock.y) / stock.cell)), max(0, int((y1 - stock.y) / stock.cell) + 1))
         return float(stock.high[rows, columns].max(initial=-np.inf))
 
-    def _loads(self, turn: Turn, number: int, position: Array, heading: Array, motion: Ints, t: Array) -> Cuts:
+    def _cuts_at(self, turn: Turn, number: int, position: Array, heading: Array, motion: Ints, t: Array) -> Cuts:
         """Return engagement and loads at n stations of tool `number`.
 
         :param position: (n, 3) of the tip [m], `heading` (n, 3) unit directions of travel, frame of the map.
@@ -388,7 +388,7 @@ class Sweep(Struct, eq=False):
         per_tooth = self.feed[motion] * 60.0 / (rpm * cutter.teeth)
         feed = np.where(is_axial, 0.0, per_tooth * axis_sine).astype(np.float32)
         descent = (-per_tooth * heading[:, 2]).astype(np.float32)
-        engagement = self._engagement(turn, cutter, position, (ux, uy, hand), descent)
+        engagement = self._engaged_edge(turn, cutter, position, (ux, uy, hand), descent)
         chip = cutting.chips(turn, feed, descent)
         descent_sine = np.maximum(-heading[:, 2], 0.0).astype(np.float32)
         loads = cutting.mean_loads(turn, engagement, chip, descent_sine, self.stock.cell)
@@ -399,9 +399,11 @@ class Sweep(Struct, eq=False):
                 1, len(t) - 1
             )
             hole_depth = max(self._highest_level(position, cutter.radius) - lowest_tip, 0.0)
-        return self._cuts(turn, number, (motion, t, is_axial), loads, engagement.length * chip.share, hole_depth)
+        return self._cuts_of_loads(
+            turn, number, (motion, t, is_axial), loads, engagement.length * chip.share, hole_depth
+        )
 
-    def _cuts(
+    def _cuts_of_loads(
         self,
         turn: Turn,
         number: int,
@@ -425,7 +427,7 @@ class Sweep(Struct, eq=False):
         self.contact = True
         square = np.square(norm(wrench[:, :3]))
         np.add.at(self.by_cells, motion, np.stack([loads.by_cells**2 * square, square], axis=1))
-        enter, leave, depth, width = _engagement(turn, cuts)
+        enter, leave, depth, width = _engagement_sizes(turn, cuts)
         if turn.drill:
             depth = np.where(cuts.any(axis=1), hole_depth, 0.0)
         torque = wrench[:, 5] * hand
@@ -434,7 +436,7 @@ class Sweep(Struct, eq=False):
             depth, width, loads.removal * turn.teeth * rpm / 60.0,
         )  # fmt: skip
 
-    def _engagement(
+    def _engaged_edge(
         self, turn: Turn, cutter: Cutter, position: Array, axes: tuple[Array, Array, Ints], descent: Floats
     ) -> EngagedEdge:
         """Return the cutting edge in material at n stations.
@@ -450,7 +452,7 @@ class Sweep(Struct, eq=False):
         y = position[:, 1].astype(np.float32)[:, None] + (uy * feed_offset + (ux * hand) * side_offset)
         return cut_edge(self.stock, turn, x, y, position.astype(np.float32), descent * cutter.teeth)
 
-    def _tilted_cut(self, path: TiltedPath, number: int, top: float) -> Iterator[Cuts]:
+    def _tilted_cuts(self, path: TiltedPath, number: int, top: float) -> Iterator[Cuts]:
         """Yield engagement and loads of tool `number`, which leans or turns; `top` is the highest material near [m]."""
         cutter, step = self._cutter(number), self.stock.cell
         height = (top - float(path.tip[:, 2].min()) + cutter.radius) / float(path.axis[:, 2].min())
@@ -467,7 +469,7 @@ class Sweep(Struct, eq=False):
             rpm, hand = self.tools.rpm[part.motion], self.tools.hand[part.motion]
             loads, cuts, is_axial = tilted.loads(self.stock, turn, part, 60.0 / (rpm * cutter.teeth), hand)
             self.unpaced.update(part.motion[cuts.any(axis=1) & np.isnan(part.pace)].tolist())
-            yield self._cuts(turn, number, (part.motion, part.t, is_axial), loads, cuts, np.nan)
+            yield self._cuts_of_loads(turn, number, (part.motion, part.t, is_axial), loads, cuts, np.nan)
 
     def _tilted_path(
         self, segments: StraightSegments, begin: int, end: int, cutter: Cutter
@@ -534,7 +536,7 @@ def _dot(a: list[float], b: list[float]) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-def _engagement(turn: Turn, cuts: Floats) -> tuple[Array, Array, Array, Array]:
+def _engagement_sizes(turn: Turn, cuts: Floats) -> tuple[Array, Array, Array, Array]:
     """Return smallest and largest angle in material [rad], depth and width of cut [m], (n,) each.
 
     :param cuts: (n, P) length of edge that cuts at the points of a turn [m].

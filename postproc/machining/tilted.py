@@ -19,7 +19,7 @@ from postproc.chunks import Columns
 from postproc.frames import Array, norm
 from postproc.machining.cutting import Chips, EngagedEdge, Loads, mean_loads, nearby_cells
 from postproc.machining.material import Floats
-from postproc.machining.stock import Footprint, Stock, cells, middles, windows
+from postproc.machining.stock import Footprint, Stock, cell_middles, window_cells, windows
 from postproc.machining.tool import Cutter, Turn
 from postproc.machining.tool_path import StraightSegments
 from postproc.program import Bools, Ints
@@ -191,14 +191,14 @@ def sweep(stock: Stock, cutter: Cutter, tip: Array, axis: Array, top: float) -> 
     ends = np.stack([tip[:-1], tip[1:], (tip + axis_end)[:-1], (tip + axis_end)[1:]])
     parts = []
     for rows, corner, window in windows(stock, cutter.radius + stock.cell, ends.min(axis=0), ends.max(axis=0)):
-        index, cell_row, column = cells(stock, corner, window)
-        x, y = (values.astype(float) for values in middles(stock, tip[rows], cell_row, column))
-        low, sinks, high = _under_moves(cutter, tip, axis, rows, x, y)
+        index, cell_row, column = window_cells(stock, corner, window)
+        x, y = (values.astype(float) for values in cell_middles(stock, tip[rows], cell_row, column))
+        low, sinks, high = _lowest_levels(cutter, tip, axis, rows, x, y)
         material = stock.high.reshape(-1)[index]
         is_cut, last = low < material, rows == len(tip) - 2
         front = sinks & last[:, None, None]
         if last.any():  # where a tool leans back, and at its rim, what it enters next is not below it
-            front[last] |= _leads(cutter, tip, axis, rows[last], (x[last], y[last]), material[last], stock.cell)
+            front[last] |= _is_ahead(cutter, tip, axis, rows[last], (x[last], y[last]), material[last], stock.cell)
         parts.append((index[is_cut], low[is_cut], high[is_cut], front[is_cut]))
     if not parts:
         return SweptCells(Footprint.empty(), Footprint.empty(), 0.0, 0.0, 0.0)
@@ -220,7 +220,7 @@ def sweep(stock: Stock, cutter: Cutter, tip: Array, axis: Array, top: float) -> 
     )
 
 
-def _leads(
+def _is_ahead(
     cutter: Cutter,
     tip: Array,
     axis: Array,
@@ -254,7 +254,9 @@ def _leads(
     return np.asarray((distance > cutter.radius - rounding - margin) & (outwards > 0.0))
 
 
-def _under_moves(cutter: Cutter, tip: Array, axis: Array, rows: Ints, x: Array, y: Array) -> tuple[Array, Bools, Array]:
+def _lowest_levels(
+    cutter: Cutter, tip: Array, axis: Array, rows: Ints, x: Array, y: Array
+) -> tuple[Array, Bools, Array]:
     """Return the lowest level of a tool over cells as it moves from pose to pose, each (L, h, w).
 
     The slope of the lower side with the move is known at both ends, so that its minimum between them is found from two

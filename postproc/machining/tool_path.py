@@ -103,6 +103,7 @@ def _stated_number(program: Program, process: Process, row: int) -> int:
 def _refuse_missing_tools(program: Program, process: Process, number: Ints, lacks_tool: Bools) -> None:
     """Raise for the tools of cutting motions that the process file lacks.
 
+    :param number: (M,) tool number of the program on each motion; `lacks_tool` (M,) cuts whose tool has no entry.
     :raises ForceError: always, one error for each tool.
     """
     errors = []
@@ -156,7 +157,7 @@ def shared_cutters(program: Program, tools: ToolStates) -> Iterator[Issue]:
 
 
 def _tool_name(program: Program, row: int) -> str:
-    """Return a tool of a robot program as the program names it."""
+    """Return the name of a tool of a robot program, `row` of `Program.tools`, as the program states it."""
     numbers = program.tool_numbers[row] if program.tool_numbers else ()
     return f"$TOOL = TOOL_DATA[{numbers[0]}]" if len(numbers) == 1 else "the tool"
 
@@ -256,15 +257,19 @@ class Shift(Struct, frozen=True, eq=False):
 
     @classmethod
     def of(cls, program: Program, motion: Ints, t: Array, offset: Array) -> Shift:
-        """Return displacements (n, 3) [m] that are given in the `$BASE` of their motions."""
+        """Return displacements that are given in the `$BASE` of their motions.
+
+        :param motion: (n,) rows of `Motions`, and `t` (n,) places on them, in order; `offset` (n, 3) there [m].
+        """
         root, base = program.bases[:, :3, :3], program.motions.base
         return cls(motion, t, np.einsum("nij,nj->ni", root[base[motion]], offset), root, base)
 
     def at(self, motion: Ints, t: Array) -> Array:
-        """Return displacements (k, 3) [m] at places of motions, in their `$BASE`.
+        """Return displacements (k, 3) at places (motion, t), (k,) each, in the `$BASE` of the motions [m].
 
         Linear between the places that are given, also across ends of motions.
         """
+        # motion + t is one key in the order of the path; the end of a motion stays before the start of the next
         key, given_key = motion + _END_OF_MOTION * t, self.motion + _END_OF_MOTION * self.t
         displacement = np.stack([np.interp(key, given_key, self.offset[:, axis]) for axis in range(3)], axis=-1)
         return np.asarray(np.einsum("nji,nj->ni", self.root[self.base[motion]], displacement))
@@ -369,7 +374,7 @@ class Directions(Struct, frozen=True, eq=False):
         return cls(end, ~m.rapid, turning, inner)
 
     def of_range(self, begin: int, end: int) -> Array:
-        """Return all directions (n, 3) on the cutting motions of a range."""
+        """Return all unit directions (n, 3) on the cutting motions from `begin` to `end` (exclusive)."""
         first, last = np.searchsorted(self.turning, [begin, end]).tolist()
         inner = self.inner[:, first:last][:, self.cuts[self.turning[first:last]]]
         return np.concatenate([self.end[begin:end][self.cuts[begin:end]], inner.reshape(-1, 3)])
@@ -382,7 +387,11 @@ class Directions(Struct, frozen=True, eq=False):
 
 
 def _is_leaning(program: Program, path: Segments, frame: Array, directions: Directions | None) -> Bools:
-    """Return the motions (M,) on which the tool turns or leans from z of the map; a PTP if its path is known."""
+    """Return the motions (M,) on which the tool turns or leans from z of the map; a PTP if its path is known.
+
+    :param frame: (4, 4) frame of the map in the `$BASE` of the stock, see `home_base`.
+    :param directions: of the tool; None: along z of the map, but for rapid motions that turn it.
+    """
     m = program.motions
     leans = m.rapid & (path.turn > TURNS)
     if directions is not None:
@@ -405,8 +414,8 @@ class ToolPoses(Struct, frozen=True, eq=False):
     axis: str
     leans: Bools
 
-    def upright_or(self, motion: Ints, t: Array) -> Array:
-        """Return the directions from tip to spindle (n, 3) at places: z of the map, except on motions that lean."""
+    def spindle_directions(self, motion: Ints, t: Array) -> Array:
+        """Return unit directions from tip to spindle (n, 3) at places (motion, t): z of the map unless it leans."""
         direction = np.tile([0.0, 0.0, 1.0], (len(motion), 1))
         leaning_rows = np.flatnonzero(self.leans[motion])
         if len(leaning_rows):
@@ -424,7 +433,10 @@ class ToolPoses(Struct, frozen=True, eq=False):
 
 
 def _divided_at_shift(motion: Ints, first: Array, last: Array, shift: Shift) -> tuple[Ints, Array, Array]:
-    """Return segments, divided where displacements are given: motion, begin and end (k,) of the parts."""
+    """Return segments, divided where displacements are given: motion, begin and end (k,) of the parts.
+
+    :param motion: (L,) of the segments, in order; `first` (L,) and `last` (L,) places where they begin and end.
+    """
     # motion + t is one sorted key of all places
     keys = np.unique(np.concatenate([motion + first, shift.motion + shift.t, motion + last]))
     segment = np.searchsorted(motion + first, keys[:-1], side="right") - 1
