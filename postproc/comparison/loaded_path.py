@@ -186,19 +186,21 @@ class Ways(Struct, frozen=True, eq=False):
     @classmethod
     def from_pairs(cls, comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram) -> Ways:
         """Return the ways between the pairs of a comparison."""
-        m, (first, two) = nominal_path.program.motions, comparison.pair.T
+        m, (nominal_rows, corrected_rows) = nominal_path.program.motions, comparison.pair.T
         unknown = (np.isin(m.kind, (PTP, SPL)) | m.rapid) & np.isnan(m.joints[:, 0])
+        # a way is comparable if the count of unknown motions is the same at its begin and its end
         count = np.append(0, np.cumsum(unknown | _uncorrected_start(nominal_path)))
-        start_index = np.append(-1, first[:-1]) + 1
-        second = corrected_path.arc_length[np.stack([np.append(-1, two[:-1]) + 1, two + 1], axis=1)]
-        way = np.searchsorted(two, np.arange(len(corrected_path.program.motions)))
+        first_motion = np.append(-1, nominal_rows[:-1]) + 1
+        corrected_first_motion = np.append(-1, corrected_rows[:-1]) + 1
+        second = corrected_path.arc_length[np.stack([corrected_first_motion, corrected_rows + 1], axis=1)]
+        way = np.searchsorted(corrected_rows, np.arange(len(corrected_path.program.motions)))
         return cls(
             corrected_path,
             way,
-            nominal_path.arc_length[start_index],
-            nominal_path.arc_length[first + 1],
+            nominal_path.arc_length[first_motion],
+            nominal_path.arc_length[nominal_rows + 1],
             second,
-            count[first + 1] == count[start_index],
+            count[nominal_rows + 1] == count[first_motion],
         )
 
     def _is_known(self, row: Ints) -> Bools:

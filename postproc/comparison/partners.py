@@ -174,7 +174,7 @@ def moved_partners(comparison: Comparison, nominal_path: PlacedProgram, correcte
 
 
 def ordered_partners(partner: Ints) -> Ints:
-    """Return partners without those that are not behind all partners before them.
+    """Return partners (n,) in ascending order: −1 replaces those that are not behind all partners before them.
 
     :param partner: (n,) index in the second program of the partners of consecutive targets; −1 for none.
     """

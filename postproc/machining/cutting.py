@@ -77,9 +77,9 @@ class Corners(Struct, frozen=True, eq=False):
 
 
 def cut_edge(stock: Stock, turn: Turn, x: Floats, y: Floats, position: Floats, descent: Floats) -> EngagedEdge:
-    """Return the cutting edge in material.
+    """Return the cutting edge in material of a tool along z of the map, at n stations.
 
-    :param x: (n, P) and y: coordinates of the points in the map [m].
+    :param x: (n, P) and `y` (n, P): coordinates of the points of the turn in the map [m].
     :param position: (n, 3) of the tip [m].
     :param descent: (n,) descent of the tool in one turn [m], > 0: the end face cuts material within it.
     """
@@ -90,20 +90,8 @@ def cut_edge(stock: Stock, turn: Turn, x: Floats, y: Floats, position: Floats, d
     if end_count > 0:
         corners = nearby_cells(stock, x[:, :end_count], y[:, :end_count])
         has_partly_cut = _has_partly_cut(stock, corners)
-        is_near_floor = float(tip.min()) < stock.ground
         if turn.round.start < end_count:
-            low, rise = turn.low[turn.round], turn.rise[turn.round]
-            level, coverage = _levels(stock, corners, turn.round, z + low, has_partly_cut, is_near_floor)
-            level -= z
-            level -= low
-            height = np.minimum(np.maximum(level, 0.0, out=level), rise, out=level)
-            if is_near_floor:
-                floor = stock.floor.reshape(-1).take(corners.cell[0][:, turn.round]) - z
-                height -= np.minimum(np.maximum(floor - low, 0.0), rise)
-                np.maximum(height, 0.0, out=height)
-            if coverage is not None:
-                height *= coverage
-            length[:, turn.round] = height * (turn.length[turn.round] / rise)
+            length[:, turn.round] = _round_lengths(stock, turn, corners, z, has_partly_cut)
         if turn.bottom.start < turn.bottom.stop:
             depth = np.maximum(descent, np.float32(1e-7))[:, None]
             bottom_height = _blend(
@@ -118,6 +106,27 @@ def cut_edge(stock: Stock, turn: Turn, x: Floats, y: Floats, position: Floats, d
     return EngagedEdge(length, moment)
 
 
+def _round_lengths(stock: Stock, turn: Turn, corners: Corners, z: Floats, has_partly_cut: bool) -> Floats:
+    """Return the lengths of the rounded edge in material (n, R) [m]: the height below the surface, along the edge.
+
+    :param corners: of the points on the end face and the R points on the round.
+    :param z: (n, 1) height of the tip [m].
+    :param has_partly_cut: whether any of the cells is at two levels.
+    """
+    low, rise, is_near_floor = turn.low[turn.round], turn.rise[turn.round], float(z.min()) < stock.ground
+    level, coverage = _levels(stock, corners, turn.round, z + low, has_partly_cut, is_near_floor)
+    level -= z
+    level -= low
+    height = np.minimum(np.maximum(level, 0.0, out=level), rise, out=level)
+    if is_near_floor:
+        floor = stock.floor.reshape(-1).take(corners.cell[0][:, turn.round]) - z
+        height -= np.minimum(np.maximum(floor - low, 0.0), rise)
+        np.maximum(height, 0.0, out=height)
+    if coverage is not None:
+        height *= coverage
+    return np.asarray(height * (turn.length[turn.round] / rise))
+
+
 def nearby_cells(stock: Stock, x: Floats, y: Floats) -> Corners:
     """Return the four cells around points, and their weights of bilinear interpolation.
 
@@ -127,6 +136,7 @@ def nearby_cells(stock: Stock, x: Floats, y: Floats) -> Corners:
     scale = np.float32(1.0 / stock.cell)
     fx = (x - np.float32(stock.x)) * scale - np.float32(0.5)
     fy = (y - np.float32(stock.y)) * scale - np.float32(0.5)
+    # a little less than the last cell, so that the cell after it exists
     np.clip(fx, 0.0, np.float32(columns - 1.001), out=fx)
     np.clip(fy, 0.0, np.float32(rows - 1.001), out=fy)
     column, row = fx.astype(np.int32), fy.astype(np.int32)

@@ -703,42 +703,56 @@ def _cutter_mismatch(program: Program, tools: ToolStates, process: Process, guar
         yield Issue("error", "other-cutter", message)
 
 
-def _collision_issues(program: Program, depth_of_motion: dict[int, float], guard: Guard | None) -> list[Issue]:
-    """Return the issues of what touches the stock and does not cut: errors if there is a guard.
+def _collision_issues(program: Program, depth_of_motion: dict[int, float], guard: Guard | None) -> Iterator[Issue]:
+    """Yield errors for what touches the stock and does not cut: the cutter in rapid moves, and parts of the guard.
 
     :param depth_of_motion: rapid motions through material, and how deep [m].
     """
-    m, issues = program.motions, []
     if depth_of_motion:
-        motion = np.array(sorted(depth_of_motion))
-        lines_in_material = distinct(m.line[motion]).tolist()
-        depth_text = f"{max(depth_of_motion.values()) * MM_PER_M:.2g} mm deep"
-        tool_note = _tool_length_advice(program, max(depth_of_motion, key=lambda row: (depth_of_motion[row], -row)))
-        if guard is None:
-            place = f"line {', '.join(map(str, lines_in_material[:5]))}{' …' if len(lines_in_material) > 5 else ''}"
-            advice = f"{_rapid_advice(program, motion)}{tool_note}"
-            message = f"a rapid move goes through material ({place}), {depth_text}. {advice}"
-            issues.append(replace(m.issue("error", "rapid-in-material", message, motion), count=len(lines_in_material)))
-        else:
-            advice = f"{_rapid_advice(program, motion)}{tool_note}"
-            message = f"collision: cutter goes {depth_text} into the stock in a rapid move. {advice}"
-            issues.append(replace(m.issue("error", "collision", message, motion), subject="cutter, stock"))
+        yield _rapid_collision(program, depth_of_motion, has_guard=guard is not None)
     if guard is None:
-        return issues
+        return
     for part in guard.parts:
         distance_of_motion = {motion: distance for (name, motion), distance in guard.close.items() if name == part.name}
         if distance_of_motion:
-            worst = min(distance_of_motion, key=lambda motion: (distance_of_motion[motion], motion))
-            distance = distance_of_motion[worst] * MM_PER_M
-            contact_text = "touches the stock" if distance == 0.0 else f"comes within {distance:.2g} mm of the stock"
-            message = (
-                f"collision: {part.name} {contact_text} that is left here; [collision] asks for "
-                f"{guard.need * MM_PER_M:g} mm. Use a longer tool, cut here first, or correct the holder in the cell"
-            )
-            lines = tuple(distinct(m.line[np.array(sorted(distance_of_motion))]).tolist())
-            issue = Issue("error", "collision", message, int(m.line[worst]), count=len(distance_of_motion), lines=lines)
-            issues.append(replace(issue, subject=f"{part.name}, stock"))
-    return issues
+            yield _part_collision(program, part.name, distance_of_motion, guard.need)
+
+
+def _rapid_collision(program: Program, depth_of_motion: dict[int, float], *, has_guard: bool) -> Issue:
+    """Return the error for rapid motions through material; with a guard it is one of the collisions.
+
+    :param depth_of_motion: these motions, and how deep they go [m].
+    """
+    m, motion = program.motions, np.array(sorted(depth_of_motion))
+    lines = distinct(m.line[motion]).tolist()
+    depth_text = f"{max(depth_of_motion.values()) * MM_PER_M:.2g} mm deep"
+    tool_note = _tool_length_advice(program, max(depth_of_motion, key=lambda row: (depth_of_motion[row], -row)))
+    advice = f"{_rapid_advice(program, motion)}{tool_note}"
+    if has_guard:
+        message = f"collision: cutter goes {depth_text} into the stock in a rapid move. {advice}"
+        return replace(m.issue("error", "collision", message, motion), subject="cutter, stock")
+    place = f"line {', '.join(map(str, lines[:5]))}{' …' if len(lines) > 5 else ''}"
+    message = f"a rapid move goes through material ({place}), {depth_text}. {advice}"
+    return replace(m.issue("error", "rapid-in-material", message, motion), count=len(lines))
+
+
+def _part_collision(program: Program, name: str, distance_of_motion: dict[int, float], need: float) -> Issue:
+    """Return the error for a part of the tool that comes too close to the stock.
+
+    :param distance_of_motion: motions on which it does, and its smallest distance [m]; 0: it touches.
+    :param need: smallest allowed distance [m].
+    """
+    m = program.motions
+    worst = min(distance_of_motion, key=lambda motion: (distance_of_motion[motion], motion))
+    distance = distance_of_motion[worst] * MM_PER_M
+    contact_text = "touches the stock" if distance == 0.0 else f"comes within {distance:.2g} mm of the stock"
+    message = (
+        f"collision: {name} {contact_text} that is left here; [collision] asks for {need * MM_PER_M:g} mm. "
+        "Use a longer tool, cut here first, or correct the holder in the cell"
+    )
+    lines = tuple(distinct(m.line[np.array(sorted(distance_of_motion))]).tolist())
+    issue = Issue("error", "collision", message, int(m.line[worst]), count=len(distance_of_motion), lines=lines)
+    return replace(issue, subject=f"{name}, stock")
 
 
 def _rapid_advice(program: Program, motion: Ints) -> str:

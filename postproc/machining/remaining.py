@@ -293,7 +293,10 @@ class Guard(Struct, eq=False):
                     remove(remaining_stock, cutter, *piece)
 
     def _note(self, part: Part, stock: Stock, motion: int, segment: tuple[Array, Array]) -> None:
-        """Note how close a part comes on a segment, if that is closer than allowed and than before on its motion."""
+        """Note how close a part comes on a segment, if that is closer than allowed and than before on its motion.
+
+        :param motion: row of `Motions`; `segment`: positions of the tip at both ends, (1, 3) each [m].
+        """
         key = part.name, motion
 
         def is_hit(need: float) -> bool:

@@ -156,7 +156,7 @@ def loads(stock: Stock, turn: Turn, path: TiltedPath, tooth: Array, hand: Ints) 
         for direction, point in ((normal, edge_points), (turn.tangent[turn.round].T, edge_points[:, turn.round]))
     )
     chip = Chips.of(turn, middle, change)
-    engagement = cut_edge(stock, turn, point, edge_axes)
+    engagement = tilted_cut_edge(stock, turn, point, edge_axes)
     descent_sine = np.maximum(-np.einsum("ni,ni->n", path.heading, path.axis), 0.0).astype(np.float32)
     # a cell of the map is cell² / cos(tilt) on a surface square to the tool: a square as large has this width
     turn_loads = mean_loads(turn, engagement, chip, descent_sine, stock.cell / np.sqrt(path.axis[:, 2]))
@@ -408,7 +408,7 @@ def _surface_distances(cutter: Cutter, z: Array, axial: Array, az: Array, square
     )
 
 
-def cut_edge(stock: Stock, turn: Turn, point: Array, axes: Array) -> EngagedEdge:
+def tilted_cut_edge(stock: Stock, turn: Turn, point: Array, axes: Array) -> EngagedEdge:
     """Return the cutting edge in material of a tool that leans.
 
     :param turn: without pieces on a cylinder.
