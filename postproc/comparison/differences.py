@@ -304,7 +304,7 @@ def _inserted_rotations(
 ) -> tuple[Ints, Array]:
     """Return inserted targets (n,) and the angles by which they turn the tool from the nominal path there (n,) [rad].
 
-    Without force_differences, at the same share of the way, and less the rotations of the pairs next to it.
+    Without forces, at the same share of the way, and less the rotations of the pairs next to it.
     """
     cuts = comparison.cuts
     if cuts is not None and len(cuts.row):
@@ -315,6 +315,7 @@ def _inserted_rotations(
     row, next_pair = row[next_pair > 0], next_pair[next_pair > 0]
     if comparison.curves is None or not len(row):
         return row[:0], np.zeros(0)
+    # the rows of a chain are consecutive, so that a difference of rows is an index
     chain = comparison.curves.corrected_chain
     motion, t = comparison.curves.nominal_chain.at(chain.end[row - chain.row[0]])
     nominal_pose = toolpath.at(nominal_path.program, nominal_path.segments, motion, t).pose
@@ -383,6 +384,7 @@ def _ways_off_path(
     limits = OFF_PATH + TIMES_OFFSET * np.maximum(comparison.distance, np.roll(comparison.distance, 1))
     is_off_path = np.nan_to_num(comparison.between) > limits
     is_off_path[_pairs_under_force(comparison)] = False
+    # missing targets have a difference of their own
     is_off_path[
         np.searchsorted(
             comparison.pair[:, 0], comparison.only_nominal[comparison.only_nominal < comparison.pair[-1, 0]]
@@ -429,7 +431,7 @@ def _distance_of_way(
     inserted_rows = comparison.inserted_rows[
         (comparison.inserted_rows > comparison.pair[k - 1, 1]) & (comparison.inserted_rows < comparison.pair[k, 1])
     ]
-    u = np.append(u, chain.end[inserted_rows - chain.row[0]])
+    u = np.append(u, chain.end[inserted_rows - chain.row[0]])  # rows of a chain are consecutive
     second_points = comparison.curves.second_in_cell(u)
     limits = (np.full(len(u), nominal_path.arc_length[comparison.pair[n, 0] + 1]) for n in (k - 1, k))
     distances = nearest(lambda at: nominal_path.points(at.ravel()).reshape(*at.shape, 3), second_points, *limits)[1]
@@ -443,6 +445,7 @@ def _deviations_under_force(comparison: Comparison, nominal_path: PlacedProgram)
     cuts = comparison.cuts
     if cuts is None:
         return
+    # the deviation at the end of each motion of the second program: at pairs, and at inserted targets
     at_end = np.zeros(len(comparison.corrected.motions))
     at_end[comparison.pair[:, 1]] = norm(cuts.corrected_deviation)
     at_end[cuts.row[cuts.t == 1.0]] = cuts.corrected_distance[cuts.t == 1.0]
@@ -477,48 +480,54 @@ def _deviations_under_force(comparison: Comparison, nominal_path: PlacedProgram)
 def _cut_corners(
     comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram
 ) -> Iterator[Difference]:
-    """Yield targets at which approximation (C_DIS) rounds the second path by more than the first program allows.
-
-    A program of G-code allows what G64 or the cell states, and nothing at exact stops; one of KRL its own rounding,
-    where its approximation distance is the same: other ones are a difference of their own. Nothing is allowed at
-    targets that it does not have.
-    """
-    m, rows = comparison.nominal.motions, np.union1d(comparison.pair[:, 1], comparison.inserted_rows)
+    """Yield targets at which approximation (C_DIS) rounds the second path by more than the first program allows."""
+    rows = np.union1d(comparison.pair[:, 1], comparison.inserted_rows)
     if not len(rows):
         return
     rounding = corners_of_motions(corrected_path.program, corrected_path.segments, rows).rounding(
         comparison.corrected.motions.blend[rows]
     )
-    if comparison.nominal.keeps_text:
-        motion = np.arange(len(m))
-        programmed_rounding = corners_of_motions(nominal_path.program, nominal_path.segments, motion).rounding(m.blend)
-    else:
-        programmed_rounding = np.where(m.blend > 0.0, m.rounding, 0.0)
-    nominal_rounding, place = np.zeros(len(rows)), np.searchsorted(rows, comparison.pair[:, 1])
-    nominal_rounding[place] = programmed_rounding[comparison.pair[:, 0]]
-    if comparison.nominal.keeps_text:
-        blend_differs = (
-            np.abs(comparison.corrected.motions.blend[comparison.pair[:, 1]] - m.blend[comparison.pair[:, 0]])
-            > SAME_LENGTH
-        )
-        nominal_rounding[place[blend_differs]] = np.inf
-    excess = rounding - nominal_rounding
+    allowed_rounding = _allowed_rounding(comparison, nominal_path, rows)
+    excess = rounding - allowed_rounding
     corner_rows = np.flatnonzero(excess > nominal_path.robot_in_cell.tolerance + _EXCESS_MARGIN)
     if len(corner_rows):
         worst = corner_rows[np.argmax(excess[corner_rows])]
         way = min(int(np.searchsorted(comparison.pair[:, 1], rows[worst])), len(comparison.pair) - 1)
         remedy = (
             "Set $APO.CDIS and C_DIS back, or convert again."
-            if nominal_rounding[worst] > 0.0 or not comparison.nominal.keeps_text
+            if allowed_rounding[worst] > 0.0 or not comparison.nominal.keeps_text
             else "Use a smaller approximation distance there."
         )
         message = (
             f"approximation (C_DIS) cuts the corner by {rounding[worst] * MM_PER_M:.4f} mm; the nominal program allows "
-            f"{nominal_rounding[worst] * MM_PER_M:.4g} mm. {remedy}"
+            f"{allowed_rounding[worst] * MM_PER_M:.4g} mm. {remedy}"
         )
         yield warning_at(
             comparison, "between", message, (int(comparison.pair[way, 0]), int(rows[worst])), len(corner_rows)
         )
+
+
+def _allowed_rounding(comparison: Comparison, nominal_path: PlacedProgram, rows: Ints) -> Array:
+    """Return by how much the nominal program allows targets of the second one to be rounded (n,) [m].
+
+    A program of G-code allows what G64 or the cell states, and nothing at exact stops; one of KRL its own rounding,
+    where its approximation distance is the same: other ones are a difference of their own, so that any rounding is
+    allowed here. Nothing is allowed at targets that it does not have.
+
+    :param rows: (n,) motions of the second program, ascending, those of all pairs among them.
+    """
+    m, (nominal_rows, corrected_rows) = comparison.nominal.motions, comparison.pair.T
+    if comparison.nominal.keeps_text:
+        corners = corners_of_motions(nominal_path.program, nominal_path.segments, np.arange(len(m)))
+        programmed_rounding = corners.rounding(m.blend)
+    else:
+        programmed_rounding = np.where(m.blend > 0.0, m.rounding, 0.0)
+    allowed_rounding, place = np.zeros(len(rows)), np.searchsorted(rows, corrected_rows)
+    allowed_rounding[place] = programmed_rounding[nominal_rows]
+    if comparison.nominal.keeps_text:
+        blend_change = np.abs(comparison.corrected.motions.blend[corrected_rows] - m.blend[nominal_rows])
+        allowed_rounding[place[blend_change > SAME_LENGTH]] = np.inf
+    return allowed_rounding
 
 
 def _arc_advice(comparison: Comparison, rows: Ints) -> str:

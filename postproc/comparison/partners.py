@@ -62,7 +62,7 @@ def partners_under_force(
         nominal_path.program.motions.kind[nominal_path.rows] == PTP,
         corrected_path.program.motions.kind[corrected_path.rows] == PTP,
     )
-    for _ in range(2):  # a partner may have been that of a neighbour
+    for _ in range(2):  # what the first pass frees may be the partner of a neighbour
         is_mismatched = (new_partner < 0) | ~(
             norm(deviation_left(nominal_path, corrected_path, new_partner, wrench)) <= tolerance
         )
@@ -160,6 +160,7 @@ def moved_partners(comparison: Comparison, nominal_path: PlacedProgram, correcte
     """
     partner = np.full(len(nominal_path.rows), -1)
     unpaired_rows = comparison.only_nominal, comparison.additional_rows
+    # a gap is the number of pairs before a target: targets of one gap are between the same pairs
     gaps = [np.searchsorted(comparison.pair[:, k], rows) for k, rows in enumerate(unpaired_rows)]
     counts = [np.bincount(gap, minlength=len(comparison.pair) + 1) for gap in gaps]
     same_count = counts[0] == counts[1]
@@ -243,6 +244,7 @@ def moved_pairs(
     """
     pair, distance = pair.copy(), norm(offset)
     change = np.pad(norm(np.diff(offset, axis=0)), 1, constant_values=np.inf)
+    # a target moved alone: its offset is unlike those of both neighbours
     is_single_change = (np.minimum(change[:-1], change[1:]) > OFF_PATH) & ~certain
     index = {int(row): place for place, row in enumerate(corrected_path.rows.tolist())}
     for row in rows[:_MAX_MOVES].tolist():

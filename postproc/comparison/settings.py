@@ -273,13 +273,13 @@ def force_differences(comparison: Comparison, corrected_path: PlacedProgram, *, 
             ]
             yield warning_at(comparison, "force", f"{text}.", rows, 1)
         return
-    load, two = corrected_path.forces(None), comparison.pair[:, 1]
+    load, corrected_rows = corrected_path.forces(None), comparison.pair[:, 1]
     corrected_wrench, nominal_wrench = (
-        _base_wrenches(comparison, corrected_path.wrench(load, two)),
+        _base_wrenches(comparison, corrected_path.wrench(load, corrected_rows)),
         comparison.cuts.wrench,
     )
-    share = np.where(load.frame[two] == FORCE_FRAMES.index("BASE"), *_SAME_SHARE)
-    cutting = ~comparison.rapid & ~comparison.corrected.motions.rapid[two]  # rapid motions carry no force
+    share = np.where(load.frame[corrected_rows] == FORCE_FRAMES.index("BASE"), *_SAME_SHARE)
+    cutting = ~comparison.rapid & ~comparison.corrected.motions.rapid[corrected_rows]  # rapid motions carry no force
     pairs = np.flatnonzero(
         (norm(corrected_wrench - nominal_wrench) > _SAME_FORCE + share * norm(nominal_wrench)) & cutting
     )
@@ -312,11 +312,12 @@ def axis_target_differences(
     if not comparison.nominal.keeps_text:
         axis = [rows[gaps > 0] for rows, gaps in zip(axis, gap, strict=True)]
         gap = [gaps[gaps > 0] for gaps in gap]
-    first = [np.arange(len(gaps)) - np.searchsorted(gaps, gaps) for gaps in gap]
-    corrected_rows = {(int(g), int(k)): int(row) for g, k, row in zip(gap[1], first[1], axis[1], strict=True)}
+    # axis targets belong together that have the same number between the same pairs
+    number = [np.arange(len(gaps)) - np.searchsorted(gaps, gaps) for gaps in gap]
+    corrected_rows = {(int(g), int(k)): int(row) for g, k, row in zip(gap[1], number[1], axis[1], strict=True)}
     differ: list[tuple[int, int]] = []
     unpaired_rows: list[tuple[int, int]] = []
-    for g, k, row in zip(gap[0].tolist(), first[0].tolist(), axis[0].tolist(), strict=True):
+    for g, k, row in zip(gap[0].tolist(), number[0].tolist(), axis[0].tolist(), strict=True):
         partner = corrected_rows.pop((g, k), -1)
         if partner < 0:
             unpaired_rows.append((row, -1))

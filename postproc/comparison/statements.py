@@ -62,7 +62,10 @@ class _Texts:
         ]
 
     def routine(self, place: tuple[str, int]) -> tuple[tuple[str, int], tuple[str, int]]:
-        """Return the lines before the first and behind the last statement of the routine around a motion."""
+        """Return the places of the first and the last line of the routine around a motion, DEF and END.
+
+        :param place: file and 1-based line of the motion; the begin and the end of the file count without a DEF or END.
+        """
         file, line = place
         lines = self.lines.get(file, [])
         first = next((n for n in range(line - 1, 0, -1) if _ROUTINE.match(self.statement(file, n))), 0)

@@ -65,14 +65,16 @@ def _deepest(stock: Stock, cutter: Cutter, tip: Array, axis: Array) -> float:
 
 
 def _rings(stock: Stock, cutter: Cutter, tip: Array, axis: Array, radius: float) -> tuple[Ints, Array, Array]:
-    """Return circles about the axis of the tool near the stock: place (k,), radius (k,) and height above the tip (k,).
+    """Return circles about the axis near the stock: row of `tip` (k,), radius (k,) and height above the tip (k,) [m].
 
+    :param tip: (n, 3) positions of the tip [m], and `axis` (n, 3) unit directions to the spindle, frame of the map.
     :param radius: of the tool as it is compared [m].
     """
     x0, x1, y0, y1 = stock.bounds
     low = np.array([x0, y0, float(stock.floor.min())]) - radius
     high = np.array([x1, y1, stock.top]) + radius
     reach = float(norm(np.maximum(np.abs(tip - low), np.abs(tip - high))).max())
+    # the tool is smaller by a cell at its corner too; its flat end is only raised by what is flush
     corner = max(cutter.corner - stock.cell, 0.0)
     inner_cutter = Cutter(radius, min(corner, radius), cutter.teeth)
     end_radii = np.linspace(0.0, radius, max(2, int(np.ceil(radius / stock.cell)) + 1))

@@ -82,7 +82,7 @@ class Ceiling:
     """
 
     def __init__(self, stock: Stock) -> None:
-        """Begin with the uncut stock."""
+        """Begin with a map of the uncut stock, which is kept and not copied."""
         self.stock = stock
         self._factor = max(1, -(-max(stock.high.shape) // _SIDE_CELLS))
         self.cell = self._factor * stock.cell
@@ -233,6 +233,9 @@ class Guard(Struct, eq=False):
     ) -> None:
         """Note where parts are closer to the stock than allowed, on segments whose material is not removed yet.
 
+        Cheap tests come first: the bound of the stock, the volume that the cutter sweeps, the whole path at once.
+
+        :param rows: of the segments that are compared, all with the tool `cutter`.
         :param removes: whether the segments remove material.
         """
         begin, end = segments.begin[rows], segments.end[rows]

@@ -99,6 +99,8 @@ class Cuts(Columns, frozen=True, eq=False):
 class Sweep(Struct, eq=False):
     """A stock, and the tools that cut it.
 
+    :ivar feed: (M,) speed of the tip on each motion [m/s].
+    :ivar law: forces of the material per length of cutting edge and chip.
     :ivar poses: the tool anywhere on the path.
     :ivar swing: (M,) how fast motions turn the tool that do not move its tip [rad/s]; NaN: not known.
     :ivar is_deflected: the tip is displaced: on rapid moves it still springs back, and contact there is no collision.
@@ -505,13 +507,13 @@ class Sweep(Struct, eq=False):
         return Footprint.empty()
 
     def _cutter(self, number: int) -> Cutter:
-        """Return the cutter of a tool by its number in the program; each is made once."""
+        """Return the cutter of a tool, `number` in `ToolStates.keys`; each is made once."""
         if number not in self._cutters:
             self._cutters[number] = self.process.cutter(self.tools.keys[number])
         return self._cutters[number]
 
     def _edge(self, number: int) -> Edge:
-        """Return the cutting edge of a tool by its number in the program; each is made once."""
+        """Return the cutting edge of a tool, `number` in `ToolStates.keys`; each is made once."""
         if number not in self._edges:
             self._edges[number] = edge(self._cutter(number), self.stock.cell)
         return self._edges[number]

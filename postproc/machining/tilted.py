@@ -302,6 +302,8 @@ def _lower_and_upper_sides(
     ax, ay, az = (axis[:, k, None, None] for k in range(3))
     axial = x * ax + y * ay  # of the point at the height of the tip, along the axis
     sine = np.maximum(1.0 - az * az, _PARALLEL)
+    # a line of points (x, y, z) is in the cylinder where the square of its distance from the axis is below radius²: a
+    # quadratic equation in z
     root = axial * axial * az * az - sine * (x * x + y * y - axial * axial - cutter.radius**2)
     is_met = root > 0.0
     half_root = np.sqrt(np.where(is_met, root, 0.0))
@@ -346,8 +348,10 @@ def _ball_side(
         where it meets the cylinder at all.
     """
     ax, ay, az = (axis[:, k, None, None] for k in range(3))
+    # the centre of the ball is one radius along the axis from the tip
     square = radius**2 - (point[0] - radius * ax) ** 2 - (point[1] - radius * ay) ** 2
     ball = np.where(square > 0.0, radius * az - np.sqrt(np.maximum(square, 0.0)), np.inf)
+    # the cylinder begins at the centre of the ball: above the plane through it, square to the axis
     cylinder = np.maximum(low, (radius - axial) / az)
     cylinder = np.where(meets & (cylinder < high), cylinder, np.inf)
     lower_side = np.minimum(ball, cylinder)
