@@ -75,7 +75,7 @@ def compare(
     else:
         loads = _Loads.of(nominal_path, source)
         partner, certain = _partners_under_load(nominal_path, corrected_path, loads, stated_pairs, place.tolerance)
-        at_feeds = None if loads.path.by_law is None else _at_partner_feeds(nominal_path, corrected_path, partner)
+        at_feeds = None if loads.path.by_law is None else _with_partner_feeds(nominal_path, corrected_path, partner)
         if at_feeds is not None:
             nominal_path = PlacedProgram.of(at_feeds, place)
             loads = _Loads.of(nominal_path, source)
@@ -93,7 +93,7 @@ def compare(
     return replace(comparison, differences=differences(comparison, nominal_path, corrected_path, **options))
 
 
-def _at_partner_feeds(nominal_path: PlacedProgram, corrected_path: PlacedProgram, partner: Ints) -> Program | None:
+def _with_partner_feeds(nominal_path: PlacedProgram, corrected_path: PlacedProgram, partner: Ints) -> Program | None:
     """Return the nominal program at the feeds of the second one; None if they are its own.
 
     A process gives the forces of a feed, and the second program is corrected for those of its own: it may hold a
@@ -125,7 +125,10 @@ class _Loads(Struct, frozen=True, eq=False):
 
     @classmethod
     def of(cls, nominal_path: PlacedProgram, source: ForceSource | None) -> _Loads:
-        """Return the loads of a program, from its comments and a source."""
+        """Return the loads of a program, from its comments and a source; None: from its comments alone.
+
+        :raises ForceError: the arm has no equilibrium under a force.
+        """
         path, rows = nominal_path.forces(source), nominal_path.rows
         wrench = nominal_path.wrench(path, rows)
         joints = nominal_path.joints[rows]

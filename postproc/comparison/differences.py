@@ -432,7 +432,7 @@ def _distance_of_way(
         (comparison.inserted_rows > comparison.pair[k - 1, 1]) & (comparison.inserted_rows < comparison.pair[k, 1])
     ]
     u = np.append(u, chain.end[inserted_rows - chain.row[0]])  # rows of a chain are consecutive
-    second_points = comparison.curves.second_in_cell(u)
+    second_points = comparison.curves.second_points_in_cell(u)
     limits = (np.full(len(u), nominal_path.arc_length[comparison.pair[n, 0] + 1]) for n in (k - 1, k))
     distances = nearest(lambda at: nominal_path.points(at.ravel()).reshape(*at.shape, 3), second_points, *limits)[1]
     inserted_distance = float(distances[_PLACES:].max(initial=0.0))

@@ -237,17 +237,21 @@ class Curves(Struct, frozen=True, eq=False):
         """Return the positions (n, 3) [m] of the nominal tool that each program commands at u (n,), nominal `$BASE`."""
         motion, t = self.nominal_chain.at(u)
         nominal_point = toolpath.positions(self.nominal_chain.program, self.nominal_chain.segments, motion, t)
-        return nominal_point, self._second(*self.corrected_chain.at(u), motion)
+        return nominal_point, self._second_points(*self.corrected_chain.at(u), motion)
 
-    def second_in_cell(self, u: Array) -> Array:
+    def second_points_in_cell(self, u: Array) -> Array:
         """Return where the second program commands the nominal tool (n, 3) at u (n,), in the cell [m]."""
         motion = self.nominal_chain.at(u)[0]
-        return in_cell(self.nominal_chain.program, motion, self._second(*self.corrected_chain.at(u), motion))
+        return in_cell(self.nominal_chain.program, motion, self._second_points(*self.corrected_chain.at(u), motion))
 
-    def _second(self, row: Ints, share: Array, motion: Ints) -> Array:
-        """Return positions (n, 3) of the second program at places (row, share), in `$BASE` of nominal motions (n,)."""
+    def _second_points(self, row: Ints, share: Array, motion: Ints) -> Array:
+        """Return where the second program commands the nominal tool (n, 3), in `$BASE` of nominal motions [m].
+
+        :param row: (n,) motions of the second program, and `share` (n,) places on them.
+        :param motion: (n,) motions of the nominal program.
+        """
         nominal, second = self.nominal_chain.program, self.corrected_chain.program
-        if self._same_tool:
+        if self._has_same_tool:
             point = toolpath.positions(second, self.corrected_chain.segments, row, share)
             return toolpath.points_in_base(nominal, motion, in_cell(second, row, point), None)
         pose = toolpath.at(second, self.corrected_chain.segments, row, share).pose[:]
@@ -293,14 +297,14 @@ class Curves(Struct, frozen=True, eq=False):
         return self.corrected_chain.program.motions.kind
 
     @property
-    def _same_tool(self) -> bool:
+    def _has_same_tool(self) -> bool:
         """Whether both programs have one tool, and the same: positions are then found without orientations."""
         tools = (self.nominal_chain.program.tools, self.corrected_chain.program.tools)
         return len(tools[0]) == len(tools[1]) == 1 and bool(np.abs(twist_between(*tools)).max() <= SAME_FRAME)
 
     def _is_curved(self, u: Array) -> Bools:
         """Return where (n,) the distance of the paths may be largest inside a piece: at arcs, not between two lines."""
-        if not self._same_tool:
+        if not self._has_same_tool:
             return np.ones(len(u), dtype=bool)
         motion, row = self.nominal_chain.at(u)[0], self.corrected_chain.at(u)[0]
         return np.asarray((self.nominal_chain.program.motions.kind[motion] == CIRC) | (self._kind[row] == CIRC))

@@ -101,7 +101,7 @@ def cut_edge(stock: Stock, turn: Turn, x: Floats, y: Floats, position: Floats, d
     moment = np.zeros((len(x), 0), dtype=np.float32)
     if turn.side.start < turn.side.stop:
         nearest_cells = _nearest(stock, x[:, turn.side], y[:, turn.side])
-        length[:, turn.side], moment = _cylinder(stock, nearest_cells, position, turn)
+        length[:, turn.side], moment = _cylinder_contact(stock, nearest_cells, position, turn)
     length[length < _NO_CONTACT] = 0.0
     return EngagedEdge(length, moment)
 
@@ -198,7 +198,7 @@ def _blend(
     return np.asarray(result)
 
 
-def _cylinder(stock: Stock, nearest: NDArray[np.int32], position: Floats, turn: Turn) -> tuple[Floats, Floats]:
+def _cylinder_contact(stock: Stock, nearest: NDArray[np.int32], position: Floats, turn: Turn) -> tuple[Floats, Floats]:
     """Return the engaged height of the cylinder (n, K) [m], and its first moment (n, K) [m²].
 
     The cell that contains the point counts by its share: a second pass along the same wall is then in air. Where the
@@ -214,6 +214,7 @@ def _cylinder(stock: Stock, nearest: NDArray[np.int32], position: Floats, turn: 
     tip = position[:, 2:]
     bottom = np.maximum(floor - tip, turn.low[turn.side.start])
     top = np.maximum(high - tip, bottom)
+    # twice the moment: the integral of z dz is half the difference of squares
     height, moment = top - bottom, top * top - bottom * bottom
     if share.any():
         is_inside, is_outside = _sides_of_earlier_cut(stock, nearest, position, turn, high, low, share)
@@ -420,17 +421,17 @@ def mean_loads(turn: Turn, engagement: EngagedEdge, chip: Chips, descent_sine: F
     rubbing = engagement.length * chip.share
     cutting = rubbing * turn.law.chip(chip.thickness)
     patch = (turn.radius * turn.width.astype(np.float32))[:, None]
-    area = times(rubbing, patch)[:, 0].astype(float)
-    removal = times(rubbing * chip.thickness, patch)[:, 0]
+    area = product_in_blocks(rubbing, patch)[:, 0].astype(float)
+    removal = product_in_blocks(rubbing * chip.thickness, patch)[:, 0]
     uncertain_edge = np.where(descent_sine > _LEVEL_SINE, 1.0 - descent_sine, 0.0)[:, None] * rubbing[:, turn.bottom]
     rubbing[:, turn.bottom] *= descent_sine[:, None]
-    wrench = (times(cutting, turn.cut) + times(rubbing, turn.rub)).astype(float)
+    wrench = (product_in_blocks(cutting, turn.cut) + product_in_blocks(rubbing, turn.rub)).astype(float)
     side_chip = chip.thickness[:, turn.side]
-    force_moment = times(engagement.moment * turn.law.chip(side_chip), turn.cut[turn.side, :2])
-    force_moment += times(engagement.moment * (side_chip > 0.0), turn.rub[turn.side, :2])
+    force_moment = product_in_blocks(engagement.moment * turn.law.chip(side_chip), turn.cut[turn.side, :2])
+    force_moment += product_in_blocks(engagement.moment * (side_chip > 0.0), turn.rub[turn.side, :2])
     _add_moment_of_height(wrench, force_moment)
     # uniform from none of it to all: the variance is a third of the square of half the range
-    square = np.square(times(uncertain_edge, turn.rub[turn.bottom]).astype(float)) / 3.0
+    square = np.square(product_in_blocks(uncertain_edge, turn.rub[turn.bottom]).astype(float)) / 3.0
     if turn.drill:
         square[:, 2] += np.square(_THRUST_SHARE * wrench[:, 2]) / 3.0
     if turn.law.covariance is not None:
@@ -464,12 +465,12 @@ def _unit_wrenches(turn: Turn, engagement: EngagedEdge, edges: tuple[Floats, Flo
     for kind, (edge, side) in enumerate(zip(edges, sides, strict=True)):
         for axis, unit in enumerate(turn.unit_wrench):
             row = wrench[3 * kind + axis]
-            row[:] = times(edge, unit)
-            _add_moment_of_height(row, times(engagement.moment * side, unit[turn.side, :2]))
+            row[:] = product_in_blocks(edge, unit)
+            _add_moment_of_height(row, product_in_blocks(engagement.moment * side, unit[turn.side, :2]))
     return wrench
 
 
-def times(matrix: Floats, factor: Floats) -> Floats:
+def product_in_blocks(matrix: Floats, factor: Floats) -> Floats:
     """Return the product (n, k) of `matrix` (n, P) and `factor` (P, k), in blocks so small that BLAS uses one thread.
 
     At such sizes threads cost more than they gain, and much more if other processes need the processors too.

@@ -495,7 +495,8 @@ def _is_ahead(stock: Stock, cutter: Cutter, cell: Ints, point: Array, direction:
         return np.asarray(advance > 0.0)
     distance = np.hypot(x, y)
     corner_distance = np.maximum(distance - (cutter.radius - cutter.corner), 0.0)
-    radial_normal = corner_distance / np.maximum(distance, 1e-12)  # the normal, times the radius of the corner
+    # it moves outwards where its normal (outwards and down, times the radius of the corner) is along the travel
+    radial_normal = corner_distance / np.maximum(distance, 1e-12)
     axial_normal = np.sqrt(np.maximum(cutter.corner**2 - corner_distance**2, 0.0)) if cutter.corner > 0.0 else 1.0
     return np.asarray(
         (advance * radial_normal - axial_normal * direction[2] > 0.0) & (distance < cutter.radius + stock.cell)

@@ -556,5 +556,5 @@ def _engagement_sizes(turn: Turn, cuts: Floats) -> tuple[Array, Array, Array, Ar
         for low, high in ((turn.phi - half, turn.phi + half), (lateral.min(axis=0), lateral.max(axis=0)))
     ]
     enter, leave = (np.where(has_contact, angle, np.nan) for angle in ends[0])
-    depth = cutting.times(cuts, turn.tall).max(axis=1) if turn.side.start > 0 else cuts.max(axis=1)
+    depth = cutting.product_in_blocks(cuts, turn.tall).max(axis=1) if turn.side.start > 0 else cuts.max(axis=1)
     return enter, leave, depth.astype(float), np.where(has_contact, ends[1][1] - ends[1][0], 0.0)

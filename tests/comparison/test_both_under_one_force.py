@@ -40,7 +40,7 @@ def test_forces_of_a_process_are_those_at_the_feeds_of_the_second_program(seed):
         if k >= 0 and not sides[0].program.motions.rapid[row]:
             other = feeds[1][rows[1][k]]
             expected[row] = other if abs(other - feeds[0][row]) > 1e-3 * feeds[0][row] else feeds[0][row]
-    made = compare._at_partner_feeds(*sides, partner)
+    made = compare._with_partner_feeds(*sides, partner)
     if (expected == feeds[0]).all():
         assert made is None
         return

@@ -119,7 +119,7 @@ def test_both_programs_send_the_nominal_tool_where_frames_and_lengths_say(frames
     expected = np.array([seen(one, other, PAIRS, each) for each in u])
     np.testing.assert_allclose(np.stack(curves.at(u), axis=1), expected, atol=1e-9)
     inside = (one.base[:3, :3] @ expected[:, 1].T).T + one.base[:3, 3]
-    np.testing.assert_allclose(curves.second_in_cell(u), inside, atol=1e-9)
+    np.testing.assert_allclose(curves.second_points_in_cell(u), inside, atol=1e-9)
     largest = np.zeros(6)
     for each in [
         *np.arange(5) + 1e-9,

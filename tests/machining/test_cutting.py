@@ -124,7 +124,7 @@ def test_products_in_pieces_are_products():
     rng = np.random.default_rng(1)
     for rows, inner, columns in ((1, 5, 3), (1000, 700, 6), (0, 4, 2), (3, 300_000, 1)):
         one, other = rng.normal(size=(rows, inner)), rng.normal(size=(inner, columns))
-        np.testing.assert_allclose(cutting.times(one, other), one @ other, atol=1e-9)
+        np.testing.assert_allclose(cutting.product_in_blocks(one, other), one @ other, atol=1e-9)
 
 
 def test_the_law_of_the_chip_is_that_of_kienzle():
