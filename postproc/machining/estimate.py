@@ -274,11 +274,12 @@ def _estimate(task: _Task, widest: float, cell_factors: dict[int, int]) -> tuple
     cuts = Cuts.join(swept.cuts)
     margin = 0.5 * max(table.diameter_mm for table in process.tools.values()) * M_PER_MM
     has_one_map = len(ordered_setups) == 1
+    engaged = distinct(cuts.motion[norm(cuts.wrench) > 0.0])
     if program.branches:
         count = len(program.motions)
         # with several directions of the tool, it may touch the stock with its tip beside it: any motion may be near
         is_near = near_stock(segments, bounds, margin, count) if has_one_map else np.ones(count, dtype=bool)
-        check_branches(program, distinct(cuts.motion[norm(cuts.wrench) > 0.0]), is_near)
+        check_branches(program, engaged, is_near)
     collisions = {motion: depth for sweep in swept.sweeps for motion, depth in sweep.collisions.items()}
     stopped_motions = set[int]().union(*(sweep.stopped_motions for sweep in swept.sweeps))
     issues += [
@@ -287,7 +288,7 @@ def _estimate(task: _Task, widest: float, cell_factors: dict[int, int]) -> tuple
         *(_beside_stock_issues(program, segments, bounds, margin) if has_one_map else []),
         *swept.issues,
         *unread_cuts(program),
-        *shared_cutters(program, task.tools),
+        *shared_cutters(program, task.tools, engaged),
         *_scale_issues(segments, bounds),
     ]
     issues += _cut_issues(program, stopped_motions, task.law, cuts, tools, process)

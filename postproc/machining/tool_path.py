@@ -129,19 +129,23 @@ _SAME_TIP = 1e-4
 cutters that are alike to a tenth of a millimetre are rare, and one that was measured twice is not."""
 
 
-def shared_cutters(program: Program, tools: ToolStates) -> Iterator[Issue]:
-    """Yield a warning for each entry of [tools] that cuts with several $TOOL of a robot program."""
+def shared_cutters(program: Program, tools: ToolStates, engaged: Ints) -> Iterator[Issue]:
+    """Yield a warning for each entry of [tools] that cuts with several $TOOL of a robot program.
+
+    :param engaged: (n,) motions that touch material, in order: a LIN may also position.
+    """
     m = program.motions
+    tool, frame = tools.tool[engaged], m.tool[engaged]
     if not program.keeps_text:
         return
-    for place in distinct(tools.tool[~m.rapid]).tolist():
-        rows = distinct(m.tool[(tools.tool == place) & ~m.rapid])
+    for place in distinct(tool).tolist():
+        rows = distinct(frame[tool == place])
         tips = program.tools[rows, :3, 3]
         tip_distance = norm(tips - tips[0])
         if len(rows) < 2 or tip_distance.max() <= _SAME_TIP:
             continue
         pair = [int(rows[0]), int(rows[int(np.argmax(tip_distance))])]
-        motion = [int(np.flatnonzero((m.tool == row) & (tools.tool == place) & ~m.rapid)[0]) for row in pair]
+        motion = [int(engaged[np.argmax((frame == row) & (tool == place))]) for row in pair]
         names = [
             f"{_tool_name(program, row)} (line {m.line[row_motion]})"
             for row, row_motion in zip(pair, motion, strict=True)

@@ -91,6 +91,16 @@ def test_one_cutter_that_was_measured_twice_is_not_asked_about(tmp_path):
     assert "one cutter" not in printed
 
 
+def test_a_tool_whose_lines_only_position_is_not_asked_about(tmp_path):
+    """A pointed tool that marks a place above the part by LIN, before the cutter cuts."""
+    convert(tmp_path, {"default": 8000})
+    text = (tmp_path / "part.src").read_text()
+    lines = text[text.index("LIN {X -10,Y 60") : text.index("END")]
+    (tmp_path / "part.src").write_text(text.replace(lines, "LIN {X 60,Y 60,Z 10,A 180,B 0,C 180}\n"))
+    words = (tmp_path / "part.src", "--process", tmp_path / "process.toml", "-o", tmp_path / "out2")
+    assert "one cutter" not in run("convert", *words, cell=tmp_path / "cell.toml").output
+
+
 def test_equal_frames_with_different_cutters_are_refused(tmp_path):
     printed, _ = convert(tmp_path, {1: 8000, 2: 2000}, length=350.0, code=1)
     assert "TOOL_DATA[1] and TOOL_DATA[2] are one frame" in printed
