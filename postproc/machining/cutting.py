@@ -256,7 +256,10 @@ def _sides_of_earlier_cut(
 
 
 def _is_free_of(marked: Bools, reach: int) -> Bools:
-    """Return at which points (n, K) no point is marked up to so many points away."""
+    """Return at which points of the cylinder (n, K) no point is marked up to `reach` points to both sides.
+
+    :param marked: (n, K) True for marked points, in the order of the angle.
+    """
     # differences of running counts are the number of marked points, `reach` points to both sides
     count = np.zeros((len(marked), marked.shape[1] + 1), dtype=np.int32)
     np.cumsum(marked, axis=1, out=count[:, 1:])

@@ -274,12 +274,10 @@ def _estimate(task: _Task, widest: float, cell_factors: dict[int, int]) -> tuple
     cuts = Cuts.join(swept.cuts)
     margin = 0.5 * max(table.diameter_mm for table in process.tools.values()) * M_PER_MM
     has_one_map = len(ordered_setups) == 1
-    engaged = distinct(cuts.motion[norm(cuts.wrench) > 0.0])
+    engaged_motions = distinct(cuts.motion[norm(cuts.wrench) > 0.0])
     if program.branches:
-        count = len(program.motions)
-        # with several directions of the tool, it may touch the stock with its tip beside it: any motion may be near
-        is_near = near_stock(segments, bounds, margin, count) if has_one_map else np.ones(count, dtype=bool)
-        check_branches(program, engaged, is_near)
+        is_near = _near_motions(program, segments if has_one_map else None, bounds, margin)
+        check_branches(program, engaged_motions, is_near)
     collisions = {motion: depth for sweep in swept.sweeps for motion, depth in sweep.collisions.items()}
     stopped_motions = set[int]().union(*(sweep.stopped_motions for sweep in swept.sweeps))
     issues += [
@@ -288,7 +286,7 @@ def _estimate(task: _Task, widest: float, cell_factors: dict[int, int]) -> tuple
         *(_beside_stock_issues(program, segments, bounds, margin) if has_one_map else []),
         *swept.issues,
         *unread_cuts(program),
-        *shared_cutters(program, task.tools, engaged),
+        *shared_cutters(program, task.tools, engaged_motions),
         *_scale_issues(segments, bounds),
     ]
     issues += _cut_issues(program, stopped_motions, task.law, cuts, tools, process)
@@ -310,6 +308,20 @@ def _estimate(task: _Task, widest: float, cell_factors: dict[int, int]) -> tuple
         over_time=None if guard is None else _stock_in_time(program, ordered_setups, swept.sweeps, swept.is_compared),
     )
     return forces, passes
+
+
+def _near_motions(
+    program: Program, segments: StraightSegments | None, bounds: tuple[float, ...], margin: float
+) -> Bools:
+    """Return which motions (M,) may come near the stock as it is before the program.
+
+    With several directions of the tool, it may touch the stock with its tip beside it: any motion may be near.
+
+    :param segments: of all motions, in the frame of the map; None: the tool has several directions.
+    :param bounds: of the stock, and `margin`: see `near_stock`.
+    """
+    count = len(program.motions)
+    return np.ones(count, dtype=bool) if segments is None else near_stock(segments, bounds, margin, count)
 
 
 def _swept_setups(

@@ -218,10 +218,7 @@ def identify(readings: CutReadings, tool: ToolTable, prior: MaterialTable | None
     _check_separable(readings, tool, predictor, sigma, is_excited, file)
     estimate, fixed_sigma, warnings = _prior_coefficients(prior, is_excited, file)
     fitted_part = readout - predictor @ estimate
-    freedom = len(readout) - int(is_excited.sum())
-    if freedom < 1:
-        advice = "Measure at more feeds: five in a slot determine all six."
-        raise ForceError(f"{len(readout)} readings for {int(is_excited.sum())} coefficients", file=file, advice=advice)
+    freedom = _freedom(system, is_excited, file)
     warnings += _check_signs(readings, tool, estimate, is_excited, file)
     value, spread = _fit(predictor[:, is_excited], fitted_part, sigma)
     error = predictor[:, is_excited] @ value - fitted_part
@@ -256,6 +253,19 @@ def identify(readings: CutReadings, tool: ToolTable, prior: MaterialTable | None
         sigma_percent=max(_LEAST_SIGMA, _percent_of_readout(system, covariance, error, file)),
         warnings=tuple(warnings),
     )
+
+
+def _freedom(system: _Equations, is_excited: Bools, file: str) -> int:
+    """Return the number of readings beyond that of the coefficients that they depend on.
+
+    :param is_excited: (6,) these coefficients.
+    :raises ForceError: there is none.
+    """
+    count = int(is_excited.sum())
+    if len(system.readout) <= count:
+        advice = "Measure at more feeds: five in a slot determine all six."
+        raise ForceError(f"{len(system.readout)} readings for {count} coefficients", file=file, advice=advice)
+    return len(system.readout) - count
 
 
 def _wide_interval_warnings(estimate: Array, half_width: Array, is_excited: Bools) -> list[str]:

@@ -173,15 +173,7 @@ class Sweep(Struct, eq=False):
             elif cuts and self.tools.rpm[segments.motion[begin]] > 0.0:
                 yield from self._upright_cuts(segments, begin, end, number)
                 cut(self.stock, uncut_front)
-                run_begins = _straight_runs(segments, begin, end)
-                heading = segments.arrive[end - 1] if goes_on else None
-                uncut_front = remove(
-                    self.stock,
-                    cutter,
-                    segments.begin[run_begins],
-                    segments.end[[*(run_begins[1:] - 1), end - 1]],
-                    heading,
-                )
+                uncut_front = self._upright_sweep(segments, begin, end, cutter, goes_on=goes_on)
             else:
                 cut(self.stock, uncut_front)
                 uncut_front = Footprint.empty()
@@ -296,6 +288,18 @@ class Sweep(Struct, eq=False):
         same_kind = (is_axial[1:] == is_axial[:-1]) & (is_descent[1:] == is_descent[:-1])
         joins_previous[1:] &= ~may_touch[1:] | rapid[1:] | leans[1:] | same_kind
         return joins_previous
+
+    def _upright_sweep(
+        self, segments: StraightSegments, begin: int, end: int, cutter: Cutter, *, goes_on: bool
+    ) -> Footprint:
+        """Remove what a tool along z sweeps, and return the cells under its front where it goes on.
+
+        :param begin: first segment, and `end` the one after the last.
+        """
+        run_begins = _straight_runs(segments, begin, end)
+        run_ends = [*(run_begins[1:] - 1), end - 1]
+        heading = segments.arrive[end - 1] if goes_on else None
+        return remove(self.stock, cutter, segments.begin[run_begins], segments.end[run_ends], heading)
 
     def _tilted_axes(self, segments: StraightSegments, may_touch: Bools) -> dict[int, list[float]]:
         """Return the unit axis (3) of the tool at the end of cuts on which it leans or turns, by segment.
