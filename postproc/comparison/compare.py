@@ -222,10 +222,11 @@ def _add_cuts(comparison: Comparison, nominal_path: PlacedProgram, corrected_pat
 
 
 def _stated_partners(nominal_path: PlacedProgram, corrected_path: PlacedProgram, ends: Bools | None) -> Ints | None:
-    """Return the index in `corrected_path.rows` of the partner of each of `nominal_path.rows` (n,), as converted.
+    """Return the partners (n,) of `nominal_path.rows` that the conversion states, as indices in `corrected_path.rows`.
 
-    :param ends: (c,) whether targets of the second program end a nominal motion, as the conversion states; None.
-    :returns: None where nothing is stated, or not for programs of so many targets.
+    :param ends: (c,) whether each of `corrected_path.rows` ends a nominal motion; the others were inserted. None: it is
+        not stated.
+    :returns: None without `ends`, or if they are not those of both programs: their counts do not fit.
     """
     if ends is None or len(ends) != len(corrected_path.rows) or int(np.count_nonzero(ends)) != len(nominal_path.rows):
         return None

@@ -189,7 +189,7 @@ class Ways(Struct, frozen=True, eq=False):
         m, (nominal_rows, corrected_rows) = nominal_path.program.motions, comparison.pair.T
         unknown = (np.isin(m.kind, (PTP, SPL)) | m.rapid) & np.isnan(m.joints[:, 0])
         # a way is comparable if the count of unknown motions is the same at its begin and its end
-        count = np.append(0, np.cumsum(unknown | _uncorrected_start(nominal_path)))
+        count = np.append(0, np.cumsum(unknown | _has_uncorrected_start(nominal_path)))
         first_motion = np.append(-1, nominal_rows[:-1]) + 1
         corrected_first_motion = np.append(-1, corrected_rows[:-1]) + 1
         second = corrected_path.arc_length[np.stack([corrected_first_motion, corrected_rows + 1], axis=1)]
@@ -219,7 +219,7 @@ class Ways(Struct, frozen=True, eq=False):
         rows = self.corrected_path.rows[
             np.isin(self.corrected_path.program.motions.kind[self.corrected_path.rows], (LIN, CIRC))
         ]
-        return rows[self._is_known(rows) & ~_uncorrected_start(self.corrected_path)[rows]]
+        return rows[self._is_known(rows) & ~_has_uncorrected_start(self.corrected_path)[rows]]
 
     def guess(self, row: Ints) -> Array:
         """Return arc lengths (n,) on the nominal path [m] at the same share of the way as the ends of motions.
@@ -249,13 +249,14 @@ def _begins_with_step(nominal_path: PlacedProgram, load: PathForces, place: Arra
     return load.behind_step(*nominal_path.at(np.nan_to_num(place)))
 
 
-def _uncorrected_start(side: PlacedProgram) -> Bools:
-    """Return the motions (M,) that begin at an unknown place, or at the start or an axis target that is not nominal."""
+def _has_uncorrected_start(side: PlacedProgram) -> Bools:
+    """Return which motions (M,) begin at an unknown place, or at the start or an axis target that is not nominal."""
     m, predecessors = side.program.motions, side.program.after
     rows = np.arange(len(m))
     start_rows = rows - 1 if predecessors is None else predecessors
-    axis = np.append(np.isfinite(m.joints[:, 0]), True)[start_rows]
-    return np.asarray((start_rows == rows) | (axis & (not side.robot_in_cell.rest_is_nominal)))
+    # a motion that is its own predecessor begins at an unknown place; row −1, the last one, is the start of the program
+    is_axis_target = np.append(np.isfinite(m.joints[:, 0]), True)[start_rows]
+    return np.asarray((start_rows == rows) | (is_axis_target & (not side.robot_in_cell.rest_is_nominal)))
 
 
 def _is_steep(nominal_path: PlacedProgram, corrected_path: PlacedProgram, pieces: Ints, place: Array) -> Bools:

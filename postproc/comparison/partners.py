@@ -252,6 +252,7 @@ def moved_pairs(
         for k in (next_pair, next_pair - 1):
             if not 0 <= k < len(pair) or not is_single_change[k] or abs(index[int(pair[k, 1])] - index[row]) != 1:
                 continue
+            # the offset of the moved target may be of any size: it does not widen what counts as on the path
             old_target, new_pair, new_distance = pair[k, 1:], pair.copy(), distance.copy()
             new_pair[k, 1], new_distance[k] = row, 0.0
             if norm(offsets_of(nominal_path, corrected_path, new_pair[k : k + 1])[1][:, :3])[0] > distance[k]:

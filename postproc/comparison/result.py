@@ -18,6 +18,10 @@ OFF_PATH = 1e-4
 """and at least within this [m] (assumed)."""
 
 
+_SPEED_SHARE, _LEAST_SPEED_CHANGE = 1e-3, 1e-6
+"""Speeds that differ by less than this share and this [m/s] are equal: texts round them (assumed)."""
+
+
 class Cuts(Struct, frozen=True, eq=False):
     """Deviations of the loaded tip from the nominal path under the same force.
 
@@ -136,9 +140,11 @@ class Comparison(Struct, frozen=True, eq=False):
 
     @property
     def speed_differs(self) -> Bools:
-        """(P,) True where the speeds differ by more than their digits."""
+        """(P,) True where the speeds differ by more than rounding; False where one is unknown."""
         nominal_speed, corrected_speed = self.speeds.T
-        return np.asarray(np.abs(nominal_speed - corrected_speed) > 1e-3 * np.abs(nominal_speed) + 1e-6)
+        return np.asarray(
+            np.abs(nominal_speed - corrected_speed) > _SPEED_SHARE * np.abs(nominal_speed) + _LEAST_SPEED_CHANGE
+        )
 
     @property
     def spline(self) -> Bools:

@@ -405,10 +405,13 @@ class Chips(Struct, frozen=True, eq=False):
 
 
 def chips(turn: Turn, feed: Floats, descent: Floats) -> Chips:
-    """Return the chips of a tool that feeds by `feed` (n,) along x and by `descent` (n,) down in a tooth pitch [m]."""
+    """Return the chips of a tool that feeds by `feed` (n,) along x and by `descent` (n,) down in a tooth pitch [m].
+
+    The thickness is the component of this travel along the normal of the edge.
+    """
     middle = feed[:, None] * turn.front
     middle += descent[:, None] * turn.axial
-    tangent = turn.tangent[turn.round]
+    tangent = turn.tangent[turn.round]  # its z is up, the travel is down
     return Chips.of(turn, middle, feed[:, None] * tangent[:, 0] - descent[:, None] * tangent[:, 2])
 
 

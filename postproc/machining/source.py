@@ -225,7 +225,7 @@ class ProcessSource:
         guard: Callable[[], Guard] | None = None,
         progress: Callable[[int, int], None] | None = None,
     ) -> None:
-        """Store a process.
+        """Store a process; its forces are computed when `along` is called first.
 
         :param axis: axis of the tool frame that points from the spindle to the tip.
         :param stock: mesh of the stock, instead of that of the process.
@@ -235,7 +235,7 @@ class ProcessSource:
         """
         self.process, self._axis, self._stock, self._shift = process, axis, stock, shift
         self._progress, self._guard = progress, guard
-        self._of: Program | None = None
+        self._program: Program | None = None  # of which `_knots` are the forces
         self._knots: Knots | None = None
         self.found: ProcessForces | None = None
 
@@ -254,8 +254,8 @@ class ProcessSource:
         :raises ForceError: the process cannot be used for this program, or it states forces in comments too.
         """
         refuse_comments(program, self.name)
-        if self._knots is None or self._of is not program:
-            self._knots, self._of = self._forces(program, path), program
+        if self._knots is None or self._program is not program:
+            self._knots, self._program = self._forces(program, path), program
         return self._knots
 
     def _forces(self, program: Program, path: Segments) -> Knots:

@@ -148,7 +148,7 @@ def test_ways_between_pairs_are_compared_where_all_of_the_nominal_way_is_known(s
     ways = Ways.from_pairs(found, nominal, corrected)
     m = nominal.program.motions
     uncorrected = starts_uncorrected(nominal)
-    assert loaded_path._uncorrected_start(nominal).tolist() == uncorrected
+    assert loaded_path._has_uncorrected_start(nominal).tolist() == uncorrected
     known = []
     for k in range(8):
         before = int(found.pair[k - 1, 0]) if k else -1
