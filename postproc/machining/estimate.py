@@ -830,7 +830,10 @@ def _drilling_with_mills(program: Program, cuts: Cuts, drill: Bools) -> list[Iss
 
 
 def _scale_issues(steps: StraightSegments, bounds: tuple[float, ...]) -> list[Issue]:
-    """Warn if the path is many times as large as the stock, although they touch."""
+    """Warn if the path is many times as large as the stock, although they touch.
+
+    :param steps: segments of all motions, in the frame of the map; `bounds` of the stock, see `near_stock`.
+    """
     x0, x1, y0, y1, _ = bounds
     low = np.minimum(steps.begin, steps.end)[steps.cutting, :2].min(axis=0)
     high = np.maximum(steps.begin, steps.end)[steps.cutting, :2].max(axis=0)

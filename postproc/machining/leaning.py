@@ -79,6 +79,7 @@ def _rings(stock: Stock, cutter: Cutter, tip: Array, axis: Array, radius: float)
     inner_cutter = Cutter(radius, min(corner, radius), cutter.teeth)
     end_radii = np.linspace(0.0, radius, max(2, int(np.ceil(radius / stock.cell)) + 1))
     end_height = _FLUSH if cutter.corner == 0.0 else stock.cell
+    # along the cylinder the depth changes slowly: rings are two cells or a quarter of the radius apart (assumed)
     shank_heights = np.arange(end_height + inner_cutter.corner, reach, max(2.0 * stock.cell, 0.25 * radius))
     distance = np.concatenate([end_radii, np.full(len(shank_heights), radius)])
     height = np.concatenate([end_height + inner_cutter.height(end_radii), shank_heights])

@@ -273,9 +273,10 @@ def one_move_a_line(program: Program, path: Segments, axis: str, knots: Knots) -
     cutting = cutting[np.argsort(m.line[cutting], kind="stable")]
     _, begin, count = np.unique(m.line[cutting], return_index=True, return_counts=True)
     texts = program.documents[0].text.splitlines()
-    size = np.einsum("ni,ni->n", knots.wrench[:, :3], knots.wrench[:, :3])
+    force_square = np.einsum("ni,ni->n", knots.wrench[:, :3], knots.wrench[:, :3])
     for row in np.flatnonzero(count > 1).tolist():
         moves = cutting[begin[row] : begin[row] + count[row]]
+        # rows of knots of each move; those of a move without force are none
         low, high = np.searchsorted(knots.motion, moves), np.searchsorted(knots.motion, moves, side="right")
         has_force = high > low
         if not has_force.any():
@@ -287,7 +288,7 @@ def one_move_a_line(program: Program, path: Segments, axis: str, knots: Knots) -
             text = texts[int(m.line[moves[0]]) - 1]
             if not _is_cycle(program, path, "XYZ".index(axis[1]), moves, text):
                 raise _profile_conflict(program, moves[[0, different_passes[0]]], len(moves), text)
-            largest = int(np.argmax([size[a:b].max(initial=-1.0) for a, b in zip(low, high, strict=True)]))
+            largest = int(np.argmax([force_square[a:b].max(initial=-1.0) for a, b in zip(low, high, strict=True)]))
         for k in np.flatnonzero(has_force).tolist():
             keep[low[k] : high[k]] = k == largest
     return knots.take(keep)

@@ -289,7 +289,7 @@ def mesh_of(stock: Stock, most_cells: int = 250_000) -> tuple[Array, NDArray[np.
     """
     factor = int(np.ceil(np.sqrt(stock.high.size / most_cells)))
     bottom, thickness = _coarse_columns(stock, factor)
-    is_filled = thickness > 1e-6
+    is_filled = thickness > 1e-6  # thinner material [m] is rounding: it would make a mesh of no thickness
     _separate_diagonal_cells(is_filled)
     cell_weight = np.pad(is_filled, 1).astype(float)
 
