@@ -410,3 +410,17 @@ def test_parameters_that_are_held_keep_their_value_and_spread(folder, cut, held)
     for _ in range(5):
         other = best * (1.0 + 0.05 * rng.standard_normal(best.shape))
         assert (np.diag(with_gain(other)) >= np.diag(covariance) * (1.0 - 1e-9)).all()
+
+
+@pytest.mark.parametrize(("correlation", "is_told"), [(-0.55, False), (-0.65, True), (0.9, False)])
+def test_parameters_tied_to_the_forces_are_named_by_their_correlation(fitted, correlation, is_told):
+    """Whatever their units and spreads are: the first free parameter, all others independent."""
+    _, found, left_out = fitted
+    first = int(np.flatnonzero(found.free[:-1])[0])
+    sigma = np.sqrt(np.diag(found.covariance))
+    covariance = np.diag(sigma**2)
+    covariance[first, -1] = covariance[-1, first] = correlation * sigma[first] * sigma[-1]
+    warnings = summary(msgspec.structs.replace(found, covariance=covariance), left_out).warnings
+    tied = [warning for warning in warnings if "known by their product only" in warning]
+    name = found.prior.parameters[first].name
+    assert [warning.startswith(f"{name} and the scale") for warning in tied] == [True] * is_told
