@@ -275,7 +275,7 @@ def convert_program(
             result = process_forces.at_written_feed(
                 program, robot, cell, process, mode, linearize_arcs=linearize, to=job.to
             )
-        process_result = process.found
+        process_result = process.process_forces
     if job.forces is None and job.process is None:
         result = replace(result, issues=tuple(_name_force_file(issue, job) for issue in result.issues))
     if job.keeps_text and job.name is not None:

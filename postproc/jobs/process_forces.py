@@ -286,7 +286,7 @@ def predict_in_material(
         residual = _deviation(path)
     except ImpossiblePathError:  # the result says why
         return correction.process(program, robot, cell, source, "predict"), source
-    if source.found is None:
+    if source.process_forces is None:
         return correction.process(program, robot, cell, source, "predict"), source
     places, weight = (path.sample.motion, path.sample.t), _weights(path)
     cut, rounds, is_settled = source, 0, False
@@ -307,17 +307,17 @@ def predict_in_material(
             is_settled = _next_change(change, last_shift, moves, _contact_weights(weight, residual)) < limit
         last_shift, offset = moves, offset + moves
     result = correction.process(program, robot, cell, cut, "predict")
-    if result.failed or source.found is None:
+    if result.failed or source.process_forces is None:
         return result, cut
     nominal_force, real_force = (float(norm(item[:, :3]).max(initial=0.0)) for item in (path.wrench, result.wrench))
-    volumes = [0.0 if item.found is None else item.found.removed * 1e9 for item in (source, cut)]
+    volumes = [0.0 if item.process_forces is None else item.process_forces.removed * 1e9 for item in (source, cut)]
     message = (
         f"forces of the deflected tool ({rounds} round{'s' * (rounds != 1)}): largest force {real_force:.0f} N, "
         f"{nominal_force:.0f} N on the nominal path; removed {volumes[1]:.0f} mm³ of {volumes[0]:.0f}. The corrected "
         "program has the nominal engagement."
     )
     note = Issue("info" if is_settled else "warning", "real-cut", message)
-    hits = [issue for issue in source.found.issues if issue.kind in ("rapid-in-material", "collision")]
+    hits = [issue for issue in source.process_forces.issues if issue.kind in ("rapid-in-material", "collision")]
     result_as_engagement = correction.process(program, robot, cell, source, "predict")
     return replace(result, issues=(*result.issues, *hits, note), engagement_result=result_as_engagement), cut
 

@@ -212,7 +212,7 @@ class ProcessSource:
 
     Implements `forces.ForceSource`. The stock is swept once for a program.
 
-    :ivar process: the process; found: the last result, None before the first and without [material].
+    :ivar process: the process; process_forces: the last result, None before the first and without [material].
     """
 
     def __init__(
@@ -237,7 +237,7 @@ class ProcessSource:
         self._progress, self._guard = progress, guard
         self._program: Program | None = None  # of which `_knots` are the forces
         self._knots: Knots | None = None
-        self.found: ProcessForces | None = None
+        self.process_forces: ProcessForces | None = None
 
     def shift_tip(self, shift: Shift) -> ProcessSource:
         """Return the same process with a displaced tip."""
@@ -263,7 +263,7 @@ class ProcessSource:
         process = self.process
         law_knots = None
         if process.material is not None:
-            self.found = estimate(
+            self.process_forces = estimate(
                 program,
                 path,
                 process,
@@ -274,17 +274,19 @@ class ProcessSource:
                 progress=self._progress,
             )
             law_knots = replace(
-                self.found.along,
-                issues=self.found.issues,
-                by_law=ByLaw(process.law().numbers, self._common_factor_motions(self.found)),
-                stock=self.found.over_time,
+                self.process_forces.along,
+                issues=self.process_forces.issues,
+                by_law=ByLaw(process.law().numbers, self._common_factor_motions(self.process_forces)),
+                stock=self.process_forces.over_time,
             )
         if not process.operations:
             return Knots.throughout(*_NO_KNOTS) if law_knots is None else law_knots
         entry_knots = operation_knots(program, process)
-        if law_knots is None or self.found is None:
+        if law_knots is None or self.process_forces is None:
             return entry_knots
-        by_law = ByLaw(process.law().numbers, np.setdiff1d(self._common_factor_motions(self.found), entry_knots.motion))
+        by_law = ByLaw(
+            process.law().numbers, np.setdiff1d(self._common_factor_motions(self.process_forces), entry_knots.motion)
+        )
         return replace(
             entry_knots.or_fallback(law_knots),
             issues=(*law_knots.issues, *entry_knots.issues),

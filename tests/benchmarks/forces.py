@@ -109,7 +109,7 @@ def cases():
 
 def convergence(folder):
     """Print the RMS of the error over places along the path, and the order; no place is thinned out."""
-    profiles._TOLERANCE_SHARE = profiles._LEAST_TOLERANCE = 0.0
+    profiles._TOLERANCE_SHARE, profiles._LEAST_TOLERANCE = 1e-9, (1e-9, 1e-9)
     box = ((-60, 60), (-60, 60), (-20, 0))
     for name, text, cutter, line, places, expected in cases():
         errors = []
