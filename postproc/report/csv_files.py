@@ -47,7 +47,7 @@ def targets_csv(result: Result) -> Iterator[bytes]:
     yield (",".join(TARGET_COLUMNS if carriage is None else (*TARGET_COLUMNS, CARRIAGE)) + "\n").encode()
     for part in chunks(len(result)):
         motion = result.motion[part]
-        yield _rows(
+        yield _target_rows(
             (result.output_line[part], m.line[motion], result.t[part], m.rapid[motion]),
             (result.nominal[part], result.printed[part], places, result.wrench[part]),
             (result.deflection[part], norm(result.deviation_before[part]), norm(result.deviation_after[part])),
@@ -57,7 +57,7 @@ def targets_csv(result: Result) -> Iterator[bytes]:
         )
 
 
-def _rows(
+def _target_rows(
     origin: tuple[Ints, Ints, Array, Bools],
     command: tuple[Array, Array, tuple[int, ...], Array],
     deviation: tuple[Array, Array, Array],
@@ -73,19 +73,19 @@ def _rows(
         Number.of(source_line.astype(float), 0),
         Number.of(t, _PLACE),
         Number.of(rapid.astype(float), 0),
-        *_block(xyzabc_from_pose(nominal), _NOMINAL),
-        *_block(written_command, places),
-        *_block(wrench, _WRENCH_DECIMALS),
-        *_block(deflection * MM_PER_M, (_LENGTH,) * 3),
+        *_number_columns(xyzabc_from_pose(nominal), _NOMINAL),
+        *_number_columns(written_command, places),
+        *_number_columns(wrench, _WRENCH_DECIMALS),
+        *_number_columns(deflection * MM_PER_M, (_LENGTH,) * 3),
         *(Number.of(values * MM_PER_M, _LENGTH) for values in distances),
         np.empty((len(t), 0), dtype=np.uint8) if bound is None else Number.of(bound * MM_PER_M, _LENGTH),
-        *_block(q * DEG_PER_RAD, (_ANGLE,) * 6),
+        *_number_columns(q * DEG_PER_RAD, (_ANGLE,) * 6),
         *([] if carriage is None else [Number.of(carriage * MM_PER_M, _LENGTH)]),
     ]
     return rows_of_csv(columns)
 
 
-def _block(values: Array, places: tuple[int, ...]) -> list[Number]:
+def _number_columns(values: Array, places: tuple[int, ...]) -> list[Number]:
     return [Number.of(values[:, index], count) for index, count in enumerate(places)]
 
 
@@ -103,7 +103,7 @@ def forces_csv(result: Result) -> bytes | None:
     Neighbouring lines with the same force share a row. None where the program needs no such file.
     """
     knots = _carried_forces(result)
-    return None if knots is None else _forces(knots, result.output_line)
+    return None if knots is None else _force_rows(knots, result.output_line)
 
 
 def forces_by_module(result: Result) -> dict[str, bytes]:
@@ -113,7 +113,7 @@ def forces_by_module(result: Result) -> dict[str, bytes]:
         return contents
     for document, (first, last) in zip(result.documents, pairwise((*result.modules, len(result))), strict=True):
         module_knots = knots.take((knots.motion >= first) & (knots.motion < last))
-        contents[f"{Path(document.name).stem}.forces.csv"] = _forces(module_knots, result.output_line - first_line)
+        contents[f"{Path(document.name).stem}.forces.csv"] = _force_rows(module_knots, result.output_line - first_line)
         first_line += document.text.count("\n")
     return contents
 
@@ -125,12 +125,12 @@ def _carried_forces(result: Result) -> Knots | None:
     return result.carried.take(result.program.motions.kind[result.motion[result.carried.motion]] != PTP)
 
 
-def _forces(knots: Knots, output_line: Ints) -> bytes:
+def _force_rows(knots: Knots, output_line: Ints) -> bytes:
     """Return the rows of forces.csv for knots, by lines (K,) of their targets in the file."""
     halves = [half for wrench in (knots.wrench, knots.sigma) for half in np.split(wrench, 2, axis=1)]
     values = np.hstack([np.round(half, places) for half, places in zip(halves, _DECIMALS[[0, 3, 0, 3]], strict=True)])
     values = np.column_stack([values, np.round(100.0 * knots.factor, 3)])
-    first, last = _row_knots(knots, values)
+    first, last = _knots_of_rows(knots, values)
     line = output_line[knots.motion].astype(float)
     names = np.array([list(name.ljust(4).encode()) for name in FORCE_FRAMES], dtype=np.uint8)
     columns: list[Number | Bytes] = [Number.of(line[rows], 0) for rows in (first, last)]
@@ -150,7 +150,7 @@ def _forces(knots: Knots, output_line: Ints) -> bytes:
     return (",".join(header) + "\n").encode() + rows_of_csv(columns)
 
 
-def _row_knots(knots: Knots, values: Array) -> tuple[Ints, Ints]:
+def _knots_of_rows(knots: Knots, values: Array) -> tuple[Ints, Ints]:
     """Return the first and the last knot of each row of forces.csv.
 
     Neighbouring targets share one if each has but one knot, and these are the same.

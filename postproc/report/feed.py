@@ -105,7 +105,7 @@ def _missed_moves(result: Result, feeds: HeldFeed) -> list[MissedMove]:
     ]
 
 
-def sentences(feed: FeedSummary, max_moves: int = 5) -> list[str]:
+def feed_sentences(feed: FeedSummary, max_moves: int = 5) -> list[str]:
     """Return sentences on lowered feeds, and on up to `max_moves` moves out of tolerance; without full stop."""
     tolerance = f"{feed.tolerance_mm:g} mm"
     if not feed.lowered_moves:
@@ -116,7 +116,7 @@ def sentences(feed: FeedSummary, max_moves: int = 5) -> list[str]:
         moves = "1 cutting move" if feed.cutting_moves == 1 else f"{feed.cutting_moves} cutting moves"
         texts = [
             f"feed lowered on {feed.lowered_moves} of {moves} to hold {tolerance}: "
-            f"cutting time {seconds(feed.time_before_s)} → {seconds(feed.time_after_s)}"
+            f"cutting time {duration_text(feed.time_before_s)} → {duration_text(feed.time_after_s)}"
         ]
     if feed.missed_moves:
         count_text = "1 move does not" if feed.missed_moves == 1 else f"{feed.missed_moves} moves do not"
@@ -134,10 +134,10 @@ def sentences(feed: FeedSummary, max_moves: int = 5) -> list[str]:
     return texts
 
 
-def seconds(value: float) -> str:
+def duration_text(value: float) -> str:
     """Return a time as text.
 
-    >>> seconds(35.24), seconds(754.0), seconds(7260.0)
+    >>> duration_text(35.24), duration_text(754.0), duration_text(7260.0)
     ('35.2 s', '12 min 34 s', '2 h 01 min')
     """
     if value < 100.0:

@@ -44,13 +44,15 @@ def two_digits(value_mm: float) -> str:
     """
     if value_mm == 0.0:
         return "0"
-    return "<0.0001" if value_mm < ROUNDING_MM else f"{float(f'{value_mm:.2g}'):.{min(places(value_mm), 4)}f}"
+    return (
+        "<0.0001" if value_mm < ROUNDING_MM else f"{float(f'{value_mm:.2g}'):.{min(two_digit_decimals(value_mm), 4)}f}"
+    )
 
 
-def places(value_mm: float) -> int:
+def two_digit_decimals(value_mm: float) -> int:
     """Return how many decimals show two significant digits.
 
-    >>> places(0.2752), places(0.0999), places(3.0), places(25.0)
+    >>> two_digit_decimals(0.2752), two_digit_decimals(0.0999), two_digit_decimals(3.0), two_digit_decimals(25.0)
     (2, 2, 1, 0)
     """
     if not (value_mm > 0.0 and math.isfinite(value_mm)):
@@ -68,9 +70,9 @@ def estimate(value_mm: float, u95_mm: float | None) -> str:
     >>> estimate(0.00008, 0.28), estimate(0.0, None)
     ('<0.0001', '0')
     """
-    if u95_mm is None or u95_mm < ROUNDING_MM or value_mm < 10.0 ** -places(u95_mm):
+    if u95_mm is None or u95_mm < ROUNDING_MM or value_mm < 10.0 ** -two_digit_decimals(u95_mm):
         return two_digits(value_mm)
-    return f"{value_mm:.{places(u95_mm)}f}"
+    return f"{value_mm:.{two_digit_decimals(u95_mm)}f}"
 
 
 def above_limit(value_mm: float, limit_mm: float) -> str:
@@ -79,7 +81,7 @@ def above_limit(value_mm: float, limit_mm: float) -> str:
     >>> above_limit(0.0493, 0.01), above_limit(0.0104, 0.01)
     ('0.049', '0.0104')
     """
-    decimals = places(value_mm)
+    decimals = two_digit_decimals(value_mm)
     while decimals < _PLACES and float(f"{value_mm:.{decimals}f}") <= limit_mm:
         decimals += 1
     return f"{value_mm:.{decimals}f}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from postproc.identification.record import RESERVATION, IdentificationRecord, Parameter
-from postproc.report.formatting import places
+from postproc.report.formatting import two_digit_decimals
 from postproc.report.kit import (
     Axis,
     Bars,
@@ -47,7 +47,7 @@ _SPRINGS = (
 _JOINTS = "Displacement of each joint from its nominal place on the link before it, axes of its nominal frame."
 
 
-def verdict(data: IdentificationRecord) -> Section | None:
+def verdict_section(data: IdentificationRecord) -> Section | None:
     """Return whether the model may be used, and within which bound."""
     if data.verdict is None:
         return None
@@ -65,7 +65,7 @@ def verdict(data: IdentificationRecord) -> Section | None:
     return Section("verdict", "Verdict", (part, *((Notes(tuple(notes), marked=True),) if notes else ())))
 
 
-def summary(data: IdentificationRecord) -> Section | None:
+def summary_section(data: IdentificationRecord) -> Section | None:
     """Return the results in numbers."""
     residual = data.residual
     if residual is None or data.parameters is None:
@@ -112,7 +112,7 @@ def findings_section(data: IdentificationRecord) -> Section:
     return Section("to-know", "What to know", (Notes(unobservable_notes + warnings + assumptions, marked=True),))
 
 
-def configurations(data: IdentificationRecord) -> Section | None:
+def configurations_section(data: IdentificationRecord) -> Section | None:
     """Return displacement and residual of each configuration."""
     if data.residual is None:
         return None
@@ -137,16 +137,16 @@ def configurations(data: IdentificationRecord) -> Section | None:
     return Section("configurations", "Residuals by configuration", (plot, Fold("The numbers", (table,))))
 
 
-def parameters(data: IdentificationRecord) -> Section | None:
+def parameters_section(data: IdentificationRecord) -> Section | None:
     """Return the parameters with their intervals."""
     if not data.parameters:
         return None
-    return Section("parameters", "Parameters with 95 % intervals", _intervals(data.parameters, _SPRINGS))
+    return Section("parameters", "Parameters with 95 % intervals", _interval_parts(data.parameters, _SPRINGS))
 
 
-def _intervals(entries: Mapping[str, Parameter], note: str) -> tuple[Part, ...]:
+def _interval_parts(entries: Mapping[str, Parameter], note: str) -> tuple[Part, ...]:
     """Return a plot and a table of the parameters' 95 % intervals."""
-    titles = [_title(name) for name in entries]
+    titles = [_parameter_title(name) for name in entries]
     shares = [(row, share) for row, entry in enumerate(entries.values()) if (share := entry.share) is not None]
     priors = [
         (row, abs(entry.prior / entry.value - 1.0))
@@ -155,7 +155,7 @@ def _intervals(entries: Mapping[str, Parameter], note: str) -> tuple[Part, ...]:
     ]
     smallest = min([_LEAST_NUMBER, *(share for _, share in shares)])
     largest = max([1.0, *(share for _, share in shares)])
-    texts = [f"{titles[row]}: known to {_percent(share)}" for row, share in shares]
+    texts = [f"{titles[row]}: known to {_percent_text(share)}" for row, share in shares]
     traces: list[Traced] = [
         Points(
             [100.0 * min(max(prior_error, smallest), largest) for _, prior_error in priors],
@@ -163,7 +163,7 @@ def _intervals(entries: Mapping[str, Parameter], note: str) -> tuple[Part, ...]:
             "prior value off by",
             "soft",
             hollow=True,
-            texts=[f"{titles[row]}: prior value off by {_percent(prior_error)}" for row, prior_error in priors],
+            texts=[f"{titles[row]}: prior value off by {_percent_text(prior_error)}" for row, prior_error in priors],
         ),
         Points(
             [100.0 * share for _, share in shares],
@@ -188,14 +188,14 @@ def _intervals(entries: Mapping[str, Parameter], note: str) -> tuple[Part, ...]:
         note=note,
     )
     rows = tuple(
-        Row((title, *value_texts(entry), _judgement(entry)))
+        Row((title, *value_texts(entry), _accuracy_cell(entry)))
         for title, entry in zip(titles, entries.values(), strict=True)
     )
     table = Table(("Parameter", "Value", "95 %", "Unit", ""), rows, "Values and intervals", texts=(3, 4))
     return plot, table
 
 
-def _percent(share: float) -> str:
+def _percent_text(share: float) -> str:
     return f"{100.0 * share:.2g} %" if share < 1.0 else f"{100.0 * share:.0f} %"
 
 
@@ -208,7 +208,7 @@ def value_texts(entry: Parameter) -> tuple[str, str, str]:
     elif entry.ci95 is None:
         value = f"{entry.value / scale:.3g}"
     else:
-        value = f"{entry.value / scale:.{places(entry.ci95 / scale)}f}"
+        value = f"{entry.value / scale:.{two_digit_decimals(entry.ci95 / scale)}f}"
     return (
         value,
         "prior" if entry.ci95 is None else f"± {entry.ci95 / scale:.2g}",
@@ -216,7 +216,7 @@ def value_texts(entry: Parameter) -> tuple[str, str, str]:
     )
 
 
-def _judgement(entry: Parameter) -> Cell:
+def _accuracy_cell(entry: Parameter) -> Cell:
     """Return a word on the accuracy of a parameter, by the half width of its interval."""
     kinds: tuple[tuple[float, str, Kind], ...] = (
         (_GOOD, "well known", "good"),
@@ -232,12 +232,12 @@ def _judgement(entry: Parameter) -> Cell:
     return Cell("only together with others", "warning")
 
 
-def _title(name: str) -> str:
+def _parameter_title(name: str) -> str:
     parameter = parameter_of_name(name)
     return name if parameter is None else parameter.title
 
 
-def levels(data: IdentificationRecord) -> Section | None:
+def levels_section(data: IdentificationRecord) -> Section | None:
     """Return the equivalent compliance of joint 2 by level."""
     if not data.k2_levels:
         return None
@@ -262,7 +262,7 @@ def levels(data: IdentificationRecord) -> Section | None:
     return Section("levels", "Equivalent compliance of joint 2 by level of q2", (plot,))
 
 
-def structures(data: IdentificationRecord) -> Section | None:
+def structures_section(data: IdentificationRecord) -> Section | None:
     """Return the section that lists the structures tried, with their cross-validation errors."""
     if data.structure is None:
         return None
@@ -286,7 +286,7 @@ def structures(data: IdentificationRecord) -> Section | None:
     return Section("structures", "Structures tried: error on configurations left out", (plot,))
 
 
-def correlations(data: IdentificationRecord) -> Section | None:
+def correlations_section(data: IdentificationRecord) -> Section | None:
     """Return the section on the correlations of the identified parameters."""
     if data.correlation is None or len(data.correlation.names) < 2:
         return None
@@ -300,7 +300,7 @@ def correlations(data: IdentificationRecord) -> Section | None:
     return Section("correlations", "Correlations of the parameters", (plot,))
 
 
-def geometry(data: IdentificationRecord) -> Section | None:
+def geometry_section(data: IdentificationRecord) -> Section | None:
     """Return the section that compares the variants of the geometry; None if the geometry was not identified."""
     if data.geometry is None:
         return None
@@ -321,14 +321,14 @@ def geometry(data: IdentificationRecord) -> Section | None:
     return Section("geometry", "Geometry: unloaded readings on configurations left out, RMS distance", (plot,))
 
 
-def calibration(data: IdentificationRecord) -> Section | None:
+def calibration_section(data: IdentificationRecord) -> Section | None:
     """Return the parameters of the geometry."""
     if data.geometry is None or not data.geometry.parameters:
         return None
-    return Section("calibrated", "Calibrated geometry", _intervals(data.geometry.parameters, _JOINTS))
+    return Section("calibrated", "Calibrated geometry", _interval_parts(data.geometry.parameters, _JOINTS))
 
 
-def placement(data: IdentificationRecord) -> Section:
+def placement_section(data: IdentificationRecord) -> Section:
     """Return the placement of robot and points."""
     rows = tuple(Row((name, *(f"{point[axis]:.3f}" for axis in "XYZ"))) for name, point in data.points.items())
     table = Table(("Point, flange frame", "X, mm", "Y, mm", "Z, mm"), rows, "Points in the flange frame")
@@ -341,17 +341,17 @@ def placement(data: IdentificationRecord) -> Section:
 
 
 SECTIONS: tuple[Callable[[IdentificationRecord], Section | None], ...] = (
-    verdict,
-    summary,
+    verdict_section,
+    summary_section,
     findings_section,
-    configurations,
-    parameters,
-    levels,
-    structures,
-    correlations,
-    geometry,
-    calibration,
-    placement,
+    configurations_section,
+    parameters_section,
+    levels_section,
+    structures_section,
+    correlations_section,
+    geometry_section,
+    calibration_section,
+    placement_section,
 )
 """The sections of the page in order. One that has nothing to say returns None."""
 

@@ -11,7 +11,7 @@ from postproc.correction import Mode
 from postproc.report.answers import chance_in_words
 from postproc.report.formatting import State, two_digits
 from postproc.report.kit import Cell, Kind, Note, Notes, Page, Part, Row, Section, Table, Tile, Tiles
-from postproc.report.text import number, percent
+from postproc.report.text import number_text, percent_text
 
 _STATES = ("nothing", "failed", "no forces", "warning", "ok", "called")
 """The worst first."""
@@ -115,7 +115,7 @@ def index_page(entries: Sequence[Entry], folder: str) -> bytes:
     :param entries: in any order.
     :param folder: its name.
     """
-    sorted_entries = sorted(entries, key=_rank)
+    sorted_entries = sorted(entries, key=_sort_key)
     reports = [entry.content for entry in entries if entry.content is not None]
     counts = {state: sum(entry.state == state for entry in entries) for state in _WORDS}
     tiles = [Tile("Programs", str(len(entries)))]
@@ -137,7 +137,7 @@ def index_page(entries: Sequence[Entry], folder: str) -> bytes:
                 unknown,
             )
         )
-    parts: list[Part] = [Tiles(tuple(tiles)), _table(sorted_entries, reports)]
+    parts: list[Part] = [Tiles(tuple(tiles)), _program_table(sorted_entries, reports)]
     failures = [entry for entry in sorted_entries if entry.state == "nothing"]
     sections = [Section("programs", "Programs", tuple(parts))]
     if failures:
@@ -150,7 +150,7 @@ def index_page(entries: Sequence[Entry], folder: str) -> bytes:
     return b"".join(Page("Overview", folder, f"{len(entries)} programs", tuple(sections), (footer,)).render())
 
 
-def _rank(entry: Entry) -> tuple[int, float, str]:
+def _sort_key(entry: Entry) -> tuple[int, float, str]:
     """Return the key that sorts the overview: by state, then by the expected error, largest first, then by name."""
     if entry.content is None:
         return _STATES.index(entry.state), 0.0, entry.name
@@ -158,7 +158,7 @@ def _rank(entry: Entry) -> tuple[int, float, str]:
     return _STATES.index(entry.state), 0.0 if worst is None else -worst, entry.name
 
 
-def _table(entries: Sequence[Entry], reports: Sequence[ReportEntry]) -> Table:
+def _program_table(entries: Sequence[Entry], reports: Sequence[ReportEntry]) -> Table:
     """Return the table of the programs of a folder."""
     head = (
         "Program",
@@ -191,8 +191,8 @@ def _table(entries: Sequence[Entry], reports: Sequence[ReportEntry]) -> Table:
                     *("unknown" if length is None else two_digits(length) for length in content.expected_mm),
                     "-" if better is None or better.chance is None else chance_in_words(better.chance),
                     "-" if tolerance is None or tolerance.of != "part" else f"{tolerance.mm:g}",
-                    percent(content.compensated_percent),
-                    number(content.limits.min_joint_margin_deg, 1),
+                    percent_text(content.compensated_percent),
+                    number_text(content.limits.min_joint_margin_deg, 1),
                 )
             )
         )

@@ -15,13 +15,13 @@ def split_headline(verdict: Verdict) -> tuple[str, str]:
     return (f"{first}.", later_sentences) if later_sentences else (first, "")
 
 
-def answers(verdict: Verdict) -> Facts:
+def answer_facts(verdict: Verdict) -> Facts:
     """Return the three answers as facts."""
     words = answer_rows(verdict.drive, verdict.better, verdict.tolerance)
-    rows = ((question, Cell(sentence(answer), _OF_STATES[state])) for question, answer, state in words)
+    rows = ((question, Cell(as_sentence(answer), _OF_STATES[state])) for question, answer, state in words)
     return Facts(tuple(rows))
 
 
-def sentence(text: str) -> str:
+def as_sentence(text: str) -> str:
     """Return a text as a sentence."""
     return text[:1].upper() + text[1:] + ("" if text.endswith((".", "?", "!")) else ".")

@@ -21,14 +21,14 @@ def as_text(material: IdentifiedMaterial) -> str:
         )
     ]
     if np.isfinite(material.residual):
-        lines.append(f"residual {_residual(material)} N RMS")
+        lines.append(f"residual {_residual_text(material)} N RMS")
     if np.isfinite(material.left_out):
         lines.append(f"error by leaving one feed out: {_left_out_text(material)} %")
     lines.append(f"forces computed with them: sigma {material.sigma_percent:.2g} %")
     return "\n".join(lines)
 
 
-def _residual(material: IdentifiedMaterial) -> str:
+def _residual_text(material: IdentifiedMaterial) -> str:
     """Return the RMS residual [N] as text, without rounding errors of exact readings."""
     return f"{round(material.residual, 6):.3g}"
 
@@ -43,7 +43,7 @@ def material_page(material: IdentifiedMaterial, readings: CutReadings, name: str
 
     :param name: of the file of readings.
     """
-    tiles = [Tile("Residual, RMS", _residual(material), "N")] if np.isfinite(material.residual) else []
+    tiles = [Tile("Residual, RMS", _residual_text(material), "N")] if np.isfinite(material.residual) else []
     if np.isfinite(material.left_out):
         tiles.append(Tile("Error by leaving one feed out", _left_out_text(material), "%"))
     tiles.append(Tile("Sigma of computed forces", f"{material.sigma_percent:.2g}", "%"))
@@ -54,7 +54,7 @@ def material_page(material: IdentifiedMaterial, readings: CutReadings, name: str
     fit = material.predictor @ material.value
     unlike = len(set(readings.mode)) > 1
     for component in sorted(set(material.component.tolist())):
-        sections.append(_fit_of(material, readings, fit, component, unlike=unlike))
+        sections.append(_fit_section(material, readings, fit, component, unlike=unlike))
     rows = tuple(
         Row(
             (
@@ -75,7 +75,7 @@ def material_page(material: IdentifiedMaterial, readings: CutReadings, name: str
     return b"".join(Page("Cutting coefficients", name, f"{len(readings.line)} cuts", tuple(sections)).render())
 
 
-def _fit_of(
+def _fit_section(
     material: IdentifiedMaterial, readings: CutReadings, fit: Array, component: int, *, unlike: bool
 ) -> Section:
     """Return measured and fitted values of one component: over the feed, or one over the other for unlike cuts."""

@@ -108,8 +108,8 @@ def summary(
         clearance_mm=clearance_mm,
         start=start,
         region={axis: [region.low[k], region.high[k]] for k, axis in enumerate(AXES) if k in region.free},
-        today=_entry(search.today),
-        best=None if search.best is None else _entry(search.best),
+        today=_place_entry(search.today),
+        best=None if search.best is None else _place_entry(search.best),
         grid="place.csv",
         tried=len(search.trials),
         reachable=reasons[0],
@@ -128,7 +128,7 @@ def _in_mm(value: float | None) -> float | None:
     return None if value is None else _finite(value * MM_PER_M, 6)
 
 
-def _entry(place: JudgedPlace) -> PlaceEntry:
+def _place_entry(place: JudgedPlace) -> PlaceEntry:
     """Return a judged place as an entry of place.json [mm, deg]."""
     assessment = Assessment(deflection=place.deflection) if place.assessment is None else place.assessment
     x, y, z, a, e1 = (round(value, 4) for value in place.place)
@@ -167,7 +167,7 @@ def _sentence(search: Search) -> str:
             moves.append(f"{axis} {best_value - today_value:+.4g} {unit}".replace(" °", "°"))
     move = ", ".join(moves)
     kind = "deflection" if np.isnan(best.u95) else "expected error (95 %)"
-    error = f"up to {_cost(best)} mm"
+    error = f"up to {_cost_text(best)} mm"
     is_unloaded = best.cost == 0.0
     if not today.reachable:
         advice = f"move the part by {move}" if moves else "the same place with another turn of the tool can be driven"
@@ -177,11 +177,11 @@ def _sentence(search: Search) -> str:
     if is_unloaded:
         return f"Today's place can be driven. {_NO_FORCE_NOTE}"
     if best.stated_cost >= (1.0 - _SAME_PLACE) * today.stated_cost or not moves:
-        return f"Today's place is as good as any in the region: the {kind} is up to {_cost(today)} mm."
-    return f"Moving the part by {move} lowers the {kind} from up to {_cost(today)} to {error}."
+        return f"Today's place is as good as any in the region: the {kind} is up to {_cost_text(today)} mm."
+    return f"Moving the part by {move} lowers the {kind} from up to {_cost_text(today)} to {error}."
 
 
-def _cost(place: JudgedPlace) -> str:
+def _cost_text(place: JudgedPlace) -> str:
     return two_digits(place.stated_cost * MM_PER_M)
 
 
@@ -189,7 +189,7 @@ def places_csv(search: Search) -> Iterator[bytes]:
     """Yield one row for each place that was tried, in order."""
     yield (",".join(_COLUMNS) + "\n").encode()
     for place in search.trials:
-        entry = _entry(place)
+        entry = _place_entry(place)
         values: list[object] = [
             _in_mm(place.u95) if name == "u95_mm" else getattr(entry, name) for name in _COLUMNS[:-2]
         ]
@@ -207,7 +207,7 @@ def base_toml(search: Search, cell: Cell, content: PlaceSummary) -> bytes:
         lines.append(f"# Seen from E1 = 0; E1 is at {e1:.1f} mm, or this much farther than a KRL program has it.")
     if best.turn:
         lines.append(f"# With the tool turned by {best.turn * DEG_PER_RAD:+.0f}° about its axis.")
-    lines += [f"# {note}" for note in _notes_of_frames(content)]
+    lines += [f"# {note}" for note in _frame_notes(content)]
     frame = [f"{axis} = {value:.4f}" for axis, value in zip("XYZA", (x, y, z, a), strict=True)]
     frame += [f"{axis} = {getattr(cell.base, axis):.4f}" for axis in "BC" if getattr(cell.base, axis)]
     for table in ("base", *content.moved_frames):
@@ -223,15 +223,15 @@ def place_json(content: PlaceSummary, files: list[FileEntry]) -> bytes:
 def as_text(content: PlaceSummary) -> str:
     """Return the result as text."""
     lines = [content.sentence]
-    lines += [_line("today", content.today), _line("best", content.best)]
+    lines += [_place_line("today", content.today), _place_line("best", content.best)]
     refusals = ", ".join(f"{count} {name}" for name, count in content.refused.items())
     lines.append(
         f"  {content.tried} places tried, {content.reachable} can be driven by samples of the path"
         + (f"; {refusals}" if refusals else "")
     )
-    lines += [f"  {note}" for note in _later_refusals(content)]
+    lines += [f"  {note}" for note in _later_refusal_lines(content)]
     lines += [] if content.start is None else [f"  {content.start}"]
-    lines += [f"  {note}" for note in _notes_of_frames(content)]
+    lines += [f"  {note}" for note in _frame_notes(content)]
     margins = f"  kept: {content.margin_deg:g}° to joint limits"
     if content.clearance_mm is not None:
         return "\n".join(
@@ -241,7 +241,7 @@ def as_text(content: PlaceSummary) -> str:
     return "\n".join(lines)
 
 
-def _later_refusals(content: PlaceSummary) -> Iterator[str]:
+def _later_refusal_lines(content: PlaceSummary) -> Iterator[str]:
     """Yield why places were refused by the whole path, or by a conversion there, most frequent reason first."""
     reasons = sorted(content.refused_later.items(), key=lambda item: -item[1])
     for reason, count in reasons[:_LATER_REFUSALS]:
@@ -251,14 +251,14 @@ def _later_refusals(content: PlaceSummary) -> Iterator[str]:
         yield f"refused by the whole path or its conversion: {others} (other reasons, see place.json)"
 
 
-def _notes_of_frames(content: PlaceSummary) -> Iterator[str]:
+def _frame_notes(content: PlaceSummary) -> Iterator[str]:
     """Yield what to do with each frame by number that moves with `[base]`."""
     for table in content.moved_frames:
         name, _, number = table.partition(".")
         yield f"[{table}] moves with [base]: give {name.upper()}[{number}] of the controller these numbers too."
 
 
-def _line(name: str, entry: PlaceEntry | None) -> str:
+def _place_line(name: str, entry: PlaceEntry | None) -> str:
     """Return a place with its error and margin as one line."""
     if entry is None:
         return f"  {name}: none"
@@ -278,11 +278,11 @@ def _line(name: str, entry: PlaceEntry | None) -> str:
 
 def page(search: Search, content: PlaceSummary) -> Iterator[bytes]:
     """Yield `place.html`, one file that loads nothing."""
-    sections = (_verdict(search, content), *_maps(search), _table(content))
+    sections = (_place_section(search, content), *_map_sections(search), _refusal_section(content))
     note = (
         "Expected errors and deflections are predictions of the elastostatic model of the robot under the forces "
         "given, the largest over cuts. Those of today's and the best place are by a conversion there, those of the map "
-        f"by samples of the path. {_collisions(content)}"
+        f"by samples of the path. {_collision_note(content)}"
     )
     yield from Page(
         kind="Place of the part",
@@ -293,14 +293,14 @@ def page(search: Search, content: PlaceSummary) -> Iterator[bytes]:
     ).render()
 
 
-def _collisions(content: PlaceSummary) -> str:
+def _collision_note(content: PlaceSummary) -> str:
     need = content.clearance_mm
     if need is None:
         return _NO_BODIES
     return f"Places where bodies of [collision] come closer than {need:g} mm, or touch, are refused. {_NO_STOCK}"
 
 
-def _verdict(search: Search, content: PlaceSummary) -> Section:
+def _place_section(search: Search, content: PlaceSummary) -> Section:
     """Return the section with today's and the best place."""
     tiles = []
     for title, place in (("Today", search.today), ("Best place", search.best)):
@@ -312,15 +312,15 @@ def _verdict(search: Search, content: PlaceSummary) -> Section:
         turn = f"; tool turned by {place.turn * DEG_PER_RAD:+.0f}°" if place.turn else ""
         place_text = f"X {x:.0f} Y {y:.0f} Z {z:.0f} A {a:.1f}{turn}"
         note = f"{kind}; {place_text}; joint margin {place.margin * DEG_PER_RAD:.1f}°"
-        tiles.append(Tile(title, _cost(place), "mm", note))
+        tiles.append(Tile(title, _cost_text(place), "mm", note))
     start_notes = () if content.start is None else (Note(content.start),)
-    frame_notes = map(Note, _notes_of_frames(content))
-    later_notes = map(Note, _later_refusals(content))
-    notes = Notes((Note(content.sentence), Note(_collisions(content)), *later_notes, *start_notes, *frame_notes))
+    frame_notes = map(Note, _frame_notes(content))
+    later_notes = map(Note, _later_refusal_lines(content))
+    notes = Notes((Note(content.sentence), Note(_collision_note(content)), *later_notes, *start_notes, *frame_notes))
     return Section("place", "Where the part should be", (notes, Tiles(tuple(tiles))))
 
 
-def _maps(search: Search) -> Iterator[Section]:
+def _map_sections(search: Search) -> Iterator[Section]:
     """Yield the map in X and Y, and that in A and Z, at the place through which they go."""
     x, y = search.slice
     if len(x):
@@ -331,7 +331,7 @@ def _maps(search: Search) -> Iterator[Section]:
         places = [search.trials[first + i * len(y) : first + (i + 1) * len(y)] for i in range(len(x))]
         rows = [[column[k] for column in places] for k in range(len(y))]
         title = f"Map at Z {search.slice_place[2]:.0f}, A {search.slice_place[3]:.1f}°"
-        yield Section("map", title, (_map(search, rows, (0, 1), tuple(x), tuple(y), title),))
+        yield Section("map", title, (_map_plot(search, rows, (0, 1), tuple(x), tuple(y), title),))
     grid = [
         judged_place
         for judged_place in search.trials
@@ -342,7 +342,7 @@ def _maps(search: Search) -> Iterator[Section]:
     if len(z) > 2 and len(a) > 2 and all((height, angle) in place_at for height in z for angle in a):
         title = f"Map at X {search.slice_place[0]:.0f}, Y {search.slice_place[1]:.0f}"
         rows = [[place_at[height, angle] for angle in a] for height in z]
-        yield Section("map-turn", title, (_map(search, rows, (3, 2), tuple(a), tuple(z), title),))
+        yield Section("map-turn", title, (_map_plot(search, rows, (3, 2), tuple(a), tuple(z), title),))
 
 
 def _is_slice(search: Search, first: int) -> bool:
@@ -351,7 +351,7 @@ def _is_slice(search: Search, first: int) -> bool:
     return last < len(search.trials) and search.trials[last].place[:2] == (x[-1], y[-1])
 
 
-def _map(
+def _map_plot(
     search: Search,
     rows: list[list[JudgedPlace]],
     axes: tuple[int, int],
@@ -414,7 +414,7 @@ def _coordinates(place: Sequence[float]) -> str:
     )
 
 
-def _table(content: PlaceSummary) -> Section:
+def _refusal_section(content: PlaceSummary) -> Section:
     rows = tuple(Row((name, f"{count}")) for name, count in content.refused.items())
     rows = (Row(("can be driven by samples of the path", f"{content.reachable}")), *rows)
     table = Table(("What", "places"), rows, "Places that were tried")

@@ -74,8 +74,8 @@ def krl_program(result: PlanResult, cell: CellFile, name: str) -> Document:
         if row in result.blocked:
             lines += [";THE WAY TO THE NEXT POSE IS BLOCKED: stop here, jog the robot there", "HALT"]
         lines += [
-            f";configuration {row + 1}: load {_vector(force)} N, root axes, at the load point",
-            f";second load {_vector(result.second_load * force)} N",
+            f";configuration {row + 1}: load {_force_text(force)} N, root axes, at the load point",
+            f";second load {_force_text(result.second_load * force)} N",
             axis_motion(angles, _ANGLE_DECIMALS),
             "HALT ;measure all points WITHOUT load, then put the second, small load on",
             "HALT ;measure all points WITH the second load, then put the whole load on",
@@ -85,7 +85,7 @@ def krl_program(result: PlanResult, cell: CellFile, name: str) -> Document:
     return document(name, lines)
 
 
-def _vector(force: Array) -> str:
+def _force_text(force: Array) -> str:
     return " ".join(f"{axis} {value + 0.0:.1f}" for axis, value in zip(WRENCH[:3], force, strict=True))
 
 
@@ -104,7 +104,7 @@ def plan_summary(result: PlanResult) -> dict[str, object]:
             "share": result.second_load,
             "N": result.second_load * result.site.rig.force,
         },
-        "torques": _torques(result),
+        "torques": _torque_entries(result),
         "criterion": {"kind": "grouped" if result.options.grouped else "pooled", "rms_mm": criterion},
         "expected": {
             "rms_mm": result.accuracy.rms * MM_PER_M,
@@ -129,12 +129,12 @@ def plan_summary(result: PlanResult) -> dict[str, object]:
             result.before.rms
         )  # not while a parameter is unidentifiable from the readings so far
         content["measured_so_far"] = {"rms_mm": result.before.rms * MM_PER_M if is_determined else None}
-    return content | _comparisons(result, criterion)
+    return content | _comparison_content(result, criterion)
 
 
-def _torques(result: PlanResult) -> list[dict[str, object]]:
+def _torque_entries(result: PlanResult) -> list[dict[str, object]]:
     """Return the section on joint torques: in the plan, and at the test poses."""
-    rows = zip(JOINTS, *extremes(result), poses_by_side(result), result.directions.work, strict=True)
+    rows = zip(JOINTS, *torque_extremes(result), pose_counts_by_side(result), result.directions.work, strict=True)
     return [
         {
             "joint": joint,
@@ -146,7 +146,7 @@ def _torques(result: PlanResult) -> list[dict[str, object]]:
     ]
 
 
-def _comparisons(result: PlanResult, criterion: float) -> dict[str, object]:
+def _comparison_content(result: PlanResult, criterion: float) -> dict[str, object]:
     """Return the section that compares random plans, the serial approach, and other numbers of poses.
 
     :param criterion: of the plan [mm].
@@ -176,12 +176,12 @@ def _comparisons(result: PlanResult, criterion: float) -> dict[str, object]:
     return content
 
 
-def poses_by_side(result: PlanResult) -> Ints:
+def pose_counts_by_side(result: PlanResult) -> Ints:
     """Return the number of poses (6, 2) that load each joint in negative and in positive direction."""
     return np.asarray(result.directions.loaded_sides(result.torque).sum(axis=0))
 
 
-def extremes(result: PlanResult) -> tuple[Array, Array]:
+def torque_extremes(result: PlanResult) -> tuple[Array, Array]:
     """Return the largest negative and positive torques (6,) of the loads, 0 where there is none [N·m]."""
     return np.minimum(result.torque.min(axis=0), 0.0) + 0.0, np.maximum(result.torque.max(axis=0), 0.0)
 
@@ -207,7 +207,7 @@ def plan_lines(result: PlanResult) -> list[str]:
         f"{result.second_load * result.site.rig.force:.0f} N, in the same direction: as near to the work "
         "as the readings allow",
         "torques of the loads: "
-        + ", ".join(f"{n} {a:.0f} … {b:.0f}" for n, a, b in zip(JOINTS, *extremes(result), strict=True))
+        + ", ".join(f"{n} {a:.0f} … {b:.0f}" for n, a, b in zip(JOINTS, *torque_extremes(result), strict=True))
         + " N·m",
         f"expected error after compensation: {result.accuracy.rms * MM_PER_M:.3g} mm RMS "
         f"(95 %: {low:.3g} … {high:.3g}); without compensation: {uncompensated:.3g} mm",
@@ -238,7 +238,7 @@ _ARROW = 0.45
 _EDGES = [(a, b) for a in range(8) for b in range(a + 1, 8) if bin(a ^ b).count("1") == 1]
 
 
-def poses(result: PlanResult) -> Section:
+def poses_section(result: PlanResult) -> Section:
     """Return all poses in one view, with a slider that shows them one by one."""
     site, count = result.site, len(result.plan)
     arm_poses = site.arm.pose(result.plan.q)
@@ -252,20 +252,23 @@ def poses(result: PlanResult) -> Section:
     points = arm_poses.point(site.points)
     surroundings = []
     if site.obstacles:
-        edges = [_box(obstacle)[[a, b]] for obstacle in site.obstacles for a, b in _EDGES]
-        surroundings.append(_line(edges, "obstacles", "warning", 2.0))
+        edges = [_box_corners(obstacle)[[a, b]] for obstacle in site.obstacles for a, b in _EDGES]
+        surroundings.append(_line_with_gaps(edges, "obstacles", "warning", 2.0))
     if site.tracker is not None:
-        surroundings.append(_line([site.tracker[None]], "tracker", "force", 6.0, dots=True))
+        surroundings.append(_line_with_gaps([site.tracker[None]], "tracker", "force", 6.0, dots=True))
     single_poses = [
         trace
         for pose in range(count)
         for trace in (
-            _line([arms[pose]], f"pose {pose + 1}", "after", 8.0),
-            _line([loads[pose]], "pull of the load", "before", 6.0),
-            _line([points[pose]], "reference points", "ink", 3.0, dots=True),
+            _line_with_gaps([arms[pose]], f"pose {pose + 1}", "after", 8.0),
+            _line_with_gaps([loads[pose]], "pull of the load", "before", 6.0),
+            _line_with_gaps([points[pose]], "reference points", "ink", 3.0, dots=True),
         )
     ]
-    all_poses = [_line(list(arms), "arms", "after", 5.0), _line(list(loads), "pull of the loads", "before", 3.0)]
+    all_poses = [
+        _line_with_gaps(list(arms), "arms", "after", 5.0),
+        _line_with_gaps(list(loads), "pull of the loads", "before", 3.0),
+    ]
     traces = [*surroundings, *all_poses, *single_poses]
     surrounding_rows = list(range(len(surroundings)))
     begin = len(surrounding_rows) + len(all_poses)
@@ -283,7 +286,7 @@ def poses(result: PlanResult) -> Section:
     return Section("poses", "The poses", (plot,))
 
 
-def _line(pieces: list[Array], name: str, colour: Colour, width: float, *, dots: bool = False) -> Lines:
+def _line_with_gaps(pieces: list[Array], name: str, colour: Colour, width: float, *, dots: bool = False) -> Lines:
     """Return pieces (k, 3) [m] as one line with gaps."""
     gap = np.full((1, 3), np.nan)
     points = np.concatenate([part for piece in pieces for part in (piece, gap)] or [gap])
@@ -291,7 +294,7 @@ def _line(pieces: list[Array], name: str, colour: Colour, width: float, *, dots:
     return Lines(x, y, z, name, colour, width, dots)
 
 
-def _box(obstacle: object) -> Array:
+def _box_corners(obstacle: object) -> Array:
     """Return the eight corners of a box, or of the box around a mesh [m]."""
     signs = np.array([[1 if corner >> axis & 1 else -1 for axis in range(3)] for corner in range(8)])
     if isinstance(obstacle, BoxShape):
@@ -328,7 +331,7 @@ def expected_section(result: PlanResult) -> Section:
     return Section("expected", "What to expect", (Tiles(tuple(tiles)),))
 
 
-def warnings(result: PlanResult) -> Section | None:
+def warnings_section(result: PlanResult) -> Section | None:
     """Return the warnings."""
     if not result.warnings:
         return None
@@ -336,7 +339,7 @@ def warnings(result: PlanResult) -> Section | None:
     return Section("warnings", "Before you measure", (Notes(notes, marked=True),))
 
 
-def comparison(result: PlanResult) -> Section | None:
+def comparison_section(result: PlanResult) -> Section | None:
     """Return the plan among random ones."""
     if not len(result.random):
         return None
@@ -366,7 +369,7 @@ def comparison(result: PlanResult) -> Section | None:
     return Section("comparison", "Among other plans of the same size", (plot,))
 
 
-def sizes(result: PlanResult) -> Section | None:
+def sizes_section(result: PlanResult) -> Section | None:
     """Return the criterion against the number of poses."""
     if len(result.sizes) < 2:
         return None
@@ -390,7 +393,7 @@ def sizes(result: PlanResult) -> Section | None:
     return Section("sizes", "How many poses pay", (plot,))
 
 
-def angles(result: PlanResult) -> Section:
+def angles_section(result: PlanResult) -> Section:
     """Return angles and loads of the poses."""
     head = ("Pose", *(f"{joint}, °" for joint in JOINTS), "Fx, N", "Fy, N", "Fz, N")
     rows = tuple(
@@ -401,7 +404,7 @@ def angles(result: PlanResult) -> Section:
     return Section("angles", "Angles and loads", (Table(head, rows, "Angles and loads of each pose", note=note),))
 
 
-def tests(result: PlanResult) -> Section:
+def tests_section(result: PlanResult) -> Section:
     """Return the section that lists the test poses."""
     order = np.argsort(-result.tests.weight, kind="stable")
     rows = tuple(
@@ -422,10 +425,10 @@ def tests(result: PlanResult) -> Section:
     return Section("tests", "Test poses: where it will be milled", (table,), "half")
 
 
-def parameters(result: PlanResult) -> Section:
+def parameters_section(result: PlanResult) -> Section:
     """Return the expected interval of each parameter."""
     rows = tuple(
-        Row((parameter.symbol, Cell(f"± {_percent(float(half))}", "good" if half <= _GOOD else "warning")))
+        Row((parameter.symbol, Cell(f"± {_percent_text(float(half))}", "good" if half <= _GOOD else "warning")))
         for parameter, half in zip(result.accuracy.parameters, result.accuracy.relative, strict=True)
     )
     note = (
@@ -436,10 +439,10 @@ def parameters(result: PlanResult) -> Section:
     return Section("parameters", "Parameters", (table,), "half")
 
 
-def torques(result: PlanResult) -> Section:
+def torques_section(result: PlanResult) -> Section:
     """Return the torques of the loads on the joints, by sign, and those of the work."""
-    low, high = extremes(result)
-    work, count = result.directions.work, poses_by_side(result)
+    low, high = torque_extremes(result)
+    work, count = result.directions.work, pose_counts_by_side(result)
     rows = tuple(
         Row(
             (
@@ -461,20 +464,20 @@ def torques(result: PlanResult) -> Section:
     )
 
 
-def _percent(half: float) -> str:
+def _percent_text(half: float) -> str:
     return f"{100 * half:.2g} %" if half < 10.0 else "unbounded"
 
 
 SECTIONS: tuple[Callable[[PlanResult], Section | None], ...] = (
     expected_section,
-    warnings,
-    poses,
-    angles,
-    comparison,
-    sizes,
-    tests,
-    parameters,
-    torques,
+    warnings_section,
+    poses_section,
+    angles_section,
+    comparison_section,
+    sizes_section,
+    tests_section,
+    parameters_section,
+    torques_section,
 )
 """The sections of the page in order. One that has nothing to say returns None."""
 

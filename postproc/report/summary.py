@@ -242,49 +242,49 @@ def summary(
         mode=result.mode,
         targets=len(result),
         inserted_targets=result.inserted,
-        before=_distances(uncorrected),
-        after=_distances(prediction),
+        before=_distances_entry(uncorrected),
+        after=_distances_entry(prediction),
         u95=None if bound is None else _expected_error(result, bound),
-        part=_on_part(result, part_tolerance),
+        part=_part_entry(result, part_tolerance),
         feed=feed_summary(result),
         improvement=Ratios(
             max=improvement(uncorrected.largest * MM_PER_M, prediction.largest * MM_PER_M),
             rms=improvement(uncorrected.rms * MM_PER_M, prediction.rms * MM_PER_M),
         ),
         compensated_percent=_compensated_percent(uncorrected.rms * MM_PER_M, prediction.rms * MM_PER_M),
-        between_max_mm=_finite(result.between * MM_PER_M),
+        between_max_mm=_finite_or_none(result.between * MM_PER_M),
         tolerance_mm=None if tolerance is None else stated_mm(tolerance),
         tolerance_held=_is_tolerance_held(result, prediction, tolerance),
-        blending=_blending(result),
+        blending=_blending_entry(result),
         size_bytes=sum(len(piece) for document in result.documents for piece in document.pieces()) or None,
-        provenance=_origin(result),
-        max_correction_mm=_finite(result.largest_correction * MM_PER_M),
-        tool_deflection=_bound(by_tool),
+        provenance=_origin_entry(result),
+        max_correction_mm=_finite_or_none(result.largest_correction * MM_PER_M),
+        tool_deflection=_bound_entry(by_tool),
         max_force_N=float(force.max(initial=0.0)),
         limits=Limits(
-            min_joint_margin_deg=_finite(float(margin.min())),
-            min_singular_value=_finite(result.singular_value),
-            joint_margins_deg=[_finite(float(value)) for value in margin],
+            min_joint_margin_deg=_finite_or_none(float(margin.min())),
+            min_singular_value=_finite_or_none(result.singular_value),
+            joint_margins_deg=[_finite_or_none(float(value)) for value in margin],
         ),
-        redundancy=_redundancy(result),
-        collision=_clearance(result),
-        reversals=_reversals(result),
+        redundancy=_redundancy_entry(result),
+        collision=_clearance_entry(result),
+        reversals=_reversal_entries(result),
         issues=[issue_entry(issue) for issue in result.issues],
         verdict=UNJUDGED,
-        modules=_modules(result) or None,
+        modules=_module_entries(result) or None,
         surface=_surface_entry(result, surface) if surface is not None and len(result) else None,
     )
     return replace(content, verdict=verdict(result, content, remedies))
 
 
-def _modules(result: Result) -> list[ModuleEntry]:
+def _module_entries(result: Result) -> list[ModuleEntry]:
     return [
         ModuleEntry(name=document.name, size_bytes=len(document.to_bytes()), source_line=int(result.source_line[first]))
         for document, first in zip(result.documents if result.modules else (), result.modules, strict=True)
     ]
 
 
-def _redundancy(result: Result) -> Redundancy | None:
+def _redundancy_entry(result: Result) -> Redundancy | None:
     """Return the turn of the tool about its axis, chosen or constant; None if the program fixes it."""
     if result.turn is None:
         constant = result.redundancy_deg
@@ -301,12 +301,12 @@ def _is_tolerance_held(result: Result, prediction: Statistics, tolerance: float 
     if not path_deviation <= tolerance:
         return False
     extra_rounding = result.rounding - result.programmed
-    return True if path_deviation + extra_rounding[_cuts(result)].max(initial=0.0) <= tolerance else None
+    return True if path_deviation + extra_rounding[_is_next_to_cut(result)].max(initial=0.0) <= tolerance else None
 
 
-def _blending(result: Result) -> Blending:
+def _blending_entry(result: Result) -> Blending:
     """Return the largest rounding of corners by approximation [mm], and its place."""
-    cuts = np.flatnonzero(_cuts(result))
+    cuts = np.flatnonzero(_is_next_to_cut(result))
     worst = cuts[np.argmax(result.rounding[cuts])] if len(cuts) else None
     file_name = result.documents[0].name if result.documents else None
     dialect = result.program.dialect if file_name is None else registry.dialect_of_file(Path(file_name)).name
@@ -321,7 +321,7 @@ def _blending(result: Result) -> Blending:
     )
 
 
-def _origin(result: Result) -> Origin:
+def _origin_entry(result: Result) -> Origin:
     """Return the entry on the stated origin of the program."""
     writer = registry.dialect_of_name(result.program.dialect).writer
     origin = None if writer is None else writer.origin(result.program.documents)
@@ -330,7 +330,7 @@ def _origin(result: Result) -> Origin:
     return Origin(state=origin.state, mode=origin.mode or None, version=origin.version or None)
 
 
-def _cuts(result: Result) -> Bools:
+def _is_next_to_cut(result: Result) -> Bools:
     """(K,) True for targets before or behind which the tool cuts."""
     return np.asarray(~(result.rapid & np.append(result.rapid[1:], True)[: len(result)]))
 
@@ -347,11 +347,11 @@ def _expected_error(result: Result, bound: Statistics) -> ExpectedError:
     return ExpectedError(max_mm=bound.largest * MM_PER_M, rms_mm=bound.rms * MM_PER_M, basis=result.robot.basis)
 
 
-def _bound(values: Statistics | None) -> Bound | None:
+def _bound_entry(values: Statistics | None) -> Bound | None:
     return None if values is None else Bound(max_mm=values.largest * MM_PER_M, rms_mm=values.rms * MM_PER_M)
 
 
-def _reversals(result: Result) -> list[Reversal]:
+def _reversal_entries(result: Result) -> list[Reversal]:
     """Return the largest reversals of joints on cuts, with their lost motion [mm]."""
     reversals = result.reversals
     if reversals is None:
@@ -366,7 +366,7 @@ def _reversals(result: Result) -> list[Reversal]:
     ]
 
 
-def _on_part(result: Result, tolerance: float | None) -> OnPart:
+def _part_entry(result: Result, tolerance: float | None) -> OnPart:
     """Return the largest expected error on the part (`Result.expected`), judged by a tolerance [m]."""
     tolerance_mm, error = None if tolerance is None else stated_mm(tolerance), result.expected
     if error is None or result.rapid.all():
@@ -375,7 +375,7 @@ def _on_part(result: Result, tolerance: float | None) -> OnPart:
     percent = None if tolerance is None else 100.0 * float(np.mean(error[~result.rapid] > tolerance))
     return OnPart(
         tolerance_mm=tolerance_mm,
-        expected_mm=_finite(float(error[worst]) * MM_PER_M),
+        expected_mm=_finite_or_none(float(error[worst]) * MM_PER_M),
         source_line=int(result.source_line[worst]),
         held=None if tolerance is None else bool(error[worst] <= tolerance),
         beyond_percent=percent,
@@ -396,7 +396,7 @@ def _surface_entry(result: Result, surface: Surface) -> OnSurface:
     )
 
 
-def _distances(values: Statistics) -> Distances:
+def _distances_entry(values: Statistics) -> Distances:
     """Return statistics [m] in mm."""
     return Distances(
         max_mm=values.largest * MM_PER_M,
@@ -408,24 +408,24 @@ def _distances(values: Statistics) -> Distances:
 
 def improvement(before_mm: float, after_mm: float) -> float | None:
     """Return before divided by after; None where what remains is but the rounding of the text, or unknown."""
-    return _finite(before_mm / after_mm) if after_mm >= ROUNDING_MM else None
+    return _finite_or_none(before_mm / after_mm) if after_mm >= ROUNDING_MM else None
 
 
 def _compensated_percent(before_mm: float, after_mm: float) -> float | None:
     """Return the share of the deviation that is compensated [%]; None if there was none to speak of."""
-    return _finite(100.0 * (1.0 - after_mm / before_mm)) if before_mm >= ROUNDING_MM else None
+    return _finite_or_none(100.0 * (1.0 - after_mm / before_mm)) if before_mm >= ROUNDING_MM else None
 
 
-def _finite(value: float) -> float | None:
+def _finite_or_none(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-def _clearance(result: Result) -> Clearance | None:
+def _clearance_entry(result: Result) -> Clearance | None:
     """Return the smallest distance of bodies [mm], and where; None without a check."""
     clearance = result.clearance
     if clearance is None:
         return None
-    distance_mm = _finite(clearance.distance * MM_PER_M)
+    distance_mm = _finite_or_none(clearance.distance * MM_PER_M)
     names = [name for name in clearance.bodies if name]
     return Clearance(
         min_clearance_mm=distance_mm, bodies=names, source_line=clearance.line, remarks=list(clearance.remarks)

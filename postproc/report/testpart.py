@@ -100,7 +100,7 @@ def design_page(
                 Notes(tuple(Note(text) for text in _remarks(design, prior))),
             ),
         ),
-        Section("features", "Features", (_features(design, parts),)),
+        Section("features", "Features", (_feature_table(design, parts),)),
     )
     feed = cutting.feed * MM_PER_M * 60.0
     subtitle = f"{robot}, tool {cutting.diameter * MM_PER_M:g} mm, {cutting.rpm:g} 1/min, {feed:.0f} mm/min"
@@ -111,8 +111,8 @@ def _remarks(design: Design, prior: Prior) -> list[str]:
     """Return remarks on what the part cannot show."""
     remarks = [_PRODUCT]
     if design.sigma_without_weight is not None:
-        remarks.append(f"Here {_by_weight(design, design.sigma_without_weight)}.")
-    if (text := _unseen_joints(design, prior)) is not None:
+        remarks.append(f"Here {_weight_sentence(design, design.sigma_without_weight)}.")
+    if (text := _unseen_change_sentence(design, prior)) is not None:
         remarks.append(f"{text[0].upper()}{text[1:]}.")
     return remarks
 
@@ -126,10 +126,12 @@ def _parameter_table(design: Design, prior: Prior) -> Table:
     ):
         sigma_percent = 100.0 * sigma / value if value else float("nan")
         change_text = f"{100.0 * change:.0f}" if change < MOST_CHANGE else "not seen"
-        rows.append(_row(name, sigma_percent, sigma_percent * float(share), float(share), change_text))
+        rows.append(_parameter_row(name, sigma_percent, sigma_percent * float(share), float(share), change_text))
     sigma_percent = 100.0 * float(prior.sigma[-1])
     rows.append(
-        _row("scale of the forces", sigma_percent, sigma_percent * float(design.sigma[-1]), float(design.sigma[-1]), "")
+        _parameter_row(
+            "scale of the forces", sigma_percent, sigma_percent * float(design.sigma[-1]), float(design.sigma[-1]), ""
+        )
     )
     return Table(
         ("parameter", "now, σ %", "with the part, σ %", "change seen later, %", ""),
@@ -140,13 +142,13 @@ def _parameter_table(design: Design, prior: Prior) -> Table:
     )
 
 
-def _row(name: str, prior_sigma: float, sigma_with_part: float, share: float, change_text: str) -> Row:
+def _parameter_row(name: str, prior_sigma: float, sigma_with_part: float, share: float, change_text: str) -> Row:
     kind: Kind = "soft" if share > 0.9 else ""
     text = Cell("value not shown by this part" if share > 0.9 else "", kind)
     return Row((name, f"{prior_sigma:.2g}", f"{sigma_with_part:.2g}", change_text, text))
 
 
-def _unseen_joints(design: Design, prior: Prior) -> str | None:
+def _unseen_change_sentence(design: Design, prior: Prior) -> str | None:
     """Return which joints may change by 30 % unseen although the part shows them, and what shows them."""
     names = [
         f"{parameter.name} ({100.0 * change:.0f} %)" if change < MOST_CHANGE else parameter.name
@@ -202,7 +204,7 @@ def _weight_steps(parts: dict[Placement, Program]) -> list[Note]:
     ]
 
 
-def _features(design: Design, parts: dict[Placement, Program]) -> Table:
+def _feature_table(design: Design, parts: dict[Placement, Program]) -> Table:
     """Return the table of the features, in mm and degrees of `$BASE`."""
     rows = []
     frames = [placement.title for placement, program in parts.items() for _ in range(program.features)]
@@ -381,14 +383,14 @@ def design_lines(design: Design, prior: Prior, cutting: Cutting, parts: dict[Pla
         )
     if hidden_names:
         lines.append(f"not shown by this part: {', '.join(hidden_names)}")
-    if (hidden_changes := _unseen_joints(design, prior)) is not None:
+    if (hidden_changes := _unseen_change_sentence(design, prior)) is not None:
         lines.append(hidden_changes)
     if design.sigma_without_weight is not None:
-        lines.append(_by_weight(design, design.sigma_without_weight))
+        lines.append(_weight_sentence(design, design.sigma_without_weight))
     return lines
 
 
-def _by_weight(design: Design, sigma_without_weight: Array) -> str:
+def _weight_sentence(design: Design, sigma_without_weight: Array) -> str:
     return (
         f"the weight on the tool leaves {100 * design.sigma[-1]:.0f} % of the standard deviation of the forces; "
         f"without it {100 * sigma_without_weight[-1]:.0f} % would be left"
@@ -455,16 +457,16 @@ def part_page(data: PartIdentification, name: str) -> bytes:
     notes.append(Note(_PRODUCT))
     sections = [
         Section("verdict", "Verdict", (verdict, Tiles(tiles))),
-        Section("measured", "Measured and predicted", (_surprise_plot(data),), "half"),
-        Section("errors", "Remaining errors", (_errors(data),), "half"),
-        Section("parameters", "Parameters", (_intervals(data), _values(data))),
+        Section("measured", "Measured and predicted", (_prediction_plot(data),), "half"),
+        Section("errors", "Remaining errors", (_error_plot(data),), "half"),
+        Section("parameters", "Parameters", (_interval_plot(data), _value_table(data))),
         Section("issues", "What to know", (Notes(tuple(notes), marked=True),)),
-        Section("points", "Probed points", (_points(data),)),
+        Section("points", "Probed points", (_point_table(data),)),
     ]
     return b"".join(Page("Model from a test part", name, f"{len(data.points)} probed points", tuple(sections)).render())
 
 
-def _surprise_plot(data: PartIdentification) -> Plot:
+def _prediction_plot(data: PartIdentification) -> Plot:
     """Return measured over predicted deviations [mm], by the model before and by this one."""
     measured_mm = [point.measured_mm for point in data.points]
     names = [point.feature for point in data.points]
@@ -482,7 +484,7 @@ def _surprise_plot(data: PartIdentification) -> Plot:
     )
 
 
-def _errors(data: PartIdentification) -> Plot:
+def _error_plot(data: PartIdentification) -> Plot:
     """Return the plot of the error of each point predicted from all others [µm], with 95 % bars."""
     order = list(range(len(data.points)))
     names = [point.feature for point in data.points]
@@ -503,7 +505,7 @@ def _errors(data: PartIdentification) -> Plot:
     )
 
 
-def _intervals(data: PartIdentification) -> Plot:
+def _interval_plot(data: PartIdentification) -> Plot:
     """Return each parameter over its prior value, with its interval."""
     names, x, half, prior_changes = [], [], [], []
     entries = {**data.parameters, "forces": data.force_scale}
@@ -524,7 +526,7 @@ def _intervals(data: PartIdentification) -> Plot:
     )
 
 
-def _values(data: PartIdentification) -> Table:
+def _value_table(data: PartIdentification) -> Table:
     """Return the table of the parameters with their 95 % intervals and prior values."""
     rows = []
     for name, entry in {**data.parameters, "scale of the forces": data.force_scale}.items():
@@ -539,7 +541,7 @@ def _values(data: PartIdentification) -> Table:
     )
 
 
-def _points(data: PartIdentification) -> Table:
+def _point_table(data: PartIdentification) -> Table:
     """Return the table of the probed points [mm]."""
     rows = tuple(
         Row(

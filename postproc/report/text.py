@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from msgspec.structs import astuple
 
 from postproc.report.answers import Verdict, chance_in_words
-from postproc.report.feed import seconds, sentences
+from postproc.report.feed import duration_text, feed_sentences
 from postproc.report.formatting import PLAIN, ROUNDING_MM, Display, State, estimate, two_digits
 from postproc.report.summary import IssueEntry, Summary, improvement
-from postproc.report.verdict import clearance, nothing_to_correct, uncorrected_sentence
+from postproc.report.verdict import clearance_text, nothing_to_correct, uncorrected_sentence
 
 _STATES: dict[State, str] = {"failed": "failed", "warning": "to be looked at", "ok": "good"}
 _NO_FORCES = "no forces"
@@ -27,16 +27,16 @@ def program_text(content: Summary, display: Display = PLAIN) -> str:
     """
     verdict = content.verdict
     lines = [
-        f"{content.program}  on {content.robot}: {uncorrected_sentence(content) or targets(content)}",
+        f"{content.program}  on {content.robot}: {uncorrected_sentence(content) or target_count_text(content)}",
         display.verdict(verdict.headline, verdict.state),
         *(f"  {answer}" for answer in verdict.answers),
     ]
     lines += [f"  - {reason}" for reason in verdict.reasons[:_REASONS]]
     if len(verdict.reasons) > _REASONS:
-        lines.append(f"  - {_more_reasons(len(verdict.reasons))}: see the report")
+        lines.append(f"  - {_further_reasons_text(len(verdict.reasons))}: see the report")
     lines.append("")
     no_correction = nothing_to_correct(content)
-    u95 = _u95(content)
+    u95 = _largest_u95(content)
     rows: list[tuple[str, ...]]
     if no_correction is not None:
         lines.append(f"  {no_correction}")
@@ -45,14 +45,14 @@ def program_text(content: Summary, display: Display = PLAIN) -> str:
         lines.append(display.table(("deviation [mm]", "predicted"), rows, (1,), "  "))
     else:
         pairs = zip(_ROWS, astuple(content.before), astuple(content.after), strict=True)
-        rows = [(label, estimate(old, u95), estimate(new, u95), times(old, new)) for label, old, new in pairs]
+        rows = [(label, estimate(old, u95), estimate(new, u95), factor_text(old, new)) for label, old, new in pairs]
         lines.append(display.table(("deviation [mm]", "before", "after", "improvement"), rows, range(1, 4), "  "))
-    lines += ["", *_facts(content), *_feeds(content, display)]
+    lines += ["", *_fact_lines(content), *_feed_lines(content, display)]
     lines += [issue_line(issue, content.program) for issue in content.issues if issue.level == "info"]
     return "\n".join(lines)
 
 
-def targets(content: Summary) -> str:
+def target_count_text(content: Summary) -> str:
     """Return how many targets a program has, and how many of them are not its own."""
     inserted_count = content.inserted_targets
     noun = "places looked at" if content.mode == "predict" and inserted_count else "targets"
@@ -60,13 +60,13 @@ def targets(content: Summary) -> str:
     return f"{content.targets} {noun}" + (f", {inserted_count} of them {origin}" if inserted_count else "")
 
 
-def _facts(content: Summary) -> list[str]:
+def _fact_lines(content: Summary) -> list[str]:
     """Return facts in addition to the reasons of the verdict."""
     facts = [] if content.verdict.state == "ok" else _path_facts(content)
     if content.mode == "convert" and content.compensated_percent is not None:
-        facts.append(f"compensated {percent(content.compensated_percent)}")
+        facts.append(f"compensated {percent_text(content.compensated_percent)}")
     if content.mode == "predict" and content.between_max_mm is not None:
-        facts.append(f"anywhere on the path at most {estimate(content.between_max_mm, _u95(content))} mm")
+        facts.append(f"anywhere on the path at most {estimate(content.between_max_mm, _largest_u95(content))} mm")
     if content.mode == "predict" and content.tolerance_held is False:
         facts.append(f"tolerance {content.tolerance_mm:g} mm EXCEEDED")
     origin = content.provenance
@@ -76,25 +76,25 @@ def _facts(content: Summary) -> list[str]:
         facts.append(f"written by postproc {origin.version} ({origin.mode}), unchanged since{correction_note}")
     limits = content.limits
     facts.append(
-        f"smallest joint margin {number(limits.min_joint_margin_deg, 1)}°, "
-        f"smallest singular value {number(limits.min_singular_value, 3)}"
+        f"smallest joint margin {number_text(limits.min_joint_margin_deg, 1)}°, "
+        f"smallest singular value {number_text(limits.min_singular_value, 3)}"
     )
-    facts += [] if content.collision is None else [clearance(content), *content.collision.remarks]
+    facts += [] if content.collision is None else [clearance_text(content), *content.collision.remarks]
     return [f"  {fact}" for fact in facts]
 
 
-def _feeds(content: Summary, display: Display) -> list[str]:
+def _feed_lines(content: Summary, display: Display) -> list[str]:
     """Return lines on lowered feeds and on cutting times by operation."""
     feed = content.feed
     if feed is None:
         return []
-    lines = [f"  {sentence}" for sentence in sentences(feed)]
+    lines = [f"  {sentence}" for sentence in feed_sentences(feed)]
     if len(feed.operations) > 1 and feed.lowered_moves:
         rows = [
             (
                 sentence.name,
-                seconds(sentence.time_before_s),
-                seconds(sentence.time_after_s),
+                duration_text(sentence.time_before_s),
+                duration_text(sentence.time_after_s),
                 str(sentence.lowered_moves),
             )
             for sentence in feed.operations
@@ -142,13 +142,15 @@ def programs_table(rows: Sequence[tuple[str, Summary | None, str]], display: Dis
             cells.append((name, *("-",) * 6, word))
             continue
         tolerance = "-" if content.part.tolerance_mm is None else f"{content.part.tolerance_mm:g}"
-        cells.append((name, str(content.targets), *_pair(content.verdict), tolerance, _verdict_word(content), word))
+        cells.append(
+            (name, str(content.targets), *_error_texts(content.verdict), tolerance, _verdict_word(content), word)
+        )
     summaries = [content for _, content, _ in rows if content is not None]
     if len(rows) > 1 and summaries:
         answers = [better for content in summaries if (better := content.verdict.better) is not None]
         worst = (
-            _largest_length([answer.uncorrected_mm for answer in answers]),
-            _largest_length([answer.corrected_mm for answer in answers]),
+            _largest_length_text([answer.uncorrected_mm for answer in answers]),
+            _largest_length_text([answer.corrected_mm for answer in answers]),
         )
         words = [_verdict_word(content) for content in summaries]
         counts = [f"{words.count(word)} {word}" for word in (*_STATES.values(), _NO_FORCES) if word in words]
@@ -159,22 +161,22 @@ def programs_table(rows: Sequence[tuple[str, Summary | None, str]], display: Dis
     return "\n".join([display.table(head, cells, right=range(1, 6)), *_reason_lines(rows)])
 
 
-def _pair(verdict: Verdict) -> tuple[str, str, str]:
+def _error_texts(verdict: Verdict) -> tuple[str, str, str]:
     """Return both expected errors and the chance; dashes where they are not known."""
     better = verdict.better
     if better is None:
         return "-", "-", "-"
     chance = "-" if better.chance is None else chance_in_words(better.chance)
-    return _largest_length([better.uncorrected_mm]), _largest_length([better.corrected_mm]), chance
+    return _largest_length_text([better.uncorrected_mm]), _largest_length_text([better.corrected_mm]), chance
 
 
-def _largest_length(lengths_mm: Sequence[float | None]) -> str:
+def _largest_length_text(lengths_mm: Sequence[float | None]) -> str:
     """Return the largest of some lengths; a dash if none is known."""
     lengths = [length for length in lengths_mm if length is not None]
     return two_digits(max(lengths)) if lengths else "-"
 
 
-def _u95(content: Summary) -> float | None:
+def _largest_u95(content: Summary) -> float | None:
     return None if content.u95 is None else content.u95.max_mm
 
 
@@ -197,24 +199,24 @@ def _reason_lines(rows: Sequence[tuple[str, Summary | None, str]]) -> list[str]:
         program_names = names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more"
         lines.append(f"  - {program_names}: {reason}")
     if len(programs) > _REASONS:
-        lines.append(f"  - {_more_reasons(len(programs))}: see the overview")
+        lines.append(f"  - {_further_reasons_text(len(programs))}: see the overview")
     return lines
 
 
-def _more_reasons(count: int) -> str:
+def _further_reasons_text(count: int) -> str:
     further_count = count - _REASONS
     return f"{further_count} more reason{'s' if further_count > 1 else ''}"
 
 
-def number(value: float | None, places: int) -> str:
+def number_text(value: float | None, places: int) -> str:
     """Return a number with fixed decimals, or a dash where there is none."""
     return "-" if value is None else f"{value:.{places}f}"
 
 
-def times(before_mm: float, after_mm: float) -> str:
+def factor_text(before_mm: float, after_mm: float) -> str:
     """Return an improvement factor as text, omitted if only rounding remains.
 
-    >>> times(5.6, 0.5), times(5.6, 0.0016), times(0.5, 0.00005), times(0.00005, 0.00005)
+    >>> factor_text(5.6, 0.5), factor_text(5.6, 0.0016), factor_text(0.5, 0.00005), factor_text(0.00005, 0.00005)
     ('11.2', '3500', 'to rounding', '-')
     """
     if before_mm < ROUNDING_MM:
@@ -223,10 +225,10 @@ def times(before_mm: float, after_mm: float) -> str:
     return "to rounding" if ratio is None else f"{ratio:.1f}" if ratio < 1000.0 else f"{ratio:.0f}"
 
 
-def percent(value: float | None) -> str:
+def percent_text(value: float | None) -> str:
     """Return a percentage as text, never rounded up to 100.
 
-    >>> percent(91.2), percent(99.9996), percent(None)
+    >>> percent_text(91.2), percent_text(99.9996), percent_text(None)
     ('91.2 %', '99.99 %', '-')
     """
     if value is None:

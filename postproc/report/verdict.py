@@ -86,20 +86,20 @@ def verdict(result: Result, content: Summary, other_remedies: Sequence[Remedy] =
     """
     warnings = [issue for issue in result.issues if issue.level == "warning"]
     of_forces = [issue for issue in warnings if issue.kind.partition("-A")[0] in _OF_FORCES]
-    drive = _drive(result, content, [issue for issue in warnings if issue not in of_forces])
-    tolerance = _tolerance(result, content, other_remedies)
-    better = _is_better(result, content, _issue_findings(of_forces, result.mode), tolerance)
-    holds = _holds(result, content)
+    drive = _drive_answer(result, content, [issue for issue in warnings if issue not in of_forces])
+    tolerance = _tolerance_answer(result, content, other_remedies)
+    better = _improvement_answer(result, content, _issue_findings(of_forces, result.mode), tolerance)
+    holds = _passed_findings(result, content)
     remark = STOCK_REMARK if any(issue.kind == ASSUMED_STOCK for issue in result.issues) else ""
-    return join(result.mode, drive, better, tolerance, _texts(holds), _assumptions(result), remark=remark)
+    return join(result.mode, drive, better, tolerance, _sorted_texts(holds), _assumptions(result), remark=remark)
 
 
-def _drive(result: Result, content: Summary, warnings: Sequence[Issue]) -> Drive:
+def _drive_answer(result: Result, content: Summary, warnings: Sequence[Issue]) -> Drive:
     """Return whether the program may be driven, from its warnings about motions."""
     errors = [issue.message for issue in result.issues if issue.level == "error"]
     doubts = _issue_findings(warnings, result.mode)
     if content.targets:
-        doubts = [*_surface_findings(content)[0], *_near_limits(content), *doubts]
+        doubts = [*_surface_findings(content)[0], *_narrow_margin_findings(content), *doubts]
     checks = {
         "collisions": content.collision is not None,
         "moves through material": result.is_stock_known,
@@ -109,10 +109,12 @@ def _drive(result: Result, content: Summary, warnings: Sequence[Issue]) -> Drive
     }
     unchecked = [name for name, is_known in checks.items() if not is_known]
     state: State = "failed" if errors else "warning" if doubts else "ok"
-    return Drive(state, [*errors, *_texts(doubts)], unchecked)
+    return Drive(state, [*errors, *_sorted_texts(doubts)], unchecked)
 
 
-def _is_better(result: Result, content: Summary, doubts: list[Finding], tolerance: Tolerance | None) -> Improvement:
+def _improvement_answer(
+    result: Result, content: Summary, doubts: list[Finding], tolerance: Tolerance | None
+) -> Improvement:
     """Return whether the corrected program is better than the uncorrected one.
 
     :param doubts: about forces and model.
@@ -130,8 +132,8 @@ def _is_better(result: Result, content: Summary, doubts: list[Finding], toleranc
         doubts.append(Finding(content.before.max_mm, text))
     if result.robot.measured is not None and result.robot.measured.not_trusted:
         doubts.append(Finding(_FIRST, f"the robot model is not to be trusted: {result.robot.measured.not_trusted}"))
-    if errors is None or _compensates(content):
-        return Improvement("warning" if doubts else "ok", None, None, None, None, None, _texts(doubts))
+    if errors is None or _is_corrected_input(content):
+        return Improvement("warning" if doubts else "ok", None, None, None, None, None, _sorted_texts(doubts))
     uncorrected, corrected_errors = (statistics(error, judged_result.rapid) for error in (errors.before, errors.after))
     largest_mm = max(content.before.max_mm, content.after.max_mm)
     counts = content.mode == "convert" and largest_mm > min(content.tolerance_mm or CUT_MM, CUT_MM)
@@ -156,7 +158,7 @@ def _is_better(result: Result, content: Summary, doubts: list[Finding], toleranc
         uncorrected_rms_mm=uncorrected.rms * MM_PER_M,
         corrected_rms_mm=corrected_errors.rms * MM_PER_M,
         chance=errors.chance,
-        reasons=[*_texts(failures), *_texts(doubts)],
+        reasons=[*_sorted_texts(failures), *_sorted_texts(doubts)],
     )
 
 
@@ -167,7 +169,7 @@ _WORSE_PLACE = (
 _CHANCE = "the correction {}: it makes the part better with a chance of {}"
 
 
-def _tolerance(result: Result, content: Summary, other_remedies: Sequence[Remedy]) -> Tolerance | None:
+def _tolerance_answer(result: Result, content: Summary, other_remedies: Sequence[Remedy]) -> Tolerance | None:
     """Return whether the tolerance of the part is held, or that of the path is not; None if nobody gave one."""
     part, reasons = content.part, list[str]()
     if content.targets and content.tolerance_held is False and content.mode != "predict":
@@ -176,7 +178,7 @@ def _tolerance(result: Result, content: Summary, other_remedies: Sequence[Remedy
         reasons.append(
             f"the predicted path leaves the nominal one by {deviation_text} mm: more than {content.tolerance_mm:g} mm"
         )
-    if part.tolerance_mm is None or _compensates(content):
+    if part.tolerance_mm is None or _is_corrected_input(content):
         if not reasons or content.tolerance_mm is None:
             return None
         count = int(np.count_nonzero(result.after[~result.rapid] * MM_PER_M > content.tolerance_mm))
@@ -195,9 +197,9 @@ def _tolerance(result: Result, content: Summary, other_remedies: Sequence[Remedy
     text = (
         f"the expected error on the part is up to {above_limit(part.expected_mm, part.tolerance_mm)} mm (95 %, corners "
         f"and path included), more than the {part.tolerance_mm:g} mm of [part] tolerance_mm, at "
-        f"{_two_digits(part.beyond_percent)} % of the cutting targets"
+        f"{_percent_digits(part.beyond_percent)} % of the cutting targets"
     )
-    reasons.insert(0, _at(text, part.source_line))
+    reasons.insert(0, _with_line(text, part.source_line))
     return Tolerance("failed", "part", part.tolerance_mm, False, part.beyond_percent, actions, reasons)
 
 
@@ -228,20 +230,20 @@ def _remedies(result: Result, content: Summary) -> list[Remedy]:
     return actions
 
 
-def _compensates(content: Summary) -> bool:
+def _is_corrected_input(content: Summary) -> bool:
     """Return whether a program that is predicted was corrected: its targets are commanded poses."""
     return content.mode == "predict" and content.provenance.state == "intact" and content.provenance.mode == "corrected"
 
 
-def _holds(result: Result, content: Summary) -> list[Finding]:
+def _passed_findings(result: Result, content: Summary) -> list[Finding]:
     """Return findings on the expected error, the margins, and the checks that passed."""
     holds = list[Finding]()
     if content.targets:
         holds = [
             *_surface_findings(content)[1],
             *_expected_findings(result, content),
-            *_margin(content),
-            *_clearance_finding(content),
+            *_margin_findings(content),
+            *_clearance_findings(content),
         ]
     if content.mode != "predict" and result.documents:
         text = "the program was read back as it is written, and simulated with its rounded numbers"
@@ -256,7 +258,7 @@ def _issue_findings(issues: Sequence[Issue], mode: Mode) -> list[Finding]:
     return [
         Finding(
             _FIRST if issue.kind in _FOREMOST[mode] else _NO_SIZE,
-            _at(issue.message, issue.source_line, issue.count),
+            _with_line(issue.message, issue.source_line, issue.count),
         )
         for issue in issues
     ]
@@ -281,16 +283,16 @@ def nothing_to_correct(content: Summary) -> str | None:
     return f"Nothing to correct: {reason}, the tool follows the programmed path."
 
 
-def _texts(findings: list[Finding]) -> list[str]:
+def _sorted_texts(findings: list[Finding]) -> list[str]:
     return [finding.text for finding in sorted(findings, key=lambda finding: -finding.cost_mm)]
 
 
-def _at(message: str, line: int | None, count: int = 1) -> str:
+def _with_line(message: str, line: int | None, count: int = 1) -> str:
     other_lines = f" and {count - 1} more" if count > 1 else ""
     return message if line is None else f"line {line}{other_lines}: {message}"
 
 
-def _two_digits(percent: float | None) -> str:
+def _percent_digits(percent: float | None) -> str:
     """Return a percentage with two significant digits, from 10 on without decimals; only 100 is 100."""
     assert percent is not None
     return f"{percent:.2g}" if percent < 9.95 else f"{percent if percent == 100.0 else min(percent, 99.0):.0f}"
@@ -332,7 +334,7 @@ def _expected_findings(result: Result, content: Summary) -> list[Finding]:
         programmed_mm = blending.programmed_max_mm
         itself = f", the program itself by {two_digits(programmed_mm)} mm" if programmed_mm else ""
         text = f"{blending.by} rounds corners by up to {two_digits(blending.max_mm)} mm{itself}"
-        findings.append(Finding(blending.max_mm, _at(text, blending.source_line)))
+        findings.append(Finding(blending.max_mm, _with_line(text, blending.source_line)))
     if content.tolerance_held is not False and content.between_max_mm is not None and content.tolerance_mm:
         exception = ", but for rounded corners" if content.tolerance_held is None else ""
         bound_text = f"{two_digits(content.between_max_mm)} mm of the nominal one, between targets too{exception}"
@@ -367,7 +369,7 @@ def _surface_findings(content: Summary) -> tuple[list[Finding], list[Finding]]:
             f"the programmed path itself cuts {two_digits(cut)} mm into the part: check that the mesh is in place and "
             f"is the finished part; {reach_text}"
         )
-        return [Finding(_FIRST, _at(text, surface.source_line))], []
+        return [Finding(_FIRST, _with_line(text, surface.source_line))], []
     if left is not None and left > max(limit, LEFT_MM):
         text = (
             f"the programmed path itself leaves {two_digits(left)} mm on the part: check that the mesh is in place and "
@@ -378,7 +380,7 @@ def _surface_findings(content: Summary) -> tuple[list[Finding], list[Finding]]:
     return [], [Finding(_NO_SIZE, text)]
 
 
-def clearance(content: Summary) -> str:
+def clearance_text(content: Summary) -> str:
     """Return the smallest clearance in words."""
     result = content.collision
     if result is None:
@@ -390,12 +392,12 @@ def clearance(content: Summary) -> str:
     return f"smallest clearance {result.min_clearance_mm:.3g} mm, {place}"
 
 
-def _clearance_finding(content: Summary) -> list[Finding]:
+def _clearance_findings(content: Summary) -> list[Finding]:
     """Return the smallest clearance as a finding; none if collisions were not checked."""
-    return [] if content.collision is None else [Finding(_NO_SIZE, clearance(content))]
+    return [] if content.collision is None else [Finding(_NO_SIZE, clearance_text(content))]
 
 
-def _near_limits(content: Summary) -> list[Finding]:
+def _narrow_margin_findings(content: Summary) -> list[Finding]:
     """Return a finding for each joint near a limit."""
     margins = content.limits.joint_margins_deg
     return [
@@ -405,7 +407,7 @@ def _near_limits(content: Summary) -> list[Finding]:
     ]
 
 
-def _margin(content: Summary) -> list[Finding]:
+def _margin_findings(content: Summary) -> list[Finding]:
     """Return a finding that all joints keep their distance from their limits; empty if one does not."""
     margin_deg = content.limits.min_joint_margin_deg
     return (

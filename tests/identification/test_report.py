@@ -6,7 +6,7 @@ import pytest
 from postproc.identification import identify_folder
 from postproc.identification.record import IdentificationRecord, Parameter, Verdict
 from postproc.identification.uncertainty import Judgement
-from postproc.report.identification import page, value_texts, verdict
+from postproc.report.identification import page, value_texts, verdict_section
 from postproc.robot import parameters
 from samples.paper_study import simulator
 from tests.html_page import read_page
@@ -48,11 +48,11 @@ def record_of(judged):
 def test_the_page_shows_the_reservation_of_a_verdict():
     text = "4 configurations show little of what the model lacks: measure 5 or more (30 are usual)"
     line = Judgement(distrust="", reservation=text, notes=[]).line
-    part = verdict(record_of(Verdict(False, line))).parts[0]
+    part = verdict_section(record_of(Verdict(False, line))).parts[0]
     assert part.state == "warning"
     assert part.sentence == f"within its bound, with a reservation: {text}."
     certain = Verdict(False, Judgement(distrust="", reservation="", notes=[]).line)
-    part = verdict(record_of(certain)).parts[0]
+    part = verdict_section(record_of(certain)).parts[0]
     assert (part.state, part.sentence) == ("ok", "within its bound.")
 
 

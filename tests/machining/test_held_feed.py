@@ -19,7 +19,7 @@ from postproc import correction
 from postproc.cell import Part
 from postproc.errors import InputError, PostprocError, ProgramError
 from postproc.jobs import conversion, process_forces
-from postproc.report.feed import feed_summary, sentences
+from postproc.report.feed import feed_sentences, feed_summary
 from tests.commands import run
 from tests.machining.setting import CELL, ROBOT, gcode, process, read, tool
 from tests.places import SAMPLES
@@ -188,7 +188,7 @@ def test_a_move_that_no_feed_holds_keeps_its_feed_or_gets_the_least_and_is_named
     summary = feed_summary(result)
     assert {move.source_line for move in summary.missed} >= set(lines.tolist())
     words = {"program": "such moves keep the feed of the program", "lowest": "such moves get the lowest feed"}
-    assert any(words[unheld] in sentence for sentence in sentences(summary))
+    assert any(words[unheld] in sentence for sentence in feed_sentences(summary))
     least = replace(given, output=replace(given.output, feed="program"))
     errors = []
     for feed in (900.0, 60.0, 30.0):

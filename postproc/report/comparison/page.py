@@ -18,11 +18,11 @@ from postproc.report.comparison.summary import (
     count_text,
     names_of,
     passed_sentence,
+    place_text,
     spline_sentence,
-    where_of,
 )
 from postproc.report.formatting import ROUNDING_MM, millimetres
-from postproc.report.judged import answers, split_headline
+from postproc.report.judged import answer_facts, split_headline
 from postproc.report.kit import (
     Axis,
     Cell,
@@ -78,24 +78,27 @@ class Facts(msgspec.Struct, frozen=True):
 
 def comparison_page(comparison: Comparison, content: ComparisonSummary) -> Iterator[bytes]:
     """Yield the page of a comparison as HTML in UTF-8, one file that loads nothing."""
-    sections = [_verdict(content), _numbers(content)]
+    sections = [_verdict_section(content), _numbers_section(content)]
     names = names_of(comparison)
     pair_rows = _page_rows(comparison, _linked_rows(comparison, content, names[0]))
     if len(pair_rows):
         sections += [
-            _path(comparison, pair_rows),
-            _program_plots(comparison, content, pair_rows, names[0]),
-            _histogram(comparison, pair_rows),
+            _path_section(comparison, pair_rows),
+            _program_plots_section(comparison, content, pair_rows, names[0]),
+            _histogram_section(comparison, pair_rows),
         ]
-        sections += [_operations(comparison, content, pair_rows, names), _worst_pairs(comparison, pair_rows, names)]
+        sections += [
+            _operations_section(comparison, content, pair_rows, names),
+            _worst_pairs_section(comparison, pair_rows, names),
+        ]
     yield from Page(
         kind="Comparison",
         title=f"{content.corrected} against {content.nominal}",
         subtitle=f"{content.robot} · {count_text(content)}",
         sections=(
             *sections,
-            _issues(comparison, content, pair_rows, names[0]),
-            *([_place()] if len(pair_rows) else []),
+            _issues_section(comparison, content, pair_rows, names[0]),
+            *([_place_section()] if len(pair_rows) else []),
         ),
         footer=(
             Note(
@@ -105,12 +108,12 @@ def comparison_page(comparison: Comparison, content: ComparisonSummary) -> Itera
             ),
         ),
         facts=_facts(comparison, content, pair_rows, names) if len(pair_rows) else None,
-        columns={"places": _columns(comparison, pair_rows)} if len(pair_rows) else {},
+        columns={"places": _pair_columns(comparison, pair_rows)} if len(pair_rows) else {},
         scripts=(("postproc.report.comparison", "place"),) if len(pair_rows) else (),
     ).render()
 
 
-def _verdict(content: ComparisonSummary) -> Section:
+def _verdict_section(content: ComparisonSummary) -> Section:
     """Return the section with the verdict and its reasons."""
     verdict = content.verdict
     names = (content.nominal, content.corrected)
@@ -118,14 +121,14 @@ def _verdict(content: ComparisonSummary) -> Section:
         (text if text.startswith(names) or _PLACE.match(text) else text[:1].upper() + text[1:]) + "."
         for text in verdict.reasons
     )
-    parts: list[Part] = [Verdict(verdict.state, *split_headline(verdict)), answers(verdict)]
+    parts: list[Part] = [Verdict(verdict.state, *split_headline(verdict)), answer_facts(verdict)]
     if reasons:
         kind: Kind = "error" if verdict.state == "failed" else ""
         parts.append(Notes(tuple(Note(text, kind) for text in reasons), "Why", marked=True))
     return Section("verdict", "Verdict", tuple(parts))
 
 
-def _numbers(content: ComparisonSummary) -> Section:
+def _numbers_section(content: ComparisonSummary) -> Section:
     """Return the section with offsets and deviations."""
     cut = content.cut
     tiles = [
@@ -169,7 +172,7 @@ def _page_rows(comparison: Comparison, linked_rows: Ints) -> Ints:
             else (norm(comparison.cuts.nominal), norm(comparison.cuts.corrected_deviation))
         ),
     ]
-    rows = [_worst(comparison), linked_rows]
+    rows = [_worst_rows(comparison), linked_rows]
     for measure in measures:
         size = np.where(comparison.rapid, -1.0, measure)
         groups = np.append(size, np.full(-len(size) % group_size, -2.0)).reshape(-1, group_size)
@@ -177,7 +180,7 @@ def _page_rows(comparison: Comparison, linked_rows: Ints) -> Ints:
     return distinct(np.concatenate(rows))
 
 
-def _worst(comparison: Comparison) -> Ints:
+def _worst_rows(comparison: Comparison) -> Ints:
     size = np.where(comparison.rapid, -1.0, comparison.distance)
     order = np.argsort(-size, kind="stable")[:_WORST]
     return np.asarray(order[size[order] >= 0.0])
@@ -219,7 +222,7 @@ def _facts(comparison: Comparison, content: ComparisonSummary, pair_rows: Ints, 
     return Facts(content.nominal, content.corrected, nominal_files, corrected_files, int(np.argmax(size)))
 
 
-def _columns(comparison: Comparison, pair_rows: Ints) -> Columns:
+def _pair_columns(comparison: Comparison, pair_rows: Ints) -> Columns:
     """Return the columns of the pairs (s,) for the script of the page: mm, degrees, N, mm/s."""
     nominal_places, corrected_places = (
         comparison.nominal.places(comparison.pair[pair_rows, 0]),
@@ -246,12 +249,12 @@ def _columns(comparison: Comparison, pair_rows: Ints) -> Columns:
     return Columns.of(columns)
 
 
-def _place() -> Section:
+def _place_section() -> Section:
     label = "Details of the chosen pair: lines, pose, offset, speeds, force, what each program cuts"
     return Section("place", "Place", (View("place", label),), "side")
 
 
-def _path(comparison: Comparison, rows: Ints) -> Section:
+def _path_section(comparison: Comparison, rows: Ints) -> Section:
     """Return the section with both paths in space, offsets exaggerated to a tenth of the extent."""
     nominal, offset, place = _drawn_path(comparison, rows)
     extent = float(np.ptp(nominal, axis=0).max())
@@ -259,8 +262,8 @@ def _path(comparison: Comparison, rows: Ints) -> Section:
     factor = _round_scale(0.1 * extent / largest) if largest * MM_PER_M > ROUNDING_MM and extent > 0.0 else 1.0
     larger = f", offsets {factor:g} times larger" if factor > 1.0 else ""
     traces = [
-        _line(nominal, "nominal", "before", place),
-        _line(nominal + factor * offset, f"corrected{larger}", "after", place),
+        _path_line(nominal, "nominal", "before", place),
+        _path_line(nominal + factor * offset, f"corrected{larger}", "after", place),
     ]
     thinning_note = (
         ""
@@ -303,12 +306,12 @@ def _drawn_path(comparison: Comparison, rows: Ints) -> tuple[Array, Array, Ints]
     return nominal_point, corrected_point - nominal_point, place
 
 
-def _line(points: Array, name: str, colour: str, place: Ints) -> Lines:
+def _path_line(points: Array, name: str, colour: str, place: Ints) -> Lines:
     x, y, z = (points * MM_PER_M).T.tolist()
     return Lines(x, y, z, name, "before" if colour == "before" else "after", places=place.tolist())
 
 
-def _program_plots(comparison: Comparison, content: ComparisonSummary, rows: Ints, nominal: Names) -> Section:
+def _program_plots_section(comparison: Comparison, content: ComparisonSummary, rows: Ints, nominal: Names) -> Section:
     """Return the section with offsets and deviations along the program."""
     places = [*range(len(rows))]
     order = (rows + 1.0).tolist()  # lines go back where a program repeats some
@@ -342,7 +345,7 @@ def _program_plots(comparison: Comparison, content: ComparisonSummary, rows: Int
     return Section("along", "Along the program", tuple(parts))
 
 
-def _histogram(comparison: Comparison, pair_rows: Ints) -> Section:
+def _histogram_section(comparison: Comparison, pair_rows: Ints) -> Section:
     """Return the section with the distribution of the offset."""
     counts, edges = np.histogram(comparison.distance[~comparison.rapid] * MM_PER_M, bins=_BINS)
     size = np.where(comparison.rapid, -1.0, comparison.distance)[pair_rows] * MM_PER_M
@@ -359,7 +362,9 @@ def _histogram(comparison: Comparison, pair_rows: Ints) -> Section:
     return Section("histogram", "Distribution of the offset", (plot,))
 
 
-def _operations(comparison: Comparison, content: ComparisonSummary, pair_rows: Ints, names: Sequence[Names]) -> Section:
+def _operations_section(
+    comparison: Comparison, content: ComparisonSummary, pair_rows: Ints, names: Sequence[Names]
+) -> Section:
     """Return the section with the largest values of each operation."""
     head = ["Operation", "Tool", "First line", "Cutting targets", "Offset, mm"]
     head += ["Nominal cuts, mm", "Corrected cuts, mm"] if content.cut is not None else []
@@ -382,7 +387,7 @@ def _operations(comparison: Comparison, content: ComparisonSummary, pair_rows: I
     return Section("operations", "Operations and tools", (table,))
 
 
-def _worst_pairs(comparison: Comparison, pair_rows: Ints, names: Sequence[Names]) -> Section:
+def _worst_pairs_section(comparison: Comparison, pair_rows: Ints, names: Sequence[Names]) -> Section:
     """Return the section with the pairs with the largest offsets."""
     head = [
         *(f"Line of {name.main}" for name in names),
@@ -396,7 +401,7 @@ def _worst_pairs(comparison: Comparison, pair_rows: Ints, names: Sequence[Names]
     head += ["Nominal cuts, mm", "Corrected cuts, mm"] if comparison.cuts is not None else []
     cuts = () if comparison.cuts is None else (comparison.cuts.nominal, comparison.cuts.corrected_deviation)
     rows = []
-    worst = _worst(comparison)
+    worst = _worst_rows(comparison)
     places = [p.places(comparison.pair[worst, k]) for k, p in enumerate((comparison.nominal, comparison.corrected))]
     for k, row in enumerate(worst.tolist()):
         cells = [name.line(place.of(k)) for name, place in zip(names, places, strict=True)]
@@ -410,7 +415,7 @@ def _worst_pairs(comparison: Comparison, pair_rows: Ints, names: Sequence[Names]
     return Section("worst", "Largest offsets", (Table(tuple(head), tuple(rows), "Largest offsets", sortable=True),))
 
 
-def _issues(comparison: Comparison, content: ComparisonSummary, pair_rows: Ints, names: Names) -> Section:
+def _issues_section(comparison: Comparison, content: ComparisonSummary, pair_rows: Ints, names: Names) -> Section:
     """Return the section with the differences besides positions."""
     if not content.issues:
         return Section("issues", "Differences besides positions", (Notes((Note("None.", "good"),)),))
@@ -419,7 +424,7 @@ def _issues(comparison: Comparison, content: ComparisonSummary, pair_rows: Ints,
             (
                 Cell(issue.level, _KINDS[issue.level]),
                 issue.message,
-                where_of(issue) or "-",
+                place_text(issue) or "-",
                 str(issue.count),
             ),
             _place_of(comparison, pair_rows, names, issue.source_file, issue.source_line),

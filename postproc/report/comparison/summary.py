@@ -254,22 +254,22 @@ def comparison_summary(
         offset=_distances(distance, rapid),
         rotation=Rotations(max_deg=rotation.largest * DEG_PER_RAD, rms_deg=rotation.rms * DEG_PER_RAD),
         between_targets=_largest_gap(comparison, names),
-        largest=_largest(comparison, names),
+        largest=_largest_pairs(comparison, names),
         differences={name.replace("-", "_"): count.get(name, 0) for name in _DIFFERENCES},
-        cut=_cut(comparison, names, slice(0, len(comparison.pair))),
+        cut=_cut_distances(comparison, names, slice(0, len(comparison.pair))),
         between=_deviation_between_targets(comparison, second_names),
         tolerance_mm=stated_mm(tolerance),
-        operations=[*_operations(comparison, names)],
+        operations=[*_operation_entries(comparison, names)],
         provenance=OriginEntry(
             state=state,
             mode=file_origin.origin.mode or None,
             version=file_origin.origin.version or None,
             made_from_these=dict(file_origin.agrees),
         ),
-        issues=[_entry(difference, nominal, second_names) for difference in comparison.differences],
+        issues=[_difference_entry(difference, nominal, second_names) for difference in comparison.differences],
         verdict=UNJUDGED,
     )
-    errors, doubtful = [*_failures(content, limit * MM_PER_M, file_origin)], [*_doubtful(content, file_origin)]
+    errors, doubtful = [*_failures(content, limit * MM_PER_M, file_origin)], [*_doubts(content, file_origin)]
     drive = Drive(
         "failed" if errors else "warning" if doubtful else "ok", [*errors, *doubtful], [LIMITS_AND_COLLISIONS]
     )
@@ -285,7 +285,7 @@ def comparison_summary(
             "it with --forces to check what remains"
         )
     holds += [_issue_text(issue) for issue in content.issues if issue.level == "info"]
-    verdict = join("convert", drive, None, _tolerance(content), holds, words=WORDS)
+    verdict = join("convert", drive, None, _tolerance_answer(content), holds, words=WORDS)
     return replace(content, verdict=verdict)
 
 
@@ -295,7 +295,7 @@ def _largest_passing_distance(comparison: Comparison) -> float | None:
     return float(distances.max()) * MM_PER_M if len(distances) else None
 
 
-def _entry(difference: Difference, nominal: Names, second_names: Names) -> DifferenceEntry:
+def _difference_entry(difference: Difference, nominal: Names, second_names: Names) -> DifferenceEntry:
     """Return a difference as an entry of the summary."""
     return DifferenceEntry(
         level=difference.level,
@@ -309,7 +309,7 @@ def _entry(difference: Difference, nominal: Names, second_names: Names) -> Diffe
     )
 
 
-def where_of(entry: DifferenceEntry) -> str:
+def place_text(entry: DifferenceEntry) -> str:
     """Return the lines of the first place of a difference, in both programs; empty if unknown."""
     places = (
         (entry.source_file, entry.source_line),
@@ -333,7 +333,7 @@ def _failures(content: ComparisonSummary, limit_mm: float, file_origin: ProgramO
     yield from (_issue_text(issue) for issue in content.issues if issue.level == "error")
 
 
-def _tolerance(content: ComparisonSummary) -> Tolerance | None:
+def _tolerance_answer(content: ComparisonSummary) -> Tolerance | None:
     """Return that the tolerance of the path is not held by the second program; None if it is, or is not known."""
     cut, between_targets, tolerance, reasons = content.cut, content.between, content.tolerance_mm, list[str]()
     if cut is not None and not cut.corrected.max_mm <= tolerance:
@@ -355,7 +355,7 @@ def _pair_text(pair: Lines | WorstPair) -> str:
     return f"{pair.nominal_file}:{pair.nominal_line} and {pair.corrected_file}:{pair.corrected_line}"
 
 
-def _doubtful(content: ComparisonSummary, file_origin: ProgramOrigin) -> Iterator[str]:
+def _doubts(content: ComparisonSummary, file_origin: ProgramOrigin) -> Iterator[str]:
     """Yield reasons to look at the corrected program before it is run."""
     origin = content.provenance
     changed_inputs = [name for name, is_same in origin.made_from_these.items() if not is_same]
@@ -379,7 +379,7 @@ def _doubtful(content: ComparisonSummary, file_origin: ProgramOrigin) -> Iterato
 def _issue_text(issue: DifferenceEntry) -> str:
     """Return a difference as text, with its first place and its count."""
     count = f" ({issue.count} times)" if issue.count > 1 else ""
-    place = where_of(issue)
+    place = place_text(issue)
     return f"{place}{': ' if place else ''}{issue.message.rstrip('.')}{count}"
 
 
@@ -394,7 +394,7 @@ def _distances(values: Array, rapid: Bools) -> Distances:
     )
 
 
-def _cut(comparison: Comparison, names: Sequence[Names], rows: slice) -> CutDistances | None:
+def _cut_distances(comparison: Comparison, names: Sequence[Names], rows: slice) -> CutDistances | None:
     """Return the errors of both programs' cuts on some pairs [mm], with the worst place; None without forces."""
     if comparison.cuts is None:
         return None
@@ -403,7 +403,7 @@ def _cut(comparison: Comparison, names: Sequence[Names], rows: slice) -> CutDist
         norm(deviation[rows]) for deviation in (comparison.cuts.nominal, comparison.cuts.corrected_deviation)
     )
     worst = rows.start + int(np.argmax(np.where(rapid, -1.0, corrected_mm))) if not rapid.all() else None
-    lines = _NO_LINES if worst is None else asdict(_lines(comparison, names, worst))
+    lines = _NO_LINES if worst is None else asdict(_lines_of_pair(comparison, names, worst))
     return CutDistances(**lines, nominal=_distances(nominal, rapid), corrected=_distances(corrected_mm, rapid))
 
 
@@ -413,7 +413,7 @@ def _largest_gap(comparison: Comparison, names: Sequence[Names]) -> PathGap:
     worst = int(np.argmax(size)) if len(size) else -1
     if worst < 0 or size[worst] < 0.0:
         return PathGap(max_mm=0.0, **_NO_LINES)
-    return PathGap(max_mm=float(size[worst]) * MM_PER_M, **asdict(_lines(comparison, names, worst)))
+    return PathGap(max_mm=float(size[worst]) * MM_PER_M, **asdict(_lines_of_pair(comparison, names, worst)))
 
 
 def _deviation_between_targets(comparison: Comparison, second_names: Names) -> DistancesBetweenPairs | None:
@@ -435,13 +435,13 @@ def _deviation_between_targets(comparison: Comparison, second_names: Names) -> D
     )
 
 
-def _largest(comparison: Comparison, names: Sequence[Names]) -> list[PairEntry]:
+def _largest_pairs(comparison: Comparison, names: Sequence[Names]) -> list[PairEntry]:
     """Return the pairs with the largest offsets, largest first."""
     size = np.where(comparison.rapid, -1.0, comparison.distance)
     order = np.argsort(-size, kind="stable")[:_LARGEST_PAIRS]
     return [
         PairEntry(
-            **asdict(_lines(comparison, names, row)),
+            **asdict(_lines_of_pair(comparison, names, row)),
             mm=float(comparison.distance[row]) * MM_PER_M,
             deg=float(comparison.rotation[row]) * DEG_PER_RAD,
         )
@@ -449,7 +449,7 @@ def _largest(comparison: Comparison, names: Sequence[Names]) -> list[PairEntry]:
     ]
 
 
-def _lines(comparison: Comparison, names: Sequence[Names], pair: int) -> Lines:
+def _lines_of_pair(comparison: Comparison, names: Sequence[Names], pair: int) -> Lines:
     """Return file and line of both targets of a pair, as keys of the report."""
     places = (
         p.places(comparison.pair[pair, k : k + 1]).of(0)
@@ -464,7 +464,7 @@ def _lines(comparison: Comparison, names: Sequence[Names], pair: int) -> Lines:
     )
 
 
-def _operations(comparison: Comparison, names: Sequence[Names]) -> Iterator[OperationEntry]:
+def _operation_entries(comparison: Comparison, names: Sequence[Names]) -> Iterator[OperationEntry]:
     """Yield an entry for each operation with cutting targets."""
     starts = operation_starts(comparison.nominal, comparison.pair[:, 0])
     for first, end in pairwise([*sorted(starts), len(comparison.pair)]):
@@ -473,7 +473,7 @@ def _operations(comparison: Comparison, names: Sequence[Names]) -> Iterator[Oper
         if not cutting:
             continue
         name, tool = starts[first]
-        lines = _lines(comparison, names, first + int(np.argmin(comparison.rapid[rows])))
+        lines = _lines_of_pair(comparison, names, first + int(np.argmin(comparison.rapid[rows])))
         yield OperationEntry(
             name=name,
             tool=tool,
@@ -481,7 +481,7 @@ def _operations(comparison: Comparison, names: Sequence[Names]) -> Iterator[Oper
             nominal_line=lines.nominal_line,
             pairs=cutting,
             offset=_distances(comparison.distance[rows], comparison.rapid[rows]),
-            cut=_cut(comparison, names, rows),
+            cut=_cut_distances(comparison, names, rows),
         )
 
 
@@ -510,9 +510,9 @@ def pairs_csv(comparison: Comparison) -> Iterator[bytes]:
     nominal, corrected = comparison.nominal, comparison.corrected
     rapid = np.where(nominal_row >= 0, nominal.motions.rapid[nominal_row], corrected.motions.rapid[corrected_row])
     rapid = rapid[order].astype(float)
-    names = _words(_STATES, state[order])
-    file, line = _places(nominal, nominal_row[order])
-    file_two, line_two = _places(corrected, corrected_row[order])
+    names = _word_column(_STATES, state[order])
+    file, line = _place_columns(nominal, nominal_row[order])
+    file_two, line_two = _place_columns(corrected, corrected_row[order])
     for part in chunks(len(order)):
         columns: list[Number | NDArray[np.uint8]] = [
             names[part], file[part], Number.of(line[part], 0), file_two[part], Number.of(line_two[part], 0),
@@ -578,16 +578,16 @@ def _numbers_of_pairs(comparison: Comparison, state: Ints, nominal_row: Ints, co
     )
 
 
-def _places(program: Program, rows: Ints) -> tuple[NDArray[np.uint8], Array]:
+def _place_columns(program: Program, rows: Ints) -> tuple[NDArray[np.uint8], Array]:
     """Return file and line of motions (n,) as columns; empty where there is none (−1)."""
     is_motion = rows >= 0
     places = program.places(rows[is_motion])
     line, file = np.full(len(rows), np.nan), np.full(len(rows), len(places.files))
     line[is_motion], file[is_motion] = places.line, places.file
-    return _words([*places.files, ""], file), line
+    return _word_column([*places.files, ""], file), line
 
 
-def _words(words: Sequence[str], index: Ints) -> NDArray[np.uint8]:
+def _word_column(words: Sequence[str], index: Ints) -> NDArray[np.uint8]:
     """Return words as a column of texts (n, width), padded with zeros; quoted where CSV needs it."""
     csv_words = ['"' + word.replace('"', '""') + '"' if set(word) & set(',"\r\n') else word for word in words]
     return np.char.encode(csv_words, "utf-8").view(np.uint8).reshape(len(csv_words), -1)[index]

@@ -13,31 +13,31 @@ from postproc.report.deviation import sections
 from postproc.report.deviation.data import Deviation
 from postproc.report.kit import Note, Page, Section
 from postproc.report.record import Record
-from postproc.report.text import targets
+from postproc.report.text import target_count_text
 
 if TYPE_CHECKING:
     from postproc.machining import ProcessForces
     from postproc.report.surface import Surface
 
 SECTIONS: tuple[Callable[[Deviation], Section | None], ...] = (
-    sections.verdict,
-    sections.view3d,
-    sections.numbers,
-    sections.surface,
+    sections.verdict_section,
+    sections.view3d_section,
+    sections.numbers_section,
+    sections.surface_section,
     sections.program_section,
-    sections.turn,
-    sections.cut,
-    sections.histogram,
-    sections.operations,
-    sections.feeds,
-    sections.worst_places,
-    sections.reversals,
-    sections.limits,
-    sections.joints,
-    sections.model,
-    sections.issues,
-    sections.record,
-    sections.place,
+    sections.turn_section,
+    sections.cut_section,
+    sections.histogram_section,
+    sections.operations_section,
+    sections.feeds_section,
+    sections.worst_places_section,
+    sections.reversals_section,
+    sections.limits_section,
+    sections.joints_section,
+    sections.model_section,
+    sections.issues_section,
+    sections.record_section,
+    sections.place_section,
 )
 """The sections of the page in order. One that has nothing to say returns None."""
 ON_PAPER = frozenset({"verdict", "view3d", "numbers", "surface", "operations", "worst", "limits", "record"})
@@ -83,7 +83,7 @@ def page(
     yield from Page(
         kind="Deviation report",
         title=content.program,
-        subtitle=f"{result.robot.title or result.robot.name} · {_MODES[result.mode]} · {targets(content)}",
+        subtitle=f"{result.robot.title or result.robot.name} · {_MODES[result.mode]} · {target_count_text(content)}",
         sections=sections,
         footer=(
             Note(

@@ -142,7 +142,7 @@ class Deviation(Struct, frozen=True, dict=True):
     @cached_property
     def places(self) -> ShownTargets:
         """The places that the page shows; only where there are targets."""
-        return places(self.result, self._linked_rows())
+        return shown_targets(self.result, self._linked_rows())
 
     @cached_property
     def links(self) -> list[LinkShape]:
@@ -390,7 +390,7 @@ def _measures(result: Result) -> Iterator[Array]:
         yield result.bound
 
 
-def places(result: Result, linked_rows: Ints) -> ShownTargets:
+def shown_targets(result: Result, linked_rows: Ints) -> ShownTargets:
     """Return the places of a result that has some.
 
     :param linked_rows: rows that tables of the page lead to.

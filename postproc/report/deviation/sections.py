@@ -14,9 +14,9 @@ from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm
 from postproc.placement import FREE, NO_CLEARANCE, REASONS, Turn
 from postproc.program import Ints, distinct
 from postproc.report.deviation.data import Deviation, correction
-from postproc.report.feed import seconds, sentences
+from postproc.report.feed import duration_text, feed_sentences
 from postproc.report.formatting import ROUNDING_MM, estimate, millimetres, two_digits
-from postproc.report.judged import answers, sentence, split_headline
+from postproc.report.judged import answer_facts, as_sentence, split_headline
 from postproc.report.kit import (
     Axis,
     Cell,
@@ -39,7 +39,7 @@ from postproc.report.kit import (
 )
 from postproc.report.kit.parts import Colour
 from postproc.report.summary import OnSurface
-from postproc.report.text import number, percent, times
+from postproc.report.text import factor_text, number_text, percent_text
 from postproc.report.verdict import CUT_MM, LEFT_MM, NARROW_DEG
 from postproc.robot import JOINTS, WITH_LINKS
 
@@ -48,15 +48,15 @@ if TYPE_CHECKING:
     from postproc.machining.sweep import Cuts
 
 
-def verdict(data: Deviation) -> Section:
+def verdict_section(data: Deviation) -> Section:
     """Return the verdict: its headline, the three answers, their reasons, what holds, and the assumptions."""
     answer = data.content.verdict
-    parts: list[Part] = [Verdict(answer.state, *split_headline(answer)), answers(answer)]
+    parts: list[Part] = [Verdict(answer.state, *split_headline(answer)), answer_facts(answer)]
     if answer.state != "ok":
         kind: Kind = "error" if answer.state == "failed" else ""
-        parts.append(Notes(tuple(Note(sentence(text), kind) for text in answer.reasons), "Why", marked=True))
-    holds = Notes(tuple(Note(sentence(text)) for text in answer.holds), "What holds", marked=True)
-    assumes = Notes(tuple(Note(sentence(text)) for text in answer.assumes), "Under these assumptions", marked=True)
+        parts.append(Notes(tuple(Note(as_sentence(text), kind) for text in answer.reasons), "Why", marked=True))
+    holds = Notes(tuple(Note(as_sentence(text)) for text in answer.holds), "What holds", marked=True)
+    assumes = Notes(tuple(Note(as_sentence(text)) for text in answer.assumes), "Under these assumptions", marked=True)
     inner = (holds, assumes) if answer.holds else (assumes,)
     parts.append(Fold("What holds, and under which assumptions" if answer.holds else "Under which assumptions", inner))
     return Section("verdict", "Verdict", tuple(parts))
@@ -65,7 +65,7 @@ def verdict(data: Deviation) -> Section:
 _MEASURES = ("Maximum", "RMS", "Mean", "95th percentile")
 
 
-def numbers(data: Deviation) -> Section | None:
+def numbers_section(data: Deviation) -> Section | None:
     """Return deviations before and after, the expected error, and the improvement."""
     content = data.content
     if not content.targets:
@@ -86,14 +86,14 @@ def numbers(data: Deviation) -> Section | None:
         note = f"95 %; at targets {two_digits(bound.max_mm)} mm, RMS {two_digits(bound.rms_mm)} mm; {bound.basis}"
         expected_mm = bound.max_mm if content.part.expected_mm is None else content.part.expected_mm
         tiles.append(Tile("Expected error on the part, up to", two_digits(expected_mm), "mm", note))
-    parts: list[Part] = [Tiles(tuple(tiles)), _table(data)]
+    parts: list[Part] = [Tiles(tuple(tiles)), _deviation_table(data)]
     share = content.compensated_percent
     if content.mode == "convert" and share is not None:
-        parts.append(Notes((Note(f"Compensated {percent(share)} of the predicted deviation (RMS)."),)))
+        parts.append(Notes((Note(f"Compensated {percent_text(share)} of the predicted deviation (RMS)."),)))
     return Section("numbers", "Deviation of the tool tip, mm", tuple(parts))
 
 
-def _table(data: Deviation) -> Table:
+def _deviation_table(data: Deviation) -> Table:
     """Return the table of predicted deviations, before and after compensation."""
     content = data.content
     u95 = None if content.u95 is None else content.u95.max_mm
@@ -111,7 +111,7 @@ def _table(data: Deviation) -> Table:
             note=f"{_ALL_ROUNDING} {_ROUNDING}",
         )
     table_rows = tuple(
-        Row((label, estimate(before_mm, u95), estimate(after_mm, u95), times(before_mm, after_mm)))
+        Row((label, estimate(before_mm, u95), estimate(after_mm, u95), factor_text(before_mm, after_mm)))
         for label, before_mm, after_mm in zip(_MEASURES, astuple(content.before), astuple(content.after), strict=True)
     )
     head = ("Criterion", "Before compensation, mm", "After compensation, mm", "Improvement factor")
@@ -130,7 +130,7 @@ _VIEW_LABEL = (
 )
 
 
-def view3d(data: Deviation) -> Section | None:
+def view3d_section(data: Deviation) -> Section | None:
     """Return the section with the 3D view of path and deviation."""
     if not len(data.result) or data.uncorrected_reason is not None:
         return None
@@ -147,7 +147,7 @@ def view3d(data: Deviation) -> Section | None:
 _SOURCE_LABEL = "The text of the program; lines with targets lead to their place. Arrow up and down step along them."
 
 
-def surface(data: Deviation) -> Section | None:
+def surface_section(data: Deviation) -> Section | None:
     """Return the surface with the largest deviations along its normal, and the gouges beyond the tolerance."""
     surface = data.surface
     measures = data.content.surface
@@ -162,12 +162,12 @@ def surface(data: Deviation) -> Section | None:
     tiles = [_programmed_tile(measures, data)]
     if contact.any():
         tiles += [
-            _depth("Gouged before, at most", -surface.before[contact].min(), _DEFLECTION),
-            _depth("Left before, at most", surface.before[contact].max(), _DEFLECTION),
+            _depth_tile("Gouged before, at most", -surface.before[contact].min(), _DEFLECTION),
+            _depth_tile("Left before, at most", surface.before[contact].max(), _DEFLECTION),
         ]
         if data.is_compared:
-            tiles.append(_depth("Gouged after, at most", -deviation[contact].min(), "as the model predicts it"))
-            tiles.append(_depth("Left after, at most", deviation[contact].max()))
+            tiles.append(_depth_tile("Gouged after, at most", -deviation[contact].min(), "as the model predicts it"))
+            tiles.append(_depth_tile("Left after, at most", deviation[contact].max()))
         if surface.bound is not None:
             tiles.append(
                 Tile("Expected error (95 %), up to", two_digits(surface.bound[contact].max() * MM_PER_M), "mm")
@@ -177,7 +177,7 @@ def surface(data: Deviation) -> Section | None:
     label = "The part, coloured by the deviation along its outward normal; the table below lists the gouges"
     note = "Below 0 the tool gouges, above it leaves material. Grey: no tool reaches it. Before and after are "
     view = View("surface", label, f"{note}deviations from the programmed path.")
-    parts: list[Part] = [Tiles(tuple(tiles)), view, *_gouges(data, deviation, words)]
+    parts: list[Part] = [Tiles(tuple(tiles)), view, *_gouge_parts(data, deviation, words)]
     return Section("surface", "Surface of the part", tuple(parts))
 
 
@@ -196,14 +196,14 @@ def _programmed_tile(measures: OnSurface, data: Deviation) -> Tile:
     return Tile(label, "nowhere", "", f"by more than {limit:g} mm")
 
 
-def _depth(label: str, value: float, note: str = "") -> Tile:
+def _depth_tile(label: str, value: float, note: str = "") -> Tile:
     """Return the largest depth [m] below the surface, or height above it; negative: there is none."""
     if value <= 0.0:
         return Tile(label, "nothing", "", note)
     return Tile(label, millimetres(float(value) * MM_PER_M), "mm", note)
 
 
-def _gouges(data: Deviation, deviation: np.ndarray, words: str) -> list[Part]:
+def _gouge_parts(data: Deviation, deviation: np.ndarray, words: str) -> list[Part]:
     """Return the lines that gouge by more than the tolerance, the deepest place of each."""
     surface, tolerance = data.surface, data.tolerance
     if surface is None or tolerance is None:
@@ -248,7 +248,7 @@ _CM3 = 1e6
 """cm³/min of one m³/s, and cm³ of one m³."""
 
 
-def cut(data: Deviation) -> Section | None:
+def cut_section(data: Deviation) -> Section | None:
     """Return plots of the engagement over the length of the path, and a view of the remaining stock."""
     process = data.process
     if process is None or not len(data.result) or not len(process.cuts.t):
@@ -261,7 +261,7 @@ def cut(data: Deviation) -> Section | None:
 
 def _cut_plots(data: Deviation, cuts: Cuts) -> list[Plot]:
     """Return the engagement over the length of the path: depth and width, angles, removal rate, power."""
-    run, rows, motion, t = _contact(cuts)
+    run, rows, motion, t = _stations_in_contact(cuts)
     place = np.searchsorted(data.result.motion + data.result.t, motion + t - 1e-9)
     place = np.minimum(np.searchsorted(data.places.row, place), len(data.places.row) - 1)
     x = np.interp(motion + t, data.result.motion + data.result.t, data.places.path_length) * MM_PER_M
@@ -329,7 +329,7 @@ def _cut_tiles(process: ProcessForces) -> Tiles:
     )
 
 
-def _contact(cuts: Cuts) -> tuple[Ints, Ints, Ints, Array]:
+def _stations_in_contact(cuts: Cuts) -> tuple[Ints, Ints, Ints, Array]:
     """Return the stations in contact with the stock.
 
     Where the engagement is the same along a motion, the process has one station: it is shown at both ends.
@@ -366,7 +366,7 @@ def _drawn_rows(values: Array, run: Ints) -> Ints:
     return rows if len(rows) <= 10 * _CURVE_POINTS else rows[:: -(-len(rows) // (10 * _CURVE_POINTS))]
 
 
-def histogram(data: Deviation) -> Section | None:
+def histogram_section(data: Deviation) -> Section | None:
     """Return the view of the histogram; `facts.histograms` has its numbers, over all cutting targets."""
     if not len(data.result) or data.uncorrected_reason is not None:
         return None
@@ -375,7 +375,7 @@ def histogram(data: Deviation) -> Section | None:
     return Section("histogram", "Distribution of the deviation", (View("histogram", label, note),))
 
 
-def operations(data: Deviation) -> Section | None:
+def operations_section(data: Deviation) -> Section | None:
     """Return a table of the operations."""
     if not data.operations:
         return None
@@ -416,7 +416,7 @@ def operations(data: Deviation) -> Section | None:
     return Section("operations", "Operations and tools", (table,))
 
 
-def feeds(data: Deviation) -> Section | None:
+def feeds_section(data: Deviation) -> Section | None:
     """Return the section on feeds that were lowered to hold the tolerance of the part."""
     feed = data.content.feed
     if feed is None:
@@ -426,10 +426,10 @@ def feeds(data: Deviation) -> Section | None:
             (
                 operation.name,
                 f"T{operation.tool}" if operation.tool else "-",
-                seconds(operation.time_before_s),
-                seconds(operation.time_after_s),
+                duration_text(operation.time_before_s),
+                duration_text(operation.time_after_s),
                 str(operation.lowered_moves),
-                number(operation.lowest_feed_mm_per_min, 0),
+                number_text(operation.lowest_feed_mm_per_min, 0),
             )
         )
         for operation in feed.operations
@@ -437,11 +437,11 @@ def feeds(data: Deviation) -> Section | None:
     head = ("Operation", "Tool", "Time before", "Time after", "Moves slowed", "Lowest feed, mm/min")
     note = "Time of cutting moves: lengths divided by feeds, without the accelerations of the controller."
     table = Table(head, tuple(rows), "Cutting time by operation at programmed and written feeds", texts=(1,), note=note)
-    notes = Notes(tuple(Note(sentence(text)) for text in sentences(feed, 20)))
+    notes = Notes(tuple(Note(as_sentence(text)) for text in feed_sentences(feed, 20)))
     return Section("feeds", "Feeds that hold the tolerance", (notes, table))
 
 
-def worst_places(data: Deviation) -> Section | None:
+def worst_places_section(data: Deviation) -> Section | None:
     """Return a table of the worst place of each of the worst lines, before and after."""
     result = data.result
     if not len(result) or data.uncorrected_reason is not None:
@@ -466,7 +466,7 @@ def worst_places(data: Deviation) -> Section | None:
     return Section("worst", "Worst places", (table,))
 
 
-def reversals(data: Deviation) -> Section | None:
+def reversals_section(data: Deviation) -> Section | None:
     """Return a table of the largest reversals; only a note where the model states no lost motion."""
     entries = data.content.reversals
     if not entries:
@@ -498,7 +498,7 @@ _TOLERANCE_CELLS = {
 }
 
 
-def limits(data: Deviation) -> Section | None:
+def limits_section(data: Deviation) -> Section | None:
     """Return tolerance and limits, with the margins of the path."""
     content = data.content
     if not content.targets:
@@ -512,25 +512,25 @@ def limits(data: Deviation) -> Section | None:
         rows.append(("Tolerance", Cell(f"{content.tolerance_mm:g} mm: {text}", kind)))  # type: ignore[arg-type]
     blending = content.blending
     if blending.source_line is not None:
-        corner_text = f"{number(blending.max_mm, 3)} mm, line {blending.source_line}"
+        corner_text = f"{number_text(blending.max_mm, 3)} mm, line {blending.source_line}"
         rows.append((f"{blending.by[:1].upper()}{blending.by[1:]} rounds corners by up to", corner_text))
     if content.mode == "convert":
-        rows.append(("Largest correction", f"{number(content.max_correction_mm, 3)} mm"))
+        rows.append(("Largest correction", f"{number_text(content.max_correction_mm, 3)} mm"))
     if content.tool_deflection is not None:
-        share = f"{number(content.tool_deflection.max_mm, 3)} mm"
+        share = f"{number_text(content.tool_deflection.max_mm, 3)} mm"
         rows.append(("Deflection of holder, spindle and tool, up to", share))
     rows.append(("Largest force", f"{content.max_force_N:.0f} N"))
     limits = content.limits
-    rows.append(("Smallest joint margin", f"{number(limits.min_joint_margin_deg, 1)}°"))
-    rows.append(("Smallest singular value of the Jacobian", f"{number(limits.min_singular_value, 3)} m/rad"))
+    rows.append(("Smallest joint margin", f"{number_text(limits.min_joint_margin_deg, 1)}°"))
+    rows.append(("Smallest singular value of the Jacobian", f"{number_text(limits.min_singular_value, 3)} m/rad"))
     free = content.collision
     if free is not None and free.min_clearance_mm is not None:
-        words = f"{number(free.min_clearance_mm, 1)} mm, {' and '.join(free.bodies)}, line {free.source_line}"
+        words = f"{number_text(free.min_clearance_mm, 1)} mm, {' and '.join(free.bodies)}, line {free.source_line}"
         rows.append(("Smallest clearance", words))
     return Section("limits", "Tolerance and limits", (Facts(tuple(rows)),), "half")
 
 
-def joints(data: Deviation) -> Section | None:
+def joints_section(data: Deviation) -> Section | None:
     """Return a table of the joints."""
     result = data.result
     if not len(result):
@@ -538,7 +538,7 @@ def joints(data: Deviation) -> Section | None:
     rows = []
     for index, name in enumerate(JOINTS):
         angle, margin = result.q[:, index] * DEG_PER_RAD, float(result.joint_margin[index]) * DEG_PER_RAD
-        text = number(margin if np.isfinite(margin) else None, 1)
+        text = number_text(margin if np.isfinite(margin) else None, 1)
         limits = (f"{limit * DEG_PER_RAD:z.0f}" for limit in (result.robot.lower[index], result.robot.upper[index]))
         margin_cell = Cell(text, "warning" if margin < NARROW_DEG else "")
         rows.append(Row((name, f"{angle.min():z.1f}", f"{angle.max():z.1f}", " … ".join(limits), margin_cell)))
@@ -546,7 +546,7 @@ def joints(data: Deviation) -> Section | None:
     return Section("joints", "Joints", (Table(head, tuple(rows), "Range of the joints and their margins"),), "half")
 
 
-def model(data: Deviation) -> Section:
+def model_section(data: Deviation) -> Section:
     """Return the values of the model with their sources, assumed ones flagged."""
     robot = data.result.robot
     rows = tuple(
@@ -573,7 +573,7 @@ _MOST_LINES = 2000
 _KINDS: dict[str, Kind] = {"error": "error", "warning": "warning", "info": "soft"}
 
 
-def issues(data: Deviation) -> Section:
+def issues_section(data: Deviation) -> Section:
     """Return a table of the issues."""
     issues = data.result.issues
     if not issues:
@@ -583,7 +583,7 @@ def issues(data: Deviation) -> Section:
             (
                 Cell(issue.level, _KINDS[issue.level]),
                 issue.message,
-                Cell(_ranges(issue), sort=issue.source_line),
+                Cell(_line_ranges(issue), sort=issue.source_line),
                 str(issue.count),
             ),
             None if (row := data.row_of(issue)) is None else data.places.of(row),
@@ -594,7 +594,7 @@ def issues(data: Deviation) -> Section:
     return Section("issues", "Issues", (Table(("Level", "What", "Lines", "Places"), rows, "Issues", texts=(1, 2)),))
 
 
-def _ranges(issue: Issue) -> str:
+def _line_ranges(issue: Issue) -> str:
     """Return all lines of an issue, runs of them as ranges; of very many the first."""
     if not issue.lines:
         return "-" if issue.source_line is None else str(issue.source_line)
@@ -603,7 +603,7 @@ def _ranges(issue: Issue) -> str:
     return first_of(texts, _MOST_LINES)
 
 
-def place(data: Deviation) -> Section | None:
+def place_section(data: Deviation) -> Section | None:
     """Return the view of the details; it stays in sight next to the other sections."""
     if not len(data.result):
         return None
@@ -617,7 +617,7 @@ _COLOURED_ERROR = 1e-9
 """Expected errors below this [m] are nothing to colour by: the joint margin is shown."""
 
 
-def turn(data: Deviation) -> Section | None:
+def turn_section(data: Deviation) -> Section | None:
     """Return the map of the turn about the tool axis with the chosen line; None if it was not chosen."""
     tool_turn = data.result.turn
     if tool_turn is None:
@@ -628,7 +628,7 @@ def turn(data: Deviation) -> Section | None:
     metres = np.cumsum(blocks.length)[blocks.block] - blocks.length[blocks.block] * (1.0 - blocks.share)
     long = np.flatnonzero(np.diff(metres, prepend=0.0) > 0.0)
     map_rows = long[distinct(np.linspace(0, len(long) - 1, min(_MAP_COLUMNS, len(long))).astype(np.int64))]
-    values, title = _values(tool_turn)
+    values, title = _map_values(tool_turn)
     low, high = tool_turn.range_deg()
     degrees = (tool_turn.map.offset + tool_turn.constant) * DEG_PER_RAD
     cells = np.where(reasons == FREE, values, np.nan)[map_rows].T
@@ -654,14 +654,14 @@ def turn(data: Deviation) -> Section | None:
     first, last = f"{low:.0f}°", f"{high:.0f}°"
     range_text = f"{first} everywhere" if first == last else f"{mode_text}, from {first} to {last}"
     parts: list[Part] = [plot]
-    notes = [f"Chosen: {range_text}.", *_gain(tool_turn, turns)]
+    notes = [f"Chosen: {range_text}.", *_gain_sentences(tool_turn, turns)]
     if tool_turn.map.hit is None:
         notes.append(NO_CLEARANCE)
     parts.append(Notes(tuple(Note(text) for text in notes)))
     return Section("turn", "Turn about the tool axis", tuple(parts))
 
 
-def _values(tool_turn: Turn) -> tuple[Array, str]:
+def _map_values(tool_turn: Turn) -> tuple[Array, str]:
     """Return the values (K, J) that colour the map, and their title: expected error, deflection or joint margin."""
     error = tool_turn.map.error * MM_PER_M
     if np.nanmax(error, initial=0.0) > _COLOURED_ERROR * MM_PER_M:
@@ -681,7 +681,7 @@ def _wrap_to_map(angle: Array, degrees: Array) -> Array:
     return np.asarray(line)
 
 
-def _gain(tool_turn: Turn, turns: Array) -> list[str]:
+def _gain_sentences(tool_turn: Turn, turns: Array) -> list[str]:
     """Return a sentence on the expected error of the line and of the turn that the cell states."""
     weight = tool_turn.map.blocks.cuts[tool_turn.map.blocks.block]
     error, offset = tool_turn.map.error, tool_turn.map.offset
@@ -701,7 +701,7 @@ def _gain(tool_turn: Turn, turns: Array) -> list[str]:
     return [f"Expected error along this line {rms} mm RMS; {cell_text}."]
 
 
-def record(data: Deviation) -> Section | None:
+def record_section(data: Deviation) -> Section | None:
     """Return date, version, customer, and the sums of program, cell, model and forces."""
     if data.record is None:
         return None

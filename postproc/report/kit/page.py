@@ -111,7 +111,7 @@ class Page(Struct, frozen=True):
 
     def render(self) -> Iterator[bytes]:
         """Yield the page as HTML in UTF-8; the library that draws plots is left out if there are none."""
-        plots = any(_holds(section.parts, self.drawn) for section in self.sections)
+        plots = any(_has_part(section.parts, self.drawn) for section in self.sections)
         script_names = (*_SCRIPTS_OF_PAGE, *(_DRAWING if plots else ()))
         names = [*(("postproc.report.kit", name) for name in script_names), *(self.scripts if plots else ())]
         text = (
@@ -119,8 +119,8 @@ class Page(Struct, frozen=True):
             .render(
                 page=self,
                 plots=plots,
-                style=_text("postproc.report.kit", "templates/style.css"),
-                scripts=[_text(package, f"scripts/{name}.js") for package, name in names],
+                style=_file_text("postproc.report.kit", "templates/style.css"),
+                scripts=[_file_text(package, f"scripts/{name}.js") for package, name in names],
                 page_facts=safe_json(self.facts),
                 columns={name: safe_json(columns.descriptions) for name, columns in self.columns.items()},
             )
@@ -149,7 +149,7 @@ def library() -> bytes:
 
     It is taken from the installed package; its Python side, which is large, is not imported.
     """
-    script = (_folder("plotly") / "package_data" / "plotly.min.js").read_bytes()
+    script = (_package_folder("plotly") / "package_data" / "plotly.min.js").read_bytes()
     return deflate(script)
 
 
@@ -159,17 +159,17 @@ def deflate(content: bytes) -> bytes:
 
 
 @cache
-def _folder(package: str) -> Path:
+def _package_folder(package: str) -> Path:
     spec = find_spec(package)
     if spec is None or spec.origin is None:
         raise ModuleNotFoundError(f"{package} is not installed: pip install {package}")
     return Path(spec.origin).parent
 
 
-def _holds(parts: tuple[Part, ...], templates: frozenset[str]) -> bool:
-    return any(part.template in templates or _holds(getattr(part, "parts", ()), templates) for part in parts)
+def _has_part(parts: tuple[Part, ...], templates: frozenset[str]) -> bool:
+    return any(part.template in templates or _has_part(getattr(part, "parts", ()), templates) for part in parts)
 
 
 @cache
-def _text(package: str, name: str) -> str:
-    return (_folder(package) / name).read_text(encoding="utf-8")
+def _file_text(package: str, name: str) -> str:
+    return (_package_folder(package) / name).read_text(encoding="utf-8")

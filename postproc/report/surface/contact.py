@@ -37,7 +37,7 @@ _CANDIDATES = 96
 """Samples of the path looked at for each facet: 1 cm on either side where there is one pass."""
 
 
-def contact(axis: Array, centre: Array, normal: Array, cutter: Cutter) -> Array:
+def touching_tips(axis: Array, centre: Array, normal: Array, cutter: Cutter) -> Array:
     """Return the tip positions (n, 3) at which the tool touches facets at their centres."""
     across_axis = normal - np.einsum("ni,ni->n", normal, axis)[:, None] * axis
     width = norm(across_axis)
@@ -46,18 +46,18 @@ def contact(axis: Array, centre: Array, normal: Array, cutter: Cutter) -> Array:
     return np.asarray(centre + cutter.corner * (normal - axis) + (cutter.radius - cutter.corner) * m)
 
 
-def tolerance(cutter: Cutter) -> float:
+def contact_tolerance(cutter: Cutter) -> float:
     """Return how far the path may pass from the place of contact [m]."""
     return max(_LEAST_CONTACT, _CONTACT_SHARE * cutter.radius)
 
 
-def fits(from_contact: Array, axis: Array, normal: Array, cutter: Cutter) -> Bools:
+def is_touching(from_contact: Array, axis: Array, normal: Array, cutter: Cutter) -> Bools:
     """Return whether tools with tips relative to the place of contact (n, 3) count as touching facets."""
     up = np.einsum("ni,ni->n", normal, axis)
     width = np.sqrt(np.maximum(1.0 - up**2, 0.0))
     height = np.einsum("ni,ni->n", from_contact, axis)
     lateral = norm(from_contact - height[:, None] * axis)
-    limit = tolerance(cutter)
+    limit = contact_tolerance(cutter)
     on_level = (np.abs(height) <= limit) & (lateral <= cutter.radius - cutter.corner + limit)
     on_wall = (height <= _LEVEL) & (height >= -LONG * cutter.radius) & (lateral <= limit)
     is_level, is_wall = (up > 0.0) & (width <= FLAT), width >= UPRIGHT

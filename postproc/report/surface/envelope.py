@@ -20,7 +20,7 @@ from postproc.chunks import ragged_range
 from postproc.frames import Array, norm
 from postproc.machining.tool import Cutter
 from postproc.program import Bools, Ints
-from postproc.report.surface.contact import LONG, UPRIGHT, contact, fits, tolerance
+from postproc.report.surface.contact import LONG, UPRIGHT, contact_tolerance, is_touching, touching_tips
 from postproc.report.surface.path import CutPath
 
 _FACETS = 128
@@ -86,7 +86,7 @@ class _Facets(NamedTuple):
 
     @classmethod
     def of(cls, centre: Array, normal: Array, axis: Array, cutter: Cutter) -> _Facets:
-        return cls(centre, normal, axis, contact(axis, centre, normal, cutter))
+        return cls(centre, normal, axis, touching_tips(axis, centre, normal, cutter))
 
 
 class _Pairs(NamedTuple):
@@ -106,14 +106,16 @@ def _lowest_entries(
 
     :param highest: (n,) upper bound of the programmed surface [m]; largest: deviation of the tip in each case [m].
     """
-    count, limit = len(facets.centre), tolerance(cutter)
+    count, limit = len(facets.centre), contact_tolerance(cutter)
     tip, _ = _tips(path, facets, pairs, None)
     line = _Line.of(tip, path.axis[pairs.sample], facets, pairs.facet)
     gap = highest + 2.0 * max(largest)
     nominal_entry, best, lower_bound = _first_entry(line, pairs.facet, -limit, gap.copy(), cutter)
     near = np.flatnonzero(lower_bound <= gap[pairs.facet])
     near_facet = pairs.facet[near]
-    touching = fits(tip[near] - facets.tip[near_facet], facets.axis[near_facet], facets.normal[near_facet], cutter)
+    touching = is_touching(
+        tip[near] - facets.tip[near_facet], facets.axis[near_facet], facets.normal[near_facet], cutter
+    )
     is_touched = (np.bincount(near_facet[touching], minlength=count) > 0) & (nominal_entry <= limit)
     place = np.flatnonzero(is_touched)
     nominal_sample = pairs.sample[best[place]]
@@ -228,9 +230,9 @@ def _seeds(path: CutPath, facets: _Facets, cutter: Cutter) -> tuple[Array, Array
     facet = np.repeat(np.arange(len(index)), index.shape[1])
     pairs = _Pairs(facet, index.ravel())
     tip, _ = _tips(path, facets, pairs, None)
-    limit = np.full(len(index), tolerance(cutter))
+    limit = np.full(len(index), contact_tolerance(cutter))
     line = _Line.of(tip, path.axis[pairs.sample], facets, facet)
-    entry, _, _ = _first_entry(line, facet, -tolerance(cutter), limit.copy(), cutter)
+    entry, _, _ = _first_entry(line, facet, -contact_tolerance(cutter), limit.copy(), cutter)
     return np.maximum(np.minimum(entry, limit), 0.0) + _EXACT, distance.reshape(len(index), -1)[:, 0]
 
 
@@ -241,7 +243,7 @@ def _region(facets: _Facets, cutter: Cutter, gap: Array, offset: Array) -> tuple
     """
     centre, normal, axis, _ = facets
     up = np.einsum("ni,ni->n", normal, axis)
-    limit = tolerance(cutter)
+    limit = contact_tolerance(cutter)
     spread = _WIDER * np.sqrt(2.0 * cutter.radius * gap) + gap + np.minimum(offset, 1.5 * limit)
     low, high = (centre + cutter.radius * normal + sign * spread[:, None] for sign in (-1.0, 1.0))
     is_wall = up**2 <= 1.0 - UPRIGHT**2

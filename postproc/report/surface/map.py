@@ -85,26 +85,26 @@ def surface(
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.maximum(norm(normal), 1e-300)[:, None]
     frames = Frames.of(result, mesh_frame)
-    paths = list(_paths(result, frames, cutters))
-    depth, cut_row = _cuts(paths, corners, normal)
+    paths = list(_tool_paths(result, frames, cutters))
+    depth, cut_row = _programmed_cuts(paths, corners, normal)
     cut_row[depth <= (CHORD if coarse is None else coarse + CHORD)] = -1
     centre = corners.mean(axis=1)
     if cutters is None:
-        place = _nearest_place(paths, centre, normal)
+        place = _nearest_places(paths, centre, normal)
         before, after = (
-            np.einsum("fi,fi->f", _at(result, place, frames.to_mesh(values)), normal)
+            np.einsum("fi,fi->f", _interpolated(result, place, frames.to_mesh(values)), normal)
             for values in (result.deviation_before, result.deviation_after)
         )
         left = np.where(place.row >= 0, 0.0, np.nan)
     else:
         surfaces = [remaining_surface(path, centre, normal, cutter) for path, cutter in paths if cutter is not None]
-        left, before, after, place = _deepest(surfaces, len(corners))
+        left, before, after, place = _deepest_surfaces(surfaces, len(corners))
     return Surface(
         corners=corners,
         normal=normal,
         before=before,
         after=after,
-        bound=None if result.bound is None else _at(result, place, result.bound),
+        bound=None if result.bound is None else _interpolated(result, place, result.bound),
         row=place.row,
         programmed=np.where(cut_row >= 0, -depth, np.maximum(left, 0.0)),
         programmed_row=cut_row,
@@ -118,7 +118,7 @@ class _Place(NamedTuple):
     share: Array
 
 
-def _paths(
+def _tool_paths(
     result: Result, frames: Frames, cutters: Mapping[int, Cutter] | None
 ) -> Iterator[tuple[CutPath, Cutter | None]]:
     """Yield the cutting path of each tool with its shape, which is None for all if shapes are unknown."""
@@ -135,7 +135,7 @@ def _ball_radius(cutter: Cutter | None) -> float | None:
     return cutter.radius if cutter is not None and cutter.shape == "ball" else None
 
 
-def _cuts(paths: list[tuple[CutPath, Cutter | None]], corners: Array, normal: Array) -> tuple[Array, Ints]:
+def _programmed_cuts(paths: list[tuple[CutPath, Cutter | None]], corners: Array, normal: Array) -> tuple[Array, Ints]:
     """Return the depths (F,) [m] of the programmed path in each facet, 0 without a cut, and the rows (F,)."""
     depth, row = np.zeros(len(corners)), np.full(len(corners), -1)
     mesh, centre = Mesh.of(corners, normal), corners.mean(axis=1)
@@ -152,7 +152,7 @@ def _cuts(paths: list[tuple[CutPath, Cutter | None]], corners: Array, normal: Ar
     return depth, row
 
 
-def _nearest_place(paths: list[tuple[CutPath, Cutter | None]], centre: Array, normal: Array) -> _Place:
+def _nearest_places(paths: list[tuple[CutPath, Cutter | None]], centre: Array, normal: Array) -> _Place:
     """Return the nearest place from which a tool of any shape can touch facets (F, 3)."""
     row, share, distance = np.full(len(centre), -1), np.zeros(len(centre)), np.full(len(centre), np.inf)
     for path, _ in paths:
@@ -165,7 +165,7 @@ def _nearest_place(paths: list[tuple[CutPath, Cutter | None]], centre: Array, no
     return _Place(row, share)
 
 
-def _deepest(surfaces: list[RemainingSurface], count: int) -> tuple[Array, Array, Array, _Place]:
+def _deepest_surfaces(surfaces: list[RemainingSurface], count: int) -> tuple[Array, Array, Array, _Place]:
     """Return what remains of F facets after all tools, each (F,): as programmed, by how much it is changed without
     correction and with the program as written [m]; and the place that leaves it as written.
     """
@@ -180,7 +180,7 @@ def _deepest(surfaces: list[RemainingSurface], count: int) -> tuple[Array, Array
     return programmed, deflected[0] - programmed, deflected[1] - programmed, _Place(row, share)
 
 
-def _at(result: Result, place: _Place, values: Array) -> Array:
+def _interpolated(result: Result, place: _Place, values: Array) -> Array:
     """Return values (K, ...) of targets at places of the path (F, ...), NaN where there is none."""
     facets = np.flatnonzero(place.row >= 0)
     end = place.row[facets]

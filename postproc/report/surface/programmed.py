@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from postproc.frames import Array
 from postproc.machining.tool import Cutter
 from postproc.program import Bools, Ints
-from postproc.report.surface.contact import LONG, OVERHANG, contact
+from postproc.report.surface.contact import LONG, OVERHANG, touching_tips
 from postproc.report.surface.path import CutPath
 
 _PROBES = (0.0, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
@@ -72,7 +72,7 @@ def _dot(a: Array, b: Array) -> Array:
 def cut_depths(mesh: Mesh, path: CutPath, centre: Array, normal: Array, cutter: Cutter) -> tuple[Array, Ints]:
     """Return the depth [m] by which the programmed path cuts into each of n facets (0: it does not), and the row."""
     _, nearest = path.tree.query(centre)
-    contact_point = contact(path.axis[nearest], centre, normal, cutter)
+    contact_point = touching_tips(path.axis[nearest], centre, normal, cutter)
     sample_count = min(_SAMPLES_OF_FACET, len(path.point))
     inside_of, tip, axis, facet = [], [], [], []
     for probe in _PROBES:
