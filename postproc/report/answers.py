@@ -128,7 +128,7 @@ class Verdict(Struct, frozen=True):
 
 
 def worst_state(states: Iterable[State]) -> State:
-    """Return the worst of some states."""
+    """Return the worst of states, "ok" of none."""
     return max(states, key=_ORDER.index, default="ok")
 
 
@@ -196,7 +196,7 @@ def _tolerance_sentence(tolerance: Tolerance | None) -> str:
 
 
 def remedies(actions: Sequence[Remedy]) -> str:
-    """Return remedies in words, the one that helps most first."""
+    """Return remedies in words with the expected error [mm] of each, the smallest first."""
     by_error = sorted(actions, key=lambda remedy: remedy.expected_mm)
     return ", ".join(f"{remedy.action} ({two_digits(remedy.expected_mm)} mm at best)" for remedy in by_error)
 
@@ -215,7 +215,7 @@ def answer_rows(drive: Drive, better: Improvement | None, tolerance: Tolerance |
 
 
 def _drive_text(drive: Drive) -> str:
-    """Return whether the program can be driven, and what was not checked."""
+    """Return in words whether the program can be driven, and what was not checked."""
     answer = {"ok": "yes", "warning": "see the reasons", "failed": "no"}[drive.state]
     unchecked_names = ", ".join(
         f"{name} ({UNCHECKED[name]})" if name in UNCHECKED else name for name in drive.unchecked
@@ -237,7 +237,7 @@ def _comparison_text(better: Improvement | None) -> str:
 
 
 def _tolerance_text(tolerance: Tolerance | None) -> str:
-    """Return whether the tolerance is held."""
+    """Return in words which tolerance was given and whether it is held."""
     if tolerance is None:
         return "none is given"
     answer = {None: "not known", True: "held", False: "not held"}[tolerance.held]

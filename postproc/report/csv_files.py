@@ -65,7 +65,16 @@ def _target_rows(
     q: Array,
     carriage: Array | None,
 ) -> bytes:
-    """Return the rows of targets.csv, one for each target (K,)."""
+    """Return the rows of targets.csv, one for each of n targets.
+
+    :param origin: written line, source line, place t and flag of rapid moves, each (n,).
+    :param command: nominal poses (n, 4, 4) [m]; commanded X Y Z A B C as printed (n, 6) [mm, deg] and their decimals;
+        wrenches (n, 6) [N, N·m].
+    :param deviation: deflection (n, 3), and lengths of the deviation before and after (n,) [m].
+    :param bound: (n,) 95 % bound [m], or None.
+    :param q: (n, 6) joint angles [rad].
+    :param carriage: (n,) position of the linear axis [m]; None without one.
+    """
     (output_line, source_line, t, rapid), (nominal, written_command, places, wrench) = origin, command
     deflection, *distances = deviation
     columns: list[Number | Bytes] = [
@@ -78,6 +87,7 @@ def _target_rows(
         *_number_columns(wrench, _WRENCH_DECIMALS),
         *_number_columns(deflection * MM_PER_M, (_LENGTH,) * 3),
         *(Number.of(values * MM_PER_M, _LENGTH) for values in distances),
+        # no bytes: an empty cell in each row
         np.empty((len(t), 0), dtype=np.uint8) if bound is None else Number.of(bound * MM_PER_M, _LENGTH),
         *_number_columns(q * DEG_PER_RAD, (_ANGLE,) * 6),
         *([] if carriage is None else [Number.of(carriage * MM_PER_M, _LENGTH)]),
@@ -85,8 +95,9 @@ def _target_rows(
     return rows_of_csv(columns)
 
 
-def _number_columns(values: Array, places: tuple[int, ...]) -> list[Number]:
-    return [Number.of(values[:, index], count) for index, count in enumerate(places)]
+def _number_columns(values: Array, decimals: tuple[int, ...]) -> list[Number]:
+    """Return the columns of values (n, k) as numbers to write, each with its number of decimals."""
+    return [Number.of(values[:, index], count) for index, count in enumerate(decimals)]
 
 
 FORCE_COLUMNS = ("line", "line_end", "Fx", "Fy", "Fz", "Mx", "My", "Mz", "frame")
@@ -119,14 +130,19 @@ def forces_by_module(result: Result) -> dict[str, bytes]:
 
 
 def _carried_forces(result: Result) -> Knots | None:
-    """Return the forces that a file must give to the written program."""
+    """Return the forces that a file must give to the written program, without PTP; None where it needs no file."""
     if result.carried is None:
         return None
     return result.carried.take(result.program.motions.kind[result.motion[result.carried.motion]] != PTP)
 
 
 def _force_rows(knots: Knots, output_line: Ints) -> bytes:
-    """Return the rows of forces.csv for knots, by lines (K,) of their targets in the file."""
+    """Return forces.csv, header and rows.
+
+    :param knots: forces; `motion` is the row of a target, as of `forces.piece_knots`.
+    :param output_line: (K,) line of each target in the file.
+    """
+    # rounded as printed before rows are compared; columns: wrench 0…5, standard deviations 6…11, factor 12 [%]
     halves = [half for wrench in (knots.wrench, knots.sigma) for half in np.split(wrench, 2, axis=1)]
     values = np.hstack([np.round(half, places) for half, places in zip(halves, _DECIMALS[[0, 3, 0, 3]], strict=True)])
     values = np.column_stack([values, np.round(100.0 * knots.factor, 3)])
@@ -151,9 +167,11 @@ def _force_rows(knots: Knots, output_line: Ints) -> bytes:
 
 
 def _knots_of_rows(knots: Knots, values: Array) -> tuple[Ints, Ints]:
-    """Return the first and the last knot of each row of forces.csv.
+    """Return the first and the last knot (R,) of each row of forces.csv.
 
-    Neighbouring targets share one if each has but one knot, and these are the same.
+    Neighbouring targets share a row if each has one knot, and these are the same.
+
+    :param values: (n, 13) numbers of each knot as printed.
     """
     same_target = np.diff(knots.motion) == 0
     has_many_knots = np.append(same_target, False) | np.append(False, same_target)

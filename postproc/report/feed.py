@@ -6,12 +6,13 @@ import numpy as np
 from msgspec import Struct
 
 from postproc.correction import HeldFeed, Result
-from postproc.frames import MM_PER_M, MM_PER_MIN
+from postproc.frames import MM_PER_M, MM_PER_MIN, Array
 from postproc.operations import operation_indices, operations
+from postproc.program import Bools
 from postproc.report.formatting import stated_mm, two_digits
 
 _MOST_MOVES = 100
-"""Rows of the table."""
+"""Moves out of tolerance that a report lists (assumed)."""
 
 
 class OperationFeed(Struct, frozen=True):
@@ -50,30 +51,14 @@ class FeedSummary(Struct, frozen=True):
 
 
 def feed_summary(result: Result) -> FeedSummary | None:
-    """Return the summary of lowered feeds; None if all feeds are those of the program."""
+    """Return the summary of lowered feeds; None if feeds are not chosen by a tolerance."""
     feeds, m = result.held_feed, result.program.motions
     if feeds is None:
         return None
     cuts = ~m.rapid & (feeds.feed > 0.0)
     programmed_time, written_time = (
-        np.where(cuts, feeds.length / np.where(cuts, f, 1.0), 0.0) for f in (feeds.programmed, feeds.feed)
+        np.where(cuts, feeds.length / np.where(cuts, feed, 1.0), 0.0) for feed in (feeds.programmed, feeds.feed)
     )
-    cut_operations = operations(result.program)
-    of = operation_indices(cut_operations, np.arange(len(m)))
-    rows: list[OperationFeed] = []
-    for place, operation in enumerate(cut_operations):
-        of_operation = cuts & (of == place)
-        if of_operation.any():
-            rows.append(
-                OperationFeed(
-                    name=operation.name,
-                    tool=operation.tool,
-                    time_before_s=float(programmed_time[of_operation].sum()),
-                    time_after_s=float(written_time[of_operation].sum()),
-                    lowered_moves=int(np.count_nonzero(feeds.is_lowered & of_operation)),
-                    lowest_feed_mm_per_min=float(feeds.feed[of_operation].min()) * MM_PER_MIN,
-                )
-            )
     return FeedSummary(
         tolerance_mm=stated_mm(feeds.tolerance),
         min_feed_mm_per_min=feeds.least * MM_PER_MIN,
@@ -82,14 +67,40 @@ def feed_summary(result: Result) -> FeedSummary | None:
         lowered_moves=int(np.count_nonzero(feeds.is_lowered & cuts)),
         time_before_s=float(programmed_time.sum()),
         time_after_s=float(written_time.sum()),
-        operations=rows,
+        operations=_operation_feeds(result, feeds, cuts, programmed_time, written_time),
         missed_moves=int(np.count_nonzero(feeds.is_exceeded)),
         missed=_missed_moves(result, feeds),
     )
 
 
+def _operation_feeds(
+    result: Result, feeds: HeldFeed, cuts: Bools, programmed_time: Array, written_time: Array
+) -> list[OperationFeed]:
+    """Return an entry for each operation with cutting moves.
+
+    :param cuts: (M,) True for cutting moves, `programmed_time` and `written_time` (M,) their durations [s].
+    """
+    entries: list[OperationFeed] = []
+    program_operations = operations(result.program)
+    index_of_move = operation_indices(program_operations, np.arange(len(cuts)))
+    for index, operation in enumerate(program_operations):
+        moves = cuts & (index_of_move == index)
+        if moves.any():
+            entries.append(
+                OperationFeed(
+                    name=operation.name,
+                    tool=operation.tool,
+                    time_before_s=float(programmed_time[moves].sum()),
+                    time_after_s=float(written_time[moves].sum()),
+                    lowered_moves=int(np.count_nonzero(feeds.is_lowered & moves)),
+                    lowest_feed_mm_per_min=float(feeds.feed[moves].min()) * MM_PER_MIN,
+                )
+            )
+    return entries
+
+
 def _missed_moves(result: Result, feeds: HeldFeed) -> list[MissedMove]:
-    """Return the moves that do not hold the tolerance, the worst first."""
+    """Return up to `_MOST_MOVES` moves that do not hold the tolerance, the largest expected error first."""
     rows = np.flatnonzero(feeds.is_exceeded)
     rows = rows[np.argsort(-feeds.expected[rows], kind="stable")][:_MOST_MOVES]
     edge = feeds.without_feed[rows]
@@ -135,7 +146,7 @@ def feed_sentences(feed: FeedSummary, max_moves: int = 5) -> list[str]:
 
 
 def duration_text(value: float) -> str:
-    """Return a time as text.
+    """Return a duration [s] as text.
 
     >>> duration_text(35.24), duration_text(754.0), duration_text(7260.0)
     ('35.2 s', '12 min 34 s', '2 h 01 min')

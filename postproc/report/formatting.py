@@ -26,7 +26,7 @@ def stated_mm(length: float) -> float:
 
 
 def millimetres(value: float) -> str:
-    """Return a distance in mm as text, with tenths of a micrometre.
+    """Return a distance [mm] as text, to a tenth of a micrometre.
 
     >>> millimetres(8.28), millimetres(0.0), millimetres(0.00008)
     ('8.2800', '0.0000', '<0.0001')
@@ -50,7 +50,7 @@ def two_digits(value_mm: float) -> str:
 
 
 def two_digit_decimals(value_mm: float) -> int:
-    """Return how many decimals show two significant digits.
+    """Return the number of decimals that show two significant digits of a length [mm]; 2 if it is not positive.
 
     >>> two_digit_decimals(0.2752), two_digit_decimals(0.0999), two_digit_decimals(3.0), two_digit_decimals(25.0)
     (2, 2, 1, 0)
@@ -76,7 +76,7 @@ def estimate(value_mm: float, u95_mm: float | None) -> str:
 
 
 def above_limit(value_mm: float, limit_mm: float) -> str:
-    """Return a number that is more than a limit as text, with two digits or as many as it takes to see it.
+    """Return a length [mm] above a limit [mm] as text, with two digits or as many as show that it is above.
 
     >>> above_limit(0.0493, 0.01), above_limit(0.0104, 0.01)
     ('0.049', '0.0104')
@@ -91,7 +91,7 @@ class Display(Protocol):
     """An output for summaries."""
 
     def verdict(self, text: str, state: State) -> str:
-        """Return a verdict in the style of its state."""
+        """Return the text of a verdict in the style of its state, such as a colour."""
         ...
 
     def table(

@@ -48,7 +48,7 @@ _JOINTS = "Displacement of each joint from its nominal place on the link before 
 
 
 def verdict_section(data: IdentificationRecord) -> Section | None:
-    """Return whether the model may be used, and within which bound."""
+    """Return the section of the verdict: whether the model may be used, and within which bound; None without one."""
     if data.verdict is None:
         return None
     if data.verdict.refused:
@@ -66,7 +66,7 @@ def verdict_section(data: IdentificationRecord) -> Section | None:
 
 
 def summary_section(data: IdentificationRecord) -> Section | None:
-    """Return the results in numbers."""
+    """Return the section with the results in numbers; None of a record without residual or parameters."""
     residual = data.residual
     if residual is None or data.parameters is None:
         return None
@@ -95,7 +95,7 @@ def summary_section(data: IdentificationRecord) -> Section | None:
 
 
 def findings_section(data: IdentificationRecord) -> Section:
-    """Return unidentifiable parameters, warnings and assumptions."""
+    """Return the section with unidentifiable parameters, warnings and assumptions, or a note that there are none."""
     unobservable = data.not_observable or []
     assumptions = tuple(Note(f"Assumed: {text}.") for text in data.assumptions or ())
     if not unobservable and not data.warnings and not assumptions:
@@ -113,7 +113,7 @@ def findings_section(data: IdentificationRecord) -> Section:
 
 
 def configurations_section(data: IdentificationRecord) -> Section | None:
-    """Return displacement and residual of each configuration."""
+    """Return the section with displacement under load and residual [mm] of each configuration; None without."""
     if data.residual is None:
         return None
     rows = data.residual.per_configuration
@@ -138,15 +138,32 @@ def configurations_section(data: IdentificationRecord) -> Section | None:
 
 
 def parameters_section(data: IdentificationRecord) -> Section | None:
-    """Return the parameters with their intervals."""
+    """Return the section of the parameters with their 95 % intervals; None without parameters."""
     if not data.parameters:
         return None
     return Section("parameters", "Parameters with 95 % intervals", _interval_parts(data.parameters, _SPRINGS))
 
 
 def _interval_parts(entries: Mapping[str, Parameter], note: str) -> tuple[Part, ...]:
-    """Return a plot and a table of the parameters' 95 % intervals."""
+    """Return a plot and a table of the 95 % intervals of parameters.
+
+    :param entries: by name of the parameter.
+    :param note: a sentence below the plot.
+    """
     titles = [_parameter_title(name) for name in entries]
+    rows = tuple(
+        Row((title, *value_texts(entry), _accuracy_cell(entry)))
+        for title, entry in zip(titles, entries.values(), strict=True)
+    )
+    table = Table(("Parameter", "Value", "95 %", "Unit", ""), rows, "Values and intervals", texts=(3, 4))
+    return _interval_plot(entries, titles, note), table
+
+
+def _interval_plot(entries: Mapping[str, Parameter], titles: list[str], note: str) -> Plot:
+    """Return the plot of half widths of 95 % intervals, and of errors of prior values, in percent of the values.
+
+    :param titles: of the parameters, in the order of `entries`.
+    """
     shares = [(row, share) for row, entry in enumerate(entries.values()) if (share := entry.share) is not None]
     priors = [
         (row, abs(entry.prior / entry.value - 1.0))
@@ -174,7 +191,7 @@ def _interval_parts(entries: Mapping[str, Parameter], note: str) -> tuple[Part, 
         ),
     ]
     marks = [Mark(100.0 * limit, f"{100.0 * limit:.0f} %", "soft") for limit in (_GOOD, _LARGEST_SHARE)]
-    plot = Plot(
+    return Plot(
         label="Half width of each 95 % interval in per cent of the value; the table has the numbers",
         traces=traces,
         x=Axis(
@@ -187,22 +204,17 @@ def _interval_parts(entries: Mapping[str, Parameter], note: str) -> tuple[Part, 
         height=90 + 22 * len(titles),
         note=note,
     )
-    rows = tuple(
-        Row((title, *value_texts(entry), _accuracy_cell(entry)))
-        for title, entry in zip(titles, entries.values(), strict=True)
-    )
-    table = Table(("Parameter", "Value", "95 %", "Unit", ""), rows, "Values and intervals", texts=(3, 4))
-    return plot, table
 
 
 def _percent_text(share: float) -> str:
+    """Return a share in percent, with two significant digits below 100 %."""
     return f"{100.0 * share:.2g} %" if share < 1.0 else f"{100.0 * share:.0f} %"
 
 
 def value_texts(entry: Parameter) -> tuple[str, str, str]:
     """Return value, interval and unit as texts: as many decimals as the interval has, large values in millions."""
-    large = entry.value is not None and abs(entry.value) >= _LARGE
-    scale, unit = (1e6, f"10⁶ {entry.unit}") if large else (1.0, entry.unit)
+    is_large = entry.value is not None and abs(entry.value) >= _LARGE
+    scale, unit = (1e6, f"10⁶ {entry.unit}") if is_large else (1.0, entry.unit)
     if entry.value is None:
         value = "-"
     elif entry.ci95 is None:
@@ -233,12 +245,13 @@ def _accuracy_cell(entry: Parameter) -> Cell:
 
 
 def _parameter_title(name: str) -> str:
+    """Return the title of a parameter for readers; its name if it is not one of the robot model."""
     parameter = parameter_of_name(name)
     return name if parameter is None else parameter.title
 
 
 def levels_section(data: IdentificationRecord) -> Section | None:
-    """Return the equivalent compliance of joint 2 by level."""
+    """Return the section with the equivalent compliance of joint 2 [µrad/(N·m)] by level of q2; None without levels."""
     if not data.k2_levels:
         return None
     at = [level.q2_deg for level in data.k2_levels]
@@ -322,14 +335,14 @@ def geometry_section(data: IdentificationRecord) -> Section | None:
 
 
 def calibration_section(data: IdentificationRecord) -> Section | None:
-    """Return the parameters of the geometry."""
+    """Return the section with the calibrated geometry and its 95 % intervals; None if it was not identified."""
     if data.geometry is None or not data.geometry.parameters:
         return None
     return Section("calibrated", "Calibrated geometry", _interval_parts(data.geometry.parameters, _JOINTS))
 
 
 def placement_section(data: IdentificationRecord) -> Section:
-    """Return the placement of robot and points."""
+    """Return the section with the placement of the robot root in the device frame and of the points on the flange."""
     rows = tuple(Row((name, *(f"{point[axis]:.3f}" for axis in "XYZ"))) for name, point in data.points.items())
     table = Table(("Point, flange frame", "X, mm", "Y, mm", "Z, mm"), rows, "Points in the flange frame")
     frame = ", ".join(f"{axis} {data.base[axis]:.3f}" for axis in "XYZABC")

@@ -26,7 +26,7 @@ _WORDS: dict[str, tuple[str, Kind]] = {
 
 
 class Margin(Struct, frozen=True):
-    """The smallest distance of a joint from its limits; None where unknown."""
+    """The smallest distance of a joint from its limits [deg]; None where unknown."""
 
     min_joint_margin_deg: float | None
 
@@ -120,23 +120,8 @@ def index_page(entries: Sequence[Entry], folder: str) -> bytes:
     counts = {state: sum(entry.state == state for entry in entries) for state in _WORDS}
     tiles = [Tile("Programs", str(len(entries)))]
     tiles += [Tile(_WORDS[state][0], str(count), kind=_WORDS[state][1]) for state, count in counts.items() if count]
-    for title, lengths in zip(
-        _ERROR_HEAD, zip(*(content.expected_mm for content in reports), strict=True), strict=False
-    ):
-        known_lengths = [length for length in lengths if length is not None]
-        unknown = (
-            f"unknown for {len(lengths) - len(known_lengths)} of {len(lengths)}"
-            if len(known_lengths) < len(lengths)
-            else ""
-        )
-        tiles.append(
-            Tile(
-                title,
-                two_digits(max(known_lengths)) if known_lengths else "unknown",
-                "mm" if known_lengths else "",
-                unknown,
-            )
-        )
+    columns = zip(*(content.expected_mm for content in reports), strict=True)  # none without reports
+    tiles += [_error_tile(title, lengths) for title, lengths in zip(_ERROR_HEAD, columns, strict=False)]
     parts: list[Part] = [Tiles(tuple(tiles)), _program_table(sorted_entries, reports)]
     failures = [entry for entry in sorted_entries if entry.state == "nothing"]
     sections = [Section("programs", "Programs", tuple(parts))]
@@ -150,6 +135,16 @@ def index_page(entries: Sequence[Entry], folder: str) -> bytes:
     return b"".join(Page("Overview", folder, f"{len(entries)} programs", tuple(sections), (footer,)).render())
 
 
+def _error_tile(title: str, lengths_mm: Sequence[float | None]) -> Tile:
+    """Return the tile of the largest of expected errors [mm], with the number of those that are unknown."""
+    known_lengths = [length for length in lengths_mm if length is not None]
+    unknown_count = len(lengths_mm) - len(known_lengths)
+    note = f"unknown for {unknown_count} of {len(lengths_mm)}" if unknown_count else ""
+    if not known_lengths:
+        return Tile(title, "unknown", "", note)
+    return Tile(title, two_digits(max(known_lengths)), "mm", note)
+
+
 def _sort_key(entry: Entry) -> tuple[int, float, str]:
     """Return the key that sorts the overview: by state, then by the expected error, largest first, then by name."""
     if entry.content is None:
@@ -159,7 +154,11 @@ def _sort_key(entry: Entry) -> tuple[int, float, str]:
 
 
 def _program_table(entries: Sequence[Entry], reports: Sequence[ReportEntry]) -> Table:
-    """Return the table of the programs of a folder."""
+    """Return the table of the programs of a folder, a row each.
+
+    :param entries: sorted.
+    :param reports: contents of those that were written, whose targets the note counts.
+    """
     head = (
         "Program",
         "Verdict",

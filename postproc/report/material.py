@@ -52,9 +52,15 @@ def material_page(material: IdentifiedMaterial, readings: CutReadings, name: str
         notes = tuple(Note(f"{text}.", "warning") for text in material.warnings)
         sections.append(Section("issues", "What to know", (Notes(notes, marked=True),)))
     fit = material.predictor @ material.value
-    unlike = len(set(readings.mode)) > 1
+    has_several_modes = len(set(readings.mode)) > 1
     for component in sorted(set(material.component.tolist())):
-        sections.append(_fit_section(material, readings, fit, component, unlike=unlike))
+        sections.append(_fit_section(material, readings, fit, component, has_several_modes=has_several_modes))
+    sections.append(Section("parameters", "Coefficients", (_coefficient_table(material),)))
+    return b"".join(Page("Cutting coefficients", name, f"{len(readings.line)} cuts", tuple(sections)).render())
+
+
+def _coefficient_table(material: IdentifiedMaterial) -> Table:
+    """Return the table of the cutting coefficients [N/mm², N/mm] with their 95 % intervals."""
     rows = tuple(
         Row(
             (
@@ -70,22 +76,26 @@ def material_page(material: IdentifiedMaterial, readings: CutReadings, name: str
         )
     )
     head = ("coefficient", "value", "± 95 %", "unit", "from")
-    table = Table(head, rows, "Cutting coefficients with 95 % intervals", texts=(3, 4))
-    sections.append(Section("parameters", "Coefficients", (table,)))
-    return b"".join(Page("Cutting coefficients", name, f"{len(readings.line)} cuts", tuple(sections)).render())
+    return Table(head, rows, "Cutting coefficients with 95 % intervals", texts=(3, 4))
 
 
 def _fit_section(
-    material: IdentifiedMaterial, readings: CutReadings, fit: Array, component: int, *, unlike: bool
+    material: IdentifiedMaterial, readings: CutReadings, fit: Array, component: int, *, has_several_modes: bool
 ) -> Section:
-    """Return measured and fitted values of one component: over the feed, or one over the other for unlike cuts."""
+    """Return the section with a plot of measured and fitted values of one component.
+
+    Over the feed if all cuts are of one mode; else measured over fitted values: the modes differ in more than the feed.
+
+    :param fit: (n,) fitted value of each row of `material.measured` [N, or W of the power].
+    :param component: index in `_COMPONENTS`.
+    """
     rows = np.flatnonzero(material.component == component)
     reading = material.reading[rows]
     name, unit = _COMPONENTS[component], "W" if component == 3 else "N"
     texts = [f"line {int(readings.line[k])}: {readings.mode[k]}, {readings.feed[k]:g} mm/min" for k in reading.tolist()]
-    half = [1.96 * value for value in material.sigma[rows].tolist()]
+    half = [1.96 * value for value in material.sigma[rows].tolist()]  # 95 % of a normal distribution
     readings_values, fitted_values = material.measured[rows], fit[rows]
-    if unlike:
+    if has_several_modes:
         span = [
             float(min(readings_values.min(), fitted_values.min())),
             float(max(readings_values.max(), fitted_values.max())),

@@ -18,13 +18,13 @@ _STEP = tuple(np.radians([10.0, 20.0]))
 _FINEST = 1e-4
 """Smallest angle of a chord where its distance from the arc is given [rad] (assumed)."""
 _UNSEEN = 1.0 / 2000.0
-"""Of the extent of the path, what a chord may leave the arc by (assumed)."""
+"""Largest distance of a chord from its arc, as a share of the extent of the path: half a pixel (assumed)."""
 
 
 def drawn_path(result: Result, chord: float | None = None) -> tuple[Array, Ints]:
-    """Return points along the nominal path, and which target each leads to.
+    """Return points along the nominal path, and the target to which each leads.
 
-    :param chord: largest distance of the chords of an arc from it [m]; None = what cannot be seen in a picture.
+    :param chord: largest distance of the chords of an arc from it [m]; None = `_UNSEEN` of the extent of the path.
 
     :returns: positions (P, 3) [m] in `$BASE`, or in the robot root if the program has more than one base; and the row
         (P,) of the target at the end of the piece that the point lies on. Each target is the last of its points.
@@ -70,8 +70,9 @@ class Operation(Struct, frozen=True):
     :param tool: number of the tool that was changed to, or of the `$TOOL` of the program (from 1); 0 = not known.
     :param first: row of its first target, `last` of its last one.
     :param line: source line of its first target.
-    :param cutting: how many targets cut.
-    :param before: of the tool tip if nothing is corrected, `after` with the program as written, over cutting targets.
+    :param cutting: number of cutting targets.
+    :param before: deviation of the tool tip without correction [m], `after` with the program as written [m], over
+        cutting targets.
     :param bound: 95 % bound of what remains on the part, or None.
     :param force: largest force [N].
     """

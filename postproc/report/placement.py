@@ -121,10 +121,12 @@ def summary(
 
 
 def _finite(value: float | None, decimals: int) -> float | None:
+    """Return a number with so many decimals; None for None, NaN and infinity, which JSON does not have."""
     return None if value is None or not np.isfinite(value) else round(value, decimals)
 
 
 def _in_mm(value: float | None) -> float | None:
+    """Return a length [m] in mm, to a nanometre; None if it is unknown."""
     return None if value is None else _finite(value * MM_PER_M, 6)
 
 
@@ -182,6 +184,7 @@ def _sentence(search: Search) -> str:
 
 
 def _cost_text(place: JudgedPlace) -> str:
+    """Return the expected error, or the deflection, that is stated of a place [mm] as text."""
     return two_digits(place.stated_cost * MM_PER_M)
 
 
@@ -294,10 +297,13 @@ def page(search: Search, content: PlaceSummary) -> Iterator[bytes]:
 
 
 def _collision_note(content: PlaceSummary) -> str:
-    need = content.clearance_mm
-    if need is None:
+    """Return a sentence on the collisions that were, or were not, checked."""
+    clearance_mm = content.clearance_mm
+    if clearance_mm is None:
         return _NO_BODIES
-    return f"Places where bodies of [collision] come closer than {need:g} mm, or touch, are refused. {_NO_STOCK}"
+    return (
+        f"Places where bodies of [collision] come closer than {clearance_mm:g} mm, or touch, are refused. {_NO_STOCK}"
+    )
 
 
 def _place_section(search: Search, content: PlaceSummary) -> Section:
@@ -321,15 +327,19 @@ def _place_section(search: Search, content: PlaceSummary) -> Section:
 
 
 def _map_sections(search: Search) -> Iterator[Section]:
-    """Yield the map in X and Y, and that in A and Z, at the place through which they go."""
+    """Yield the section with the map in X and Y, and that in A and Z, both through `Search.slice_place`.
+
+    The second is left out unless the search tried a whole grid in A and Z.
+    """
     x, y = search.slice
     if len(x):
+        # the trials of the map are consecutive, column by column; without a match the last ones are taken
         first = len(search.trials) - len(x) * len(y)
         for first in range(len(search.trials) - len(x) * len(y) + 1):
             if search.trials[first].place[:2] == (x[0], y[0]) and _is_slice(search, first):
                 break
-        places = [search.trials[first + i * len(y) : first + (i + 1) * len(y)] for i in range(len(x))]
-        rows = [[column[k] for column in places] for k in range(len(y))]
+        columns = [search.trials[first + i * len(y) : first + (i + 1) * len(y)] for i in range(len(x))]
+        rows = [[column[k] for column in columns] for k in range(len(y))]
         title = f"Map at Z {search.slice_place[2]:.0f}, A {search.slice_place[3]:.1f}°"
         yield Section("map", title, (_map_plot(search, rows, (0, 1), tuple(x), tuple(y), title),))
     grid = [
@@ -346,6 +356,7 @@ def _map_sections(search: Search) -> Iterator[Section]:
 
 
 def _is_slice(search: Search, first: int) -> bool:
+    """Return whether the trials from row `first` end, after as many as the map has, at its last corner."""
     x, y = search.slice
     last = first + len(x) * len(y) - 1
     return last < len(search.trials) and search.trials[last].place[:2] == (x[-1], y[-1])
@@ -359,7 +370,11 @@ def _map_plot(
     y: Sequence[float],
     title: str,
 ) -> Plot:
-    """Return a map of the expected error over two axes of the place, with today's and the best one marked."""
+    """Return a map of the expected error over two axes of the place, with today's and the best one marked.
+
+    :param rows: places by row (`y`) and column (`x`).
+    :param axes: indices in `AXES` of the horizontal and the vertical axis, `x` and `y` the values on them [mm, deg].
+    """
     values = [
         [judged_place.cost * MM_PER_M if judged_place.reachable else None for judged_place in row] for row in rows
     ]
@@ -415,6 +430,7 @@ def _coordinates(place: Sequence[float]) -> str:
 
 
 def _refusal_section(content: PlaceSummary) -> Section:
+    """Return the section with the numbers of places that can be driven, and of those refused, by reason."""
     rows = tuple(Row((name, f"{count}")) for name, count in content.refused.items())
     rows = (Row(("can be driven by samples of the path", f"{content.reachable}")), *rows)
     table = Table(("What", "places"), rows, "Places that were tried")

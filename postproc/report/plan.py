@@ -86,11 +86,12 @@ def krl_program(result: PlanResult, cell: CellFile, name: str) -> Document:
 
 
 def _force_text(force: Array) -> str:
+    """Return a force (3,) [N] as text, such as "Fx 0.0 Fy 100.0 Fz 0.0"."""
     return " ".join(f"{axis} {value + 0.0:.1f}" for axis, value in zip(WRENCH[:3], force, strict=True))
 
 
 def plan_summary(result: PlanResult) -> dict[str, object]:
-    """Return the expected accuracy of a plan as plain data; lengths in mm.
+    """Return a plan as plain data: poses, torques, expected accuracy, and comparisons with other plans; lengths in mm.
 
     Criteria are given as square roots: the RMS distance that remains after compensation.
     """
@@ -133,7 +134,7 @@ def plan_summary(result: PlanResult) -> dict[str, object]:
 
 
 def _torque_entries(result: PlanResult) -> list[dict[str, object]]:
-    """Return the section on joint torques: in the plan, and at the test poses."""
+    """Return an entry for each joint: torques of the loads [N·m], poses by their sign, and torques of the work."""
     rows = zip(JOINTS, *torque_extremes(result), pose_counts_by_side(result), result.directions.work, strict=True)
     return [
         {
@@ -177,7 +178,7 @@ def _comparison_content(result: PlanResult, criterion: float) -> dict[str, objec
 
 
 def pose_counts_by_side(result: PlanResult) -> Ints:
-    """Return the number of poses (6, 2) that load each joint in negative and in positive direction."""
+    """Return the numbers of poses (6, 2) that load each joint to the negative and to the positive side."""
     return np.asarray(result.directions.loaded_sides(result.torque).sum(axis=0))
 
 
@@ -196,7 +197,7 @@ def plan_json(result: PlanResult, files: Sequence[FileEntry]) -> bytes:
 
 
 def plan_lines(result: PlanResult) -> list[str]:
-    """Return a summary as lines of text."""
+    """Return the summary of a plan as lines to print."""
     low, high = (value * MM_PER_M for value in result.accuracy.interval)
     criterion = float(np.sqrt(result.plan.value)) * MM_PER_M
     uncompensated = float(np.sqrt(result.tests.weight @ result.tests.deflection**2)) * MM_PER_M
@@ -234,28 +235,17 @@ def plan_lines(result: PlanResult) -> list[str]:
 
 
 _ARROW = 0.45
-"""Length of a load [m]."""
+"""Length of the arrow of a load in the picture [m] (assumed)."""
 _EDGES = [(a, b) for a in range(8) for b in range(a + 1, 8) if bin(a ^ b).count("1") == 1]
+"""Edges of a box: pairs of its corners, numbered by three bits (high or low X, Y, Z), that differ in one bit."""
 
 
 def poses_section(result: PlanResult) -> Section:
-    """Return all poses in one view, with a slider that shows them one by one."""
+    """Return the section with all poses in one view in space, and a slider that shows them one by one."""
     site, count = result.site, len(result.plan)
-    arm_poses = site.arm.pose(result.plan.q)
-    origin = arm_poses.origin
-    base = np.zeros_like(origin[:, :1])
-    column = np.concatenate([base[..., :2], origin[:, 1:2, 2:]], axis=2)
-    hook = arm_poses.point(site.load_point[None])
-    arms = np.concatenate([base, column, origin[:, 1:5], arm_poses.flange[:, None, :3, 3], hook], axis=1)
-    pull = result.force / np.linalg.norm(result.force, axis=1, keepdims=True)
-    loads = np.stack([hook[:, 0], hook[:, 0] + _ARROW * pull], axis=1)
-    points = arm_poses.point(site.points)
-    surroundings = []
-    if site.obstacles:
-        edges = [_box_corners(obstacle)[[a, b]] for obstacle in site.obstacles for a, b in _EDGES]
-        surroundings.append(_line_with_gaps(edges, "obstacles", "warning", 2.0))
-    if site.tracker is not None:
-        surroundings.append(_line_with_gaps([site.tracker[None]], "tracker", "force", 6.0, dots=True))
+    points = site.arm.pose(result.plan.q).point(site.points)
+    arms, loads = _drawn_arms(result)
+    surroundings = _drawn_surroundings(result)
     single_poses = [
         trace
         for pose in range(count)
@@ -270,6 +260,7 @@ def poses_section(result: PlanResult) -> Section:
         _line_with_gaps(list(loads), "pull of the loads", "before", 3.0),
     ]
     traces = [*surroundings, *all_poses, *single_poses]
+    # a step shows traces by their rows in `traces`: surroundings, then two of all poses, then three of each pose
     surrounding_rows = list(range(len(surroundings)))
     begin = len(surrounding_rows) + len(all_poses)
     steps = [[*surrounding_rows, len(surrounding_rows), len(surrounding_rows) + 1]]
@@ -286,8 +277,31 @@ def poses_section(result: PlanResult) -> Section:
     return Section("poses", "The poses", (plot,))
 
 
+def _drawn_arms(result: PlanResult) -> tuple[Array, Array]:
+    """Return arms (n, k, 3), points from the root to the load point, and loads (n, 2, 3), arrows; [m], robot root."""
+    arm_poses = result.site.arm.pose(result.plan.q)
+    origin = arm_poses.origin
+    base = np.zeros_like(origin[:, :1])
+    column = np.concatenate([base[..., :2], origin[:, 1:2, 2:]], axis=2)  # upright above the root, to joint 2
+    hook = arm_poses.point(result.site.load_point[None])
+    arms = np.concatenate([base, column, origin[:, 1:5], arm_poses.flange[:, None, :3, 3], hook], axis=1)
+    pull = result.force / np.linalg.norm(result.force, axis=1, keepdims=True)
+    return arms, np.stack([hook[:, 0], hook[:, 0] + _ARROW * pull], axis=1)
+
+
+def _drawn_surroundings(result: PlanResult) -> list[Lines]:
+    """Return the obstacles as edges of boxes, and the tracker as a dot, as far as there are such."""
+    site, surroundings = result.site, list[Lines]()
+    if site.obstacles:
+        edges = [_box_corners(obstacle)[[a, b]] for obstacle in site.obstacles for a, b in _EDGES]
+        surroundings.append(_line_with_gaps(edges, "obstacles", "warning", 2.0))
+    if site.tracker is not None:
+        surroundings.append(_line_with_gaps([site.tracker[None]], "tracker", "force", 6.0, dots=True))
+    return surroundings
+
+
 def _line_with_gaps(pieces: list[Array], name: str, colour: Colour, width: float, *, dots: bool = False) -> Lines:
-    """Return pieces (k, 3) [m] as one line with gaps."""
+    """Return pieces of any number of points (n, 3) [m] as one line in space, with gaps between the pieces."""
     gap = np.full((1, 3), np.nan)
     points = np.concatenate([part for piece in pieces for part in (piece, gap)] or [gap])
     x, y, z = (points[:, axis].tolist() for axis in range(3))
@@ -295,7 +309,7 @@ def _line_with_gaps(pieces: list[Array], name: str, colour: Colour, width: float
 
 
 def _box_corners(obstacle: object) -> Array:
-    """Return the eight corners of a box, or of the box around a mesh [m]."""
+    """Return the eight corners (8, 3) of a box, or of the box around a mesh [m], robot root; see `_EDGES`."""
     signs = np.array([[1 if corner >> axis & 1 else -1 for axis in range(3)] for corner in range(8)])
     if isinstance(obstacle, BoxShape):
         rotation, shift = obstacle.to_box[:3, :3], obstacle.to_box[:3, 3]
@@ -332,7 +346,7 @@ def expected_section(result: PlanResult) -> Section:
 
 
 def warnings_section(result: PlanResult) -> Section | None:
-    """Return the warnings."""
+    """Return the section with the warnings; None without any."""
     if not result.warnings:
         return None
     notes = tuple(Note(f"{text}.", "warning") for text in result.warnings)
@@ -340,7 +354,7 @@ def warnings_section(result: PlanResult) -> Section | None:
 
 
 def comparison_section(result: PlanResult) -> Section | None:
-    """Return the plan among random ones."""
+    """Return the section with the histogram of the criterion of random plans, and where this plan is [mm]."""
     if not len(result.random):
         return None
     random = np.sqrt(result.random) * MM_PER_M
@@ -370,7 +384,7 @@ def comparison_section(result: PlanResult) -> Section | None:
 
 
 def sizes_section(result: PlanResult) -> Section | None:
-    """Return the criterion against the number of poses."""
+    """Return the section with the criterion [mm] over the number of poses; None if one number was planned only."""
     if len(result.sizes) < 2:
         return None
     number = [float(size.configurations) for size in result.sizes]
@@ -394,7 +408,7 @@ def sizes_section(result: PlanResult) -> Section | None:
 
 
 def angles_section(result: PlanResult) -> Section:
-    """Return angles and loads of the poses."""
+    """Return the section with joint angles [deg] and loads [N] of the poses."""
     head = ("Pose", *(f"{joint}, °" for joint in JOINTS), "Fx, N", "Fy, N", "Fz, N")
     rows = tuple(
         Row((str(row), *(f"{angle + 0.0:.3f}" for angle in q), *(f"{value + 0.0:.1f}" for value in force)))
@@ -405,7 +419,7 @@ def angles_section(result: PlanResult) -> Section:
 
 
 def tests_section(result: PlanResult) -> Section:
-    """Return the section that lists the test poses."""
+    """Return the section with the table of the test poses, the largest share of the work first."""
     order = np.argsort(-result.tests.weight, kind="stable")
     rows = tuple(
         Row(
@@ -426,7 +440,7 @@ def tests_section(result: PlanResult) -> Section:
 
 
 def parameters_section(result: PlanResult) -> Section:
-    """Return the expected interval of each parameter."""
+    """Return the section with the expected 95 % interval of each parameter, as a share of its value."""
     rows = tuple(
         Row((parameter.symbol, Cell(f"± {_percent_text(float(half))}", "good" if half <= _GOOD else "warning")))
         for parameter, half in zip(result.accuracy.parameters, result.accuracy.relative, strict=True)
@@ -440,7 +454,7 @@ def parameters_section(result: PlanResult) -> Section:
 
 
 def torques_section(result: PlanResult) -> Section:
-    """Return the torques of the loads on the joints, by sign, and those of the work."""
+    """Return the section with the torques [N·m] of the loads on the joints, by sign, and those of the work."""
     low, high = torque_extremes(result)
     work, count = result.directions.work, pose_counts_by_side(result)
     rows = tuple(
@@ -465,6 +479,7 @@ def torques_section(result: PlanResult) -> Section:
 
 
 def _percent_text(half: float) -> str:
+    """Return a half width, a share of the value, in percent; "unbounded" from ten times the value on (assumed)."""
     return f"{100 * half:.2g} %" if half < 10.0 else "unbounded"
 
 

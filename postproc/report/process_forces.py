@@ -23,6 +23,8 @@ COLUMNS = (
     "factor_percent",
 )  # fmt: skip
 """Columns of forces.csv, in order."""
+_CM3_PER_MIN = 0.06
+"""cm³/min of one mm³/s."""
 _MM3 = 1e9
 """mm³ of one m³."""
 
@@ -90,14 +92,14 @@ def summary(program: Program, process: ProcessForces | None, by_operation: int) 
         return ForcesSummary(by_operation=by_operation)
     m, cuts = program.motions, process.cuts
     tools: list[ToolSummary] = []
-    for place in distinct(process.tools.tool[cuts.motion]).tolist():
-        rows = process.tools.tool[cuts.motion] == place
+    for index in distinct(process.tools.tool[cuts.motion]).tolist():
+        rows = process.tools.tool[cuts.motion] == index
         force = np.linalg.norm(cuts.wrench[rows, :3], axis=1)
         worst = int(cuts.motion[rows][int(np.argmax(force))])
         feed_force = round(float(np.abs(cuts.wrench[rows, 2]).max()), 1)
         tools.append(
             ToolSummary(
-                tool=process.tools.keys[place],
+                tool=process.tools.keys[index],
                 max_force_N=round(float(force.max()), 1),
                 max_force_line=int(m.line[worst]),
                 max_torque_Nm=round(float(np.abs(cuts.torque[rows]).max()), 3),
@@ -105,7 +107,7 @@ def summary(program: Program, process: ProcessForces | None, by_operation: int) 
                 max_depth_mm=round(float(cuts.depth[rows].max()) * MM_PER_M, 3),
                 max_width_mm=round(float(cuts.width[rows].max()) * MM_PER_M, 3),
                 max_removal_mm3_per_s=round(float(cuts.rate[rows].max()) * _MM3, 1),
-                max_feed_force_N=feed_force if process.drills[place] else None,
+                max_feed_force_N=feed_force if process.drills[index] else None,
             )
         )
     return ForcesSummary(
@@ -119,12 +121,15 @@ def summary(program: Program, process: ProcessForces | None, by_operation: int) 
 
 
 def forces_json(content: ForcesSummary, issues: Sequence[Issue], entries: list[FileEntry]) -> bytes:
-    """Return forces.json."""
+    """Return forces.json.
+
+    :param content: see `summary`; version, `issues` and `entries` of the files that were written are added.
+    """
     return json_bytes(replace(content, version=VERSION, issues=[issue_entry(i) for i in issues], files=entries))
 
 
 def as_text(content: ForcesSummary) -> str:
-    """Return the summary as lines to print."""
+    """Return the summary as lines to print: forces and cut of each tool, removed volume, forces by operation."""
     lines = []
     for tool in content.tools or []:
         lines.append(
@@ -134,12 +139,12 @@ def as_text(content: ForcesSummary) -> str:
         if tool.max_feed_force_N is not None:
             lines.append(
                 f"  drilled up to {tool.max_depth_mm:g} mm deep, feed force up to {tool.max_feed_force_N:g} N, "
-                f"torque up to {tool.max_torque_Nm:g} N·m, {tool.max_removal_mm3_per_s * 0.06:.3g} cm³/min"
+                f"torque up to {tool.max_torque_Nm:g} N·m, {tool.max_removal_mm3_per_s * _CM3_PER_MIN:.3g} cm³/min"
             )
             continue
         lines.append(
             f"  depth of cut up to {tool.max_depth_mm:g} mm, width {tool.max_width_mm:g} mm, "
-            f"{tool.max_removal_mm3_per_s * 0.06:.3g} cm³/min"
+            f"{tool.max_removal_mm3_per_s * _CM3_PER_MIN:.3g} cm³/min"
         )
     if content.removed_mm3 is not None and content.left_mm3 is not None:
         lines.append(f"removed {content.removed_mm3 / 1e3:.4g} cm³, left {content.left_mm3 / 1e3:.4g} cm³")
@@ -149,7 +154,10 @@ def as_text(content: ForcesSummary) -> str:
 
 
 def materials(entries: dict[str, Entry]) -> str:
-    """Return the table of materials as text."""
+    """Return the table of materials as text: coefficients, source and warning of each.
+
+    :param entries: by name of the material.
+    """
     lines = []
     for name, entry in entries.items():
         lines.append(f"{name}: {entry.title}{' (assumed)' if entry.assumed else ''}, sigma {entry.sigma_percent:g} %")

@@ -46,7 +46,7 @@ class Record(Struct, frozen=True):
 
 
 def today() -> str:
-    """Return the day in UTC; of SOURCE_DATE_EPOCH where it is set, so that output can be reproduced."""
+    """Return the day in UTC as 2026-11-27: today, or that of SOURCE_DATE_EPOCH, which makes output reproducible."""
     seconds = os.environ.get("SOURCE_DATE_EPOCH", "")
     moment = datetime.fromtimestamp(int(seconds), UTC) if seconds.isdecimal() else datetime.now(UTC)
     return moment.date().isoformat()

@@ -89,7 +89,7 @@ class OnSurface(Struct, frozen=True):
 
 
 class Ratios(Struct, frozen=True):
-    """Before divided by after; None where what remains is but the rounding of the text."""
+    """Deviation before divided by that after; None where only the rounding of the text remains."""
 
     max: float | None
     rms: float | None
@@ -222,21 +222,23 @@ def summary(
     """Return the content of `report.json`.
 
     :param result: of one program.
-    :param tolerance: what the tip may leave the nominal path by [m], to say whether that is held; None = not stated.
-        Held means: with what approximate positioning does to corners beyond what a KRL program itself asks for. Where
-        only that goes beyond the tolerance, `tolerance_held` is None, and `blending` says by how much.
-    :param part_tolerance: what the part may be off [m], 95 %; None = not stated.
+    :param tolerance: largest permitted distance of the tip from the nominal path [m]; None = not stated.
+        It must hold with the rounding of corners by approximate positioning beyond that which a KRL program itself asks
+        for. Where only that goes beyond the tolerance, `tolerance_held` is None, and `blending` says by how much.
+    :param part_tolerance: largest permitted error of the part [m], 95 %; None = not stated.
     :param surface: of the part; None = there is no mesh.
     :param remedies: what would lower the expected error, besides what the result itself says.
     """
+    content = _unjudged_summary(result, tolerance, part_tolerance, surface)
+    return replace(content, verdict=verdict(result, content, remedies))
+
+
+def _unjudged_summary(
+    result: Result, tolerance: float | None, part_tolerance: float | None, surface: Surface | None
+) -> Summary:
+    """Return the content of `report.json` with a placeholder as verdict; parameters as of `summary`."""
     uncorrected, prediction = statistics(result.before, result.rapid), statistics(result.after, result.rapid)
-    margin = result.joint_margin * DEG_PER_RAD
-    force = result.force
-    bound = None if result.bound is None else statistics(result.bound, result.rapid)
-    by_tool = None
-    if result.deflection_by_tool is not None:
-        by_tool = statistics(norm(result.deflection_by_tool), result.rapid)
-    content = Summary(
+    return Summary(
         program=result.program.documents[0].name,
         robot=result.robot.name,
         mode=result.mode,
@@ -244,7 +246,7 @@ def summary(
         inserted_targets=result.inserted,
         before=_distances_entry(uncorrected),
         after=_distances_entry(prediction),
-        u95=None if bound is None else _expected_error(result, bound),
+        u95=_expected_error(result),
         part=_part_entry(result, part_tolerance),
         feed=feed_summary(result),
         improvement=Ratios(
@@ -259,13 +261,9 @@ def summary(
         size_bytes=sum(len(piece) for document in result.documents for piece in document.pieces()) or None,
         provenance=_origin_entry(result),
         max_correction_mm=_finite_or_none(result.largest_correction * MM_PER_M),
-        tool_deflection=_bound_entry(by_tool),
-        max_force_N=float(force.max(initial=0.0)),
-        limits=Limits(
-            min_joint_margin_deg=_finite_or_none(float(margin.min())),
-            min_singular_value=_finite_or_none(result.singular_value),
-            joint_margins_deg=[_finite_or_none(float(value)) for value in margin],
-        ),
+        tool_deflection=_tool_deflection(result),
+        max_force_N=float(result.force.max(initial=0.0)),
+        limits=_limits(result),
         redundancy=_redundancy_entry(result),
         collision=_clearance_entry(result),
         reversals=_reversal_entries(result),
@@ -274,10 +272,20 @@ def summary(
         modules=_module_entries(result) or None,
         surface=_surface_entry(result, surface) if surface is not None and len(result) else None,
     )
-    return replace(content, verdict=verdict(result, content, remedies))
+
+
+def _limits(result: Result) -> Limits:
+    """Return the margins of the joints to their limits [deg] and the smallest singular value [m/rad]."""
+    margin = result.joint_margin * DEG_PER_RAD
+    return Limits(
+        min_joint_margin_deg=_finite_or_none(float(margin.min())),
+        min_singular_value=_finite_or_none(result.singular_value),
+        joint_margins_deg=[_finite_or_none(float(value)) for value in margin],
+    )
 
 
 def _module_entries(result: Result) -> list[ModuleEntry]:
+    """Return an entry for each module that was written, in the order in which they run; none for one program."""
     return [
         ModuleEntry(name=document.name, size_bytes=len(document.to_bytes()), source_line=int(result.source_line[first]))
         for document, first in zip(result.documents if result.modules else (), result.modules, strict=True)
@@ -331,7 +339,7 @@ def _origin_entry(result: Result) -> Origin:
 
 
 def _is_next_to_cut(result: Result) -> Bools:
-    """(K,) True for targets before or behind which the tool cuts."""
+    """Return which targets (K,) end or begin a cutting motion: approximation at them rounds a corner of a cut."""
     return np.asarray(~(result.rapid & np.append(result.rapid[1:], True)[: len(result)]))
 
 
@@ -342,13 +350,20 @@ def issue_entry(issue: Issue) -> IssueEntry:
     )
 
 
-def _expected_error(result: Result, bound: Statistics) -> ExpectedError:
-    """Return the expected error on the part (95 %) in mm."""
+def _expected_error(result: Result) -> ExpectedError | None:
+    """Return the bound (95 %) of the error on the part over cutting targets [mm]; None without a covariance."""
+    if result.bound is None:
+        return None
+    bound = statistics(result.bound, result.rapid)
     return ExpectedError(max_mm=bound.largest * MM_PER_M, rms_mm=bound.rms * MM_PER_M, basis=result.robot.basis)
 
 
-def _bound_entry(values: Statistics | None) -> Bound | None:
-    return None if values is None else Bound(max_mm=values.largest * MM_PER_M, rms_mm=values.rms * MM_PER_M)
+def _tool_deflection(result: Result) -> Bound | None:
+    """Return the deflection of holder, spindle and tool over cutting targets [mm]; None if they are rigid."""
+    if result.deflection_by_tool is None:
+        return None
+    deflection = statistics(norm(result.deflection_by_tool), result.rapid)
+    return Bound(max_mm=deflection.largest * MM_PER_M, rms_mm=deflection.rms * MM_PER_M)
 
 
 def _reversal_entries(result: Result) -> list[Reversal]:
@@ -386,12 +401,13 @@ def _surface_entry(result: Result, surface: Surface) -> OnSurface:
     """Return the largest depth of the programmed path in the part and material left [mm], and the reached share [%]."""
     cut = np.flatnonzero(surface.programmed_row >= 0)
     deepest = cut[np.argmin(surface.programmed[cut])] if len(cut) else None
-    area, left = surface.area, surface.programmed[surface.is_touched & (surface.programmed_row < 0)]
-    finite_heights = left[np.isfinite(left)]
+    area, height = surface.area, surface.programmed[surface.is_touched & (surface.programmed_row < 0)]
+    finite_heights = height[np.isfinite(height)]
     return OnSurface(
         cut_into_mm=0.0 if deepest is None else -float(surface.programmed[deepest]) * MM_PER_M,
         source_line=None if deepest is None else int(result.source_line[surface.programmed_row[deepest]]),
         left_mm=float(np.median(finite_heights)) * MM_PER_M if len(finite_heights) else None,
+        # 1e-300 keeps a mesh without area from dividing by zero
         reached_percent=100.0 * float(area[surface.is_reached].sum() / max(float(area.sum()), 1e-300)),
     )
 
@@ -407,16 +423,17 @@ def _distances_entry(values: Statistics) -> Distances:
 
 
 def improvement(before_mm: float, after_mm: float) -> float | None:
-    """Return before divided by after; None where what remains is but the rounding of the text, or unknown."""
+    """Return the deviation before divided by that after; None where only rounding of the text remains, or unknown."""
     return _finite_or_none(before_mm / after_mm) if after_mm >= ROUNDING_MM else None
 
 
 def _compensated_percent(before_mm: float, after_mm: float) -> float | None:
-    """Return the share of the deviation that is compensated [%]; None if there was none to speak of."""
+    """Return the share of the deviation that is compensated [%]; None if there was less than rounding of the text."""
     return _finite_or_none(100.0 * (1.0 - after_mm / before_mm)) if before_mm >= ROUNDING_MM else None
 
 
 def _finite_or_none(value: float) -> float | None:
+    """Return a number, or None for NaN and infinity, which JSON does not have."""
     return float(value) if math.isfinite(value) else None
 
 

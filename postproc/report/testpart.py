@@ -37,6 +37,8 @@ _WIDE = 900.0
 """Width of the drawing [px]."""
 _ARC = 24
 """Chords of the half circle at the end of a slot: their height is below a pixel."""
+_HIDDEN_SHARE = 0.9
+"""A part does not show a parameter if more than this share of its standard deviation is left (assumed)."""
 _LARGE_SHARE = 0.3
 """Relative change of a joint that a part should show (assumed)."""
 _PRODUCT = (
@@ -50,7 +52,33 @@ _PRODUCT = (
 def design_page(
     design: Design, prior: Prior, cutting: Cutting, parts: dict[Placement, Program], box: Box, robot: str
 ) -> bytes:
-    """Return the page of a chosen part: drawing, table of features, and what each parameter will be known to."""
+    """Return the page of a chosen part: drawing, table of features, and what each parameter will be known to.
+
+    :param parts: program of each placement of the block.
+    :param box: of the block in `$BASE` [mm].
+    :param robot: its name, for the head of the page.
+    """
+    sections = (
+        Section("numbers", "What the part will show", (_design_tiles(design, parts),)),
+        Section("drawing", "Drawing", _drawings(design, cutting, parts, box)),
+        Section("steps", "How to use it", (Notes(_design_steps(parts, box), marked=True),)),
+        Section(
+            "parameters",
+            "What each parameter will be known to",
+            (
+                _parameter_table(design, prior),
+                Notes(tuple(Note(text) for text in _remarks(design, prior))),
+            ),
+        ),
+        Section("features", "Features", (_feature_table(design, parts),)),
+    )
+    feed = cutting.feed * MM_PER_M * 60.0
+    subtitle = f"{robot}, tool {cutting.diameter * MM_PER_M:g} mm, {cutting.rpm:g} 1/min, {feed:.0f} mm/min"
+    return b"".join(Page("Test part", "testpart", subtitle, sections).render())
+
+
+def _design_tiles(design: Design, parts: dict[Placement, Program]) -> Tiles:
+    """Return the tiles of a chosen part: size, cutting time, and expected errors now and with it."""
     tiles = (
         Tile("Features", str(len(design.features))),
         Tile("Probed points", str(sum(len(part.feature) for part in parts.values()))),
@@ -63,7 +91,12 @@ def design_page(
             note=f"deflection {design.deflection * MM_PER_M:.2f} mm: {design.tests}",
         ),
     )
-    steps = (
+    return Tiles(tiles)
+
+
+def _design_steps(parts: dict[Placement, Program], box: Box) -> tuple[Note, ...]:
+    """Return the steps of a test part: clamp, touch off, cut, probe, identify."""
+    return (
         Note(
             f"Clamp a block of X {box.X[0]:g} … {box.X[1]:g}, Y {box.Y[0]:g} … {box.Y[1]:g}, "
             f"Z {box.Z[0]:g} … {box.Z[1]:g} mm in $BASE."
@@ -88,23 +121,6 @@ def design_page(
             f"--program {' '.join(placement.name for placement, part in parts.items() if len(part.feature))} -o MODEL"
         ),
     )
-    sections = (
-        Section("numbers", "What the part will show", (Tiles(tiles),)),
-        Section("drawing", "Drawing", _drawings(design, cutting, parts, box)),
-        Section("steps", "How to use it", (Notes(steps, marked=True),)),
-        Section(
-            "parameters",
-            "What each parameter will be known to",
-            (
-                _parameter_table(design, prior),
-                Notes(tuple(Note(text) for text in _remarks(design, prior))),
-            ),
-        ),
-        Section("features", "Features", (_feature_table(design, parts),)),
-    )
-    feed = cutting.feed * MM_PER_M * 60.0
-    subtitle = f"{robot}, tool {cutting.diameter * MM_PER_M:g} mm, {cutting.rpm:g} 1/min, {feed:.0f} mm/min"
-    return b"".join(Page("Test part", "testpart", subtitle, sections).render())
 
 
 def _remarks(design: Design, prior: Prior) -> list[str]:
@@ -143,17 +159,26 @@ def _parameter_table(design: Design, prior: Prior) -> Table:
 
 
 def _parameter_row(name: str, prior_sigma: float, sigma_with_part: float, share: float, change_text: str) -> Row:
-    kind: Kind = "soft" if share > 0.9 else ""
-    text = Cell("value not shown by this part" if share > 0.9 else "", kind)
+    """Return the row of a parameter.
+
+    :param prior_sigma: standard deviation now [%], `sigma_with_part` the one with the part [%], `share` their ratio.
+    :param change_text: smallest change that the same part shows later.
+    """
+    is_hidden = share > _HIDDEN_SHARE
+    kind: Kind = "soft" if is_hidden else ""
+    text = Cell("value not shown by this part" if is_hidden else "", kind)
     return Row((name, f"{prior_sigma:.2g}", f"{sigma_with_part:.2g}", change_text, text))
 
 
 def _unseen_change_sentence(design: Design, prior: Prior) -> str | None:
-    """Return which joints may change by 30 % unseen although the part shows them, and what shows them."""
+    """Return a sentence on the joints that may change by 30 % unseen, although the part shows their values.
+
+    None if there are no such joints.
+    """
     names = [
         f"{parameter.name} ({100.0 * change:.0f} %)" if change < MOST_CHANGE else parameter.name
         for parameter, change, share in zip(prior.parameters, design.change.tolist(), design.sigma[:-1], strict=True)
-        if change > _LARGE_SHARE and share <= 0.9
+        if change > _LARGE_SHARE and share <= _HIDDEN_SHARE
     ]
     if not names:
         return None
@@ -253,16 +278,16 @@ class _Plan:
         self.tall = self._scale * (box.Y[1] - box.Y[0])
 
     def xy(self, points: Array) -> Array:
-        """Return the places (n, 2) of points (n, 2 or 3) [m]."""
+        """Return the places (n, 2) [px] of points (n, 2 or 3) [m]; y of a picture points down."""
         x, y = (points[:, :2] * MM_PER_M - self._low).T * self._scale
         return np.column_stack([x, self.tall - y])
 
     def path(self, points: Array, style: str) -> str:
-        """Return a closed line through points."""
+        """Return an svg path: the closed line through points (n, 2 or 3) [m] in a style."""
         return f'<path d="M{" L".join(f"{x:.1f} {y:.1f}" for x, y in self.xy(points).tolist())}Z" {style}/>'
 
     def text(self, words: str, point: Array, rise: float, style: str) -> str:
-        """Return words above a point (3,) or (2,) by some pixels."""
+        """Return an svg text centred above a point (3,) or (2,) [m] by `rise` pixels."""
         x, y = self.xy(point[None])[0].tolist()
         return f'<text x="{x:.1f}" y="{y - rise:.1f}" text-anchor="middle" fill="currentColor" {style}>{words}</text>'
 
@@ -307,7 +332,7 @@ def _drawing(
 
 
 def _feature_shapes(plan: _Plan, feature: features.Feature, cutting: Cutting, name: str) -> list[str]:
-    """Return a feature with its probed points, its name and its depth."""
+    """Return a feature as svg elements: its surfaces, its probed points, its name with its depth [mm]."""
     areas = 'fill="currentColor" fill-opacity="0.12" stroke="currentColor"'
     hidden_lines = 'fill="none" stroke="currentColor" stroke-dasharray="4 3"'
     shapes = []
@@ -323,7 +348,10 @@ def _feature_shapes(plan: _Plan, feature: features.Feature, cutting: Cutting, na
 
 
 def _outlines(plan: _Plan, feature: features.Feature, cutting: Cutting, surface: str, style: str) -> list[str]:
-    """Return the outlines of the passes that make the surfaces of a name."""
+    """Return the outlines of the passes of a feature that make a surface, as svg elements in a style.
+
+    :param surface: beginning of its name; empty: all surfaces.
+    """
     radius = 0.5 * cutting.diameter
     return [plan.path(_stadium(feature, begin, end, radius), style) for begin, end in _runs(feature, cutting, surface)]
 
@@ -341,7 +369,10 @@ def _touch_off_shapes(plan: _Plan, program: Program) -> list[str]:
 
 
 def _runs(feature: features.Feature, cutting: Cutting, name: str) -> list[tuple[Array, Array]]:
-    """Return the straight runs (u, v) of the passes that make the surfaces of a name."""
+    """Return start and end (2,) [m] of the straight passes of a feature that make a surface, in its own axes.
+
+    :param name: beginning of the name of the surface.
+    """
     runs, start = [], np.zeros(3)
     for move in features.passes(feature.kind, cutting):
         end = np.array(move.end)
@@ -352,7 +383,10 @@ def _runs(feature: features.Feature, cutting: Cutting, name: str) -> list[tuple[
 
 
 def _stadium(feature: features.Feature, begin: Array, end: Array, radius: float) -> Array:
-    """Return the outline (n, 2) in `$BASE` of what a tool covers on a straight run [m]."""
+    """Return the outline (n, 2) in `$BASE` of the area that a tool covers on a straight run [m].
+
+    :param begin: (2,) of the run in the axes of the feature [m], `end` (2,) its end.
+    """
     direction = np.arctan2(*(end - begin)[::-1])
     turn = np.pi * (np.arange(_ARC + 1) / _ARC - 0.5)
     ends = [
@@ -367,9 +401,9 @@ def design_lines(design: Design, prior: Prior, cutting: Cutting, parts: dict[Pla
     """Return a chosen part as lines to print."""
     names = [*(parameter.name for parameter in prior.parameters), "forces"]
     sigma_texts = [
-        f"{name} {100 * share:.0f} %" for name, share in zip(names, design.sigma, strict=True) if share <= 0.9
+        f"{name} {100 * share:.0f} %" for name, share in zip(names, design.sigma, strict=True) if share <= _HIDDEN_SHARE
     ]
-    hidden_names = [name for name, share in zip(names, design.sigma, strict=True) if share > 0.9]
+    hidden_names = [name for name, share in zip(names, design.sigma, strict=True) if share > _HIDDEN_SHARE]
     lines = [
         f"{len(design.features)} features, {design.seconds / 60.0:.1f} min of cutting, "
         f"full cuts at {cutting.feed * MM_PER_M * 60:.0f} mm/min",
@@ -391,6 +425,10 @@ def design_lines(design: Design, prior: Prior, cutting: Cutting, parts: dict[Pla
 
 
 def _weight_sentence(design: Design, sigma_without_weight: Array) -> str:
+    """Return in words how well the scale of the forces is known with and without the weight on the tool.
+
+    :param sigma_without_weight: shares of the prior standard deviations that would be left; the last is that scale.
+    """
     return (
         f"the weight on the tool leaves {100 * design.sigma[-1]:.0f} % of the standard deviation of the forces; "
         f"without it {100 * sigma_without_weight[-1]:.0f} % would be left"
@@ -467,7 +505,7 @@ def part_page(data: PartIdentification, name: str) -> bytes:
 
 
 def _prediction_plot(data: PartIdentification) -> Plot:
-    """Return measured over predicted deviations [mm], by the model before and by this one."""
+    """Return the plot of measured over predicted deviations [mm], by the model before and by this one."""
     measured_mm = [point.measured_mm for point in data.points]
     names = [point.feature for point in data.points]
     span = [min(measured_mm), max(measured_mm)]
@@ -506,20 +544,19 @@ def _error_plot(data: PartIdentification) -> Plot:
 
 
 def _interval_plot(data: PartIdentification) -> Plot:
-    """Return each parameter over its prior value, with its interval."""
-    names, x, half, prior_changes = [], [], [], []
+    """Return the plot of the change of each parameter against its prior value [%], with its 95 % interval."""
+    names, changes, half = list[str](), list[float](), list[float | None]()
     entries = {**data.parameters, "forces": data.force_scale}
     for name, entry in entries.items():
         if entry.value is None or entry.ci95 is None or not entry.prior:
             continue
         names.append(name)
-        x.append(100.0 * (entry.value / entry.prior - 1.0))
+        changes.append(100.0 * (entry.value / entry.prior - 1.0))
         half.append(100.0 * entry.ci95 / abs(entry.prior))
-        prior_changes.append(0.0)
     rows = [float(k) for k in range(len(names))]
     return Plot(
         label="Change of each parameter against the model before, with its 95 % interval",
-        traces=[Points(x, rows, "this model", "after", half=list(half), across=True, texts=names)],
+        traces=[Points(changes, rows, "this model", "after", half=half, across=True, texts=names)],
         x=Axis(title="change against the model before, %"),
         y=Axis(categories=names),
         height=60 + 36 * len(names),

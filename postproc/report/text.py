@@ -53,7 +53,7 @@ def program_text(content: Summary, display: Display = PLAIN) -> str:
 
 
 def target_count_text(content: Summary) -> str:
-    """Return how many targets a program has, and how many of them are not its own."""
+    """Return in words how many targets the result has, and how many of them were inserted between those as read."""
     inserted_count = content.inserted_targets
     noun = "places looked at" if content.mode == "predict" and inserted_count else "targets"
     origin = "between its targets" if content.mode == "predict" else "inserted"
@@ -61,7 +61,7 @@ def target_count_text(content: Summary) -> str:
 
 
 def _fact_lines(content: Summary) -> list[str]:
-    """Return facts in addition to the reasons of the verdict."""
+    """Return indented lines with facts in addition to the reasons of the verdict: origin, margins, clearance."""
     facts = [] if content.verdict.state == "ok" else _path_facts(content)
     if content.mode == "convert" and content.compensated_percent is not None:
         facts.append(f"compensated {percent_text(content.compensated_percent)}")
@@ -84,7 +84,7 @@ def _fact_lines(content: Summary) -> list[str]:
 
 
 def _feed_lines(content: Summary, display: Display) -> list[str]:
-    """Return lines on lowered feeds and on cutting times by operation."""
+    """Return lines on lowered feeds and, for several operations, a table of cutting times; none without either."""
     feed = content.feed
     if feed is None:
         return []
@@ -92,12 +92,12 @@ def _feed_lines(content: Summary, display: Display) -> list[str]:
     if len(feed.operations) > 1 and feed.lowered_moves:
         rows = [
             (
-                sentence.name,
-                duration_text(sentence.time_before_s),
-                duration_text(sentence.time_after_s),
-                str(sentence.lowered_moves),
+                operation.name,
+                duration_text(operation.time_before_s),
+                duration_text(operation.time_after_s),
+                str(operation.lowered_moves),
             )
-            for sentence in feed.operations
+            for operation in feed.operations
         ]
         lines.append(display.table(("cutting time", "before", "after", "moves slowed"), rows, range(1, 4), "  "))
     return lines
@@ -162,7 +162,10 @@ def programs_table(rows: Sequence[tuple[str, Summary | None, str]], display: Dis
 
 
 def _error_texts(verdict: Verdict) -> tuple[str, str, str]:
-    """Return both expected errors and the chance; dashes where they are not known."""
+    """Return the expected errors uncorrected and corrected [mm], and the chance that the correction helps, as texts.
+
+    Dashes where they are not known.
+    """
     better = verdict.better
     if better is None:
         return "-", "-", "-"
@@ -171,16 +174,18 @@ def _error_texts(verdict: Verdict) -> tuple[str, str, str]:
 
 
 def _largest_length_text(lengths_mm: Sequence[float | None]) -> str:
-    """Return the largest of some lengths; a dash if none is known."""
+    """Return the largest of lengths [mm] as text; a dash if none is known."""
     lengths = [length for length in lengths_mm if length is not None]
     return two_digits(max(lengths)) if lengths else "-"
 
 
 def _largest_u95(content: Summary) -> float | None:
+    """Return the largest bound (95 %) at a target [mm]; None if the model states no uncertainty."""
     return None if content.u95 is None else content.u95.max_mm
 
 
 def _verdict_word(content: Summary) -> str:
+    """Return the verdict of a program as the word of the table; "no forces" if only those are missing."""
     state = content.verdict.state
     return _NO_FORCES if state == "warning" and content.max_force_N == 0.0 else _STATES[state]
 
@@ -204,6 +209,7 @@ def _reason_lines(rows: Sequence[tuple[str, Summary | None, str]]) -> list[str]:
 
 
 def _further_reasons_text(count: int) -> str:
+    """Return in words how many of `count` reasons are beyond those that are listed."""
     further_count = count - _REASONS
     return f"{further_count} more reason{'s' if further_count > 1 else ''}"
 
@@ -214,7 +220,7 @@ def number_text(value: float | None, places: int) -> str:
 
 
 def factor_text(before_mm: float, after_mm: float) -> str:
-    """Return an improvement factor as text, omitted if only rounding remains.
+    """Return the improvement factor, before divided by after, as text; a dash if only rounding was there before.
 
     >>> factor_text(5.6, 0.5), factor_text(5.6, 0.0016), factor_text(0.5, 0.00005), factor_text(0.00005, 0.00005)
     ('11.2', '3500', 'to rounding', '-')

@@ -79,7 +79,7 @@ class Finding(Struct, frozen=True):
 
 
 def verdict(result: Result, content: Summary, other_remedies: Sequence[Remedy] = ()) -> Verdict:
-    """Return the verdict.
+    """Return the verdict on a result: the three answers, what holds, and the assumptions.
 
     :param content: of `report.json` but for the verdict.
     :param other_remedies: remedies besides those that the result itself says.
@@ -95,7 +95,10 @@ def verdict(result: Result, content: Summary, other_remedies: Sequence[Remedy] =
 
 
 def _drive_answer(result: Result, content: Summary, warnings: Sequence[Issue]) -> Drive:
-    """Return whether the program may be driven, from its warnings about motions."""
+    """Return the answer whether the program may be driven.
+
+    :param warnings: about motions, not about forces.
+    """
     errors = [issue.message for issue in result.issues if issue.level == "error"]
     doubts = _issue_findings(warnings, result.mode)
     if content.targets:
@@ -115,23 +118,15 @@ def _drive_answer(result: Result, content: Summary, warnings: Sequence[Issue]) -
 def _improvement_answer(
     result: Result, content: Summary, doubts: list[Finding], tolerance: Tolerance | None
 ) -> Improvement:
-    """Return whether the corrected program is better than the uncorrected one.
+    """Return the answer whether the corrected program is better than the uncorrected one.
 
     :param doubts: about forces and model.
+    :param tolerance: the answer on the tolerance: where it is held a wide bound is no doubt.
     """
     # what the correction is worth is judged under the forces that it is made for, not those of the deflected tool
     judged_result = result if result.engagement_result is None else result.engagement_result
     errors, failures = judged_result.errors, list[Finding]()
-    corrects = content.mode != "predict"
-    if (sentence := uncorrected_sentence(content)) is not None:
-        doubts.insert(0, Finding(_FIRST, sentence))
-    if content.targets and content.max_force_N == 0.0 and corrects:
-        doubts.append(Finding(_FIRST, _no_force_sentence(result, content)))
-    if content.targets and errors is None:
-        text = "how far the part will be off is unknown: the robot model states no uncertainty of its parameters"
-        doubts.append(Finding(content.before.max_mm, text))
-    if result.robot.measured is not None and result.robot.measured.not_trusted:
-        doubts.append(Finding(_FIRST, f"the robot model is not to be trusted: {result.robot.measured.not_trusted}"))
+    doubts = [*doubts, *_doubts_of_input(result, content, is_error_known=errors is not None)]
     if errors is None or _is_corrected_input(content):
         return Improvement("warning" if doubts else "ok", None, None, None, None, None, _sorted_texts(doubts))
     uncorrected, corrected_errors = (statistics(error, judged_result.rapid) for error in (errors.before, errors.after))
@@ -162,6 +157,24 @@ def _improvement_answer(
     )
 
 
+def _doubts_of_input(result: Result, content: Summary, *, is_error_known: bool) -> list[Finding]:
+    """Return doubts for lack of corrected motions, forces, or a model to trust.
+
+    :param is_error_known: the model states the uncertainty of its parameters.
+    """
+    doubts = list[Finding]()
+    if (sentence := uncorrected_sentence(content)) is not None:
+        doubts.append(Finding(_FIRST, sentence))
+    if content.targets and content.max_force_N == 0.0 and content.mode != "predict":
+        doubts.append(Finding(_FIRST, _no_force_sentence(result, content)))
+    if content.targets and not is_error_known:
+        text = "how far the part will be off is unknown: the robot model states no uncertainty of its parameters"
+        doubts.append(Finding(content.before.max_mm, text))
+    if result.robot.measured is not None and result.robot.measured.not_trusted:
+        doubts.append(Finding(_FIRST, f"the robot model is not to be trusted: {result.robot.measured.not_trusted}"))
+    return doubts
+
+
 _WORSE_PLACE = (
     "at the worst place the corrected program is further off than the uncorrected one: the path between targets is "
     "held to tolerance_mm of [output] only. Set it lower"
@@ -170,7 +183,10 @@ _CHANCE = "the correction {}: it makes the part better with a chance of {}"
 
 
 def _tolerance_answer(result: Result, content: Summary, other_remedies: Sequence[Remedy]) -> Tolerance | None:
-    """Return whether the tolerance of the part is held, or that of the path is not; None if nobody gave one."""
+    """Return the answer on the tolerance of the part, or that the tolerance of the path is not held; else None.
+
+    :param other_remedies: remedies besides those that the result itself says.
+    """
     part, reasons = content.part, list[str]()
     if content.targets and content.tolerance_held is False and content.mode != "predict":
         assert content.tolerance_mm is not None
@@ -209,21 +225,22 @@ _GAIN = 0.95
 
 
 def _remedies(result: Result, content: Summary) -> list[Remedy]:
-    """Return measures that would lower the expected error, as far as the result shows them."""
+    """Return measures that would lower the expected error on the part (95 %), as far as the result shows them."""
     errors = result.errors
     if errors is None:
         return []
     expected_error = float(errors.after.max(initial=0.0))
-    corrects = content.mode == "convert"
-    also = "" if corrects else " and correct it"
+    is_corrected = content.mode == "convert"
+    suffix = "" if is_corrected else " and correct it"
     error_of_action = {"measure the robot": errors.with_known_robot, "measure the forces": errors.with_known_forces}
     actions = [
-        Remedy(action + also, error * MM_PER_M)
+        Remedy(action + suffix, error * MM_PER_M)
         for action, error in error_of_action.items()
         if error < _GAIN * expected_error
     ]
-    if not corrects:
+    if not is_corrected:
         return [Remedy("correct it", expected_error * MM_PER_M), *actions]
+    # the bound u95 at targets is the expected error without the rounding of corners
     is_rounded = content.blending.max_mm > (1.0 - _GAIN) * expected_error * MM_PER_M
     if is_rounded and content.u95 is not None and content.u95.max_mm < _GAIN * expected_error * MM_PER_M:
         actions.append(Remedy("round corners less", content.u95.max_mm))
@@ -274,7 +291,7 @@ def uncorrected_sentence(content: Summary) -> str | None:
 
 
 def nothing_to_correct(content: Summary) -> str | None:
-    """Return a sentence that says so if the tool deviates nowhere, with or without correction."""
+    """Return a sentence that says why nothing is to be corrected; None if the tool deviates anywhere."""
     if (sentence := uncorrected_sentence(content)) is not None:
         return sentence
     if not (content.targets and content.before.max_mm < NOTHING_MM):
@@ -284,10 +301,12 @@ def nothing_to_correct(content: Summary) -> str | None:
 
 
 def _sorted_texts(findings: list[Finding]) -> list[str]:
+    """Return the texts of findings, those that cost most on the part first."""
     return [finding.text for finding in sorted(findings, key=lambda finding: -finding.cost_mm)]
 
 
 def _with_line(message: str, line: int | None, count: int = 1) -> str:
+    """Return a message that names its source line first, and how many others there are; as it is without a line."""
     other_lines = f" and {count - 1} more" if count > 1 else ""
     return message if line is None else f"line {line}{other_lines}: {message}"
 
@@ -299,7 +318,7 @@ def _percent_digits(percent: float | None) -> str:
 
 
 def _no_force_sentence(result: Result, content: Summary) -> str:
-    """Return a sentence for a program without forces: what remains to be corrected, up to how much."""
+    """Return a sentence for a program without forces: the deviation by other causes, and its largest size."""
     if content.before.max_mm < NOTHING_MM:
         return "no cutting move carries a force: nothing is corrected (postproc forces computes forces)"
     is_corrected = content.mode == "convert"
@@ -313,7 +332,10 @@ def _no_force_sentence(result: Result, content: Summary) -> str:
 
 
 def _expected_findings(result: Result, content: Summary) -> list[Finding]:
-    """Return findings on the expected error on the part, in millimetres."""
+    """Return findings on the expected error on the part, the rounding of corners, the path and the correction [mm].
+
+    For a program that is predicted: the deviation as programmed and the uncertainty alone.
+    """
     findings = []
     bound, part, blending = content.u95, content.part, content.blending
     if bound is not None:
@@ -354,7 +376,10 @@ def _largest_expected_error(result: Result) -> float:
 
 
 def _surface_findings(content: Summary) -> tuple[list[Finding], list[Finding]]:
-    """Return doubts and findings about the programmed path and the mesh of the part."""
+    """Return doubts about the programmed path against the mesh of the part, and findings that hold.
+
+    The first of these applies: no tool reaches the mesh; the path cuts in, or leaves material, beyond the tolerance.
+    """
     surface = content.surface
     if surface is None:
         return [], []
@@ -363,17 +388,17 @@ def _surface_findings(content: Summary) -> tuple[list[Finding], list[Finding]]:
     if surface.reached_percent == 0.0:
         text = "no tool reaches the part: check that its mesh is in mm and in $BASE, and the shapes of the tools"
         return [Finding(_FIRST, text)], []
-    cut, left = surface.cut_into_mm, surface.left_mm
-    if cut > limit:
+    cut_mm, left_mm = surface.cut_into_mm, surface.left_mm
+    if cut_mm > limit:
         text = (
-            f"the programmed path itself cuts {two_digits(cut)} mm into the part: check that the mesh is in place and "
-            f"is the finished part; {reach_text}"
+            f"the programmed path itself cuts {two_digits(cut_mm)} mm into the part: check that the mesh is in place "
+            f"and is the finished part; {reach_text}"
         )
         return [Finding(_FIRST, _with_line(text, surface.source_line))], []
-    if left is not None and left > max(limit, LEFT_MM):
+    if left_mm is not None and left_mm > max(limit, LEFT_MM):
         text = (
-            f"the programmed path itself leaves {two_digits(left)} mm on the part: check that the mesh is in place and "
-            f"is what this program makes; {reach_text}"
+            f"the programmed path itself leaves {two_digits(left_mm)} mm on the part: check that the mesh is in place "
+            f"and is what this program makes; {reach_text}"
         )
         return [Finding(_FIRST, text)], []
     text = f"the programmed path cuts into the part by no more than {limit:g} mm; {reach_text}"
@@ -381,7 +406,7 @@ def _surface_findings(content: Summary) -> tuple[list[Finding], list[Finding]]:
 
 
 def clearance_text(content: Summary) -> str:
-    """Return the smallest clearance in words."""
+    """Return the smallest clearance [mm] in words, or why there is none."""
     result = content.collision
     if result is None:
         return "collisions are not checked: the cell has no [collision]"
@@ -398,7 +423,7 @@ def _clearance_findings(content: Summary) -> list[Finding]:
 
 
 def _narrow_margin_findings(content: Summary) -> list[Finding]:
-    """Return a finding for each joint near a limit."""
+    """Return a finding for each joint that comes nearer to a limit than `NARROW_DEG`."""
     margins = content.limits.joint_margins_deg
     return [
         Finding(_NO_SIZE, f"{name} comes within {margin:.1f}° of a limit")
@@ -408,7 +433,7 @@ def _narrow_margin_findings(content: Summary) -> list[Finding]:
 
 
 def _margin_findings(content: Summary) -> list[Finding]:
-    """Return a finding that all joints keep their distance from their limits; empty if one does not."""
+    """Return one finding that all joints stay at least `NARROW_DEG` from their limits; none if one does not."""
     margin_deg = content.limits.min_joint_margin_deg
     return (
         []
@@ -418,20 +443,21 @@ def _margin_findings(content: Summary) -> list[Finding]:
 
 
 def assumed_values(robot: RobotModel) -> tuple[str, ...]:
-    """Return the names of the model's values that are assumed and bear on what the tool does under force."""
-    weights = robot.has_weight and (robot.carries_weight or not robot.subtract_reference)
-    return tuple(entry.name for entry in robot.sources if entry.assumed and (weights or entry.name != SOLID))
+    """Return the names of the values of the model that are assumed and affect the deflection under force."""
+    # weights that the reference subtracts, at a fixed load, move nothing
+    weights_count = robot.has_weight and (robot.carries_weight or not robot.subtract_reference)
+    return tuple(entry.name for entry in robot.sources if entry.assumed and (weights_count or entry.name != SOLID))
 
 
 def _assumptions(result: Result) -> list[str]:
     """Return the assumptions behind the numbers of the report."""
-    force = np.abs(result.wrench.values).max(axis=1)[result.wrench.run].max(initial=0.0)
-    bodies = [] if result.clearance is None else list(result.clearance.remarks)
+    largest_force = np.abs(result.wrench.values).max(axis=1)[result.wrench.run].max(initial=0.0)
+    clearance_remarks = [] if result.clearance is None else list(result.clearance.remarks)
     assumptions = [
-        *bodies,
+        *clearance_remarks,
         f"the elastic model of {result.robot.title or result.robot.name}, as its sources below state it",
     ]
-    if force > 0.0:
+    if largest_force > 0.0:
         assumptions.append("the cutting forces as given, constant in time: no chatter, no dynamics of drives")
         if result.exact_forces and result.robot.covariance is not None:
             assumptions.append(

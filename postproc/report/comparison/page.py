@@ -150,15 +150,18 @@ def _numbers_section(content: ComparisonSummary) -> Section:
         largest = (millimetres(between_targets.nominal_max_mm), millimetres(between_targets.corrected_max_mm))
         rows += (Row(("Maximum between targets, from the path", "-", *largest)),)
     parts: list[Part] = [Tiles(tuple(tiles)), Table(tuple(head), rows, "Numbers")]
-    pair_rows = ((content.passed, passed_sentence), (content.splines, spline_sentence))
-    texts = [words(content) for count, words in pair_rows if count]
+    sentences = ((content.passed, passed_sentence), (content.splines, spline_sentence))
+    texts = [sentence_of(content) for count, sentence_of in sentences if count]
     if texts:
         parts.append(Notes(tuple(Note(f"{text[:1].upper()}{text[1:]}.") for text in texts)))
     return Section("numbers", "Offsets and deviations, mm", tuple(parts))
 
 
 def _page_rows(comparison: Comparison, linked_rows: Ints) -> Ints:
-    """Return the pairs (s,) to show: largest offsets and deviations of each group, the worst and the linked ones."""
+    """Return the pairs (s,) to show, in order: those with the largest values of each group, the worst, linked ones.
+
+    :param linked_rows: pairs to which tables lead.
+    """
     if not len(comparison.pair):
         return np.zeros(0, dtype=np.int64)
     group_size = -(-len(comparison.pair) // _MOST_GROUPS)
@@ -175,12 +178,14 @@ def _page_rows(comparison: Comparison, linked_rows: Ints) -> Ints:
     rows = [_worst_rows(comparison), linked_rows]
     for measure in measures:
         size = np.where(comparison.rapid, -1.0, measure)
+        # filled up to whole groups with values below all others, which are never chosen
         groups = np.append(size, np.full(-len(size) % group_size, -2.0)).reshape(-1, group_size)
         rows.append(np.arange(len(groups)) * group_size + groups.argmax(axis=1))
     return distinct(np.concatenate(rows))
 
 
 def _worst_rows(comparison: Comparison) -> Ints:
+    """Return the `_WORST` cutting pairs (n,) with the largest offsets, the largest first."""
     size = np.where(comparison.rapid, -1.0, comparison.distance)
     order = np.argsort(-size, kind="stable")[:_WORST]
     return np.asarray(order[size[order] >= 0.0])
@@ -250,6 +255,7 @@ def _pair_columns(comparison: Comparison, pair_rows: Ints) -> Columns:
 
 
 def _place_section() -> Section:
+    """Return the section with the details of the chosen pair, next to all others."""
     label = "Details of the chosen pair: lines, pose, offset, speeds, force, what each program cuts"
     return Section("place", "Place", (View("place", label),), "side")
 
@@ -282,7 +288,7 @@ def _path_section(comparison: Comparison, rows: Ints) -> Section:
 
 
 def _round_scale(factor: float) -> float:
-    """Return the largest of 1, 2, 5, 10, 20 … that is not larger, or 1."""
+    """Return the largest of 1, 2, 5, 10, 20 … that does not exceed a factor; at least 1."""
     power = 10.0 ** np.floor(np.log10(factor))
     return max(1.0, float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= factor)))
 
@@ -290,23 +296,31 @@ def _round_scale(factor: float) -> float:
 def _drawn_path(comparison: Comparison, rows: Ints) -> tuple[Array, Array, Ints]:
     """Return points of the nominal path (n, 3) and offsets of the other one (n, 3), both [m], and their places (n,).
 
-    Between pairs that follow one another, both paths are followed: arcs are drawn as arcs.
+    Between consecutive pairs both paths are followed: arcs are drawn as arcs.
+
+    :param rows: (s,) pairs shown, in order.
     """
     if comparison.curves is None:
         return comparison.target[rows, :3, 3], comparison.offset[rows], np.arange(len(rows))
     parts = np.where(np.isnan(comparison.between[rows]), 1, comparison.curves.parts(_CHORD)[rows])
     parts = np.where(np.diff(rows, prepend=-2) == 1, np.minimum(parts, max(1, _MOST_POINTS // len(rows))), 1)
     place = np.repeat(np.arange(len(rows)), parts)
-    left = np.cumsum(parts)[place] - 1 - np.arange(len(place))
-    u = rows[place] - left / parts[place]
+    # pair i is at u = i, the path to it between i − 1 and i: its parts end at i minus the share that is left to it
+    parts_left = np.cumsum(parts)[place] - 1 - np.arange(len(place))
+    u = rows[place] - parts_left / parts[place]
     nominal_point, corrected_point = comparison.target[rows[place], :3, 3], comparison.pose[rows[place], :3, 3]
-    inner = np.flatnonzero(left)
+    inner = np.flatnonzero(parts_left)
     if len(inner):
         nominal_point[inner], corrected_point[inner] = comparison.curves.at(u[inner])
     return nominal_point, corrected_point - nominal_point, place
 
 
 def _path_line(points: Array, name: str, colour: str, place: Ints) -> Lines:
+    """Return points (n, 3) [m] as a line in mm.
+
+    :param colour: "before"; any other: "after".
+    :param place: (n,) place of each point.
+    """
     x, y, z = (points * MM_PER_M).T.tolist()
     return Lines(x, y, z, name, "before" if colour == "before" else "after", places=place.tolist())
 
@@ -346,7 +360,7 @@ def _program_plots_section(comparison: Comparison, content: ComparisonSummary, r
 
 
 def _histogram_section(comparison: Comparison, pair_rows: Ints) -> Section:
-    """Return the section with the distribution of the offset."""
+    """Return the section with the histogram of the offset [mm]; a bar leads to the largest shown pair in it."""
     counts, edges = np.histogram(comparison.distance[~comparison.rapid] * MM_PER_M, bins=_BINS)
     size = np.where(comparison.rapid, -1.0, comparison.distance)[pair_rows] * MM_PER_M
     order = np.argsort(size)
@@ -416,7 +430,7 @@ def _worst_pairs_section(comparison: Comparison, pair_rows: Ints, names: Sequenc
 
 
 def _issues_section(comparison: Comparison, content: ComparisonSummary, pair_rows: Ints, names: Names) -> Section:
-    """Return the section with the differences besides positions."""
+    """Return the section with the differences besides positions; a row leads to the pair at its place."""
     if not content.issues:
         return Section("issues", "Differences besides positions", (Notes((Note("None.", "good"),)),))
     rows = tuple(

@@ -63,6 +63,7 @@ def names_of(comparison: Comparison) -> tuple[Names, Names]:
 
 
 def _has_several_files(program: Program, rows: Ints) -> bool:
+    """Return whether motions, rows (n,), are in several files."""
     places = program.places(rows)
     return bool(len(places.file)) and bool((places.file != places.file[0]).any())
 
@@ -230,17 +231,42 @@ def comparison_summary(
     """Return the content of `part.compare.report.json`.
 
     :param file_origin: where the second program comes from.
-    :param tolerance: what the tip may leave the nominal path by [m].
+    :param tolerance: largest permitted distance of the tip from the nominal path [m].
     :param limit: the largest correction that is allowed [m].
     """
+    content = _unjudged_summary(comparison, file_origin, tolerance)
+    errors, doubts = [*_failures(content, limit * MM_PER_M, file_origin)], [*_doubts(content, file_origin)]
+    drive = Drive("failed" if errors else "warning" if doubts else "ok", [*errors, *doubts], [LIMITS_AND_COLLISIONS])
+    holds = _passed_checks(content, file_origin)
+    return replace(content, verdict=join("convert", drive, None, _tolerance_answer(content), holds, words=WORDS))
+
+
+def _passed_checks(content: ComparisonSummary, file_origin: ProgramOrigin) -> list[str]:
+    """Return sentences on the checks that passed, and notes on differences."""
+    holds = ["every target has its partner" + (", or the path passes it" if content.passed else "")]
+    if content.provenance.state == "intact":
+        holds.append("the text is as postproc wrote it")
+    if content.cut is not None:
+        holds.append(
+            f"the corrected program stays within {content.tolerance_mm:g} mm at its targets under the forces given"
+        )
+    elif file_origin.without_forces:
+        holds.append(
+            "both come from the same program, cell and robot model; the forces of the correction are in a file: give "
+            "it with --forces to check what remains"
+        )
+    return holds + [_issue_text(issue) for issue in content.issues if issue.level == "info"]
+
+
+def _unjudged_summary(comparison: Comparison, file_origin: ProgramOrigin, tolerance: float) -> ComparisonSummary:
+    """Return the content of the report with a placeholder as verdict; parameters as of `comparison_summary`."""
     rapid, distance = comparison.rapid, comparison.distance
     rotation = statistics(comparison.rotation, rapid)
     count: dict[str, int] = {}
     for difference in comparison.differences:
         count[difference.kind] = count.get(difference.kind, 0) + difference.count
     names = nominal, second_names = names_of(comparison)
-    state = file_origin.origin.state
-    content = ComparisonSummary(
+    return ComparisonSummary(
         nominal=nominal.main,
         corrected=second_names.main,
         robot=comparison.robot,
@@ -261,7 +287,7 @@ def comparison_summary(
         tolerance_mm=stated_mm(tolerance),
         operations=[*_operation_entries(comparison, names)],
         provenance=OriginEntry(
-            state=state,
+            state=file_origin.origin.state,
             mode=file_origin.origin.mode or None,
             version=file_origin.origin.version or None,
             made_from_these=dict(file_origin.agrees),
@@ -269,24 +295,6 @@ def comparison_summary(
         issues=[_difference_entry(difference, nominal, second_names) for difference in comparison.differences],
         verdict=UNJUDGED,
     )
-    errors, doubtful = [*_failures(content, limit * MM_PER_M, file_origin)], [*_doubts(content, file_origin)]
-    drive = Drive(
-        "failed" if errors else "warning" if doubtful else "ok", [*errors, *doubtful], [LIMITS_AND_COLLISIONS]
-    )
-    pairing = "every target has its partner" + (", or the path passes it" if len(comparison.passed_rows) else "")
-    holds = [pairing, *(["the text is as postproc wrote it"] if state == "intact" else [])]
-    if content.cut is not None:
-        holds.append(
-            f"the corrected program stays within {content.tolerance_mm:g} mm at its targets under the forces given"
-        )
-    elif file_origin.without_forces:
-        holds.append(
-            "both come from the same program, cell and robot model; the forces of the correction are in a file: give "
-            "it with --forces to check what remains"
-        )
-    holds += [_issue_text(issue) for issue in content.issues if issue.level == "info"]
-    verdict = join("convert", drive, None, _tolerance_answer(content), holds, words=WORDS)
-    return replace(content, verdict=verdict)
 
 
 def _largest_passing_distance(comparison: Comparison) -> float | None:
@@ -334,7 +342,7 @@ def _failures(content: ComparisonSummary, limit_mm: float, file_origin: ProgramO
 
 
 def _tolerance_answer(content: ComparisonSummary) -> Tolerance | None:
-    """Return that the tolerance of the path is not held by the second program; None if it is, or is not known."""
+    """Return the answer that the second program does not hold the tolerance of the path; None if it does or may."""
     cut, between_targets, tolerance, reasons = content.cut, content.between, content.tolerance_mm, list[str]()
     if cut is not None and not cut.corrected.max_mm <= tolerance:
         reasons.append(
@@ -395,7 +403,11 @@ def _distances(values: Array, rapid: Bools) -> Distances:
 
 
 def _cut_distances(comparison: Comparison, names: Sequence[Names], rows: slice) -> CutDistances | None:
-    """Return the errors of both programs' cuts on some pairs [mm], with the worst place; None without forces."""
+    """Return the deviations of both programs under force at cutting targets [mm], and where the second is worst.
+
+    :param rows: of the pairs that count.
+    :returns: None without forces.
+    """
     if comparison.cuts is None:
         return None
     rapid = comparison.rapid[rows]
@@ -436,7 +448,7 @@ def _deviation_between_targets(comparison: Comparison, second_names: Names) -> D
 
 
 def _largest_pairs(comparison: Comparison, names: Sequence[Names]) -> list[PairEntry]:
-    """Return the pairs with the largest offsets, largest first."""
+    """Return the `_LARGEST_PAIRS` cutting pairs with the largest offsets, largest first."""
     size = np.where(comparison.rapid, -1.0, comparison.distance)
     order = np.argsort(-size, kind="stable")[:_LARGEST_PAIRS]
     return [
@@ -500,7 +512,9 @@ _STATES = ("pair", "inserted", "only_nominal", "only_corrected", "passed")
 
 
 def pairs_csv(comparison: Comparison) -> Iterator[bytes]:
-    """Yield the file in pieces: in the order of the second program, targets of the first alone behind their neighbour.
+    """Yield the CSV of pairs in pieces of some thousand rows: in the order of the second program.
+
+    Targets that only the first program has follow the partner of the target before them.
 
     Numbers that a target does not have are empty. Poses are in the nominal `$BASE` for pairs, else in their own.
     """
@@ -525,7 +539,8 @@ def pairs_csv(comparison: Comparison) -> Iterator[bytes]:
 def _rows_of_pairs(comparison: Comparison) -> tuple[Ints, Ints, Ints, Ints]:
     """Return state, nominal motion and corrected motion (n,) of all targets, and their order (n,) in the table.
 
-    A motion is −1 where there is none. Pairs come first, in the order of `comparison.pair`.
+    A state is an index in `_STATES`, a motion −1 where there is none. Pairs come first, in the order of
+    `comparison.pair`, then the other states.
     """
     pair, nominal_alone_row = comparison.pair, np.append(comparison.only_nominal, comparison.passed_rows)
     inserted_rows, corrected_alone_row = comparison.inserted_rows, comparison.additional_rows
@@ -543,6 +558,7 @@ def _rows_of_pairs(comparison: Comparison) -> tuple[Ints, Ints, Ints, Ints]:
         3: len(corrected_alone_row),
     }
     state = np.repeat(list(count_of_state), list(count_of_state.values()))
+    # a nominal target alone follows the partner of the last paired target before it; −1: it comes first
     neighbour = np.append(-1, pair[:, 1])[np.searchsorted(pair[:, 0], nominal_alone_row)]
     place = np.concatenate([corrected_row[state < 2], neighbour, corrected_alone_row])
     return state, nominal_row, corrected_row, np.lexsort((np.isin(state, (2, 4)), place))
@@ -558,6 +574,7 @@ def _numbers_of_pairs(comparison: Comparison, state: Ints, nominal_row: Ints, co
     corrected_pose[unpaired] = xyzabc_from_pose(corrected.target[corrected_row[unpaired]])
 
     def of_pairs(values: Array | None) -> Array:
+        """Return a column (n,) with the values of the pairs; NaN for other targets, and everywhere without values."""
         column = np.full(len(state), np.nan)
         if values is not None:
             column[:pair_count] = values
@@ -579,7 +596,7 @@ def _numbers_of_pairs(comparison: Comparison, state: Ints, nominal_row: Ints, co
 
 
 def _place_columns(program: Program, rows: Ints) -> tuple[NDArray[np.uint8], Array]:
-    """Return file and line of motions (n,) as columns; empty where there is none (−1)."""
+    """Return files (n, width), as texts, and lines (n,) of motions (n,); empty and NaN where there is none (−1)."""
     is_motion = rows >= 0
     places = program.places(rows[is_motion])
     line, file = np.full(len(rows), np.nan), np.full(len(rows), len(places.files))
@@ -588,7 +605,7 @@ def _place_columns(program: Program, rows: Ints) -> tuple[NDArray[np.uint8], Arr
 
 
 def _word_column(words: Sequence[str], index: Ints) -> NDArray[np.uint8]:
-    """Return words as a column of texts (n, width), padded with zeros; quoted where CSV needs it."""
+    """Return a column of texts (n, width) in UTF-8, padded with zeros: the words of indices (n,), quoted for CSV."""
     csv_words = ['"' + word.replace('"', '""') + '"' if set(word) & set(',"\r\n') else word for word in words]
     return np.char.encode(csv_words, "utf-8").view(np.uint8).reshape(len(csv_words), -1)[index]
 

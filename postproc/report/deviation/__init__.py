@@ -67,10 +67,10 @@ def page(
     """Yield the report of one program as HTML in UTF-8, one file that loads nothing.
 
     :param result: of one program.
-    :param tolerance: what the tip may leave the nominal path by [m]; None = not stated.
+    :param tolerance: largest permitted distance of the tip from the nominal path [m]; None = not stated.
     :param surface: of the part, see `postproc.report.surface`; None = not looked at.
-    :param process: what a process made of the program; None = forces are from elsewhere.
-    :param part_tolerance: what the part may be off [m], 95 %; None = not stated.
+    :param process: forces that a process computed; None = forces are from elsewhere.
+    :param part_tolerance: largest permitted error of the part [m], 95 %; None = not stated.
     :param stem: with which the names of the files begin that are written with the page, such as ``"part."``.
     :param remedies: what would lower the expected error, see `postproc.report.summary.summary`.
     :param record: when, with what and for whom it is made; None = not stated.

@@ -91,13 +91,13 @@ class Facts(msgspec.Struct, frozen=True):
 
 
 class Deviation(Struct, frozen=True, dict=True):
-    """A result, and what the sections of its page show of it.
+    """A result, and the data of it that the sections of its page share.
 
     :param result: of one program.
-    :param tolerance: what the tip may leave the nominal path by [m]; None = not stated.
+    :param tolerance: largest permitted distance of the tip from the nominal path [m]; None = not stated.
     :param surface: of the part, or None.
     :param process: what a process made of the program, where the forces are from one.
-    :param part_tolerance: what the part may be off [m], 95 %; None = not stated.
+    :param part_tolerance: largest permitted error of the part [m], 95 %; None = not stated.
     :param stem: with which the names of the files begin that are written with the page, such as ``"part."``.
     :param remedies: what would lower the expected error, see `postproc.report.summary.summary`.
     :param record: when, with what and for whom the page is made, or None.
@@ -162,7 +162,10 @@ class Deviation(Struct, frozen=True, dict=True):
 
     @cached_property
     def worst_rows(self) -> Ints:
-        """Rows of the worst place of each of the worst lines (before, after, bound), the largest before first."""
+        """Rows (n,) of the worst target of each of the `_WORST` worst lines, for deviation before, after, and bound.
+
+        Sorted by the deviation before, the largest first.
+        """
         result = self.result
         measures = [result.before, *([result.after] if self.is_compared else [])]
         measures += [] if result.bound is None else [result.bound]
@@ -173,7 +176,10 @@ class Deviation(Struct, frozen=True, dict=True):
 
     @cached_property
     def gouges(self) -> Ints:
-        """Facets that are gouged by more than the tolerance: the deepest of each line, the deepest first."""
+        """Facets (n,) that are gouged by more than the tolerance: the deepest of each line, the deepest first.
+
+        At most `_GOUGES`; none without a surface or a tolerance.
+        """
         surface, tolerance = self.surface, self.tolerance
         if surface is None or tolerance is None:
             return np.zeros(0, dtype=np.int64)
@@ -202,7 +208,10 @@ class Deviation(Struct, frozen=True, dict=True):
         return np.concatenate(rows)
 
     def stock(self) -> dict[str, Columns]:
-        """Return the remaining stock: vertices with their depth below its top, faces, edges [mm]."""
+        """Return the columns of the remaining stock: vertices with their depth below its top [mm], faces, sharp edges.
+
+        Empty without a process.
+        """
         if self.process is None:
             return {}
         points, faces = self.process.mesh(_STOCK_CELLS)
@@ -217,7 +226,7 @@ class Deviation(Struct, frozen=True, dict=True):
         }
 
     def columns(self) -> dict[str, Columns]:
-        """Return the numbers of the page."""
+        """Return the columns of the page by name: places, path, stock, meshes of links and bodies, surface."""
         tables = {"places": self.places.columns, "drawn": self.places.drawn}
         tables |= self.stock()
         meshes = [*self.links, *self.bodies]
@@ -229,18 +238,20 @@ class Deviation(Struct, frozen=True, dict=True):
         if self.surface is not None:
             corners = self.surface.corners.reshape(-1, 3) * MM_PER_M
             tables["corners"] = Columns.of(dict(zip("xyz", corners.T, strict=True)))
-            last = len(self.places.row) - 1
-            row = np.where(self.surface.row < 0, self.surface.programmed_row, self.surface.row)
-            place = np.minimum(np.searchsorted(self.places.row, row), last)
-            bound = np.full(len(place), np.nan) if self.surface.bound is None else self.surface.bound
-            values = {"before": self.surface.before, "after": self.surface.after, "u95": bound}
-            values["programmed"] = self.surface.programmed
-            facets = {name: value * MM_PER_M for name, value in values.items()}
-            tables["facets"] = Columns.of({**facets, "place": np.where(row < 0, -1, place)})
+            tables["facets"] = self._facet_columns(self.surface)
         return tables
 
+    def _facet_columns(self, surface: Surface) -> Columns:
+        """Return the deviations of each facet [mm], and the place of the page that cuts there, −1 for none."""
+        row = np.where(surface.row < 0, surface.programmed_row, surface.row)
+        place = np.minimum(np.searchsorted(self.places.row, row), len(self.places.row) - 1)
+        bound = np.full(len(place), np.nan) if surface.bound is None else surface.bound
+        values = {"before": surface.before, "after": surface.after, "u95": bound, "programmed": surface.programmed}
+        facets = {name: value * MM_PER_M for name, value in values.items()}
+        return Columns.of({**facets, "place": np.where(row < 0, -1, place)})
+
     def facts(self) -> Facts:
-        """Return the data that scripts read."""
+        """Return the data that scripts read in addition to the columns."""
         result = self.result
         nominal, program = result.robot.nominal, result.program
         measures = {"before": result.before, "after": result.after} if self.is_compared else {"before": result.before}
@@ -268,7 +279,7 @@ class Deviation(Struct, frozen=True, dict=True):
         )
 
     def reversals(self) -> list[tuple[int, str]]:
-        """Return place and joint of the reversals that are listed."""
+        """Return place and joint of each of the largest reversals, in the order of their table."""
         reversal_data = self.result.reversals
         if reversal_data is None:
             return []
@@ -289,8 +300,13 @@ class Deviation(Struct, frozen=True, dict=True):
 
 
 def _worst_rows(measure: Array, rapid: Bools, line: Ints) -> Ints:
-    """Return the rows of the largest value of each of the lines with the largest ones."""
+    """Return the rows (n,) of the largest value of each of the `_WORST` lines with the largest values.
+
+    :param measure: (K,) value of each target; rapid ones do not count, NaN is the largest.
+    :param line: (K,) source line of each target.
+    """
     value = np.where(rapid, -1.0, np.nan_to_num(measure, nan=np.inf))
+    # the lines are sought among the largest values only: sorting all of a long program takes longer (400: assumed)
     count = min(len(value), 400 * _WORST)
     largest_rows = np.argpartition(-value, count - 1)[:count]
     order = largest_rows[np.argsort(-value[largest_rows], kind="stable")]
@@ -299,7 +315,10 @@ def _worst_rows(measure: Array, rapid: Bools, line: Ints) -> Ints:
 
 
 def _sharp_edges(points: Array, faces: Ints) -> Ints:
-    """Return the edges (E, 2) of a closed mesh at which it bends sharply, as rows of its vertices."""
+    """Return the edges (E, 2) of a closed mesh at which it bends sharply, as rows of its vertices.
+
+    :param points: (V, 3) vertices, `faces` (F, 3) rows of the corners of each face.
+    """
     normal = np.cross(points[faces[:, 1]] - points[faces[:, 0]], points[faces[:, 2]] - points[faces[:, 0]])
     normal /= np.maximum(norm(normal), 1e-300)[:, None]
     edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
@@ -314,14 +333,14 @@ def _sharp_edges(points: Array, faces: Ints) -> Ints:
 
 
 def _histogram(values: Array) -> Histogram:
-    """Return the histogram of values (n,) from 0 to the largest; up to 1 if all are 0."""
+    """Return the histogram of values (n,) [mm] from 0 to the largest; up to 1 if all are 0."""
     top = float(values.max(initial=0.0)) or 1.0
     counts, edges = np.histogram(values, bins=_BINS, range=(0.0, top))
     return Histogram(edges.tolist(), counts.tolist())
 
 
 def _in_mm(pose: Array) -> list[float]:
-    """Return a pose (4, 4) [m] row by row, its translation in mm."""
+    """Return the 16 entries of a pose (4, 4) [m] row by row, its translation in mm."""
     pose_mm = pose.copy()
     pose_mm[:3, 3] *= MM_PER_M
     return [float(value) for value in pose_mm.ravel()]
@@ -336,7 +355,7 @@ _SINGULAR_AT = 1_000
 
 
 class ShownTargets(Struct, frozen=True, eq=False):
-    """The places of a page. Row i of `columns` is place i.
+    """The P places of a page, each a target of the result. Row i of `columns` is place i.
 
     :param row: (P,) row of the result that each place is.
     :param path_length: (K,) length of the path up to each target of the result [m].
@@ -360,28 +379,29 @@ def correction(result: Result, row: Ints) -> Array:
 
 
 def page_rows(result: Result, linked_rows: Ints) -> Ints:
-    """Return the rows (P,) that a page shows, in order.
+    """Return the rows (P,) that a page shows, in order: all up to `MAX_PLACES`, else some of each run of targets.
 
-    Of each run of targets these are the first, and the largest deviation before and after, correction, force and bound.
+    These are the first, and the largest deviation before and after, correction, force and bound.
 
     :param linked_rows: rows that tables lead to; they are kept.
     """
     count = len(result)
     if count <= MAX_PLACES:
         return np.arange(count)
-    runs = MAX_PLACES // (5 if result.bound is None else 6)
+    runs = MAX_PLACES // (5 if result.bound is None else 6)  # each run keeps its first and one for each measure
     begin = distinct(np.linspace(0, count, runs, endpoint=False).astype(np.int64))
     length = np.diff(begin, append=count)
     rows = [begin, np.array([count - 1]), linked_rows]
     for measure in _measures(result):
         value = np.nan_to_num(measure, nan=np.inf)
-        at = np.flatnonzero(value == np.repeat(np.maximum.reduceat(value, begin), length))
-        rows.append(at[np.diff(np.searchsorted(begin, at, side="right"), prepend=0) != 0])
+        largest_rows = np.flatnonzero(value == np.repeat(np.maximum.reduceat(value, begin), length))
+        # of equal values of a run the first: where the number of the run changes
+        rows.append(largest_rows[np.diff(np.searchsorted(begin, largest_rows, side="right"), prepend=0) != 0])
     return distinct(np.concatenate(rows))
 
 
 def _measures(result: Result) -> Iterator[Array]:
-    """Yield values (K,) of which the page shows the largest."""
+    """Yield the measures (K,) of which a page shows the largest: deviations, correction [m], force [N], bound [m]."""
     yield result.before
     yield result.after
     yield in_chunks(lambda row: (norm(correction(result, row)),), np.arange(len(result)))[0]
@@ -391,18 +411,30 @@ def _measures(result: Result) -> Iterator[Array]:
 
 
 def shown_targets(result: Result, linked_rows: Ints) -> ShownTargets:
-    """Return the places of a result that has some.
+    """Return the places of a result with at least one target.
 
     :param linked_rows: rows that tables of the page lead to.
     """
-    m, motion = result.program.motions, result.motion
     position, leads_to = drawn_path(result)
     points = np.arange(len(leads_to))
     step = in_chunks(lambda point: (norm(position[point] - position[np.maximum(point - 1, 0)]),), points)[0]
     path_length = np.cumsum(step)[np.flatnonzero(np.diff(leads_to, append=len(result)))]
     seconds = np.cumsum(_durations(result, np.diff(path_length, prepend=0.0)))
     row = page_rows(result, linked_rows)
-    correction_mm, at = correction(result, row) * MM_PER_M, xyzabc_from_pose(result.nominal[row])
+    columns = _place_columns(result, row, path_length, seconds)
+    return ShownTargets(row, path_length, Columns.of(columns), _path_columns(result, position, leads_to, row))
+
+
+def _place_columns(result: Result, row: Ints, path_length: Array, seconds: Array) -> dict[str, Array | Ints | Bools]:
+    """Return the columns (P,) of the places of a page by name; millimetres, degrees, newtons, seconds.
+
+    Names of a letter and an axis: c correction, b deviation before, a after; components of both also along the feed.
+
+    :param row: (P,) row of the result that each place is.
+    :param path_length: (K,) length of the path up to each target [m], `seconds` (K,) the time.
+    """
+    m, motion = result.program.motions, result.motion
+    correction_mm, coordinates = correction(result, row) * MM_PER_M, xyzabc_from_pose(result.nominal[row])
     axes = _feed_axes(result, row)
     columns: dict[str, Array | Ints | Bools] = {
         "source_line": result.source_line[row],
@@ -422,7 +454,7 @@ def shown_targets(result: Result, linked_rows: Ints) -> ShownTargets:
         "rapid": result.rapid[row],
     }
     for name, values in (
-        ("X", at),
+        ("X", coordinates),
         ("cX", correction_mm),
         ("F", result.wrench[row]),
         ("q", result.q[row] * DEG_PER_RAD),
@@ -435,7 +467,7 @@ def shown_targets(result: Result, linked_rows: Ints) -> ShownTargets:
             columns[f"{name}{axis}"] = vector[:, index] * MM_PER_M
         for index, axis in enumerate(("along", "across", "normal")):
             columns[f"{name}_{axis}"] = components[:, index] * MM_PER_M
-    return ShownTargets(row, path_length, Columns.of(columns), _path_columns(result, position, leads_to, row))
+    return columns
 
 
 _NAMES = {
@@ -447,19 +479,26 @@ _NAMES = {
 
 
 def _path_columns(result: Result, position: Array, leads_to: Ints, row: Ints) -> Columns:
-    """Return the points of the nominal path, each with the place that it leads to."""
-    show = np.isin(leads_to, row)
-    if np.count_nonzero(show) > _MOST_POINTS:
-        show = np.zeros(len(leads_to), dtype=bool)
-        show[np.flatnonzero(np.diff(leads_to, append=len(result)))[row]] = True
-    point = position[show] * MM_PER_M
+    """Return the points of the nominal path that lead to places [mm], each with its place.
+
+    :param position: (n, 3) points of the path [m], `leads_to` (n,) the row of the result to which each leads.
+    :param row: (P,) row of the result that each place is.
+    """
+    is_shown = np.isin(leads_to, row)
+    if np.count_nonzero(is_shown) > _MOST_POINTS:  # then the targets alone: the last point of each
+        is_shown = np.zeros(len(leads_to), dtype=bool)
+        is_shown[np.flatnonzero(np.diff(leads_to, append=len(result)))[row]] = True
+    point = position[is_shown] * MM_PER_M
     return Columns.of(
-        {"x": point[:, 0], "y": point[:, 1], "z": point[:, 2], "place": np.searchsorted(row, leads_to[show])}
+        {"x": point[:, 0], "y": point[:, 1], "z": point[:, 2], "place": np.searchsorted(row, leads_to[is_shown])}
     )
 
 
 def _durations(result: Result, length: Array) -> Array:
-    """Return seconds (K,) that each target takes: at the feed, or with the slowest joint at its full speed."""
+    """Return the time (K,) [s] to each target: at the feed, or with the slowest joint at its full speed.
+
+    :param length: (K,) length of the path to each target [m].
+    """
 
     def in_chunk(row: Ints, length: Array) -> tuple[Array]:
         motion = result.motion[row]
@@ -477,6 +516,7 @@ def _feed_axes(result: Result, row: Ints) -> Array:
     motion, previous = result.motion[row], np.maximum(row - 1, 0)
     travel = end[row] - end[previous]
     arcs = np.flatnonzero(m.kind[motion] == CIRC)
+    # the direction at the end of an arc is its tangent: the chord deviates by half the angle of the piece
     radius_vector = end[row[arcs]] - m.centre[motion[arcs]]
     turning = np.cross(m.normal[motion[arcs]], radius_vector)
     rise = np.einsum("ni,ni->n", travel[arcs], m.normal[motion[arcs]])[:, None] * m.normal[motion[arcs]]

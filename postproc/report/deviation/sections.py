@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
 
 def verdict_section(data: Deviation) -> Section:
-    """Return the verdict: its headline, the three answers, their reasons, what holds, and the assumptions."""
+    """Return the section of the verdict: headline, three answers, reasons, what holds, and the assumptions."""
     answer = data.content.verdict
     parts: list[Part] = [Verdict(answer.state, *split_headline(answer)), answer_facts(answer)]
     if answer.state != "ok":
@@ -66,7 +66,10 @@ _MEASURES = ("Maximum", "RMS", "Mean", "95th percentile")
 
 
 def numbers_section(data: Deviation) -> Section | None:
-    """Return deviations before and after, the expected error, and the improvement."""
+    """Return the section with deviations before and after, the expected error, and the improvement [mm].
+
+    None without targets; only a sentence where there is nothing to correct.
+    """
     content = data.content
     if not content.targets:
         return None
@@ -94,7 +97,7 @@ def numbers_section(data: Deviation) -> Section | None:
 
 
 def _deviation_table(data: Deviation) -> Table:
-    """Return the table of predicted deviations, before and after compensation."""
+    """Return the table of predicted deviations [mm] before and after compensation, as far as there are such."""
     content = data.content
     u95 = None if content.u95 is None else content.u95.max_mm
     if not data.is_compared:
@@ -148,29 +151,32 @@ _SOURCE_LABEL = "The text of the program; lines with targets lead to their place
 
 
 def surface_section(data: Deviation) -> Section | None:
-    """Return the surface with the largest deviations along its normal, and the gouges beyond the tolerance."""
+    """Return the section of the surface: largest deviations along its normal [mm], and gouges beyond the tolerance.
+
+    None without a surface.
+    """
     surface = data.surface
     measures = data.content.surface
     if surface is None or measures is None:
         return None
-    contact = surface.is_touched
+    touched = surface.is_touched
     if not surface.is_reached.any():
         text = "No tool reaches the part: check that its mesh is in mm and in $BASE, and the shapes of the tools."
         return Section("surface", "Surface of the part", (Notes((Note(text, "warning"),)),))
     deviation = surface.after if data.is_compared else surface.before
     words = "with the program as written" if data.is_compared else "as programmed"
     tiles = [_programmed_tile(measures, data)]
-    if contact.any():
+    if touched.any():
         tiles += [
-            _depth_tile("Gouged before, at most", -surface.before[contact].min(), _DEFLECTION),
-            _depth_tile("Left before, at most", surface.before[contact].max(), _DEFLECTION),
+            _depth_tile("Gouged before, at most", -surface.before[touched].min(), _DEFLECTION),
+            _depth_tile("Left before, at most", surface.before[touched].max(), _DEFLECTION),
         ]
         if data.is_compared:
-            tiles.append(_depth_tile("Gouged after, at most", -deviation[contact].min(), "as the model predicts it"))
-            tiles.append(_depth_tile("Left after, at most", deviation[contact].max()))
+            tiles.append(_depth_tile("Gouged after, at most", -deviation[touched].min(), "as the model predicts it"))
+            tiles.append(_depth_tile("Left after, at most", deviation[touched].max()))
         if surface.bound is not None:
             tiles.append(
-                Tile("Expected error (95 %), up to", two_digits(surface.bound[contact].max() * MM_PER_M), "mm")
+                Tile("Expected error (95 %), up to", two_digits(surface.bound[touched].max() * MM_PER_M), "mm")
             )
     share = measures.reached_percent
     tiles.append(Tile("Of the surface reached", f"{share:.0f}", "%", f"no tool reaches {100.0 - share:.0f} %"))
@@ -185,7 +191,7 @@ _DEFLECTION = "from the programmed path"
 
 
 def _programmed_tile(measures: OnSurface, data: Deviation) -> Tile:
-    """Return the tile on cuts of the programmed path into the mesh of the part."""
+    """Return the tile on the programmed path and the mesh of the part: it cuts in, leaves material, or neither."""
     label, cut, left = "Programmed path cuts into the part", measures.cut_into_mm, measures.left_mm
     limit = data.content.part.tolerance_mm or data.content.tolerance_mm or CUT_MM
     if cut > limit:
@@ -197,14 +203,18 @@ def _programmed_tile(measures: OnSurface, data: Deviation) -> Tile:
 
 
 def _depth_tile(label: str, value: float, note: str = "") -> Tile:
-    """Return the largest depth [m] below the surface, or height above it; negative: there is none."""
+    """Return the tile of a depth below the surface, or a height above it, `value` [m]; 0 and below: there is none."""
     if value <= 0.0:
         return Tile(label, "nothing", "", note)
     return Tile(label, millimetres(float(value) * MM_PER_M), "mm", note)
 
 
 def _gouge_parts(data: Deviation, deviation: np.ndarray, words: str) -> list[Part]:
-    """Return the lines that gouge by more than the tolerance, the deepest place of each."""
+    """Return the table of the lines that gouge by more than the tolerance, or a note that none does.
+
+    :param deviation: (F,) of the facets [m].
+    :param words: which program made them, for the note.
+    """
     surface, tolerance = data.surface, data.tolerance
     if surface is None or tolerance is None:
         return []
@@ -230,7 +240,7 @@ _ALONG_LABEL = (
 
 
 def program_section(data: Deviation) -> Section | None:
-    """Return the view of the plots."""
+    """Return the section with the plots over the length of the path; None where nothing was corrected."""
     if not len(data.result) or data.uncorrected_reason is not None:
         return None
     note = (
@@ -249,7 +259,10 @@ _CM3 = 1e6
 
 
 def cut_section(data: Deviation) -> Section | None:
-    """Return plots of the engagement over the length of the path, and a view of the remaining stock."""
+    """Return the section of the cut: plots of the engagement over the path, and a view of the remaining stock.
+
+    None without forces from a process.
+    """
     process = data.process
     if process is None or not len(data.result) or not len(process.cuts.t):
         return None
@@ -260,8 +273,9 @@ def cut_section(data: Deviation) -> Section | None:
 
 
 def _cut_plots(data: Deviation, cuts: Cuts) -> list[Plot]:
-    """Return the engagement over the length of the path: depth and width, angles, removal rate, power."""
+    """Return the plots of the engagement over the length of the path: depth and width, angles, removal rate, power."""
     run, rows, motion, t = _stations_in_contact(cuts)
+    # motion + t is one increasing key; a station at the end of a target belongs to it in spite of rounding
     place = np.searchsorted(data.result.motion + data.result.t, motion + t - 1e-9)
     place = np.minimum(np.searchsorted(data.places.row, place), len(data.places.row) - 1)
     x = np.interp(motion + t, data.result.motion + data.result.t, data.places.path_length) * MM_PER_M
@@ -279,36 +293,32 @@ def _cut_plots(data: Deviation, cuts: Cuts) -> list[Plot]:
         ("Removal rate", "cm³/min", (("removal rate", cuts.rate[rows], _CM3_PER_MIN),)),
         ("Power", "W", (("power", cuts.power[rows], 1.0),)),
     )
-    plots = []
-    for label, unit, curves in curves_of_plots:
-        traces = []
-        colours: tuple[Colour, ...] = ("before", "after")
-        for (name, values, factor), colour in zip(curves, colours, strict=False):
-            y = values * factor
-            shown_rows = _drawn_rows(y, run)
-            gaps = np.flatnonzero(np.diff(run[shown_rows])) + 1  # no line where nothing is cut
-            length_mm, value = (
-                np.insert(values_of_axis[shown_rows].astype(float), gaps, np.nan).tolist() for values_of_axis in (x, y)
-            )
-            traces.append(
-                Curve(
-                    length_mm,
-                    value,
-                    name,
-                    colour,
-                    places=np.insert(place[shown_rows], gaps, place[shown_rows][gaps]).tolist(),
-                )
-            )
-        plots.append(
-            Plot(
-                label=f"{label}, {unit}, along the path. Left and right arrow keys step.",
-                traces=[*traces],
-                x=Axis(title="length of the path, mm"),
-                y=Axis(title=f"{label.lower()}, {unit}"),
-                height=220,
-            )
+    colours: tuple[Colour, ...] = ("before", "after")
+    return [
+        Plot(
+            label=f"{label}, {unit}, along the path. Left and right arrow keys step.",
+            traces=[
+                _curve_with_gaps(x, values * factor, run, place, name, colour)
+                for (name, values, factor), colour in zip(curves, colours, strict=False)
+            ],
+            x=Axis(title="length of the path, mm"),
+            y=Axis(title=f"{label.lower()}, {unit}"),
+            height=220,
         )
-    return plots
+        for label, unit, curves in curves_of_plots
+    ]
+
+
+def _curve_with_gaps(x: Array, y: Array, run: Ints, place: Ints, name: str, colour: Colour) -> Curve:
+    """Return a curve through points x, y (n,), thinned, without a line where nothing is cut.
+
+    :param run: (n,) number of the run of stations without a gap, `place` (n,) the place of the page of each point.
+    """
+    shown_rows = _drawn_rows(y, run)
+    gaps = np.flatnonzero(np.diff(run[shown_rows])) + 1
+    x_values, y_values = (np.insert(values[shown_rows].astype(float), gaps, np.nan).tolist() for values in (x, y))
+    places = np.insert(place[shown_rows], gaps, place[shown_rows][gaps]).tolist()
+    return Curve(x_values, y_values, name, colour, places=places)
 
 
 def _cut_tiles(process: ProcessForces) -> Tiles:
@@ -334,7 +344,7 @@ def _stations_in_contact(cuts: Cuts) -> tuple[Ints, Ints, Ints, Array]:
 
     Where the engagement is the same along a motion, the process has one station: it is shown at both ends.
 
-    :returns: run of stations without a gap that each belongs to, its row of `cuts`, its motion and its place there.
+    :returns: (n,) each: the number of its run of stations without a gap, row of `cuts`, motion, place t on it.
     """
     # a motion with one station has it twice here: at t = 0 and at t = 1
     order = np.lexsort((cuts.t, cuts.motion))
@@ -351,11 +361,15 @@ def _stations_in_contact(cuts: Cuts) -> tuple[Ints, Ints, Ints, Array]:
 
 
 def _drawn_rows(values: Array, run: Ints) -> Ints:
-    """Return which of many values are drawn: of every few the smallest and the largest, and the ends of each run."""
+    """Return the rows of values (n,) that are drawn: of each group the smallest and the largest, and ends of runs.
+
+    :param run: (n,) number of the run of each value.
+    """
     group_size = -(-2 * len(values) // _CURVE_POINTS)
     if group_size <= 2:
         return np.arange(len(values))
     finite_values = np.nan_to_num(values)
+    # filled up with the last value to whole groups, which leaves their extremes as they are
     groups = np.append(finite_values, np.full(-len(finite_values) % group_size, finite_values[-1])).reshape(
         -1, group_size
     )
@@ -367,7 +381,7 @@ def _drawn_rows(values: Array, run: Ints) -> Ints:
 
 
 def histogram_section(data: Deviation) -> Section | None:
-    """Return the view of the histogram; `facts.histograms` has its numbers, over all cutting targets."""
+    """Return the section of the histogram of the deviation; `Facts.histograms` has its numbers."""
     if not len(data.result) or data.uncorrected_reason is not None:
         return None
     label = "Histogram of the deviation at cutting targets, before and after; a click on a bar chooses its worst place."
@@ -376,14 +390,14 @@ def histogram_section(data: Deviation) -> Section | None:
 
 
 def operations_section(data: Deviation) -> Section | None:
-    """Return a table of the operations."""
+    """Return the section with the table of the operations, largest values of each; None if there are none."""
     if not data.operations:
         return None
     rows, has_after = [], data.is_compared and data.content.after.max_mm >= ROUNDING_MM
-    for place, operation in enumerate(data.operations, 1):
+    for number, operation in enumerate(data.operations, 1):
         u95 = None if operation.bound is None else operation.bound.largest * MM_PER_M
         cells = [
-            operation.name or f"operation {place}",
+            operation.name or f"operation {number}",
             f"T{operation.tool}" if operation.tool else "-",
             str(operation.line),
             str(operation.cutting),
@@ -417,7 +431,7 @@ def operations_section(data: Deviation) -> Section | None:
 
 
 def feeds_section(data: Deviation) -> Section | None:
-    """Return the section on feeds that were lowered to hold the tolerance of the part."""
+    """Return the section on feeds that were lowered to hold the tolerance of the part; None if none may be."""
     feed = data.content.feed
     if feed is None:
         return None
@@ -442,7 +456,7 @@ def feeds_section(data: Deviation) -> Section | None:
 
 
 def worst_places_section(data: Deviation) -> Section | None:
-    """Return a table of the worst place of each of the worst lines, before and after."""
+    """Return the section with the table of the worst place of each of the worst lines, before and after [mm]."""
     result = data.result
     if not len(result) or data.uncorrected_reason is not None:
         return None
@@ -467,7 +481,7 @@ def worst_places_section(data: Deviation) -> Section | None:
 
 
 def reversals_section(data: Deviation) -> Section | None:
-    """Return a table of the largest reversals; only a note where the model states no lost motion."""
+    """Return the section of the largest reversals: a table; a note where the model states no lost motion; or None."""
     entries = data.content.reversals
     if not entries:
         return None
@@ -499,7 +513,7 @@ _TOLERANCE_CELLS = {
 
 
 def limits_section(data: Deviation) -> Section | None:
-    """Return tolerance and limits, with the margins of the path."""
+    """Return the section with the tolerance, the margins to limits of the robot, and the smallest clearance."""
     content = data.content
     if not content.targets:
         return None
@@ -523,15 +537,16 @@ def limits_section(data: Deviation) -> Section | None:
     limits = content.limits
     rows.append(("Smallest joint margin", f"{number_text(limits.min_joint_margin_deg, 1)}°"))
     rows.append(("Smallest singular value of the Jacobian", f"{number_text(limits.min_singular_value, 3)} m/rad"))
-    free = content.collision
-    if free is not None and free.min_clearance_mm is not None:
-        words = f"{number_text(free.min_clearance_mm, 1)} mm, {' and '.join(free.bodies)}, line {free.source_line}"
-        rows.append(("Smallest clearance", words))
+    clearance = content.collision
+    if clearance is not None and clearance.min_clearance_mm is not None:
+        bodies = " and ".join(clearance.bodies)
+        text = f"{number_text(clearance.min_clearance_mm, 1)} mm, {bodies}, line {clearance.source_line}"
+        rows.append(("Smallest clearance", text))
     return Section("limits", "Tolerance and limits", (Facts(tuple(rows)),), "half")
 
 
 def joints_section(data: Deviation) -> Section | None:
-    """Return a table of the joints."""
+    """Return the section with the range of each joint, its limits and its margin [deg]; None without targets."""
     result = data.result
     if not len(result):
         return None
@@ -547,7 +562,7 @@ def joints_section(data: Deviation) -> Section | None:
 
 
 def model_section(data: Deviation) -> Section:
-    """Return the values of the model with their sources, assumed ones flagged."""
+    """Return the section with the values of the model and their sources, assumed ones flagged."""
     robot = data.result.robot
     rows = tuple(
         Row((entry.name, entry.value, Cell("assumed", "warning") if entry.assumed else "stated", entry.source))
@@ -574,7 +589,7 @@ _KINDS: dict[str, Kind] = {"error": "error", "warning": "warning", "info": "soft
 
 
 def issues_section(data: Deviation) -> Section:
-    """Return a table of the issues."""
+    """Return the section with the table of the issues, or a note that there are none."""
     issues = data.result.issues
     if not issues:
         return Section("issues", "Issues", (Notes((Note("None besides those of the verdict.", "soft"),)),))
@@ -595,16 +610,17 @@ def issues_section(data: Deviation) -> Section:
 
 
 def _line_ranges(issue: Issue) -> str:
-    """Return all lines of an issue, runs of them as ranges; of very many the first."""
+    """Return all lines of an issue as text, runs of them as ranges; the first `_MOST_LINES` if there are more."""
     if not issue.lines:
         return "-" if issue.source_line is None else str(issue.source_line)
+    # in a run of consecutive lines, line − index is the same
     runs = [[line for _, line in run] for _, run in groupby(enumerate(issue.lines), lambda entry: entry[1] - entry[0])]
     texts = [str(run[0]) if len(run) == 1 else f"{run[0]}–{run[-1]}" for run in runs]
     return first_of(texts, _MOST_LINES)
 
 
 def place_section(data: Deviation) -> Section | None:
-    """Return the view of the details; it stays in sight next to the other sections."""
+    """Return the section with the details of the chosen place, next to all others; None without targets."""
     if not len(data.result):
         return None
     label = "Details of the chosen place: lines, pose, joints, force, deviation, correction"
@@ -618,7 +634,7 @@ _COLOURED_ERROR = 1e-9
 
 
 def turn_section(data: Deviation) -> Section | None:
-    """Return the map of the turn about the tool axis with the chosen line; None if it was not chosen."""
+    """Return the section with the map of the turn about the tool axis and the chosen line; None if not chosen."""
     tool_turn = data.result.turn
     if tool_turn is None:
         return None
@@ -626,10 +642,11 @@ def turn_section(data: Deviation) -> Section | None:
     turns = placement.bin_turns(tool_turn)
     blocks = tool_turn.map.blocks
     metres = np.cumsum(blocks.length)[blocks.block] - blocks.length[blocks.block] * (1.0 - blocks.share)
-    long = np.flatnonzero(np.diff(metres, prepend=0.0) > 0.0)
-    map_rows = long[distinct(np.linspace(0, len(long) - 1, min(_MAP_COLUMNS, len(long))).astype(np.int64))]
+    # metres: path up to each row of the map; rows without travel would be columns without width
+    travel_rows = np.flatnonzero(np.diff(metres, prepend=0.0) > 0.0)
+    column_count = min(_MAP_COLUMNS, len(travel_rows))
+    map_rows = travel_rows[distinct(np.linspace(0, len(travel_rows) - 1, column_count).astype(np.int64))]
     values, title = _map_values(tool_turn)
-    low, high = tool_turn.range_deg()
     degrees = (tool_turn.map.offset + tool_turn.constant) * DEG_PER_RAD
     cells = np.where(reasons == FREE, values, np.nan)[map_rows].T
     grid = Map(
@@ -650,15 +667,21 @@ def turn_section(data: Deviation) -> Section | None:
         height=420,
         note="Each column is the worst of its piece of the path. Rapid moves count for reach only, not for errors.",
     )
+    notes = Notes(tuple(Note(text) for text in _turn_sentences(tool_turn, turns)))
+    return Section("turn", "Turn about the tool axis", (plot, notes))
+
+
+def _turn_sentences(tool_turn: Turn, turns: Array) -> list[str]:
+    """Return sentences on the chosen turn: its range, the expected error with it, and what was not compared.
+
+    :param turns: (K,) chosen turn [rad] at each row of the map.
+    """
+    low, high = tool_turn.range_deg()
     mode_text = "one turn for each operation" if tool_turn.mode == "best" else "a turn that changes along the path"
     first, last = f"{low:.0f}°", f"{high:.0f}°"
     range_text = f"{first} everywhere" if first == last else f"{mode_text}, from {first} to {last}"
-    parts: list[Part] = [plot]
-    notes = [f"Chosen: {range_text}.", *_gain_sentences(tool_turn, turns)]
-    if tool_turn.map.hit is None:
-        notes.append(NO_CLEARANCE)
-    parts.append(Notes(tuple(Note(text) for text in notes)))
-    return Section("turn", "Turn about the tool axis", tuple(parts))
+    sentences = [f"Chosen: {range_text}.", *_gain_sentences(tool_turn, turns)]
+    return sentences if tool_turn.map.hit is not None else [*sentences, NO_CLEARANCE]
 
 
 def _map_values(tool_turn: Turn) -> tuple[Array, str]:
@@ -674,7 +697,10 @@ def _map_values(tool_turn: Turn) -> tuple[Array, str]:
 
 
 def _wrap_to_map(angle: Array, degrees: Array) -> Array:
-    """Return angles within the range of the map, with NaN where the line goes round."""
+    """Return angles (n,) [deg] within the range of the map, NaN where the line goes round from edge to edge.
+
+    :param degrees: angles of the rows of the map [deg], evenly spaced.
+    """
     low = degrees[0] - 0.5 * (degrees[1] - degrees[0])
     line = (angle - low) % 360.0 + low
     line[1:][np.abs(np.diff(line)) > 180.0] = np.nan
@@ -682,27 +708,32 @@ def _wrap_to_map(angle: Array, degrees: Array) -> Array:
 
 
 def _gain_sentences(tool_turn: Turn, turns: Array) -> list[str]:
-    """Return a sentence on the expected error of the line and of the turn that the cell states."""
-    weight = tool_turn.map.blocks.cuts[tool_turn.map.blocks.block]
+    """Return a sentence that compares the expected error of the chosen line with that of the turn of the cell.
+
+    Empty if an error is unknown or all are zero.
+
+    :param turns: (K,) chosen turn [rad] at each row of the map.
+    """
+    is_cut = tool_turn.map.blocks.cuts[tool_turn.map.blocks.block]
     error, offset = tool_turn.map.error, tool_turn.map.offset
     step = offset[1] - offset[0]
     columns = np.rint((turns - offset[0]) / step).astype(np.int64) % len(offset)
     cell_column = int(np.argmin(np.abs(offset)))
-    line = error[np.arange(len(columns)), columns][weight]
-    constant = error[weight, cell_column]
-    if not len(line) or not np.isfinite(line).all() or not line.any():
+    line_error = error[np.arange(len(columns)), columns][is_cut]
+    constant_error = error[is_cut, cell_column]
+    if not len(line_error) or not np.isfinite(line_error).all() or not line_error.any():
         return []
-    rms = two_digits(float(np.sqrt(np.mean(line**2))) * MM_PER_M)
+    rms = two_digits(float(np.sqrt(np.mean(line_error**2))) * MM_PER_M)
     if not (tool_turn.map.reasons(tool_turn.keep)[:, cell_column] == FREE).all():
         cell_text = f"the turn that the cell states ({tool_turn.constant * DEG_PER_RAD:g}°) cannot be driven throughout"
     else:
-        cell_rms = two_digits(float(np.sqrt(np.mean(constant**2))) * MM_PER_M)
+        cell_rms = two_digits(float(np.sqrt(np.mean(constant_error**2))) * MM_PER_M)
         cell_text = f"{cell_rms} mm with {tool_turn.constant * DEG_PER_RAD:g}°"
     return [f"Expected error along this line {rms} mm RMS; {cell_text}."]
 
 
 def record_section(data: Deviation) -> Section | None:
-    """Return date, version, customer, and the sums of program, cell, model and forces."""
+    """Return the section with date, version, customer, and the SHA-256 of program, cell, model and forces, or None."""
     if data.record is None:
         return None
     return Section(

@@ -140,7 +140,7 @@ class Page(Struct, frozen=True):
 
 
 _LEVEL = 1
-"""Of compression: pages are 11 % larger than by level 4, but every process that writes one takes 0.05 s less."""
+"""Level of compression: pages are 11 % larger than by level 4, but each process that writes one takes 0.05 s less."""
 
 
 @cache
@@ -160,6 +160,10 @@ def deflate(content: bytes) -> bytes:
 
 @cache
 def _package_folder(package: str) -> Path:
+    """Return the folder of an installed package, without importing it.
+
+    :raises ModuleNotFoundError: it is not installed.
+    """
     spec = find_spec(package)
     if spec is None or spec.origin is None:
         raise ModuleNotFoundError(f"{package} is not installed: pip install {package}")
@@ -167,9 +171,11 @@ def _package_folder(package: str) -> Path:
 
 
 def _has_part(parts: tuple[Part, ...], templates: frozenset[str]) -> bool:
+    """Return whether one of the parts, or of the parts inside them, is shown by one of the templates."""
     return any(part.template in templates or _has_part(getattr(part, "parts", ()), templates) for part in parts)
 
 
 @cache
 def _file_text(package: str, name: str) -> str:
+    """Return the text of a file of an installed package, `name` relative to its folder."""
     return (_package_folder(package) / name).read_text(encoding="utf-8")

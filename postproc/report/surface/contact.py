@@ -38,7 +38,11 @@ _CANDIDATES = 96
 
 
 def touching_tips(axis: Array, centre: Array, normal: Array, cutter: Cutter) -> Array:
-    """Return the tip positions (n, 3) at which the tool touches facets at their centres."""
+    """Return the tip positions (n, 3) [m] at which the tool touches facets at their centres.
+
+    :param axis: (n, 3) unit vectors from the tip to the spindle.
+    :param centre: (n, 3) centres of the facets [m], `normal` (n, 3) their outward normals.
+    """
     across_axis = normal - np.einsum("ni,ni->n", normal, axis)[:, None] * axis
     width = norm(across_axis)
     m = across_axis / np.where(width > FLAT, width, 1.0)[:, None]
@@ -47,12 +51,16 @@ def touching_tips(axis: Array, centre: Array, normal: Array, cutter: Cutter) -> 
 
 
 def contact_tolerance(cutter: Cutter) -> float:
-    """Return how far the path may pass from the place of contact [m]."""
+    """Return the largest distance [m] of the path from the place of contact at which the tool counts as touching."""
     return max(_LEAST_CONTACT, _CONTACT_SHARE * cutter.radius)
 
 
 def is_touching(from_contact: Array, axis: Array, normal: Array, cutter: Cutter) -> Bools:
-    """Return whether tools with tips relative to the place of contact (n, 3) count as touching facets."""
+    """Return whether tools count as touching facets (n,): level ones, walls and others by rules of their own.
+
+    :param from_contact: (n, 3) tips relative to the place of contact [m].
+    :param axis: (n, 3) unit vectors from the tip to the spindle, `normal` (n, 3) outward normals.
+    """
     up = np.einsum("ni,ni->n", normal, axis)
     width = np.sqrt(np.maximum(1.0 - up**2, 0.0))
     height = np.einsum("ni,ni->n", from_contact, axis)
@@ -67,10 +75,12 @@ def is_touching(from_contact: Array, axis: Array, normal: Array, cutter: Cutter)
 def nearest_place(path: CutPath, centre: Array, normal: Array) -> tuple[Ints, Array, Array]:
     """Return the nearest place of the path from which a tool of any shape can touch each of n facets.
 
+    :param centre: (n, 3) centres of the facets [m], `normal` (n, 3) their outward normals.
+
     :returns: row of the result at the end of its piece (−1: none), share of that piece, and distance of the tip [m].
     """
     _, nearest = path.tree.query(centre)
-    a = path.axis[nearest]
+    a = path.axis[nearest]  # one spindle direction for all candidates of a facet: it changes little between them
     up = np.einsum("ni,ni->n", normal, a)
     _, index = path.tree.query(centre, k=min(_CANDIDATES, len(path.point)))
     index = index.reshape(len(centre), -1)
@@ -95,7 +105,8 @@ def _can_touch(height: Array, outward_distance: Array, up: Array) -> Bools:
 
     The tip is outside of the facet, and lower than it by r (1 − n·a) at most, see above.
 
-    :param height: of the tip above the facet along the spindle [m]; outwards: its distance along the normal [m].
+    :param height: (n, k) of the tip above the facet along the spindle [m].
+    :param outward_distance: (n, k) of the tip from the facet along the normal [m].
     :param up: (n, 1) cosine between normal and spindle.
     """
     reachable = (height <= _PASS_HEIGHT) & (outward_distance >= -_PASS_HEIGHT) & (up >= OVERHANG)

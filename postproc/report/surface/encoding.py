@@ -52,7 +52,10 @@ def ply(surface: Surface, limit: float) -> bytes:
 
 
 def glb(surface: Surface, limit: float) -> bytes:
-    """Return the file, for viewers of glTF, in mm like the mesh of the part; see `ply`."""
+    """Return a binary glTF file in mm, like the mesh of the part, with the facets and colours of `ply`.
+
+    :param limit: deviation [m] of the full colours.
+    """
     import trimesh
 
     count = len(surface.corners)

@@ -24,7 +24,7 @@ from postproc.report.surface.contact import LONG, UPRIGHT, contact_tolerance, is
 from postproc.report.surface.path import CutPath
 
 _FACETS = 128
-"""Facets that are computed at once."""
+"""Facets that are computed at once: their pairs stay small in memory (assumed)."""
 _SEEDS = 12
 """Samples next to the contact that give the first bound: more only shorten the search."""
 _WIDER = 1.5
@@ -86,6 +86,7 @@ class _Facets(NamedTuple):
 
     @classmethod
     def of(cls, centre: Array, normal: Array, axis: Array, cutter: Cutter) -> _Facets:
+        """Return facets with the tips [m] at which a tool with directions to the spindle (n, 3) touches them."""
         return cls(centre, normal, axis, touching_tips(axis, centre, normal, cutter))
 
 
@@ -96,27 +97,27 @@ class _Pairs(NamedTuple):
     sample: Ints
 
     def take(self, is_chosen: Bools) -> _Pairs:
+        """Return the pairs where (P,) is True."""
         return _Pairs(self.facet[is_chosen], self.sample[is_chosen])
 
 
 def _lowest_entries(
     path: CutPath, facets: _Facets, cutter: Cutter, pairs: _Pairs, highest: Array, largest: list[float]
 ) -> RemainingSurface:
-    """Return the lowest entries of samples that are paired with facets.
+    """Return the surfaces at n facets: the lowest entries into tools at samples that are paired with them.
 
-    :param highest: (n,) upper bound of the programmed surface [m]; largest: deviation of the tip in each case [m].
+    :param highest: (n,) upper bound of the programmed surface [m].
+    :param largest: largest deviation of the tip [m] without correction, and with the program as written.
     """
     count, limit = len(facets.centre), contact_tolerance(cutter)
     tip, _ = _tips(path, facets, pairs, None)
     line = _Line.of(tip, path.axis[pairs.sample], facets, pairs.facet)
     gap = highest + 2.0 * max(largest)
     nominal_entry, best, lower_bound = _first_entry(line, pairs.facet, -limit, gap.copy(), cutter)
-    near = np.flatnonzero(lower_bound <= gap[pairs.facet])
-    near_facet = pairs.facet[near]
-    touching = is_touching(
-        tip[near] - facets.tip[near_facet], facets.axis[near_facet], facets.normal[near_facet], cutter
-    )
-    is_touched = (np.bincount(near_facet[touching], minlength=count) > 0) & (nominal_entry <= limit)
+    low_pairs = np.flatnonzero(lower_bound <= gap[pairs.facet])
+    facet = pairs.facet[low_pairs]
+    touches = is_touching(tip[low_pairs] - facets.tip[facet], facets.axis[facet], facets.normal[facet], cutter)
+    is_touched = (np.bincount(facet[touches], minlength=count) > 0) & (nominal_entry <= limit)
     place = np.flatnonzero(is_touched)
     nominal_sample = pairs.sample[best[place]]
     deflected_entry, row, share = np.full((2, count), np.inf), np.full(count, -1), np.zeros(count)
@@ -171,14 +172,19 @@ class _Line(NamedTuple):
 
     @classmethod
     def of(cls, tip: Array, axis: Array, facets: _Facets, facet: Ints) -> _Line:
+        """Return the lines through facets (P,), for tools with tips (P, 3) [m] and axes (P, 3)."""
         normal, c = facets.normal[facet], facets.centre[facet] - tip
         return cls(*(np.einsum("ni,ni->n", a, b) for a, b in ((c, c), (c, normal), (c, axis), (normal, axis))))
 
     def take(self, rows: Bools | Ints) -> _Line:
+        """Return the lines of rows."""
         return _Line(self.square[rows], self.along[rows], self.height[rows], self.up[rows])
 
     def distance(self, s: Array, cutter: Cutter) -> tuple[Array, Array]:
-        """Return the distances from the tool at s [m], 0 and below inside, and their derivatives by s."""
+        """Return the distances (P,) [m] from the tool at s (P,) [m], 0 and below inside, and their derivatives by s.
+
+        The formula of the module docstring, along c + s·n; 1e-300 only keeps 0/0 from the axis and from the inside.
+        """
         height = self.height + s * self.up
         projection = self.along + s
         lateral = np.sqrt(np.maximum(self.square + s * (self.along + projection) - height**2, 0.0))
@@ -192,8 +198,10 @@ class _Line(NamedTuple):
 def _first_entry(line: _Line, facet: Ints, start: float, limit: Array, cutter: Cutter) -> tuple[Array, Ints, Array]:
     """Return the lowest entries of lines into tools.
 
+    Newton's method on all lines at once; a line ends when it enters, passes its limit, or no longer approaches.
+
     :param facet: (P,) facet of each line, and start: s at which all begin [m].
-    :param limit: (n,) largest entry that counts [m]; it is lowered.
+    :param limit: (n,) largest entry that counts [m]; lowered in place to the lowest entry, so that lines above end.
     :returns: (n,) lowest entry at each facet, infinite if there is none below the limit; (n,) its line; and (P,) a
         lower bound of the entry of each line, infinite if it begins in the tool or does not approach it.
     """
@@ -204,18 +212,19 @@ def _first_entry(line: _Line, facet: Ints, start: float, limit: Array, cutter: C
     active, rows = np.flatnonzero(s <= limit[facet]), list[Ints]()
     for _ in range(_STEPS):
         distance, slope = line.take(active).distance(s[active], cutter)
-        hit = np.abs(distance) <= _EXACT
-        entered = active[hit]
-        rows.append(entered)
-        np.minimum.at(limit, facet[entered], s[entered])
-        going = ~hit & (distance > 0.0) & (slope < _GRAZING)
-        active, distance, slope = active[going], distance[going], slope[going]
+        is_entered = np.abs(distance) <= _EXACT
+        entered_rows = active[is_entered]
+        rows.append(entered_rows)
+        np.minimum.at(limit, facet[entered_rows], s[entered_rows])
+        is_approaching = ~is_entered & (distance > 0.0) & (slope < _GRAZING)
+        active, distance, slope = active[is_approaching], distance[is_approaching], slope[is_approaching]
         s[active] -= distance / slope
         active = active[s[active] <= limit[facet[active]]]
         if not len(active):
             break
-    entry, best, entered = np.full(len(limit), np.inf), np.full(len(limit), -1), np.concatenate(rows)
-    order = entered[np.lexsort((s[entered], facet[entered]))][::-1]  # the lowest of each facet is written last
+    entry, best, entered_rows = np.full(len(limit), np.inf), np.full(len(limit), -1), np.concatenate(rows)
+    # reversed: the lowest of each facet is written last
+    order = entered_rows[np.lexsort((s[entered_rows], facet[entered_rows]))][::-1]
     entry[facet[order]], best[facet[order]] = s[order], order
     return entry, best, least
 
@@ -237,13 +246,17 @@ def _seeds(path: CutPath, facets: _Facets, cutter: Cutter) -> tuple[Array, Array
 
 
 def _region(facets: _Facets, cutter: Cutter, gap: Array, offset: Array) -> tuple[Array, Array]:
-    """Return boxes (n, 3) with the centres of the corners of all tools that enter lines within a gap [m].
+    """Return boxes, low and high corners (n, 3) [m], with the corner centres of all tools that may matter for facets.
 
-    :param gap: (n,) above the facets, and offset: (n,) of the nearest sample from the place of contact.
+    These are the tools that enter the normal of a facet up to a gap above it. An empty box has a high corner of −∞.
+
+    :param gap: (n,) largest entry above the facets [m].
+    :param offset: (n,) distance of the nearest sample from the place of contact [m].
     """
     centre, normal, axis, _ = facets
     up = np.einsum("ni,ni->n", normal, axis)
     limit = contact_tolerance(cutter)
+    # on a plane a tool of radius R enters up to the gap h within √(2Rh) of the contact: the height of a chord
     spread = _WIDER * np.sqrt(2.0 * cutter.radius * gap) + gap + np.minimum(offset, 1.5 * limit)
     low, high = (centre + cutter.radius * normal + sign * spread[:, None] for sign in (-1.0, 1.0))
     is_wall = up**2 <= 1.0 - UPRIGHT**2
@@ -278,7 +291,7 @@ class _Grid(Struct, frozen=True, eq=False):
         corner = point.min(axis=0)
         cell = np.floor((point - corner) / size).astype(np.int64)
         shape = cell.max(axis=0) + 1
-        key = (cell[:, 0] * shape[1] + cell[:, 1]) * shape[2] + cell[:, 2]
+        key = (cell[:, 0] * shape[1] + cell[:, 1]) * shape[2] + cell[:, 2]  # z varies fastest
         order = np.argsort(key, kind="stable")
         return cls(order, key[order], corner, size, shape)
 

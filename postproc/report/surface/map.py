@@ -132,11 +132,16 @@ def _tool_paths(
 
 
 def _ball_radius(cutter: Cutter | None) -> float | None:
+    """Return the radius [m] of a ball cutter; None for other and unknown shapes."""
     return cutter.radius if cutter is not None and cutter.shape == "ball" else None
 
 
 def _programmed_cuts(paths: list[tuple[CutPath, Cutter | None]], corners: Array, normal: Array) -> tuple[Array, Ints]:
-    """Return the depths (F,) [m] of the programmed path in each facet, 0 without a cut, and the rows (F,)."""
+    """Return the depth [m] by which the programmed path cuts into each facet (F,), 0 without a cut, and where.
+
+    :param corners: (F, 3, 3) of the facets [m], `normal` (F, 3) their outward normals.
+    :returns: depths, and rows of the result (F,) that cut there, −1 for none.
+    """
     depth, row = np.zeros(len(corners)), np.full(len(corners), -1)
     mesh, centre = Mesh.of(corners, normal), corners.mean(axis=1)
     for path, cutter in paths:
@@ -153,7 +158,10 @@ def _programmed_cuts(paths: list[tuple[CutPath, Cutter | None]], corners: Array,
 
 
 def _nearest_places(paths: list[tuple[CutPath, Cutter | None]], centre: Array, normal: Array) -> _Place:
-    """Return the nearest place from which a tool of any shape can touch facets (F, 3)."""
+    """Return the nearest places of all paths from which a tool of any shape can touch F facets.
+
+    :param centre: (F, 3) centres of the facets [m], `normal` (F, 3) their outward normals.
+    """
     row, share, distance = np.full(len(centre), -1), np.zeros(len(centre)), np.full(len(centre), np.inf)
     for path, _ in paths:
         for first in range(0, len(centre), _CHUNK):
@@ -166,8 +174,13 @@ def _nearest_places(paths: list[tuple[CutPath, Cutter | None]], centre: Array, n
 
 
 def _deepest_surfaces(surfaces: list[RemainingSurface], count: int) -> tuple[Array, Array, Array, _Place]:
-    """Return what remains of F facets after all tools, each (F,): as programmed, by how much it is changed without
-    correction and with the program as written [m]; and the place that leaves it as written.
+    """Return the surface that remains at F facets after all tools.
+
+    :param surfaces: of each tool.
+    :param count: F.
+    :returns: (F,) height of the programmed surface over the facet [m]; (F,) its change by the deviation without
+        correction, and with the program as written [m]; the place that leaves the surface as written. Heights are NaN
+        where no tool touches.
     """
     programmed, deflected = np.full(count, np.inf), np.full((2, count), np.inf)
     row, share = np.full(count, -1), np.zeros(count)
@@ -181,7 +194,10 @@ def _deepest_surfaces(surfaces: list[RemainingSurface], count: int) -> tuple[Arr
 
 
 def _interpolated(result: Result, place: _Place, values: Array) -> Array:
-    """Return values (K, ...) of targets at places of the path (F, ...), NaN where there is none."""
+    """Return values (F, …) at places of the path, linear between targets; NaN where there is no place.
+
+    :param values: (K, …) at the targets.
+    """
     facets = np.flatnonzero(place.row >= 0)
     end = place.row[facets]
     weight = place.share[facets].reshape(-1, *(1,) * (values.ndim - 1))

@@ -51,7 +51,7 @@ class CutPath(Struct, frozen=True, eq=False):
     """Cutting pieces of the path of one tool: S samples close to each other, in the frame of the mesh.
 
     :param point: (S, 3) positions of the tip [m].
-    :param step: (S, 3) of the path at each [m].
+    :param step: (S, 3) vector of the path over each sample, which is in its middle [m].
     :param row: (S,) row of the result at the end of the piece.
     :param share: (S,) of the piece that is behind the sample, and share_step: (S,) the share that its step covers.
     :param axis: (S, 3) direction from the tip to the spindle.
@@ -71,9 +71,11 @@ class CutPath(Struct, frozen=True, eq=False):
     tree: cKDTree
 
     def nearest_points(self, contact_point: Array, index: Ints) -> tuple[Array, Array]:
-        """Return the points (n, k, 3) of the path around samples (n, k) that are nearest to wanted points (n, 3).
+        """Return the points of the path around samples that are nearest to places of contact.
 
-        :returns: points, and (n, k) how far along its step each is (−0.5 … 0.5).
+        :param contact_point: (n, 3) places of contact [m].
+        :param index: (n, k) samples next to each.
+        :returns: points (n, k, 3) [m], and (n, k) how far along its step each is (−0.5 … 0.5).
         """
         step = self.step[index]
         offset = self.step_share(contact_point[:, None] - self.point[index], step)
@@ -95,6 +97,7 @@ def tool_path(result: Result, frames: Frames, is_chosen: Bools, ball_radius: flo
     """
     position, row = drawn_path(result, CHORD)
     position = position @ frames.drawn[:3, :3].T + frames.drawn[:3, 3]
+    # points of one target are consecutive: the number of a chord on its piece, from 1, and the chords of each piece
     number = np.arange(len(row)) - np.searchsorted(row, row) + 1
     pieces_of_row = np.bincount(row, minlength=len(result))
     begin, step = position[:-1], np.diff(position, axis=0)
@@ -112,7 +115,7 @@ def tool_path(result: Result, frames: Frames, is_chosen: Bools, ball_radius: flo
     point = begin[piece] + piece_share[:, None] * step[piece]
     spindle = frames.to_mesh(_spindle(result))
     axis = (1.0 - share)[:, None] * spindle[np.maximum(end - 1, 0)] + share[:, None] * spindle[end]
-    axis /= np.maximum(norm(axis), 1e-300)[:, None]
+    axis /= np.maximum(norm(axis), 1e-300)[:, None]  # 1e-300: opposite directions have no mean, and divide by no zero
     deviations = [frames.to_mesh(values) for values in (result.deviation_before, result.deviation_after)]
     start = np.stack([values[piece_start(result, end)] for values in deviations])
     change = np.stack([values[end] for values in deviations]) - start
@@ -130,7 +133,10 @@ def tool_path(result: Result, frames: Frames, is_chosen: Bools, ball_radius: flo
 
 
 def piece_start(result: Result, end: Ints) -> Ints:
-    """Return the row whose values are those at the start of the piece to a row: the one before, if that cuts."""
+    """Return the rows (n,) with the values at the start of the pieces to rows `end` (n,): the rows before, if they cut.
+
+    After a rapid move the values at the end hold for the whole piece.
+    """
     previous_row = np.maximum(end - 1, 0)
     return np.where(result.rapid[previous_row], end, previous_row)
 
@@ -145,7 +151,7 @@ def tool_numbers(result: Result) -> Ints:
 
 def _spindle(result: Result) -> Array:
     """Return the direction from the tip to the spindle (K, 3) at each target, `$BASE`."""
-    x_or_z = np.zeros((len(result), 3))
-    x_or_z[:, 0] = 1.0
-    axes, _ = axes_of_travel(result.nominal[:, :3, :3], x_or_z, result.axis)
+    any_travel = np.zeros((len(result), 3))  # z of FEED axes does not depend on the travel
+    any_travel[:, 0] = 1.0
+    axes, _ = axes_of_travel(result.nominal[:, :3, :3], any_travel, result.axis)
     return np.asarray(axes[:, :, 2])

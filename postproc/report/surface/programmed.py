@@ -17,19 +17,24 @@ from postproc.report.surface.contact import LONG, OVERHANG, touching_tips
 from postproc.report.surface.path import CutPath
 
 _PROBES = (0.0, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
-"""Depths [m] below a facet at which a tool that cuts into it is looked for,"""
+"""Depths [m] below a facet at which a tool that cuts into it is looked for (assumed),"""
 _SAMPLES_OF_FACET = 3
-"""with this many samples of the path at each."""
+"""with this many samples of the path at each (assumed)."""
 _BISECTIONS = 40
 """Halvings of a distance: to 10⁻¹² of it."""
 _FACET_COUNT = 8
-"""Facets by the distance of their centres among which the nearest one is looked for."""
+"""Facets with the nearest centres, among which the nearest facet is looked for (assumed)."""
 _MOST_TIPS = 50_000
-"""Tips looked at for being inside of the mesh: of longer paths each second, third, … one."""
+"""Largest number of tips that are tested for being inside the mesh: of longer paths each second, third, … (assumed)."""
 
 
 class Mesh(Struct, frozen=True, eq=False):
-    """Facets and a tree of their centres [m]."""
+    """Facets of a part.
+
+    :param corners: (F, 3, 3) of each facet [m].
+    :param normal: (F, 3) outward normals.
+    :param tree: of the centres of the facets.
+    """
 
     corners: Array
     normal: Array
@@ -66,15 +71,42 @@ class Mesh(Struct, frozen=True, eq=False):
 
 
 def _dot(a: Array, b: Array) -> Array:
+    """Return the scalar products (n, k) of vectors (n, k, 3)."""
     return np.asarray(np.einsum("nki,nki->nk", a, b))
 
 
 def cut_depths(mesh: Mesh, path: CutPath, centre: Array, normal: Array, cutter: Cutter) -> tuple[Array, Ints]:
-    """Return the depth [m] by which the programmed path cuts into each of n facets (0: it does not), and the row."""
+    """Return the depth by which the programmed path of a tool cuts into each of n facets, and where.
+
+    :param centre: (n, 3) centres of the facets [m], `normal` (n, 3) their outward normals.
+    :returns: (n,) depth [m], 0 without a cut; (n,) row of the result that cuts deepest, −1 without a cut.
+    """
+    depth, deepest_row = np.zeros(len(centre)), np.full(len(centre), -1)
+    facet, row, tip, axis = _tools_inside(path, centre, normal, cutter)
+    if not len(facet):
+        return depth, deepest_row
+    from_tip, inward = centre[facet] - tip, -normal[facet]
+    low, high = np.zeros(len(facet)), np.full(len(facet), 2.0 * LONG * cutter.radius)
+    for _ in range(_BISECTIONS):  # the tool is convex: the normal leaves it once
+        middle = 0.5 * (low + high)
+        stays_inside = _is_inside(from_tip + middle[:, None] * inward, axis, cutter)
+        low, high = np.where(stays_inside, middle, low), np.where(stays_inside, high, middle)
+    end, _ = mesh.distance(centre[facet] + low[:, None] * inward)
+    facet_depth = np.minimum(low, np.abs(end))
+    order = np.argsort(facet_depth, kind="stable")
+    depth[facet[order]], deepest_row[facet[order]] = facet_depth[order], row[order]  # the deepest is written last
+    return depth, deepest_row
+
+
+def _tools_inside(path: CutPath, centre: Array, normal: Array, cutter: Cutter) -> tuple[Ints, Ints, Array, Array]:
+    """Return m tools of the programmed path that contain the centre of a facet: candidates for the deepest cut.
+
+    :returns: facet (m,), row of the result (m,), tip (m, 3) [m] and axis (m, 3) of each.
+    """
     _, nearest = path.tree.query(centre)
     contact_point = touching_tips(path.axis[nearest], centre, normal, cutter)
     sample_count = min(_SAMPLES_OF_FACET, len(path.point))
-    inside_of, tip, axis, facet = [], [], [], []
+    facets, rows, tips, axes = [], [], [], []
     for probe in _PROBES:
         probe_point = contact_point - probe * normal
         _, index = path.tree.query(probe_point, k=sample_count)
@@ -83,30 +115,19 @@ def cut_depths(mesh: Mesh, path: CutPath, centre: Array, normal: Array, cutter: 
         direction = path.axis[index]
         is_inside = _is_inside(centre[:, None] - point, direction, cutter)
         is_inside &= np.einsum("nki,ni->nk", direction, normal) >= OVERHANG
-        at, sample = np.nonzero(is_inside)
-        facet.append(at)
-        inside_of.append(path.row[index[at, sample]])
-        tip.append(point[at, sample])
-        axis.append(direction[at, sample])
-    of, row = np.concatenate(facet), np.concatenate(inside_of)
-    depth, best = np.zeros(len(centre)), np.full(len(centre), -1)
-    if not len(of):
-        return depth, best
-    from_tip, directions, inward = centre[of] - np.concatenate(tip), np.concatenate(axis), -normal[of]
-    low, high = np.zeros(len(of)), np.full(len(of), 2.0 * LONG * cutter.radius)
-    for _ in range(_BISECTIONS):  # the tool is convex: the normal leaves it once
-        middle = 0.5 * (low + high)
-        stays_inside = _is_inside(from_tip + middle[:, None] * inward, directions, cutter)
-        low, high = np.where(stays_inside, middle, low), np.where(stays_inside, high, middle)
-    end, _ = mesh.distance(centre[of] + low[:, None] * inward)
-    facet_depth = np.minimum(low, np.abs(end))
-    order = np.argsort(facet_depth, kind="stable")
-    depth[of[order]], best[of[order]] = facet_depth[order], row[order]  # the deepest is written last
-    return depth, best
+        facet, sample = np.nonzero(is_inside)
+        facets.append(facet)
+        rows.append(path.row[index[facet, sample]])
+        tips.append(point[facet, sample])
+        axes.append(direction[facet, sample])
+    return np.concatenate(facets), np.concatenate(rows), np.concatenate(tips), np.concatenate(axes)
 
 
 def _is_inside(from_tip: Array, axis: Array, cutter: Cutter) -> Bools:
-    """Return whether points relative to the tip (..., 3) are inside the tool."""
+    """Return whether points (..., 3) relative to the tip [m] are inside the tool.
+
+    :param axis: (..., 3) unit vectors from the tip to the spindle.
+    """
     height = np.einsum("...i,...i->...", from_tip, axis)
     distance = np.linalg.norm(from_tip - height[..., None] * axis, axis=-1)
     return np.asarray(
@@ -115,7 +136,10 @@ def _is_inside(from_tip: Array, axis: Array, cutter: Cutter) -> Bools:
 
 
 def add_tips(mesh: Mesh, path: CutPath, depth: Array, row: Ints) -> None:
-    """Enter the depth [m] of tips inside the mesh at the facets (F,) next to them, and the rows that cut there."""
+    """Raise `depth` (F,) [m] at facets next to which tips are deeper inside the mesh, and set `row` (F,), in place.
+
+    :param row: row of the result that cuts there.
+    """
     sample_rows = slice(None, None, -(-len(path.point) // _MOST_TIPS))
     distance, facet = mesh.distance(path.point[sample_rows])
     order = np.argsort(-distance, kind="stable")
