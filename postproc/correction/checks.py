@@ -156,7 +156,7 @@ def half_turns(program: Program, sample: Toolpath, turn: Array, pose: Poses) -> 
     if not len(motion):
         return
     previous = motion - 1 if program.after is None else program.after[motion]
-    ends = np.flatnonzero(sample.ends)[np.stack([motion, previous])]
+    ends = np.flatnonzero(sample.is_end)[np.stack([motion, previous])]
     is_corrected = np.abs(twist_between(sample.pose[ends], pose[ends])).max(axis=2) > _CORRECTED_TWIST
     may_reverse = is_corrected.any(axis=0) & (previous >= 0) & np.isnan(m.joints[previous, 0])
     problem = "this move turns the tool by about 180°: rounding decides the direction"
@@ -182,7 +182,7 @@ def status_and_turn(program: Program, robot: RobotModel, sample: Toolpath, q: Ar
     :param q: (N, 6) joint angles found for the nominal targets [rad].
     """
     m = program.motions
-    ptp_samples = np.flatnonzero(sample.ends & (m.kind[sample.motion] == PTP) & np.isnan(m.joints[sample.motion, 0]))
+    ptp_samples = np.flatnonzero(sample.is_end & (m.kind[sample.motion] == PTP) & np.isnan(m.joints[sample.motion, 0]))
     motion = sample.motion[ptp_samples]
     has_sign = np.abs(q[ptp_samples]) > _NO_SIGN
     turn_bits = m.turn[motion, None] >> np.arange(6) & 1
@@ -271,7 +271,7 @@ def posture(program: Program, robot: RobotModel, sample: Toolpath, path: JointPa
     :param path: joint angles of the N samples.
     :param start: (6,) joint angles where the program starts [rad].
     """
-    ends = np.flatnonzero(sample.ends & (program.motions.kind[sample.motion] == PTP))
+    ends = np.flatnonzero(sample.is_end & (program.motions.kind[sample.motion] == PTP))
     start_status = kinematics.status_of(robot, np.where(ends[:, None] > 0, path.q[ends - 1], start))
     end_status = kinematics.status_of(robot, path.q[ends])
     changes = np.flatnonzero(start_status != end_status)
@@ -358,7 +358,7 @@ def joints_at_joins(program: Program, sample: Toolpath, q: Array, start: Array) 
 
     :param q: (N, 6) joint angles of the samples, `start` (6,) where the program starts [rad].
     """
-    last_samples = np.flatnonzero(sample.ends)
+    last_samples = np.flatnonzero(sample.is_end)
     for rows in program.joins:
         angles = np.array([q[last_samples[row]] if row >= 0 else start for row in rows])
         spread = np.ptp(angles, axis=0)
@@ -381,7 +381,7 @@ def corrections_at_joins(program: Program, sample: Toolpath, pose: Poses, wrench
 
     :param pose: commanded, `wrench` (N, 6), of the samples in `$BASE`.
     """
-    last_samples = np.flatnonzero(sample.ends)
+    last_samples = np.flatnonzero(sample.is_end)
     for rows in program.joins:
         motions = np.array([row for row in rows if row >= 0], dtype=np.int64)
         correction = twist_between(sample.pose[last_samples[motions]], pose[last_samples[motions]])

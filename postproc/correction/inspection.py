@@ -348,7 +348,7 @@ def dense_places(
     program, robot, sample, joints = path.program, path.robot_in_cell.robot, path.sample, path.joints
     if len(stretches.motion) == 0:
         return
-    end_samples = np.flatnonzero(sample.ends)
+    end_samples = np.flatnonzero(sample.is_end)
     sample_place = sample.motion + sample.t
     group = np.cumsum(stretches.parts + 1) // _CHUNK  # of each stretch: batches have whole stretches
     for batch in np.split(np.arange(len(group)), np.flatnonzero(np.diff(group)) + 1):

@@ -63,7 +63,7 @@ class CommandedPath(Struct, frozen=True, eq=False):
     @classmethod
     def of(cls, path: PathUnderLoad, command: Commands) -> CommandedPath:
         """Return the path of commands, in `$BASE`."""
-        ends = np.flatnonzero(path.sample.ends)
+        ends = np.flatnonzero(path.sample.is_end)
         starts = toolpath.starts(
             path.program, lambda motion: command.pose[ends[motion]], path.robot_in_cell.start_flange
         )
@@ -86,7 +86,7 @@ def choose_samples(
         auxiliary point of a CIRC, −1 elsewhere.
     """
     sample, arcs = path.sample, path.arcs
-    is_target, kinds, via = sample.ends | is_dense[sample.motion], kind[sample.motion], np.full(len(sample), -1)
+    is_target, kinds, via = sample.is_end | is_dense[sample.motion], kind[sample.motion], np.full(len(sample), -1)
     count = np.bincount(sample.motion, minlength=len(kind))
     divisible_lines = np.flatnonzero((count > 1) & (kind == LIN) & ~is_whole)
     if len(divisible_lines):
@@ -402,7 +402,7 @@ def _unchanged_motions(path: PathUnderLoad, command: Commands) -> tuple[Bools, B
         np.arange(len(sample)),
     )
     first_samples = np.flatnonzero(np.diff(sample.motion, prepend=-1))
-    end_differs = is_corrected[sample.ends]
+    end_differs = is_corrected[sample.is_end]
     path_differs = np.maximum.reduceat(is_corrected, first_samples) | np.concatenate([[False], end_differs[:-1]])
     is_arc = m.kind == CIRC
     # the text of a circle is kept if its start is that of the text: no change since the last motion that is no circle,

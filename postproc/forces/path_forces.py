@@ -73,6 +73,7 @@ class PathForces(Struct, frozen=True, eq=False):
             return self.wrench.take(knots).reshape(-1, 2, 3, 1)
 
         def in_chunk(rows: Ints) -> tuple[Array]:
+            """Return the wrenches (n, 6) at some samples."""
             return (self._columns_in_base(wrench_columns, sample.take(rows)).reshape(-1, 6),)
 
         return in_chunks(in_chunk, np.arange(len(sample)))[0]

@@ -75,10 +75,10 @@ def estimate(value_mm: float, u95_mm: float | None) -> str:
     return f"{value_mm:.{two_digit_decimals(u95_mm)}f}"
 
 
-def above_limit(value_mm: float, limit_mm: float) -> str:
+def above_limit_text(value_mm: float, limit_mm: float) -> str:
     """Return a length [mm] above a limit [mm] as text, with two digits or as many as show that it is above.
 
-    >>> above_limit(0.0493, 0.01), above_limit(0.0104, 0.01)
+    >>> above_limit_text(0.0493, 0.01), above_limit_text(0.0104, 0.01)
     ('0.049', '0.0104')
     """
     decimals = two_digit_decimals(value_mm)

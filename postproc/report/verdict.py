@@ -26,7 +26,7 @@ from postproc.report.answers import (
     join,
     remedies,
 )
-from postproc.report.formatting import State, above_limit, two_digits
+from postproc.report.formatting import State, above_limit_text, two_digits
 from postproc.robot import JOINTS, RobotModel
 
 if TYPE_CHECKING:
@@ -190,7 +190,9 @@ def _tolerance_answer(result: Result, content: Summary, other_remedies: Sequence
     part, reasons = content.part, list[str]()
     if content.targets and content.tolerance_held is False and content.mode != "predict":
         assert content.tolerance_mm is not None
-        deviation_text = above_limit(max(content.between_max_mm or 0.0, content.after.max_mm), content.tolerance_mm)
+        deviation_text = above_limit_text(
+            max(content.between_max_mm or 0.0, content.after.max_mm), content.tolerance_mm
+        )
         reasons.append(
             f"the predicted path leaves the nominal one by {deviation_text} mm: more than {content.tolerance_mm:g} mm"
         )
@@ -211,8 +213,8 @@ def _tolerance_answer(result: Result, content: Summary, other_remedies: Sequence
         if remedy.expected_mm < _GAIN * part.expected_mm
     ]
     text = (
-        f"the expected error on the part is up to {above_limit(part.expected_mm, part.tolerance_mm)} mm (95 %, corners "
-        f"and path included), more than the {part.tolerance_mm:g} mm of [part] tolerance_mm, at "
+        f"the expected error on the part is up to {above_limit_text(part.expected_mm, part.tolerance_mm)} mm (95 %, "
+        f"corners and path included), more than the {part.tolerance_mm:g} mm of [part] tolerance_mm, at "
         f"{_percent_digits(part.beyond_percent)} % of the cutting targets"
     )
     reasons.insert(0, _with_line(text, part.source_line))

@@ -130,7 +130,7 @@ class Toolpath(Columns, frozen=True, eq=False):
         return len(self.motion)
 
     @property
-    def ends(self) -> Bools:
+    def is_end(self) -> Bools:
         """(N,) True at the ends of motions."""
         return np.asarray(self.t == 1.0)
 

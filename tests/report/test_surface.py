@@ -217,7 +217,10 @@ def test_a_mesh_that_is_too_high_is_cut_into_by_the_programmed_path_as_deep(cutt
     if higher == 0.0:
         assert (found.programmed_row < 0).all()
         ridge = _ridge(corners[upper].mean(axis=1)[:, 1] + 0.005) if cutters is BALL else 0.0
-        assert cutters is None or found.programmed[upper] == pytest.approx(ridge, abs=MICRON)
+        if cutters is None:  # what remains is not known
+            assert np.isnan(found.programmed).all()
+        else:
+            assert found.programmed[upper] == pytest.approx(ridge, abs=MICRON)
         return
     cut = found.programmed_row >= 0
     assert (found.programmed_row[cut] >= len(lower)).all()

@@ -45,7 +45,7 @@ def test_positions_and_orientations_on_the_way():
     np.testing.assert_array_equal(toolpath.positions(made, path, motion, t)[t == 1.0], made.motions.target[:, :3, 3])
     np.testing.assert_allclose(sample.pose[:, 3], np.tile([0.0, 0, 0, 1], (len(t), 1)))
     np.testing.assert_allclose(sample.distance, path.length[motion] * t)
-    np.testing.assert_array_equal(sample.ends, t == 1.0)
+    np.testing.assert_array_equal(sample.is_end, t == 1.0)
     assert len(sample) == len(t)
     some = sample.take(np.array([3, 7]))
     np.testing.assert_array_equal(some.pose, sample.pose[[3, 7]])

@@ -22,7 +22,7 @@ from postproc.program import Bools, Ints, Program
 from postproc.provenance import Provenance
 from postproc.provenance import State as Origin
 from postproc.report.answers import LIMITS_AND_COLLISIONS, UNJUDGED, Drive, Tolerance, Verdict, join
-from postproc.report.formatting import PLAIN, ROUNDING_MM, Display, State, above_limit, millimetres, stated_mm
+from postproc.report.formatting import PLAIN, ROUNDING_MM, Display, State, above_limit_text, millimetres, stated_mm
 from postproc.report.path import operation_starts
 from postproc.report.summary import Distances
 
@@ -333,7 +333,7 @@ def _failures(content: ComparisonSummary, limit_mm: float, file_origin: ProgramO
     # without forces the correction is too uncertain to distinguish a target from an inserted one next to it
     explains_offsets = content.cut is not None or not file_origin.same_origin
     if explains_offsets and not content.offset.max_mm <= limit_mm:
-        offset = above_limit(content.offset.max_mm, limit_mm)
+        offset = above_limit_text(content.offset.max_mm, limit_mm)
         place = _pair_text(content.largest[0])
         yield f"{place}: this target is {offset} mm off: more than max_correction_mm = {limit_mm:g}"
     if not content.pairs:
@@ -346,14 +346,14 @@ def _tolerance_answer(content: ComparisonSummary) -> Tolerance | None:
     cut, between_targets, tolerance, reasons = content.cut, content.between, content.tolerance_mm, list[str]()
     if cut is not None and not cut.corrected.max_mm <= tolerance:
         reasons.append(
-            f"{_pair_text(cut)}: the corrected program leaves {above_limit(cut.corrected.max_mm, tolerance)} mm at "
-            f"this target under the forces given (tolerance {tolerance:g} mm)"
+            f"{_pair_text(cut)}: the corrected program leaves {above_limit_text(cut.corrected.max_mm, tolerance)} mm "
+            f"at this target under the forces given (tolerance {tolerance:g} mm)"
         )
     if between_targets is not None and not between_targets.corrected_max_mm <= tolerance:
         reasons.append(
             f"{between_targets.corrected_file}:{between_targets.corrected_line}: between targets it leaves "
-            f"{above_limit(between_targets.corrected_max_mm, tolerance)} mm to the nominal path under the forces given "
-            f"(tolerance {tolerance:g} mm)"
+            f"{above_limit_text(between_targets.corrected_max_mm, tolerance)} mm to the nominal path under the forces "
+            f"given (tolerance {tolerance:g} mm)"
         )
     return Tolerance("failed", "path", tolerance, False, None, [], reasons) if reasons else None
 
@@ -565,7 +565,11 @@ def _rows_of_pairs(comparison: Comparison) -> tuple[Ints, Ints, Ints, Ints]:
 
 
 def _numbers_of_pairs(comparison: Comparison, state: Ints, nominal_row: Ints, corrected_row: Ints) -> Array:
-    """Return the columns `_NUMBERS` of targets as `_rows_of_pairs` gives them; NaN where a target has no such value."""
+    """Return the columns `_NUMBERS` (n, k) of targets as `_rows_of_pairs` gives them; NaN where there is no value.
+
+    :param state: (n,) index in `_STATES`; the first, 0, is a pair: pairs come first.
+    :param nominal_row: (n,) motion of the first program, `corrected_row` (n,) of the second; −1: none.
+    """
     nominal, corrected, pair_count = comparison.nominal.motions, comparison.corrected.motions, len(comparison.pair)
     nominal_pose, corrected_pose = (np.full((len(state), 6), np.nan) for _ in range(2))
     nominal_pose[nominal_row >= 0] = xyzabc_from_pose(nominal.target[nominal_row[nominal_row >= 0]])

@@ -256,6 +256,7 @@ def _region(facets: _Facets, cutter: Cutter, gap: Array, offset: Array) -> tuple
     centre, normal, axis, _ = facets
     up = np.einsum("ni,ni->n", normal, axis)
     limit = contact_tolerance(cutter)
+    # boxes may be too large, not too small: 1.1, 0.1 and 1.5 below are margins for the spacing of samples (assumed)
     # on a plane a tool of radius R enters up to the gap h within √(2Rh) of the contact: the height of a chord
     spread = _WIDER * np.sqrt(2.0 * cutter.radius * gap) + gap + np.minimum(offset, 1.5 * limit)
     low, high = (centre + cutter.radius * normal + sign * spread[:, None] for sign in (-1.0, 1.0))

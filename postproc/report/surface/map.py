@@ -95,7 +95,7 @@ def surface(
             np.einsum("fi,fi->f", _interpolated(result, place, frames.to_mesh(values)), normal)
             for values in (result.deviation_before, result.deviation_after)
         )
-        left = np.where(place.row >= 0, 0.0, np.nan)
+        left = np.full(len(corners), np.nan)  # the tip alone does not tell what remains on the part
     else:
         surfaces = [remaining_surface(path, centre, normal, cutter) for path, cutter in paths if cutter is not None]
         left, before, after, place = _deepest_surfaces(surfaces, len(corners))
