@@ -30,7 +30,6 @@ from postproc.jobs.cell_edit import (
     kept_frames,
     missing_frames,
     set_feed_rule,
-    set_frames,
     set_robot,
     use_model,
 )
@@ -396,10 +395,11 @@ class _Handler(BaseHTTPRequestHandler):
         name = self._program_name(self.form())
         workspace = self.server.workspace
         place = tomllib.loads(workspace.place(name).read_text(encoding="utf-8"))
-        numbered_frames = {f"base_data.{number}": frame for number, frame in place.get("base_data", {}).items()}
-        frames = {"base": place["base"], **numbered_frames}
+        frames = {f"base_data.{number}": frame for number, frame in place.get("base_data", {}).items()}
+        tables = {"base": place["base"], **frames}
+        texts = {f"{table}.{axis}": str(value) for table, frame in tables.items() for axis, value in frame.items()}
         arguments = workspace.conversion(name)
-        self.begin(name, f"Correct {name}", arguments, lambda: set_frames(workspace.stated_cell(), frames))
+        self.begin(name, f"Correct {name}", arguments, lambda: edit(workspace.stated_cell(), texts, [*frames]))
 
     def feed(self) -> None:
         """Lower feeds where the tolerance of the part would be exceeded, or keep them, and correct again."""

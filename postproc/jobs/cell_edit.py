@@ -119,19 +119,6 @@ def edit(path: Path, texts: Mapping[str, str], frames: Sequence[str] = ()) -> bo
     return True
 
 
-def set_frames(path: Path, frames: Mapping[str, Mapping[str, float]]) -> None:
-    """Write frames into a cell file, checked as `convert` checks it; comments and all else stay.
-
-    :param frames: numbers by axis [mm, deg], by the name of the table: ``"base"``, ``"base_data.1"``.
-    :raises InputError: the cell would be unusable.
-    """
-    old_text = files.read_text(path, CellError)
-    document = parse(old_text, str(path), CellError)
-    fields = [field for table in frames for field in fields_of_table(document, "cell", table, "number")]
-    texts = {f"{table}.{axis}": str(value) for table, frame in frames.items() for axis, value in frame.items()}
-    write_valid(path, edit_text(old_text, document, fields, texts), cells.load)
-
-
 def robot_of(path: Path, model: Path) -> tuple[str, bool]:
     """Return the robot that a cell file names, and whether it is a model folder; empty: the cell is unusable."""
     try:

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from pathlib import Path
 
 import msgspec
-import numpy as np
 from msgspec import Struct
 
 from postproc import cell as cells
 from postproc.cell import Cell, Frame
-from postproc.errors import InputError, OptionError, PostprocError, did_you_mean
+from postproc.errors import CellError, InputError, OptionError, PostprocError, did_you_mean
 from postproc.files import add_record, foreign, refuse, write_whole
 from postproc.frames import M_PER_MM, RAD_PER_DEG
 from postproc.jobs.conversion import convert_program, programs_under_force
@@ -22,6 +21,7 @@ from postproc.jobs.programs import Settings, find_jobs, load_robot
 from postproc.jobs.started_program import read_program, read_with_start
 from postproc.placement import LeastMargins, PathSamples, region
 from postproc.placement.region import AXES, Assessment, JudgedPlace, Region
+from postproc.program import Program
 from postproc.report import placement as report
 from postproc.report import summary as program_summary
 from postproc.robot import RobotModel
@@ -78,8 +78,7 @@ def make_place(request: PlaceRequest, progress: Callable[[int, int], None] | Non
         refuse(foreign(request.output, FILES, FILES[-1]))
     assess = partial(_assessment, request, cell, robot)
     cell, start_message = _cell_with_start(request, cell, robot)
-    samples, paths = _samples(request, cell, robot)
-    frame_numbers = _numbers_of_base(samples, paths, robot, cell)
+    samples, paths, frame_numbers = _samples(request, cell, robot)
     turns = cell.gcode.redundancy != "constant" and not any(path.program.keeps_text for path in samples)
     keep, clearance = LeastMargins(joint=request.margin_deg * RAD_PER_DEG), _clearance(request, cell)
     programs = region.Programs(samples, keep, turns=turns, clearance_mm=clearance)
@@ -223,31 +222,46 @@ def _moved_cell(cell: Cell, base: Frame) -> Cell:
     return msgspec.structs.replace(cell, base=base, base_data=cell.base_data | moved_frames)
 
 
-def _samples(request: PlaceRequest, cell: Cell, robot: RobotModel) -> tuple[Sequence[PathSamples], list[Path]]:
-    """Read the programs; return samples of their paths, and their files.
+def _samples(
+    request: PlaceRequest, cell: Cell, robot: RobotModel
+) -> tuple[Sequence[PathSamples], list[Path], list[str]]:
+    """Read the programs; return samples of their paths, their files, and the numbers of the frames that move with them.
+
+    A robot program is read a second time, with `[base]` and each frame that is equal to it elsewhere, each by another
+    length: its `$BASE` then tell which of them it moves in.
 
     :raises InputError: a program has frames of its own, so that moving $BASE would not move it.
     """
     robot_in_cell, samples, paths = RobotInCell.of(robot, cell), list[PathSamples](), []
-    shifted_cell = _moved_cell(cell, msgspec.structs.replace(cell.base, X=cell.base.X + 1.0))
+    base = cell.base
+    shifted_frames = {
+        number: msgspec.structs.replace(base, X=base.X + shift)
+        for shift, number in enumerate(region.numbers_of_base(cell), 2)
+    }
+    shifted_cell = msgspec.structs.replace(
+        cell, base=msgspec.structs.replace(base, X=base.X + 1.0), base_data=cell.base_data | shifted_frames
+    )
+    used_numbers = set[str]()
     for path, program, source in programs_under_force(request.programs, request.forces or request.process, robot, cell):
-        shifted_program = read_program(path, robot, shifted_cell) if program.keeps_text else None
+        shifted_program = _shifted_program(path, robot, shifted_cell) if program.keeps_text else None
         region.check_base(program, robot_in_cell, shifted_program)
+        if shifted_program is not None:
+            used_numbers |= {n for n, frame in shifted_frames.items() if region.has_base(shifted_program, frame)}
         samples.append(PathSamples.of(program, robot_in_cell, source))
         paths.append(path)
-    return samples, paths
+    return samples, paths, [number for number in shifted_frames if number in used_numbers]
 
 
-def _numbers_of_base(
-    samples: Sequence[PathSamples], paths: Sequence[Path], robot: RobotModel, cell: Cell
-) -> Iterator[str]:
-    """Yield the numbers of the frames that move with `[base]` and in which a program moves."""
-    for number in region.numbers_of_base(cell):
-        frame = cell.base_data[number]
-        shifted_frame = msgspec.structs.replace(frame, X=frame.X + 1.0)
-        shifted_cell = msgspec.structs.replace(cell, base_data=cell.base_data | {number: shifted_frame})
-        for path, sampled in zip(paths, samples, strict=True):
-            program = sampled.program
-            if program.keeps_text and not np.array_equal(program.bases, read_program(path, robot, shifted_cell).bases):
-                yield number
-                break
+def _shifted_program(path: Path, robot: RobotModel, shifted_cell: Cell) -> Program:
+    """Return a robot program as it is read with other frames.
+
+    :raises InputError: a file of the program states one of these frames too.
+    """
+    try:
+        return read_program(path, robot, shifted_cell)
+    except CellError as cause:
+        raise InputError(
+            "a .dat states a frame by number that is [base] of the cell: it would not move with it",
+            file=path.name,
+            advice="Take BASE_DATA out of the .dat, or convert with other frames there to compare places.",
+        ) from cause

@@ -203,7 +203,8 @@ def _cylinder_contact(stock: Stock, nearest: NDArray[np.int32], position: Floats
 
     The cell that contains the point counts by its share: a second pass along the same wall is then in air. Where the
     edge runs along a wall that was cut before, as at the end of each layer of a slot, it is inside of it: it meets the
-    lower level alone, and what stands behind the wall does not count.
+    lower level alone, and what stands behind the wall does not count. Where it runs outside of such a wall, what
+    stands there counts in full.
 
     :param nearest: (n, K) index in the flat map of the cell that contains each point on the cylinder.
     :param position: (n, 3) of the tip [m].
@@ -218,7 +219,7 @@ def _cylinder_contact(stock: Stock, nearest: NDArray[np.int32], position: Floats
     height, moment = top - bottom, top * top - bottom * bottom
     if share.any():
         is_inside, is_outside = _sides_of_earlier_cut(stock, nearest, position, turn, high, low, share)
-        share = np.where(share > 0.0, np.where(is_inside, np.float32(1.0), share * ~is_outside), share)
+        share = np.where((share > 0.0) & is_inside, np.float32(1.0), share * ~is_outside)
         deep = np.maximum(np.minimum(low - tip, top), bottom)
         height += share * (deep - top)
         moment += share * (deep * deep - top * top)

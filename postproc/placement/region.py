@@ -17,7 +17,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc import kinematics, toolpath
-from postproc.cell import Cell
+from postproc.cell import Cell, Frame
 from postproc.errors import InputError
 from postproc.frames import MM_PER_M, Array, inverse, pose_from_xyzabc, product, wrap_angles
 from postproc.kinematics import UnreachableError
@@ -397,6 +397,11 @@ def numbers_of_base(cell: Cell) -> tuple[str, ...]:
         return ()
     base = cell.base.pose()
     return tuple(n for n, frame in cell.base_data.items() if np.abs(frame.pose() - base).max() < _SAME_FRAME)
+
+
+def has_base(program: Program, frame: Frame) -> bool:
+    """Return whether a frame is among the `$BASE` of a program."""
+    return bool((np.abs(program.bases - frame.pose()).max(axis=(1, 2)) < _SAME_FRAME).any())
 
 
 def check_base(program: Program, robot_in_cell: RobotInCell, shifted_program: Program | None = None) -> None:

@@ -299,6 +299,11 @@ def test_a_frame_by_number_that_is_equal_to_the_base_moves_with_it(numbered):
     assert content["best"]["X"] != content["today"]["X"]
 
 
+def test_a_frame_that_a_dat_states_too_does_not_move(numbered):
+    Path("part.dat").write_text("DEFDAT part\nBASE_DATA[3]={X 1500,Y -200,Z 700,A 0,B 0,C 0}\nENDDAT\n")
+    assert "a .dat states a frame by number that is [base] of the cell" in placed(numbered, code=1)[0]
+
+
 def test_frames_by_number_that_are_others_or_in_config_dat_do_not_move(numbered):
     other = numbered.replace("[base_data.3]", "[base_data.3]\nB = 0.001", 1)
     assert "$BASE that the program sets itself" in placed(other, code=1)[0]
