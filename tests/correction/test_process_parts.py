@@ -1,4 +1,4 @@
-"""Parts of the process, each against a loop: what is said of size and causes, what is refined, and what a draft adds."""
+"""Parts of the process: numbers beside targets, reversals, what correction leaves, and what a draft adds."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from postproc.correction.verify import UnusableTextError
 from postproc.elastostatics import Reversals
 from postproc.errors import Issue, NotConvergedError
 from postproc.poses import Poses
-from postproc.program import CIRC
 from postproc.under_load import ImpossiblePathError
 from tests.kr270 import CELL
 from tests.programs import program
@@ -24,45 +23,10 @@ MADE = program([
 ])  # fmt: skip
 
 
-@pytest.mark.parametrize("can_divide", [False, True])
-@pytest.mark.parametrize(
-    ("size", "is_large"), [(1_999_999, False), (2_000_000, False), (2_000_001, True), (7_300_000, True)]
-)
-def test_a_program_beyond_the_memory_is_named_with_both_sizes_and_what_divides_it(can_divide, size, is_large):
-    """A program in modules is not: its modules are loaded in turn."""
-    cell = replace(CELL, output=replace(CELL.output, program_memory_MB=2.0, divide_into_modules=can_divide))
-    assert process._too_large(SimpleNamespace(size=size, modules="two"), cell) == ()
-    issues = process._too_large(SimpleNamespace(size=size, modules=None), cell)
-    assert [(issue.level, issue.kind) for issue in issues] == [("warning", "program-memory")] * is_large
-    for issue in issues:
-        numbers = {2_000_001: "2 MB, 1 times", 7_300_000: "7.3 MB, 3.6 times"}[size]
-        assert f"the program has {numbers} program_memory_MB = 2 of" in issue.message
-        assert ("divides no other programs" in issue.message) == can_divide
-        assert ("set divide_into_modules = true" in issue.message) == (not can_divide)
-
-
-@pytest.mark.parametrize("force", [False, True])
-@pytest.mark.parametrize("payload", [0.0, 12.0])
-@pytest.mark.parametrize("is_calibrated", [False, True])
-@pytest.mark.parametrize(("has_weight", "is_subtracted"), [(False, False), (True, False), (True, True), (False, True)])
-def test_causes_of_deviation_are_those_that_are_there(force, payload, is_calibrated, has_weight, is_subtracted):
-    robot = SimpleNamespace(
-        geometry_is_nominal=not is_calibrated, has_weight=has_weight, subtract_reference=is_subtracted
-    )
-    cell = SimpleNamespace(payload=SimpleNamespace(mass_kg=payload))
-    values = np.zeros((3, 6))
-    values[1, 2] = 5.0 * force
-    path = SimpleNamespace(robot_in_cell=SimpleNamespace(robot=robot, cell=cell), wrench=SimpleNamespace(values=values))
-    expected = ["the cutting forces"] * force + ["the payload"] * (payload > 0.0)
-    expected += ["the calibrated geometry"] * is_calibrated
-    expected += ["the weight of the arm"] * (has_weight and not is_subtracted)
-    assert process._causes(path) == tuple(expected)
-
-
 @pytest.mark.parametrize("mode", ["convert", "nominal", "predict"])
 @pytest.mark.parametrize("keeps_text", [False, True])
 def test_numbers_beside_targets_are_those_of_the_text_where_a_motion_of_the_text_ends(monkeypatch, mode, keeps_text):
-    """Of a written program its own; of one that is only predicted those of the program, and elsewhere the nominal pose."""
+    """Of a written program its own; of one that is only predicted those of the program, else the nominal pose."""
     made = replace(MADE, layout=SimpleNamespace() if keeps_text else None)
     monkeypatch.setattr(type(made), "numbers_as_written", lambda self: 1000.0 + np.arange(24.0).reshape(4, 6))
     motion, t = np.array([0, 1, 1, 2, 3]), np.array([1.0, 0.5, 1.0, 0.2, 1.0])
@@ -79,31 +43,6 @@ def test_numbers_beside_targets_are_those_of_the_text_where_a_motion_of_the_text
         np.testing.assert_allclose(numbers[k], expected, atol=1e-9)
     draft.simulation = SimpleNamespace(numbers="as written")
     assert process._printed_numbers(SimpleNamespace(mode=mode), draft) == "as written"
-
-
-@pytest.mark.parametrize("linearize_arcs", [False, True])
-def test_pieces_of_arcs_are_divided_by_the_root_of_their_error_and_straight_motions_get_places(linearize_arcs):
-    """An error of e needs √(e / 0.4 tolerance) parts, rounded up, 2 to 4; arcs that are written as lines get places."""
-    tolerance = 5e-5
-    allowed = 0.4 * tolerance
-    motion = np.array([2, 1, 2, 3, 2, 2])
-    t = np.array([0.1, 0.5, 0.3, 0.2, 0.6, 0.9])
-    distance = allowed * np.array([1.1, 9.0, 4.2, 2.0, 9.5, 100.0])
-    calls = []
-    arcs = SimpleNamespace(finer=lambda *parts: calls.append(parts) or "finer")
-    path = SimpleNamespace(program=MADE, robot_in_cell=SimpleNamespace(tolerance=tolerance), arcs=arcs)
-    earlier = np.array([0]), np.array([0.7])
-    task = SimpleNamespace(linearize_arcs=linearize_arcs)
-    pieces, (places, place_t) = process._refine(task, path, (motion, t, distance), earlier)
-    assert pieces == "finer"
-    ((arc, arc_t, parts),) = calls
-    if linearize_arcs:
-        assert (len(arc), len(arc_t), len(parts)) == (0, 0, 0)
-        assert (places.tolist(), place_t.tolist()) == ([0, *motion], [0.7, *t])
-        return
-    assert MADE.motions.kind[2] == CIRC
-    assert (arc.tolist(), arc_t.tolist(), parts.tolist()) == ([2, 2, 2, 2], [0.1, 0.3, 0.6, 0.9], [2, 3, 4, 4])
-    assert (places.tolist(), place_t.tolist()) == ([0, 1, 3], [0.7, 0.5, 0.2])
 
 
 def test_torque_reversals_count_on_cutting_moves_only(monkeypatch):

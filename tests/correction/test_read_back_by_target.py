@@ -61,9 +61,11 @@ def output():
     return replace(made, motions=motions), row
 
 
-def mismatch(change=lambda made, row: made, wanted=None):
+def mismatch(change=None, selected=slice(None)):
+    """The issue of a program in which some targets are changed."""
     made, row = output()
-    return verify._mismatch(nominal(), targets() if wanted is None else wanted, change(made, row), row)
+    made = made if change is None else change(made, row[selected])
+    return verify._mismatch(nominal(), targets(), made, row)
 
 
 def test_a_program_with_the_frames_in_another_order_and_axis_targets_between_is_the_same():
@@ -128,26 +130,26 @@ def other_index(name, value):
 def test_a_target_that_is_moved_or_turned_by_more_than_its_rounding_is_an_error_of_its_source_line(target, axis):
     """The message counts the targets that differ and names the line of the first of them."""
     for size in (ABOVE, -ABOVE):
-        issue = mismatch(lambda made, row: moved(axis, size)(made, row[target]))
+        issue = mismatch(moved(axis, size), target)
         assert (issue.level, issue.kind) == ("error", "read-back")
         assert (issue.source_line, issue.count) == (targets().motion[target] + 1, 1)
-        issue = mismatch(lambda made, row: moved(axis, size)(made, row[target:]))
+        issue = mismatch(moved(axis, size), slice(target, None))
         assert (issue.source_line, issue.count) == (targets().motion[target] + 1, 6 - target)
     for size in (BELOW, -BELOW):
-        assert mismatch(lambda made, row: moved(axis, size)(made, row[target:])) is None
+        assert mismatch(moved(axis, size), slice(target, None)) is None
 
 
 @pytest.mark.parametrize("target", range(1, 6))
 def test_another_speed_is_an_error_by_more_than_its_rounding(target):
     for size in (ABOVE, -ABOVE):
-        issue = mismatch(lambda made, row: other_feed(size)(made, row[target]))
+        issue = mismatch(other_feed(size), target)
         assert (issue.source_line, issue.count) == (targets().motion[target] + 1, 1)
     for size in (BELOW, -BELOW):
-        assert mismatch(lambda made, row: other_feed(size)(made, row[target])) is None
+        assert mismatch(other_feed(size), target) is None
 
 
 def test_a_ptp_has_no_speed_to_compare():
-    assert mismatch(lambda made, row: other_feed(0.1)(made, row[0])) is None
+    assert mismatch(other_feed(0.1), 0) is None
 
 
 @pytest.mark.parametrize(
@@ -156,14 +158,14 @@ def test_a_ptp_has_no_speed_to_compare():
 @pytest.mark.parametrize("axis", range(6))
 def test_another_frame_is_an_error_of_all_targets_in_it(name, first, count, line, axis):
     for size in (ABOVE, -ABOVE):
-        issue = mismatch(lambda made, row: other_frame(name, axis, size)(made, row[first:]))
+        issue = mismatch(other_frame(name, axis, size), slice(first, None))
         assert (issue.source_line, issue.count) == (line, count)
-    assert mismatch(lambda made, row: other_frame(name, axis, BELOW)(made, row[first:])) is None
+    assert mismatch(other_frame(name, axis, BELOW), slice(first, None)) is None
 
 
 @pytest.mark.parametrize(("name", "value"), [("base", 0), ("tool", 1), ("tool", 0), ("kind", CIRC)])
 def test_a_target_in_another_frame_or_on_another_kind_of_motion_is_an_error(name, value):
-    issue = mismatch(lambda made, row: other_index(name, value)(made, row[1]))
+    issue = mismatch(other_index(name, value), 1)
     assert (issue.source_line, issue.count) == (2, 1)
 
 

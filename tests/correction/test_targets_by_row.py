@@ -157,6 +157,17 @@ def test_a_program_rounds_its_path_at_the_ends_of_its_own_motions(monkeypatch, k
     assert asked == ([[0, 1, 3]] if keeps_text else [])
 
 
+@pytest.mark.parametrize("exponent", range(-2, 4))
+@pytest.mark.parametrize("digit", [2, 5])
+def test_distances_are_rounded_down_to_one_two_or_five_but_for_the_last_bit(digit, exponent):
+    """A distance that is one of these up to the rounding of its computation stays; the next one is far below."""
+    smaller = {2: 1.0, 5: 2.0}[digit]
+    value, unit = digit * 10.0**exponent * 1e-3, 10.0**exponent * 1e-3
+    distance = value * np.array([1.0 - 2e-16, 1.0, 1.0 + 2e-16, 1.3, 0.999])
+    expected = np.array([value, value, value, value, smaller * unit])
+    np.testing.assert_allclose(targets._round_down(distance), expected, rtol=1e-12)
+
+
 def draft_of(modules=None, size=3.0e6, divide=False, memory=2.0):
     cell = replace(CELL, output=replace(CELL.output, program_memory_MB=memory, divide_into_modules=divide))
     return SimpleNamespace(size=size, modules=modules), cell
