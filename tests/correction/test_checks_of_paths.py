@@ -183,6 +183,8 @@ def test_half_a_turn_with_the_path_is_the_turn_seen_from_the_path():
     assert half_turn([(3, 0, 1e-3)], led) == []
     assert half_turn([(3, 0, 1e-3)], led, turn=2 * np.pi - 1.0) == [("half-turn", "error", (3,))]
     assert half_turn([(3, 0, 1e-3)], replace(led, with_path=None)) == [("half-turn", "error", (3,))]
+    line = replace(led, with_path=np.array([False, True, False, False]))  # another motion is led by its path
+    assert half_turn([(3, 0, 1e-3)], line) == [("half-turn", "error", (3,))]
     axes = SimpleNamespace(active=np.array([False, False, True, False]))  # rotary axes say which way round
     assert half_turn([(3, 0, 1e-3)], replace(MADE, swivel=axes)) == []
 

@@ -47,8 +47,19 @@ CUTTER, SPINDLE = HolderTable(diameter_mm=10, length_mm=40), HolderTable(diamete
         ({"Z": 350.0}, [CUTTER, SPINDLE], ()),
         ({"Z": 390.0}, [CUTTER, HolderTable(mesh="spindle.stl")], ()),
         ({"Z": 390.0}, [], ()),
+        ({"Z": 390.0}, [CUTTER, HolderTable(mesh="spindle.stl"), SPINDLE], (7,)),
+        ({"Z": 350.11}, [CUTTER, SPINDLE], (7,)),
+        ({"Z": 350.09}, [CUTTER, SPINDLE], ()),
     ],
-    ids=["longer", "same", "a mesh is placed from the flange", "no holder"],
+    ids=[
+        "longer",
+        "same",
+        "a mesh is placed from the flange",
+        "no holder",
+        "a mesh in addition",
+        "by a tenth of a mm",
+        "by less",
+    ],
 )
 def test_tools_of_other_lengths_share_no_holder(tmp_path, second, holder, lines):
     cell = replace(CELL, tools={"1": Frame(Z=350.0), "2": Frame(**second)}, collision=Collision(holder=holder))
@@ -56,4 +67,4 @@ def test_tools_of_other_lengths_share_no_holder(tmp_path, second, holder, lines)
     program = postproc.read_program(tmp_path / "part.nc", ROBOT, cell)
     found = holder_issues(program, cell)
     assert [(each.level, each.source_line) for each in found] == [("warning", line) for line in lines]
-    assert all("are 40 mm apart" in each.message for each in found)
+    assert all(f"are {second['Z'] - 350.0:.4g} mm apart" in each.message for each in found)
