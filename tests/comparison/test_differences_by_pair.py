@@ -417,6 +417,11 @@ def test_another_orientation_type_of_path_motions_is_reported_but_for_the_led_on
         a, b = found.pair[bad[0]]
         assert f"$ORI_TYPE is {types[1][b]} instead of {types[0][a]}:" in message
     assert not list(settings._orientation_type_differences(replace(found, corrected=replace(sides[1], layout=None))))
+    # RAPID has no such type: there is nothing to compare with, on either side
+    without = SimpleNamespace(places=LAYOUT.places, orientation_types=lambda rows: None)
+    for changed in ({"nominal": 0}, {"corrected": 1}, {"nominal": 0, "corrected": 1}):
+        untyped = {name: replace(sides[n], layout=without) for name, n in changed.items()}
+        assert not list(settings._orientation_type_differences(replace(found, **untyped)))
 
 
 @pytest.mark.parametrize("seed", SEEDS)
