@@ -600,3 +600,43 @@ def test_ways_by_ptp_and_from_where_nothing_is_corrected_are_not_compared_inside
     found = pair_targets(side, side, np.arange(7), np.ones(7, dtype=bool))
     known = Ways.from_pairs(found, side, side).is_comparable
     assert known.tolist() == [payload == 0.0, True, True, True, True, False, True]
+
+
+class CurveSearch(Search):
+    """A search with the offset of the tip given as a curve: it passes its nearest place at some rate of change."""
+
+    def _tip_offset(self, q, displacement, length):
+        """Rates and places are in the joint angles, the least distance in the displacement of the robot."""
+        rate, place, bend = q[:, 0], q[:, 1], q[:, 2]
+        gap = length - place
+        return displacement + np.stack([rate * gap + bend * gap**2, np.zeros(len(q)), 0.0 * gap], axis=1)
+
+
+@pytest.mark.parametrize("rate", [0.3, 1.0, 3.0])
+@pytest.mark.parametrize("bend", [0.0, 0.4])
+def test_steps_to_the_nearest_place_are_those_of_newton_whatever_the_rate_of_the_tip(rate, bend):
+    """A force that grows makes the tip pass faster or slower than the path; beyond the limits the limit is nearest."""
+    place = np.array([0.02, 0.05, 0.099999, 0.13, -0.01])
+    q = np.zeros((5, 6))
+    q[:, :3] = np.column_stack([np.full(5, rate), place, np.full(5, bend)])
+    aside = np.tile([0.0, 3e-4, -4e-4], (5, 1))
+    limits = np.zeros(5), np.full(5, 0.1)
+    search = CurveSearch(None, None, None, None)
+    length, distance = search._newton_steps(q, aside, np.full(5, 0.06), limits, 1e-9)
+    nearest = np.clip(place, 0.0, 0.1)
+    gap = np.abs(rate * (nearest - place) + bend * (nearest - place) ** 2)
+    np.testing.assert_allclose(length, nearest, atol=2e-6)
+    np.testing.assert_allclose(distance, np.hypot(5e-4, gap), atol=2e-9)
+
+
+def test_a_place_that_does_not_matter_or_is_near_enough_stays():
+    """The tool only turns there, or the distance is that asked for."""
+    q = np.zeros((2, 6))
+    q[:, :2] = [[0.04, 0.02], [1.0, 0.02]]
+    start = np.array([0.06, 0.06])
+    limits = np.zeros(2), np.full(2, 0.1)
+    for accuracy, moves in ((0.05, False), (1e-9, True)):
+        search = CurveSearch(None, None, None, None)
+        length, _ = search._newton_steps(q, np.zeros((2, 3)), start.copy(), limits, accuracy)
+        assert length[0] == 0.06
+        assert (abs(length[1] - 0.02) < 1e-9) == moves
