@@ -389,7 +389,7 @@ def test_external_axes_that_stand_still_are_compared_by_what_their_readers_say()
     assert (difference.nominal, difference.corrected) == (("part.nc", 3), ("part.nc", 4))
     (missing,) = settings._external_axis_differences(replace(found, nominal=replace(nominal, issues=at[:1])))
     assert missing.message == "E2 is at 0 or not given in the corrected program, and at 5 mm in the nominal one."
-    assert (missing.nominal, missing.corrected) == (("part.nc", 2), None)
+    assert (missing.nominal, missing.corrected, missing.count) == (("part.nc", 2), None, 1)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
