@@ -388,3 +388,80 @@ def test_the_unmodelled_error_grows_with_the_level_of_the_load():
         assert load[k] == np.median(fit.load[own])
     assert len(load) == level.max() + 1
     np.testing.assert_allclose(bound, np.maximum.accumulate(expected))
+
+
+class States(SimpleNamespace):
+    """States of a world that is linear in its unknowns; the forces of some round add an offset."""
+
+    def take(self, rows):
+        return States(offset=self.offset, rows=rows)
+
+
+def world(monkeypatch, offsets, deviation):
+    """A fit by rounds: offsets [m] of the predicted deviations in each call that cuts the programs anew."""
+    local, prior, _ = linear_world(monkeypatch)
+    local = replace(local, displacement=np.full(COUNT, 3e-4), by_lift=np.zeros(COUNT))
+
+    def linearised(given, read, states, place, z, scale):
+        rows = [NAMES.index(name) for name in read.probed.name]
+        value = local.value + local.slopes @ np.append(z, scale - 1.0) + states.offset
+        return replace(local, value=value).take(np.array(rows))
+
+    monkeypatch.setattr(linear, "linearise", linearised)
+    monkeypatch.setattr(fitting, "linearise", linearised)
+    for name in ("_remove_outlier", "_hold_parameters"):
+        monkeypatch.setattr(fitting, name, lambda *parts: None)
+    ends = []
+    monkeypatch.setattr(
+        fitting, "_fit_at_end",
+        lambda given, estimate, at_prior, pair: ends.append((estimate, at_prior, pair)) or "fit",
+    )  # fmt: skip
+    prior.robot, prior.parameters = "as read", (1, 2)
+    prior.robot_with_change = lambda z: ("changed", *z)
+    calls = []
+
+    def cut_at(robot, scale, heights):
+        calls.append((robot, scale, [height(READINGS.probed.point) for height in heights]))
+        return States(offset=offsets[min(len(calls) - 1, len(offsets) - 1)], rows=np.arange(COUNT))
+
+    read = replace(READINGS, probed=replace(READINGS.probed, deviation=deviation))
+    return read, prior, cut_at, calls, ends, local
+
+
+def test_rounds_of_a_fit_end_when_new_forces_move_the_prediction_by_little(monkeypatch):
+    """The forces of each round are those of the solution before, at heights of at most half of the flattest cut."""
+    local = prediction()
+    x = np.array([0.02, -0.03, 0.05])
+    deviation = local.value + local.slopes @ x
+    deviation[BASES == -1] += 5e-3 * READINGS.probed.normal[BASES == -1, 2] * (MASS[BASES == -1] == 0.0)
+    offsets = [0.0, 0.0, 6e-6, 8e-6, 9e-6, 9e-6]
+    read, prior, cut_at, calls, ends, _ = world(monkeypatch, offsets, deviation)
+    assert fitting.fit(prior, read, None, cut_at) == ("fit", ())
+    ((end, at_prior, pair),) = ends
+    assert calls[0] == ("as read", 1.0, [])
+    assert len(calls) == 2
+    assert calls[1][0][0] == "changed"
+    limit = 0.5 * read.least_depth
+    largest = np.abs(np.concatenate(calls[1][2])).max()
+    assert largest == pytest.approx(limit)
+    assert pair is None
+    np.testing.assert_allclose(at_prior.value, local.value)
+    assert end.outliers == ()
+
+
+@pytest.mark.parametrize(
+    ("offsets", "rounds", "settles"),
+    [([0.0, 1.4e-6], 1, True), ([0.0, 1.6e-6, 2e-6], 2, True), ([0.0, *(4e-6 * k for k in range(1, 20))], 12, True),
+     ([0.0, *(6e-6 * k for k in range(1, 20))], 12, False)],
+)  # fmt: skip
+def test_a_fit_settles_if_the_last_change_is_small(monkeypatch, offsets, rounds, settles):
+    """By 1.5 µm RMS at once; after twelve rounds 5 µm will do, and more is refused."""
+    read, prior, cut_at, calls, ends, local = world(monkeypatch, offsets, prediction().value)
+    if settles:
+        fitting.fit(prior, read, None, cut_at)
+    else:
+        with pytest.raises(MeasurementError, match="does not settle"):
+            fitting.fit(prior, read, None, cut_at)
+    assert len(calls) == rounds + 1
+    if settles:
+        np.testing.assert_allclose(ends[0][1].value, local.value + offsets[1])  # the prior under the first new forces
