@@ -215,11 +215,11 @@ def at(program: Program, path: Segments, motion: Ints, t: Array) -> Toolpath:
     if len(small_turn):
         start_rotation, end_rotation = path.start.at(motion[small_turn])[:, :3, :3], rotation[small_turn]
         rotation[small_turn] = end_rotation + (1.0 - t[small_turn])[:, None, None] * (start_rotation - end_rotation)
-    if program.turning is not None:
+    if program.turning is not None and len(turning):
         is_swivel = program.turning.active[motion[turning]]
         swivel_rows, turning = turning[is_swivel], turning[~is_swivel]
         rotation[swivel_rows] = program.turning.at(motion[swivel_rows], t[swivel_rows])
-    if program.with_path is not None:
+    if program.with_path is not None and len(turning):
         is_led = program.with_path[motion[turning]]
         led_rows, turning = turning[is_led], turning[~is_led]
         rotation[led_rows] = _arc_orientations(program, path, motion[led_rows], t[led_rows])

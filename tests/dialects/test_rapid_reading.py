@@ -350,6 +350,18 @@ def test_circles_turn_the_tool_with_their_path_unless_the_object_frame_is_set():
     assert program.motions.kind.tolist() == [PTP, LIN, CIRC]
 
 
+def test_a_circle_is_corrected_in_a_module_whose_targets_all_have_one_orientation(tmp_path):
+    code = [
+        f"MoveJ {at(0, 0, 20)}{tail()}",
+        "! FORCE FX=-100 FY=150 FZ=80",
+        f"MoveC {at(2.929, 7.071, 20)},{at(10, 10, 20)}{tail()}",
+    ]
+    text = module(code).replace(HOME, "")
+    assert len({str(pose[:3, :3]) for pose in read(text).motions.target[:]}) == 1
+    written = convert(tmp_path, text)
+    assert written.count("MoveC") > 1
+
+
 def test_a_duration_is_a_speed_and_becomes_one_where_the_path_moves(tmp_path):
     code = [
         "! FORCE FX=300",
