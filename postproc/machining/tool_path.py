@@ -371,7 +371,7 @@ class Directions(Struct, frozen=True, eq=False):
         m, column = program.motions, _SPINDLE[axis][0]
         turning = np.flatnonzero((path.turn > TURNS) & (m.kind != PTP))
         inner = np.zeros((len(_PLACES_ON_MOTION), len(turning), 3))
-        for k, t in enumerate(_PLACES_ON_MOTION if len(turning) else ()):
+        for k, t in enumerate(_PLACES_ON_MOTION):
             pose = toolpath.at(program, path, turning, np.full(len(turning), t)).pose[:]
             inner[k] = _towards_spindle(program, axis, turning, pose[:, :3, column])
         end = _towards_spindle(program, axis, np.arange(len(m)), m.target[:, :3, column])

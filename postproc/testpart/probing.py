@@ -220,6 +220,6 @@ def table(parts: dict[Placement, Program]) -> bytes:
         ):  # fmt: skip
             place = ",".join(f"{value:.4f}" for value in point + 0.0)
             end = f",{mass:g}" if has_weight else ""
-            direction = ",".join(f"{value:.9f}" for value in normal + 0.0)
+            direction = ",".join(f"{value:.9f}" for value in normal)
             rows.append(f"{name}{made_by},{line},{t:.6f},{place},{direction},{end}")
     return ("\n".join(rows) + "\n").encode()
