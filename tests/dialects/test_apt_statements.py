@@ -37,12 +37,13 @@ def problems(text, cell=CELL):
     return str(refused.value)
 
 
-def test_the_tool_starts_at_the_start_of_the_cell_in_millimetres():
-    """X50 Y-100 Z450 by the forward kinematics of these tests; a first move to that place is none that counts."""
-    program = read("UNITS/MM\nFEDRAT/600\nGOTO/50,-100,400\nFINI\n")
-    assert program.motions.kind.tolist() == [LIN]
-    program = read("UNITS/MM\nFEDRAT/600\nGOTO/50,-100,450\nGOTO/50,-100,400\nFINI\n")
+@pytest.mark.parametrize("rapid", [False, True])
+def test_the_first_move_counts_even_if_it_leads_to_the_start_of_the_cell(rapid):
+    """X50 Y-100 Z450 by the forward kinematics of these tests."""
+    begin = "UNITS/MM\nFEDRAT/600\n" + "RAPID\n" * rapid
+    program = read(f"{begin}GOTO/50,-100,450\nGOTO/50,-100,400\nFINI\n")
     np.testing.assert_allclose(points(program), [[50, -100, 450], [50, -100, 400]], atol=1e-9)
+    assert program.motions.kind.tolist() == [PTP if rapid else LIN, LIN]
 
 
 def test_a_step_is_from_the_place_of_the_tool_in_the_unit_of_the_file():
@@ -304,13 +305,16 @@ def test_several_points_of_one_statement_divide_an_arc():
 def test_the_tool_of_a_change_is_one_of_the_cell_and_its_spindle_stands():
     tools = {"1": Frame(Z=300.0), "2": Frame(Z=350.0)}
     cell = replace(CELL, tools=tools)
-    program = after_head("GOTO/1,0,9\nSPINDL/900,RPM,CLW\nLOADTL/2\nLOADTL/2\nGOTO/2,0,9", cell, "LOADTL/1\n" + HEAD)
+    program = after_head("GOTO/1,0,9\nSPINDL/900,RPM,CLW\nLOADTL/2\nGOTO/2,0,9", cell, "LOADTL/1\n" + HEAD)
     assert [(event.kind, event.value) for event in program.events] == [
-        ("tool_change", 1), ("spindle_on", 900), ("spindle_off", 0), ("tool_change", 2), ("tool_change", 2),
+        ("tool_change", 1), ("spindle_on", 900), ("spindle_off", 0), ("tool_change", 2),
     ]  # fmt: skip
     assert program.motions.tool.tolist() == [1, 1, 2, 2]
     np.testing.assert_allclose(points(program)[1:], [[1, 0, 9], [1, 0, 9], [2, 0, 9]], atol=1e-9)
     assert program.motions.rapid.tolist() == [True, False, True, False]
+    again = after_head("GOTO/1,0,9\nLOADTL/1\nGOTO/2,0,9", cell, "LOADTL/1\n" + HEAD)
+    assert len(again.motions) == 3
+    assert "null-move" not in [issue.kind for issue in again.issues]
     for word, problem in (
         ("3", "tool 3 is not in the cell"), ("1.5", "not a whole number"), ("-1", "not a whole number"),
     ):  # fmt: skip
@@ -430,6 +434,9 @@ def test_compensation_without_a_side_needs_wear_offsets():
 def test_a_tool_from_below_alone_is_read_and_from_both_sides_is_not(direction):
     program = read(f"UNITS/MM\nFEDRAT/600\nRAPID\nGOTO/0,0,9,{direction}\nGOTO/5,0,9\nFINI\n")
     np.testing.assert_allclose(directions(program), [[float(word) for word in direction.split(",")]] * 2, atol=1e-12)
+    level = read("UNITS/MM\nFEDRAT/600\nRAPID\nGOTO/0,0,9,0,0,1\nFINI\n").motions.target[0, :3, :3]
+    turned = level if direction == "0,0,1" else np.diag([1.0, -1.0, -1.0]) @ level  # half a turn about X
+    np.testing.assert_allclose(program.motions.target[:, :3, :3], [turned, turned], atol=1e-12)
     other = "0,0,-1" if direction == "0,0,1" else "0,0,1"
     text = problems(
         f"UNITS/MM\nFEDRAT/600\nRAPID\nGOTO/0,0,9,{direction}\nGOTO/1,0,9,0,1,0\nGOTO/5,0,9,{other}\nFINI\n"

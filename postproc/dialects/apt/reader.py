@@ -66,11 +66,10 @@ def read(document: Document, cell: Cell, forward_kinematics: Callable[[Array], A
     """
     source = statements.split(document)
     base, tool_frames = cell.base.pose(), [cell.tool.pose()]
-    start = inverse(base) @ forward_kinematics(cell.start_joints) @ tool_frames[0]
-    course = execute(source, cell, start[:3, 3] / M_PER_MM)
+    course = execute(source, cell)
     notes, comments, wrong = _comments(source, course)
     wrong += [_changed_system(source, line) for line in systems.changed_axis_systems(source.comments)]
-    moves = _Moves(course.parts, start)
+    moves = _Moves(course.parts)
     faults = list(course.faults)
     faults += _opposite_directions(moves, source)
     if faults or wrong:
@@ -136,7 +135,7 @@ def _comments(source: Statements, course: Course) -> tuple[list[ForceNote], list
 class _Moves:
     """All moves as arrays (N, …), see `walk.Part`; `part` (N,) is the index of the part."""
 
-    def __init__(self, parts: Sequence[Part], start: Array) -> None:
+    def __init__(self, parts: Sequence[Part]) -> None:
         no_arrays = [np.zeros(0, dtype=np.int64)], [np.zeros((0, 3))]
         self.parts = parts
         count = [len(part.row) for part in parts]
@@ -144,7 +143,7 @@ class _Moves:
         self.end: Array = np.concatenate([part.end for part in parts] or no_arrays[1])
         self.axis: Array = np.concatenate([part.axis for part in parts] or no_arrays[1])
         self.part = np.repeat(np.arange(len(parts)), count)
-        self.begin = np.concatenate([start[None, :3, 3] / M_PER_MM, self.end[:-1]])[: len(self.row)]
+        self.begin = np.concatenate([self.end[:1], self.end[:-1]])  # the first move is one wherever it begins
         previous_axis = np.concatenate([[[0.0, 0.0, 1.0]], self.axis[:-1]])[: len(self.row)]
         self.turns = norm(self.axis - previous_axis) > _NO_TURN
 

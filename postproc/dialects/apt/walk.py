@@ -92,11 +92,11 @@ _AMBIGUOUS = (
 
 
 class _Walk:
-    def __init__(self, statements: Statements, cell: Cell, start: Array) -> None:
-        """Begin at `start` (3,) [mm], where the robot is."""
+    def __init__(self, statements: Statements, cell: Cell) -> None:
+        """Begin at a place that is not known."""
         self.statements, self.cell = statements, cell
         self.course = Course()
-        self.place, self.known = start, False
+        self.place, self.known = np.zeros(3), False
         self.axis = np.array([0.0, 0.0, 1.0])
         self.unit = 1.0
         self.rapid = False
@@ -852,9 +852,6 @@ _HANDLERS: Mapping[str, Any] = {
 }
 
 
-def execute(statements: Statements, cell: Cell, start: Array) -> Course:
-    """Return the moves of a file, or its faults.
-
-    :param start: (3,) where the tip is when the program starts, in the program frame [mm].
-    """
-    return _Walk(statements, cell, start).run()
+def execute(statements: Statements, cell: Cell) -> Course:
+    """Return the moves of a file, or its faults."""
+    return _Walk(statements, cell).run()
