@@ -164,7 +164,7 @@ def test_the_chip_of_a_turning_tool_is_the_motion_of_the_edge_along_its_normal(m
     axis = direction(20.0, 70.0)
     heading = np.array([0.8, 0.5, -0.2])
     heading /= np.linalg.norm(heading)
-    swing = np.cross(axis, np.array([0.3, -0.2, 0.9]))
+    swing = np.cross(axis, np.array([6.0, -4.0, 18.0]))
     columns = {name: np.zeros((1, 3)) for name in TiltedPath.__struct_fields__}
     path = TiltedPath(**(columns | {
         "motion": np.array([0]), "t": np.array([0.5]), "tip": np.array([[1e-3, 2e-3, -1e-3]]), "axis": axis[None],
