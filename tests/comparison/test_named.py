@@ -318,7 +318,7 @@ def test_the_nearest_place_is_sought_on_its_way_alone(share):
     search = Search(side, side, load, None)
     low, high = side.arc_length[[3]], side.arc_length[[4]]
     found = search._nearest_lengths(side.joints_at(motion, t), np.zeros((1, 3)), (low, high))
-    np.testing.assert_allclose(found, low + share * (high - low), atol=1e-3)  # 120 mm in 64 parts, refined
+    np.testing.assert_allclose(found, low + share * (high - low), atol=8e-5)  # 120 mm in 64 parts, refined twice
 
 
 def test_the_nearest_place_of_a_short_way_is_not_behind_its_end():

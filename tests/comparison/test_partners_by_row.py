@@ -30,6 +30,29 @@ def test_partners_that_are_not_behind_all_before_them_are_dropped(seed):
     assert partners.ordered_partners(partner).tolist() == expected
 
 
+def test_targets_without_a_partner_have_no_deviation(monkeypatch):
+    """The others have that of the tip by the joints of their partners, under the force at the target."""
+    rng = np.random.default_rng(2)
+    joints, wrench = rng.normal(size=(7, 6)), rng.normal(size=(4, 6))
+    nominal = SimpleNamespace(rows=np.array([1, 3, 4, 6]))
+    corrected = SimpleNamespace(
+        rows=np.array([0, 2, 5]), joints=joints, carriage_displacement=lambda rows: np.stack([rows] * 3, axis=1)
+    )
+    calls = []
+
+    def deviation(path, rows, q, forces, displacement):
+        calls.append((path, rows.tolist(), q, forces, displacement[:, 0].tolist()))
+        return np.full((len(rows), 3), 5.0)
+
+    monkeypatch.setattr(partners, "deviation", deviation)
+    found = partners.deviation_left(nominal, corrected, np.array([0, -1, 2, -1]), wrench)
+    np.testing.assert_array_equal(found, [[5.0] * 3, [0.0] * 3, [5.0] * 3, [0.0] * 3])
+    ((path, rows, q, forces, carried),) = calls
+    assert (path, rows, carried) == (nominal, [1, 4], [0, 5])
+    np.testing.assert_array_equal(q, joints[[0, 5]])
+    np.testing.assert_array_equal(forces, wrench[[0, 2]])
+
+
 def sides_of(found):
     """Two paths whose Cartesian targets are all motions but some of the first program."""
     rows = np.setdiff1d(np.arange(COUNT), np.setdiff1d(np.arange(COUNT), found.pair[:, 0])[:1])

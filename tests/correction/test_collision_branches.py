@@ -162,7 +162,9 @@ def test_a_motion_runs_once_more_for_each_further_state_in_which_it_may_begin():
     q = np.arange(72.0).reshape(12, 6)
     q[5] = q[3] + 0.9e-6
     q[7] = q[3] + 1.1e-6
-    made, motion = path_of(after=np.array([-1, 0, 1, 2, 3, 1]), transitions=((5, 2), (5, 3), (5, -1), (0, 1), (0, -1)))
+    made, motion = path_of(
+        after=np.array([-1, 0, 1, 2, 3, 1]), transitions=((5, 2), (5, 3), (5, 3), (5, -1), (5, -1), (0, 1), (0, -1))
+    )
     extra = [Run(slice(10, 12), 0, 7), Run(slice(10, 12), 0, -1), Run(slice(0, 2), 0, 3)]
     assert list(runs(made, motion, q))[2:] == extra
     e1 = np.array([0.0, 0.1, 0.2, 0.2, 0.2, 0.2, 0.2])

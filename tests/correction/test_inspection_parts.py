@@ -113,7 +113,8 @@ def rapid_path(scale, *, cap):
     rapid = m.rapid.copy()
     rapid[[2, 5, 8]] = True
     feed = m.feed * np.where(rapid, 60.0, 25.0) * scale
-    program = replace(PATH.program, motions=replace(m, rapid=rapid, feed=feed), notes=())
+    unforced = np.array([3])
+    program = replace(PATH.program, motions=replace(m, rapid=rapid, feed=feed), notes=(), unforced=unforced)
     limits = replace(CELL.limits, feed="cap" if cap else "refuse")
     place = replace(PATH.robot_in_cell, cell=replace(CELL, limits=limits))
     return replace(PATH, motions=replace(PATH.motions, program=program, robot_in_cell=place))
