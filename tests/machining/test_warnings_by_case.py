@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import itertools
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,12 +11,14 @@ import pytest
 from msgspec.structs import replace
 
 from postproc.errors import ForceError
-from postproc.machining import identification
+from postproc.machining import identification, resolution, source
+from postproc.machining import sweep as sweep_module
 from postproc.machining.process import ToolTable
 from postproc.machining.remaining import Guard, Part
-from postproc.machining.sweep import Cuts
+from postproc.machining.sweep import Cuts, Sweep
 from postproc.machining.tool_path import StraightSegments
 from postproc.program import PTP
+from tests.machining.setting import forces, gcode, process, tool
 from tests.programs import program
 
 estimate = importlib.import_module("postproc.machining.estimate")
@@ -366,3 +369,158 @@ def test_the_error_at_each_feed_is_that_by_the_coefficients_from_all_others():
     assert np.isnan(identification._cross_validation_error(predictor, part, readout, sigma, same))
     few = np.where(np.arange(24) < 22, 0.05, 0.06)
     assert np.isnan(identification._cross_validation_error(predictor, part, readout, sigma, few))
+
+
+def test_columns_of_very_different_size_are_separate_coefficients():
+    """Their units do not count, only their directions."""
+    predictor = np.random.default_rng(5).normal(size=(12, 6)) * [1.0, 1e9, 1e-7, 1.0, 1e-3, 1.0]
+    given = readings(np.linspace(0.02, 0.1, 12))
+    identification._check_separable(given, TOOL, predictor, np.ones(12), np.ones(6, dtype=bool), "cuts.csv")
+
+
+LAW = SimpleNamespace(warning=None, unknown_axial=0.0)
+
+
+@pytest.mark.parametrize(("depth", "is_named"), [(0.0399, False), (0.0401, True)])
+def test_cuts_deeper_than_four_diameters_are_named_but_not_those_of_drills_and_in_air(monkeypatch, depth, is_named):
+    """Tools of 10 mm and a drill of 20 mm."""
+    monkeypatch.setattr(estimate, "tapping_motions", lambda made, states: np.zeros(0, dtype=int))
+    wrench = np.tile([100.0, 0, 0, 0, 0, 0], (3, 1))
+    wrench[2] = 0.0
+    found = cuts([1, 4, 2], wrench=wrench, depth=[depth, 0.3, 0.3])
+    issues = estimate._cut_issues(MADE, set(), LAW, found, tool_states(), PROCESS)
+    assert [issue.kind for issue in issues] == ["drill-thrust"] + ["deep-cut"] * is_named
+    if is_named:
+        assert issues[1].source_line == 2
+
+
+def test_limits_of_the_material_are_said_first(monkeypatch):
+    monkeypatch.setattr(estimate, "tapping_motions", lambda made, states: np.zeros(0, dtype=int))
+    law = SimpleNamespace(warning="a guess", unknown_axial=0.4)
+    issues = estimate._cut_issues(MADE, set(), law, cuts([1]), tool_states(), PROCESS)
+    assert [(issue.level, issue.kind) for issue in issues] == [("warning", "material"), ("info", "no-axial-force")]
+    assert issues[0].message == "a guess"
+    assert "the bound includes 40 % of it" in issues[1].message
+    drilled = estimate._cut_issues(MADE, set(), law, cuts([4]), tool_states(), PROCESS)
+    assert "no-axial-force" not in [issue.kind for issue in drilled]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_passes_are_thin_from_the_first_on_whose_rest_of_the_operation_is_thin_too(monkeypatch, seed):
+    """Operations and tools divide the passes; shares are roots of sums of squares."""
+    rng = np.random.default_rng(seed)
+    made = program([("RAPID", 0, 0, 0), ("LIN", 0, 0, 0), ("LIN", 0, 0, 0)] * 9)
+    begins = np.sort(rng.choice(np.arange(1, 9), 2, replace=False)) * 3
+    monkeypatch.setattr(
+        resolution, "operations", lambda given, *, at_retracts: [SimpleNamespace(first=int(k)) for k in (0, *begins)]
+    )
+    tool_of_pass = (np.arange(9) >= rng.integers(1, 9)).astype(int)
+    tools = SimpleNamespace(tool=np.repeat(tool_of_pass, 3))
+    force = rng.uniform(1.0, 2.0, (9, 3))
+    share = rng.choice([0.02, 0.05, 0.06, 0.2], 9, p=[0.4, 0.2, 0.2, 0.2])
+    by_cells = np.stack([(share[:, None] ** 2 * force), force], axis=2)
+    by_cells[:, 0] = 0.0
+    found = resolution.thin_passes(made, tools, by_cells.reshape(-1, 2))
+    limits = sorted({0, 9, *(begins // 3).tolist(), *(np.flatnonzero(np.diff(tool_of_pass)) + 1).tolist()})
+    expected = []
+    for low, high in itertools.pairwise(limits):
+        for k in range(low, high):
+            own, rest = (by_cells[rows, 1:].reshape(-1, 2).sum(axis=0) for rows in ([k], range(k, high)))
+            if np.sqrt(own[0] / own[1]) > 0.055 and np.sqrt(rest[0] / rest[1]) > 0.055:
+                expected.append((3 * k + 1, int(tool_of_pass[k]), float(np.sqrt(rest[0] / rest[1]))))
+                break
+    assert [(thin.first, thin.tool) for thin in found] == [entry[:2] for entry in expected]
+    np.testing.assert_allclose([thin.share for thin in found], [entry[2] for entry in expected])
+
+
+def test_a_program_without_cuts_has_no_thin_passes():
+    made = program([("RAPID", 0, 0, 0)] * 3)
+    assert resolution.thin_passes(made, SimpleNamespace(tool=np.zeros(3, dtype=int)), np.zeros((3, 2))) == []
+
+
+def swept(**fields):
+    tools = SimpleNamespace(rpm=np.full(7, 6000.0), hand=np.array([1, 1, 1, -1, 1, 1, 1]), tool=np.zeros(7, dtype=int))
+    columns = dict.fromkeys(("process", "law", "poses", "feed", "swing"))
+    stock = SimpleNamespace(cell=0.01)
+    return Sweep(stock=stock, tools=tools, by_cells=np.zeros((7, 2)), **(columns | fields))
+
+
+def test_the_deepest_place_of_turning_rapid_moves_through_material_is_kept(monkeypatch):
+    """A segment is looked at about every cell, and at some places at least."""
+    sweep_ = swept(poses=SimpleNamespace(at=lambda motion, t: (motion, t)))
+    seen = []
+    depths = iter([0.002, 0.003, 0.001, 0.0])
+
+    def depth(stock, cutter, motion, t):
+        seen.append((motion.tolist(), t))
+        return next(depths)
+
+    monkeypatch.setattr(sweep_module, "depth_inside", depth)
+    monkeypatch.setattr(Sweep, "_cutter", lambda self, number: "cutter")
+    steps = straight(np.zeros((4, 3)), [[0.2, 0, 0], [0, 0, 0], [0, 0.1, 0], [0, 0, 0.1]], motion=[3, 5, 5, 6])
+    steps = replace(steps, first=np.array([0.0, 0.0, 0.5, 0.0]), last=np.array([1.0, 0.5, 1.0, 1.0]))
+    sweep_._record_turning_rapids(steps, 0, 4)
+    assert sweep_.collisions == {3: 0.002, 5: 0.003}
+    least = sweep_module._FEWEST_PLACES
+    counts = [max(least, 20), least, max(least, 10), max(least, 10)]
+    for (motion, t), count, (first, last) in zip(
+        seen, counts, ((0.0, 1.0), (0.0, 0.5), (0.5, 1.0), (0.0, 1.0)), strict=True
+    ):
+        np.testing.assert_allclose(t, np.linspace(first, last, count + 1))
+        assert len(motion) == count + 1
+
+
+def test_stations_in_air_have_no_angles_and_no_size_of_cut():
+    sweep_ = swept()
+    loads = SimpleNamespace(wrench=np.ones((2, 6)), deviation=np.full((2, 6), 0.1))
+    stations = np.array([2, 3]), np.array([0.1, 0.2]), np.array([False, True])
+    found = sweep_._cuts_of_loads(None, 0, stations, loads, np.zeros((2, 4)), 0.5)
+    assert not sweep_.contact
+    for name in ("torque", "power", "depth", "width", "rate"):
+        assert getattr(found, name).tolist() == [0.0, 0.0]
+    assert np.isnan(found.enter).all()
+    assert np.isnan(found.leave).all()
+    np.testing.assert_array_equal(found.wrench, [[1.0] * 6, [1, -1, 1, -1, 1, -1]])  # M4 turns the other way
+    assert found.along.tolist() == [False, True]
+
+
+def test_the_depth_of_a_hole_is_that_of_a_drill_and_power_is_torque_times_speed(monkeypatch):
+    sizes = np.array([0.1, 0.2]), np.array([0.3, 0.4]), np.array([0.5, 0.6]), np.array([0.7, 0.8])
+    monkeypatch.setattr(sweep_module, "_engagement_sizes", lambda turn, given: sizes)
+    wrench = np.array([[3.0, 4.0, 0.0, 0.0, 0.0, 2.0], [0.0, 0.0, 12.0, 0.0, 0.0, -2.0]])
+    loads = SimpleNamespace(
+        wrench=wrench, deviation=np.zeros((2, 6)), by_cells=np.array([0.1, 0.2]), removal=np.array([1e-9, 2e-9])
+    )
+    stations = np.array([2, 3]), np.array([0.1, 0.2]), np.array([False, True])
+    for is_drill in (False, True):
+        sweep_ = swept()
+        turn = SimpleNamespace(drill=is_drill, teeth=3)
+        given = replace_wrench(loads)
+        found = sweep_._cuts_of_loads(turn, 0, stations, given, np.array([[1.0, 0.0], [0.0, 0.0]]), 0.05)
+        assert sweep_.contact
+        assert found.depth.tolist() == ([0.05, 0.0] if is_drill else [0.5, 0.6])
+        assert (found.enter[0], found.leave[1], found.width[0]) == (0.1, 0.4, 0.7)
+        assert found.torque.tolist() == [2.0, -2.0]
+        np.testing.assert_allclose(found.power, [400 * np.pi, -400 * np.pi])
+        np.testing.assert_allclose(found.rate, [3e-7, 6e-7])
+        np.testing.assert_allclose(sweep_.by_cells[[2, 3]], [[0.01 * 25, 25], [0.04 * 144, 144]])
+
+
+def replace_wrench(loads):
+    """The same loads with a wrench of its own, which is changed in place."""
+    return SimpleNamespace(**(vars(loads) | {"wrench": loads.wrench.copy()}))
+
+
+def test_the_stock_over_time_is_kept_for_a_guard_only(tmp_path):
+    text = gcode("G0 X-15 Y3 Z5", "G1 Z-2 F600", "X60 F2400", "G0 Z5")
+    table = process(tool(16, 3), ((0, 40), (-10, 20), (-10, 0)), 1.0)
+    assert forces(tmp_path, text, table)[1].over_time is None
+    assert forces(tmp_path, text, table, guard=Guard([], 0.0))[1].over_time is not None
+
+
+def test_force_comments_next_to_a_process_are_refused_with_their_lines():
+    notes = program([("LIN", 0, 0, 0), ("LIN", 9, 0, 0)], notes=[(2, (0.0,) * 6), (4, (1.0, 0, 0, 0, 0, 0))])
+    with pytest.raises(ForceError, match=r"a force comment, and forces from process\.toml") as refused:
+        source.refuse_comments(notes, "process.toml")
+    assert refused.value.line == 4
+    source.refuse_comments(replace(notes, notes=notes.notes[:1]), "process.toml")
