@@ -542,8 +542,8 @@ class Program(Struct, frozen=True, eq=False):
     :param motions: motions in execution order.
     :param bases: (nb, 4, 4) `$BASE` in `$ROBROOT` at E1 = 0, row `motions.base[i]` for motion i [m].
     :param tools: (nt, 4, 4) `$TOOL` in the flange frame, row `motions.tool[i]` [m].
-    :param tool_numbers: for each of `tools` n of each `TOOL_DATA[n]` that the program takes it from; empty: tools of
-        the program are not those of a KUKA controller.
+    :param tool_keys: for each of `tools` the names by which a process may state its cutter: n of each `TOOL_DATA[n]`
+        (KRL) or the tooldata (RAPID) that the program takes it from; empty: tools have T numbers, as in G-code.
     :param notes: force comments in order of their lines.
     :param events: instructions other than motions, in order; for KRL only comments (it keeps its text instead).
     :param still: (s,) lines of moves of zero length: they have no row in `motions`, but may have a force.
@@ -575,7 +575,7 @@ class Program(Struct, frozen=True, eq=False):
     motions: Motions
     bases: Array
     tools: Array
-    tool_numbers: tuple[tuple[int, ...], ...] = ()
+    tool_keys: tuple[tuple[str, ...], ...] = ()
     notes: tuple[ForceNote, ...] = ()
     events: tuple[Event, ...] = ()
     still: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))

@@ -83,6 +83,25 @@ def test_with_the_shapes_of_the_tools_what_they_do_not_touch_is_not_told():
     assert ((found.row >= 0) == upper).all()
 
 
+def test_the_shape_of_the_tool_of_a_robot_program_is_that_of_its_number():
+    cell, robot = load_setup(Settings(Path(CELL)))
+    frame = "{X 0,Y 0,Z 350,A 0,B 0,C 0}"
+    lines = "".join(f"LIN {{X {x},Y {y},Z 0,A 180,B 0,C 180}}\n" for y in range(0, 22, 4) for x in (0, 60))
+    Path("part.dat").write_text(f"DEFDAT part\nTOOL_DATA[7]={frame}\nENDDAT\n")
+    Path("part.src").write_text(
+        f"DEF part( )\n$VEL.CP=0.02\n$BASE={{X 1500,Y -200,Z 700,A 0,B 0,C 0}}\n$TOOL=TOOL_DATA[7]\n"
+        f"PTP {{X 0,Y 0,Z 5,A 180,B 0,C 180}}\n;FORCE FX=100 FZ=150\n{lines}END\n"
+    )
+    result = process(read_program("part.src", robot, cell), robot, cell)
+    reached = {}
+    for key in ("7", "8"):
+        Path("process.toml").write_text(
+            PROCESS.replace("[tools.1]", f"[tools.{key}]\ndiameter_mm = 1\nflutes = 1\n[tools.1]")
+        )
+        reached[key] = surface_of(result, Path("part.stl"), Path("process.toml")).is_reached.any()
+    assert reached == {"7": True, "8": False}
+
+
 def test_gouges_of_a_program_as_it_stands_are_listed_with_their_lines():
     Path("part.nc").write_text(PROGRAM.replace("FZ=150", "FZ=-400"))  # pulled into the part
     _run("convert", "part.nc", "--part", "part.stl", "--nominal", "--tolerance", "0.01", code=3)

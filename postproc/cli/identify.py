@@ -350,12 +350,12 @@ def _say(message: str) -> None:
 @identify.command()
 @click.argument("measured", type=_FILE, required=False)
 @click.option("--process", type=_FILE, required=True, help="process.toml with the tool of the cuts.")
-@click.option("--tool", type=int, help="Number of that tool; default: the only one.")
+@click.option("--tool", metavar="KEY", help="Number or name of that tool in [tools]; default: the only one.")
 @click.option("--propose", is_flag=True, help="Write test cuts (G-code) and the CSV file to fill in, nothing else.")
 @click.option("-o", "--output", type=_FILE, required=True, help="TOML file to write; with --propose the program.")
 @options.overwrite
 def forces(
-    measured: Path | None, process: Path, tool: int | None, propose: bool, output: Path, overwrite: bool
+    measured: Path | None, process: Path, tool: str | None, propose: bool, output: Path, overwrite: bool
 ) -> None:
     """Cutting coefficients from measured forces or spindle power.
 

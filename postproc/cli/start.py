@@ -55,7 +55,7 @@ _OF_PROCESS = ("material", "cutter", "flutes", "rpm", "stock")
 @click.option("--payload", metavar="KG,X,Y,Z", help="Mass on the flange and its centre; RAPID: load of the tool.")
 @click.option("--material", metavar="NAME", help="Material: a name of `postproc forces --materials`.")
 @click.option("--cutter", multiple=True, metavar="[N=]SHAPE,D[,R]", help="Cutter: flat,12; ball,6; bull,12,1; drill,8.")
-@click.option("--flutes", multiple=True, metavar="[N=]COUNT", help="Cutting edges, of tool N or of all.")
+@click.option("--flutes", multiple=True, metavar="[N=]COUNT", help="Cutting edges, of tool N (3, tMill) or of all.")
 @click.option("--rpm", multiple=True, metavar="[N=]RPM", help="Spindle speed where the program states none.")
 @click.option("--stock", metavar="BOX|STL", help="Stock: X=0:100,Y=0:80,Z=-20:0 in $BASE, or a mesh.")
 @click.option("--to", metavar="NAME", help="Language to write; default: that of the robot.")
@@ -160,16 +160,19 @@ def _answers_of_option(option: str, name: str, text: str, needs: ProgramNeeds) -
     :raises click.BadParameter: the option needs a key.
     """
     key, equals, value = text.partition("=")
-    key = key.strip().upper()
+    key, names = key.strip().upper(), {name.upper(): name for name in needs.robot_tools}
     if option == "m_code":
         yield f"{name}.{key}", value or "none"
     elif not equals and option in _OF_PROCESS:
-        for number in needs.cutter_numbers or (0,):
-            yield f"{name}.{number}", text
+        for tool in needs.cutter_keys:
+            yield f"{name}.{tool}", text
     elif not equals:
         raise click.BadParameter(f"{text!r}: write NAME=VALUE.", param_hint=f"--{option.replace('_', '-')}")
     else:
-        key = key.removeprefix("T") if option in ("tools", *_OF_PROCESS) else key
+        if option in _OF_PROCESS and key in names:
+            key = names[key]
+        elif option in ("tools", *_OF_PROCESS):
+            key = key.removeprefix("T")
         yield f"{name}.{key}", f"0,0,{value}" if option == "tools" and "," not in value else value
 
 

@@ -30,7 +30,7 @@ from postproc.jobs.programs import (
     find_jobs,
 )
 from postproc.jobs.started_program import read_program, read_with_start
-from postproc.program import Document, Motions, Program
+from postproc.program import Document, Ints, Motions, Program
 from postproc.report import Summary
 from postproc.report.record import Record, today
 from postproc.report.summary import Inputs
@@ -416,16 +416,20 @@ def surface_of(result: Result, part: Path, process: Path | None, mesh_frame: Arr
     from postproc.report.surface import surface  # trees of points are imported with it
 
     cutters: dict[int, Cutter] | None = None
+    tool_of_target: Ints | None = None
     if process is not None:
         from postproc import machining
         from postproc.machining.tool import Cutter
+        from postproc.machining.tool_path import cutter_entries
 
+        process_file = machining.load(process)
+        tool_of_target = cutter_entries(result.program, process_file)[result.motion]
         cutters = {}
-        for name, tool in machining.load(process).tools.items():
+        for entry, tool in enumerate(process_file.tools.values()):
             radius = 0.5 * tool.diameter_mm * M_PER_MM
             corner = radius if tool.shape == "ball" else tool.corner_radius_mm * M_PER_MM
-            cutters[0 if name == "default" else int(name)] = Cutter(radius, corner, tool.flutes)
-    return surface(result, corners, cutters, mesh_frame, coarse)
+            cutters[entry] = Cutter(radius, corner, tool.flutes)
+    return surface(result, corners, cutters, mesh_frame, coarse, tool=tool_of_target)
 
 
 def _add_subprograms(

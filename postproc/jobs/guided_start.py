@@ -34,7 +34,7 @@ from postproc.jobs.program_needs import ProgramNeeds
 from postproc.jobs.programs import Settings, find_jobs, load_robot
 from postproc.jobs.runs import convert_all
 from postproc.machining.material import table
-from postproc.machining.process import StockTable
+from postproc.machining.process import DEFAULT, StockTable
 from postproc.machining.process import load as load_process
 from postproc.machining.tool_comments import CommentedTool
 
@@ -46,8 +46,6 @@ _RESOLUTIONS = (0.25, 1.0)
 """Finest and coarsest cells that are proposed [mm] (assumed)."""
 _USUAL_TOOL = "0,0,350"
 """X, Y, Z of a tool tip in the flange frame that is offered [mm] (assumed)."""
-NO_NUMBER = 0
-"""Number of the tool of a program that names none: ``[tools.default]``."""
 MACHINE_QUESTION = "m_code."
 
 
@@ -135,7 +133,7 @@ def _cell_questions(needs: ProgramNeeds, answers: Answers) -> Iterator[Question]
         for number in needs.tools:
             yield Question(
                 f"tool.{number}",
-                f"$TOOL of T{number}{_remark(needs, number)}, tip in the flange frame: X,Y,Z[,A,B,C]",
+                f"$TOOL of T{number}{_remark(needs, str(number))}, tip in the flange frame: X,Y,Z[,A,B,C]",
                 f"--tools {number}=X,Y,Z",
                 parse.full_frame,
                 _USUAL_TOOL,
@@ -184,9 +182,9 @@ def _usual_base(answers: Answers) -> str | None:
     return None if robot is None else ",".join(f"{value:g}" for value in usual_base(robot))
 
 
-def _remark(needs: ProgramNeeds, number: int) -> str:
+def _remark(needs: ProgramNeeds, key: str) -> str:
     """Return what comments say of a tool, in brackets."""
-    comment = needs.cutters[number].text if number in needs.cutters else ""
+    comment = needs.cutter(key).text
     return f" ({comment})" if comment else ""
 
 
@@ -231,29 +229,28 @@ def _setting_questions(needs: ProgramNeeds) -> Iterator[Question]:
 def _process_questions(needs: ProgramNeeds, answers: Answers) -> Iterator[Question]:
     """Yield the questions on material, tools and stock."""
     yield Question("material", "Material", "--material NAME", parse.material, hint=f"Materials: {', '.join(table())}")
-    for number in needs.cutter_numbers or (NO_NUMBER,):
-        name = "the tool" if not number else f"TOOL_DATA[{number}]" if needs.tool_data else f"T{number}"
-        comment = needs.cutters.get(number, CommentedTool())
+    for key in needs.cutter_keys:
+        name, prefix = _tool_text(needs, key), "" if key == DEFAULT else f"{key}="
+        comment = needs.cutter(key)
         yield Question(
-            f"cutter.{number}",
-            f"Cutter of {name}{_remark(needs, number)}: shape and diameter, such as flat,12; bull,12,1; "
-            "ball,6; drill,8",
-            f"--cutter {number}=flat,12" if number else "--cutter flat,12",
+            f"cutter.{key}",
+            f"Cutter of {name}{_remark(needs, key)}: shape and diameter, such as flat,12; bull,12,1; ball,6; drill,8",
+            f"--cutter {prefix}flat,12",
             parse.cutter,
             _cutter_text(comment),
             optional=_cutter_text(comment) is not None,
         )
         yield Question(
-            f"flutes.{number}",
+            f"flutes.{key}",
             f"Cutting edges of {name}",
-            f"--flutes {number}=3" if number else "--flutes 3",
+            f"--flutes {prefix}3",
             parse.flutes,
             None if comment.flutes is None else str(comment.flutes),
             optional=comment.flutes is not None,
         )
         if not needs.has_speeds:
             text = f"Spindle speed of {name}, 1/min: the program states none"
-            yield Question(f"rpm.{number}", text, f"--rpm {number}=12000", parse.speed)
+            yield Question(f"rpm.{key}", text, f"--rpm {prefix}12000", parse.speed)
     box = _stock_guess(needs, answers)
     has_size = needs.stock_mm is not None
     source = "its comments state the size: check the place" if has_size else "around what the tools sweep: check it"
@@ -267,6 +264,13 @@ def _process_questions(needs: ProgramNeeds, answers: Answers) -> Iterator[Questi
     )
 
 
+def _tool_text(needs: ProgramNeeds, key: str) -> str:
+    """Return the tool with a key in [tools] of a process as the program writes it: T3, TOOL_DATA[3], tMill."""
+    if key == DEFAULT:
+        return "the tool"
+    return key if not key.isdecimal() else f"TOOL_DATA[{key}]" if needs.robot_tools else f"T{key}"
+
+
 def _cutter_text(comment: CommentedTool) -> str | None:
     """Return a cutter as `answers.cutter` takes it; None: comments leave something open."""
     if comment.shape is None or comment.diameter_mm is None:
@@ -276,7 +280,7 @@ def _cutter_text(comment: CommentedTool) -> str | None:
 
 
 def _stock_guess(needs: ProgramNeeds, answers: Answers) -> Box | None:
-    diameters = {number: shape.diameter_mm for number, shape in answers.by_number("cutter").items()}
+    diameters = {key: shape.diameter_mm for key, shape in answers.by_code("cutter").items()}
     return needs.stock_box(diameters)
 
 
@@ -327,8 +331,8 @@ def write_process(path: Path, needs: ProgramNeeds, answers: Answers) -> tuple[st
     stock: StockTable = answers.values["stock"]
     is_assumed = stock.box is not None and "stock" in answers.offered
     lines = [*process_head(needs, answers.values["material"])]
-    for number, shape in answers.by_number("cutter").items():
-        lines += ["", *_tool_lines(number, shape, needs, answers)]
+    for key, shape in answers.by_code("cutter").items():
+        lines += ["", *_tool_lines(key, shape, needs, answers)]
     lines += ["", *stock_lines(path.parent, stock, is_assumed=is_assumed)]
     files.write_whole(path.parent, {path.name: ("\n".join(lines) + "\n").encode()})
     load_process(path)
@@ -351,23 +355,23 @@ def process_head(needs: ProgramNeeds, material: str | None) -> Iterator[str]:
         yield f"name = {toml_string(material)}    # postproc forces --materials lists them, with sources"
 
 
-def tool_head(number: int, needs: ProgramNeeds) -> str:
+def tool_head(key: str, needs: ProgramNeeds) -> str:
     """Return the first line of the table of a tool, with what comments of the program say of it."""
-    comment = needs.cutters[number].text if number in needs.cutters else ""
+    comment = needs.cutter(key).text
     says = f"    # {' '.join(comment.split())}" if comment.isprintable() and comment else ""
-    return f"[tools.{number or 'default'}]{says}"
+    return f"[tools.{key if key.isascii() else toml_string(key)}]{says}"
 
 
-def _tool_lines(number: int, shape: CutterShape, needs: ProgramNeeds, answers: Answers) -> Iterator[str]:
+def _tool_lines(key: str, shape: CutterShape, needs: ProgramNeeds, answers: Answers) -> Iterator[str]:
     """Yield the lines of a tool in the process file."""
-    yield tool_head(number, needs)
+    yield tool_head(key, needs)
     yield f'shape = "{shape.shape}"'
     yield f"diameter_mm = {shape.diameter_mm:g}"
     if shape.shape == "bull":
         yield f"corner_radius_mm = {shape.corner_radius_mm:g}"
-    yield f"flutes = {answers.values[f'flutes.{number}']}"
-    if f"rpm.{number}" in answers.values:
-        yield f"rpm = {answers.values[f'rpm.{number}']:g}"
+    yield f"flutes = {answers.values[f'flutes.{key}']}"
+    if f"rpm.{key}" in answers.values:
+        yield f"rpm = {answers.values[f'rpm.{key}']:g}"
 
 
 def stock_lines(folder: Path, stock: StockTable, *, is_assumed: bool) -> Iterator[str]:

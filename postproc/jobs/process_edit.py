@@ -15,12 +15,11 @@ from msgspec.structs import replace
 from postproc import files
 from postproc.errors import ForceError
 from postproc.jobs.file_form import FormField, edit_text, fields_of_table, parse, table_schema, write_valid
-from postproc.jobs.guided_start import NO_NUMBER, process_head, stock_lines, tool_head
+from postproc.jobs.guided_start import process_head, stock_lines, tool_head
 from postproc.jobs.program_needs import ProgramNeeds
 from postproc.machining.material import table as material_table
-from postproc.machining.process import StockTable
+from postproc.machining.process import DEFAULT, StockTable
 from postproc.machining.process import load as load_process
-from postproc.machining.tool_comments import CommentedTool
 
 _STOCK = ("stock", "stock.box", "stock.place")
 
@@ -51,7 +50,7 @@ def process_tables(path: Path, needs: ProgramNeeds) -> list[ProcessTable]:
     document, new_tools = _document(text, path, needs)
     tables = [_table(document, "material", "material")]
     for key in document.get("tools", {}):
-        comment = _tool_comment(needs, key).text
+        comment = needs.cutter(key).text
         is_new = not path.is_file() or key in new_tools
         tables.append(replace(_table(document, f"tools.{key}"), comment=comment, is_new=is_new))
     stock = [field for name in _STOCK for field in _table(document, name).fields]
@@ -107,20 +106,19 @@ def _text_of(path: Path, needs: ProgramNeeds) -> str:
     """Return the text of a process file, or that of a draft."""
     if path.is_file():
         return files.read_text(path, ForceError)
-    numbers = needs.cutter_numbers or (NO_NUMBER,)
     lines = list(process_head(needs, None))
-    for number in numbers:
-        lines += ["", *_drafted_tool(number, needs)]
-    diameters = {number: needs.cutters[number].diameter_mm or 0.0 for number in numbers if number in needs.cutters}
+    for key in needs.cutter_keys:
+        lines += ["", *_drafted_tool(key, needs)]
+    diameters = {key: needs.cutter(key).diameter_mm or 0.0 for key in needs.cutter_keys}
     box = needs.stock_box(diameters)
     stock = ["[stock]"] if box is None else stock_lines(path.parent, StockTable(box=box), is_assumed=True)
     return "\n".join([*lines, "", *stock, ""])
 
 
-def _drafted_tool(number: int, needs: ProgramNeeds) -> list[str]:
+def _drafted_tool(key: str, needs: ProgramNeeds) -> list[str]:
     """Return the table of a tool as far as the program states it."""
-    tool = needs.cutters.get(number, CommentedTool())
-    lines = [tool_head(number, needs)]
+    tool = needs.cutter(key)
+    lines = [tool_head(key, needs)]
     lines += [f'shape = "{tool.shape}"'] if tool.shape is not None else []
     lines += [f"diameter_mm = {tool.diameter_mm:g}"] if tool.diameter_mm is not None else []
     lines += [f"corner_radius_mm = {tool.corner_radius_mm:g}"] if tool.shape == "bull" else []
@@ -132,16 +130,12 @@ def _document(text: str, path: Path, needs: ProgramNeeds) -> tuple[Any, frozense
     """Return the document of a process file with the tools that its program needs, and which of them it lacked."""
     document = parse(text, str(path), ForceError)
     tools = document.get("tools", {})
-    if "default" in tools or (not needs.cutter_numbers and tools):
+    if DEFAULT in tools or (needs.cutter_keys == (DEFAULT,) and tools):
         return document, frozenset()
-    missing_tools = [number for number in needs.cutter_numbers or (NO_NUMBER,) if str(number or "default") not in tools]
+    stated_keys = {key.upper() for key in tools}
+    missing_tools = [key for key in needs.cutter_keys if key.upper() not in stated_keys]
     if not missing_tools or document.get("operations"):
         return document, frozenset()
-    lines = [line for number in missing_tools for line in ("", *_drafted_tool(number, needs))]
+    lines = [line for key in missing_tools for line in ("", *_drafted_tool(key, needs))]
     document = parse("\n".join([text.rstrip("\n"), *lines, ""]), str(path), ForceError)
-    return document, frozenset(str(number or "default") for number in missing_tools)
-
-
-def _tool_comment(needs: ProgramNeeds, key: str) -> CommentedTool:
-    number = int(key) if key.isdecimal() else NO_NUMBER
-    return needs.cutters.get(number, CommentedTool())
+    return document, frozenset(missing_tools)

@@ -491,13 +491,13 @@ def _knots(program: Program, process: Process, forces: ProcessForces | None) -> 
 
 
 def identify_forces(
-    readings_path: Path, process: Path, output: Path, tool: int | None, *, overwrite: bool = False
+    readings_path: Path, process: Path, output: Path, tool: str | None, *, overwrite: bool = False
 ) -> tuple[IdentifiedMaterial, list[Path]]:
     """Identify cutting coefficients, and write them as TOML with a page of the same name.
 
     :param readings_path: CSV file of readings.
     :param process: process.toml with the tool.
-    :param tool: number of the tool; None: the only one.
+    :param tool: number or name of the tool; None: the only one.
     :raises PostprocError: the readings are unusable, or the file must not be replaced.
     """
     page = output.with_suffix(".html")
@@ -515,7 +515,7 @@ def identify_forces(
     return material, write_whole(output.parent, contents)
 
 
-def propose_cuts(process: Path, output: Path, tool: int | None, *, overwrite: bool = False) -> list[Path]:
+def propose_cuts(process: Path, output: Path, tool: str | None, *, overwrite: bool = False) -> list[Path]:
     """Write test cuts as G-code, and the CSV file to fill in next to it.
 
     :raises PostprocError: the process has no such tool, or a file must not be replaced.

@@ -24,6 +24,7 @@ from postproc.errors import InputError
 from postproc.frames import MM_PER_M, Array
 from postproc.jobs import answers as parse
 from postproc.jobs.programs import load_robot, read_documents, states_forces
+from postproc.machining.process import DEFAULT
 from postproc.machining.tool_comments import Comment, CommentedTool, commented_tools, stock_size
 from postproc.program import CIRC, Document, Ints, Program, distinct
 from postproc.robot import RobotModel
@@ -52,7 +53,8 @@ class ProgramNeeds(Struct, frozen=True):
     :param file: path of the program.
     :param dialect: name of its format.
     :param tools: T numbers of its tool changes, in order of first use.
-    :param tool_data: n of each `TOOL_DATA[n]` that cuts in a KRL program, where there are several.
+    :param robot_tools: n of each `TOOL_DATA[n]` (KRL), or name of each tooldata (RAPID), that cuts in a robot program,
+        where there are several.
     :param cutters: T number → cutter as comments describe it; 0 for a program without tool numbers.
     :param work_offsets: codes of work offsets other than G54.
     :param frames: tables of the cell for frames of the controller that it names by number, such as ``"base_data.3"``.
@@ -73,7 +75,7 @@ class ProgramNeeds(Struct, frozen=True):
     file: Path
     dialect: str
     tools: tuple[int, ...] = ()
-    tool_data: tuple[int, ...] = ()
+    robot_tools: tuple[str, ...] = ()
     cutters: Mapping[int, CommentedTool] = {}
     work_offsets: tuple[str, ...] = ()
     frames: tuple[str, ...] = ()
@@ -100,19 +102,24 @@ class ProgramNeeds(Struct, frozen=True):
         return len(self.tools) > 1
 
     @property
-    def cutter_numbers(self) -> tuple[int, ...]:
-        """Numbers of the cutters in [tools] of a process; none: one cutter without a number."""
-        return self.tools or self.tool_data
+    def cutter_keys(self) -> tuple[str, ...]:
+        """Keys in [tools] of a process of the cutters of the program."""
+        return tuple(str(number) if number else DEFAULT for number in self.tools) or self.robot_tools or (DEFAULT,)
 
     @property
     def only_tool(self) -> int | None:
         """T number of its only tool; None if it names none, or several."""
         return self.tools[0] if len(self.tools) == 1 else None
 
-    def stock_box(self, diameters: Mapping[int, float]) -> Box | None:
+    def cutter(self, key: str) -> CommentedTool:
+        """Return what comments say of the cutter with a key in [tools] of a process."""
+        number = 0 if key == DEFAULT else int(key) if key.isdecimal() else -1
+        return self.cutters.get(number, CommentedTool())
+
+    def stock_box(self, diameters: Mapping[str, float]) -> Box | None:
         """Return the stock that comments state, or a box around what the tools sweep; None: it does not cut.
 
-        :param diameters: T number → diameter of its cutter [mm].
+        :param diameters: diameters of the cutters by key in [tools] of a process [mm].
         """
         if self.span is None:
             return None
@@ -177,12 +184,13 @@ def _add_content(needs: ProgramNeeds, program: Program) -> ProgramNeeds:
     tools = needs.tools or tuple(
         dict.fromkeys(int(event.value) for event in program.events if event.kind == "tool_change")
     )
-    cutting_tools = distinct(motions.tool[~np.asarray(motions.rapid)]).tolist() if program.tool_numbers else []
-    numbers = sorted({number for row in cutting_tools for number in program.tool_numbers[row]})
+    cutting_tools = distinct(motions.tool[~np.asarray(motions.rapid)]).tolist() if program.tool_keys else []
+    keys = dict.fromkeys(key for row in cutting_tools for key in program.tool_keys[row])
+    robot_tools = sorted(keys, key=lambda key: int(key) if key.isdecimal() else 0)
     return replace(
         needs,
         tools=tools,
-        tool_data=tuple(numbers) if len(numbers) > 1 else (),
+        robot_tools=tuple(robot_tools) if len(robot_tools) > 1 else (),
         has_forces=bool(program.notes),
         has_speeds=any(event.kind in ("spindle_on", "spindle_ccw") and event.value > 0.0 for event in program.events),
         span=None if needs.rotary and not needs.tip_controlled else _span(program),  # it may be that of machine axes

@@ -10,6 +10,7 @@ from msgspec import Struct
 from postproc.errors import InputError
 from postproc.jobs.guided_start import Answers, Question, next_question
 from postproc.jobs.program_needs import ProgramNeeds
+from postproc.machining.process import DEFAULT
 
 CHECKED, OFFERED = "stock.checked", "stock.offered"
 """Keys of a tick, the stock that is offered is the real one, and of the stock that the form offered."""
@@ -74,5 +75,5 @@ def start_arguments(program: Path, form: SetupForm) -> list[str]:
             continue
         flag, (_, _, suffix) = field.question.option.split()[0], field.question.key.partition(".")
         if field.text:
-            arguments += [f"{flag}={suffix}={field.text}" if suffix not in ("", "0") else f"{flag}={field.text}"]
+            arguments += [f"{flag}={suffix}={field.text}" if suffix not in ("", DEFAULT) else f"{flag}={field.text}"]
     return arguments

@@ -29,7 +29,7 @@ from postproc.jobs.started_program import read_program
 from postproc.machining import Process, ProcessSource
 from postproc.machining.estimate import THICK_CHIP
 from postproc.machining.material import CuttingLaw
-from postproc.machining.process import ProcessFile, StockTable, ToolTable
+from postproc.machining.process import ProcessFile, StockTable, ToolTable, is_name
 from postproc.report.testpart import design_page, part_page
 from postproc.robot import RobotModel
 from postproc.robot.model_file import ModelFile
@@ -125,13 +125,19 @@ def block_of(text: str) -> Box:
 def flat_tool(process: Process, number: int | None) -> tuple[str, ToolTable]:
     """Return the flat end mill of a process.
 
-    :raises ForceError: there is none of that number, or it is not flat.
+    :raises ForceError: there is none of that number, it has none, or it is not flat.
     """
-    tool = process.tool(number)
+    tool = process.tool(None if number is None else str(number))
     if tool is None:
         tool_names = ", ".join(process.tools) or "none"
         raise ForceError(
             "the tool of the test part is not given", file=process.path, advice=f"--tool; found: {tool_names}."
+        )
+    if is_name(tool[0]):
+        raise ForceError(
+            f"[tools.{tool[0]}] has no tool number, which the program of a test part needs",
+            file=process.path,
+            advice="Give this cutter a table with a number, such as [tools.1].",
         )
     if tool[1].shape != "flat":
         raise ForceError(

@@ -130,12 +130,14 @@ def read(path: Path) -> CutReadings:
     )  # fmt: skip
 
 
-def tool_of(process: Process, number: int | None) -> tuple[str, ToolTable]:
+def tool_of(process: Process, name: str | None) -> tuple[str, ToolTable]:
     """Return key and entry of the tool used in the measurement.
+
+    :param name: its number or name in [tools]; None: the only one.
 
     :raises ForceError: the process has no such tool, or several and none is named, or it is not flat.
     """
-    entry = process.tool(number)
+    entry = process.tool(name)
     if entry is None:
         tool_names = ", ".join(process.tools) or "none"
         raise ForceError(

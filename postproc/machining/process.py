@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -16,6 +17,10 @@ from postproc.machining.material import CuttingLaw, MaterialTable, law
 from postproc.machining.tool import Cutter
 from postproc.program import ForceFrame
 
+DEFAULT = "default"
+"""Key in [tools] of the entry for all tools without one of their own."""
+_NAME = re.compile(r"[^\W\d]\w*")
+"""Name of data in RAPID."""
 CELL_MM = 0.25
 """Cell of the map by default (assumed): `tests.benchmarks.fronts` prints the errors of forces."""
 Newton = Annotated[float, msgspec.Meta(ge=-1e6, le=1e6)]
@@ -104,14 +109,18 @@ class Process(ProcessFile, frozen=True):
             raise ForceError("no [material]", file=self.path, advice=advice)
         return law(self.material, self.path)
 
-    def tool(self, number: int | None) -> tuple[str, ToolTable] | None:
-        """Return the key and the entry of tool number `number` (None: unknown), or None without an entry."""
-        key = str(number)
-        if key in self.tools:
+    def key_of(self, name: str) -> str | None:
+        """Return the key in [tools] of a tool by its number or name, without regard to case; None: it has no entry."""
+        return next((key for key in self.tools if key.upper() == name.upper()), None)
+
+    def tool(self, name: str | None) -> tuple[str, ToolTable] | None:
+        """Return the key and the entry of a tool by its number or name (None: unknown), or None without an entry."""
+        key = None if name is None else self.key_of(name)
+        if key is not None:
             return key, self.tools[key]
-        if "default" in self.tools:
-            return "default", self.tools["default"]
-        if number is None and len(self.tools) == 1:
+        if DEFAULT in self.tools:
+            return DEFAULT, self.tools[DEFAULT]
+        if name is None and len(self.tools) == 1:
             return next(iter(self.tools.items()))
         return None
 
@@ -128,7 +137,7 @@ _EXAMPLE = """For example:
 [material]
 name = "al_6082_t6_carbide"             # postproc forces --materials lists them
 
-[tools.1]                               # by T number; [tools.default] for all others
+[tools.1]                               # by T number or name of RAPID tooldata; [tools.default] for all others
 shape = "flat"
 diameter_mm = 10
 flutes = 3
@@ -147,9 +156,15 @@ def load(path: str | Path, *, tools_only: bool = False) -> Process:
     path = Path(path)
     content = files.read_toml(path, ProcessFile, ForceError, _EXAMPLE)
     file = str(path)
+    spellings = {DEFAULT.upper(): DEFAULT}
     for key, tool in content.tools.items():
-        if key != "default" and not (key.isascii() and key.isdecimal()):
-            raise ForceError(f"[tools.{key}]: {key!r} is not a tool number", file=file, advice="Or [tools.default].")
+        if not (is_name(key) or key == DEFAULT or (key.isascii() and key.isdecimal())):
+            problem = f"[tools.{key}]: {key!r} is not a tool number, nor a name of RAPID tooldata"
+            raise ForceError(problem, file=file, advice="Or [tools.default].")
+        spelling = spellings.setdefault(key.upper(), key)
+        if spelling != key:
+            problem = f"[tools.{key}] is another spelling of [tools.{spelling}]"
+            raise ForceError(problem, file=file, advice="Case does not count: give one of them.")
         if tool.shape == "bull" and not 0.0 < 2.0 * tool.corner_radius_mm <= tool.diameter_mm:
             advice = "Give corner_radius_mm, larger than 0 and at most half the diameter."
             raise ForceError(f"[tools.{key}]: a bull tool without a corner radius that fits", file=file, advice=advice)
@@ -167,6 +182,11 @@ def load(path: str | Path, *, tools_only: bool = False) -> Process:
     if content.material is None and not content.operations and not tools_only:
         raise ForceError("neither [material] nor [operations]", file=file, advice=_EXAMPLE)
     return Process(**{name: getattr(content, name) for name in content.__struct_fields__}, path=file)
+
+
+def is_name(key: str) -> bool:
+    """Return whether a key in [tools] is a name of RAPID tooldata: no number, and not that of all other tools."""
+    return key != DEFAULT and _NAME.fullmatch(key) is not None
 
 
 def box_corners(box: Box) -> tuple[Array, Array]:

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from postproc import toolpath
 from postproc.chunks import Columns
-from postproc.errors import MAX_ERRORS, ForceError, Issue, Level, combined_error
+from postproc.errors import MAX_ERRORS, ForceError, Issue, Level, combined_error, did_you_mean
 from postproc.frames import MM_PER_M, Array, inverse, norm
-from postproc.machining.process import Process
+from postproc.machining.process import DEFAULT, Process, is_name
 from postproc.program import CIRC, PTP, Bools, Ints, Program, distinct
 from postproc.toolpath import Segments, even_places, positions, tangent
 
@@ -26,7 +26,7 @@ class ToolStates(Struct, frozen=True, eq=False):
     :param keys: keys of [tools].
     :param rpm: (M,) spindle speed [1/min]; 0 while it is off.
     :param hand: (M,) 1 for M3 (clockwise seen from the spindle), −1 for M4.
-    :param number: (M,) tool number of the program; −1 before the first tool change.
+    :param number: (M,) T number of the program; −1 before the first tool change, and in robot programs.
     """
 
     tool: Ints
@@ -39,17 +39,16 @@ class ToolStates(Struct, frozen=True, eq=False):
 def tool_states(program: Program, process: Process) -> ToolStates:
     """Return tool and spindle speed on each motion.
 
-    The tool number is that of T … M6; in KRL it is n of `TOOL_DATA[n]`.
+    The key of its cutter is the number of T … M6; in KRL it is n of `TOOL_DATA[n]`, in RAPID the name of the tooldata.
 
-    :raises ForceError: a tool that cuts is not in [tools].
+    :raises ForceError: a tool that cuts is not in [tools], or it takes [tools.default] while another key is a name that
+        the program does not have.
     """
     m = len(program.motions)
-    number, rpm, hand, has_speed = np.full(m, -1), np.zeros(m), np.ones(m, dtype=np.int64), False
+    rpm, hand, has_speed = np.zeros(m), np.ones(m, dtype=np.int64), False
     for event in program.events:
         following_rows = slice(event.before, None)
-        if event.kind == "tool_change":
-            number[following_rows] = int(event.value)
-        elif event.kind in ("spindle_on", "spindle_ccw"):
+        if event.kind in ("spindle_on", "spindle_ccw"):
             rpm[following_rows], hand[following_rows], has_speed = (
                 event.value,
                 1 if event.kind == "spindle_on" else -1,
@@ -57,26 +56,41 @@ def tool_states(program: Program, process: Process) -> ToolStates:
             )
         elif event.kind == "spindle_off":
             rpm[following_rows] = 0.0
-    if program.tool_numbers:
-        number = np.array([_stated_number(program, process, row) for row in range(len(program.tools))])[
-            program.motions.tool
-        ]
-    keys = tuple(process.tools)
-    place = np.full(m, -1)
-    for value in distinct(number).tolist():
-        is_stated = str(value) in process.tools
-        is_number = is_stated or (value > 0 and not program.tool_numbers)
-        entry = process.tool(value if is_number else None)
-        if entry is not None:
-            has_tool = number == value
-            place[has_tool] = keys.index(entry[0])
-            if not has_speed and entry[1].rpm is not None:
-                rpm[has_tool] = entry[1].rpm
-                hand[has_tool] = 1 if entry[1].spindle == "M3" else -1
-    lacks_tool = (place < 0) & ~program.motions.rapid
-    if lacks_tool.any():
+    number, entry, keys = _tool_numbers(program), cutter_entries(program, process), tuple(process.tools)
+    for row, tool in enumerate(process.tools.values()):
+        if not has_speed and tool.rpm is not None:
+            rpm[entry == row] = tool.rpm
+            hand[entry == row] = 1 if tool.spindle == "M3" else -1
+    cuts = ~np.asarray(program.motions.rapid)
+    if (lacks_tool := (entry < 0) & cuts).any():
         _refuse_missing_tools(program, process, number, lacks_tool)
-    return ToolStates(place, keys, rpm, hand, number)
+    if DEFAULT in keys and (entry[cuts] == keys.index(DEFAULT)).any():
+        _refuse_unknown_names(program, process, number)
+    return ToolStates(entry, keys, rpm, hand, number)
+
+
+def cutter_entries(program: Program, process: Process) -> Ints:
+    """Return the row of [tools] that each motion is cut by (M,); −1: none.
+
+    :raises ForceError: several names of a tool of a robot program have an entry.
+    """
+    tool, names = _program_tools(program, process)
+    keys = tuple(process.tools)
+    rows = np.full(len(names), -1)
+    for index, name in enumerate(names):
+        entry = process.tool(name)
+        if entry is not None and (name is not None or not is_name(entry[0])):  # a name is that of one tool only
+            rows[index] = keys.index(entry[0])
+    return rows[tool]
+
+
+def _tool_numbers(program: Program) -> Ints:
+    """Return the T number on each motion (M,), −1 before the first tool change."""
+    number = np.full(len(program.motions), -1)
+    for event in program.events:
+        if event.kind == "tool_change":
+            number[event.before :] = int(event.value)
+    return number
 
 
 def tapping_motions(program: Program, tools: ToolStates) -> Ints:
@@ -85,43 +99,92 @@ def tapping_motions(program: Program, tools: ToolStates) -> Ints:
     return np.flatnonzero((tools.hand[1:] != tools.hand[:-1]) & is_cut[1:] & is_cut[:-1])
 
 
-def _stated_number(program: Program, process: Process, row: int) -> int:
-    """Return the number of a tool of a KRL program: that with an entry in [tools], else its only one, else −1.
+def _program_tools(program: Program, process: Process) -> tuple[Ints, list[str | None]]:
+    """Return the tool of each motion (M,), and the number or name of each tool; None: it has none, or no entry.
 
-    :param row: of `Program.tools`, whose frame several `TOOL_DATA[n]` may have.
-    :raises ForceError: several of its numbers have an entry.
+    :raises ForceError: several names of a tool of a robot program have an entry.
     """
-    numbers = program.tool_numbers[row]
-    stated_numbers = [number for number in numbers if str(number) in process.tools]
-    if len(stated_numbers) > 1:
-        names = " and ".join(f"TOOL_DATA[{number}]" for number in stated_numbers)
-        problem = f"{names} are one frame, and have an entry each in {process.path}: which cutter cuts is not known"
-        raise ForceError(problem, file=program.documents[0].name, advice="Measure their lengths, or give one entry.")
-    return stated_numbers[0] if stated_numbers else numbers[0] if len(numbers) == 1 else -1
+    if program.tool_keys:
+        return program.motions.tool, [_stated_key(program, process, row) for row in range(len(program.tools))]
+    number = _tool_numbers(program)
+    numbers = distinct(number)
+    names = [str(value) if value > 0 or str(value) in process.tools else None for value in numbers.tolist()]
+    return np.searchsorted(numbers, number), names
+
+
+def _stated_key(program: Program, process: Process, row: int) -> str | None:
+    """Return the number or name of a tool of a robot program that has an entry in [tools], None without one.
+
+    :param row: of `Program.tools`, whose frame several `TOOL_DATA[n]` or tooldata may have.
+    :raises ForceError: several of them have an entry; or one has, by its name, which is that of one tool only.
+    """
+    names = [name for name in program.tool_keys[row] if process.key_of(name) is not None]
+    is_by_name = bool(names) and is_name(names[0])
+    if len(names) > 1 or (is_by_name and len(program.tool_keys[row]) > 1):
+        frame_names = program.tool_keys[row] if is_by_name else names
+        tools = " and ".join(_tool_text(program, name) for name in frame_names)
+        entries = "have an entry each" if len(names) > 1 else f"only {names[0]} has an entry"
+        problem = f"{tools} are one frame, and {entries} in {process.path}: which cutter cuts is not known"
+        advice = f"Measure their lengths, or give {'[tools.default] only' if is_by_name else 'one entry'}."
+        raise ForceError(problem, file=program.documents[0].name, advice=advice)
+    return names[0] if names else None
+
+
+def _tool_text(program: Program, name: str) -> str:
+    """Return a number or name of a tool as its program writes it: T3, TOOL_DATA[3], tMill."""
+    if not name.isdecimal():
+        return name
+    return f"TOOL_DATA[{name}]" if program.tool_keys else f"T{name}"
 
 
 def _refuse_missing_tools(program: Program, process: Process, number: Ints, lacks_tool: Bools) -> None:
     """Raise for the tools of cutting motions that the process file lacks.
 
-    :param number: (M,) tool number of the program on each motion; `lacks_tool` (M,) cuts whose tool has no entry.
+    :param number: (M,) T number of each motion; `lacks_tool` (M,) cuts whose tool has no entry.
     :raises ForceError: always, one error for each tool.
     """
-    errors = []
-    for value in distinct(number[lacks_tool]).tolist()[: MAX_ERRORS + 1]:
-        line = int(program.motions.line[np.flatnonzero(lacks_tool & (number == value))[0]])
+    errors, tool = [], program.motions.tool if program.tool_keys else number
+    for row in distinct(tool[lacks_tool]).tolist()[: MAX_ERRORS + 1]:
+        first = int(np.flatnonzero(lacks_tool & (tool == row))[0])
+        value, names = int(number[first]), program.tool_keys[row] if program.tool_keys else ()
         tool_list = ", ".join(f"[tools.{key}]" for key in process.tools) or "none"
         default_advice = f"Give [tools.default] in {process.path}; found: {tool_list}."
-        if program.keeps_text and value < 0:
-            problem, advice = "no cutter for the $TOOL of this move, which has no number", default_advice
+        if names:
+            problem = f"no cutter for {' or '.join(_tool_text(program, name) for name in names)} in {process.path}"
+            advice = f"Give [tools.{names[0]}]; found: {tool_list}."
         elif program.keeps_text:
-            problem = f"no cutter for TOOL_DATA[{value}] in {process.path}"
-            advice = f"Give [tools.{value}]; found: {tool_list}."
+            problem, advice = "no cutter for the $TOOL of this move, which has no number", default_advice
+            if program.dialect == "rapid":
+                problem = "no cutter for the tool of this move, which is no tooldata by its name"
         elif value <= 0:  # T0, and M6 without T, name no tool
             problem, advice = "no tool number (T… M6) before this move", default_advice
         else:
             problem, advice = f"tool T{value} is not in {process.path}", f"Give [tools.{value}]; found: {tool_list}."
+        line = int(program.motions.line[first])
         errors.append(ForceError(problem, file=program.documents[0].name, line=line, advice=advice))
     raise combined_error(errors)
+
+
+def _refuse_unknown_names(program: Program, process: Process, number: Ints) -> None:
+    """Refuse names in [tools] that a program does not have: a tool that is cut by [tools.default] may be meant.
+
+    :param number: (M,) T numbers.
+    :raises ForceError: there are some, one error for each.
+    """
+    names = list(dict.fromkeys(name for row in program.tool_keys for name in row))
+    names = names or [str(value) for value in distinct(number).tolist() if value > 0]
+    unknown_keys = [key for key in process.tools if is_name(key) and key.upper() not in map(str.upper, names)]
+    tools = ", ".join(_tool_text(program, name) for name in names) or "none"
+    errors = [
+        ForceError(
+            f"[tools.{key}] is of no tool of {program.documents[0].name}, in which a tool cuts as [tools.default]",
+            file=process.path,
+            advice=f"{did_you_mean(key, names)} Its tools: {tools}. Correct the name, or give each its table.".lstrip(),
+        )
+        for key in unknown_keys[: MAX_ERRORS + 1]
+    ]
+    if errors:
+        raise combined_error(errors)
 
 
 _SAME_TIP = 1e-4
@@ -130,7 +193,7 @@ cutters that are alike to a tenth of a millimetre are rare, and one that was mea
 
 
 def shared_cutters(program: Program, tools: ToolStates, engaged: Ints) -> Iterator[Issue]:
-    """Yield a warning for each entry of [tools] that cuts with several $TOOL of a robot program.
+    """Yield a warning for each entry of [tools] that cuts with several tools of a robot program.
 
     :param engaged: (n,) motions that touch material, in order: a LIN may also position.
     """
@@ -150,9 +213,12 @@ def shared_cutters(program: Program, tools: ToolStates, engaged: Ints) -> Iterat
             f"{_tool_name(program, row)} (line {m.line[row_motion]})"
             for row, row_motion in zip(pair, motion, strict=True)
         ]
-        numbers = [number for row in pair for number in program.tool_numbers[row]] if program.tool_numbers else []
-        entries = " and ".join(f"[tools.{number}]" for number in numbers if str(number) != tools.keys[place])
-        advice = f"Give {entries}" if entries else "Divide the program where it changes tools"
+        keys = [key for row in pair for key in (program.tool_keys[row] if program.tool_keys else ())]
+        new_keys = [key for key in dict.fromkeys(keys) if key.upper() != tools.keys[place].upper()]
+        advice = f"Give {' and '.join(f'[tools.{key}]' for key in new_keys)}"
+        if not new_keys:
+            data = "tooldata of its own" if program.dialect == "rapid" else "TOOL_DATA[n] of its own"
+            advice = f"Give each {data} in the program, and its table in [tools]"
         message = (
             f"{' and '.join(names)}, whose tips are {tip_distance.max() * MM_PER_M:.4g} mm apart, both cut as "
             f"[tools.{tools.keys[place]}]: are they one cutter? {advice} if they are not."
@@ -162,8 +228,11 @@ def shared_cutters(program: Program, tools: ToolStates, engaged: Ints) -> Iterat
 
 def _tool_name(program: Program, row: int) -> str:
     """Return the name of a tool of a robot program, `row` of `Program.tools`, as the program states it."""
-    numbers = program.tool_numbers[row] if program.tool_numbers else ()
-    return f"$TOOL = TOOL_DATA[{numbers[0]}]" if len(numbers) == 1 else "the tool"
+    keys = program.tool_keys[row] if program.tool_keys else ()
+    if len(keys) != 1:
+        return "the tool"
+    text = _tool_text(program, keys[0])
+    return f"$TOOL = {text}" if keys[0].isdecimal() else text
 
 
 _RAPID = re.compile(r"\s*S?PTP", re.IGNORECASE)
@@ -511,7 +580,7 @@ def stock_base_issues(program: Program) -> Iterator[Issue]:
             f"the program moves at feed in {len(bases)} frames $BASE: the stock stands in that of this line, in which "
             "most of the way is. If the stock is given in another one, the forces are wrong"
         )
-        is_of_cell = home == 0 and bool(program.tool_numbers)  # of KRL: row 0 is [base]
+        is_of_cell = home == 0 and program.dialect == "krl"  # its row 0 is [base]
         is_certain = is_of_cell or length.sum() - length[home] < _POSITIONING_SHARE * length.sum()
         level: Level = "info" if is_certain else "warning"
         yield Issue(level, "stock-base", message, int(m.line[rows[0]]), count=len(rows))

@@ -12,9 +12,11 @@ from postproc.app.server import Window
 from postproc.errors import InputError
 from postproc.jobs.process_edit import edit_process, process_tables
 from postproc.jobs.program_needs import needs_of
+from postproc.jobs.setup_form import setup_form, start_arguments
 from tests.app.conftest import answering
 from tests.app.test_access import ask
 from tests.app.test_window import looked_at, opened
+from tests.machining.test_rapid_tools import BOTH, module
 from tests.pages.browser import needs_chromium
 from tests.test_currency import CELL, PROCESS, PROGRAM
 
@@ -161,3 +163,25 @@ def test_the_process_for_all_programs_is_that_of_a_program_without_one(shop):
         shutil.copy(results / "part.process.toml", results / "process.toml")
         assert window.workspace.process("other.nc") == results / "process.toml"
         assert window.workspace.process("part.nc") == results / "part.process.toml"
+
+
+def test_each_tool_of_a_module_gets_a_table_by_its_name(tmp_path):
+    path, part = tmp_path / "part.process.toml", tmp_path / "part.mod"
+    part.write_text(module(BOTH))
+    names = [table.name for table in process_tables(path, needs_of(part))]
+    assert names == ["material", "tools.tMill", "tools.tBall", "stock", "spindle"]
+    path.write_text(PROCESS.replace("tools.1", "tools.TMILL").replace('file = "material.toml"', 'name = "al_7075_hss"'))
+    assert [table.name for table in process_tables(path, needs_of(part)) if table.is_new] == ["tools.tBall"]
+    assert edit_process(path, needs_of(part), {"tools.tBall.flutes": "2", "tools.tBall.diameter_mm": "8"})
+    tools = tomllib.loads(path.read_text())["tools"]
+    assert (list(tools), tools["tBall"]["diameter_mm"]) == (["TMILL", "tBall"], 8)
+
+
+def test_the_window_asks_for_the_cutter_of_each_tool_of_a_module(tmp_path):
+    part = tmp_path / "part.mod"
+    part.write_text(module(BOTH))
+    texts = {"cutter.tMill": "flat,10", "flutes.tBall": "2"}
+    form = setup_form(needs_of(part), texts, cell=False, process=True)
+    keys = [field.question.key for field in form.fields]
+    assert [key for key in keys if key.startswith("cutter")] == ["cutter.tMill", "cutter.tBall"]
+    assert start_arguments(part, form)[3:5] == ["--cutter=tMill=flat,10", "--flutes=tBall=2"]

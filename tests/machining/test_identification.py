@@ -264,7 +264,13 @@ def test_rows_that_cannot_be_used(tmp_path, row, told):
 def test_a_ball_is_refused(tmp_path):
     (tmp_path / "process.toml").write_text(process(tool(10, 2, "ball"), ((0, 9), (0, 9), (-9, 0))))
     with pytest.raises(ForceError, match="is a ball tool"):
-        identification.tool_of(machining.load(tmp_path / "process.toml"), 1)
+        identification.tool_of(machining.load(tmp_path / "process.toml"), "1")
+
+
+def test_the_tool_of_a_measurement_may_have_a_name(tmp_path):
+    text = process(tool(10, 2), ((0, 9), (0, 9), (-9, 0)))
+    (tmp_path / "process.toml").write_text(text.replace("[tools.1]", f"[tools.2]\n{tool(20, 4)}\n[tools.tMill]"))
+    assert identification.tool_of(machining.load(tmp_path / "process.toml"), "TMILL")[1].diameter_mm == 10.0
 
 
 def test_the_program_of_a_slot_makes_the_force_of_the_equations(tmp_path):

@@ -202,7 +202,8 @@ def test_a_rapid_move_through_material_is_told_with_its_line(tmp_path):
         (("diameter_mm", "diametre_mm"), "unknown key 'diametre_mm' in [tools.1]"),
         (("al_7075_t6_carbide", "unobtainium"), "no material 'unobtainium'"),
         (('name = "al_7075_t6_carbide"', "mc = 0.3"), "[material] does not say how it cuts"),
-        (("[tools.1]", "[tools.one]"), "'one' is not a tool number"),
+        (("[tools.1]", "[tools.-1]"), "'-1' is not a tool number"),
+        (("[tools.1]", "[tools.T1]"), "tool T1 is not in"),
         (("X = [0.0, 100.0]", "X = [100.0, 0.0]"), "is not from smaller to larger"),
         (("resolution_mm = 1.0", "resolution_mm = 0.001"), "Give [stock] resolution_mm"),
         (

@@ -147,10 +147,11 @@ def test_a_tool_of_a_process_is_a_cutter_in_metres(tmp_path, name):
 def test_a_tool_is_that_of_its_number_else_the_default_else_the_only_one():
     table = process.ToolTable(diameter_mm=10.0, flutes=2)
     one, default = process.Process(tools={"1": table}), process.Process(tools={"1": table, "default": table})
-    assert one.tool(1) == one.tool(None) == ("1", table)
-    assert one.tool(2) is None
-    assert default.tool(1)[0] == "1"
-    assert default.tool(2)[0] == default.tool(None)[0] == "default"
+    assert one.tool("1") == one.tool(None) == ("1", table)
+    assert one.tool("2") is None
+    assert default.tool("1")[0] == "1"
+    assert default.tool("2")[0] == default.tool(None)[0] == "default"
+    assert process.Process(tools={"tMill": table}).tool("TMILL")[0] == "tMill"
     assert process.Process(tools={"1": table, "2": table}).tool(None) is None
 
 
@@ -160,7 +161,7 @@ TABLE = "diameter_mm = 10\nflutes = 2"
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (f"[tools.x1]\n{TABLE}", "'x1' is not a tool number"),
+        (f"[tools.1x]\n{TABLE}", "'1x' is not a tool number"),
         (f"[tools.-1]\n{TABLE}", "'-1' is not a tool number"),
         (f'[tools.1]\n{TABLE}\nshape = "bull"', "a bull tool without a corner radius that fits"),
         (f'[tools.1]\n{TABLE}\nshape = "bull"\ncorner_radius_mm = 5.01', "a bull tool without a corner radius that"),

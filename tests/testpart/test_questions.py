@@ -5,7 +5,9 @@ import json
 import pytest
 
 from postproc import robot as robots
-from postproc.jobs.testpart_files import questions
+from postproc.errors import ForceError
+from postproc.jobs.testpart_files import flat_tool, questions
+from postproc.machining.process import Process, ToolTable
 from postproc.testpart.features import Cutting
 from tests.commands import run
 from tests.places import SAMPLES
@@ -30,6 +32,13 @@ def test_weights_above_the_rating_and_feeds_of_no_cutter_are_questioned(weight, 
     assert len(warnings) == (text != CALM)
     if warnings:
         assert warnings[0].startswith(text)
+
+
+def test_a_tool_by_name_has_no_number_for_the_program_of_a_test_part():
+    tool = ToolTable(diameter_mm=10.0, flutes=3)
+    with pytest.raises(ForceError, match=r"\[tools\.tMill\] has no tool number.* such as \[tools\.1\]"):
+        flat_tool(Process(tools={"tMill": tool}), None)
+    assert flat_tool(Process(tools={"tMill": tool, "2": tool}), 2)[0] == "2"
 
 
 def test_the_command_prints_them(tmp_path):

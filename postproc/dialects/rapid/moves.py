@@ -69,6 +69,7 @@ class Move(Struct, frozen=True, eq=False):
 
     :ivar speed: of the TCP [mm/s], `duration` [s] if that is given instead, else 0.
     :ivar zone: approximation distance [mm]; 0 for a stop.
+    :ivar tool_name: of the data that are the tool, as they are declared; empty for a component of other data.
     """
 
     statement: Instruction
@@ -80,6 +81,7 @@ class Move(Struct, frozen=True, eq=False):
     duration: float
     zone: float
     tool: Value
+    tool_name: str
     wobj: Value
     setting: Setting
 
@@ -113,6 +115,7 @@ def stated_move(statement: Instruction, form: Form, scope: Scope, setting: Setti
         duration=duration,
         zone=_zone(expressions[zone_at], options, scope),
         tool=_frame(expressions[zone_at + 1], "TOOLDATA", scope, frames),
+        tool_name=_data_name(expressions[zone_at + 1], scope),
         wobj=predefined_data()["WOBJ0"][0] if wobj is None else _frame(wobj, "WOBJDATA", scope, frames),
         setting=setting,
     )
@@ -191,6 +194,19 @@ def _frame(expression: Expression, type_: str, scope: Scope, frames: Frames) -> 
     if value_type not in ("", type_):
         raise UnknownValueError(f"a {value_type.lower()} is no {type_.lower()}")
     return value
+
+
+def _data_name(expression: Expression, scope: Scope) -> str:
+    """Return the name of the data that an expression is, as they are declared; empty for a component of other data.
+
+    A parameter has the name of the data that the call gives it. Data that no module declares have it in upper case.
+    """
+    if expression.kind != "name":
+        return ""
+    variable = scope.find(expression.value)
+    if variable is not None and variable.declaration is not None:
+        return variable.declaration.spelling
+    return "" if expression.value in scope.inner else str(expression.value)
 
 
 def _numbers(value: Value, *, joints: bool) -> list[float]:

@@ -103,6 +103,7 @@ class _Reader:
             motions,
             bases,
             tools,
+            tool_keys=_tool_names(execution.moves, motions.tool, len(tools)),
             notes=notes,
             issues=tuple(self._issues(whole, line)),
             by_wrist=turns[0] if turns[0].any() else None,
@@ -199,8 +200,8 @@ class _Reader:
         """Return the motions, bases, tools, numbers of the text; which are led by the wrist, which by their path."""
         kind = np.array([move.kind for move in moves], dtype=np.int64)
         axis = np.array([move.joints for move in moves])
-        base, bases = self._frames(moves, line, [move.wobj for move in moves], self._wobj)
-        tool, tools = self._frames(moves, line, [move.tool for move in moves], self._tool)
+        base, bases = self._frames(moves, line, [(move.wobj, True) for move in moves], self._wobj)
+        tool, tools = self._frames(moves, line, [(move.tool, move.tool_name != "") for move in moves], self._tool)
         target_numbers = np.full((len(moves), 17), np.nan)
         if not axis.all():
             target_numbers[~axis] = [move.target.numbers for move in moves if not move.joints]
@@ -249,17 +250,20 @@ class _Reader:
         return ProgramError(problem, file=self.document.name, line=line, text=line_text, advice=advice)
 
     def _frames(
-        self, moves: list[Move], line: Ints, values: list[Value], pose_of: Callable[[Value], Array]
+        self, moves: list[Move], line: Ints, values: list[tuple[Value, bool]], pose_of: Callable[[Value], Array]
     ) -> tuple[Ints, Array]:
-        """Return the row of the frame of each motion (M,), and the frames (n, 4, 4) [m]."""
-        rows: dict[int, int] = {}
-        keys: dict[str, int] = {}
+        """Return the row of the frame of each motion (M,), and the frames (n, 4, 4) [m].
+
+        :param values: of each motion, and whether they are data with a name: others share no row with these.
+        """
+        rows: dict[tuple[int, bool], int] = {}
+        keys: dict[tuple[str, bool], int] = {}
         frames: list[Array] = []
         frame_rows = np.zeros(len(moves), dtype=np.int64)
-        for k, value in enumerate(values):
-            row = rows.get(id(value))
+        for k, (value, is_named) in enumerate(values):
+            row = rows.get((id(value), is_named))
             if row is None:
-                key = repr(value)
+                key = repr(value), is_named
                 row = keys.get(key)
                 if row is None:
                     try:
@@ -268,7 +272,7 @@ class _Reader:
                         advice = "Give it as a plain declaration in this file."
                         raise self._at(cause.problem, int(line[k]), advice) from None
                     row = keys[key] = len(frames) - 1
-                rows[id(value)] = row
+                rows[id(value), is_named] = row
             frame_rows[k] = row
         return frame_rows, np.stack(frames)
 
@@ -453,6 +457,18 @@ class _FromCell:
 
     def __repr__(self) -> str:
         return f"cell {self.pose.tolist()}"
+
+
+def _tool_names(moves: list[Move], tool: Ints, count: int) -> tuple[tuple[str, ...], ...]:
+    """Return for each of `count` tools the names of the tooldata with its values, in order of first use.
+
+    :param tool: (M,) tool of each of the moves.
+    """
+    names: list[dict[str, None]] = [{} for _ in range(count)]
+    for row, move in zip(tool.tolist(), moves, strict=True):
+        if move.tool_name:
+            names[row][move.tool_name] = None
+    return tuple(map(tuple, names))
 
 
 def _single(values: list[float]) -> Array:

@@ -81,12 +81,13 @@ class Assignment(Statement, frozen=True, eq=False):
 
 
 class Declaration(Statement, frozen=True, eq=False):
-    """Data: `kind` is CONST, PERS or VAR."""
+    """Data: `kind` is CONST, PERS or VAR; `name` in upper case, `spelling` as the text has it."""
 
     kind: str
     local: bool
     type: str
     name: str
+    spelling: str
     dimensions: tuple[Expression, ...]
     value: Expression | None
 
@@ -553,7 +554,8 @@ class Parser:
         if kind not in _KINDS:
             raise self.fault("CONST, PERS or VAR")
         self.step()
-        type_, name, dimensions = self.identifier(), self.identifier(), list[Expression]()
+        type_, spelling = self.identifier(), self.text[self.start : self.stop]
+        name, dimensions = self.identifier(), list[Expression]()
         if self.accept("{"):
             dimensions.append(self.expression())
             while self.accept(","):
@@ -561,7 +563,7 @@ class Parser:
             self.take("}")
         value = self.expression() if self.accept(":=") else None
         self.take(";")
-        return Declaration(start, self.behind, kind, local, type_, name, tuple(dimensions), value)
+        return Declaration(start, self.behind, kind, local, type_, name, spelling, tuple(dimensions), value)
 
     # --- modules
 

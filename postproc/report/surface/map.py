@@ -14,7 +14,7 @@ from postproc.machining.tool import Cutter
 from postproc.program import Bools, Ints, distinct
 from postproc.report.surface.contact import nearest_place
 from postproc.report.surface.envelope import RemainingSurface, remaining_surface
-from postproc.report.surface.path import CHORD, CutPath, Frames, piece_start, tool_numbers, tool_path
+from postproc.report.surface.path import CHORD, CutPath, Frames, piece_start, tool_path
 from postproc.report.surface.programmed import Mesh, add_tips, cut_depths
 
 _CHUNK = 20_000
@@ -70,22 +70,24 @@ def surface(
     cutters: Mapping[int, Cutter] | None = None,
     mesh_frame: Array | None = None,
     coarse: Array | None = None,
+    *,
+    tool: Ints | None = None,
 ) -> Surface:
     """Return the deviations along the facets of a part.
 
     :param result: of one program.
     :param corners: (F, 3, 3) of each facet, counter-clockwise seen from outside, in the frame of the mesh [m].
-    :param cutters: shape of each tool by T number, 0 for those without an entry; None: unknown, the nearest place of
-        the path counts.
+    :param cutters: shape of each tool by its number in `tool`; None: unknown, the nearest place of the path counts.
     :param mesh_frame: (4, 4) frame of the mesh in the robot root [m]; None: it is in the `$BASE` of the program,
         its only one.
     :param coarse: (F,) distance of the facets from the surface that they approximate [m]; None: 0. What the programmed
         path cuts into them by less is not counted.
+    :param tool: (K,) number of the tool of each target; None: 0, one tool.
     """
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.maximum(norm(normal), 1e-300)[:, None]
     frames = Frames.of(result, mesh_frame)
-    paths = list(_tool_paths(result, frames, cutters))
+    paths = list(_tool_paths(result, frames, cutters, np.zeros(len(result), dtype=np.int64) if tool is None else tool))
     depth, cut_row = _programmed_cuts(paths, corners, normal)
     cut_row[depth <= (CHORD if coarse is None else coarse + CHORD)] = -1
     centre = corners.mean(axis=1)
@@ -119,14 +121,13 @@ class _Place(NamedTuple):
 
 
 def _tool_paths(
-    result: Result, frames: Frames, cutters: Mapping[int, Cutter] | None
+    result: Result, frames: Frames, cutters: Mapping[int, Cutter] | None, tool: Ints
 ) -> Iterator[tuple[CutPath, Cutter | None]]:
     """Yield the cutting path of each tool with its shape, which is None for all if shapes are unknown."""
-    tools = tool_numbers(result)
-    for number in distinct(tools[~result.rapid]).tolist():
-        cutter = None if cutters is None else cutters.get(number, cutters.get(0))
+    for number in distinct(tool[~result.rapid]).tolist():
+        cutter = None if cutters is None else cutters.get(number)
         if cutters is None or cutter is not None:
-            path = tool_path(result, frames, tools == number, _ball_radius(cutter))
+            path = tool_path(result, frames, tool == number, _ball_radius(cutter))
             if path is not None:
                 yield path, cutter
 

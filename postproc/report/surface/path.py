@@ -11,7 +11,7 @@ from postproc.correction import Result
 from postproc.forces.axes import axes_of_travel
 from postproc.frames import Array, norm
 from postproc.program import Bools, Ints
-from postproc.report.path import drawn_path, operations
+from postproc.report.path import drawn_path
 
 CHORD = 1e-6
 """Distance [m] of the samples on an arc from it (assumed)."""
@@ -139,14 +139,6 @@ def piece_start(result: Result, end: Ints) -> Ints:
     """
     previous_row = np.maximum(end - 1, 0)
     return np.where(result.rapid[previous_row], end, previous_row)
-
-
-def tool_numbers(result: Result) -> Ints:
-    """Return the number of the tool (K,) of each target."""
-    tool_number = np.zeros(len(result), dtype=np.int64)
-    for operation in operations(result):
-        tool_number[operation.first : operation.last + 1] = operation.tool
-    return tool_number
 
 
 def _spindle(result: Result) -> Array:

@@ -220,8 +220,8 @@ class _Reading(Struct, frozen=True, eq=False):
             documents,
             motions,
             *frames,
-            tool_numbers=tuple(
-                tuple(sorted(run.settings.frames.tool_numbers.get(row, ()))) for row in range(len(frames[1]))
+            tool_keys=tuple(
+                tuple(map(str, sorted(run.settings.frames.tool_numbers.get(row, ())))) for row in range(len(frames[1]))
             ),
             events=remarks(course, layout.line),
             notes=tuple(note for _, note in notes),
