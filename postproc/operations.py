@@ -49,8 +49,8 @@ Names = Literal["all", "retracts", "none"]
 class Operation(Struct, frozen=True):
     """A run of motions of a program.
 
-    :param name: its comment; without one the tool (``"T3"``), or a number (``"operation 2"``).
-    :param tool: number of the last tool change before it; of KRL, row of `$TOOL` from 1; 0 = unknown.
+    :param name: its comment; without one the tool (``"T3"``, see `tool_text`), or a number (``"operation 2"``).
+    :param tool: number of the last tool change before it; row of `Program.tools` from 1 of robot programs; 0 = none.
     :param first: row of its first motion, `last` of its last one.
     :param line: 1-based line of the main file with its comment or tool change; 1 at the start of the program.
     """
@@ -81,6 +81,17 @@ def operations(program: Program, *, at_retracts: bool = False) -> tuple[Operatio
 def operation_indices(operations_in_order: tuple[Operation, ...], motion: Ints) -> Ints:
     """Return the place in `operations_in_order` of the operation of each motion (n,)."""
     return np.asarray(np.searchsorted([operation.first for operation in operations_in_order], motion, side="right") - 1)
+
+
+def tool_text(program: Program, tool: int) -> str:
+    """Return the tool of an operation as its program writes it, see `Program.tool_text`; empty: it is unknown.
+
+    :param tool: see `Operation.tool`.
+    """
+    if not tool:
+        return ""
+    keys = program.tool_keys[tool - 1] if program.tool_keys else ()
+    return " or ".join(map(program.tool_text, keys)) or f"T{tool}"
 
 
 def title(comment: str) -> str:
@@ -262,4 +273,4 @@ def _join_operations(program: Program, starts: list[tuple[int, str, int, int]]) 
             runs.append(run)
     ends = [*(run[0] for run in runs[1:]), total]
     for number, ((first, name, tool, line), end) in enumerate(zip(runs, ends, strict=True), start=1):
-        yield Operation(name or (f"T{tool}" if tool else f"operation {number}"), tool, first, end - 1, line)
+        yield Operation(name or tool_text(program, tool) or f"operation {number}", tool, first, end - 1, line)

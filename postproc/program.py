@@ -610,6 +610,12 @@ class Program(Struct, frozen=True, eq=False):
         """True if it is a robot program, written again with only the numbers of targets changed."""
         return self.layout is not None
 
+    def tool_text(self, key: str) -> str:
+        """Return a number or name of a tool as the program writes it: T3, TOOL_DATA[3] (KRL), tMill (RAPID)."""
+        if not key.isdecimal():
+            return key
+        return f"TOOL_DATA[{key}]" if self.tool_keys else f"T{key}"
+
     def places(self, rows: Ints) -> Places:
         """Return files and lines of motions (n,)."""
         layout_places = None if self.layout is None else self.layout.places(rows)

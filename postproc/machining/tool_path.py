@@ -122,19 +122,12 @@ def _stated_key(program: Program, process: Process, row: int) -> str | None:
     is_by_name = bool(names) and is_name(names[0])
     if len(names) > 1 or (is_by_name and len(program.tool_keys[row]) > 1):
         frame_names = program.tool_keys[row] if is_by_name else names
-        tools = " and ".join(_tool_text(program, name) for name in frame_names)
+        tools = " and ".join(program.tool_text(name) for name in frame_names)
         entries = "have an entry each" if len(names) > 1 else f"only {names[0]} has an entry"
         problem = f"{tools} are one frame, and {entries} in {process.path}: which cutter cuts is not known"
         advice = f"Measure their lengths, or give {'[tools.default] only' if is_by_name else 'one entry'}."
         raise ForceError(problem, file=program.documents[0].name, advice=advice)
     return names[0] if names else None
-
-
-def _tool_text(program: Program, name: str) -> str:
-    """Return a number or name of a tool as its program writes it: T3, TOOL_DATA[3], tMill."""
-    if not name.isdecimal():
-        return name
-    return f"TOOL_DATA[{name}]" if program.tool_keys else f"T{name}"
 
 
 def _refuse_missing_tools(program: Program, process: Process, number: Ints, lacks_tool: Bools) -> None:
@@ -150,7 +143,7 @@ def _refuse_missing_tools(program: Program, process: Process, number: Ints, lack
         tool_list = ", ".join(f"[tools.{key}]" for key in process.tools) or "none"
         default_advice = f"Give [tools.default] in {process.path}; found: {tool_list}."
         if names:
-            problem = f"no cutter for {' or '.join(_tool_text(program, name) for name in names)} in {process.path}"
+            problem = f"no cutter for {' or '.join(program.tool_text(name) for name in names)} in {process.path}"
             advice = f"Give [tools.{names[0]}]; found: {tool_list}."
         elif program.keeps_text:
             problem, advice = "no cutter for the $TOOL of this move, which has no number", default_advice
@@ -174,7 +167,7 @@ def _refuse_unknown_names(program: Program, process: Process, number: Ints) -> N
     names = list(dict.fromkeys(name for row in program.tool_keys for name in row))
     names = names or [str(value) for value in distinct(number).tolist() if value > 0]
     unknown_keys = [key for key in process.tools if is_name(key) and key.upper() not in map(str.upper, names)]
-    tools = ", ".join(_tool_text(program, name) for name in names) or "none"
+    tools = ", ".join(program.tool_text(name) for name in names) or "none"
     errors = [
         ForceError(
             f"[tools.{key}] is of no tool of {program.documents[0].name}, in which a tool cuts as [tools.default]",
@@ -231,7 +224,7 @@ def _tool_name(program: Program, row: int) -> str:
     keys = program.tool_keys[row] if program.tool_keys else ()
     if len(keys) != 1:
         return "the tool"
-    text = _tool_text(program, keys[0])
+    text = program.tool_text(keys[0])
     return f"$TOOL = {text}" if keys[0].isdecimal() else text
 
 

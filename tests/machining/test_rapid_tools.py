@@ -12,6 +12,7 @@ from postproc.dialects.text import decode
 from tests.commands import printed
 from tests.dialects.test_rapid import CELL, place
 from tests.dialects.test_rapid_reading import AXES, WOBJ, at
+from tests.html_page import read_page
 
 LENGTHS = {"tMill": 350.0, "tBall": 320.0}
 CUTTERS = {
@@ -179,3 +180,12 @@ def test_the_set_up_asks_for_the_cutter_of_each_tool_and_writes_its_table(tmp_pa
     assert '[tools.tBall]\nshape = "ball"\ndiameter_mm = 8\nflutes = 2\nrpm = 6000\n' in text
     started = convert(tmp_path, module(BOTH), text)[1]
     np.testing.assert_allclose(started, both, rtol=0.1)  # other cells of the stock
+
+
+def test_reports_name_the_tools_and_a_force_by_hand_may_be_of_one(tmp_path):
+    process = entries({"tMill": "tMill", "tBall": "tBall"}) + "[operations.tball]\nFz = 55\nframe = 'BASE'\n"
+    forces = convert(tmp_path, module(BOTH), process)[1]
+    np.testing.assert_allclose(forces[1], [0.0, 0.0, 55.0], atol=1e-9)
+    assert forces[0].min() > 10.0, "tMill has computed forces"
+    rows = read_page((tmp_path / "out" / "part.report.html").read_bytes()).text("operations")
+    assert rows.count("tMill") == rows.count("tBall") == 2, "name and tool of each operation"

@@ -11,6 +11,7 @@ from msgspec.structs import astuple
 
 from postproc.comparison import Comparison
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm, xyzabc_from_pose
+from postproc.operations import tool_text
 from postproc.program import Ints, distinct
 from postproc.report.comparison.summary import (
     ComparisonSummary,
@@ -387,7 +388,7 @@ def _operations_section(
         cut = operation.cut
         cells = [
             operation.name or f"operation {number}",
-            f"T{operation.tool}" if operation.tool else "-",
+            tool_text(comparison.nominal, operation.tool) or "-",
             names[0].line((operation.nominal_file, operation.nominal_line)),
             str(operation.pairs),
             millimetres(operation.offset.max_mm),

@@ -11,6 +11,7 @@ from msgspec.structs import astuple
 from postproc import placement
 from postproc.errors import Issue, first_of
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm
+from postproc.operations import tool_text
 from postproc.placement import FREE, NO_CLEARANCE, REASONS, Turn
 from postproc.program import Ints, distinct
 from postproc.report.deviation.data import Deviation, correction
@@ -398,7 +399,7 @@ def operations_section(data: Deviation) -> Section | None:
         u95 = None if operation.bound is None else operation.bound.largest * MM_PER_M
         cells = [
             operation.name or f"operation {number}",
-            f"T{operation.tool}" if operation.tool else "-",
+            tool_text(data.result.program, operation.tool) or "-",
             str(operation.line),
             str(operation.cutting),
             f"{operation.force:.0f}",
@@ -439,7 +440,7 @@ def feeds_section(data: Deviation) -> Section | None:
         Row(
             (
                 operation.name,
-                f"T{operation.tool}" if operation.tool else "-",
+                tool_text(data.result.program, operation.tool) or "-",
                 duration_text(operation.time_before_s),
                 duration_text(operation.time_after_s),
                 str(operation.lowered_moves),
