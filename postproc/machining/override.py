@@ -1,4 +1,4 @@
-"""Overrides of the speed that a robot program sets itself: its feeds are then a share of those that it states."""
+"""Overrides and times that a robot program sets itself: its feeds are then others than those that it states."""
 
 from __future__ import annotations
 
@@ -9,16 +9,23 @@ from postproc.errors import Issue
 from postproc.program import Program
 
 _OVERRIDES = {
-    "krl": re.compile(r"^[^;\"\n]*?\$OV_PRO[ \t]*=(?!=)[ \t]*([^;\r\n]*)", re.IGNORECASE | re.MULTILINE),
+    "krl": re.compile(
+        r"^[^;\"\n]*?\$(?:OV_PRO|OV_APPL|RED_VEL)[ \t]*=(?!=)[ \t]*([^;\r\n]*)", re.IGNORECASE | re.MULTILINE
+    ),
     "rapid": re.compile(r"^[^!\"\n]*?\bSpeedRefresh[ \t]+([^;!\r\n]*)", re.IGNORECASE | re.MULTILINE),
 }
 """Statements that set the override in per cent, by dialect."""
+_TIME = re.compile(r"^[ \t]*TIME_BLOCK[ \t]+END[ \t]*=", re.IGNORECASE | re.MULTILINE)
+"""Statement of KRL that gives motions of a spline block the time that they take, instead of a feed."""
 _FULL = 100.0
 """Override with which the robot moves as the program states [%]."""
 
 
 def override_issues(program: Program) -> Iterator[Issue]:
-    """Yield a warning for the first override of each file that is not 100 %: forces are those at the stated feeds."""
+    """Yield a warning where the feed is not the stated one, to which the forces belong.
+
+    For each file: its first override that is not 100 %, and its first spline block with a time (TIME_BLOCK).
+    """
     pattern = _OVERRIDES.get(program.dialect)
     if pattern is None:
         return
@@ -32,6 +39,14 @@ def override_issues(program: Program) -> Iterator[Issue]:
                 )
                 yield Issue("warning", "override", message, subject=document.name)
                 break
+        timed = _TIME.search(document.text) if program.dialect == "krl" else None
+        if timed is not None:
+            line = document.text.count("\n", 0, timed.end()) + 1
+            message = (
+                f"TIME_BLOCK sets the time of motions in line {line} of {document.name}: forces are those at $VEL.CP. "
+                "State the feed by $VEL.CP, without TIME_BLOCK"
+            )
+            yield Issue("warning", "override", message, subject=f"{document.name} TIME_BLOCK")
 
 
 def _is_full(text: str) -> bool:

@@ -17,6 +17,8 @@ from postproc.machining.override import override_issues
         ("krl", "DEF a()\n  $ov_pro = SLOW ; for the cut\nEND\n", 2),
         ("krl", "DEF a()\nTRIGGER WHEN DISTANCE=0 DELAY=0 DO $OV_PRO=20\nEND\n", 2),
         ("krl", "DEF a()\n$OV_PRO=100\nIF $OV_PRO==50 THEN\nENDIF\n;$OV_PRO=50\n$OV_PRO=30\nEND\n", 6),
+        ("krl", "DEF a()\n$OV_APPL=50\nEND\n", 2),
+        ("krl", "DEF a()\n$OV_PRO=100\n$RED_VEL = 30\nEND\n", 3),
         ("krl", "DEF a()\n$OV_PRO=100\nEND\n", None),
         ("krl", "DEF a()\n; set $OV_PRO=50 by hand\nEND\n", None),
         ("rapid", "MODULE a\nPROC main()\nSpeedRefresh 50;\nENDPROC\nENDMODULE\n", 3),
@@ -29,3 +31,17 @@ def test_an_override_other_than_100_is_told(dialect, text, line):
     issues = list(override_issues(program))
     assert [issue.level for issue in issues] == ["warning"] * (line is not None)
     assert all(f"in line {line} of a: forces are those at 100 %" in issue.message for issue in issues)
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("DEF a()\nSPLINE\nTIME_BLOCK START\nSLIN P1\nTIME_BLOCK END=7.5\nENDSPLINE\nEND\n", 5),
+        ("DEF a()\nSPLINE\nSLIN P1\n; TIME_BLOCK END=7.5\nENDSPLINE\nEND\n", None),
+    ],
+)
+def test_a_spline_block_with_a_time_has_another_feed(text, line):
+    program = SimpleNamespace(dialect="krl", documents=(decode("a", text.encode()),))
+    issues = list(override_issues(program))
+    assert [issue.level for issue in issues] == ["warning"] * (line is not None)
+    assert all(f"in line {line} of a: forces are those at $VEL.CP" in issue.message for issue in issues)
