@@ -26,18 +26,18 @@ from postproc.program import PTP, Bools, Ints, Program
 from postproc.robot import JOINTS, RobotModel
 from postproc.toolpath import Toolpath
 
-_SAME_POSE = 8e-7
-"""Corrections of branches that differ by less [m, rad] at a control-flow join count as equal: about the rounding of the
+_EQUAL_CORRECTION = 8e-7
+"""Corrections of branches that differ by less [m, rad] at a control-flow join are equal: about the rounding of the
 written text, which has at least 1e-4 mm and 1e-5° (assumed)."""
-_WRIST = 0.2 * RAD_PER_DEG
+_WRIST_ANGLE = 0.2 * RAD_PER_DEG
 """|A5| below this is in the wrist singularity (assumed)."""
-_ELBOW = 0.2 * RAD_PER_DEG
+_ELBOW_ANGLE = 0.2 * RAD_PER_DEG
 """A3 nearer than this to the stretched arm is in the elbow singularity (assumed)."""
-SHOULDER = 0.005
+SHOULDER_RADIUS = 0.005
 """A wrist centre nearer than this to the A1 axis [m] is in the shoulder singularity (assumed)."""
-_TURNS = 1e-9
+_SMALLEST_ROTATION = 1e-9
 """A motion that turns the tool by less than this [rad] does not turn it (assumed)."""
-_JUMP = 45.0 * RAD_PER_DEG
+_JUMP_ANGLE = 45.0 * RAD_PER_DEG
 """A joint that turns more than this between neighbouring samples passes (nearly) through a singularity (assumed)."""
 _CORRECTED_TWIST = 1e-9
 """Targets that are commanded nearer than this to where they were [m, rad] are as they were (assumed)."""
@@ -57,24 +57,29 @@ _TORQUE_FACTOR = 1.1
 """Torque of a load, over the largest that was measured, beyond which the model is extrapolated (assumed)."""
 JOINT_SPEED = "joint-speed-"
 """Kinds of issues about joint speeds begin so."""
-_NO_SIGN = 0.01 * RAD_PER_DEG
+_SMALLEST_SIGNED_ANGLE = 0.01 * RAD_PER_DEG
 """A joint angle nearer to zero than this has no sign that T could name (assumed)."""
 
 
 def _issue_of_rows(
     program: Program, motion: Ints, is_bad: Bools, kind: str, message: str, level: Level = "error"
 ) -> Iterator[Issue]:
-    """Yield one issue for all places with an error, none without one; it names the line of the first.
+    """Yield one issue for all samples with an error, none without one; it names the line of the first.
 
-    :param motion: (N,) row of `Motions` of each place.
-    :param is_bad: (N,) True where the place has the error.
+    :param motion: (N,) row of `Motions` of each sample.
+    :param is_bad: (N,) True where the sample has the error.
+    :param kind: kind of the issue, such as "joint-limit-A5"; issues of one kind are listed as one.
     """
     if is_bad.any():
         yield program.motions.issue(level, kind, message, motion[is_bad])
 
 
 def _turn_advice(program: Program) -> str:
-    """Return the advice, without a full stop, on how to change the turn of the tool or the branch of the joints."""
+    """Return the advice, without a full stop, on how to change the turn of the tool or the branch of the joints.
+
+    A robot program, whose text is kept, states both itself. Of G-code and APT the cell states the turn, and the joints
+    to which G28 moves (home).
+    """
     if program.keeps_text:
         return "turn the tool about its axis"
     home = ", choose another [machine] home" if np.isfinite(program.motions.joints).any() else ""
@@ -87,6 +92,7 @@ def joint_limits(program: Program, robot: RobotModel, sample: Toolpath, q: Array
     :param sample: N samples of the path.
     :param q: (N, 6) commanded joint angles [rad].
     """
+    # the conditions are negated so that an angle that is not a number counts as outside
     for axis in np.flatnonzero(~(kinematics.joint_margin(robot, q) >= -_LIMIT_ROUNDING)).tolist():
         low, high = robot.lower[axis], robot.upper[axis]
         is_outside = ~(np.minimum(q[:, axis] - low, high - q[:, axis]) >= -_LIMIT_ROUNDING)
@@ -103,8 +109,9 @@ def singularities(
 ) -> Iterator[Issue]:
     """Yield issues where the path is near a wrist, elbow or shoulder singularity, or a joint turns far between samples.
 
-    :param q: (N, 6) commanded [rad].
-    :param sparse_motions: motions with samples far apart, for which a large turn between samples is normal.
+    :param sample: N samples of the path.
+    :param q: (N, 6) commanded joint angles [rad].
+    :param sparse_motions: (n,) motions with samples far apart, for which a large turn between samples is normal.
     """
     form = kinematics.closed_form(robot)
     is_cartesian = program.motions.kind[sample.motion] != PTP
@@ -112,11 +119,11 @@ def singularities(
     def conditions_at(samples: Ints) -> tuple[Bools, ...]:
         """Return which samples are near wrist, elbow and shoulder singularity, and which follow a jump of joints."""
         angles = q[samples]
-        jumps = largest(angles - q[np.maximum(samples - 1, 0)]) > _JUMP
+        jumps = largest(angles - q[np.maximum(samples - 1, 0)]) > _JUMP_ANGLE
         return (
-            np.abs(angles[:, 4]) < _WRIST,
-            np.abs(form.elbow(angles)) < _ELBOW,
-            np.abs(form.reach(angles)) < SHOULDER,
+            np.abs(angles[:, 4]) < _WRIST_ANGLE,
+            np.abs(form.elbow(angles)) < _ELBOW_ANGLE,
+            np.abs(form.reach(angles)) < SHOULDER_RADIUS,
             np.asarray(jumps),
         )
 
@@ -125,6 +132,7 @@ def singularities(
     has_jump &= (np.diff(sample.motion, prepend=sample.motion[:1]) <= 1) & ~(wrist | elbow | shoulder)
     has_jump &= ~np.isin(sample.motion, sparse_motions)
     samples, is_flip = np.flatnonzero(has_jump), np.zeros(len(q), dtype=np.bool_)
+    # at a wrist singularity A4 and A6 turn most
     is_flip[samples] = np.isin(np.argmax(np.abs(q[samples] - q[samples - 1]), axis=1), (3, 5))
     advice = f"Move the part or {_turn_advice(program)}."
     flip_problem = "wrist singularity: A5 passes through or near 0°, A4 and A6 turn by more than 45° at once"
@@ -139,13 +147,13 @@ def singularities(
 
 
 def half_turns(program: Program, sample: Toolpath, turn: Array, pose: Poses) -> Iterator[Issue]:
-    """Yield an issue if a motion turns the tool by half a circle: rounding of the last digit would decide the
-    direction.
+    """Yield an issue if a motion turns the tool by half a circle: rounding of the last digit decides the direction.
 
     From the start, or from an axis target, the controller chooses the direction in any case: a warning.
 
-    :param turn: (M,) how far each motion turns the tool [rad]; where it turns with the path, that of the path included.
-    :param pose: commanded, of the samples in `$BASE`.
+    :param sample: N samples of the path.
+    :param turn: (M,) rotation of the tool by each motion [rad]; with that of the path where the tool turns with it.
+    :param pose: N commanded tool frames, `$BASE`.
     """
     m = program.motions
     has_open_direction = m.kind != PTP
@@ -179,16 +187,18 @@ def half_turns(program: Program, sample: Toolpath, turn: Array, pose: Poses) -> 
 def status_and_turn(program: Program, robot: RobotModel, sample: Toolpath, q: Array) -> Iterator[Issue]:
     """Yield an issue if S and T of a PTP target belong to no configuration within the joint limits.
 
-    :param q: (N, 6) joint angles found for the nominal targets [rad].
+    :param sample: N samples of the path.
+    :param q: (N, 6) joint angles chosen for the nominal path [rad]: with S and T of the program where possible.
     """
     m = program.motions
     ptp_samples = np.flatnonzero(sample.is_end & (m.kind[sample.motion] == PTP) & np.isnan(m.joints[sample.motion, 0]))
     motion = sample.motion[ptp_samples]
-    has_sign = np.abs(q[ptp_samples]) > _NO_SIGN
-    turn_bits = m.turn[motion, None] >> np.arange(6) & 1
+    has_sign = np.abs(q[ptp_samples]) > _SMALLEST_SIGNED_ANGLE
+    turn_bits = m.turn[motion, None] >> np.arange(6) & 1  # bit i of T is 1 where joint i is negative
     wrong_turn = (m.turn[motion] >= 0) & (((q[ptp_samples] < 0.0) != (turn_bits == 1)) & has_sign).any(axis=1)
+    # bits 0 to 2 of S are overhead, elbow and wrist; higher ones do not concern the posture
     wrong_status = (m.status[motion] >= 0) & (kinematics.status_of(robot, q[ptp_samples]) != m.status[motion] & 7)
-    wrong_status &= has_sign[:, 4]
+    wrong_status &= has_sign[:, 4]  # at A5 = 0 the wrist has both configurations
     advice = "The controller would drive the axes elsewhere, or stop: correct S and T, or leave them out."
     for is_wrong, name in ((wrong_status, "status S"), (wrong_turn, "turn T")):
         message = f"no configuration within the joint limits has the {name} of this target. {advice}"
@@ -202,13 +212,17 @@ def start_joints(program: Program, robot: RobotModel, start: Array) -> Iterator[
         name = JOINTS[int(np.argmin(margin))]
         message = f"[start] joints of the cell: {name} is outside its limits by {-margin.min() * DEG_PER_RAD:.3f}°."
         yield Issue("error", "start-joints", message, source_line=int(program.motions.line[0]))
-    if abs(start[4]) < _WRIST:
+    if abs(start[4]) < _WRIST_ANGLE:
         message = "[start] joints of the cell: A5 = 0 leaves the branch open; that with A5 > 0 is taken."
         yield Issue("warning", "start-singular", message, source_line=int(program.motions.line[0]))
 
 
 def first_move(program: Program, path: JointPath, start: Array) -> Iterator[Issue]:
-    """Yield a warning if the first PTP turns the hand by about half a turn from [start] (6,) [rad]."""
+    """Yield a warning for A4 and A6 if the first PTP turns them by about half a turn or more.
+
+    :param path: joint angles of the samples.
+    :param start: (6,) joint angles of [start] of the cell [rad].
+    """
     m = program.motions
     if m.kind[0] != PTP or np.isfinite(m.joints[0, 0]):
         return
@@ -222,8 +236,8 @@ def first_move(program: Program, path: JointPath, start: Array) -> Iterator[Issu
             yield Issue("warning", f"first-move-{JOINTS[axis]}", message, source_line=int(m.line[0]))
 
 
-_AT_TARGET = 1e-5
-"""Distance of the tip [m] below which a program starts at its first target: [start] has four decimals."""
+_START_DISTANCE = 1e-5
+"""A program whose tip at [start] is nearer to its first target [m] starts there: [start] has four decimals."""
 
 
 def height_of_start(program: Program, tip: Array, clearance: float | None) -> Iterator[Issue]:
@@ -239,7 +253,7 @@ def height_of_start(program: Program, tip: Array, clearance: float | None) -> It
     m = program.motions
     if program.keeps_text or np.isfinite(m.joints[0, 0]):
         return
-    if norm(tip[0] - m.target.position[0]) < _AT_TARGET:
+    if norm(tip[0] - m.target.position[0]) < _START_DISTANCE:
         return
     target = float(m.target.position[0, 2])
     start, lowest_z = float(tip[0, 2]), float(tip[:, 2].min())
@@ -268,7 +282,8 @@ def height_of_start(program: Program, tip: Array, clearance: float | None) -> It
 def posture(program: Program, robot: RobotModel, sample: Toolpath, path: JointPath, start: Array) -> Iterator[Issue]:
     """Yield an issue if a PTP changes the posture of the arm (status S): overhead, elbow or wrist turned over.
 
-    :param path: joint angles of the N samples.
+    :param sample: N samples of the path.
+    :param path: joint angles of the samples.
     :param start: (6,) joint angles where the program starts [rad].
     """
     ends = np.flatnonzero(sample.is_end & (program.motions.kind[sample.motion] == PTP))
@@ -285,8 +300,12 @@ def posture(program: Program, robot: RobotModel, sample: Toolpath, path: JointPa
 def joint_speed(program: Program, sample: Toolpath, turn: Array, q: Array, position: Array) -> Array:
     """Return the joint speeds at the programmed feed before each sample (N, 6) [rad/s]; 0 if unknown.
 
-    :param turn: (M,) how far each motion turns the tool [rad].
-    :param q: (N, 6) commanded [rad].
+    Unknown are the speeds of PTP, of motions in other frames than those before, where the controller's orientation
+    speed times a motion, and along steps too short to have a speed.
+
+    :param sample: N samples of the path.
+    :param turn: (M,) rotation of the tool by each motion [rad].
+    :param q: (N, 6) commanded joint angles [rad].
     :param position: (N, 3) commanded positions [m]: the controller's path speed is along these.
     """
     m = program.motions
@@ -297,7 +316,7 @@ def joint_speed(program: Program, sample: Toolpath, turn: Array, q: Array, posit
     nominal_travel = norm(np.diff(sample.pose[:, :3, 3], axis=0))
     travel = np.maximum(nominal_travel, norm(np.diff(position, axis=0)))
     # a run that turns the tool more than it moves it is timed by the controller's orientation speed, not by the feed
-    turning_runs = np.flatnonzero(turn[sample.motion[1:]] > _TURNS)
+    turning_runs = np.flatnonzero(turn[sample.motion[1:]] > _SMALLEST_ROTATION)
     rotation = sample.pose[turning_runs + 1, :3, :3] @ np.swapaxes(sample.pose[turning_runs, :3, :3], 1, 2)
     is_timed_by_turning = np.zeros(len(nominal_travel), dtype=bool)
     rotation_at_feed = norm(rotation_vector(rotation)) * np.nan_to_num(feed[turning_runs])
@@ -356,10 +375,12 @@ def joints_at_joins(program: Program, sample: Toolpath, q: Array, start: Array) 
 
     The pose of the tool is the same, but the motions after it would begin with that joint 360° farther each time.
 
-    :param q: (N, 6) joint angles of the samples, `start` (6,) where the program starts [rad].
+    :param sample: N samples of the path.
+    :param q: (N, 6) commanded joint angles of the samples [rad].
+    :param start: (6,) joint angles where the program starts [rad].
     """
     last_samples = np.flatnonzero(sample.is_end)
-    for rows in program.joins:
+    for rows in program.joins:  # motions that end at the join; −1 for the start of the program
         angles = np.array([q[last_samples[row]] if row >= 0 else start for row in rows])
         spread = np.ptp(angles, axis=0)
         axis = int(spread.argmax())
@@ -367,7 +388,7 @@ def joints_at_joins(program: Program, sample: Toolpath, q: Array, start: Array) 
             continue
         lines = [int(program.motions.line[row]) for row in rows if row >= 0]
         angles_text = " and ".join(
-            f"{angle:.0f}°" for angle in sorted({round(a) for a in angles[:, axis] * DEG_PER_RAD})
+            f"{angle:.0f}°" for angle in sorted({round(value) for value in angles[:, axis] * DEG_PER_RAD})
         )
         message = (
             f"{_BRANCHES} end with A{axis + 1} at {angles_text}: what follows was checked from one of these angles "
@@ -379,15 +400,17 @@ def joints_at_joins(program: Program, sample: Toolpath, q: Array, start: Array) 
 def corrections_at_joins(program: Program, sample: Toolpath, pose: Poses, wrench: Runs) -> Iterator[Issue]:
     """Yield an issue if branches taken at run time have different corrections at a control-flow join.
 
-    :param pose: commanded, `wrench` (N, 6), of the samples in `$BASE`.
+    :param sample: N samples of the path.
+    :param pose: N commanded tool frames, `$BASE` [m].
+    :param wrench: (N, 6) process forces at the samples, `$BASE` [N, N·m].
     """
     last_samples = np.flatnonzero(sample.is_end)
-    for rows in program.joins:
+    for rows in program.joins:  # motions that end at the join; −1 for the start of the program
         motions = np.array([row for row in rows if row >= 0], dtype=np.int64)
         correction = twist_between(sample.pose[last_samples[motions]], pose[last_samples[motions]])
         if len(motions) < len(rows):
             correction = np.append(correction, np.zeros((1, 6)), axis=0)  # the start, which is not corrected
-        if not len(motions) or np.ptp(correction, axis=0).max() < _SAME_POSE:
+        if not len(motions) or np.ptp(correction, axis=0).max() < _EQUAL_CORRECTION:
             continue
         lines = program.motions.line[motions].tolist()
         forces = [
@@ -412,7 +435,7 @@ def _force_text(wrench: Array) -> str:
 def correction_size(program: Program, motion: Ints, correction: Array, limit: float) -> Iterator[Issue]:
     """Yield an issue if a commanded position is farther from nominal than allowed.
 
-    :param motion: (N,) motion of each sample.
+    :param motion: (N,) row of `Motions` of each sample.
     :param correction: (N,) distance of the commanded from the nominal position [m].
     :param limit: largest allowed distance [m].
     """
@@ -426,8 +449,8 @@ def correction_size(program: Program, motion: Ints, correction: Array, limit: fl
 def blending(program: Program, motion: Ints, extra_rounding: Array, tolerance: float) -> Iterator[Issue]:
     """Yield an issue if the correction increases the rounding of a corner by more than the tolerance [m].
 
-    :param motion: (K,) motion of each target.
-    :param extra_rounding: (K,) by how much the written path is rounded more at each target than the programmed one [m].
+    :param motion: (K,) row of `Motions` of each target.
+    :param extra_rounding: (K,) rounding of the written path at each target beyond that of the programmed one [m].
     """
     message = (
         "approximation (C_DIS) rounds the corrected path by up to "
@@ -443,8 +466,8 @@ def torque_warnings(
 ) -> Iterator[Issue]:
     """Yield warnings for loads with more torque on a joint than the measurements of the model had.
 
-    :param motion: (K,) of each target.
-    :param q: (K, 6) [rad].
+    :param motion: (K,) row of `Motions` of each target.
+    :param q: (K, 6) commanded joint angles [rad].
     :param tool: (4, 4) or (K, 4, 4) `$TOOL` [m].
     :param wrench: (K, 6) at the TCP, root axes [N, N·m].
     """
@@ -452,6 +475,7 @@ def torque_warnings(
         return
 
     def torques(q: Array, tool: Array, wrench: Array) -> tuple[Array]:
+        """Return the size (n, 6) of the torque of the wrench about each joint [N·m]."""
         _, jacobian = kinematics.tcp(robot.actual, elastostatics.coordinates(robot, q), tool)
         return (np.abs(np.einsum("kij,ki->kj", jacobian, wrench))[:, list(robot.actuated)],)
 

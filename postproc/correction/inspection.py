@@ -276,7 +276,7 @@ def _state_changes(step: Array) -> Array:
     """Return possible changes of the states between samples of an arc (9, n), from their largest steps on it (9, n)."""
     change = _STEPS * step
     change[_WRIST] = np.maximum(change[_WRIST], _NEAR_WRIST)
-    change[_SHOULDER] += checks.SHOULDER
+    change[_SHOULDER] += checks.SHOULDER_RADIUS
     change[_ELBOW] = _NEAR_ELBOW
     return change
 
@@ -303,7 +303,7 @@ def _lines(path: PathUnderLoad, q: Array, is_fast: Bools) -> Stretches:
         start_margin, margin, step = _margins_and_steps(path, q, rows)
         change = _STEPS * step
         change[:_SHOULDER] += length / _SMALLEST_LEVER + _JOINT_PER_TOOL_TURN * turn
-        change[_SHOULDER] += length + _REACH_PER_TURN * turn + checks.SHOULDER
+        change[_SHOULDER] += length + _REACH_PER_TURN * turn + checks.SHOULDER_RADIUS
         change[_ELBOW] = _ELBOW_PER_M * length + _ELBOW_PER_TURN * turn
         return (np.asarray((np.minimum(start_margin, margin) < change).any(axis=0)),)
 

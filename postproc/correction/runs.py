@@ -16,68 +16,80 @@ from postproc.frames import Array
 from postproc.program import Ints, Program
 
 _SAME_STATE = 1e-6
-"""Starts whose joints [rad] or E1 [m] differ by less count as one."""
+"""Starts whose joints [rad] and E1 [m] differ by less are one state: rounding of the inverse kinematics (assumed)."""
 
 
 class Run(Struct, frozen=True):
-    """Samples that follow one another.
+    """Samples that the robot reaches one after another with one tool.
 
-    :param rows: the samples.
+    :param rows: the samples: rows of those of the path.
     :param tool: row of `Program.tools`.
-    :param before: the sample at which they begin; −1: the start of the program; their first one if it is not known.
+    :param previous: the sample from which the robot moves to the first one; −1: the start of the program; the first one
+        itself if it is not known.
     """
 
     rows: slice
     tool: int
-    before: int
+    previous: int
 
 
-def samples_before(program: Program, motion: Ints) -> Ints:
-    """Return the sample (N,) at which each sample of a path begins, see `Run.before`.
+def previous_samples(program: Program, motion: Ints) -> Ints:
+    """Return the sample (N,) from which the robot moves to each sample of a path, see `Run.previous`.
 
     :param motion: (N,) row of `Motions` of each sample, never decreasing; each motion has one.
     """
-    before = np.arange(len(motion)) - 1
+    previous = np.arange(len(motion)) - 1
     if program.after is None:
-        return before
+        return previous
+    # `after` names the motion before each one; −1 is the start of the program, the motion itself that it is not known
     motions = np.arange(len(program.motions))
-    first = np.searchsorted(motion, motions)
-    end = _ends(program, motion)[program.after]
-    before[first] = np.where(program.after == motions, first, np.where(program.after < 0, -1, end))
-    return before
+    first_samples = np.searchsorted(motion, motions)
+    start_samples = np.where(program.after < 0, -1, _end_samples(program, motion)[program.after])
+    previous[first_samples] = np.where(program.after == motions, first_samples, start_samples)
+    return previous
 
 
 def runs(program: Program, motion: Ints, q: Array) -> Iterator[Run]:
-    """Yield the runs of a path, in order, and then motions that also begin elsewhere (`Program.transitions`).
+    """Yield the runs of a path in order, and then a run for each motion that also begins elsewhere.
+
+    `Program.transitions` has the pairs of a motion and one that control flow may run before it.
 
     :param motion: (N,) row of `Motions` of each sample.
     :param q: (N, 6) joint angles [rad].
     """
-    before, tool = samples_before(program, motion), program.motions.tool[motion]
-    change = (before[1:] != np.arange(len(motion) - 1)) | (tool[1:] != tool[:-1])
-    begins = np.append(0, np.flatnonzero(change) + 1)
+    previous, tool = previous_samples(program, motion), program.motions.tool[motion]
+    is_begin = (previous[1:] != np.arange(len(motion) - 1)) | (tool[1:] != tool[:-1])
+    begins = np.append(0, np.flatnonzero(is_begin) + 1)
     for begin, end in zip(begins.tolist(), [*begins[1:].tolist(), len(motion)], strict=True):
-        yield Run(slice(begin, end), int(tool[begin]), int(before[begin]))
+        yield Run(slice(begin, end), int(tool[begin]), int(previous[begin]))
     if not program.transitions:
         return
-    ends = _ends(program, motion)
-    starts: dict[int, list[int]] = {}
-    for row, previous in program.transitions:
+    end_samples = _end_samples(program, motion)
+    starts_of_motion: dict[int, list[int]] = {}  # samples from which the motion was begun in the runs so far
+    for row, previous_row in program.transitions:
         first = int(np.searchsorted(motion, row))
-        compared = starts.setdefault(row, [int(before[first])])
-        start = int(ends[previous]) if previous >= 0 else -1
-        if not any(_is_same(program, motion, q, start, other) for other in compared):
-            compared.append(start)
-            yield Run(slice(first, int(ends[row]) + 1), int(tool[first]), start)
+        starts = starts_of_motion.setdefault(row, [int(previous[first])])
+        start = int(end_samples[previous_row]) if previous_row >= 0 else -1
+        if not any(_is_same_state(program, motion, q, start, known_start) for known_start in starts):
+            starts.append(start)
+            yield Run(slice(first, int(end_samples[row]) + 1), int(tool[first]), start)
 
 
-def _ends(program: Program, motion: Ints) -> Ints:
-    """Return the last sample (M,) of each motion."""
+def _end_samples(program: Program, motion: Ints) -> Ints:
+    """Return the last sample (M,) of each motion.
+
+    :param motion: (N,) row of `Motions` of each sample, never decreasing.
+    """
     return np.asarray(np.searchsorted(motion, np.arange(len(program.motions)), side="right") - 1)
 
 
-def _is_same(program: Program, motion: Ints, q: Array, first: int, second: int) -> bool:
-    """Return whether the robot is in the same state at two samples that end motions (−1: the start of the program)."""
+def _is_same_state(program: Program, motion: Ints, q: Array, first: int, second: int) -> bool:
+    """Return whether the robot is in the same state at two samples that end motions.
+
+    :param motion: (N,) row of `Motions` of each sample.
+    :param q: (N, 6) joint angles of the samples [rad].
+    :param first: the one sample, `second` the other; −1: the start of the program.
+    """
     if first < 0 or second < 0:
         return first == second
     distance = float(np.abs(q[first] - q[second]).max())

@@ -41,7 +41,7 @@ class StockInTime(Protocol):
         """(M,) motions on which the parts of the tool along its axis were compared with the stock."""
 
     @property
-    def cuts(self) -> Bools:
+    def removes_material(self) -> Bools:
         """(M,) motions that remove material: their cutter is in the stock."""
 
     @property

@@ -160,14 +160,14 @@ class StockInTime(Struct, frozen=True, eq=False):
 
     :param first: first motion of each set-up, ascending; `frame` of its map in the robot root (4, 4); its `ceiling`.
     :param is_compared: (M,) motions on which the parts of the tool along its axis were compared with the stock.
-    :param cuts: (M,) motions that remove material.
+    :param removes_material: (M,) motions that remove material.
     """
 
     first: tuple[int, ...]
     frame: tuple[Array, ...]
     ceiling: tuple[Ceiling, ...]
     is_compared: Bools
-    cuts: Bools
+    removes_material: Bools
 
     @property
     def accuracy(self) -> float:

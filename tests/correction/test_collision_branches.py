@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from postproc.correction.runs import Run, runs, samples_before
+from postproc.correction.runs import Run, previous_samples, runs
 from postproc.program import Carriage
 from tests.commands import invoke
 from tests.programs import program
@@ -155,7 +155,7 @@ def test_runs_end_where_the_tool_changes_or_a_motion_begins_elsewhere():
         Run(slice(8, 10), 2, -1),
         Run(slice(10, 12), 0, 9),
     ]
-    assert samples_before(made, motion).tolist() == [-1, 0, 1, 2, 1, 4, 6, 6, -1, 8, 9, 10]
+    assert previous_samples(made, motion).tolist() == [-1, 0, 1, 2, 1, 4, 6, 6, -1, 8, 9, 10]
 
 
 def test_a_motion_runs_once_more_for_each_further_state_in_which_it_may_begin():

@@ -52,7 +52,7 @@ def reaching(monkeypatch):
             if angle < solids.size:
                 yield Contact(("spindle", STOCK), int(motion), 0.0, need)
 
-    monkeypatch.setattr(collisions, "_contacts", contacts)
+    monkeypatch.setattr(collisions, "_contacts_of_solids", contacts)
     monkeypatch.setattr(collisions, "_solids", lambda scene, moving, fixed: Solids(fixed[0].points[0, 0]))
 
 
@@ -67,7 +67,7 @@ def test_contacts_with_the_stock_are_those_of_its_size_before_each_motion(reachi
     rng = np.random.default_rng(seed)
     states, stock = states_of(rng), ShrinkingStock(rng, 20)
     rows = rng.random(60) < 0.8
-    search = collisions._Search(None, [], states, stock, 0.003)
+    search = collisions._StockSearch(None, [], states, stock, 0.003)
     found = list(search.contacts(rows))
     expected = {
         int(states.motion[i])
@@ -76,7 +76,7 @@ def test_contacts_with_the_stock_are_those_of_its_size_before_each_motion(reachi
     }
     assert {contact.motion for contact in found} == expected
     assert all((contact.names, contact.need) == (("spindle", STOCK), 0.003) for contact in found)
-    assert len(stock.motions) == search.compared == len(set(stock.motions))
+    assert len(stock.motions) == search.stock_count == len(set(stock.motions))
 
 
 def test_few_stocks_are_enough_where_nothing_comes_close(reaching):
@@ -84,26 +84,28 @@ def test_few_stocks_are_enough_where_nothing_comes_close(reaching):
     rng = np.random.default_rng(1)
     states, stock = states_of(rng), ShrinkingStock(rng, 20)
     states.q[:, 0] = 2.0
-    search = collisions._Search(None, [], states, stock, 0.0)
+    search = collisions._StockSearch(None, [], states, stock, 0.0)
     assert not list(search.contacts(np.arange(60) >= 12))
     assert stock.motions == [states.motion[12]]
     assert not list(search.contacts(np.zeros(60, dtype=bool)))
     assert len(stock.motions) == 1
 
 
-def test_what_is_not_decided_by_the_most_stocks_counts_as_too_close(reaching, monkeypatch):
+def test_what_is_not_decided_by_the_most_stocks_counts_as_close_pairs(reaching, monkeypatch):
     rng = np.random.default_rng(2)
     states, stock = states_of(rng), ShrinkingStock(rng, 20)
     monkeypatch.setattr(collisions, "_MOST_STOCKS", 3)
     found = {
-        contact.motion for contact in collisions._Search(None, [], states, stock, 0.0).contacts(np.ones(60, dtype=bool))
+        contact.motion
+        for contact in collisions._StockSearch(None, [], states, stock, 0.0).contacts(np.ones(60, dtype=bool))
     }
     exact = {int(m) for m, angle in zip(states.motion, states.q[1:, 0], strict=True) if angle < stock.size[m]}
     assert found > exact
     assert 3 <= len(stock.motions) <= 6
     monkeypatch.setattr(collisions, "_MOST_STOCKS", 1)
     undivided = {
-        contact.motion for contact in collisions._Search(None, [], states, stock, 0.0).contacts(states.q[1:, 0] > 0)
+        contact.motion
+        for contact in collisions._StockSearch(None, [], states, stock, 0.0).contacts(states.q[1:, 0] > 0)
     }
     assert undivided == {
         int(m) for m, angle in zip(states.motion, states.q[1:, 0], strict=True) if angle < stock.size[0]
@@ -141,17 +143,17 @@ def test_the_tool_is_compared_where_it_turns_and_the_cutter_where_it_does_not_cu
 
     class Search:
         def __init__(self, scene, bodies, states, stock, need):
-            self.entry = tuple(each.name for each in bodies), need, states.commanded is not None
+            self.entry = tuple(each.name for each in bodies), need, states.commanded_q is not None
 
         def contacts(self, rows):
             names, need, is_commanded = self.entry
             searches.append((names, need, rows.astype(int).tolist(), is_commanded))
             return iter(())
 
-    monkeypatch.setattr(collisions, "_Search", Search)
+    monkeypatch.setattr(collisions, "_StockSearch", Search)
     monkeypatch.setattr(collisions.collision, "inscribed_capsule", lambda part: body(f"inner {part.name}", part.of))
     states = States(np.array([0, 1, 2]), np.zeros((4, 6)), np.zeros((4, 6)), None)
-    stock = SimpleNamespace(is_compared=np.array(compared, dtype=bool), cuts=np.array(cuts, dtype=bool))
+    stock = SimpleNamespace(is_compared=np.array(compared, dtype=bool), removes_material=np.array(cuts, dtype=bool))
     assert not list(collisions.stock_contacts(SimpleNamespace(bodies=BODIES), states, stock, 0.02))
     assert searches == expected
 
@@ -164,11 +166,11 @@ def test_parts_of_a_path_begin_before_their_first_sample(shift):
     part = states.part(2, 4)
     assert part.motion.tolist() == [1, 1]
     np.testing.assert_array_equal(part.q, q[[2, 3, 4]])
-    np.testing.assert_array_equal(part.commanded, commanded[[2, 3, 4]])
+    np.testing.assert_array_equal(part.commanded_q, commanded[[2, 3, 4]])
     arrival = states.arrival()
     assert arrival.motion.tolist() == [0]
     np.testing.assert_array_equal(arrival.q, q[[2, 2]])
-    np.testing.assert_array_equal(arrival.commanded, commanded[[2, 2]])
+    np.testing.assert_array_equal(arrival.commanded_q, commanded[[2, 2]])
     if carried is None:
         assert part.shift is None
         assert arrival.shift is None
@@ -176,8 +178,8 @@ def test_parts_of_a_path_begin_before_their_first_sample(shift):
         np.testing.assert_array_equal(part.shift, carried[[2, 3, 4]])
         np.testing.assert_array_equal(arrival.shift, carried[[2, 2]])
     bare = States(states.motion, q, None, carried)
-    assert bare.part(0, 2).commanded is None
-    assert bare.arrival().commanded is None
+    assert bare.part(0, 2).commanded_q is None
+    assert bare.arrival().commanded_q is None
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -240,9 +242,11 @@ def test_e1_carries_the_robot_from_the_place_before_the_samples():
 
 def worst_of(notes, stock=True):
     made = program([("RAPID", 0, 0, 0), ("LIN", 10, 0, 0), ("LIN", 20, 0, 0)])
-    worst = collisions._SmallestDistance(made.motions, SimpleNamespace(accuracy=0.00123) if stock else None)
+    worst = collisions._CloseBodies(made.motions, SimpleNamespace(accuracy=0.00123) if stock else None)
     for note in notes:
-        worst.note(*note)
+        names, distance, line, need, is_only_on_first_move = note
+        motion = int(np.flatnonzero(made.motions.line == line)[0])
+        worst.add(Contact(names, motion, distance, need), is_only_on_first_move=is_only_on_first_move)
     return worst.issues()
 
 
@@ -350,7 +354,7 @@ def test_distances_are_those_of_the_bodies_of_each_tool_from_the_place_before(
 
     monkeypatch.setattr(collisions.collision, "Scene", SimpleNamespace(of=scene_of))
     monkeypatch.setattr(collisions.collision, "path_hits", along)
-    monkeypatch.setattr(collisions, "_too_close", lambda scene, states, stock, need: set())
+    monkeypatch.setattr(collisions, "_close_pairs", lambda scene, states, stock, need: set())
     monkeypatch.setattr(collisions, "part_contacts", lambda scene, states, rapid: iter(()))
     smallest, issues = collisions.path_clearance(path, commanded)
     sample_tools = tools[path.sample.motion]
@@ -438,11 +442,11 @@ def test_the_cutter_is_compared_with_parts_on_rapid_moves_on_its_nominal_path(mo
         return "solids"
 
     def contacts(found, states, need):
-        assert (found, need, states.commanded) == ("solids", 0.0, None)
+        assert (found, need, states.commanded_q) == ("solids", 0.0, None)
         yield tuple(states.q[:, 0].astype(int).tolist())
 
     monkeypatch.setattr(collisions, "_solids", solids)
-    monkeypatch.setattr(collisions, "_contacts", contacts)
+    monkeypatch.setattr(collisions, "_contacts_of_solids", contacts)
     q = np.tile(np.arange(6.0)[:, None], (1, 6))
     states = States(np.arange(5), q, q + 0.1, None)
     found = list(collisions.part_contacts(scene, states, np.array(rapid, dtype=bool)))
@@ -476,19 +480,21 @@ def test_moving_bodies_are_compared_with_all_fixed_ones_and_contacts_name_their_
 
     monkeypatch.setattr(collisions.collision, "pair_hits", among)
     states = States(np.array([4, 5, 7]), np.zeros((4, 6)), np.ones((4, 6)), np.full((4, 3), 2.0))
-    found = list(collisions._contacts(solids, states, 0.25))
+    found = list(collisions._contacts_of_solids(solids, states, 0.25))
     assert found == [
         Contact(("spindle", "vice"), 4, 0.1, 0.25), Contact(("link", "stock"), 4, 0.2, 0.25),
         Contact(("spindle", "stock"), 7, 0.0, 0.25),
     ]  # fmt: skip
-    assert calls == [(solids, states.q, 0.25, states.shift, states.commanded)]
+    assert calls == [(solids, states.q, 0.25, states.shift, states.commanded_q)]
 
 
 @pytest.mark.parametrize("has_stock", [True, False])
-def test_what_is_too_close_where_the_robot_arrives_is_too_close_with_all_bodies(monkeypatch, has_stock):
+def test_what_is_close_pairs_where_the_robot_arrives_is_close_pairs_with_all_bodies(monkeypatch, has_stock):
     scene = SimpleNamespace(bodies=[body("link", "arm"), body("vice", "obstacle"), body("tip", "cutter")])
     states = States(np.array([0, 0]), np.zeros((3, 6)), None, None)
-    hits = SimpleNamespace(first=np.array([0, 2]), second=np.array([1, 1]))
+    hits = SimpleNamespace(
+        row=np.array([1, 2]), first=np.array([0, 2]), second=np.array([1, 1]), distance=np.array([0.001, 0.0])
+    )
     monkeypatch.setattr(collisions.collision, "path_hits", lambda *parts: hits)
     rows = []
 
@@ -498,7 +504,7 @@ def test_what_is_too_close_where_the_robot_arrives_is_too_close_with_all_bodies(
 
     monkeypatch.setattr(collisions, "part_contacts", with_parts)
     monkeypatch.setattr(collisions, "stock_contacts", lambda *parts: iter([Contact(("link", STOCK), 0, 0.0, 0.0)]))
-    found = collisions._too_close(scene, states, "stock" if has_stock else None, 0.005)
+    found = collisions._close_pairs(scene, states, "stock" if has_stock else None, 0.005)
     assert found == {("link", "vice"), ("tip", "vice"), ("tip", "blank")} | ({("link", STOCK)} if has_stock else set())
     assert rows == [[True, True]]
 

@@ -265,7 +265,7 @@ def test_pieces_of_lines_are_examined_where_a_state_may_reach_its_limit_between_
     step = rng.uniform(0.0, 0.02, (9, len(rows)))
     limits = np.array([
         [*(2.0 * step[k, i] + way[n] / 0.15 + 6.0 * turn[n] for k in range(7)),
-         2.0 * step[7, i] + way[n] + 0.5 * turn[n] + checks.SHOULDER, 5.0 * way[n] + 3.0 * turn[n]]
+         2.0 * step[7, i] + way[n] + 0.5 * turn[n] + checks.SHOULDER_RADIUS, 5.0 * way[n] + 3.0 * turn[n]]
         for i, n in enumerate(rows)
     ]).T  # fmt: skip
     rooms = limits * 1.001
@@ -320,7 +320,7 @@ def test_arcs_are_examined_where_a_state_may_reach_its_limit_by_twice_their_larg
     for arc in arcs:
         own = [i for i, n in enumerate(rows) if motion[n] == arc]
         largest = 2.0 * step[:, own].max(axis=1)
-        limit = [*largest[:6], max(largest[6], np.radians(1.0)), largest[7] + checks.SHOULDER, np.radians(20.0)]
+        limit = [*largest[:6], max(largest[6], np.radians(1.0)), largest[7] + checks.SHOULDER_RADIUS, np.radians(20.0)]
         for k in range(9):
             room[k, own[rng.integers(len(own))]] = limit[k] * 1.001
         if near[arc]:
