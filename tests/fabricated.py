@@ -75,7 +75,7 @@ def result(count: int = 100, mode: Mode = "convert") -> Result:
         between=4e-6 if mode == "convert" else 1.5e-3,
         rounding=np.zeros(count),
         programmed=np.zeros(count),
-        carried=None,
+        file_forces=None,
         deflection_by_tool=None,
         largest_correction=1.5e-3,
         issues=(Issue("warning", "no-force", "cutting moves <without> a force: zero force is assumed", 12, count=311),),

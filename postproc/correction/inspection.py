@@ -31,6 +31,8 @@ _SPEED_SHARE = 0.98
 """Share of a joint's largest speed that slowed moves use (assumed)."""
 _NEXT_SHARE = 0.95
 """Factor on that share where a joint of the written program is still too fast (assumed)."""
+_SHORTEST_TRAVEL = 1e-6
+"""A first sample nearer to the start of the program than this [m] has no joint speed by its feed (assumed)."""
 
 
 class Slowing(Struct, frozen=True):
@@ -102,11 +104,11 @@ def slow_rapids(
 
 
 def _largest_speeds(
-    path: PathUnderLoad, q: Array, position: Array, slowable: Bools, least_share: float
+    path: PathUnderLoad, q: Array, position: Array, slowable: Bools, smallest_share: float
 ) -> tuple[Array, Ints]:
     """Return the largest joint speed on each motion as a share of the limit (M,), and the joint (M,), counted from 0.
 
-    Both are 0 on motions that are not `slowable` (M,) or stay below `least_share`. For the others see `slow_rapids`.
+    Both are 0 on motions that are not `slowable` (M,) or stay below `smallest_share`. For the others see `slow_rapids`.
     """
     program, limit = path.program, path.robot_in_cell.robot.speed
     share, joint = np.zeros(len(slowable)), np.zeros(len(slowable), dtype=np.int64)
@@ -119,7 +121,7 @@ def _largest_speeds(
         """
         joint_share = speed / limit
         sample_share = joint_share.max(axis=1)
-        rows = np.flatnonzero(slowable[motion] & (sample_share > least_share))
+        rows = np.flatnonzero(slowable[motion] & (sample_share > smallest_share))
         # in increasing order: of several samples on one motion, the last assignment is the largest
         rows = rows[np.argsort(sample_share[rows])]
         rows = rows[sample_share[rows] > share[motion[rows]]]
@@ -169,7 +171,7 @@ def commanded_speed(path: PathUnderLoad, q: Array, position: Array) -> Array:
         )
         speed[part] = chunk_speed[part.start - rows_with_previous.start :]
     travel = segments.length[0] * path.sample.t[0]
-    if travel > 1e-6 and m.feed[0] > 0.0:  # a PTP has no feed (NaN)
+    if travel > _SHORTEST_TRAVEL and m.feed[0] > 0.0:  # a PTP has no feed (NaN)
         speed[:1] = np.abs(q[:1] - path.robot_in_cell.cell.start_joints) * m.feed[0] / travel
     return speed
 
@@ -199,7 +201,7 @@ _JOINT_PER_TOOL_TURN = 6.0
 _ELBOW_PER_M, _ELBOW_PER_TURN = 5.0, 3.0
 """Largest change of A3 towards the stretched arm within a piece of a line, by length [rad/m] and rotation (assumed)."""
 _REACH_PER_TURN = 0.5
-"""How far the wrist may move by turning the tool [m/rad] (assumed)."""
+"""Largest motion of the wrist centre by turning the tool [m/rad] (assumed)."""
 
 
 class Stretches(Struct, frozen=True, eq=False):
@@ -228,7 +230,7 @@ def stretches_to_examine(path: PathUnderLoad, q: Array, speed: Array) -> tuple[S
     """
     limit = _SHARE_OF_SPEED * path.robot_in_cell.robot.speed
     is_fast = in_chunks(lambda speed: (np.asarray((speed > limit).any(axis=1)),), speed)[0]
-    return _arcs(path, q, is_fast), _lines(path, q, is_fast)
+    return _arc_stretches(path, q, is_fast), _line_stretches(path, q, is_fast)
 
 
 def _margins_and_steps(path: PathUnderLoad, q: Array, rows: Ints) -> tuple[Array, Array, Array]:
@@ -252,7 +254,7 @@ def _margins_and_steps(path: PathUnderLoad, q: Array, rows: Ints) -> tuple[Array
     return margins[0], margins[1], np.abs(states[1] - states[0])
 
 
-def _arcs(path: PathUnderLoad, q: Array, is_fast: Bools) -> Stretches:
+def _arc_stretches(path: PathUnderLoad, q: Array, is_fast: Bools) -> Stretches:
     """Return the arcs to be examined every 5°: their margins are small compared with the steps between samples."""
     m, motion = path.program.motions, path.sample.motion
     rows = np.flatnonzero(m.kind[motion] == CIRC)
@@ -268,6 +270,7 @@ def _arcs(path: PathUnderLoad, q: Array, is_fast: Bools) -> Stretches:
         threshold = _state_changes(np.maximum.reduceat(step, first_rows, axis=1))
         is_near_limit = (np.minimum.reduceat(margin, first_rows, axis=1) < threshold).any(axis=0)
         rows = distinct(np.append(fast_motions, motion[rows[first_rows[is_near_limit]]]))
+    # a sweep of a whole number of spacings, but for rounding, gets no further part
     parts = np.ceil(m.sweep[rows] / _ARC_SPACING - 1e-9).clip(1).astype(np.int64)
     return Stretches(rows, np.zeros(len(rows)), np.ones(len(rows)), parts)
 
@@ -281,7 +284,7 @@ def _state_changes(step: Array) -> Array:
     return change
 
 
-def _lines(path: PathUnderLoad, q: Array, is_fast: Bools) -> Stretches:
+def _line_stretches(path: PathUnderLoad, q: Array, is_fast: Bools) -> Stretches:
     """Return the pieces of lines to be examined every 2 mm and half a degree."""
     sample, segments = path.sample, path.motions.segments
     is_first = np.diff(sample.motion, prepend=-1) != 0
@@ -317,7 +320,7 @@ def _lines(path: PathUnderLoad, q: Array, is_fast: Bools) -> Stretches:
     )
 
 
-def between_samples(
+def issues_between_samples(
     path: PathUnderLoad, q: Array, position: Array, stretches: Stretches, sparse_motions: Ints
 ) -> Iterator[Issue]:
     """Yield issues of joint limits, singularities and joint speeds between samples.
@@ -467,7 +470,7 @@ def frame_issues(program: Program, cell: Cell) -> list[Issue]:
         is_other_frame = np.abs(frames - cell_frame.pose()).max(axis=(1, 2)) > _SAME_FRAME
         motion = np.flatnonzero(is_other_frame[row] & np.isnan(m.joints[:, 0]))
         if len(motion):
-            values = (xyzabc_from_pose(frames[row[motion[0]]]).round(4) + 0.0).tolist()
+            values = (xyzabc_from_pose(frames[row[motion[0]]]).round(4) + 0.0).tolist()  # −0 becomes 0
             frame = ", ".join(f"{axis} {value:.8g}" for axis, value in zip("XYZABC", values, strict=True))
             message = (
                 f"{name} is {{{frame}}} by the program; {section} of the cell, which is another, is not used there."
@@ -515,7 +518,9 @@ def path_issues(path: PathUnderLoad, command: Commands) -> list[Issue]:
     kinds = {issue.kind for issue in issues}
     for stretches, sparse_motions in ((arcs, arcs.motion[:0]), (lines, lines.motion)):
         issues += (
-            issue for issue in between_samples(path, q, position, stretches, sparse_motions) if issue.kind not in kinds
+            issue
+            for issue in issues_between_samples(path, q, position, stretches, sparse_motions)
+            if issue.kind not in kinds
         )
         kinds |= {issue.kind for issue in issues}
     return issues

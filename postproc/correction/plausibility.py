@@ -30,7 +30,7 @@ _OVERLOAD = 2.0
 for which they are rated, and small ones mill with forces above their rating."""
 _LONGEST_LEVER = 0.5
 """Moment over force [m] that no cutter has: a face mill of 250 mm has its cutting force at 0.125 m."""
-SLOWEST, FASTEST = 10.0, 30e3
+SMALLEST_CUTTING_FEED, LARGEST_CUTTING_FEED = 10.0, 30e3
 """Feeds of cuts [mm/min] that are questioned beyond, assumed: 1.2 is m/min that is read in mm/min."""
 _SWITCHING = ("spindle_on", "spindle_ccw", "spindle_off")
 """Kinds of events that switch the spindle."""
@@ -125,7 +125,7 @@ def _feed_and_spindle_questions(program: Program, cell: Cell, rows: Ints) -> Ite
     """
     m = program.motions
     feed = MM_PER_MIN * m.feed[rows]
-    unusual = (feed < SLOWEST) | (feed > FASTEST)
+    unusual = (feed < SMALLEST_CUTTING_FEED) | (feed > LARGEST_CUTTING_FEED)
     if unusual.any():
         message = f"a cut with a feed of {feed[np.argmax(unusual)]:.3g} mm/min: is its unit right?"
         yield m.issue("warning", "feed-unit", message, rows[unusual])
@@ -225,6 +225,7 @@ def tool_changes(program: Program, axis: str) -> Iterator[Issue]:
 
 def _position_text(pose: Array) -> str:
     """Return X, Y, Z of a pose [m] in millimetres, in words."""
+    # the sum with 0.0 makes 0 of −0
     return ", ".join(
         f"{name} {value:.6g}" for name, value in zip("XYZ", (pose[:3, 3] * MM_PER_M).round(4) + 0.0, strict=True)
     )

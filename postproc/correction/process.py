@@ -57,8 +57,8 @@ def corrected_commands(path: PathUnderLoad) -> Commands:
     q = np.zeros((len(path), 6))
     theta = np.zeros((len(path), path.robot_in_cell.robot.actual.nv))
 
-    def corrected_pose(row: Ints) -> tuple[Array, Array]:
-        """Return position (n, 3) [m] and A, B, C (n, 3) [deg] of the commands of samples, in `$BASE`."""
+    def commands_at(row: Ints) -> tuple[Array, Array]:
+        """Return position (n, 3) [m] and A, B, C (n, 3) [deg] of the commands of samples, `$BASE`; set q and theta."""
         pose, tool, wrench = path.pose_in_root(row), path.tool(row), path.wrench_in_root(row)
         compensation = path.robot_in_cell.compensate(pose, path.joints.q[row], tool, wrench)
         motion, t = path.sample.motion[row], path.sample.t[row]
@@ -67,7 +67,7 @@ def corrected_commands(path: PathUnderLoad) -> Commands:
         return command[:, :3, 3], xyzabc_from_pose(command)[:, 3:]
 
     movable, unmoved = np.flatnonzero(~is_axis_target), np.flatnonzero(is_axis_target)
-    position, angles = _solve_in_chunks(path, corrected_pose, movable)
+    position, angles = _solve_in_chunks(path, commands_at, movable)
     if len(unmoved):
         q[unmoved] = path.joints.q[unmoved]
         parts, nominal = (position, angles), path.sample.pose
@@ -157,7 +157,7 @@ class Draft(Struct, frozen=True, eq=False):
     :param selection: the targets.
     :param issues: issues found so far.
     :param simulation: simulation of the written program; None if it is not written yet, or cannot be used.
-    :param carried: forces that a file must give to the written program; None if its comments give them.
+    :param file_forces: forces that a file must give to the written program; None if its comments give them.
     :param force_file_issues: issues of that file.
     """
 
@@ -167,7 +167,7 @@ class Draft(Struct, frozen=True, eq=False):
     selection: TargetSelection
     issues: tuple[Issue, ...]
     simulation: SimulatedPath | None = None
-    carried: Knots | None = None
+    file_forces: Knots | None = None
     force_file_issues: tuple[Issue, ...] = ()
 
     @classmethod
@@ -213,7 +213,7 @@ class Draft(Struct, frozen=True, eq=False):
         if draft.failed or not task.in_file:
             return draft
         knots, force_file_issues = _readback_forces(draft, readback)
-        return replace(draft, carried=knots, force_file_issues=force_file_issues)
+        return replace(draft, file_forces=knots, force_file_issues=force_file_issues)
 
     def _text(self, task: Task) -> WrittenProgram:
         """Return the program with the targets of this draft, as its dialect writes it."""
@@ -252,6 +252,7 @@ def result_of(task: Task, draft: Draft, corrected_draft: Draft) -> Result:
     q = draft.q[row]
 
     def corrections(target: Ints) -> tuple[Array]:
+        """Return the distance (n,) [m] of the commanded position of targets from the nominal one."""
         return (norm(targets.pose[target, :3, 3] - path.sample.pose[row[target], :3, 3]),)
 
     result = Result(
@@ -276,8 +277,8 @@ def result_of(task: Task, draft: Draft, corrected_draft: Draft) -> Result:
         joint_margin=kinematics.joint_margin(task.robot, draft.q),
         singular_value=kinematics.smallest_singular_value(task.robot, q, path.tool(row)),
         between=path_deviation,
-        rounding=draft.selection.programmed,
-        programmed=draft.selection.programmed,
+        rounding=draft.selection.programmed_rounding,
+        programmed=draft.selection.programmed_rounding,
         reversals=reversals,
         causes=_causes(path),
         is_stock_known=path.motions.forces.by_law is not None,
@@ -301,7 +302,7 @@ def _with_simulation(result: Result, draft: Draft, simulation: SimulatedPath) ->
         deviation_after=simulation.deviation,
         between=simulation.between,
         rounding=simulation.rounding,
-        carried=draft.carried,
+        file_forces=draft.file_forces,
     )
 
 
@@ -372,7 +373,7 @@ def _expected_errors(
 
     :param draft: with corrected commands.
     :param deviation: (K, 3) of the uncorrected tip from nominal, `$BASE` [m].
-    :param reversals: torque reversals: at the targets next to one, gears may be on either flank.
+    :param reversals: torque reversals of joints: at the targets next to one, a gear may be on either flank.
     """
     path, row = draft.path, draft.selection.row
     robot, program = path.robot_in_cell.robot, path.program
@@ -383,41 +384,77 @@ def _expected_errors(
     if robot.covariance is None:
         return None, None, issues
     is_scaled = path.robot_in_cell.has_model_factor(path.motions.forces, path.sample.motion[row])
-    deviation_left, path_distance = _errors_left(task, draft)
-    excess = np.maximum(path_distance - norm(deviation_left), 0.0)  # between targets, beyond that at targets
-    cuts = ~program.motions.rapid[motion]
-    gain, error_by_remedy, extra_error = elastostatics.ChanceOfGain(), np.zeros(2), _extra_rounding(draft)
-
-    def errors_at_targets(target: Ints, reverses: Bools, is_scaled: Bools) -> tuple[Array, Array, Array]:
-        """Return bound and expected errors without and with correction, (n,) each [m]; add to the sums over all."""
-        sample = row[target]
-        load = draft.q[sample], path.tool(sample), path.wrench_in_root(sample), *_load_uncertainty(path, sample)
-        sources = elastostatics.sources_of_error(robot, *elastostatics.loads(*load, reverses, is_scaled))
-        offset_directions = [
-            toolpath.directions_in_root(program, motion[target], offset[target])
-            for offset in (deviation, deviation_left)
-        ]
-        gain.add(sources, offset_directions[0], offset_directions[1], path_distance[target], cuts[target])
-        expectation = elastostatics.expected_errors(sources, offset_directions[0], offset_directions[1])
-        for k, error in enumerate((expectation.with_known_robot, expectation.with_known_forces)):
-            error_by_remedy[k] = max(
-                error_by_remedy[k],
-                np.max(error + extra_error[target] + excess[target], initial=0.0, where=cuts[target]),
-            )
-        return expectation.bound, expectation.before, expectation.after
-
     reverses = _joints_near_reversal(reversals, len(row))
-    bound, uncorrected_error, corrected_error = in_chunks(errors_at_targets, np.arange(len(row)), reverses, is_scaled)
+    part_errors = _PartErrors(task, draft, deviation)
+    bound, uncorrected_error, corrected_error = in_chunks(
+        part_errors.at_targets, np.arange(len(row)), reverses, is_scaled
+    )
     if not np.isfinite(bound).all():
         issues.append(program.motions.issue("error", "no-bound", _NOT_FINITE, motion[~np.isfinite(bound)]))
         return None, None, issues
-    errors = ExpectedErrors(
-        np.where(cuts, uncorrected_error + (0.0 if program.keeps_text else extra_error), 0.0),
-        np.where(cuts, corrected_error + extra_error + excess, 0.0),
-        gain.chance if float(norm(deviation).max(initial=0.0)) > _NO_DEVIATION else None,
-        *error_by_remedy.tolist(),
-    )
-    return bound, errors, issues
+    return bound, part_errors.expected(uncorrected_error, corrected_error), issues
+
+
+class _PartErrors:
+    """Errors on the part at the K targets of a draft, by chunks of targets, and their sums over all chunks.
+
+    :ivar deviation: (K, 3) of the uncorrected tip from nominal, `$BASE` [m]; `remaining_deviation` (K, 3) with
+        correction.
+    :ivar path_distance: (K,) largest distance from the path on the way to each target, with correction [m].
+    :ivar path_excess: (K,) its excess over the distance at the target [m].
+    :ivar extra_rounding: (K,) rounding by approximate positioning beyond that of the program as read [m].
+    :ivar is_cut: (K,) targets of cutting moves.
+    :ivar gain: sums for the chance that correction lowers the errors.
+    :ivar largest_errors: (2,) largest error with correction, if the robot or if the forces were known [m].
+    """
+
+    def __init__(self, task: Task, draft: Draft, deviation: Array) -> None:
+        self.draft, self.deviation = draft, deviation
+        self.remaining_deviation, self.path_distance = _errors_left(task, draft)
+        self.path_excess = np.maximum(self.path_distance - norm(self.remaining_deviation), 0.0)
+        self.extra_rounding = _extra_rounding(draft)
+        self.is_cut = ~draft.path.program.motions.rapid[draft.selection.targets.motion]
+        self.gain, self.largest_errors = elastostatics.ChanceOfGain(), np.zeros(2)
+
+    def at_targets(self, target: Ints, reverses: Bools, is_scaled: Bools) -> tuple[Array, Array, Array]:
+        """Return bound and expected errors without and with correction, (n,) each [m]; add to the sums over all.
+
+        :param target: (n,) rows of targets.
+        :param reverses: (n, 6) joints that may be on either flank of their gear.
+        :param is_scaled: (n,) forces that the force factor of the robot model scales.
+        """
+        draft, path = self.draft, self.draft.path
+        sample, motion = draft.selection.row[target], draft.selection.targets.motion[target]
+        load = draft.q[sample], path.tool(sample), path.wrench_in_root(sample), *_load_uncertainty(path, sample)
+        loads = elastostatics.loads(*load, reverses, is_scaled)
+        sources = elastostatics.sources_of_error(path.robot_in_cell.robot, *loads)
+        uncorrected, corrected = (
+            toolpath.directions_in_root(path.program, motion, offset[target])
+            for offset in (self.deviation, self.remaining_deviation)
+        )
+        is_cut = self.is_cut[target]
+        self.gain.add(sources, uncorrected, corrected, self.path_distance[target], is_cut)
+        expectation = elastostatics.expected_errors(sources, uncorrected, corrected)
+        for k, error in enumerate((expectation.with_known_robot, expectation.with_known_forces)):
+            total = error + self.extra_rounding[target] + self.path_excess[target]
+            self.largest_errors[k] = max(self.largest_errors[k], np.max(total, initial=0.0, where=is_cut))
+        return expectation.bound, expectation.before, expectation.after
+
+    def expected(self, uncorrected_error: Array, corrected_error: Array) -> ExpectedErrors:
+        """Return the expected errors on the part, after all targets were added.
+
+        :param uncorrected_error: (K,) expected error of the position at targets without correction [m].
+        :param corrected_error: (K,) the same with correction [m].
+        """
+        # a robot program is rounded as read without correction too: its own rounding is no error
+        uncorrected_rounding = 0.0 if self.draft.path.program.keeps_text else self.extra_rounding
+        has_deviation = float(norm(self.deviation).max(initial=0.0)) > _NO_DEVIATION
+        return ExpectedErrors(
+            np.where(self.is_cut, uncorrected_error + uncorrected_rounding, 0.0),
+            np.where(self.is_cut, corrected_error + self.extra_rounding + self.path_excess, 0.0),
+            self.gain.chance if has_deviation else None,
+            *self.largest_errors.tolist(),
+        )
 
 
 def _errors_left(task: Task, draft: Draft) -> tuple[Array, Array]:
@@ -442,7 +479,7 @@ def _extra_rounding(draft: Draft) -> Array:
     """Return the rounding (K,) at targets by approximate positioning beyond that of the program as read [m]."""
     if draft.simulation is None:
         return np.zeros(len(draft.selection.row))
-    return np.maximum(draft.simulation.rounding - draft.selection.programmed, 0.0)
+    return np.maximum(draft.simulation.rounding - draft.selection.programmed_rounding, 0.0)
 
 
 def _load_uncertainty(path: PathUnderLoad, row: Ints) -> tuple[Array | None, Array | None]:
@@ -464,11 +501,13 @@ def _readback_forces(draft: Draft, readback: ReadBackProgram) -> tuple[Knots | N
     travel, _ = forces.last_travel(readback.program, readback.segments, path_forces.axes.spindle)
     axes = Axes(readback.program, readback.segments, path_forces.axes.spindle, travel)
     piece_forces = forces.piece_knots(path_forces, targets, draft.forces_at_targets(), axes, readback.row)
-    knots, differing = forces.once_a_line(piece_forces, readback.text.output_line)
-    if not len(differing):
+    knots, ambiguous_targets = forces.once_a_line(piece_forces, readback.text.output_line)
+    if not len(ambiguous_targets):
         return knots, ()
     return None, (
-        draft.path.program.motions.issue("warning", "forces-by-pass", _DIFFERENT_PASSES, targets.motion[differing]),
+        draft.path.program.motions.issue(
+            "warning", "forces-by-pass", _DIFFERENT_PASSES, targets.motion[ambiguous_targets]
+        ),
     )
 
 

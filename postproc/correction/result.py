@@ -109,7 +109,7 @@ class Result(Struct, frozen=True, eq=False):
     :param between: largest predicted distance from the nominal path, between targets too [m].
     :param rounding: (K,) how far approximate positioning (C_DIS) passes each target, as written [m].
     :param programmed: (K,) the same of the program as read; zero where it is G-code.
-    :param carried: forces that a CSV file must give to the written program, along the piece to the target that
+    :param file_forces: forces that a CSV file must give to the written program, along the piece to the target that
         `motion` names; None where its comments do, or nothing is written.
     :param largest_correction: largest distance between commanded and nominal position [m].
     :param reversals: where joints change the direction of their torque on cutting moves; None if nothing was computed.
@@ -149,7 +149,7 @@ class Result(Struct, frozen=True, eq=False):
     between: float = np.nan
     rounding: Array = np.zeros(0)
     programmed: Array = np.zeros(0)
-    carried: Knots | None = None
+    file_forces: Knots | None = None
     largest_correction: float = np.nan
     reversals: Reversals | None = None
     causes: tuple[str, ...] = ()

@@ -165,9 +165,12 @@ def _divide_lines(path: CommandedPath, motions: Ints) -> Ints:
         distance = norm(position[candidate] - start[piece] - share[:, None] * (end - start)[piece])
         # sorted by piece, then by distance: the last point of each piece is the farthest
         order = np.lexsort((distance, piece))
-        farthest = order[np.cumsum(count[count > 0]) - 1]
+        farthest_rows = order[np.cumsum(count[count > 0]) - 1]
         largest_distance, division = np.zeros(len(left)), np.full(len(left), -1)
-        largest_distance[piece[farthest]], division[piece[farthest]] = distance[farthest], candidate[farthest]
+        largest_distance[piece[farthest_rows]], division[piece[farthest_rows]] = (
+            distance[farthest_rows],
+            candidate[farthest_rows],
+        )
         is_divided = largest_distance > path.limit
         piece_ends.append(right[~is_divided])
         division = division[is_divided]
@@ -182,6 +185,7 @@ def _is_flat(a: Array, b: Array, c: Array, distance: float, angle: float) -> Boo
     """
     chord, first = c - a, b - a
     length, height = norm(chord), norm(np.cross(chord, first))
+    # |chord × first| is the length of the chord times the sagitta
     flat = height < _FLAT * length
     small = np.minimum(length, norm(first)) < distance
     return np.asarray((length > 0.0) & (flat | small | (height < np.tan(angle) * (chord * first).sum(axis=1))))
@@ -190,7 +194,7 @@ def _is_flat(a: Array, b: Array, c: Array, distance: float, angle: float) -> Boo
 _ROUNDING_SHARE = 0.2
 """Share of the tolerance that rounding may use at inserted targets (assumed)."""
 _DECIMALS = 7
-"""Decimals of positions [m] in the written text: on short arcs, rounding changes the direction."""
+"""Decimals of positions [m] in the written text, which has 1e-4 mm: on short arcs, rounding changes the direction."""
 _STEPS = np.array([1.0, 2.0, 5.0])
 """Digits of approximation distances: each is at least two fifths of the largest that is allowed."""
 
@@ -279,10 +283,14 @@ def _piece_geometry(targets: Targets, start: Array, row: Ints) -> tuple[Array, A
 
 
 def corners_of_motions(program: Program, path: Segments, motion: Ints) -> Corners:
-    """Return the corners of a program at the ends of motions (n,), which are in execution order."""
+    """Return the corners of a program at the ends of motions (n,), which are in execution order.
+
+    :param path: geometry of all motions of the program.
+    """
     kind = program.motions.kind[motion]
 
     def bends(motion: Ints, following: Ints) -> tuple[Array]:
+        """Return the distance (n,) between the unit directions at the end of motions and at the start of the next."""
         arrive = toolpath.tangent(program, path, motion, np.ones(len(motion)))
         return (norm(toolpath.tangent(program, path, following, np.zeros(len(motion))) - arrive),)
 
@@ -317,6 +325,7 @@ def approximation_distances(program: Program, targets: Targets, corners: Corners
     m, motion = program.motions, targets.motion
     end_distance = m.blend[motion]
     is_exact_stop = corners.rounding(end_distance) > m.rounding[motion]
+    # `Corners.rounding` solved for the distance; a straight corner has no limit that matters
     limit = 4.0 * _ROUNDING_SHARE * cell.tolerance / np.maximum(corners.sharp, 1e-9)
     if program.keeps_text:
         inner_distance = np.where((end_distance > 0.0) | (corners.reach <= limit), np.inf, 0.0)
@@ -329,8 +338,9 @@ def approximation_distances(program: Program, targets: Targets, corners: Corners
 
 
 def _round_down(distance: Array) -> Array:
-    """Return distances [m] as 1, 2 or 5 times a power of ten millimetres, so that few of them are different."""
+    """Return distances (n,) [m] rounded down to 1, 2 or 5 times a power of ten millimetres, so that few differ."""
     step = _STEPS * 10.0 ** np.floor(np.log10(distance / M_PER_MM))[:, None]
+    # the factor keeps a distance that is such a number from being rounded to the one below it
     smaller = np.where(step * M_PER_MM <= distance[:, None] * (1.0 + 1e-9), step, 0.0)
     return np.asarray(smaller.max(axis=1) * M_PER_MM)
 
@@ -346,13 +356,13 @@ class TargetSelection(Struct, frozen=True, eq=False):
     :param row: (K,) sample of each target.
     :param arrive: (K, 3) direction of travel at the end of the piece to each, `$BASE`; (0, 3) without forces in FEED
         axes.
-    :param programmed: (K,) how far the program as read rounds its path there [m], see `Result`.
+    :param programmed_rounding: (K,) distance of the rounded path of the program as read from each target [m].
     """
 
     targets: Targets
     row: Ints
     arrive: Array
-    programmed: Array
+    programmed_rounding: Array
 
 
 def choose_targets(

@@ -269,7 +269,7 @@ def simulate(
     if is_corrected:
         issues += _tolerance_issues(path, probes, distance, step=step, jump=is_judged & jump, smooth=is_judged & ~jump)
         if path.program.keeps_text:
-            issues += checks.blending(path.program, targets.motion, rounding - selection.programmed, tolerance)
+            issues += checks.blending(path.program, targets.motion, rounding - selection.programmed_rounding, tolerance)
     issues += too_fast
     is_beyond_tolerance = is_judged & probes.is_inside & ~(distance <= _SAFE * tolerance) & ~jump
     path_distance = np.zeros(len(targets))

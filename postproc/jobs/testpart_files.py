@@ -15,7 +15,7 @@ from postproc import cell as cells
 from postproc import correction, files, kinematics, machining
 from postproc import robot as robots
 from postproc.cell import Box, Cell
-from postproc.correction.plausibility import FASTEST, SLOWEST
+from postproc.correction.plausibility import LARGEST_CUTTING_FEED, SMALLEST_CUTTING_FEED
 from postproc.dialects import registry
 from postproc.errors import ForceError, InputError, MeasurementError, ModelError
 from postproc.files import FileEntry
@@ -210,8 +210,11 @@ def questions(weight_kg: float, robot: RobotModel, cutting: Cutting, flutes: int
             "lighter one (--weight)"
         )
     feed = cutting.feed * MM_PER_M * 60.0
-    if not SLOWEST <= feed <= FASTEST:
-        warnings.append(f"a feed of {feed:.4g} mm/min: cutters have {SLOWEST:g} to {FASTEST:g}. Give --feed in mm/min")
+    if not SMALLEST_CUTTING_FEED <= feed <= LARGEST_CUTTING_FEED:
+        warnings.append(
+            f"a feed of {feed:.4g} mm/min: cutters have {SMALLEST_CUTTING_FEED:g} to {LARGEST_CUTTING_FEED:g}. "
+            "Give --feed in mm/min"
+        )
     chip = feed / (cutting.rpm * flutes)
     if chip > THICK_CHIP * cutting.diameter * MM_PER_M:
         warnings.append(

@@ -131,9 +131,9 @@ def forces_by_module(result: Result) -> dict[str, bytes]:
 
 def _carried_forces(result: Result) -> Knots | None:
     """Return the forces that a file must give to the written program, without PTP; None where it needs no file."""
-    if result.carried is None:
+    if result.file_forces is None:
         return None
-    return result.carried.take(result.program.motions.kind[result.motion[result.carried.motion]] != PTP)
+    return result.file_forces.take(result.program.motions.kind[result.motion[result.file_forces.motion]] != PTP)
 
 
 def _force_rows(knots: Knots, output_line: Ints) -> bytes:

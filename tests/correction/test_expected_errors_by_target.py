@@ -91,7 +91,7 @@ def test_each_target_has_the_errors_of_its_loads_and_what_its_path_leaves(errors
         left = np.zeros(3) if kind == "nominal" else simulation.deviation[k]
         on_path = 0.0 if kind == "nominal" else simulation.path_distance[k]
         excess = max(on_path - np.linalg.norm(left), 0.0)
-        rounding = max(simulation.rounding[k] - draft.selection.programmed[k], 0.0)
+        rounding = max(simulation.rounding[k] - draft.selection.programmed_rounding[k], 0.0)
         expectation = elastostatics.expected_errors(sources, base[None] @ deviation[k], base[None] @ left)
         assert bound[k] == pytest.approx(elastostatics.position_bound(ROBOT, *load, turning)[0], rel=1e-9)
         if motions.rapid[targets.motion[k]]:

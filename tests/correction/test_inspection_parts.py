@@ -282,7 +282,7 @@ def test_pieces_of_lines_are_examined_where_a_state_may_reach_its_limit_between_
         return before, after, step
 
     monkeypatch.setattr(inspection, "_margins_and_steps", states)
-    found = inspection._lines(PATH, None, fast)
+    found = inspection._line_stretches(PATH, None, fast)
     assert calls == [rows]
     expected = [n for i, n in enumerate(rows) if near[i] or fast[n]]
     assert found.motion.tolist() == [PATH.sample.motion[n] for n in expected]
@@ -303,7 +303,7 @@ def test_arcs_of_whole_steps_of_five_degrees_have_as_many_parts():
         sample=SimpleNamespace(motion=count),
         robot_in_cell=SimpleNamespace(robot=KR270, cell=SimpleNamespace(start_joints=np.zeros(6))),
     )
-    found = inspection._arcs(path, np.zeros((len(degrees), 6)), np.ones(len(degrees), dtype=bool))
+    found = inspection._arc_stretches(path, np.zeros((len(degrees), 6)), np.ones(len(degrees), dtype=bool))
     assert (found.motion.tolist(), found.parts.tolist()) == (count.tolist(), parts)
 
 
@@ -328,7 +328,7 @@ def test_arcs_are_examined_where_a_state_may_reach_its_limit_by_twice_their_larg
             room[k, own[rng.integers(len(own))]] = limit[k] * 0.999
     fast = rng.random(len(PATH)) < 0.02
     monkeypatch.setattr(inspection, "_margins_and_steps", lambda path, q, chunk: (room + 1.0, room, step))
-    found = inspection._arcs(PATH, None, fast)
+    found = inspection._arc_stretches(PATH, None, fast)
     turns = {int(motion[n]) for i, n in enumerate(rows) if fast[n] or step[:6, i].max() > np.radians(10.0)}
     expected = [arc for arc in arcs if near[arc] or arc in turns]
     assert found.motion.tolist() == expected
@@ -386,7 +386,7 @@ def test_a_path_has_the_issues_of_all_checks_and_between_samples_those_of_other_
             SimpleNamespace(kind=kind) for kind in (of_arcs if stretches is arcs else ["other", "last", "posture"])
         )
 
-    monkeypatch.setattr(inspection, "between_samples", between_samples)
+    monkeypatch.setattr(inspection, "issues_between_samples", between_samples)
     q, position = corrected()
     pose = PATH.sample.pose[:]
     pose[:, :3, 3] = position

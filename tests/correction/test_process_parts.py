@@ -79,7 +79,7 @@ def test_correction_leaves_what_the_simulation_says_and_nothing_of_a_nominal_pro
     rounding, programmed = np.array([1e-5, 5e-5, 2e-5]), np.array([3e-5, 1e-5, 2e-5])
     simulation = SimpleNamespace(deviation=np.ones((3, 3)), path_distance=np.full(3, 2.0), rounding=rounding)
     draft = SimpleNamespace(
-        selection=SimpleNamespace(row=np.arange(3), programmed=programmed),
+        selection=SimpleNamespace(row=np.arange(3), programmed_rounding=programmed),
         simulation=simulation if is_simulated else None,
     )
     deviation, distance = process._errors_left(SimpleNamespace(mode=mode), draft)
@@ -150,13 +150,15 @@ def test_a_written_draft_has_the_issues_of_its_simulation_that_are_new_and_all_o
     assert calls == ["read back", ("theta", "readback", is_corrected)]
     assert [entry.kind for entry in draft.issues] == ["old", "blending", "text", "new", "blending", "new"]
     assert draft.simulation is simulation
-    assert (draft.carried, draft.force_file_issues) == (("knots", ("issue of the file",)) if in_file else (None, ()))
+    assert (draft.file_forces, draft.force_file_issues) == (
+        ("knots", ("issue of the file",)) if in_file else (None, ())
+    )
 
 
 def test_a_draft_with_an_error_of_its_simulation_has_no_force_file(monkeypatch):
     draft, _ = drafted(monkeypatch, SimpleNamespace(issues=(issue("tolerance", "error"),)), in_file=True)
     assert draft.failed
-    assert (draft.carried, draft.force_file_issues) == (None, ())
+    assert (draft.file_forces, draft.force_file_issues) == (None, ())
 
 
 def test_a_text_with_an_error_is_not_read_back(monkeypatch):

@@ -225,7 +225,7 @@ def simulated(monkeypatch, seed, *, is_corrected, keeps_text, near_limit=False):
     monkeypatch.setattr(verify.checks, "blending", blending)
     path = SimpleNamespace(program=made, robot_in_cell=SimpleNamespace(tolerance=TOLERANCE))
     Sized = type("Sized", (SimpleNamespace,), {"__len__": lambda self: 10})
-    selection = SimpleNamespace(targets=Sized(motion=np.arange(10) // 2), programmed=programmed)
+    selection = SimpleNamespace(targets=Sized(motion=np.arange(10) // 2), programmed_rounding=programmed)
     output = SimpleNamespace(motions=SimpleNamespace(blend=np.zeros(12)))
     readback = SimpleNamespace(program=output, segments=None, row=np.arange(2, 12), text="text", numbers="numbers")
     result = verify.simulate(path, selection, None, readback, is_corrected=is_corrected)

@@ -169,7 +169,7 @@ def test_a_place_between_samples_that_is_out_of_reach_is_an_error(monkeypatch):
     command: Commands = process.programmed_commands(path)
     monkeypatch.setattr(inspection.kinematics, "branch_joints", on_branch)
     issues = list(
-        inspection.between_samples(path, command.q, command.pose[:, :3, 3], stretches, np.zeros(0, dtype=int))
+        inspection.issues_between_samples(path, command.q, command.pose[:, :3, 3], stretches, np.zeros(0, dtype=int))
     )
     assert [(issue.level, issue.source_line) for issue in issues] == [("error", 5)]
     assert "out of reach" in issues[0].message
