@@ -93,6 +93,7 @@ def decimal_text(value: float, decimals: int) -> str:
     >>> decimal_text(12.3456, 3), decimal_text(-0.00001, 3)
     ('12.346', '0.000')
     """
+    # the sum with 0.0 makes 0 of −0
     return f"{round(value, decimals) + 0.0:.{decimals}f}"
 
 

@@ -21,6 +21,7 @@ _BASE = FORCE_FRAMES.index("BASE")
 def round_wrenches(wrench: Array) -> Array:
     """Return wrenches (n, 6) rounded to the decimals of a comment."""
     scale = 10.0**_DECIMALS
+    # the sum with 0.0 makes 0 of −0
     return np.asarray(np.rint(wrench * scale) / scale + 0.0)
 
 

@@ -288,4 +288,5 @@ def number(value: float) -> str:
     >>> number(12.5), number(-0.0), number(3.0)
     ('12.5', '0', '3')
     """
+    # the sum with 0.0 makes 0 of −0
     return f"{round(value, _DECIMALS) + 0.0:.{_DECIMALS}f}".rstrip("0").rstrip(".")

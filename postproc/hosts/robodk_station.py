@@ -111,6 +111,7 @@ def _read_station(robolink: Any, station: str) -> Station:
         )
     (arm,) = arms
     joints = arm.Joints().list()
+    # the sum with 0.0 makes 0 of −0
     start = tuple(float(value) for value in np.round(joints[: len(JOINTS)], 6) + 0.0)
     remarks: tuple[str, ...] = ()
     if len(joints) > len(JOINTS):
@@ -123,6 +124,7 @@ def _frame(pose: Any) -> tuple[float, ...]:
     """Return X…C [mm, deg] of a pose of RoboDK [mm]."""
     matrix = np.array(pose.Rows(), dtype=float)
     matrix[:3, 3] *= M_PER_MM
+    # the sum with 0.0 makes 0 of −0
     return tuple(float(value) for value in np.round(xyzabc_from_pose(matrix[None])[0], 6) + 0.0)
 
 

@@ -570,6 +570,7 @@ def text_lines(result: CompensatorGeometry) -> list[str]:
     ]
     markers = result.markers
     count = f"{len(markers.names)} marker{'s' if len(markers.names) > 1 else ''}"
+    # the sum with 0.0 makes 0 of −0
     cosine, sine = np.round(markers.sums * MM_PER_M, 1) + 0.0
     bias, even_ci = np.round(markers.bias * MM_PER_M, 4) + 0.0, markers.ci95_even * MM_PER_M
     return [

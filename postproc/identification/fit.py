@@ -310,6 +310,7 @@ def linearise(structure: Structure, values: Array, data: Measurements, placement
     white = whiten(w, (displacement - prediction) * visible(data))
     size = np.linalg.norm(white, axis=2)
     scale_of_size = float(np.median(size[size > 0.0])) / _MEDIAN_OF_THREE if np.any(size > 0.0) else 1.0
+    # 1e-300 keeps zero out of the denominator
     weight = np.minimum(1.0, _HUBER * max(scale_of_size, 1e-12) / np.maximum(size, 1e-300))
     is_visible = np.repeat((visible(data)[..., 0] > 0.0).ravel(), 3)
     rows = np.repeat(data.state_config[data.loaded_states], 3 * len(data.points))

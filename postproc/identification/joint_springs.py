@@ -413,6 +413,7 @@ def fit_serial(robot: RobotModel, data: Measurements, placement: Placement) -> F
             file=data.file,
             advice="Measure more configurations.",
         )
+    # 1e-300 keeps zero out of the denominator
     scale = np.maximum(np.linalg.norm(design, axis=0), 1e-300)
     values = np.linalg.lstsq(design / scale, target, rcond=1e-9)[0] / scale
     left = target - design @ values

@@ -70,6 +70,7 @@ def _clearest_step(rows: Array, residual: Array, q: Array) -> tuple[float, int, 
         twist, _, rank, _ = np.linalg.lstsq(step, left, rcond=_RANK_TOLERANCE)
         if rank == 6:
             drop = float(np.sum((step @ twist) ** 2))
+            # 1e-300 keeps zero out of the denominator
             unexplained = max(float(np.sum(left**2)) - drop, 1e-300)
             chance = _chance(drop / 6.0 * spare / unexplained, spare)
             if chance < best[0]:

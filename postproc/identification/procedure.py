@@ -377,6 +377,7 @@ def _is_explained(fit: Fit, limit: int) -> bool:
 
     By the derivatives at the fit: a robot that is more than its joint springs needs no fits to find out.
     """
+    # 1e-300 keeps zero out of the denominator
     rows, left = fit.design / np.maximum(np.linalg.norm(fit.design, axis=0), 1e-300), fit.target.copy()
     for count in range(1, limit + 1):
         residual = (left - rows @ np.linalg.lstsq(rows, left, rcond=1e-9)[0]).reshape(-1, 3)

@@ -524,6 +524,7 @@ def _level(sides: Array, largest: Array) -> Array:
 def torque_record(torque_range: Coverage) -> list[record.TorqueRange]:
     """Return the torques as `identification.json` contains them."""
     return [
+        # the sum with 0.0 makes 0 of −0
         record.TorqueRange(name, float(-sides[0]) + 0.0, float(sides[1]), int(count[0]), int(count[1]))
         for name, sides, count in zip(JOINTS, torque_range.largest, torque_range.configurations, strict=True)
     ]

@@ -283,6 +283,7 @@ def _frame_of(config: Path, array: str, number: int, robot: RobotModel) -> Numbe
         raise InputError(f"no {array}[{number}]", file=str(config), advice="Give a number that it has.") from None
     poses = program.bases if variable == "$BASE" else program.tools
     frame: Array = xyzabc_from_pose(poses[[program.motions.base, program.motions.tool][variable == "$TOOL"][-1]])
+    # the sum with 0.0 makes 0 of −0
     return tuple(float(value) for value in np.round(frame.ravel(), 6) + 0.0)
 
 
@@ -525,6 +526,7 @@ def toml_string(text: str) -> str:
 
 
 def _number(value: float) -> str:
+    # the sum with 0.0 makes 0 of −0
     return repr(float(f"{value:.10g}") + 0.0)
 
 

@@ -39,6 +39,7 @@ def joints_above_part(
     if not candidates:
         return None
     nearest = min(candidates, key=lambda joints: float(np.abs(joints[[3, 5]]).max()))
+    # the sum with 0.0 makes 0 of −0
     return tuple((np.round(nearest * DEG_PER_RAD, 1) + 0.0).tolist())
 
 

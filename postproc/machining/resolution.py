@@ -65,6 +65,7 @@ def thin_passes(program: Program, tools: ToolStates, by_cells: Array) -> list[Th
 
 def _rms_shares(sums: Array) -> Array:
     """Return RMS deviations as shares of the forces (n,), from sums of squares of both (n, 2) [N²]."""
+    # 1e-300 keeps zero out of the denominator
     return np.asarray(np.sqrt(sums[:, 0] / np.maximum(sums[:, 1], 1e-300)))
 
 

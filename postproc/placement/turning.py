@@ -477,6 +477,7 @@ def _free_of_collisions(samples: PathSamples, rows: Ints, found_q: list[list[Arr
 
 def _start(q: Array, reason: str) -> ChosenStart:
     """Return a start at joint angles [rad], rounded as a user would write them, with its message."""
+    # the sum with 0.0 makes 0 of −0
     joints = [round(float(angle), _DECIMALS) + 0.0 for angle in q * DEG_PER_RAD]
     joint_text = ", ".join(f"{angle:.1f}" for angle in joints)
     message = f"The cell has no [start]: the program starts at A1…A6 = {joint_text}, its first target, {reason}."

@@ -161,6 +161,7 @@ def summary(plan: CompensatorPlan) -> dict[str, object]:
     return {
         "robot": plan.robot,
         "sigma_mm": round(plan.sigma * MM_PER_M, 9),
+        # the sum with 0.0 makes 0 of −0
         "q2_deg": [float(angle) for angle in np.round(plan.q2 * DEG_PER_RAD) + 0.0],
         "turn_deg": plan.turn * DEG_PER_RAD,
         "repeats": plan.options.repeats,
@@ -181,6 +182,7 @@ def summary(plan: CompensatorPlan) -> dict[str, object]:
 
 def text_lines(plan: CompensatorPlan) -> list[str]:
     """Return the plan for a terminal."""
+    # the sum with 0.0 makes 0 of −0
     angles = ", ".join(f"{angle:.0f}" for angle in np.round(plan.q2 * DEG_PER_RAD) + 0.0)
     places = ", ".join(
         f"{name} {angle:.0f}°" for name, angle in zip(marker_names(plan), plan.beta * DEG_PER_RAD, strict=True)

@@ -195,6 +195,7 @@ class Criterion(Struct, frozen=True, eq=False):
 
     def of_totals(self, total: Array) -> Array:
         """Return the criterion (K,) [m²] of normal matrices (K, …)."""
+        # 1e-300 keeps zero out of the denominator
         diagonal = np.sqrt(np.maximum(np.diagonal(total, axis1=-2, axis2=-1), 1e-300))
         normal = total / (diagonal[..., :, None] * diagonal[..., None, :])
         normal += 1e-11 * np.eye(total.shape[-1])  # an open direction costs 10¹¹, without a division by zero
@@ -283,6 +284,7 @@ def expected_accuracy(
     half = NORMAL_95 * np.sqrt(np.diag(covariance))
     if joint2.free and joint2.compensator is not None:
         stiffness = joint2.compensator.stiffness * joint2.compliance
+        # 1e-300 keeps zero out of the denominator
         half[len(keep) :] /= np.maximum([stiffness, stiffness * joint2.compensator.free_length], 1e-300)
     return Accuracy(float(np.sqrt(mean)), (interval[0], interval[1]), np.sqrt(variance), parameters, half)
 
@@ -313,6 +315,7 @@ def _inverse(normal: Array) -> Array:
 
     Parameters are scaled to a unit diagonal, and a weak prior is added: the matrix may be singular.
     """
+    # 1e-300 keeps zero out of the denominator
     scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
     matrix = normal * np.outer(scale, scale) + _OPEN**2 * np.eye(len(normal))
     return np.asarray(np.linalg.inv(matrix) * np.outer(scale, scale))

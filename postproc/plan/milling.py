@@ -196,6 +196,7 @@ def representatives(tests: TestPoses, scale: Array, count: int, seed: int) -> Te
         owner = _squares(features, centres).argmin(axis=1)
         total = np.bincount(owner, weights=tests.weight, minlength=len(centres))
         mean = np.stack([np.bincount(owner, tests.weight * f, len(centres)) for f in features.T], axis=1)
+        # 1e-300 keeps zero out of the denominator
         centres = np.where(total[:, None] > 0.0, mean / np.maximum(total, 1e-300)[:, None], centres)
     distance = _squares(features, centres)
     clusters = np.unique(owner)

@@ -569,6 +569,7 @@ def _order_plan(problem: _Problem, plan: Plan) -> tuple[Plan, Array, float, tupl
     q = np.round(plan.q * DEG_PER_RAD, _ANGLE_DECIMALS) * RAD_PER_DEG
     sequence, seconds, hit = least_travel(site, q)
     q, tilt, level = q[sequence], plan.tilt[sequence], plan.level[sequence]
+    # the sum with 0.0 makes 0 of −0
     force = np.round(site.rig.force * direction(tilt), _FORCE_DECIMALS) + 0.0
     value = problem.task.criterion_at(q2).value(problem.readings.information_of(q, force), level)
     via, blocked_rows = detours(site, q, hit)

@@ -420,6 +420,7 @@ def _proposals(
     slope[1] = 0.0
     if site.rig.largest_tilt == 0.0:
         slope[6:] = 0.0
+    # 1e-300 keeps zero out of the denominator
     descent = -slope / max(float(np.abs(slope).max()), 1e-300)
     steps = [step * descent for step in _STEPS]
     noise = rng.normal(0.0, scale, (_RANDOM, 8))
@@ -429,6 +430,7 @@ def _proposals(
     new_q[:, 1] = q[1]
     new_tilt = tilt + delta[:, 6:]
     size = np.linalg.norm(new_tilt, axis=1, keepdims=True)
+    # 1e-300 keeps zero out of the denominator
     return new_q, new_tilt * np.minimum(1.0, site.rig.largest_tilt / np.maximum(size, 1e-300))
 
 

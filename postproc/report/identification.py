@@ -29,7 +29,7 @@ from postproc.report.kit import (
     Tiles,
     Verdict,
 )
-from postproc.report.kit.parts import Traced
+from postproc.report.kit.parts import PlotItem
 from postproc.robot import WITH_LINKS
 from postproc.robot.parameters import parameter_of_name
 
@@ -173,7 +173,7 @@ def _interval_plot(entries: Mapping[str, Parameter], titles: list[str], note: st
     smallest = min([_LEAST_NUMBER, *(share for _, share in shares)])
     largest = max([1.0, *(share for _, share in shares)])
     texts = [f"{titles[row]}: known to {_percent_text(share)}" for row, share in shares]
-    traces: list[Traced] = [
+    traces: list[PlotItem] = [
         Points(
             [100.0 * min(max(prior_error, smallest), largest) for _, prior_error in priors],
             [float(row) for row, _ in priors],

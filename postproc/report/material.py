@@ -7,7 +7,7 @@ import numpy as np
 from postproc.frames import Array
 from postproc.machining.identification import NAMES, CutReadings, IdentifiedMaterial
 from postproc.report.kit import Axis, Curve, Note, Notes, Page, Plot, Points, Row, Section, Table, Tile, Tiles
-from postproc.report.kit.parts import Traced
+from postproc.report.kit.parts import PlotItem
 
 _COMPONENTS = ("Fx", "Fy", "Fz", "power")
 
@@ -100,7 +100,7 @@ def _fit_section(
             float(min(readings_values.min(), fitted_values.min())),
             float(max(readings_values.max(), fitted_values.max())),
         ]
-        traces: list[Traced] = [
+        traces: list[PlotItem] = [
             Curve(span, span, "measured = fitted", "soft", dashed=True),
             Points(fitted_values.tolist(), readings_values.tolist(), "measured", "force", half, texts=texts),
         ]

@@ -250,8 +250,8 @@ def _later_refusal_lines(content: PlaceSummary) -> Iterator[str]:
     for reason, count in reasons[:_LATER_REFUSALS]:
         yield f"refused by the whole path or its conversion: {count} ({reason})"
     if len(reasons) > _LATER_REFUSALS:
-        others = sum(count for _, count in reasons[_LATER_REFUSALS:])
-        yield f"refused by the whole path or its conversion: {others} (other reasons, see place.json)"
+        other_count = sum(count for _, count in reasons[_LATER_REFUSALS:])
+        yield f"refused by the whole path or its conversion: {other_count} (other reasons, see place.json)"
 
 
 def _frame_notes(content: PlaceSummary) -> Iterator[str]:

@@ -87,6 +87,7 @@ def krl_program(result: PlanResult, cell: CellFile, name: str) -> Document:
 
 def _force_text(force: Array) -> str:
     """Return a force (3,) [N] as text, such as "Fx 0.0 Fy 100.0 Fz 0.0"."""
+    # the sum with 0.0 makes 0 of −0
     return " ".join(f"{axis} {value + 0.0:.1f}" for axis, value in zip(WRENCH[:3], force, strict=True))
 
 
@@ -141,6 +142,7 @@ def _torque_entries(result: PlanResult) -> list[dict[str, object]]:
             "joint": joint,
             **{f"{sign}_Nm": float(value) for sign, value in zip(SIGNS, (low, high), strict=True)},
             **{f"{sign}_poses": int(number) for sign, number in zip(SIGNS, count, strict=True)},
+            # the sum with 0.0 makes 0 of −0
             **{f"work_{sign}_Nm": float(value) for sign, value in zip(SIGNS, (-work[0] + 0.0, work[1]), strict=True)},
         }
         for joint, low, high, count, work in rows
@@ -184,6 +186,7 @@ def pose_counts_by_side(result: PlanResult) -> Ints:
 
 def torque_extremes(result: PlanResult) -> tuple[Array, Array]:
     """Return the largest negative and positive torques (6,) of the loads, 0 where there is none [N·m]."""
+    # the sum with 0.0 makes 0 of −0
     return np.minimum(result.torque.min(axis=0), 0.0) + 0.0, np.maximum(result.torque.max(axis=0), 0.0)
 
 
@@ -411,6 +414,7 @@ def angles_section(result: PlanResult) -> Section:
     """Return the section with joint angles [deg] and loads [N] of the poses."""
     head = ("Pose", *(f"{joint}, °" for joint in JOINTS), "Fx, N", "Fy, N", "Fz, N")
     rows = tuple(
+        # the sum with 0.0 makes 0 of −0
         Row((str(row), *(f"{angle + 0.0:.3f}" for angle in q), *(f"{value + 0.0:.1f}" for value in force)))
         for row, (q, force) in enumerate(zip(result.plan.q * DEG_PER_RAD, result.force, strict=True), 1)
     )
@@ -463,6 +467,7 @@ def torques_section(result: PlanResult) -> Section:
                 joint,
                 Cell(f"{low[row]:.0f} ({count[row, 0]})", "good" if count[row, 0] else "warning"),
                 Cell(f"{high[row]:.0f} ({count[row, 1]})", "good" if count[row, 1] else "warning"),
+                # the sum with 0.0 makes 0 of −0
                 f"{-work[row, 0] + 0.0:.0f} … {work[row, 1]:.0f}",
             )
         )

@@ -371,6 +371,7 @@ def _model_text(chain: Chain, name: str, shapes: Mapping[tuple[int, str], str]) 
             f"{chain.upper[row] * DEG_PER_RAD:.4g}°, {chain.speed[row] * DEG_PER_RAD:.4g}°/s -->",
             f'    <parent link="{parent}"/><child link="link_{number}"/>',
             f'    <origin xyz="{_numbers(chain.placement[row, :3, 3])}"/><axis xyz="{_numbers(chain.axis[row])}"/>',
+            # the sum with 0.0 makes 0 of −0
             "    <limit " + " ".join(f'{key}="{value + 0.0:.10g}"' for key, value in limits.items()) + "/>",
             "  </joint>",
         ]

@@ -144,6 +144,7 @@ class Fit(Struct, frozen=True, eq=False):
     @property
     def sigma(self) -> Array:
         """(p + 1,) standard deviations after the fit over those before."""
+        # 1e-300 keeps zero out of the denominator
         return np.sqrt(np.diag(self.covariance) / np.maximum(np.diag(self.prior.covariance), 1e-300))
 
     def u95(self) -> tuple[Array, Array]:

@@ -218,6 +218,7 @@ def table(parts: dict[Placement, Program]) -> bytes:
             part.feature, part.line.tolist(), part.t.tolist(), part.point * MM_PER_M, part.normal, part.mass.tolist(),
             strict=True,
         ):  # fmt: skip
+            # the sum with 0.0 makes 0 of −0
             place = ",".join(f"{value:.4f}" for value in point + 0.0)
             end = f",{mass:g}" if has_weight else ""
             direction = ",".join(f"{value:.9f}" for value in normal)

@@ -222,7 +222,7 @@ def _facts(comparison: Comparison, content: ComparisonSummary, pair_rows: Ints, 
     """Return the facts for the script of the page: names, files and the pair with the largest offset."""
     size = np.where(comparison.rapid, -1.0, comparison.distance)[pair_rows]
     nominal_files, corrected_files = (
-        [name.prefix + file for file in program.places(comparison.pair[:1, k]).files] if name.several else []
+        [name.prefix + file for file in program.places(comparison.pair[:1, k]).files] if name.has_several_files else []
         for k, (program, name) in enumerate(zip((comparison.nominal, comparison.corrected), names, strict=True))
     )
     return Facts(content.nominal, content.corrected, nominal_files, corrected_files, int(np.argmax(size)))
@@ -421,6 +421,7 @@ def _worst_pairs_section(comparison: Comparison, pair_rows: Ints, names: Sequenc
     for k, row in enumerate(worst.tolist()):
         cells = [name.line(place.of(k)) for name, place in zip(names, places, strict=True)]
         cells.append(millimetres(float(comparison.distance[row]) * MM_PER_M))
+        # the sum with 0.0 makes 0 of −0
         cells += [f"{value:.4f}" for value in comparison.offset[row] * MM_PER_M + 0.0]
         cells.append(f"{np.degrees(comparison.rotation[row]):.4f}")
         path_distance = float(comparison.between[row])

@@ -32,12 +32,12 @@ class Names(Struct, frozen=True):
 
     :param main: the main file.
     :param prefix: text before file names: empty, or folders with a trailing slash.
-    :param several: True if its motions are in several files.
+    :param has_several_files: True if its motions are in several files.
     """
 
     main: str
     prefix: str
-    several: bool
+    has_several_files: bool
 
     def place(self, file_and_line: tuple[str, int]) -> str:
         """Return file and line in the form used in messages."""
@@ -45,7 +45,7 @@ class Names(Struct, frozen=True):
 
     def line(self, file_and_line: tuple[str, int]) -> str:
         """Return a line number for tables, preceded by its file if a program has several."""
-        return self.place(file_and_line) if self.several else str(file_and_line[1])
+        return self.place(file_and_line) if self.has_several_files else str(file_and_line[1])
 
 
 def names_of(comparison: Comparison) -> tuple[Names, Names]:
@@ -521,12 +521,14 @@ def pairs_csv(comparison: Comparison) -> Iterator[bytes]:
     yield (",".join(PAIR_COLUMNS) + "\n").encode()
     state, nominal_row, corrected_row, order = _rows_of_pairs(comparison)
     numbers = _numbers_of_pairs(comparison, state, nominal_row, corrected_row)[order]
-    nominal, corrected = comparison.nominal, comparison.corrected
-    rapid = np.where(nominal_row >= 0, nominal.motions.rapid[nominal_row], corrected.motions.rapid[corrected_row])
+    first_program, second_program = comparison.nominal, comparison.corrected
+    rapid = np.where(
+        nominal_row >= 0, first_program.motions.rapid[nominal_row], second_program.motions.rapid[corrected_row]
+    )
     rapid = rapid[order].astype(float)
     names = _word_column(_STATES, state[order])
-    file, line = _place_columns(nominal, nominal_row[order])
-    file_two, line_two = _place_columns(corrected, corrected_row[order])
+    file, line = _place_columns(first_program, nominal_row[order])
+    file_two, line_two = _place_columns(second_program, corrected_row[order])
     for part in chunks(len(order)):
         columns: list[Number | NDArray[np.uint8]] = [
             names[part], file[part], Number.of(line[part], 0), file_two[part], Number.of(line_two[part], 0),
@@ -570,12 +572,16 @@ def _numbers_of_pairs(comparison: Comparison, state: Ints, nominal_row: Ints, co
     :param state: (n,) index in `_STATES`; the first, 0, is a pair: pairs come first.
     :param nominal_row: (n,) motion of the first program, `corrected_row` (n,) of the second; −1: none.
     """
-    nominal, corrected, pair_count = comparison.nominal.motions, comparison.corrected.motions, len(comparison.pair)
+    first_motions, second_motions, pair_count = (
+        comparison.nominal.motions,
+        comparison.corrected.motions,
+        len(comparison.pair),
+    )
     nominal_pose, corrected_pose = (np.full((len(state), 6), np.nan) for _ in range(2))
-    nominal_pose[nominal_row >= 0] = xyzabc_from_pose(nominal.target[nominal_row[nominal_row >= 0]])
+    nominal_pose[nominal_row >= 0] = xyzabc_from_pose(first_motions.target[nominal_row[nominal_row >= 0]])
     corrected_pose[:pair_count] = xyzabc_from_pose(comparison.pose)
     unpaired = np.flatnonzero((corrected_row >= 0) & (state != 0))
-    corrected_pose[unpaired] = xyzabc_from_pose(corrected.target[corrected_row[unpaired]])
+    corrected_pose[unpaired] = xyzabc_from_pose(second_motions.target[corrected_row[unpaired]])
 
     def of_pairs(values: Array | None) -> Array:
         """Return a column (n,) with the values of the pairs; NaN for other targets, and everywhere without values."""
@@ -592,7 +598,7 @@ def _numbers_of_pairs(comparison: Comparison, state: Ints, nominal_row: Ints, co
             of_pairs(comparison.distance * MM_PER_M),
             of_pairs(comparison.rotation * DEG_PER_RAD),
             np.where(nominal_row >= 0, comparison.nominal_feed[nominal_row], np.nan) * MM_PER_M,
-            np.where(corrected_row >= 0, corrected.feed[corrected_row], np.nan) * MM_PER_M,
+            np.where(corrected_row >= 0, second_motions.feed[corrected_row], np.nan) * MM_PER_M,
             *(of_pairs(None if deviation is None else norm(deviation) * MM_PER_M) for deviation in cuts),
             of_pairs(comparison.between * MM_PER_M),
         ]

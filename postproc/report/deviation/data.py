@@ -227,7 +227,7 @@ class Deviation(Struct, frozen=True, dict=True):
 
     def columns(self) -> dict[str, Columns]:
         """Return the columns of the page by name: places, path, stock, meshes of links and bodies, surface."""
-        tables = {"places": self.places.columns, "drawn": self.places.drawn}
+        tables = {"places": self.places.columns, "drawn": self.places.path_columns}
         tables |= self.stock()
         meshes = [*self.links, *self.bodies]
         if meshes:
@@ -320,6 +320,7 @@ def _sharp_edges(points: Array, faces: Ints) -> Ints:
     :param points: (V, 3) vertices, `faces` (F, 3) rows of the corners of each face.
     """
     normal = np.cross(points[faces[:, 1]] - points[faces[:, 0]], points[faces[:, 2]] - points[faces[:, 0]])
+    # 1e-300 keeps zero out of the denominator
     normal /= np.maximum(norm(normal), 1e-300)[:, None]
     edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     # each edge of a closed mesh belongs to two faces: sorted, its two rows are neighbours; row r is of face r % count
@@ -360,13 +361,14 @@ class ShownTargets(Struct, frozen=True, eq=False):
     :param row: (P,) row of the result that each place is.
     :param path_length: (K,) length of the path up to each target of the result [m].
     :param columns: the values at each place; millimetres, degrees, newtons.
-    :param drawn: points of the nominal path for the view in space: X, Y, Z [mm] and the place that each leads to.
+    :param path_columns: points of the nominal path for the view in space: X, Y, Z [mm] and the place that it
+        leads to.
     """
 
     row: Ints
     path_length: Array
     columns: Columns
-    drawn: Columns
+    path_columns: Columns
 
     def of(self, row: int) -> int:
         """Return the place that is this row of the result, or the first one after it."""

@@ -160,24 +160,24 @@ def surface_section(data: Deviation) -> Section | None:
     measures = data.content.surface
     if surface is None or measures is None:
         return None
-    touched = surface.is_touched
+    is_touched = surface.is_touched
     if not surface.is_reached.any():
         text = "No tool reaches the part: check that its mesh is in mm and in $BASE, and the shapes of the tools."
         return Section("surface", "Surface of the part", (Notes((Note(text, "warning"),)),))
     deviation = surface.after if data.is_compared else surface.before
     words = "with the program as written" if data.is_compared else "as programmed"
     tiles = [_programmed_tile(measures, data)]
-    if touched.any():
+    if is_touched.any():
         tiles += [
-            _depth_tile("Gouged before, at most", -surface.before[touched].min(), _DEFLECTION),
-            _depth_tile("Left before, at most", surface.before[touched].max(), _DEFLECTION),
+            _depth_tile("Gouged before, at most", -surface.before[is_touched].min(), _DEFLECTION),
+            _depth_tile("Left before, at most", surface.before[is_touched].max(), _DEFLECTION),
         ]
         if data.is_compared:
-            tiles.append(_depth_tile("Gouged after, at most", -deviation[touched].min(), "as the model predicts it"))
-            tiles.append(_depth_tile("Left after, at most", deviation[touched].max()))
+            tiles.append(_depth_tile("Gouged after, at most", -deviation[is_touched].min(), "as the model predicts it"))
+            tiles.append(_depth_tile("Left after, at most", deviation[is_touched].max()))
         if surface.bound is not None:
             tiles.append(
-                Tile("Expected error (95 %), up to", two_digits(surface.bound[touched].max() * MM_PER_M), "mm")
+                Tile("Expected error (95 %), up to", two_digits(surface.bound[is_touched].max() * MM_PER_M), "mm")
             )
     share = measures.reached_percent
     tiles.append(Tile("Of the surface reached", f"{share:.0f}", "%", f"no tool reaches {100.0 - share:.0f} %"))

@@ -19,6 +19,7 @@ from postproc.report.kit.parts import (
     Notes,
     Part,
     Plot,
+    PlotItem,
     Points,
     Row,
     Section,
@@ -26,7 +27,6 @@ from postproc.report.kit.parts import (
     Table,
     Tile,
     Tiles,
-    Traced,
     Verdict,
     View,
 )
@@ -51,6 +51,7 @@ __all__ = [
     "Page",
     "Part",
     "Plot",
+    "PlotItem",
     "Points",
     "Row",
     "Section",
@@ -58,7 +59,6 @@ __all__ = [
     "Table",
     "Tile",
     "Tiles",
-    "Traced",
     "Verdict",
     "View",
 ]

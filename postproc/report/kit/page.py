@@ -107,11 +107,11 @@ class Page(Struct, frozen=True):
     record: str = ""
     texts: Mapping[str, str] = {}
 
-    drawn: ClassVar[frozenset[str]] = frozenset({"plot", "view"})
+    drawn_kinds: ClassVar[frozenset[str]] = frozenset({"plot", "view"})
 
     def render(self) -> Iterator[bytes]:
         """Yield the page as HTML in UTF-8; the library that draws plots is left out if there are none."""
-        plots = any(_has_part(section.parts, self.drawn) for section in self.sections)
+        plots = any(_has_part(section.parts, self.drawn_kinds) for section in self.sections)
         script_names = (*_SCRIPTS_OF_PAGE, *(_DRAWING if plots else ()))
         names = [*(("postproc.report.kit", name) for name in script_names), *(self.scripts if plots else ())]
         text = (

@@ -280,7 +280,7 @@ class Mark(msgspec.Struct, frozen=True):
     level: bool = False
 
 
-Traced = Curve | Points | Span | Bars | Counts | Matrix | Map | Lines
+PlotItem = Curve | Points | Span | Bars | Counts | Matrix | Map | Lines
 
 
 class Plot(msgspec.Struct, frozen=True, kw_only=True):
@@ -293,7 +293,7 @@ class Plot(msgspec.Struct, frozen=True, kw_only=True):
 
     template: ClassVar[str] = "plot"
     label: str
-    traces: list[Traced]
+    traces: list[PlotItem]
     x: Axis = Axis()
     y: Axis = Axis()
     marks: list[Mark] = []

@@ -90,6 +90,7 @@ def nearest_place(path: CutPath, centre: Array, normal: Array) -> tuple[Ints, Ar
     distance = np.linalg.norm(from_centre, axis=-1)
     can_touch = (distance <= _REACH) & _can_touch(height, np.einsum("nki,ni->nk", from_centre, normal), up[:, None])
     step = path.step[index]
+    # 1e-300 keeps zero out of the denominator
     climb = np.abs(np.einsum("nki,ni->nk", step, a)) / np.maximum(np.linalg.norm(step, axis=-1), 1e-300)
     can_touch &= (climb <= _STEEP) | (up <= _STEEP)[:, None]
     distance = np.where(can_touch, distance, np.inf)

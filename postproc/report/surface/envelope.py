@@ -123,15 +123,15 @@ def _lowest_entries(
     deflected_entry, row, share = np.full((2, count), np.inf), np.full(count, -1), np.zeros(count)
     for case, deviation in enumerate(largest):
         gap = highest + 2.0 * deviation
-        chosen = pairs.take(is_touched[pairs.facet] & (lower_bound <= gap[pairs.facet]))
-        tip, along = _tips(path, facets, chosen, case)
-        line = _Line.of(tip, path.axis[chosen.sample], facets, chosen.facet)
-        entry, best, _ = _first_entry(line, chosen.facet, -limit - 2.0 * deviation, gap, cutter)
+        near_pairs = pairs.take(is_touched[pairs.facet] & (lower_bound <= gap[pairs.facet]))
+        tip, sample_shares = _tips(path, facets, near_pairs, case)
+        line = _Line.of(tip, path.axis[near_pairs.sample], facets, near_pairs.facet)
+        entry, best, _ = _first_entry(line, near_pairs.facet, -limit - 2.0 * deviation, gap, cutter)
         # The surface moves by no more than the tool. Along the normal it would seem to: at a sharp edge a pass beside
         # it takes away all that the normal goes through, and where the normal misses the tool it leaves all.
         upper_bound = nominal_entry[place] + norm(path.deviation[case, nominal_sample])
         is_hit = np.isfinite(entry[place])
-        hit_sample = chosen.sample[best[place[is_hit]]]
+        hit_sample = near_pairs.sample[best[place[is_hit]]]
         deflected_entry[case, place] = upper_bound
         lower_bound_of_cut = nominal_entry[place[is_hit]] - norm(path.deviation[case, hit_sample])
         deflected_entry[case, place[is_hit]] = np.clip(entry[place[is_hit]], lower_bound_of_cut, upper_bound[is_hit])
@@ -139,7 +139,7 @@ def _lowest_entries(
             hit = place[is_hit]
             row[place], share[place] = path.row[nominal_sample], path.share[nominal_sample]
             row[hit] = path.row[hit_sample]
-            share[hit] = path.share[hit_sample] + along[best[hit]] * path.share_step[hit_sample]
+            share[hit] = path.share[hit_sample] + sample_shares[best[hit]] * path.share_step[hit_sample]
     return RemainingSurface(np.where(is_touched, nominal_entry, np.inf), deflected_entry, row, share)
 
 
@@ -151,22 +151,24 @@ def _tips(path: CutPath, facets: _Facets, pairs: _Pairs, case: int | None) -> tu
     sample = pairs.sample
     point, step = path.point[sample], path.step[sample]
     if case is None:
-        along = path.step_share(facets.tip[pairs.facet] - point, step)
-        return point + along[:, None] * step, along
+        sample_shares = path.step_share(facets.tip[pairs.facet] - point, step)
+        return point + sample_shares[:, None] * step, sample_shares
     point = point + path.deviation[case, sample]
-    along = path.step_share(facets.tip[pairs.facet] - point, step)
-    return point + along[:, None] * (step + path.deviation_step[case, sample]), along
+    sample_shares = path.step_share(facets.tip[pairs.facet] - point, step)
+    return point + sample_shares[:, None] * (step + path.deviation_step[case, sample]), sample_shares
 
 
 class _Line(NamedTuple):
     """P lines c + s·n relative to tools with their tip at the origin; all (P,).
 
-    :param square: of the distance of c from the tip [m²]; along: of c along n [m]; height: of c over the tip [m].
+    :param square: of the distance of c from the tip [m²].
+    :param normal_distance: of c from the tip along n [m].
+    :param height: of c over the tip along the axis [m].
     :param up: cosine between n and the axis.
     """
 
     square: Array
-    along: Array
+    normal_distance: Array
     height: Array
     up: Array
 
@@ -178,7 +180,7 @@ class _Line(NamedTuple):
 
     def take(self, rows: Bools | Ints) -> _Line:
         """Return the lines of rows."""
-        return _Line(self.square[rows], self.along[rows], self.height[rows], self.up[rows])
+        return _Line(self.square[rows], self.normal_distance[rows], self.height[rows], self.up[rows])
 
     def distance(self, s: Array, cutter: Cutter) -> tuple[Array, Array]:
         """Return the distances (P,) [m] from the tool at s (P,) [m], 0 and below inside, and their derivatives by s.
@@ -186,13 +188,13 @@ class _Line(NamedTuple):
         The formula of the module docstring, along c + s·n; 1e-300 only keeps 0/0 from the axis and from the inside.
         """
         height = self.height + s * self.up
-        projection = self.along + s
-        lateral = np.sqrt(np.maximum(self.square + s * (self.along + projection) - height**2, 0.0))
+        projection = self.normal_distance + s
+        lateral = np.sqrt(np.maximum(self.square + s * (self.normal_distance + projection) - height**2, 0.0))
         outward = np.maximum(lateral - (cutter.radius - cutter.corner), 0.0)
-        below = np.maximum(cutter.corner - height, 0.0)
-        beyond = np.hypot(outward, below)
-        rate = outward * (projection - height * self.up) / np.maximum(lateral, 1e-300) - below * self.up
-        return beyond - cutter.corner, rate / np.maximum(beyond, 1e-300)
+        depth_below_corner = np.maximum(cutter.corner - height, 0.0)
+        corner_distance = np.hypot(outward, depth_below_corner)
+        rate = outward * (projection - height * self.up) / np.maximum(lateral, 1e-300) - depth_below_corner * self.up
+        return corner_distance - cutter.corner, rate / np.maximum(corner_distance, 1e-300)
 
 
 def _first_entry(line: _Line, facet: Ints, start: float, limit: Array, cutter: Cutter) -> tuple[Array, Ints, Array]:
@@ -208,7 +210,7 @@ def _first_entry(line: _Line, facet: Ints, start: float, limit: Array, cutter: C
     distance, slope = line.distance(np.full(len(facet), start), cutter)
     approaches = (distance > 0.0) & (slope < _GRAZING)
     s = np.where(approaches, start - distance / np.where(approaches, slope, -1.0), np.inf)
-    least = s.copy()
+    lower_bound = s.copy()
     active, rows = np.flatnonzero(s <= limit[facet]), list[Ints]()
     for _ in range(_STEPS):
         distance, slope = line.take(active).distance(s[active], cutter)
@@ -226,7 +228,7 @@ def _first_entry(line: _Line, facet: Ints, start: float, limit: Array, cutter: C
     # reversed: the lowest of each facet is written last
     order = entered_rows[np.lexsort((s[entered_rows], facet[entered_rows]))][::-1]
     entry[facet[order]], best[facet[order]] = s[order], order
-    return entry, best, least
+    return entry, best, lower_bound
 
 
 def _seeds(path: CutPath, facets: _Facets, cutter: Cutter) -> tuple[Array, Array]:

@@ -85,7 +85,7 @@ def surface(
     :param tool: (K,) number of the tool of each target; None: 0, one tool.
     """
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normal /= np.maximum(norm(normal), 1e-300)[:, None]
+    normal /= np.maximum(norm(normal), 1e-300)[:, None]  # a facet without area keeps a normal of zero
     frames = Frames.of(result, mesh_frame)
     paths = list(_tool_paths(result, frames, cutters, np.zeros(len(result), dtype=np.int64) if tool is None else tool))
     depth, cut_row = _programmed_cuts(paths, corners, normal)
@@ -93,22 +93,22 @@ def surface(
     centre = corners.mean(axis=1)
     if cutters is None:
         place = _nearest_places(paths, centre, normal)
-        before, after = (
+        uncorrected_change, corrected_change = (
             np.einsum("fi,fi->f", _interpolated(result, place, frames.to_mesh(values)), normal)
             for values in (result.deviation_before, result.deviation_after)
         )
-        left = np.full(len(corners), np.nan)  # the tip alone does not tell what remains on the part
+        remaining_height = np.full(len(corners), np.nan)  # the tip alone does not tell what remains on the part
     else:
         surfaces = [remaining_surface(path, centre, normal, cutter) for path, cutter in paths if cutter is not None]
-        left, before, after, place = _deepest_surfaces(surfaces, len(corners))
+        remaining_height, uncorrected_change, corrected_change, place = _deepest_surfaces(surfaces, len(corners))
     return Surface(
         corners=corners,
         normal=normal,
-        before=before,
-        after=after,
+        before=uncorrected_change,
+        after=corrected_change,
         bound=None if result.bound is None else _interpolated(result, place, result.bound),
         row=place.row,
-        programmed=np.where(cut_row >= 0, -depth, np.maximum(left, 0.0)),
+        programmed=np.where(cut_row >= 0, -depth, np.maximum(remaining_height, 0.0)),
         programmed_row=cut_row,
     )
 
@@ -183,15 +183,23 @@ def _deepest_surfaces(surfaces: list[RemainingSurface], count: int) -> tuple[Arr
         correction, and with the program as written [m]; the place that leaves the surface as written. Heights are NaN
         where no tool touches.
     """
-    programmed, deflected = np.full(count, np.inf), np.full((2, count), np.inf)
+    programmed_height, deflected_heights = np.full(count, np.inf), np.full((2, count), np.inf)
     row, share = np.full(count, -1), np.zeros(count)
     for tool in surfaces:
-        deeper = tool.deflected[1] < deflected[1]
-        row, share = np.where(deeper, tool.row, row), np.where(deeper, tool.share, share)
-        programmed, deflected = np.minimum(programmed, tool.programmed), np.minimum(deflected, tool.deflected)
-    programmed[row < 0] = np.nan
-    deflected[:, row < 0] = np.nan
-    return programmed, deflected[0] - programmed, deflected[1] - programmed, _Place(row, share)
+        is_deeper = tool.deflected[1] < deflected_heights[1]
+        row, share = np.where(is_deeper, tool.row, row), np.where(is_deeper, tool.share, share)
+        programmed_height, deflected_heights = (
+            np.minimum(programmed_height, tool.programmed),
+            np.minimum(deflected_heights, tool.deflected),
+        )
+    programmed_height[row < 0] = np.nan
+    deflected_heights[:, row < 0] = np.nan
+    return (
+        programmed_height,
+        deflected_heights[0] - programmed_height,
+        deflected_heights[1] - programmed_height,
+        _Place(row, share),
+    )
 
 
 def _interpolated(result: Result, place: _Place, values: Array) -> Array:

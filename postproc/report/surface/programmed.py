@@ -61,6 +61,7 @@ class Mesh(Struct, frozen=True, eq=False):
         side = np.full(facet.shape, np.inf)
         for corner, edge in zip((from_a, from_b, from_c), edges, strict=True):
             is_within &= _dot(np.cross(edge, corner), normal) >= 0.0
+            # 1e-300 keeps zero out of the denominator
             t = np.clip(_dot(corner, edge) / np.maximum(_dot(edge, edge), 1e-300), 0.0, 1.0)
             gap = corner - t[..., None] * edge
             side = np.minimum(side, np.sqrt(_dot(gap, gap)))
@@ -89,8 +90,8 @@ def cut_depths(mesh: Mesh, path: CutPath, centre: Array, normal: Array, cutter: 
     low, high = np.zeros(len(facet)), np.full(len(facet), 2.0 * LONG * cutter.radius)
     for _ in range(_BISECTIONS):  # the tool is convex: the normal leaves it once
         middle = 0.5 * (low + high)
-        stays_inside = _is_inside(from_tip + middle[:, None] * inward, axis, cutter)
-        low, high = np.where(stays_inside, middle, low), np.where(stays_inside, high, middle)
+        is_inner = _is_inside(from_tip + middle[:, None] * inward, axis, cutter)
+        low, high = np.where(is_inner, middle, low), np.where(is_inner, high, middle)
     end, _ = mesh.distance(centre[facet] + low[:, None] * inward)
     facet_depth = np.minimum(low, np.abs(end))
     order = np.argsort(facet_depth, kind="stable")

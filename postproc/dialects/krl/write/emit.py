@@ -270,6 +270,7 @@ def head(name: str, controller: str, parameters: Sequence[str] = ()) -> list[str
 
 def axis_motion(angles: Iterable[float], decimals: int) -> str:
     """Return the PTP to joint angles A1…A6 [deg]."""
+    # the sum with 0.0 makes 0 of −0
     joints = ",".join(f"A{axis} {angle + 0.0:.{decimals}f}" for axis, angle in enumerate(angles, 1))
     return f"PTP {{{joints}}}"
 

@@ -127,6 +127,7 @@ def fixed_point(number: float, decimals: int, min_decimals: int) -> str:
     >>> fixed_point(12.5, 9, 4), fixed_point(-0.0, 4, 4)
     ('12.5000', '0.0000')
     """
+    # the sum with 0.0 makes 0 of −0
     text = f"{round(number, decimals) + 0.0:.{decimals}f}"
     if decimals > min_decimals:
         whole, _, places = text.partition(".")
@@ -137,6 +138,7 @@ def fixed_point(number: float, decimals: int, min_decimals: int) -> str:
 
 def _round_values(values: Array, decimals: Ints) -> Array:
     scale = 10.0**decimals
+    # the sum with 0.0 makes 0 of −0
     return np.asarray(np.rint(values * scale) / scale + 0.0)
 
 

@@ -76,6 +76,7 @@ def place(triggers: Sequence[Trigger], line: int, ends: Array, speed: float) -> 
             continue
         piece, offset = piece_and_offset
         if trigger.path is not None and abs(offset - trigger.offset) > _ROUNDING:
+            # the sum with 0.0 makes 0 of −0
             placement.paths[trigger] = f"{round(offset * MM_PER_M, 3) + 0.0:.3f}".rstrip("0").rstrip(".")
         if piece > earliest:
             placement.moved[piece].insert(0, trigger)
