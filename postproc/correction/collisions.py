@@ -120,7 +120,9 @@ def _states_of_run(path: PathUnderLoad, sample: Toolpath, nominal_q: Array, comm
     q = np.concatenate([start_q, nominal_q[run.rows]])
     corrected_q = np.concatenate([start_commanded_q, commanded_q[run.rows]])
     is_corrected = not np.array_equal(q, corrected_q)
-    return States(sample.motion[run.rows], q, corrected_q if is_corrected else None, _shift(path, sample, run))
+    return States(
+        sample.motion[run.rows], q, corrected_q if is_corrected else None, _e1_displacements(path, sample, run)
+    )
 
 
 def _clearance_of_run(
@@ -176,8 +178,8 @@ def _refine_arcs(path: PathUnderLoad, commanded_q: Array) -> tuple[Toolpath, Arr
     except UnreachableError as cause:
         raise ImpossiblePathError(unreachable(path.program, motion[row[list(cause.rows)]])) from None
     correction = commanded_q - q  # smooth along an arc: between two samples it is taken to change evenly
-    previous = correction[np.maximum(previous_samples(path.program, motion)[row], 0)]
-    return dense, dense_q, dense_q + previous + share[:, None] * (correction[row] - previous)
+    previous_correction = correction[np.maximum(previous_samples(path.program, motion)[row], 0)]
+    return dense, dense_q, dense_q + previous_correction + share[:, None] * (correction[row] - previous_correction)
 
 
 def _retracts(path: PathUnderLoad, sample: Toolpath, run: Run) -> Bools:
@@ -265,7 +267,7 @@ def _correction_sentence(reduction: float) -> Iterator[str]:
         )
 
 
-def _shift(path: PathUnderLoad, sample: Toolpath, run: Run) -> Array | None:
+def _e1_displacements(path: PathUnderLoad, sample: Toolpath, run: Run) -> Array | None:
     """Return the displacements (n + 1, 3) [m] of the robot by E1 before and at the n samples of a run, in the root.
 
     None without a linear axis.
@@ -428,7 +430,10 @@ class _StockSearch:
         self.stock_count = 0
 
     def contacts(self, samples: Bools) -> Iterator[Contact]:
-        """Yield the contacts at, or before, samples (N,)."""
+        """Yield the contacts with the stock at, or before, samples.
+
+        :param samples: (N,) True for those that are searched.
+        """
         motion = self.states.motion
         open_samples = samples
         while open_samples.any():
@@ -439,7 +444,8 @@ class _StockSearch:
             later_motions = np.unique([contact.motion for contact in contacts if contact.motion != first])
             if is_decided or not len(later_motions):
                 return
-            # the first half of the open motions is compared with the stock before them, the others with that in between
+            # the stock before `first` contains that of later motions: only those that are too close to it remain open;
+            # the first half of them is compared with the stock before them, the others with that in their middle
             middle = int(later_motions[len(later_motions) // 2])
             open_samples = open_samples & np.isin(motion, later_motions)
             yield from self.contacts(open_samples & (motion < middle))

@@ -199,7 +199,7 @@ class Draft(Struct, frozen=True, eq=False):
         :raises ProgramError: it cannot be written.
         """
         path, selection, text = self.path, self.selection, self._text(task)
-        draft = replace(self, issues=(*self.issues, *text.issues, *_too_large(text, path.robot_in_cell.cell)))
+        draft = replace(self, issues=(*self.issues, *text.issues, *_memory_warning(text, path.robot_in_cell.cell)))
         if draft.failed:
             return draft
         try:
@@ -224,7 +224,7 @@ class Draft(Struct, frozen=True, eq=False):
         return task.writer.write(path.program, self.selection.targets, joints, path.robot_in_cell.cell, comments)
 
 
-def _too_large(text: WrittenProgram, cell: Cell) -> tuple[Issue, ...]:
+def _memory_warning(text: WrittenProgram, cell: Cell) -> tuple[Issue, ...]:
     """Return a warning if a written program in one piece is larger than the memory of the controller."""
     size, memory = text.size / _MB, cell.output.program_memory_MB
     if size <= memory or text.modules is not None:

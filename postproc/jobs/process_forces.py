@@ -310,7 +310,9 @@ def predict_in_material(
     if result.failed or source.process_forces is None:
         return result, cut
     nominal_force, real_force = (float(norm(item[:, :3]).max(initial=0.0)) for item in (path.wrench, result.wrench))
-    volumes = [0.0 if item.process_forces is None else item.process_forces.removed * 1e9 for item in (source, cut)]
+    volumes = [
+        0.0 if item.process_forces is None else item.process_forces.removed_volume * 1e9 for item in (source, cut)
+    ]
     message = (
         f"forces of the deflected tool ({rounds} round{'s' * (rounds != 1)}): largest force {real_force:.0f} N, "
         f"{nominal_force:.0f} N on the nominal path; removed {volumes[1]:.0f} mm³ of {volumes[0]:.0f}. The corrected "

@@ -89,7 +89,7 @@ class ProcessForces(Struct, frozen=True, eq=False):
     :param drills: for each of `tools.keys`, whether it is a drill.
     :param stock: the remaining stock, in the frame of `map_in_base`.
     :param map_in_base: (4, 4) frame of the map of the stock in the `$BASE` of the stock, see `home_base`.
-    :param removed: volume [m³].
+    :param removed_volume: volume that the cuts remove [m³].
     :param issues: warnings and notes for the user.
     :param over_time: the stock over time, if it was swept with a guard.
     """
@@ -101,7 +101,7 @@ class ProcessForces(Struct, frozen=True, eq=False):
     drills: tuple[bool, ...]
     stock: Stock
     map_in_base: Array
-    removed: float
+    removed_volume: float
     issues: tuple[Issue, ...]
     over_time: StockInTime | None
 
@@ -303,7 +303,7 @@ def _estimate(task: _Task, widest: float, cell_factors: dict[int, int]) -> tuple
         drills=tuple(_ToolColumns.of(tools, process).is_drill.tolist()),
         stock=swept.stock,
         map_in_base=ordered_setups[-1].frame,
-        removed=swept.removed_volume,
+        removed_volume=swept.removed_volume,
         issues=tuple(issues),
         over_time=None if guard is None else _stock_in_time(program, ordered_setups, swept.sweeps, swept.is_compared),
     )

@@ -132,7 +132,7 @@ def worst_state(states: Iterable[State]) -> State:
     return max(states, key=_ORDER.index, default="ok")
 
 
-def join(
+def verdict_of(
     mode: Mode,
     drive: Drive,
     better: Improvement | None,
@@ -253,5 +253,5 @@ def chance_in_words(chance: float) -> str:
     return "over 99 %" if chance > 0.99 else "under 1 %" if chance < 0.01 else f"{100.0 * chance:.0f} %"
 
 
-UNJUDGED = join("convert", Drive("ok", [], []), None, None)
+UNJUDGED = verdict_of("convert", Drive("ok", [], []), None, None)
 """A placeholder until numbers are judged."""

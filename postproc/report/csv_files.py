@@ -113,13 +113,13 @@ def forces_csv(result: Result) -> bytes | None:
 
     Neighbouring lines with the same force share a row. None where the program needs no such file.
     """
-    knots = _carried_forces(result)
+    knots = _file_forces(result)
     return None if knots is None else _force_rows(knots, result.output_line)
 
 
 def forces_by_module(result: Result) -> dict[str, bytes]:
     """Return forces.csv of each module of a written program, by its own lines: file name → content."""
-    contents, first_line, knots = dict[str, bytes](), 0, _carried_forces(result)
+    contents, first_line, knots = dict[str, bytes](), 0, _file_forces(result)
     if knots is None:
         return contents
     for document, (first, last) in zip(result.documents, pairwise((*result.modules, len(result))), strict=True):
@@ -129,7 +129,7 @@ def forces_by_module(result: Result) -> dict[str, bytes]:
     return contents
 
 
-def _carried_forces(result: Result) -> Knots | None:
+def _file_forces(result: Result) -> Knots | None:
     """Return the forces that a file must give to the written program, without PTP; None where it needs no file."""
     if result.file_forces is None:
         return None

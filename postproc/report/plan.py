@@ -428,14 +428,14 @@ def tests_section(result: PlanResult) -> Section:
     rows = tuple(
         Row(
             (
-                str(place),
+                str(rank),
                 f"{100 * result.tests.weight[row]:.1f}",
                 f"{np.linalg.norm(result.tests.wrench[row, :3]):.0f}",
                 f"{result.tests.deflection[row] * MM_PER_M:.3f}",
                 f"{result.accuracy.poses[row] * MM_PER_M:.3g}",
             )
         )
-        for place, row in enumerate(order, 1)
+        for rank, row in enumerate(order, 1)
     )
     head = ("Test pose", "Share, %", "Force, N", "Deflection, mm", "Expected to remain, mm")
     note = f"They represent all cutting moves (Σ w A₀ᵀA₀ agrees to {100 * result.represented:.2g} %)."

@@ -114,7 +114,7 @@ def summary(program: Program, process: ProcessForces | None, by_operation: int) 
     return ForcesSummary(
         program=program.documents[0].name,
         places=len(cuts.t),
-        removed_mm3=round(process.removed * _MM3, 1),
+        removed_mm3=round(process.removed_volume * _MM3, 1),
         left_mm3=round(process.stock.volume() * _MM3, 1),
         tools=tools,
         by_operation=by_operation,

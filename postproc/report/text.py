@@ -104,7 +104,7 @@ def _feed_lines(content: Summary, display: Display) -> list[str]:
 
 
 def _path_facts(content: Summary) -> list[str]:
-    """Return facts on path and corners, if the verdict is about something else."""
+    """Return facts that the verdict leaves out: the largest correction, the path error, and how corners are rounded."""
     facts = []
     if content.mode == "convert" and content.max_correction_mm is not None:
         facts.append(f"largest correction {two_digits(content.max_correction_mm)} mm")

@@ -23,8 +23,8 @@ from postproc.report.answers import (
     Tolerance,
     Verdict,
     chance_in_words,
-    join,
     remedies,
+    verdict_of,
 )
 from postproc.report.formatting import State, above_limit_text, two_digits
 from postproc.robot import JOINTS, RobotModel
@@ -91,7 +91,7 @@ def verdict(result: Result, content: Summary, other_remedies: Sequence[Remedy] =
     better = _improvement_answer(result, content, _issue_findings(of_forces, result.mode), tolerance)
     holds = _passed_findings(result, content)
     remark = STOCK_REMARK if any(issue.kind == ASSUMED_STOCK for issue in result.issues) else ""
-    return join(result.mode, drive, better, tolerance, _sorted_texts(holds), _assumptions(result), remark=remark)
+    return verdict_of(result.mode, drive, better, tolerance, _sorted_texts(holds), _assumptions(result), remark=remark)
 
 
 def _drive_answer(result: Result, content: Summary, warnings: Sequence[Issue]) -> Drive:

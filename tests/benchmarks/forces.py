@@ -63,7 +63,9 @@ def speed(folder):
         _, found = forces(folder, text, process(tool(10, 4, shape), BOX, 0.5), progress=progress)
         spent = time.process_time() - spent[0]
         count = text.count("\n")
-        print(f"{name}: {count} moves, {spent:.1f} s, {len(found.along.t)} places, {found.removed * 1e9:.0f} mm³")
+        print(
+            f"{name}: {count} moves, {spent:.1f} s, {len(found.along.t)} places, {found.removed_volume * 1e9:.0f} mm³"
+        )
 
 
 CELLS = (1.0, 0.5, 0.25, 0.125, 0.0625)

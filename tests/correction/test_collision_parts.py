@@ -235,9 +235,9 @@ def test_e1_carries_the_robot_from_the_place_before_the_samples():
         (Run(slice(2, 3), 0, 4), [0.4, 0.2]),
         (Run(slice(4, 5), 0, 4), [0.4, 0.4]),
     ):
-        np.testing.assert_allclose(collisions._shift(path, sample, run), np.outer(places, direction))
+        np.testing.assert_allclose(collisions._e1_displacements(path, sample, run), np.outer(places, direction))
     fixed = SimpleNamespace(program=SimpleNamespace(carriage=None))
-    assert collisions._shift(fixed, sample, Run(slice(0, 3), 0, -1)) is None
+    assert collisions._e1_displacements(fixed, sample, Run(slice(0, 3), 0, -1)) is None
 
 
 def worst_of(notes, stock=True):

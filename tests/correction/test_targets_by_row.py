@@ -9,7 +9,7 @@ import pytest
 from msgspec.structs import replace
 
 from postproc.correction import targets
-from postproc.correction.process import _causes, _refine, _too_large
+from postproc.correction.process import _causes, _memory_warning, _refine
 from postproc.correction.result import Result
 from postproc.correction.targets import Corners
 from postproc.errors import Issue
@@ -175,14 +175,14 @@ def draft_of(modules=None, size=3.0e6, divide=False, memory=2.0):
 
 def test_a_program_is_too_large_for_the_memory_of_its_controller_in_one_piece():
     for size, memory, count in ((2.0e6, 2.0, 0), (2.1e6, 2.0, 1), (2.1e6, 2.2, 0)):
-        assert len(_too_large(*draft_of(size=size, memory=memory))) == count
-    (issue,) = _too_large(*draft_of())
+        assert len(_memory_warning(*draft_of(size=size, memory=memory))) == count
+    (issue,) = _memory_warning(*draft_of())
     assert (issue.level, issue.kind) == ("warning", "program-memory")
     assert issue.message.startswith("the program has 3 MB, 1.5 times program_memory_MB = 2 of [output]")
     assert "or set divide_into_modules = true in [output]" in issue.message
-    (divided,) = _too_large(*draft_of(divide=True))
+    (divided,) = _memory_warning(*draft_of(divide=True))
     assert "or convert G-code or APT to KRL: divide_into_modules divides no other programs." in divided.message
-    assert _too_large(*draft_of(modules=("a", "b"))) == ()
+    assert _memory_warning(*draft_of(modules=("a", "b"))) == ()
 
 
 @pytest.mark.parametrize("rigid", [True, False])

@@ -115,7 +115,7 @@ def test_energy_is_specific_energy_times_volume(tmp_path, shape):
     """Without rubbing, Ktc is the work per volume: within 1 %. The volume is the one missing from the map."""
     material = "Ktc_N_per_mm2 = 800.0\nKrc_N_per_mm2 = 200.0"
     program, found = forces(tmp_path, gcode(*POCKET), process(tool(10, 3, shape, 2.0), BOX, 0.25, material=material))
-    assert energy(program, found) == pytest.approx(800e6 * found.removed, rel=0.01)
+    assert energy(program, found) == pytest.approx(800e6 * found.removed_volume, rel=0.01)
 
 
 def test_energy_that_leaves_out_a_way_would_be_noticed(tmp_path):
@@ -123,7 +123,7 @@ def test_energy_that_leaves_out_a_way_would_be_noticed(tmp_path):
     program, found = forces(tmp_path, gcode(*POCKET), process(tool(10, 3), BOX, 0.5, material=material))
     longest = int(np.argmax(np.bincount(found.cuts.motion)))
     found.cuts.power[found.cuts.motion == longest] = 0.0
-    assert energy(program, found) != pytest.approx(800e6 * found.removed, rel=0.01)
+    assert energy(program, found) != pytest.approx(800e6 * found.removed_volume, rel=0.01)
 
 
 def test_volume_of_a_mesh_is_that_of_trimesh():
@@ -148,7 +148,7 @@ def test_removed_volume_and_what_is_left_are_those_of_trimesh(tmp_path):
     """A slot with round ends, 3 mm deep; what is left is a closed mesh."""
     text = gcode("G0 X30 Y0 Z5", "G1 Z-3 F300", "X70")
     _, found = forces(tmp_path, text, process(tool(10, 4), BOX))
-    assert found.removed == pytest.approx((math.pi * 25 + 400) * 3e-9, rel=2e-3)
+    assert found.removed_volume == pytest.approx((math.pi * 25 + 400) * 3e-9, rel=2e-3)
     vertices, faces = found.mesh()
     mesh = trimesh.Trimesh(vertices * 1e3, faces)
     assert mesh.is_watertight
@@ -207,7 +207,7 @@ def test_the_volume_of_a_ball_on_a_slope_is_the_analytic_one(tmp_path, degrees, 
     x, y = 20.0 * x[:, None], radius * (2.0 * y - 1.0)
     below = np.sqrt(radius**2 - y**2) / math.cos(math.radians(degrees)) - (radius - least - slope * x)
     expected = np.maximum(below, 0.0).mean() * 20.0 * 2.0 * radius
-    assert found.removed * 1e9 == pytest.approx(expected, rel=0.005)
+    assert found.removed_volume * 1e9 == pytest.approx(expected, rel=0.005)
 
 
 @pytest.mark.parametrize("downhill", [True, False])
@@ -219,7 +219,7 @@ def test_the_volume_of_a_ramp_is_the_analytic_one(tmp_path, degrees, downhill):
     text = gcode(f"G0 {ends[0].split()[0]} Y0 Z10", f"G1 {ends[0].split()[1]} F600", ends[1])
     _, found = forces(tmp_path, text, process(tool(2 * radius, 4), SHORT))
     expected = 2 * radius * length * (least + slope * length / 2) + slope * length * math.pi * radius**2 / 2
-    assert found.removed * 1e9 == pytest.approx(expected, rel=0.005)
+    assert found.removed_volume * 1e9 == pytest.approx(expected, rel=0.005)
 
 
 def test_a_slot_cut_through_leaves_two_closed_parts(tmp_path):

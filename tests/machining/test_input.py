@@ -73,7 +73,7 @@ def test_fast_moves_in_air_are_not_asked_about(tmp_path):
     """The slot is cut at 0.05 mm per tooth; the tool comes down and leaves beside the stock at 10 mm per tooth."""
     text = gcode("G0 X-20 Y0 Z50", "G1 Z-1 F20000", "X120 F100", "Z50 F20000", spindle="S1000 M3")
     _, loads = forces(tmp_path, text, process(tool(10, 2), BOX, 1.0))
-    assert loads.removed == pytest.approx(100e-3 * 10e-3 * 1e-3, rel=0.02)
+    assert loads.removed_volume == pytest.approx(100e-3 * 10e-3 * 1e-3, rel=0.02)
     assert "chip-load" not in {issue.kind for issue in loads.issues}
 
 
@@ -129,7 +129,7 @@ def test_a_mesh_gives_what_the_box_gives(tmp_path):
     block().export(tmp_path / "stock.stl")
     _, one = forces(tmp_path, gcode(*SLOT), mesh_process("stock.stl"))
     _, other = forces(tmp_path, gcode(*SLOT), process(tool(10, 4), BOX, 1.0))
-    assert one.removed == pytest.approx(other.removed, rel=1e-3)
+    assert one.removed_volume == pytest.approx(other.removed_volume, rel=1e-3)
 
 
 def test_open_mesh(tmp_path):

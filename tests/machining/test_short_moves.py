@@ -88,7 +88,7 @@ def applied(folder, blocks, cutter, motion, t, **given):
     source = machining.ProcessSource(machining.load(folder / "process.toml"), place.spindle)
     found = force_sources.assign(program, path, source, place.spindle, place.ramp)
     wrench = found.at(toolpath.at(program, path, np.asarray(motion) + 2, np.asarray(t, float)))
-    return wrench[:, :3], source.process_forces.removed * 1e9
+    return wrench[:, :3], source.process_forces.removed_volume * 1e9
 
 
 def compared(folder, points, spacing=0.4, **given):

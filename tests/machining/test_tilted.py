@@ -73,7 +73,7 @@ def test_a_tool_that_is_turned_between_two_cuts_meets_what_is_left(tmp_path):
     across, _, up = (np.stack([x - 58, 0 * x, z + 3.5], axis=-1) @ tilted(30.0)).reshape(-1, 3).T
     edge = 0.01**2 * np.count_nonzero((np.abs(across) < 5.0) & (up > 0.0))
     assert edge > 1.0
-    assert found.removed == pytest.approx((60 * 2 + edge) * 80e-9, rel=0.005)
+    assert found.removed_volume == pytest.approx((60 * 2 + edge) * 80e-9, rel=0.005)
 
 
 def test_what_one_program_leaves_is_the_stock_of_the_next(tmp_path):

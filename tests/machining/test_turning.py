@@ -49,7 +49,7 @@ def test_the_volume_that_a_turning_tool_removes(tmp_path, shape, corner):
         inside = cutter.inside(point[near], tip[few], axes[few]).any(axis=1)
         count += np.count_nonzero(inside)
         point = np.delete(point, near[inside], axis=0)
-    assert found.removed == pytest.approx(count * 1.0 * 0.3 * 0.15 * 1e-9, rel=0.008)
+    assert found.removed_volume == pytest.approx(count * 1.0 * 0.3 * 0.15 * 1e-9, rel=0.008)
 
 
 def test_a_cut_that_would_hang_over_in_one_map_gets_a_map_of_its_own(tmp_path):

@@ -21,7 +21,7 @@ from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm, xyzabc_from_pose
 from postproc.program import Bools, Ints, Program
 from postproc.provenance import Provenance
 from postproc.provenance import State as Origin
-from postproc.report.answers import LIMITS_AND_COLLISIONS, UNJUDGED, Drive, Tolerance, Verdict, join
+from postproc.report.answers import LIMITS_AND_COLLISIONS, UNJUDGED, Drive, Tolerance, Verdict, verdict_of
 from postproc.report.formatting import PLAIN, ROUNDING_MM, Display, State, above_limit_text, millimetres, stated_mm
 from postproc.report.path import operation_starts
 from postproc.report.summary import Distances
@@ -238,7 +238,7 @@ def comparison_summary(
     errors, doubts = [*_failures(content, limit * MM_PER_M, file_origin)], [*_doubts(content, file_origin)]
     drive = Drive("failed" if errors else "warning" if doubts else "ok", [*errors, *doubts], [LIMITS_AND_COLLISIONS])
     holds = _passed_checks(content, file_origin)
-    return replace(content, verdict=join("convert", drive, None, _tolerance_answer(content), holds, words=WORDS))
+    return replace(content, verdict=verdict_of("convert", drive, None, _tolerance_answer(content), holds, words=WORDS))
 
 
 def _passed_checks(content: ComparisonSummary, file_origin: ProgramOrigin) -> list[str]:

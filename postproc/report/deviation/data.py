@@ -502,14 +502,15 @@ def _durations(result: Result, length: Array) -> Array:
     :param length: (K,) length of the path to each target [m].
     """
 
-    def in_chunk(row: Ints, length: Array) -> tuple[Array]:
+    def durations(row: Ints, length: Array) -> tuple[Array]:
+        """Return the time (n,) [s] to targets, by the length (n,) [m] of the path to each."""
         motion = result.motion[row]
         feed, kind = result.program.motions.feed[motion], result.program.motions.kind[motion]
-        joints = largest((result.q[row] - result.q[np.maximum(row - 1, 0)]) / result.robot.speed)
+        joint_time = largest((result.q[row] - result.q[np.maximum(row - 1, 0)]) / result.robot.speed)
         has_feed = (kind != PTP) & (feed > 0.0)
-        return (np.where(has_feed, length / np.where(has_feed, feed, 1.0), joints),)
+        return (np.where(has_feed, length / np.where(has_feed, feed, 1.0), joint_time),)
 
-    return in_chunks(in_chunk, np.arange(len(result)), length)[0]
+    return in_chunks(durations, np.arange(len(result)), length)[0]
 
 
 def _feed_axes(result: Result, row: Ints) -> Array:

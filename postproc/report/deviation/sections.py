@@ -332,7 +332,7 @@ def _cut_tiles(process: ProcessForces) -> Tiles:
             Tile("Removed, up to", f"{np.nanmax(cuts.rate) * _CM3_PER_MIN:.1f}", "cm³/min"),
             Tile(
                 "Removed in all",
-                f"{process.removed * _CM3:.1f}",
+                f"{process.removed_volume * _CM3:.1f}",
                 "cm³",
                 f"left {process.stock.volume() * _CM3:.1f} cm³",
             ),
