@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -201,43 +202,52 @@ def law(material: MaterialTable, file: str) -> CuttingLaw:
     materials, covariance = table(), None
     if material.file is not None:
         material, covariance = _material_of_file(material, Path(file).parent / material.file, file)
-    entry: MaterialTable = material
-    is_by_name = material.name is not None and material.Ktc_N_per_mm2 is None and material.kc11_N_per_mm2 is None
-    if is_by_name:
-        if material.name not in materials:
-            advice = f"{choices(str(material.name), materials)} Or give Ktc_N_per_mm2 … or kc11_N_per_mm2 and mc."
-            raise ForceError(f"[material] name: no material {material.name!r}", file=file, advice=advice)
-        entry = materials[material.name]
+    entry = _named_entry(material, materials, file)
     linear, kienzle = entry.Ktc_N_per_mm2, entry.kc11_N_per_mm2
     if (linear is None) == (kienzle is None) or (kienzle is None) != (entry.mc is None):
         advice = (
             "Give the name of a material, or Ktc_N_per_mm2, Krc_N_per_mm2 … Kae_N_per_mm, or kc11_N_per_mm2 and mc."
         )
         raise ForceError("[material] does not say how it cuts", file=file, advice=advice)
-    percent = material.sigma_percent
-    if percent is None:
-        percent = _SIGMA_PERCENT if entry.sigma_percent is None else entry.sigma_percent
-        percent = 100.0 * _spread_with_wear(percent / 100.0)
-    sigma = percent / 100.0
     if linear is not None:
         cutting = (linear, entry.Krc_N_per_mm2, entry.Kac_N_per_mm2)
     else:
-        cutting = (
-            float(kienzle or 0.0),
-            float(kienzle or 0.0) * entry.radial_ratio,
-            float(kienzle or 0.0) * entry.axial_ratio,
-        )
+        tangential = float(kienzle or 0.0)
+        cutting = (tangential, tangential * entry.radial_ratio, tangential * entry.axial_ratio)
     edge = (entry.Kte_N_per_mm, entry.Kre_N_per_mm, entry.Kae_N_per_mm)
     return CuttingLaw(
         cutting=(cutting[0] * _PER_MM2, cutting[1] * _PER_MM2, cutting[2] * _PER_MM2),
         edge=(edge[0] * _PER_MM, edge[1] * _PER_MM, edge[2] * _PER_MM),
         exponent=entry.mc or 0.0,
-        sigma=sigma,
+        sigma=_sigma_percent(material, entry) / 100.0,
         name=material.name or "given in [material]",
         warning=entry.warning if isinstance(entry, Entry) else _unit_warning(entry),
         unknown_axial=0.0 if cutting[2] or edge[2] else _AXIAL,
         covariance=covariance,
     )
+
+
+def _named_entry(material: MaterialTable, materials: Mapping[str, MaterialTable], file: str) -> MaterialTable:
+    """Return the entry with the coefficients: that of the material's name, or the table itself if it has coefficients.
+
+    :param materials: the materials of the package by name.
+    :raises ForceError: an unknown name.
+    """
+    has_coefficients = material.Ktc_N_per_mm2 is not None or material.kc11_N_per_mm2 is not None
+    if material.name is None or has_coefficients:
+        return material
+    if material.name not in materials:
+        advice = f"{choices(str(material.name), materials)} Or give Ktc_N_per_mm2 … or kc11_N_per_mm2 and mc."
+        raise ForceError(f"[material] name: no material {material.name!r}", file=file, advice=advice)
+    return materials[material.name]
+
+
+def _sigma_percent(material: MaterialTable, entry: MaterialTable) -> float:
+    """Return the standard deviation of the forces [%]: as given, else that of the entry with the wear of the tool."""
+    if material.sigma_percent is not None:
+        return material.sigma_percent
+    percent = _SIGMA_PERCENT if entry.sigma_percent is None else entry.sigma_percent
+    return 100.0 * _spread_with_wear(percent / 100.0)
 
 
 def _material_of_file(

@@ -293,11 +293,14 @@ def _lowest_levels(
 def _lower_and_upper_sides(
     cutter: Cutter, axis: Array, x: Array, y: Array, shift: Array, turn: Array
 ) -> tuple[Array, Array, Array]:
-    """Return the lower and the upper side of a tool over points above the tip, and how the lower one rises (L, h, w).
+    """Return the lower and the upper side of a tool on vertical lines, and the rate of the lower one.
 
-    :param axis: (L, 3) unit directions to the spindle; x: (L, h, w) and y: of the points from the tip [m].
+    All are (L, h, w) [m]. Sides are heights above the tip; the rate is that at this pose, per move.
+
+    :param axis: (L, 3) unit directions to the spindle.
+    :param x: (L, h, w) and y: (L, h, w) of the lines from the tip [m].
     :param shift: (L, 3) displacement of the tip in a move, and turn: (L, 3) change of the axis in it.
-    :returns: infinite, minus infinite and 0 where the vertical line misses the tool.
+    :returns: infinite, minus infinite and 0 where a line misses the tool.
     """
     ax, ay, az = (axis[:, k, None, None] for k in range(3))
     axial = x * ax + y * ay  # of the point at the height of the tip, along the axis
@@ -311,20 +314,40 @@ def _lower_and_upper_sides(
     low = np.maximum(low, -axial / az)  # above the plane of the tip
     is_met &= low < high
     flat_radius, corner = cutter.radius - cutter.corner, cutter.corner
-    if flat_radius <= 1e-9 * cutter.radius:
+    if flat_radius <= 1e-9 * cutter.radius:  # a ball, but for rounding
         low, is_met = _ball_side(cutter.radius, axis, (x, y), axial, low, high, is_met)
     elif corner > 0.0:
         low, is_met = _corner_side(cutter, axial, az, x * x + y * y, low, high, is_met)
-    height = axial + low * az
+    slope = _slope_of_lower_side(cutter, axis, (x, y, low), axial, shift, turn)
+    return np.where(is_met, low, np.inf), np.where(is_met, high, -np.inf), np.where(is_met, slope, 0.0)
+
+
+def _slope_of_lower_side(
+    cutter: Cutter, axis: Array, point: tuple[Array, Array, Array], axial: Array, shift: Array, turn: Array
+) -> Array:
+    """Return the rate (L, h, w) [m] per move at which points of the lower side of a tool rise.
+
+    The surface moves along its normal as fast as the tool does there; on a vertical line it rises as fast as that over
+    the z of the normal.
+
+    :param axis: (L, 3) unit directions to the spindle.
+    :param point: x, y, z (L, h, w) of the points from the tip [m].
+    :param axial: (L, h, w) component along the axis of the points at the height of the tip [m].
+    :param shift: (L, 3) displacement of the tip in a move [m], and turn: (L, 3) change of the axis in it.
+    """
+    x, y, low = point
+    ax, ay, az = (axis[:, k, None, None] for k in range(3))
+    height = axial + low * az  # above the tip, along the axis
+    flat_radius, corner = cutter.radius - cutter.corner, cutter.corner
     px, py, pz = (component - height * a for component, a in ((x, ax), (y, ay), (low, az)))
     distance = np.sqrt(px * px + py * py + pz * pz)
     if corner > 0.0:
         axial_part = np.maximum(corner - height, 0.0)
         radial_part = np.where(axial_part > 0.0, np.maximum(distance - flat_radius, 0.0), 1.0)
     else:
-        axial_part = (height < 1e-9).astype(float)
+        axial_part = (height < 1e-9).astype(float)  # on the flat end, but for rounding
         radial_part = 1.0 - axial_part
-    scale = radial_part / np.maximum(distance, 1e-12)
+    scale = radial_part / np.maximum(distance, 1e-12)  # no division by zero on the axis
     normal = [p * scale - axial_part * a for p, a in ((px, ax), (py, ay), (pz, az))]  # outward, of any length
     dx, dy, dz = (turn[:, k, None, None] for k in range(3))
     axis_motion = x * dx + y * dy + low * dz
@@ -333,8 +356,8 @@ def _lower_and_upper_sides(
         for k, (d, a) in enumerate(((dx, ax), (dy, ay), (dz, az)))
     ]
     normal_speed = sum(n * v for n, v in zip(normal, velocity, strict=True))
-    slope = normal_speed / np.where(normal[2] < -1e-9, normal[2], -1e-9)
-    return np.where(is_met, low, np.inf), np.where(is_met, high, -np.inf), np.where(is_met, slope, 0.0)
+    # where the side is vertical the slope is limited: the line just touches the tool
+    return np.asarray(normal_speed / np.where(normal[2] < -1e-9, normal[2], -1e-9))
 
 
 def _ball_side(
