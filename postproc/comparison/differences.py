@@ -382,7 +382,7 @@ def _ways_off_path(
     if comparison.curves is None:
         return
     limits = OFF_PATH + TIMES_OFFSET * np.maximum(comparison.distance, np.roll(comparison.distance, 1))
-    is_off_path = np.nan_to_num(comparison.between) > limits
+    is_off_path = np.nan_to_num(comparison.path_distance) > limits
     is_off_path[_pairs_under_force(comparison)] = False
     # missing targets have a difference of their own
     is_off_path[

@@ -137,7 +137,7 @@ def pair_targets(
         pose=pose,
         rotation=norm(twists[:, 3:]),
         curves=curves,
-        between=np.full(len(pair), np.nan) if curves is None else curves.largest_gaps(),
+        path_distance=np.full(len(pair), np.nan) if curves is None else curves.largest_gaps(),
         cuts=None,
         differences=(),
     )
@@ -232,32 +232,34 @@ def offsets_of(nominal_path: PlacedProgram, corrected_path: PlacedProgram, pair:
 def moved_pairs(
     nominal_path: PlacedProgram, corrected_path: PlacedProgram, pair: Ints, offset: Array, rows: Ints, certain: Bools
 ) -> Ints:
-    """Return pairs (P, 2) with targets that were moved instead of their neighbours.
+    """Return pairs (P, 2) in which moved targets replace their inserted neighbours.
 
     A target off the path (`rows`) next to one with a partner was moved, and not added, under two conditions: the target
     with the partner is on the path, as inserted ones are, and its offset is the larger one and unlike those of the
     neighbouring pairs.
 
     :param pair: (P, 2) motions of the pairs, `offset` (P, 3) of their targets [m].
-    :param rows: (r,) motions of the second program.
+    :param rows: (r,) motions of the second program without a partner, off the nominal path.
     :param certain: (P,) True for pairs that are right for certain.
     """
     pair, distance = pair.copy(), norm(offset)
     change = np.pad(norm(np.diff(offset, axis=0)), 1, constant_values=np.inf)
     # a target moved alone: its offset is unlike those of both neighbours
     is_single_change = (np.minimum(change[:-1], change[1:]) > OFF_PATH) & ~certain
-    index = {int(row): place for place, row in enumerate(corrected_path.rows.tolist())}
+    index = {
+        int(row): place for place, row in enumerate(corrected_path.rows.tolist())
+    }  # of targets, without the others
     for row in rows[:_MAX_MOVES].tolist():
         next_pair = int(np.searchsorted(pair[:, 1], row))
         for k in (next_pair, next_pair - 1):
             if not 0 <= k < len(pair) or not is_single_change[k] or abs(index[int(pair[k, 1])] - index[row]) != 1:
                 continue
+            replaced_row, new_pair, new_distance = pair[k, 1:].copy(), pair.copy(), distance.copy()
             # the offset of the moved target may be of any size: it does not widen what counts as on the path
-            old_target, new_pair, new_distance = pair[k, 1:], pair.copy(), distance.copy()
             new_pair[k, 1], new_distance[k] = row, 0.0
             if norm(offsets_of(nominal_path, corrected_path, new_pair[k : k + 1])[1][:, :3])[0] > distance[k]:
                 continue
-            if _is_on_path(nominal_path, corrected_path, new_pair, new_distance, old_target.copy())[0]:
+            if _is_on_path(nominal_path, corrected_path, new_pair, new_distance, replaced_row)[0]:
                 pair = new_pair
                 break
     return pair

@@ -85,8 +85,8 @@ class Comparison(Struct, frozen=True, eq=False):
     :param pose: (P, 4, 4) where the second program commands the nominal program's tool, in the nominal `$BASE` [m].
     :param rotation: (P,) angle between the two orientations [rad].
     :param curves: both paths between the pairs; None for less than two.
-    :param between: (P,) largest distance of the two paths on the way to each pair from the one before, at the same
-        share of the way [m]; NaN for the first, and where a PTP is between.
+    :param path_distance: (P,) largest distance of the two paths on the way to each pair from the one before, at the
+        same share of the way [m]; NaN for the first, and where a PTP is between.
     :param cuts: deviations by each program; None without forces.
     :param differences: other differences.
     """
@@ -104,7 +104,7 @@ class Comparison(Struct, frozen=True, eq=False):
     pose: Array
     rotation: Array
     curves: Curves | None
-    between: Array
+    path_distance: Array
     cuts: Cuts | None
     differences: tuple[Difference, ...]
 

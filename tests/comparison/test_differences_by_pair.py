@@ -634,7 +634,7 @@ def test_ways_that_leave_the_nominal_path_by_more_than_their_targets_are_named(m
     between = np.where(rng.random(8) < 0.1, np.nan, rng.choice([5e-5, 3e-4, 1e-3], 8))
     between[0] = np.nan
     missing = np.setdiff1d(np.arange(COUNT), found.pair[:, 0])[: int(rng.integers(0, 3))]
-    found = replace(found, pose=pose, between=between, only_nominal=missing, curves=SimpleNamespace())
+    found = replace(found, pose=pose, path_distance=between, only_nominal=missing, curves=SimpleNamespace())
     cuts = cuts_of(rng, found, row=np.sort(rng.choice(found.pair[:2, 1], 20)))
     found = replace(found, cuts=cuts if has_cuts else None)
     exact = rng.choice([1e-5, 4e-4, 8e-4, 9e-4], 8)

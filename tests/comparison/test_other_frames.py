@@ -90,7 +90,7 @@ TURNED_TOOL = (0.0, 0.0, 350.0, 25.0, 0.0, 0.0)
 def test_another_base_turns_what_is_in_its_axes_and_changes_nothing_else(base, tool, e1, forces):
     one, other = compared(BASE, tool, e1, forces), compared(base, tool, e1, forces)
     into = pose(base)[:3, :3].T
-    names = ["rotation", "between", "passing_distance", "missing_distance", "distance"]
+    names = ["rotation", "path_distance", "passing_distance", "missing_distance", "distance"]
     pairs = [(name, getattr(one, name), getattr(other, name)) for name in names]
     pairs.append(("offset", one.offset @ into.T, other.offset))
     for name in ("pair", "inserted_rows", "passed_rows", "only_nominal", "additional_rows", "rapid"):

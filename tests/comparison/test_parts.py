@@ -154,7 +154,7 @@ def compared(nominal=None, corrected=None, pair=None, **fields) -> Comparison:
         nominal=nominal, corrected=corrected, robot="x", pair=pair, inserted_rows=none, passed_rows=none,
         passing_distance=np.zeros(0), only_nominal=none, missing_distance=np.zeros(0), additional_rows=none,
         pose=corrected.motions.target[pair[:, 1]], rotation=np.zeros(len(pair)), curves=None,
-        between=np.zeros(len(pair)), cuts=None, differences=(),
+        path_distance=np.zeros(len(pair)), cuts=None, differences=(),
     )  # fmt: skip
     return replace(made, **fields)
 

@@ -166,7 +166,7 @@ def _page_rows(comparison: Comparison, linked_rows: Ints) -> Ints:
     if not len(comparison.pair):
         return np.zeros(0, dtype=np.int64)
     group_size = -(-len(comparison.pair) // _MOST_GROUPS)
-    between_targets = np.nan_to_num(comparison.between)
+    between_targets = np.nan_to_num(comparison.path_distance)
     measures = [
         comparison.distance,
         between_targets,
@@ -242,7 +242,7 @@ def _pair_columns(comparison: Comparison, pair_rows: Ints) -> Columns:
         "rapid": comparison.rapid[pair_rows],
         "offset": comparison.distance[pair_rows] * MM_PER_M,
         "turned": comparison.rotation[pair_rows] * DEG_PER_RAD,
-        "between": comparison.between[pair_rows] * MM_PER_M,
+        "between": comparison.path_distance[pair_rows] * MM_PER_M,
         "nominal_speed": comparison.speeds[pair_rows, 0] * MM_PER_M,
         "corrected_speed": comparison.speeds[pair_rows, 1] * MM_PER_M,
         **dict(zip(("oX", "oY", "oZ"), comparison.offset[pair_rows].T * MM_PER_M, strict=True)),
@@ -303,7 +303,7 @@ def _drawn_path(comparison: Comparison, rows: Ints) -> tuple[Array, Array, Ints]
     """
     if comparison.curves is None:
         return comparison.target[rows, :3, 3], comparison.offset[rows], np.arange(len(rows))
-    parts = np.where(np.isnan(comparison.between[rows]), 1, comparison.curves.parts(_CHORD)[rows])
+    parts = np.where(np.isnan(comparison.path_distance[rows]), 1, comparison.curves.parts(_CHORD)[rows])
     parts = np.where(np.diff(rows, prepend=-2) == 1, np.minimum(parts, max(1, _MOST_POINTS // len(rows))), 1)
     place = np.repeat(np.arange(len(rows)), parts)
     # pair i is at u = i, the path to it between i − 1 and i: its parts end at i minus the share that is left to it
@@ -424,7 +424,7 @@ def _worst_pairs_section(comparison: Comparison, pair_rows: Ints, names: Sequenc
         # the sum with 0.0 makes 0 of −0
         cells += [f"{value:.4f}" for value in comparison.offset[row] * MM_PER_M + 0.0]
         cells.append(f"{np.degrees(comparison.rotation[row]):.4f}")
-        path_distance = float(comparison.between[row])
+        path_distance = float(comparison.path_distance[row])
         cells.append("-" if np.isnan(path_distance) else millimetres(path_distance * MM_PER_M))
         cells += [millimetres(float(norm(deviation[row])) * MM_PER_M) for deviation in cuts]
         rows.append(Row(tuple(cells), int(np.searchsorted(pair_rows, row)), int(places[0].line[k])))

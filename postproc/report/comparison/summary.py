@@ -421,7 +421,7 @@ def _cut_distances(comparison: Comparison, names: Sequence[Names], rows: slice) 
 
 def _largest_gap(comparison: Comparison, names: Sequence[Names]) -> PathGap:
     """Return the largest distance of the paths between targets [mm], and where."""
-    size = np.where(comparison.rapid | np.isnan(comparison.between), -1.0, comparison.between)
+    size = np.where(comparison.rapid | np.isnan(comparison.path_distance), -1.0, comparison.path_distance)
     worst = int(np.argmax(size)) if len(size) else -1
     if worst < 0 or size[worst] < 0.0:
         return PathGap(max_mm=0.0, **_NO_LINES)
@@ -600,7 +600,7 @@ def _numbers_of_pairs(comparison: Comparison, state: Ints, nominal_row: Ints, co
             np.where(nominal_row >= 0, comparison.nominal_feed[nominal_row], np.nan) * MM_PER_M,
             np.where(corrected_row >= 0, second_motions.feed[corrected_row], np.nan) * MM_PER_M,
             *(of_pairs(None if deviation is None else norm(deviation) * MM_PER_M) for deviation in cuts),
-            of_pairs(comparison.between * MM_PER_M),
+            of_pairs(comparison.path_distance * MM_PER_M),
         ]
     )
 
