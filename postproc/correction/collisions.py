@@ -381,8 +381,11 @@ class Contact(Struct, frozen=True):
 def stock_contacts(scene: Scene, states: States, stock: StockInTime, need: float) -> Iterator[Contact]:
     """Yield the contacts of arm and tool meshes with the stock; on motions that turn the tool, those of the whole tool.
 
-    The cutter is compared only on motions that turn it and remove nothing.
+    On other motions the whole tool was compared while the stock was swept. The cutter, which is in the stock where it
+    cuts, is compared only on motions that turn it and remove nothing.
 
+    :param states: states of the robot at N samples.
+    :param stock: the stock over time.
     :param need: smallest allowed distance [m]; the cutter must not touch.
     """
     moving = [body for body in scene.bodies if not body.is_fixed]
@@ -390,13 +393,13 @@ def stock_contacts(scene: Scene, states: States, stock: StockInTime, need: float
     tool_shapes = [body for body in moving if body.of == "tool" and body.kind != "mesh"]
     cutters = [collision.inscribed_capsule(body) for body in moving if body.of == "cutter"]
     all_rows = np.ones(len(states.motion), dtype=bool)
-    turning = ~stock.is_compared[states.motion]
-    passing = turning & ~stock.removes_material[states.motion]
+    is_turning = ~stock.is_compared[states.motion]
+    is_turning_in_air = is_turning & ~stock.removes_material[states.motion]
     nominal_states = replace(states, commanded_q=None)
     for bodies, body_states, body_need, rows in (
         (arm_and_meshes, states, need, all_rows),
-        (tool_shapes, states, need, turning),
-        (cutters, nominal_states, 0.0, passing),
+        (tool_shapes, states, need, is_turning),
+        (cutters, nominal_states, 0.0, is_turning_in_air),
     ):
         if bodies and rows.any():
             yield from _StockSearch(scene, bodies, body_states, stock, body_need).contacts(rows)

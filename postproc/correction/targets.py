@@ -379,9 +379,11 @@ def choose_targets(
     commanded_path = CommandedPath.of(path, command)
     kind = np.where(m.kind == CIRC, LIN, m.kind) if linearize_arcs else m.kind
     is_dense = ~is_whole & (toolpath.swivel_pieces(program, path.motions.segments, path.robot_in_cell.tolerance) > 1)
-    selection = choose_samples(commanded_path, kind, is_whole, is_dense, least_arc)
-    movable = np.isnan(m.joints[sample.motion[selection[0]], 0])
-    row, target_kind, via_row = (values[movable] for values in selection)
+    samples = choose_samples(commanded_path, kind, is_whole, is_dense, least_arc)
+    is_cartesian = np.isnan(
+        m.joints[sample.motion[samples[0]], 0]
+    )  # axis targets are written from their own joint angles
+    row, target_kind, via_row = (values[is_cartesian] for values in samples)
     motion = sample.motion[row]
     via, arcs = np.broadcast_to(np.nan, (len(row), 3)), via_row >= 0
     if arcs.any():

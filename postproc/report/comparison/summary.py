@@ -552,6 +552,7 @@ def _rows_of_pairs(comparison: Comparison) -> tuple[Ints, Ints, Ints, Ints]:
     corrected_row = np.concatenate(
         [pair[:, 1], inserted_rows, np.full(len(nominal_alone_row), -1), corrected_alone_row]
     )
+    # in the order of the rows above: pairs, inserted, nominal alone, passed, corrected alone
     count_of_state = {
         0: len(pair),
         1: len(inserted_rows),
@@ -562,8 +563,9 @@ def _rows_of_pairs(comparison: Comparison) -> tuple[Ints, Ints, Ints, Ints]:
     state = np.repeat(list(count_of_state), list(count_of_state.values()))
     # a nominal target alone follows the partner of the last paired target before it; −1: it comes first
     neighbour = np.append(-1, pair[:, 1])[np.searchsorted(pair[:, 0], nominal_alone_row)]
-    place = np.concatenate([corrected_row[state < 2], neighbour, corrected_alone_row])
-    return state, nominal_row, corrected_row, np.lexsort((np.isin(state, (2, 4)), place))
+    # by motion of the second program; at the same one, the nominal targets that follow it come after its own row
+    sort_row = np.concatenate([corrected_row[state < 2], neighbour, corrected_alone_row])
+    return state, nominal_row, corrected_row, np.lexsort((np.isin(state, (2, 4)), sort_row))
 
 
 def _numbers_of_pairs(comparison: Comparison, state: Ints, nominal_row: Ints, corrected_row: Ints) -> Array:

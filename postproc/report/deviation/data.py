@@ -413,11 +413,12 @@ def _measures(result: Result) -> Iterator[Array]:
 
 
 def shown_targets(result: Result, linked_rows: Ints) -> ShownTargets:
-    """Return the places of a result with at least one target.
+    """Return the targets of a result that its page shows: all, or a selection of them with the linked ones.
 
-    :param linked_rows: rows that tables of the page lead to.
+    :param result: with at least one target.
+    :param linked_rows: (n,) rows of the result that tables of the page lead to.
     """
-    position, leads_to = drawn_path(result)
+    position, leads_to = drawn_path(result)  # of each point, the row of the target that it leads to
     points = np.arange(len(leads_to))
     step = in_chunks(lambda point: (norm(position[point] - position[np.maximum(point - 1, 0)]),), points)[0]
     path_length = np.cumsum(step)[np.flatnonzero(np.diff(leads_to, append=len(result)))]
