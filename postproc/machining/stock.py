@@ -423,6 +423,20 @@ class Footprint(Struct, frozen=True, eq=False):
             self.rim_level[rims], self.path,
         )  # fmt: skip
 
+    def outside(self, other: Footprint) -> Footprint:
+        """Return the cells and the rim without those that another footprint covers as much or more."""
+        is_covered = np.isin(self.rim, other.cell) | np.isin(self.rim, other.rim)
+        return self.of(~np.isin(self.cell, other.cell), ~is_covered)
+
+    def around(self, stock: Stock, point: Array, radius: float) -> Footprint:
+        """Return the rim, and the cells of the map `stock` whose middles are not within a circle, seen along z.
+
+        :param point: (3,) middle of the circle [m], and `radius` of it [m], < 0: none is within it.
+        """
+        row, column = np.divmod(self.cell, stock.high.shape[1])
+        x, y = stock.x + (column + 0.5) * stock.cell - point[0], stock.y + (row + 0.5) * stock.cell - point[1]
+        return self.of(np.hypot(x, y) >= radius, np.ones(len(self.rim), dtype=bool))
+
 
 def remove(stock: Stock, cutter: Cutter, begin: Array, end: Array, heading: Array | None = None) -> Footprint:
     """Remove the volume that a tool along z sweeps as its tip moves along L segments.

@@ -3,7 +3,7 @@
 Segments are processed together as long as the path is nearly straight. Their engagement is found in the stock before
 the first of them: the front of a convex tool never reaches material that the tool has just cut on a straight path, nor
 where the path turns with a radius above that of the tool. Then their material is removed, but for that under the front
-of the tool where they end: cells there are only partly cut until the next segments go on.
+of the tool where they end: cells there are only partly cut, and stay whole until they are under its front no more.
 """
 
 from __future__ import annotations
@@ -168,16 +168,20 @@ class Sweep(Struct, eq=False):
                 path, top = self._tilted_path(segments, begin, end, cutter)
                 if self.tools.rpm[path.motion[0]] > 0.0:
                     yield from self._tilted_cuts(path, number, top)
-                cut(self.stock, uncut_front)
-                uncut_front = self._tilted_sweep(path, cutter, top, goes_on=goes_on)
+                front = self._tilted_sweep(path, cutter, top, goes_on=goes_on)
             elif cuts and self.tools.rpm[segments.motion[begin]] > 0.0:
                 yield from self._upright_cuts(segments, begin, end, number)
-                cut(self.stock, uncut_front)
-                uncut_front = self._upright_sweep(segments, begin, end, cutter, goes_on=goes_on)
+                front = self._upright_sweep(segments, begin, end, cutter, goes_on=goes_on)
             else:
                 cut(self.stock, uncut_front)
-                uncut_front = Footprint.empty()
+                uncut_front = front = Footprint.empty()
                 self._record_contact(segments, begin, end, cutter)
+            # what is still under the front stays whole: on circles smaller than the tool the next groups meet it again.
+            # The middle of an end face does not: it needs no more material than the descent of one group
+            face_radius = 0.0 if leans else cutter.radius - cutter.corner - self.stock.cell
+            kept_front = front.around(self.stock, segments.end[end - 1], face_radius)
+            cut(self.stock, uncut_front.outside(kept_front))
+            uncut_front = front
             if self.ceiling is not None:
                 self.ceiling.sink(*_extent(segments, begin, end, cutter), int(segments.motion[end - 1]))
 

@@ -190,7 +190,7 @@ class Scene:
         self.enter(centre, self.box[2][1] - self.depth)
         sense, out = float(self.rng.choice([-1, 1])), 0.0
         for _ in range(int(self.rng.integers(2, 5))):
-            out += self.rng.uniform(0.05, 0.9) * self.cutter.radius
+            out += 0.03 * 30 ** self.rng.random() * self.cutter.radius  # first rounds of a spiral as well
             self.line(centre + np.array([out, 0]))
             self.arc(centre, sense * 2 * math.pi)
 

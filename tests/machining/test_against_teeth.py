@@ -117,6 +117,29 @@ def test_ball_and_bull_in_and_beside_a_slot(tmp_path, shape, corner, y, depth):
     close(on_line(program, found, line_of(text, "X110 (here)"), 0.5), expected)
 
 
+@pytest.mark.parametrize(("shape", "corner"), [("ball", 6.0), ("bull", 2.0)])
+@pytest.mark.parametrize("sense", ["G2", "G3"])
+@pytest.mark.parametrize("path_radius", [0.3, 0.75])
+def test_ball_and_bull_on_a_circle_that_hardly_opens_the_hole_of_a_plunge(tmp_path, path_radius, sense, shape, corner):
+    """On the first half of the circle; the solid is what is beyond the plunge, from the angle where both meet."""
+    circle = f"{sense} I{-path_radius}"
+    text = gcode("G0 X0 Y0 Z5", "G1 Z-1 F2400", f"X{path_radius}", circle)
+    program, found = forces(tmp_path, text, process(tool(12, 4, shape, corner), ((-40, 40), (-40, 40), (-20, 0))))
+    line = line_of(text, circle)
+    force = np.mean([on_line(program, found, line, t)[:3] for t in np.linspace(0.15, 0.45, 31)], axis=0)
+
+    def material(point):
+        """Not where the ball or the bull of the plunge is, about (0, outwards) on the circle; behind it no chip is."""
+        over = point[:, 2] + 1.0
+        half = 6.0 - corner + np.sqrt(np.maximum(corner**2 - (corner - over) ** 2, 0.0))
+        return (point[:, 2] < 0.0) & (np.hypot(point[:, 0], point[:, 1]) > half)
+
+    outwards = 1.0 if sense == "G2" else -1.0  # to the left of the feed
+    tip = (0.0, outwards * path_radius, -1.0)
+    expected = Teeth(6.0, corner, 4, AL7075).mean(tip, (1, 0, 0), 0.1, material, steps=720)[0]
+    assert np.linalg.norm(force - expected) < RELATIVE * np.linalg.norm(expected)
+
+
 @pytest.mark.parametrize("slope", [-20.0, 20.0], ids=["down", "up"])
 def test_ball_on_a_slope(tmp_path, slope):
     """Level stock, and a way that goes down or up through it."""
