@@ -178,7 +178,7 @@ def robot(text: str) -> str:
     try:
         find(text)
     except ModelError as cause:
-        raise InputError(str(cause)) from None
+        raise InputError(cause.problem, advice=cause.advice) from None
     return text
 
 

@@ -488,3 +488,10 @@ def test_init_takes_frames_by_number_and_asks_for_the_base_of_other_programs():
 def test_a_frame_by_number_is_given_whole(text):
     with pytest.raises(InputError):
         answers.numbered_frames([text])
+
+
+def test_an_unknown_robot_is_answered_with_the_nearest_names_in_one_sentence_each():
+    done = invoke("start", "part.nc", "--robot", "kuka_kr720")
+    assert done.exit_code == 2
+    assert "no robot 'kuka_kr720'. Did you mean " in " ".join(done.stderr.split())
+    assert done.stderr.rstrip().endswith("kuka_kr6_r900_2.") and ".." not in done.stderr
