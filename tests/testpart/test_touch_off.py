@@ -279,6 +279,14 @@ def test_touch_off_places_are_on_the_uncut_top_far_apart():
         features.touch_off_places(full, cutting, low, high)
 
 
+def test_touch_off_points_of_a_long_block_are_near_its_four_corners():
+    cutting = Cutting(0.01, 6000.0, 0.018, 1, 0.002, 0.0005)
+    low, high = np.array([0.01, -0.04, -0.03]), np.array([0.31, 0.06, 0.0])
+    places = features.touch_off_places([Feature(Kind(0.003, 0), 0.16, 0.01, 0.3)], cutting, low, high)
+    corners = {(round(x, 6), round(y, 6)) for x, y in places[:, :2].tolist()}
+    assert corners == {(0.015, -0.035), (0.015, 0.055), (0.303, -0.035), (0.303, 0.055)}
+
+
 def swept_by(feature, cutting):
     """Points (n, 2) where the axis of the tool passes, in the plane, with the ends of its moves."""
     ends = np.array([move.end for move in features.passes(feature.kind, cutting)])
