@@ -132,6 +132,18 @@ def test_a_mesh_gives_what_the_box_gives(tmp_path):
     assert one.removed_volume == pytest.approx(other.removed_volume, rel=1e-3)
 
 
+def test_place_of_a_mesh_in_base_is_the_translation_of_its_frame_and_its_turn(tmp_path):
+    """The mesh is that of the box in another frame, whose X is along Y of $BASE."""
+    mesh = trimesh.creation.box(bounds=np.array([[-40, -90, -120], [40, 10, -100]]))
+    mesh.export(tmp_path / "stock.stl")
+    place = "place = { X = 10.0, Y = 0.0, Z = 100.0, A = 90.0 }\n"
+    text = gcode("G0 X-10 Y36 Z5", "G1 Z-3 F2400", "X110")
+    _, placed = forces(tmp_path, text, mesh_process("stock.stl") + place)
+    _, box = forces(tmp_path, text, process(tool(10, 4), BOX, 1.0))
+    np.testing.assert_allclose(placed.cuts.wrench.max(axis=0), box.cuts.wrench.max(axis=0), rtol=2e-3, atol=0.1)
+    assert placed.removed_volume == pytest.approx(box.removed_volume, rel=1e-3)
+
+
 def test_open_mesh(tmp_path):
     mesh = block()
     mesh.update_faces(np.arange(len(mesh.faces)) > 0)
