@@ -494,4 +494,5 @@ def test_an_unknown_robot_is_answered_with_the_nearest_names_in_one_sentence_eac
     done = invoke("start", "part.nc", "--robot", "kuka_kr720")
     assert done.exit_code == 2
     assert "no robot 'kuka_kr720'. Did you mean " in " ".join(done.stderr.split())
-    assert done.stderr.rstrip().endswith("kuka_kr6_r900_2.") and ".." not in done.stderr
+    assert done.stderr.rstrip().endswith("kuka_kr6_r900_2.")
+    assert ".." not in done.stderr
