@@ -32,7 +32,7 @@ from postproc.report.kit import (
     Tiles,
     Verdict,
 )
-from postproc.report.kit.parts import Traced
+from postproc.report.kit.parts import PlotItem
 from tests.html_page import read_page
 from tests.pages.browser import needs_chromium, opened
 
@@ -87,7 +87,7 @@ def _page():
 
 def test_every_kind_of_plot_is_among_those_drawn():
     kinds = {type(trace) for plot in PLOTS for trace in plot.traces}
-    assert kinds == set(Traced.__args__)
+    assert kinds == set(PlotItem.__args__)
 
 
 def test_every_part_is_shown_and_every_plot_drawn(browser, tmp_path):
