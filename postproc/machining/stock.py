@@ -379,6 +379,8 @@ _HALVINGS = 18
 """Golden sections: an interval of 10 mm becomes 2 µm."""
 _WHOLE_SHARE = np.float32(0.999)
 """A cell that is cut over at least this share of its area counts as fully cut (assumed)."""
+_EQUAL_LEVEL = np.float32(1e-6)
+"""Levels of a cell that differ by less [m] are equal: those under one place of the tool differ by rounding only."""
 _MOST_CELLS_AT_ONCE = 200_000
 """Largest number of cells under segments that are processed at once: it limits memory."""
 
@@ -424,9 +426,14 @@ class Footprint(Struct, frozen=True, eq=False):
         )  # fmt: skip
 
     def outside(self, other: Footprint) -> Footprint:
-        """Return the cells and the rim without those that another footprint covers as much or more."""
-        is_covered = np.isin(self.rim, other.cell) | np.isin(self.rim, other.rim)
-        return self.of(~np.isin(self.cell, other.cell), ~is_covered)
+        """Return the cells that another footprint does not cover as deep, and the rim that it does not cover."""
+        if not len(other.cell):
+            return self.of(np.ones(len(self.cell), dtype=bool), ~np.isin(self.rim, other.rim))
+        order = np.lexsort((other.level, other.cell))  # the lowest level of each cell comes first
+        cell, level = other.cell[order], other.level[order]
+        row = np.minimum(np.searchsorted(cell, self.cell), len(cell) - 1)
+        is_covered = (cell[row] == self.cell) & (level[row] <= self.level + _EQUAL_LEVEL)
+        return self.of(~is_covered, ~(np.isin(self.rim, cell) | np.isin(self.rim, other.rim)))
 
     def around(self, stock: Stock, point: Array, radius: float) -> Footprint:
         """Return the rim, and the cells of the map `stock` whose middles are not within a circle, seen along z.
