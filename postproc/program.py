@@ -611,10 +611,8 @@ class Program(Struct, frozen=True, eq=False):
         return self.layout is not None
 
     def tool_text(self, key: str) -> str:
-        """Return a number or name of a tool as the program writes it: T3, TOOL_DATA[3] (KRL), tMill (RAPID)."""
-        if not key.isdecimal():
-            return key
-        return f"TOOL_DATA[{key}]" if self.tool_keys else f"T{key}"
+        """Return a number or name of a tool as the program writes it, see `tool_text`."""
+        return tool_text(key, is_of_robot=bool(self.tool_keys))
 
     def places(self, rows: Ints) -> Places:
         """Return files and lines of motions (n,)."""
@@ -741,6 +739,16 @@ class WrittenProgram(Struct, frozen=True, eq=False):
 
 
 Record = TypeVar("Record")
+
+
+def tool_text(key: str, *, is_of_robot: bool) -> str:
+    """Return a number or name of a tool as a program writes it: T3; TOOL_DATA[3] of KRL and tMill of RAPID programs.
+
+    :param is_of_robot: the program is one of a robot controller, in which tools are named by what states their frame.
+    """
+    if not key.isdecimal():
+        return key
+    return f"TOOL_DATA[{key}]" if is_of_robot else f"T{key}"
 
 
 def constant(value: float, rows: int) -> NDArray[Any]:

@@ -37,6 +37,7 @@ from postproc.machining.material import table
 from postproc.machining.process import DEFAULT, StockTable
 from postproc.machining.process import load as load_process
 from postproc.machining.tool_comments import CommentedTool
+from postproc.program import tool_text
 
 _ABOVE_MM = 50.0
 """Retract this much above the highest cutting move unless something else is said [mm] (assumed)."""
@@ -230,7 +231,9 @@ def _process_questions(needs: ProgramNeeds, answers: Answers) -> Iterator[Questi
     """Yield the questions on material, tools and stock."""
     yield Question("material", "Material", "--material NAME", parse.material, hint=f"Materials: {', '.join(table())}")
     for key in needs.cutter_keys:
-        name, prefix = _tool_text(needs, key), "" if key == DEFAULT else f"{key}="
+        name, prefix = "the tool", ""
+        if key != DEFAULT:
+            name, prefix = tool_text(key, is_of_robot=bool(needs.robot_tools)), f"{key}="
         comment = needs.cutter(key)
         yield Question(
             f"cutter.{key}",
@@ -262,13 +265,6 @@ def _process_questions(needs: ProgramNeeds, answers: Answers) -> Iterator[Questi
         None if box is None else box_text(box),
         optional=box is not None,
     )
-
-
-def _tool_text(needs: ProgramNeeds, key: str) -> str:
-    """Return the tool with a key in [tools] of a process as the program writes it: T3, TOOL_DATA[3], tMill."""
-    if key == DEFAULT:
-        return "the tool"
-    return key if not key.isdecimal() else f"TOOL_DATA[{key}]" if needs.robot_tools else f"T{key}"
 
 
 def _cutter_text(comment: CommentedTool) -> str | None:
