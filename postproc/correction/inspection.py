@@ -19,6 +19,7 @@ from postproc.chunks import chunks, in_chunks
 from postproc.correction import checks
 from postproc.correction.result import Mode
 from postproc.correction.targets import Commands
+from postproc.decimals import without_negative_zero
 from postproc.dialects import registry
 from postproc.errors import Issue
 from postproc.frames import M_PER_MM, MM_PER_M, RAD_PER_DEG, Array, any_column, norm, xyzabc_from_pose
@@ -470,7 +471,7 @@ def frame_issues(program: Program, cell: Cell) -> list[Issue]:
         is_other_frame = np.abs(frames - cell_frame.pose()).max(axis=(1, 2)) > _SAME_FRAME
         motion = np.flatnonzero(is_other_frame[row] & np.isnan(m.joints[:, 0]))
         if len(motion):
-            values = (xyzabc_from_pose(frames[row[motion[0]]]).round(4) + 0.0).tolist()  # −0 becomes 0
+            values = without_negative_zero(xyzabc_from_pose(frames[row[motion[0]]]).round(4)).tolist()
             frame = ", ".join(f"{axis} {value:.8g}" for axis, value in zip("XYZABC", values, strict=True))
             message = (
                 f"{name} is {{{frame}}} by the program; {section} of the cell, which is another, is not used there."

@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from postproc.cell import Cell
+from postproc.decimals import without_negative_zero
 from postproc.errors import Issue, Level
 from postproc.forces.path_forces import PathForces
 from postproc.frames import MM_PER_M, MM_PER_MIN, Array, norm
@@ -225,7 +226,7 @@ def tool_changes(program: Program, axis: str) -> Iterator[Issue]:
 
 def _position_text(pose: Array) -> str:
     """Return X, Y, Z of a pose [m] in millimetres, in words."""
-    # the sum with 0.0 makes 0 of −0
     return ", ".join(
-        f"{name} {value:.6g}" for name, value in zip("XYZ", (pose[:3, 3] * MM_PER_M).round(4) + 0.0, strict=True)
+        f"{name} {value:.6g}"
+        for name, value in zip("XYZ", without_negative_zero((pose[:3, 3] * MM_PER_M).round(4)), strict=True)
     )

@@ -8,7 +8,7 @@ import numpy as np
 
 from postproc import decimals
 from postproc.chunks import in_chunks
-from postproc.decimals import Bytes, Number, Part
+from postproc.decimals import Bytes, Number, Part, without_negative_zero
 from postproc.frames import Array
 from postproc.program import FORCE_FRAMES, PTP, Bools, ForceNote, Ints, TargetForces
 
@@ -21,8 +21,7 @@ _BASE = FORCE_FRAMES.index("BASE")
 def round_wrenches(wrench: Array) -> Array:
     """Return wrenches (n, 6) rounded to the decimals of a comment."""
     scale = 10.0**_DECIMALS
-    # the sum with 0.0 makes 0 of −0
-    return np.asarray(np.rint(wrench * scale) / scale + 0.0)
+    return without_negative_zero(np.rint(wrench * scale) / scale)
 
 
 def needs_comment(forces: TargetForces, kind: Ints, note: Ints, notes: Sequence[ForceNote], start: float) -> Bools:

@@ -11,6 +11,7 @@ from msgspec import Struct
 
 from postproc.cell import Cell
 from postproc.chunks import chunks
+from postproc.decimals import decimal_text
 from postproc.errors import Issue, ProgramError
 from postproc.frames import DEG_PER_RAD, Array
 from postproc.program import CIRC, LIN, PTP, Event, Ints, Program, Targets, distinct
@@ -288,5 +289,4 @@ def number(value: float) -> str:
     >>> number(12.5), number(-0.0), number(3.0)
     ('12.5', '0', '3')
     """
-    # the sum with 0.0 makes 0 of −0
-    return f"{round(value, _DECIMALS) + 0.0:.{_DECIMALS}f}".rstrip("0").rstrip(".")
+    return decimal_text(value, _DECIMALS).rstrip("0").rstrip(".")

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from postproc import kinematics, robot
+from postproc.decimals import without_negative_zero
 from postproc.errors import InputError
 from postproc.frames import M_PER_MM, MM_PER_M, RAD_PER_DEG, Array, xyzabc_from_pose
 from postproc.robot import JOINTS, RobotModel
@@ -111,8 +112,7 @@ def _read_station(robolink: Any, station: str) -> Station:
         )
     (arm,) = arms
     joints = arm.Joints().list()
-    # the sum with 0.0 makes 0 of −0
-    start = tuple(float(value) for value in np.round(joints[: len(JOINTS)], 6) + 0.0)
+    start = tuple(float(value) for value in without_negative_zero(np.round(joints[: len(JOINTS)], 6)))
     remarks: tuple[str, ...] = ()
     if len(joints) > len(JOINTS):
         remarks = (f"{len(joints) - len(JOINTS)} external axes of the station are not taken over",)
@@ -124,8 +124,7 @@ def _frame(pose: Any) -> tuple[float, ...]:
     """Return X…C [mm, deg] of a pose of RoboDK [mm]."""
     matrix = np.array(pose.Rows(), dtype=float)
     matrix[:3, 3] *= M_PER_MM
-    # the sum with 0.0 makes 0 of −0
-    return tuple(float(value) for value in np.round(xyzabc_from_pose(matrix[None])[0], 6) + 0.0)
+    return tuple(float(value) for value in without_negative_zero(np.round(xyzabc_from_pose(matrix[None])[0], 6)))
 
 
 def _letters(name: str) -> str:

@@ -17,6 +17,7 @@ import numpy as np
 from msgspec import Struct
 
 from postproc import files
+from postproc.decimals import without_negative_zero
 from postproc.errors import InputError, MeasurementError
 from postproc.frames import DEG_PER_RAD, M_PER_MM, MM_PER_M, RAD_PER_DEG, Array
 from postproc.program import Ints
@@ -570,9 +571,8 @@ def text_lines(result: CompensatorGeometry) -> list[str]:
     ]
     markers = result.markers
     count = f"{len(markers.names)} marker{'s' if len(markers.names) > 1 else ''}"
-    # the sum with 0.0 makes 0 of −0
-    cosine, sine = np.round(markers.sums * MM_PER_M, 1) + 0.0
-    bias, even_ci = np.round(markers.bias * MM_PER_M, 4) + 0.0, markers.ci95_even * MM_PER_M
+    cosine, sine = without_negative_zero(np.round(markers.sums * MM_PER_M, 1))
+    bias, even_ci = without_negative_zero(np.round(markers.bias * MM_PER_M, 4)), markers.ci95_even * MM_PER_M
     return [
         *lines,
         f"markers around P0: Σ R cos β = {cosine:.1f} mm, Σ R sin β = {sine:.1f} mm; the best is 0, all on one side "

@@ -25,6 +25,7 @@ from msgspec import Struct
 
 from postproc import elastostatics
 from postproc import robot as robots
+from postproc.decimals import without_negative_zero
 from postproc.errors import MeasurementError
 from postproc.frames import MM_PER_M, Array, norm
 from postproc.identification import plausibility, record
@@ -524,8 +525,7 @@ def _level(sides: Array, largest: Array) -> Array:
 def torque_record(torque_range: Coverage) -> list[record.TorqueRange]:
     """Return the torques as `identification.json` contains them."""
     return [
-        # the sum with 0.0 makes 0 of −0
-        record.TorqueRange(name, float(-sides[0]) + 0.0, float(sides[1]), int(count[0]), int(count[1]))
+        record.TorqueRange(name, without_negative_zero(float(-sides[0])), float(sides[1]), int(count[0]), int(count[1]))
         for name, sides, count in zip(JOINTS, torque_range.largest, torque_range.configurations, strict=True)
     ]
 

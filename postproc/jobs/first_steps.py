@@ -21,6 +21,7 @@ from postproc import correction, files, kinematics
 from postproc import robot as robots
 from postproc.cell import Cell, Frame, Rotary, Start, Tool, ToolAxis, load
 from postproc.correction.plausibility import near_base, short_tool
+from postproc.decimals import without_negative_zero
 from postproc.dialects.text import decode
 from postproc.errors import CellError, InputError, ModelError, OptionError, ProgramError, first_of
 from postproc.files import path_list, read_text, toml, write_whole
@@ -283,8 +284,7 @@ def _frame_of(config: Path, array: str, number: int, robot: RobotModel) -> Numbe
         raise InputError(f"no {array}[{number}]", file=str(config), advice="Give a number that it has.") from None
     poses = program.bases if variable == "$BASE" else program.tools
     frame: Array = xyzabc_from_pose(poses[[program.motions.base, program.motions.tool][variable == "$TOOL"][-1]])
-    # the sum with 0.0 makes 0 of −0
-    return tuple(float(value) for value in np.round(frame.ravel(), 6) + 0.0)
+    return tuple(float(value) for value in without_negative_zero(np.round(frame.ravel(), 6)))
 
 
 _LARGEST_Z = -0.1
@@ -526,8 +526,7 @@ def toml_string(text: str) -> str:
 
 
 def _number(value: float) -> str:
-    # the sum with 0.0 makes 0 of −0
-    return repr(float(f"{value:.10g}") + 0.0)
+    return repr(without_negative_zero(float(f"{value:.10g}")))
 
 
 _NAME = re.compile(r"[A-Za-z]\w*", re.ASCII)

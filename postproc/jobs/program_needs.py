@@ -18,6 +18,7 @@ from msgspec.structs import replace
 
 from postproc import correction, toolpath
 from postproc.cell import Box, Cell, Frame, GCode, Machine, Start, Tool
+from postproc.decimals import without_negative_zero
 from postproc.dialects import registry
 from postproc.dialects.dialect import CamFormat, Survey, WithNumberedFrames
 from postproc.errors import InputError
@@ -134,8 +135,7 @@ class ProgramNeeds(Struct, frozen=True):
             low[2] -= _SIDE_MM
             _exclude_points(low, high, self.low_rapids, margin)
         high[2] = max(high[2], 0.0)
-        # the sum with 0.0 makes 0 of −0
-        low, high = np.floor(low) + 0.0, np.ceil(high) + 0.0
+        low, high = without_negative_zero(np.floor(low)), without_negative_zero(np.ceil(high))
         if low[2] >= high[2]:
             high[2] = low[2] + 1.0
         return Box(*((float(a), float(b)) for a, b in zip(low, high, strict=True)))
@@ -261,9 +261,8 @@ def _span(program: Program) -> tuple[tuple[float, float, float], tuple[float, fl
     starts = targets[np.maximum(cutting - 1, 0)]
     starts[:, 2] = targets[cutting, 2]
     points = np.concatenate([targets[cutting], _arc_points(program, cutting), starts]) * MM_PER_M
-    # the sum with 0.0 makes 0 of −0
-    x, y, z = (np.round(points.min(axis=0), 3) + 0.0).tolist()
-    u, v, w = (np.round(points.max(axis=0), 3) + 0.0).tolist()
+    x, y, z = without_negative_zero(np.round(points.min(axis=0), 3)).tolist()
+    u, v, w = without_negative_zero(np.round(points.max(axis=0), 3)).tolist()
     return (x, y, z), (u, v, w)
 
 

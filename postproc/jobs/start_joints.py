@@ -9,6 +9,7 @@ from msgspec.structs import replace
 
 from postproc import kinematics
 from postproc.cell import Cell
+from postproc.decimals import without_negative_zero
 from postproc.frames import DEG_PER_RAD, MM_PER_M, RAD_PER_DEG, Array, inverse
 from postproc.robot import RobotModel
 
@@ -39,8 +40,7 @@ def joints_above_part(
     if not candidates:
         return None
     nearest = min(candidates, key=lambda joints: float(np.abs(joints[[3, 5]]).max()))
-    # the sum with 0.0 makes 0 of −0
-    return tuple((np.round(nearest * DEG_PER_RAD, 1) + 0.0).tolist())
+    return tuple(without_negative_zero(np.round(nearest * DEG_PER_RAD, 1)).tolist())
 
 
 def upright_joints(cell: Cell, robot: RobotModel, turn: float, height: float) -> Array:

@@ -14,6 +14,7 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
+from postproc.decimals import without_negative_zero
 from postproc.errors import Issue, ProgramError
 from postproc.forces import ForceSource
 from postproc.frames import DEG_PER_RAD, MM_PER_M, RAD_PER_DEG, Array, norm, rotation_from_vector, wrap_angles
@@ -477,8 +478,7 @@ def _free_of_collisions(samples: PathSamples, rows: Ints, found_q: list[list[Arr
 
 def _start(q: Array, reason: str) -> ChosenStart:
     """Return a start at joint angles [rad], rounded as a user would write them, with its message."""
-    # the sum with 0.0 makes 0 of −0
-    joints = [round(float(angle), _DECIMALS) + 0.0 for angle in q * DEG_PER_RAD]
+    joints = [without_negative_zero(round(float(angle), _DECIMALS)) for angle in q * DEG_PER_RAD]
     joint_text = ", ".join(f"{angle:.1f}" for angle in joints)
     message = f"The cell has no [start]: the program starts at A1…A6 = {joint_text}, its first target, {reason}."
     return ChosenStart((joints[0], joints[1], joints[2], joints[3], joints[4], joints[5]), message)

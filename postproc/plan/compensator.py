@@ -12,6 +12,7 @@ import numpy as np
 from msgspec import Struct
 
 from postproc.compensator import Compensator
+from postproc.decimals import without_negative_zero
 from postproc.errors import PlanError
 from postproc.frames import DEG_PER_RAD, MM_PER_M, RAD_PER_DEG, Array
 from postproc.identification import compensator_geometry as geometry
@@ -161,8 +162,7 @@ def summary(plan: CompensatorPlan) -> dict[str, object]:
     return {
         "robot": plan.robot,
         "sigma_mm": round(plan.sigma * MM_PER_M, 9),
-        # the sum with 0.0 makes 0 of −0
-        "q2_deg": [float(angle) for angle in np.round(plan.q2 * DEG_PER_RAD) + 0.0],
+        "q2_deg": [float(angle) for angle in without_negative_zero(np.round(plan.q2 * DEG_PER_RAD))],
         "turn_deg": plan.turn * DEG_PER_RAD,
         "repeats": plan.options.repeats,
         "markers": [
@@ -182,8 +182,7 @@ def summary(plan: CompensatorPlan) -> dict[str, object]:
 
 def text_lines(plan: CompensatorPlan) -> list[str]:
     """Return the plan for a terminal."""
-    # the sum with 0.0 makes 0 of −0
-    angles = ", ".join(f"{angle:.0f}" for angle in np.round(plan.q2 * DEG_PER_RAD) + 0.0)
+    angles = ", ".join(f"{angle:.0f}" for angle in without_negative_zero(np.round(plan.q2 * DEG_PER_RAD)))
     places = ", ".join(
         f"{name} {angle:.0f}°" for name, angle in zip(marker_names(plan), plan.beta * DEG_PER_RAD, strict=True)
     )

@@ -13,6 +13,7 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
+from postproc.decimals import without_negative_zero
 from postproc.errors import PlanError
 from postproc.frames import DEG_PER_RAD, MM_PER_M, RAD_PER_DEG, Array, norm
 from postproc.identification.readings import Measurements
@@ -569,8 +570,7 @@ def _order_plan(problem: _Problem, plan: Plan) -> tuple[Plan, Array, float, tupl
     q = np.round(plan.q * DEG_PER_RAD, _ANGLE_DECIMALS) * RAD_PER_DEG
     sequence, seconds, hit = least_travel(site, q)
     q, tilt, level = q[sequence], plan.tilt[sequence], plan.level[sequence]
-    # the sum with 0.0 makes 0 of −0
-    force = np.round(site.rig.force * direction(tilt), _FORCE_DECIMALS) + 0.0
+    force = without_negative_zero(np.round(site.rig.force * direction(tilt), _FORCE_DECIMALS))
     value = problem.task.criterion_at(q2).value(problem.readings.information_of(q, force), level)
     via, blocked_rows = detours(site, q, hit)
     return Plan(q, tilt, level, q2, value), force, seconds, via, blocked_rows

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from postproc.cell import Cell as CellFile
-from postproc.decimals import decimal_text
+from postproc.decimals import decimal_text, without_negative_zero
 from postproc.dialects.krl.write import axis_motion, document, head
 from postproc.files import FileEntry, json_bytes
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array
@@ -87,8 +87,7 @@ def krl_program(result: PlanResult, cell: CellFile, name: str) -> Document:
 
 def _force_text(force: Array) -> str:
     """Return a force (3,) [N] as text, such as "Fx 0.0 Fy 100.0 Fz 0.0"."""
-    # the sum with 0.0 makes 0 of −0
-    return " ".join(f"{axis} {value + 0.0:.1f}" for axis, value in zip(WRENCH[:3], force, strict=True))
+    return " ".join(f"{axis} {without_negative_zero(value):.1f}" for axis, value in zip(WRENCH[:3], force, strict=True))
 
 
 def plan_summary(result: PlanResult) -> dict[str, object]:
@@ -142,8 +141,10 @@ def _torque_entries(result: PlanResult) -> list[dict[str, object]]:
             "joint": joint,
             **{f"{sign}_Nm": float(value) for sign, value in zip(SIGNS, (low, high), strict=True)},
             **{f"{sign}_poses": int(number) for sign, number in zip(SIGNS, count, strict=True)},
-            # the sum with 0.0 makes 0 of −0
-            **{f"work_{sign}_Nm": float(value) for sign, value in zip(SIGNS, (-work[0] + 0.0, work[1]), strict=True)},
+            **{
+                f"work_{sign}_Nm": float(value)
+                for sign, value in zip(SIGNS, (without_negative_zero(-work[0]), work[1]), strict=True)
+            },
         }
         for joint, low, high, count, work in rows
     ]
@@ -186,8 +187,7 @@ def pose_counts_by_side(result: PlanResult) -> Ints:
 
 def torque_extremes(result: PlanResult) -> tuple[Array, Array]:
     """Return the largest negative and positive torques (6,) of the loads, 0 where there is none [N·m]."""
-    # the sum with 0.0 makes 0 of −0
-    return np.minimum(result.torque.min(axis=0), 0.0) + 0.0, np.maximum(result.torque.max(axis=0), 0.0)
+    return without_negative_zero(np.minimum(result.torque.min(axis=0), 0.0)), np.maximum(result.torque.max(axis=0), 0.0)
 
 
 def plan_json(result: PlanResult, files: Sequence[FileEntry]) -> bytes:
@@ -414,8 +414,13 @@ def angles_section(result: PlanResult) -> Section:
     """Return the section with joint angles [deg] and loads [N] of the poses."""
     head = ("Pose", *(f"{joint}, °" for joint in JOINTS), "Fx, N", "Fy, N", "Fz, N")
     rows = tuple(
-        # the sum with 0.0 makes 0 of −0
-        Row((str(row), *(f"{angle + 0.0:.3f}" for angle in q), *(f"{value + 0.0:.1f}" for value in force)))
+        Row(
+            (
+                str(row),
+                *(f"{without_negative_zero(angle):.3f}" for angle in q),
+                *(f"{without_negative_zero(value):.1f}" for value in force),
+            )
+        )
         for row, (q, force) in enumerate(zip(result.plan.q * DEG_PER_RAD, result.force, strict=True), 1)
     )
     note = "In the order of least travel. Loads act on the load point, root axes."
@@ -467,8 +472,7 @@ def torques_section(result: PlanResult) -> Section:
                 joint,
                 Cell(f"{low[row]:.0f} ({count[row, 0]})", "good" if count[row, 0] else "warning"),
                 Cell(f"{high[row]:.0f} ({count[row, 1]})", "good" if count[row, 1] else "warning"),
-                # the sum with 0.0 makes 0 of −0
-                f"{-work[row, 0] + 0.0:.0f} … {work[row, 1]:.0f}",
+                f"{without_negative_zero(-work[row, 0]):.0f} … {work[row, 1]:.0f}",
             )
         )
         for row, joint in enumerate(JOINTS)

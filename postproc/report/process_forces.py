@@ -9,6 +9,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc.chunks import chunks
+from postproc.decimals import without_negative_zero
 from postproc.errors import Issue
 from postproc.files import FileEntry, json_bytes
 from postproc.forces import Knots
@@ -76,9 +77,8 @@ def forces_csv(program: Program, knots: Knots) -> Iterator[bytes]:
             f"{w[0]:.3f},{w[1]:.3f},{w[2]:.3f},{w[3]:.4f},{w[4]:.4f},{w[5]:.4f},{FORCE_FRAMES[axes]},"
             f"{s[0]:.3f},{s[1]:.3f},{s[2]:.3f},{s[3]:.4f},{s[4]:.4f},{s[5]:.4f},{100.0 * factor:.3f}\n"
             for line, place, w, axes, s, factor in zip(
-                # the sum with 0.0 makes 0 of −0
-                lines[part].tolist(), t[part].tolist(), (knots.wrench[part] + 0.0).tolist(), knots.frame[part].tolist(),
-                knots.sigma[part].tolist(), knots.factor[part].tolist(), strict=True,
+                lines[part].tolist(), t[part].tolist(), without_negative_zero(knots.wrench[part]).tolist(),
+                knots.frame[part].tolist(), knots.sigma[part].tolist(), knots.factor[part].tolist(), strict=True,
             )
         ).replace("-0.000,", "0.000,").replace("-0.0000,", "0.0000,").encode()  # fmt: skip
 

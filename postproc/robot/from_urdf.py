@@ -16,6 +16,7 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
+from postproc.decimals import without_negative_zero
 from postproc.errors import ModelError
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, rotation_from_vector
 from postproc.robot import urdf
@@ -371,8 +372,9 @@ def _model_text(chain: Chain, name: str, shapes: Mapping[tuple[int, str], str]) 
             f"{chain.upper[row] * DEG_PER_RAD:.4g}°, {chain.speed[row] * DEG_PER_RAD:.4g}°/s -->",
             f'    <parent link="{parent}"/><child link="link_{number}"/>',
             f'    <origin xyz="{_numbers(chain.placement[row, :3, 3])}"/><axis xyz="{_numbers(chain.axis[row])}"/>',
-            # the sum with 0.0 makes 0 of −0
-            "    <limit " + " ".join(f'{key}="{value + 0.0:.10g}"' for key, value in limits.items()) + "/>",
+            "    <limit "
+            + " ".join(f'{key}="{without_negative_zero(value):.10g}"' for key, value in limits.items())
+            + "/>",
             "  </joint>",
         ]
         parent = f"link_{number}"
@@ -389,4 +391,4 @@ def _model_text(chain: Chain, name: str, shapes: Mapping[tuple[int, str], str]) 
 
 def _numbers(values: Array) -> str:
     """Return numbers for an attribute; zero has no sign."""
-    return " ".join(f"{value + 0.0:.10g}" for value in values)
+    return " ".join(f"{without_negative_zero(value):.10g}" for value in values)

@@ -17,6 +17,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from msgspec import Struct
 
+from postproc.decimals import without_negative_zero
 from postproc.errors import PlanError
 from postproc.frames import MM_PER_M, Array
 
@@ -369,13 +370,11 @@ def _head(cutting: Cutting, touches: Array, first: int, placement_title: str) ->
         *([f"(The block is at {placement_title})"] if placement_title else []),
     ]
     if len(touches):
-        # the sum with 0.0 makes 0 of −0
-        z = cutting.top * MM_PER_M + 0.0
+        z = without_negative_zero(cutting.top * MM_PER_M)
         lines.append(f"(Before cutting touch the top of the block with the tool: it is at Z{z:g} of the base)")
     points = []
     for number, touch in enumerate(touches, start=first):
-        # the sum with 0.0 makes 0 of −0
-        x, y, z = (touch * MM_PER_M + 0.0).tolist()
+        x, y, z = without_negative_zero(touch * MM_PER_M).tolist()
         lines.append(f"(T{number:02d}: X{x:g} Y{y:g} Z{z:g}, left uncut, to be probed with the features)")
         points.append((f"T{number:02d}.top", 0, 0.0, touch, np.array([0.0, 0.0, 1.0]), 0.0))
     lines += ["G21 G90 G17 G94", f"T{cutting.tool} M6", f"S{cutting.rpm:g} M3"]

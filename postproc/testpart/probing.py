@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from postproc import files
 from postproc.chunks import Columns
+from postproc.decimals import without_negative_zero
 from postproc.errors import MeasurementError
 from postproc.frames import M_PER_MM, MM_PER_M, Array, norm
 from postproc.program import Ints
@@ -218,8 +219,7 @@ def table(parts: dict[Placement, Program]) -> bytes:
             part.feature, part.line.tolist(), part.t.tolist(), part.point * MM_PER_M, part.normal, part.mass.tolist(),
             strict=True,
         ):  # fmt: skip
-            # the sum with 0.0 makes 0 of −0
-            place = ",".join(f"{value:.4f}" for value in point + 0.0)
+            place = ",".join(f"{value:.4f}" for value in without_negative_zero(point))
             end = f",{mass:g}" if has_weight else ""
             direction = ",".join(f"{value:.9f}" for value in normal)
             rows.append(f"{name}{made_by},{line},{t:.6f},{place},{direction},{end}")

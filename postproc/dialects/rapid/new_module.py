@@ -19,7 +19,7 @@ from pathlib import PurePath
 import numpy as np
 
 from postproc.cell import Cell
-from postproc.decimals import Number, Part, lines
+from postproc.decimals import Number, Part, lines, without_negative_zero
 from postproc.dialects import force_comments
 from postproc.dialects.force_comments import text_in_rows
 from postproc.dialects.new_program import NewProgram, Words, check_name, number
@@ -64,7 +64,7 @@ _LARGEST_COORDINATE = 1e6
 
 def _joint_motion(joints: Array) -> str:
     """Return the motion to joint angles (6,) [rad] that begins with tool and work object of the program."""
-    angles = ",".join(f"{angle:.5f}" for angle in (abb_from_joints(joints) + 0.0).tolist())
+    angles = ",".join(f"{angle:.5f}" for angle in without_negative_zero(abb_from_joints(joints)).tolist())
     return f"MoveAbsJ [[{angles}],{NO_EXTERNAL_AXES}],speed_0,fine,tool_0\\WObj:=wobj_0;"
 
 
@@ -168,7 +168,7 @@ class _NewModule:
     def _head(self, zones: Array, speeds: Array) -> list[str]:
         """Return the lines up to the start position."""
         program, cell = self.program, self.cell
-        start = ",".join(f"{angle:.5f}" for angle in (abb_from_joints(cell.start_joints) + 0.0).tolist())
+        start = ",".join(f"{angle:.5f}" for angle in without_negative_zero(abb_from_joints(cell.start_joints)).tolist())
         base, tool = self.new.frames(0)
         load = self._load()
         return [
@@ -251,7 +251,9 @@ def _columns(values: Array, decimals: int) -> list[Part]:
 def _frame(pose: Array) -> str:
     """Return a pose (4, 4) [m] as RAPID has it: millimetres and a quaternion."""
     place = ",".join(number(value) for value in (pose[:3, 3] * MM_PER_M).tolist())
-    turn = ",".join(f"{value + 0.0:.{_QUATERNION}f}" for value in quaternions(pose[None, :3, :3])[0].tolist())
+    turn = ",".join(
+        f"{without_negative_zero(value):.{_QUATERNION}f}" for value in quaternions(pose[None, :3, :3])[0].tolist()
+    )
     return f"[[{place}],[{turn}]]"
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from msgspec.structs import astuple
 
 from postproc.comparison import Comparison
+from postproc.decimals import without_negative_zero
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm, xyzabc_from_pose
 from postproc.operations import tool_text
 from postproc.program import Ints, distinct
@@ -421,8 +422,7 @@ def _worst_pairs_section(comparison: Comparison, pair_rows: Ints, names: Sequenc
     for k, row in enumerate(worst.tolist()):
         cells = [name.line(place.of(k)) for name, place in zip(names, places, strict=True)]
         cells.append(millimetres(float(comparison.distance[row]) * MM_PER_M))
-        # the sum with 0.0 makes 0 of −0
-        cells += [f"{value:.4f}" for value in comparison.offset[row] * MM_PER_M + 0.0]
+        cells += [f"{value:.4f}" for value in without_negative_zero(comparison.offset[row] * MM_PER_M)]
         cells.append(f"{np.degrees(comparison.rotation[row]):.4f}")
         path_distance = float(comparison.path_distance[row])
         cells.append("-" if np.isnan(path_distance) else millimetres(path_distance * MM_PER_M))

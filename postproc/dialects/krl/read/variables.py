@@ -12,6 +12,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from postproc.cell import Cell
+from postproc.decimals import without_negative_zero
 from postproc.dialects.krl.language.expressions import calls
 from postproc.dialects.krl.language.names import MAX_LENGTH
 from postproc.dialects.krl.language.positions import AXES, CARTESIAN, Position, from_aggregate, from_pose
@@ -724,8 +725,10 @@ def _agree(frame: Position, other_frame: Position) -> bool:
 def _frame_text(frame: Position) -> str:
     """Return the given components of a frame as KRL writes them, for messages [mm, deg]."""
     names = AXES if frame.axis else CARTESIAN
-    # the sum with 0.0 makes 0 of −0
-    components = [f"{name} {value + 0.0:.10g}" for name, value in zip(names, np.round(frame.values, 6), strict=True)]
+    components = [
+        f"{name} {without_negative_zero(value):.10g}"
+        for name, value in zip(names, np.round(frame.values, 6), strict=True)
+    ]
     return f"{{{', '.join(component for component in components if not component.endswith('nan'))}}}"
 
 

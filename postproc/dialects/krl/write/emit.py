@@ -19,7 +19,7 @@ from pathlib import PurePath
 import numpy as np
 
 from postproc.cell import Cell
-from postproc.decimals import Number, Part, lines, without_trailing_zeros
+from postproc.decimals import Number, Part, lines, without_negative_zero, without_trailing_zeros
 from postproc.dialects import force_comments
 from postproc.dialects.force_comments import text_in_rows
 from postproc.dialects.krl.language.names import fault_of, valid
@@ -270,8 +270,7 @@ def head(name: str, controller: str, parameters: Sequence[str] = ()) -> list[str
 
 def axis_motion(angles: Iterable[float], decimals: int) -> str:
     """Return the PTP to joint angles A1…A6 [deg]."""
-    # the sum with 0.0 makes 0 of −0
-    joints = ",".join(f"A{axis} {angle + 0.0:.{decimals}f}" for axis, angle in enumerate(angles, 1))
+    joints = ",".join(f"A{axis} {without_negative_zero(angle):.{decimals}f}" for axis, angle in enumerate(angles, 1))
     return f"PTP {{{joints}}}"
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from msgspec import Struct
 
 from postproc.chunks import in_chunks
+from postproc.decimals import decimal_text, without_negative_zero
 from postproc.dialects.krl.language.positions import CARTESIAN, LARGEST_B
 from postproc.dialects.krl.language.values import Number
 from postproc.dialects.krl.layout import FREE, IGNORE, ORIENTATIONS, Layout, Offsets
@@ -127,8 +128,7 @@ def fixed_point(number: float, decimals: int, min_decimals: int) -> str:
     >>> fixed_point(12.5, 9, 4), fixed_point(-0.0, 4, 4)
     ('12.5000', '0.0000')
     """
-    # the sum with 0.0 makes 0 of −0
-    text = f"{round(number, decimals) + 0.0:.{decimals}f}"
+    text = decimal_text(number, decimals)
     if decimals > min_decimals:
         whole, _, places = text.partition(".")
         places = places.rstrip("0").ljust(min_decimals, "0")
@@ -138,8 +138,7 @@ def fixed_point(number: float, decimals: int, min_decimals: int) -> str:
 
 def _round_values(values: Array, decimals: Ints) -> Array:
     scale = 10.0**decimals
-    # the sum with 0.0 makes 0 of −0
-    return np.asarray(np.rint(values * scale) / scale + 0.0)
+    return without_negative_zero(np.rint(values * scale) / scale)
 
 
 def _nearest(abc: Array, reference: Array) -> Array:

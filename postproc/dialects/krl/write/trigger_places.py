@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from msgspec import Struct
 
+from postproc.decimals import decimal_text
 from postproc.dialects.krl.language.motion_statements import Trigger
 from postproc.frames import MM_PER_M, Array
 
@@ -76,8 +77,7 @@ def place(triggers: Sequence[Trigger], line: int, ends: Array, speed: float) -> 
             continue
         piece, offset = piece_and_offset
         if trigger.path is not None and abs(offset - trigger.offset) > _ROUNDING:
-            # the sum with 0.0 makes 0 of −0
-            placement.paths[trigger] = f"{round(offset * MM_PER_M, 3) + 0.0:.3f}".rstrip("0").rstrip(".")
+            placement.paths[trigger] = decimal_text(offset * MM_PER_M, 3).rstrip("0").rstrip(".")
         if piece > earliest:
             placement.moved[piece].insert(0, trigger)
             continue
