@@ -505,55 +505,84 @@ def load(path: str | Path) -> Cell:
         names the key and its valid values.
     """
     path = Path(path)
+    file = str(path)
     absent = f"Write one with: postproc init {argument(path)}"
     cell = files.read_toml(path, CellFile, CellError, _EXAMPLE, absent)
     if cell.start is not None and _looks_like_radians(cell.start.joints):
         advice = "Angles are in degrees: write 110 for 1.92 rad. If degrees are meant, round them."
-        raise CellError(f"[start] joints = {list(cell.start.joints)} look like radians", file=str(path), advice=advice)
+        raise CellError(f"[start] joints = {list(cell.start.joints)} look like radians", file=file, advice=advice)
+    _check_table_names(cell, file)
+    _check_lines(cell, file)
+    _check_krl_values(cell.krl.values, file)
+    _check_external_axes(cell.external_axes, file)
+    if cell.gcode.motions == "SLIN" and cell.output.controller == "KRC2":
+        advice = 'Write motions = "LIN", or name a KRC4.'
+        raise CellError('[gcode] motions = "SLIN": a KRC2 has no spline motions', file=file, advice=advice)
+    if cell.machine.home is not None and len(cell.machine.home) not in (_AXES, _JOINTS):
+        advice = "Give A1 to A6 in degrees, or X, Y and Z of $BASE in mm."
+        raise CellError(f"[machine] home has {len(cell.machine.home)} numbers", file=file, advice=advice)
+    if cell.rotary is not None:
+        _check_rotary(cell.rotary, file)
+        _check_indexed_axes(cell.rotary, cell.work_offsets, file)
+    if cell.collision is not None:
+        _check_collision(cell.collision, file)
+    content = {name: getattr(cell, name) for name in cell.__struct_fields__} | _portable_paths(cell)
+    return Cell(**content, folder=str(path.parent))
+
+
+def _check_table_names(cell: CellFile, file: str) -> None:
+    """Check the names of frames, tools, work offsets and M codes.
+
+    :raises CellError: a name is not valid.
+    """
     for table, name in ((cell.base_data, "base_data"), (cell.tool_data, "tool_data"), (cell.tools, "tools")):
         for key in table:
             if not (key.isascii() and key.isdecimal() and len(key) <= 4):
-                raise CellError(f"[{name}.{key}]: {key!r} is not a number", file=str(path))
+                raise CellError(f"[{name}.{key}]: {key!r} is not a number", file=file)
     for key in cell.work_offsets:
         if key not in {"G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G59.3"}:
-            raise CellError(f"[work_offsets.{key}]", file=str(path), advice="Valid names: G54 … G59, G59.1 … G59.3.")
+            raise CellError(f"[work_offsets.{key}]", file=file, advice="Valid names: G54 … G59, G59.1 … G59.3.")
     for key in cell.m_codes:
         if fault := m_code_fault(key):
-            raise CellError(f"[m_codes] {fault[0]}", file=str(path), advice=fault[1])
+            raise CellError(f"[m_codes] {fault[0]}", file=file, advice=fault[1])
+
+
+def _check_lines(cell: CellFile, file: str) -> None:
+    """Check that the lines of [gcode] and [m_codes], written into programs, are closed and move nothing.
+
+    :raises CellError: a line leaves something open, or is a motion to a pose.
+    """
     for section, values in (("gcode", msgspec.structs.asdict(cell.gcode)), ("m_codes", cell.m_codes)):
         for key, lines in values.items():
             if isinstance(lines, list) and (open_end := lines_fault(lines)):
-                raise CellError(f"[{section}] {key}, {open_end}", file=str(path), advice="Correct the line.")
+                raise CellError(f"[{section}] {key}, {open_end}", file=file, advice="Correct the line.")
             if isinstance(lines, list) and (motion := motion_fault(lines)):
                 advice = "Move by joint angles, PTP {A1 0, A2 -90, …}, or put the motion into a subprogram and call it."
-                raise CellError(f"[{section}] {key}, {motion}", file=str(path), advice=advice)
-    for key, value in cell.krl.values.items():
+                raise CellError(f"[{section}] {key}, {motion}", file=file, advice=advice)
+
+
+def _check_krl_values(values: Mapping[str, float], file: str) -> None:
+    """Check the values of variables that [krl.values] states.
+
+    :raises CellError: a name is no variable or element of KRL, or a value is too large.
+    """
+    for key, value in values.items():
         if not _VARIABLE.fullmatch(key) or abs(value) > _LARGEST_VALUE:
             advice = 'Give numbers or true and false for names and elements: lnActSt = 1, "$IN[5]" = false.'
-            raise CellError(f"[krl.values] {key} = {value}", file=str(path), advice=advice)
-    for key, axis in cell.external_axes.items():
+            raise CellError(f"[krl.values] {key} = {value}", file=file, advice=advice)
+
+
+def _check_external_axes(axes: Mapping[str, ExternalAxis], file: str) -> None:
+    """Check that E1 alone carries the robot, and that its direction is not zero.
+
+    :raises CellError: it is another axis, or the direction is zero.
+    """
+    for key, axis in axes.items():
         if key != "E1":
-            raise CellError(f"[external_axes.{key}]", file=str(path), advice="Only E1 may carry the robot.")
+            raise CellError(f"[external_axes.{key}]", file=file, advice="Only E1 may carry the robot.")
         if not any(axis.direction):
             advice = "Give where the robot goes for positive values in the robot root, e.g. [0, 1, 0]."
-            raise CellError(f"[external_axes.{key}] direction is zero", file=str(path), advice=advice)
-    if cell.gcode.motions == "SLIN" and cell.output.controller == "KRC2":
-        advice = 'Write motions = "LIN", or name a KRC4.'
-        raise CellError('[gcode] motions = "SLIN": a KRC2 has no spline motions', file=str(path), advice=advice)
-    if cell.machine.home is not None and len(cell.machine.home) not in (_AXES, _JOINTS):
-        advice = "Give A1 to A6 in degrees, or X, Y and Z of $BASE in mm."
-        raise CellError(f"[machine] home has {len(cell.machine.home)} numbers", file=str(path), advice=advice)
-    if cell.rotary is not None:
-        _check_rotary(cell.rotary, str(path))
-        _check_indexed_axes(cell.rotary, cell.work_offsets, str(path))
-    if cell.collision is not None:
-        _check_collision(cell.collision, str(path))
-    content = {name: getattr(cell, name) for name in cell.__struct_fields__}
-    content["config_dat"] = None if cell.config_dat is None else _portable(cell.config_dat)
-    content["krl"] = msgspec.structs.replace(cell.krl, search=[_portable(folder) for folder in cell.krl.search])
-    rapid_modules = [_portable(file) for file in cell.rapid.modules]
-    content["rapid"] = msgspec.structs.replace(cell.rapid, modules=rapid_modules)
-    return Cell(**content, folder=str(path.parent))
+            raise CellError(f"[external_axes.{key}] direction is zero", file=file, advice=advice)
 
 
 def _check_rotary(rotary: Rotary, file: str) -> None:
@@ -622,6 +651,15 @@ def _check_collision(collision: Collision, file: str) -> None:
                 problem = f"box {axis} = [{low:g}, {high:g}] has no inside"
                 advice = "Give the smaller number first."
                 raise CellError(f"[collision] obstacles, number {number}: {problem}", file=file, advice=advice)
+
+
+def _portable_paths(cell: CellFile) -> dict[str, object]:
+    """Return the values of the keys that name files and folders, with /, see `_portable`."""
+    return {
+        "config_dat": None if cell.config_dat is None else _portable(cell.config_dat),
+        "krl": msgspec.structs.replace(cell.krl, search=[_portable(folder) for folder in cell.krl.search]),
+        "rapid": msgspec.structs.replace(cell.rapid, modules=[_portable(file) for file in cell.rapid.modules]),
+    }
 
 
 def _portable(path: str) -> str:

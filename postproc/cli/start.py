@@ -202,9 +202,8 @@ def _ask(
         if text is None:
             unanswered.append(question)
             continue
-        is_stated = question.key in option_texts or question.key in answer_file.answers
         try:
-            answers.put(question, text, is_stated=is_stated)
+            answers.put(question, text, is_stated=question.key in option_texts or question.key in answer_file.answers)
         except InputError as cause:
             source = question.option.split()[0] if question.key in option_texts else str(answers_path)
             raise click.BadParameter(str(cause), param_hint=source) from None
@@ -212,20 +211,31 @@ def _ask(
         if (on_terminal and not is_unchecked_stock) or question.key in option_texts:
             answer_file.answers[question.key] = text
             _keep(answers_path, answer_file)
-    unused = option_texts.keys() - question_keys
+    _report_unused(option_texts, option_texts.keys() - question_keys, answer_file, kept_files)
+    if unanswered:
+        lines = [f"  {item.option}    {item.text}" for item in unanswered]
+        raise click.UsageError("\n".join(["Missing, and there is no terminal to ask on:", *lines]))
+
+
+def _report_unused(
+    option_texts: Mapping[str, str], unused: set[str], answer_file: Any, kept_files: Collection[str]
+) -> None:
+    """Note the options that no question needed.
+
+    :param option_texts: all answers given by options, by name; `unused`: the names of those without a question.
+    :param kept_files: "cell" and "process" if these files are used as they are.
+    :raises click.UsageError: an option contradicts the answers that a kept file was made of.
+    """
     for file in kept_files:
-        names = [name for name in unused if _file_of(name) == file]
+        names = {name for name in unused if _file_of(name) == file}
         if conflicting_names := sorted(name for name in names if option_texts[name] != answer_file.answers.get(name)):
             problem = (
                 f"{', '.join(conflicting_names)}: the {file} file is used as it is, and these answers would not count"
             )
             raise click.UsageError(f"{problem}. Leave them out, or give --overwrite to write the file anew.")
-        unused -= set(names)  # the file was made of the same answers, and edited since
+        unused = unused - names  # the file was made of the same answers, and edited since
     for name in sorted(unused):
         click.echo(f"note: this program needs no answer about {name}: it is not used", err=True)
-    if unanswered:
-        lines = [f"  {item.option}    {item.text}" for item in unanswered]
-        raise click.UsageError("\n".join(["Missing, and there is no terminal to ask on:", *lines]))
 
 
 def _file_of(name: str) -> str:

@@ -32,6 +32,7 @@ from postproc.program import (
     CIRC,
     LIN,
     PTP,
+    Bools,
     Document,
     Event,
     ForceNote,
@@ -155,7 +156,11 @@ class _Moves:
 def _motions(
     moves: _Moves, source: Statements, cell: Cell, numbers: dict[float, int], home: tuple[Array, Array | None]
 ) -> tuple[Ints, Motions]:
-    """Return which moves are motions (M,), and these."""
+    """Return which moves are motions (M,), and these.
+
+    :param numbers: index of each tool of the program, by its number.
+    :param home: joint angles (6,) [rad] of the home position and its poses by tool (tools, 4, 4); None without home.
+    """
     code, free, at_home = moves.per_move("code"), moves.per_move("free"), moves.per_move("home")
     tool = np.array([numbers.get(part.tool, 0) if part.tool is not None else 0 for part in moves.parts])[moves.part]
     tool_changes = np.diff(tool, prepend=tool[:1]) != 0
@@ -165,29 +170,13 @@ def _motions(
     )
     code, free, at_home, tool = code[motion_moves], free[motion_moves], at_home[motion_moves], tool[motion_moves]
     count = len(motion_moves)
-    target = np.zeros((count, 4, 4))
-    target[:, 3, 3] = 1.0
-    orientation = cell.tool_pose_in_program()
-    reference = _reference(moves.axis)
-    axis = moves.axis[motion_moves] @ reference
-    if (axis == axis[:1]).all():
-        target[:, :3, :3] = reference @ tilt_to(axis[:1])[0] @ orientation
-    else:
-        target[:, :3, :3] = reference @ tilt_to(axis) @ orientation
-    target[:, :3, 3] = moves.end[motion_moves] * M_PER_MM
-    no_values = np.broadcast_to(np.nan, (count, 6))  # takes no memory
-    joints, centre, normal, sweep = no_values, no_values[:, :3], no_values[:, :3], no_values[:, 0]
+    target = _targets(moves, motion_moves, cell.tool_pose_in_program())
+    joints = np.broadcast_to(np.nan, (count, 6))  # takes no memory
     if at_home.any() and home[1] is not None:
-        joints = no_values.copy()
+        joints = joints.copy()
         joints[at_home] = home[0]
         target[at_home] = home[1][tool[at_home]]
-    arcs = np.flatnonzero(code == ARC)
-    if len(arcs):
-        centre, normal, sweep = centre.copy(), normal.copy(), sweep.copy()
-        for n in arcs.tolist():
-            part = moves.parts[moves.part[motion_moves[n]]]
-            if part.circle is not None:
-                centre[n], normal[n], sweep[n] = part.circle.centre * M_PER_MM, part.circle.axis, part.sweep
+    centre, normal, sweep = _arcs(moves.parts, moves.part[motion_moves], code == ARC)
     rapid = code == RAPID
     feed = np.where(rapid, cell.gcode.rapid_m_per_s, moves.per_move("feed")[motion_moves] * (M_PER_MM / S_PER_MIN))
     feed[free] = np.nan
@@ -211,6 +200,41 @@ def _motions(
         turn=unset,
     )
     return motion_moves, read_only(motions)
+
+
+def _targets(moves: _Moves, motion_moves: Ints, orientation: Array) -> Array:
+    """Return the poses (M, 4, 4) [m] of the tool frame in `$BASE` at the ends of motions.
+
+    :param motion_moves: (M,) moves that are motions.
+    :param orientation: (3, 3) of the tool frame in the program frame where the tool comes along z.
+    """
+    target = np.zeros((len(motion_moves), 4, 4))
+    target[:, 3, 3] = 1.0
+    reference = _reference(moves.axis)
+    axis = moves.axis[motion_moves] @ reference
+    if (axis == axis[:1]).all():
+        target[:, :3, :3] = reference @ tilt_to(axis[:1])[0] @ orientation
+    else:
+        target[:, :3, :3] = reference @ tilt_to(axis) @ orientation
+    target[:, :3, 3] = moves.end[motion_moves] * M_PER_MM
+    return target
+
+
+def _arcs(parts: Sequence[Part], part: Ints, is_arc: Bools) -> tuple[Array, Array, Array]:
+    """Return centre (M, 3) [m], unit axis (M, 3) and angle (M,) [rad] of arcs in `$BASE`; NaN for other motions.
+
+    :param part: (M,) index in `parts` of each motion.
+    :param is_arc: (M,) which motions are arcs.
+    """
+    empty = np.broadcast_to(np.nan, (len(part), 3))  # takes no memory
+    if not is_arc.any():
+        return empty, empty, empty[:, 0]
+    centre, normal, sweep = empty.copy(), empty.copy(), empty[:, 0].copy()
+    for n in np.flatnonzero(is_arc).tolist():
+        circle = parts[part[n]].circle
+        if circle is not None:
+            centre[n], normal[n], sweep[n] = circle.centre * M_PER_MM, circle.axis, parts[part[n]].sweep
+    return centre, normal, sweep
 
 
 def _reference(axis: Array) -> Array:

@@ -84,15 +84,7 @@ class Cycle:
         self.words.update({letter: line_words[letter] for letter in "ZRPQ" if letter in line_words})
         relative, to_r = modes
         self.relative.update(dict.fromkeys(line_words, relative))
-        missing_letters = [letter for letter in ("Z", "R", *_NEEDS.get(code, "")) if letter not in self.words]
-        if missing_letters:
-            raise BlockError(f"G{code:g} without {' and '.join(missing_letters)}", None)
-        conflicts = [letter for letter in "RZ" if self.relative[letter] != relative]
-        if conflicts:
-            problem = (
-                f"{' and '.join(conflicts)} of the cycle: given in {_MODES[not relative]}, used in {_MODES[relative]}"
-            )
-            raise BlockError(problem, "Give R and Z again after G90 or G91: controls differ in what they keep.")
+        self._check_words(relative)
         repeats = line_words.get("L", 1.0)
         if repeats < 0.0 or repeats != round(repeats):
             raise BlockError(f"L{repeats:g} of a cycle is not a number of holes", None)
@@ -104,13 +96,7 @@ class Cycle:
                 advice = "Controls differ in whether the tool goes there: program the place in a block before, by G0."
                 raise BlockError("L0 of a cycle at another place than the tool is", advice)
             return [], []
-        r, z = self.words["R"], self.words["Z"]
-        if relative:
-            r, z = r + self.level, r + self.level + z
-        if r < z:
-            raise BlockError(
-                f"R of the cycle ({r:.4f} mm) is below the bottom of the hole ({z:.4f} mm)", "Check R and Z."
-            )
+        r, z = self._heights(self.level if relative else None)
         steps: list[Step] = []
         events: list[CycleEvent] = []
         self.lifts = self.level < r
@@ -130,6 +116,36 @@ class Cycle:
             self._add_descent((u, v, z), r, steps)
             self._up((u, v, clear), r, steps, events, spindle)
         return steps, events
+
+    def _check_words(self, relative: bool) -> None:
+        """Check that the words of the cycle are complete, and R and Z given in the active mode, G91 if `relative`.
+
+        :raises BlockError: they are not.
+        """
+        missing_letters = [letter for letter in ("Z", "R", *_NEEDS.get(self.code, "")) if letter not in self.words]
+        if missing_letters:
+            raise BlockError(f"G{self.code:g} without {' and '.join(missing_letters)}", None)
+        conflicts = [letter for letter in "RZ" if self.relative[letter] != relative]
+        if conflicts:
+            problem = (
+                f"{' and '.join(conflicts)} of the cycle: given in {_MODES[not relative]}, used in {_MODES[relative]}"
+            )
+            raise BlockError(problem, "Give R and Z again after G90 or G91: controls differ in what they keep.")
+
+    def _heights(self, level: float | None) -> tuple[float, float]:
+        """Return the heights of the R plane and of the bottom of the hole [mm].
+
+        :param level: height that R counts from after G91, and Z from R; None: both are coordinates.
+        :raises BlockError: the R plane is below the bottom.
+        """
+        r, z = self.words["R"], self.words["Z"]
+        if level is not None:
+            r, z = r + level, r + level + z
+        if r < z:
+            raise BlockError(
+                f"R of the cycle ({r:.4f} mm) is below the bottom of the hole ({z:.4f} mm)", "Check R and Z."
+            )
+        return r, z
 
     def _add_descent(self, bottom: Point, r: float, steps: list[Step]) -> None:
         """Append to `steps` the moves from the R plane to the bottom, in pecks where the cycle has them."""

@@ -98,16 +98,9 @@ def line_states_of(words: Words, modes: Modes, rotary: Rotary | None) -> LineSta
     motion = carry_forward(code, codes.CANCEL_CYCLE).astype(np.int8)
     circular = (motion == 2.0) | (motion == 3.0)
     has_motion_code = ~np.isnan(code) & (code != codes.CANCEL_CYCLE)
-    if rotary is not None and rotary.kind == "vector":  # I, J, K of arcs are their centres
-        rotary_words = np.where(circular[:, None], np.nan, words["IJK"][:count])
-        length = norm(rotary_words)[:, None]  # NaN of an incomplete direction, which is an error like I0 J0 K0
-        rotary_words = np.divide(rotary_words, length, out=rotary_words, where=length > 0.0)
+    rotary_words = _rotary_words(words, circular, rotary)
+    if rotary is not None and rotary.kind == "vector":
         ijk = np.where(circular[:, None], ijk, np.nan)
-    else:
-        letters = [] if rotary is None else rotary.axes
-        rotary_words = (
-            np.stack([words.column(letter)[:count] for letter in letters], axis=1) if letters else np.zeros((count, 0))
-        )
     has_position = any_column(~np.isnan(xyz))
     axes = has_position | ~np.isnan(rotary_words).all(axis=1)
     is_always_tip = rotary is None or not (rotary.tcp_on or any(on for _, on in modes.tip))
@@ -139,6 +132,21 @@ def line_states_of(words: Words, modes: Modes, rotary: Rotary | None) -> LineSta
         pecks=mm("Q")[:, 0],
         repeats=words.column("L")[:count],
     )
+
+
+def _rotary_words(words: Words, circular: Bools, rotary: Rotary | None) -> Array:
+    """Return the words of the rotary axes (n, k) of the first n lines [deg], or the direction of the tool (n, 3).
+
+    :param circular: (n,) lines of arcs, where I, J and K are no direction of the tool but the centre.
+    """
+    count = len(circular)
+    if rotary is not None and rotary.kind == "vector":
+        direction = np.where(circular[:, None], np.nan, words["IJK"][:count])
+        length = norm(direction)[:, None]  # NaN of an incomplete direction, which is an error like I0 J0 K0
+        return np.divide(direction, length, out=direction, where=length > 0.0)
+    if rotary is None or not rotary.axes:
+        return np.zeros((count, 0))
+    return np.stack([words.column(letter)[:count] for letter in rotary.axes], axis=1)
 
 
 def _feeds(mm: Array, words: Array, inverse_time: Bools) -> Array:

@@ -589,9 +589,36 @@ class _Reader:
     def _remark(self, level: Level, kind: str, message: str, row: int, subject: str = "") -> None:
         self.issues.append(Issue(level, kind, message, row + 1, subject=subject))
 
-    def _is_turned_with_indexed_axes(self, code: float) -> bool:
+    def _offset_refusal(self, code: float) -> tuple[str, str] | None:
+        """Return why a work offset cannot be used, with advice; None if it can."""
+        if f"G{code:g}" not in self.frame_codes.offsets:
+            name = f"G{code:g}" if code.is_integer() else f'"G{code:g}"'  # TOML: a name with a dot is in quotes
+            advice = f"Give its frame in $BASE in the cell: [work_offsets.{name}]."
+            return f"work offset G{code:g} is not in the cell", advice
         frame, rotary = self.cell.work_offsets.get(f"G{code:g}"), self.cell.rotary
-        return frame is not None and frame.is_turned and rotary is not None and rotary.kind == "indexed"
+        if frame is not None and frame.is_turned and rotary is not None and rotary.kind == "indexed":
+            return f"[work_offsets.G{code:g}] {TURNED_OFFSET}", TURNED_OFFSET_ADVICE
+        return None
+
+    def _warn_of_tapping(self, row: int) -> None:
+        """Warn that G84 needs a floating holder.
+
+        :raises BlockError: the cell starts the spindle, but has no lines that reverse it.
+        """
+        if self.cell.gcode.spindle_on and not self.cell.gcode.spindle_ccw:
+            advice = "Give spindle_ccw in [gcode] of the cell: KRL lines that reverse the spindle."
+            raise BlockError("G84 reverses the spindle at the bottom, but the cell has no spindle_ccw", advice)
+        if self.cell.gcode.spindle_ccw:
+            advice = (
+                "Let the lines of spindle_ccw and spindle_on wait for the reversal, and keep the override at 100 %."
+            )
+        else:
+            advice = (
+                "No line reverses the spindle at the bottom, because the cell has no spindle_ccw: take a holder that "
+                "reverses by itself, and keep the override at 100 %."
+            )
+        message = f"G84 with a robot taps in a floating holder only: feed and spindle are not in step. {advice}"
+        self._remark("warning", "tapping", message, row)
 
     def _modes(self, row: int, g: Sequence[float], _: object, values: Mapping[str, float]) -> None:
         """Record the modal codes of a block.
@@ -601,12 +628,8 @@ class _Reader:
         first_refusal: tuple[str, str | None] | None = None
         for code in g:
             group = codes.GROUP_OF.get(code)
-            if group == "offset" and f"G{code:g}" not in self.frame_codes.offsets:
-                name = f"G{code:g}" if code.is_integer() else f'"G{code:g}"'  # TOML: a name with a dot is in quotes
-                advice = f"Give its frame in $BASE in the cell: [work_offsets.{name}]."
-                first_refusal = first_refusal or (f"work offset G{code:g} is not in the cell", advice)
-            elif group == "offset" and self._is_turned_with_indexed_axes(code):
-                first_refusal = first_refusal or (f"[work_offsets.G{code:g}] {TURNED_OFFSET}", TURNED_OFFSET_ADVICE)
+            if group == "offset" and (refusal := self._offset_refusal(code)) is not None:
+                first_refusal = first_refusal or refusal
             elif group is not None:
                 self.changes[group].append((row, code))
                 if group == "units":
@@ -616,24 +639,8 @@ class _Reader:
                     self.mm_per_unit = MM_PER_UNIT[code]
             elif code in codes.MOVING or (code == codes.CANCEL_CYCLE and not set(g) & set(codes.MOVING)):
                 self.words.put("G", row, code)
-                if code == 84.0 and self.cell.gcode.spindle_on and not self.cell.gcode.spindle_ccw:
-                    advice = "Give spindle_ccw in [gcode] of the cell: KRL lines that reverse the spindle."
-                    raise BlockError("G84 reverses the spindle at the bottom, but the cell has no spindle_ccw", advice)
                 if code == 84.0:
-                    if self.cell.gcode.spindle_ccw:
-                        advice = (
-                            "Let the lines of spindle_ccw and spindle_on wait for the reversal, and keep the override "
-                            "at 100 %."
-                        )
-                    else:
-                        advice = (
-                            "No line reverses the spindle at the bottom, because the cell has no spindle_ccw: take a "
-                            "holder that reverses by itself, and keep the override at 100 %."
-                        )
-                    message = (
-                        f"G84 with a robot taps in a floating holder only: feed and spindle are not in step. {advice}"
-                    )
-                    self._remark("warning", "tapping", message, row)
+                    self._warn_of_tapping(row)
             elif (
                 self.tip.read(row, f"G{code:g}")
                 or self._repeats_units(code)

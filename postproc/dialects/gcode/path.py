@@ -473,31 +473,19 @@ def _motions(
     kind = np.where(free, PTP, np.where(code < 2.0, LIN, CIRC))
     frame = take_rows(moves.frame, motion_moves)
     joints = np.broadcast_to(np.nan, (len(motion_moves), 6))  # takes no memory
-    rotation = _rotations(moves.frames, frame, swivel, cell_frames.orientation)
-    target = Poses(_points_in_base(moves.frames, frame, moves.end[motion_moves]), rotation)
     if home.any() and cell_frames.home is not None:
         joints = joints.copy()
         joints[home] = speeds.home
-        poses = cell_frames.home[moves.tool[motion_moves[home]]]
-        rotation = rotation.copy()
-        rotation[home], target.position[home] = poses[:, :3, :3], poses[:, :3, 3]
-        target = Poses(target.position, rotation)
     centre, normal, sweep = _arcs_in_base(circles, motion_moves, kind, moves.frames, frame)
     feed = _speeds_of(rows, row, code == 0.0, is_rotation, length, speeds)
     feed[kind == PTP] = np.nan
-    blend = take_rows(active_values(modes.blends, speeds.approximation, modes.rows), row)
-    bottom = moves.bottom[motion_moves]
-    if bottom.any():
-        blend = np.where(bottom, 0.0, blend)
-    rounding, unset = constant(speeds.rounding, len(motion_moves)), constant(-1, len(motion_moves))
-    if modes.roundings:
-        limit = active_values(modes.roundings, np.nan, modes.rows)[row]
-        rounding = np.where(np.isnan(limit), speeds.rounding, limit)
+    blend, rounding = _corner_distances(modes, row, moves.bottom[motion_moves], speeds)
+    unset = constant(-1, len(motion_moves))
     motions = Motions(
         kind=kind,
         rapid=code == 0.0,
         line=row + 1,
-        target=target,
+        target=_targets(moves, motion_moves, frame, swivel, cell_frames),
         joints=Runs.of(joints),
         centre=centre,
         normal=normal,
@@ -511,6 +499,36 @@ def _motions(
         turn=unset,
     )
     return read_only(motions)
+
+
+def _targets(moves: Moves, motion_moves: Ints, frame: Ints, swivel: Swivel | None, cell_frames: CellFrames) -> Poses:
+    """Return the poses (M,) [m] of the tool frame in `$BASE` at the ends of motions.
+
+    :param motion_moves: (M,) moves that are motions; `frame` (M,) the rows of their frames.
+    """
+    position = _points_in_base(moves.frames, frame, moves.end[motion_moves])
+    rotation = _rotations(moves.frames, frame, swivel, cell_frames.orientation)
+    home = moves.home[motion_moves]
+    if home.any() and cell_frames.home is not None:
+        poses = cell_frames.home[moves.tool[motion_moves[home]]]
+        rotation = rotation.copy()
+        rotation[home], position[home] = poses[:, :3, :3], poses[:, :3, 3]
+    return Poses(position, rotation)
+
+
+def _corner_distances(modes: Modes, row: Ints, is_bottom: Bools, speeds: Speeds) -> tuple[Array, Array]:
+    """Return approximation distance (M,) [m] and permitted rounding of corners (M,) [m] at the ends of motions.
+
+    :param row: (M,) line of each motion.
+    :param is_bottom: (M,) motions to the bottom of a hole, which are exact stops.
+    """
+    approximation = take_rows(active_values(modes.blends, speeds.approximation, modes.rows), row)
+    if is_bottom.any():
+        approximation = np.where(is_bottom, 0.0, approximation)
+    if not modes.roundings:
+        return approximation, constant(speeds.rounding, len(row))
+    limit = active_values(modes.roundings, np.nan, modes.rows)[row]
+    return approximation, np.where(np.isnan(limit), speeds.rounding, limit)
 
 
 def _rotations(frames: Array, frame: Ints, swivel: Swivel | None, orientation: Array) -> Array:

@@ -159,17 +159,7 @@ def _executed_program(
     tools = _tools(cell, modes)
     path = read_path(rows, modes, _cell_frames(cell, forward_kinematics, tools), _speeds(cell), cell.rotary)
     comments, force_faults = _comments(run, modes.rows)
-    faults = path if isinstance(path, list) else []
-    if not modes.complete:
-        advice = "Check that the file was transferred completely."
-        faults.append(Fault(modes.rows - 1, "the program begins with % but ends without %, M2 or M30", advice))
-    if faults or force_faults or isinstance(path, list):
-        raise combined_error([*_errors(run, faults), *force_faults])
-    if not len(path.motions):
-        advice = "Check that the file is the right one and complete."
-        if len(path.held_back):
-            advice = "There are rapid moves, but X, Y and Z are never all programmed."
-        raise ProgramError("the program moves nothing", file=document.name, advice=advice)
+    path = _checked_path(path, modes, run, force_faults)
     notes, events = _events(run, path, modes, comments)
     line = run.main[path.row]
     line.flags.writeable = False
@@ -192,6 +182,27 @@ def _executed_program(
             *([Issue("info", "absolute-centres", _ABSOLUTE)] if absolute else []),
         ),
     )
+
+
+def _checked_path(
+    path: MotionPath | list[Fault], modes: Modes, run: ExecutedProgram, force_faults: Sequence[InputError]
+) -> MotionPath:
+    """Return the path of a program without faults.
+
+    :raises InputError: path, end of the program or force comments have faults, or the program moves nothing.
+    """
+    faults = path if isinstance(path, list) else []
+    if not modes.complete:
+        advice = "Check that the file was transferred completely."
+        faults.append(Fault(modes.rows - 1, "the program begins with % but ends without %, M2 or M30", advice))
+    if faults or force_faults or isinstance(path, list):
+        raise combined_error([*_errors(run, faults), *force_faults])
+    if not len(path.motions):
+        advice = "Check that the file is the right one and complete."
+        if len(path.held_back):
+            advice = "There are rapid moves, but X, Y and Z are never all programmed."
+        raise ProgramError("the program moves nothing", file=run.documents[0].name, advice=advice)
+    return path
 
 
 def _tools(cell: Cell, modes: Modes) -> dict[float | None, Array]:
