@@ -205,10 +205,14 @@ def test_a_closed_pipe_behind_it_is_no_fault():
 
 
 def test_without_shared_memory_several_processes_do_the_same():
-    """`/dev/shm` is read-only for this command alone; where mounting is not permitted, semaphores are refused to it."""
+    """`/dev/shm` is read-only for this command alone; where mounting is not permitted, semaphores are refused to it.
+
+    The folder is mounted elsewhere too: files of tests may be in `/dev/shm`.
+    """
     programs(3)
     if MOUNTING:
-        done = _mounted("mount -t tmpfs -o ro,size=4k tmpfs /dev/shm", *CONVERT, "--jobs", "2")
+        hidden = "mount --bind . /mnt && mount -t tmpfs -o ro,size=4k tmpfs /dev/shm && cd /mnt"
+        done = _mounted(hidden, *CONVERT, "--jobs", "2")
     else:
         done = _patched("import _multiprocessing; del _multiprocessing.SemLock", 2)
     assert (done.returncode, done.stderr) == (0, "")

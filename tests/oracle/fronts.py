@@ -60,36 +60,43 @@ class Cutter:
 
     def swept(self, point, begin, end):
         """Whether points (n, 3) are inside of what each of the moves (k, 3) sweeps with an upright tool: (n, k)."""
-        off, chord = point[:, None] - begin, end - begin
+        chord = end - begin
         run = np.hypot(chord[:, 0], chord[:, 1])
         unit = np.where(run[:, None] > 1e-12, chord[:, :2] / np.maximum(run, 1e-12)[:, None], [1.0, 0.0])
-        along = off[..., 0] * unit[:, 0] + off[..., 1] * unit[:, 1]
-        aside = off[..., 0] * unit[:, 1] - off[..., 1] * unit[:, 0]
+        x, y = (point[:, None, k] - begin[:, k] for k in (0, 1))
+        along, aside = x * unit[:, 0] + y * unit[:, 1], x * unit[:, 1] - y * unit[:, 0]
         reach = self.radius - SLACK
-        half = np.sqrt(np.maximum(reach**2 - aside**2, 0.0))
+        meets = (np.abs(aside) < reach) & (along > -reach) & (along < run + reach)
+        row, move = np.nonzero(meets)  # few of all pairs: the others are outside of the cylinder
+        off, chord, run, lift = point[row] - begin[move], chord[move], run[move], chord[move, 2]
+        along, aside = along[row, move], aside[row, move]
+        half = np.sqrt(reach**2 - aside**2)
         share = 1.0 / np.maximum(run, 1e-12)
         low, high = np.maximum((along - half) * share, 0.0), np.minimum((along + half) * share, 1.0)
-        if (run <= 1e-12).any():  # straight up or down
-            still = (run <= 1e-12) & (np.abs(along) < half)
-            low, high = np.where(still, 0.0, low), np.where(still, 1.0, high)
-        meets = (np.abs(aside) < reach) & (low < high)
-        lift = chord[:, 2]
+        still = run <= 1e-12  # straight up or down
+        over = np.where(still, np.abs(along) < half, low < high)
+        low, high = np.where(still, 0.0, low), np.where(still, 1.0, high)
         lowest = np.minimum(low * lift, high * lift)
-        inside = meets & (off[..., 2] > lowest + self.corner + SLACK)  # of the cylinder above the corner
+        inside = over & (off[:, 2] > lowest + self.corner + SLACK)  # of the cylinder above the corner
         if self.corner >= self.radius - 1e-9:
             centre = off - (0.0, 0.0, self.corner)
             square = np.maximum((chord * chord).sum(axis=1), 1e-24)
-            place = np.clip(np.einsum("nki,ki->nk", centre, chord) / square, 0.0, 1.0)
-            away = centre - place[..., None] * chord
-            return inside | (np.einsum("nki,nki->nk", away, away) < reach**2)
-        if self.corner > 0.0:
+            place = np.clip(np.einsum("ni,ni->n", centre, chord) / square, 0.0, 1.0)
+            away = centre - place[:, None] * chord
+            inside |= np.einsum("ni,ni->n", away, away) < reach**2
+        elif self.corner > 0.0:
+            open_pairs = np.flatnonzero(over & ~inside & (off[:, 2] > lowest + SLACK))
+            low, high, along, aside, run, lift, height = (
+                values[open_pairs] for values in (low, high, along, aside, run, lift, off[:, 2])
+            )
             for _ in range(40):  # the height of the tool over the point is convex in the place
                 third = (high - low) / 3.0
                 a, b = low + third, high - third
                 less = self._over(a, along, aside, run, lift) < self._over(b, along, aside, run, lift)
                 low, high = np.where(less, low, a), np.where(less, b, high)
-            inside |= meets & (off[..., 2] > self._over(0.5 * (low + high), along, aside, run, lift) + SLACK)
-        return inside
+            inside[open_pairs] = height > self._over(0.5 * (low + high), along, aside, run, lift) + SLACK
+        meets[row, move] = inside
+        return meets
 
     def _over(self, place, along, aside, run, lift):
         distance = np.minimum(np.hypot(aside, along - place * run), self.radius - 1e-12)
@@ -97,8 +104,12 @@ class Cutter:
 
     def inside(self, point, tip, axes):
         """Whether points (n, 3) are inside of the tool at poses (k): tips (k, 3), axes as columns (k, 3, 3): (n, k)."""
-        local = np.einsum("nki,kij->nkj", point[:, None] - tip, axes)
-        return local[..., 2] > self.height(np.hypot(local[..., 0], local[..., 1]) + SLACK) + SLACK
+        axis, middle = axes[:, :, 2], tip.mean(axis=0)  # from the middle, so that few digits are lost
+        point, tip = point - middle, tip - middle
+        height = point @ axis.T - np.einsum("ki,ki->k", tip, axis)
+        square = (point**2).sum(axis=1)[:, None] - 2.0 * point @ tip.T + (tip**2).sum(axis=1)
+        distance = np.sqrt(np.maximum(square - height**2, 0.0))
+        return height > self.height(distance + SLACK) + SLACK
 
 
 def force(cutter, velocity, inside, k, axes=None, rubbing=1.0):
@@ -179,7 +190,13 @@ def turning_forces(cutter, tip, axes, places, feed, k, in_stock):
         inside = np.einsum("ni,ni->n", velocity, normal) > 1e-9
         inside[inside] = in_stock(point[inside])
         left = np.flatnonzero(inside)
-        order = np.argsort(np.linalg.norm(tip[:place] - tip[place], axis=1), kind="stable")
+        if not len(left):
+            continue
+        middle = point[left].mean(axis=0)
+        extent = np.linalg.norm(point[left] - middle, axis=1).max(initial=0.0)
+        away = np.linalg.norm(np.cross(tip[:place] - middle, axes[:place, :, 2]), axis=1)  # from the axes
+        near = np.flatnonzero(away < cutter.radius + extent)
+        order = near[np.argsort(np.linalg.norm(tip[near] - tip[place], axis=1), kind="stable")]
         for first in range(0, len(order), _BLOCK):
             if not len(left):
                 break
