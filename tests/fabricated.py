@@ -61,13 +61,14 @@ def result(count: int = 100, mode: Mode = "convert") -> Result:
         documents=() if mode == "predict" else (Document("part.src", "DEF part()\nEND\n"),),
         motion=np.arange(count),
         t=np.ones(count),
+        cut_length=np.where(rapid, 0.0, 0.01),
         output_line=np.arange(count) + 20,
         nominal=made.motions.target,
         printed=xyzabc_from_pose(command),
         wrench=wrench,
-        deflection=_down(before),
-        deviation_before=_down(before),
-        deviation_after=_down(np.where(rapid, 0.0, 2e-7) if mode == "convert" else before),
+        deflection=down(before),
+        deviation_before=down(before),
+        deviation_after=down(np.where(rapid, 0.0, 2e-7) if mode == "convert" else before),
         bound=None,
         q=np.tile(np.radians([0.0, -70.0, 110.0, 0.0, 50.0, 0.0]), (count, 1)),
         joint_margin=np.radians([180.0, 60.0, 40.0, 340.0, 70.0, 350.0]),
@@ -85,7 +86,7 @@ def result(count: int = 100, mode: Mode = "convert") -> Result:
 def with_changes(base: Result, **changes: object) -> Result:
     """The same result with other fields; distances `before` and `after` are taken straight down."""
     for name in {"before", "after"} & set(changes):
-        changes[f"deviation_{name}"] = _down(changes.pop(name))
+        changes[f"deviation_{name}"] = down(changes.pop(name))
     changed = replace(base, **changes)
     return changed if "errors" in changes else replace(changed, errors=_errors(changed))
 
@@ -105,5 +106,6 @@ def _robot() -> RobotModel:
     return robot.load(robot.find("kuka_kr270"))
 
 
-def _down(distance: Array) -> Array:
+def down(distance: Array) -> Array:
+    """Deviations (n, 3) straight down by distances (n,) [m]."""
     return np.stack([np.zeros(len(distance)), np.zeros(len(distance)), -distance], axis=1)

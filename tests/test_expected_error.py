@@ -42,10 +42,10 @@ def _sources(slopes, covariance, by_forces=None, other=None):
     return SourcesOfError(slopes, covariance, (np.zeros((n, 3, 0)),) if by_forces is None else by_forces, other or {})
 
 
-def _chance(sources, deviation, left=None, counts=None, parts=1, path_distance=None):
+def _chance(sources, deviation, left=None, length=None, parts=1, path_distance=None):
     gain = ChanceOfGain()
     left = np.zeros_like(deviation) if left is None else left
-    counts = np.ones(len(deviation), dtype=bool) if counts is None else counts
+    length = np.ones(len(deviation)) if length is None else length
     path_distance = np.zeros(len(deviation)) if path_distance is None else path_distance
     for rows in np.array_split(np.arange(len(deviation)), parts):
         own = replace(
@@ -54,7 +54,7 @@ def _chance(sources, deviation, left=None, counts=None, parts=1, path_distance=N
             by_forces=tuple(each[rows] for each in sources.by_forces),
             other={name: each[rows] for name, each in sources.other.items()},
         )
-        gain.add(own, deviation[rows], left[rows], path_distance[rows], counts[rows])
+        gain.add(own, deviation[rows], left[rows], path_distance[rows], length[rows])
     return gain.chance
 
 
@@ -63,14 +63,34 @@ def test_the_chance_is_the_share_of_drawn_errors_with_a_smaller_rms():
     deviation, left = 0.4 * RNG.normal(size=(n, 3)), 0.05 * RNG.normal(size=(n, 3))
     slopes, root = 0.3 * RNG.normal(size=(n, 3, parameters)) + deviation[:, :, None], 0.6 * RNG.normal(size=(3, 3))
     forces = 0.2 * RNG.normal(size=(n, 3, 2)) + 0.3 * deviation[:, :, None]
-    counts = np.arange(n) % 5 != 0
-    chance = _chance(_sources(slopes, root @ root.T, (forces,)), deviation, left, counts, parts=4)
+    length = RNG.uniform(0.1, 3.0, size=n) * (np.arange(n) % 5 != 0)
+    chance = _chance(_sources(slopes, root @ root.T, (forces,)), deviation, left, length, parts=4)
     drawn = RNG.normal(size=(_RUNS, 5))
-    errors = np.einsum("nip,pk,rk->rni", slopes[counts], root, drawn[:, :3])
-    errors += np.einsum("nik,rk->rni", forces[counts], drawn[:, 3:])
-    better = np.sum((left[counts] + errors) ** 2, axis=(1, 2)) < np.sum((deviation[counts] + errors) ** 2, axis=(1, 2))
+    errors = np.einsum("nip,pk,rk->rni", slopes, root, drawn[:, :3])
+    errors += np.einsum("nik,rk->rni", forces, drawn[:, 3:])
+    without, after = (np.sum((offset + errors) ** 2, axis=2) @ length for offset in (deviation, left))
+    better = after < without
     assert 0.6 < chance < 0.95
     assert chance == pytest.approx(better.mean(), abs=4.0 * np.sqrt(0.25 / _RUNS))
+
+
+def test_a_target_counts_as_often_as_its_length():
+    """Each kind of source: with whole lengths the chance is that of rows that are repeated as often."""
+    n = 8
+    deviation, left = RNG.normal(size=(n, 3)), 0.3 * RNG.normal(size=(n, 3))
+    slopes, factors, unmodelled = RNG.normal(size=(n, 3, 2)), RNG.normal(size=(n, 3, 3)), RNG.uniform(1, 4, size=n)
+    length = np.array([3, 0, 1, 5, 2, 2, 0, 1])
+    path_distance = np.linalg.norm(left, axis=1) * np.linspace(0.5, 1.5, n)
+
+    def chance(rows, lengths):
+        other = {"unmodelled": unmodelled[rows, None, None] * np.eye(3)}
+        sources = _sources(slopes[rows], np.diag([0.5, 2.0]), (factors[rows],), other)
+        return _chance(sources, deviation[rows], left[rows], lengths, parts=2, path_distance=path_distance[rows])
+
+    repeated = np.repeat(np.arange(n), length)
+    weighted = chance(np.arange(n), 0.01 * length)
+    assert weighted == pytest.approx(chance(repeated, np.ones(len(repeated))), rel=1e-12)
+    assert weighted != pytest.approx(chance(np.arange(n), np.ones(n)), rel=1e-3)
 
 
 def test_a_path_that_leaves_more_than_its_targets_counts():

@@ -136,6 +136,7 @@ def pair_targets(
         additional_rows=unpaired_rows[~on_path],
         pose=pose,
         rotation=norm(twists[:, 3:]),
+        path_length=nominal_path.segments.length,
         curves=curves,
         path_distance=np.full(len(pair), np.nan) if curves is None else curves.largest_gaps(),
         cuts=None,

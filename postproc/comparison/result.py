@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 from msgspec import Struct
 
+from postproc import toolpath
 from postproc.comparison.paths import Curves
 from postproc.errors import Level
 from postproc.frames import Array, norm
@@ -69,7 +71,7 @@ class Difference(Struct, frozen=True):
     count: int = 1
 
 
-class Comparison(Struct, frozen=True, eq=False):
+class Comparison(Struct, frozen=True, eq=False, dict=True):
     """The targets of two programs. Row i of the arrays of pairs is the same pair; SI units.
 
     :param nominal: the first program.
@@ -84,6 +86,7 @@ class Comparison(Struct, frozen=True, eq=False):
     :param additional_rows: rows of `corrected.motions` without a partner that are not on the path.
     :param pose: (P, 4, 4) where the second program commands the nominal program's tool, in the nominal `$BASE` [m].
     :param rotation: (P,) angle between the two orientations [rad].
+    :param path_length: (M,) length of the path of each motion of `nominal` [m]; 0 of PTP.
     :param curves: both paths between the pairs; None for less than two.
     :param path_distance: (P,) largest distance of the two paths on the way to each pair from the one before, at the
         same share of the way [m]; NaN for the first, and where a PTP is between.
@@ -103,6 +106,7 @@ class Comparison(Struct, frozen=True, eq=False):
     additional_rows: Ints
     pose: Array
     rotation: Array
+    path_length: Array
     curves: Curves | None
     path_distance: Array
     cuts: Cuts | None
@@ -112,6 +116,16 @@ class Comparison(Struct, frozen=True, eq=False):
     def rapid(self) -> Bools:
         """(P,) True for moves without cutting force."""
         return np.asarray(self.nominal.motions.rapid[self.pair[:, 0]])
+
+    @cached_property
+    def cut_length(self) -> Array:
+        """(P,) length of the nominal cutting path for which each pair stands [m], see `toolpath.cut_lengths`."""
+        # without forces it is not known whether one goes on: each pair stands for the path that leads to it
+        goes_on = np.zeros(len(self.pair), dtype=bool)
+        if self.cuts is not None:
+            goes_on[1:] = (self.cuts.wrench[1:] == self.cuts.wrench[:-1]).all(axis=1)
+        motion = self.pair[:, 0]
+        return toolpath.cut_lengths(self.nominal.motions, self.path_length, motion, np.ones(len(motion)), goes_on)
 
     @property
     def target(self) -> Array:

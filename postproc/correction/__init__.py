@@ -4,7 +4,7 @@ Reads and writes no files; the command line, `jobs` and CAM hosts share it.
 """
 
 from postproc.correction.process import process, read, uncorrected_deviations
-from postproc.correction.result import ExpectedErrors, HeldFeed, Mode, Result, Statistics, statistics
+from postproc.correction.result import ExpectedErrors, HeldFeed, Mode, Result, Statistics, share_beyond, statistics
 
 __all__ = [
     "ExpectedErrors",
@@ -14,6 +14,7 @@ __all__ = [
     "Statistics",
     "process",
     "read",
+    "share_beyond",
     "statistics",
     "uncorrected_deviations",
 ]

@@ -193,6 +193,16 @@ class Draft(Struct, frozen=True, eq=False):
             self.path.motions.forces, selection.targets, selection.arrive, self.path.wrench.of_rows(selection.row)
         )
 
+    def cut_lengths(self) -> Array:
+        """Return the length (K,) of the cutting path for which each target stands [m], see `toolpath.cut_lengths`."""
+        motion, run = self.selection.targets.motion, self.path.wrench.run[self.selection.row]
+        # a program with one force is not divided by it, and within a motion the force changes where there are targets
+        goes_on = (np.diff(motion, prepend=-1) == 0) | (np.diff(run, prepend=-1) == 0)
+        segments = self.path.motions.segments
+        return toolpath.cut_lengths(
+            self.path.program.motions, segments.length, motion, self.selection.targets.t, goes_on
+        )
+
     def write(self, task: Task) -> Draft:
         """Return the draft written, read back and simulated, as far as possible.
 
@@ -248,7 +258,8 @@ def result_of(task: Task, draft: Draft, corrected_draft: Draft) -> Result:
     path, row, targets, program = draft.path, draft.selection.row, draft.selection.targets, draft.path.program
     deviation, deflection, by_tool, path_deviation = _uncorrected_at_targets(task, draft)
     reversals = _reversals(corrected_draft)
-    bound, errors, error_issues = _expected_errors(task, corrected_draft, deviation, reversals)
+    cut_length = draft.cut_lengths()
+    bound, errors, error_issues = _expected_errors(task, corrected_draft, deviation, reversals, cut_length)
     q = draft.q[row]
 
     def corrections(target: Ints) -> tuple[Array]:
@@ -263,6 +274,7 @@ def result_of(task: Task, draft: Draft, corrected_draft: Draft) -> Result:
         issues=group_issues([*draft.issues, *error_issues]),
         motion=targets.motion,
         t=targets.t,
+        cut_length=cut_length,
         output_line=program.motions.line[targets.motion],
         nominal=path.sample.pose if len(row) == len(path) else path.sample.pose.take(row),
         printed=_printed_numbers(task, draft),
@@ -367,13 +379,14 @@ def _reversals(draft: Draft) -> Reversals:
 
 
 def _expected_errors(
-    task: Task, draft: Draft, deviation: Array, reversals: Reversals
+    task: Task, draft: Draft, deviation: Array, reversals: Reversals, cut_length: Array
 ) -> tuple[Array | None, ExpectedErrors | None, list[Issue]]:
     """Return the bound (K,) of the prediction (95 %), the expected errors on the part, and issues; None where unknown.
 
     :param draft: with corrected commands.
     :param deviation: (K, 3) of the uncorrected tip from nominal, `$BASE` [m].
     :param reversals: torque reversals of joints: at the targets next to one, a gear may be on either flank.
+    :param cut_length: (K,) length of the cutting path for which each target stands [m].
     """
     path, row = draft.path, draft.selection.row
     robot, program = path.robot_in_cell.robot, path.program
@@ -385,7 +398,7 @@ def _expected_errors(
         return None, None, issues
     is_scaled = path.robot_in_cell.has_model_factor(path.motions.forces, path.sample.motion[row])
     reverses = _joints_near_reversal(reversals, len(row))
-    part_errors = _PartErrors(task, draft, deviation)
+    part_errors = _PartErrors(task, draft, deviation, cut_length)
     bound, uncorrected_error, corrected_error = in_chunks(
         part_errors.at_targets, np.arange(len(row)), reverses, is_scaled
     )
@@ -403,17 +416,16 @@ class _PartErrors:
     :ivar path_distance: (K,) largest distance from the path on the way to each target, with correction [m].
     :ivar path_excess: (K,) its excess over the distance at the target [m].
     :ivar extra_rounding: (K,) rounding by approximate positioning beyond that of the program as read [m].
-    :ivar is_cut: (K,) targets of cutting moves.
+    :ivar cut_length: (K,) length of the cutting path for which each target stands [m]; 0 on rapid moves.
     :ivar gain: sums for the chance that correction lowers the errors.
     :ivar largest_errors: (2,) largest error with correction, if the robot or if the forces were known [m].
     """
 
-    def __init__(self, task: Task, draft: Draft, deviation: Array) -> None:
-        self.draft, self.deviation = draft, deviation
+    def __init__(self, task: Task, draft: Draft, deviation: Array, cut_length: Array) -> None:
+        self.draft, self.deviation, self.cut_length = draft, deviation, cut_length
         self.remaining_deviation, self.path_distance = _errors_left(task, draft)
         self.path_excess = np.maximum(self.path_distance - norm(self.remaining_deviation), 0.0)
         self.extra_rounding = _extra_rounding(draft)
-        self.is_cut = ~draft.path.program.motions.rapid[draft.selection.targets.motion]
         self.gain, self.largest_errors = elastostatics.ChanceOfGain(), np.zeros(2)
 
     def at_targets(self, target: Ints, reverses: Bools, is_scaled: Bools) -> tuple[Array, Array, Array]:
@@ -432,12 +444,12 @@ class _PartErrors:
             toolpath.directions_in_root(path.program, motion, offset[target])
             for offset in (self.deviation, self.remaining_deviation)
         )
-        is_cut = self.is_cut[target]
-        self.gain.add(sources, uncorrected, corrected, self.path_distance[target], is_cut)
+        cut_length = self.cut_length[target]
+        self.gain.add(sources, uncorrected, corrected, self.path_distance[target], cut_length)
         expectation = elastostatics.expected_errors(sources, uncorrected, corrected)
         for k, error in enumerate((expectation.with_known_robot, expectation.with_known_forces)):
             total = error + self.extra_rounding[target] + self.path_excess[target]
-            self.largest_errors[k] = max(self.largest_errors[k], np.max(total, initial=0.0, where=is_cut))
+            self.largest_errors[k] = max(self.largest_errors[k], np.max(total, initial=0.0, where=cut_length > 0.0))
         return expectation.bound, expectation.before, expectation.after
 
     def expected(self, uncorrected_error: Array, corrected_error: Array) -> ExpectedErrors:
@@ -448,10 +460,11 @@ class _PartErrors:
         """
         # a robot program is rounded as read without correction too: its own rounding is no error
         uncorrected_rounding = 0.0 if self.draft.path.program.keeps_text else self.extra_rounding
+        is_cut = self.cut_length > 0.0
         has_deviation = float(norm(self.deviation).max(initial=0.0)) > _NO_DEVIATION
         return ExpectedErrors(
-            np.where(self.is_cut, uncorrected_error + uncorrected_rounding, 0.0),
-            np.where(self.is_cut, corrected_error + self.extra_rounding + self.path_excess, 0.0),
+            np.where(is_cut, uncorrected_error + uncorrected_rounding, 0.0),
+            np.where(is_cut, corrected_error + self.extra_rounding + self.path_excess, 0.0),
             self.gain.chance if has_deviation else None,
             *self.largest_errors.tolist(),
         )

@@ -35,7 +35,7 @@ class ExpectedErrors(Struct, frozen=True, eq=False):
     :param before: (K,) if nothing is corrected [m]; 0 on rapid moves.
     :param after: (K,) with correction [m]: of the program as written; of a prediction, as it would be written; of a
         nominal program, with an exact correction. 0 on rapid moves.
-    :param chance: that correction lowers the RMS error over the cutting targets; None if it changes nothing.
+    :param chance: that correction lowers the RMS error over the cutting path; None if it changes nothing.
     :param with_known_robot: largest of `after` if the errors of the forces were the only ones [m].
     :param with_known_forces: largest of `after` if the forces were certain [m].
     """
@@ -93,6 +93,8 @@ class Result(Struct, frozen=True, eq=False):
     :param documents: files to write, the main one first; empty if there is an error, or nothing to write.
     :param motion: (K,) row of `program.motions`.
     :param t: (K,) place on that motion, in (0, 1].
+    :param cut_length: (K,) length of the cutting path for which the target stands [m], see `toolpath.cut_lengths`; 0 on
+        rapid moves.
     :param output_line: (K,) line of the written program (of the input for "predict").
     :param nominal: K nominal poses of the tool frame.
     :param printed: (K, 6) X, Y, Z, A, B, C of the command as printed in the written text: mm and degrees.
@@ -133,6 +135,7 @@ class Result(Struct, frozen=True, eq=False):
     documents: tuple[Document, ...] = ()
     motion: Ints = np.zeros(0, dtype=np.int64)
     t: Array = np.zeros(0)
+    cut_length: Array = np.zeros(0)
     output_line: Ints = np.zeros(0, dtype=np.int64)
     nominal: Poses = Poses(np.zeros((0, 3)), np.zeros((0, 3, 3)))
     printed: Array = np.zeros((0, 6))
@@ -185,10 +188,10 @@ class Result(Struct, frozen=True, eq=False):
         if self.failed:
             yield "errors", f"{sum(issue.level == 'error' for issue in self.issues)}"
         if len(self) and not self.rapid.all():
-            uncorrected = statistics(self.before, self.rapid)
+            uncorrected = statistics(self.before, self.cut_length)
             yield "before", f"{uncorrected.largest * MM_PER_M:.2g} mm (RMS {uncorrected.rms * MM_PER_M:.2g})"
             if self.mode != "predict":
-                prediction = statistics(self.after, self.rapid)
+                prediction = statistics(self.after, self.cut_length)
                 yield "after", f"{prediction.largest * MM_PER_M:.2g} mm (RMS {prediction.rms * MM_PER_M:.2g})"
             if self.bound is not None:
                 yield "on the part (95 %)", f"{float(self.bound[~self.rapid].max()) * MM_PER_M:.2g} mm"
@@ -247,7 +250,7 @@ class Result(Struct, frozen=True, eq=False):
 
 
 class Statistics(Struct, frozen=True):
-    """Distances of the predicted tip from nominal over cutting targets [m]."""
+    """Distances of the predicted tip from nominal along the cutting path [m]; `p95` is not exceeded on 95 % of it."""
 
     largest: float
     rms: float
@@ -255,17 +258,38 @@ class Statistics(Struct, frozen=True):
     p95: float
 
 
-def statistics(distance: Array, rapid: Bools) -> Statistics:
-    """Return statistics over cutting targets; all zero if there are none.
+_LEAST_SHARE = 1e-12
+"""Share of a length by which sums over targets are off by rounding."""
 
-    :param distance: (K,) [m].
-    :param rapid: (K,) targets to leave out.
+
+def statistics(distance: Array, cut_length: Array) -> Statistics:
+    """Return statistics along the cutting path; all zero if there is none.
+
+    :param distance: (K,) at targets [m].
+    :param cut_length: (K,) length of the cutting path for which each of them stands [m]; those with 0 do not count.
     """
-    cutting = distance[~rapid]
-    if len(cutting) == 0:
+    is_cut = cut_length > 0.0
+    if not is_cut.any():
         return Statistics(0.0, 0.0, 0.0, 0.0)
-    rms = float(np.sqrt(np.mean(cutting**2)))
-    in_order = np.sort(cutting)
-    # np.percentile imports masked arrays, which nothing else needs at start
-    percentile_95 = float(np.interp(0.95 * (len(in_order) - 1), np.arange(len(in_order)), in_order))
-    return Statistics(float(cutting.max()), rms, float(cutting.mean()), percentile_95)
+    cut_distance, length = distance[is_cut], cut_length[is_cut]
+    total = float(length.sum())
+    order = np.argsort(cut_distance)
+    percentile_row = int(np.searchsorted(np.cumsum(length[order]), 0.95 * total * (1.0 - _LEAST_SHARE)))
+    return Statistics(
+        largest=float(cut_distance.max()),
+        rms=float(np.sqrt(length @ cut_distance**2 / total)),
+        mean=float(length @ cut_distance / total),
+        p95=float(cut_distance[order[percentile_row]]),
+    )
+
+
+def share_beyond(distance: Array, limit: float, cut_length: Array) -> float:
+    """Return the share of the length of the cutting path on which a distance exceeds a limit, in [0, 1].
+
+    :param distance: (K,) at targets, in the unit of the limit.
+    :param cut_length: (K,) length of the cutting path for which each of them stands [m]; 0 if there is none.
+    """
+    is_beyond = distance > limit
+    # two sums: where all is beyond, the share is 1 without rounding
+    beyond, within = float(cut_length[is_beyond].sum()), float(cut_length[~is_beyond].sum())
+    return beyond / (beyond + within) if beyond > 0.0 else 0.0

@@ -8,12 +8,14 @@ zero and the covariances of `SourcesOfError`.
 **Expected error (95 %)** of both: the 95 % quantile of the length of a normal vector with mean d, or r, and the
 covariance of e (`length_bound`).
 
-**Chance.** The part is better if the RMS over the targets is smaller: Σ|r + e|² < Σ|d + e|². The squares of e cancel:
+**Chance.** The part is better if the RMS along the cutting path is smaller. With the length w of the path for which
+each target stands, Σ w|r + e|² < Σ w|d + e|². The squares of e cancel:
 
-    Σ (d − r)·e > −½ Σ (|d|² − |r|²)
+    Σ w (d − r)·e > −½ Σ w (|d|² − |r|²)
 
 The left side is linear in e, so it is normal with mean zero. With its standard deviation σ the chance is
-Φ(½ Σ (|d|² − |r|²) / σ). For one unknown factor of relative standard deviation s, e = s·z·d and r = 0, it is Φ(1/(2s)).
+Φ(½ Σ w (|d|² − |r|²) / σ). For one unknown factor of relative standard deviation s, e = s·z·d and r = 0, it is
+Φ(1/(2s)).
 Where the path on the way to a target is further from nominal than r, that distance takes the place of |r|.
 
 σ² adds up over independent sources (JCGM 100:2008, "Guide to the expression of uncertainty in measurement", 5.1.2).
@@ -91,7 +93,7 @@ def chance_at(errors: SourcesOfError, deviation: Array) -> Array:
 
 
 class ChanceOfGain:
-    """Sums over targets for the chance that correction lowers the RMS error on the part; see the module."""
+    """Sums along the cutting path for the chance that correction lowers the RMS error on the part; see the module."""
 
     def __init__(self) -> None:
         """Begin without targets."""
@@ -101,26 +103,30 @@ class ChanceOfGain:
         self._by_forces: list[Array] = []
         self._other: dict[str, float] = {}
 
-    def add(self, errors: SourcesOfError, deviation: Array, left: Array, path_distance: Array, counts: Bools) -> None:
+    def add(
+        self, errors: SourcesOfError, deviation: Array, left: Array, path_distance: Array, cut_length: Array
+    ) -> None:
         """Add the errors of n targets.
 
         :param deviation: (n, 3) from nominal if nothing is corrected, root axes [m]; `left` (n, 3) with correction.
         :param path_distance: (n,) largest distance from the nominal path on the way to each target with correction [m].
-        :param counts: (n,) targets that count: cutting ones.
+        :param cut_length: (n,) length of the cutting path for which each target stands [m]; those with 0 do not count.
         """
-        deviation, left = deviation[counts], left[counts]
+        counts = cut_length > 0.0
+        deviation, left, length = deviation[counts], left[counts], cut_length[counts]
         change = deviation - left
         self._is_changed |= bool(change.any())
         left_on_path = np.maximum(path_distance[counts], norm(left))
-        self._gain += 0.5 * float(np.sum(deviation**2) - np.sum(left_on_path**2))
-        by_parameter = np.einsum("ni,nip->p", change, errors.slopes[counts])
-        by_forces = [np.einsum("ni,nik->k", change, factor[counts]) for factor in errors.by_forces]
+        self._gain += 0.5 * float(length @ (np.sum(deviation**2, axis=1) - left_on_path**2))
+        weighted_change = length[:, None] * change
+        by_parameter = np.einsum("ni,nip->p", weighted_change, errors.slopes[counts])
+        by_forces = [np.einsum("ni,nik->k", weighted_change, factor[counts]) for factor in errors.by_forces]
         if self._by_parameter is None:
             self._by_parameter, self._by_forces = np.zeros_like(by_parameter), [np.zeros_like(b) for b in by_forces]
         self._covariance = errors.covariance
         self._by_parameter = self._by_parameter + by_parameter
         self._by_forces = [total + addend for total, addend in zip(self._by_forces, by_forces, strict=True)]
-        for name, sigma in _sums_by_source(errors.other, change, counts).items():
+        for name, sigma in _sums_by_source(errors.other, weighted_change, counts).items():
             self._other[name] = self._other.get(name, 0.0) + sigma
 
     @property
@@ -137,7 +143,10 @@ class ChanceOfGain:
 
 
 def _sums_by_source(covariances: Mapping[str, Array], change: Array, counts: Bools) -> dict[str, float]:
-    """Return the sums over targets of the standard deviations of errors along the corrections (n, 3), by source."""
+    """Return the sums over targets of the standard deviations of errors along the corrections, by source.
+
+    :param change: (n, 3) corrections of the targets that count, each times its length [m²].
+    """
     squares = {
         name: np.einsum("ni,nij,nj->n", change, covariance[counts], change) for name, covariance in covariances.items()
     }

@@ -331,11 +331,10 @@ def _deviation(path: PathUnderLoad) -> Array:
 
 
 def _weights(path: PathUnderLoad) -> Array:
-    """Return the length (N,) [m] of the cutting path around each sample: samples are dense where forces change."""
-    motion, length = path.sample.motion, path.motions.segments.length
-    place = (np.cumsum(length) - length)[motion] + length[motion] * path.sample.t
-    length_share = 0.5 * (np.diff(place, prepend=place[:1]) + np.diff(place, append=place[-1:]))
-    return np.asarray(np.where(path.program.motions.rapid[motion], 0.0, length_share))
+    """Return the length (N,) of the cutting path for which each sample stands [m]: many are where forces change."""
+    sample, motions = path.sample, path.program.motions
+    goes_on = np.ones(len(sample), dtype=bool)
+    return toolpath.cut_lengths(motions, path.motions.segments.length, sample.motion, sample.t, goes_on)
 
 
 def convert_with_held_feed(

@@ -70,7 +70,7 @@ class Drive(Struct, frozen=True):
 
 
 class Improvement(Struct, frozen=True):
-    """Is it better than the uncorrected program? Expected errors on the part (95 %) over cutting targets.
+    """Is it better than the uncorrected program? Expected errors on the part (95 %) along the cutting path.
 
     `uncorrected_mm` and `corrected_mm` are those of the worst target, the program as read and as corrected; None where
     the model states no uncertainty. `chance`: that correction makes the part better (RMS); None where nothing changes.
@@ -89,7 +89,7 @@ class Tolerance(Struct, frozen=True):
     """Does it hold the tolerance that the user gave?
 
     :param mm: the tolerance, and `of` what: the "part", or the "path" between the written targets.
-    :param beyond_percent: share of the cutting targets that exceed it; None where unknown.
+    :param beyond_percent: share of the length of the cutting path on which it is exceeded; None where unknown.
     """
 
     state: State

@@ -129,7 +129,7 @@ def index_page(entries: Sequence[Entry], folder: str) -> bytes:
         notes = tuple(Note(f"{entry.name}: {entry.message}") for entry in failures)
         sections.append(Section("failed", "Not written", (Notes(notes, marked=True),)))
     footer = Note(
-        "Expected errors on the part (95 %) at cutting targets, in millimetres; the chance that correction makes the "
+        "Expected errors on the part (95 %) on the cutting path, in millimetres; the chance that correction makes the "
         "part better. A name leads to the report of the program."
     )
     return b"".join(Page("Overview", folder, f"{len(entries)} programs", tuple(sections), (footer,)).render())

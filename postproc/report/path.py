@@ -71,8 +71,8 @@ class Operation(Struct, frozen=True):
     :param first: row of its first target, `last` of its last one.
     :param line: source line of its first target.
     :param cutting: number of cutting targets.
-    :param before: deviation of the tool tip without correction [m], `after` with the program as written [m], over
-        cutting targets.
+    :param before: deviation of the tool tip without correction [m], `after` with the program as written [m], along
+        the cutting path.
     :param bound: 95 % bound of what remains on the part, or None.
     :param force: largest force [N].
     """
@@ -109,9 +109,9 @@ def operations(result: Result) -> list[Operation]:
                 last=end - 1,
                 line=int(result.source_line[begin]),
                 cutting=cutting,
-                before=statistics(norm(result.deviation_before[rows]), rapid),
-                after=statistics(norm(result.deviation_after[rows]), rapid),
-                bound=None if result.bound is None else statistics(result.bound[rows], rapid),
+                before=statistics(norm(result.deviation_before[rows]), result.cut_length[rows]),
+                after=statistics(norm(result.deviation_after[rows]), result.cut_length[rows]),
+                bound=None if result.bound is None else statistics(result.bound[rows], result.cut_length[rows]),
                 force=float(result.force[rows].max(initial=0.0)),
             )
         )

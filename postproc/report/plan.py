@@ -19,8 +19,8 @@ from postproc.program import WRENCH, Document, Ints
 from postproc.report.kit import (
     Axis,
     Cell,
-    Counts,
     Curve,
+    Histogram,
     Lines,
     Mark,
     Note,
@@ -376,7 +376,7 @@ def comparison_section(result: PlanResult) -> Section | None:
     intuitive = "" if serial is None else f", the semi-intuitive plan of the serial approach {serial:.3g} mm"
     plot = Plot(
         label="Histogram of the criterion of random plans; this plan is marked",
-        traces=[Counts(edges.tolist(), counts.tolist(), "random plans")],
+        traces=[Histogram(edges.tolist(), counts.tolist(), "random plans")],
         x=Axis(title="criterion (root: RMS distance that remains), mm", range=(0.0, top)),
         y=Axis(title="number of plans"),
         marks=marks,

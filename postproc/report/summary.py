@@ -12,7 +12,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc import provenance
-from postproc.correction import Mode, Result, Statistics, statistics
+from postproc.correction import Mode, Result, Statistics, share_beyond, statistics
 from postproc.dialects import registry
 from postproc.errors import Issue
 from postproc.files import FileEntry
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 class Distances(Struct, frozen=True):
-    """Distances of the predicted tool tip from nominal over cutting targets."""
+    """Distances of the predicted tool tip from nominal along the cutting path."""
 
     max_mm: float
     rms_mm: float
@@ -38,14 +38,14 @@ class Distances(Struct, frozen=True):
 
 
 class Bound(Struct, frozen=True):
-    """Largest and mean of a length over cutting targets."""
+    """Largest and root mean square of a length along the cutting path."""
 
     max_mm: float
     rms_mm: float
 
 
 class ExpectedError(Bound, frozen=True):
-    """Bound (95 %) by what the model and the forces state of their uncertainty, over cutting targets.
+    """Bound (95 %) by what the model and the forces state of their uncertainty, along the cutting path.
 
     `basis` says where the model's uncertainty comes from.
     """
@@ -64,7 +64,8 @@ class Reversal(Struct, frozen=True):
 class OnPart(Struct, frozen=True):
     """Expected error on the part (95 %) at its worst target: bound, rounding of corners and path in one; and tolerance.
 
-    `beyond_percent` of the cutting targets exceed the tolerance; None where it, or the bound, is not stated.
+    The tolerance is exceeded on `beyond_percent` of the length of the cutting path; None where it, or the bound, is not
+    stated.
     """
 
     tolerance_mm: float | None
@@ -237,7 +238,7 @@ def _unjudged_summary(
     result: Result, tolerance: float | None, part_tolerance: float | None, surface: Surface | None
 ) -> Summary:
     """Return the content of `report.json` with a placeholder as verdict; parameters as of `summary`."""
-    uncorrected, prediction = statistics(result.before, result.rapid), statistics(result.after, result.rapid)
+    uncorrected, prediction = (statistics(distance, result.cut_length) for distance in (result.before, result.after))
     return Summary(
         program=result.program.documents[0].name,
         robot=result.robot.name,
@@ -351,18 +352,18 @@ def issue_entry(issue: Issue) -> IssueEntry:
 
 
 def _expected_error(result: Result) -> ExpectedError | None:
-    """Return the bound (95 %) of the error on the part over cutting targets [mm]; None without a covariance."""
+    """Return the bound (95 %) of the error on the part along the cutting path [mm]; None without a covariance."""
     if result.bound is None:
         return None
-    bound = statistics(result.bound, result.rapid)
+    bound = statistics(result.bound, result.cut_length)
     return ExpectedError(max_mm=bound.largest * MM_PER_M, rms_mm=bound.rms * MM_PER_M, basis=result.robot.basis)
 
 
 def _tool_deflection(result: Result) -> Bound | None:
-    """Return the deflection of holder, spindle and tool over cutting targets [mm]; None if they are rigid."""
+    """Return the deflection of holder, spindle and tool along the cutting path [mm]; None if they are rigid."""
     if result.deflection_by_tool is None:
         return None
-    deflection = statistics(norm(result.deflection_by_tool), result.rapid)
+    deflection = statistics(norm(result.deflection_by_tool), result.cut_length)
     return Bound(max_mm=deflection.largest * MM_PER_M, rms_mm=deflection.rms * MM_PER_M)
 
 
@@ -387,7 +388,7 @@ def _part_entry(result: Result, tolerance: float | None) -> OnPart:
     if error is None or result.rapid.all():
         return OnPart(tolerance_mm=tolerance_mm, expected_mm=None, source_line=None, held=None, beyond_percent=None)
     worst = int(np.argmax(error))
-    percent = None if tolerance is None else 100.0 * float(np.mean(error[~result.rapid] > tolerance))
+    percent = None if tolerance is None else 100.0 * share_beyond(error, tolerance, result.cut_length)
     return OnPart(
         tolerance_mm=tolerance_mm,
         expected_mm=_finite_or_none(float(error[worst]) * MM_PER_M),

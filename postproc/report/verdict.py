@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from msgspec import Struct
 
-from postproc.correction import Mode, Result, statistics
+from postproc.correction import Mode, Result, share_beyond, statistics
 from postproc.elastostatics import HARM, WIDE
 from postproc.errors import Issue
 from postproc.frames import MM_PER_M
@@ -129,7 +129,9 @@ def _improvement_answer(
     doubts = [*doubts, *_doubts_of_input(result, content, is_error_known=errors is not None)]
     if errors is None or _is_corrected_input(content):
         return Improvement("warning" if doubts else "ok", None, None, None, None, None, _sorted_texts(doubts))
-    uncorrected, corrected_errors = (statistics(error, judged_result.rapid) for error in (errors.before, errors.after))
+    uncorrected, corrected_errors = (
+        statistics(error, judged_result.cut_length) for error in (errors.before, errors.after)
+    )
     largest_mm = max(content.before.max_mm, content.after.max_mm)
     counts = content.mode == "convert" and largest_mm > min(content.tolerance_mm or CUT_MM, CUT_MM)
     if counts and errors.chance is not None and errors.chance < HARM:
@@ -199,8 +201,7 @@ def _tolerance_answer(result: Result, content: Summary, other_remedies: Sequence
     if part.tolerance_mm is None or _is_corrected_input(content):
         if not reasons or content.tolerance_mm is None:
             return None
-        count = int(np.count_nonzero(result.after[~result.rapid] * MM_PER_M > content.tolerance_mm))
-        percent = 100.0 * count / max(int(np.count_nonzero(~result.rapid)), 1)
+        percent = 100.0 * share_beyond(result.after * MM_PER_M, content.tolerance_mm, result.cut_length)
         return Tolerance("failed", "path", content.tolerance_mm, False, percent, [], reasons)
     if part.held is None or part.expected_mm is None:
         state: State = "failed" if reasons else "warning"
@@ -214,8 +215,8 @@ def _tolerance_answer(result: Result, content: Summary, other_remedies: Sequence
     ]
     text = (
         f"the expected error on the part is up to {above_limit_text(part.expected_mm, part.tolerance_mm)} mm (95 %, "
-        f"corners and path included), more than the {part.tolerance_mm:g} mm of [part] tolerance_mm, at "
-        f"{_percent_digits(part.beyond_percent)} % of the cutting targets"
+        f"corners and path included), more than the {part.tolerance_mm:g} mm of [part] tolerance_mm, on "
+        f"{_percent_digits(part.beyond_percent)} % of the cutting path"
     )
     reasons.insert(0, _with_line(text, part.source_line))
     return Tolerance("failed", "part", part.tolerance_mm, False, part.beyond_percent, actions, reasons)
@@ -374,7 +375,7 @@ def _expected_findings(result: Result, content: Summary) -> list[Finding]:
 def _largest_expected_error(result: Result) -> float:
     """Return the largest expected error on the part (95 %) after correction [mm], corners and path included."""
     errors = result.errors
-    return 0.0 if errors is None else statistics(errors.after, result.rapid).largest * MM_PER_M
+    return 0.0 if errors is None else statistics(errors.after, result.cut_length).largest * MM_PER_M
 
 
 def _surface_findings(content: Summary) -> tuple[list[Finding], list[Finding]]:

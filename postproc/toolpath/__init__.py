@@ -4,6 +4,7 @@ A place on the path is (motion, t), t in (0, 1] along the motion. Row i of a `To
 motion are consecutive and in order, and its end (t = 1) is always among them.
 """
 
+from postproc.toolpath.cut_length import cut_lengths
 from postproc.toolpath.path import (
     Arcs,
     JointMoves,
@@ -50,6 +51,7 @@ __all__ = [
     "circle_through",
     "columns_in_root",
     "continues",
+    "cut_lengths",
     "directions_in_root",
     "even_parts",
     "even_places",

@@ -58,13 +58,13 @@ def trial(name: str, sigma: float, runs: int, targets: int, *, one_factor: bool,
     """Correct a program, and let so many drawn arms run it.
 
     :param sigma: standard deviation of the forces [%].
-    :param targets: number of cutting targets that are looked at.
+    :param targets: number of targets that are looked at, evenly along the cutting path.
     :param one_factor: the forces are off by one factor; else each component by a factor of its own.
     """
     rng = np.random.default_rng(seed)
     result, base = _corrected(name, sigma)
-    cutting = np.flatnonzero(~result.rapid)
-    rows = cutting[np.linspace(0, len(cutting) - 1, targets).astype(int)]
+    place = np.cumsum(result.cut_length)
+    rows = np.searchsorted(place, np.linspace(0.0, place[-1], targets + 1)[1:] * (1.0 - 1e-12))
     arm = Arm.load(ROOT / "robot_models" / name)
     spread = _spread(name)
     tool = result.program.tools[0]

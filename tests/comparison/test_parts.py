@@ -154,6 +154,7 @@ def compared(nominal=None, corrected=None, pair=None, **fields) -> Comparison:
         nominal=nominal, corrected=corrected, robot="x", pair=pair, inserted_rows=none, passed_rows=none,
         passing_distance=np.zeros(0), only_nominal=none, missing_distance=np.zeros(0), additional_rows=none,
         pose=corrected.motions.target[pair[:, 1]], rotation=np.zeros(len(pair)), curves=None,
+        path_length=np.array([0.0, 0.05, 0.1, 0.2, 0.3]),
         path_distance=np.zeros(len(pair)), cuts=None, differences=(),
     )  # fmt: skip
     return replace(made, **fields)

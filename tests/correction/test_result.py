@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from msgspec.structs import replace
 
 from postproc import cell as cells
 from postproc import correction, files, robot
-from postproc.correction.result import HeldFeed, Result, statistics
+from postproc.correction.result import HeldFeed, Result, share_beyond, statistics
 from postproc.elastostatics import Reversals
 from postproc.errors import Issue, ModelError
 from postproc.robot import urdf
@@ -21,19 +23,30 @@ MADE = program([("PTP", 0, 0, 50), ("LIN", 0, 0, 0), ("RAPID", 100, 0, 0), ("LIN
 EMPTY = Result(MADE, robot.load(robot.find("kuka_kr270")), "+Z", "convert", ())
 
 
-def test_statistics_are_those_of_cutting_targets():
+def test_statistics_weigh_cutting_targets_by_their_length():
+    """With whole lengths they are those of rows that are repeated as often."""
     rng = np.random.default_rng(2)
-    distance, rapid = rng.exponential(size=200), rng.random(200) < 0.3
-    found, cutting = statistics(distance, rapid), sorted(d for d, r in zip(distance, rapid, strict=True) if not r)
-    n = len(cutting)
-    assert found.largest == cutting[-1]
-    assert found.mean == pytest.approx(sum(cutting) / n)
-    assert found.rms == pytest.approx((sum(d * d for d in cutting) / n) ** 0.5)
-    at = 0.95 * (n - 1)
-    low = int(at)
-    assert found.p95 == pytest.approx(cutting[low] + (at - low) * (cutting[low + 1] - cutting[low]))
-    none = statistics(distance, np.ones(200, dtype=bool))
+    distance, length = rng.exponential(size=200), rng.integers(0, 6, size=200)
+    along = statistics(distance, 0.5 * length)
+    repeated = sorted(d for d, n in zip(distance, length, strict=True) for _ in range(n))
+    assert along.largest == repeated[-1]
+    assert along.mean == pytest.approx(sum(repeated) / len(repeated))
+    assert along.rms == pytest.approx((sum(d * d for d in repeated) / len(repeated)) ** 0.5)
+    assert along.p95 == repeated[math.ceil(0.95 * len(repeated)) - 1]
+    none = statistics(distance, np.zeros(200))
     assert (none.largest, none.rms, none.mean, none.p95) == (0.0, 0.0, 0.0, 0.0)
+
+
+def test_ninety_five_per_cent_of_twenty_equal_lengths_are_nineteen():
+    """0.95 · 20 is not 19 in binary: the sum of nineteen lengths reaches it nevertheless."""
+    assert statistics(np.arange(1.0, 21.0), np.full(20, 0.1)).p95 == 19.0
+
+
+def test_the_share_beyond_a_limit_is_that_of_the_length():
+    distance, length = np.array([1.0, 2.0, 3.0, 9.0]), np.array([4.0, 2.0, 4.0, 0.0])
+    assert share_beyond(distance, 1.5, length) == pytest.approx(0.6)
+    assert share_beyond(distance, 3.0, length) == 0.0
+    assert share_beyond(distance, 0.0, np.zeros(4)) == 0.0
 
 
 def test_a_result_without_a_path_has_six_joint_margins_that_are_not_known():

@@ -145,7 +145,7 @@ def test_thinning_never_hides_the_worst_and_bounds_the_size(worst):
     assert at["source_line"][at["before"].argmax()] == result.source_line[worst]
     assert at["after"].max() == np.float32(5e-3)
     assert read.facts["worst"]["before"] == at["before"].argmax()
-    assert sum(read.facts["histograms"]["before"]["counts"]) == np.count_nonzero(~result.rapid)
+    assert sum(read.facts["histograms"]["before"]["percent"]) == pytest.approx(100.0)
     assert len(read.columns("drawn")["x"]) <= 2 * places.MAX_PLACES
 
 
@@ -296,3 +296,12 @@ def test_of_many_targets_every_row_of_a_table_leads_to_its_own_line():
         wanted = int(row["data-source-line"])
         found = line[int(row["data-place"])]
         assert found == wanted or (row["in"] == "operations" and abs(found - wanted) <= 1)  # it may begin with a rapid
+
+
+def test_bars_of_the_histogram_are_shares_of_the_path():
+    base = fabricated.result()
+    off = np.arange(100) == 60
+    changes = {"before": np.where(off, 2e-3, 1e-3), "cut_length": np.where(off, 0.95, base.cut_length)}
+    bars = read_page(b"".join(page(fabricated.with_changes(base, **changes), 1e-5))).facts["histograms"]["before"]
+    assert bars["percent"][-1] == pytest.approx(50.0)
+    assert bars["percent"][30] == pytest.approx(50.0)  # 1 mm begins the 31st of 60 bars up to 2 mm

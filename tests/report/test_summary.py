@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from postproc.errors import Issue
 from postproc.files import json_bytes
@@ -24,15 +25,22 @@ def test_keys_are_those_of_the_contract():
     assert set(content["issues"][0]) == {"level", "kind", "message", "source_line", "count"}
 
 
-def test_numbers_are_over_cutting_targets_in_mm():
-    result = fabricated.result()
-    cutting = result.before[~result.rapid] * 1e3
+def test_numbers_are_along_the_cutting_path_in_mm():
+    base = fabricated.result()
+    count = np.where(base.rapid, 0, 1 + np.arange(100) % 4)
+    soft_tool = fabricated.down(0.3 * base.before)
+    result = replace(base, cut_length=0.01 * count, bound=0.5 * base.before, deflection_by_tool=soft_tool)
+    # each target as often as its length
+    repeated = np.repeat(result.before * 1e3, count)
     content = summary(result)
-    assert content.before.max_mm == pytest.approx(cutting.max())
-    assert content.before.rms_mm == pytest.approx(np.sqrt(np.mean(cutting**2)))
-    assert content.before.mean_mm == pytest.approx(cutting.mean())
-    assert content.before.p95_mm == pytest.approx(np.percentile(cutting, 95))
-    assert content.improvement.max == pytest.approx(cutting.max() / 2e-4)
+    assert content.before.max_mm == pytest.approx(repeated.max())
+    assert content.before.rms_mm == pytest.approx(np.sqrt(np.mean(repeated**2)))
+    assert content.before.rms_mm != pytest.approx(np.sqrt(np.mean((1e3 * base.before[~base.rapid]) ** 2)), rel=1e-3)
+    assert content.before.mean_mm == pytest.approx(repeated.mean())
+    assert content.before.p95_mm == pytest.approx(np.percentile(repeated, 95, method="inverted_cdf"))
+    assert content.u95.rms_mm == pytest.approx(0.5 * content.before.rms_mm)
+    assert content.tool_deflection.rms_mm == pytest.approx(0.3 * content.before.rms_mm)
+    assert content.improvement.max == pytest.approx(repeated.max() / 2e-4)
     assert content.compensated_percent == pytest.approx(100 * (1 - 2e-4 / content.before.rms_mm))
     assert content.max_correction_mm == pytest.approx(1.5)
     assert content.limits.min_joint_margin_deg == pytest.approx(40.0)

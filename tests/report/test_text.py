@@ -22,7 +22,7 @@ def test_one_program_is_told_as_a_table_of_before_after_and_improvement():
         "  max                1.5  0.0002         7500\n"
         "  RMS                1.1  0.0002         5343\n"
         "  mean               1.0  0.0002         5021\n"
-        "  95 %               1.5  0.0002         7475\n"
+        "  95 %               1.5  0.0002         7480\n"
         "\n"
         "  largest correction 1.5 mm\n"
         "  between targets at most 0.0040 mm (tolerance 0.01 mm, held)\n"

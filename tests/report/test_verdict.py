@@ -211,7 +211,20 @@ def test_the_part_is_judged_by_bound_corners_and_path_together(tolerance, held):
 def test_the_share_beyond_the_tolerance_of_the_part_is_a_plain_number(targets, percent):
     rank = np.cumsum(~fabricated.result().rapid)
     reason = _verdict(part=2e-4, bound=np.where(rank <= targets, 3e-4, 1e-4)).reasons[0]
-    assert f"at {percent} % of the cutting targets" in reason
+    assert f"on {percent} % of the cutting path" in reason
+
+
+@pytest.mark.parametrize("tolerance", ["part", "path"])
+def test_the_share_beyond_a_tolerance_is_that_of_the_length(tolerance):
+    """One target of 96 is off, and stands for half of the path."""
+    base = fabricated.result()
+    off = np.arange(100) == 60
+    cut_length = np.where(off, 0.95, base.cut_length)
+    if tolerance == "part":
+        verdict = _verdict(part=2e-4, bound=np.where(off, 3e-4, 1e-4), cut_length=cut_length)
+    else:
+        verdict = _verdict(after=np.where(off, 3e-5, 1e-6), cut_length=cut_length)
+    assert verdict.tolerance.beyond_percent == pytest.approx(50.0)
 
 
 def test_what_must_not_be_run_has_failed():

@@ -29,8 +29,8 @@ from postproc.report.kit import (
     Axis,
     Cell,
     Columns,
-    Counts,
     Curve,
+    Histogram,
     Kind,
     Lines,
     Mark,
@@ -106,7 +106,7 @@ def comparison_page(comparison: Comparison, content: ComparisonSummary) -> Itera
             Note(
                 "Offsets are from the nominal target to where the second program sends the same tool, in the nominal "
                 "$BASE, in millimetres. What a program cuts is a prediction of the elastostatic model under the forces "
-                "given. Statistics are over cutting targets that are in both."
+                "given. Statistics are along the cutting path, at targets that are in both."
             ),
         ),
         facts=_facts(comparison, content, pair_rows, names) if len(pair_rows) else None,
@@ -363,17 +363,19 @@ def _program_plots_section(comparison: Comparison, content: ComparisonSummary, r
 
 def _histogram_section(comparison: Comparison, pair_rows: Ints) -> Section:
     """Return the section with the histogram of the offset [mm]; a bar leads to the largest shown pair in it."""
-    counts, edges = np.histogram(comparison.distance[~comparison.rapid] * MM_PER_M, bins=_BINS)
+    cutting, total = ~comparison.rapid, float(comparison.cut_length.sum())
+    percent = 100.0 * comparison.cut_length[cutting] / (total or 1.0)
+    heights, edges = np.histogram(comparison.distance[cutting] * MM_PER_M, bins=_BINS, weights=percent)
     size = np.where(comparison.rapid, -1.0, comparison.distance)[pair_rows] * MM_PER_M
     order = np.argsort(size)
     last = np.searchsorted(size[order], edges[1:], side="right") - 1  # the largest that is shown in each bar
     places = [int(order[k]) if k >= 0 and size[order[k]] >= low else None for k, low in zip(last, edges, strict=False)]
-    bars = Counts(edges.tolist(), counts.tolist(), "offset", places)
+    bars = Histogram(edges.tolist(), heights.tolist(), "offset", places)
     plot = Plot(
-        label="Histogram of the offset at cutting targets",
+        label="Histogram of the offset along the cutting path",
         traces=[bars],
         x=Axis(title="offset, mm"),
-        y=Axis(title="targets"),
+        y=Axis(title="cutting path, %"),
     )
     return Section("histogram", "Distribution of the offset", (plot,))
 

@@ -18,7 +18,7 @@ from postproc.decimals import Number, rows_of_csv
 from postproc.errors import Level
 from postproc.files import FileEntry
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm, xyzabc_from_pose
-from postproc.program import Bools, Ints, Program
+from postproc.program import Ints, Program
 from postproc.provenance import Provenance
 from postproc.provenance import State as Origin
 from postproc.report.answers import LIMITS_AND_COLLISIONS, UNJUDGED, Drive, Tolerance, Verdict, verdict_of
@@ -103,7 +103,7 @@ class ProgramOrigin(Struct, frozen=True):
 
 
 class Rotations(Struct, frozen=True):
-    """Angles between the orientations of pairs, over cutting targets."""
+    """Angles between the orientations of pairs, along the cutting path."""
 
     max_deg: float
     rms_deg: float
@@ -138,7 +138,7 @@ _NO_LINES = {"nominal_file": None, "nominal_line": None, "corrected_file": None,
 
 
 class CutDistances(WorstPair, frozen=True):
-    """Distances of the loaded tip from nominal at cutting targets, for each program; worst pair of the second."""
+    """Distances of the loaded tip from nominal along the cutting path, for each program; worst pair of the second."""
 
     nominal: Distances
     corrected: Distances
@@ -198,7 +198,7 @@ class OriginEntry(Struct, frozen=True):
 
 
 class ComparisonSummary(Struct, frozen=True, omit_defaults=True, kw_only=True):
-    """Content of `part.compare.report.json`. Statistics are over cutting targets that are in both programs."""
+    """Content of `part.compare.report.json`. Statistics are along the cutting path, at targets of both programs."""
 
     nominal: str
     corrected: str
@@ -260,8 +260,7 @@ def _passed_checks(content: ComparisonSummary, file_origin: ProgramOrigin) -> li
 
 def _unjudged_summary(comparison: Comparison, file_origin: ProgramOrigin, tolerance: float) -> ComparisonSummary:
     """Return the content of the report with a placeholder as verdict; parameters as of `comparison_summary`."""
-    rapid, distance = comparison.rapid, comparison.distance
-    rotation = statistics(comparison.rotation, rapid)
+    rotation = statistics(comparison.rotation, comparison.cut_length)
     count: dict[str, int] = {}
     for difference in comparison.differences:
         count[difference.kind] = count.get(difference.kind, 0) + difference.count
@@ -277,7 +276,7 @@ def _unjudged_summary(comparison: Comparison, file_origin: ProgramOrigin, tolera
         passed=len(comparison.passed_rows),
         passed_within_mm=_largest_passing_distance(comparison),
         only_corrected=len(comparison.additional_rows),
-        offset=_distances(distance, rapid),
+        offset=_distances(comparison.distance, comparison.cut_length),
         rotation=Rotations(max_deg=rotation.largest * DEG_PER_RAD, rms_deg=rotation.rms * DEG_PER_RAD),
         between_targets=_largest_gap(comparison, names),
         largest=_largest_pairs(comparison, names),
@@ -391,9 +390,9 @@ def _issue_text(issue: DifferenceEntry) -> str:
     return f"{place}{': ' if place else ''}{issue.message.rstrip('.')}{count}"
 
 
-def _distances(values: Array, rapid: Bools) -> Distances:
-    """Return the statistics of distances (n,) [m] in mm."""
-    measures = statistics(values, rapid)
+def _distances(values: Array, cut_length: Array) -> Distances:
+    """Return the statistics of distances (n,) [m] in mm; parameters as of `statistics`."""
+    measures = statistics(values, cut_length)
     return Distances(
         max_mm=measures.largest * MM_PER_M,
         rms_mm=measures.rms * MM_PER_M,
@@ -410,13 +409,15 @@ def _cut_distances(comparison: Comparison, names: Sequence[Names], rows: slice) 
     """
     if comparison.cuts is None:
         return None
-    rapid = comparison.rapid[rows]
+    rapid, cut_length = comparison.rapid[rows], comparison.cut_length[rows]
     nominal, corrected_mm = (
         norm(deviation[rows]) for deviation in (comparison.cuts.nominal, comparison.cuts.corrected_deviation)
     )
     worst = rows.start + int(np.argmax(np.where(rapid, -1.0, corrected_mm))) if not rapid.all() else None
     lines = _NO_LINES if worst is None else asdict(_lines_of_pair(comparison, names, worst))
-    return CutDistances(**lines, nominal=_distances(nominal, rapid), corrected=_distances(corrected_mm, rapid))
+    return CutDistances(
+        **lines, nominal=_distances(nominal, cut_length), corrected=_distances(corrected_mm, cut_length)
+    )
 
 
 def _largest_gap(comparison: Comparison, names: Sequence[Names]) -> PathGap:
@@ -492,7 +493,7 @@ def _operation_entries(comparison: Comparison, names: Sequence[Names]) -> Iterat
             nominal_file=lines.nominal_file,
             nominal_line=lines.nominal_line,
             pairs=cutting,
-            offset=_distances(comparison.distance[rows], comparison.rapid[rows]),
+            offset=_distances(comparison.distance[rows], comparison.cut_length[rows]),
             cut=_cut_distances(comparison, names, rows),
         )
 
@@ -646,7 +647,7 @@ def comparison_text(content: ComparisonSummary, display: Display = PLAIN) -> str
         *(f"  - {reason}" for reason in verdict.reasons),
         "",
     ]
-    head = ["at cutting targets [mm]", "offset"] + (["nominal cuts", "corrected cuts"] if cut is not None else [])
+    head = ["along the cuts [mm]", "offset"] + (["nominal cuts", "corrected cuts"] if cut is not None else [])
     sources = [content.offset] + ([cut.nominal, cut.corrected] if cut is not None else [])
     rows = [(label, *map(millimetres, values)) for label, *values in zip(_ROWS, *map(astuple, sources), strict=True)]
     if between_targets := content.between:

@@ -88,7 +88,7 @@ def page(
         footer=(
             Note(
                 "All deviations are predictions of the elastostatic model of the robot under the forces given, not "
-                f"measurements, in millimetres. Statistics are over cutting targets. {_MODE_NOTES[result.mode]}"
+                f"measurements, in millimetres. Statistics are along the cutting path. {_MODE_NOTES[result.mode]}"
             ),
         ),
         facts=data.facts() if views else None,

@@ -49,10 +49,10 @@ _LONGEST_LINE = 200
 
 
 class Histogram(msgspec.Struct, frozen=True):
-    """Numbers of cutting targets by deviation: counts between edges [mm]."""
+    """Shares of the cutting path by deviation: per cent of its length between edges [mm]."""
 
     edges: list[float]
-    counts: list[int]
+    percent: list[float]
 
 
 class Facts(msgspec.Struct, frozen=True):
@@ -275,7 +275,7 @@ class Deviation(Struct, frozen=True, dict=True):
             links=[(mesh.carrier + 1, len(mesh.points), len(mesh.faces)) for mesh in self.links],
             bodies=[(mesh.carrier + 1, len(mesh.points), len(mesh.faces)) for mesh in self.bodies],
             reversals=self.reversal_marks(),
-            histograms={name: _histogram(values[cutting] * MM_PER_M) for name, values in measures.items()},
+            histograms={name: _histogram(values * MM_PER_M, result.cut_length) for name, values in measures.items()},
         )
 
     def reversals(self) -> list[tuple[int, str]]:
@@ -333,11 +333,16 @@ def _sharp_edges(points: Array, faces: Ints) -> Ints:
     return np.asarray(edges[first[is_sharp]])
 
 
-def _histogram(values: Array) -> Histogram:
-    """Return the histogram of values (n,) [mm] from 0 to the largest; up to 1 if all are 0."""
+def _histogram(values: Array, cut_length: Array) -> Histogram:
+    """Return the histogram of values (K,) [mm] on cuts, from 0 to the largest; up to 1 if all are 0.
+
+    :param cut_length: (K,) length of the cutting path for which each value stands [m].
+    """
+    is_cut = cut_length > 0.0
+    values, percent = values[is_cut], 100.0 * cut_length[is_cut] / (float(cut_length.sum()) or 1.0)
     top = float(values.max(initial=0.0)) or 1.0
-    counts, edges = np.histogram(values, bins=_BINS, range=(0.0, top))
-    return Histogram(edges.tolist(), counts.tolist())
+    heights, edges = np.histogram(values, bins=_BINS, range=(0.0, top), weights=percent)
+    return Histogram(edges.tolist(), heights.tolist())
 
 
 def _in_mm(pose: Array) -> list[float]:

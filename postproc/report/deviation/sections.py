@@ -124,7 +124,7 @@ def _deviation_table(data: Deviation) -> Table:
 
 
 _ALL_ROUNDING = "After compensation only the rounding of the written numbers remains: below 0.0001 mm at each target."
-_ROUNDING = "At cutting targets, as the model predicts it."
+_ROUNDING = "Along the cutting path, at its targets, as the model predicts it."
 
 
 _VIEW_LABEL = (
@@ -385,8 +385,10 @@ def histogram_section(data: Deviation) -> Section | None:
     """Return the section of the histogram of the deviation; `Facts.histograms` has its numbers."""
     if not len(data.result) or data.uncorrected_reason is not None:
         return None
-    label = "Histogram of the deviation at cutting targets, before and after; a click on a bar chooses its worst place."
-    note = "All cutting targets, each with its own scale. A click on a bar chooses the worst place in it."
+    label = (
+        "Histogram of the deviation along the cutting path, before and after; a click on a bar chooses its worst place."
+    )
+    note = "All of the cutting path; each plot has its own scale. A click on a bar chooses the worst place in it."
     return Section("histogram", "Distribution of the deviation", (View("histogram", label, note),))
 
 

@@ -225,11 +225,11 @@ class Bars(msgspec.Struct, frozen=True, tag="bars"):
     chosen: list[bool]
 
 
-class Counts(msgspec.Struct, frozen=True, tag="counts"):
-    """A histogram: counts between edges. `places`: the place that a click on each bar chooses."""
+class Histogram(msgspec.Struct, frozen=True, tag="histogram"):
+    """A histogram: bars between edges. `places`: the place that a click on each bar chooses."""
 
     edges: Numbers
-    counts: list[int]
+    heights: Numbers
     name: str
     places: list[int | None] | None = None
 
@@ -280,7 +280,7 @@ class Mark(msgspec.Struct, frozen=True):
     level: bool = False
 
 
-PlotItem = Curve | Points | Span | Bars | Counts | Matrix | Map | Lines
+PlotItem = Curve | Points | Span | Bars | Histogram | Matrix | Map | Lines
 
 
 class Plot(msgspec.Struct, frozen=True, kw_only=True):

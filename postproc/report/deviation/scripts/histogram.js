@@ -1,5 +1,5 @@
 "use strict";
-// Histogram of the deviations at cutting targets; a line marks the chosen place.
+// Histogram of the deviations along the cutting path; a line marks the chosen place.
 (() => {
   const view = document.getElementById("histogram-view");
   if (!view) return;
@@ -16,15 +16,15 @@
     const layout = theme.layout({ height, bargap: 0.05, margin: { l: 50, r: 10, t: 10, b: 44 } });
     const data = measures.map((name, k) => {
       const suffix = k ? String(k + 1) : "";
-      const { edges, counts } = facts.histograms[name];
+      const { edges, percent } = facts.histograms[name];
       const [column, row] = wide ? [k, 0] : [0, k];
       layout[`xaxis${suffix}`] = theme.axis({ domain: [(column + 0.07 * (column > 0)) / across, (column + 1) / across], anchor: `y${suffix}`,
         fixedrange: true, title: { text: `${values[name].title}, mm` }, nticks: 5, tickangle: 0 });
       layout[`yaxis${suffix}`] = theme.axis({ domain: [1 - (row + 1 - 0.2 * (row + 1 < down)) / down, 1 - row / down], anchor: `x${suffix}`,
-        fixedrange: true, title: column ? undefined : { text: "number of targets" } });
-      return { type: "bar", x: counts.map((_, i) => (edges[i] + edges[i + 1]) / 2), y: counts, xaxis: `x${suffix}`, yaxis: `y${suffix}`,
-        customdata: counts.map((_, i) => [edges[i], edges[i + 1]]), marker: { color: theme.colour(name) },
-        hovertemplate: "%{y} targets, %{customdata[0]:.4f} … %{customdata[1]:.4f} mm<extra></extra>" };
+        fixedrange: true, title: column ? undefined : { text: "cutting path, %" } });
+      return { type: "bar", x: percent.map((_, i) => (edges[i] + edges[i + 1]) / 2), y: percent, xaxis: `x${suffix}`, yaxis: `y${suffix}`,
+        customdata: percent.map((_, i) => [edges[i], edges[i + 1]]), marker: { color: theme.colour(name) },
+        hovertemplate: "%{y:.3g} % of the cutting path, %{customdata[0]:.4f} … %{customdata[1]:.4f} mm<extra></extra>" };
     });
     return [data, layout];
   }

@@ -22,9 +22,9 @@ const plots = (() => {
       type: "bar", orientation: "h", x: lengths, y: lengths.map((_, i) => i), hovertext: texts, hoverinfo: "text",
       marker: { color: chosen.map((is) => colour(is ? "after" : "rule")), opacity: 0.45 },
     }),
-    counts: ({ edges, counts, name, places }) => ({
-      type: "bar", name, customdata: places, x: counts.map((_, i) => (edges[i] + edges[i + 1]) / 2), y: counts, marker: { color: colour("soft") },
-      width: counts.map((_, i) => edges[i + 1] - edges[i]), opacity: 0.6,
+    histogram: ({ edges, heights, name, places }) => ({
+      type: "bar", name, customdata: places, x: heights.map((_, i) => (edges[i] + edges[i + 1]) / 2), y: heights, marker: { color: colour("soft") },
+      width: heights.map((_, i) => edges[i + 1] - edges[i]), opacity: 0.6,
     }),
     matrix: ({ names: of, values }) => ({
       type: "heatmap", x: of, y: of, z: values, zmin: -1, zmax: 1, xgap: 1, ygap: 1,
@@ -56,7 +56,7 @@ const plots = (() => {
 
   // Where the chosen place is: on the first trace that has places.
   function chosen(plot) {
-    const trace = plot.traces.find(({ type, places }) => places && type !== "counts");
+    const trace = plot.traces.find(({ type, places }) => places && type !== "histogram");
     const index = trace && selection.place !== null ? trace.places.findLastIndex((place) => place <= selection.place) : -1;
     return index < 0 ? null : { x: trace.x[index], y: trace.y[index], z: trace.z?.[index] };
   }
@@ -78,7 +78,7 @@ const plots = (() => {
       event.preventDefault();
       step(by * (event.shiftKey ? 10 : 1));
     });
-    if (plot.traces.some(({ type, places }) => places && type !== "counts")) cursor.follow(element, () => chosen(plot)?.x ?? null);
+    if (plot.traces.some(({ type, places }) => places && type !== "histogram")) cursor.follow(element, () => chosen(plot)?.x ?? null);
   }
 
   // Smallest and largest value of a plot on x or y.

@@ -1,0 +1,43 @@
+"""The length of cut for which each target stands: statistics weigh by length, not by the number of targets.
+
+A corner of 400 chords is then as much as its length, and an arc as much as its chords.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from postproc.frames import Array
+from postproc.program import Bools, Ints, Motions
+
+_LEAST = 1e-9
+"""Length of a cut that does not move the tip [m]: it counts among the cuts, but no sum of lengths changes."""
+
+
+def cut_lengths(motions: Motions, length: Array, motion: Ints, t: Array, goes_on: Bools) -> Array:
+    """Return the length (K,) of the cutting path for which each target stands [m]: 0 on rapid moves, else above 0.
+
+    The piece of path to a target counts by halves for it and for the target before it (trapezoidal rule), but wholly
+    for its end where another force begins with the piece, or where a rapid move is before it: at its start, the
+    deviation is not that of the target before. The sum is the length of all cutting motions up to the last target.
+
+    :param motions: of the program, M of them.
+    :param length: (M,) length of their paths [m]; 0 of PTP.
+    :param motion: (K,) row of `motions` of each target, never decreasing.
+    :param t: (K,) place on that motion, in (0, 1], in order.
+    :param goes_on: (K,) whether the force at the target before still acts on the piece to each.
+
+    >>> import numpy as np
+    >>> from types import SimpleNamespace
+    >>> cuts = SimpleNamespace(rapid=np.array([True, False, False]))
+    >>> lengths, targets = np.array([5.0, 2.0, 4.0]), (np.array([0, 1, 2, 2]), np.array([1.0, 1.0, 0.5, 1.0]))
+    >>> cut_lengths(cuts, lengths, *targets, np.ones(4, dtype=bool)).tolist()
+    [0.0, 3.0, 2.0, 1.0]
+    """
+    is_cut = ~motions.rapid[motion]
+    cutting_length = np.where(motions.rapid, 0.0, length)
+    place = (np.cumsum(cutting_length) - cutting_length)[motion] + cutting_length[motion] * t
+    piece = np.diff(place, prepend=0.0)
+    shared = goes_on & is_cut & np.append(False, is_cut[:-1])[: len(piece)]
+    half = np.where(shared, 0.5 * piece, 0.0)
+    return np.where(is_cut, np.maximum(piece - half + np.append(half[1:], 0.0)[: len(piece)], _LEAST), 0.0)
