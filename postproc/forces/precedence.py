@@ -7,6 +7,7 @@ hold on the others; rapid moves have no force. A process refuses programs with f
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import pairwise, zip_longest
 
 import numpy as np
 
@@ -65,9 +66,13 @@ def unused_comments(program: Program) -> Iterator[Issue]:
     """Yield a warning if force comments hold on no cutting move: their forces are stated and not used.
 
     Where branches begin and meet, the reader of KRL states the force that holds there once more: a force that acts
-    somewhere is used.
+    somewhere is used. Neither is a comment unused that another force follows before the next motion: corrected KRL
+    keeps the comments of the program, and those of its pieces follow them.
     """
-    stated_notes = [note for note in program.notes if any(note.wrench)]
+    is_followed = [note.before == after.before and any(after.wrench) for note, after in pairwise(program.notes)]
+    stated_notes = [
+        note for note, skipped in zip_longest(program.notes, is_followed) if any(note.wrench) and not skipped
+    ]
     if not stated_notes:
         return
     note_rows = distinct(_note_of_motion(program)[~program.motions.rapid])

@@ -55,6 +55,14 @@ def test_a_comment_that_holds_on_no_cutting_move_is_a_warning():
     assert again.lines == (1,), "the force of line 5 acts already, as where branches meet"
 
 
+def test_a_comment_that_another_force_follows_at_once_is_kept_text_of_the_program():
+    issues, loads = assigned(notes=[(2, (9.0, 0, 0, 0, 0, 0)), (2, FORCE)])
+    assert "force-unused" not in issues
+    assert loads == [0, 50, 50, 50, 0]
+    off = assigned(notes=[(2, (9.0, 0, 0, 0, 0, 0)), (2, (0.0,) * 6)])[0]
+    assert off["force-unused"].lines == (2,)
+
+
 @pytest.mark.parametrize(("rows", "lines"), [("3,70,0,0,\n7,5,0,0,\n9,5,0,0,\n", (7, 9)), ("7,0,0,0,\n", None)])
 def test_a_row_on_a_move_of_zero_length_is_a_warning(tmp_path, rows, lines):
     still = assigned(rows, path=tmp_path, still=(7, 9))[0].get("force-on-still")
