@@ -10,7 +10,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc import toolpath
-from postproc.chunks import in_chunks
+from postproc.chunks import Columns, in_chunks
 from postproc.comparison.paths import PlacedProgram, file_and_line
 from postproc.comparison.result import Comparison, Cuts
 from postproc.errors import ForceError, NotConvergedError
@@ -130,40 +130,76 @@ def cuts_between_pairs(
     :param load: the forces along the nominal program.
     """
     ways = Ways.from_pairs(comparison, nominal_path, corrected_path)
-    ends, pieces = ways.targets(comparison), ways.pieces()
-    is_reachable = np.isfinite(joints := corrected_path.joints_at(ends, np.ones(len(ends)))).all(axis=1)
-    ends, joints = ends[is_reachable], joints[is_reachable]
     search = Search(nominal_path, corrected_path, load, ways)
-    at_ends = search.deviations(ends, np.ones(len(ends)), joints, ways.guess(ends), enough=_EXACT)
-    place = np.full(len(corrected_path.program.motions), np.nan)
-    place[comparison.pair[:, 1]] = nominal_path.arc_length[comparison.pair[:, 0] + 1]
-    place[ends] = at_ends[0]
-    begin = ways.begins(pieces, place)
-    is_valid = (place[pieces] - begin > _SHORTEST) & ~_begins_with_step(nominal_path, load, place[pieces])
-    pieces, begin = pieces[is_valid], begin[is_valid]
-    row, t = places_on_pieces(corrected_path, pieces, _is_steep(nominal_path, corrected_path, pieces, place))
-    piece_index = np.searchsorted(pieces, row)
-    guess = begin[piece_index] + t * (place[row] - begin[piece_index])
-    joints = in_chunks(lambda row, t: (corrected_path.joints_at(row, t),), row, t)[0]
-    is_reachable = np.isfinite(joints).all(axis=1)
-    row, t, guess, joints = row[is_reachable], t[is_reachable], guess[is_reachable], joints[is_reachable]
-    at_samples = search.deviations(row, t, joints, guess, enough=nominal_path.robot_in_cell.tolerance)
-    angles = np.zeros(len(ends) + len(row))
-    angles[: len(ends)] = in_chunks(
-        lambda length, row: (_orientation_errors_at(nominal_path, corrected_path, load, length, row),), at_ends[0], ends
+    ends = ways.targets(comparison)
+    at_ends = _NearestPlaces.by(search, ends, np.ones(len(ends)), ways.guess(ends), _EXACT)
+    end_length = np.full(len(corrected_path.program.motions), np.nan)
+    end_length[comparison.pair[:, 1]] = nominal_path.arc_length[comparison.pair[:, 0] + 1]
+    end_length[at_ends.row] = at_ends.length
+    places = _NearestPlaces.join([at_ends, _places_inside_pieces(search, end_length)])
+    angles = np.zeros(len(places.row))
+    angles[: len(at_ends.row)] = in_chunks(
+        lambda length, row: (_orientation_errors_at(nominal_path, corrected_path, load, length, row),),
+        at_ends.length,
+        at_ends.row,
     )[0]
-    row, t = np.append(ends, row), np.append(np.ones(len(ends)), t)
-    length, nominal, corrected_values = (np.append(*parts) for parts in zip(at_ends, at_samples, strict=True))
-    order = np.lexsort((t, row))
+    order = np.lexsort((places.t, places.row))
+    places = places.take(order)
     return replace(
         cuts,
-        row=row[order],
-        t=t[order],
-        nominal_distance=nominal[order],
-        corrected_distance=corrected_values[order],
+        row=places.row,
+        t=places.t,
+        nominal_distance=places.nominal_distance,
+        corrected_distance=places.corrected_distance,
         path_rotation=angles[order],
-        length=length[order],
+        length=places.length,
     )
+
+
+class _NearestPlaces(Columns, frozen=True, eq=False):
+    """Places of the second program, and the nominal path where their loaded tip is nearest to it.
+
+    :param row: (n,) motions of the second program; `t` (n,) places on them.
+    :param length: (n,) arc lengths on the nominal path [m].
+    :param nominal_distance: (n,) distance of the tip by the nominal program from that place [m], `corrected_distance`
+        (n,) by the second one.
+    """
+
+    row: Ints
+    t: Array
+    length: Array
+    nominal_distance: Array
+    corrected_distance: Array
+
+    @classmethod
+    def by(cls, search: Search, row: Ints, t: Array, guess: Array, enough: float) -> _NearestPlaces:
+        """Return those of n places that the robot reaches.
+
+        :param guess: (n,) approximate arc lengths on the nominal path [m].
+        :param enough: a deviation that is small enough [m].
+        """
+        joints = in_chunks(lambda row, t: (search.corrected_path.joints_at(row, t),), row, t)[0]
+        is_reachable = np.isfinite(joints).all(axis=1)
+        row, t, guess = row[is_reachable], t[is_reachable], guess[is_reachable]
+        return cls(row, t, *search.deviations(row, t, joints[is_reachable], guess, enough=enough))
+
+
+def _places_inside_pieces(search: Search, end_length: Array) -> _NearestPlaces:
+    """Return places inside of the lines and arcs of the second program.
+
+    :param end_length: (M,) arc lengths on the nominal path at which its motions end [m]; NaN where unknown.
+    """
+    nominal_path, corrected_path, ways = search.nominal_path, search.corrected_path, search.ways
+    pieces = ways.pieces()
+    begin = ways.begins(pieces, end_length)
+    is_valid = (end_length[pieces] - begin > _SHORTEST) & ~_begins_with_step(
+        nominal_path, search.load, end_length[pieces]
+    )
+    pieces, begin = pieces[is_valid], begin[is_valid]
+    row, t = places_on_pieces(corrected_path, pieces, _is_steep(nominal_path, corrected_path, pieces, end_length))
+    begin_length = begin[np.searchsorted(pieces, row)]
+    guess = begin_length + t * (end_length[row] - begin_length)
+    return _NearestPlaces.by(search, row, t, guess, nominal_path.robot_in_cell.tolerance)
 
 
 class Ways(Struct, frozen=True, eq=False):

@@ -263,12 +263,12 @@ def _arc_stretches(path: PathUnderLoad, q: Array, is_fast: Bools) -> Stretches:
         _, margin, step = _margins_and_steps(path, q, rows)
         fast_motions = motion[rows[is_fast[rows] | (step[:6].max(axis=0) > _LARGE_STEP)]]
         # a cheap first pass with the largest step of any arc: no other arc can be near a limit by its own steps
-        is_candidate = (margin < _state_changes(step.max(axis=1, keepdims=True))).any(axis=0)
+        is_candidate = (margin < _margin_changes(step.max(axis=1, keepdims=True))).any(axis=0)
         is_on_candidate_arc = np.isin(motion[rows], motion[rows[is_candidate]])
         rows, margin, step = rows[is_on_candidate_arc], margin[:, is_on_candidate_arc], step[:, is_on_candidate_arc]
         # of each arc, the smallest margin and the largest step of its samples, which are consecutive
         first_rows = np.flatnonzero(np.diff(motion[rows], prepend=-1))
-        threshold = _state_changes(np.maximum.reduceat(step, first_rows, axis=1))
+        threshold = _margin_changes(np.maximum.reduceat(step, first_rows, axis=1))
         is_near_limit = (np.minimum.reduceat(margin, first_rows, axis=1) < threshold).any(axis=0)
         rows = distinct(np.append(fast_motions, motion[rows[first_rows[is_near_limit]]]))
     # a sweep of a whole number of spacings, but for rounding, gets no further part
@@ -276,8 +276,11 @@ def _arc_stretches(path: PathUnderLoad, q: Array, is_fast: Bools) -> Stretches:
     return Stretches(rows, np.zeros(len(rows)), np.ones(len(rows)), parts)
 
 
-def _state_changes(step: Array) -> Array:
-    """Return possible changes of the states between samples of an arc (9, n), from their largest steps on it (9, n)."""
+def _margin_changes(step: Array) -> Array:
+    """Return by how much margins may change between two samples of each of n arcs (9, n), see `_margins_and_steps`.
+
+    :param step: (9, n) largest change from one sample of the arc to the next.
+    """
     change = _STEPS * step
     change[_WRIST] = np.maximum(change[_WRIST], _NEAR_WRIST)
     change[_SHOULDER] += checks.SHOULDER_RADIUS

@@ -54,8 +54,9 @@ def errors(request, tmp_path_factory):
     calls = []
     original = process._expected_errors
 
-    def recorded(task, draft, deviation, reversals):
-        calls.append((task, draft, deviation, reversals, original(task, draft, deviation, reversals)))
+    def recorded(task, draft, deviation, reversals, cut_length):
+        outcome = original(task, draft, deviation, reversals, cut_length)
+        calls.append((task, draft, deviation, reversals, outcome))
         return calls[-1][-1]
 
     with pytest.MonkeyPatch.context() as patch:
@@ -82,7 +83,7 @@ def test_each_target_has_the_errors_of_its_loads_and_what_its_path_leaves(errors
     targets, simulation = draft.selection.targets, draft.simulation
     motions = draft.path.program.motions
     base = draft.path.program.bases[0][:3, :3]
-    without_robot, without_forces = [], []
+    without_robot, without_forces, gain = [], [], elastostatics.ChanceOfGain()
     for k in range(len(targets)):
         turning = np.zeros((1, 6), dtype=bool)
         for row, before, joint in zip(reversals.row, reversals.before, reversals.joint, strict=True):
@@ -93,6 +94,9 @@ def test_each_target_has_the_errors_of_its_loads_and_what_its_path_leaves(errors
         excess = max(on_path - np.linalg.norm(left), 0.0)
         rounding = max(simulation.rounding[k] - draft.selection.programmed_rounding[k], 0.0)
         expectation = elastostatics.expected_errors(sources, base[None] @ deviation[k], base[None] @ left)
+        gain.add(
+            sources, base[None] @ deviation[k], base[None] @ left, np.array([on_path]), result.cut_length[k : k + 1]
+        )
         assert bound[k] == pytest.approx(elastostatics.position_bound(ROBOT, *load, turning)[0], rel=1e-9)
         if motions.rapid[targets.motion[k]]:
             assert expected.before[k] == expected.after[k] == 0.0
@@ -104,6 +108,7 @@ def test_each_target_has_the_errors_of_its_loads_and_what_its_path_leaves(errors
         without_forces.append(expectation.with_known_forces[0] + rounding + excess)
     assert expected.with_known_robot == pytest.approx(max(without_robot), rel=1e-9)
     assert expected.with_known_forces == pytest.approx(max(without_forces), rel=1e-9)
+    assert expected.chance == pytest.approx(gain.chance, rel=1e-9)
     assert 0.5 < expected.chance <= 1.0
     assert not issues
     assert result.errors is expected
@@ -140,6 +145,22 @@ def test_the_result_has_the_numbers_of_its_targets(errors):
     assert not result.is_stock_known
     assert (result.redundancy_deg is None) == (kind == "krl")
     assert result.programmed.any() == (kind == "krl")
+
+
+def test_each_target_stands_for_the_cut_halfway_to_its_neighbours_with_the_same_force(errors):
+    *_, draft, _, _, _, result = errors
+    path, length = draft.path, draft.path.motions.segments.length
+    is_cut = ~result.rapid
+    expected = np.zeros(len(result))
+    for k in np.flatnonzero(is_cut):
+        same_motion = result.motion[k - 1] == result.motion[k]
+        piece = length[result.motion[k]] * (result.t[k] - (result.t[k - 1] if same_motion else 0.0))
+        same_force = same_motion or (result.wrench[k] == result.wrench[k - 1]).all()
+        half = 0.5 * piece if same_force and is_cut[k - 1] else 0.0
+        expected[k] += piece - half
+        expected[k - 1] += half
+    np.testing.assert_allclose(result.cut_length, expected, atol=1.1e-9)
+    assert result.cut_length.sum() == pytest.approx(length[~path.program.motions.rapid].sum(), rel=1e-6)
 
 
 def test_commands_put_the_loaded_tool_on_the_path(errors):

@@ -234,13 +234,14 @@ def result_of(mode, bound=True, errors=0):
     deviation = np.array([[9.0, 0, 0], [3.0, 4.0, 0], [0, 0, 1.0]]) * 1e-4
     return Result(
         program=made, robot=ROBOT, axis="+Z", mode=mode, issues=(*issues, Issue("info", "x", "y")),
-        motion=np.arange(3), t=np.ones(3), deviation_before=deviation, deviation_after=0.01 * deviation,
+        motion=np.arange(3), t=np.ones(3), cut_length=np.array([0.0, 0.01, 0.03]),
+        deviation_before=deviation, deviation_after=0.01 * deviation,
         bound=np.array([9e-4, 2e-4, 3e-4]) if bound else None,
     )  # fmt: skip
 
 
 def test_a_result_is_summed_up_in_words_and_as_a_table():
-    rms = np.sqrt((25.0 + 1.0) / 2) * 0.1
+    rms = np.sqrt((25.0 + 3 * 1.0) / 4) * 0.1
     figures = f"before 0.5 mm (RMS {rms:.2g}), after 0.005 mm (RMS {0.01 * rms:.2g})"
     whole = f"<Result of part on {ROBOT.name}: targets 3, {figures}"
     assert repr(result_of("convert")) == f"{whole}, on the part (95 %) 0.3 mm>"
