@@ -66,14 +66,15 @@ class Chain(Struct, frozen=True, eq=False):
         """
         frame = np.broadcast_to(np.eye(4), (len(q), 4, 4))
         frames = np.empty((len(q), self.nv, 4, 4))
+        vector = q.T[:, :, None] * self.axis[:, None]
+        turn = rotation_from_vector(vector)  # of all joints at once: a call for each takes several times as long
         for joint in range(self.nv):
             frame = frames[:, joint] = frame @ self.placement[joint]
-            vector = q[:, joint, None] * self.axis[joint]
             move = np.broadcast_to(np.eye(4), (len(q), 4, 4)).copy()
             if self.turns[joint]:
-                move[:, :3, :3] = rotation_from_vector(vector)
+                move[:, :3, :3] = turn[joint]
             else:
-                move[:, :3, 3] = vector
+                move[:, :3, 3] = vector[joint]
             frame = frame @ move
         return frames, frame @ self.flange
 
