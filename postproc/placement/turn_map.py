@@ -28,7 +28,7 @@ from postproc.placement.drive import WINDING, LeastMargins, Margins
 from postproc.placement.samples import PathSamples
 from postproc.program import PTP, Bools, Ints, distinct
 from postproc.robot import RobotModel
-from postproc.toolpath import flange_from_tcp
+from postproc.toolpath import cut_lengths, flange_from_tcp
 
 _BLOCK = 0.010
 """Shortest block of several motions [m]; the length of the path over `_MOST_BLOCKS` if that is longer (assumed)."""
@@ -69,6 +69,7 @@ class Blocks(Struct, frozen=True, eq=False):
     :param first: (K,) first sample of each bin.
     :param block: (K,) block of each bin.
     :param share: (K,) share of the block's path at the end of the bin, in (0, 1].
+    :param cut_length: (K,) length of the cutting path in the bin [m], see `toolpath.cut_lengths`; 0 on rapid moves.
     :param begins: (B,) True for blocks that do not continue the one before: the first, and joint interpolations.
     :param cuts: (B,) True for blocks at feed.
     :param length: (B,) path length [m].
@@ -79,6 +80,7 @@ class Blocks(Struct, frozen=True, eq=False):
     first: Ints
     block: Ints
     share: Array
+    cut_length: Array
     begins: Array
     cuts: Array
     length: Array
@@ -117,12 +119,16 @@ class Blocks(Struct, frozen=True, eq=False):
         whole = total[of_sample[last]]
         share = np.where(whole > 0.0, (path_length - block_start)[last] / np.where(whole > 0.0, whole, 1.0), 1.0)
         ends = np.append(np.flatnonzero(np.diff(block)), len(block) - 1)
+        # each sample stands for the path that leads to it: samples are dense, and their forces those of their motions
+        goes_on = np.zeros(len(motion), dtype=bool)
+        cut_length = cut_lengths(m, length, motion, samples.sample.t, goes_on)
         seconds = length[~m.rapid] / m.feed[~m.rapid]
         begin = np.concatenate([[0], ends[:-1] + 1])
         return cls(
             first,
             of_sample[first],
             np.clip(share, 0.0, 1.0),
+            np.add.reduceat(cut_length, first),
             jump[begin] | (begin == 0),
             ~m.rapid[begin],
             np.asarray(total, dtype=float),
@@ -509,10 +515,9 @@ def _costs(turn_map: TurnMap, bad: Bools) -> _Costs:
     """Return the costs of a map; without forces errors cost nothing."""
     blocks = turn_map.blocks
     bins = np.diff(np.append(blocks.first, len(turn_map.base)))
-    weight = (bins * blocks.cuts[blocks.block]).astype(float)
     error = np.where(bad | np.isnan(turn_map.error), np.inf, turn_map.error)
-    total = float(weight @ np.nan_to_num(error.min(axis=1), posinf=0.0) ** 2)
-    share = weight / total if total > 0.0 else np.zeros(len(bins))
+    total = float(blocks.cut_length @ np.nan_to_num(error.min(axis=1), posinf=0.0) ** 2)
+    share = blocks.cut_length / total if total > 0.0 else np.zeros(len(bins))
     error[~np.isfinite(error)] = 0.0
     ease = np.minimum(turn_map.margin.joint, turn_map.margin.wrist)
     with np.errstate(over="ignore"):

@@ -179,12 +179,12 @@ def _margins_of_least_cost(samples: PathSamples, whole: TurnMap, branch: int) ->
 
 
 def _error_and_margin(samples: PathSamples, blocks: Blocks, branch: int, line: Line) -> tuple[float, float]:
-    """Return the RMS of the expected error over cuts [m], and the least margin of joints, wrist and elbow [rad]."""
+    """Return the RMS of the expected error along cuts [m], and the least margin of joints, wrist and elbow [rad]."""
     column = turn_map.evaluate(samples, blocks, branch, _sample_turns(samples, blocks, line.knots), _NO_OFFSET, None)
-    weight = np.where(blocks.cuts[blocks.block], np.diff(np.append(blocks.first, len(samples))), 0)
     error = np.nan_to_num(column.error[:, 0])
     margins = (column.margin.joint, column.margin.wrist, column.margin.elbow)
-    rms = float(np.sqrt(np.sum(weight * error**2) / max(weight.sum(), 1)))
+    total = float(blocks.cut_length.sum())
+    rms = float(np.sqrt(blocks.cut_length @ error**2 / total)) if total > 0.0 else 0.0
     return rms, min(float(values.min()) for values in margins)
 
 
@@ -217,8 +217,7 @@ def _today_is_as_good(
     """Return whether the turn of the cell keeps the margins everywhere, and a line saves too little to change it."""
     no_turn = np.zeros(len(samples))
     at_line = _sample_turns(samples, whole.blocks, line.knots)
-    cuts = whole.blocks.cuts[whole.blocks.block]
-    weight = np.where(cuts, np.diff(np.append(whole.blocks.first, len(samples))), 0)
+    weight = whole.blocks.cut_length
     today, best = (
         turn_map.evaluate(samples, whole.blocks, branch, base, _NO_OFFSET, None).error[:, 0]
         for base in (no_turn, at_line)

@@ -66,6 +66,18 @@ def test_blocks_are_motions_or_runs_of_ten_millimetres(path):
     np.testing.assert_array_equal(blocks.cuts, is_cut)
 
 
+def test_bins_have_the_length_of_their_cuts(path):
+    samples, blocks = path
+    ends = [*blocks.first[1:], len(samples)]
+    travel = np.where(samples.cuts, samples.segments.length[samples.sample.motion], 0.0)
+    step = np.where(
+        np.diff(samples.sample.motion, prepend=-1) != 0, samples.sample.t, np.diff(samples.sample.t, prepend=0)
+    )
+    lengths = [sum(travel[first:end] * step[first:end]) for first, end in zip(blocks.first, ends, strict=True)]
+    np.testing.assert_allclose(blocks.cut_length, lengths, atol=1e-7)
+    assert blocks.cut_length.sum() == pytest.approx(LENGTHS[np.isfinite(FEEDS)].sum(), rel=1e-5)
+
+
 @pytest.mark.parametrize("seed", range(8))
 def test_a_run_is_divided_where_another_step_of_its_length_begins(seed):
     rng = np.random.default_rng(seed)

@@ -51,12 +51,14 @@ def test_the_price_of_a_line_has_the_rms_error_of_its_cuts_and_its_least_margin(
     knots = np.random.default_rng(1).uniform(-0.4, 0.4, len(blocks.length))
     error, margin = turning._error_and_margin(samples, blocks, branch, Line(knots, 0.0))
     single = SampleBySample(samples, branch, turning._sample_turns(samples, blocks, knots))
-    squares, count = 0.0, 0
+    squares, length = 0.0, 0.0
+    travel = samples.segments.length[samples.sample.motion] * np.diff(samples.sample.t, prepend=0.0)
+    travel = np.where(travel < 0.0, samples.segments.length[samples.sample.motion] * samples.sample.t, travel)
     for first, end in zip(blocks.first, [*blocks.first[1:], len(samples)], strict=True):
         if single.is_cut(first):
-            squares += (end - first) * single.errors((first + end - 1) // 2)[0] ** 2
-            count += end - first
-    assert error == pytest.approx(np.sqrt(squares / count), rel=1e-9)
+            squares += travel[first:end].sum() * single.errors((first + end - 1) // 2)[0] ** 2
+            length += travel[first:end].sum()
+    assert error == pytest.approx(np.sqrt(squares / length), rel=1e-6)
     assert margin == pytest.approx(min(single.margins(i)[:3].min() for i in range(len(samples))), abs=1e-9)
 
 
@@ -299,7 +301,7 @@ def test_the_error_of_collisions_names_the_bodies_at_the_turn_where_they_are_far
 def test_the_turn_of_the_cell_is_as_good_within_two_percent_where_it_can_be_driven(
     path, monkeypatch, has_bodies, gain, is_good, is_blocked, is_hit
 ):
-    """By the RMS over samples of cuts; only columns at the turn of the cell are open to its line."""
+    """By the RMS along the cuts; only columns at the turn of the cell are open to its line."""
     samples, blocks, branch = path
     rng = np.random.default_rng(5)
     knots = rng.uniform(-1.0, 1.0, len(blocks.length))
@@ -307,8 +309,8 @@ def test_the_turn_of_the_cell_is_as_good_within_two_percent_where_it_can_be_driv
     best = rng.uniform(1e-4, 2e-4, len(blocks.first))
     is_cut = blocks.cuts[blocks.block]
     # the same sum of squares, times the gain, elsewhere along the path
-    counts = np.diff(np.append(blocks.first, len(samples)))
-    level = np.sqrt(sum(n * e**2 for n, e, cut in zip(counts, best, is_cut, strict=True) if cut) / counts[is_cut].sum())
+    lengths = blocks.cut_length
+    level = np.sqrt(sum(n * e**2 for n, e in zip(lengths, best, strict=True)) / lengths.sum())
     today = np.where(is_cut, gain * level, 9.0)
 
     def evaluate(paths, divided, number, base, offset, bodies):

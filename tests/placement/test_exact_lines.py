@@ -31,7 +31,9 @@ def random_map(seed, columns, step):
     first = np.cumsum(samples) - samples
     length = np.degrees(step) * 1e-3 * rng.uniform(1.2, 2.8, blocks) / np.where(cuts, 1.0, 3.0)
     time = np.where(cuts, np.degrees(step) / 30.0 * rng.uniform(1.2, 2.8, blocks), 0.0)
-    division = Blocks(first, np.repeat(np.arange(blocks), counts), share, begins, cuts, length, time, np.arange(blocks))
+    block = np.repeat(np.arange(blocks), counts)
+    cut_length = np.random.default_rng(100 + seed).uniform(1e-3, 4e-3, bins) * cuts[block]
+    division = Blocks(first, block, share, cut_length, begins, cuts, length, time, np.arange(blocks))
     shape = (bins, columns)
     offset = (np.arange(columns) - columns // 2) * step
     winding = np.zeros((*shape, 2, 3))
@@ -64,17 +66,17 @@ class Count:
         self.ends = np.append(turns.blocks.first[1:], len(turns.base)) - 1
         self.samples = np.diff(np.append(turns.blocks.first, len(turns.base)))
         self.error = np.where(np.isnan(turns.u95), turns.deflection, turns.u95)
-        self.cut_samples = self.samples * turns.blocks.cuts[turns.blocks.block]
+        self.cut_length = turns.blocks.cut_length
         least = [
             min([e for e, free in zip(*row, strict=True) if free], default=0.0)
             for row in zip(self.error, self.open, strict=True)
         ]
-        self.total = float(sum(n * e**2 for n, e in zip(self.cut_samples, least, strict=True)))
+        self.total = float(sum(n * e**2 for n, e in zip(self.cut_length, least, strict=True)))
 
     def cell(self, k, column, added=0.0):
         """Cost of a bin: its squared error, and up to 1 % of the whole for missing margin."""
         ease = min(self.turns.margin.joint[k, column], self.turns.margin.wrist[k, column])
-        squares = self.cut_samples[k] * (self.error[k, column] + added) ** 2 / self.total
+        squares = self.cut_length[k] * (self.error[k, column] + added) ** 2 / self.total
         return squares + 0.01 * np.exp(-ease / np.radians(15.0)) * self.samples[k] / self.samples.sum()
 
     def begun(self, states, bins):

@@ -33,7 +33,17 @@ def made(seed, blocks=4, wide=2, closed=0.3):
     first = np.arange(blocks)
     length = np.full(blocks, np.degrees(STEP) * wide * 1.01e-3)
     begins = first == 0
-    own = Blocks(first, first, np.ones(blocks), begins, ~begins, length, np.full(blocks, 100.0), first)
+    own = Blocks(
+        first,
+        first,
+        np.ones(blocks),
+        np.where(begins, 0.0, 0.01),
+        begins,
+        ~begins,
+        length,
+        np.full(blocks, 100.0),
+        first,
+    )
     margins = Margins(margin, far, far, far)
     return TurnMap(own, np.zeros(blocks), offset, margins, zero, zero, zero, None, q, winding, error, error)
 

@@ -50,6 +50,7 @@ def test_turns_of_a_whole_circle_are_even_and_begin_at_half_a_turn(step, count):
 
 BLOCKS = Blocks(
     first=np.array([0, 1, 3, 6, 8]), block=np.array([0, 1, 1, 2, 2]), share=np.array([1.0, 0.4, 1.0, 0.5, 1.0]),
+    cut_length=np.array([0.0, 0.01, 0.04, 0.0, 0.0]),
     begins=np.array([True, False, False]), cuts=np.array([False, True, False]), length=np.array([0.0, 0.05, 0.08]),
     time=np.array([0.0, 2.0, 0.0]), motion=np.array([0, 1, 2]),
 )  # fmt: skip
@@ -68,7 +69,7 @@ def small_map(**changes) -> TurnMap:
 
 
 def test_costs_are_shares_of_the_least_squares_over_the_cuts_and_a_little_for_margin():
-    """Bins 1 and 2 are cuts, of 2 and 3 samples; a turn without margin costs 1 % more over the whole path."""
+    """Bins 1 and 2 are cuts of 10 and 40 mm; a turn without margin costs 1 % more over the whole path."""
     error = np.full((5, 3), 2e-4)
     error[1], error[2] = [3e-4, 1e-4, 2e-4], [4e-4, 5e-4, 2e-4]
     bad = np.zeros((5, 3), dtype=bool)
@@ -77,8 +78,8 @@ def test_costs_are_shares_of_the_least_squares_over_the_cuts_and_a_little_for_ma
     ease[2, 0], ease[3, 1] = 0.0, np.radians(15.0)
     margin = Margins(ease, np.full((5, 3), np.inf), np.ones((5, 3)), np.ones((5, 3)))
     costs = turn_map._costs(small_map(u95=error, margin=margin), bad)
-    total = 2 * (2e-4) ** 2 + 3 * (2e-4) ** 2
-    share = np.array([0.0, 2.0, 3.0, 0.0, 0.0]) / total
+    total = 0.01 * (2e-4) ** 2 + 0.04 * (2e-4) ** 2
+    share = np.array([0.0, 0.01, 0.04, 0.0, 0.0]) / total
     np.testing.assert_allclose(costs.share, share)
     expected = share[:, None] * np.where(bad, 0.0, error) ** 2
     expected[2, 0] += 0.01 * 3 / 10

@@ -111,9 +111,9 @@ def test_a6_never_jumps_by_the_simulator(feed):
 
 
 def expected_rms(result, lines):
-    """RMS of the expected error over cutting targets of source lines [m]."""
+    """RMS of the expected error along the cuts of source lines [m]."""
     chosen = ~result.rapid & np.isin(result.source_line, lines)
-    return float(np.sqrt(np.mean(result.bound[chosen] ** 2)))
+    return float(np.sqrt(np.average(result.bound[chosen] ** 2, weights=result.cut_length[chosen])))
 
 
 def test_the_best_turn_of_each_operation_is_within_two_percent_of_all_constant_turns():
