@@ -117,19 +117,22 @@ def test_a_program_that_ran_too_high_is_refused_beyond_half_the_flattest_cut(par
 
 
 def test_one_groove_does_not_show_a_tilt(tmp_path):
-    """Across one groove a tilt looks like the deflection; the readings of the other features are empty."""
+    """Across one groove a tilt looks like the deflection; the program ends after F02, whose readings are empty."""
     demo = SAMPLES / "demo"
+    table, program, output = tmp_path / "probed.csv", tmp_path / "testpart.nc", tmp_path / "robot"
+    begin, _, remaining_features = (demo / "testpart" / "testpart.nc").read_text().partition("(F03")
+    program.write_text(begin + remaining_features[remaining_features.rindex("G0 Z20") :])
     text = (demo / "testpart" / "probed.csv").read_text()
-    table, output = tmp_path / "probed.csv", tmp_path / "robot"
-    for names, code in ((("F01",), 3), (("F01", "F02"), 0)):
-        table.write_text(changed(text, lambda name, v, kept=names: v if name.startswith(("T", *kept)) else ""))
-        program = demo / "testpart" / "testpart.nc"
-        files = ("--process", demo / "testpart" / "testpart.process.toml", "--program", program, "--overwrite")
-        printed = run("identify", "part", table, "--cell", demo / "cell.toml", *files, "-o", output, code=code).output
-        assert printed.startswith("NOT TO BE TRUSTED: one feature is too few at [base]: how the program is") == bool(
-            code
+    files = ("--process", demo / "testpart" / "testpart.process.toml", "--program", program, "--overwrite")
+    for probed, code in ((("T", "F01"), 3), (("T", "F01", "F02"), 0)):
+        rows = changed(
+            text, lambda name, v, probed=probed: v if name.startswith(probed) else "" if name < "F03" else None
         )
-        assert ("probe more features" in printed) == bool(code)
+        table.write_text(rows)
+        printed = run("identify", "part", table, "--cell", demo / "cell.toml", *files, "-o", output, code=code).output
+        refusal = "NOT TO BE TRUSTED: one feature is too few at [base]: how the program is"
+        assert printed.startswith(refusal) == (code == 3)
+        assert ("probe more features" in printed) == (code == 3)
         assert "is tilted by" not in printed
 
 
