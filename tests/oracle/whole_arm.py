@@ -7,6 +7,8 @@ One configuration at a time. Of the package it takes the content of a model file
 from __future__ import annotations
 
 import copy
+import math
+import operator
 
 import numpy as np
 import pinocchio as pin
@@ -18,7 +20,7 @@ AXES = ("X", "Y", "Z", "RX", "RY", "RZ", "end_RX", "end_RY", "end_RZ")
 
 
 def _fading(torque, rest, scale):
-    return scale * (np.arcsinh((torque + rest) / scale) - np.arcsinh(rest / scale))
+    return scale * (math.asinh((torque + rest) / scale) - math.asinh(rest / scale))
 
 
 def _knee(torque, rest, scale):
@@ -29,7 +31,7 @@ def _knee(torque, rest, scale):
 
 
 def _backlash(torque, rest, scale):
-    return np.tanh((torque + rest) / scale) - np.tanh(rest / scale)
+    return math.tanh((torque + rest) / scale) - math.tanh(rest / scale)
 
 
 def _angle(turns):
@@ -84,7 +86,7 @@ class WholeArm:
         self.over_pose, self.couplings = [], {}
         for joint, name in enumerate(JOINTS):
             for entry in content.joints[name].over_pose:
-                for function, value in ((np.cos, entry.cos_urad_per_Nm), (np.sin, entry.sin_urad_per_Nm)):
+                for function, value in ((math.cos, entry.cos_urad_per_Nm), (math.sin, entry.sin_urad_per_Nm)):
                     self.over_pose.append([joint, tuple(entry.turns), function, (value or 0.0) * 1e-6])
             for second, value in content.joints[name].coupling.items():
                 self.couplings[joint, JOINTS.index(second)] = value * 1e-6
@@ -120,19 +122,20 @@ class WholeArm:
 
     def law(self, x, torque, rest, load):
         """θ (nv,) of the springs at coordinates x; lost motion goes by what the load alone puts on them."""
-        theta = self.linear * torque
+        theta, angle = (self.linear * torque).tolist(), x[self.rows].tolist()  # numpy takes ten times as long for one
+        torque, rest, load = torque.tolist(), rest.tolist(), load.tolist()
         for function, row, scale, value in self.parts:
             if function is None:
-                theta[row] += value * np.tanh(load[row] / scale)
+                theta[row] += value * math.tanh(load[row] / scale)
             else:
                 theta[row] += value * function(torque[row], rest[row], scale)
         for joint, turns, function, value in self.over_pose:
             row = self.rows[joint]
-            theta[row] += value * function(np.dot(turns, x[self.rows])) * torque[row]
+            theta[row] += value * function(sum(map(operator.mul, turns, angle))) * torque[row]
         for (one, two), value in self.couplings.items():
             theta[self.rows[one]] += value * torque[self.rows[two]]
             theta[self.rows[two]] += value * torque[self.rows[one]]
-        return theta
+        return np.array(theta)
 
     def compensator(self, q2):
         """Slope by q2 of the energy ½·K·s² − K·s₀·s of the spring between its two points, by the complex step."""
@@ -211,7 +214,7 @@ class WholeArm:
             pair = int(name[1]) - 1, int(name[2]) - 1
             return self.but(couplings={**self.couplings, pair: self.couplings[pair] + step})
         if "(" in name:
-            joint, function = int(name[1]) - 1, {"cos": np.cos, "sin": np.sin}[name[3:6]]
+            joint, function = int(name[1]) - 1, {"cos": math.cos, "sin": math.sin}[name[3:6]]
             wave = [p for p in self.over_pose if p[0] == joint and p[2] is function and _angle(p[1]) == name[7:-1]]
             assert len(wave) == 1, name
             changed = [[*p[:3], p[3] + step * (p is wave[0])] for p in self.over_pose]
