@@ -33,6 +33,20 @@ def _hat(x, y, z):
     return k, k @ k
 
 
+@cache
+def _turns(axes):
+    """The matrices (n, 4, 4) of vector products with axes, and their squares."""
+    k = np.zeros((2, len(axes), 4, 4))
+    for row, axis in enumerate(axes):
+        k[0, row, :3, :3], k[1, row, :3, :3] = _hat(*axis)
+    return k
+
+
+def _steps(axes, origins):
+    """Matrices (n, 4, 4) whose sum is the step to each joint: of itself, of the sine and of one less the cosine."""
+    return origins, *(origins @ _turns(axes))
+
+
 def rpy(r, p, y):
     return rot((0, 0, 1), y) @ rot((0, 1, 0), p) @ rot((1, 0, 0), r)
 
@@ -97,15 +111,13 @@ class Arm:
 
     def frames(self, q, origins=None):
         """Poses of the six joints (after their rotation) and of the flange."""
-        q = np.asarray(q)
-        pose, out = np.eye(4), []
-        for origin, axis, angle in zip(origins or self.origins, self.axes, np.moveaxis(q, -1, 0), strict=True):
-            turn = np.zeros((*angle.shape, 4, 4), dtype=np.result_type(q.dtype, float))
-            turn[..., :3, :3] = rot(axis, angle)
-            turn[..., 3, 3] = 1.0
-            pose = pose @ origin @ turn
-            out.append(pose)
-        return [*out, pose @ self.flange]
+        q = np.asarray(q)[..., None, None]
+        origin, by_sine, by_cosine = _steps(tuple(map(tuple, self.axes)), np.stack(origins or self.origins))
+        step = origin + np.sin(q) * by_sine + (1 - np.cos(q)) * by_cosine
+        out = [step[..., 0, :, :]]
+        for joint in range(1, len(self.axes)):
+            out.append(out[-1] @ step[..., joint, :, :])
+        return [*out, out[-1] @ self.flange]
 
     def tcp(self, q, tool):
         return self.frames(q)[-1] @ tool
