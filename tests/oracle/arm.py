@@ -187,8 +187,9 @@ class Arm:
     def loaded_tcp(self, q, tool, wrench):
         return self.tcp(q + self.equilibrium(q, tool, wrench), tool)
 
-    def inverse(self, pose, tool, guess):
-        """Joint angles by the controller's geometry, near `guess`, by least squares."""
+    def inverse(self, pose, tool, guess, h=1e-30):
+        """Joint angles by the controller's geometry, near `guess`: by Newton's method, or by least squares if that does
+        not at least halve the error in each step."""
 
         def error(q):
             here = self.nominal_tcp(q, tool)
@@ -196,6 +197,16 @@ class Arm:
             turned = [r[..., i, j] - r[..., j, i] for i, j in ((2, 1), (0, 2), (1, 0))]
             return np.concatenate([here[..., :3, 3] - pose[:3, 3], np.stack(turned, axis=-1)], axis=-1)
 
+        q, before = np.asarray(guess, dtype=float), np.inf
+        while True:
+            values = error(q + 1j * h * np.eye(6))  # and its derivatives, by the complex step
+            size = np.abs(values[0].real).max()
+            if size < 1e-13:
+                return q
+            if not size < 0.5 * before:
+                break
+            before = size
+            q = q - np.linalg.lstsq(values.imag.T / h, values[0].real, rcond=None)[0]
         found = least_squares(error, guess, lambda q: self.slopes(error, q).T, xtol=1e-15, ftol=1e-15, gtol=1e-15)
         assert np.abs(found.fun).max() < 1e-9, found.fun
         return found.x
