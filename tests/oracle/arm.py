@@ -144,10 +144,13 @@ class Arm:
         )  # fmt: skip
         return 0.5 * c["K"] * (s - c["s0"]) ** 2
 
-    def potential(self, theta, q, tool, force, reference):
-        """V(θ) without the moment, whose work is no function of θ; `reference`: gradient at q of what is balanced."""
+    def potential(self, theta, q, tool, force, reference, frames=None):
+        """V(θ) without the moment, whose work is no function of θ; `reference`: gradient at q of what is balanced.
+
+        `frames`: those at q + θ, if they are there already.
+        """
         x = q + theta
-        frames = self.frames(x)
+        frames = frames or self.frames(x)
         value = 0.5 * np.sum(self.stiffness * theta**2, axis=-1) + self.spring_energy(x[..., 1])
         value = value + self.weight_energy_at(frames)
         return value - theta @ reference - (frames[-1] @ tool)[..., :3, 3] @ force
@@ -167,18 +170,24 @@ class Arm:
 
     def moment_torque(self, x, moment, h=1e-30):
         """J_ωᵀ M: the rotation rate of each joint by the complex step on the rotation matrix."""
-        r = self.frames(x + 1j * h * np.eye(6))[-1][:, :3, :3]
+        return self.torque_of(self.frames(x + 1j * h * np.eye(6))[-1], moment, h)
+
+    def torque_of(self, flange, moment, h):
+        """The same by poses (6, 4, 4) of the flange, each with an imaginary step of one joint."""
+        r = flange[:, :3, :3]
         w = np.imag(r) / h @ np.real(r).swapaxes(1, 2)
         return np.stack([w[:, 2, 1], w[:, 0, 2], w[:, 1, 0]], axis=1) @ moment
 
-    def equilibrium(self, q, tool, wrench):
+    def equilibrium(self, q, tool, wrench, h=1e-30):
         """θ at which the potential is stationary under a dead force and moment at the TCP (root axes)."""
         reference = self.reference(q)
 
         def residual(scaled):
             theta = scaled / self.stiffness
-            slope = self.slopes(lambda t: self.potential(t, q, tool, wrench[:3], reference), theta)
-            return slope - self.moment_torque(q + theta, wrench[3:])
+            stepped = theta + 1j * h * np.eye(6)
+            frames = self.frames(q + stepped)
+            slope = np.imag(self.potential(stepped, q, tool, wrench[:3], reference, frames)) / h
+            return slope - self.torque_of(frames[-1], wrench[3:], h)
 
         solution = root(residual, np.zeros(6), method="hybr", options={"xtol": 1e-13})
         assert np.abs(solution.fun).max() < 1e-6, solution.message
