@@ -315,11 +315,39 @@ def parse_csv(
         faults of single rows: a row of wrong length, which is left out, or a value that is no finite number, NaN here.
     :raises InputError: (`error`) the file cannot be read, or its header line cannot be used.
     """
+    header, rows, lines, faults = _rows_of_csv(path, required_columns, optional, error)
+    columns = dict(zip(header, zip(*rows, strict=True), strict=True)) if rows else dict.fromkeys(header, ())
+    numeric: dict[str, Array] = {}
+    for name, values in columns.items():
+        if name not in text_columns:
+            numeric[name], invalid_rows = _numeric(values, empty_is_nan=name in may_be_empty)
+            faults += [
+                error(
+                    f"column {name} is not a finite number: {values[place][:80]!r}",
+                    file=str(path),
+                    line=lines[place],
+                    advice="Use a decimal point, no units and no empty cells.",
+                )
+                for place in invalid_rows[: MAX_ERRORS + 1].tolist()
+            ]
+    texts = {name: [v.strip() for v in columns[name]] for name in text_columns if name in columns}
+    return numeric, texts, np.array(lines, dtype=float), faults
+
+
+def _rows_of_csv(
+    path: Path, required_columns: Sequence[str], optional: Sequence[str], error: type[Error]
+) -> tuple[list[str], list[list[str]], list[int], list[Error]]:
+    """Return the header of a CSV file, its rows, their 1-based lines, and the faults of rows of wrong length.
+
+    :raises InputError: (`error`) the file cannot be read, or its header line cannot be used.
+    """
     import csv
 
     text = read_text(path, error)
     reader = csv.reader(io.StringIO(text, newline=""), skipinitialspace=True)
-    rows, lines, faults = [], [], []
+    rows: list[list[str]] = []
+    lines: list[int] = []
+    faults: list[Error] = []
     try:
         header = _header(next(reader, []), path, required_columns, optional, error)
         for row in reader:
@@ -343,22 +371,7 @@ def parse_csv(
         faults = [
             error(problem, file=str(path), line=first_error.line, text=first_error.text, advice=first_error.advice)
         ]
-    columns = dict(zip(header, zip(*rows, strict=True), strict=True)) if rows else dict.fromkeys(header, ())
-    numeric: dict[str, Array] = {}
-    for name, values in columns.items():
-        if name not in text_columns:
-            numeric[name], invalid_rows = _numeric(values, empty_is_nan=name in may_be_empty)
-            faults += [
-                error(
-                    f"column {name} is not a finite number: {values[place][:80]!r}",
-                    file=str(path),
-                    line=lines[place],
-                    advice="Use a decimal point, no units and no empty cells.",
-                )
-                for place in invalid_rows[: MAX_ERRORS + 1].tolist()
-            ]
-    texts = {name: [v.strip() for v in columns[name]] for name in text_columns if name in columns}
-    return numeric, texts, np.array(lines, dtype=float), faults
+    return header, rows, lines, faults
 
 
 def check_sizes(

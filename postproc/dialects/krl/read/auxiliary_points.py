@@ -86,31 +86,50 @@ def left_out(
     oriented_circles = np.flatnonzero(~free & (strict | ~np.isnan(via_angles).all(axis=1)))
     if not len(oriented_circles):
         return is_left_out
-    start, end = (pose[oriented_circles] for pose in ends)
-    centre, axis, points, angle = (column[oriented_circles] for column in arcs)
-    numbers = xyzabc_from_pose(start)
-    numbers[:, 3:] = np.where(np.isnan(via_angles[oriented_circles]), numbers[:, 3:], via_angles[oriented_circles])
-    first, via, last = start[:, :3, :3], pose_from_xyzabc(numbers)[:, :3, :3], end[:, :3, :3]
-    start_radius, via_radius = start[:, :3, 3] - centre, points - centre
-    half = np.arctan2(
-        np.einsum("ij,ij->i", axis, np.cross(start_radius, via_radius)), np.einsum("ij,ij->i", start_radius, via_radius)
+    leads = _leads(
+        (ends[0][oriented_circles], ends[1][oriented_circles]),
+        tuple(column[oriented_circles] for column in arcs),
+        via_angles[oriented_circles],
+        control.with_path[circular[oriented_circles]],
+        strict[oriented_circles],
     )
-    half %= 2.0 * np.pi
-    with_path = control.with_path[circular[oriented_circles]]
-    path_axis = np.where(with_path, -1.0, 0.0)[:, None] * axis  # as seen from the path, where that turns the tool
-    via, last = (
-        rotation_from_vector(half[:, None] * path_axis) @ via,
-        rotation_from_vector(angle[:, None] * path_axis) @ last,
-    )
-    short = rotation_vector(last @ np.swapaxes(first, 1, 2))
-    passes = rotation_from_vector((half / angle)[:, None] * short) @ first
-    leads = np.where(strict[oriented_circles], angle_between(passes, via) > _ON_THE_WAY, _longer(first, short, via))
     for i in np.flatnonzero(leads).tolist():
         settings.refuse_uncertain(states[state[oriented_circles[i]]], ["auxiliary"])
         line, is_strict = int(rows.line[circular[oriented_circles[i]]]), bool(strict[oriented_circles[i]])
         raise trace.error(_THROUGH_MESSAGE if is_strict else _LONGER_MESSAGE, line, _ADVICE[is_strict])
     is_left_out[oriented_circles] = True  # what lies on the whole way need not lie on those of its pieces
     return is_left_out
+
+
+def _leads(
+    ends: tuple[Array, Array], arcs: tuple[Array, ...], via_angles: Array, with_path: Bools, strict: Bools
+) -> Bools:
+    """Return on which circles (n,) the orientation of the auxiliary point turns the tool off the shorter rotation.
+
+    :param ends: tool frames (n, 4, 4) at start and end, `$BASE` [m].
+    :param arcs: centres, axes and auxiliary points (n, 3) [m], angles (n,) [rad] of the circles.
+    :param via_angles: A, B, C (n, 3) [deg] of the auxiliary points, NaN where they are those of the start.
+    :param with_path: (n,) where the orientation is seen from the path, which turns the tool.
+    :param strict: (n,) where the tool takes on the orientation in the auxiliary point (#INTERPOLATE).
+    """
+    start, end = ends
+    centre, axis, points, angle = arcs
+    numbers = xyzabc_from_pose(start)
+    numbers[:, 3:] = np.where(np.isnan(via_angles), numbers[:, 3:], via_angles)
+    first, via, last = start[:, :3, :3], pose_from_xyzabc(numbers)[:, :3, :3], end[:, :3, :3]
+    start_radius, via_radius = start[:, :3, 3] - centre, points - centre
+    half = np.arctan2(
+        np.einsum("ij,ij->i", axis, np.cross(start_radius, via_radius)), np.einsum("ij,ij->i", start_radius, via_radius)
+    )
+    half %= 2.0 * np.pi
+    path_axis = np.where(with_path, -1.0, 0.0)[:, None] * axis
+    via, last = (
+        rotation_from_vector(half[:, None] * path_axis) @ via,
+        rotation_from_vector(angle[:, None] * path_axis) @ last,
+    )
+    short = rotation_vector(last @ np.swapaxes(first, 1, 2))
+    passes = rotation_from_vector((half / angle)[:, None] * short) @ first
+    return np.where(strict, angle_between(passes, via) > _ON_THE_WAY, _longer(first, short, via))
 
 
 def _longer(first: Array, short: Array, via: Array) -> Bools:

@@ -38,20 +38,7 @@ def external_axes(
     steps[relative] = np.nan_to_num(external[relative])
     external = external.copy()
     external[relative] = np.nan
-    issues = []
-    for axis, values in enumerate(external.T):
-        if axis == 0 and direction is not None:
-            continue
-        given_rows = np.flatnonzero(~np.isnan(values))
-        step_rows = np.flatnonzero(np.abs(steps[:, axis]) > _AXIS_TOLERANCE)
-        if len(step_rows):
-            raise _motion_error(trace, axis, f"by {steps[step_rows[0], axis]:g}", int(rows.line[step_rows[0]]))
-        moving = given_rows[np.abs(values[given_rows] - values[given_rows[:1]]) > _AXIS_TOLERANCE]
-        if len(moving):
-            change = f"from {values[given_rows[0]]:g} to {values[moving[0]]:g}"
-            raise _motion_error(trace, axis, change, int(rows.line[moving[0]]))
-        if len(given_rows) and abs(values[given_rows[0]]) > _AXIS_TOLERANCE:
-            issues.append(_fixed_axis(axis, values[given_rows[0]], int(rows.line[given_rows[0]]), len(given_rows)))
+    issues = _fixed_axes(trace, external, steps, rows.line, carries_robot=direction is not None)
     if direction is None or (np.isnan(external[:, 0]).all() and not steps[:, 0].any()):
         return issues, None
     begin, end = _along(external[:, 0], steps[:, 0], predecessors)
@@ -71,6 +58,32 @@ def external_axes(
         issues.append(_assumed_start_warning(float(end[assumed_starts[0]]), int(rows.line[assumed_starts[0]])))
     begin = np.where(np.isnan(begin), end, begin)
     return issues, Carriage(np.nan_to_num(begin) * M_PER_MM, np.nan_to_num(end) * M_PER_MM, direction)
+
+
+def _fixed_axes(trace: Trace, external: Array, steps: Array, line: Ints, *, carries_robot: bool) -> list[Issue]:
+    """Return the warnings on external axes that do not move, but are not at 0.
+
+    :param external: (R, 6) positions of the axes at targets [mm, deg], NaN where not given; `steps` (R, 6) of relative
+        targets.
+    :param line: (R,) lines of the motions.
+    :param carries_robot: E1 carries the robot, and may move.
+    :raises ProgramError: an axis moves.
+    """
+    issues = []
+    for axis, values in enumerate(external.T):
+        if axis == 0 and carries_robot:
+            continue
+        given_rows = np.flatnonzero(~np.isnan(values))
+        step_rows = np.flatnonzero(np.abs(steps[:, axis]) > _AXIS_TOLERANCE)
+        if len(step_rows):
+            raise _motion_error(trace, axis, f"by {steps[step_rows[0], axis]:g}", int(line[step_rows[0]]))
+        moving = given_rows[np.abs(values[given_rows] - values[given_rows[:1]]) > _AXIS_TOLERANCE]
+        if len(moving):
+            change = f"from {values[given_rows[0]]:g} to {values[moving[0]]:g}"
+            raise _motion_error(trace, axis, change, int(line[moving[0]]))
+        if len(given_rows) and abs(values[given_rows[0]]) > _AXIS_TOLERANCE:
+            issues.append(_fixed_axis(axis, values[given_rows[0]], int(line[given_rows[0]]), len(given_rows)))
+    return issues
 
 
 def _along(positions: Array, steps: Array, predecessors: Ints | None) -> tuple[Array, Array]:

@@ -571,7 +571,7 @@ class Flow:
         :param recorder: records the trace; None for a loop without motions.
         :raises InexactError: the number of rounds is not known, or too large.
         """
-        level, part = self.run.level, block.parts[0]
+        level = self.run.level
         words = {statement(source, line).word for line in block.lines()}
         if block.word == "LOOP" and words.isdisjoint(ENDS_LOOPS):
             self._endless(source, block, recorder)
@@ -583,37 +583,13 @@ class Flow:
         if counter is not None and words.isdisjoint(ENDS_LOOPS):
             self._check_rounds(source, block, counter, recorder)
         loop = recorder.begin(block, name, step, left="EXIT" in words) if recorder is not None else None
-        start_count = self._traced
         level.loops += 1
         depth = len(self._way)
         self._way.append((Place(source, block.first), 0))
         try:
             if counter is not None and recorder is not None and loop is not None:
                 self._plainly(source, block, counter, recorder, loop)
-            while self._again(source, block, counter):
-                self._count(Place(source, block.first))
-                self._way[depth] = Place(source, block.first), self._way[depth][1] + 1
-                if recorder is not None and self._way[depth][1] == 2:
-                    self._check_labels(source, block.lines())
-                changes = self._changes()
-                if counter is None and self._traced - start_count > MOST_UNCOUNTED:
-                    problem = f"{block.word} has not ended after {MOST_UNCOUNTED} statements"
-                    raise inexact(Place(source, block.first), problem, "Check its condition, or write FOR instead.")
-                if recorder is not None and loop is not None:
-                    recorder.repeat(loop, block, counter.now() if counter is not None else None)
-                self.follow(source, part.nodes)
-                going = not level.broken_off
-                if recorder is not None:
-                    recorder.repeated(block, whole=going)
-                if not going:
-                    break
-                if block.word == "REPEAT" and self._holds(source, block.last):
-                    break
-                if counter is not None:
-                    counter.advance()
-                elif self._changes() == changes:
-                    problem = f"{block.word} never ends: no variable of its condition changes from round to round"
-                    raise inexact(Place(source, block.first), problem, LOOP_ADVICE)
+            self._rounds_of_loop(source, block, counter, recorder, loop)
         finally:
             level.loops -= 1
             del self._way[depth:]
@@ -621,6 +597,45 @@ class Flow:
         level.left = False
         if recorder is not None and loop is not None:
             recorder.end(loop, block, counter.now() if counter is not None and has_ended else None)
+
+    def _rounds_of_loop(
+        self,
+        source: Source,
+        block: Block,
+        counter: Counter | None,
+        recorder: Recorder | None,
+        loop: UnrolledLoop | None,
+    ) -> None:
+        """Follow the rounds of a loop one by one, and record them.
+
+        :param counter: of FOR; None for another loop.
+        :param loop: what the recorder unrolls; None without a recorder.
+        :raises InexactError: there are too many rounds, or the loop never ends.
+        """
+        level, at = self.run.level, Place(source, block.first)
+        start_count, depth = self._traced, len(self._way) - 1
+        while self._again(source, block, counter):
+            self._count(at)
+            self._way[depth] = at, self._way[depth][1] + 1
+            if recorder is not None and self._way[depth][1] == 2:
+                self._check_labels(source, block.lines())
+            changes = self._changes()
+            if counter is None and self._traced - start_count > MOST_UNCOUNTED:
+                problem = f"{block.word} has not ended after {MOST_UNCOUNTED} statements"
+                raise inexact(at, problem, "Check its condition, or write FOR instead.")
+            if recorder is not None and loop is not None:
+                recorder.repeat(loop, block, counter.now() if counter is not None else None)
+            self.follow(source, block.parts[0].nodes)
+            is_whole = not level.broken_off
+            if recorder is not None:
+                recorder.repeated(block, whole=is_whole)
+            if not is_whole or (block.word == "REPEAT" and self._holds(source, block.last)):
+                break
+            if counter is not None:
+                counter.advance()
+            elif self._changes() == changes:
+                problem = f"{block.word} never ends: no variable of its condition changes from round to round"
+                raise inexact(at, problem, LOOP_ADVICE)
 
     def _jumped_back(self, source: Source, nodes: tuple[Node, ...], index: int, label: tree.Label) -> int:
         """Follow the rounds from a label to an IF that jumps back to it; return the index of this, 0 if there is none.

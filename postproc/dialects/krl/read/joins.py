@@ -145,13 +145,38 @@ def branching(
     steps = [step for step in course.steps if isinstance(step, Fork | Branch | Join)]
     if not steps:
         return predecessors, []
-    forks = _forks(course)
-    line, count = sequence.rows.line, len(sequence.rows)
-    branch_predecessors = np.arange(count) - 1 if predecessors is None else predecessors.copy()
-    open_: list[tuple[int, int, list[int], bool]] = []
-    joins: list[JoinedEnds] = []
-    fork_of = np.full(count + 1, 0)
+    line, forks = sequence.rows.line, _forks(course)
+    branch_predecessors, fork_of, joins = _joined_ends(steps, line, predecessors)
     faults: list[BranchError] = []
+    for join, ends in joins:
+        rows = slice(*np.searchsorted(line, [ends.fork, join.row], side="right"))
+        if any(ends.fork < kept_line <= join.row for kept_line in kept_lines):
+            faults.append(_branch_error(course, forks, ends.fork, "an uncorrected motion is inside a branch"))
+        elif join not in free and (row := _by_present_joints(sequence, rows)) >= 0:
+            problem = f"a PTP to X, Y, Z without S and T is inside a branch ({course.trace.place(int(line[row]))})"
+            faults.append(_branch_error(course, forks, ends.fork, problem, _PTP_ADVICE))
+    _raise(faults)
+    for row in np.flatnonzero(branch_predecessors != np.arange(len(line)) - 1).tolist():
+        if branch_predecessors[row] != row and needs_start(sequence, row, arcs=False):
+            problem = f"{_why(sequence, row)} where branches begin or meet"
+            faults.append(_branch_error(course, forks, int(fork_of[row]), problem, _WHOLE))
+    _raise(faults)
+    return branch_predecessors, [ends for join, ends in joins if join not in free]
+
+
+def _joined_ends(
+    steps: Sequence[Fork | Branch | Join], line: Ints, predecessors: Ints | None
+) -> tuple[Ints, Ints, list[tuple[Join, JoinedEnds]]]:
+    """Return the motion at whose end each motion begins (M,), the line of the fork next to it (M + 1,), and all joins.
+
+    :param line: (M,) lines of the trace with the motions.
+    :param predecessors: (M,) the motion at whose end each begins, without branches; None: the one before it.
+    """
+    count = len(line)
+    branch_predecessors = np.arange(count) - 1 if predecessors is None else predecessors.copy()
+    open_: list[tuple[int, int, list[int], bool]] = []  # line and motion before each open fork, ends of branches, begun
+    joins: list[tuple[Join, JoinedEnds]] = []
+    fork_of = np.full(count + 1, 0)
     previous_row, row_count = -1, 0
 
     def run_to(row: int) -> None:
@@ -167,30 +192,17 @@ def branching(
         fork_of[row_count] = open_[-1][0] if open_ else step.row
         if isinstance(step, Fork):
             open_.append((step.row, previous_row, [], False))
-        elif isinstance(step, Branch):
-            fork, entry, ends, is_begun = open_.pop()
+            continue
+        fork, entry, ends, is_begun = open_.pop()
+        if isinstance(step, Branch):
             open_.append((fork, entry, [*ends, previous_row] if is_begun else ends, True))
             previous_row = entry
         else:
-            fork, entry, ends, _ = open_.pop()
             ends = [*ends, previous_row, *([] if step.complete else [entry])]
-            rows = slice(*np.searchsorted(line, [fork, step.row], side="right"))
-            if any(fork < kept_line <= step.row for kept_line in kept_lines):
-                faults.append(_branch_error(course, forks, fork, "an uncorrected motion is inside a branch"))
-            elif step not in free and (row := _by_present_joints(sequence, rows)) >= 0:
-                problem = f"a PTP to X, Y, Z without S and T is inside a branch ({course.trace.place(int(line[row]))})"
-                faults.append(_branch_error(course, forks, fork, problem, _PTP_ADVICE))
-            if step not in free:
-                joins.append(JoinedEnds(fork, tuple(sorted(set(ends)))))
+            joins.append((step, JoinedEnds(fork, tuple(sorted(set(ends))))))
             previous_row = min(ends)
     run_to(count)
-    _raise(faults)
-    for row in np.flatnonzero(branch_predecessors != np.arange(count) - 1).tolist():
-        if branch_predecessors[row] != row and needs_start(sequence, row, arcs=False):
-            problem = f"{_why(sequence, row)} where branches begin or meet"
-            faults.append(_branch_error(course, forks, int(fork_of[row]), problem, _WHOLE))
-    _raise(faults)
-    return branch_predecessors, joins
+    return branch_predecessors, fork_of, joins
 
 
 def branches(course: Course, line: Ints) -> tuple[tuple[int, int], ...]:

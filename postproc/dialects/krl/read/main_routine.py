@@ -134,11 +134,7 @@ def _course(start: Start, *, collects: bool) -> tuple[Course, CollectedMotions |
     _submitted(run)
     flow.follow(main.source, nodes)
     if run.level.jump:
-        label = flow.label_of(main.source, run.level.jump)
-        problem = f"there is no label {label} in {main.name}"
-        if label in flow.labels(main.source, main.others):
-            problem = f"the label {label} precedes GOTO, or is in a control structure that GOTO is not in"
-        raise main.source.line_error(problem, run.level.jump, JUMP_ADVICE)
+        raise _jump_error(main, flow, run.level.jump)
     if not run.level.returned:
         recorder.run_to(main.last - 1)
     recorder.pass_to(main.last - 1, live=False)
@@ -151,6 +147,15 @@ def _course(start: Start, *, collects: bool) -> tuple[Course, CollectedMotions |
         return course, None
     run.trace, run.shown_line = course.trace, 0
     return course, collected
+
+
+def _jump_error(main: Routine, flow: Flow, line: int) -> ProgramError:
+    """Return the error of a GOTO in a line whose label cannot be reached."""
+    label = flow.label_of(main.source, line)
+    problem = f"there is no label {label} in {main.name}"
+    if label in flow.labels(main.source, main.others):
+        problem = f"the label {label} precedes GOTO, or is in a control structure that GOTO is not in"
+    return main.source.line_error(problem, line, JUMP_ADVICE)
 
 
 def _calls(main: Routine, line: int) -> bool:

@@ -471,23 +471,8 @@ def _arcs(
         programmed_angles[row] = np.nan if move.angle is None else move.angle * RAD_PER_DEG
     programmed_angles = programmed_angles[circular]
     has_angle = ~np.isnan(programmed_angles)
-    turning = control.with_path[circular] | ~same_orientation(start[:, :3, :3], ends.pose[circular, :3, :3])
-    turning &= has_angle & ~control.constant[circular] & ~(np.abs(programmed_angles - angle) < _AT_THE_END)
-    if turning.any():
-        raise trace.error(
-            "the orientation changes on a circle with CA: where it is reached is not certain",
-            int(line[turning][0]),
-            "Give the end of the arc as its end point, without CA, or use $ORI_TYPE=#CONSTANT.",
-        )
-    riding = has_angle & ~(np.abs(programmed_angles - angle) < _AT_THE_END)
-    if carriage is not None:
-        riding &= np.abs(carriage.end[circular] - carriage.begin[circular]) > _AT_REST
-        if riding.any():
-            raise trace.error(
-                "E1 moves along a circle with CA: where it reaches its end is not certain",
-                int(line[riding][0]),
-                "Give the end of the arc as its end point, without CA, or move E1 in a motion of its own.",
-            )
+    at_other_end = circular[has_angle & ~(np.abs(programmed_angles - angle) < _AT_THE_END)]
+    _check_circular_angles(trace, rows.line, at_other_end, ends, control, carriage)
     tools = start, ends.pose[circular]
     arcs = centre[circular], axis, via, angle
     states, state = in_force
@@ -497,6 +482,38 @@ def _arcs(
     normal[circular] = np.where(has_angle, np.sign(programmed_angles), 1.0)[:, None] * axis
     sweep[circular] = np.where(has_angle, np.abs(programmed_angles), angle)
     return centre, normal, sweep, unheeded
+
+
+def _check_circular_angles(
+    trace: Trace,
+    line: Ints,
+    circles: Ints,
+    ends: EndPoses,
+    control: OrientationControl,
+    carriage: Carriage | None,
+) -> None:
+    """Check that neither orientation nor E1 changes on circles (n,) whose CA leads to another place than the end point.
+
+    :param line: (M,) lines of all motions.
+    :raises ProgramError: one changes.
+    """
+    start, end = ends.start.at(circles)[:, :3, :3], ends.pose[circles, :3, :3]
+    turning = (control.with_path[circles] | ~same_orientation(start, end)) & ~control.constant[circles]
+    if turning.any():
+        raise trace.error(
+            "the orientation changes on a circle with CA: where it is reached is not certain",
+            int(line[circles[turning]][0]),
+            "Give the end of the arc as its end point, without CA, or use $ORI_TYPE=#CONSTANT.",
+        )
+    if carriage is None:
+        return
+    riding = np.abs(carriage.end[circles] - carriage.begin[circles]) > _AT_REST
+    if riding.any():
+        raise trace.error(
+            "E1 moves along a circle with CA: where it reaches its end is not certain",
+            int(line[circles[riding]][0]),
+            "Give the end of the arc as its end point, without CA, or move E1 in a motion of its own.",
+        )
 
 
 def _triggers(trace: Trace, main: MainRoutine, line: Ints, motions: Motions, start: Starts) -> tuple[Trigger, ...]:

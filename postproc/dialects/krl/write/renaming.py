@@ -88,6 +88,36 @@ _HEADS = frozenset({"DEF", "DEFDAT", "EXT"})
 _PATH = "/R1/"
 
 
+def _with_callers(documents: Sequence[Document], names: set[str]) -> set[str]:
+    """Return names of files, upper case, and those of all files that use them, but for the main one, the first."""
+    main, names = PurePath(documents[0].name).stem.upper(), set(names)
+    while True:  # the callers have callers
+        callers = {
+            PurePath(document.name).stem.upper()
+            for document in documents
+            if not names.isdisjoint(scan.names(document.text))
+        } - {main}
+        if callers <= names:
+            return names
+        names |= callers
+
+
+def _new_names(stems: Collection[str], program: str, used_names: Collection[str]) -> dict[str, str]:
+    """Return a new name of a subprogram with the program in it for each of some names, which are the keys, upper case.
+
+    :param used_names: names that it must differ from, upper case.
+    """
+    used_names = set(used_names)
+    new: dict[str, str] = {}
+    for stem in sorted(stems):
+        if stem.upper() not in new:
+            new_name = f"{stem}_{program}"
+            fits = new_name.upper() not in used_names and len(new_name) <= MAX_LENGTH
+            new[stem.upper()] = new_name if fits else unused(new_name, used_names)
+            used_names.add(new[stem.upper()].upper())
+    return new
+
+
 def own_copies(
     documents: Sequence[Document],
     unchanged: Sequence[bytes],
@@ -109,17 +139,8 @@ def own_copies(
         that twice.
     """
     main = PurePath(documents[0].name).stem.upper()
-    old = {stem.upper() for stem in stems}
+    old = _with_callers(documents, {stem.upper() for stem in stems})
     own_stems = {PurePath(document.name).stem.upper() for document in documents}
-    while True:  # what calls a copy is another one too
-        calling = {
-            PurePath(document.name).stem.upper()
-            for document in documents
-            if not old.isdisjoint(scan.names(document.text))
-        }
-        if (calling - {main}) <= old:
-            break
-        old |= calling - {main}
     if (
         main in old
         or not old <= own_stems
@@ -128,13 +149,8 @@ def own_copies(
         return None
     used_names = {name.upper() for name in other_names} | own_stems
     used_names |= {name for document in documents for name in scan.names(document.text)}
-    new: dict[str, str] = {}
-    for stem in sorted({PurePath(d.name).stem for d in documents if PurePath(d.name).stem.upper() in old}):
-        if stem.upper() not in new:
-            new_name = f"{stem}_{program}"
-            fits = new_name.upper() not in used_names and len(new_name) <= MAX_LENGTH
-            new[stem.upper()] = new_name if fits else unused(new_name, used_names)
-            used_names.add(new[stem.upper()].upper())
+    old_stems = {PurePath(d.name).stem for d in documents if PurePath(d.name).stem.upper() in old}
+    new = _new_names(old_stems, program, used_names)
     if any(fault_of(name) for name in new.values()):
         return None
     new_documents: list[Document] = []
