@@ -402,61 +402,87 @@ def chosen_start(program: Program, robot_in_cell: RobotInCell) -> ChosenStart:
     if np.isfinite(m.joints[0]).all():
         return _start(m.joints[0], "whose joint angles it states")
     samples = PathSamples.of(program, robot_in_cell, None)
-    motion = samples.sample.motion
     if m.status[0] >= 0:
-        first = int(np.argmax(samples.sample.t == 1.0))
-        part = slice(first, first + 1)
-        try:
-            joint_path = robot_in_cell.follow(
-                program, motion[part], samples.sample.t[part], samples.sample.pose.take(part)
-            )
-        except UnreachableError as cause:
-            raise _first_target_error(program, _NO_STATUS, "Move the part, or correct S, $BASE and $TOOL.") from cause
-        return _start(joint_path.q[0], "with the status and turn that it states")
-    stated_rows = np.flatnonzero(np.isfinite(m.joints[:, 0]) | (m.status >= 0))
-    first = int(np.argmax(samples.sample.t == 1.0))  # samples before are on the way from a start that is not known
-    usable_rows = np.flatnonzero(motion < (stated_rows[0] if len(stated_rows) else len(m)))
-    usable_rows = usable_rows[usable_rows >= first]
-    rows = usable_rows[
-        distinct(np.linspace(0, len(usable_rows) - 1, min(_MAX_SAMPLES, len(usable_rows))).astype(np.int64))
-    ]
+        return _start(_stated_joints(program, samples), "with the status and turn that it states")
+    rows = _samples_on_one_branch(program, samples)
     turn_is_free = robot_in_cell.cell.gcode.redundancy != "constant" and not program.keeps_text
     turns = drive.TURNS if turn_is_free else np.zeros(1)
-    found_q = [[_solve(samples, rows, turn, branch) for turn in turns] for branch in range(_BRANCHES)]
-    margin = np.array([[_margin(robot_in_cell, q) for q in branch_paths] for branch_paths in found_q])
+    joint_paths = [[_solve(samples, rows, turn, branch) for turn in turns] for branch in range(_BRANCHES)]
+    margin = np.array([[_margin(robot_in_cell, q) for q in branch_paths] for branch_paths in joint_paths])
     at_best_turn = margin.max(axis=1)
     worst, reach_count = at_best_turn.min(axis=1), np.isfinite(at_best_turn).sum(axis=1)
     worst = np.where(np.isfinite(margin[:, :, 0].max(axis=1)), worst, -np.inf)
     easy = [
-        -np.abs(np.nan_to_num(q[0][[3, 5], 0], nan=_LARGE_ANGLE)).sum() for q in found_q
+        -np.abs(np.nan_to_num(q[0][[3, 5], 0], nan=_LARGE_ANGLE)).sum() for q in joint_paths
     ]  # of branches alike: A4, A6 near 0
-    free = _free_of_collisions(samples, rows, found_q, worst)
+    free = _free_of_collisions(samples, rows, joint_paths, worst)
     order = sorted(
         range(_BRANCHES), key=lambda k: (free[k], round(float(worst[k]), 6), reach_count[k], easy[k]), reverse=True
     )
     best = order[0]
     if not np.isfinite(margin[best, :, 0]).any():
         raise _first_target_error(program, _NO_WAY, "Move the part, or give [start] joints.")
-    q = found_q[best][int(margin[best, :, 0].argmax())]
+    q = joint_paths[best][int(margin[best, :, 0].argmax())]
     if not np.isfinite(worst[best]):
         return _start(q[:, 0], "on the branch that reaches most of the program")
+    # The room along a constant turn says nothing of a path whose turn is still to be chosen.
+    joints = q[:, 0] if turn_is_free else _unwind(robot_in_cell, q)
+    return _start(joints, _reason(best, order[1], worst, free))
+
+
+def _stated_joints(program: Program, samples: PathSamples) -> Array:
+    """Return the joint angles (6,) [rad] at the first target of a program with the status and turn that it states.
+
+    :raises ProgramError: the target cannot be reached so.
+    """
+    first = int(np.argmax(samples.sample.t == 1.0))
+    part = slice(first, first + 1)
+    sample = samples.sample
+    try:
+        joint_path = samples.robot_in_cell.follow(program, sample.motion[part], sample.t[part], sample.pose.take(part))
+    except UnreachableError as cause:
+        raise _first_target_error(program, _NO_STATUS, "Move the part, or correct S, $BASE and $TOOL.") from cause
+    joints: Array = joint_path.q[0]
+    return joints
+
+
+def _samples_on_one_branch(program: Program, samples: PathSamples) -> Ints:
+    """Return some samples (n,) from the first target to where the program states joint angles or a status."""
+    m = program.motions
+    stated_rows = np.flatnonzero(np.isfinite(m.joints[:, 0]) | (m.status >= 0))
+    first = int(np.argmax(samples.sample.t == 1.0))  # samples before are on the way from a start that is not known
+    rows = np.flatnonzero(samples.sample.motion < (stated_rows[0] if len(stated_rows) else len(m)))
+    rows = rows[rows >= first]
+    return rows[distinct(np.linspace(0, len(rows) - 1, min(_MAX_SAMPLES, len(rows))).astype(np.int64))]
+
+
+def _reason(best: int, second: int, margin: Array, free: list[bool]) -> str:
+    """Return why a branch is chosen, in words.
+
+    :param best: the chosen branch; `second`: the next best.
+    :param margin: (8,) least margin of each branch [rad], −inf if it cannot follow the path.
+    :param free: which branches are without collision.
+    """
     restriction = (
-        " of those without collisions" if not all(free[k] for k in range(_BRANCHES) if np.isfinite(worst[k])) else ""
+        " of those without collisions" if not all(free[k] for k in range(_BRANCHES) if np.isfinite(margin[k])) else ""
     )
     words = (
         f"on the branch{restriction} with the most margin to joint limits and singular poses, "
-        f"{worst[best] * DEG_PER_RAD:.1f}°"
+        f"{margin[best] * DEG_PER_RAD:.1f}°"
     )
-    if np.isfinite(worst[order[1]]) and free[order[1]]:
-        words += f" (the next best has {worst[order[1]] * DEG_PER_RAD:.1f}°)"
-    # The room along a constant turn says nothing of a path whose turn is still to be chosen.
-    return _start(q[:, 0] if turn_is_free else _unwind(robot_in_cell, q), words)
+    if np.isfinite(margin[second]) and free[second]:
+        words += f" (the next best has {margin[second] * DEG_PER_RAD:.1f}°)"
+    return words
 
 
-def _free_of_collisions(samples: PathSamples, rows: Ints, found_q: list[list[Array]], worst: Array) -> list[bool]:
+def _free_of_collisions(samples: PathSamples, rows: Ints, joint_paths: list[list[Array]], worst: Array) -> list[bool]:
     """Return on which branches some turn of the tool is without collision at each of some samples.
 
     All are if the cell has no [collision], or if none is: the check of the path then names the bodies.
+
+    :param rows: (n,) the samples.
+    :param joint_paths: by branch and turn of the tool, joint angles (6, n) [rad].
+    :param worst: (8,) least margin of each branch [rad], −inf if it cannot follow the path.
     """
     table = samples.robot_in_cell.cell.collision
     able = [k for k in range(_BRANCHES) if np.isfinite(worst[k])]
@@ -469,7 +495,7 @@ def _free_of_collisions(samples: PathSamples, rows: Ints, found_q: list[list[Arr
     for k in able:
         hits = [
             bodies.is_hit_along_path(q[:, compared_rows].T, rows[compared_rows], breaks, between_samples=False)
-            for q in found_q[k]
+            for q in joint_paths[k]
         ]
         is_free[k] = not np.logical_and.reduce(hits).any()
     return is_free if any(is_free) else [True] * _BRANCHES

@@ -34,6 +34,7 @@ from postproc.plan.criterion import (
 )
 from postproc.plan.milling import TestPoses, representatives
 from postproc.plan.search import (
+    Candidates,
     Plan,
     Task,
     criterion_by_number,
@@ -399,12 +400,6 @@ def plan_measurements(
     plan, force, seconds, via, blocked_rows = _order_plan(problem, plan)
     information = problem.readings.information_of(plan.q, force)
     accuracy = expected_accuracy(sample, problem.readings, problem.joint2, plan.q, information, problem.known)
-    prior_accuracy = None
-    if problem.known is not None:
-        no_data = np.zeros((0, *information.shape[1:]))
-        prior_accuracy = expected_accuracy(
-            sample, problem.readings, problem.joint2, np.zeros((0, 6)), no_data, problem.known
-        )
     others = _OtherPlans(np.zeros(0), None, (), is_interrupted)
     if options.comparisons and not is_interrupted:
         others = _other_plans(problem.task, options, plan, report)
@@ -422,7 +417,7 @@ def plan_measurements(
         torque=problem.readings.torque(plan.q, force),
         directions=problem.task.directions,
         accuracy=accuracy,
-        before=prior_accuracy,
+        before=None if problem.known is None else _accuracy_of_earlier_readings(problem, sample, information.shape[1:]),
         random=others.random,
         serial=others.serial,
         sizes=others.sizes,
@@ -433,6 +428,15 @@ def plan_measurements(
         warnings=warnings,
         interrupted=others.is_interrupted,
     )
+
+
+def _accuracy_of_earlier_readings(problem: _Problem, tests: TestPoses, shape: tuple[int, ...]) -> Accuracy:
+    """Return the accuracy at the test poses that the earlier readings promise, without a plan.
+
+    :param shape: of the information of one configuration.
+    """
+    no_data = np.zeros((0, *shape))
+    return expected_accuracy(tests, problem.readings, problem.joint2, np.zeros((0, 6)), no_data, problem.known)
 
 
 class _OtherPlans(Struct, frozen=True, eq=False):
@@ -478,12 +482,7 @@ def _problem(site: Site, tests: TestPoses, scale: Array, options: Options, data:
             f"poses can be measured at {len(candidates)} of the levels of q2 tried only, {levels} are asked for",
             advice="Ask for fewer with --q2-levels, or move the obstacles.",
         )
-    pose_information = candidates.information.reshape(-1, 6, 6)
-    if earlier_data is not None:
-        pose_information = np.concatenate([pose_information, earlier_data.information])
-    hidden_joints = not_visible(
-        readings, pose_information, options.configurations + (0 if earlier_data is None else len(earlier_data.q))
-    )
+    hidden_joints = _hidden_joints(readings, candidates, options.configurations, earlier_data)
     warnings = hidden_by_rig(site, tests, scale, hidden_joints)
     if hidden_joints:
         keep = tuple(j for j in range(6) if j not in hidden_joints)
@@ -518,6 +517,20 @@ def _problem(site: Site, tests: TestPoses, scale: Array, options: Options, data:
     if joint2.free:
         _check_identifiable(len(JOINT_COMPLIANCES) + _COMPENSATOR_PARAMETERS, options, len(site.points), data)
     return _Problem(with_joint2(joint2), readings, joint2, earlier_data, warnings)
+
+
+def _hidden_joints(
+    readings: Readings, candidates: Candidates, configurations: int, earlier_data: MeasuredLoads | None
+) -> tuple[int, ...]:
+    """Return the joints whose compliance neither the candidates nor the earlier readings show, see `not_visible`.
+
+    :param configurations: number of them in the plan.
+    """
+    information = candidates.information.reshape(-1, 6, 6)
+    if earlier_data is None:
+        return not_visible(readings, information, configurations)
+    information = np.concatenate([information, earlier_data.information])
+    return not_visible(readings, information, configurations + len(earlier_data.q))
 
 
 def _largest_torques(data: Measurements, readings: Readings) -> Array:

@@ -79,6 +79,27 @@ class Chain(Struct, frozen=True, eq=False):
         return frames, frame @ self.flange
 
 
+class _Axes:
+    """Axes of a chain so far: joints and springs.
+
+    :ivar place: (4, 4) pose behind the last axis, in its frame [m].
+    """
+
+    def __init__(self) -> None:
+        self.placement: list[Array] = []
+        self.axis: list[Array] = []
+        self.turns: list[bool] = []
+        self.place = np.eye(4)
+
+    def add(self, direction: Array, *, turns: bool) -> int:
+        """Add an axis of a direction (3,) at `place`, which turns or slides; return its row."""
+        self.placement.append(self.place)
+        self.axis.append(direction)
+        self.turns.append(turns)
+        self.place = np.eye(4)
+        return len(self.axis) - 1
+
+
 def elastic_chain(chain: Chain, springs: Sequence[LinkSpring]) -> tuple[Chain, tuple[int, ...], list[int]]:
     """Insert one coordinate per link spring into a chain of six joints.
 
@@ -87,64 +108,37 @@ def elastic_chain(chain: Chain, springs: Sequence[LinkSpring]) -> tuple[Chain, t
 
     :returns: the chain, the coordinates of A1…A6 in it, and those of `springs`.
     """
+    axes = _Axes()
     rows: dict[LinkSpring, int] = {}
     joint_rows: list[int] = []
-    placement: list[Array] = []
-    from_joint: list[int] = []
-    axis: list[Array] = []
-    turns: list[bool] = []
     link_of_row: dict[int, int] = {}
-    place = np.eye(4)
-
-    def add(direction: Array, turning: bool, joint: int = -1) -> int:
-        """Add a spring, or an actuated joint, behind the others; return its number.
-
-        :param direction: (3,) of its axis.
-        :param joint: number of the actuated joint; -1: a spring.
-        """
-        nonlocal place
-        placement.append(place)
-        axis.append(direction)
-        turns.append(turning)
-        from_joint.append(joint)
-        place = np.eye(4)
-        return len(axis) - 1
-
-    def add_spring(spring: LinkSpring) -> None:
-        """Add a spring behind the others, and note its row."""
-        rows[spring] = add(spring.direction, not spring.slides)
-
     for index, link in enumerate((BASE, *JOINTS)):
-        if index:
-            joint_rows.append(add(chain.axis[index - 1], True, index - 1))
         link_springs = [spring for spring in springs if spring.link == link]
-        for spring in link_springs:
-            if not spring.at_end:
-                add_spring(spring)
         if index:
-            link_of_row[len(axis) - 1] = index - 1
-        place = place @ (chain.placement[index] if index < len(JOINTS) else chain.flange)
-        for spring in link_springs:
-            if spring.at_end:
-                add_spring(spring)
+            joint_rows.append(axes.add(chain.axis[index - 1], turns=True))
+        rows |= {s: axes.add(s.direction, turns=not s.slides) for s in link_springs if not s.at_end}
+        if index:
+            link_of_row[len(axes.axis) - 1] = index - 1
+        axes.place = axes.place @ (chain.placement[index] if index < len(JOINTS) else chain.flange)
+        rows |= {s: axes.add(s.direction, turns=not s.slides) for s in link_springs if s.at_end}
 
-    def spread(values: Array, source: dict[int, int], default: float) -> Array:
-        """Return values of some of the axes as an array over all, the others at a default."""
-        array = np.full((len(axis), *values.shape[1:]), default)
+    def over_axes(values: Array, source: dict[int, int], default: float) -> Array:
+        """Return an array over all axes: at row r the value `source[r]`, elsewhere a default."""
+        array = np.full((len(axes.axis), *values.shape[1:]), default)
         array[list(source)] = values[list(source.values())]
         return array
 
-    joints = {row: joint for row, joint in enumerate(from_joint) if joint >= 0}
+    joints = {row: joint for joint, row in enumerate(joint_rows)}
     result = Chain(
-        placement=np.array(placement),
-        axis=np.array(axis),
-        turns=np.array(turns),
-        flange=place,
-        mass=spread(chain.mass, link_of_row, 0.0),
-        centre=spread(chain.centre, link_of_row, 0.0),
-        lower=spread(chain.lower, joints, -np.inf),
-        upper=spread(chain.upper, joints, np.inf),
-        speed=spread(chain.speed, joints, np.inf),
-        effort=spread(chain.effort, joints, 0.0),
+        placement=np.array(axes.placement),
+        axis=np.array(axes.axis),
+        turns=np.array(axes.turns),
+        flange=axes.place,
+        mass=over_axes(chain.mass, link_of_row, 0.0),
+        centre=over_axes(chain.centre, link_of_row, 0.0),
+        lower=over_axes(chain.lower, joints, -np.inf),
+        upper=over_axes(chain.upper, joints, np.inf),
+        speed=over_axes(chain.speed, joints, np.inf),
+        effort=over_axes(chain.effort, joints, 0.0),
     )
     return result, tuple(joint_rows), [rows[spring] for spring in springs]

@@ -78,6 +78,36 @@ def load(folder: str | Path) -> RobotModel:
     folder = Path(folder)
     content = files.read_toml(folder / "model.toml", ModelFile, ModelError)
     file_name = str(folder / "model.toml")
+    _check_joint_names(content, file_name)
+    for name, spring in content.joints.items():
+        if spring.fades > spring.compliance_urad_per_Nm * (1 + 1e-6):
+            raise ModelError(
+                f"[joints.{name}]: the sum of the stiffening parts exceeds the compliance",
+                file=file_name,
+                advice="Reduce the stiffening parts, or raise the compliance.",
+            )
+        _check_terms(name, spring, file_name)
+    _check_covariance(content, file_name)
+    _check_angles(content.geometry_error, file_name)
+    if content.discrepancy is not None:
+        _check_discrepancy(content.discrepancy, file_name)
+    path = folder / "robot.urdf"
+    text = files.read_text(path, ModelError)
+    robot = assemble(folder.resolve().name, content, urdf.read(text, str(path)))
+    robot = replace(robot, geometries=urdf.geometries(text, str(path)), urdf=str(path.resolve()))
+    for parameter in robot.covariance.parameters if robot.covariance is not None else ():
+        try:
+            robot.row(parameter)
+        except ModelError as error:
+            raise ModelError(error.problem, file=file_name) from None
+    return robot
+
+
+def _check_joint_names(content: ModelFile, file_name: str) -> None:
+    """Check the names of the tables of joints and links, and that each joint has a spring.
+
+    :raises ModelError: a name is not valid, or a joint is missing.
+    """
     for table, valid in (
         (content.joints, JOINTS),
         (content.geometry, (*JOINTS, FLANGE)),
@@ -92,17 +122,14 @@ def load(folder: str | Path) -> RobotModel:
     absent_joints = [name for name in JOINTS if name not in content.joints]
     if absent_joints:
         raise ModelError(f"no [joints.{absent_joints[0]}]", file=file_name, advice="Every joint needs a compliance.")
-    for name, spring in content.joints.items():
-        if spring.fades > spring.compliance_urad_per_Nm * (1 + 1e-6):
-            raise ModelError(
-                f"[joints.{name}]: the sum of the stiffening parts exceeds the compliance",
-                file=file_name,
-                advice="Reduce the stiffening parts, or raise the compliance.",
-            )
-        _check_terms(name, spring, file_name)
-    _check_covariance(content, file_name)
-    _check_angles(content.geometry_error, file_name)
-    if (discrepancy := content.discrepancy) is not None and not (
+
+
+def _check_discrepancy(discrepancy: DiscrepancyEntry, file_name: str) -> None:
+    """Check that the loads of [discrepancy] ascend from above zero, with an error each.
+
+    :raises ModelError: they do not.
+    """
+    if not (
         0 < len(discrepancy.load_N) == len(discrepancy.u95_mm)
         and discrepancy.load_N[0] > 0.0
         and np.all(np.diff(discrepancy.load_N) > 0.0)
@@ -112,16 +139,6 @@ def load(folder: str | Path) -> RobotModel:
             file=file_name,
             advice="Sort them by load_N, one u95_mm for each.",
         )
-    path = folder / "robot.urdf"
-    text = files.read_text(path, ModelError)
-    robot = assemble(folder.resolve().name, content, urdf.read(text, str(path)))
-    robot = replace(robot, geometries=urdf.geometries(text, str(path)), urdf=str(path.resolve()))
-    for parameter in robot.covariance.parameters if robot.covariance is not None else ():
-        try:
-            robot.row(parameter)
-        except ModelError as error:
-            raise ModelError(error.problem, file=file_name) from None
-    return robot
 
 
 def assemble(name: str, content: ModelFile, nominal: Chain) -> RobotModel:

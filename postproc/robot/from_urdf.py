@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Mapping
+from itertools import pairwise
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -345,48 +346,57 @@ def _model_text(chain: Chain, name: str, shapes: Mapping[tuple[int, str], str]) 
     ]
     links = ["base_link", *(f"link_{number}" for number in range(1, len(JOINTS) + 1))]
     for carrier, link in enumerate(links, -1):
-        content = []
-        if carrier >= 0 and chain.mass[carrier] > 0.0:
-            content = [
-                "    <inertial>",
-                f'      <origin xyz="{_numbers(chain.centre[carrier])}"/><mass value="{chain.mass[carrier]:g}"/>',
-                '      <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>',
-                "    </inertial>",
-            ]
-        content += [
-            f'    <{kind}><geometry><mesh filename="{shapes[carrier, kind]}"/></geometry></{kind}>'
-            for kind in ("visual", "collision")
-            if (carrier, kind) in shapes
-        ]
-        lines += [f'  <link name="{link}">', *content, "  </link>"] if content else [f'  <link name="{link}"/>']
+        lines += _link_lines(chain, carrier, link, shapes)
     lines.append(f'  <link name="{FLANGE}"/>')
-    parent = "base_link"
-    for number, joint in enumerate(JOINTS, 1):
-        row = number - 1
-        limits = {
-            "lower": chain.lower[row], "upper": chain.upper[row],
-            "velocity": chain.speed[row], "effort": chain.effort[row],
-        }  # fmt: skip
-        lines += [
-            f'  <joint name="{joint}" type="revolute"> <!-- {chain.lower[row] * DEG_PER_RAD:.4g}° to '
-            f"{chain.upper[row] * DEG_PER_RAD:.4g}°, {chain.speed[row] * DEG_PER_RAD:.4g}°/s -->",
-            f'    <parent link="{parent}"/><child link="link_{number}"/>',
-            f'    <origin xyz="{_numbers(chain.placement[row, :3, 3])}"/><axis xyz="{_numbers(chain.axis[row])}"/>',
-            "    <limit "
-            + " ".join(f'{key}="{without_negative_zero(value):.10g}"' for key, value in limits.items())
-            + "/>",
-            "  </joint>",
-        ]
-        parent = f"link_{number}"
+    for row, (parent, child) in enumerate(pairwise(links)):
+        lines += _joint_lines(chain, row, parent, child)
     lines += [
         '  <joint name="flange_fixed" type="fixed">',
-        f'    <parent link="{parent}"/><child link="{FLANGE}"/>',
+        f'    <parent link="{links[-1]}"/><child link="{FLANGE}"/>',
         f'    <origin xyz="{_numbers(chain.flange[:3, 3])}" rpy="0 1.5707963267948966 0"/>',
         "  </joint>",
         "</robot>",
         "",
     ]
     return "\n".join(lines).encode()
+
+
+def _link_lines(chain: Chain, carrier: int, link: str, shapes: Mapping[tuple[int, str], str]) -> list[str]:
+    """Return the element of a link: its mass, and its meshes by use.
+
+    :param carrier: joint that the link follows, 0 for A1, −1 for the base, whose mass no joint carries.
+    """
+    content = []
+    if carrier >= 0 and chain.mass[carrier] > 0.0:
+        content = [
+            "    <inertial>",
+            f'      <origin xyz="{_numbers(chain.centre[carrier])}"/><mass value="{chain.mass[carrier]:g}"/>',
+            '      <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>',
+            "    </inertial>",
+        ]
+    content += [
+        f'    <{kind}><geometry><mesh filename="{shapes[carrier, kind]}"/></geometry></{kind}>'
+        for kind in ("visual", "collision")
+        if (carrier, kind) in shapes
+    ]
+    return [f'  <link name="{link}">', *content, "  </link>"] if content else [f'  <link name="{link}"/>']
+
+
+def _joint_lines(chain: Chain, row: int, parent: str, child: str) -> list[str]:
+    """Return the element of the joint in a row of a chain, between two links."""
+    limits = {
+        "lower": chain.lower[row], "upper": chain.upper[row],
+        "velocity": chain.speed[row], "effort": chain.effort[row],
+    }  # fmt: skip
+    limit_text = " ".join(f'{key}="{without_negative_zero(value):.10g}"' for key, value in limits.items())
+    return [
+        f'  <joint name="{JOINTS[row]}" type="revolute"> <!-- {chain.lower[row] * DEG_PER_RAD:.4g}° to '
+        f"{chain.upper[row] * DEG_PER_RAD:.4g}°, {chain.speed[row] * DEG_PER_RAD:.4g}°/s -->",
+        f'    <parent link="{parent}"/><child link="{child}"/>',
+        f'    <origin xyz="{_numbers(chain.placement[row, :3, 3])}"/><axis xyz="{_numbers(chain.axis[row])}"/>',
+        f"    <limit {limit_text}/>",
+        "  </joint>",
+    ]
 
 
 def _numbers(values: Array) -> str:

@@ -22,7 +22,7 @@ from postproc.errors import MeasurementError
 from postproc.frames import Array, norm, twist_between
 from postproc.kinematics.forward import GRAVITY
 from postproc.machining import ProcessSource, Shift
-from postproc.program import Ints, Program
+from postproc.program import Bools, Ints, Program
 from postproc.robot import Parameter, RobotModel
 from postproc.testpart.probing import ProbedSurfaces
 from postproc.under_load import ImpossiblePathError, MotionsUnderLoad, PathUnderLoad, RobotInCell
@@ -72,19 +72,8 @@ def surfaces(program: Program, robot_in_cell: RobotInCell, probe_data: ProbedSur
     :param radius: of the tool, a flat end mill [m].
     :raises MeasurementError: a row names no cutting move, or a point that its tool does not make there.
     """
-    m = program.motions
-    motion = np.empty(len(probe_data), dtype=np.int64)
     hangs = probe_data.mass > 0.0
-    for k, line in enumerate(probe_data.line.tolist()):
-        moves = np.flatnonzero((m.line == line) & (m.rapid == hangs[k]))
-        if len(moves) != 1:
-            raise MeasurementError(
-                f"line {line} of the program is not one {'rapid' if hangs[k] else 'cutting'} move",
-                file=probe_data.file,
-                line=int(probe_data.row[k]),
-                advice="Give the program that the part was cut with, and its probing.csv.",
-            )
-        motion[k] = moves[0]
+    motion = _motions_of(program, probe_data, hangs)
     segments = toolpath.segments(program, robot_in_cell.start_flange)
     place = toolpath.at(program, segments, motion, probe_data.t)
     travel = toolpath.tangent(program, segments, motion, probe_data.t)
@@ -118,6 +107,27 @@ def surfaces(program: Program, robot_in_cell: RobotInCell, probe_data: ProbedSur
     rotation = np.broadcast_to(toolpath.base_of(program, motion)[..., :3, :3], (len(motion), 3, 3))
     is_wall = (wall & ~hangs).astype(float)
     return Surfaces(motion, probe_data.t, turn_weights(rotation, weight), is_wall, weight_wrench, probe_data.point)
+
+
+def _motions_of(program: Program, probe_data: ProbedSurfaces, hangs: Bools) -> Ints:
+    """Return the motions (n,) that make the probed surfaces, by the lines that these name.
+
+    :param hangs: (n,) readings of a gauge under a weight, which name rapid moves.
+    :raises MeasurementError: a line is not one such move.
+    """
+    m = program.motions
+    motion = np.empty(len(probe_data), dtype=np.int64)
+    for k, line in enumerate(probe_data.line.tolist()):
+        moves = np.flatnonzero((m.line == line) & (m.rapid == hangs[k]))
+        if len(moves) != 1:
+            raise MeasurementError(
+                f"line {line} of the program is not one {'rapid' if hangs[k] else 'cutting'} move",
+                file=probe_data.file,
+                line=int(probe_data.row[k]),
+                advice="Give the program that the part was cut with, and its probing.csv.",
+            )
+        motion[k] = moves[0]
+    return motion
 
 
 def weights(normal: Array, lever: Array, axis: Array, travel: Array, radius: float) -> Array:

@@ -423,29 +423,12 @@ def model_file(fit: Fit, prior: ModelFile, process: Process, source: str) -> Mod
     half = NORMAL_95 * np.sqrt(np.diag(covariance))[:-1]
     size = np.sqrt(np.diag(covariance))
     is_tied = (np.abs(covariance) > _LEAST_CORRELATION * np.outer(size, size)).sum(axis=0) > 1
-    content = msgspec.to_builtins(prior)
-    tables: dict[str, Any] = {"joints": {}, "links": {}, "compensator": {}, "masses": {}}
-    stated_rows = []
-    for k, parameter in enumerate(fit.prior.parameters):
-        own_spread = parameter in fit.prior.robot.stated_spread
-        if not fit.free[k] and own_spread and not is_tied[k]:
-            continue  # value and spread stay as they are in the file
-        stated_rows.append(k)
-        if fit.free[k]:
-            parameter.write(tables, float(values[k]), float(half[k]), source)
-    for table, entries in tables.items():
-        if not entries:
-            continue
-        if table in ("compensator", "masses"):
-            prior_table = content.get(table) or {"source": source}
-            content[table] = prior_table | entries
-        else:
-            for name, entry in entries.items():
-                content[table][name] = content[table].get(name, {}) | entry
-    for k in stated_rows:
-        parameter = fit.prior.parameters[k]
-        if fit.free[k] and isinstance(parameter, JointCompliance):
-            content["joints"][parameter.joint] |= {"sigma_percent": None, "assumed": False}
+    content = _with_values(msgspec.to_builtins(prior), fit, values, half, source)
+    stated_rows = [
+        k  # of the others value and spread stay as they are in the file
+        for k, parameter in enumerate(fit.prior.parameters)
+        if fit.free[k] or parameter not in fit.prior.robot.stated_spread or is_tied[k]
+    ]
     names = [fit.prior.parameters[k].name for k in stated_rows]
     forces = _forces(fit, process, source)
     if forces is not None:
@@ -467,6 +450,32 @@ def model_file(fit: Fit, prior: ModelFile, process: Process, source: str) -> Mod
         ),
     }
     return msgspec.structs.replace(msgspec.convert(content, ModelFile), **extra)
+
+
+def _with_values(content: dict[str, Any], fit: Fit, values: Array, half: Array, source: str) -> dict[str, Any]:
+    """Return the tables of `model.toml` with the identified values in place of the prior's.
+
+    :param values: (p,) of the parameters in the units of the file, `half` (p,) half widths of their 95 % intervals.
+    """
+    identified = [
+        (parameter, float(values[k]), float(half[k])) for k, parameter in enumerate(fit.prior.parameters) if fit.free[k]
+    ]
+    tables: dict[str, Any] = {"joints": {}, "links": {}, "compensator": {}, "masses": {}}
+    for parameter, value, reach in identified:
+        parameter.write(tables, value, reach, source)
+    for table, entries in tables.items():
+        if not entries:
+            continue
+        if table in ("compensator", "masses"):
+            prior_table = content.get(table) or {"source": source}
+            content[table] = prior_table | entries
+        else:
+            for name, entry in entries.items():
+                content[table][name] = content[table].get(name, {}) | entry
+    for parameter, *_ in identified:
+        if isinstance(parameter, JointCompliance):
+            content["joints"][parameter.joint] |= {"sigma_percent": None, "assumed": False}
+    return content
 
 
 def _discrepancy(fit: Fit) -> tuple[Array, Array]:
