@@ -175,29 +175,23 @@ def identify_geometry(content: ModelFile, nominal: Chain, name: str, data: Measu
             file=data.file,
             advice="Measure more configurations: 30 of three points are usual.",
         )
-    rms: dict[str, tuple[float, float]] = {}
     fits: dict[str, tuple[_Solution, Array]] = {}
     for label, base, free in _variants(content, parameters, with_gears=readings >= unknowns + len(_GEARS) + 10):
         try:
             solution = _solve(base, nominal, name, data, free)
         except PostprocError:  # a model that cannot carry its own weight, or parameters that the readings do not hold
             continue
-        fold_errors = _cross_validation_error(solution, data)
-        fits[label] = solution, fold_errors
-        rms[label] = (
-            float(np.sqrt(np.mean(np.sum(solution.residual**2, axis=2)))),
-            float(np.sqrt(np.mean(fold_errors))),
-        )
+        fits[label] = solution, _cross_validation_error(solution, data)
     best_label = simplest({label: fold_errors for label, (_, fold_errors) in fits.items()})
     solution = fits[best_label][0]
     half = NORMAL_95 * np.sqrt(np.diag(solution.covariance))
-    default_geometry = _usual(solution.parameters)
+    prior_deviation = _usual(solution.parameters)
     source, u95 = f"identified from {data.file}", _error_95(fits[best_label][1], data)
-    lower, upper = (angle * DEG_PER_RAD for angle in (data.q.min(axis=0), data.q.max(axis=0)))
-    angles = {joint: (float(low), float(high)) for joint, low, high in zip(JOINTS, lower, upper, strict=True)}
-    unmeasured = _extrapolation_error(solution, nominal)
     error = GeometryErrorEntry(
-        source=source, u95_mm=u95 * MM_PER_M, angles_deg=angles, unmeasured_mm=unmeasured * MM_PER_M
+        source=source,
+        u95_mm=u95 * MM_PER_M,
+        angles_deg=_ranges(data.q),
+        unmeasured_mm=_extrapolation_error(solution, nominal) * MM_PER_M,
     )
     calibrated_content = _add_geometry(solution.content, solution.parameters, solution.values, source, half)
     return Geometry(
@@ -207,15 +201,26 @@ def identify_geometry(content: ModelFile, nominal: Chain, name: str, data: Measu
         msgspec.structs.replace(calibrated_content, geometry_error=error),
         solution.placement,
         "with sag" in best_label,
-        rms,
+        {label: (_rms(fit.residual), float(np.sqrt(np.mean(errors)))) for label, (fit, errors) in fits.items()},
         best_label,
         u95,
         tuple(
             p.name
-            for p, h, u in zip(solution.parameters, half, default_geometry, strict=True)
+            for p, h, u in zip(solution.parameters, half, prior_deviation, strict=True)
             if h > 0.8 * NORMAL_95 * u
         ),
     )
+
+
+def _rms(residual: Array) -> float:
+    """Return the RMS length [m] of the residuals (C, P, 3) of points."""
+    return float(np.sqrt(np.mean(np.sum(residual**2, axis=2))))
+
+
+def _ranges(q: Array) -> dict[str, tuple[float, float]]:
+    """Return least and largest angle [deg] of each joint in configurations (C, 6) [rad]."""
+    lower, upper = (angle * DEG_PER_RAD for angle in (q.min(axis=0), q.max(axis=0)))
+    return {joint: (float(low), float(high)) for joint, low, high in zip(JOINTS, lower, upper, strict=True)}
 
 
 _GEARS = tuple(GeometryParameter(joint, term) for joint in JOINTS for term in GEAR_TERMS)
@@ -337,11 +342,7 @@ def _solve(
         robot = assemble(name, _add_geometry(content, parameters, values, "", None), nominal)
         flange, angles = _unloaded_poses(robot, data.q)
         base, tool = _frame_columns(flange, points, root)
-        chain = _geometric(nominal, robot)
-        _, columns = _derivatives(chain, angles, points)
-        by_joint = columns.reshape(len(data.q), len(points), 3, 6, 6)
-        by_joint = np.einsum("ij,cpjab->cpiab", root[:3, :3], by_joint)
-        parameter_columns = [_column(parameter, by_joint, chain, data.q) for parameter in parameters]
+        parameter_columns = _parameter_columns(parameters, _geometric(nominal, robot), (data.q, angles), points, root)
         design = np.concatenate([base, tool, *parameter_columns], axis=1) * scale[:, None]
         left = (readings - _point_positions(root @ flange, points)).ravel() * scale
         frame_count = 6 + 3 * len(points)
@@ -372,6 +373,22 @@ def _solve(
         np.concatenate([white + design @ state, np.zeros(len(parameters))]),
         scale,
     )
+
+
+def _parameter_columns(
+    parameters: tuple[GeometryParameter, ...], chain: Chain, angles: tuple[Array, Array], points: Array, root: Array
+) -> list[Array]:
+    """Return the derivatives (n, 1) of the points, device axes, by each parameter.
+
+    :param angles: joint angles (C, 6) [rad] of the controller, and those with sag.
+    :param points: (P, 3) [m], flange axes.
+    :param root: (4, 4) pose of the robot root in the device frame [m].
+    """
+    commanded, loaded = angles
+    _, columns = _derivatives(chain, loaded, points)
+    by_joint = columns.reshape(len(commanded), len(points), 3, 6, 6)
+    by_joint = np.einsum("ij,cpjab->cpiab", root[:3, :3], by_joint)
+    return [_column(parameter, by_joint, chain, commanded) for parameter in parameters]
 
 
 def _column(parameter: GeometryParameter, by_joint: Array, chain: Chain, q: Array) -> Array:

@@ -365,7 +365,9 @@ def choose(robot: RobotModel, data: Measurements, placement: Placement) -> Choic
             with_compensator = _weigh_candidates(robot, data, placement, best.structure.in_gears, compensator=True)
             if with_compensator.whole.evidence > best.whole.evidence + CLEAR:
                 choice = _choice_of_mean(
-                    *_extend(_mean(with_compensator, compensator=True), with_compensator, data, placement),
+                    *_extend(
+                        _mean_of_structures(with_compensator, compensator=True), with_compensator, data, placement
+                    ),
                     data,
                     placement,
                 )
@@ -373,7 +375,9 @@ def choose(robot: RobotModel, data: Measurements, placement: Placement) -> Choic
                     return choice
         except PostprocError:
             pass
-    return _choice_of_mean(*_extend(_mean(best, compensator=False), best, data, placement), data, placement)
+    return _choice_of_mean(
+        *_extend(_mean_of_structures(best, compensator=False), best, data, placement), data, placement
+    )
 
 
 def evidence_of(structure: Structure, values: Array, data: Measurements, placement: Placement) -> float:
@@ -404,8 +408,13 @@ def _weigh_candidates(
     return _CandidateEquations(structure, kinds, prior, equations, whole)
 
 
-def _mean(solution: _CandidateEquations, compensator: bool) -> Mean:
-    """Return the mean of structures with the least cross-validation error."""
+def _mean_of_structures(solution: _CandidateEquations, compensator: bool) -> Mean:
+    """Return the structures and the weights of their mean with the least cross-validation error.
+
+    Structures whose gears are not linear count only if the evidence for one of them is clear.
+
+    :param compensator: whether structures with a compensator are candidates.
+    """
     equations, kinds, fold = solution.equations, np.array(solution.kinds), folds(solution.equations)
     members = []
     for name, member_kinds in candidates(compensator):
@@ -503,12 +512,7 @@ def _choice_of_mean(mean: Mean, solution: _CandidateEquations, data: Measurement
     mean = replace(mean, equations=linearise(mean.structure, mean.solve(), data, placement))
     equations, parameters = mean.equations, mean.structure.parameters
     values, posterior, spread = mean.solve(), mean.covariance(), mean.spread()
-    jackknife_values = np.array([mean.solve(np.array([index])) for index in range(equations.configs)])
-    left = np.empty(len(equations.target))
-    for index in range(equations.configs):
-        rows = equations.config == index
-        left[rows] = equations.residual(jackknife_values[index], rows)
-    deviation = jackknife_values - jackknife_values.mean(axis=0)
+    jackknife, left = _jackknife(mean)
     # springs of links that are zero cost a coordinate each: the remaining ones take their place
     is_link = np.array([isinstance(parameter, LinkSpring) for parameter in parameters])
     keep = np.flatnonzero((spread > 0.0) & ((values != 0.0) | ~is_link) & ~_fixed_over_pose(mean.structure, spread))
@@ -523,7 +527,6 @@ def _choice_of_mean(mean: Mean, solution: _CandidateEquations, data: Measurement
     ]
     dof = float(sum(w * regression.degrees_of_freedom(equations, values) for w, regression, values in members))
     influence = np.asarray(sum(w * regression.influence(equations, values) for w, regression, values in members))
-    jackknife = (len(deviation) - 1) / len(deviation) * deviation.T @ deviation
     wider = 2.0 * design_effect(equations, influence, left) * posterior + jackknife
     fit = Fit(
         structure,
@@ -549,6 +552,21 @@ def _choice_of_mean(mean: Mean, solution: _CandidateEquations, data: Measurement
         tuple(parameters[index] for index in np.flatnonzero((spread > 0.0) & ~is_narrower)),
         solution.whole.evidence,
     )
+
+
+def _jackknife(mean: Mean) -> tuple[Array, Array]:
+    """Return the jackknife covariance (p, p) of the parameters [SI], and their cross-validation residuals (n,), white.
+
+    One configuration is left out at a time.
+    """
+    equations = mean.equations
+    values = np.array([mean.solve(np.array([index])) for index in range(equations.configs)])
+    left = np.empty(len(equations.target))
+    for index in range(equations.configs):
+        rows = equations.config == index
+        left[rows] = equations.residual(values[index], rows)
+    deviation = values - values.mean(axis=0)
+    return (len(deviation) - 1) / len(deviation) * deviation.T @ deviation, left
 
 
 _CONSTANT = 0.005

@@ -436,21 +436,7 @@ def read(path: Path) -> MarkerReadings:
     files.check_sizes(path, numbers, lines, _LARGEST, MeasurementError)
     file_name = str(path)
     angles = np.unique(numbers["q2"])[::-1]
-    names = sorted(set(texts["marker"]))
-    on_compensator = tuple(name for name in names if name != P1)
-    for name in names:
-        if name != P1 and not (name.startswith("P0") and name[2:].isdigit()):
-            first = int(lines[texts["marker"].index(name)])
-            raise MeasurementError(
-                f"unknown marker {name!r}", file=file_name, line=first, advice="Markers are P1, P01, P02, …."
-            )
-    if P1 not in names or not on_compensator:
-        absent = P1 if P1 not in names else "P01"
-        raise MeasurementError(
-            f"no readings of marker {absent}",
-            file=file_name,
-            advice="Measure P1 (on link 2, where the spring is attached) and at least one marker P01… on the spring.",
-        )
+    on_compensator = _markers_on_compensator(texts["marker"], lines, file_name)
     _check_angles(angles, file_name)
     position = np.column_stack([numbers[axis] for axis in "XYZ"]) * M_PER_MM
     span = float(np.ptp(position, axis=0).max())
@@ -464,18 +450,7 @@ def read(path: Path) -> MarkerReadings:
     groups = {
         (n, a): np.flatnonzero((marker == n) & (numbers["q2"] == a)) for n in (P1, *on_compensator) for a in angles
     }
-    for (name, angle), rows in groups.items():
-        if len(rows) == 0:
-            raise MeasurementError(
-                f"no reading of marker {name} at q2 = {angle:g}°",
-                file=file_name,
-                advice="Measure every marker at every angle, or leave the angle out.",
-            )
-        repeats = numbers["repeat"][rows]
-        if len(np.unique(repeats)) < len(rows):
-            raise MeasurementError(
-                f"marker {name} at q2 = {angle:g}°: a repeat is given twice", file=file_name, line=int(lines[rows[-1]])
-            )
+    _check_repeats(groups, numbers["repeat"], lines, file_name)
     groups, warnings = _remove_outliers(groups, position, lines)
     mean = {key: position[rows].mean(axis=0) for key, rows in groups.items()}
     scatter = sum(float(np.sum((position[rows] - mean[key]) ** 2)) for key, rows in groups.items())
@@ -491,6 +466,49 @@ def read(path: Path) -> MarkerReadings:
         scatter_dof=dof,
         warnings=warnings,
     )
+
+
+def _markers_on_compensator(markers: list[str], lines: Array, file_name: str) -> tuple[str, ...]:
+    """Return the names of the markers on the compensator, sorted.
+
+    :param markers: of all readings, `lines` (n,) their lines.
+    :raises MeasurementError: a name is not valid, or P1 or all others are missing.
+    """
+    names = sorted(set(markers))
+    for name in names:
+        if name != P1 and not (name.startswith("P0") and name[2:].isdigit()):
+            first = int(lines[markers.index(name)])
+            raise MeasurementError(
+                f"unknown marker {name!r}", file=file_name, line=first, advice="Markers are P1, P01, P02, …."
+            )
+    on_compensator = tuple(name for name in names if name != P1)
+    if P1 not in names or not on_compensator:
+        absent = P1 if P1 not in names else "P01"
+        raise MeasurementError(
+            f"no readings of marker {absent}",
+            file=file_name,
+            advice="Measure P1 (on link 2, where the spring is attached) and at least one marker P01… on the spring.",
+        )
+    return on_compensator
+
+
+def _check_repeats(groups: _Groups, repeat: Array, lines: Array, file_name: str) -> None:
+    """Check that each marker is read at each angle, and each repeat once.
+
+    :param repeat: (n,) of all readings, `lines` (n,) their lines.
+    :raises MeasurementError: a reading is missing or given twice.
+    """
+    for (name, angle), rows in groups.items():
+        if len(rows) == 0:
+            raise MeasurementError(
+                f"no reading of marker {name} at q2 = {angle:g}°",
+                file=file_name,
+                advice="Measure every marker at every angle, or leave the angle out.",
+            )
+        if len(np.unique(repeat[rows])) < len(rows):
+            raise MeasurementError(
+                f"marker {name} at q2 = {angle:g}°: a repeat is given twice", file=file_name, line=int(lines[rows[-1]])
+            )
 
 
 def _check_angles(angles: Array, file_name: str) -> None:

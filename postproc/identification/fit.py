@@ -155,6 +155,13 @@ def gauss_newton(
         values = new
         if change < 1e-4:
             break
+    return _fit_at(structure, values, data, placement)
+
+
+def _fit_at(structure: Structure, values: Array, data: Measurements, placement: Placement) -> Fit:
+    """Return the fit with parameters (p,) [SI]: residuals, and the covariance of the equations linearised there."""
+    displacement, w = measured_displacements(data, placement), whitening(data)
+    size = len(structure.parameters)
     prediction, slopes = predict(structure, values, data, placement)
     design = whiten(w, slopes).reshape(-1, size)
     left = (displacement - prediction) * visible(data)

@@ -273,10 +273,12 @@ def extended_set(robot: RobotModel, data: Measurements, placement: Placement) ->
 
 
 def compensator_from_levels(levels: Levels, law: Compensator) -> SpringOfJoint2 | None:
-    """Second step: K⁰_θ2, K_c, s₀·K_c by Eq. (9), (10), weighted with the covariance of the levels.
+    """Return gear and compensator of joint 2 from its compliance at levels of q2: least squares by Eq. (9) and (10).
+
+    The equation is linear in K⁰_θ2, K_c and s₀·K_c; the covariance of the levels is its weight.
 
     :param law: gives L, a_x, a_y.
-    :returns: None with fewer than three usable levels.
+    :returns: None with fewer than three usable levels, or if these do not separate the three values.
     """
     is_determined = np.isfinite(np.diag(levels.covariance)) & (levels.compliance > 0.0)
     if np.count_nonzero(is_determined) < 3:

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -62,21 +62,12 @@ def model_file(result: Identification, prior: ModelFile, source: str, geometry_s
     for parameter, value, reach in zip(parameters, values.tolist(), half.tolist(), strict=True):
         if value > 0.0 or not parameter.sparse:  # a part of a gear that is zero is in [covariance] alone
             parameter.write(tables, value, reach, source)
-    joints = {}
-    for joint in JOINT_COMPLIANCES:
-        table = tables["joints"].get(joint.joint)
-        if table is not None and joint not in unknown and table["compliance_urad_per_Nm"] >= 0.0:
-            # where link springs deflect in its place, the prior's value would count twice
-            table["compliance_urad_per_Nm"] = max(table["compliance_urad_per_Nm"], MIN_COMPLIANCE * joint.per_si)
-            joints[joint.joint] = msgspec.convert(table, JointSpring)
-        else:
-            old = prior.joints[joint.joint]
-            joints[joint.joint] = JointSpring(
-                source=f"prior, not observable in {source}: {old.source}",
-                assumed=True,
-                compliance_urad_per_Nm=old.compliance_urad_per_Nm,
-                sigma_percent=old.sigma_percent,
-            )
+    observable_tables = {
+        joint.joint: tables["joints"][joint.joint]
+        for joint in JOINT_COMPLIANCES
+        if joint.joint in tables["joints"] and joint not in unknown
+    }
+    joints = _joint_springs(observable_tables, prior, source)
     # a joint that keeps the prior's value keeps its sigma_percent too; without one its variance is in the table
     rows = [
         index
@@ -109,6 +100,29 @@ def model_file(result: Identification, prior: ModelFile, source: str, geometry_s
         geometry_nominal=prior.geometry_nominal,
         speeds=prior.speeds,
     )
+
+
+def _joint_springs(tables: Mapping[str, dict[str, Any]], prior: ModelFile, source: str) -> dict[str, JointSpring]:
+    """Return the [joints] of the identified model, the prior's where none was identified or it came out negative.
+
+    :param tables: keys of the identified joints, by the name of the joint.
+    """
+    joints = {}
+    for joint in JOINT_COMPLIANCES:
+        table = tables.get(joint.joint)
+        if table is not None and table["compliance_urad_per_Nm"] >= 0.0:
+            # where link springs deflect in its place, the prior's value would count twice
+            compliance = max(table["compliance_urad_per_Nm"], MIN_COMPLIANCE * joint.per_si)
+            joints[joint.joint] = msgspec.convert(table | {"compliance_urad_per_Nm": compliance}, JointSpring)
+        else:
+            prior_spring = prior.joints[joint.joint]
+            joints[joint.joint] = JointSpring(
+                source=f"prior, not observable in {source}: {prior_spring.source}",
+                assumed=True,
+                compliance_urad_per_Nm=prior_spring.compliance_urad_per_Nm,
+                sigma_percent=prior_spring.sigma_percent,
+            )
+    return joints
 
 
 def _compensator(
@@ -549,25 +563,8 @@ def geometry_folder(
 def summary(data: record.IdentificationRecord) -> str:
     """Return the identified values as a table for a terminal."""
     lines = [] if data.verdict is None else [data.verdict.line]
-    open_count = 0
-    for name, entry in (data.parameters or {}).items():
-        if entry.determined is False and entry.prior is None:
-            open_count += 1
-            continue
-        half = "" if entry.ci95 is None else f" ± {entry.ci95:.3g}"
-        mark = _UNCERTAIN_NOTE if entry.determined is False else ""
-        if not entry.observable:
-            mark = "   (prior: not observable)"
-        elif entry.source == record.ABOUT_THE_PRIOR:
-            mark = f"   (about the prior's {entry.prior:.4g})"
-        lines.append(f"{name:>12} = {entry.value:.5g}{half} {entry.unit}{mark}")
-    if open_count:
-        lines.append(
-            f"{open_count} more parameters of links and gears are not determined one by one, only what they predict "
-            "together: identification.json"
-        )
     if data.parameters:
-        lines.append(f"{robots.WITH_LINKS}: the intervals are of that sum")
+        lines += _parameter_lines(data.parameters)
     if data.structure is not None:
         lines.append(data.structure.reason)
     lines += [level.line for level in data.discrepancy or ()]
@@ -584,17 +581,42 @@ def summary(data: record.IdentificationRecord) -> str:
             f"displacements {residual.before_rms_mm:.3f} mm RMS"
         )
     if data.geometry is not None:
-        for name, entry in data.geometry.parameters.items():
-            mark = _UNCERTAIN_NOTE if entry.determined is False else ""
-            if not entry.observable:
-                mark = "   (not narrowed by the readings)"
-            lines.append(f"{name:>12} = {entry.value:8.4f} ± {entry.ci95:.3g} {entry.unit}{mark}")
-        for label, rms in data.geometry.variants.items():
-            mark = "  <- chosen" if label == data.geometry.chosen else ""
-            lines.append(
-                f"{label}: {rms.rms_mm:.3f} mm RMS, {rms.held_out_rms_mm:.3f} mm on configurations left out{mark}"
-            )
-        lines.append(
-            f"95 % of the errors of the geometry are below {data.geometry.u95_mm:.3f} mm; that is in the bound"
-        )
+        lines += _geometry_lines(data.geometry)
     return "\n".join(lines)
+
+
+def _parameter_lines(parameters: Mapping[str, record.Parameter]) -> list[str]:
+    """Return the identified elastic parameters, one a line, without those that have neither a value nor a prior."""
+    lines, open_count = [], 0
+    for name, entry in parameters.items():
+        if entry.determined is False and entry.prior is None:
+            open_count += 1
+            continue
+        half = "" if entry.ci95 is None else f" ± {entry.ci95:.3g}"
+        mark = _UNCERTAIN_NOTE if entry.determined is False else ""
+        if not entry.observable:
+            mark = "   (prior: not observable)"
+        elif entry.source == record.ABOUT_THE_PRIOR:
+            mark = f"   (about the prior's {entry.prior:.4g})"
+        lines.append(f"{name:>12} = {entry.value:.5g}{half} {entry.unit}{mark}")
+    if open_count:
+        lines.append(
+            f"{open_count} more parameters of links and gears are not determined one by one, only what they predict "
+            "together: identification.json"
+        )
+    return [*lines, f"{robots.WITH_LINKS}: the intervals are of that sum"]
+
+
+def _geometry_lines(geometry: record.Geometry) -> list[str]:
+    """Return the geometry parameters, one a line, and the errors of the geometries that were tried."""
+    lines = []
+    for name, entry in geometry.parameters.items():
+        mark = _UNCERTAIN_NOTE if entry.determined is False else ""
+        if not entry.observable:
+            mark = "   (not narrowed by the readings)"
+        lines.append(f"{name:>12} = {entry.value:8.4f} ± {entry.ci95:.3g} {entry.unit}{mark}")
+    for label, rms in geometry.variants.items():
+        mark = "  <- chosen" if label == geometry.chosen else ""
+        lines.append(f"{label}: {rms.rms_mm:.3f} mm RMS, {rms.held_out_rms_mm:.3f} mm on configurations left out{mark}")
+    lines.append(f"95 % of the errors of the geometry are below {geometry.u95_mm:.3f} mm; that is in the bound")
+    return lines

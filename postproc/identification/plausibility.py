@@ -291,7 +291,6 @@ def check_loads(robot: RobotModel, data: Measurements, placement: Placement, adv
             advice="No robot bends that far: was the tracker moved, or is a reading of another configuration?",
         )
     displacement, prediction, rows = _visible_displacements(robot, data, placement)
-    size, states = size[rows], data.loaded_states[rows]
     ratio = _ratios(displacement, prediction)
     median_ratio = float(np.median(ratio))
     if median_ratio < 0.0:
@@ -311,14 +310,35 @@ def check_loads(robot: RobotModel, data: Measurements, placement: Placement, adv
     length_ratio = np.sqrt(np.sum(displacement**2, axis=(1, 2)) / np.sum(prediction**2, axis=(1, 2)))
     # against the force only if it is nearly opposite: links may deflect across what the joints would
     length_ratio = np.where(ratio < _OPPOSITE * length_ratio, -length_ratio, length_ratio)
-    # if the joints would hardly deflect, links may deflect by many times as much
-    per_newton = size / np.maximum(np.linalg.norm(data.wrench[states, :3], axis=1), 1e-9)
+    states = data.loaded_states[rows]
+    per_newton = size[rows] / np.maximum(np.linalg.norm(data.wrench[states, :3], axis=1), 1e-9)
+    _check_single_loads(data, states, ratio / median_ratio, length_ratio / median_ratio, per_newton, advice)
+    if _USUAL_SIZE[0] < median_ratio < _USUAL_SIZE[1]:
+        return []
+    return [
+        f"all points move {median_ratio:.1f} times as far as {robot.name} would under these loads: check the scale of "
+        "the forces. Loads that are all wrong by a factor make all compliances wrong by it, and no residual shows it."
+    ]
+
+
+def _check_single_loads(
+    data: Measurements, states: Ints, ratio: Array, length_ratio: Array, per_newton: Array, advice: str
+) -> None:
+    """Check that the displacement of each load case fits its force as those of the others do.
+
+    :param states: (n,) load cases.
+    :param ratio: (n,) displacements over those of the prior robot, along these, relative to the median.
+    :param length_ratio: (n,) the same by length; negative against the force.
+    :param per_newton: (n,) largest displacements of the points by force [m/N].
+    :raises MeasurementError: one does not.
+    """
     for row in range(len(ratio)):
-        relative = length_ratio[row] / median_ratio
-        other_ratios = np.delete(per_newton, row)
-        if relative > 0.0 and len(other_ratios) and other_ratios.min() < per_newton[row] < other_ratios.max():
+        relative = length_ratio[row]
+        other_cases = np.delete(per_newton, row)
+        # if the joints would hardly deflect, links may deflect by many times as much: as in other load cases
+        if relative > 0.0 and len(other_cases) and other_cases.min() < per_newton[row] < other_cases.max():
             continue
-        if not any(_SAME_UNIT[0] < factor < _SAME_UNIT[1] for factor in (relative, ratio[row] / median_ratio)):
+        if not any(_SAME_UNIT[0] < factor < _SAME_UNIT[1] for factor in (relative, ratio[row])):
             state = int(states[row])
             unit = "kg" if _KILOGRAMS[0] < relative < _KILOGRAMS[1] else "another unit, direction or configuration"
             raise MeasurementError(
@@ -328,12 +348,6 @@ def check_loads(robot: RobotModel, data: Measurements, placement: Placement, adv
                 line=_first_line(data, state),
                 advice="Give forces in N, root axes, for this load case." + advice,
             )
-    if _USUAL_SIZE[0] < median_ratio < _USUAL_SIZE[1]:
-        return []
-    return [
-        f"all points move {median_ratio:.1f} times as far as {robot.name} would under these loads: check the scale of "
-        "the forces. Loads that are all wrong by a factor make all compliances wrong by it, and no residual shows it."
-    ]
 
 
 def displacement_ratio(robot: RobotModel, data: Measurements, placement: Placement) -> float:

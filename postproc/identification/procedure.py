@@ -232,7 +232,10 @@ def _clearly_better(richer: Choice, fit: Fit, data: Measurements, placement: Pla
 def _choose_springs(
     prior: RobotModel, data: Measurements, placement: Placement
 ) -> tuple[Measurements, Choice, list[str]]:
-    """Choose the springs, leave out gross errors against them, and choose again, three times at most."""
+    """Choose the springs, leave out gross errors against them, and choose again, three times at most.
+
+    :returns: the readings without gross errors, the choice, and the names of the readings left out.
+    """
     choice = choose(prior, data, placement)
     outliers: list[str] = []
     for _ in range(3):

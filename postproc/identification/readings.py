@@ -9,6 +9,7 @@ are in `plausibility`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -364,14 +365,7 @@ def read(path: Path, experiment: Experiment, loads: bool = True) -> Measurements
     if experiment.readings == "displacements":
         numbers, texts, lines = _add_unloaded_states(numbers, texts, lines, file_name)
     names = tuple(experiment.points)
-    for row, name in enumerate(texts["point"]):
-        if name not in names:
-            raise MeasurementError(
-                f"unknown point {name!r}",
-                file=file_name,
-                line=int(lines[row]),
-                advice=choices(name, names, "Points of the experiment"),
-            )
+    _check_points(texts["point"], names, lines, file_name)
     angles = experiment.angles.to_robot(np.column_stack([numbers[name] for name in JOINTS]))
     wrench = np.column_stack([numbers[name] for name in WRENCH])
     config, inverse = np.unique(numbers["config"], return_inverse=True)
@@ -407,6 +401,21 @@ def read(path: Path, experiment: Experiment, loads: bool = True) -> Measurements
     _check_units(q, data, file_name)
     _check_complete(data, file_name, loads)
     return data
+
+
+def _check_points(points: Sequence[str], names: Sequence[str], lines: Array, file_name: str) -> None:
+    """Check that the points of all readings (n,), in lines (n,), are those of the experiment, by their names.
+
+    :raises MeasurementError: one is not.
+    """
+    for row, name in enumerate(points):
+        if name not in names:
+            raise MeasurementError(
+                f"unknown point {name!r}",
+                file=file_name,
+                line=int(lines[row]),
+                advice=choices(name, names, "Points of the experiment"),
+            )
 
 
 def _drop_empty_rows(

@@ -191,7 +191,9 @@ def test_all_structures_whose_parameters_a_robot_has_are_tried(gears, compensato
     monkeypatch.setattr(choice, "_fold_residuals", lambda *_: np.zeros(CONFIGS * ROWS))
     monkeypatch.setattr(choice, "_stacking_weights", lambda *_: None)
     whole = SimpleNamespace(configs=CONFIGS)
-    mean = choice._mean(SimpleNamespace(equations=whole, kinds=tuple(kinds), prior=None, structure=None), compensator)
+    mean = choice._mean_of_structures(
+        SimpleNamespace(equations=whole, kinds=tuple(kinds), prior=None, structure=None), compensator
+    )
     words = {"fading": "stiffen", "breakpoint": "breakpoints", "backlash": "backlash", "lost motion": "lost motion"}
     expected = [
         name for name, _ in choice.candidates(compensator)

@@ -158,7 +158,7 @@ def test_gears_that_are_not_linear_need_odds_of_one_in_twenty(gain, nonlinear_to
     monkeypatch.setattr(choice, "_fold_residuals", lambda *_: np.zeros(1))
     monkeypatch.setattr(choice, "_stacking_weights", lambda _, __, rows: seen.extend(rows.tolist()))
     settled = SimpleNamespace(equations=SimpleNamespace(configs=9), kinds=kinds, prior=None, structure=None)
-    mean = choice._mean(settled, compensator=False)
+    mean = choice._mean_of_structures(settled, compensator=False)
     chosen = {mean.members[index].name for index in seen}
     linear = {"joint springs", "link springs"}
     stiffening = {name + ", gears stiffen" for name in linear}
