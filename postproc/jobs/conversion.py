@@ -352,11 +352,7 @@ def _output_of(
     stem = name.removesuffix("report.json")
     contents: dict[str, bytes | Iterable[bytes]] = {doc.name: doc.pieces() for doc in result.documents}
     contents |= copies
-    if result.modules:
-        contents |= report.forces_by_module(result)
-    elif (force_table := report.forces_csv(result)) is not None:
-        contents[f"{stem}forces.csv"] = force_table
-    contents[f"{stem}targets.csv"] = report.targets_csv(result)
+    contents |= _tables_of(result, stem)
     surface = None
     if settings.part is not None and len(result):
         from postproc.report.surface import glb, ply
@@ -374,8 +370,6 @@ def _output_of(
         from postproc.jobs import process_forces
 
         contents[f"{stem}stock.glb"] = process_forces.stock(process)
-    documents = result.program.documents
-    read = [Path(document.folder) / document.name for document in documents if document.folder]
     motionless_names = [Path(required_file.path).name for required_file in needed_files if not required_file.moves]
     content = replace(
         content,
@@ -388,6 +382,7 @@ def _output_of(
         file_entries.extend(entries)
         return files.json_bytes(replace(content, files=entries))
 
+    read = [Path(document.folder) / document.name for document in result.program.documents if document.folder]
     return _ProgramOutput(
         summary=content,
         listed_files=file_entries,
@@ -396,6 +391,16 @@ def _output_of(
         shared_files=(*subprogram_files, *copies),
         read=tuple(map(str, [*read, *(required_file.path for required_file in needed_files)])),
     )
+
+
+def _tables_of(result: Result, stem: str) -> dict[str, bytes | Iterable[bytes]]:
+    """Return the tables of forces and targets: file name, which begins with `stem`, → content."""
+    tables: dict[str, bytes | Iterable[bytes]] = {}
+    if result.modules:
+        tables |= report.forces_by_module(result)
+    elif (force_table := report.forces_csv(result)) is not None:
+        tables[f"{stem}forces.csv"] = force_table
+    return tables | {f"{stem}targets.csv": report.targets_csv(result)}
 
 
 def surface_of(result: Result, part: Path, process: Path | None, mesh_frame: Array | None = None) -> Surface:

@@ -130,18 +130,8 @@ def _cell_questions(needs: ProgramNeeds, answers: Answers) -> Iterator[Question]
     stated_tables = {frame.partition(".")[0] for frame in needs.frames} if needs.is_of_robot else ()
     if "base_data" not in stated_tables:
         yield Question("base", "$BASE in the robot root: X,Y,Z[,A,B,C]", "--base X,Y,Z", parse.full_frame, base)
-    if needs.changes_tools:
-        for number in needs.tools:
-            yield Question(
-                f"tool.{number}",
-                f"$TOOL of T{number}{_remark(needs, str(number))}, tip in the flange frame: X,Y,Z[,A,B,C]",
-                f"--tools {number}=X,Y,Z",
-                parse.full_frame,
-                _USUAL_TOOL,
-            )
-    elif "tool_data" not in stated_tables:
-        text = "$TOOL, the tool tip in the flange frame: X,Y,Z[,A,B,C]"
-        yield Question("tool", text, "--tool X,Y,Z", parse.full_frame, _USUAL_TOOL)
+    if needs.changes_tools or "tool_data" not in stated_tables:
+        yield from _tool_questions(needs)
     for code in needs.work_offsets:
         text = f"{code}, which the program uses, in $BASE: X,Y,Z[,A,B,C]"
         yield Question(f"work_offset.{code}", text, f"--work-offset {code}=X,Y,Z", parse.full_frame)
@@ -150,17 +140,7 @@ def _cell_questions(needs: ProgramNeeds, answers: Answers) -> Iterator[Question]
         yield Question(MACHINE_QUESTION + code, text, f"--m-code {code}", parse.line, parse.NO_LINES)
     yield from _rotary_questions(needs, answers)
     yield from _setting_questions(needs)
-    if not needs.is_of_robot:
-        height = CLEARANCE_MM if needs.span is None else max(CLEARANCE_MM, round(needs.span[1][2] + _ABOVE_MM, -1))
-        text = "Z of $BASE to which programs retract (G28, G30, G53)"
-        yield Question("clearance", text, "--clearance Z", parse.number, f"{height:g}", optional=True)
-    if needs.changes_tools:
-        text = "Tool change: hand (the program stops), none, or a line that calls the changer, with {T}"
-        yield Question("tool_change", text, "--tool-change LINE", parse.line, BY_HAND, optional=True)
-    for name, codes in (("spindle", "M3, with {S}, and M5"), ("coolant", "M7 and M8, and for M9")):
-        if name in needs.switches:
-            text = f"{name.capitalize()}: lines for {codes}, with | between, or hand"
-            yield Question(name, text, f'--{name} "ON|OFF"', parse.switch, BY_HAND, optional=True)
+    yield from _machine_questions(needs)
     text = "What the part may be off, mm (95 %); empty: nothing is judged by it"
     yield Question("part_tolerance", text, "--part-tolerance MM", parse.tolerance, "", optional=True)
     if "robot" in answers.values and load_robot(answers.values["robot"]).language == "rapid":
@@ -176,6 +156,37 @@ def _frame_questions(needs: ProgramNeeds, base: str | None) -> Iterator[Question
         text = f"{name.upper()}[{number}], which the program uses, in the {place}: X,Y,Z[,A,B,C]"
         option = f"--{name.replace('_', '-')} {number}=X,Y,Z"
         yield Question(frame, text, option, parse.stated_frame, example)
+
+
+def _tool_questions(needs: ProgramNeeds) -> Iterator[Question]:
+    """Yield the questions on `$TOOL`: of each tool if the program changes tools, else of one."""
+    if not needs.changes_tools:
+        text = "$TOOL, the tool tip in the flange frame: X,Y,Z[,A,B,C]"
+        yield Question("tool", text, "--tool X,Y,Z", parse.full_frame, _USUAL_TOOL)
+        return
+    for number in needs.tools:
+        yield Question(
+            f"tool.{number}",
+            f"$TOOL of T{number}{_remark(needs, str(number))}, tip in the flange frame: X,Y,Z[,A,B,C]",
+            f"--tools {number}=X,Y,Z",
+            parse.full_frame,
+            _USUAL_TOOL,
+        )
+
+
+def _machine_questions(needs: ProgramNeeds) -> Iterator[Question]:
+    """Yield the questions on retraction, tool changer, spindle and coolant."""
+    if not needs.is_of_robot:
+        height = CLEARANCE_MM if needs.span is None else max(CLEARANCE_MM, round(needs.span[1][2] + _ABOVE_MM, -1))
+        text = "Z of $BASE to which programs retract (G28, G30, G53)"
+        yield Question("clearance", text, "--clearance Z", parse.number, f"{height:g}", optional=True)
+    if needs.changes_tools:
+        text = "Tool change: hand (the program stops), none, or a line that calls the changer, with {T}"
+        yield Question("tool_change", text, "--tool-change LINE", parse.line, BY_HAND, optional=True)
+    for name, codes in (("spindle", "M3, with {S}, and M5"), ("coolant", "M7 and M8, and for M9")):
+        if name in needs.switches:
+            text = f"{name.capitalize()}: lines for {codes}, with | between, or hand"
+            yield Question(name, text, f'--{name} "ON|OFF"', parse.switch, BY_HAND, optional=True)
 
 
 def _usual_base(answers: Answers) -> str | None:
