@@ -488,7 +488,7 @@ def _knots(program: Program, process: Process, forces: ProcessForces | None) -> 
     """Return the forces of all moves; those of operations take precedence."""
     if forces is None:
         return machining.operation_knots(program, process)
-    return machining.operation_knots(program, process).or_fallback(forces.along) if process.operations else forces.along
+    return machining.operation_knots(program, process).or_fallback(forces.knots) if process.operations else forces.knots
 
 
 def identify_forces(

@@ -82,7 +82,7 @@ _ASSUMED_STOCK = (
 class ProcessForces(Struct, frozen=True, eq=False):
     """Forces, engagement and remaining stock of a program.
 
-    :param along: the forces along its cutting motions.
+    :param knots: the forces along its cutting motions.
     :param cuts: wrench and engagement at stations on them, as many as their changes need, see `Cuts`.
     :param power: (M,) largest mean power of the spindle on each motion [W].
     :param tools: tool and spindle speed of each motion.
@@ -94,7 +94,7 @@ class ProcessForces(Struct, frozen=True, eq=False):
     :param over_time: the stock over time, if it was swept with a guard.
     """
 
-    along: Knots
+    knots: Knots
     cuts: Cuts
     power: Array
     tools: ToolStates
@@ -253,6 +253,16 @@ class _SweptSetups(NamedTuple):
     is_compared: Bools
     by_cells: Array
 
+    @property
+    def collisions(self) -> dict[int, float]:
+        """Rapid motions through material, and how deep [m]."""
+        return {motion: depth for sweep in self.sweeps for motion, depth in sweep.collisions.items()}
+
+    @property
+    def stopped_motions(self) -> set[int]:
+        """Cutting motions through material with the spindle off."""
+        return set[int]().union(*(sweep.stopped_motions for sweep in self.sweeps))
+
 
 def _estimate(task: _Task, widest: float, cell_factors: dict[int, int]) -> tuple[ProcessForces, list[ThinPasses]]:
     """Return the cutting forces of a program, see `estimate`, and the passes that need finer cells than they had.
@@ -278,8 +288,6 @@ def _estimate(task: _Task, widest: float, cell_factors: dict[int, int]) -> tuple
     if program.branches:
         is_near = _near_motions(program, segments if has_one_map else None, bounds, margin)
         check_branches(program, engaged_motions, is_near)
-    collisions = {motion: depth for sweep in swept.sweeps for motion, depth in sweep.collisions.items()}
-    stopped_motions = set[int]().union(*(sweep.stopped_motions for sweep in swept.sweeps))
     issues += [
         *override_issues(program),
         *stock_base_issues(program),
@@ -289,16 +297,14 @@ def _estimate(task: _Task, widest: float, cell_factors: dict[int, int]) -> tuple
         *shared_cutters(program, task.tools, engaged_motions),
         *_scale_issues(segments, bounds),
     ]
-    issues += _cut_issues(program, stopped_motions, task.law, cuts, tools, process)
+    issues += _cut_issues(program, swept.stopped_motions, task.law, cuts, tools, process)
     passes = thin_passes(program, tools, swept.by_cells)
     issues += _coarse_contact_warnings(program, tools, passes, ordered_setups, cell)
-    issues += [*_collision_issues(program, collisions, guard), *_cutter_mismatch(program, tools, process, guard)]
-    power = np.zeros(len(program.motions))
-    np.maximum.at(power, cuts.motion, cuts.power)
+    issues += [*_collision_issues(program, swept.collisions, guard), *_cutter_mismatch(program, tools, process, guard)]
     forces = ProcessForces(
-        along=Knots.join(swept.knots),
+        knots=Knots.join(swept.knots),
         cuts=cuts,
-        power=power,
+        power=_largest_power(cuts, len(program.motions)),
         tools=tools,
         drills=tuple(_ToolColumns.of(tools, process).is_drill.tolist()),
         stock=swept.stock,
@@ -308,6 +314,13 @@ def _estimate(task: _Task, widest: float, cell_factors: dict[int, int]) -> tuple
         over_time=None if guard is None else _stock_in_time(program, ordered_setups, swept.sweeps, swept.is_compared),
     )
     return forces, passes
+
+
+def _largest_power(cuts: Cuts, count: int) -> Array:
+    """Return the largest mean power (count,) of the spindle on each motion [W], 0 without a cut."""
+    power = np.zeros(count)
+    np.maximum.at(power, cuts.motion, cuts.power)
+    return power
 
 
 def _near_motions(
@@ -444,7 +457,7 @@ def _without_taps(cuts: Cuts, program: Program, tools: ToolStates) -> Cuts:
     A tap pulls itself into the hole, in a holder that gives it length: its force is not that of a drill with the pitch
     as feed.
     """
-    is_tap = np.isin(cuts.motion, tapping_motions(program, tools)) & cuts.along
+    is_tap = np.isin(cuts.motion, tapping_motions(program, tools)) & cuts.is_axial
     if not is_tap.any():
         return cuts
     is_cut = ~is_tap
@@ -459,7 +472,7 @@ def _without_taps(cuts: Cuts, program: Program, tools: ToolStates) -> Cuts:
 
 def _tap_issues(program: Program, cuts: Cuts, tools: ToolStates) -> Iterator[Issue]:
     """Yield a warning for taps, whose forces are not computed."""
-    taps = np.intersect1d(tapping_motions(program, tools), cuts.motion[cuts.along])
+    taps = np.intersect1d(tapping_motions(program, tools), cuts.motion[cuts.is_axial])
     if len(taps):
         number = tools.number[taps[0]]
         name = f"[operations.T{number}]" if number > 0 else "[operations]"
@@ -816,7 +829,7 @@ def _drilling_with_mills(program: Program, cuts: Cuts, drill: Bools) -> list[Iss
     :param drill: (N,) True at stations of a drill.
     """
     m = program.motions
-    cut = distinct(cuts.motion[cuts.along & ~drill & (cuts.torque > 0.0)])
+    cut = distinct(cuts.motion[cuts.is_axial & ~drill & (cuts.torque > 0.0)])
     if program.keeps_text or not len(cut):
         return []
     in_cycle = np.isin(m.line[cut], distinct(m.line[m.rapid]))

@@ -42,6 +42,25 @@ def operation_knots(program: Program, process: Process) -> Knots:
     :raises ProgramError: a routine that cuts is not followed.
     """
     refuse_unread_cuts(program)
+    entry_of_motion, named_entry = _entries_of_motions(program, process)
+    motion = np.flatnonzero((entry_of_motion >= 0) & ~program.motions.rapid)
+    entries = list(process.operations.values())
+    wrench = np.array([_wrench_of_entry(entry) for entry in entries]).reshape(-1, 6)
+    frame = np.array([FORCE_FRAMES.index(entry.frame) for entry in entries], dtype=np.int64)
+    share = np.array([entry.sigma_percent / 100.0 for entry in entries])
+    rows = entry_of_motion[motion]
+    sigma = np.abs(wrench[rows]) * share[rows, None]
+    issues = tuple(_passed_comments(program, named_entry, list(process.operations)))
+    return replace(Knots.throughout(motion, wrench[rows], frame[rows], sigma, share[rows]), issues=issues)
+
+
+def _entries_of_motions(program: Program, process: Process) -> tuple[Ints, Ints]:
+    """Return the entry of [operations] that holds for each motion (M,), and the one that a comment or block names (M,).
+
+    Entries are numbered in the order of the file; −1: none.
+
+    :raises ForceError: an entry matches nothing in the program.
+    """
     names, program_operations = list(process.operations), operations(program, at_retracts=True)
     tools = {int(match[1]): k for k, name in enumerate(names) if (match := _TOOL.fullmatch(name.strip()))}
     blocks = {match[1]: k for k, name in enumerate(names) if (match := _BLOCK.fullmatch(name.strip()))}
@@ -55,15 +74,7 @@ def operation_knots(program: Program, process: Process) -> Knots:
     unused = [name for k, name in enumerate(names) if k not in used_entries]
     if unused:
         raise combined_error(_unmatched_error(program, process, name, program_operations) for name in unused)
-    motion = np.flatnonzero((entry_of_motion >= 0) & ~program.motions.rapid)
-    entries = [process.operations[name] for name in names]
-    wrench = np.array([_wrench_of_entry(entry) for entry in entries]).reshape(-1, 6)
-    frame = np.array([FORCE_FRAMES.index(entry.frame) for entry in entries], dtype=np.int64)
-    share = np.array([entry.sigma_percent / 100.0 for entry in entries])
-    rows = entry_of_motion[motion]
-    sigma = np.abs(wrench[rows]) * share[rows, None]
-    issues = tuple(_passed_comments(program, named_entry, names))
-    return replace(Knots.throughout(motion, wrench[rows], frame[rows], sigma, share[rows]), issues=issues)
+    return entry_of_motion, named_entry
 
 
 _Mark = tuple[int, int, int]
@@ -274,7 +285,7 @@ class ProcessSource:
                 progress=self._progress,
             )
             law_knots = replace(
-                self.process_forces.along,
+                self.process_forces.knots,
                 issues=self.process_forces.issues,
                 by_law=ByLaw(process.law().numbers, self._common_factor_motions(self.process_forces)),
                 stock=self.process_forces.over_time,
@@ -298,4 +309,4 @@ class ProcessSource:
         """Return the motions (k,) of which the errors of the cutting law are one common factor."""
         law = self.process.law()
         by_factor = law.covariance is None and law.sigma > 0.0
-        return distinct(process_forces.along.motion) if by_factor else np.zeros(0, dtype=np.int64)
+        return distinct(process_forces.knots.motion) if by_factor else np.zeros(0, dtype=np.int64)

@@ -66,7 +66,7 @@ class Cuts(Columns, frozen=True, eq=False):
     :param wrench: (N, 6) mean force and moment about the tip on the tool. FEED axes; on moves along the spindle the
         axes of the map.
     :param deviation: (N, 6) standard deviations of it by covariance, rubbing and cells, see `cutting.Loads`.
-    :param along: (N,) True on moves along the spindle.
+    :param is_axial: (N,) True on moves along the spindle.
     :param torque: (N,) mean torque of the spindle [N·m].
     :param power: (N,) [W].
     :param enter: (N,) and leave: (N,) smallest and largest angle in material [rad]; NaN in air.
@@ -79,7 +79,7 @@ class Cuts(Columns, frozen=True, eq=False):
     t: Array
     wrench: Array
     deviation: Array
-    along: Bools
+    is_axial: Bools
     torque: Array
     power: Array
     enter: Array
@@ -248,31 +248,33 @@ class Sweep(Struct, eq=False):
 
         :param may_touch: (L,) segments that can touch the stock.
         """
-        motion = segments.motion
-        length = np.linalg.norm(segments.end - segments.begin, axis=1)
-        joins_previous = self._joins_previous(segments, may_touch)
+        tool = self.tools.tool[segments.motion].tolist()
+        if not tool:
+            return
+        length = np.linalg.norm(segments.end - segments.begin, axis=1).tolist()
+        leave, arrive = segments.leave.tolist(), segments.arrive.tolist()
+        joins_previous = self._joins_previous(segments, may_touch).tolist()
+        may_cut = (may_touch & segments.cutting).tolist()
         axes = self._tilted_axes(segments, may_touch)
-        begin, limit, group_length = 0, 0.0, 0.0
-        heading: list[float] | None = None
-        lengths, leave, arrive, joins_list, is_near_cut = (
-            length.tolist(), segments.leave.tolist(), segments.arrive.tolist(), joins_previous.tolist(),
-            (may_touch & segments.cutting).tolist(),
-        )  # fmt: skip
-        for segment in range(len(motion)):
-            if segment > begin or heading is None:
-                is_group_end = heading is None or not joins_list[segment] or group_length > limit
-                if heading is not None and not is_group_end and is_near_cut[segment]:
-                    first_heading, last_heading = leave[segment], arrive[segment]
-                    is_group_end = min(_dot(heading, first_heading), _dot(heading, last_heading)) < _STRAIGHT_COSINE
-                    is_group_end |= segment in axes and _dot(axes[begin], axes[segment]) < _AXIS_COSINE
-                if is_group_end:
-                    if segment > begin:
-                        yield begin, segment
-                    begin, group_length, heading = segment, 0.0, leave[segment]
-                    limit = _GROUP_LENGTH * self._cutter(int(self.tools.tool[motion[segment]])).radius
-            group_length += lengths[segment]
-        if begin < len(motion):
-            yield begin, len(motion)
+        longest = {number: _GROUP_LENGTH * self._cutter(number).radius for number in set(tool)}
+
+        def turns(begin: int, segment: int) -> bool:
+            """Return whether path or tool turn too far from one segment to another."""
+            if min(_dot(leave[begin], leave[segment]), _dot(leave[begin], arrive[segment])) < _STRAIGHT_COSINE:
+                return True
+            return segment in axes and _dot(axes[begin], axes[segment]) < _AXIS_COSINE
+
+        begin, group_length = 0, length[0]
+        for segment in range(1, len(tool)):
+            if (
+                not joins_previous[segment]
+                or group_length > longest[tool[begin]]
+                or (may_cut[segment] and turns(begin, segment))
+            ):
+                yield begin, segment
+                begin, group_length = segment, 0.0
+            group_length += length[segment]
+        yield begin, len(tool)
 
     def _joins_previous(self, segments: StraightSegments, may_touch: Bools) -> Bools:
         """Return which segments (L,) may be processed together with the segment before them: they are of one kind.

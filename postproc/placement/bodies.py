@@ -25,7 +25,7 @@ class Bodies:
         """
         program, robot_in_cell = samples.program, samples.robot_in_cell
         force, moment = robot_in_cell.tip_compliance(program.tools[0])
-        wrench = np.abs(samples.along.at(samples.sample)).max(axis=0, initial=0.0)
+        wrench = np.abs(samples.forces.at(samples.sample)).max(axis=0, initial=0.0)
         deflection = force * float(np.linalg.norm(wrench[:3])) + moment * float(np.linalg.norm(wrench[3:]))
         self.need = need_mm * M_PER_MM + _ALLOWANCE * deflection
         self.chain = robot_in_cell.robot.nominal

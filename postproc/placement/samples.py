@@ -30,7 +30,7 @@ class PathSamples(Struct, frozen=True, eq=False):
     :param program: the program.
     :param robot_in_cell: the robot in its cell.
     :param segments: start and length of its motions.
-    :param along: the forces along them.
+    :param forces: the forces along them.
     :param sample: the places and their poses in `$BASE`.
     :param time: (N,) time from the sample before at the programmed feed [s]; infinite where the feed does not time it:
         joint interpolation, rapid moves (which are slowed if a joint would be too fast), turns in place.
@@ -39,7 +39,7 @@ class PathSamples(Struct, frozen=True, eq=False):
     program: Program
     robot_in_cell: RobotInCell
     segments: Segments
-    along: PathForces
+    forces: PathForces
     sample: Toolpath
     time: Array
 
@@ -92,9 +92,9 @@ class PathSamples(Struct, frozen=True, eq=False):
         pose = self._turned_poses(rows, turn)
         motion, t = self.sample.motion[rows], self.sample.t[rows]
         samples = Toolpath(motion, t, Poses.of(pose), self.sample.distance[rows])
-        wrench = toolpath.wrench_in_root(self.program, motion, self.along.at(samples))
-        spread = self.along.spread_in_root(samples)
-        is_scaled = self.robot_in_cell.has_model_factor(self.along, motion)
+        wrench = toolpath.wrench_in_root(self.program, motion, self.forces.at(samples))
+        spread = self.forces.spread_in_root(samples)
+        is_scaled = self.robot_in_cell.has_model_factor(self.forces, motion)
         return wrench, spread, toolpath.pose_in_root(self.program, motion, pose, t), is_scaled
 
     def _turned_poses(self, rows: Ints, turn: Array) -> Array:

@@ -64,7 +64,7 @@ def speed(folder):
         spent = time.process_time() - spent[0]
         count = text.count("\n")
         print(
-            f"{name}: {count} moves, {spent:.1f} s, {len(found.along.t)} places, {found.removed_volume * 1e9:.0f} mm³"
+            f"{name}: {count} moves, {spent:.1f} s, {len(found.knots.t)} places, {found.removed_volume * 1e9:.0f} mm³"
         )
 
 

@@ -92,14 +92,14 @@ def test_standard_deviations_are_those_of_the_material(tmp_path, monkeypatch):
     rng = np.random.default_rng(7)
     error = (1.0 + 0.33 * rng.normal(size=1_000_000)) * (1.0 + 0.25 * rng.uniform(size=1_000_000)) - 1.0
     share = np.quantile(np.abs(error), 0.95) / 1.96
-    np.testing.assert_allclose(found.along.sigma, share * np.abs(found.along.wrench), rtol=5e-3)
-    np.testing.assert_allclose(found.along.factor, share, rtol=5e-3)
+    np.testing.assert_allclose(found.knots.sigma, share * np.abs(found.knots.wrench), rtol=5e-3)
+    np.testing.assert_allclose(found.knots.factor, share, rtol=5e-3)
     text = process(tool(10, 4), BOX, 0.5).replace("[tools.1]", "sigma_percent = 40\n[tools.1]")
     _, found = forces(tmp_path, gcode(*WAYS), text)
-    np.testing.assert_allclose(found.along.sigma, 0.40 * np.abs(found.along.wrench))
+    np.testing.assert_allclose(found.knots.sigma, 0.40 * np.abs(found.knots.wrench))
     (tmp_path / "material.toml").write_text("[material]\nKtc_N_per_mm2 = 700\nKac_N_per_mm2 = 9\nsigma_percent = 10\n")
     _, found = forces(tmp_path, gcode(*WAYS), process(tool(10, 4), BOX, 0.5, 'file = "material.toml"'))
-    np.testing.assert_allclose(found.along.sigma, 0.10 * np.abs(found.along.wrench))
+    np.testing.assert_allclose(found.knots.sigma, 0.10 * np.abs(found.knots.wrench))
 
 
 def test_a_material_without_axial_coefficients_has_a_wide_axial_force(tmp_path):
@@ -107,9 +107,9 @@ def test_a_material_without_axial_coefficients_has_a_wide_axial_force(tmp_path):
     text = gcode("G0 X-10 Y0 Z5", "G1 Z-3 F2400", "X110 (here)")
     for material in ("kc11_N_per_mm2 = 641.0\nmc = 0.27", 'name = "al_6061_t6_carbide"'):
         _, found = forces(tmp_path, text, process(tool(10, 4), BOX, 0.5, material))
-        row = int(np.argmax(np.abs(found.along.wrench[:, 1])))
-        across, axial = found.along.wrench[row, :2], found.along.sigma[row, 2]
-        assert found.along.wrench[row, 2] == 0.0
+        row = int(np.argmax(np.abs(found.knots.wrench[:, 1])))
+        across, axial = found.knots.wrench[row, :2], found.knots.sigma[row, 2]
+        assert found.knots.wrench[row, 2] == 0.0
         assert 0.9 * abs(across[1]) < 1.96 * axial < 2.0 * np.linalg.norm(across)
         assert "no-axial-force" in {issue.kind for issue in found.issues}
     _, found = forces(tmp_path, text, process(tool(10, 4), BOX, 0.5))
@@ -122,7 +122,7 @@ def test_a_force_changes_at_the_start_of_a_motion_over_half_the_feed_per_tooth(t
     text = gcode("G0 X30 Y0 Z5", "G1 Z-3 F300", f"X70 F{feed}")
     program, found = forces(tmp_path, text, process(tool(10, 4), BOX, 0.5))
     (motion,) = np.flatnonzero(program.motions.line == 6)
-    t = found.along.t[found.along.motion == motion]
+    t = found.knots.t[found.knots.motion == motion]
     assert t[0] == 0.0
     assert 40.0 * t[1] == pytest.approx(length, rel=1e-6)
 

@@ -93,10 +93,10 @@ def test_moves_of_a_line_that_cut_alike_are_written_once(tmp_path, text, cuts):
         t, *force = np.array(given).T
         assert (np.diff(t) > 0.0).all()
         for motion in np.flatnonzero((program.motions.line == line) & ~program.motions.rapid):
-            own = found.along.motion == motion
-            several += bool(np.abs(found.along.wrench[own]).max() > 50.0)
+            own = found.knots.motion == motion
+            several += bool(np.abs(found.knots.wrench[own]).max() > 50.0)
             for axis in range(3):
-                there = np.interp(t, found.along.t[own], found.along.wrench[own, axis])
+                there = np.interp(t, found.knots.t[own], found.knots.wrench[own, axis])
                 np.testing.assert_allclose(force[axis], there, atol=1e-2)  # t is rounded
     assert several == cuts
     given = ("convert", "part.nc", "--cell", SAMPLES / "cell_kr270.toml", "--forces", "f.csv", "-o", "out")
@@ -110,5 +110,5 @@ def test_the_largest_force_stands_for_all_holes_of_a_cycle(tmp_path):
     assert sorted(rows) == [5, 6]
     program, found = forces(tmp_path, gcode(*HOLES), PROCESS)
     for line, given in rows.items():
-        own = np.isin(found.along.motion, np.flatnonzero(program.motions.line == line))
-        assert max(row[3] for row in given) == pytest.approx(np.abs(found.along.wrench[own, 2]).max(), abs=2e-3)
+        own = np.isin(found.knots.motion, np.flatnonzero(program.motions.line == line))
+        assert max(row[3] for row in given) == pytest.approx(np.abs(found.knots.wrench[own, 2]).max(), abs=2e-3)

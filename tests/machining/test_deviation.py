@@ -29,8 +29,8 @@ def six(values):
 def knots(folder, text, cutter, material, line, **options):
     program, found = forces(folder, text, process(cutter, BOX, 0.5, material), **options)
     (motion,) = np.flatnonzero(program.motions.line == line)
-    rows = found.along.motion == motion
-    return found.along.t[rows], found.along.wrench[rows], found.along.sigma[rows]
+    rows = found.knots.motion == motion
+    return found.knots.t[rows], found.knots.wrench[rows], found.knots.sigma[rows]
 
 
 @pytest.mark.parametrize("base_axes", [False, True])
@@ -143,9 +143,9 @@ def test_the_deviation_by_cells_is_its_own_and_a_coarse_map_gets_a_warning(tmp_p
     for cell in (0.25, 0.125):
         material = 'name = "al_7075_t6_carbide"\nsigma_percent = 0.0'
         _, found = forces(tmp_path, text, process(tool(6, 2, "ball"), BOX, cell, material))
-        row = int(np.argmax(found.along.wrench[:, 2]))
-        share.append(np.linalg.norm(found.along.sigma[row, :3]) / np.linalg.norm(found.along.wrench[row, :3]))
-        assert not found.along.factor.any()
+        row = int(np.argmax(found.knots.wrench[:, 2]))
+        share.append(np.linalg.norm(found.knots.sigma[row, :3]) / np.linalg.norm(found.knots.wrench[row, :3]))
+        assert not found.knots.factor.any()
         (issue,) = [issue.message for issue in found.issues if issue.kind == "coarse-stock"] or [""]
         advice = advice or issue
     area = 0.5 * math.pi * 2 * 3.0 * 0.05  # half a cap of the ball

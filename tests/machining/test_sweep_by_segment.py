@@ -130,7 +130,7 @@ def test_stations_in_air_are_in_the_middle_of_their_segments():
     np.testing.assert_allclose(found.t, 0.4)
     assert not found.wrench.any()
     assert not found.deviation.any()
-    assert found.along.tolist() == [bool(np.hypot(*row[:2]) < 1e-3) for row in given.leave[5:25]]
+    assert found.is_axial.tolist() == [bool(np.hypot(*row[:2]) < 1e-3) for row in given.leave[5:25]]
     for name in ("torque", "power", "depth", "width", "rate"):
         assert not getattr(found, name).any()
     assert np.isnan(found.enter).all()

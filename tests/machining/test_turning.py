@@ -100,7 +100,7 @@ def test_material_that_a_leaning_tool_leaves_above_itself_is_refused(tmp_path):
 def test_a_tool_that_turns_where_it_rests_needs_a_speed(tmp_path):
     text = gcode("G0 X20 Y-20 B0 C0", "Z-2", "G1 Y10 F2400", "B4", "Y40", "G0 Z40")
     program, found = forces(tmp_path, text, process(tool(8, 2, "ball"), BOX), FIVE)
-    turns = found.along.wrench[program.motions.line[found.along.motion] == 7]
+    turns = found.knots.wrench[program.motions.line[found.knots.motion] == 7]
     assert np.isfinite(turns).all()
     assert np.abs(turns).max() > 1.0
     unpaced = replace(program, swivel=replace(program.swivel, rate=np.full(len(program.motions), np.nan)))

@@ -32,8 +32,8 @@ def cuts(motion, **columns):
     zero = {name: np.zeros(count) for name in Cuts.__struct_fields__}
     wrench = np.tile([100.0, 0, 0, 0, 0, 0], (count, 1))
     values = zero | {
-        "motion": np.array(motion), "wrench": wrench, "deviation": 0.1 * wrench, "along": np.zeros(count, dtype=bool),
-        "torque": np.ones(count), "power": np.full(count, 200.0),
+        "motion": np.array(motion), "wrench": wrench, "deviation": 0.1 * wrench,
+        "is_axial": np.zeros(count, dtype=bool), "torque": np.ones(count), "power": np.full(count, 200.0),
     }  # fmt: skip
     return Cuts(**(values | {name: np.asarray(value) for name, value in columns.items()}))
 
@@ -186,12 +186,12 @@ def test_drilling_cycles_of_mills_are_lines_that_move_rapidly_and_cut_along_the_
     lines = MADE.motions.line.copy()
     lines[5] = lines[6]  # the last cut and the rapid move after it are one cycle
     made = replace(MADE, motions=replace(MADE.motions, line=lines))
-    along = np.array([True, True, True, False])
-    found = cuts([2, 5, 5, 5], along=along, torque=[1.0, 1.0, 0.0, 1.0])
+    is_axial = np.array([True, True, True, False])
+    found = cuts([2, 5, 5, 5], is_axial=is_axial, torque=[1.0, 1.0, 0.0, 1.0])
     none = np.zeros(4, dtype=bool)
     (issue,) = estimate._drilling_with_mills(made, found, none)
     assert (issue.level, issue.kind, issue.lines) == ("warning", "drilled-by-mill", (7,))
-    assert estimate._drilling_with_mills(made, found, along) == []
+    assert estimate._drilling_with_mills(made, found, is_axial) == []
     assert estimate._drilling_with_mills(replace(made, layout="krl"), found, none) == []
     assert estimate._drilling_with_mills(MADE, found, none) == []
     assert estimate._drilling_with_mills(made, replace(found, torque=np.zeros(4)), none) == []
@@ -258,7 +258,7 @@ def test_a_tool_that_never_touches_the_stock_is_told_where_both_are_and_whether_
 def test_taps_have_no_force_and_are_named_with_their_operation(monkeypatch):
     tools = tool_states(number=(0, 7))
     monkeypatch.setattr(estimate, "tapping_motions", lambda made, states: np.array([2, 4]))
-    found = cuts([1, 2, 2, 4], along=[True, True, False, True], torque=[3.0, 3, 3, 3])
+    found = cuts([1, 2, 2, 4], is_axial=[True, True, False, True], torque=[3.0, 3, 3, 3])
     free = estimate._without_taps(found, MADE, tools)
     assert (free.wrench[:, 0] > 0.0).tolist() == [True, False, True, False]
     assert (free.deviation[:, 0] > 0.0).tolist() == [True, False, True, False]
@@ -481,7 +481,7 @@ def test_stations_in_air_have_no_angles_and_no_size_of_cut():
     assert np.isnan(found.enter).all()
     assert np.isnan(found.leave).all()
     np.testing.assert_array_equal(found.wrench, [[1.0] * 6, [1, -1, 1, -1, 1, -1]])  # M4 turns the other way
-    assert found.along.tolist() == [False, True]
+    assert found.is_axial.tolist() == [False, True]
 
 
 def test_the_depth_of_a_hole_is_that_of_a_drill_and_power_is_torque_times_speed(monkeypatch):

@@ -81,7 +81,7 @@ class SampleBySample:
         one = samples.sample.take(np.array([i]))
         turned = self.pose(i)[:3, :3]
         base = samples.program.bases[self.motions.base[samples.sample.motion[i]]][:3, :3]
-        wrench = samples.along.at(one)[0]
+        wrench = samples.forces.at(one)[0]
         as_programmed = base @ samples.sample.pose[i, :3, :3]
         is_in_tool = samples.program.motions.line[samples.sample.motion[i]] in self.tool_lines
         axes = turned @ as_programmed.T @ base if is_in_tool else base
@@ -104,7 +104,7 @@ class SampleBySample:
         tool, wrench, pose = (np.array([function(i) for i in rows]) for function in (self.tool, self.wrench, self.pose))
         spring = samples.robot_in_cell.tool_spring
         series = None if spring is None else spring.matrices(pose[:, :3, :3])
-        spread = samples.along.spread_in_root(samples.sample.take(np.array(rows)))
+        spread = samples.forces.spread_in_root(samples.sample.take(np.array(rows)))
         bound = elastostatics.position_bound(self.robot, q, tool, wrench, spread, series)
         tip = samples.robot_in_cell.tip(q, tool, wrench)
         return list(zip(bound.tolist(), np.linalg.norm(tip - pose[:, :3, 3], axis=1).tolist(), strict=True))
