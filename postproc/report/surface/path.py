@@ -95,41 +95,68 @@ def tool_path(result: Result, frames: Frames, is_chosen: Bools, ball_radius: flo
     :param ball_radius: of a ball [m]: larger samples suffice, as the nearest place on each counts. None: of another
         shape, or unknown.
     """
-    position, row = drawn_path(result, CHORD)
-    position = position @ frames.drawn[:3, :3].T + frames.drawn[:3, 3]
-    # points of one target are consecutive: the number of a chord on its piece, from 1, and the chords of each piece
-    number = np.arange(len(row)) - np.searchsorted(row, row) + 1
-    pieces_of_row = np.bincount(row, minlength=len(result))
-    begin, step = position[:-1], np.diff(position, axis=0)
-    cuts = (~result.rapid & is_chosen)[row[1:]]
-    begin, step, row, number = begin[cuts], step[cuts], row[1:][cuts], number[1:][cuts]
-    if len(row) == 0:
+    chords = _Chords.of(result, frames, is_chosen)
+    if len(chords.row) == 0:
         return None
-    length = norm(step)
+    length = norm(chords.step)
     spacing = max(_SPACING, (ball_radius or 0.0) * _BALL_SPACING, float(length.sum()) / _MOST_SAMPLES)
     count = np.maximum(np.ceil(length / spacing), 1.0).astype(np.int64)
-    piece, piece_share = toolpath.even_places(np.arange(len(count)), count, "middle")
-    end = row[piece]
-    share = (number[piece] - 1 + piece_share) / pieces_of_row[end]
-    share_step = 1.0 / (count[piece] * pieces_of_row[end])
-    point = begin[piece] + piece_share[:, None] * step[piece]
-    spindle = frames.to_mesh(_spindle(result))
-    axis = (1.0 - share)[:, None] * spindle[np.maximum(end - 1, 0)] + share[:, None] * spindle[end]
-    axis /= np.maximum(norm(axis), 1e-300)[:, None]  # 1e-300: opposite directions have no mean, and divide by no zero
+    chord, chord_share = toolpath.even_places(np.arange(len(count)), count, "middle")
+    end = chords.row[chord]
+    share = (chords.number[chord] + chord_share) / chords.count[chord]
+    share_step = 1.0 / (count[chord] * chords.count[chord])
+    point = chords.begin[chord] + chord_share[:, None] * chords.step[chord]
     deviations = [frames.to_mesh(values) for values in (result.deviation_before, result.deviation_after)]
     start = np.stack([values[piece_start(result, end)] for values in deviations])
     change = np.stack([values[end] for values in deviations]) - start
     return CutPath(
-        point,
-        step[piece] / count[piece, None],
-        end,
-        share,
-        share_step,
-        axis,
-        start + share[:, None] * change,
-        share_step[:, None] * change,
-        cKDTree(point),
+        point=point,
+        step=chords.step[chord] / count[chord, None],
+        row=end,
+        share=share,
+        share_step=share_step,
+        axis=_axes_between(frames.to_mesh(_spindle(result)), end, share),
+        deviation=start + share[:, None] * change,
+        deviation_step=share_step[:, None] * change,
+        tree=cKDTree(point),
     )
+
+
+class _Chords(Struct, frozen=True, eq=False):
+    """C chords of cutting pieces, in order: what `drawn_path` draws of arcs, in the frame of the mesh.
+
+    :param begin: (C, 3) start of each, and step: (C, 3) the vector to its end [m].
+    :param row: (C,) row of the result at the end of the piece.
+    :param number: (C,) chords before it on its piece, and count: (C,) all chords of that piece.
+    """
+
+    begin: Array
+    step: Array
+    row: Ints
+    number: Ints
+    count: Ints
+
+    @classmethod
+    def of(cls, result: Result, frames: Frames, is_chosen: Bools) -> _Chords:
+        """Return the chords of the cutting pieces to chosen targets (K,)."""
+        position, row = drawn_path(result, CHORD)
+        position = position @ frames.drawn[:3, :3].T + frames.drawn[:3, 3]
+        number = np.arange(len(row)) - np.searchsorted(row, row)  # points of one target are consecutive
+        cuts = (~result.rapid & is_chosen)[row[1:]]
+        step, count = np.diff(position, axis=0), np.bincount(row, minlength=len(result))
+        row = row[1:][cuts]
+        return cls(position[:-1][cuts], step[cuts], row, number[1:][cuts], count[row])
+
+
+def _axes_between(spindle: Array, end: Ints, share: Array) -> Array:
+    """Return the directions (S, 3) from the tip to the spindle on pieces.
+
+    :param spindle: (K, 3) at the targets; `end` (S,) the rows of those at which pieces end.
+    :param share: (S,) of the pieces that is behind.
+    """
+    axis = (1.0 - share)[:, None] * spindle[np.maximum(end - 1, 0)] + share[:, None] * spindle[end]
+    axis /= np.maximum(norm(axis), 1e-300)[:, None]  # 1e-300: opposite directions have no mean, and divide by no zero
+    return axis
 
 
 def piece_start(result: Result, end: Ints) -> Ints:

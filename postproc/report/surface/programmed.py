@@ -105,23 +105,27 @@ def _tools_inside(path: CutPath, centre: Array, normal: Array, cutter: Cutter) -
     :returns: facet (m,), row of the result (m,), tip (m, 3) [m] and axis (m, 3) of each.
     """
     _, nearest = path.tree.query(centre)
-    contact_point = touching_tips(path.axis[nearest], centre, normal, cutter)
-    sample_count = min(_SAMPLES_OF_FACET, len(path.point))
-    facets, rows, tips, axes = [], [], [], []
-    for probe in _PROBES:
-        probe_point = contact_point - probe * normal
-        _, index = path.tree.query(probe_point, k=sample_count)
-        index = index.reshape(len(centre), -1)
-        point, _ = path.nearest_points(probe_point, index)
-        direction = path.axis[index]
-        is_inside = _is_inside(centre[:, None] - point, direction, cutter)
-        is_inside &= np.einsum("nki,ni->nk", direction, normal) >= OVERHANG
-        facet, sample = np.nonzero(is_inside)
-        facets.append(facet)
-        rows.append(path.row[index[facet, sample]])
-        tips.append(point[facet, sample])
-        axes.append(direction[facet, sample])
-    return np.concatenate(facets), np.concatenate(rows), np.concatenate(tips), np.concatenate(axes)
+    tip_on_facet = touching_tips(path.axis[nearest], centre, normal, cutter)
+    tools = [_tools_near(tip_on_facet - depth * normal, path, centre, normal, cutter) for depth in _PROBES]
+    facet, row, tip, axis = (np.concatenate(columns) for columns in zip(*tools, strict=True))
+    return facet, row, tip, axis
+
+
+def _tools_near(
+    probe_point: Array, path: CutPath, centre: Array, normal: Array, cutter: Cutter
+) -> tuple[Ints, Ints, Array, Array]:
+    """Return the tools with their tips next to points (n, 3) [m], one for each facet, that contain its centre.
+
+    :returns: as `_tools_inside` does.
+    """
+    _, sample = path.tree.query(probe_point, k=min(_SAMPLES_OF_FACET, len(path.point)))
+    sample = sample.reshape(len(centre), -1)
+    tip, _ = path.nearest_points(probe_point, sample)
+    axis = path.axis[sample]
+    is_inside = _is_inside(centre[:, None] - tip, axis, cutter)
+    is_inside &= np.einsum("nki,ni->nk", axis, normal) >= OVERHANG
+    facet, column = np.nonzero(is_inside)
+    return facet, path.row[sample[facet, column]], tip[facet, column], axis[facet, column]
 
 
 def _is_inside(from_tip: Array, axis: Array, cutter: Cutter) -> Bools:
