@@ -26,7 +26,7 @@ def show(label: str) -> Iterator[Callable[[int, int], None] | None]:
     :param label: what is counted, such as ``"places"``.
     """
     if as_lines():
-        show = lines()
+        show = line_writer()
         yield lambda count, total: show(label, count / max(total, 1))
     elif not sys.stderr.isatty():
         yield None
@@ -44,12 +44,12 @@ def as_lines() -> bool:
     return os.environ.get(VARIABLE) == LINES
 
 
-def lines() -> Callable[[str, float], None]:
-    """Return the function that prints a step and the share of it that is done, 0 to 1."""
+def line_writer() -> Callable[[str, float], None]:
+    """Return the function that writes a step and the share of it that is done, 0 to 1, as a line to standard error."""
     last_step, last_share = "", 0.0
 
     def show(step: str, share: float) -> None:
-        """Write a line if the step is another one or the share has changed enough."""
+        """Write a line if the step is another one, the share has changed enough, or the step is done."""
         nonlocal last_step, last_share
         if step == last_step and abs(share - last_share) < _STEP and share < 1.0:
             return

@@ -354,7 +354,10 @@ def _ask(options: dict[str, Any]) -> dict[str, Any]:
         )
 
     def ask(name: str, text: str, default: Any, kind: str) -> None:
-        """Set an option that the command line lacks: asked if anything is missing, else by its default."""
+        """Set an option that the command line lacks: asked if anything is missing, else by its default.
+
+        :param kind: function of `jobs.answers` that reads its value, see `_option_value`.
+        """
         if options[name] is None:
             options[name] = (
                 click.prompt(text, default=default, value_proc=partial(_option_value, kind))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from postproc.cli.faults import fault_message
-from postproc.progress import as_lines, lines
+from postproc.progress import as_lines, line_writer
 
 if TYPE_CHECKING:
     from postproc.jobs import Job, Outcome, Settings
@@ -99,7 +99,7 @@ def _show_progress(run: Callable[..., Iterator[Outcome]], count: int) -> Iterato
     import sys
 
     if as_lines():
-        show = lines()
+        show = line_writer()
         yield from run(progress=lambda done, of: show("moves through the stock", done / max(of, 1)))
         return
     if not sys.stderr.isatty():

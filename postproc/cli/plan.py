@@ -13,7 +13,7 @@ import click
 
 from postproc.cli import options
 from postproc.cli.ranges import FiniteRange
-from postproc.progress import as_lines, lines
+from postproc.progress import as_lines, line_writer
 
 if TYPE_CHECKING:
     from postproc.plan.planning import Progress
@@ -156,7 +156,7 @@ def poses(programs: tuple[str, ...], other_programs: tuple[str, ...], as_json: b
 def _progress_display() -> Iterator[Progress | None]:
     """Yield the function that draws the progress of the search; None if stderr is no terminal."""
     if as_lines():
-        show_line = lines()
+        show_line = line_writer()
         yield lambda stage, share, _: show_line(stage, share)
         return
     if not sys.stderr.isatty():

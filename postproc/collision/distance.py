@@ -57,6 +57,8 @@ def clearance(scene: Scene, q: Array) -> Clearance:
 def link_frames(chain: Chain, q: Array, shift: Array | None = None) -> Array:
     """Return the frames (n, 8, 4, 4) of the carriers −1, 0…5 and 6 (the flange) in the root [m]: row = carrier + 1.
 
+    :param chain: of six joints, without springs of links.
+    :param q: (n, 6) joint angles [rad].
     :param shift: (n, 3) how far E1 carries the robot from the root [m].
     """
 

@@ -61,8 +61,8 @@ class Joint2(Struct, frozen=True, eq=False):
         compliance = float(robot.compliance[robot.actuated[1]])
         return cls(compliance, robot.compensator, free and robot.compensator is not None)
 
-    def relative(self, q2: Array) -> Array:
-        """Return k2(q2) (n,) in units of the gear's compliance, Eq. (4)."""
+    def relative_compliance(self, q2: Array) -> Array:
+        """Return the compliance k2 of the equivalent spring (n,) over that of the gear, at q2 (n,) [rad]; Eq. (4)."""
         if self.compensator is None:
             return np.ones(len(q2))
         return np.asarray(1.0 / (1.0 + self.compliance * self.compensator.stiffness_about_joint(q2)))
@@ -78,7 +78,7 @@ class Joint2(Struct, frozen=True, eq=False):
 
         With fewer than three levels the compensator is not identifiable and stays at the prior.
         """
-        factor, level_factor = self.relative(q2), self.relative(levels)
+        factor, level_factor = self.relative_compliance(q2), self.relative_compliance(levels)
         if self.free and len(levels) >= _LEVELS:
             c = self.columns(levels)
             size = np.linalg.norm(c, axis=0)
@@ -89,7 +89,7 @@ class Joint2(Struct, frozen=True, eq=False):
 
     def parameters(self, q2: Array) -> Array:
         """Return ∂k2(q2)/∂parameters (n, 1 or 3): relative gear compliance, then K_c and s₀K_c in units of K⁰_θ2."""
-        square = self.relative(q2)[:, None] ** 2
+        square = self.relative_compliance(q2)[:, None] ** 2
         if not self.free:
             return square
         return np.concatenate([square, -square * self.columns(q2)[:, 1:]], axis=1)

@@ -115,8 +115,8 @@ def test_k2_between_the_levels_follows_the_compensator():
     levels, q2 = np.radians([-10, -50, -90, -130]), np.radians([-30.0, -75.0])
     spring = setting.ROBOT.compensator
     changed = replace(law, compensator=replace(spring, stiffness=spring.stiffness * 1.001, free_length=0.4581))
-    carried = law.from_levels(levels, q2) @ (changed.relative(levels) - law.relative(levels))
-    assert np.abs(carried / (changed.relative(q2) - law.relative(q2)) - 1).max() < 1e-3
+    carried = law.from_levels(levels, q2) @ (changed.relative_compliance(levels) - law.relative_compliance(levels))
+    assert np.abs(carried / (changed.relative_compliance(q2) - law.relative_compliance(q2)) - 1).max() < 1e-3
 
 
 def spring_of_joint_2(q2, parameters):

@@ -524,8 +524,8 @@ def test_relative_compliance_of_joint_2_follows_gear_and_spring_in_series():
     assert not bare.free
     q2 = np.radians([-20.0, -70.0, -120.0])
     k = setting.ROBOT.compliance[1]
-    np.testing.assert_allclose(law.relative(q2), [setting.oracle_k2(a, k, True) / k for a in q2], rtol=1e-5)
-    np.testing.assert_array_equal(bare.relative(q2), 1.0)
+    np.testing.assert_allclose(law.relative_compliance(q2), [setting.oracle_k2(a, k, True) / k for a in q2], rtol=1e-5)
+    np.testing.assert_array_equal(bare.relative_compliance(q2), 1.0)
     np.testing.assert_array_equal(bare.columns(q2), [[1.0, 0.0, 0.0]] * 3)
     np.testing.assert_array_equal(bare.from_levels(q2[:2], q2), np.full((3, 2), 0.5))
 

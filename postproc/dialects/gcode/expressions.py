@@ -205,7 +205,10 @@ class Reader:
         return value
 
     def parameter(self) -> Callable[[Parameters], Key]:
-        """Read ``#…``; return a function for the key of the parameter."""
+        """Read ``#…``; return a function for the key of the parameter.
+
+        :raises BlockError: no name or number follows. That function raises it where the number is not whole.
+        """
         self._expect("#")
         name = self._match(_NAME)
         if name is not None:

@@ -343,14 +343,17 @@ def _spline_timing(source: Source, word: str, start: int, first: int, stop: int)
 
 
 def _event(source: Source, word: str, start: int, first: int, stop: int) -> Statement | None:
-    """Return INTERRUPT or TRIGGER with the statement behind DO."""
+    """Return INTERRUPT or TRIGGER with the statement behind DO.
+
+    :param start: offset of the statement, `first` that of the word, behind GLOBAL, and `stop` that of its end.
+    """
     do = key_word(source.text, first, stop, "DO")
     head = Span(first, stop if do is None else do.start)
     action = None if do is None else statement_in(source, after_blanks(source.text, do.stop, stop), stop)
     if word == "TRIGGER":
         return _trigger(source, start, first, stop, head, action)
-    declares_ = after_word(source.text, first + len(word), stop, "DECL") >= 0
-    return Event(word, start, stop, first > start, declares_, action, code=_code(source, head.start, head.stop))
+    is_declaration = after_word(source.text, first + len(word), stop, "DECL") >= 0
+    return Event(word, start, stop, first > start, is_declaration, action, code=_code(source, head.start, head.stop))
 
 
 def _trigger(source: Source, start: int, first: int, stop: int, head: Span, action: Statement | None) -> Trigger:

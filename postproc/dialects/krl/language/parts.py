@@ -59,11 +59,15 @@ class JoinedProgram(Struct, frozen=True, eq=False):
         return replace(left, file=file, line=line)
 
     def error_in_file(self, error: ProgramError) -> ProgramError:
-        """Return an error with the file and the line of it that it is about."""
+        """Return an error in the joined text as one in the file that it comes from, with those that follow it.
+
+        :param error: in a line of one of `documents`, or of another file.
+        """
         file, line = error.file, error.line
         if line is not None and file is not None:
             file, line = self.place(file, line)
-        text = None if error.text is None else error.text.lstrip("".join((_DIVIDES, _BEGINS, _UNENDED)))
+        marks = "".join((_DIVIDES, _BEGINS, _UNENDED))  # of lines of the joined text
+        text = None if error.text is None else error.text.lstrip(marks)
         later_errors = [
             self.error_in_file(later_error)
             for later_error in error.further_errors

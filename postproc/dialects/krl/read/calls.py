@@ -301,7 +301,7 @@ class Calls:
                 continue
             value = argument_values[index] = self.value(at, argument, is_copied=is_traced)
             if is_traced:
-                self.run.copy(argument, value, routine.parameters[index].name)
+                self.run.note_copy(argument, value, routine.parameters[index].name)
         volatile_names = {
             scope.stored(routine.parameters[index].name): self.run.variables.changing[root]
             for (index, _), root in zip(references, roots, strict=True)

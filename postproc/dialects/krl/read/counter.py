@@ -15,8 +15,11 @@ from postproc.dialects.krl.read.known import InexactError, inexact
 from postproc.dialects.krl.read.run import Run
 
 
-def undecided(run: Run, at: Place, bounds: Sequence[Value] = ()) -> InexactError:
-    """Return the error for a condition, or for the bounds of a FOR, that are not known before run time."""
+def undecided_error(run: Run, at: Place, bounds: Sequence[Value] = ()) -> InexactError:
+    """Return the error for a condition, or for the bounds of a FOR, that are not known before run time.
+
+    :param bounds: those of the FOR; empty: all values of the statement count.
+    """
     stmt = statement(at.source, at.line)
     values = bounds or stmt.values
     reason = why_not_decided(run.variables, at.source, values)
@@ -39,12 +42,12 @@ class Counter:
         if isinstance(stmt, tree.For) and stmt.error is not None:
             raise stmt.error
         if not isinstance(stmt, tree.For) or stmt.counter is None or stmt.bounds is None:
-            raise undecided(run, self.at)
+            raise undecided_error(run, self.at)
         self.here = stmt
         self.name = source.text[stmt.counter.start : stmt.counter.stop]
         key = run.variables.key_of(stmt.counter)
         if key is None:
-            raise undecided(run, self.at, [stmt.counter])
+            raise undecided_error(run, self.at, [stmt.counter])
         if run.variables.kind(stmt.counter) == "REAL":
             problem = f"motion inside FOR: its counter {self.name} is a REAL"
             raise inexact(self.at, problem, "Count by an INT, and compute the REAL from it in the loop.")
@@ -122,4 +125,4 @@ class Counter:
 
     def _unknown(self) -> InexactError:
         """Return the error that the bounds are not known before run time."""
-        return undecided(self.run, self.at, [bound for bound in self.given if bound is not None])
+        return undecided_error(self.run, self.at, [bound for bound in self.given if bound is not None])

@@ -59,7 +59,7 @@ def why_unknown(variables: Variables, source: Source, value: Value | VariableVal
     if isinstance(value, Operation) and isinstance(result := variables.evaluate(value), UnknownValue) and result.why:
         return f"{text}: {result.why}"
     if isinstance(value, Reference) and value.name[0] == "$":
-        result = variables.looked_up(value)
+        result = variables.value_of(value)
         if isinstance(result, UnknownValue) and result != NO_VALUE:
             return result.message_for(text)
         return f"{text} is computed while the program runs"
@@ -74,7 +74,7 @@ def why_unknown(variables: Variables, source: Source, value: Value | VariableVal
             return f"the index of {text} is not known before the program runs{suffix}"
         if value.field is not None and "[" in value.field:
             return f"{text} is an element of an array in a structure, which is not followed: use a variable of its own"
-        result = variables.looked_up(value)
+        result = variables.value_of(value)
         if isinstance(result, UnknownValue):
             return result.message_for(text)
     return f"{text} has the wrong type here"
@@ -90,7 +90,7 @@ def why_not_decided(variables: Variables, source: Source, values: Sequence[Value
             continue
         return f": it asks {call.spelling(source)}()"
     for part in walk(values):
-        result = variables.looked_up(part) if isinstance(part, Reference) else NO_VALUE
+        result = variables.value_of(part) if isinstance(part, Reference) else NO_VALUE
         if isinstance(result, UnknownValue) and result != NO_VALUE:
             return f": {why_unknown(variables, source, part)}"
     for part in walk(values):

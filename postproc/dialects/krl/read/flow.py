@@ -21,7 +21,7 @@ from postproc.dialects.krl.language.structures import LOOPS, Block, Node, Part
 from postproc.dialects.krl.language.values import Call, Number, Reference, Value
 from postproc.dialects.krl.read.computed_rounds import FEWEST_ROUNDS, computed_body
 from postproc.dialects.krl.read.conditions import constant_cases
-from postproc.dialects.krl.read.counter import Counter, undecided
+from postproc.dialects.krl.read.counter import Counter, undecided_error
 from postproc.dialects.krl.read.interpreter import LOOP_ADVICE, Interpreter, undecided_jump
 from postproc.dialects.krl.read.known import InexactError, inexact
 from postproc.dialects.krl.read.least_statements import ENDS_LOOPS, LeastStatements
@@ -540,10 +540,10 @@ class Flow:
         if isinstance(stmt, tree.If):
             holds = self.run.variables.truth(stmt.condition)
             if holds is None:
-                raise undecided(self.run, at)
+                raise undecided_error(self.run, at)
             return 0 if holds else 1 if len(block.parts) > 1 else -1
         if not isinstance(stmt, tree.Switch) or self._changing(stmt.values):
-            raise undecided(self.run, at)
+            raise undecided_error(self.run, at)
         selector = self.run.variables.evaluate(stmt.value)
         if self._still or not self.run.level.traced:
             self.run.steps += len(block.parts) // _CASES
@@ -560,7 +560,7 @@ class Flow:
             values = case.cases if isinstance(case, tree.Case) else ()
             is_chosen = case.word == "DEFAULT" or self.run.variables.chosen(selector, values)
             if is_chosen is None:
-                raise undecided(self.run, at)
+                raise undecided_error(self.run, at)
             if is_chosen:
                 return index
         return -1
@@ -824,5 +824,5 @@ class Flow:
         if isinstance(stmt, tree.While):
             holds = self.run.variables.truth(stmt.condition)
         if holds is None:
-            raise undecided(self.run, Place(source, line))
+            raise undecided_error(self.run, Place(source, line))
         return holds

@@ -261,7 +261,7 @@ class Interpreter:
             if value == NO_VALUE or unclear:
                 value = UnknownValue(str(at), why_unknown(self.run.variables, at.source, expression))
             if target.field is None:
-                self.run.copy(expression, value, name)
+                self.run.note_copy(expression, value, name)
                 self.run.variables.set(key, value, at)
             else:
                 self.run.variables.set_field(key, target.field, value, at)

@@ -215,10 +215,11 @@ class Run:
         """Note that the use of names in the present statement is followed."""
         self.understood.update([(self.row, offset) for offset in offsets])
 
-    def copy(self, expression: Value, value: VariableValue, name: str) -> None:
-        """Note that the present statement gives a variable, or a parameter, the text of a point, if it does.
+    def note_copy(self, expression: Value, value: VariableValue, name: str) -> None:
+        """Note in `copies` that the present statement copies a point to a variable or a parameter, if it does.
 
-        :param value: that of the expression, see `Calls.value`.
+        :param expression: what the statement assigns, and `value` its value, see `Calls.value`.
+        :param name: of the variable or parameter, upper case.
         """
         if isinstance(expression, Reference) and isinstance(value, Aggregate) and not value.computed:
             self.understand(expression.start)

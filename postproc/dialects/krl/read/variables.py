@@ -426,7 +426,7 @@ class Variables:
         if isinstance(value, _EVALUATED):
             return value
         if isinstance(value, Reference):
-            return self.looked_up(value)
+            return self.value_of(value)
         if isinstance(value, Aggregate):
             return self._resolved(value)
         if isinstance(value, Operation):
@@ -550,14 +550,14 @@ class Variables:
         index = self.number(value)
         return None if index is None or index != int(index) else int(index)
 
-    def looked_up(self, reference: Reference) -> VariableValue:
-        """Return the present value of a variable, an element or a component of it."""
-        if reference.name in RELEVANT:
+    def value_of(self, reference: Reference) -> VariableValue:
+        """Return the present value of a variable, or of an element or component; `NO_VALUE` if it has none."""
+        if reference.name in RELEVANT:  # a setting of motions, such as $BASE
             return self.current(reference.name, reference.field)
         key = self.key_of(reference)
         value = self.value(key) if key is not None else None
         if value is None and key is not None and reference.indices is not None:
-            value = self.value(self.scope.stored(reference.name))  # the whole array was changed
+            value = self.value(self.scope.stored(reference.name))  # unknown where any element may have changed
         if isinstance(value, Aggregate) and reference.indices is not None and reference.name in self.scope.arrays:
             value = replace(value, computed=True)  # the text of its numbers belongs to a variable of another name
         if isinstance(value, Position) and reference.field in CARTESIAN and not value.axis:

@@ -52,6 +52,11 @@ from postproc.program import CIRC, LIN, PTP, Bools, Document, Ints, Program, Tar
 _STOP = "The robot stops at an inserted target, as it does at the end of this motion, which has no C_DIS: "
 _BLENDED_STOP = f"{_STOP}approximation might round the path there by too much."
 _UNSURE = f"{_STOP}$APO.CDIS is not known there, by which approximation would round the path."
+_LOST_TRIGGER = (
+    "Targets must be inserted into the motion that follows this statement, which cannot be kept right. "
+    "Put it directly before the motion, with numbers for DISTANCE, PATH and DELAY that switch on one "
+    "piece of it, or raise tolerance_mm so that no targets are needed."
+)
 
 
 def rewrite(program: Program, targets: Targets, comment_forces: TargetForces | None = None) -> WrittenProgram:
@@ -218,19 +223,23 @@ class _Rewriter:
         for k in np.flatnonzero(self.last).tolist():
             row = int(self.row[k])
             if row in moves:
-                self._statement(row, k, moves[row], points)
+                self._rewrite_statement(row, k, moves[row], points)
         points.settle()
         self.issues += points.issues
 
-    def _statement(self, row: int, k: int, move: MotionStatement, points: NamedPoints) -> None:
-        """Change one statement, or record that it uses unchanged named points."""
-        split = k > 0 and bool(self.row[k - 1] == row)
-        straight = move.kind == CIRC and bool(self.targets.kind[k] == LIN)
-        depends = bool(move.relative) or move.angle is not None
+    def _rewrite_statement(self, row: int, k: int, move: MotionStatement, points: NamedPoints) -> None:
+        """Change the statement of a motion, or note that it uses unchanged named points.
+
+        :param row: of the motion; `k`: of the target at its end.
+        :param points: notes which statements use which named points.
+        """
+        is_divided = k > 0 and bool(self.row[k - 1] == row)
+        becomes_line = move.kind == CIRC and bool(self.targets.kind[k] == LIN)
+        depends_on_start = bool(move.relative) or move.angle is not None
         start_differs = bool(move.relative or move.via_incomplete) and bool(self.commanded.moved[row])
-        needs_copy = straight or (split and (depends or move.kind == CIRC)) or start_differs
+        needs_copy = becomes_line or (is_divided and (depends_on_start or move.kind == CIRC)) or start_differs
         differs = needs_copy or bool(self.commanded.changed[k])
-        if differs and (move.relative or straight):
+        if differs and (move.relative or becomes_line):
             self._change(row, self.statements.absolute_statement(row, k))
             if move.relative:
                 if move.behind is not None:
@@ -261,7 +270,7 @@ class _Rewriter:
         """Put inserted targets and force comments on lines of their own; return the line of every target, (K,)."""
         line = self.layout.line[self.row]
         lines = InsertedLines(self.trace, self.replacements[0])
-        at, trigger_texts = self._around_triggers()
+        at, trigger_texts = self._place_triggers()
         forces = self._forces(line, at)
         free, bound = self._free_orientation_spans()
         slow, fast = self._feeds()
@@ -340,8 +349,14 @@ class _Rewriter:
         self._change(int(self.row[k]), Replacement(comment_start(source.text, start, stop), stop, text))
         return True
 
-    def _around_triggers(self) -> tuple[dict[int, int], dict[int, list[tuple[Trigger, str]]]]:
-        """Return the lines before which targets are inserted, and the TRIGGERs that are moved there."""
+    def _place_triggers(self) -> tuple[dict[int, int], dict[int, list[tuple[Trigger, str]]]]:
+        """Place TRIGGERs among the targets inserted into their motions; change the PATH of those that stay.
+
+        A TRIGGER that cannot be kept right becomes an error in `issues`.
+
+        :returns: by inserted target, a row of the targets: the line before which it is written, and the TRIGGERs that
+            are moved before it, with their text.
+        """
         at: dict[int, int] = {}
         trigger_texts: dict[int, list[tuple[Trigger, str]]] = {}
         motions = self.program.motions
@@ -362,13 +377,7 @@ class _Rewriter:
             for trigger, path in places.paths.items():
                 if trigger not in moved_triggers and trigger.path is not None:
                     self.replacements[0].add(*trigger.path, path, trigger.line)
-            for trigger in places.lost:
-                message = (
-                    "Targets must be inserted into the motion that follows this statement, which cannot be kept right. "
-                    "Put it directly before the motion, with numbers for DISTANCE, PATH and DELAY that switch on one "
-                    "piece of it, or raise tolerance_mm so that no targets are needed."
-                )
-                self.issues.append(Issue("error", "trigger", message, trigger.line))
+            self.issues += [Issue("error", "trigger", _LOST_TRIGGER, trigger.line) for trigger in places.lost]
         return at, trigger_texts
 
     def _trigger_line(self, trigger: Trigger, path: str | None) -> str:
