@@ -103,21 +103,9 @@ class Blocks(Struct, frozen=True, eq=False):
         block = _block_of_motion(length, starts_run, step)
         of_sample = block[motion]
         distance = samples.sample.distance
-        new = np.diff(motion, prepend=-1) != 0
-        travel = np.where(jump[motion], 0.0, np.where(new, distance, np.diff(distance, prepend=0.0)))
-        count = np.bincount(of_sample)
-        bin_count = min(_BINS, max(1, _MOST_BINS // len(count)))
-        start = np.concatenate([[0], np.cumsum(count)[:-1]])
-        place = np.arange(len(of_sample)) - start[of_sample]
-        number = np.minimum(count, bin_count)[of_sample]
-        inner = place * number // count[of_sample]
-        first = np.flatnonzero((np.diff(inner, prepend=-1) != 0) | (np.diff(of_sample, prepend=-1) != 0))
-        total = np.bincount(of_sample, travel)
-        path_length = np.cumsum(travel)
-        block_start = (np.cumsum(total) - total)[of_sample]
-        last = np.append(first[1:], len(of_sample)) - 1
-        whole = total[of_sample[last]]
-        share = np.where(whole > 0.0, (path_length - block_start)[last] / np.where(whole > 0.0, whole, 1.0), 1.0)
+        begins_motion = np.diff(motion, prepend=-1) != 0
+        travel = np.where(jump[motion], 0.0, np.where(begins_motion, distance, np.diff(distance, prepend=0.0)))
+        first, share = _bins(of_sample, travel)
         ends = np.append(np.flatnonzero(np.diff(block)), len(block) - 1)
         # each sample stands for the path that leads to it: samples are dense, and their forces those of their motions
         goes_on = np.zeros(len(motion), dtype=bool)
@@ -125,15 +113,15 @@ class Blocks(Struct, frozen=True, eq=False):
         seconds = length[~m.rapid] / m.feed[~m.rapid]
         begin = np.concatenate([[0], ends[:-1] + 1])
         return cls(
-            first,
-            of_sample[first],
-            np.clip(share, 0.0, 1.0),
-            np.add.reduceat(cut_length, first),
-            jump[begin] | (begin == 0),
-            ~m.rapid[begin],
-            np.asarray(total, dtype=float),
-            np.asarray(np.bincount(block[~m.rapid], np.nan_to_num(seconds), minlength=len(begin)), dtype=float),
-            ends,
+            first=first,
+            block=of_sample[first],
+            share=share,
+            cut_length=np.add.reduceat(cut_length, first),
+            begins=jump[begin] | (begin == 0),
+            cuts=~m.rapid[begin],
+            length=np.asarray(np.bincount(of_sample, travel), dtype=float),
+            time=np.asarray(np.bincount(block[~m.rapid], np.nan_to_num(seconds), minlength=len(begin)), dtype=float),
+            motion=ends,
         )
 
     @property
@@ -154,6 +142,28 @@ class Blocks(Struct, frozen=True, eq=False):
         start_turn = np.append(knots[0], knots[:-1])
         start_turn = np.where(self.begins, knots, start_turn)
         return np.asarray(start_turn[block] + np.clip(share, 0.0, 1.0) * (knots - start_turn)[block])
+
+
+def _bins(block: Ints, travel: Array) -> tuple[Ints, Array]:
+    """Return the first sample of each bin (K,), and the share of its block's path at the end of the bin (K,).
+
+    The samples of a block are divided evenly into bins.
+
+    :param block: (N,) block of each sample, ascending.
+    :param travel: (N,) length of the path from the sample before [m].
+    """
+    count = np.bincount(block)
+    bin_count = np.minimum(count, min(_BINS, max(1, _MOST_BINS // len(count))))
+    start = np.concatenate([[0], np.cumsum(count)[:-1]])
+    bin_in_block = (np.arange(len(block)) - start[block]) * bin_count[block] // count[block]
+    first = np.flatnonzero((np.diff(bin_in_block, prepend=-1) != 0) | (np.diff(block, prepend=-1) != 0))
+    last = np.append(first[1:], len(block)) - 1
+    length = np.bincount(block, travel)
+    length_before = np.cumsum(length) - length
+    whole = length[block[last]]
+    length_at_end = np.cumsum(travel)[last] - length_before[block[last]]
+    share = np.where(whole > 0.0, length_at_end / np.where(whole > 0.0, whole, 1.0), 1.0)
+    return first, np.clip(share, 0.0, 1.0)
 
 
 def _block_of_motion(length: Array, starts_run: Array, step: float) -> Ints:

@@ -187,18 +187,18 @@ def representatives(tests: TestPoses, scale: Array, count: int, seed: int) -> Te
     rng = np.random.default_rng(seed)
     centres = features[[int(rng.choice(len(tests), p=tests.weight))]]
     for _ in range(count - 1):  # k-means++ (Arthur and Vassilvitskii 2007)
-        distance = _squares(features, centres).min(axis=1) * tests.weight
+        distance = _squared_distances(features, centres).min(axis=1) * tests.weight
         if distance.sum() <= 0.0:
             break
         centres = np.vstack([centres, features[int(rng.choice(len(tests), p=distance / distance.sum()))]])
     owner = np.zeros(len(tests), dtype=np.int64)
     for _ in range(_ROUNDS):
-        owner = _squares(features, centres).argmin(axis=1)
+        owner = _squared_distances(features, centres).argmin(axis=1)
         total = np.bincount(owner, weights=tests.weight, minlength=len(centres))
         mean = np.stack([np.bincount(owner, tests.weight * f, len(centres)) for f in features.T], axis=1)
         # 1e-300 keeps zero out of the denominator
         centres = np.where(total[:, None] > 0.0, mean / np.maximum(total, 1e-300)[:, None], centres)
-    distance = _squares(features, centres)
+    distance = _squared_distances(features, centres)
     clusters = np.unique(owner)
     rows = np.array([np.flatnonzero(owner == c)[distance[owner == c, c].argmin()] for c in clusters])
     weight = np.bincount(owner, weights=tests.weight, minlength=len(centres))[clusters]
@@ -217,8 +217,8 @@ def representatives(tests: TestPoses, scale: Array, count: int, seed: int) -> Te
     )
 
 
-def _squares(features: Array, centres: Array) -> Array:
-    """Return squared distances (T, C)."""
+def _squared_distances(features: Array, centres: Array) -> Array:
+    """Return the squared distances (T, C) of features (T, k) from centres (C, k)."""
     return np.asarray(
         np.maximum((features**2).sum(1)[:, None] - 2.0 * features @ centres.T + (centres**2).sum(1)[None], 0.0)
     )

@@ -200,7 +200,12 @@ class States(Columns, frozen=True, eq=False):
         return twist, by_parameter, (twist_at_step - twist) / _SCALE_STEP
 
     def twist_by_lift(self, robot_in_cell: RobotInCell, robot: RobotModel, scale: float) -> Array:
-        """Return the derivative of the twist (n, 6) by the lift of the program over the block, 1/m times the twist."""
+        """Return the derivative (n, 6) of the twist by the lift of the program over the block [1, rad/m].
+
+        By a difference of equilibria.
+
+        :param scale: of the forces.
+        """
         higher_states = replace(self, wrench=self.wrench + LIFT_STEP * self.by_lift)
         change = higher_states.twist(robot_in_cell, robot, scale) - self.twist(robot_in_cell, robot, scale)
         return np.asarray(change / LIFT_STEP)

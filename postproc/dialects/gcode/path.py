@@ -250,7 +250,7 @@ def faults_of(rows: LineStates, moves: Moves, modes: Modes, circular: Ints, arcs
     check(no_feed & ~rows.inverse_time, "cutting move without a feed", "Give F.", first=True)
     check(no_feed & rows.inverse_time & rows.moving, "cutting move in G93 without a feed", "Give F in each block.")
     check(rows.drilling & rows.inverse_time, "a cycle in G93", "Write G94, and F in mm/min or inch/min.", first=True)
-    _check_unknown(rows, moves, doubt, check)
+    _check_positions_known(rows, moves, doubt, check)
     for row, problem, advice in moves.faults:
         if not (doubt.motion[row] or doubt.position[row]):
             faults.setdefault(row, Fault(row, problem, advice))
@@ -270,8 +270,12 @@ def _repeats_advice(rows: LineStates, row: int) -> str | None:
     return f"If K is the number of holes, write L{count:g}."
 
 
-def _check_unknown(rows: LineStates, moves: Moves, doubt: _Doubt, check: Callable[..., None]) -> None:
-    """Check for moves that need a known position where it is unknown: at the start and after G28."""
+def _check_positions_known(rows: LineStates, moves: Moves, doubt: _Doubt, check: Callable[..., None]) -> None:
+    """Check for moves that need a known position where it is unknown: at the start and after G28.
+
+    :param doubt: lines whose motion or position is in doubt because of other faults, which are reported instead.
+    :param check: notes a fault: where it is (n,), the problem, the advice, and `first` for the first line alone.
+    """
     line = np.arange(len(rows.motion))
     axes = rows.is_placed
     straight, arc = rows.motion == 1.0, (rows.motion == 2.0) | (rows.motion == 3.0)
@@ -535,6 +539,7 @@ def _rotations(frames: Array, frame: Ints, swivel: Swivel | None, orientation: A
     """Return the orientation (M, 3, 3) of the tool frame in `$BASE` at the ends of motions.
 
     :param frame: (M,) row of `frames` (nf, 4, 4).
+    :param swivel: rotation of the tool by rotary axes; None: it keeps its orientation in the program frame.
     :param orientation: (3, 3) of the tool frame in the program frame, without rotary axes.
     """
     if swivel is not None:

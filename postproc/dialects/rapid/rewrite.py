@@ -265,8 +265,8 @@ class _Rewriter:
         if move.via is not None and not circle:
             self._straighten(move)
         if move.via is not None and circle:
-            self._point(move.via, self.targets.via[k] * MM_PER_M, None, row, k, uses)
-        self._point(move.target, self.place[k], self.turn[k], row, k, uses)
+            self._point(move.via, self.targets.via[k] * MM_PER_M, None, k, uses)
+        self._point(move.target, self.place[k], self.turn[k], k, uses)
 
     def _straighten(self, move: Move) -> None:
         """Write a line in place of a circle."""
@@ -281,24 +281,25 @@ class _Rewriter:
         target: Target,
         place: Array,
         turn: Array | None,
-        row: int,
         k: int,
         uses: dict[int, list[tuple[int, str]]],
     ) -> None:
         """Replace the numbers of a target in its literal, or write it as numbers in the move.
 
-        :param turn: None for the point on a circle: its orientation is of no effect.
+        :param place: (3,) its new position [mm].
+        :param turn: (4,) its new quaternion; None for the point on a circle, whose orientation is of no effect.
+        :param k: row of the new target.
+        :param uses: gets, for data with a name, the start of the use and the text that replaces it, by its literal.
         """
-        del row
         literal, expression = target.literal, target.expression
         if literal is not None and target.data is None:
-            self.edits += self._numbers(literal, target, place, turn, k)
+            self.edits += self._literal_edits(literal, target, place, turn, k)
             return
         whole = self._whole(target.numbers, place, k, turn)
         if literal is None or target.data is None or target.data.kind == "PERS":
             self.edits.append(Edit(expression.start, expression.stop, whole))
             return
-        edits = self._numbers(literal, target, place, turn, k)
+        edits = self._literal_edits(literal, target, place, turn, k)
         self.shared.setdefault(literal.start, (target, edits, whole))
         uses.setdefault(literal.start, []).append((expression.start, whole))
         self.places[expression.start] = expression
@@ -330,8 +331,16 @@ class _Rewriter:
                     expression = self.places[place]
                     self.edits.append(Edit(expression.start, expression.stop, text))
 
-    def _numbers(self, literal: Expression, target: Target, place: Array, turn: Array | None, k: int) -> list[Edit]:
-        """Return the edits of the numbers in a literal; of the whole literal if they cannot be edited singly."""
+    def _literal_edits(
+        self, literal: Expression, target: Target, place: Array, turn: Array | None, k: int
+    ) -> list[Edit]:
+        """Return the edits of the numbers in the literal of a target; one of all of it if they cannot be edited singly.
+
+        :param target: as read.
+        :param place: (3,) new position [mm].
+        :param turn: (4,) new quaternion; None: the orientation stays.
+        :param k: row of the new target.
+        """
         spans = self._spans(literal)
         conf = self._configuration(target.numbers, k)
         moved_axis = turn is not None and conf != target.numbers[7:11]

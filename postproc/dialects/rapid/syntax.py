@@ -582,9 +582,12 @@ class Parser:
             yield self._module()
 
     def _module(self) -> Module:
-        """Parse a module: data, routines and types."""
+        """Parse a module from its name to ENDMODULE: data, routines and types.
+
+        :raises RapidSyntaxError: it is not valid.
+        """
         name = self.identifier()
-        if self.accept("("):
+        if self.accept("("):  # attributes such as SYSMODULE, which have no effect on motion
             while not self.accept(")"):
                 self.step()
                 if self.kind == "end":

@@ -262,7 +262,7 @@ class Flow:
         _, routine = callee
         self._check_structure(routine)
         self._check_least(at, self._least.of_call(*callee))
-        undo = self._undoing(recorder)
+        undo = self._undo_from_here(recorder)
         try:
             self._inlined(at, call, recorder, *callee)
         except InexactError:
@@ -292,8 +292,8 @@ class Flow:
         callee = self.interpreter.calls.moving(call)
         return callee is not None and self.run.analysis.of(*callee).motion is not None
 
-    def _undoing(self, recorder: Recorder) -> Callable[[], None]:
-        """Return a function that restores the run and the trace.
+    def _undo_from_here(self, recorder: Recorder) -> Callable[[], None]:
+        """Return a function that restores the run, the trace and the open calls as they are now.
 
         Values and settings stay as they are: to keep them for each call would take as long as there are variables.
         """
@@ -357,7 +357,7 @@ class Flow:
                 )
                 raise inexact(Place(source, block.first), problem, _FORCE_ADVICE) from None
             return
-        undo = self._undoing(recorder)
+        undo = self._undo_from_here(recorder)
         try:
             self._exactly(source, block, recorder)
         except InexactError as cause:
@@ -474,7 +474,7 @@ class Flow:
                 return 0
         else:
             return 0
-        undo = self._undoing(recorder)
+        undo = self._undo_from_here(recorder)
         try:
             recorder.run_to(block.first - 1)
             recorder.pass_to(part.head)
@@ -645,7 +645,7 @@ class Flow:
         end, recorder = self._jumping_back(source, nodes, index, label), self.recorder
         if not end or recorder is None:
             return 0
-        run, undo = self.run, self._undoing(recorder)
+        run, undo = self.run, self._undo_from_here(recorder)
         values, state = run.variables.as_now(), run.settings.state
         run.is_final = False
         try:

@@ -205,7 +205,7 @@ def _layout(
     rows, states, state, _, moves = sequence
     variables = main.run.settings.variables
     is_missing, with_path, by_wrist, unheeded = columns
-    elements = tuple(_elements(rows, rounds) for rounds in main.rounds)
+    elements = tuple(_element_points(rows, rounds) for rounds in main.rounds)
     return Layout(
         course=main.course,
         line=rows.line,
@@ -239,8 +239,12 @@ def _layout(
     )
 
 
-def _elements(rows: MotionColumns, rounds: ElementMotions) -> Elements:
-    """Return the points of a loop over an array: those of motions that are among some."""
+def _element_points(rows: MotionColumns, rounds: ElementMotions) -> Elements:
+    """Return the points of an array to which a loop moves, by the rows of their motions.
+
+    :param rows: the motions of the program; those of the loop that are not among them are left out.
+    :param rounds: the motions of the loop.
+    """
     row = np.searchsorted(rows.line, rounds.rows.line)
     is_present = rows.line[np.minimum(row, len(rows) - 1)] == rounds.rows.line
     return Elements(row[is_present], rounds.literal[is_present], rounds.source, rounds.name)
@@ -568,7 +572,13 @@ def _wrist(motions: Motions, by_wrist: Bools) -> list[Issue]:
 def _assumptions(
     line: Ints, is_missing: Bools, has_assumed_speed: Bools, moves: Mapping[int, MotionStatement]
 ) -> list[Issue]:
-    """Return what had to be assumed, each once with the first line it concerns."""
+    """Return a note on each kind of assumption, with the lines of the motions that it concerns.
+
+    :param line: (M,) lines of the motions.
+    :param is_missing: (M, 6) components that the text lacks, which keep their value.
+    :param has_assumed_speed: (M,) motions before which no speed is set.
+    :param moves: row → statement, of those that are not plain.
+    """
     issues = []
     incomplete = any_column(is_missing)
     for row, move in moves.items():

@@ -102,12 +102,15 @@ def target_numbers(motions: Motions, layout: Layout, targets: Targets) -> Target
         ~keep | any_column(gets_component),
         start_differs,
         is_free,
-        _unheeding(layout, start_differs, targets),
+        _loses_auxiliary_orientation(layout, start_differs, targets),
     )
 
 
-def _unheeding(layout: Layout, start_differs: Bools, targets: Targets) -> Bools:
-    """Return which circles (M,) are written as others, in which A, B, C of their auxiliary points must not count."""
+def _loses_auxiliary_orientation(layout: Layout, start_differs: Bools, targets: Targets) -> Bools:
+    """Return which circles (M,) are corrected or divided, so that A, B, C of their auxiliary points must not count.
+
+    :param start_differs: (M,) motions that begin elsewhere than in the program as read.
+    """
     is_other_circle = start_differs.copy()
     is_other_circle[targets.motion[~targets.keep]] = True
     return np.asarray(is_other_circle & layout.unheeded)
