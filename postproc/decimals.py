@@ -107,10 +107,10 @@ def decimal_text(value: float, decimals: int) -> str:
     return f"{without_negative_zero(round(value, decimals)):.{decimals}f}"
 
 
-def fixed(values: Array, decimals: int) -> Bytes:
+def fixed_point_text(values: Array, decimals: int) -> Bytes:
     """Return (n, width) bytes: each row a number with `decimals` places, padded in front with 0 bytes, see `Number`.
 
-    >>> [bytes(row[row > 0]).decode() for row in fixed(np.array([1.5, -0.0004, float("nan")]), 3)]
+    >>> [bytes(row[row > 0]).decode() for row in fixed_point_text(np.array([1.5, -0.0004, float("nan")]), 3)]
     ['1.500', '0.000', '']
     """
     number = Number.of(values, decimals)

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from postproc.decimals import fixed, lines, parsed_numbers
+from postproc.decimals import fixed_point_text, lines, parsed_numbers
 
 
 def texts(values, decimals):
-    return [bytes(row[row > 0]).decode() for row in fixed(np.array(values, dtype=float), decimals)]
+    return [bytes(row[row > 0]).decode() for row in fixed_point_text(np.array(values, dtype=float), decimals)]
 
 
 @given(st.lists(st.floats(-9e15, 9e15) | st.floats(-2e4, 2e4), min_size=1, max_size=30), st.integers(0, 9))
@@ -43,12 +43,12 @@ def test_long_integers_keep_their_inner_zeros():
 
 
 def test_lines_join_texts_and_numbers():
-    assert lines([b"X ", fixed(np.array([1.0, 22.5]), 1), b"\r\n"]) == b"X 1.0\r\nX 22.5\r\n"
+    assert lines([b"X ", fixed_point_text(np.array([1.0, 22.5]), 1), b"\r\n"]) == b"X 1.0\r\nX 22.5\r\n"
 
 
 def test_a_number_that_cannot_be_written_digit_by_digit_is_an_error():
     with pytest.raises(ValueError, match="too large"):
-        fixed(np.array([1e300]), 3)
+        fixed_point_text(np.array([1e300]), 3)
 
 
 def test_numbers_are_read_as_float_reads_them():

@@ -192,7 +192,7 @@ def static_torque(robot: RobotModel, x: Array, state: Posture | None = None) -> 
 
 
 def balanced_torque(robot: RobotModel, q: Array) -> Array:
-    """Return the static torque (nv, n) that is balanced at rest at coordinates q (nv, n), without payload.
+    """Return the static torque (nv, n) [N·m] that is balanced at rest without payload, at coordinates q (nv, n).
 
     It is zero (nv, 1) if the geometry is that of a weightless robot.
     """

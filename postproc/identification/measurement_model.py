@@ -88,12 +88,7 @@ def locate(robot: RobotModel, data: Measurements) -> Placement:
     for _ in range(_STEPS):
         model = _place(pose @ flange, position)
         left = readings - model
-        jacobian = np.zeros((configs, points, 3, 6 + 3 * points))
-        jacobian[..., 0:3] = np.eye(3)
-        jacobian[..., 3:6] = -hat(model - pose[:3, 3])
-        rotation = pose[:3, :3] @ flange[:, :3, :3]
-        for index in range(points):
-            jacobian[:, index, :, 6 + 3 * index : 9 + 3 * index] = rotation
+        jacobian = _derivatives(model, pose, flange)
         rows = (jacobian * np.sqrt(weight)[..., None, None]).reshape(-1, 6 + 3 * points)
         normal = rows.T @ rows
         scale = 1.0 / np.sqrt(np.diag(normal))
@@ -103,7 +98,9 @@ def locate(robot: RobotModel, data: Measurements) -> Placement:
                 file=data.file,
                 advice="Turn A1…A6, the wrist above all, more from configuration to configuration.",
             )
-        step = np.linalg.solve(normal, rows.T @ (left * np.sqrt(weight)[..., None]).ravel())
+        step = np.asarray(
+            np.linalg.solve(normal, rows.T @ (left * np.sqrt(weight)[..., None]).ravel()), dtype=np.float64
+        )
         pose = displace(pose, step[:6])
         position = position + step[6:].reshape(points, 3)
         if np.abs(step).max() < 1e-11:
@@ -154,6 +151,22 @@ def device_to_root(placement: Placement, positions: Array) -> Array:
     """Return positions (..., 3) of the device frame in the root frame [m]."""
     transform = inverse(placement.root_in_device)
     return np.asarray(positions @ transform[:3, :3].T + transform[:3, 3])
+
+
+def _derivatives(model: Array, pose: Array, flange: Array) -> Array:
+    """Return the derivatives (C, P, 3, 6 + 3P) of points by the twist of the root about itself and by the points.
+
+    :param model: (C, P, 3) the points, device axes [m]; they are moved in flange axes.
+    :param pose: (4, 4) of the root in the device frame; `flange` (C, 4, 4) in the root [m].
+    """
+    configs, points = model.shape[:2]
+    jacobian = np.zeros((configs, points, 3, 6 + 3 * points))
+    jacobian[..., 0:3] = np.eye(3)
+    jacobian[..., 3:6] = -hat(model - pose[:3, 3])
+    rotation = pose[:3, :3] @ flange[:, :3, :3]
+    for index in range(points):
+        jacobian[:, index, :, 6 + 3 * index : 9 + 3 * index] = rotation
+    return jacobian
 
 
 def _place(frames: Array, points: Array) -> Array:

@@ -243,7 +243,7 @@ class Programs:
             joint_paths.append((group, q))
         if self.bodies is not None:
             for bodies, (group, q) in zip(self.bodies, joint_paths, strict=True):
-                reason = self._collision(bodies, group, q, base_motion, e1_shift)
+                reason = self._collision_reason(bodies, group, q, base_motion, e1_shift)
                 if reason != FREE:
                     return JudgedPlace(coordinates, reason, margin=margin, turn=turn, branch=branch)
         deflection = u95 = 0.0
@@ -308,10 +308,14 @@ class Programs:
         pose[:, :3, 3] += group.shift[len(group.row) :][cuts]
         return wrench, spread, pose, is_scaled
 
-    def _collision(self, bodies: Bodies, group: _Stations, q: Array, base_motion: Array, e1_shift: Array) -> int:
+    def _collision_reason(self, bodies: Bodies, group: _Stations, q: Array, base_motion: Array, e1_shift: Array) -> int:
         """Return the reason if bodies come too close at stations, or on the move from [start] to them; else `FREE`.
 
         If the stations are all samples of a program, bodies are compared between them too.
+
+        :param q: (n, 6) joint angles at the stations [rad].
+        :param base_motion: (4, 4) motion of `$BASE` that the place makes, root axes [m].
+        :param e1_shift: (3,) by which E1 carries the robot to the place [m].
         """
         count = len(group.row)
         shift = group.shift[count:] + e1_shift

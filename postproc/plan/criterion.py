@@ -111,7 +111,7 @@ class MeasuredLoads(Struct, frozen=True, eq=False):
 
 
 def measured_information(data: Measurements, readings: Readings, sigma: float) -> MeasuredLoads:
-    """Weigh each loaded state by how often it and its unloaded state were read.
+    """Return the information of readings already made: a state weighs by how often it and its unloaded one were read.
 
     :param readings: with the compliances to be identified.
     :param sigma: noise of one coordinate of one reading [m].

@@ -161,7 +161,10 @@ def travel_times(site: Site, q: Array) -> Array:
 
 
 def free_moves(site: Site, q: Array) -> Bools:
-    """Return (n, n) True where the joint interpolation between two configurations stays clear of everything."""
+    """Return (n, n) True where the joint interpolation between two configurations stays clear of everything.
+
+    :param q: (n, 6) the configurations [rad].
+    """
     count = len(q)
     first, last = np.triu_indices(count, 1)
     free = np.ones((count, count), dtype=bool)

@@ -74,7 +74,7 @@ def test_motions_that_are_said_to_be_moved_and_loops_that_never_end_are_not_wron
 @pytest.mark.parametrize(
     ("place", "name", "fault", "skipped"),
     [
-        (flow, "carried_over", lambda *_: [], 105),  # rounds of a LOOP without EXIT may differ
+        (flow, "carried_variables", lambda *_: [], 105),  # rounds of a LOOP without EXIT may differ
         (Calls, "notice", lambda *_: None, 80),  # interrupts and triggers change nothing
     ],
 )

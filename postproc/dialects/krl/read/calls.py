@@ -18,7 +18,7 @@ from postproc.dialects.krl.read.explanations import why_unknown
 from postproc.dialects.krl.read.known import NO_VALUE, Scope, UnknownValue, VariableValue, inexact
 from postproc.dialects.krl.read.run import SETTING_ADVICE, Level, Run, UntracedCall
 from postproc.dialects.krl.read.state import FIELDS, RELEVANT, STORED_VARIABLES
-from postproc.dialects.krl.read.variables import WHOLE, converted
+from postproc.dialects.krl.read.variables import WHOLE, convert_to_type
 from postproc.errors import Issue, ProgramError
 
 _DEEPEST = 20
@@ -333,7 +333,7 @@ class Calls:
             if kind:
                 self.run.variables.types[stored_name] = kind
             argument_value = bound.argument_values.get(index, NO_VALUE)
-            value = converted(argument_value, kind) if kind else argument_value
+            value = convert_to_type(argument_value, kind) if kind else argument_value
             self.run.variables.put(stored_name, argument_value if value == argument_value else value)
         self.run.variables.changing |= bound.volatile_names
         self.run.level = Level(bound.module, bound.routine, bound.scope, traced=is_traced)

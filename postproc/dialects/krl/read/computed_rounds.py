@@ -25,7 +25,7 @@ from postproc.dialects.krl.read import plain_settings
 from postproc.dialects.krl.read.motion_reader import KINDS, ROBOT_POSITIONS, MotionReader
 from postproc.dialects.krl.read.run import Run
 from postproc.dialects.krl.read.state import RELEVANT
-from postproc.dialects.krl.read.variables import FUNCTIONS, computed, converted
+from postproc.dialects.krl.read.variables import FUNCTIONS, computed, convert_to_type
 from postproc.errors import ProgramError
 
 FEWEST_ROUNDS = 64
@@ -151,7 +151,7 @@ class _Rounds:
                 return
         column, kind = self.column(stmt.value), self.run.variables.types.get(key, "")
         self.columns[name] = _as_column(
-            [converted(Number(number, 0, 0, column.integer), kind) for number in column.numbers]
+            [convert_to_type(Number(number, 0, 0, column.integer), kind) for number in column.numbers]
         )
 
     def targets(self, end: Value | None) -> list[Position]:

@@ -27,7 +27,7 @@ from postproc.dialects.krl.read.known import InexactError, inexact
 from postproc.dialects.krl.read.least_statements import ENDS_LOOPS, LeastStatements
 from postproc.dialects.krl.read.motion_reader import stays
 from postproc.dialects.krl.read.plain_rounds import plain_body
-from postproc.dialects.krl.read.rounds import carried_over
+from postproc.dialects.krl.read.rounds import carried_variables
 from postproc.dialects.krl.read.run import Run
 from postproc.dialects.krl.read.tracing import Recorder
 from postproc.errors import ProgramError, first_of
@@ -558,7 +558,7 @@ class Flow:
             if isinstance(case, tree.FaultyStatement):
                 raise case.error
             values = case.cases if isinstance(case, tree.Case) else ()
-            is_chosen = case.word == "DEFAULT" or self.run.variables.chosen(selector, values)
+            is_chosen = case.word == "DEFAULT" or self.run.variables.is_chosen_case(selector, values)
             if is_chosen is None:
                 raise undecided_error(self.run, at)
             if is_chosen:
@@ -785,7 +785,7 @@ class Flow:
         recorder.repeated(block, whole=True)
         recorder.end(loop, block, None)
         self._way.pop()
-        if names := carried_over(run, source, block, snapshot):
+        if names := carried_variables(run, source, block, snapshot):
             sorted_names = sorted(
                 names, key=lambda name: (name[0] == "$", name)
             )  # those that the program declares first

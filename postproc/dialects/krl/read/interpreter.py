@@ -22,7 +22,7 @@ from postproc.dialects.krl.read.explanations import why_not_decided, why_unknown
 from postproc.dialects.krl.read.known import NO_VALUE, UnknownValue, VariableValue, inexact, stored_originals
 from postproc.dialects.krl.read.run import SETTING_ADVICE, Run
 from postproc.dialects.krl.read.state import RELEVANT, STORED_VARIABLES, State
-from postproc.dialects.krl.read.variables import Variables, converted
+from postproc.dialects.krl.read.variables import Variables, convert_to_type
 
 _CLOSING = {closing: opening for opening, closing in OPENING.items()} | {"UNTIL": "REPEAT"}
 _ASYNCHRONOUS = frozenset({"ASYPTP", "ASYCONT", "ASYSTOP", "ASYCANCEL"})
@@ -144,7 +144,7 @@ class Interpreter:
                 raise inexact(at, "it is not known whether it returns here")
             return
         if stmt.value is not None:
-            level.result = converted(self.calls.value(at, stmt.value), level.routine.result)
+            level.result = convert_to_type(self.calls.value(at, stmt.value), level.routine.result)
         level.returned = level.returned or at.line
 
     def _control_statement(self, at: Place, stmt: tree.Statement) -> None:

@@ -258,7 +258,7 @@ class _Reading(Struct, frozen=True, eq=False):
         return replace(program, data=Source.of(data[0], 1)) if data else program
 
     def _variables(self) -> Variables:
-        """Return the variables with the values that they have first."""
+        """Return the variables with their initial values: of the .dat, $config.dat and the cell."""
         variables = Variables(self.cell)
         for document in self.documents[1:]:
             if _belongs(document, self.documents[0]):

@@ -17,7 +17,7 @@ from postproc.dialects.krl.read.run import Run
 Values = tuple[dict[str, VariableValue | UnparsedValue], dict[str, UnknownValue]]
 
 
-def carried_over(run: Run, source: Source, block: Block, start_values: Values) -> list[str]:
+def carried_variables(run: Run, source: Source, block: Block, start_values: Values) -> list[str]:
     """Return the variables that one iteration of a loop changes and the next iteration may use.
 
     :param start_values: their values when it began, see `Variables.as_now`.

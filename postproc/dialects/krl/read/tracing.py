@@ -254,7 +254,7 @@ class Recorder:
         self.count += last - first + 1
 
     def _assign(self, block: Block, number: int | None) -> None:
-        """Record an assignment to the counter of a loop."""
+        """Record the assignment of a number to the counter of a FOR; None: another loop, which has no counter."""
         if number is None:
             return
         open_routine = self._open[-1]

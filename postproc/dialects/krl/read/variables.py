@@ -220,7 +220,7 @@ class Variables:
         for key, value in self.given.items():
             root = key.partition("[")[0]
             if not name or name == root:
-                self.put(key, converted(value, self.types.get(root, "")))
+                self.put(key, convert_to_type(value, self.types.get(root, "")))
 
     def put(self, key: str, value: VariableValue | UnparsedValue) -> None:
         """Store a value as it is. `set` converts those of assignments to the type of the variable."""
@@ -242,7 +242,7 @@ class Variables:
         if name not in self.changed:
             self.changed[name] = str(place)
         if isinstance(value, Number):
-            value = converted(value, self.types.get(name, ""))
+            value = convert_to_type(value, self.types.get(name, ""))
         elif isinstance(value, Aggregate) and self._ambiguous(key, value):
             value = UnknownValue(str(place), PARTLY_GIVEN)
         self.put(key, value)
@@ -414,7 +414,7 @@ class Variables:
         if isinstance(value, UnparsedValue):
             value = self.evaluate(value.value)
             if isinstance(value, Number):
-                value = converted(value, self.types.get(key.partition("[")[0], ""))
+                value = convert_to_type(value, self.types.get(key.partition("[")[0], ""))
             self._values[key] = value
         return value
 
@@ -466,7 +466,7 @@ class Variables:
             return None
         return value if isinstance(value, bool) else None
 
-    def chosen(self, value: VariableValue, cases: Sequence[Value]) -> bool | None:
+    def is_chosen_case(self, value: VariableValue, cases: Sequence[Value]) -> bool | None:
         """Return whether one of the values behind CASE is that of its SWITCH; None where that is not known."""
         equal: bool | None = False
         for case in cases:
@@ -587,7 +587,7 @@ class Variables:
     def _member(self, reference: Reference, number: Number) -> VariableValue:
         """Return a number converted to the type of a member of a structure."""
         kind = self.kind(reference)
-        return converted(number, kind) if kind else number
+        return convert_to_type(number, kind) if kind else number
 
     def kind(self, reference: Reference) -> str:
         """Return the declared type of a variable, an element or a member, upper case; empty if it is not known."""
@@ -739,7 +739,7 @@ def _cell_value(value: float) -> Number | Word:
     return Number(float(value), 0, 0, isinstance(value, int))
 
 
-def converted(value: VariableValue, kind: str) -> VariableValue:
+def convert_to_type(value: VariableValue, kind: str) -> VariableValue:
     """Return a value converted to the type of a variable: a REAL is rounded to an INT (KUKA, Expert Programming).
 
     :param kind: its type, upper case; empty if that is not known; `WHOLE` if it is REAL or INT.

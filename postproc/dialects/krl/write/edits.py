@@ -10,7 +10,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from postproc.chunks import compact
-from postproc.decimals import Bytes, fixed
+from postproc.decimals import Bytes, fixed_point_text
 from postproc.dialects.krl.language.trace import Trace
 from postproc.frames import Array
 from postproc.program import Ints, distinct
@@ -50,7 +50,7 @@ class Replacements(Struct, eq=False):
         """
         for places in distinct(decimals).tolist():
             pieces = np.flatnonzero(decimals == places)
-            digits = fixed(values[pieces], places)
+            digits = fixed_point_text(values[pieces], places)
             has_digit = digits != 0
             self._starts.append(compact(starts[pieces], np.int32))
             self._stops.append(compact(stops[pieces], np.int32))
