@@ -453,7 +453,7 @@ def test_gears_are_tried_with_and_without_the_weights_where_that_is_another_mode
 
     monkeypatch.setattr(choice, "_weigh_candidates", weighed)
     monkeypatch.setattr(choice, "has_compensator", lambda *_: False)
-    monkeypatch.setattr(choice, "_mean", lambda settled, compensator: settled)
+    monkeypatch.setattr(choice, "_mean_of_structures", lambda settled, compensator: settled)
     monkeypatch.setattr(choice, "_extend", lambda mean, settled, *_: (mean, settled))
     monkeypatch.setattr(choice, "_choice_of_mean", lambda mean, *_: mean)
     assert choice.choose(prior, None, None).structure.in_gears is False

@@ -201,7 +201,7 @@ def choices_of(monkeypatch, weighed, is_open=False, is_physical=True):
     """Let `choose` see the evidence of `weighed` alone."""
     monkeypatch.setattr(choice, "_weigh_candidates", weighed)
     monkeypatch.setattr(choice, "has_compensator", lambda *_: True)
-    monkeypatch.setattr(choice, "_mean", lambda settled, compensator: (settled, compensator))
+    monkeypatch.setattr(choice, "_mean_of_structures", lambda settled, compensator: (settled, compensator))
     monkeypatch.setattr(choice, "_extend", lambda mean, settled, *_: (mean, settled))
     monkeypatch.setattr(
         choice, "_choice_of_mean", lambda mean, settled, *_: SimpleNamespace(mean=mean, settled=settled, fit=None)
