@@ -197,32 +197,42 @@ class _Reader:
     def _motions(
         self, moves: list[Move], line: Ints, forward_kinematics: Callable[[Array], Array]
     ) -> tuple[Motions, Array, Array, Array, tuple[Bools, Bools]]:
-        """Return the motions, bases, tools, numbers of the text; which are led by the wrist, which by their path."""
+        """Return motions (M,), bases and tools (n, 4, 4) [m], numbers of the text, and how motions turn the tool.
+
+        :param line: (M,) lines of the moves.
+        :returns: numbers: X, Y, Z, A, B, C (M, 6) [mm, deg] of the targets, exactly as the text gives them; of joint
+            targets those of their poses. The last two (M,): turned by the wrist axes, and as seen from the path.
+        """
         kind = np.array([move.kind for move in moves], dtype=np.int64)
-        axis = np.array([move.joints for move in moves])
+        has_joints = np.array([move.joints for move in moves])
         base, bases = self._frames(moves, line, [(move.wobj, True) for move in moves], self._wobj)
         tool, tools = self._frames(moves, line, [(move.tool, move.tool_name != "") for move in moves], self._tool)
         target_numbers = np.full((len(moves), 17), np.nan)
-        if not axis.all():
-            target_numbers[~axis] = [move.target.numbers for move in moves if not move.joints]
+        if not has_joints.all():
+            target_numbers[~has_joints] = [move.target.numbers for move in moves if not move.joints]
         angles = np.array([move.target.numbers for move in moves if move.joints]).reshape(-1, 12)
-        self._check(target_numbers[~axis], line[~axis])
-        self._check_external(moves, target_numbers[~axis][:, 11:], line[~axis], angles[:, 6:], line[axis])
-        joints, pose = np.full((len(line), 6), np.nan), np.empty((len(line), 4, 4))
-        pose[~axis] = poses(target_numbers[~axis, :7])
-        numbers = np.full((len(line), 6), np.nan)
-        numbers[~axis] = _exact(target_numbers[~axis, :7])
-        rows = np.flatnonzero(axis)
-        joints[rows] = joints_from_abb(angles[:, :6].astype(np.float32).astype(np.float64))
-        for row in rows.tolist():
+        self._check(target_numbers[~has_joints], line[~has_joints])
+        self._check_external(
+            np.concatenate([target_numbers[~has_joints][:, 11:], angles[:, 6:]]),
+            np.concatenate([line[~has_joints], line[has_joints]]),
+        )
+        joints = np.full((len(line), 6), np.nan)
+        joints[has_joints] = joints_from_abb(angles[:, :6].astype(np.float32).astype(np.float64))
+        pose, numbers = np.empty((len(line), 4, 4)), np.full((len(line), 6), np.nan)
+        pose[~has_joints], numbers[~has_joints] = (
+            poses(target_numbers[~has_joints, :7]),
+            _exact(target_numbers[~has_joints, :7]),
+        )
+        for row in np.flatnonzero(has_joints).tolist():
             pose[row] = inverse(bases[base[row]]) @ forward_kinematics(joints[row]) @ tools[tool[row]]
-        numbers[rows] = xyzabc_from_pose(pose[rows]) if len(rows) else numbers[rows]
+        if has_joints.any():
+            numbers[has_joints] = xyzabc_from_pose(pose[has_joints])
         starts = Starts.of((base, tool, bases, tools), pose.__getitem__, forward_kinematics(self.cell.start_joints))
         start = starts.at(np.arange(len(line)))
         arcs = self._arcs(moves, start, pose, line, kind == CIRC)
         by_wrist, with_path = self._turning(moves, kind, start, pose, line)
         status = np.full(len(line), -1)
-        has_status = np.array([move.setting.follows for move in moves]) & (kind == PTP) & ~axis
+        has_status = np.array([move.setting.follows for move in moves]) & (kind == PTP) & ~has_joints
         status[has_status] = status_from_cfx(target_numbers[has_status, 10].astype(np.int64))
         motions = Motions(
             kind=kind,
@@ -330,12 +340,11 @@ class _Reader:
                 "It has four whole numbers, the last from 0 to 7.",
             )
 
-    def _check_external(
-        self, moves: list[Move], robtarget_values: Array, line: Ints, jointtarget_values: Array, axis_line: Ints
-    ) -> None:
-        """Refuse external axes that move, or that displace the robot."""
-        del moves
-        values, lines = np.concatenate([robtarget_values, jointtarget_values]), np.concatenate([line, axis_line])
+    def _check_external(self, values: Array, line: Ints) -> None:
+        """Check the external axes of targets (n, 6) [mm, deg] in lines (n,).
+
+        :raises ProgramError: one moves, or may displace robot or part.
+        """
         is_used = (np.abs(values) < NONE) & (values != 0.0)
         if is_used.any():
             row, column = np.argwhere(is_used)[0].tolist()
@@ -344,7 +353,7 @@ class _Reader:
                 f"the external axis {name} is at {values[row, column]:g}: where it carries robot or part is not known"
             )
             advice = f"Post the program with {name} at 0, or at 9E9 if it takes no part."
-            raise self._at(problem, int(lines[row]), advice)
+            raise self._at(problem, int(line[row]), advice)
 
     def _arcs(
         self, moves: list[Move], start: Array, pose: Array, line: Ints, circular: Bools
