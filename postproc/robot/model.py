@@ -342,7 +342,7 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
 
     @cached_property
     def coupling_compliance(self) -> Array | None:
-        """Compliances (nv, nv) of coordinates by each other's torques, zero on the diagonal; or None."""
+        """Compliances (nv, nv) of coordinates by each other's torques [rad/(N·m)], zero on the diagonal; or None."""
         couplings = [(parameter, value) for parameter, value in self.terms if isinstance(parameter, GearCoupling)]
         if not couplings:
             return None

@@ -505,7 +505,7 @@ class Execution:
         """
         (condition,) = loop.bounds
         if condition.kind == "bool" and condition.value:
-            self._endless(loop, scope, routine, depth)
+            self._follow_endless(loop, scope, routine, depth)
         rounds: list[float] = []
         while True:
             try:
@@ -520,8 +520,12 @@ class Execution:
             if self.effects.has_functions:
                 self._functions(loop, scope)
 
-    def _endless(self, loop: Loop, scope: Scope, routine: Routine, depth: int) -> None:
-        """Follow two rounds of a loop that does not end; the second must be the first again."""
+    def _follow_endless(self, loop: Loop, scope: Scope, routine: Routine, depth: int) -> None:
+        """Follow two rounds of a loop that does not end, and keep the first; nothing after the loop is reached.
+
+        :raises RapidError: the second round differs, or the loop begins with a move whose start differs.
+        :raises _End: always, at the end.
+        """
         begin = len(self.done.moves), len(self.done.notes)
         self._block(loop.body, scope, routine, depth)
         state, middle = self._state(scope), (len(self.done.moves), len(self.done.notes))

@@ -105,7 +105,7 @@ class _Reader:
             tools,
             tool_keys=_tool_names(execution.moves, motions.tool, len(tools)),
             notes=notes,
-            issues=tuple(self._issues(whole, line)),
+            issues=tuple(self._issues(whole)),
             by_wrist=turns[0] if turns[0].any() else None,
             with_path=turns[1] if turns[1].any() else None,
             layout=Layout(numbers, whole.text, plain, tuple(execution.moves), comments, data_names),
@@ -414,9 +414,8 @@ class _Reader:
 
     # --- issues
 
-    def _issues(self, whole: ExpandedProgram, line: Ints) -> Iterator[Issue]:
+    def _issues(self, whole: ExpandedProgram) -> Iterator[Issue]:
         """Yield information and warnings on how the module was read."""
-        del line
         execution = whole.executed
         for name, (start, count) in execution.foreign.items():
             message = f"{name} is in no module of this file: it is assumed not to move the robot."

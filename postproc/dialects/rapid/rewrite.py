@@ -265,8 +265,8 @@ class _Rewriter:
         if move.via is not None and not circle:
             self._straighten(move)
         if move.via is not None and circle:
-            self._point(move.via, self.targets.via[k] * MM_PER_M, None, k, uses)
-        self._point(move.target, self.place[k], self.turn[k], k, uses)
+            self._rewrite_point(move.via, self.targets.via[k] * MM_PER_M, None, k, uses)
+        self._rewrite_point(move.target, self.place[k], self.turn[k], k, uses)
 
     def _straighten(self, move: Move) -> None:
         """Write a line in place of a circle."""
@@ -276,7 +276,7 @@ class _Rewriter:
         self.edits.append(Edit(statement.start, statement.start + len(statement.name), _STRAIGHT[statement.name]))
         self.edits.append(Edit(move.via.expression.start, move.target.expression.start, ""))
 
-    def _point(
+    def _rewrite_point(
         self,
         target: Target,
         place: Array,

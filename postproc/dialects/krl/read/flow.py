@@ -134,7 +134,7 @@ class Flow:
             self._check_least(Place(routine.source, routine.first), self._least.of_call(level.module, routine))
         self.follow(routine.source, self.run.nodes(routine), last=True)
 
-    def matters(self, source: Source, node: Node) -> bool:
+    def belongs_in_trace(self, source: Source, node: Node) -> bool:
         """Return whether a statement or a control structure belongs in the execution trace.
 
         It does if it moves the robot or contains a force comment.
@@ -330,7 +330,7 @@ class Flow:
 
     def _block(self, source: Source, block: Block) -> None:
         """Follow a control structure: exactly if its branches are known, else by what it may change."""
-        if self.recorder is not None and self.run.level.traced and self.matters(source, block):
+        if self.recorder is not None and self.run.level.traced and self.belongs_in_trace(source, block):
             self._kept(source, block, self.recorder)
             return
         marks = self.run.marks()
@@ -574,7 +574,7 @@ class Flow:
         level = self.run.level
         words = {statement(source, line).word for line in block.lines()}
         if block.word == "LOOP" and words.isdisjoint(ENDS_LOOPS):
-            self._endless(source, block, recorder)
+            self._follow_endless(source, block, recorder)
             return
         counter = Counter(self.run, source, block.first) if block.word == "FOR" else None
         if recorder is not None:
@@ -763,7 +763,7 @@ class Flow:
                 self._guarded(Place(source, line), statement(source, line))
             counter.pass_over(passed)
 
-    def _endless(self, source: Source, block: Block, recorder: Recorder | None) -> None:
+    def _follow_endless(self, source: Source, block: Block, recorder: Recorder | None) -> None:
         """Follow one iteration of a LOOP without EXIT; nothing after it is reached.
 
         `joins` checks later that the iteration ends in the pose and with the settings with which it began.

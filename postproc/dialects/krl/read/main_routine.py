@@ -125,7 +125,7 @@ def _course(start: Start, *, collects: bool) -> tuple[Course, CollectedMotions |
 
     flow = Flow(run, taken, wrong, recorder)
     control = (node for node in nodes if isinstance(node, Block) or _calls(main, node))
-    if not _returns_early(main) and not any(flow.matters(main.source, node) for node in control):
+    if not _returns_early(main) and not any(flow.belongs_in_trace(main.source, node) for node in control):
         body = Body(main.first + 1, main.last)
         steps = (Lines(main.first + 1, main.last - 1),)
         return Course(main, run.trace, steps, body, taken=reserved_names), None

@@ -161,7 +161,7 @@ class _Folder(Struct, eq=False):
         """Return a key of the changes in a loop: of its body if all rounds are alike, else of each round."""
         keys = [self._key(body) for body in loop.bodies]
         if all(key == keys[0] for key in keys):
-            return keys[0] if keys else self._unchanged_rows(loop)
+            return keys[0] if keys else self._key_of_lines(loop)
         head = loop.opener.strip()
         message = f"The rounds of {head} are corrected differently: they are written out, but for those that are alike."
         line = self.course.trace.shown_line(loop.first)
@@ -173,8 +173,8 @@ class _Folder(Struct, eq=False):
         """Return whether the counter of a FOR is set behind its last round."""
         return loop.step != 0 and loop.last > loop.bodies[-1].last
 
-    def _unchanged_rows(self, loop: UnrolledLoop) -> _Key:
-        """Return what changes in the lines of a loop that does not run."""
+    def _key_of_lines(self, loop: UnrolledLoop) -> _Key:
+        """Return the key of the changes in the lines of a loop without rounds."""
         changes: list[tuple[int, object]] = []
         self._add_changes(changes, loop.first, loop.last)
         return tuple(changes)

@@ -250,15 +250,18 @@ class _Rewriter:
             self._change(row, Replacement(move.end.stop, move.tail, ""))
             self._report("angle-dropped", "CA is dropped: the end point is written as where the arc ends.", move.line)
         texts = self.statements.end_texts(k, move.end, copy=needs_copy) if differs else None
-        self._point(Use(move.line, move.end, texts, partial(self.statements.whole, k, move.end)), points)
+        self._rewrite_point(Use(move.line, move.end, texts, partial(self.statements.whole, k, move.end)), points)
         if move.via is not None:
             via = self.commanded.via_texts(k)
-            self._point(
+            self._rewrite_point(
                 Use(move.line, move.via, (via or None) if differs else None, partial(aggregate_text, via)), points
             )
 
-    def _point(self, use: Use, points: NamedPoints) -> None:
-        """Change the numbers of a point in the statement; note the use of any other point."""
+    def _rewrite_point(self, use: Use, points: NamedPoints) -> None:
+        """Change the numbers of a point that is written in the statement; note the use of a named point.
+
+        :param points: gets the uses of named points.
+        """
         literal = self.statements.inline(use.operand)
         if literal is None:
             points.use(use)
