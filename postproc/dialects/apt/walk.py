@@ -278,11 +278,15 @@ class _Walk:
         if pending.several and count == len(row):
             self.closed = pending.circle  # a further GOTO, written in another form, may belong to the arc too
         for n in range(count):
-            self._turn(int(row[n]), pending, end[n], axis[n])
+            self._add_arc(int(row[n]), pending, end[n], axis[n])
         return count
 
-    def _turn(self, row: int, pending: PendingArc, end: Array, axis: Array) -> None:
-        """Add the arc that CIRCLE and the points after it describe."""
+    def _add_arc(self, row: int, pending: PendingArc, end: Array, axis: Array) -> None:
+        """Add the arc that CIRCLE and the points after it describe.
+
+        :param end: (3,) its end [mm]; `axis` (3,) direction from the tip to the spindle there.
+        :raises StatementError: the start is not known, the points are not on the circle, or the tool is in rapid.
+        """
         if not self.known:
             raise StatementError(*UNKNOWN_START, row)
         try:
@@ -571,7 +575,7 @@ class _Walk:
         direction, self.leaving = self.leaving, None
         circle, end = tangent_arc(code, direction, self.place if self.known else None, self.unit)
         try:
-            self._turn(row, PendingArc(row, circle), end, self.axis)
+            self._add_arc(row, PendingArc(row, circle), end, self.axis)
         except StatementError as cause:
             raise StatementError(*cause.args[:2]) from cause
 

@@ -198,7 +198,10 @@ class Reader:
         return self._function()
 
     def expression(self) -> Value:
-        """Read ``[ … ]``."""
+        """Read ``[ … ]``; return a function for its value.
+
+        :raises BlockError: it is not valid.
+        """
         self._expect("[")
         value = self._operation(1)
         self._expect("]")

@@ -83,7 +83,11 @@ def take_rows(column: NDArray[Any], rows: Ints) -> NDArray[Any]:
 
 
 def line_states_of(words: Words, modes: Modes, rotary: Rotary | None) -> LineStates:
-    """Return words and modal state of all lines of a program."""
+    """Return words and modal state of all lines of a program, lengths in mm.
+
+    :param modes: modal state and events of the blocks that are not plain.
+    :param rotary: the rotary axes of the cell, whose words are angles or directions; None: it has none.
+    """
     count = modes.rows
     state = {group: active_values(modes.changes[group], valid[0], count) for group, valid in codes.GROUPS.items()}
     inches = state["units"] == 20.0
