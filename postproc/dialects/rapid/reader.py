@@ -207,22 +207,10 @@ class _Reader:
         has_joints = np.array([move.joints for move in moves])
         base, bases = self._frames(moves, line, [(move.wobj, True) for move in moves], self._wobj)
         tool, tools = self._frames(moves, line, [(move.tool, move.tool_name != "") for move in moves], self._tool)
-        target_numbers = np.full((len(moves), 17), np.nan)
-        if not has_joints.all():
-            target_numbers[~has_joints] = [move.target.numbers for move in moves if not move.joints]
-        angles = np.array([move.target.numbers for move in moves if move.joints]).reshape(-1, 12)
-        self._check(target_numbers[~has_joints], line[~has_joints])
-        self._check_external(
-            np.concatenate([target_numbers[~has_joints][:, 11:], angles[:, 6:]]),
-            np.concatenate([line[~has_joints], line[has_joints]]),
-        )
-        joints = np.full((len(line), 6), np.nan)
-        joints[has_joints] = joints_from_abb(angles[:, :6].astype(np.float32).astype(np.float64))
+        target_numbers, joints = self._target_values(moves, line, has_joints)
         pose, numbers = np.empty((len(line), 4, 4)), np.full((len(line), 6), np.nan)
-        pose[~has_joints], numbers[~has_joints] = (
-            poses(target_numbers[~has_joints, :7]),
-            _exact(target_numbers[~has_joints, :7]),
-        )
+        pose_numbers = target_numbers[~has_joints, :7]
+        pose[~has_joints], numbers[~has_joints] = poses(pose_numbers), _exact(pose_numbers)
         for row in np.flatnonzero(has_joints).tolist():
             pose[row] = inverse(bases[base[row]]) @ forward_kinematics(joints[row]) @ tools[tool[row]]
         if has_joints.any():
@@ -252,6 +240,24 @@ class _Reader:
             turn=np.full(len(line), -1),
         )
         return motions, bases, tools, numbers, (by_wrist, with_path)
+
+    def _target_values(self, moves: list[Move], line: Ints, has_joints: Bools) -> tuple[Array, Array]:
+        """Return the numbers of robtargets (M, 17), and joint angles (M, 6) [rad]; NaN where a move has none.
+
+        :param line: (M,) lines of the moves; `has_joints` (M,) which go to joint angles.
+        :raises ProgramError: a number is not valid, or an external axis moves.
+        """
+        target_numbers, joints = np.full((len(moves), 17), np.nan), np.full((len(moves), 6), np.nan)
+        if not has_joints.all():
+            target_numbers[~has_joints] = [move.target.numbers for move in moves if not move.joints]
+        angles = np.array([move.target.numbers for move in moves if move.joints]).reshape(-1, 12)
+        self._check(target_numbers[~has_joints], line[~has_joints])
+        self._check_external(
+            np.concatenate([target_numbers[~has_joints][:, 11:], angles[:, 6:]]),
+            np.concatenate([line[~has_joints], line[has_joints]]),
+        )
+        joints[has_joints] = joints_from_abb(angles[:, :6].astype(np.float32).astype(np.float64))
+        return target_numbers, joints
 
     def _at(self, problem: str, line: int, advice: str) -> ProgramError:
         """Return an error at a line of the file."""
