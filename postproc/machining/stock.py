@@ -233,28 +233,29 @@ def _surfaces_of_columns(
     """
     nx, ny = count
     upper, lower = np.full(ny * nx, -np.inf), np.full(ny * nx, np.inf)
-    for corner, index, triangle in _points_in_boxes(vertices[faces], origin, step, count):
-        a, b, c = (corner[triangle, k] for k in range(3))
-        px = origin[0] + (index % nx + 0.5) * step
-        py = origin[1] + (index // nx + 0.5) * step
-        # barycentric coordinates v, w of the point in the triangle seen from above; vertical triangles have no area
-        # there
-        area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
-        is_not_vertical = np.abs(area) > 1e-16
-        area = np.where(is_not_vertical, area, 1.0)
-        v = ((px - a[:, 0]) * (c[:, 1] - a[:, 1]) - (py - a[:, 1]) * (c[:, 0] - a[:, 0])) / area
-        w = ((b[:, 0] - a[:, 0]) * (py - a[:, 1]) - (b[:, 1] - a[:, 1]) * (px - a[:, 0])) / area
-        is_inside = is_not_vertical & (v >= -1e-9) & (w >= -1e-9) & (v + w <= 1.0 + 1e-9)
-        z = (a[:, 2] + v * (b[:, 2] - a[:, 2]) + w * (c[:, 2] - a[:, 2]))[is_inside]
-        np.maximum.at(upper, index[is_inside], z)
-        np.minimum.at(lower, index[is_inside], z)
+    corner = vertices[faces]
+    ab, ac = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
+    area = ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]
+    is_not_vertical = np.abs(area) > 1e-16  # vertical triangles have no area seen from above
+    corner, ab, ac, area = corner[is_not_vertical], ab[is_not_vertical], ac[is_not_vertical], area[is_not_vertical]
+    for index, triangle in _points_in_boxes(corner, origin, step, count):
+        dx = origin[0] + (index % nx + 0.5) * step - corner[triangle, 0, 0]
+        dy = origin[1] + (index // nx + 0.5) * step - corner[triangle, 0, 1]
+        # barycentric coordinates v, w of the point in the triangle seen from above
+        v = (dx * ac[triangle, 1] - dy * ac[triangle, 0]) / area[triangle]
+        w = (ab[triangle, 0] * dy - ab[triangle, 1] * dx) / area[triangle]
+        is_inside = (v >= -1e-9) & (w >= -1e-9) & (v + w <= 1.0 + 1e-9)
+        index, triangle = index[is_inside], triangle[is_inside]
+        z = corner[triangle, 0, 2] + v[is_inside] * ab[triangle, 2] + w[is_inside] * ac[triangle, 2]
+        np.maximum.at(upper, index, z)
+        np.minimum.at(lower, index, z)
     return upper.reshape(ny, nx), lower.reshape(ny, nx)
 
 
 def _points_in_boxes(
     corner: Array, origin: tuple[float, float], step: float, count: tuple[int, int]
-) -> Iterator[tuple[Array, NDArray[np.int64], NDArray[np.int64]]]:
-    """Yield pairs of triangle and grid point in its box, in batches: corners (F, 3, 3), point (n,), triangle (n,).
+) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+    """Yield pairs of grid point and triangle in whose box it is, in batches: points (n,), triangles (n,).
 
     :param corner: (F, 3, 3) corners of triangles [m]; for `origin`, `step` and `count` see `_surfaces_of_columns`.
     """
@@ -278,7 +279,7 @@ def _points_in_boxes(
         )
         column = first_index[0][rows] + index % np.maximum(index_count[0][rows], 1)
         row = first_index[1][rows] + index // np.maximum(index_count[0][rows], 1)
-        yield corner, row * count[0] + column, rows
+        yield row * count[0] + column, rows
         begin = end
 
 

@@ -68,20 +68,20 @@ class Teeth:
         left = np.array([-ahead[1], ahead[0], 0.0])
         distance, height, length, kappa = np.array(self.pieces).T
         turned = 2 * math.pi * (np.arange(steps) + 0.5)[:, None] / steps
-        total, moment = np.zeros(3), np.zeros(3)
-        for tooth in range(self.teeth):
-            angle = turned + 2 * math.pi * tooth / self.teeth
-            out = np.sin(angle) * ahead + hand * np.cos(angle) * left  # from the axis to the tooth
-            moves = np.cos(angle) * ahead - hand * np.sin(angle) * left  # where it goes
-            out, moves, up = out[:, None], moves[:, None], np.array([0, 0, 1.0])
-            normal = np.sin(kappa)[:, None] * out - np.cos(kappa)[:, None] * up
-            point = tip + distance[:, None] * out + height[:, None] * up
-            chip = per_tooth * normal @ direction
-            cuts = chip > 0
-            cuts[cuts] = material(point[cuts])
-            tangential, radial, axial = self._force(np.where(cuts, chip, 0.0), length, kappa)
-            upwards = np.cos(kappa)[:, None] * out + np.sin(kappa)[:, None] * up
-            force = -tangential[..., None] * moves - radial[..., None] * normal + axial[..., None] * upwards
-            total += force.sum(axis=(0, 1)) / steps
-            moment += np.cross(point - tip, force).sum(axis=(0, 1)) / steps
+        up = np.array([0.0, 0.0, 1.0])
+        # each tooth makes the same whole turn through the same material
+        out = (np.sin(turned) * ahead + hand * np.cos(turned) * left)[:, None]  # from the axis to the tooth
+        moves = np.cos(turned) * ahead - hand * np.sin(turned) * left  # where it goes
+        normal = np.sin(kappa)[:, None] * out - np.cos(kappa)[:, None] * up
+        chip = per_tooth * normal @ direction
+        step, piece = np.nonzero(chip > 0)
+        lever = distance[piece, None] * out[step, 0] + height[piece, None] * up
+        in_material = material(tip + lever)
+        step, piece, lever = step[in_material], piece[in_material], lever[in_material]
+        out, moves, normal, kappa = out[step, 0], moves[step], normal[step, piece], kappa[piece]
+        tangential, radial, axial = self._force(chip[step, piece], length[piece], kappa)
+        upwards = np.cos(kappa)[:, None] * out + np.sin(kappa)[:, None] * up
+        force = -tangential[:, None] * moves - radial[:, None] * normal + axial[:, None] * upwards
+        total = self.teeth * force.sum(axis=0) / steps
+        moment = self.teeth * np.cross(lever, force).sum(axis=0) / steps
         return np.array([each @ axis for each in (total, moment) for axis in (ahead, left, np.array([0, 0, 1.0]))])
