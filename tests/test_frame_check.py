@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from pathlib import Path
 
@@ -32,7 +33,7 @@ def touching(turns, tilts=(0.0, 0.0, 0.0, 0.0, 0.0)):
     return np.array(rows)
 
 
-def written(folder: Path, joints, base=BASE, tool=TOOL) -> tuple[Path, Path]:
+def written(folder: Path, joints, base=BASE, tool=TOOL, more=()) -> tuple[Path, Path]:
     head = "point,X,Y,Z,A1,A2,A3,A4,A5,A6"
     rows = [
         f"P{k}," + ",".join(map(repr, [*p.tolist(), *q.tolist()]))
@@ -43,7 +44,7 @@ def written(folder: Path, joints, base=BASE, tool=TOOL) -> tuple[Path, Path]:
         f"[{name}]\n" + "\n".join(f"{k} = {v}" for k, v in zip("XYZABC", frame, strict=True))
         for name, frame in (("base", base), ("tool", tool))
     ]
-    (folder / "cell.toml").write_text("\n".join(['robot = "kuka_kr270"', *tables]) + "\n")
+    (folder / "cell.toml").write_text("\n".join(['robot = "kuka_kr270"', *more, *tables]) + "\n")
     return folder / "points.csv", folder / "cell.toml"
 
 
@@ -121,6 +122,33 @@ def test_intervals_hold_what_noise_does_to_the_error(tmp_path):
         if check.tool is not None:
             outside += int((abs(check.tool[0] * 1e3 - [4.0, 0.0, 0.0]) > check.tool[1] * 1e3).sum())
     assert outside <= 9  # 3 of 60 are expected; 10 or more have a chance below 0.1 %
+
+
+def test_frames_of_an_arm_that_sags_are_those_at_which_its_tip_touches(tmp_path):
+    """With frames = "model", what the sag under a payload does to a $BASE that the controller measured is found."""
+    mass, centre = 90.0, np.array([0.0, 50.0, 200.0])
+    payload = f"payload = {{mass_kg = {mass}, X = {centre[0]}, Y = {centre[1]}, Z = {centre[2]}}}"
+    arm = dataclasses.replace(Arm.load(robot.find("kuka_kr270")), payload=(mass, centre / 1e3))
+    joints = []
+    for k, start in enumerate(np.radians(touching(TURNS, TILTS))):
+        target = abc(*BASE) @ abc(*POINTS[k], TURNS[k] + 180.0, TILTS[k], 180.0)
+        commanded, q = target.copy(), start
+        for _ in range(6):
+            tip = arm.loaded_tcp(q, abc(*TOOL), np.zeros(6))
+            commanded[:3, 3] += (target - tip)[:3, 3]
+            q = arm.inverse(commanded, abc(*TOOL), q)
+        assert 1e-4 < np.linalg.norm((commanded - target)[:3, 3]) < 2e-3
+        joints.append(np.degrees(q))
+    by_controller = check_frames(*written(tmp_path, joints, more=[payload]), 0.02)
+    assert by_controller.suspect != "none"
+    options = ['frames = "model"', payload]
+    by_model = check_frames(*written(tmp_path, joints, more=options), 0.02)
+    assert by_model.suspect == "none"
+    assert by_model.distances.max() < 1e-7
+    assert 'frames = "model"' in as_text(by_model, 0.02)
+    measured = (BASE[0] + 0.2, BASE[1], BASE[2] + 0.4, *BASE[3:])
+    corrected = check_frames(*written(tmp_path, joints, base=measured, more=options), 0.02)
+    np.testing.assert_allclose(corrected.new_frames["base"], BASE, atol=1e-3)
 
 
 def test_without_a_turned_tool_the_frames_cannot_be_told_apart(tmp_path):

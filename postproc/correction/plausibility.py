@@ -26,6 +26,8 @@ _SHORT_TOOL = 0.005
 """A tip nearer to the flange [m] is none of a spindle: 0.35 is a length in metres that is read in millimetres."""
 _NEAR_BASE = 0.01
 """A base that is not zero and nearer to the robot root [m] is inside the foot of the arm."""
+_LEAST_SHIFT = 1e-4
+"""Displacement of the unloaded tip [m] that is asked about, assumed: touching with a robot is no more exact."""
 _OVERLOAD = 2.0
 """Force over the rated weight from which a program is questioned, assumed: slow arms carry more than at full dynamics,
 for which they are rated, and small ones mill with forces above their rating."""
@@ -65,6 +67,27 @@ def setup_questions(program: Program, cell: Cell, robot: RobotModel) -> Iterator
             "is it in kg? It counts in addition to what the arm carried when the model was calibrated"
         )
         yield Issue("warning", "payload-rating", message)
+
+
+def frame_question(program: Program, motion: Ints, shift: Array, causes: Sequence[str], cell: Cell) -> Iterator[Issue]:
+    """Yield a question where the arm at rest is not where its controller has it, if the controller measured the frames.
+
+    A `$BASE` that is measured by touching the part contains the displacement of the tip there. By a correction that
+    takes the frame for exact, the part would be off by as much.
+
+    :param motion: (K,) motion of each target.
+    :param shift: (K,) distance of the unloaded tip from its nominal place [m].
+    :param causes: of that distance, in words.
+    """
+    is_cut = ~np.asarray(program.motions.rapid)[motion]
+    largest_shift = float(shift.max(initial=0.0, where=is_cut))
+    if cell.frames == "controller" and largest_shift > _LEAST_SHIFT:
+        message = (
+            f"without a force the tip is up to {largest_shift * MM_PER_M:.2g} mm from where the controller has it, by "
+            f"{' and '.join(causes)}. A $BASE that this controller measured contains that, and the correction would "
+            'move the part by it. Write frames = "model" into the cell, and correct its frames by postproc check frames'
+        )
+        yield program.motions.issue("warning", "frames-at-rest", message, motion[is_cut & (shift > _LEAST_SHIFT)])
 
 
 def short_tool(tool: Array, table: str) -> str:

@@ -260,7 +260,11 @@ def result_of(task: Task, draft: Draft, corrected_draft: Draft) -> Result:
     reversals = _reversals(corrected_draft)
     cut_length = draft.cut_lengths()
     bound, errors, error_issues = _expected_errors(task, corrected_draft, deviation, reversals, cut_length)
-    q = draft.q[row]
+    q, causes_at_rest = draft.q[row], _causes_at_rest(path.robot_in_cell)
+    questions: list[Issue] = []
+    if causes_at_rest and task.mode != "nominal":
+        shift, cell = norm(deviation - deflection), path.robot_in_cell.cell
+        questions += plausibility.frame_question(program, targets.motion, shift, causes_at_rest, cell)
 
     def corrections(target: Ints) -> tuple[Array]:
         """Return the distance (n,) [m] of the commanded position of targets from the nominal one."""
@@ -271,7 +275,7 @@ def result_of(task: Task, draft: Draft, corrected_draft: Draft) -> Result:
         robot=task.robot,
         axis=path.robot_in_cell.spindle,
         mode=task.mode,
-        issues=group_issues([*draft.issues, *error_issues]),
+        issues=group_issues([*draft.issues, *error_issues, *questions]),
         motion=targets.motion,
         t=targets.t,
         cut_length=cut_length,
@@ -292,7 +296,7 @@ def result_of(task: Task, draft: Draft, corrected_draft: Draft) -> Result:
         rounding=draft.selection.programmed_rounding,
         programmed=draft.selection.programmed_rounding,
         reversals=reversals,
-        causes=_causes(path),
+        causes=(("the cutting forces",) if path.wrench.values.any() else ()) + causes_at_rest,
         is_stock_known=path.motions.forces.by_law is not None,
         exact_forces=path.motions.forces.spread is None,
         turn=task.turn,
@@ -336,14 +340,12 @@ def _uncorrected_at_targets(task: Task, draft: Draft) -> tuple[Array, Array, Arr
     return target_deviation, deflection, by_tool if by_tool is None else by_tool[row], largest
 
 
-def _causes(path: PathUnderLoad) -> tuple[str, ...]:
-    """Return the causes of deviation from nominal, in words."""
-    robot_in_cell = path.robot_in_cell
+def _causes_at_rest(robot_in_cell: RobotInCell) -> tuple[str, ...]:
+    """Return the causes of deviation from nominal without a force, in words."""
     robot = robot_in_cell.robot
     return tuple(
         cause
         for cause, is_present in (
-            ("the cutting forces", bool(path.wrench.values.any())),
             ("the payload", robot_in_cell.cell.payload.mass_kg > 0.0),
             ("the calibrated geometry", not robot.geometry_is_nominal),
             ("the weight of the arm", robot.has_weight and not robot.subtract_reference),

@@ -8,8 +8,10 @@ and turns all points together. Both are linear in small errors:
 
 r_i: touched minus expected point in the root, R_i: orientation of the flange, d: what `$TOOL` of the cell is too long
 by, t and ω: displacement and rotation of the points from where `$BASE` of the cell has them, p_i: points, c: their
-centre. Least squares, and a χ² test with the standard deviation of a touch, decide which of "none", "tool", "base",
-"both" is the simplest that explains the points (W. H. Press et al., *Numerical Recipes*, 3rd ed., section 15.1).
+centre. With `frames = "model"` in the cell, the tip is where the robot model has it at rest: the frames are then those
+of the arm with its errors, as corrections need them. Least squares, and a χ² test with the standard deviation of a
+touch, decide which of "none", "tool", "base", "both" is the simplest that explains the points (W. H. Press et al.,
+*Numerical Recipes*, 3rd ed., section 15.1).
 """
 
 from __future__ import annotations
@@ -40,6 +42,7 @@ from postproc.frames import (
 )
 from postproc.jobs.programs import load_robot
 from postproc.robot import JOINTS
+from postproc.under_load import RobotInCell
 
 Suspect = Literal["none", "tool", "base", "both", "contradiction", "undecided", "unturned", "one-axis"]
 _MIN_POINTS = 3
@@ -82,6 +85,7 @@ class FrameCheck(Struct, frozen=True, eq=False):
     :param turn: (3,) rotation of `$BASE` [rad], root axes, and its half widths; or None.
     :param new_frames: frames that agree with the points, by table of the cell: X, Y, Z, A, B, C [mm, deg].
     :param hidden: if both frames agree, the largest error of `$TOOL` that may hide behind one of `$BASE` (95 %) [m].
+    :param arm: where the tip was taken to be: by the geometry of the controller, or by the robot model at rest.
     """
 
     suspect: Suspect
@@ -93,6 +97,7 @@ class FrameCheck(Struct, frozen=True, eq=False):
     turn: tuple[Array, Array] | None = None
     new_frames: dict[str, Array] = {}
     hidden: float | None = None
+    arm: Literal["controller", "model"] = "controller"
 
 
 def read_touches(path: Path) -> TouchedPoints:
@@ -128,11 +133,15 @@ def check_frames(path: Path, cell_file: Path, sigma_mm: float) -> FrameCheck:
     robot = load_robot(cell.robot, cell.folder)
     touches = read_touches(path)
     flange = kinematics.tcp(robot.nominal, touches.joints, np.eye(4))[0]
-    tip = flange @ cell.tool.pose()
-    base = cell.base.pose()
+    tool, base = cell.tool.pose(), cell.base.pose()
+    if cell.frames == "model":
+        tip = RobotInCell.of(robot, cell).tip(touches.joints, tool, np.zeros((len(touches.joints), 6)))
+    else:
+        tip = (flange @ tool)[:, :3, 3]
     nominal_point = touches.point @ base[:3, :3].T + base[:3, 3]
-    check = judge(touches, flange[:, :3, :3], nominal_point, tip[:, :3, 3], sigma_mm * M_PER_MM)
-    return replace(check, new_frames=dict(_frames_by_points(check, cell.tool.pose(), base, nominal_point.mean(axis=0))))
+    check = judge(touches, flange[:, :3, :3], nominal_point, tip, sigma_mm * M_PER_MM)
+    new_frames = dict(_frames_by_points(check, tool, base, nominal_point.mean(axis=0)))
+    return replace(check, new_frames=new_frames, arm=cell.frames)
 
 
 def _frames_by_points(check: FrameCheck, tool: Array, base: Array, centre: Array) -> Iterator[tuple[str, Array]]:
@@ -276,5 +285,7 @@ def as_text(check: FrameCheck, sigma_mm: float) -> str:
         lines.append(f"  [{table}] that agrees: {keys}")
     rows = zip(check.points.name, check.distances * MM_PER_M, check.left * MM_PER_M, strict=True)
     lines += [f"  {name}: {distance:.2f} mm off, {left:.2f} mm after that" for name, distance, left in rows]
+    if check.arm == "model":
+        lines.append('  the tip is where the robot model has it without forces (frames = "model" in the cell)')
     lines.append(f"  standard deviation of a touch: {sigma_mm:g} mm in each coordinate (--sigma)")
     return "\n".join(lines)

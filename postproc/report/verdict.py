@@ -39,17 +39,17 @@ _UNCORRECTED_KINDS = ("unresolved", "motions-elsewhere")
 NARROW_DEG = 5.0
 """A joint that comes nearer to its limit is something to look at (assumed)."""
 _FOREMOST: dict[Mode, tuple[str, ...]] = {
-    "convert": ("motions-elsewhere",),
+    "convert": ("motions-elsewhere", "frames-at-rest"),
     "nominal": ("motions-elsewhere",),
-    "predict": ("motions-elsewhere", "external-call"),
+    "predict": ("motions-elsewhere", "frames-at-rest", "external-call"),
 }
-"""Kinds of warnings that come before all others: motions that were not examined, and called files that are missing,
-which may set the frames of a predicted program."""
+"""Kinds of warnings that come before all others: motions that were not examined, frames that may not be those of the
+real arm, and called files that are missing, which may set the frames of a predicted program."""
 _OF_FORCES = frozenset(
     {
         "assumed-stock", "beyond-measured", "cuts-unseen", "deep-cut", "drilled-by-mill", "force-on-rapid",
-        "force-step", "forces-by-pass", "hollow-stock", "material", "no-force", "other-cutter", "real-cut",
-        "stock-scale",
+        "force-step", "forces-by-pass", "frames-at-rest", "hollow-stock", "material", "no-force", "other-cutter",
+        "real-cut", "stock-scale",
     }
 )  # fmt: skip
 """Kinds of warnings about forces and model, which decide whether the part is better, and not whether to drive it."""
@@ -65,6 +65,8 @@ _NO_SIZE = 0.0
 """Cost [mm] of a finding without a length."""
 _AFTER_TOOL_CHANGE = "after-tool-change"
 """Kind of the issue of a path that begins where a called program leaves the robot."""
+_FRAMES_AT_REST = "frames-at-rest"
+"""Kind of the issue of frames that the controller measured on an arm that is not where it has it."""
 ASSUMED_STOCK = "assumed-stock"
 """Kind of the issue of a stock that nobody stated."""
 STOCK_REMARK = "The stock is assumed: check it first."
@@ -203,6 +205,8 @@ def _tolerance_answer(result: Result, content: Summary, other_remedies: Sequence
             return None
         percent = 100.0 * share_beyond(result.after * MM_PER_M, content.tolerance_mm, result.cut_length)
         return Tolerance("failed", "path", content.tolerance_mm, False, percent, [], reasons)
+    if any(issue.kind == _FRAMES_AT_REST for issue in result.issues):
+        return Tolerance("warning", "part", part.tolerance_mm, None, None, [], [*reasons, _UNKNOWN_FRAMES])
     if part.held is None or part.expected_mm is None:
         state: State = "failed" if reasons else "warning"
         return Tolerance(state, "part", part.tolerance_mm, None, None, [], [*reasons, _UNKNOWN])
@@ -223,6 +227,7 @@ def _tolerance_answer(result: Result, content: Summary, other_remedies: Sequence
 
 
 _UNKNOWN = "whether [part] tolerance_mm is held is unknown: the robot model states no uncertainty of its parameters"
+_UNKNOWN_FRAMES = "whether [part] tolerance_mm is held is unknown: the frames may be those of an arm without errors"
 _GAIN = 0.95
 """A remedy is named if the expected error is below this share of today's with it (assumed)."""
 

@@ -9,6 +9,8 @@ from postproc import cell as cells
 from postproc import correction
 from postproc.correction import plausibility
 from postproc.dialects.text import decode
+from postproc.frames import norm
+from postproc.report import summary
 from postproc.robot.rating import rated_payload
 from postproc.under_load import MotionsUnderLoad, RobotInCell
 from tests.commands import run
@@ -250,3 +252,31 @@ def test_a_longer_tool_in_a_base_without_cuts_raises_no_question():
     program = correction.read([decode("p", text)], ROBOT, CELL, "p", "krl")
     assert (len(program.tools), len(program.bases)) == (2, 2)
     assert list(plausibility.tool_changes(program, "+Z")) == []
+
+
+@pytest.mark.parametrize(("frames", "mass_kg", "mode", "is_asked"), [
+    ("controller", 90.0, "convert", True), ("controller", 90.0, "predict", True),
+    ("controller", 90.0, "nominal", False), ("model", 90.0, "convert", False),
+    ("controller", 5.0, "convert", False), ("controller", 0.0, "convert", False),
+])  # fmt: skip
+def test_frames_that_the_controller_measured_on_an_arm_that_sags_are_asked_about(frames, mass_kg, mode, is_asked):
+    """A $BASE that is touched with the sagging arm contains the sag: the correction would move the part by it."""
+    payload = cells.Payload(mass_kg=mass_kg, Z=200.0)
+    cell = replace(CELL, frames=frames, payload=payload, part=replace(CELL.part, tolerance_mm=9.0))
+    program = correction.read(
+        [decode("p", b"G21 G90\nG0 X0 Y0 Z5\n(FORCE FX=50)\nG1 Z0 F300\nX10\nM30\n")], ROBOT, cell, "p", "gcode"
+    )
+    result = correction.process(program, ROBOT, cell, None, mode)
+    issues = [issue for issue in result.issues if issue.kind == "frames-at-rest"]
+    assert len(issues) == is_asked
+    content = summary(result, cell.tolerance, cell.part_tolerance)
+    assert (content.verdict.tolerance.held is None) == is_asked
+    if is_asked:
+        shift = max(norm(result.deviation_before - result.deflection)[~result.rapid]) * 1e3
+        assert f"up to {shift:.2g} mm from where the controller has it, by the payload." in issues[0].message
+        assert (issues[0].level, issues[0].source_line) == ("warning", 4)
+        assert content.verdict.better.state == "warning"
+        assert content.verdict.better.reasons[0].startswith("line 4 and 1 more: without a force")
+        assert content.verdict.tolerance.reasons[0].startswith(
+            "whether [part] tolerance_mm is held is unknown: the fra"
+        )
