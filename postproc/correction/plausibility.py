@@ -87,7 +87,7 @@ def frame_question(program: Program, motion: Ints, shift: Array, causes: Sequenc
             f"{' and '.join(causes)}. A $BASE that this controller measured contains that, and the correction would "
             'move the part by it. Write frames = "model" into the cell, and correct its frames by postproc check frames'
         )
-        yield program.motions.issue("warning", "frames-at-rest", message, motion[is_cut & (shift > _LEAST_SHIFT)])
+        yield Issue("warning", "frames-at-rest", message)
 
 
 def short_tool(tool: Array, table: str) -> str:
