@@ -196,7 +196,7 @@ class Draft(Struct, frozen=True, eq=False):
     def cut_lengths(self) -> Array:
         """Return the length (K,) of the cutting path for which each target stands [m], see `toolpath.cut_lengths`."""
         motion, run = self.selection.targets.motion, self.path.wrench.run[self.selection.row]
-        # a program with one force is not divided by it, and within a motion the force changes where there are targets
+        # within a motion there are targets where the force changes; from one to the next it goes on if it stays equal
         goes_on = (np.diff(motion, prepend=-1) == 0) | (np.diff(run, prepend=-1) == 0)
         segments = self.path.motions.segments
         return toolpath.cut_lengths(

@@ -205,11 +205,11 @@ def _tolerance_answer(result: Result, content: Summary, other_remedies: Sequence
             return None
         percent = 100.0 * share_beyond(result.after * MM_PER_M, content.tolerance_mm, result.cut_length)
         return Tolerance("failed", "path", content.tolerance_mm, False, percent, [], reasons)
-    if any(issue.kind == _FRAMES_AT_REST for issue in result.issues):
-        return Tolerance("warning", "part", part.tolerance_mm, None, None, [], [*reasons, _UNKNOWN_FRAMES])
-    if part.held is None or part.expected_mm is None:
+    is_frame_unknown = any(issue.kind == _FRAMES_AT_REST for issue in result.issues)
+    if part.held is None or part.expected_mm is None or (part.held and is_frame_unknown):
         state: State = "failed" if reasons else "warning"
-        return Tolerance(state, "part", part.tolerance_mm, None, None, [], [*reasons, _UNKNOWN])
+        unknown = _UNKNOWN if part.held is None else _UNKNOWN_FRAMES
+        return Tolerance(state, "part", part.tolerance_mm, None, None, [], [*reasons, unknown])
     if part.held:
         return Tolerance("failed" if reasons else "ok", "part", part.tolerance_mm, True, 0.0, [], reasons)
     actions = [

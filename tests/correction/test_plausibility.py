@@ -271,6 +271,8 @@ def test_frames_that_the_controller_measured_on_an_arm_that_sags_are_asked_about
     assert len(issues) == is_asked
     content = summary(result, cell.tolerance, cell.part_tolerance)
     assert (content.verdict.tolerance.held is None) == is_asked
+    exceeded = summary(result, cell.tolerance, 1e-5).verdict.tolerance
+    assert (exceeded.state, exceeded.held) == ("failed", False)
     if is_asked:
         shift = max(norm(result.deviation_before - result.deflection)[~result.rapid]) * 1e3
         assert f"up to {shift:.2g} mm from where the controller has it, by the payload." in issues[0].message
