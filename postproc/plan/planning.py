@@ -318,6 +318,8 @@ class PlanResult(Struct, frozen=True, eq=False):
     :param torque: (n, 6) of the load on the joints [N·m].
     :param directions: required directions of the joint torques.
     :param accuracy: expected of the plan (together with earlier readings).
+    :param unobservable: names of the compliances that neither rig nor earlier readings show: `accuracy` does not count
+        their errors.
     :param before: the same of the earlier readings alone, or None.
     :param random: (R,) criterion of random plans [m²].
     :param serial: the semi-intuitive plan of the serial approach, or None.
@@ -341,6 +343,7 @@ class PlanResult(Struct, frozen=True, eq=False):
     torque: Array
     directions: Directions
     accuracy: Accuracy
+    unobservable: tuple[str, ...]
     before: Accuracy | None
     random: Array
     serial: Plan | None
@@ -420,6 +423,7 @@ def plan_measurements(
         torque=problem.readings.torque(plan.q, force),
         directions=problem.task.directions,
         accuracy=accuracy,
+        unobservable=tuple(c.name for k, c in enumerate(JOINT_COMPLIANCES) if k not in problem.readings.keep),
         before=None if problem.known is None else _accuracy_of_earlier_readings(problem, sample, information.shape[1:]),
         random=others.random,
         serial=others.serial,

@@ -205,6 +205,8 @@ def plan_lines(result: PlanResult) -> list[str]:
     criterion = float(np.sqrt(result.plan.value)) * MM_PER_M
     uncompensated = float(np.sqrt(result.tests.weight @ result.tests.deflection**2)) * MM_PER_M
     levels = ", ".join(f"{value:.1f}" for value in np.sort(np.unique(result.plan.q[:, 1])) * DEG_PER_RAD)
+    names = " and ".join(result.unobservable)
+    aside = f", but for that by {names}, which this rig does not show" if names else ""
     lines = [
         f"{len(result.plan)} poses, A2 at {levels}°; {len(result.tests)} test poses from {result.tests.source}",
         f"each under two loads: {result.site.rig.force:.0f} N as planned, and {result.second_load:.0%} of it, "
@@ -213,7 +215,7 @@ def plan_lines(result: PlanResult) -> list[str]:
         "torques of the loads: "
         + ", ".join(f"{n} {a:.0f} … {b:.0f}" for n, a, b in zip(JOINTS, *torque_extremes(result), strict=True))
         + " N·m",
-        f"expected error after compensation: {result.accuracy.rms * MM_PER_M:.3g} mm RMS "
+        f"expected error after compensation{aside}: {result.accuracy.rms * MM_PER_M:.3g} mm RMS "
         f"(95 %: {low:.3g} … {high:.3g}); without compensation: {uncompensated:.3g} mm",
     ]
     if result.before is not None:

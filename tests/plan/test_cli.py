@@ -189,6 +189,7 @@ def test_a_rig_that_cannot_show_a_parameter_is_told_before_anyone_measures(tmp_p
     result = run(tmp_path, "--poses", "tests.csv", *QUICK, text=BASIC + "\n[rig]\nmass_kg = 275\n")
     assert result.exit_code == 0, result.output
     assert "warning: k1 is not observable with this rig" in result.output
+    assert "expected error after compensation, but for that by k1, which this rig does not show: " in result.output
     page = (tmp_path / "out" / "plan.html").read_text(encoding="utf-8")
     assert "k1 is not observable" in page
 
