@@ -26,6 +26,7 @@ from postproc.identification.measurement_model import MIN_COMPLIANCE, describe, 
 from postproc.identification.moved_device import moved_device
 from postproc.identification.procedure import Depth, Identification, Method, identify, rms_distances
 from postproc.identification.readings import Experiment, Measurements, Payload, read, read_experiment
+from postproc.identification.stated_points import displaced_points
 from postproc.identification.uncertainty import Discrepancy
 from postproc.robot import (
     COMPENSATOR,
@@ -543,7 +544,7 @@ def geometry_folder(
     data = read(measurements, setup, loads=False)
     _require_positions(data, measurements)
     data, placement, outliers = plausibility.check_placement(robot, data)
-    movements = moved_device(robot, data, placement)
+    doubts = [*filter(None, [displaced_points(data, placement)]), *moved_device(robot, data, placement)]
     geometry = calibration.identify_geometry(content, nominal, robot.name, data)
     report = record.IdentificationRecord(
         method="geometry",
@@ -554,7 +555,7 @@ def geometry_folder(
         points=describe_points(geometry.placement, data.points),
         unloaded_rms_mm=geometry.placement.rms * MM_PER_M,
         outliers=outliers,
-        warnings=[*(f"outlier: {name}" for name in outliers), *movements, *calibration.warnings(geometry)],
+        warnings=[*(f"outlier: {name}" for name in outliers), *doubts, *calibration.warnings(geometry)],
     )
     write(output, geometry.content, report, folder, render)
     return IdentifiedFolder(None, report, summary(report))

@@ -35,6 +35,7 @@ from postproc.identification.measurement_model import (
 from postproc.identification.moved_device import moved_device
 from postproc.identification.plausibility import check_loads, displacement_ratio, loops
 from postproc.identification.readings import Measurements, gaps
+from postproc.identification.stated_points import displaced_points
 from postproc.identification.uncertainty import (
     Discrepancy,
     Judgement,
@@ -152,6 +153,7 @@ def identify(
     fit = add_stated_errors(fit, data, placement, None if choice is None else choice.influence)
     workspace = over_workspace(_add_bound(fit, model_error), data)
     judgement = judge(data, fit, choice, workspace, displacement_ratio(prior, data, placement))
+    judgement = judgement.reserved(displaced_points(data, placement))
     warnings += judgement.notes + loops(prior, data, placement)
     return Identification(
         method="enhanced",
@@ -302,6 +304,7 @@ def _serial(
     fit = add_stated_errors(fit, data, placement, None)
     workspace = over_workspace(_add_bound(fit, model_error), data)
     judgement = judge(data, fit, None, workspace, displacement_ratio(prior, data, placement))
+    judgement = judgement.reserved(displaced_points(data, placement))
     return Identification(
         method="serial",
         prior=prior,

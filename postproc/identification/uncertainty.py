@@ -475,6 +475,10 @@ class Judgement(Struct, frozen=True):
         usable = "the model may be used, within its bound"
         return f"{usable}{RESERVATION}{self.reservation}" if self.reservation else usable
 
+    def reserved(self, reservation: str) -> Judgement:
+        """Return the judgement with another reservation before the others; an empty one changes nothing."""
+        return replace(self, reservation="; ".join(filter(None, (reservation, self.reservation))))
+
 
 def judge(data: Measurements, fit: Fit, choice: Choice | None, workspace: Workspace, ratio: float) -> Judgement:
     """Return whether a model may be used.

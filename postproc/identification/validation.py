@@ -38,6 +38,7 @@ from postproc.identification.measurement_model import (
     visible,
 )
 from postproc.identification.readings import Measurements, read, read_experiment
+from postproc.identification.stated_points import displaced_points
 from postproc.identification.uncertainty import levels, noise_of
 from postproc.program import Bools, Ints
 from postproc.robot import JOINTS, RobotModel
@@ -206,6 +207,7 @@ def validate(model: Path, measurements: Path, experiment: Path) -> Validation:
     robot = robots.load(folder)
     data, placement, outliers = plausibility.check_placement(robot, as_positions(robot, read(measurements, setup)))
     warnings = [f"outlier: {name}" for name in outliers]
+    warnings += filter(None, [displaced_points(data, placement)])
     model_data = record.measured_states(folder)
     fresh = ~_is_known_state(data, model_data.as_array())
     if not fresh.any():

@@ -1,0 +1,70 @@
+"""Reference points that come out far from where the experiment states them in the flange frame.
+
+Readings without load determine the points, whatever the stated guesses are. But A6 with another zero turns all of them
+about the flange axis and leaves no residual, while load point and payload stay where they are stated.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from postproc.errors import first_of
+from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm
+from postproc.identification.fit import LENGTH_95
+from postproc.identification.measurement_model import Placement
+from postproc.identification.readings import Measurements
+
+_LIMIT = 0.03
+"""Distance [m] from the stated point that no careless guess has (assumed): points are stated by a ruler or a drawing,
+and a wrong zero of A6 or a wrong frame moves them by decimetres."""
+_MOST_NAMES = 6
+"""Points that the text lists."""
+
+
+def displaced_points(data: Measurements, placement: Placement) -> str:
+    """Return, as a clause, which points are far from their stated places, and what to check; empty if none is.
+
+    Distances count as far as the readings without load determine the points.
+    """
+    distance = norm(placement.points - data.guess)
+    far_points = np.flatnonzero(distance - _uncertainty(placement) > _LIMIT)
+    if len(far_points) == 0:
+        return ""
+    worst = int(far_points[np.argmax(distance[far_points])])
+    clause = (
+        f"point {data.points[worst]} comes out at {_coordinates(placement.points[worst])} mm in the flange frame, "
+        f"{distance[worst] * MM_PER_M:.0f} mm from the stated {_coordinates(data.guess[worst])}"
+    )
+    others = [
+        f"{data.points[index]} by {distance[index] * MM_PER_M:.0f} mm"
+        for index in far_points.tolist()
+        if index != worst
+    ]
+    if others:
+        clause += f" ({first_of(others, _MOST_NAMES)})"
+    turn = _flange_turn(data.guess, placement.points)
+    if turn is not None:
+        subject = "all points are" if len(data.points) > 1 else "it is"
+        clause += f"; {subject} turned by {turn * DEG_PER_RAD:.0f}° about Z of the flange frame"
+    return f"{clause}: check A6, the flange frame of the stated points and of the load point, and their unit (mm)"
+
+
+def _uncertainty(placement: Placement) -> Array:
+    """Return the 95 % uncertainty (P,) of the points [m], by the residuals of the readings without load."""
+    variance = np.diag(placement.covariance)[6:].reshape(-1, 3).sum(axis=1)
+    return np.asarray(LENGTH_95 * placement.rms * np.sqrt(variance))
+
+
+def _flange_turn(stated: Array, points: Array) -> float | None:
+    """Return the angle [rad] about the flange axis that carries stated points (P, 3) to all others; None if none
+    does.
+    """
+    plane_stated, plane_points = stated[:, :2] @ [1.0, 1.0j], points[:, :2] @ [1.0, 1.0j]
+    turn = np.angle(np.sum(plane_points * plane_stated.conj()))
+    left = np.hypot(np.abs(plane_points - plane_stated * np.exp(1j * turn)), points[:, 2] - stated[:, 2])
+    return float(turn) if left.max() < _LIMIT else None
+
+
+def _coordinates(point: Array) -> str:
+    """Return the coordinates of a point (3,) [m] in whole mm."""
+    return ", ".join(str(round(value * MM_PER_M)) for value in point.tolist())
