@@ -17,6 +17,7 @@ import numpy as np
 from msgspec import Struct
 
 from postproc import files
+from postproc.compensator import Compensator
 from postproc.decimals import without_negative_zero
 from postproc.errors import InputError, MeasurementError
 from postproc.frames import DEG_PER_RAD, M_PER_MM, MM_PER_M, RAD_PER_DEG, Array
@@ -43,8 +44,31 @@ _MOST_OFFSET = 5000.0
 """Largest coordinate of P0 [mm]: it is on link 1, near joint 2."""
 _WIDE = 0.05
 """Warn if the half width of a_x or a_y exceeds this share of the distance P0 … P2 (assumed)."""
+_FAR_PIVOT = 0.1
+"""Distance [m] of P0 from its place in the robot model that is asked about (assumed): another size of arm, or an angle
+with the wrong sign or zero."""
 _WORTH = 0.8
 """Half width with evenly spread markers over the present one below which spreading them is advised."""
+
+
+def pivot_doubt(measured: Compensator | None, stated: Compensator | None) -> str:
+    """Return, as a clause, how far P0 is from where the robot model has it, and what to check; empty if it is near.
+
+    :param measured: with the geometry of the markers.
+    :param stated: of the robot model; None: it has none.
+    """
+    if measured is None or stated is None:
+        return ""
+    distance, mirrored_distance = (
+        float(np.hypot(measured.ax - stated.ax, y - stated.ay)) for y in (measured.ay, -measured.ay)
+    )
+    if distance <= _FAR_PIVOT:
+        return ""
+    places = [f"({law.ax * MM_PER_M:.0f}, {law.ay * MM_PER_M:.0f}) mm" for law in (measured, stated)]
+    check = "the zero of q2 and the names of the markers"
+    if mirrored_distance < 0.5 * distance:
+        check = "the sign of q2 (KUKA: A2 is negative where link 2 points up)"
+    return f"the compensator's P0 comes out at {places[0]}, and the robot model has it at {places[1]}: check {check}"
 
 
 class MarkerReadings(Struct, frozen=True, eq=False):

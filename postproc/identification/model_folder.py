@@ -486,14 +486,16 @@ def identify_folder(
     """
     setup = read_experiment(experiment)
     prior_folder, prior_content, prior = starting_robot(setup, experiment)
-    geometry_source = None
+    geometry_source, pivot_doubt = None, ""
     if choices.compensator is not None:
-        prior = with_compensator_geometry(prior, choices.compensator)
+        stated_compensator, prior = prior.compensator, with_compensator_geometry(prior, choices.compensator)
+        pivot_doubt = compensator_geometry.pivot_doubt(prior.compensator, stated_compensator)
         geometry_source = f"identified from markers ({choices.compensator.name})"
     readings = read(measurements, setup)
     if choices.geometry:
         _require_positions(readings, measurements)
     result = identify(prior, readings, choices.method, choices.structure, progress)
+    result = replace(result, judgement=result.judgement.reserved(pivot_doubt))
     data = msgspec.structs.replace(report_data(result), assumptions=setup.assumptions)
     source = f"identified from {measurements.name}, {choices.method}"
     content = model_file(result, prior_content, source, geometry_source)

@@ -425,3 +425,17 @@ def test_repeats_of_evenly_spread_markers_narrow_their_intervals_as_they_narrow_
         cg.MarkerReadings(PAPER_Q2, ("P01", "P02", "P03"), exact[0], exact[1:], count[0], count[1:], 1e-7, 100)
     )
     np.testing.assert_allclose(found.markers.ci95_even, found.ci95, rtol=1e-3)
+
+
+@pytest.mark.parametrize(("ax", "ay", "check"), [
+    (0.68, 0.12, ""), (0.62, 0.19, ""), (0.56, 0.19, "the zero of q2"), (0.67, -0.14, "the sign of q2"),
+    (-0.69, 0.12, "the zero of q2"),
+])  # fmt: skip
+def test_a_pivot_far_from_that_of_the_robot_model_is_a_doubt(ax, ay, check):
+    stated = Compensator(1.2e5, 0.458, 0.185, 0.686, 0.123)
+    doubt = cg.pivot_doubt(Compensator(0.0, 0.0, 0.19, ax, ay), stated)
+    assert bool(doubt) == bool(check)
+    if check:
+        assert f"comes out at ({ax * 1e3:.0f}, {ay * 1e3:.0f}) mm, and the robot model has it at (686, 123) mm" in doubt
+        assert f": check {check}" in doubt
+    assert cg.pivot_doubt(stated, None) == ""

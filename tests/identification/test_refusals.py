@@ -23,7 +23,7 @@ from postproc.identification.compensator_geometry import MarkerReadings
 from postproc.identification.measurement_model import LevelCompliance, Structure
 from postproc.identification.validation import JobShare, ValidatedLevel, Validation, coverage
 from postproc.robot import JOINT_COMPLIANCES
-from samples.paper_study import harness
+from samples.paper_study import harness, simulator
 from tests.identification.test_joint_springs import POINTS, SPRINGS, forces, placed, readings
 from tests.identification.test_judgement import fit_of
 
@@ -185,6 +185,21 @@ def test_a_compensator_of_markers_replaces_the_geometry_alone(tmp_path):
     assert (found.stiffness, found.free_length) == (old.stiffness, old.free_length)
     bare = model_folder.with_compensator_geometry(replace(harness.PRIOR, compensator=None), tmp_path / "c.toml")
     assert (bare.compensator.stiffness, bare.compensator.free_length, bare.compensator.L) == pytest.approx((0, 0, 0.18))
+
+
+@pytest.mark.parametrize(("ay", "is_doubted"), [(0.123, False), (-0.123, True)])
+def test_a_pivot_on_the_other_side_of_the_arm_is_a_reservation(tmp_path, ay, is_doubted):
+    """As with q2 of the other sign: the readings of the arm alone would not show it."""
+    rng = np.random.default_rng(2)
+    true, (q, f) = simulator.paper_like(rng), simulator.plan(rng, 10)
+    simulator.write(tmp_path, q, f, simulator.measure(true, q, f, rng)[1])
+    q2 = np.radians([0.0, -30.0, -60.0, -90.0, -120.0])
+    geometry = compensator_geometry.identify(markers(q2, *mechanism(np.array([0.185, 0.686, ay]), q2)))
+    compensator_geometry.save(tmp_path / "c.toml", geometry, "x")
+    choices = model_folder.Choices(compensator=tmp_path / "c.toml", structure="joints")
+    paths = (tmp_path / name for name in ("measurements.csv", "experiment.toml", "model"))
+    line = model_folder.identify_folder(*paths, choices).data.verdict.line
+    assert ("check the sign of q2" in line) == is_doubted
 
 
 def test_the_model_is_not_written_over_the_one_that_it_came_from(tmp_path):
