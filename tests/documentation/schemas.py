@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import re
 from pathlib import Path
@@ -36,6 +37,8 @@ def written(name: str) -> str:
     comments = _comments(STRUCTURES[name], block(f"{name}.toml", "toml"))
     classes = {cls.__name__: cls for cls, _ in schema.keys(STRUCTURES[name])} | _classes(STRUCTURES[name])
     for title, table in content["$defs"].items():
+        if "description" in table:  # msgspec before 0.23 keeps the indentation of docstrings
+            table["description"] = inspect.cleandoc(table["description"])
         for key, described in table.get("properties", {}).items():
             owner = schema.owner_of(classes[title], key) if title in classes else None
             text = comments.get((owner, key)) or described.get("description", "")
