@@ -4,7 +4,16 @@ Reads and writes no files; the command line, `jobs` and CAM hosts share it.
 """
 
 from postproc.correction.process import process, read, uncorrected_deviations
-from postproc.correction.result import ExpectedErrors, HeldFeed, Mode, Result, Statistics, share_beyond, statistics
+from postproc.correction.result import (
+    ExpectedErrors,
+    HeldFeed,
+    Mode,
+    Result,
+    Statistics,
+    share_beyond,
+    statistics,
+    weighted_quantile,
+)
 
 __all__ = [
     "ExpectedErrors",
@@ -17,4 +26,5 @@ __all__ = [
     "share_beyond",
     "statistics",
     "uncorrected_deviations",
+    "weighted_quantile",
 ]

@@ -85,7 +85,8 @@ def frame_question(program: Program, motion: Ints, shift: Array, causes: Sequenc
         message = (
             f"without a force the tip is up to {largest_shift * MM_PER_M:.2g} mm from where the controller has it, by "
             f"{' and '.join(causes)}. A $BASE that this controller measured contains that, and the correction would "
-            'move the part by it. Write frames = "model" into the cell, and correct its frames by postproc check frames'
+            'move the part by it. Write frames = "model" at the top of the cell, and correct its frames by '
+            "postproc check frames"
         )
         yield Issue("warning", "frames-at-rest", message)
 

@@ -259,7 +259,7 @@ class Statistics(Struct, frozen=True):
 
 
 _LEAST_SHARE = 1e-12
-"""Share of a length by which sums over targets are off by rounding."""
+"""Share of a sum of lengths or areas by which rounding may change it."""
 
 
 def statistics(distance: Array, cut_length: Array) -> Statistics:
@@ -273,14 +273,24 @@ def statistics(distance: Array, cut_length: Array) -> Statistics:
         return Statistics(0.0, 0.0, 0.0, 0.0)
     cut_distance, length = distance[is_cut], cut_length[is_cut]
     total = float(length.sum())
-    order = np.argsort(cut_distance)
-    percentile_row = int(np.searchsorted(np.cumsum(length[order]), 0.95 * total * (1.0 - _LEAST_SHARE)))
     return Statistics(
         largest=float(cut_distance.max()),
         rms=float(np.sqrt(length @ cut_distance**2 / total)),
         mean=float(length @ cut_distance / total),
-        p95=float(cut_distance[order[percentile_row]]),
+        p95=weighted_quantile(cut_distance, length, 0.95),
     )
+
+
+def weighted_quantile(values: Array, weights: Array, share: float) -> float:
+    """Return the smallest value that is not exceeded on a share of the weights.
+
+    :param values: (n,), at least one.
+    :param weights: (n,) such as lengths or areas, not all zero.
+    :param share: in (0, 1].
+    """
+    order = np.argsort(values)
+    sums = np.cumsum(weights[order])
+    return float(values[order[np.searchsorted(sums, share * sums[-1] * (1.0 - _LEAST_SHARE))]])
 
 
 def share_beyond(distance: Array, limit: float, cut_length: Array) -> float:

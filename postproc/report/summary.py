@@ -12,7 +12,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc import provenance
-from postproc.correction import Mode, Result, Statistics, share_beyond, statistics
+from postproc.correction import Mode, Result, Statistics, share_beyond, statistics, weighted_quantile
 from postproc.dialects import registry
 from postproc.errors import Issue
 from postproc.files import FileEntry
@@ -402,12 +402,13 @@ def _surface_entry(result: Result, surface: Surface) -> OnSurface:
     """Return the largest depth of the programmed path in the part and material left [mm], and the reached share [%]."""
     cut = np.flatnonzero(surface.programmed_row >= 0)
     deepest = cut[np.argmin(surface.programmed[cut])] if len(cut) else None
-    area, height = surface.area, surface.programmed[surface.is_touched & (surface.programmed_row < 0)]
-    finite_heights = height[np.isfinite(height)]
+    area = surface.area
+    keeps_distance = surface.is_touched & (surface.programmed_row < 0) & np.isfinite(surface.programmed)
+    height, height_area = surface.programmed[keeps_distance], area[keeps_distance]
     return OnSurface(
         cut_into_mm=0.0 if deepest is None else -float(surface.programmed[deepest]) * MM_PER_M,
         source_line=None if deepest is None else int(result.source_line[surface.programmed_row[deepest]]),
-        left_mm=float(np.median(finite_heights)) * MM_PER_M if len(finite_heights) else None,
+        left_mm=weighted_quantile(height, height_area, 0.5) * MM_PER_M if height_area.any() else None,
         # 1e-300 keeps a mesh without area from dividing by zero
         reached_percent=100.0 * float(area[surface.is_reached].sum() / max(float(area.sum()), 1e-300)),
     )

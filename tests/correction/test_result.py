@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from postproc import cell as cells
 from postproc import correction, files, robot
-from postproc.correction.result import HeldFeed, Result, share_beyond, statistics
+from postproc.correction.result import HeldFeed, Result, share_beyond, statistics, weighted_quantile
 from postproc.elastostatics import Reversals
 from postproc.errors import Issue, ModelError
 from postproc.robot import urdf
@@ -40,6 +40,14 @@ def test_statistics_weigh_cutting_targets_by_their_length():
 def test_ninety_five_per_cent_of_twenty_equal_lengths_are_nineteen():
     """0.95 · 20 is not 19 in binary: the sum of nineteen lengths reaches it nevertheless."""
     assert statistics(np.arange(1.0, 21.0), np.full(20, 0.1)).p95 == 19.0
+
+
+@pytest.mark.parametrize("share", [0.5, 0.95, 1.0])
+def test_a_quantile_is_that_of_values_repeated_as_often_as_their_weights(share):
+    rng = np.random.default_rng(4)
+    values, weights = rng.normal(size=30), rng.integers(0, 5, size=30)
+    repeated = np.repeat(values, weights)
+    assert weighted_quantile(values, 0.1 * weights, share) == np.quantile(repeated, share, method="inverted_cdf")
 
 
 def test_the_share_beyond_a_limit_is_that_of_the_length():

@@ -10,6 +10,7 @@ from postproc.errors import Issue
 from postproc.files import json_bytes
 from postproc.report import summary
 from postproc.report.summary import Ratios
+from postproc.report.surface import Surface
 from tests import fabricated
 
 
@@ -88,3 +89,17 @@ def test_tolerance_is_compared_with_the_path_between_targets_too(tolerance, held
 def test_nan_in_json_is_an_error():
     with pytest.raises(ValueError, match="not JSON compliant"):
         json_bytes({"a": float("nan")})
+
+
+def test_material_left_is_that_on_half_of_the_area_and_not_of_the_facets():
+    """Forty slivers with nothing left, as of a fillet, and one large facet with 0.3 mm."""
+    corners = np.zeros((41, 3, 3))
+    corners[:, 1, 0] = np.where(np.arange(41) == 40, 0.1, 1e-3)
+    corners[:, 2, 1] = 0.01
+    zero, row = np.zeros(41), np.zeros(41, dtype=np.int64)
+    programmed = np.where(np.arange(41) == 40, 3e-4, 0.0)
+    normal = np.tile([0.0, 0.0, 1.0], (41, 1))
+    part = Surface(corners, normal, zero, zero, None, row, programmed, row - 1)
+    assert summary(fabricated.result(), surface=part).surface.left_mm == pytest.approx(0.3)
+    no_tool = replace(part, row=row - 1)
+    assert summary(fabricated.result(), surface=no_tool).surface.left_mm is None

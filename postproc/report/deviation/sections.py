@@ -9,6 +9,7 @@ import numpy as np
 from msgspec.structs import astuple
 
 from postproc import placement
+from postproc.correction import statistics
 from postproc.errors import Issue, first_of
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm
 from postproc.operations import tool_text
@@ -717,20 +718,20 @@ def _gain_sentences(tool_turn: Turn, turns: Array) -> list[str]:
 
     :param turns: (K,) chosen turn [rad] at each row of the map.
     """
-    is_cut = tool_turn.map.blocks.cuts[tool_turn.map.blocks.block]
+    cut_length = tool_turn.map.blocks.cut_length
     error, offset = tool_turn.map.error, tool_turn.map.offset
     step = offset[1] - offset[0]
     columns = np.rint((turns - offset[0]) / step).astype(np.int64) % len(offset)
     cell_column = int(np.argmin(np.abs(offset)))
-    line_error = error[np.arange(len(columns)), columns][is_cut]
-    constant_error = error[is_cut, cell_column]
-    if not len(line_error) or not np.isfinite(line_error).all() or not line_error.any():
+    line_error = error[np.arange(len(columns)), columns]
+    cut_error = line_error[cut_length > 0.0]
+    if not len(cut_error) or not np.isfinite(cut_error).all() or not cut_error.any():
         return []
-    rms = two_digits(float(np.sqrt(np.mean(line_error**2))) * MM_PER_M)
+    rms = two_digits(statistics(line_error, cut_length).rms * MM_PER_M)
     if not (tool_turn.map.reasons(tool_turn.keep)[:, cell_column] == FREE).all():
         cell_text = f"the turn that the cell states ({tool_turn.constant * DEG_PER_RAD:g}°) cannot be driven throughout"
     else:
-        cell_rms = two_digits(float(np.sqrt(np.mean(constant_error**2))) * MM_PER_M)
+        cell_rms = two_digits(statistics(error[:, cell_column], cut_length).rms * MM_PER_M)
         cell_text = f"{cell_rms} mm with {tool_turn.constant * DEG_PER_RAD:g}°"
     return [f"Expected error along this line {rms} mm RMS; {cell_text}."]
 
