@@ -21,6 +21,7 @@ from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, displace
 from postproc.identification import record
 from postproc.identification.fit import LENGTH_95, NORMAL_95
 from postproc.identification.measurement_model import Placement, kabsch
+from postproc.identification.outlying_configuration import check_configurations
 from postproc.identification.readings import Measurements
 from postproc.robot import GEAR_TERMS, LINK_AXES, PER_URAD, Chain, RobotModel, assemble, waves
 from postproc.robot.model_file import (
@@ -164,7 +165,7 @@ def identify_geometry(content: ModelFile, nominal: Chain, name: str, data: Measu
 
     :param content: model whose springs, masses and compensator predict the sag; its own `[geometry]` is replaced.
     :param nominal: the controller's geometry.
-    :raises MeasurementError: fewer readings than unknowns.
+    :raises MeasurementError: fewer readings than unknowns, or a configuration contradicts all others.
     """
     parameters = nonredundant(nominal, len(data.points))
     unknowns = 6 + 3 * len(data.points) + len(parameters)
@@ -194,6 +195,7 @@ def identify_geometry(content: ModelFile, nominal: Chain, name: str, data: Measu
         unmeasured_mm=_extrapolation_error(solution, nominal) * MM_PER_M,
     )
     calibrated_content = _add_geometry(solution.content, solution.parameters, solution.values, source, half)
+    _check_configurations(assemble(name, calibrated_content, nominal), data, solution)
     return Geometry(
         solution.parameters,
         solution.values,
@@ -210,6 +212,17 @@ def identify_geometry(content: ModelFile, nominal: Chain, name: str, data: Measu
             if h > 0.8 * NORMAL_95 * u
         ),
     )
+
+
+def _check_configurations(robot: RobotModel, data: Measurements, solution: _Solution) -> None:
+    """Check that no configuration contradicts all others in the fit of the geometry.
+
+    :raises MeasurementError: one does.
+    """
+    weight = solution.weight.reshape(len(data.q), -1)
+    readings_design, prior_rows = np.split(solution.design, [weight.size])
+    design = readings_design.reshape(*weight.shape, -1)
+    check_configurations(robot, data, solution.placement, design, prior_rows, weight)
 
 
 def _rms(residual: Array) -> float:

@@ -109,6 +109,13 @@ def locate(robot: RobotModel, data: Measurements) -> Placement:
     return Placement(pose, position, np.asarray(np.linalg.inv(normal)), left)
 
 
+def unloaded_design(robot: RobotModel, data: Measurements, placement: Placement) -> Array:
+    """Return the derivatives (C, P, 3, 6 + 3P) of the points without load, device axes, by the unknowns of `locate`."""
+    flange = unloaded_flange(robot, data.q)
+    root = placement.root_in_device
+    return _derivatives(_place(root @ flange, placement.points), root, flange)
+
+
 def as_positions(robot: RobotModel, data: Measurements) -> Measurements:
     """Return displacements as positions: from where the robot has the stated points without load, root axes.
 

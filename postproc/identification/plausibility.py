@@ -24,10 +24,12 @@ from postproc.identification.measurement_model import (
     locate,
     measured_displacements,
     predict,
+    unloaded_design,
     visible,
     whiten,
     whitening,
 )
+from postproc.identification.outlying_configuration import check_configurations
 from postproc.identification.readings import Measurements
 from postproc.program import Ints
 from postproc.robot import JOINT_COMPLIANCES, JOINTS, RobotModel
@@ -223,10 +225,15 @@ def check_frames(robot: RobotModel, data: Measurements) -> Placement:
     :raises MeasurementError: one configuration has wrong angles, the tracker was moved, or it is another robot.
     """
     placement = locate(robot, data)
+    design = unloaded_design(robot, data, placement)
+    weight = np.sqrt(data.means()[1][data.unloaded_states]).repeat(3, axis=1)
+    weighted_design = weight[..., None] * design.reshape(*weight.shape, -1)
+    no_prior = np.empty((0, design.shape[-1]))
+    check_configurations(robot, data, placement, weighted_design, no_prior, weight)
     if placement.rms < _MAX_DISTANCE:
         return placement
     size = len(data.q)
-    # one wrong configuration first: a few readings of one point fit any frame
+    # one wrong configuration of a few first: readings of one point at a few configurations fit any frame
     reduced_rms = np.array([_rms(robot, data, np.delete(np.arange(size), row)) for row in range(size)])
     worst = int(np.argmin(reduced_rms))
     if reduced_rms[worst] < _MAX_DISTANCE:
