@@ -19,33 +19,36 @@ _ADVICE = (
 
 
 def check_branches(program: Program, cut: Ints, is_near: Bools) -> None:
-    """Refuse material that a branch removes if a motion behind that branch comes near the stock.
+    """Refuse a program in which a branch removes material and a later motion comes near the stock.
+
+    The condition of the branch is known on the running robot only, so the stock after the branch is unknown.
 
     :param cut: rows of motions that remove material.
-    :param is_near: (M,) which motions come near the stock as it is before the program.
-    :raises ForceError: names the cut of the branch, and the motion behind it.
+    :param is_near: (M,) motions that come near the stock as it is before the program.
+    :raises ForceError: names the first cut of the branch, and the first motion near the stock after it.
     """
-    is_removal = np.zeros(len(program.motions), dtype=bool)
-    is_removal[cut] = True
+    removes_material = np.zeros(len(program.motions), dtype=bool)
+    removes_material[cut] = True
     for first, end in program.branches:
-        near_rows = np.flatnonzero(is_near[end:])
-        if is_removal[first:end].any() and len(near_rows):
-            rows = np.array([first + np.argmax(is_removal[first:end]), end + near_rows[0]])
-            (file, line), (other_file, other_line) = (program.places(rows).of(row) for row in range(2))
-            place = f"line {other_line}" if other_file == file else f"{other_file}:{other_line}"
+        later_rows = np.flatnonzero(is_near[end:])
+        if removes_material[first:end].any() and len(later_rows):
+            rows = np.array([first + np.argmax(removes_material[first:end]), end + later_rows[0]])
+            (file, line), (later_file, later_line) = (program.places(rows).of(row) for row in range(2))
+            later_place = f"line {later_line}" if later_file == file else f"{later_file}:{later_line}"
             problem = (
                 "whether this motion cuts is decided while the robot runs, by the condition of its branch, so that "
-                f"the stock on {place} is not known"
+                f"the stock on {later_place} is not known"
             )
             raise ForceError(problem, file=file, line=line, advice=_ADVICE)
 
 
 def near_stock(segments: StraightSegments, bounds: tuple[float, ...], margin: float, count: int) -> Bools:
-    """Return which motions (count,) have a segment in or beside the stock, at most as high as its top.
+    """Return True for motions (count,) with a segment within `margin` of the stock in x and y, and below its top.
 
     :param segments: of all motions, in the frame of the map of the stock.
     :param bounds: smallest and largest x, smallest and largest y, and top of the stock [m].
     :param margin: radius of the widest tool [m].
+    :param count: number of motions of the program.
     """
     low, high = np.minimum(segments.begin, segments.end), np.maximum(segments.begin, segments.end)
     x_low, x_high, y_low, y_high, top = bounds

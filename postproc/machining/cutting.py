@@ -79,45 +79,48 @@ class Corners(Struct, frozen=True, eq=False):
 def cut_edge(stock: Stock, turn: Turn, x: Floats, y: Floats, position: Floats, descent: Floats) -> EngagedEdge:
     """Return the cutting edge in material of a tool along z of the map, at n stations.
 
-    :param x: (n, P) and `y` (n, P): coordinates of the points of the turn in the map [m].
+    :param turn: P sample points of the edge within a turn: those of the end face, of the round, of the cylinder.
+    :param x: (n, P) and `y` (n, P): coordinates of these points in the map [m].
     :param position: (n, 3) of the tip [m].
     :param descent: (n,) descent of the tool in one turn [m], > 0: the end face cuts material within it.
     """
     length = np.zeros(x.shape, dtype=np.float32)
     tip = position[:, 2]
     z = tip[:, None]
-    end_count = turn.side.start
+    end_count = turn.side.start  # points on the end face and the round come before those on the cylinder
     if end_count > 0:
         corners = nearby_cells(stock, x[:, :end_count], y[:, :end_count])
-        has_partly_cut = _has_partly_cut(stock, corners)
+        has_partly_cut = _has_partly_cut_cells(stock, corners)
         if turn.round.start < end_count:
             length[:, turn.round] = _round_lengths(stock, turn, corners, z, has_partly_cut)
         if turn.bottom.start < turn.bottom.stop:
-            depth = np.maximum(descent, np.float32(1e-7))[:, None]
-            bottom_height = _blend(
+            depth = np.maximum(descent, np.float32(1e-7))[:, None]  # no division by zero on level paths
+            bottom_height = _interpolated_difference(
                 stock, corners, turn.bottom, lambda level: np.minimum(np.maximum(level - z, 0.0), depth), has_partly_cut
             )
             length[:, turn.bottom] = bottom_height / depth * turn.length[turn.bottom]
     moment = np.zeros((len(x), 0), dtype=np.float32)
     if turn.side.start < turn.side.stop:
-        nearest_cells = _nearest(stock, x[:, turn.side], y[:, turn.side])
+        nearest_cells = _containing_cells(stock, x[:, turn.side], y[:, turn.side])
         length[:, turn.side], moment = _cylinder_contact(stock, nearest_cells, position, turn)
     length[length < _NO_CONTACT] = 0.0
     return EngagedEdge(length, moment)
 
 
 def _round_lengths(stock: Stock, turn: Turn, corners: Corners, z: Floats, has_partly_cut: bool) -> Floats:
-    """Return the lengths of the rounded edge in material (n, R) [m]: the height below the surface, along the edge.
+    """Return the lengths of edge in material (n, R) [m] at the R sample points on the round of a tool.
 
-    :param corners: of the points on the end face and the R points on the round.
+    The height of each piece of edge below the surface of the stock is converted to a length along the edge.
+
+    :param corners: cells around the points on the end face and the R points on the round.
     :param z: (n, 1) height of the tip [m].
     :param has_partly_cut: whether any of the cells is at two levels.
     """
     low, rise, is_near_floor = turn.low[turn.round], turn.rise[turn.round], float(z.min()) < stock.ground
-    level, coverage = _levels(stock, corners, turn.round, z + low, has_partly_cut, is_near_floor)
-    level -= z
-    level -= low
-    height = np.minimum(np.maximum(level, 0.0, out=level), rise, out=level)
+    height, coverage = _surface_levels(stock, corners, turn.round, z + low, has_partly_cut, is_near_floor)
+    height -= z
+    height -= low
+    height = np.minimum(np.maximum(height, 0.0, out=height), rise, out=height)
     if is_near_floor:
         floor = stock.floor.reshape(-1).take(corners.cell[0][:, turn.round]) - z
         height -= np.minimum(np.maximum(floor - low, 0.0), rise)
@@ -130,28 +133,35 @@ def _round_lengths(stock: Stock, turn: Turn, corners: Corners, z: Floats, has_pa
 def nearby_cells(stock: Stock, x: Floats, y: Floats) -> Corners:
     """Return the four cells around points, and their weights of bilinear interpolation.
 
-    :param x: (n, P) and `y`: coordinates in the map [m].
+    Cells are in the order lower left, lower right, upper left, upper right (x to the right, y up). Points off the map
+    get the cells at its edge.
+
+    :param x: (n, P) and `y` (n, P): coordinates in the frame of the map [m].
     """
     rows, columns = stock.high.shape
     scale = np.float32(1.0 / stock.cell)
-    fx = (x - np.float32(stock.x)) * scale - np.float32(0.5)
-    fy = (y - np.float32(stock.y)) * scale - np.float32(0.5)
+    # distances from the middle of the first cell, in cells; below, the part beyond the middle of the lower left cell
+    x_share = (x - np.float32(stock.x)) * scale - np.float32(0.5)
+    y_share = (y - np.float32(stock.y)) * scale - np.float32(0.5)
     # a little less than the last cell, so that the cell after it exists
-    np.clip(fx, 0.0, np.float32(columns - 1.001), out=fx)
-    np.clip(fy, 0.0, np.float32(rows - 1.001), out=fy)
-    column, row = fx.astype(np.int32), fy.astype(np.int32)
-    fx -= column
-    fy -= row
-    first = row * np.int32(columns) + column
-    product = fx * fy
+    np.clip(x_share, 0.0, np.float32(columns - 1.001), out=x_share)
+    np.clip(y_share, 0.0, np.float32(rows - 1.001), out=y_share)
+    column, row = x_share.astype(np.int32), y_share.astype(np.int32)
+    x_share -= column
+    y_share -= row
+    lower_left = row * np.int32(columns) + column
+    product = x_share * y_share
     return Corners(
-        (first, first + 1, first + columns, first + (columns + 1)),
-        (1 - fx - fy + product, fx - product, fy - product, product),
+        (lower_left, lower_left + 1, lower_left + columns, lower_left + (columns + 1)),
+        (1 - x_share - y_share + product, x_share - product, y_share - product, product),
     )
 
 
-def _nearest(stock: Stock, x: Floats, y: Floats) -> NDArray[np.int32]:
-    """Return the index (n, P) in the flat map of the cell that contains each point; `x` and `y` (n, P) [m]."""
+def _containing_cells(stock: Stock, x: Floats, y: Floats) -> NDArray[np.int32]:
+    """Return the index (n, P) in the flat map of the cell that contains each point; `x` and `y` (n, P) [m].
+
+    Points off the map get the cell at its edge.
+    """
     rows, columns = stock.high.shape
     scale = np.float32(1.0 / stock.cell)
     column = ((x - np.float32(stock.x)) * scale).astype(np.int32)
@@ -163,23 +173,23 @@ def _nearest(stock: Stock, x: Floats, y: Floats) -> NDArray[np.int32]:
     return row
 
 
-def _has_partly_cut(stock: Stock, corners: Corners) -> bool:
-    """Return whether any of the cells is partly cut."""
-    first = corners.cell[0]
+def _has_partly_cut_cells(stock: Stock, corners: Corners) -> bool:
+    """Return whether the rows of the map that contain these cells have a partly cut cell."""
+    lower_left = corners.cell[0]
     columns = stock.high.shape[1]
-    low, high = int(first.min()), int(first.max())
-    rows = slice(low // columns, high // columns + 2)
+    # a flat index divided by the number of columns is a row; the upper cells are one row further
+    rows = slice(int(lower_left.min()) // columns, int(lower_left.max()) // columns + 2)
     return bool(stock.share[rows].any())
 
 
-def _blend(
+def _interpolated_difference(
     stock: Stock, corners: Corners, pieces: slice, function: Callable[[Floats], Floats], has_partly_cut: bool
 ) -> Floats:
-    """Return function(level) − function(floor), interpolated between the cells around each point (n, k).
+    """Return function(surface) − function(lower side) of the stock, interpolated between four cells (n, k).
 
-    :param pieces: which k of the points of `corners`.
-    :param function: of levels (n, k) [m]; it does not fall with them.
-    :param has_partly_cut: whether any of the cells is at two levels: they count by their shares.
+    :param corners: cells around the points; `pieces` selects k of the points.
+    :param function: of heights (n, k) [m]; it does not fall as they rise.
+    :param has_partly_cut: whether any of the cells is at two levels: both count by their shares of the area.
     """
     high, low, share, floor = (values.reshape(-1) for values in (stock.high, stock.low, stock.share, stock.floor))
     result = None
@@ -199,12 +209,11 @@ def _blend(
 
 
 def _cylinder_contact(stock: Stock, nearest: NDArray[np.int32], position: Floats, turn: Turn) -> tuple[Floats, Floats]:
-    """Return the engaged height of the cylinder (n, K) [m], and its first moment (n, K) [m²].
+    """Return the engaged height of the cylinder (n, K) [m], and its first moment ∫ z dz above the tip (n, K) [m²].
 
-    The cell that contains the point counts by its share: a second pass along the same wall is then in air. Where the
-    edge runs along a wall that was cut before, as at the end of each layer of a slot, it is inside of it: it meets the
-    lower level alone, and what stands behind the wall does not count. Where it runs outside of such a wall, what
-    stands there counts in full.
+    Both levels of the cell that contains the point count by their shares of its area: a second pass along the same
+    wall is then in air. An edge inside an earlier cut, as at the end of each layer of a slot, meets the lower level
+    only: the material behind the wall does not count. For an edge outside of it, the upper level counts in full.
 
     :param nearest: (n, K) index in the flat map of the cell that contains each point on the cylinder.
     :param position: (n, 3) of the tip [m].
@@ -220,20 +229,20 @@ def _cylinder_contact(stock: Stock, nearest: NDArray[np.int32], position: Floats
     if share.any():
         is_inside, is_outside = _sides_of_earlier_cut(stock, nearest, position, turn, high, low, share)
         share = np.where((share > 0.0) & is_inside, np.float32(1.0), share * ~is_outside)
-        deep = np.maximum(np.minimum(low - tip, top), bottom)
-        height += share * (deep - top)
-        moment += share * (deep * deep - top * top)
+        lower_top = np.maximum(np.minimum(low - tip, top), bottom)
+        height += share * (lower_top - top)
+        moment += share * (lower_top * lower_top - top * top)
     return height, np.float32(0.5) * moment
 
 
 def _sides_of_earlier_cut(
     stock: Stock, nearest: NDArray[np.int32], position: Floats, turn: Turn, high: Floats, low: Floats, share: Floats
 ) -> tuple[Bools, Bools]:
-    """Return at which points (n, K) the cylinder is inside what was cut before, and at which it is outside of it.
+    """Return at which points (n, K) the cylinder is inside of an earlier cut, and at which (n, K) it is outside.
 
-    It is inside where it covers no more of a cell than was cut of it, else outside: cut areas of a cell are taken for
-    nested, as `stock` does. Both are meant of points with `_WALL_CELLS` cells to both sides alike: nearer to where a
-    wall crosses the edge, neither is certain. There the share of the cell counts, right in the mean over both sides.
+    It is inside where it covers no more of a cell than was cut of it, else outside: cut areas of one cell are assumed
+    nested. Either is returned only if it holds over `_WALL_CELLS` cells to both sides: near a crossing of wall and
+    edge both are False, and the share of the cell that is cut is right on average.
 
     :param nearest: (n, K) index in the flat map of the cell that contains each point on the cylinder.
     :param position: (n, 3) of the tip [m].
@@ -245,52 +254,52 @@ def _sides_of_earlier_cut(
     y = (row + np.float32(0.5)) * cell + (np.float32(stock.y) - position[:, 1:2])
     # share of a cell that a straight rim at this distance from its middle covers
     coverage = (radius - np.hypot(x, y)) / cell + np.float32(0.5)
-    # a cell that is as low as the cut shares of the others was cut as a whole, an uncut one is as high as they are
-    is_part = share > 0.0
-    mid_level = np.float32(0.5) * (high + np.minimum(low, high)) * is_part
-    mean_middle = mid_level.sum(axis=1, keepdims=True) / np.maximum(is_part.sum(axis=1, keepdims=True), 1)
-    is_cut = ~is_part & (high <= mean_middle)
-    is_beyond = (coverage > share + _ROUNDING) & (coverage < 1.0) & ~is_cut
-    is_within = is_part & (coverage <= share + _ROUNDING) & (coverage > 0.0) | is_cut
+    # a cell without a share is cut as a whole if it is below the mean of the two levels of partly cut cells
+    is_partly_cut = share > 0.0
+    mid_level = np.float32(0.5) * (high + np.minimum(low, high)) * is_partly_cut
+    mean_mid_level = mid_level.sum(axis=1, keepdims=True) / np.maximum(is_partly_cut.sum(axis=1, keepdims=True), 1)
+    is_cut = ~is_partly_cut & (high <= mean_mid_level)
+    is_outside = (coverage > share + _ROUNDING) & (coverage < 1.0) & ~is_cut
+    is_inside = is_partly_cut & (coverage <= share + _ROUNDING) & (coverage > 0.0) | is_cut
     reach = int(np.ceil(_WALL_CELLS * stock.cell / (float(turn.width[turn.side.start]) * float(radius))))
-    return _is_free_of(is_beyond, reach), _is_free_of(is_within, reach)
+    return _has_no_mark_near(is_outside, reach), _has_no_mark_near(is_inside, reach)
 
 
-def _is_free_of(marked: Bools, reach: int) -> Bools:
-    """Return at which points of the cylinder (n, K) no point is marked up to `reach` points to both sides.
+def _has_no_mark_near(marks: Bools, reach: int) -> Bools:
+    """Return True for points (n, K) without a mark at themselves or up to `reach` points to either side.
 
-    :param marked: (n, K) True for marked points, in the order of the angle.
+    :param marks: (n, K), with the K points in order along the rim.
     """
-    # differences of running counts are the number of marked points, `reach` points to both sides
-    count = np.zeros((len(marked), marked.shape[1] + 1), dtype=np.int32)
-    np.cumsum(marked, axis=1, out=count[:, 1:])
-    points = np.arange(marked.shape[1])
-    last, first = np.minimum(points + reach + 1, len(points)), np.maximum(points - reach, 0)
-    return np.asarray(count[:, last] == count[:, first])
+    # a difference of running counts is the number of marks from `first` to `end` (exclusive)
+    count = np.zeros((len(marks), marks.shape[1] + 1), dtype=np.int32)
+    np.cumsum(marks, axis=1, out=count[:, 1:])
+    points = np.arange(marks.shape[1])
+    end, first = np.minimum(points + reach + 1, len(points)), np.maximum(points - reach, 0)
+    return np.asarray(count[:, end] == count[:, first])
 
 
-def _levels(
+def _surface_levels(
     stock: Stock, corners: Corners, pieces: slice, z: Floats, has_partly_cut: bool, is_near_floor: bool
 ) -> tuple[Floats, Floats | None]:
-    """Return the level of the surface at each point between the four cells around it, and its coverage by material.
+    """Return the level of the surface at points between four cells, and the share of these cells that is material.
 
-    Cells far below the point are beyond a wall, or out of the stock: they have no part in the level, and are not
-    covered. Cells that are less deep are the slope of one surface.
+    Cells more than `_WALL` cell widths below a point are beyond a wall, or out of the stock: they do not count for the
+    level, and as not covered.
 
-    :param pieces: which k of the points of `corners`.
+    :param corners: cells around the points; `pieces` selects k of the points.
     :param z: (n, k) heights of these points [m].
     :param has_partly_cut: whether any of the cells is at two levels.
     :param is_near_floor: whether points may be below the material.
     :returns: levels (n, k) [m], and shares 0 … 1 (n, k); None where all are 1.
     """
     high, low, share, floor = (values.reshape(-1) for values in (stock.high, stock.low, stock.share, stock.floor))
-    slopes = _slopes(stock, corners, pieces)
-    bottom = z - np.float32(_WALL * stock.cell)
+    rises = _surface_rises(stock, corners, pieces)
+    lowest_level = z - np.float32(_WALL * stock.cell)
     levels, planes, weights, is_covered = [], [], [weight[:, pieces] for weight in corners.weight], True
     for k, cell in enumerate(corners.cell):
         cell_index = cell[:, pieces]
         level = high.take(cell_index)
-        material = level > bottom
+        material = level > lowest_level  # shares of the cells that are material
         if is_near_floor:
             material &= level > floor.take(cell_index)
         if has_partly_cut:
@@ -298,10 +307,10 @@ def _levels(
             if cut_share.any():
                 lower = np.minimum(low.take(cell_index), level)
                 # two levels of one surface are averaged; a lower one beyond a wall leaves the cell covered in part
-                is_step = lower > bottom
-                level = level + np.where(is_step, cut_share * (lower - level), np.float32(0.0))
-                material = material * np.where(is_step, np.float32(1.0), 1 - cut_share)
-        plane = level + slopes[k] if slopes else level
+                is_same_surface = lower > lowest_level
+                level = level + np.where(is_same_surface, cut_share * (lower - level), np.float32(0.0))
+                material = material * np.where(is_same_surface, np.float32(1.0), 1 - cut_share)
+        plane = level + rises[k] if rises else level
         if not material.all():
             is_covered = False
             weights[k] = weights[k] * material
@@ -313,17 +322,17 @@ def _levels(
         coverage = np.asarray((weights[0] + weights[1]) + (weights[2] + weights[3]), np.float32)
         scale = np.asarray(1 / np.maximum(coverage, np.float32(1e-6)), np.float32)
         weights = [weight * scale for weight in weights]
-    if slopes:
+    if rises:
         return between_cells(levels, planes, weights), coverage
     products = [weight * level for weight, level in zip(weights, levels, strict=True)]
     return np.asarray((products[0] + products[1]) + (products[2] + products[3])), coverage
 
 
-def _slopes(stock: Stock, corners: Corners, pieces: slice) -> list[Floats]:
-    """Return the rise of the surface from the middle of each of the four cells around points (n, k) to them [m].
+def _surface_rises(stock: Stock, corners: Corners, pieces: slice) -> list[Floats]:
+    """Return the rise of the surface from the middle of each of four cells to a point between them [m].
 
-    :param pieces: which k of the points of `corners`.
-    :returns: four arrays (n, k); none if all cells are level.
+    :param corners: cells around the points; `pieces` selects k of the points.
+    :returns: four arrays (n, k); an empty list if all cells are level.
     """
     # one int32 holds both slopes of a cell (int16), so that one look-up gets both
     slope_pairs = stock.slope.reshape(-1, 2).view(np.int32)[:, 0]
@@ -336,6 +345,7 @@ def _slopes(stock: Stock, corners: Corners, pieces: slice) -> list[Floats]:
         return []
     unit = np.float32(SLOPE * stock.cell)
     rises = []
+    # cell k is the right one of two in x if bit 0 of k is set, the upper one in y if bit 1 is
     for k, pair in enumerate(corner_pairs):
         slope = pair[..., None].view(np.int16)
         rises.append(unit * (slope[..., 0] * (x_share - (k & 1)) + slope[..., 1] * (y_share - (k >> 1))))
@@ -387,10 +397,11 @@ class Chips(Struct, frozen=True, eq=False):
 
     @classmethod
     def of(cls, turn: Turn, middle: Floats, change: Floats) -> Chips:
-        """Return chips that are linear along each piece.
+        """Return the chips of pieces of edge along which the thickness changes linearly.
 
-        Without the shares, a ring of a round near its lowest point would cut along half of its circle on a level path
-        and suddenly along all of it on a slope as steep as the ring: forces then jump by those of a ring.
+        A piece whose thickness changes its sign cuts with a share of its length only. Without such shares, forces
+        would jump with the slope of the path: the lowest ring of a ball cuts along half of its circle on a level path,
+        and along all of it on a path that descends as steeply as the ring.
 
         :param middle: (n, P) thickness in the middle of pieces [m], < 0 where they move away from the material.
         :param change: (n, Q) thickness at an end of pieces of the round, less that in the middle [m].
@@ -398,9 +409,9 @@ class Chips(Struct, frozen=True, eq=False):
         share = np.asarray(middle > 0.0, np.float32)
         thickness = np.maximum(middle, 0.0)
         change = np.maximum(np.abs(change), np.float32(_NO_CHIP))
-        of_round = middle[:, turn.round]
-        share[:, turn.round] = np.clip(0.5 + 0.5 * of_round / change, 0.0, 1.0)
-        thickness[:, turn.round] = np.maximum(thickness[:, turn.round], 0.5 * (of_round + change))
+        round_middle = middle[:, turn.round]
+        share[:, turn.round] = np.clip(0.5 + 0.5 * round_middle / change, 0.0, 1.0)
+        thickness[:, turn.round] = np.maximum(thickness[:, turn.round], 0.5 * (round_middle + change))
         thickness *= share > 0.0
         return cls(thickness, share)
 
@@ -419,17 +430,18 @@ def chips(turn: Turn, feed: Floats, descent: Floats) -> Chips:
 def mean_loads(turn: Turn, engagement: EngagedEdge, chip: Chips, descent_sine: Floats, cell: float | Array) -> Loads:
     """Return the loads averaged over a turn, with their standard deviations.
 
+    The rubbing of the end face counts by the sine of the descent: published coefficients of level cuts contain it, and
+    on a plunge it acts in full. Between these, the share that rubs is unknown: uniform from that sine to 1.
+
     :param chip: from `chips`.
-    :param descent_sine: (n,) sine of the angle by which the feed goes down, 0 … 1: this share of the rubbing of the end
-        face counts. On level cuts published coefficients contain it, on a plunge it acts in full; between, it is
-        not known how much of the face rubs: anything from this share to all of it is taken for as likely.
-    :param cell: width of a cell of the map [m], or (n,) of what a cell is on the surface of the tool.
+    :param descent_sine: (n,) sine of the angle by which the feed goes down, 0 … 1.
+    :param cell: width of a cell of the map [m]; or (n,) the width that a cell has on the surface of the tool.
     """
     rubbing = engagement.length * chip.share
     cutting = rubbing * turn.law.chip(chip.thickness)
-    patch = (turn.radius * turn.width.astype(np.float32))[:, None]
-    area = product_in_blocks(rubbing, patch)[:, 0].astype(float)
-    removal = product_in_blocks(rubbing * chip.thickness, patch)[:, 0]
+    arc_length = (turn.radius * turn.width.astype(np.float32))[:, None]  # of each sample point of the turn [m]
+    area = product_in_blocks(rubbing, arc_length)[:, 0].astype(float)
+    removal = product_in_blocks(rubbing * chip.thickness, arc_length)[:, 0]
     uncertain_edge = np.where(descent_sine > _LEVEL_SINE, 1.0 - descent_sine, 0.0)[:, None] * rubbing[:, turn.bottom]
     rubbing[:, turn.bottom] *= descent_sine[:, None]
     wrench = (product_in_blocks(cutting, turn.cut) + product_in_blocks(rubbing, turn.rub)).astype(float)
@@ -444,10 +456,12 @@ def mean_loads(turn: Turn, engagement: EngagedEdge, chip: Chips, descent_sine: F
     if turn.law.covariance is not None:
         unit_wrench = _unit_wrenches(turn, engagement, (cutting, rubbing), side_chip)
         square += np.einsum("kni,kl,lni->ni", unit_wrench, np.array(turn.law.covariance), unit_wrench)
+    # a drill has no open side: the cells of the map add no error
     by_cells = np.minimum(
         BY_CELLS * turn.sampling * cell / np.sqrt(np.maximum(area, 1e-12)), 0.0 if turn.drill else 1.0
     )
-    for components in (slice(0, 3), slice(3, 6)):  # in any direction
+    # the error may have any direction: each of three components has a third of the variance
+    for components in (slice(0, 3), slice(3, 6)):
         square[:, components] += (np.square(by_cells * norm(wrench[:, components])) / 3.0)[:, None]
     return Loads(wrench, np.sqrt(np.maximum(square, 0.0)), by_cells, np.asarray(removal, dtype=float))
 
@@ -469,18 +483,19 @@ def _unit_wrenches(turn: Turn, engagement: EngagedEdge, edges: tuple[Floats, Flo
     """
     wrench = np.zeros((6, len(side_chip), 6))
     sides = turn.law.chip(side_chip), np.asarray(side_chip > 0.0, np.float32)
-    for kind, (edge, side) in enumerate(zip(edges, sides, strict=True)):
-        for axis, unit in enumerate(turn.unit_wrench):
-            row = wrench[3 * kind + axis]
-            row[:] = product_in_blocks(edge, unit)
-            _add_moment_of_height(row, product_in_blocks(engagement.moment * side, unit[turn.side, :2]))
+    for kind, (edge, side) in enumerate(zip(edges, sides, strict=True)):  # 0: cutting, 1: edge coefficients
+        for axis, unit in enumerate(turn.unit_wrench):  # tangential, radial, axial
+            coefficient_wrench = wrench[3 * kind + axis]
+            coefficient_wrench[:] = product_in_blocks(edge, unit)
+            moment = product_in_blocks(engagement.moment * side, unit[turn.side, :2])
+            _add_moment_of_height(coefficient_wrench, moment)
     return wrench
 
 
 def product_in_blocks(matrix: Floats, factor: Floats) -> Floats:
     """Return the product (n, k) of `matrix` (n, P) and `factor` (P, k), in blocks so small that BLAS uses one thread.
 
-    At such sizes threads cost more than they gain, and much more if other processes need the processors too.
+    At these sizes threads cost more time than they save, above all if other processes need the processors.
     """
     rows = max(1, _ONE_THREAD // max(1, factor.size))
     return np.concatenate([matrix[k : k + rows] @ factor for k in range(0, max(1, len(matrix)), rows)])

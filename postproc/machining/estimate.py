@@ -172,16 +172,16 @@ def estimate(
     directions = Directions.of(program, path, axis)
     task = _Task(program, path, process, axis, law, tools, directions, stock, base_axes, shift, guard, progress)
 
-    def forces_by_tilt(widest: float) -> ProcessForces:
+    def forces_up_to_tilt(max_tilt: float) -> ProcessForces:
         """Return the forces, with finer cells where a first sweep shows that they are needed.
 
-        :param widest: largest angle between a tool that turns while it cuts and z of the map [rad].
+        :param max_tilt: largest angle between a tool that turns while it cuts and z of the map [rad].
         """
         cell_factors: dict[int, int] = {}
         while True:
             if guard is not None:
                 guard.close.clear()
-            forces, passes = _estimate(task, widest, cell_factors)
+            forces, passes = _forces_and_thin_passes(task, max_tilt, cell_factors)
             if cell_factors or process.stock.resolution_mm is not None:
                 return forces
             cell_factors = factors(passes, forces.stock.high.size)
@@ -189,12 +189,12 @@ def estimate(
                 return forces
 
     try:
-        return forces_by_tilt(_LARGEST_TILT)
-    except _OverhangError as overhang:
+        return forces_up_to_tilt(_LARGEST_TILT)
+    except _OverhangError as overhang_error:
         try:
-            return forces_by_tilt(_SECOND_TILT)
+            return forces_up_to_tilt(_SECOND_TILT)
         except ForceError:
-            raise overhang from None
+            raise overhang_error from None
 
 
 class _Task(NamedTuple):
@@ -228,8 +228,9 @@ class _Task(NamedTuple):
     def least_rise(self) -> Array:
         """Return the smallest length (M,) over which the force of each motion builds up [m]: half a feed per tooth."""
         teeth = _ToolColumns.of(self.tools, self.process).flutes[self.tools.tool]
-        per_tooth = np.nan_to_num(self.program.motions.feed) * 60.0 / np.maximum(self.tools.rpm * teeth, 1.0)
-        return np.asarray(np.maximum(0.5 * per_tooth, _LEAST_RISE))
+        # at least one tooth a minute: no division by zero where the spindle is off
+        feed_per_tooth = np.nan_to_num(self.program.motions.feed) * 60.0 / np.maximum(self.tools.rpm * teeth, 1.0)
+        return np.asarray(np.maximum(0.5 * feed_per_tooth, _LEAST_RISE))
 
 
 class _SweptSetups(NamedTuple):
@@ -264,29 +265,31 @@ class _SweptSetups(NamedTuple):
         return set[int]().union(*(sweep.stopped_motions for sweep in self.sweeps))
 
 
-def _estimate(task: _Task, widest: float, cell_factors: dict[int, int]) -> tuple[ProcessForces, list[ThinPasses]]:
+def _forces_and_thin_passes(
+    task: _Task, max_tilt: float, cell_factors: dict[int, int]
+) -> tuple[ProcessForces, list[ThinPasses]]:
     """Return the cutting forces of a program, see `estimate`, and the passes that need finer cells than they had.
 
-    :param widest: largest angle between a tool that turns while it cuts and the direction of a map [rad].
-    :param cell_factors: by which cells of the map are divided from a motion on.
+    :param max_tilt: largest angle between a tool that turns while it cuts and the direction of a map [rad].
+    :param cell_factors: row of a motion → number by which the width of cells is divided from there on.
     """
     program, process, tools, guard = task.program, task.process, task.tools, task.guard
     cell = process.stock.cell
-    ordered_setups = divide_by_cells(setups(program, task.directions, widest), cell_factors, task.directions.cuts)
+    ordered_setups = divide_by_cells(setups(program, task.directions, max_tilt), cell_factors, task.directions.cuts)
     material, issues = _stock_map(process, ordered_setups[0].frame, cell / ordered_setups[0].factor, task.stock)
     bounds = (*material.bounds, material.top)
     segments = task.segments(ordered_setups[0].frame, cell)
-    _check_speed(program, segments, tools)
+    _check_spindle_speed(program, segments, tools)
     swept = _swept_setups(task, ordered_setups, material, segments)
     _refuse_unknown_forces(program, swept.sweeps)
     if not any(sweep.contact for sweep in swept.sweeps):
-        raise _no_contact_error(program, segments, bounds, process, task.stock)
+        raise _no_contact_error(segments, bounds, process, task.stock)
     cuts = Cuts.join(swept.cuts)
     margin = 0.5 * max(table.diameter_mm for table in process.tools.values()) * M_PER_MM
     has_one_map = len(ordered_setups) == 1
     engaged_motions = distinct(cuts.motion[norm(cuts.wrench) > 0.0])
     if program.branches:
-        is_near = _near_motions(program, segments if has_one_map else None, bounds, margin)
+        is_near = _motions_near_stock(program, segments if has_one_map else None, bounds, margin)
         check_branches(program, engaged_motions, is_near)
     issues += [
         *override_issues(program),
@@ -300,7 +303,10 @@ def _estimate(task: _Task, widest: float, cell_factors: dict[int, int]) -> tuple
     issues += _cut_issues(program, swept.stopped_motions, task.law, cuts, tools, process)
     passes = thin_passes(program, tools, swept.by_cells)
     issues += _coarse_contact_warnings(program, tools, passes, ordered_setups, cell)
-    issues += [*_collision_issues(program, swept.collisions, guard), *_cutter_mismatch(program, tools, process, guard)]
+    issues += [
+        *_collision_issues(program, swept.collisions, guard),
+        *_cutter_mismatch_issues(program, tools, process, guard),
+    ]
     forces = ProcessForces(
         knots=Knots.join(swept.knots),
         cuts=cuts,
@@ -323,15 +329,16 @@ def _largest_power(cuts: Cuts, count: int) -> Array:
     return power
 
 
-def _near_motions(
+def _motions_near_stock(
     program: Program, segments: StraightSegments | None, bounds: tuple[float, ...], margin: float
 ) -> Bools:
-    """Return which motions (M,) may come near the stock as it is before the program.
+    """Return True for motions (M,) that may come near the stock as it is before the program.
 
-    With several directions of the tool, it may touch the stock with its tip beside it: any motion may be near.
+    These are all motions of a tool with several directions: it may touch the stock while its tip is next to it.
 
     :param segments: of all motions, in the frame of the map; None: the tool has several directions.
-    :param bounds: of the stock, and `margin`: see `near_stock`.
+    :param bounds: smallest and largest x, smallest and largest y, and top of the stock [m].
+    :param margin: radius of the widest tool [m].
     """
     count = len(program.motions)
     return np.ones(count, dtype=bool) if segments is None else near_stock(segments, bounds, margin, count)
@@ -359,10 +366,10 @@ def _swept_setups(
         setup_segments = segments
         if number:
             removed_volume += start_volume - material.volume()
-            left_volume = material.volume()
+            remaining_volume = material.volume()
             material = _next_map(material, ordered_setups[number - 1], setup, process.stock.cell)
             start_volume = material.volume()
-            issues += _hidden_cut_issues(start_volume - left_volume, removed_volume, left_volume)
+            issues += _hidden_cut_issues(start_volume - remaining_volume, removed_volume, remaining_volume)
             setup_segments = task.segments(setup.frame, material.cell)
         setup_segments = setup_segments.of(setup.motions)
         is_compared[setup_segments.motion[~setup_segments.leans]] = True
@@ -388,7 +395,8 @@ def _swept_setups(
 def _refuse_unknown_forces(program: Program, sweeps: list[Sweep]) -> None:
     """Refuse cuts of tools that lean or turn if their force cannot be computed on a map of the stock.
 
-    :raises ForceError: a tool that only turns has no speed, or what it leaves above itself counts.
+    :raises ForceError: a tool turns in material with its tip at rest, at an unknown speed; or tools leave more
+        material above themselves than `_OVERHANG_SHARE` of their cuts.
     """
     name, lines = program.documents[0].name, program.motions.line
     unpaced = set[int]().union(*(sweep.unpaced for sweep in sweeps))
@@ -426,19 +434,24 @@ def _stock_in_time(program: Program, setups: list[Setup], sweeps: list[Sweep], i
 def _progress_of_part(
     progress: Callable[[int, int], None] | None, first: int, total: int
 ) -> Callable[[int], None] | None:
-    """Return the callback of a part of the segments, which begins at the segment `first` of `total`; None for none."""
+    """Return a callback that takes the number of segments done of a part which begins at segment `first` of `total`.
+
+    :param progress: takes the number of segments done of all, and their total number; None: the result is None too.
+    """
     return None if progress is None else lambda count: progress(first + count, total)
 
 
-def _needed_stations(sweep: Sweep, steps: StraightSegments, progress: Callable[[int], None] | None) -> Cuts:
-    """Return the stations that are needed, thinned out batch by batch to limit memory.
+def _needed_stations(sweep: Sweep, segments: StraightSegments, progress: Callable[[int], None] | None) -> Cuts:
+    """Sweep segments, and return the stations that their forces need, thinned out batch by batch to limit memory.
 
-    The last motion of a batch may go on in the next one: its stations are thinned with it.
+    The last motion of a batch may continue in the next one: its stations are thinned with those of the next batch.
+
+    :param progress: called with the number of segments done.
     """
     thin_cuts: list[Cuts] = []
     pending_cuts: list[Cuts] = []
     pending_count = 0
-    for new_cuts in sweep.run(steps, progress):
+    for new_cuts in sweep.run(segments, progress):
         pending_cuts.append(new_cuts)
         pending_count += len(new_cuts.t)
         if pending_count > _BATCH:
@@ -452,10 +465,10 @@ def _needed_stations(sweep: Sweep, steps: StraightSegments, progress: Callable[[
 
 
 def _without_taps(cuts: Cuts, program: Program, tools: ToolStates) -> Cuts:
-    """Return cuts in which taps have no force.
+    """Return cuts in which the stations of taps have zero wrench, deviation, torque and power.
 
-    A tap pulls itself into the hole, in a holder that gives it length: its force is not that of a drill with the pitch
-    as feed.
+    A tap pulls itself into the hole, in a holder with axial float: its force is not that of a drill that feeds by the
+    pitch.
     """
     is_tap = np.isin(cuts.motion, tapping_motions(program, tools)) & cuts.is_axial
     if not is_tap.any():
@@ -484,14 +497,13 @@ def _tap_issues(program: Program, cuts: Cuts, tools: ToolStates) -> Iterator[Iss
 
 
 def _next_map(material: Stock, last_setup: Setup, setup: Setup, cell: float) -> Stock:
-    """Return the remaining stock as a map with finer cells, or for another direction of the tool.
+    """Return the remaining stock of one set-up as the map of the next: with finer cells, or along another direction.
 
+    :param material: map of the stock at the end of `last_setup`.
     :param cell: width of a cell that is not divided [m].
     """
     if np.array_equal(last_setup.frame, setup.frame):
-        ratio = setup.factor // last_setup.factor
-        if ratio * last_setup.factor != setup.factor:
-            ratio += 1
+        ratio = -(-setup.factor // last_setup.factor)  # rounded up to a whole number
         return stocks.refine(material, ratio) if ratio > 1 else material
     vertices, faces = stocks.mesh_of(material)
     to_map = inverse(setup.frame) @ last_setup.frame
@@ -533,13 +545,15 @@ def _stock_map(process: Process, frame: Array, cell: float, path: Path | None) -
     return material, [*issues, *_hollow_stock_issues(material.volume(), volume)]
 
 
-def _hidden_cut_issues(gain: float, removed_volume: float, left_volume: float) -> list[Issue]:
+def _hidden_cut_issues(gain: float, removed_volume: float, remaining_volume: float) -> list[Issue]:
     """Warn if earlier cuts overhang seen along the new direction of the tool, so that they count as material again.
 
     :param gain: volume of the new map beyond that of the old one [m³].
-    :param removed_volume: volume that was removed before, left_volume: that of the old map [m³].
+    :param removed_volume: volume that was removed before [m³].
+    :param remaining_volume: volume of the old map [m³].
     """
-    if gain <= min(_HOLLOW_SHARE * left_volume, max(_HIDDEN_SHARE * removed_volume, _NOISE_SHARE * left_volume)):
+    hidden_limit = max(_HIDDEN_SHARE * removed_volume, _NOISE_SHARE * remaining_volume)
+    if gain <= min(_HOLLOW_SHARE * remaining_volume, hidden_limit):
         return []
     message = (
         "what was cut before this program turned the tool overhangs, seen along the tool now: "
@@ -551,12 +565,12 @@ def _hidden_cut_issues(gain: float, removed_volume: float, left_volume: float) -
 
 def _hollow_stock_issues(map_volume: float, volume: float) -> list[Issue]:
     """Warn if the map of a stock has more material than the stock: volumes `map_volume` and `volume` [m³]."""
-    hollow = map_volume / max(volume, 1e-18) - 1.0
-    if hollow <= _HOLLOW_SHARE:
+    hollow_share = map_volume / max(volume, 1e-18) - 1.0
+    if hollow_share <= _HOLLOW_SHARE:
         return []
     message = (
         "the stock has hollows or undercuts, seen along the tool: they are treated as material "
-        f"({100 * hollow:.0f} % more than the volume of the mesh)"
+        f"({100 * hollow_share:.0f} % more than the volume of the mesh)"
     )
     return [Issue("warning", "hollow-stock", message)]
 
@@ -575,12 +589,12 @@ def _closed_mesh(path: Path) -> Any:
     return mesh
 
 
-def _check_speed(program: Program, steps: StraightSegments, tools: ToolStates) -> None:
-    """Refuse a program without spindle speed.
+def _check_spindle_speed(program: Program, segments: StraightSegments, tools: ToolStates) -> None:
+    """Refuse a program that cuts, but never with a spindle speed.
 
-    :raises ForceError: no cutting move has a spindle speed.
+    :raises ForceError: no cutting move has a spindle speed; the message names the cause.
     """
-    motion = distinct(steps.motion[steps.cutting])
+    motion = distinct(segments.motion[segments.cutting])
     if len(motion) and not (tools.rpm[motion] > 0.0).any():
         start_events = [event for event in program.events if event.kind in ("spindle_on", "spindle_ccw")]
         stop_lines = [
@@ -636,7 +650,7 @@ def _cut_issues(
         issues.append(Issue("info", "no-axial-force", message))
     has_force = norm(cuts.wrench) > 0.0
     issues += _tap_issues(program, cuts, tools)
-    issues += _drilling_with_mills(program, cuts, is_drill)
+    issues += _mill_drilling_issues(program, cuts, is_drill)
     issues += _chip_load_issues(program, cuts, tools, process)
     issues += _drill_thrust_notes(lines, cuts, is_drill & has_force)
     issues += _deep_cut_warnings(lines, cuts, np.where(is_drill | ~has_force, np.inf, _DEEP_CUT * diameter))
@@ -693,12 +707,13 @@ def _chip_load_issues(program: Program, cuts: Cuts, tools: ToolStates, process: 
 def _coarse_contact_warnings(
     program: Program, tools: ToolStates, passes: list[ThinPasses], ordered_setups: list[Setup], cell: float
 ) -> Iterator[Issue]:
-    """Warn of passes whose forces are uncertain because their contact is few cells of the map wide, once for a tool.
+    """Yield a warning for each tool whose forces are uncertain because its contact is few cells of the map wide.
 
+    :param passes: with such a contact; the worst of each tool is named.
     :param cell: width of a cell that is not divided [m].
     """
-    for number in sorted({thin.tool for thin in passes}):
-        worst = max((thin for thin in passes if thin.tool == number), key=lambda thin: thin.share)
+    for number in sorted({thin_pass.tool for thin_pass in passes}):
+        worst = max((thin_pass for thin_pass in passes if thin_pass.tool == number), key=lambda item: item.share)
         factor = next(setup.factor for setup in ordered_setups if setup.motions[worst.first])
         finer = cell / factor * MM_PER_M * ENOUGH / worst.share
         key, line = tools.keys[number], int(program.motions.line[worst.first])
@@ -710,7 +725,9 @@ def _coarse_contact_warnings(
         yield Issue("warning", "coarse-stock", message, line, subject=key)
 
 
-def _cutter_mismatch(program: Program, tools: ToolStates, process: Process, guard: Guard | None) -> Iterator[Issue]:
+def _cutter_mismatch_issues(
+    program: Program, tools: ToolStates, process: Process, guard: Guard | None
+) -> Iterator[Issue]:
     """Yield an error if the cutter of [collision] has another diameter than the tools of the process."""
     if guard is None or guard.cutter is None:
         return
@@ -730,9 +747,10 @@ def _cutter_mismatch(program: Program, tools: ToolStates, process: Process, guar
 
 
 def _collision_issues(program: Program, depth_of_motion: dict[int, float], guard: Guard | None) -> Iterator[Issue]:
-    """Yield errors for what touches the stock and does not cut: the cutter in rapid moves, and parts of the guard.
+    """Yield errors for cutters that touch the stock in rapid moves, and for other parts of the tool that come close.
 
-    :param depth_of_motion: rapid motions through material, and how deep [m].
+    :param depth_of_motion: row of a rapid motion through material → its depth [m].
+    :param guard: parts that were compared with the stock, and those that came too close; None: none were.
     """
     if depth_of_motion:
         yield _rapid_collision(program, depth_of_motion, has_guard=guard is not None)
@@ -745,9 +763,10 @@ def _collision_issues(program: Program, depth_of_motion: dict[int, float], guard
 
 
 def _rapid_collision(program: Program, depth_of_motion: dict[int, float], *, has_guard: bool) -> Issue:
-    """Return the error for rapid motions through material; with a guard it is one of the collisions.
+    """Return the error for rapid motions through material.
 
-    :param depth_of_motion: these motions, and how deep they go [m].
+    :param depth_of_motion: row of a motion → depth in material [m].
+    :param has_guard: collisions are checked: the error is one of kind "collision".
     """
     m, motion = program.motions, np.array(sorted(depth_of_motion))
     lines = distinct(m.line[motion]).tolist()
@@ -805,52 +824,54 @@ def _tool_length_advice(program: Program, motion: int) -> str:
 
 
 def _power_warnings(cuts: Cuts, lines: Ints, limit: float | None) -> list[Issue]:
-    """Warn of cuts that take more than the power of the spindle.
+    """Return a warning if cuts take more than the power of the spindle.
 
-    :param lines: (M,) lines of the motions; `limit`: power of the spindle [kW], None: not stated.
+    :param lines: (M,) lines of the motions.
+    :param limit: power of the spindle [kW]; None: not stated.
     """
     power = cuts.power * _KILOWATT_PER_WATT
-    strong_rows = np.flatnonzero(power > (np.inf if limit is None else limit))
-    if not len(strong_rows):
+    overload_rows = np.flatnonzero(power > (np.inf if limit is None else limit))
+    if not len(overload_rows):
         return []
-    worst = strong_rows[int(np.argmax(power[strong_rows]))]
+    worst = overload_rows[int(np.argmax(power[overload_rows]))]
     message = (
         f"the cut takes {power[worst]:.2g} kW, more than the {limit:g} kW of [spindle] power_kW: reduce feed or depth"
     )
-    count = len(distinct(lines[cuts.motion[strong_rows]]))
+    count = len(distinct(lines[cuts.motion[overload_rows]]))
     return [Issue("warning", "spindle-power", message, int(lines[cuts.motion[worst]]), count=count)]
 
 
-def _drilling_with_mills(program: Program, cuts: Cuts, drill: Bools) -> list[Issue]:
-    """Warn of drilling cycles that use a milling tool.
+def _mill_drilling_issues(program: Program, cuts: Cuts, is_drill: Bools) -> list[Issue]:
+    """Return a warning if drilling cycles use a milling tool.
 
-    A cycle is one line that makes rapid moves and cuts along the spindle.
+    A cycle is one line of G-code that makes rapid moves and cuts along the spindle; robot programs have none.
 
-    :param drill: (N,) True at stations of a drill.
+    :param is_drill: (N,) True at stations of a drill.
     """
     m = program.motions
-    cut = distinct(cuts.motion[cuts.is_axial & ~drill & (cuts.torque > 0.0)])
-    if program.keeps_text or not len(cut):
+    axial_cuts = distinct(cuts.motion[cuts.is_axial & ~is_drill & (cuts.torque > 0.0)])
+    if program.keeps_text or not len(axial_cuts):
         return []
-    in_cycle = np.isin(m.line[cut], distinct(m.line[m.rapid]))
-    if not in_cycle.any():
+    is_in_cycle = np.isin(m.line[axial_cuts], distinct(m.line[m.rapid]))
+    if not is_in_cycle.any():
         return []
     message = (
         "a drilling cycle with a milling tool of the process file: its forces are those of plunge milling. "
         'If it is a drill, give shape = "drill" in its [tools] entry.'
     )
-    return [m.issue("warning", "drilled-by-mill", message, cut[in_cycle])]
+    return [m.issue("warning", "drilled-by-mill", message, axial_cuts[is_in_cycle])]
 
 
-def _scale_issues(steps: StraightSegments, bounds: tuple[float, ...]) -> list[Issue]:
-    """Warn if the path is many times as large as the stock, although they touch.
+def _scale_issues(segments: StraightSegments, bounds: tuple[float, ...]) -> list[Issue]:
+    """Return a warning if the path is many times as large as the stock: one of them may be in inches.
 
-    :param steps: segments of all motions, in the frame of the map; `bounds` of the stock, see `near_stock`.
+    :param segments: of all motions, in the frame of the map.
+    :param bounds: smallest and largest x, smallest and largest y, and top of the stock [m].
     """
-    x0, x1, y0, y1, _ = bounds
-    low = np.minimum(steps.begin, steps.end)[steps.cutting, :2].min(axis=0)
-    high = np.maximum(steps.begin, steps.end)[steps.cutting, :2].max(axis=0)
-    ratio = float(((high - low) / np.maximum([x1 - x0, y1 - y0], 1e-9)).min())
+    x_low, x_high, y_low, y_high, _ = bounds
+    low = np.minimum(segments.begin, segments.end)[segments.cutting, :2].min(axis=0)
+    high = np.maximum(segments.begin, segments.end)[segments.cutting, :2].max(axis=0)
+    ratio = float(((high - low) / np.maximum([x_high - x_low, y_high - y_low], 1e-9)).min())
     if ratio < _LARGE_RATIO:
         return []
     message = (
@@ -862,12 +883,13 @@ def _scale_issues(steps: StraightSegments, bounds: tuple[float, ...]) -> list[Is
 def _beside_stock_issues(
     program: Program, segments: StraightSegments, bounds: tuple[float, ...], margin: float
 ) -> list[Issue]:
-    """Return a warning if cuts of a CAM program lie beside the stock: each run of them between rapid moves as a whole.
+    """Return a warning if cuts of a CAM program are next to the stock: runs of them between two rapid moves.
 
-    In a robot program each LIN counts as a cut, also one that positions: see `stock_base_issues`.
+    There is none for robot programs, where moves at feed may also position.
 
-    :param segments: of all motions, in the frame of the map of the stock; bounds: see `near_stock`.
-    :param margin: radius of the widest tool [m]: a shorter run is no cut of a part.
+    :param segments: of all motions, in the frame of the map of the stock.
+    :param bounds: smallest and largest x, smallest and largest y, and top of the stock [m].
+    :param margin: radius of the widest tool [m]: a run shorter than twice of it is not taken for a cut of a part.
     """
     m = program.motions
     if program.keeps_text:
@@ -875,7 +897,7 @@ def _beside_stock_issues(
     is_near = near_stock(segments, (*bounds[:4], np.inf), margin, len(m))
     length = np.bincount(segments.motion, norm((segments.end - segments.begin)[:, :2]), minlength=len(m))
     cut_motions = np.flatnonzero(~m.rapid)
-    run = np.cumsum(np.diff(cut_motions, prepend=-2) > 1) - 1
+    run = np.cumsum(np.diff(cut_motions, prepend=-2) > 1) - 1  # number of the run of each cutting motion
     count = int(run[-1]) + 1 if len(run) else 0
     is_beside = (np.bincount(run, is_near[cut_motions], count) == 0.0) & (
         np.bincount(run, length[cut_motions], count) > 2.0 * margin
@@ -883,31 +905,37 @@ def _beside_stock_issues(
     motions = cut_motions[is_beside[run]]
     if not len(motions):
         return []
-    x0, x1, y0, y1, _ = (1e3 * value for value in bounds)
+    x_low, x_high, y_low, y_high, _ = (1e3 * value for value in bounds)
     message = (
-        f"cuts beside the stock, which lies within X {x0:.4g} … {x1:.4g}, Y {y0:.4g} … {y1:.4g} mm: they have no "
-        "force, and are not corrected. Does [stock] describe another part? Give one for all, or convert part by part"
+        f"cuts beside the stock, which lies within X {x_low:.4g} … {x_high:.4g}, Y {y_low:.4g} … {y_high:.4g} mm: they "
+        "have no force, and are not corrected. Does [stock] describe another part? Give one for all, or convert part "
+        "by part"
     )
     return [m.issue("warning", "beside-stock", message, motions)]
 
 
 def _no_contact_error(
-    program: Program, steps: StraightSegments, bounds: tuple[float, ...], process: Process, stock: Path | None
+    segments: StraightSegments, bounds: tuple[float, ...], process: Process, stock: Path | None
 ) -> ForceError:
-    """Return the error for a tool that never touches the stock."""
-    x0, x1, y0, y1, top = (1e3 * value for value in bounds)
-    cutting = steps.cutting
-    low = 1e3 * np.minimum(steps.begin, steps.end)[cutting].min(axis=0)
-    high = 1e3 * np.maximum(steps.begin, steps.end)[cutting].max(axis=0)
+    """Return the error for a tool that never touches the stock, with the extents of both.
+
+    :param segments: of all motions, in the frame of the map.
+    :param bounds: smallest and largest x, smallest and largest y, and top of the stock [m].
+    :param stock: mesh of the stock, instead of that of the process.
+    """
+    x_low, x_high, y_low, y_high, top = (1e3 * value for value in bounds)
+    cutting = segments.cutting
+    low = 1e3 * np.minimum(segments.begin, segments.end)[cutting].min(axis=0)
+    high = 1e3 * np.maximum(segments.begin, segments.end)[cutting].max(axis=0)
     problem = (
         "the tool never touches the stock: cutting moves lie within "
         f"X {low[0]:.4g} … {high[0]:.4g}, Y {low[1]:.4g} … {high[1]:.4g}, Z {low[2]:.4g} … {high[2]:.4g} mm, the "
-        f"stock within X {x0:.4g} … {x1:.4g}, Y {y0:.4g} … {y1:.4g}, top Z {top:.4g} mm"
+        f"stock within X {x_low:.4g} … {x_high:.4g}, Y {y_low:.4g} … {y_high:.4g}, top Z {top:.4g} mm"
     )
     advice = "Give stock and program in the same frame ($BASE)."
-    size, reach = np.array([x1 - x0, y1 - y0]), high[:2] - low[:2]
-    ratio = float(np.max(reach) / max(float(np.max(size)), 1e-9))
+    stock_size, path_size = np.array([x_high - x_low, y_high - y_low]), high[:2] - low[:2]
+    ratio = float(np.max(path_size) / max(float(np.max(stock_size)), 1e-9))
     for factor in (MM_PER_INCH, 1.0 / MM_PER_INCH):
-        if 0.3 < ratio / factor < 3.0:
+        if 0.3 < ratio / factor < 3.0:  # about an inch over a millimetre: path and stock differ somewhat in size
             advice += f" The stock is {'smaller' if factor > 1 else 'larger'} by about 25.4: is one of them in inches?"
     return ForceError(problem, file=str(stock or process.path), advice=advice)

@@ -153,7 +153,8 @@ def equations(readings: CutReadings, tool: ToolTable) -> Array:
     """Return the derivatives of Fx, Fy, Fz [N] and the power [W] of readings by the coefficients: (n, 4, 6).
 
     They are the antiderivatives of the force of a tooth over its angle, at the angle where it leaves the material less
-    those where it enters (Altintas 2012, Eq. (2.31)); with M4 Fy has the other sign.
+    those where it enters (Altintas, "Manufacturing Automation", 2nd ed., 2012, Eq. (2.31)); with M4 Fy has the other
+    sign. Coefficients are in the order of `NAMES`.
     """
     radius, teeth = 0.5 * tool.diameter_mm, tool.flutes
     width = np.where(np.array(readings.mode) == "slot", 2.0 * radius, np.minimum(readings.width, 2.0 * radius))
@@ -163,6 +164,7 @@ def equations(readings: CutReadings, tool: ToolTable) -> Array:
     chip_thickness = readings.feed / (readings.rpm * teeth)
     derivatives = np.zeros((len(chip_thickness), 4, 6))
     per_mm = teeth * readings.depth / (2.0 * np.pi)
+    # indices: reading (Fx, Fy, Fz, power), then coefficient (Ktc, Krc, Kac, Kte, Kre, Kae)
     for phi, sign in ((end_angle, 1.0), (start_angle, -1.0)):
         cos2, angle_term = np.cos(2.0 * phi), 2.0 * phi - np.sin(2.0 * phi)
         sine, cosine = np.sin(phi), np.cos(phi)
@@ -177,16 +179,16 @@ def equations(readings: CutReadings, tool: ToolTable) -> Array:
         derivatives[:, 1, 4] -= edge_factor * sine
         derivatives[:, 2, 2] -= cut_factor * cosine
         derivatives[:, 2, 5] += edge_factor * phi
-        watts = radius * 1e-3 * readings.rpm * (2.0 * np.pi / 60.0)
-        derivatives[:, 3, 0] -= cut_factor * cosine * watts
-        derivatives[:, 3, 3] += edge_factor * phi * watts
+        edge_speed = radius * 1e-3 * readings.rpm * (2.0 * np.pi / 60.0)  # [m/s]
+        derivatives[:, 3, 0] -= cut_factor * cosine * edge_speed
+        derivatives[:, 3, 3] += edge_factor * phi * edge_speed
     if tool.spindle == "M4":
         derivatives[:, 1] *= -1.0
     return derivatives
 
 
 class _Equations(NamedTuple):
-    """Linear equations of the m readings that are there.
+    """Linear equations of the m values that were measured.
 
     :param predictor: (m, 6) derivatives of the readings by the coefficients.
     :param readout: (m,) measured values [N], of the power [W].
@@ -220,7 +222,7 @@ def identify(readings: CutReadings, tool: ToolTable, prior: MaterialTable | None
     _check_separable(readings, tool, predictor, sigma, is_excited, file)
     estimate, fixed_sigma, warnings = _prior_coefficients(prior, is_excited, file)
     fitted_part = readout - predictor @ estimate
-    freedom = _freedom(system, is_excited, file)
+    freedom = _degrees_of_freedom(system, is_excited, file)
     warnings += _check_signs(readings, tool, estimate, is_excited, file)
     value, spread = _fit(predictor[:, is_excited], fitted_part, sigma)
     error = predictor[:, is_excited] @ value - fitted_part
@@ -257,11 +259,11 @@ def identify(readings: CutReadings, tool: ToolTable, prior: MaterialTable | None
     )
 
 
-def _freedom(system: _Equations, is_excited: Bools, file: str) -> int:
-    """Return the number of readings beyond that of the coefficients that they depend on.
+def _degrees_of_freedom(system: _Equations, is_excited: Bools, file: str) -> int:
+    """Return the number of readings minus the number of coefficients that they depend on.
 
-    :param is_excited: (6,) these coefficients.
-    :raises ForceError: there is none.
+    :param is_excited: (6,) True for these coefficients.
+    :raises ForceError: it is not positive.
     """
     count = int(is_excited.sum())
     if len(system.readout) <= count:
@@ -283,14 +285,17 @@ def _wide_interval_warnings(estimate: Array, half_width: Array, is_excited: Bool
 
 
 def _check_signs(readings: CutReadings, tool: ToolTable, estimate: Array, is_excited: Bools, file: str) -> list[str]:
-    """Refuse forces in other axes and return warnings, see `reading_checks.check_signs`.
+    """Refuse forces that are not in FEED axes, and return warnings, see `reading_checks.check_signs`.
 
     :param estimate: (6,) values of the coefficients that no reading depends on, 0 for the others.
     :param is_excited: (6,) coefficients that readings depend on.
     """
 
     def fit_of_forces(force: Array) -> tuple[Array, Array, float] | None:
-        """Return the fit of forces (n, 3) [N] in other axes, see `reading_checks.FitOf`."""
+        """Return coefficients (6,), standard deviations (6,) and relative residual for forces (n, 3) [N] in other axes.
+
+        None if these forces do not determine the coefficients.
+        """
         system = _linear_equations(replace(readings, force=force), tool, file)
         matrix, target = system.predictor[:, is_excited], system.readout - system.predictor @ estimate
         scale = np.linalg.norm(matrix, axis=0)
@@ -310,10 +315,11 @@ def _check_signs(readings: CutReadings, tool: ToolTable, estimate: Array, is_exc
 
 
 def _positive_fit(predictor: Array, readout: Array, sigma: Array, coefficient: Ints) -> Array:
-    """Return the weighted least-squares estimate (k,) of coefficients whose least value is 0, but for axial ones.
+    """Return the weighted least-squares estimate (k,) of coefficients that are at least 0; axial ones are unbounded.
 
-    :param predictor: (m, k), `readout` (m,) and `sigma` (m,): see `_Equations`, for these coefficients alone.
-    :param coefficient: (k,) place of each in `NAMES`.
+    :param predictor: (m, k) derivatives of the readings by these coefficients, `readout` (m,) the readings, `sigma`
+        (m,) their standard deviations.
+    :param coefficient: (k,) index of each in `NAMES`.
     """
     from scipy.optimize import lsq_linear
 
@@ -324,7 +330,10 @@ def _positive_fit(predictor: Array, readout: Array, sigma: Array, coefficient: I
 
 
 def _tangential_coefficient(prior: MaterialTable | None, file: str) -> float | None:
-    """Return Ktc or kc1.1 of a material [N/mm²]; None without a usable one: the readings may be there to replace it."""
+    """Return Ktc or kc1.1 of a material [N/mm²]; None without a material, or with one that cannot be used.
+
+    Such a material is no error: the readings may have been taken to replace it.
+    """
     if prior is None:
         return None
     try:
@@ -336,6 +345,9 @@ def _tangential_coefficient(prior: MaterialTable | None, file: str) -> float | N
 def _linear_equations(readings: CutReadings, tool: ToolTable, file: str) -> _Equations:
     """Return the equations of all forces and powers that were measured.
 
+    Without a stated `sigma_N`, forces have the standard deviation 1 N. A power has that of a force, times the ratio of
+    their derivatives by Ktc and Kte.
+
     :raises ForceError: there are none.
     """
     derivatives = equations(readings, tool)
@@ -345,7 +357,7 @@ def _linear_equations(readings: CutReadings, tool: ToolTable, file: str) -> _Equ
         raise ForceError("no force and no power in any row", file=file, advice="Fill in Fx, Fy, Fz or power_W.")
     has_sigma = np.isfinite(readings.sigma)
     sigma = np.where(has_sigma, readings.sigma, 1.0)[reading]
-    power_size, force_size = (np.linalg.norm(derivatives[:, row, [0, 3]], axis=1) for row in (3, 1))
+    power_size, force_size = (np.linalg.norm(derivatives[:, component, [0, 3]], axis=1) for component in (3, 1))
     watt_per_newton = power_size / np.maximum(force_size, 1e-12)
     sigma = np.where(component == 3, sigma * watt_per_newton[reading], sigma)
     predictor, readout = derivatives[reading, component], values[reading, component]
@@ -364,7 +376,7 @@ def _scaled_spread(spread: Array, error: Array, system: _Equations, freedom: int
     """
     warnings: list[str] = []
     scale = float(np.sum((error / system.sigma) ** 2)) / freedom
-    factor = 1.96
+    factor = 1.96  # half width of a 95 % interval of normal numbers, in standard deviations
     if not system.has_sigma:
         least_scale = _LEAST_SCATTER**2 * float(np.mean((system.readout / system.sigma) ** 2))
         if scale < least_scale:
@@ -386,11 +398,14 @@ def _scaled_spread(spread: Array, error: Array, system: _Equations, freedom: int
 
 
 def _percent_of_readout(system: _Equations, covariance: Array, error: Array, file: str) -> float:
-    """Return the RMS deviation of readings from their model, uncertain coefficients included, in % of their RMS.
+    """Return the RMS deviation of readings from their model, in % of their RMS.
+
+    It combines the residuals with the uncertainty of the coefficients.
 
     :param covariance: (6, 6) of the coefficients.
     :param error: (m,) residuals [N], [W].
-    :raises ForceError: it is more than a process may state.
+    :param file: name of the readings, for the message.
+    :raises ForceError: it is above `_MOST_SIGMA`, the largest `sigma_percent` of a process.
     """
     variance = np.einsum("mi,ij,mj->m", system.predictor, covariance, system.predictor) + error**2
     rms_readout = float(np.sqrt(np.sum((system.readout / system.sigma) ** 2)))
@@ -409,7 +424,8 @@ def _fit(predictor: Array, readout: Array, sigma: Array) -> tuple[Array, Array]:
 
     Columns are scaled to the length 1, as coefficients of the cut and of the edge differ by their units.
 
-    :param predictor: (m, k), `readout` (m,) and `sigma` (m,): see `_Equations`, for k of the coefficients.
+    :param predictor: (m, k) derivatives of the readings by the coefficients, `readout` (m,) the readings, `sigma` (m,)
+        their standard deviations.
     """
     matrix = predictor / sigma[:, None]
     scale = np.linalg.norm(matrix, axis=0)
@@ -418,9 +434,10 @@ def _fit(predictor: Array, readout: Array, sigma: Array) -> tuple[Array, Array]:
 
 
 def _cross_validation_error(predictor: Array, fitted_part: Array, readout: Array, sigma: Array, chip: Array) -> float:
-    """Return the RMS error of readings by coefficients from those at other feeds, as a share of the RMS reading.
+    """Return the cross-validation error over feeds: RMS error of predicted readings, as a share of the RMS reading.
 
-    NaN where the readings at other feeds do not determine the coefficients.
+    The readings at each feed per tooth are predicted with coefficients from all other feeds. NaN if these do not
+    determine the coefficients.
 
     :param predictor: (m, k) derivatives by the coefficients that readings depend on.
     :param fitted_part: (m,) part of the readings that these coefficients explain; `readout` (m,) the readings, `sigma`
@@ -429,16 +446,14 @@ def _cross_validation_error(predictor: Array, fitted_part: Array, readout: Array
     """
     square_sum = 0.0
     for chip_value in np.unique(chip):
-        of_chip = chip == chip_value
-        matrix = predictor[~of_chip] / sigma[~of_chip, None]
-        if (
-            not of_chip.all()
-            and np.linalg.matrix_rank(matrix / np.linalg.norm(predictor, axis=0)) == predictor.shape[1]
-        ):
-            value, _ = _fit(predictor[~of_chip], fitted_part[~of_chip], sigma[~of_chip])
-            square_sum += float(np.sum(((predictor[of_chip] @ value - fitted_part[of_chip]) / sigma[of_chip]) ** 2))
-        else:
+        is_test = chip == chip_value
+        is_training = ~is_test
+        matrix = predictor[is_training] / sigma[is_training, None]
+        scale = np.linalg.norm(predictor, axis=0)
+        if is_test.all() or np.linalg.matrix_rank(matrix / scale) < predictor.shape[1]:
             return float("nan")
+        value, _ = _fit(predictor[is_training], fitted_part[is_training], sigma[is_training])
+        square_sum += float(np.sum(((predictor[is_test] @ value - fitted_part[is_test]) / sigma[is_test]) ** 2))
     return float(np.sqrt(square_sum / np.sum((readout / sigma) ** 2)))
 
 
@@ -447,8 +462,9 @@ def _check_separable(
 ) -> None:
     """Refuse readings that do not excite a combination of coefficients.
 
-    :param predictor: (m, 6) and `sigma` (m,): see `_Equations`.
-    :param is_excited: (6,) coefficients that readings depend on.
+    :param predictor: (m, 6) derivatives of the readings by the coefficients, `sigma` (m,) standard deviations of the
+        readings.
+    :param is_excited: (6,) True for coefficients that readings depend on.
     :raises ForceError: a combination is not identifiable; the message names the coefficients.
     """
     chip = readings.feed / (readings.rpm * tool.flutes)
@@ -463,38 +479,44 @@ def _check_separable(
     matrix = matrix / np.linalg.norm(matrix, axis=0)
     _, singular_values, axes = np.linalg.svd(matrix, full_matrices=True)
     singular_values = np.append(singular_values, np.zeros(len(axes) - len(singular_values)))
-    # coefficients with a part in a combination of singular value 0 are not determined
-    is_unexcited = np.abs(axes[singular_values < _RANK * singular_values[0]]).max(axis=0, initial=0.0) > 1e-3
-    if is_unexcited.any():
-        unexcited_names = ", ".join(name for name, is_open in zip(names, is_unexcited, strict=True) if is_open)
+    # coefficients with a component in a combination of singular value 0 are not determined; 1e-3 is above rounding
+    is_undetermined = np.abs(axes[singular_values < _RANK * singular_values[0]]).max(axis=0, initial=0.0) > 1e-3
+    if is_undetermined.any():
+        undetermined_names = ", ".join(
+            name for name, undetermined in zip(names, is_undetermined, strict=True) if undetermined
+        )
         advice = "Measure Fx and Fy, at several feeds; `--propose` writes test cuts."
-        raise ForceError(f"these readings do not separate {unexcited_names}", file=file, advice=advice)
+        raise ForceError(f"these readings do not separate {undetermined_names}", file=file, advice=advice)
 
 
 def _prior_coefficients(prior: MaterialTable | None, is_excited: Bools, file: str) -> tuple[Array, Array, list[str]]:
     """Return values (6,) and standard deviations (6,) from the process for coefficients without readings, and warnings.
 
-    :param is_excited: (6,) coefficients with readings; they are 0 in both.
-    :raises ForceError: the process has no linear material.
+    :param prior: material of the process; None: it has none.
+    :param is_excited: (6,) True for coefficients that readings depend on; they are 0 in both results.
+    :param file: name of the readings, for messages.
+    :raises ForceError: no reading depends on some coefficients, and the process has no linear material.
     """
     value, sigma = np.zeros(6), np.zeros(6)
     if is_excited.all():
         return value, sigma, []
     prior_names = ", ".join(name for name, has_readings in zip(NAMES, is_excited, strict=True) if not has_readings)
-    six = None if prior is None else six_numbers(prior, file)
-    if six is None:
+    linear_material = None if prior is None else six_numbers(prior, file)
+    if linear_material is None:
         advice = "Measure it, or give [material] of the process by name or six numbers: they are taken from there."
         raise ForceError(f"no reading depends on {prior_names}", file=file, advice=advice)
-    value[~is_excited] = six[0][~is_excited]
-    sigma[~is_excited] = np.abs(six[0][~is_excited]) * six[1]
-    warning = f"no reading depends on {prior_names}: taken from [material] of the process, ±{196 * six[1]:.0f} %"
+    prior_value, prior_sigma = linear_material
+    value[~is_excited] = prior_value[~is_excited]
+    sigma[~is_excited] = np.abs(prior_value[~is_excited]) * prior_sigma
+    percent = 196 * prior_sigma  # half width of the 95 % interval
+    warning = f"no reading depends on {prior_names}: taken from [material] of the process, ±{percent:.0f} %"
     return value, sigma, [warning]
 
 
 def as_toml(material: IdentifiedMaterial, tool: ToolTable, name: str) -> bytes:
-    """Return the `[material]` file of identified coefficients.
+    """Return the content of a material.toml with identified coefficients, intervals and covariance.
 
-    :param name: of the file of readings.
+    :param name: name of the file of readings, stated as the source.
     """
     table: dict[str, object] = {key: float(f"{v:.6g}") for key, v in zip(KEYS, material.value, strict=True)}
     table["sigma_percent"] = round(material.sigma_percent, 2)
@@ -514,11 +536,14 @@ def as_toml(material: IdentifiedMaterial, tool: ToolTable, name: str) -> bytes:
 
 
 def proposal(process: Process, key: str, tool: ToolTable) -> tuple[bytes, bytes]:
-    """Return test cuts as G-code, and the CSV file to fill in: five feeds in a slot.
+    """Return a G-code program of test cuts, and the CSV file of readings to fill in: five slots at different feeds.
 
-    Slots along X, next to each other, in the box of the stock, or from X0 Y0 Z0.
+    The slots are along X, next to each other along Y, in the box of the stock, or from X0 Y0 Z0.
+
+    :param key: key of the tool in [tools]; the program calls T1 if it is no number.
     """
     feeds, depth = proposed_feeds(tool)
+    # without a stated speed: a cutting speed of 150 m/min, at most 12,000 rpm, in whole hundreds (assumed)
     rpm = tool.rpm or float(np.floor(min(12_000.0, 150_000.0 / (np.pi * tool.diameter_mm)) / 100.0) * 100.0)
     box = process.stock.box
     x_min, y_min, z_max = (0.0, 0.0, 0.0) if box is None else (box.X[0], box.Y[0], box.Z[1])
@@ -542,6 +567,6 @@ def proposal(process: Process, key: str, tool: ToolTable) -> tuple[bytes, bytes]
 
 
 def proposed_feeds(tool: ToolTable) -> tuple[Array, float]:
-    """Return five feeds per tooth (5,) and the depth of test cuts [mm]."""
+    """Return five feeds per tooth (5,) [mm] and the depth [mm] of test cuts; the shares of the diameter are assumed."""
     largest = min(0.125, 0.01 * tool.diameter_mm)
     return largest * np.array([0.2, 0.4, 0.6, 0.8, 1.0]), float(f"{min(3.0, 0.2 * tool.diameter_mm):.2g}")

@@ -1,4 +1,4 @@
-"""Overrides and times that a robot program sets itself: its feeds are then others than those that it states."""
+"""Overrides and times that a robot program sets itself: its feeds then differ from those that it states."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _FULL = 100.0
 
 
 def override_issues(program: Program) -> Iterator[Issue]:
-    """Yield a warning where the feed is not the stated one, to which the forces belong.
+    """Yield a warning where the robot does not move at the stated feed, for which forces are computed.
 
     For each file: its first override that is not 100 %, and its first spline block with a time (TIME_BLOCK).
     """
@@ -31,7 +31,7 @@ def override_issues(program: Program) -> Iterator[Issue]:
         return
     for document in program.documents:
         for match in pattern.finditer(document.text):
-            if not _is_full(match[1]):
+            if not _is_full_override(match[1]):
                 line = document.text.count("\n", 0, match.start(1)) + 1
                 message = (
                     f"the program sets the override to {match[1].strip()} % in line {line} of {document.name}: forces "
@@ -39,9 +39,9 @@ def override_issues(program: Program) -> Iterator[Issue]:
                 )
                 yield Issue("warning", "override", message, subject=document.name)
                 break
-        timed = _TIME.search(document.text) if program.dialect == "krl" else None
-        if timed is not None:
-            line = document.text.count("\n", 0, timed.end()) + 1
+        time_match = _TIME.search(document.text) if program.dialect == "krl" else None
+        if time_match is not None:
+            line = document.text.count("\n", 0, time_match.end()) + 1
             message = (
                 f"TIME_BLOCK sets the time of motions in line {line} of {document.name}: forces are those at $VEL.CP. "
                 "State the feed by $VEL.CP, without TIME_BLOCK"
@@ -49,7 +49,7 @@ def override_issues(program: Program) -> Iterator[Issue]:
             yield Issue("warning", "override", message, subject=f"{document.name} TIME_BLOCK")
 
 
-def _is_full(text: str) -> bool:
+def _is_full_override(text: str) -> bool:
     """Return whether the text of an override is 100 %; False for a variable, whose value is not known."""
     try:
         return float(text) == _FULL

@@ -8,7 +8,6 @@ sizes.
 from __future__ import annotations
 
 from collections.abc import Callable
-from itertools import product
 
 import numpy as np
 
@@ -18,20 +17,16 @@ from postproc.frames import Array
 _POSITIVE = {0: "Ktc", 1: "Krc", 3: "Kte", 4: "Kre"}
 """Coefficients that are positive in every material, by place; axial ones may pull the material out."""
 _ARRANGEMENTS = {
-    (False, -1, -1): (
-        "they look like forces on the workpiece",
-        "Give the forces ON the tool: change the signs of Fx, Fy and Fz.",
-    ),
-    (False, -1, 1): ("the sign of Fx looks wrong", "Fx is along the feed, on the tool: change its sign."),
     (False, 1, -1): (
         "the sign of Fy looks wrong",
         'Fy is to the left of the feed, on the tool: change its sign, or give spindle = "M4" in [tools.N].',
     ),
-    (True, 1, 1): ("Fx and Fy look exchanged", "Fx is along the feed: exchange the columns Fx and Fy."),
-    (True, -1, -1): (
-        "Fx and Fy look exchanged, and on the workpiece",
-        "Exchange the columns Fx and Fy, and change the signs of Fx, Fy and Fz: Fx is along the feed, on the tool.",
+    (False, -1, 1): ("the sign of Fx looks wrong", "Fx is along the feed, on the tool: change its sign."),
+    (False, -1, -1): (
+        "they look like forces on the workpiece",
+        "Give the forces ON the tool: change the signs of Fx, Fy and Fz.",
     ),
+    (True, 1, 1): ("Fx and Fy look exchanged", "Fx is along the feed: exchange the columns Fx and Fy."),
     (True, 1, -1): (
         "their axes look turned by 90°",
         "Fx is along the feed, Fy to its left: give -Fx of this file as Fy, and Fy as Fx.",
@@ -39,6 +34,10 @@ _ARRANGEMENTS = {
     (True, -1, 1): (
         "their axes look turned by 90°",
         "Fx is along the feed, Fy to its left: give -Fy of this file as Fx, and Fx as Fy.",
+    ),
+    (True, -1, -1): (
+        "Fx and Fy look exchanged, and on the workpiece",
+        "Exchange the columns Fx and Fy, and change the signs of Fx, Fy and Fz: Fx is along the feed, on the tool.",
     ),
 }
 """Cause and remedy by arrangement: whether Fx and Fy are exchanged, then the signs of the new Fx and Fy."""
@@ -65,6 +64,9 @@ _KILONEWTON = 1e-3 / np.sqrt(10.0), 1e-3 * np.sqrt(10.0)
 _SAME_MATERIAL = 5.0
 """Ratio of Ktc to that of the process' material up to which they agree (assumed)."""
 
+_KTC, _KRC = 0, 1
+"""Indices of two coefficients."""
+
 FitOf = Callable[[Array], tuple[Array, Array, float] | None]
 """Coefficients (6,), their standard deviations (6,) and the residual as a share of the forces, for forces (n, 3).
 
@@ -86,32 +88,33 @@ def check_feeds(chip: Array, diameter: float, file: str) -> None:
 
 
 def check_signs(force: Array, fit_of: FitOf, file: str) -> list[str]:
-    """Refuse forces that give coefficients which no material has, or fit far better in other axes; name these.
+    """Refuse forces that give coefficients of no material, or that fit far better with Fx and Fy in other axes.
 
     :param force: (n, 3) as read [N]; NaN = not measured.
+    :param fit_of: fits the coefficients to forces.
     :returns: a warning if Krc is larger than Ktc.
-    :raises ForceError: Ktc is not positive, Krc, Kte or Kre is negative beyond its error, or Krc beyond twice Ktc.
+    :raises ForceError: Ktc is not positive, Krc, Kte or Kre is negative beyond its error, or Krc beyond twice Ktc; or
+        another arrangement of Fx and Fy fits far better. The message names the likely arrangement.
     """
     fit = fit_of(force)
     if fit is None:
         return []
     value, sigma, residual = fit
     values = ", ".join(f"{name} {value[k]:.3g}" for k, name in _POSITIVE.items())
-    candidates = []
-    for exchanged, *signs in product((False, True), (1, -1), (1, -1)):
-        arrangement = (exchanged, *signs)
-        if arrangement not in _ARRANGEMENTS:
-            continue
-        columns = force[:, [1, 0, 2]] if exchanged else force
-        changed_fit = fit_of(columns * np.array([*signs, 1.0]))
-        if changed_fit is not None and _is_usual(changed_fit):
-            candidates.append((arrangement, changed_fit))
-    if _is_usual(fit) and all(residual <= _FAR_BETTER * other_residual for _, (_, _, other_residual) in candidates):
-        if value[1] - 1.96 * sigma[1] <= value[0]:
+    candidates: dict[tuple[bool, int, int], tuple[Array, Array, float]] = {}
+    for arrangement in _ARRANGEMENTS:
+        is_exchanged, x_sign, y_sign = arrangement
+        columns = force[:, [1, 0, 2]] if is_exchanged else force
+        candidate_fit = fit_of(columns * np.array([x_sign, y_sign, 1.0]))
+        if candidate_fit is not None and _is_plausible(candidate_fit):
+            candidates[arrangement] = candidate_fit
+    candidate_residuals = [candidate_residual for _, _, candidate_residual in candidates.values()]
+    if _is_plausible(fit) and all(residual <= _FAR_BETTER * item for item in candidate_residuals):
+        if value[_KRC] - 1.96 * sigma[_KRC] <= value[_KTC]:
             return []
         return [
-            f"Krc {value[1]:.3g} is larger than Ktc {value[0]:.3g}, which few materials have: check the axes and signs "
-            "of Fx and Fy, and up and down"
+            f"Krc {value[_KRC]:.3g} is larger than Ktc {value[_KTC]:.3g}, which few materials have: check the axes "
+            "and signs of Fx and Fy, and up and down"
         ]
     if not candidates:
         raise ForceError(
@@ -120,30 +123,37 @@ def check_signs(force: Array, fit_of: FitOf, file: str) -> list[str]:
             advice="Fx is along the feed, Fy to its left, both means ON the tool in N. Check mode, ap_mm, ae_mm, the "
             "feeds, and flutes, diameter and spindle of the tool.",
         )
-    smallest = min(candidate_residual for _, (_, _, candidate_residual) in candidates)
-    (arrangement, (value, _, _)) = min(
-        candidates, key=lambda entry: (entry[1][2] > _SAME_FIT * smallest, entry[1][0][1] > entry[1][0][0])
-    )
+    smallest_residual = min(candidate_residuals)
+
+    def rank(arrangement: tuple[bool, int, int]) -> tuple[bool, bool]:
+        """Return a sort key: arrangements that fit about best come first, of these those with Krc ≤ Ktc."""
+        candidate_value, _, candidate_residual = candidates[arrangement]
+        return candidate_residual > _SAME_FIT * smallest_residual, bool(candidate_value[_KRC] > candidate_value[_KTC])
+
+    arrangement = min(candidates, key=rank)
+    value = candidates[arrangement][0]
     cause, advice = _ARRANGEMENTS[arrangement]
-    changed_values = ", ".join(f"{name} {value[k]:.3g}" for k, name in _POSITIVE.items())
-    raise ForceError(f"the forces give {values}: {cause} (then {changed_values})", file=file, advice=advice)
+    candidate_values = ", ".join(f"{name} {value[k]:.3g}" for k, name in _POSITIVE.items())
+    raise ForceError(f"the forces give {values}: {cause} (then {candidate_values})", file=file, advice=advice)
 
 
-def _is_usual(fit: tuple[Array, Array, float]) -> bool:
-    """Return whether a material may have these coefficients: what is negative is so within its error.
+def _is_plausible(fit: tuple[Array, Array, float]) -> bool:
+    """Return whether a material may have these coefficients.
 
-    :param fit: coefficients (6,), their standard deviations (6,) and the residual, see `FitOf`.
+    Within their errors, none is negative, and Krc is at most twice Ktc.
+
+    :param fit: coefficients (6,), their standard deviations (6,) and the relative residual, which does not count.
     """
     value, sigma, _ = fit
     return (
-        value[0] > 0.0
+        value[_KTC] > 0.0
         and all(value[k] > -_SIGMAS * sigma[k] for k in _POSITIVE)
-        and value[1] - _SIGMAS * sigma[1] <= _MOST_RADIAL * value[0]
+        and value[_KRC] - _SIGMAS * sigma[_KRC] <= _MOST_RADIAL * value[_KTC]
     )
 
 
 def check_sizes(value: Array, force: Array, prior_tangential: float | None, file: str) -> list[str]:
-    """Refuse coefficients of a size that no material has, and those in kN; warn where kN are possible.
+    """Refuse coefficients of a size that no material has, and those from forces in kN; warn if these may be in kN.
 
     :param value: (6,) coefficients in the order of `identification.NAMES`.
     :param force: (n, 3) as read [N]; NaN = not measured.
@@ -151,7 +161,7 @@ def check_sizes(value: Array, force: Array, prior_tangential: float | None, file
     :returns: warnings.
     :raises ForceError: they are too large, or too small.
     """
-    tangential = float(value[0])
+    tangential = float(value[_KTC])
     for size, limit, unit in ((value[:3], _LARGEST[0], "N/mm²"), (value[3:], _LARGEST[1], "N/mm")):
         if np.abs(size).max() > limit:
             raise ForceError(
@@ -161,8 +171,8 @@ def check_sizes(value: Array, force: Array, prior_tangential: float | None, file
             )
     ratio = None if prior_tangential is None else tangential / prior_tangential
     largest_force = float(np.nanmax(np.abs(force), initial=0.0)) if np.isfinite(force).any() else np.inf
-    agrees = ratio is not None and 1.0 / _SAME_MATERIAL < ratio < _SAME_MATERIAL
-    is_small = largest_force < _SMALL_FORCE and tangential < _SOFT and not agrees
+    agrees_with_prior = ratio is not None and 1.0 / _SAME_MATERIAL < ratio < _SAME_MATERIAL
+    is_small = largest_force < _SMALL_FORCE and tangential < _SOFT and not agrees_with_prior
     if is_small and (tangential < _SOFTEST or (ratio is not None and _KILONEWTON[0] < ratio < _KILONEWTON[1])):
         raise ForceError(
             f"the largest force is {largest_force:.2g} N, Ktc {tangential:.2g} N/mm²: the forces look like kN",

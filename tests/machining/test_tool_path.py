@@ -142,7 +142,7 @@ def test_a_path_that_misses_the_stock_says_where_both_are_and_whether_units_may_
     begin, far = np.array([0.5, 0.6, -0.02]), np.array([9.0, 9.0, 9.0])
     end = begin + size * np.eye(3)[axis] + [0, 0, 0.01]
     process = SimpleNamespace(path="process.toml")
-    error = _no_contact_error(None, cutting(end, begin, far), BOUNDS, process, None)
+    error = _no_contact_error(cutting(end, begin, far), BOUNDS, process, None)
     low, high = 1e3 * np.minimum(begin, end), 1e3 * np.maximum(begin, end)
     where = ", ".join(f"{name} {a:.4g} … {b:.4g}" for name, a, b in zip("XYZ", low, high, strict=True))
     assert f"cutting moves lie within {where} mm" in str(error)

@@ -124,13 +124,13 @@ def test_a_cutter_of_another_diameter_is_an_error_of_the_tools_that_cut():
     tools = tool_states(tool=(1, 0, 0, 0, 0, 0, 1))
     for diameter, is_other in ((0.01, False), (0.0100009, False), (0.0100011, True), (0.02, True)):
         guard = Guard([], 0.0, cutter=diameter)
-        issues = list(estimate._cutter_mismatch(MADE, tools, PROCESS, guard))
+        issues = list(estimate._cutter_mismatch_issues(MADE, tools, PROCESS, guard))
         assert [issue.kind for issue in issues] == ["other-cutter"] * is_other
         if is_other:
             assert "but tools.1 of the process has 10 mm:" in issues[0].message
             assert f"a cutter of {1e3 * diameter:g} mm" in issues[0].message
-    assert list(estimate._cutter_mismatch(MADE, tools, PROCESS, None)) == []
-    assert list(estimate._cutter_mismatch(MADE, tools, PROCESS, Guard([], 0.0))) == []
+    assert list(estimate._cutter_mismatch_issues(MADE, tools, PROCESS, None)) == []
+    assert list(estimate._cutter_mismatch_issues(MADE, tools, PROCESS, Guard([], 0.0))) == []
 
 
 def test_what_touches_the_stock_without_cutting_is_an_error_of_each_part():
@@ -189,12 +189,12 @@ def test_drilling_cycles_of_mills_are_lines_that_move_rapidly_and_cut_along_the_
     is_axial = np.array([True, True, True, False])
     found = cuts([2, 5, 5, 5], is_axial=is_axial, torque=[1.0, 1.0, 0.0, 1.0])
     none = np.zeros(4, dtype=bool)
-    (issue,) = estimate._drilling_with_mills(made, found, none)
+    (issue,) = estimate._mill_drilling_issues(made, found, none)
     assert (issue.level, issue.kind, issue.lines) == ("warning", "drilled-by-mill", (7,))
-    assert estimate._drilling_with_mills(made, found, is_axial) == []
-    assert estimate._drilling_with_mills(replace(made, layout="krl"), found, none) == []
-    assert estimate._drilling_with_mills(MADE, found, none) == []
-    assert estimate._drilling_with_mills(made, replace(found, torque=np.zeros(4)), none) == []
+    assert estimate._mill_drilling_issues(made, found, is_axial) == []
+    assert estimate._mill_drilling_issues(replace(made, layout="krl"), found, none) == []
+    assert estimate._mill_drilling_issues(MADE, found, none) == []
+    assert estimate._mill_drilling_issues(made, replace(found, torque=np.zeros(4)), none) == []
 
 
 def straight(begin, end, motion=None, cutting=None):
@@ -246,7 +246,7 @@ def test_runs_of_cuts_beside_the_stock_are_named_as_a_whole():
 )  # fmt: skip
 def test_a_tool_that_never_touches_the_stock_is_told_where_both_are_and_whether_one_is_in_inches(size, words):
     steps = straight([[0, 0, 0.01], [5, 5, 5]], [[size, 0.5 * size, -0.002], [6, 6, 6]], cutting=[True, False])
-    error = estimate._no_contact_error(MADE, steps, (1.0, 1.1, 2.0, 2.05, -0.3), PROCESS, None)
+    error = estimate._no_contact_error(steps, (1.0, 1.1, 2.0, 2.05, -0.3), PROCESS, None)
     text = str(error)
     assert f"X 0 … {1e3 * size:.4g}, Y 0 … {500 * size:.4g}, Z -2 … 10 mm" in text
     assert "the stock within X 1000 … 1100, Y 2000 … 2050, top Z -300 mm" in text
@@ -290,11 +290,11 @@ def test_cuts_without_a_spindle_speed_are_refused_with_the_line_to_look_at(event
     made = replace(MADE, events=tuple(events))
     steps = straight(np.zeros((2, 3)), np.ones((2, 3)), motion=[1, 0], cutting=[True, False])
     with pytest.raises(ForceError, match=words) as refused:
-        estimate._check_speed(made, steps, tool_states(rpm=0.0))
+        estimate._check_spindle_speed(made, steps, tool_states(rpm=0.0))
     assert refused.value.line == line
-    estimate._check_speed(made, steps, tool_states())
+    estimate._check_spindle_speed(made, steps, tool_states())
     rapid = straight(np.zeros((1, 3)), np.ones((1, 3)), motion=[0], cutting=[False])
-    estimate._check_speed(made, rapid, tool_states(rpm=0.0))
+    estimate._check_spindle_speed(made, rapid, tool_states(rpm=0.0))
 
 
 def readings(chip):
