@@ -203,13 +203,13 @@ class Execution:
                         waiting.append(self.routines[name])
         return names
 
-    def _forget(self, statements: tuple[Statement, ...], reason: str, scope: Scope | None = None) -> None:
+    def _forget(self, statements: tuple[Statement, ...], reason: str, scope: Scope) -> None:
         """Make unknown what statements, and the routines that they call, may change.
 
-        :param scope: of the statements; None: only data of the modules count.
+        :param scope: of the statements.
         """
         for name in self.effects.changed_names(statements):
-            _forget_variable(self.data.get(name) if scope is None else scope.find(name), reason)
+            _forget_variable(scope.find(name), reason)
         for name in called_names(statements):
             for data_name in self.effects.changed_data_of(name):
                 _forget_variable(self.data.get(data_name), reason)
@@ -264,8 +264,8 @@ class Execution:
 
     def _foreign(self, name: str, statement: Statement) -> None:
         """List a call of a routine that is in no module of the file."""
-        start, count = self.done.foreign.get(name or "%", (statement.start, 0))
-        self.done.foreign[name or "%"] = start, count + 1
+        start, count = self.done.foreign.get(name, (statement.start, 0))
+        self.done.foreign[name] = start, count + 1
 
     def _is_foreign_move(self, statement: Instruction) -> bool:
         """Return whether a routine of another file gets a target: then it may go there."""

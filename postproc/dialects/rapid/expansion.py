@@ -74,7 +74,7 @@ def expand(
         for change in changes:
             if change.copied:
                 copies.append(change.copied)
-            elif change.start < change.stop:
+            elif change.is_loop:
                 loops.append(int(line[np.searchsorted(starts, change.start, side="right") - 1]))
         text, line = _apply_changes(text, line, changes)
         if len(text) > _MOST_CHARACTERS:
@@ -85,13 +85,14 @@ def expand(
 class _Change(Struct, frozen=True):
     """A piece of the text and what replaces it: pieces of the text (offsets) and new text.
 
-    :ivar copied: name of the routine that this is a copy of.
+    :ivar copied: name of the routine that this is a copy of; `is_loop`: this is a loop written out.
     """
 
     start: int
     stop: int
     pieces: tuple[tuple[int, str], ...]
     copied: str = ""
+    is_loop: bool = False
 
 
 def _changes(text: str, whole: Sequence[Module], execution: ExecutedProgram) -> list[_Change]:
@@ -129,8 +130,7 @@ def _changes(text: str, whole: Sequence[Module], execution: ExecutedProgram) -> 
             copies.append((tail, text[tail : routine.stop]))
         changes.append(_Change(routine.stop, routine.stop, tuple(copies), copied=name))
     if not changes:
-        loop = next(iter(execution.rounds.values()))[0][0] if execution.rounds else None
-        start = loop.start if loop is not None else execution.moves[0].statement.start
+        start = next(start for start, count in times.items() if count > 1)
         raise RapidError("a loop or routine with moves runs more than once", start, "Write its moves one by one.")
     return changes
 
@@ -173,7 +173,7 @@ def _unroll(text: str, loop: Loop, values: Sequence[float]) -> _Change:
         pieces.append((at, text[at : begin + last]))
     if body[:last].endswith(("\n", "\r")) and indent:
         pieces.append((-1, f"{indent[0]}! end"))
-    return _Change(loop.start, loop.stop, tuple(pieces))
+    return _Change(loop.start, loop.stop, tuple(pieces), is_loop=True)
 
 
 def _uses(text: str, loop: Loop) -> list[tuple[int, int]]:
