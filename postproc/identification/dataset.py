@@ -142,10 +142,11 @@ def _torque_finding(torque: np.ndarray) -> Finding:
 def _agreement(robot: RobotModel, data: Measurements) -> list[Finding]:
     """Return the statements on readings that contradict the robot, its loads or each other."""
     try:
-        _, _, outliers, doubts = check_readings(robot, data)
+        checked = check_readings(robot, data)
     except PostprocError as error:
         return [Finding(str(error), has=False, required=True)]
-    faults = [*(f"outlier: {name}" for name in outliers), *(note for note in doubts if note not in gaps(data))]
+    faults = [*(f"outlier: {name}" for name in checked.outliers), *filter(None, [checked.doubt])]
+    faults += [note for note in checked.warnings if note not in gaps(data)]
     if not faults:
         return [Finding(f"readings that agree with {robot.name}: points, angles, frame, direction of the loads", True)]
     return [Finding(fault, has=False) for fault in faults]

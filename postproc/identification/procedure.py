@@ -14,6 +14,7 @@ from postproc.frames import MM_PER_M, Array
 from postproc.identification import plausibility
 from postproc.identification.choice import CLEAR, Choice, choose, evidence_of
 from postproc.identification.fit import Fit, to_file_units
+from postproc.identification.force_axes import force_axes
 from postproc.identification.joint_springs import (
     Levels,
     SpringOfJoint2,
@@ -124,9 +125,10 @@ def identify(
     :param progress: called with a line of text before each step.
     :raises MeasurementError: the readings are unusable; the message names the row or says what to measure.
     """
-    data, placement, outliers, warnings = check_readings(prior, data)
+    checked = check_readings(prior, data)
+    data, placement, outliers, warnings = checked.data, checked.placement, checked.outliers, checked.warnings
     if method == "serial":
-        return _serial(prior, data, placement, outliers, warnings)
+        return _serial(prior, checked)
 
     progress("joint springs and compensator")
     joints, data, placement, names = _located_joints(prior, data, placement)
@@ -153,7 +155,7 @@ def identify(
     fit = add_stated_errors(fit, data, placement, None if choice is None else choice.influence)
     workspace = over_workspace(_add_bound(fit, model_error), data)
     judgement = judge(data, fit, choice, workspace, displacement_ratio(prior, data, placement))
-    judgement = judgement.reserved(displaced_points(data, placement))
+    judgement = judgement.reserved(displaced_points(data, placement)).reserved(checked.doubt)
     warnings += judgement.notes + loops(prior, data, placement)
     return Identification(
         method="enhanced",
@@ -177,17 +179,35 @@ _CHECK_ANGLES = " Check [angles] too: sign, offset_deg and A3_per_J2."
 """Displacements show wrong angles only by their directions; positions are compared with the geometry of the arm."""
 
 
-def check_readings(prior: RobotModel, data: Measurements) -> tuple[Measurements, Placement, list[str], list[str]]:
+class CheckedReadings(Struct, frozen=True, eq=False):
+    """Readings that may be fitted.
+
+    :param data: without gross errors, and with their noise.
+    :param placement: base transform and reference points.
+    :param outliers: a line for each reading that was left out.
+    :param warnings: for the user.
+    :param doubt: clause on the axes of the forces, a reservation of the model; may be empty.
+    """
+
+    data: Measurements
+    placement: Placement
+    outliers: list[str]
+    warnings: list[str]
+    doubt: str
+
+
+def check_readings(prior: RobotModel, data: Measurements) -> CheckedReadings:
     """Check the readings before any spring is fitted.
 
-    :returns: the readings without gross errors and with their noise, the placement, what was left out, and warnings.
     :raises MeasurementError: the readings are unusable.
     """
     advice = _CHECK_ANGLES if data.are_displacements else ""
     data, placement, outliers = plausibility.check_placement(prior, as_positions(prior, data))
-    doubts = [*gaps(data), *moved_device(prior, data, placement), *check_loads(prior, data, placement, advice)]
-    data, warnings = _noise(data)
-    return data, placement, outliers, doubts + warnings
+    warnings = [*gaps(data), *moved_device(prior, data, placement)]
+    doubt = force_axes(prior, data, placement)
+    warnings += check_loads(prior, data, placement, advice)
+    data, notes = _noise(data)
+    return CheckedReadings(data, placement, outliers, warnings + notes, doubt)
 
 
 def _located_joints(
@@ -292,10 +312,9 @@ def _joints(prior: RobotModel, data: Measurements, placement: Placement) -> _Joi
     return _Joints(fit, levels, spring, open_entries)
 
 
-def _serial(
-    prior: RobotModel, data: Measurements, placement: Placement, outliers: list[str], warnings: list[str]
-) -> Identification:
+def _serial(prior: RobotModel, checked: CheckedReadings) -> Identification:
     """Identify joint springs one by one (`method = "serial"`), with bound and verdict."""
+    data, placement, outliers, warnings = checked.data, checked.placement, checked.outliers, checked.warnings
     fit = fit_serial(prior, data, placement)
     open_entries = not_observable(fit, data, with_misfit=True)
     fit = held_by_prior(fit, open_entries)
@@ -304,7 +323,7 @@ def _serial(
     fit = add_stated_errors(fit, data, placement, None)
     workspace = over_workspace(_add_bound(fit, model_error), data)
     judgement = judge(data, fit, None, workspace, displacement_ratio(prior, data, placement))
-    judgement = judgement.reserved(displaced_points(data, placement))
+    judgement = judgement.reserved(displaced_points(data, placement)).reserved(checked.doubt)
     return Identification(
         method="serial",
         prior=prior,

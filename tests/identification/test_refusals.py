@@ -21,6 +21,7 @@ from postproc.identification import (
 )
 from postproc.identification.compensator_geometry import MarkerReadings
 from postproc.identification.measurement_model import LevelCompliance, Structure
+from postproc.identification.procedure import CheckedReadings
 from postproc.identification.validation import JobShare, ValidatedLevel, Validation, coverage
 from postproc.robot import JOINT_COMPLIANCES
 from samples.paper_study import harness, simulator
@@ -73,11 +74,13 @@ def test_a_folder_that_is_not_there_is_named(tmp_path):
 
 def test_doubts_of_readings_are_listed_as_faults_of_a_folder(monkeypatch):
     data = readings(forces(3), count=3)
-    monkeypatch.setattr(dataset, "check_readings", lambda *_: (None, None, ["line 7"], ["all points move", "gap"]))
+    checked = CheckedReadings(data, None, ["line 7"], ["all points move", "gap"], "forces turned")
+    monkeypatch.setattr(dataset, "check_readings", lambda *_: checked)
     monkeypatch.setattr(dataset, "gaps", lambda _: ["gap"])
     found = dataset._agreement(harness.PRIOR, data)
     assert [(finding.text, finding.has) for finding in found] == [
         ("outlier: line 7", False),
+        ("forces turned", False),
         ("all points move", False),
     ]
 
