@@ -219,6 +219,20 @@ def test_the_payload_of_the_cell_is_the_load_of_the_tool(tmp_path):
     assert "tool-load" not in kinds
 
 
+def test_a_module_longer_than_the_cell_allows_is_named_and_written(tmp_path):
+    def kinds(limit):
+        cell = tmp_path / "cell.toml"
+        cell.write_text(CELL.read_text().replace("[output]\n", f"[output]\nlines_per_file = {limit}\n"))
+        length = convert(tmp_path, GCODE, "--nominal", "--overwrite", cell=cell).count("\n")
+        report = json.loads((tmp_path / "out" / "part.report.json").read_text())
+        return length, [issue["kind"] for issue in report["issues"]].count("long-file")
+
+    length, count = kinds(100000)
+    assert count == 0
+    assert kinds(length)[1] == 0
+    assert kinds(length - 2)[1] == 1
+
+
 def test_forces_come_along_as_comments_that_are_read_again(tmp_path):
     text = convert(tmp_path)
     notes = read(text).notes

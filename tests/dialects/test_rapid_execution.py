@@ -322,3 +322,27 @@ def test_an_interrupt_that_moves_the_robot_is_refused_where_it_is_connected():
     assert error.problem == "the interrupt LATE moves the robot at a time that is not known"
     assert error.text == code[1]
     assert positions(code, "TRAP late\nIncr y;\nENDTRAP") == [2]
+
+
+def test_constants_that_only_the_second_round_of_a_loop_without_end_uses_are_no_difference():
+    code = [
+        "y:=3;",
+        "WHILE TRUE DO",
+        HOME,
+        "IF b THEN",
+        "y:=a{1}-7;",
+        "ELSE",
+        "b:=TRUE;",
+        "ENDIF",
+        move("y"),
+        "ENDWHILE",
+    ]
+    assert positions(code)[1:] == [3]
+
+
+def test_a_parameter_that_changes_from_round_to_round_of_a_loop_without_end_is_a_difference():
+    """Its third round would differ."""
+    text = "\n".join(["PROC work(num n)", "WHILE TRUE DO", HOME, "n:=n+1;", f"IF n>2 THEN\n{HOME}\nENDIF", "ENDWHILE"])
+    error = refusal(["work 0;"], f"{text}\nENDPROC")
+    assert error.problem == "the rounds of this loop without end differ"
+    assert len(run(["work 0;"], f"{text}\nENDPROC".replace("n:=n+1;", "")).motions) == 2

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from postproc.dialects.rapid import expansion
 from postproc.errors import PostprocError
 from tests.dialects.test_rapid import read
 from tests.dialects.test_rapid_reading import HOME, at, module, tail
@@ -237,3 +238,23 @@ def test_the_variable_of_a_loop_hides_data_of_its_name_until_the_end():
         code = ["VAR num i:=40;", "FOR i FROM 1 TO 2 DO", *body, "ENDFOR", move("i+x")]
         program = read(module(code, f"{DATA}\n  VAR num x:=0;"))
         assert program.motions.target[-1, 0, 3] * 1e3 == pytest.approx(43 if "x" in body[0] and ":=" in body[0] else 40)
+
+
+def test_a_copied_call_and_a_move_in_one_line_are_both_of_this_line():
+    _, line, x = expanded([f"cut; {move(5)}", f"cut; {move(6)}"], CUT.format(move(1)))
+    assert x == [1, 5, 1, 6]
+    assert line == [6, 11, 6, 12]
+
+
+@pytest.mark.parametrize("limit", ["_MOST_CHARACTERS", "_MOST_PASSES"])
+def test_programs_that_grow_too_long_are_refused_at_their_procedure(monkeypatch, limit):
+    """The loop in a loop takes two passes, and a third that finds nothing more."""
+    code = ["FOR i FROM 1 TO 2 DO", "FOR k FROM 1 TO 2 DO", move("i+k"), "ENDFOR", "ENDFOR"]
+    size = len(read(module(code, DATA)).layout.text) if limit == "_MOST_CHARACTERS" else 3
+    monkeypatch.setattr(expansion, limit, size)
+    read(module(code, DATA))
+    monkeypatch.setattr(expansion, limit, size - 1)
+    with pytest.raises(PostprocError, match=r"too long to be written out|nested too deeply") as caught:
+        read(module(code, DATA))
+    assert caught.value.text == "PROC main()"
+    assert caught.value.advice

@@ -93,6 +93,38 @@ def test_records_and_texts(text, value):
     assert value_of(text)[0] == value
 
 
+@pytest.mark.parametrize(
+    ("text", "type_"),
+    [
+        ("V+[1,1,1]", "POS"), ("[1,1,1]+V", "POS"), ("V*2", "POS"), ("-V", "POS"), ("K+1", "NUM"), ("[1,2,3]", ""),
+        ("P.trans", "POS"), ("P.rot", "ORIENT"), ("P.robconf", "CONFDATA"), ("P.extax", "EXTJOINT"), ("V.x", "NUM"),
+        ("wobj0.uframe", "POSE"), ("tool0.tload.cog", "POS"), ("tool0.tload.aom", "ORIENT"), ("M{1}", "NUM"),
+        ("S", "STRING"), ("v5", "SPEEDDATA"), ("z5", "ZONEDATA"), ("load0", "LOADDATA"), ("pi", "NUM"),
+    ],
+)  # fmt: skip
+def test_types(text, type_):
+    assert value_of(text)[1] == type_
+
+
+def test_predefined_speeds_and_zones_are_those_of_the_manual():
+    """Data types speeddata and zonedata: of orientation and axes 1.5 times the radius, rounded up from z5 on."""
+    names = [5, 10, 20, 30, 40, 50, 60, 80, 100, 150, 200, 300, 400, 500, 600, 800, 1000, 1500, 2000, 2500, 3000, 4000]
+    data = predefined_data()
+    speeds = {name: value for name, (value, type_) in data.items() if type_ == "SPEEDDATA"}
+    assert speeds == {f"V{name}": [float(name), 500.0, 5000.0, 1000.0] for name in [*names, 5000, 6000, 7000]} | {
+        "VMAX": [5000.0, 500.0, 5000.0, 1000.0]
+    }
+    zones = {name: value for name, (value, type_) in data.items() if type_ == "ZONEDATA" and name != "FINE"}
+    assert sorted(float(name[1:]) for name in zones) == [0, 1, 5, 10, 15, 20, 30, 40, 50, 60, 80, 100, 150, 200]
+    for name, (is_stop, tcp, *others) in zones.items():
+        radius, turn = {"Z0": (0.3, 0.03), "Z1": (1.0, 0.1), "Z150": (225.0, 23.0)}.get(
+            name, (math.floor(1.5 * tcp + 0.5), 0.1 * math.floor(1.5 * tcp + 0.5))
+        )
+        assert not is_stop
+        assert tcp == (0.3 if name == "Z0" else float(name[1:]))
+        assert others == pytest.approx([radius, radius, turn, radius, turn])
+
+
 def test_all_stop_points_are_fine_and_have_no_zone():
     data = predefined_data()
     assert data["FINE"] == ([True, *[0.0] * 6], "ZONEDATA")

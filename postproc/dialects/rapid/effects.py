@@ -39,7 +39,7 @@ class Effects:
         """
         self.routines = {routine.name: routine for module in modules for routine in module.routines}
         self.without_effect = frozenset(name.upper() for name in without_effect)
-        data = [item for module in modules for item in module.data if item.kind != "CONST"]
+        data = [item for module in modules for item in module.data]
         self._all_data = frozenset(item.name for item in data)
         self._open_data = frozenset(item.name for item in data if not item.local)
         routines = self.routines

@@ -549,11 +549,7 @@ class Execution:
     def _state(self, scope: Scope) -> list[tuple[str, Any]]:
         """Return all data that change."""
         variables = (*self.data.items(), *scope.inner.items())
-        return [
-            (name, variable.value)
-            for name, variable in variables
-            if not variable.literal and variable.declaration is not None and variable.declaration.kind != "CONST"
-        ]
+        return [(name, variable.value) for name, variable in variables if not variable.literal]
 
     # --- instructions
 

@@ -24,6 +24,7 @@ _MOST_CHARACTERS = 60_000_000
 """Size of a module written out: a million motions of 60 characters."""
 _MOST_PASSES = 300
 """Passes before loops and calls count as nested too deeply (assumed)."""
+_DIVIDE = "Divide the program, or convert the G-code or APT of this part."
 
 
 class ExpandedProgram(Struct, frozen=True, eq=False):
@@ -66,20 +67,26 @@ def expand(
             execution = Execution(whole, entry, cell_value, without_effect, loaded).run()
             changes = _changes(text, whole, execution)
         except RapidError as cause:
-            row = np.searchsorted(line_spans(text)[0], cause.start, side="right") - 1
-            raise cause.set_line(int(line[row])) from None
+            raise cause.set_line(_line_at(text, line, cause.start)) from None
         if not changes:
             return ExpandedProgram(text, whole, execution, line, tuple(loops), tuple(copies))
-        starts = line_spans(text)[0]
         for change in changes:
             if change.copied:
                 copies.append(change.copied)
             elif change.is_loop:
-                loops.append(int(line[np.searchsorted(starts, change.start, side="right") - 1]))
+                loops.append(_line_at(text, line, change.start))
+        entry_line = _line_at(text, line, entry.start)
         text, line = _apply_changes(text, line, changes)
         if len(text) > _MOST_CHARACTERS:
-            raise RapidError("the loops of the program are too long to be written out", entry.start)
-    raise RapidError("the loops and calls of the program are nested too deeply", entry.start)
+            problem = "the loops of the program are too long to be written out"
+            raise RapidError(problem, entry.start, _DIVIDE).set_line(entry_line)
+    problem = "the loops and calls of the program are nested too deeply"
+    raise RapidError(problem, entry.start, _DIVIDE).set_line(entry_line)
+
+
+def _line_at(text: str, line: Ints, start: int) -> int:
+    """Return the line of the file that an offset of the text comes from; `line` (L,) are those of its lines."""
+    return int(line[np.searchsorted(line_spans(text)[0], start, side="right") - 1])
 
 
 class _Change(Struct, frozen=True):

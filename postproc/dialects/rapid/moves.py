@@ -218,12 +218,10 @@ def _element(expression: Expression, initial: Expression | None, scope: Scope) -
     if initial is None or expression.kind not in ("name", "index"):
         return None
     element: Expression = initial
-    if expression.kind == "index":
-        for item in expression.items[1:]:
-            place = int(number(item, scope))
-            if element.kind != "list" or not 1 <= place <= len(element.items):
-                return None
-            element = element.items[place - 1]
+    for item in expression.items[1:]:
+        if element.kind != "list":
+            return None
+        element = element.items[int(number(item, scope)) - 1]
     return element if element.kind in ("numbers", "list") else None
 
 

@@ -177,7 +177,7 @@ class _Reader:
         comments: list[Comment] = []
         notes: list[ForceNote] = []
         errors: list[InputError] = []
-        starts = line_spans(whole.text)[0] if whole.executed.notes else np.zeros(1, dtype=np.int64)
+        starts = line_spans(whole.text)[0]
         for comment, motion_index in whole.executed.notes:
             line = int(whole.line[np.searchsorted(starts, comment.start, side="right") - 1])
             try:
@@ -505,7 +505,6 @@ def _exact(stored_numbers: Array) -> Array:
     if not len(stored_numbers):
         return np.zeros((0, 6))
     matrices = poses(np.column_stack([np.zeros((len(stored_numbers), 3)), stored_numbers[:, 3:]]))
-    matrices[:, :3, 3] = stored_numbers[:, :3] * M_PER_MM
     numbers = xyzabc_from_pose(matrices)
     numbers[:, :3] = stored_numbers[:, :3]
     return np.asarray(numbers)

@@ -257,7 +257,7 @@ class Parser:
             return self._factor()
         self.depth += 1
         if self.depth > _DEEPEST:
-            raise RapidSyntaxError("brackets are nested too deeply", self.start)
+            raise RapidSyntaxError("brackets or statements are nested too deeply", self.start)
         start = self.start
         if level in (0, 2) and self.word == "NOT" and self.kind == "name":
             self.step()  # the lowest level: NOT a AND b is NOT (a AND b)
@@ -313,7 +313,7 @@ class Parser:
             return Expression("numbers", start, match.end(), match.groups())
         self.depth += 1
         if self.depth > _DEEPEST:
-            raise RapidSyntaxError("brackets are nested too deeply", start)
+            raise RapidSyntaxError("brackets or statements are nested too deeply", start)
         self.take("[")
         items = [self.expression()]
         while self.accept(","):
@@ -331,18 +331,7 @@ class Parser:
             arguments = () if self.word == ")" else self.arguments(")")
             self.take(")")
             return Expression("call", start, self.behind, expression.value, arguments)
-        while self.kind == "symbol" and self.word in "{.":
-            if self.accept("{"):
-                items = [expression, self.expression()]
-                while self.accept(","):
-                    items.append(self.expression())
-                self.take("}")
-                expression = Expression("index", start, self.behind, None, tuple(items))
-            else:
-                self.step()
-                name = self.identifier()
-                expression = Expression("field", start, self.behind, name, (expression,))
-        return expression
+        return self._components(expression)
 
     def arguments(self, end: str) -> tuple[Argument, ...]:
         """Read arguments up to a symbol, which is left."""
@@ -365,9 +354,7 @@ class Parser:
 
     def block(self) -> tuple[Statement, ...]:
         """Read statements up to the word that ends them, which is left."""
-        self.depth += 1
-        if self.depth > _DEEPEST:
-            raise RapidSyntaxError("statements are nested too deeply", self.start)
+        self.depth += 1  # each block in another one has an expression before it, which is counted and refused
         statements: list[Statement] = []
         while True:
             statements += self._remarks()
@@ -485,14 +472,16 @@ class Parser:
                 expression = Expression("index", start, self.behind, None, tuple(items))
             else:
                 self.step()
-                expression = Expression("field", start, self.behind, self.identifier(), (expression,))
+                component = self.identifier()
+                expression = Expression("field", start, self.behind, component, (expression,))
         return expression
 
     def _if(self, start: int) -> Statement:
         """Parse IF with its branches."""
         condition = self.expression()
         if not self.accept("THEN"):  # compact IF: one statement
-            return Conditional(start, self.behind, ((condition, (self.statement(),)),))
+            statement = self.statement()
+            return Conditional(start, self.behind, ((condition, (statement,)),))
         branches: list[tuple[Expression | None, tuple[Statement, ...]]] = [(condition, self.block())]
         while self.accept("ELSEIF"):
             condition = self.expression()
@@ -676,16 +665,6 @@ def modules(text: str) -> tuple[Module, ...]:
     :raises RapidSyntaxError: it is not RAPID.
     """
     return tuple(Parser(text).modules())
-
-
-def names(expression: Expression) -> Iterator[str]:
-    """Yield the names of data in an expression."""
-    if expression.kind == "name":
-        yield expression.value
-    for item in expression.items:
-        inner = item.value if isinstance(item, Argument) else item
-        if isinstance(inner, Expression):
-            yield from names(inner)
 
 
 def all_statements(statements: tuple[Statement, ...]) -> Iterator[Statement]:

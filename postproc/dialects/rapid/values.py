@@ -86,9 +86,23 @@ _SPEEDS: tuple[int, ...] = (
 _SPEEDS = (*_SPEEDS, 5000, 6000, 7000)
 FASTEST = 5000.0
 """vmax [mm/s]: the manual says "max. TCP speed for the used robot type, normally 5000 mm/s"."""
-_ZONES = {0: 0.3, 1: 1, 5: 5, 10: 10, 15: 15, 20: 20, 30: 30, 40: 40, 50: 50, 60: 60, 80: 80, 100: 100, 150: 150}
-_ZONES[200] = 200
-"""Predefined zonedata: number in the name and radius [mm] (RAPID manual, zonedata)."""
+_ZONES: dict[int, tuple[float, float, float]] = {
+    0: (0.3, 0.3, 0.03),
+    1: (1.0, 1.0, 0.1),
+    5: (5.0, 8.0, 0.8),
+    10: (10.0, 15.0, 1.5),
+    15: (15.0, 23.0, 2.3),
+    20: (20.0, 30.0, 3.0),
+    30: (30.0, 45.0, 4.5),
+    40: (40.0, 60.0, 6.0),
+    50: (50.0, 75.0, 7.5),
+    60: (60.0, 90.0, 9.0),
+    80: (80.0, 120.0, 12.0),
+    100: (100.0, 150.0, 15.0),
+    150: (150.0, 225.0, 23.0),
+    200: (200.0, 300.0, 30.0),
+}
+"""Predefined zonedata: number in the name → radius of the TCP, of orientation and axes [mm], zone of turns [deg]."""
 NONE = 8.9e9
 """External axes from here on are not connected (9E9)."""
 ROUNDING = 1e-5
@@ -104,10 +118,8 @@ def predefined_data() -> dict[str, tuple[Value, str]]:
         f"V{speed}": ([float(speed), 500.0, 5000.0, 1000.0], "SPEEDDATA") for speed in _SPEEDS
     }
     data["VMAX"] = ([FASTEST, 500.0, 5000.0, 1000.0], "SPEEDDATA")
-    for name, distance in _ZONES.items():
-        mm = float(distance)
-        rotation_zone = 1.5 * mm if name > 1 else mm
-        data[f"Z{name}"] = ([False, mm, rotation_zone, rotation_zone, 0.15 * mm, rotation_zone, 0.15 * mm], "ZONEDATA")
+    for name, (tcp, other, turn) in _ZONES.items():
+        data[f"Z{name}"] = ([False, tcp, other, other, turn, other, turn], "ZONEDATA")
     data["FINE"] = ([True, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], "ZONEDATA")
     data["TOOL0"] = ([True, _ORIGIN, _NO_LOAD], "TOOLDATA")
     data["WOBJ0"] = ([False, True, "", _ORIGIN, _ORIGIN], "WOBJDATA")
