@@ -86,42 +86,48 @@ _LEAST_TORQUE = 1.0
 """Largest torque [N·m] on a joint below which its gear has no parameters of its own."""
 
 
-def link_springs(robot: RobotModel, rich: bool) -> tuple[LinkSpring, ...]:
+def link_springs(robot: RobotModel, with_ends: bool) -> tuple[LinkSpring, ...]:
     """Return the springs of links that differ from those of the joints.
 
-    :param rich: also springs where links end, and under the base.
+    :param with_ends: include springs where links end, and under the base.
     """
-    about_joints = _along_joints(robot)
-    springs = (LinkSpring(link, axis) for link in ((BASE, *JOINTS) if rich else JOINTS) for axis in LINK_AXES)
-    return tuple(spring for spring in springs if spring not in about_joints and (rich or not spring.at_end))
+    joint_springs = _springs_about_joint_axes(robot)
+    links = (BASE, *JOINTS) if with_ends else JOINTS
+    springs = (LinkSpring(link, axis) for link in links for axis in LINK_AXES)
+    return tuple(spring for spring in springs if spring not in joint_springs and (with_ends or not spring.at_end))
 
 
-def _along_joints(robot: RobotModel) -> set[LinkSpring]:
-    """Return the rotations that are about a joint axis; for axes along X, Y or Z of the joint frames."""
+def _springs_about_joint_axes(robot: RobotModel) -> set[LinkSpring]:
+    """Return the rotational springs of links that are about a joint axis: they equal the spring of the joint.
+
+    Joint axes are taken along the nearest of X, Y, Z of their frame.
+    """
+    begin_rotations, end_rotations = LINK_AXES[3:6], LINK_AXES[6:9]  # about X, Y, Z where a link begins, and ends
     springs = set()
     for index, joint in enumerate(JOINTS):
         joint_axis = robot.nominal.axis[index]
         parent_axis = robot.nominal.placement[index, :3, :3] @ joint_axis
-        springs.add(LinkSpring(joint, LINK_AXES[3 + int(np.argmax(np.abs(joint_axis)))]))
-        link, axis = (BASE, *JOINTS)[index], int(np.argmax(np.abs(parent_axis)))
-        springs.add(LinkSpring(link, LINK_AXES[6 + axis]))
+        springs.add(LinkSpring(joint, begin_rotations[int(np.argmax(np.abs(joint_axis)))]))
+        parent_link, axis = (BASE, *JOINTS)[index], int(np.argmax(np.abs(parent_axis)))
+        springs.add(LinkSpring(parent_link, end_rotations[axis]))
         if np.linalg.norm(np.cross(parent_axis, robot.nominal.placement[index, :3, 3])) < _ONE_LINE:
-            springs.add(LinkSpring(link, LINK_AXES[3 + axis]))  # the link begins on the axis of the joint at its end
+            # the parent link begins on the axis of the joint at its end
+            springs.add(LinkSpring(parent_link, begin_rotations[axis]))
     return springs
 
 
-def _gears(
-    kind: type[FadingPart | Backlash], steps: Sequence[float], joints: Sequence[JointCompliance], largest: Array
+def _gear_parameters(
+    kind: type[FadingPart | Backlash], shares: Sequence[float], joints: Sequence[JointCompliance], largest: Array
 ) -> Iterator[Parameter]:
     """Yield candidate parameters of gears, at some torques of each joint that is loaded enough.
 
-    :param steps: these torques, as shares of the largest.
+    :param shares: of the largest torque on the joint, at which there is a parameter each.
     :param largest: (6,) largest torque on each joint in the readings [N·m].
     """
     for joint in joints:
         if largest[joint.index] > _LEAST_TORQUE:
-            for step in steps:
-                yield kind(joint.joint, float(f"{step * largest[joint.index]:.2g}"))
+            for share in shares:
+                yield kind(joint.joint, float(f"{share * largest[joint.index]:.2g}"))
 
 
 def full_structure(
@@ -132,29 +138,33 @@ def full_structure(
     :param in_gears: weights and compensator load the gears at rest.
     :param compensator: K_c and s₀ are free.
     """
-    bare = unloaded_joints(robot, data)
-    joints = [joint for joint in JOINT_COMPLIANCES if joint not in bare]
+    unloaded = unloaded_joints(robot, data)
+    loaded = [joint for joint in JOINT_COMPLIANCES if joint not in unloaded]
     largest = np.abs(joint_torques(robot, data)).max(axis=0)
-    links, ends = link_springs(robot, rich=False), link_springs(robot, rich=True)
-    of_kind: dict[str, Iterable[Parameter]] = {
+    springs, springs_with_ends = link_springs(robot, with_ends=False), link_springs(robot, with_ends=True)
+    parameters_by_kind: dict[str, Iterable[Parameter]] = {
         JOINT: JOINT_COMPLIANCES,
         COMPENSATOR_SPRING: COMPENSATOR if compensator else (),
-        LINK: links,
-        END: (spring for spring in ends if spring not in links),
-        FADING: _gears(FadingPart, _FADE_AT, joints, largest),
-        KNEE: _gears(Knee, _BREAKPOINTS_AT, joints, largest),
-        BACKLASH: _gears(Backlash, _TURNS_OVER_AT, joints, largest),
+        LINK: springs,
+        END: (spring for spring in springs_with_ends if spring not in springs),
+        FADING: _gear_parameters(FadingPart, _FADE_AT, loaded, largest),
+        KNEE: _gear_parameters(Knee, _BREAKPOINTS_AT, loaded, largest),
+        BACKLASH: _gear_parameters(Backlash, _TURNS_OVER_AT, loaded, largest),
         # if the load alone acts on the gears, backlash is lost motion
-        LOST_MOTION: _gears(LostMotion, _TURNS_OVER_AT, joints, largest) if in_gears else (),
+        LOST_MOTION: _gear_parameters(LostMotion, _TURNS_OVER_AT, loaded, largest) if in_gears else (),
         # a free compensator replaces the weights on joint 2: masses are not identifiable then
         AT_REST: _gravity_parameters(robot) if not compensator and (in_gears or not robot.subtract_reference) else (),
     }
-    pairs = [(parameter, kind) for kind, parameters in of_kind.items() for parameter in parameters]
-    return Structure(tuple(p for p, _ in pairs), robot, in_gears=in_gears), tuple(kind for _, kind in pairs)
+    pairs = [(parameter, kind) for kind, parameters in parameters_by_kind.items() for parameter in parameters]
+    structure = Structure(tuple(parameter for parameter, _ in pairs), robot, in_gears=in_gears)
+    return structure, tuple(kind for _, kind in pairs)
 
 
 def _gravity_parameters(robot: RobotModel) -> Iterator[Parameter]:
-    """Yield the uncertain sources of torque on the gears at rest: masses and compensator."""
+    """Yield the sources of torque on the gears at rest whose values the prior states as uncertain.
+
+    These are the masses of links 2 to 6, and the size of the compensator's torque.
+    """
     sources: list[Parameter] = [LinkMass(joint) for joint in JOINTS[1:]]
     if robot.compensator is not None:
         sources.append(CompensatorSize())
@@ -169,7 +179,9 @@ def has_compensator(robot: RobotModel, data: Measurements) -> bool:
 def candidates(compensator: bool) -> list[tuple[str, tuple[str, ...]]]:
     """Return the structures to try, from simple to rich: name, and kinds of parameters.
 
-    Masses and compensator at rest are part of every structure with gears that are not linear.
+    Masses and compensator at rest are part of every structure with gears that are not linear; their kind is not listed.
+
+    :param compensator: K_c and s₀ of the compensator are parameters of all structures.
     """
     gears: list[tuple[str, tuple[str, ...]]] = [
         ("", ()),
@@ -189,11 +201,11 @@ def candidates(compensator: bool) -> list[tuple[str, tuple[str, ...]]]:
         ("link springs", (JOINT, LINK), gears),
         ("link springs, link ends and base", (JOINT, LINK, END), rich),
     ]
-    extra, label = ((COMPENSATOR_SPRING,), ", compensator") if compensator else ((), "")
+    compensator_kinds, compensator_name = ((COMPENSATOR_SPRING,), ", compensator") if compensator else ((), "")
     return [
-        (arm + label + gear, (*kinds, *extra, *gear_kinds))
-        for arm, kinds, with_gears in arms
-        for gear, gear_kinds in with_gears
+        (arm_name + compensator_name + gear_name, (*arm_kinds, *compensator_kinds, *gear_kinds))
+        for arm_name, arm_kinds, arm_gears in arms
+        for gear_name, gear_kinds in arm_gears
     ]
 
 
@@ -288,7 +300,12 @@ class Member(Struct, frozen=True, eq=False):
     def of(
         cls, name: str, nonlinear: bool, equations: LinearEquations, prior: Prior, columns: Ints, fold: Ints
     ) -> Member:
-        """Learn the regression on some columns of the equations; `fold` (C,) as of `folds`."""
+        """Return a structure with its regression on the readings and its cross-validation residuals.
+
+        :param nonlinear: its gears do not deflect in proportion to the torque.
+        :param columns: (n,) its parameters among those of the equations.
+        :param fold: (C,) number of the fold of each configuration.
+        """
         regression = learn(equations, prior, columns)
         return cls(name, nonlinear, regression, _fold_residuals(regression, equations, fold))
 
@@ -304,19 +321,25 @@ class Mean(Struct, frozen=True, eq=False):
     @property
     def by_configuration(self) -> Array:
         """Mean square cross-validation errors (C,) of the mean of structures."""
-        left = sum(weight * member.left for weight, member in zip(self.weights, self.members, strict=True))
-        return self.equations.mean_squares(np.asarray(left))
+        residual = sum(weight * member.left for weight, member in zip(self.weights, self.members, strict=True))
+        return self.equations.mean_squares(np.asarray(residual))
 
     @property
     def weighted_members(self) -> list[tuple[float, Member]]:
-        """Weights and structures that are part of the mean."""
-        return [(float(w), m) for w, m in zip(self.weights, self.members, strict=True) if w > 0.0]
+        """The structures with a weight, each with its weight."""
+        pairs = zip(self.weights, self.members, strict=True)
+        return [(float(weight), member) for weight, member in pairs if weight > 0.0]
 
     def solve(self, excluded_configs: Ints | None = None) -> Array:
-        """Return the parameters (p,) of the mean, SI."""
-        return np.asarray(
-            sum(w * m.regression.solve(self.equations, excluded_configs) for w, m in self.weighted_members)
+        """Return the parameters (p,) of the mean, SI.
+
+        :param excluded_configs: configurations whose readings are left out.
+        """
+        weighted_values = (
+            weight * member.regression.solve(self.equations, excluded_configs)
+            for weight, member in self.weighted_members
         )
+        return np.asarray(sum(weighted_values))
 
     def covariance(self) -> Array:
         """Return the posterior covariance (p, p), within the structures and between them, SI."""
@@ -335,7 +358,12 @@ class Mean(Struct, frozen=True, eq=False):
 
 
 class _CandidateEquations(Struct, frozen=True, eq=False):
-    """All candidate parameters together: their kinds, prior, equations near the fit, and regression."""
+    """The structure with all candidate parameters.
+
+    :param kinds: kind of each parameter.
+    :param equations: linearised at the values of the fit.
+    :param whole: the regression on all parameters.
+    """
 
     structure: Structure
     kinds: tuple[str, ...]
@@ -347,37 +375,35 @@ class _CandidateEquations(Struct, frozen=True, eq=False):
 def choose(robot: RobotModel, data: Measurements, placement: Placement) -> Choice:
     """Fit all structures, and return their mean with the least cross-validation error.
 
+    Structures with a free compensator are returned only if the evidence for them is clear, and the compensator is
+    determined and one that could be built.
+
     :raises PostprocError: not even joint springs can be fitted.
     """
-    # if the geometry is a weightless robot's, weights and compensator act on the gears like a load
-    weights_matter = robot.subtract_reference and (robot.has_weight or robot.compensator is not None)
-    fits: list[_CandidateEquations] = []
-    for in_gears in (False, True) if weights_matter else (False,):
+    # weights and compensator may act on the gears like a load: only so if the geometry is that of a weightless robot
+    has_gravity_torque = robot.subtract_reference and (robot.has_weight or robot.compensator is not None)
+    solutions: list[_CandidateEquations] = []
+    for in_gears in (False, True) if has_gravity_torque else (False,):
         try:
-            fits.append(_weigh_candidates(robot, data, placement, in_gears, compensator=False))
+            solutions.append(_candidate_equations(robot, data, placement, in_gears, compensator=False))
         except PostprocError:
-            if not fits and in_gears == weights_matter:
+            if not solutions and in_gears == has_gravity_torque:  # none of them can be fitted
                 raise
-    # gears under the load alone are the simpler model
-    best = fits[-1] if fits[-1].whole.evidence > fits[0].whole.evidence + CLEAR else fits[0]
+    # the first is the simpler model: gears under the load alone
+    is_last_better = solutions[-1].whole.evidence > solutions[0].whole.evidence + CLEAR
+    solution = solutions[-1] if is_last_better else solutions[0]
     if has_compensator(robot, data):
         try:
-            with_compensator = _weigh_candidates(robot, data, placement, best.structure.in_gears, compensator=True)
-            if with_compensator.whole.evidence > best.whole.evidence + CLEAR:
-                choice = _choice_of_mean(
-                    *_extend(
-                        _mean_of_structures(with_compensator, compensator=True), with_compensator, data, placement
-                    ),
-                    data,
-                    placement,
-                )
-                if is_physical(choice.fit) and not _open(choice):
+            free = _candidate_equations(robot, data, placement, solution.structure.in_gears, compensator=True)
+            if free.whole.evidence > solution.whole.evidence + CLEAR:
+                mean, free = _extend(_mean_of_structures(free, compensator=True), free, data, placement)
+                choice = _choice_of_mean(mean, free, data, placement)
+                if is_physical(choice.fit) and not _has_uncertain_compensator(choice):
                     return choice
         except PostprocError:
-            pass
-    return _choice_of_mean(
-        *_extend(_mean_of_structures(best, compensator=False), best, data, placement), data, placement
-    )
+            pass  # the structures without a free compensator remain
+    mean, solution = _extend(_mean_of_structures(solution, compensator=False), solution, data, placement)
+    return _choice_of_mean(mean, solution, data, placement)
 
 
 def evidence_of(structure: Structure, values: Array, data: Measurements, placement: Placement) -> float:
@@ -386,8 +412,8 @@ def evidence_of(structure: Structure, values: Array, data: Measurements, placeme
     return learn(linearise(structure, values, data, placement), prior, columns).evidence
 
 
-def _open(choice: Choice) -> bool:
-    """Return whether the stiffness of the compensator is not determined."""
+def _has_uncertain_compensator(choice: Choice) -> bool:
+    """Return whether the readings do not determine the stiffness of a free compensator; False without one."""
     fit, spring = choice.fit, CompensatorStiffness()
     if spring not in fit.parameter_values:
         return False
@@ -395,10 +421,14 @@ def _open(choice: Choice) -> bool:
     return bool(fit.ci95[index] > UNCERTAIN * fit.values[index])
 
 
-def _weigh_candidates(
+def _candidate_equations(
     robot: RobotModel, data: Measurements, placement: Placement, in_gears: bool, compensator: bool
 ) -> _CandidateEquations:
-    """Return the structure with all candidates, linearised at the mean that the evidence gives, and its prior."""
+    """Return the structure with all candidate parameters, fitted with all of them, and its equations there.
+
+    :param in_gears: weights and compensator load the gears at rest.
+    :param compensator: K_c and s₀ are free.
+    """
     structure, kinds = full_structure(robot, data, in_gears, compensator)
     prior, values, columns = prior_of(structure), structure.start(), np.arange(len(structure.parameters))
     for _ in range(_ROUNDS):
@@ -424,44 +454,43 @@ def _mean_of_structures(solution: _CandidateEquations, compensator: bool) -> Mea
         columns = np.flatnonzero(np.isin(kinds, [*member_kinds, AT_REST] if nonlinear else member_kinds))
         members.append(Member.of(name, nonlinear, equations, solution.prior, columns, fold))
     evidence = np.array([member.regression.evidence for member in members])
-    linear = np.array([not member.nonlinear for member in members])
-    is_candidate = linear if evidence.max() < evidence[linear].max() + CLEAR else np.ones(len(members), dtype=bool)
-    return Mean(
-        solution.structure,
-        equations,
-        tuple(members),
-        _stacking_weights(equations, members, np.flatnonzero(is_candidate)),
-    )
+    is_linear = np.array([not member.nonlinear for member in members])
+    has_clear_gears = evidence.max() >= evidence[is_linear].max() + CLEAR
+    is_candidate = np.ones(len(members), dtype=bool) if has_clear_gears else is_linear
+    weights = _stacking_weights(equations, members, np.flatnonzero(is_candidate))
+    return Mean(solution.structure, equations, tuple(members), weights)
 
 
 def folds(equations: LinearEquations) -> Ints:
-    """Return the fold (C,) of each configuration, at random but always the same."""
+    """Return the number of the cross-validation fold of each configuration (C,), at random but always the same."""
     return np.random.default_rng(0).permutation(equations.configs) % min(_FOLDS, equations.configs)
 
 
 def _extend(
     mean: Mean, solution: _CandidateEquations, data: Measurements, placement: Placement
 ) -> tuple[Mean, _CandidateEquations]:
-    """Return the mean of structures, with couplings and compliances over the pose if the evidence is for them.
+    """Return the mean with structures with coupled joints and compliances over the pose, if the evidence is for them.
 
     Both are tried on the structure with the most evidence: first the couplings, then the waves over the pose.
+
+    :returns: the mean, and `solution` with the new parameters; both unchanged if the evidence is against them.
     """
     structure = mean.structure
-    bare = unloaded_joints(structure.prior, data)
-    joints = [joint for joint in JOINT_COMPLIANCES if joint not in bare]
-    couplings, waves = over_pose.couplings(joints), over_pose.waves(joints)
-    old = len(structure.parameters)
+    unloaded = unloaded_joints(structure.prior, data)
+    loaded = [joint for joint in JOINT_COMPLIANCES if joint not in unloaded]
+    couplings, waves = over_pose.couplings(loaded), over_pose.waves(loaded)
+    old_size = len(structure.parameters)
     structure = replace(structure, parameters=(*structure.parameters, *couplings, *waves))
     size, prior = len(structure.parameters), prior_of(structure)
-    values = np.concatenate([mean.solve(), np.zeros(size - old)])
+    values = np.concatenate([mean.solve(), np.zeros(size - old_size)])
     equations = linearise(structure, values, data, placement)
     fold = folds(equations)
     best = max((member for _, member in mean.weighted_members), key=lambda member: member.regression.evidence)
     base = Member.of(best.name, best.nonlinear, equations, prior, best.regression.columns, fold)
     extensions = []
     for label, first, count in (
-        (", coupled wrist", old, len(couplings)),
-        (", over the pose", old + len(couplings), len(waves)),
+        (", coupled wrist", old_size, len(couplings)),
+        (", over the pose", old_size + len(couplings), len(waves)),
     ):
         columns = np.concatenate([base.regression.columns, np.arange(first, first + count)])
         member = Member.of(base.name + label, base.nonlinear, equations, prior, columns, fold)
@@ -470,8 +499,9 @@ def _extend(
             extensions.append(member)
     if not extensions:
         return mean, solution
-    wide = [replace(member, regression=replace(member.regression, size=size)) for member in mean.members]
-    members = (*wide, *extensions)
+    # the structures of the mean have the new parameters too, at zero
+    old_members = [replace(member, regression=replace(member.regression, size=size)) for member in mean.members]
+    members = (*old_members, *extensions)
     stacked_rows = np.flatnonzero([*(mean.weights > 0.0), *(True for _ in extensions)])
     weights = _stacking_weights(equations, members, stacked_rows)
     kinds = (*solution.kinds, *(COUPLING for _ in couplings), *(OVER_POSE for _ in waves))
@@ -482,7 +512,10 @@ def _extend(
 
 
 def _fold_residuals(regression: Regression, equations: LinearEquations, fold: Ints) -> Array:
-    """Return the residuals (rows,) of each configuration from fits to the other folds; `fold` (C,)."""
+    """Return the cross-validation residuals (rows,): of each reading, by the fit to the other folds.
+
+    :param fold: (C,) number of the fold of each configuration.
+    """
     residual = np.empty(len(equations.target))
     for index in np.unique(fold):
         rows = fold[equations.config] == index
@@ -491,15 +524,22 @@ def _fold_residuals(regression: Regression, equations: LinearEquations, fold: In
 
 
 def _stacking_weights(equations: LinearEquations, members: Sequence[Member], rows_of_members: Ints) -> Array:
-    """Return non-negative weights with sum one that minimise the cross-validation error of some members."""
+    """Return the stacking weights (m,), ≥ 0 with sum one: those of the mean with the least cross-validation error.
+
+    :param members: m structures.
+    :param rows_of_members: of those that may have a weight; the others have zero, as those below `_LEAST_WEIGHT`.
+    """
     from scipy.optimize import nnls
 
-    left = np.array([members[index].left for index in rows_of_members]) * np.sqrt(equations.weight)
-    square = left @ left.T / left.shape[1]
+    residual = np.array([members[index].left for index in rows_of_members]) * np.sqrt(equations.weight)
+    # the error of the mean is wᵀ S w; the factor of S, a little larger so that it exists, gives it as a sum of squares
+    square = residual @ residual.T / residual.shape[1]
     size = np.trace(square) / len(square)
     rows = np.linalg.cholesky(square + 1e-9 * size * np.eye(len(square))).T
-    firm = np.sqrt(1e3 * size)
-    solution, _ = nnls(np.vstack([rows, np.full(len(rows), firm)]), np.append(np.zeros(len(rows)), firm), maxiter=1000)
+    # a heavy equation "sum of the weights = 1"
+    sum_weight = np.sqrt(1e3 * size)
+    matrix = np.vstack([rows, np.full(len(rows), sum_weight)])
+    solution, _ = nnls(matrix, np.append(np.zeros(len(rows)), sum_weight), maxiter=1000)
     solution = np.where(solution > _LEAST_WEIGHT * solution.sum(), solution, 0.0)
     weights = np.zeros(len(members))
     weights[rows_of_members] = solution / solution.sum()
@@ -507,83 +547,105 @@ def _stacking_weights(equations: LinearEquations, members: Sequence[Member], row
 
 
 def _choice_of_mean(mean: Mean, solution: _CandidateEquations, data: Measurements, placement: Placement) -> Choice:
-    """Return the chosen structure with its fit, its cross-validation errors and its covariance."""
+    """Return the mean as a fit with its posterior covariance, its cross-validation errors and the wider covariance.
+
+    Parameters that change nothing are omitted: springs of links that are zero, waves of a compliance that is constant.
+
+    :param solution: the structure with all candidate parameters, for its evidence.
+    """
     # once more at the mean: the effect of nonlinear parameters depends on it a little
     mean = replace(mean, equations=linearise(mean.structure, mean.solve(), data, placement))
     equations, parameters = mean.equations, mean.structure.parameters
     values, posterior, spread = mean.solve(), mean.covariance(), mean.spread()
-    jackknife, left = _jackknife(mean)
+    jackknife, held_out_residual = _jackknife(mean)
     # springs of links that are zero cost a coordinate each: the remaining ones take their place
     is_link = np.array([isinstance(parameter, LinkSpring) for parameter in parameters])
-    keep = np.flatnonzero((spread > 0.0) & ((values != 0.0) | ~is_link) & ~_fixed_over_pose(mean.structure, spread))
-    transform = projection(equations, keep, spread)
-    structure = replace(mean.structure, parameters=tuple(parameters[index] for index in keep))
-    displacement, _ = predict(structure, values[keep], data, placement)
+    is_constant = _is_constant_over_pose(mean.structure, spread)
+    kept = np.flatnonzero((spread > 0.0) & ((values != 0.0) | ~is_link) & ~is_constant)
+    transform = projection(equations, kept, spread)
+    structure = replace(mean.structure, parameters=tuple(parameters[index] for index in kept))
+    displacement, _ = predict(structure, values[kept], data, placement)
     residual = (measured_displacements(data, placement) - displacement) * visible(data)
-    w = whitening(data)
-    white = whiten(w, residual).ravel()
-    members = [
+    whitening_matrices = whitening(data)
+    white_residual = whiten(whitening_matrices, residual).ravel()
+    weighted_fits = [
         (weight, member.regression, member.regression.solve(equations)) for weight, member in mean.weighted_members
     ]
-    dof = float(sum(w * regression.degrees_of_freedom(equations, values) for w, regression, values in members))
-    influence = np.asarray(sum(w * regression.influence(equations, values) for w, regression, values in members))
-    wider = 2.0 * design_effect(equations, influence, left) * posterior + jackknife
-    fit = Fit(
-        structure,
-        values[keep],
-        transform @ posterior @ transform.T,
-        residual,
-        float(white @ white),
-        max(1, round(equations.count - dof)),
-        equations.design[:, keep],
-        equations.target,
+    dof = float(
+        sum(
+            weight * regression.degrees_of_freedom(equations, member_values)
+            for weight, regression, member_values in weighted_fits
+        )
     )
-    square_errors, table = equations.mean_squares(left), _table(mean)
+    influence = np.asarray(
+        sum(
+            weight * regression.influence(equations, member_values)
+            for weight, regression, member_values in weighted_fits
+        )
+    )
+    wider = 2.0 * design_effect(equations, influence, held_out_residual) * posterior + jackknife
+    fit = Fit(
+        structure=structure,
+        values=values[kept],
+        covariance=transform @ posterior @ transform.T,
+        residual=residual,
+        chi2=float(white_residual @ white_residual),
+        dof=max(1, round(equations.count - dof)),
+        design=equations.design[:, kept],
+        target=equations.target,
+    )
+    square_errors, table = equations.mean_squares(held_out_residual), _candidate_table(mean)
     is_narrower = np.sqrt(np.diag(posterior)) < _PRIOR_SHARE * spread
+    left_out = held_out_residual.reshape(len(data.loaded_states), len(data.points), 3)
     return Choice(
-        fit,
-        transform @ wider @ transform.T,
-        table,
-        _reason(table, float(square_errors.mean())),
-        square_errors,
-        unwhiten(w, left.reshape(len(data.loaded_states), len(data.points), 3)),
-        transform @ influence,
-        dof,
-        tuple(parameters[index] for index in np.flatnonzero((spread > 0.0) & ~is_narrower)),
-        solution.whole.evidence,
+        fit=fit,
+        wider=transform @ wider @ transform.T,
+        candidates=table,
+        reason=_choice_reason(table, float(square_errors.mean())),
+        held_out=square_errors,
+        left_out=unwhiten(whitening_matrices, left_out),
+        influence=transform @ influence,
+        determined=dof,
+        held_by_prior=tuple(parameters[index] for index in np.flatnonzero((spread > 0.0) & ~is_narrower)),
+        evidence=solution.whole.evidence,
     )
 
 
 def _jackknife(mean: Mean) -> tuple[Array, Array]:
-    """Return the jackknife covariance (p, p) of the parameters [SI], and their cross-validation residuals (n,), white.
+    """Return the jackknife covariance (p, p) of the parameters [SI], and the residuals (rows,) of left-out readings.
 
-    One configuration is left out at a time.
+    One configuration is left out at a time; its whitened residuals are those of the fit to all others.
     """
     equations = mean.equations
     values = np.array([mean.solve(np.array([index])) for index in range(equations.configs)])
-    left = np.empty(len(equations.target))
+    residual = np.empty(len(equations.target))
     for index in range(equations.configs):
         rows = equations.config == index
-        left[rows] = equations.residual(values[index], rows)
+        residual[rows] = equations.residual(values[index], rows)
     deviation = values - values.mean(axis=0)
-    return (len(deviation) - 1) / len(deviation) * deviation.T @ deviation, left
+    return (len(deviation) - 1) / len(deviation) * deviation.T @ deviation, residual
 
 
 _CONSTANT = 0.005
 """Standard deviation of a compliance over the pose, as a share of the compliance, below which it is constant."""
 
 
-def _fixed_over_pose(structure: Structure, spread: Array) -> Bools:
-    """Return which parameters (p,) are waves of a joint whose compliance does not depend on the pose.
+def _is_constant_over_pose(structure: Structure, spread: Array) -> Bools:
+    """Return True for parameters (p,) that are waves of a joint whose compliance does not depend on the pose.
 
     :param spread: (p,) prior standard deviations, SI.
     """
-    is_fixed = np.zeros(len(spread), dtype=bool)
+    is_constant = np.zeros(len(spread), dtype=bool)
     for joint in JOINT_COMPLIANCES:
-        rows = [i for i, p in enumerate(structure.parameters) if isinstance(p, PoseWave) and p.joint == joint.joint]
+        rows = [
+            index
+            for index, parameter in enumerate(structure.parameters)
+            if isinstance(parameter, PoseWave) and parameter.joint == joint.joint
+        ]
         compliance = structure.prior.compliance[structure.prior.row(joint)]
-        is_fixed[rows] = np.sqrt(np.sum(spread[rows] ** 2) / 2.0) < _CONSTANT * compliance
-    return is_fixed
+        # the mean square of a sine or cosine is a half
+        is_constant[rows] = np.sqrt(np.sum(spread[rows] ** 2) / 2.0) < _CONSTANT * compliance
+    return is_constant
 
 
 def design_effect(equations: LinearEquations, influence: Array, residual: Array) -> float:
@@ -601,9 +663,10 @@ def design_effect(equations: LinearEquations, influence: Array, residual: Array)
 
 
 def projection(equations: LinearEquations, keep: Ints, spread: Array) -> Array:
-    """Return (kept, p) the combination of kept parameters that best replaces each of all parameters.
+    """Return the matrix (k, p) that turns all parameters into k kept ones with about the same effect on the readings.
 
-    :param spread: (p,) prior standard deviations, which limit the kept parameters.
+    :param keep: (k,) indices of the kept parameters.
+    :param spread: (p,) prior standard deviations: changes of kept parameters that are large against them are avoided.
     """
     square = spread[keep, None] * equations.normal(np.arange(len(spread)))[0][keep]
     normal = square[:, keep] * spread[keep] + np.eye(len(keep))
@@ -612,30 +675,30 @@ def projection(equations: LinearEquations, keep: Ints, spread: Array) -> Array:
     return np.asarray(matrix)
 
 
-def _table(mean: Mean) -> tuple[Candidate, ...]:
-    """Return a row for each structure."""
-    equations, of_mean = mean.equations, mean.by_configuration
+def _candidate_table(mean: Mean) -> tuple[Candidate, ...]:
+    """Return the results of each structure that was tried, for the user; the one with the largest weight is chosen."""
+    equations, mean_errors = mean.equations, mean.by_configuration
     rows = []
     for weight, member in zip(mean.weights, mean.members, strict=True):
         squares = equations.mean_squares(member.left)
-        difference, values = squares - of_mean, member.regression.solve(equations)
+        difference, values = squares - mean_errors, member.regression.solve(equations)
         rows.append(
             Candidate(
-                member.name + (" with load and weights" if mean.structure.in_gears and member.nonlinear else ""),
-                len(member.regression.columns),
-                int(np.count_nonzero(values)),
-                float(np.sqrt(np.mean(equations.residual(values) ** 2))),
-                float(squares.mean()),
-                float(difference.std(ddof=1) / np.sqrt(len(difference))),
-                float(weight),
+                name=member.name + (" with load and weights" if mean.structure.in_gears and member.nonlinear else ""),
+                parameters=len(member.regression.columns),
+                active=int(np.count_nonzero(values)),
+                rms_sigma=float(np.sqrt(np.mean(equations.residual(values) ** 2))),
+                held_out=float(squares.mean()),
+                error=float(difference.std(ddof=1) / np.sqrt(len(difference))),
+                weight=float(weight),
             )
         )
     heaviest = int(np.argmax(mean.weights))
     return tuple(replace(row, chosen=index == heaviest) for index, row in enumerate(rows))
 
 
-def _reason(table: Sequence[Candidate], square_error: float) -> str:
-    """Return the chosen structures and their cross-validation error in words."""
+def _choice_reason(table: Sequence[Candidate], square_error: float) -> str:
+    """Return a sentence with the structures of the mean and its mean square cross-validation error [σ²]."""
     rows = sorted((row for row in table if row.weight > 0.0), key=lambda row: -row.weight)
     parts = "; ".join(f"{row.weight:.0%} {row.name}" for row in rows)
     return (

@@ -66,26 +66,30 @@ def check(folder: Path) -> list[Finding]:
     """
     if not folder.is_dir():
         raise InputError("no such folder", file=str(folder), advice="Give the folder with experiment.toml.")
-    findings = _origin_statements(folder)
+    findings = _origin_findings(folder)
     try:
         setup = read_experiment(folder / EXPERIMENT)
         data = read(folder / READINGS, setup)
         _, _, robot = starting_robot(setup, folder / EXPERIMENT)
         torque = np.abs(joint_torques(robot, as_positions(robot, data))).max(axis=0)
     except PostprocError as error:
-        return [*findings, Finding(f"{EXPERIMENT}, {READINGS}: {error}", has=False, required=True), _sums(folder)]
+        return [
+            *findings,
+            Finding(f"{EXPERIMENT}, {READINGS}: {error}", has=False, required=True),
+            _checksum_finding(folder),
+        ]
     return [
         *findings,
         *_reading_findings(data),
         *_setup_findings(setup),
         _torque_finding(torque),
-        *_agreement(robot, data),
-        _sums(folder),
+        *_agreement_findings(robot, data),
+        _checksum_finding(folder),
     ]
 
 
-def _origin_statements(folder: Path) -> list[Finding]:
-    """Return the statements on licence and source."""
+def _origin_findings(folder: Path) -> list[Finding]:
+    """Return the findings on `dataset.toml`, with licence and source, and on the text of the licence."""
     findings = []
     try:
         dataset = files.read_toml(folder / NAME, Dataset, MeasurementError)
@@ -99,10 +103,10 @@ def _origin_statements(folder: Path) -> list[Finding]:
 
 
 def _reading_findings(data: Measurements) -> list[Finding]:
-    """Return the statements on numbers of configurations, loads, repeats and points."""
+    """Return the findings on numbers of configurations, loads, repeats and points."""
     _, count = data.means()
     load = norm(data.wrench[data.loaded_states])
-    sizes = int(levels(load).max()) + 1
+    level_count = int(levels(load).max()) + 1
     repeats = int(count.max())
     kind = "displacements" if data.are_displacements else "positions"
     gap_notes = gaps(data)
@@ -112,8 +116,9 @@ def _reading_findings(data: Measurements) -> list[Finding]:
         ),
         Finding(f"{len(data.q)} configurations; {_CONFIGURATIONS} are usual", len(data.q) >= _CONFIGURATIONS),
         Finding(
-            f"loads of {load.min():.0f} to {load.max():.0f} N on {sizes} levels; two show gears that are not linear",
-            sizes >= 2,
+            f"loads of {load.min():.0f} to {load.max():.0f} N on {level_count} levels; two show gears that are not "
+            "linear",
+            level_count >= 2,
         ),
         Finding(f"{repeats} repeats; {_REPEATS} show the noise", repeats >= _REPEATS),
         Finding(f"{len(data.points)} points; three show all six directions of a link", len(data.points) >= 3),
@@ -133,14 +138,20 @@ def _setup_findings(setup: Experiment) -> list[Finding]:
 
 def _torque_finding(torque: np.ndarray) -> Finding:
     """Return the finding on the largest torques (6,) [N·m] by the loads, with the joints that are hardly loaded."""
-    bare = [name for name, size in zip(JOINTS, torque, strict=True) if size < _TORQUE_SHARE * torque.max()]
-    sizes = ", ".join(f"{size:.0f}" for size in torque)
-    text = f"torques up to {sizes} N·m on A1 … A6"
-    return Finding(text if not bare else f"{text}: {', '.join(bare)} hardly loaded", not bare)
+    limit = _TORQUE_SHARE * torque.max()
+    unloaded_joints = [name for name, joint_torque in zip(JOINTS, torque, strict=True) if joint_torque < limit]
+    torque_text = ", ".join(f"{joint_torque:.0f}" for joint_torque in torque)
+    text = f"torques up to {torque_text} N·m on A1 … A6"
+    if unloaded_joints:
+        text = f"{text}: {', '.join(unloaded_joints)} hardly loaded"
+    return Finding(text, not unloaded_joints)
 
 
-def _agreement(robot: RobotModel, data: Measurements) -> list[Finding]:
-    """Return the statements on readings that contradict the robot, its loads or each other."""
+def _agreement_findings(robot: RobotModel, data: Measurements) -> list[Finding]:
+    """Return a finding for each contradiction of readings to the robot, its loads or each other; else one finding.
+
+    These are outliers and the doubts of `check_readings`; or the error that makes the readings unusable.
+    """
     try:
         checked = check_readings(robot, data)
     except PostprocError as error:
@@ -157,20 +168,20 @@ _SUM = re.compile(r"^([0-9a-fA-F]{64}) [ *](?:\./)?(.+?)\r?$", re.M)
 """A line of `sha256sum`; files that were edited on Windows end it with CR LF."""
 
 
-def _sums(folder: Path) -> Finding:
-    """Return whether the checksums of all files are there and right."""
+def _checksum_finding(folder: Path) -> Finding:
+    """Return the finding whether the checksums of all files of a folder are there and right."""
     path = folder / SUMS
     advice = f"run `{_SUMS_COMMAND}` in the folder"
     if not path.is_file():
         return Finding(f"{SUMS}: {advice}", has=False, required=True)
     stated = {name: digest.lower() for digest, name in _SUM.findall(files.read_text(path, MeasurementError))}
     present = {p.relative_to(folder).as_posix(): p for p in sorted(folder.rglob("*")) if p.is_file() and p != path}
-    faults = {
+    files_by_fault = {
         "not those of": [name for name in present if name in stated and stated[name] != _digest(present[name])],
         "none for": [name for name in present if name not in stated],
         "no such files:": [name for name in stated if name not in present],
     }
-    parts = [f"{fault} {', '.join(names)}" for fault, names in faults.items() if names]
+    parts = [f"{fault} {', '.join(names)}" for fault, names in files_by_fault.items() if names]
     if parts:
         return Finding(f"{SUMS}: {'; '.join(parts)}; {advice}", has=False, required=True)
     return Finding(f"{SUMS}: right for {len(present)} files", has=True, required=True)

@@ -119,12 +119,16 @@ class CuttingLaw(msgspec.Struct, frozen=True):
         return (*cutting, *edge, self.exponent, 100.0 * self.sigma)
 
     def chip(self, thickness: Floats) -> Floats:
-        """Return the factors [m] of the cutting coefficients for chip thicknesses (…) [m]; 0 without a chip."""
-        cut = np.maximum(thickness, 0.0)
+        """Return the factors h · (h / 1 mm)^(−mc) [m] of the cutting coefficients for chip thicknesses h (…) [m].
+
+        They are 0 for a thickness below 0, which is no chip.
+        """
+        chip = np.maximum(thickness, 0.0)
         if self.exponent == 0.0:
-            return cut
+            return chip
+        # at least 1e-9 mm: no division by zero
         return np.asarray(
-            cut * np.power(np.maximum(cut * np.float32(_MM), np.float32(1e-9)), -self.exponent), np.float32
+            chip * np.power(np.maximum(chip * np.float32(_MM), np.float32(1e-9)), -self.exponent), np.float32
         )
 
 
@@ -152,14 +156,15 @@ def _spread_with_wear(sigma: float) -> float:
     >>> round(_spread_with_wear(0.33), 3), round(_spread_with_wear(0.0), 3)
     (0.401, 0.12)
     """
-    growth = 1.0 + 0.01 * _WEAR_PERCENT * (np.arange(_WEAR_STATES) + 0.5) / _WEAR_STATES
+    growth = 1.0 + 0.01 * _WEAR_PERCENT * (np.arange(_WEAR_STATES) + 0.5) / _WEAR_STATES  # 1 + w
     # bisection: the half width of the interval that holds for 95 %
     low, high = 0.0, 10.0 * (sigma + 0.01 * _WEAR_PERCENT)
     for _ in range(50):
-        half = 0.5 * (low + high)
-        lower, upper = (((1.0 + sign * half - growth) / growth).tolist() for sign in (-1.0, 1.0))
-        share = float(np.mean([_interval_probability(*bounds, sigma) for bounds in zip(lower, upper, strict=True)]))
-        low, high = (half, high) if share < 0.95 else (low, half)
+        half_width = 0.5 * (low + high)
+        # |(1 + e)(1 + w) − 1| is below the half width for e between these limits
+        lower, upper = (((1.0 + sign * half_width - growth) / growth).tolist() for sign in (-1.0, 1.0))
+        probability = np.mean([_interval_probability(*limits, sigma) for limits in zip(lower, upper, strict=True)])
+        low, high = (half_width, high) if float(probability) < 0.95 else (low, half_width)
     return high / _SIGMAS_OF_95
 
 
@@ -197,7 +202,8 @@ def six_numbers(material: MaterialTable, file: str) -> tuple[NDArray[np.float64]
 def law(material: MaterialTable, file: str) -> CuttingLaw:
     """Return the cutting law of `[material]`.
 
-    :raises ForceError: an unknown name, no coefficients at all, or both kinds of them.
+    :param file: path of the process file, for messages, and as the folder of a material file that it names.
+    :raises ForceError: an unknown name, no coefficients at all, or both linear ones and those of Kienzle.
     """
     materials, covariance = table(), None
     if material.file is not None:
@@ -228,9 +234,9 @@ def law(material: MaterialTable, file: str) -> CuttingLaw:
 
 
 def _named_entry(material: MaterialTable, materials: Mapping[str, MaterialTable], file: str) -> MaterialTable:
-    """Return the entry with the coefficients: that of the material's name, or the table itself if it has coefficients.
+    """Return the table with the coefficients: `material` itself if it has any or no name, else the entry of its name.
 
-    :param materials: the materials of the package by name.
+    :param materials: the built-in materials by name.
     :raises ForceError: an unknown name.
     """
     has_coefficients = material.Ktc_N_per_mm2 is not None or material.kc11_N_per_mm2 is not None
@@ -243,7 +249,7 @@ def _named_entry(material: MaterialTable, materials: Mapping[str, MaterialTable]
 
 
 def _sigma_percent(material: MaterialTable, entry: MaterialTable) -> float:
-    """Return the standard deviation of the forces [%]: as given, else that of the entry with the wear of the tool."""
+    """Return the standard deviation of the forces [%]: that of `material` if stated, else that of `entry` with wear."""
     if material.sigma_percent is not None:
         return material.sigma_percent
     percent = _SIGMA_PERCENT if entry.sigma_percent is None else entry.sigma_percent
@@ -253,10 +259,11 @@ def _sigma_percent(material: MaterialTable, entry: MaterialTable) -> float:
 def _material_of_file(
     material: MaterialTable, path: Path, process_file: str
 ) -> tuple[MaterialTable, tuple[tuple[float, ...], ...] | None]:
-    """Return the material of a file that `[material]` names, and its covariance, SI.
+    """Return the material of the file that `[material]` names, and its covariance (6, 6), SI.
 
     The covariance is None if the file states none, or if the process states `sigma_percent` instead.
 
+    :param path: of the material file; `process_file` of the process, for messages.
     :raises ForceError: the process has values too, or the file is no material file.
     """
     if material.name or material.Ktc_N_per_mm2 or material.kc11_N_per_mm2:
@@ -283,16 +290,18 @@ def _unit_warning(material: MaterialTable) -> str | None:
 
 
 def _covariance(material: IdentifiedTable, file: str) -> tuple[tuple[float, ...], ...] | None:
-    """Return the covariance of identified coefficients, SI; None if the file states none.
+    """Return the covariance (6, 6) of identified coefficients, SI; None if the file states none.
 
+    :param file: path of the material file, for the message.
     :raises ForceError: it is no covariance of six coefficients.
     """
     if not material.covariance:
         return None
     matrix = np.array(material.covariance) if {len(row) for row in material.covariance} == {6} else np.zeros((0, 0))
-    usable = matrix.shape == (6, 6) and np.allclose(matrix, matrix.T, rtol=1e-4)
-    if not usable or np.linalg.eigvalsh(matrix / max(float(np.trace(matrix)), 1e-12))[0] < -1e-4:
+    is_symmetric = matrix.shape == (6, 6) and np.allclose(matrix, matrix.T, rtol=1e-4)
+    # a covariance has no negative eigenvalues, but for the rounding of numbers in the file
+    if not is_symmetric or np.linalg.eigvalsh(matrix / max(float(np.trace(matrix)), 1e-12))[0] < -1e-4:
         advice = "Take the file as `identify forces` wrote it, or delete the key: sigma_percent is used then."
         raise ForceError("[material] covariance is no covariance of six coefficients", file=file, advice=advice)
-    unit = np.repeat([_PER_MM2, _PER_MM], 3)
-    return tuple(tuple(row) for row in (matrix * np.outer(unit, unit)).tolist())
+    factor = np.repeat([_PER_MM2, _PER_MM], 3)  # from N/mm² and N/mm
+    return tuple(tuple(row) for row in (matrix * np.outer(factor, factor)).tolist())

@@ -114,7 +114,10 @@ class Process(ProcessFile, frozen=True):
         return next((key for key in self.tools if key.upper() == name.upper()), None)
 
     def tool(self, name: str | None) -> tuple[str, ToolTable] | None:
-        """Return the key and the entry of a tool by its number or name (None: unknown), or None without an entry."""
+        """Return the key and the entry of a tool: its own in [tools], else [tools.default]; None without either.
+
+        :param name: number or name of the tool; None: unknown, which is the only tool of a file with one.
+        """
         key = None if name is None else self.key_of(name)
         if key is not None:
             return key, self.tools[key]
@@ -125,11 +128,11 @@ class Process(ProcessFile, frozen=True):
         return None
 
     def cutter(self, key: str) -> Cutter:
-        """Return the cutter of an entry of [tools]."""
+        """Return the cutter of the entry `key` of [tools]."""
         tool = self.tools[key]
         radius = 0.5 * tool.diameter_mm * M_PER_MM
-        corner = {"flat": 0.0, "ball": radius, "drill": 0.0}.get(tool.shape, tool.corner_radius_mm * M_PER_MM)
-        return Cutter(radius, corner, tool.flutes, tool.shape == "drill")
+        corner_radius = {"flat": 0.0, "ball": radius, "drill": 0.0}.get(tool.shape, tool.corner_radius_mm * M_PER_MM)
+        return Cutter(radius, corner_radius, tool.flutes, tool.shape == "drill")
 
 
 _EXAMPLE = """For example:
@@ -156,21 +159,7 @@ def load(path: str | Path, *, tools_only: bool = False) -> Process:
     path = Path(path)
     content = files.read_toml(path, ProcessFile, ForceError, _EXAMPLE)
     file = str(path)
-    spellings = {DEFAULT.upper(): DEFAULT}
-    for key, tool in content.tools.items():
-        if not (is_name(key) or key == DEFAULT or (key.isascii() and key.isdecimal())):
-            problem = f"[tools.{key}]: {key!r} is not a tool number, nor a name of RAPID tooldata"
-            raise ForceError(problem, file=file, advice="Or [tools.default].")
-        spelling = spellings.setdefault(key.upper(), key)
-        if spelling != key:
-            problem = f"[tools.{key}] is another spelling of [tools.{spelling}]"
-            raise ForceError(problem, file=file, advice="Case does not count: give one of them.")
-        if tool.shape == "bull" and not 0.0 < 2.0 * tool.corner_radius_mm <= tool.diameter_mm:
-            advice = "Give corner_radius_mm, larger than 0 and at most half the diameter."
-            raise ForceError(f"[tools.{key}]: a bull tool without a corner radius that fits", file=file, advice=advice)
-        if tool.shape != "bull" and tool.corner_radius_mm not in (0.0, 0.5 * tool.diameter_mm):
-            advice = 'A tool with a corner radius is shape = "bull".'
-            raise ForceError(f"[tools.{key}]: corner_radius_mm with shape {tool.shape!r}", file=file, advice=advice)
+    _check_tools(content.tools, file)
     if content.stock.box is not None:
         for axis, span in zip("XYZ", (content.stock.box.X, content.stock.box.Y, content.stock.box.Z), strict=True):
             if not span[0] < span[1]:
@@ -184,12 +173,34 @@ def load(path: str | Path, *, tools_only: bool = False) -> Process:
     return Process(**{name: getattr(content, name) for name in content.__struct_fields__}, path=file)
 
 
+def _check_tools(tools: dict[str, ToolTable], file: str) -> None:
+    """Check the keys of [tools], and that corner radii fit the shapes of the tools.
+
+    :raises ForceError: a key is no tool, two keys are one without regard to case, or a corner radius does not fit.
+    """
+    spellings = {DEFAULT.upper(): DEFAULT}  # upper case → key
+    for key, tool in tools.items():
+        if not (is_name(key) or key == DEFAULT or (key.isascii() and key.isdecimal())):
+            problem = f"[tools.{key}]: {key!r} is not a tool number, nor a name of RAPID tooldata"
+            raise ForceError(problem, file=file, advice="Or [tools.default].")
+        spelling = spellings.setdefault(key.upper(), key)
+        if spelling != key:
+            problem = f"[tools.{key}] is another spelling of [tools.{spelling}]"
+            raise ForceError(problem, file=file, advice="Case does not count: give one of them.")
+        if tool.shape == "bull" and not 0.0 < 2.0 * tool.corner_radius_mm <= tool.diameter_mm:
+            advice = "Give corner_radius_mm, larger than 0 and at most half the diameter."
+            raise ForceError(f"[tools.{key}]: a bull tool without a corner radius that fits", file=file, advice=advice)
+        if tool.shape != "bull" and tool.corner_radius_mm not in (0.0, 0.5 * tool.diameter_mm):
+            advice = 'A tool with a corner radius is shape = "bull".'
+            raise ForceError(f"[tools.{key}]: corner_radius_mm with shape {tool.shape!r}", file=file, advice=advice)
+
+
 def is_name(key: str) -> bool:
     """Return whether a key in [tools] is a name of RAPID tooldata: no number, and not that of all other tools."""
     return key != DEFAULT and _NAME.fullmatch(key) is not None
 
 
 def box_corners(box: Box) -> tuple[Array, Array]:
-    """Return the corners of a box, (3,) each [m]."""
+    """Return the lower and the upper corner of a box of a process, which is in mm, (3,) each [m]."""
     spans = np.array([box.X, box.Y, box.Z]) * M_PER_MM
     return spans[:, 0], spans[:, 1]

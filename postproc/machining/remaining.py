@@ -50,11 +50,13 @@ class Part(Struct, frozen=True):
 
 
 def touches(stock: Stock, body: Cutter, begin: Array, end: Array) -> Bools:
-    """Return on which segments (L,) a body along z reaches into material. It goes on upwards without an end.
+    """Return on which segments (L,) a body along z reaches into material; it extends upwards without limit.
 
     A cell counts as a whole, up to its higher level, if the body covers any of it.
 
-    :param begin: (L, 3) lower end of the body where a segment begins; end: (L, 3) where it ends [m].
+    :param body: its end has the shape of a cutter.
+    :param begin: (L, 3) lower end of the body where a segment begins, and `end` (L, 3) where it ends, frame of the map
+        [m].
     """
     is_touching = np.zeros(len(begin), dtype=bool)
     widened_body = replace(body, radius=body.radius + _HALF_DIAGONAL * stock.cell)
@@ -75,7 +77,7 @@ def touches(stock: Stock, body: Cutter, begin: Array, end: Array) -> Bools:
 
 
 class Ceiling:
-    """Upper bound of the stock in coarse cells, and when it sinks.
+    """Upper bound of the stock in coarse cells, and the motions after which it is lower.
 
     :ivar stock: its map, which is changed in place.
     :ivar cell: width of a coarse cell [m].
@@ -87,13 +89,13 @@ class Ceiling:
         self._factor = max(1, -(-max(stock.high.shape) // _SIDE_CELLS))
         self.cell = self._factor * stock.cell
         self._level = self._highest_material(slice(None), slice(None))
-        self._first = self._level.copy()
-        self._sunk: list[tuple[int, Ints, Floats]] = []
+        self._start_level = self._level.copy()
+        self._changes: list[tuple[int, Ints, Floats]] = []  # motion, flat indices of cells and their new levels
 
     def _highest_material(self, rows: slice, columns: slice) -> Floats:
         """Return the highest material of coarse cells (ny, nx) [m]; −inf without any.
 
-        :param rows: rows of fine cells, and `columns`: from a multiple of the factor on.
+        :param rows: of fine cells, and `columns`: both begin at the edge of a coarse cell.
         """
         high, floor = self.stock.high[rows, columns], self.stock.floor[rows, columns]
         high = np.where(high > floor, high, -np.inf)
@@ -119,39 +121,42 @@ class Ceiling:
         old_level = self._level[rows, columns]
         if not old_level.size:
             return
-        k = self._factor
+        factor = self._factor  # fine cells along the side of a coarse one
         new_level = self._highest_material(
-            slice(rows.start * k, rows.stop * k), slice(columns.start * k, columns.stop * k)
+            slice(rows.start * factor, rows.stop * factor), slice(columns.start * factor, columns.stop * factor)
         )
         row, column = np.nonzero(new_level < old_level)
         if len(row):
             index = (row + rows.start) * self._level.shape[1] + column + columns.start
-            self._sunk.append((motion, index, new_level[row, column]))
+            self._changes.append((motion, index, new_level[row, column]))
             self._level[rows, columns] = new_level
 
     def heights_before(self, motion: int) -> Floats:
         """Return the highest material (ny, nx) of the coarse cells when a motion begins [m]."""
-        level = self._first.copy()
-        flat = level.reshape(-1)
-        for end_motion, index, sunk_level in self._sunk:
+        level = self._start_level.copy()
+        flat_level = level.reshape(-1)
+        for end_motion, index, lower_level in self._changes:
             if end_motion >= motion:
                 break
-            flat[index] = sunk_level
+            flat_level[index] = lower_level
         return level
 
     def mesh(self, motion: int) -> tuple[Array, NDArray[np.int64]]:
-        """Return boxes that hold all material when a motion begins: vertices (V, 3) [m], faces (F, 3)."""
+        """Return boxes that contain all material when a motion begins: vertices (V, 3) [m], faces (F, 3).
+
+        Levels are rounded up, so that cells of about one level make one box.
+        """
         level = self.heights_before(motion).astype(float)
         solid = np.isfinite(level)
         step, top = _LEVELS * self.cell, float(level.max(initial=-np.inf))
         level[solid] = top - step * np.floor((top - level[solid]) / step + 1e-9)
-        boxes = np.array(_boxes(level), dtype=float).reshape(-1, 5)
-        low = np.stack([self.stock.x + self.cell * boxes[:, 0], self.stock.y + self.cell * boxes[:, 2]], axis=1)
-        high = np.stack([self.stock.x + self.cell * boxes[:, 1], self.stock.y + self.cell * boxes[:, 3]], axis=1)
-        low = np.column_stack([low, np.full(len(boxes), float(self.stock.floor.min()))])
-        high = np.column_stack([high, boxes[:, 4]])
+        first_column, end_column, first_row, end_row, box_top = np.array(_boxes(level), dtype=float).reshape(-1, 5).T
+        bottom = np.full(len(box_top), float(self.stock.floor.min()))
+        x, y = self.stock.x, self.stock.y
+        low = np.column_stack([x + self.cell * first_column, y + self.cell * first_row, bottom])
+        high = np.column_stack([x + self.cell * end_column, y + self.cell * end_row, box_top])
         corners = np.where(_CORNERS, high[:, None], low[:, None])
-        faces = np.arange(len(boxes))[:, None, None] * len(_CORNERS) + _FACES
+        faces = np.arange(len(box_top))[:, None, None] * len(_CORNERS) + _FACES
         return corners.reshape(-1, 3), faces.reshape(-1, 3).astype(np.int64)
 
 
@@ -171,7 +176,7 @@ class StockInTime(Struct, frozen=True, eq=False):
 
     @property
     def accuracy(self) -> float:
-        """By how much the bound is larger than the stock at most, across and along the tool [m]."""
+        """Largest distance by which the bound exceeds the stock, across and along the tool [m]."""
         return float(max(ceiling.cell for ceiling in self.ceiling))
 
     def mesh(self, motion: int) -> tuple[Array, NDArray[np.int64]]:
@@ -193,24 +198,26 @@ _FACES = np.array([
 def _boxes(level: Array) -> list[tuple[float, ...]]:
     """Return rectangles of cells with one level: columns from, to (exclusive), rows from, to (exclusive), level [m].
 
-    Runs of one level in a row are joined with equal runs of the rows before; an open run ends where a row lacks it.
+    A run of cells of one level in a row is joined with an equal run in the row before. A rectangle ends before the
+    first row that lacks its run.
 
     :param level: (ny, nx) of the cells [m]; −inf without material.
     """
     boxes: list[tuple[float, ...]] = []
-    first_row: dict[tuple[int, int, float], int] = {}
+    first_rows: dict[tuple[int, int, float], int] = {}  # first column, end column and level of a run → its first row
     for row, row_levels in enumerate([*level, np.full(level.shape[1], -np.inf)]):
         ends = np.append(np.flatnonzero(row_levels[1:] != row_levels[:-1]) + 1, len(row_levels))
         starts = np.append(0, ends[:-1])
         runs = {
-            (int(a), int(b), float(row_levels[a]))
-            for a, b in zip(starts, ends, strict=True)
-            if np.isfinite(row_levels[a])
+            (int(start), int(end), float(row_levels[start]))
+            for start, end in zip(starts, ends, strict=True)
+            if np.isfinite(row_levels[start])
         }
-        for run in [run for run in first_row if run not in runs]:
-            boxes.append((run[0], run[1], first_row.pop(run), row, run[2]))
+        for run in [run for run in first_rows if run not in runs]:
+            first_column, end_column, run_level = run
+            boxes.append((first_column, end_column, first_rows.pop(run), row, run_level))
         for run in runs:
-            first_row.setdefault(run, row)
+            first_rows.setdefault(run, row)
     return boxes
 
 
@@ -231,10 +238,12 @@ class Guard(Struct, eq=False):
     def check(
         self, ceiling: Ceiling, segments: StraightSegments, rows: slice, cutter: Cutter, *, removes: bool
     ) -> None:
-        """Note where parts are closer to the stock than allowed, on segments whose material is not removed yet.
+        """Record in `close` the parts that are closer to the stock than allowed on some segments.
 
-        Cheap tests come first: the bound of the stock, the volume that the cutter sweeps, the whole path at once.
+        Quick tests come first: against the upper bound of the stock, against the volume that the cutter sweeps, and of
+        the whole path at once. Only parts that fail all of them are compared piece by piece.
 
+        :param ceiling: the stock before the material of these segments is removed.
         :param rows: of the segments that are compared, all with the tool `cutter`.
         :param removes: whether the segments remove material.
         """
@@ -250,7 +259,7 @@ class Guard(Struct, eq=False):
                 self._compare_pieces(part, ceiling.stock, segments, rows, cutter, removes=removes)
 
     def _is_in_sweep(self, part: Part, cutter: Cutter, cell: float) -> bool:
-        """Return whether a part, with its clearance, is inside the volume that the cutter sweeps at the same time.
+        """Return whether a part, with its clearance, is inside the volume that the cutter sweeps.
 
         :param cell: width of a cell [m]: walls are located no better.
         """
@@ -263,17 +272,21 @@ class Guard(Struct, eq=False):
         """Return all points within `need` [m] of a part as a body along z, and the path of its lower end.
 
         :param begin: (L, 3) positions of the tip where segments begin, and `end` (L, 3) where they end [m].
-        :returns: body, and positions (L, 3) and (L, 3) of its lower end [m].
+        :returns: the body, and the positions of its lower end where segments begin (L, 3) and end (L, 3) [m].
         """
-        up = np.array([0.0, 0.0, part.height - need])
-        return Cutter(part.radius + need, need, 1), begin + up, end + up
+        offset = np.array([0.0, 0.0, part.height - need])  # from the tip to the lower end
+        return Cutter(part.radius + need, need, 1), begin + offset, end + offset
 
     def _compare_pieces(
         self, part: Part, stock: Stock, segments: StraightSegments, rows: slice, cutter: Cutter, *, removes: bool
     ) -> None:
-        """Compare a part piece by piece, removing the material of each piece from a copy of the map.
+        """Compare a part with the stock piece by piece, removing the material of each piece from a copy of the map.
 
-        The map still has the material that the front of the cutter has removed where the segments begin, see `remove`.
+        Where the segments continue others, the material under the front of the cutter is still in the map, as the
+        sweep removes it later: it is removed from the copy first.
+
+        :param stock: before the material of the segments is removed.
+        :param rows: of the segments that are compared; `removes`: whether they remove material.
         """
         begin, end, motion = segments.begin[rows], segments.end[rows], segments.motion[rows]
         reach = max(part.radius + self.need, cutter.radius) + 3.0 * stock.cell
@@ -285,41 +298,43 @@ class Guard(Struct, eq=False):
         step = max(stock.cell, 0.5 * (part.height - self.need))
         for start, stop, row_motion in zip(begin, end, motion.tolist(), strict=True):
             if not removes:
-                self._note(part, remaining_stock, row_motion, (start[None], stop[None]))
+                self._record_distance(part, remaining_stock, row_motion, (start[None], stop[None]))
                 continue
-            for piece in _segment_pieces(start, stop, step):
-                if touches(remaining_stock, *self._swept_volume(part, *piece, self.need))[0]:
-                    for short_piece in _segment_pieces(piece[0][0], piece[1][0], stock.cell):
-                        self._note(part, remaining_stock, row_motion, short_piece)
+            for piece_begin, piece_end in _segment_pieces(start, stop, step):
+                if touches(remaining_stock, *self._swept_volume(part, piece_begin, piece_end, self.need))[0]:
+                    for short_piece in _segment_pieces(piece_begin[0], piece_end[0], stock.cell):
+                        self._record_distance(part, remaining_stock, row_motion, short_piece)
                         remove(remaining_stock, cutter, *short_piece)
                 else:
-                    remove(remaining_stock, cutter, *piece)
+                    remove(remaining_stock, cutter, piece_begin, piece_end)
 
-    def _note(self, part: Part, stock: Stock, motion: int, segment: tuple[Array, Array]) -> None:
-        """Note how close a part comes on a segment, if that is closer than allowed and than before on its motion.
+    def _record_distance(self, part: Part, stock: Stock, motion: int, segment: tuple[Array, Array]) -> None:
+        """Record the distance of a part from the stock on a segment, if it is below the allowed one.
+
+        The smallest distance of each part on each motion is kept, in `close`.
 
         :param motion: row of `Motions`; `segment`: positions of the tip at both ends, (1, 3) each [m].
         """
         key = part.name, motion
 
-        def is_hit(need: float) -> bool:
-            """Return whether the part with a clearance [m] touches the stock on the segment."""
-            return bool(touches(stock, *self._swept_volume(part, *segment, need))[0])
+        def has_contact(clearance: float) -> bool:
+            """Return whether the part, enlarged by a clearance [m], touches the stock on the segment."""
+            return bool(touches(stock, *self._swept_volume(part, *segment, clearance))[0])
 
         # bisection: the part with a larger clearance touches wherever that with a smaller one does
         low, high = 0.0, self.close.get(key, self.need)
-        if not is_hit(high):
+        if not has_contact(high):
             return
-        if is_hit(low):
+        if has_contact(low):
             high = low
         while high - low > _DISTANCE_ERROR:
             middle = 0.5 * (low + high)
-            low, high = (low, middle) if is_hit(middle) else (middle, high)
+            low, high = (low, middle) if has_contact(middle) else (middle, high)
         self.close[key] = high
 
 
 def _segment_pieces(begin: Array, end: Array, step: float) -> Iterator[tuple[Array, Array]]:
-    """Yield begin and end (1, 3) of the parts of a segment from `begin` to `end` (3,), no longer than a step [m]."""
+    """Yield begin and end (1, 3) of equal pieces, at most `step` [m] long, of a segment from `begin` to `end` (3,)."""
     count = max(1, int(np.ceil(np.sqrt(np.sum((end - begin) ** 2)) / step - 1e-9)))
     places = begin + np.linspace(0.0, 1.0, count + 1)[:, None] * (end - begin)
     for k in range(count):

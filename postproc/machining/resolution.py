@@ -1,7 +1,7 @@
-"""Where the map of the stock must be finer: passes whose contact with the material is few cells wide.
+"""Passes whose contact with the material is few cells wide, so that the map of the stock must be finer there.
 
-A first sweep gives for each motion the standard deviation of its force by the cells. A tool may rough and then finish:
-so the passes of an operation are judged from the first one on from which all that follow in it need finer cells.
+A first sweep gives for each motion the standard deviation of its force by the cells. A tool may rough and then finish
+in one operation: cells are made finer from the first pass on that needs it, if the rest of the operation needs it too.
 """
 
 from __future__ import annotations
@@ -38,9 +38,12 @@ class ThinPasses(Struct, frozen=True):
 
 
 def thin_passes(program: Program, tools: ToolStates, by_cells: Array) -> list[ThinPasses]:
-    """Return the passes of each operation that need finer cells, in order.
+    """Return for each operation the first pass from which on finer cells are needed, in order; none without need.
 
-    :param by_cells: (M, 2) sums of squares of deviations and forces on each motion [N²], see `Sweep`.
+    A pass is a run of cutting motions between two rapid ones.
+
+    :param by_cells: (M, 2) for each motion, sums over its stations of squares of the standard deviation by the cells
+        of the map, and of the force [N²].
     """
     cuts = ~program.motions.rapid
     pass_begins = np.flatnonzero(np.diff(cuts.astype(np.int8), prepend=0) > 0)
@@ -53,7 +56,7 @@ def thin_passes(program: Program, tools: ToolStates, by_cells: Array) -> list[Th
     passes = []
     for begin, end in pairwise(blocks):
         pass_share = _rms_shares(sums[begin:end])
-        # a finer map holds from a pass to the end of the block: it must be worth it for all of that
+        # a finer map is used from a pass to the end of the block: that part as a whole must need it
         share_to_end = _rms_shares(np.cumsum(sums[begin:end][::-1], axis=0)[::-1])
         is_thin = np.flatnonzero((pass_share > COARSE) & (share_to_end > COARSE))
         if len(is_thin):
@@ -70,13 +73,13 @@ def _rms_shares(sums: Array) -> Array:
 
 
 def factors(passes: list[ThinPasses], cells: int) -> dict[int, int]:
-    """Return by which whole number cells must be divided from a motion on, by motion; at least 2.
+    """Return row of a motion → whole number, at least 2, by which the width of cells must be divided from there on.
 
     :param cells: number of cells of the map; divided maps have at most `_MOST_FINE`.
     """
     max_factor = int(np.sqrt(_MOST_FINE / cells))
+    # the deviation falls with the width of a cell; a tenth more than enough is accepted
     factor_of_motion = {
-        passes_of_tool.first: min(int(np.ceil(passes_of_tool.share / ENOUGH - 0.1)), max_factor)
-        for passes_of_tool in passes
+        thin_passes.first: min(int(np.ceil(thin_passes.share / ENOUGH - 0.1)), max_factor) for thin_passes in passes
     }
     return {first: factor for first, factor in factor_of_motion.items() if factor > 1}

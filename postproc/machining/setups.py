@@ -27,15 +27,16 @@ class Setup(Struct, frozen=True, eq=False):
     factor: int = 1
 
 
-def setups(program: Program, directions: Directions, widest: float) -> list[Setup]:
-    """Divide the program into set-ups in order: each has a map of the stock along one direction of the tool.
+def setups(program: Program, directions: Directions, max_tilt: float) -> list[Setup]:
+    """Return the set-ups of a program in order: each has a map of the stock along one direction of the tool.
 
-    Cuts with another direction of the tool begin a set-up; while the tool turns as it cuts, only if it leaves a cone
-    about the direction of the map. Rapid motions between belong to the set-up before them: that is the stock through
-    which they lead.
+    A set-up begins where a run of cuts has another direction of the tool. In a run in which the tool turns, one begins
+    where the tool leaves a cone of half angle `max_tilt` about the direction of the map. Rapid motions belong to the
+    set-up before them, as they move through the stock that it leaves.
 
-    :param widest: largest angle between a tool that turns while it cuts and the direction of the map [rad].
-    :raises ForceError: the tool turns too far in one move.
+    :param directions: of the tool on all motions.
+    :param max_tilt: largest angle between a tool that turns while it cuts and the direction of the map [rad].
+    :raises ForceError: no motion cuts, or the tool turns by more than twice `max_tilt` in one move.
     """
     cuts = directions.cuts
     if not cuts.any():
@@ -55,11 +56,11 @@ def setups(program: Program, directions: Directions, widest: float) -> list[Setu
             while (
                 map_directions
                 and row < end
-                and (directions.of_range(row, row + 1) @ map_directions[-1] > np.cos(widest)).all()
+                and (directions.of_range(row, row + 1) @ map_directions[-1] > np.cos(max_tilt)).all()
             ):
                 row += 1
             if row < end:
-                map_directions.append(_middle_of_cone(program, directions, row, widest))
+                map_directions.append(_cone_axis(program, directions, row, max_tilt))
                 starts.append(row)
             begin = row
     setup_number = np.searchsorted(starts[1:], np.arange(len(cuts)), side="right")
@@ -67,55 +68,60 @@ def setups(program: Program, directions: Directions, widest: float) -> list[Setu
 
 
 def divide_by_cells(ordered_setups: list[Setup], cell_factors: dict[int, int], cuts: Bools) -> list[Setup]:
-    """Divide set-ups where the cells of their map become finer; parts without a cut are not divided.
+    """Return set-ups divided where the cells of their map become finer; a part without cuts joins the next part.
 
-    :param cell_factors: by which whole number cells are divided from a motion on, to the end of its set-up at least.
-    :param cuts: (M,) cutting motions.
+    :param cell_factors: row of a motion → whole number by which the width of cells is divided from there to the end of
+        its set-up; a later smaller number has no effect.
+    :param cuts: (M,) True for cutting motions.
     """
     divided_setups = []
     for setup in ordered_setups:
         rows = np.flatnonzero(setup.motions)
-        first_motions = [end_row for end_row in sorted(cell_factors) if setup.motions[end_row]]
+        change_rows = [row for row in sorted(cell_factors) if setup.motions[row]]
         begin, factor, motion_rows = int(rows[0]), 1, np.arange(len(setup.motions))
-        for end_row in [*first_motions, int(rows[-1]) + 1]:
-            if cuts[begin:end_row].any():
-                divided_setups.append(
-                    Setup(setup.frame, np.asarray((motion_rows >= begin) & (motion_rows < end_row)), factor)
-                )
-                begin = end_row
-            factor = max(factor, cell_factors.get(end_row, 1))
+        for end in [*change_rows, int(rows[-1]) + 1]:
+            if cuts[begin:end].any():
+                is_part = np.asarray((motion_rows >= begin) & (motion_rows < end))
+                divided_setups.append(Setup(setup.frame, is_part, factor))
+                begin = end
+            factor = max(factor, cell_factors.get(end, 1))
     return divided_setups
 
 
-def _middle_of_cone(program: Program, directions: Directions, begin: int, widest: float) -> Array:
-    """Return the axis (3,) of a cone about the directions of as many cutting motions as one holds, from `begin` on.
+def _cone_axis(program: Program, directions: Directions, begin: int, max_tilt: float) -> Array:
+    """Return the unit axis (3,) of a cone that contains the directions of the tool on cutting motions from `begin` on.
 
-    The number of motions is halved until a cone of the half angle `widest` [rad] holds them. The axis is the centre of
-    the smallest ball about the directions (Badoiu and Clarkson 2003).
+    The number of motions is halved until a cone of the half angle `max_tilt` [rad] contains their directions. The axis
+    is the centre of the smallest ball about them (Badoiu and Clarkson, "Smaller core-sets for balls", SODA 2003).
 
-    :raises ForceError: there is none for the first of them.
+    :raises ForceError: not even the directions of the first motion are in such a cone.
     """
     count = len(directions.end) - begin
     while True:
-        axes = directions.of_range(begin, begin + count)
-        middle = axes.sum(axis=0)
+        tool_axes = directions.of_range(begin, begin + count)
+        cone_axis = tool_axes.sum(axis=0)
         for step in range(_CONE_STEPS):
-            middle /= max(float(np.linalg.norm(middle)), 1e-12)
-            middle = middle + (axes[int(np.argmin(axes @ middle))] - middle) / (step + 2)
-        middle /= max(float(np.linalg.norm(middle)), 1e-12)
-        if float((axes @ middle).min()) > np.cos(widest):
-            return np.asarray(middle)
+            cone_axis /= max(float(np.linalg.norm(cone_axis)), 1e-12)
+            farthest_axis = tool_axes[int(np.argmin(tool_axes @ cone_axis))]
+            cone_axis = cone_axis + (farthest_axis - cone_axis) / (step + 2)
+        cone_axis /= max(float(np.linalg.norm(cone_axis)), 1e-12)
+        if float((tool_axes @ cone_axis).min()) > np.cos(max_tilt):
+            return np.asarray(cone_axis)
         if count == 1:
-            problem = f"the tool turns by more than {2 * np.degrees(widest):.0f}° in one cutting move"
+            problem = f"the tool turns by more than {2 * np.degrees(max_tilt):.0f}° in one cutting move"
             line = int(program.motions.line[begin])
             raise ForceError(problem, file=program.documents[0].name, line=line, advice="Divide the move.")
         count = (count + 1) // 2
 
 
 def _frame(direction: Array) -> Array:
-    """Return the frame of the map (4, 4) in `$BASE` whose z is a direction (3,) from the tip to the spindle."""
+    """Return the frame of the map (4, 4) in `$BASE` whose z is a direction (3,) from the tip to the spindle.
+
+    Its origin is that of `$BASE`; for z of `$BASE` the frame is `$BASE` itself.
+    """
     frame = np.eye(4)
     if direction[2] < 1.0 - 1e-9:
+        # a coordinate axis that is not near the direction: the cross product must not vanish
         x = np.array([1.0, 0.0, 0.0]) if abs(direction[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
         y = np.cross(direction, x)
         y /= np.linalg.norm(y)

@@ -50,12 +50,12 @@ def operation_knots(program: Program, process: Process) -> Knots:
     share = np.array([entry.sigma_percent / 100.0 for entry in entries])
     rows = entry_of_motion[motion]
     sigma = np.abs(wrench[rows]) * share[rows, None]
-    issues = tuple(_passed_comments(program, named_entry, list(process.operations)))
+    issues = tuple(_ignored_comment_issues(program, named_entry, list(process.operations)))
     return replace(Knots.throughout(motion, wrench[rows], frame[rows], sigma, share[rows]), issues=issues)
 
 
 def _entries_of_motions(program: Program, process: Process) -> tuple[Ints, Ints]:
-    """Return the entry of [operations] that holds for each motion (M,), and the one that a comment or block names (M,).
+    """Return the entry of [operations] of each motion (M,), and that of a comment or block alone, without tools (M,).
 
     Entries are numbered in the order of the file; −1: none.
 
@@ -84,11 +84,15 @@ _Mark = tuple[int, int, int]
 def _named_marks(
     program: Program, program_operations: tuple[Operation, ...], titles: dict[str, int], blocks: dict[str, int]
 ) -> list[_Mark]:
-    """Return the begins and ends of entries that a comment or an N word names."""
+    """Return the begins and ends of entries that a comment or an N word names.
+
+    :param titles: normal text of a comment → number of its entry.
+    :param blocks: digits of an N word → number of its entry.
+    """
     marks = [(operation.first, 1, titles.get(_normal_text(operation.name), -1)) for operation in program_operations]
     cuts = _cut_counts(program)
-    entry_row, running_entry = 0, -1  # the last comment that names an entry
-    new_tool: float | None = None  # the tool changed to since then
+    entry_row, running_entry = 0, -1  # row and entry of the last comment that names one
+    new_tool: float | None = None  # number of the tool that was changed to since then
     for event in _add_tool_changes(program):
         if event.kind == "tool_change":
             if cuts[event.before] > cuts[entry_row] or new_tool not in (None, event.value):
@@ -113,7 +117,10 @@ def _named_marks(
 
 
 def _add_tool_changes(program: Program) -> list[Event]:
-    """Return the events of a program; without tool changes, those of `$TOOL` count as such (KRL, G43 without M6)."""
+    """Return the events of a program, with a tool change at each change of `$TOOL` if it has no others.
+
+    Such programs are those in KRL, and G-code with G43 but without M6.
+    """
     m, events = program.motions, list(program.events)
     if any(event.kind == "tool_change" for event in events):
         return events
@@ -127,23 +134,24 @@ def _cut_counts(program: Program) -> Ints:
     return np.concatenate([[0], np.cumsum(~program.motions.rapid)])
 
 
-def _passed_comments(program: Program, place: Ints, names: list[str]) -> Iterator[Issue]:
-    """Yield a note for each entry whose force goes on after comments that could be names of operations.
+def _ignored_comment_issues(program: Program, named_entry: Ints, names: list[str]) -> Iterator[Issue]:
+    """Yield a note for each entry whose force continues after comments that could be names of operations.
 
-    Those are alone on their line and after a retract, but are remarks to `postproc.operations` ("pass 2"); or they are
-    between two cutting motions.
+    Such comments are alone on their line and after a retract, but `postproc.operations` takes them for remarks, like
+    "pass 2"; or they are between two cutting motions.
 
-    :param place: (M,) entry of each motion that a comment or a block names, −1: none.
+    :param named_entry: (M,) entry of each motion that a comment or a block names, −1: none.
+    :param names: of the entries, in their order.
     """
     cutting = np.flatnonzero(~program.motions.rapid)
-    cuts, comments_of = _cut_counts(program), dict[int, list[Event]]()
+    cuts, comments_by_entry = _cut_counts(program), dict[int, list[Event]]()
     for comment in ignored_comments(program):
         next_cut = int(cuts[comment.before])
         if 0 < next_cut < len(cutting):
-            last_entry, next_entry = place[cutting[next_cut - 1]], place[cutting[next_cut]]
+            last_entry, next_entry = named_entry[cutting[next_cut - 1]], named_entry[cutting[next_cut]]
             if last_entry == next_entry >= 0:
-                comments_of.setdefault(int(last_entry), []).append(comment)
-    for entry, comments in comments_of.items():
+                comments_by_entry.setdefault(int(last_entry), []).append(comment)
+    for entry, comments in comments_by_entry.items():
         comment_text = ", ".join(
             f"{title(comment.text)!r} (line {comment.line})" for comment in comments[:_MAX_COMMENTS]
         )
@@ -156,9 +164,10 @@ def _passed_comments(program: Program, place: Ints, names: list[str]) -> Iterato
 
 
 def _last_entry(marks: list[_Mark], count: int) -> Ints:
-    """Return the entry (M,) of the last mark at or before each motion, −1 before the first mark.
+    """Return the entry (count,) of the last mark at or before each motion, −1 before the first mark.
 
-    :param marks: those of one row and rank in the order in which they count, the last one wins.
+    :param marks: of those with the same row, the one with the highest rank counts; with the same rank, the last one.
+    :param count: number of motions.
     """
     ordered_marks = [(-1, 0, -1), *sorted(marks, key=lambda mark: mark[:2])]
     last_mark = np.searchsorted([row for row, _, _ in ordered_marks], np.arange(count), side="right") - 1
@@ -168,20 +177,16 @@ def _last_entry(marks: list[_Mark], count: int) -> Ints:
 def _unmatched_error(
     program: Program, process: Process, name: str, program_operations: tuple[Operation, ...]
 ) -> ForceError:
-    """Return the error for an entry that matches nothing in the program."""
+    """Return the error for the entry `name` that matches nothing in the program, with the most similar name of it."""
     file = program.documents[0].name
-    operation_names = list(dict.fromkeys(item.name for item in program_operations))
+    operation_names = list(dict.fromkeys(operation.name for operation in program_operations))
     comments = [title(event.text) for event in program.events if event.kind == "comment" and event.text.strip()]
-    matches = difflib.get_close_matches(
-        _normal_text(name), [_normal_text(item) for item in [*operation_names, *comments]], 1
-    )
-    nearest = next(
-        (item for item in [*operation_names, *comments] if matches and _normal_text(item) == matches[0]), None
-    )
-    name_list = ", ".join(f"{item!r}" for item in operation_names[:_MAX_NAMES]) + (
-        " …" if len(operation_names) > _MAX_NAMES else ""
-    )
-    advice = f"Did you mean {nearest!r}? " if nearest else ""
+    candidates = [*operation_names, *comments]
+    matches = difflib.get_close_matches(_normal_text(name), [_normal_text(candidate) for candidate in candidates], 1)
+    similar_name = next((item for item in candidates if matches and _normal_text(item) == matches[0]), None)
+    name_list = ", ".join(f"{operation_name!r}" for operation_name in operation_names[:_MAX_NAMES])
+    name_list += " …" if len(operation_names) > _MAX_NAMES else ""
+    advice = f"Did you mean {similar_name!r}? " if similar_name else ""
     advice += (
         f"Operations found: {name_list or 'none'}. Name an operation as its comment, a tool as T3, a block as N120."
     )
@@ -191,7 +196,7 @@ def _unmatched_error(
 
 
 def _normal_text(text: str) -> str:
-    """Return a text with single blanks and without case, in which names are compared."""
+    """Return a text with single blanks and in lower case: names are compared in this form."""
     return " ".join(text.split()).casefold()
 
 
@@ -203,7 +208,8 @@ def _wrench_of_entry(entry: OperationTable) -> tuple[float, ...]:
 def refuse_comments(program: Program, process: str) -> None:
     """Refuse a program that states forces in comments: a process computes those of all its moves.
 
-    :raises ForceError: it does.
+    :param process: path of the process file, for the message.
+    :raises ForceError: a comment states a force; the message lists lines.
     """
     lines = list(dict.fromkeys(note.line for note in program.notes if any(note.wrench)))
     if lines:
@@ -238,11 +244,11 @@ class ProcessSource:
     ) -> None:
         """Store a process; its forces are computed when `along` is called first.
 
-        :param axis: axis of the tool frame that points from the spindle to the tip.
+        :param axis: axis of the tool frame that points from the spindle to the tip: "+Z", "-Z", "+X" or "-X".
         :param stock: mesh of the stock, instead of that of the process.
         :param shift: displacement of the tip, see `Shift`.
-        :param guard: makes what must stay clear of the stock, see `estimate`; None: nothing is compared with it.
-        :param progress: of a sweep, see `estimate`.
+        :param guard: returns the parts of the tool that must stay clear of the stock; None: nothing is compared.
+        :param progress: called with the number of straight segments swept, and their total number.
         """
         self.process, self._axis, self._stock, self._shift = process, axis, stock, shift
         self._progress, self._guard = progress, guard
@@ -251,7 +257,7 @@ class ProcessSource:
         self.process_forces: ProcessForces | None = None
 
     def shift_tip(self, shift: Shift) -> ProcessSource:
-        """Return the same process with a displaced tip."""
+        """Return the same process with a displaced tip; no parts of the tool are compared with the stock."""
         return ProcessSource(self.process, self._axis, stock=self._stock, shift=shift, progress=self._progress)
 
     @property
@@ -270,7 +276,7 @@ class ProcessSource:
         return self._knots
 
     def _forces(self, program: Program, path: Segments) -> Knots:
-        """Return the forces of the cutting law, and of the entries of operations, which take precedence."""
+        """Return the forces by the cutting law and by the entries of [operations], which take precedence."""
         process = self.process
         law_knots = None
         if process.material is not None:
@@ -306,7 +312,10 @@ class ProcessSource:
         )
 
     def _common_factor_motions(self, process_forces: ProcessForces) -> Ints:
-        """Return the motions (k,) of which the errors of the cutting law are one common factor."""
+        """Return the motions (k,) whose forces have one unknown factor in common: the error of the cutting law.
+
+        There are none if the law has no error, or a covariance of its coefficients instead.
+        """
         law = self.process.law()
-        by_factor = law.covariance is None and law.sigma > 0.0
-        return distinct(process_forces.knots.motion) if by_factor else np.zeros(0, dtype=np.int64)
+        has_common_factor = law.covariance is None and law.sigma > 0.0
+        return distinct(process_forces.knots.motion) if has_common_factor else np.zeros(0, dtype=np.int64)

@@ -86,7 +86,10 @@ class Stock(Struct, frozen=True, eq=False):
 
 
 def refine(stock: Stock, factor: int) -> Stock:
-    """Return a map with cells that are narrower by a whole factor; walls stay where they are within the wider cells."""
+    """Return a map with cells that are narrower by a whole factor.
+
+    Surfaces with slopes are interpolated; the cells in a partly cut one inherit its two levels and their shares.
+    """
 
     def divided(values: NDArray[Any]) -> NDArray[Any]:
         """Return values of cells (ny, nx, …) repeated for the narrower cells in each."""
@@ -104,12 +107,12 @@ def refine(stock: Stock, factor: int) -> Stock:
 
 
 def _surface_at(high: Floats, rise: Floats, has_slope: Bools, y_shift: float, x_shift: float) -> Floats:
-    """Return the surface (ny, nx) off the middles of cells by shares of a cell along y and x, see `between_cells`.
+    """Return the level of the surface (ny, nx) [m] in each cell, at the same distance from its middle.
 
     :param high: (ny, nx) upper levels of the cells [m].
     :param rise: (ny, nx, 2) of the surface along x and y, over a cell [m].
-    :param has_slope: (ny, nx) cells whose surface has one level and a slope; next to others the level is that of the
-        cell.
+    :param has_slope: (ny, nx) cells whose surface has one level and a slope; the surface of a cell next to others is
+        taken for level.
     :param y_shift: distance from the middles along y, and `x_shift` along x, in cells from −0.5 to 0.5.
     """
     x_side, y_side = 1 if x_shift >= 0.0 else -1, 1 if y_shift >= 0.0 else -1
@@ -137,20 +140,22 @@ def between_cells(levels: list[Floats], planes: list[Floats], weights: list[Floa
     The mean of interpolated levels and interpolated tangent planes is exact on a paraboloid. Where all four planes are
     above the interpolated levels, there is a ridge between them, and the lowest plane counts.
 
-    :param levels: four arrays, one for each cell around the points: its level [m].
-    :param planes: likewise, the levels of the tangent planes of their surfaces at the points [m].
-    :param weights: likewise, the weights of bilinear interpolation; their sum is 1.
+    :param levels: four arrays, one for each cell around the points: the level in its middle [m].
+    :param planes: four arrays: the level at the points of the plane that is tangent to the surface in the middle of
+        the cell [m].
+    :param weights: four arrays: the weights of bilinear interpolation; their sum is 1.
     """
-    level, mean = np.zeros_like(levels[0]), np.zeros_like(levels[0])
-    for weight, value, plane in zip(weights, levels, planes, strict=True):
-        level += weight * value
-        mean += weight * plane
+    mean_level, mean_plane = np.zeros_like(levels[0]), np.zeros_like(levels[0])
+    for weight, level, plane in zip(weights, levels, planes, strict=True):
+        mean_level += weight * level
+        mean_plane += weight * plane
     lowest_plane = np.minimum(np.minimum(planes[0], planes[1]), np.minimum(planes[2], planes[3]))
-    return np.asarray(np.where(lowest_plane > level, lowest_plane, np.float32(0.5) * (level + mean)))
+    smooth_level = np.float32(0.5) * (mean_level + mean_plane)
+    return np.asarray(np.where(lowest_plane > mean_level, lowest_plane, smooth_level))
 
 
 def level_slopes(high: Floats) -> NDArray[np.int16]:
-    """Return the slopes (ny, nx, 2) of cells whose surface is level: zeros; `high` (ny, nx) gives the size."""
+    """Return the slopes along x and y (ny, nx, 2) of a level surface: zeros; `high` (ny, nx) gives the size."""
     return np.zeros((*high.shape, 2), dtype=np.int16)
 
 
@@ -162,10 +167,12 @@ def _map_extent(lower: Array, upper: Array, cell: float, file: str) -> tuple[flo
     :param file: of the process or of the mesh, for messages.
     :raises ForceError: it would be too large.
     """
+    # 1e-6: a box of a whole number of cells needs no further one for rounding
     count = np.ceil((upper[:2] - lower[:2]) / cell - 1e-6).astype(int) + 2 * _BORDER
     if int(count[0]) * int(count[1]) > _MOST_CELLS:
-        min_cell = float(np.sqrt((upper[0] - lower[0]) * (upper[1] - lower[1]) / _MOST_CELLS)) * 1e3
-        advice = f"Give [stock] resolution_mm = {max(1.2 * min_cell, 1e-3):.2g} or more."
+        min_cell_mm = float(np.sqrt((upper[0] - lower[0]) * (upper[1] - lower[1]) / _MOST_CELLS)) * 1e3
+        # a fifth more than needed, for the border and the rounding to two digits
+        advice = f"Give [stock] resolution_mm = {max(1.2 * min_cell_mm, 1e-3):.2g} or more."
         raise ForceError(f"the map of the stock would have {count[0]} × {count[1]} cells", file=file, advice=advice)
     return float(lower[0]) - _BORDER * cell, float(lower[1]) - _BORDER * cell, int(count[0]), int(count[1])
 
@@ -176,12 +183,12 @@ def from_box(lower: Array, upper: Array, cell: float, file: str = "stock") -> St
     :raises ForceError: it would have too many cells.
     """
     x, y, nx, ny = _map_extent(lower, upper, cell, file)
-    axis_coverage = []
+    covered_shares = []  # of the columns in x, of the rows in y
     for first, count, begin, end in ((x, nx, lower[0], upper[0]), (y, ny, lower[1], upper[1])):
         edge = first + cell * np.arange(count + 1)
-        axis_coverage.append(np.clip(np.minimum(edge[1:], end) - np.maximum(edge[:-1], begin), 0.0, cell) / cell)
-    coverage = axis_coverage[1][:, None] * axis_coverage[0][None, :]
-    coverage[coverage > 1.0 - 1e-6] = 1.0
+        covered_shares.append(np.clip(np.minimum(edge[1:], end) - np.maximum(edge[:-1], begin), 0.0, cell) / cell)
+    coverage = covered_shares[1][:, None] * covered_shares[0][None, :]
+    coverage[coverage > 1.0 - 1e-6] = 1.0  # what is missing is rounding
     floor = np.full((ny, nx), lower[2], dtype=np.float32)
     high = np.where(coverage > 0.0, upper[2], lower[2]).astype(np.float32)
     share = np.where(coverage > 0.0, 1.0 - coverage, 0.0).astype(np.float32)
@@ -190,6 +197,9 @@ def from_box(lower: Array, upper: Array, cell: float, file: str = "stock") -> St
 
 def from_mesh(vertices: Array, faces: NDArray[np.int64], cell: float, file: str = "stock") -> Stock:
     """Return the map of a closed mesh: material from the lowest to the highest surface of each column.
+
+    Each cell is divided into `_SUBDIVISION` × `_SUBDIVISION` squares, to find the share of it that the mesh covers and
+    the mean heights.
 
     :param vertices: (V, 3) [m], in the frame of the map; faces: (F, 3).
     :param cell: width of a cell [m].
@@ -233,7 +243,7 @@ def _surfaces_of_columns(
     """
     nx, ny = count
     upper, lower = np.full(ny * nx, -np.inf), np.full(ny * nx, np.inf)
-    corner = vertices[faces]
+    corner = vertices[faces]  # (F, 3, 3): corners a, b, c of each triangle
     ab, ac = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
     area = ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]
     is_not_vertical = np.abs(area) > 1e-16  # vertical triangles have no area seen from above
@@ -255,9 +265,12 @@ def _surfaces_of_columns(
 def _points_in_boxes(
     corner: Array, origin: tuple[float, float], step: float, count: tuple[int, int]
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
-    """Yield pairs of grid point and triangle in whose box it is, in batches: points (n,), triangles (n,).
+    """Yield, in batches, pairs of a triangle and a grid point in its bounding box seen along z.
 
-    :param corner: (F, 3, 3) corners of triangles [m]; for `origin`, `step` and `count` see `_surfaces_of_columns`.
+    :param corner: (F, 3, 3) corners of triangles [m].
+    :param origin: corner of the grid x, y [m]; its points are in the middles of squares of a width `step` [m].
+    :param count: number of points along x and y.
+    :returns: indices of points (n,), row by row of the grid, and rows of triangles (n,).
     """
     first_index, index_count = [], []
     for axis in range(2):
@@ -292,23 +305,23 @@ def mesh_of(stock: Stock, most_cells: int = 250_000) -> tuple[Array, NDArray[np.
     bottom, thickness = _coarse_columns(stock, factor)
     is_filled = thickness > 1e-6  # thinner material [m] is rounding: it would make a mesh of no thickness
     _separate_diagonal_cells(is_filled)
-    cell_weight = np.pad(is_filled, 1).astype(float)
+    cell_weight = np.pad(is_filled, 1).astype(float)  # empty cells around the map: each corner has four cells
 
     def at_corners(values: Array) -> Array:
         """Return the means of values of cells (ny, nx) over the filled ones around each corner (ny + 1, nx + 1)."""
         cell_values = np.pad(np.where(is_filled, values, 0.0), 1)
         total = cell_values[:-1, :-1] + cell_values[1:, :-1] + cell_values[:-1, 1:] + cell_values[1:, 1:]
-        number = cell_weight[:-1, :-1] + cell_weight[1:, :-1] + cell_weight[:-1, 1:] + cell_weight[1:, 1:]
-        return np.asarray(total / np.maximum(number, 1.0))
+        count = cell_weight[:-1, :-1] + cell_weight[1:, :-1] + cell_weight[:-1, 1:] + cell_weight[1:, 1:]
+        return np.asarray(total / np.maximum(count, 1.0))
 
     lower, upper = at_corners(bottom), at_corners(bottom + thickness)
     rows, columns = is_filled.shape
     width = stock.cell * factor
-    gx, gy = np.meshgrid(stock.x + width * np.arange(columns + 1), stock.y + width * np.arange(rows + 1))
-    vertices = np.concatenate([np.stack([gx, gy, z], axis=-1).reshape(-1, 3) for z in (upper, lower)])
-    quad = _faces_of_cells(is_filled)
-    faces = np.concatenate([quad[:, [0, 1, 2]], quad[:, [0, 2, 3]]])
-    vertex_rows, faces = np.unique(faces, return_inverse=True)
+    x, y = np.meshgrid(stock.x + width * np.arange(columns + 1), stock.y + width * np.arange(rows + 1))
+    vertices = np.concatenate([np.stack([x, y, z], axis=-1).reshape(-1, 3) for z in (upper, lower)])
+    quads = _quads_of_cells(is_filled)
+    faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    vertex_rows, faces = np.unique(faces, return_inverse=True)  # only corners that a face uses are vertices
     return vertices[vertex_rows], faces.reshape(-1, 3).astype(np.int64)
 
 
@@ -318,38 +331,43 @@ def _coarse_columns(stock: Stock, factor: int) -> tuple[Array, Array]:
     The lower side is the mean over cells with material, the thickness that over all, so that volumes are kept.
     """
     thickness, floor = stock.thickness(), stock.floor.astype(float)
-    rows, columns = (-(-size // factor) for size in thickness.shape)
+    rows, columns = (-(-size // factor) for size in thickness.shape)  # rounded up
     pad = ((0, rows * factor - thickness.shape[0]), (0, columns * factor - thickness.shape[1]))
     block = (rows, factor, columns, factor)
-    is_solid = thickness > 1e-9
+    is_solid = thickness > 1e-9  # thinner material [m] is rounding
     solid_count = np.pad(is_solid, pad).reshape(block).sum(axis=(1, 3))
     floor_sum = np.pad(np.where(is_solid, floor, 0.0), pad).reshape(block).sum(axis=(1, 3))
     mean_thickness = np.pad(thickness, pad).reshape(block).sum(axis=(1, 3)) / factor**2
     return floor_sum / np.maximum(solid_count, 1), mean_thickness
 
 
-def _faces_of_cells(is_filled: Bools) -> NDArray[np.int64]:
+def _quads_of_cells(is_filled: Bools) -> NDArray[np.int64]:
     """Return the four-sided faces (Q, 4) around filled cells (ny, nx): above, below, and towards empty cells.
 
-    Vertices are corners of cells, row by row: first all upper ones, then all lower ones.
+    Faces are indices of vertices, anticlockwise seen from outside. Vertices are corners of cells, row by row: first all
+    upper ones, then all lower ones.
     """
     rows, columns = is_filled.shape
-    layer = (rows + 1) * (columns + 1)
-    number = np.arange(layer).reshape(rows + 1, columns + 1)
-    r, c = np.nonzero(is_filled)
-    quads = [np.stack([number[r, c], number[r, c + 1], number[r + 1, c + 1], number[r + 1, c]], axis=-1)]
-    quads.append(quads[0][:, ::-1] + layer)
+    corner_count = (rows + 1) * (columns + 1)
+    corner = np.arange(corner_count).reshape(rows + 1, columns + 1)
+    row, column = np.nonzero(is_filled)
+    upper_quads = np.stack(
+        [corner[row, column], corner[row, column + 1], corner[row + 1, column + 1], corner[row + 1, column]], axis=-1
+    )
+    quads = [upper_quads, upper_quads[:, ::-1] + corner_count]
     padded = np.pad(is_filled, 1)
-    # neighbour by row and column, and both ends of the side towards it, in the order that turns the face outwards
-    for dr, dc, p, q in (
+    # step in rows and columns to a neighbour, and both corners of the side towards it, in the order that turns the
+    # face outwards
+    for row_step, column_step, (begin_row, begin_column), (end_row, end_column) in (
         (-1, 0, (0, 1), (0, 0)),
         (1, 0, (1, 0), (1, 1)),
         (0, -1, (0, 0), (1, 0)),
         (0, 1, (1, 1), (0, 1)),
     ):
-        is_open = ~padded[r + 1 + dr, c + 1 + dc]
-        a, b = number[r[is_open] + p[0], c[is_open] + p[1]], number[r[is_open] + q[0], c[is_open] + q[1]]
-        quads.append(np.stack([a, b, b + layer, a + layer], axis=-1))
+        is_open = ~padded[row + 1 + row_step, column + 1 + column_step]
+        begin = corner[row[is_open] + begin_row, column[is_open] + begin_column]
+        end = corner[row[is_open] + end_row, column[is_open] + end_column]
+        quads.append(np.stack([begin, end, end + corner_count, begin + corner_count], axis=-1))
     return np.concatenate(quads)
 
 
@@ -437,9 +455,10 @@ class Footprint(Struct, frozen=True, eq=False):
         return self.of(~is_covered, ~(np.isin(self.rim, cell) | np.isin(self.rim, other.rim)))
 
     def around(self, stock: Stock, point: Array, radius: float) -> Footprint:
-        """Return the rim, and the cells of the map `stock` whose middles are not within a circle, seen along z.
+        """Return the footprint without cells whose middles are within a circle, seen along z; all of the rim remains.
 
-        :param point: (3,) middle of the circle [m], and `radius` of it [m], < 0: none is within it.
+        :param stock: map of the cells.
+        :param point: (3,) middle of the circle [m], and `radius` of it [m], < 0: no cell is within it.
         """
         row, column = np.divmod(self.cell, stock.high.shape[1])
         x, y = stock.x + (column + 0.5) * stock.cell - point[0], stock.y + (row + 0.5) * stock.cell - point[1]
@@ -452,23 +471,23 @@ def remove(stock: Stock, cutter: Cutter, begin: Array, end: Array, heading: Arra
     The segments make one surface: where several cover a part of one cell, the one that covers most of it counts.
 
     :param begin: (L, 3) positions of the tip where segments begin, and `end` (L, 3) where they end [m].
-    :param heading: (3,) direction in which the tool goes on. Cells under its front at the last position are then not
-        cut but returned, see `cut`: the front of the tool must meet uncut material next, not cells that it has partly
-        cut.
+    :param heading: (3,) direction in which the tool goes on. The material under its front at the last position is then
+        kept, as the front must meet uncut material next, not cells that it has partly cut. None: all is removed.
+    :returns: the cells whose material is kept, to be removed later by `cut`.
     """
     parts = list(_footprints(stock, cutter, begin, end))
     footprint = Footprint.join(parts, (cutter, begin, end))
     if heading is None:
         cut(stock, footprint)
         return Footprint.empty()
-    is_ahead = _is_ahead(stock, cutter, footprint.cell, end[-1], heading, rim=False)
-    is_ahead_rim = _is_ahead(stock, cutter, footprint.rim, end[-1], heading, rim=True)
-    cut(stock, footprint.of(~is_ahead, ~is_ahead_rim))
-    return footprint.of(is_ahead, is_ahead_rim)
+    is_front = _is_ahead(stock, cutter, footprint.cell, end[-1], heading, rim=False)
+    is_front_rim = _is_ahead(stock, cutter, footprint.rim, end[-1], heading, rim=True)
+    cut(stock, footprint.of(~is_front, ~is_front_rim))
+    return footprint.of(is_front, is_front_rim)
 
 
 def cut(stock: Stock, footprint: Footprint) -> None:
-    """Remove the material of cells under a tool."""
+    """Lower the cells of a footprint to its levels, in place; cells of its rim are cut in part."""
     high = stock.high.reshape(-1)
     deeper_rows = np.flatnonzero(footprint.level < high[footprint.cell])
     cell, level = footprint.cell[deeper_rows], footprint.level[deeper_rows]
@@ -480,33 +499,36 @@ def cut(stock: Stock, footprint: Footprint) -> None:
 
 
 def _slopes(stock: Stock, footprint: Footprint, rows: Ints) -> NDArray[np.int16]:
-    """Return the slopes (k, 2) of the surface that some rows of a footprint leave in the middles of their cells."""
+    """Return the slopes along x and y (k, 2), in units of `SLOPE`, of the surface that a tool leaves in some cells.
+
+    By the difference of levels on both sides of the middle of each cell.
+
+    :param rows: (k,) of the cells of the footprint.
+    """
     slopes = np.zeros((len(rows), 2), dtype=np.int16)
     if footprint.path is None or not len(rows):
         return slopes
-    cutter, begin, end = footprint.path[0], *(ends[footprint.segment[rows]] for ends in footprint.path[1:])
+    cutter, segment_begins, segment_ends = footprint.path
+    segment = footprint.segment[rows]
+    begin, end = segment_begins[segment], segment_ends[segment]
     if cutter.corner == 0.0 and (begin[:, 2] == end[:, 2]).all():
         return slopes
     row, column = (index[:, None, None] for index in np.divmod(footprint.cell[rows], stock.high.shape[1]))
-    middle = cell_middles(stock, begin, row, column)
+    x, y = cell_middles(stock, begin, row, column)
     step = np.float32(_STEP * stock.cell)
-    for axis in range(2):
-        sides = [
-            tool_levels(cutter, begin, end, *(coordinate + side * (k == axis) for k, coordinate in enumerate(middle)))[
-                1
-            ]
-            for side in (-step, step)
-        ]
-        slope = (sides[1] - sides[0])[:, 0, 0] / (2.0 * step)
+    for axis, (x_step, y_step) in enumerate(((step, 0.0 * step), (0.0 * step, step))):
+        _, lower_level = tool_levels(cutter, begin, end, x - x_step, y - y_step)
+        _, upper_level = tool_levels(cutter, begin, end, x + x_step, y + y_step)
+        slope = (upper_level - lower_level)[:, 0, 0] / (2.0 * step)
         slopes[:, axis] = np.clip(slope, -_STEEPEST, _STEEPEST) / SLOPE
     return slopes
 
 
 def _is_ahead(stock: Stock, cutter: Cutter, cell: Ints, point: Array, direction: Array, *, rim: bool) -> Bools:
-    """Return over which cells (n,) of the flat map the surface of a tool moves outwards: its front.
+    """Return True for cells (n,) under the front of a tool: there its surface moves outwards, into the material.
 
     :param cell: (n,) index in the flat map.
-    :param point: (3,) of the tip [m]; direction: (3,) of its travel.
+    :param point: (3,) position of the tip [m]; direction: (3,) unit direction of its travel.
     :param rim: the cells are those that the cylinder covers in part; else those under the end of the tool.
     """
     row, column = np.divmod(cell, stock.high.shape[1])
@@ -538,8 +560,9 @@ def depth_of(stock: Stock, cutter: Cutter, begin: Array, end: Array) -> float:
 
 
 def _footprints(stock: Stock, cutter: Cutter, begin: Array, end: Array) -> Iterator[Footprint]:
-    """Yield the cells under segments from `begin` (L, 3) to `end` (L, 3) [m], a few segments at a time, small ones
-    first.
+    """Yield the cells under segments from `begin` (L, 3) to `end` (L, 3) [m], in batches of segments, short ones first.
+
+    Batches whose cells have no material above the tip are omitted.
     """
     for rows, corner, window in windows(stock, cutter.radius + stock.cell, begin, end):
         footprint = _footprint(stock, cutter, begin, end, rows, corner, window)
@@ -548,14 +571,15 @@ def _footprints(stock: Stock, cutter: Cutter, begin: Array, end: Array) -> Itera
 
 
 def windows(stock: Stock, reach: float, begin: Array, end: Array) -> Iterator[tuple[Ints, Ints, Ints]]:
-    """Yield windows of the map around segments, some segments at a time, small windows first.
+    """Yield rectangular windows of the map around segments, in batches of segments, small windows first.
 
-    All windows of a batch have the size of its largest, so that arrays hold them; a batch is limited in cells.
+    All windows of a batch have the size of its largest, so that arrays hold them. The number of cells of a batch is
+    limited. Segments without a cell of the map in their window are omitted.
 
     :param reach: distance of the edge of a window from the segment [m].
     :param begin: (L, 3) and `end` (L, 3) of segments [m].
-    :returns: rows (k,) of segments, column and row (k, 2) of the first cell of each window, columns and rows (2,) of
-        all.
+    :returns: rows (k,) of the segments of the batch, column and row (k, 2) of the first cell of each window, number of
+        columns and of rows (2,) of all these windows.
     """
     cell = stock.cell
     origin = np.array([stock.x, stock.y])
@@ -567,12 +591,12 @@ def windows(stock: Stock, reach: float, begin: Array, end: Array) -> Iterator[tu
     size = count[:, 0] * count[:, 1]
     order = np.argsort(size, kind="stable")
     order = order[size[order] > 0]
-    row_count = 0
-    while row_count < len(order):
+    done = 0
+    while done < len(order):
         # sorted by size, the last window of a batch is the largest: its size limits the cells of the batch
-        rows = order[row_count : row_count + max(1, _MOST_CELLS_AT_ONCE // int(size[order[row_count]]))]
+        rows = order[done : done + max(1, _MOST_CELLS_AT_ONCE // int(size[order[done]]))]
         rows = rows[: max(1, _MOST_CELLS_AT_ONCE // int(size[rows[-1]]))]
-        row_count += len(rows)
+        done += len(rows)
         window = np.minimum(count[rows].max(axis=0), map_size)
         corner = np.minimum(first[rows], map_size - window)
         yield rows, corner, window
@@ -584,7 +608,9 @@ def _footprint(
     """Return the cells under some segments; None if none of their windows has material above the tip.
 
     :param begin: (L, 3) and `end` (L, 3) of all segments [m].
-    :param rows: (k,) segments; `corner` (k, 2) and `window` (2,): of their windows, see `windows`.
+    :param rows: (k,) of the segments that count.
+    :param corner: (k, 2) column and row of the first cell of the window of the map around each.
+    :param window: (2,) number of columns and of rows of all windows.
     """
     cell, path = stock.cell, (cutter, begin, end)
     begin, end = begin[rows], end[rows]
@@ -595,6 +621,7 @@ def _footprint(
         return None
     distance, level = tool_levels(cutter, begin, end, *cell_middles(stock, begin, row, column))
     inner_radius = np.float32(cutter.radius - 0.5 * cell)
+    # where the cylinder is below the material it leaves a wall: cells on its rim are cut in part, those inside fully
     is_wall = tip_height + cutter.corner < top
     is_full = distance < np.where(is_wall, inner_radius, np.float32(cutter.radius)).astype(np.float32)[:, None, None]
     rim, coverage, rim_level = np.zeros(0, dtype=np.int64), np.zeros(0, np.float32), np.zeros(0, np.float32)
@@ -609,9 +636,10 @@ def _footprint(
 
 
 def window_cells(stock: Stock, corner: Ints, window: Ints) -> tuple[Ints, Ints, Ints]:
-    """Return the cells in k windows as places in the flat map (k, h, w), with rows (k, h, 1) and columns (k, 1, w).
+    """Return the cells in k windows as indices in the flat map (k, h, w), with rows (k, h, 1) and columns (k, 1, w).
 
-    :param corner: (k, 2) column and row of the first cell of each; `window` (2,) columns w and rows h of all.
+    :param corner: (k, 2) column and row of the first cell of each window.
+    :param window: (2,) number of columns w and of rows h of all windows.
     """
     column = corner[:, 0, None, None] + np.arange(window[0])
     row = corner[:, 1, None, None] + np.arange(window[1])[:, None]
@@ -619,7 +647,7 @@ def window_cells(stock: Stock, corner: Ints, window: Ints) -> tuple[Ints, Ints, 
 
 
 def cell_middles(stock: Stock, begin: Array, row: Ints, column: Ints) -> tuple[Floats, Floats]:
-    """Return x (k, 1, w) and y (k, h, 1) of the middles of cells from the starts of segments [m].
+    """Return x (k, 1, w) and y (k, h, 1) of the middles of cells, relative to the starts of segments [m].
 
     :param begin: (k, 3) starts of segments [m].
     :param row: (k, h, 1) and `column` (k, 1, w) of the cells.
@@ -631,7 +659,8 @@ def cell_middles(stock: Stock, begin: Array, row: Ints, column: Ints) -> tuple[F
 def tool_levels(cutter: Cutter, begin: Array, end: Array, px: Floats, py: Floats) -> tuple[Floats, Floats]:
     """Return the distances of cells from segments, and the lowest levels of the tool above them, (L, h, w) each [m].
 
-    Above a cell the height of the tool is z + slope·t + height(distance at t), which is convex in t.
+    Distances are seen along z. At a length t along the segment, the height of the tool above a cell is that of the tip,
+    z + slope·t, plus the height of its lower side at the distance of the cell from the axis: convex in t.
 
     :param begin: (L, 3) positions of the tip where segments begin, and `end` (L, 3) where they end [m].
     :param px: x and `py` y of the cells of each segment from its start [m]; together they have the shape (L, h, w).
@@ -643,18 +672,18 @@ def tool_levels(cutter: Cutter, begin: Array, end: Array, px: Floats, py: Floats
     ux, uy, length = (
         component.astype(np.float32)[:, None, None] for component in (unit[:, 0], unit[:, 1], travel_length)
     )
-    travel = ux * px + uy * py
-    offset = ux * py - uy * px
+    travel = ux * px + uy * py  # of the cell along the segment
+    offset = ux * py - uy * px  # of the cell from the line of the segment
     square = offset * offset
-    nearest = np.minimum(np.maximum(travel, 0.0), length)
-    distance = np.sqrt(square + (travel - nearest) ** 2)
+    nearest_travel = np.minimum(np.maximum(travel, 0.0), length)
+    distance = np.sqrt(square + (travel - nearest_travel) ** 2)
     z = np.where(is_vertical, np.minimum(begin[:, 2], end[:, 2]), begin[:, 2]).astype(np.float32)[:, None, None]
     slope = np.where(is_vertical, 0.0, chord[:, 2] / np.where(is_vertical, 1.0, travel_length))
     if np.abs(slope).max() < 1e-9:
         return distance, np.broadcast_to(z + cutter.height(distance).astype(np.float32), distance.shape)
     slope_of_row = slope.astype(np.float32)[:, None, None]
     half_chord = np.sqrt(np.maximum(np.float32(cutter.radius**2) - square, 0.0))
-    if cutter.corner == 0.0:
+    if cutter.corner == 0.0:  # a flat end: with its rear rim on a descent, with its front rim on a climb
         t = np.where(slope_of_row < 0.0, travel + half_chord, travel - half_chord)
     elif cutter.corner >= cutter.radius * (1.0 - 1e-9):  # a ball: where its normal is square to the segment
         t = travel - slope_of_row / np.sqrt(1.0 + slope_of_row * slope_of_row) * half_chord
@@ -698,12 +727,12 @@ def _largest_coverage(cell: Ints, coverage: Floats, level: Floats) -> tuple[Ints
     """
     # sorted by cell, then by coverage: the last entry of each cell is the largest
     order = np.lexsort((coverage, cell))
-    final = order[np.flatnonzero(np.diff(cell[order], append=-1))]
-    return cell[final], coverage[final], level[final]
+    largest = order[np.flatnonzero(np.diff(cell[order], append=-1))]
+    return cell[largest], coverage[largest], level[largest]
 
 
 def _cut_in_part(stock: Stock, cell: Ints, coverage: Floats, level: Floats) -> None:
-    """Cut shares of cells down to levels. Cut areas of one cell are assumed nested, the smaller inside the larger.
+    """Cut shares of cells down to levels, in place; cut areas of a cell are assumed nested, the smaller in the larger.
 
     :param cell: (k,) index in the flat map, each once.
     :param coverage: (k,) share of the cell that the cylinder covers, and `level` (k,) its lower side there [m].
@@ -714,11 +743,10 @@ def _cut_in_part(stock: Stock, cell: Ints, coverage: Floats, level: Floats) -> N
     low = np.where(share > 0.0, np.minimum(low, high), high)
     overlap = np.minimum(share, coverage)
     union = np.maximum(share, coverage)
-    remaining_height = np.where(share > coverage, low, np.minimum(level, high))
-    mean = (overlap * np.minimum(low, level) + (union - overlap) * remaining_height) / np.maximum(
-        union, np.float32(1e-6)
-    )
-    flat_low[cell] = np.where(is_cut, mean, low)
+    # level of the part of the union that only one of the cuts covers
+    single_level = np.where(share > coverage, low, np.minimum(level, high))
+    level_sum = overlap * np.minimum(low, level) + (union - overlap) * single_level
+    flat_low[cell] = np.where(is_cut, level_sum / np.maximum(union, np.float32(1e-6)), low)
     flat_share[cell] = np.where(is_cut, union, share)
     flat_high[cell] = np.where(is_cut & (coverage > _WHOLE_SHARE), level, high)
     stock.slope.reshape(-1, 2)[cell[is_cut]] = 0

@@ -77,7 +77,10 @@ class Edge(Struct, frozen=True, eq=False):
 
 
 def edge(cutter: Cutter, step: float) -> Edge:
-    """Return the edge of a cutter in pieces of about `step` [m]: of the end face, of the corner, and the cylinder."""
+    """Return the edge of a cutter in pieces about `step` [m] long: of the end face, of the corner, of the cylinder.
+
+    The cylinder is one piece, without an upper end; a drill has none.
+    """
     edges = []
     if cutter.radius > cutter.corner:
         edges.append(_face_edge(cutter, step))
@@ -113,24 +116,28 @@ def _corner_edge(cutter: Cutter, step: float) -> Edge:
 
 
 def slice_cylinder(edge: Edge, step: float, height: float) -> Edge:
-    """Return an edge whose cylinder is divided into pieces of about `step` [m], up to a height above the tip [m].
+    """Return an edge whose cylinder is divided into pieces of about `step` [m], up to `height` above the tip [m].
 
-    The pieces are those of a corner whose normal is square to the axis: on a tool that leans, each is in material or
-    not.
+    The new pieces have the part `CORNER`, with a normal square to the axis: on a tool that leans, each of them is
+    compared with the stock by itself.
     """
-    side = edge.part == SIDE
-    if not side.any():
+    is_side = edge.part == SIDE
+    if not is_side.any():
         return edge
-    low, radius = float(edge.low[side][0]), float(edge.radius[side][0])
+    low, radius = float(edge.low[is_side][0]), float(edge.radius[is_side][0])
     count = max(1, int(np.ceil((height - low) / step)))
-    end_pieces, width, unit = take_pieces(edge, ~side), max(height - low, step) / count, np.ones(count)
-    columns = (
-        radius * unit, low + width * np.arange(count), width * unit, width * unit, 0.5 * np.pi * unit, 0.0 * unit,
-    )  # fmt: skip
-    arrays = (
-        np.concatenate([getattr(end_pieces, name), column]) for name, column in zip(_COLUMNS, columns, strict=True)
-    )
-    return Edge(np.concatenate([end_pieces.part, np.full(count, CORNER)]), *arrays)
+    rise, ones = max(height - low, step) / count, np.ones(count)
+    side_columns = {
+        "radius": radius * ones,
+        "low": low + rise * np.arange(count),
+        "rise": rise * ones,
+        "length": rise * ones,
+        "kappa": 0.5 * np.pi * ones,
+        "bend": 0.0 * ones,
+    }
+    end_pieces = take_pieces(edge, ~is_side)
+    columns = {name: np.concatenate([getattr(end_pieces, name), column]) for name, column in side_columns.items()}
+    return Edge(part=np.concatenate([end_pieces.part, np.full(count, CORNER)]), **columns)
 
 
 def take_pieces(edge: Edge, pieces: NDArray[np.bool_]) -> Edge:
@@ -212,10 +219,12 @@ class Turn(Struct, frozen=True, eq=False):
         point = np.stack([edge.radius[row] * np.sin(angle), edge.radius[row] * np.cos(angle), z], axis=-1)
         share = (cutter.teeth * width / (2.0 * np.pi))[:, None]
 
-        def wrench(k: tuple[float, float, float]) -> Floats:
+        def wrench(coefficients: tuple[float, float, float]) -> Floats:
             """Return the wrench (P, 6) for a tangential, a radial and an axial coefficient [N/m² or N/m]."""
-            radial = DRILL_THRUST * k[0] if cutter.drill else k[1]
-            force = k[0] * directions.tangential - radial * directions.normal + k[2] * directions.axial
+            tangential, radial, axial = coefficients
+            if cutter.drill:
+                radial = DRILL_THRUST * tangential
+            force = tangential * directions.tangential - radial * directions.normal + axial * directions.axial
             return np.asarray(np.concatenate([force, np.cross(point, force)], axis=-1) * share, dtype=np.float32)
 
         axes = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)) if law.covariance is not None else ()
@@ -295,7 +304,7 @@ def _points_of_turn(edge: Edge, cutter: Cutter, half_count: int) -> tuple[Ints, 
 
 
 def _can_have_chip(edge: Edge, row: Ints, angle: Array, descent: float | None) -> Bools:
-    """Return which sample points (P,) can have a chip; all of them if none can, or without a `descent`.
+    """Return True for sample points (P,) that can have a chip; for all if none can, or without a `descent`.
 
     :param row: (P,) pieces of edge, and `angle` (P,) angles of the turn [rad].
     :param descent: sine of the steepest downward angle of the feed; None: not known.
@@ -318,12 +327,11 @@ def _sine_and_cosine_of_kappa(edge: Edge, row: Ints) -> tuple[Array, Array]:
 
 
 def _covered_parts(phi: Array, width: Array, number: int) -> Floats:
-    """Return 1 for the parts of a turn that intervals of angles cover, and 0 for others (P, number).
+    """Return 1 for the equal parts of a turn whose middle an interval of angles covers, else 0: (P, number).
 
-    :param phi: (P,) centre of the covered interval [rad].
-    :param width: (P,) its width [rad].
-    :param number: of equal parts of the turn; a part is covered if its middle is.
+    :param phi: (P,) centres of the intervals [rad], and `width` (P,) their widths [rad].
+    :param number: of equal parts of the turn.
     """
     middle = (np.arange(number) + 0.5) * (2.0 * np.pi / number)
-    angle = np.abs((middle - phi[:, None] + np.pi) % (2.0 * np.pi) - np.pi)
-    return np.asarray(angle < 0.5 * width[:, None] - 1e-9, dtype=np.float32)
+    distance = np.abs((middle - phi[:, None] + np.pi) % (2.0 * np.pi) - np.pi)  # of angles, over the turn
+    return np.asarray(distance < 0.5 * width[:, None] - 1e-9, dtype=np.float32)

@@ -84,7 +84,10 @@ class Comment(Struct, frozen=True):
 def commented_tools(
     comments: Sequence[Comment], changes: Sequence[tuple[int, int]], *, inches: bool
 ) -> Mapping[int, CommentedTool]:
-    """Return the cutter of each T number that the comments describe.
+    """Return T number → cutter that the comments describe.
+
+    The first comment that states a diameter counts. A comment without a T number belongs to the tool change that
+    follows it within `_LINES_TO_CHANGE` lines.
 
     :param changes: (line, T number) of tool changes, in order.
     :param inches: lengths without a unit are inches.
@@ -109,7 +112,7 @@ def commented_tools(
 
 
 def named_text(number: int, text: str) -> str:
-    """Return a comment on a tool with the number of the tool, once.
+    """Return a comment on a tool, with the T number of the tool before it unless it states that number itself.
 
     >>> named_text(1, "T1 D=16."), named_text(2, "end mill 8 mm")
     ('T1 D=16.', 'T2 end mill 8 mm')
@@ -120,6 +123,8 @@ def named_text(number: int, text: str) -> str:
 
 def cutter_of(text: str, *, inches: bool) -> CommentedTool:
     """Return the cutter that a text describes.
+
+    :param inches: lengths without a unit are inches.
 
     >>> cutter_of("D=16. CR=0. - ZMIN=-5. - flat end mill", inches=False)
     CommentedTool(shape='flat', diameter_mm=16.0, corner_radius_mm=0.0, flutes=None, text='')
@@ -140,10 +145,19 @@ def cutter_of(text: str, *, inches: bool) -> CommentedTool:
 
 
 def _length_mm(match: re.Match[str], inches: bool) -> float:
-    """Return a length of a comment [mm]: groups 1 and 2 are number and unit; fractions are of an inch."""
-    unit, inches = (match[2] or "").lower(), inches or "/" in match[1]
-    factor = MM_PER_INCH if (unit and unit != "mm") or (not unit and inches) else 1.0
-    return round(_number_value(match[1]) * factor, 6)
+    """Return a length that a comment states [mm]; fractions are of an inch.
+
+    :param match: its group 1 is the number, group 2 the unit, if any.
+    :param inches: lengths without a unit are inches.
+    """
+    return round(_number_value(match[1]) * _mm_per_unit(match[2], inches=inches or "/" in match[1]), 6)
+
+
+def _mm_per_unit(unit: str | None, *, inches: bool) -> float:
+    """Return the length of a unit of a comment [mm]; any unit but mm is an inch, as is none if `inches`."""
+    if unit:
+        return 1.0 if unit.lower() == "mm" else MM_PER_INCH
+    return MM_PER_INCH if inches else 1.0
 
 
 def _number_value(text: str) -> float:
@@ -166,18 +180,22 @@ _SIDES = re.compile(
 
 
 def stock_size(comments: Iterable[Comment], *, inches: bool) -> tuple[float, float, float] | None:
-    """Return the lengths of the stock along X, Y, Z [mm] that comments state; None: they do not."""
-    title_line = -10
+    """Return the lengths of the stock along X, Y, Z [mm] that comments state; None: they do not.
+
+    Either in one comment, "stock 100 x 80 x 20 mm", or X =, Y =, Z = at most two lines after "material size".
+
+    :param inches: lengths without a unit are inches.
+    """
+    title_line = -10  # far above the first line: no title yet
     for comment in comments:
         if sides := _SIDES.search(comment.text):
-            unit = (sides[4] or "").lower()
-            factor = MM_PER_INCH if (unit and unit != "mm") or (not unit and inches) else 1.0
-            x, y, z = (_number_value(sides[place]) * factor for place in (1, 2, 3))
+            factor = _mm_per_unit(sides[4], inches=inches)
+            x, y, z = (_number_value(sides[group]) * factor for group in (1, 2, 3))
             return x, y, z
         if _SIZE_TITLE.search(comment.text):
             title_line = comment.line
-        if comment.line - title_line <= 2 and all(side.search(comment.text) for side in _SIDE.values()):
-            matches = [side.search(comment.text) for side in _SIDE.values()]
-            x, y, z = (_length_mm(match, inches) for match in matches if match is not None)
+        matches = [match for side in _SIDE.values() if (match := side.search(comment.text)) is not None]
+        if comment.line - title_line <= 2 and len(matches) == len(_SIDE):
+            x, y, z = (_length_mm(match, inches) for match in matches)
             return x, y, z
     return None

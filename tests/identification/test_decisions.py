@@ -162,8 +162,8 @@ def test_a_compensator_is_looked_for_from_three_levels_on(angles, enough):
 @pytest.mark.parametrize(("half", "is_open"), [(0.49, False), (0.51, True)])
 def test_a_spring_is_open_from_half_its_value_on(half, is_open):
     fit = fit_with_spring(FIVE, 8e4, 0.45, half * 8e4)
-    assert choice._open(SimpleNamespace(fit=fit)) == is_open
-    assert not choice._open(SimpleNamespace(fit=fit_of(FIVE)))
+    assert choice._has_uncertain_compensator(SimpleNamespace(fit=fit)) == is_open
+    assert not choice._has_uncertain_compensator(SimpleNamespace(fit=fit_of(FIVE)))
 
 
 def chi_of(dof, chi2, target=0.0):
@@ -451,7 +451,7 @@ def test_gears_are_tried_with_and_without_the_weights_where_that_is_another_mode
         tried.append(in_gears)
         return SimpleNamespace(whole=SimpleNamespace(evidence=0.0), structure=SimpleNamespace(in_gears=in_gears))
 
-    monkeypatch.setattr(choice, "_weigh_candidates", weighed)
+    monkeypatch.setattr(choice, "_candidate_equations", weighed)
     monkeypatch.setattr(choice, "has_compensator", lambda *_: False)
     monkeypatch.setattr(choice, "_mean_of_structures", lambda settled, compensator: settled)
     monkeypatch.setattr(choice, "_extend", lambda mean, settled, *_: (mean, settled))
@@ -502,9 +502,9 @@ def test_springs_that_turn_about_the_line_of_a_joint_are_not_tried(seed):
                     expected.add(robot.LinkSpring(link, f"end_R{name}"))
                     assert is_joint(at, direction)
     model = SimpleNamespace(nominal=SimpleNamespace(axis=axis, placement=placement))
-    assert choice._along_joints(model) == expected
-    springs = choice.link_springs(model, rich=True)
+    assert choice._springs_about_joint_axes(model) == expected
+    springs = choice.link_springs(model, with_ends=True)
     assert set(springs).isdisjoint(expected)
-    poor = choice.link_springs(model, rich=False)
+    poor = choice.link_springs(model, with_ends=False)
     assert set(poor) == {spring for spring in springs if spring.link != "base" and not spring.at_end}
     assert len(springs) == 7 * len(robot.LINK_AXES) - len(expected)

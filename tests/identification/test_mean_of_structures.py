@@ -199,7 +199,7 @@ def test_richer_models_need_odds_of_one_in_twenty(weights, with_weights, with_sp
 
 def choices_of(monkeypatch, weighed, is_open=False, is_physical=True):
     """Let `choose` see the evidence of `weighed` alone."""
-    monkeypatch.setattr(choice, "_weigh_candidates", weighed)
+    monkeypatch.setattr(choice, "_candidate_equations", weighed)
     monkeypatch.setattr(choice, "has_compensator", lambda *_: True)
     monkeypatch.setattr(choice, "_mean_of_structures", lambda settled, compensator: (settled, compensator))
     monkeypatch.setattr(choice, "_extend", lambda mean, settled, *_: (mean, settled))
@@ -207,7 +207,7 @@ def choices_of(monkeypatch, weighed, is_open=False, is_physical=True):
         choice, "_choice_of_mean", lambda mean, settled, *_: SimpleNamespace(mean=mean, settled=settled, fit=None)
     )
     monkeypatch.setattr(choice, "is_physical", lambda _: is_physical)
-    monkeypatch.setattr(choice, "_open", lambda _: is_open)
+    monkeypatch.setattr(choice, "_has_uncertain_compensator", lambda _: is_open)
 
 
 @pytest.mark.parametrize(

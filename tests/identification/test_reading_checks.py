@@ -261,14 +261,14 @@ def test_names_of_the_dataset_that_are_empty_are_listed(tmp_path):
     text = 'name = "x"\nlicence = ""\nsource = "y"\nrobot = "r"\nrig = ""\ndevice = "d"\n'
     (tmp_path / "dataset.toml").write_text(text)
     (tmp_path / "LICENSE").mkdir()
-    statement, licence = dataset._origin_statements(tmp_path)
+    statement, licence = dataset._origin_findings(tmp_path)
     assert (statement.text, statement.has, statement.required) == ("dataset.toml: licence, rig empty", False, True)
     assert (licence.has, licence.required) == (False, True)
     (tmp_path / "dataset.toml").write_text(text.replace('""', '"z"'))
-    statement, _ = dataset._origin_statements(tmp_path)
+    statement, _ = dataset._origin_findings(tmp_path)
     assert (statement.text, statement.has) == ("dataset.toml: x, z, from y", True)
     (tmp_path / "dataset.toml").write_text("name = 3\n")
-    statement, _ = dataset._origin_statements(tmp_path)
+    statement, _ = dataset._origin_findings(tmp_path)
     assert (statement.has, statement.required) == (False, True)
 
 

@@ -77,7 +77,7 @@ def test_doubts_of_readings_are_listed_as_faults_of_a_folder(monkeypatch):
     checked = CheckedReadings(data, None, ["line 7"], ["all points move", "gap"], "forces turned")
     monkeypatch.setattr(dataset, "check_readings", lambda *_: checked)
     monkeypatch.setattr(dataset, "gaps", lambda _: ["gap"])
-    found = dataset._agreement(harness.PRIOR, data)
+    found = dataset._agreement_findings(harness.PRIOR, data)
     assert [(finding.text, finding.has) for finding in found] == [
         ("outlier: line 7", False),
         ("forces turned", False),

@@ -89,7 +89,7 @@ def test_masses_and_compensator_that_gears_feel_at_rest_are_looked_for(tmp_path)
 
 
 def test_no_spring_of_a_link_stands_for_a_joint_on_the_same_line():
-    springs = {spring.name for spring in link_springs(harness.PRIOR, rich=True)}
+    springs = {spring.name for spring in link_springs(harness.PRIOR, with_ends=True)}
     # A6 turns about the x axis of link A5, and A1 about the z axis of the base: the same motion
     assert not springs & {"A5.RX", "A5.end_RX", "base.RZ", "base.end_RZ", "A6.RX", "A1.RZ"}
     assert {"A5.RZ", "A4.RY", "base.RX"} <= springs

@@ -87,7 +87,7 @@ def test_the_cone_about_directions_is_the_narrowest(seed):
     axes = rng.normal([0, 0, 4.0], 0.8, (12, 3))
     axes /= np.linalg.norm(axes, axis=1)[:, None]
     along = Directions(axes, np.ones(12, dtype=bool), np.zeros(0, dtype=np.int64), np.zeros((4, 0, 3)))
-    middle = setups._middle_of_cone(program([("LIN", k, 0, 0) for k in range(12)]), along, 0, np.radians(60.0))
+    middle = setups._cone_axis(program([("LIN", k, 0, 0) for k in range(12)]), along, 0, np.radians(60.0))
 
     def angle(point):
         unit = np.append(point, 1.0) / np.hypot(1.0, np.hypot(*point))
