@@ -220,6 +220,7 @@ def test_every_target_is_in_the_line_that_the_table_names(tmp_path, end):
         f"MoveL {at(160, 60, 20)}{tail}", "SetDO do1,1;",
         f"MoveC {at(170, 70, 20)},{at(180, 60, 20)}{tail}", "FOR i FROM 1 TO 2 DO",
         f"MoveL Offs(p,0,20*i,0){tail}", "ENDFOR", f"SetDO do2,1; MoveL p{tail}", f"MoveL {at(0, 60, 20)}{tail} ! end",
+        f"SetDO do3,1; MoveL {at(400, 350, 20)}{tail}",
     ]  # fmt: skip
     data = f"  CONST robtarget p:={at(180, 0, 20)};"
     (tmp_path / "Part.mod").write_bytes(module(code, data).replace("\n", end).encode())
@@ -227,7 +228,8 @@ def test_every_target_is_in_the_line_that_the_table_names(tmp_path, end):
     lines = (tmp_path / "out" / "Part.mod").read_bytes().decode().split(end)
     with (tmp_path / "out" / "Part.targets.csv").open() as file:
         rows = [{key: text for key, text in row.items() if text} for row in csv.DictReader(file)]
-    assert len(rows) > 8
+    assert len(rows) > 11
+    assert "    SetDO do3,1; " in lines  # its move has inserted targets, in lines between them
     numbers = [int(row["output_line"]) for row in rows]
     assert numbers == sorted(set(numbers))
     moves = [number for number, line in enumerate(lines, 1) if re.search(r"\bMove[LCJ] ", line)]

@@ -131,6 +131,8 @@ def test_all_stop_points_are_fine_and_have_no_zone():
     for name, (value, type_) in data.items():
         if type_ == "ZONEDATA":
             assert value[0] == (name == "FINE")
+    assert data["LOAD0"] == ([0.001, [0.0, 0.0, 0.001], [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0], "LOADDATA")
+    assert data["TOOL0"] == ([True, [[0.0] * 3, [1.0, 0.0, 0.0, 0.0]], data["LOAD0"][0]], "TOOLDATA")
     assert data["V5000"][0] == [5000.0, 500.0, 5000.0, 1000.0]
     assert data["WOBJ0"][0] == [False, True, "", [[0.0] * 3, [1.0, 0.0, 0.0, 0.0]], [[0.0] * 3, [1.0, 0.0, 0.0, 0.0]]]
 

@@ -117,10 +117,7 @@ class _NewModule:
             pass  # each target names its frames, but the robot must stop there
         new.events()
         self._check_lines()
-        distances = new.distances()
-        zones, self.zone = np.unique(distances, return_inverse=True)
-        if not len(zones) or zones[0] > 0.0:
-            zones, self.zone = np.append(0.0, zones), self.zone + 1
+        zones, self.zone = np.unique(new.distances(), return_inverse=True)  # the first is 0: the last target is a stop
         speeds = self._speeds()
         self._note_forces()
         head = self._head(zones, speeds)
