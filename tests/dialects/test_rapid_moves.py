@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from postproc.errors import PostprocError
 from postproc.program import CIRC, LIN, PTP
 from tests.commands import printed
-from tests.dialects.test_rapid import CELL, read
+from tests.dialects.test_rapid import CELL, place, read
 from tests.dialects.test_rapid_reading import AXES, HOME, TOOL, WOBJ, at, module
 
 TARGET, VIA, END = at(60, 0, 20), at(10, 10, 20), at(20, 0, 20)
@@ -102,6 +102,17 @@ def test_frames_are_those_of_the_data_and_each_has_one_row():
     np.testing.assert_allclose(program.bases[1], frame_of(USER) @ frame_of(OBJECT), atol=1e-7)
     np.testing.assert_allclose(program.tools[1], frame_of(FLANGE), atol=1e-7)
     np.testing.assert_allclose(program.bases[0][:3, 3], [1.5, -0.2, 0.7], atol=1e-7)
+
+
+@pytest.mark.parametrize(("declared", "name", "section"), [(TOOL, "TMILL", "[tool]"), (WOBJ, "WPART", "[base]")])
+def test_a_frame_that_no_module_declares_is_that_of_the_cell_with_a_warning(declared, name, section):
+    program = read(module([START]).replace(declared, ""))
+    (issue,) = program.issues
+    assert (issue.level, issue.kind, issue.subject) == ("warning", "frame-from-cell", name)
+    assert issue.message.startswith(f"{name} is not declared in this file: {section} of the cell is taken for it.")
+    cell = place().cell
+    expected = cell.tool.pose() if section == "[tool]" else cell.base.pose()
+    np.testing.assert_allclose((program.tools if section == "[tool]" else program.bases)[0], expected, atol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,280 @@
+"""Small pieces of the forces of a process, each worked out by hand: comments, passes, branches, profiles, depths."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from postproc.errors import ForceError
+from postproc.machining import branches, profiles, resolution
+from postproc.machining import stock as stocks
+from postproc.machining.leaning import depth_inside
+from postproc.machining.tool import Cutter
+from postproc.machining.tool_comments import Comment, commented_tools, cutter_of, named_text, stock_size
+
+DIAMETERS = {
+    "CUTTER/ 12.0": 12.0, "D=8": 8.0, "D : 8.5": 8.5, "D=.25in": 6.35, 'D=1/4"': 6.35, "D=0.5 inches": 12.7,
+    "diameter 10": 10.0, "tool dia. = 10 mm": 10.0, "DIA 3/8": 9.525, "{6 mm}": 6.0, "⌀ 20": 20.0, "Ø4": 4.0,
+    "10 dia": 10.0, "6 mm flat end mill": 6.0, "8 ball nose endmill": 8.0, "1-1/2 drill": 38.1, "1 1/2 drill": 38.1,
+    "end mill 12": 12.0, "drill, long: 5.5": 5.5, "Schaftfräser 16": 16.0, "dia off 3": None, "mill": None,
+    "D=1/0": None, "D=0": None,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("text", DIAMETERS)
+def test_a_diameter_is_read_in_each_of_its_forms(text):
+    """Fractions are of an inch; other lengths are mm unless they say otherwise, or the program is in inches."""
+    assert cutter_of(text, inches=False).diameter_mm == pytest.approx(DIAMETERS[text])
+    if DIAMETERS[text] and not any(unit in text for unit in ("mm", "in", '"', "/")):
+        assert cutter_of(text, inches=True).diameter_mm == pytest.approx(25.4 * DIAMETERS[text])
+    if "CUTTER" in text:
+        assert cutter_of(text, inches=True).diameter_mm == pytest.approx(304.8)
+
+
+@pytest.mark.parametrize(
+    ("text", "shape", "corner", "flutes"),
+    [
+        ("D=10 flat", "flat", 0, None), ("D=10 square end mill 3 flutes", "flat", 0, 3),
+        ("D=10 ball 2FL", "ball", 0, 2),
+        ("D=10 Kugelfräser Z=4", "ball", 0, 4), ("D=10 Torus R=2", "bull", 2, None), ("D=10 Bohrer", "drill", 0, None),
+        ("D=50 face mill teeth = 6", "flat", 0, 6), ("D=10 R=1.5", "bull", 1.5, None), ("D=10 CR=5", "ball", 0, None),
+        ("D=10 CR=4.99", "bull", 4.99, None), ("D=10 corner radius 1 mm 12 teeth", "bull", 1, 12),
+        ("D=10", None, 0, None),
+        ("D=10 CR=0.1in", "bull", 2.54, None), ("D=10 chamfer", None, 0, None),
+        ("D=10 drill TAPER=118deg", "drill", 0, None),
+        ("D=10 flat TAPER=0deg", "flat", 0, None), ("D=10 flat TAPER=3deg", None, 0, None),
+        ("D=10 Z=-3", None, 0, None),
+        ("D=10 Z=4.5", None, 0, None), ("CUTTER/ 12, 1.5", "bull", 1.5, None), ("CUTTER/ 12, 6", "ball", 0, None),
+        ("D=10 tap", None, 0, None), ("D=10 drill CR=2", "drill", 0, None), ("ball", "ball", 0, None),
+    ],
+)  # fmt: skip
+def test_shape_corner_and_flutes_are_read(text, shape, corner, flutes):
+    cutter = cutter_of(text, inches=False)
+    assert (cutter.shape, cutter.corner_radius_mm, cutter.flutes) == (shape, pytest.approx(corner), flutes)
+
+
+@pytest.mark.parametrize(("line", "is_its"), [(3, False), (4, True), (12, True), (13, False)])
+def test_a_comment_is_of_the_tool_change_in_its_line_or_up_to_eight_after_it(line, is_its):
+    found = commented_tools([Comment(4, "end mill 6 mm")], [(line, 7), (40, 8)], inches=False)
+    assert set(found) == ({7} if is_its else set())
+
+
+def test_a_comment_with_a_shape_waits_for_one_with_a_diameter():
+    comments = [Comment(1, "T2 ball"), Comment(2, "T2 D=6 flat"), Comment(3, "T2 D=9 drill"), Comment(4, "T3 spare")]
+    found = commented_tools(comments, [], inches=False)
+    assert set(found) == {2}
+    assert (found[2].shape, found[2].diameter_mm, found[2].text) == ("flat", 6.0, "T2 D=6 flat")
+
+
+@pytest.mark.parametrize(
+    ("number", "text", "expected"),
+    [
+        (1, "T1 D=16.", "T1 D=16."),
+        (2, "T1 D=16.", "T2 T1 D=16."),
+        (3, "mill", "T3 mill"),
+        (4, "Tool #4: x", "Tool #4: x"),
+    ],
+)
+def test_a_comment_is_named_with_its_tool_once(number, text, expected):
+    assert named_text(number, text) == expected
+
+
+@pytest.mark.parametrize(
+    ("comments", "size", "inch_size"),
+    [
+        (["stock 100 x 80 x 20"], (100, 80, 20), (2540, 2032, 508)),
+        (["blank: 4 x 3 x 1/2 in"], (101.6, 76.2, 12.7), (101.6, 76.2, 12.7)),
+        (["Stock size", "X=10 Y=20", "X=30 Y=40 Z=50 mm"], (30, 40, 50), (762, 1016, 50)),
+        (["Material Size", "", "", "X=30 Y=40 Z=50"], None, None),
+        (["block size X: 1 Y: 2 Z: 3"], (1, 2, 3), (25.4, 50.8, 76.2)), (["X=30 Y=40 Z=50"], None, None),
+    ],
+)  # fmt: skip
+def test_the_stock_is_read_in_each_of_its_forms(comments, size, inch_size):
+    numbered = [Comment(line, text) for line, text in enumerate(comments, start=1)]
+    for inches, expected in ((False, size), (True, inch_size)):
+        assert stock_size(numbered, inches=inches) == (expected if expected is None else pytest.approx(expected))
+
+
+def segments(begin, end, motion):
+    return SimpleNamespace(begin=np.array(begin, float), end=np.array(end, float), motion=np.array(motion))
+
+
+def test_motions_near_the_stock_are_those_within_a_radius_and_below_its_top():
+    """The block is 10 by 6 m in these numbers, its top at 1; the margin is 2."""
+    places = [
+        (-1.9, 3, 0), (-2.1, 3, 0), (11.9, 3, 0), (12.1, 3, 0), (5, -1.9, 0), (5, -2.1, 0), (5, 7.9, 0), (5, 8.1, 0),
+        (5, 3, 0.9), (5, 3, 1.1),
+    ]  # fmt: skip
+    near = branches.near_stock(segments(places, places, range(10)), (0, 10, 0, 6, 1), 2.0, 11)
+    assert near.tolist() == [True, False] * 5 + [False]
+    through = segments([(-5, 3, 9), (5, 20, 9)], [(15, 3, 0), (5, -20, 9)], [1, 3])  # across; above
+    assert branches.near_stock(through, (0, 10, 0, 6, 1), 2.0, 4).tolist() == [False, True, False, False]
+
+
+def test_a_branch_that_cuts_is_refused_if_a_later_motion_comes_near():
+    """At its first cut, with the place of the first motion near the stock behind it."""
+
+    def program(*spans):
+        names = {"part.src": range(8), "sub.src": range(8, 12)}
+
+        def places(rows):
+            files = [next(name for name, inside in names.items() if row in inside) for row in rows]
+            return SimpleNamespace(of=lambda k: (files[k], 100 + int(rows[k])))
+
+        return SimpleNamespace(motions=range(12), branches=spans, places=places)
+
+    near = np.zeros(12, dtype=bool)
+    near[[1, 6, 9]] = True
+    for spans, cut, line, later in (
+        ([(2, 5)], [3, 4], 103, "line 106"), ([(2, 5)], [1, 6], None, ""), ([(0, 2), (5, 7)], [6], 106, "sub.src:109"),
+        ([(8, 10)], [8], None, ""), ([(2, 6)], [2], 102, "line 106"), ([(2, 5)], [5], None, ""),
+    ):  # fmt: skip
+        if line is None:
+            branches.check_branches(program(*spans), np.array(cut), near)
+            continue
+        with pytest.raises(ForceError) as refused:
+            branches.check_branches(program(*spans), np.array(cut), near)
+        assert (refused.value.file, refused.value.line) == ("part.src", line)
+        assert f"so that the stock on {later} is not known" in str(refused.value)
+
+
+def thin(monkeypatch, rapid, tool, shares, begins=(0,)):
+    """Thin passes of a program: per motion its tool and the deviation by the cells, as a share of 100 N."""
+    monkeypatch.setattr(
+        resolution, "operations", lambda program, at_retracts: [SimpleNamespace(first=first) for first in begins]
+    )
+    program = SimpleNamespace(motions=SimpleNamespace(rapid=np.array(rapid, dtype=bool)))
+    sums = np.column_stack([(100.0 * np.array(shares)) ** 2, 1e4 * (1.0 - np.array(rapid))])
+    return [
+        (p.first, p.tool, pytest.approx(p.share))
+        for p in resolution.thin_passes(program, SimpleNamespace(tool=np.array(tool)), sums)
+    ]
+
+
+def test_finer_cells_are_needed_from_the_first_pass_on_of_which_the_rest_needs_them(monkeypatch):
+    """Passes are at the motions 1-2, 4 and 6-7; a pass counts with the root mean square of its motions."""
+    rapid = [1, 0, 0, 1, 0, 1, 0, 0]
+    none = [0.0, 0.01, 0.01, 0.0, 0.01, 0.0, 0.01, 0.01]
+    assert thin(monkeypatch, rapid, [0] * 8, none) == []
+    last = [0.0, 0.01, 0.01, 0.0, 0.06, 0.0, 0.1, 0.1]
+    assert thin(monkeypatch, rapid, [0] * 8, last) == [(4, 0, np.sqrt((0.06**2 + 2 * 0.1**2) / 3))]
+    assert thin(monkeypatch, rapid, [0] * 8, [0.0, 0.2, 0.2, 0.0, 0.0, 0.0, 0.0, 0.0]) == [(1, 0, np.sqrt(0.08 / 5))]
+    alone = [0.0, 0.08, 0.08, 0.0, 0.0, 0.0, 0.0, 0.0]  # thin, but not the rest of the operation with it
+    assert thin(monkeypatch, rapid, [0] * 8, alone) == []
+    assert thin(monkeypatch, rapid, [0] * 8, alone, (0, 4)) == [(1, 0, 0.08)]
+    assert thin(monkeypatch, rapid, [2, 2, 2, 2, 5, 5, 5, 5], last) == [(4, 5, np.sqrt((0.06**2 + 2 * 0.1**2) / 3))]
+    assert thin(monkeypatch, [0, 1], [0, 0], [0.0551, 0.0]) == [(0, 0, 0.0551)]
+    assert thin(monkeypatch, [0, 1], [0, 0], [0.0549, 0.0]) == []
+    assert thin(monkeypatch, [1, 1], [0, 0], [0.5, 0.5]) == []
+
+
+def test_cells_are_divided_until_a_tenth_more_than_enough():
+    """By 0.05 a part, rounded up beyond a tenth; no more than twelve million cells; a factor of one is none."""
+    passes = [resolution.ThinPasses(row, 0, share) for row, share in ((3, 0.1049), (5, 0.1051), (7, 0.0549), (9, 1.0))]
+    assert resolution.factors(passes, 120_000) == {3: 2, 5: 3, 9: 10}
+    assert resolution.factors(passes, 1_000_000) == {3: 2, 5: 3, 9: 3}
+
+
+def profile(t, values, frame=0):
+    values = np.array(values, dtype=float)
+    return profiles._Profile(
+        np.array(t, dtype=float), np.column_stack([values, np.zeros((len(values), 11))]), np.full(len(t), frame)
+    )
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "are_equal"),
+    [
+        (profile([0, 1], [0, 10]), profile([0, 0.5, 1], [0, 5, 10]), True),
+        (profile([0, 1], [0, 10]), profile([0, 0.5, 1], [0, 5.0019, 10]), True),
+        (profile([0, 1], [0, 10]), profile([0, 0.5, 1], [0, 5.0021, 10]), False),
+        (profile([0, 1], [0, 10]), profile([0, 1], [0, 10], 1), False),
+        (profile([np.nan], [4]), profile([np.nan], [4.0019]), True),
+        (profile([np.nan], [4]), profile([np.nan], [4.0021]), False),
+        (profile([np.nan], [4]), profile([0, 1], [4, 4]), False),
+        (profile([np.nan], [0.0019]), profile([0, 1], [0, 0.001], 1), True),
+        (profile([np.nan], [0.0021]), profile([0, 1], [0, 0.001], 1), False),
+    ],
+)  # fmt: skip
+def test_profiles_are_equal_within_two_millinewtons_all_along(first, second, are_equal):
+    assert profiles._are_equal(first, second) == are_equal
+    assert profiles._are_equal(second, first) == are_equal
+
+
+def test_wrenches_between_stations_are_linear_and_constant_beyond_them():
+    motion, t = np.array([2, 2, 2, 5]), np.array([0.2, 0.4, 0.8, 0.5])
+    wrench = np.outer([1.0, 3.0, 11.0, 7.0], [1, 2, 3, -1, -2, -3])
+    found = profiles._wrenches_at(
+        motion, t, wrench, np.array([2, 2, 2, 2, 2, 2, 5, 5]), np.array([0, 0.2, 0.3, 0.5, 0.8, 1, 0, 1])
+    )
+    np.testing.assert_allclose(found[:, 0], [1, 1, 2, 5, 11, 11, 7, 7])
+    np.testing.assert_allclose(found[:, 4], -2 * found[:, 0])
+
+
+def test_knots_are_at_the_start_the_end_of_the_rise_the_stations_behind_it_and_the_end():
+    """Motions: a rise to 0.3; no rise, long; no rise, short; one station."""
+    first, t = np.array([0, 3, 5, 7]), np.array([0.2, 0.3, 0.7, 0.0, 0.4, 0.1, 0.5, 0.5])
+    row, place = profiles._knot_places(np.array([True, True, False, True]), np.array([0.3, 1.0, 1.0, 0.25]), first, t)
+    assert list(zip(row.tolist(), place.tolist(), strict=True)) == [
+        (0, 0.0), (0, 0.3), (0, 0.7), (0, 1.0), (1, 0.0), (1, 0.4), (1, 1.0), (2, 0.0), (2, 1.0),
+        (3, 0.0), (3, 0.25), (3, 1.0),
+    ]  # fmt: skip
+
+
+def test_a_motion_begins_with_the_force_before_it_within_a_hundredth_or_a_newton_and_a_tenth_of_a_newtonmetre():
+    first, wrench = np.array([0, 2]), np.zeros((4, 6))
+    wrench[0, 0], wrench[0, 5] = 300.0, 30.0  # a hundredth: 3 N and 0.3 N·m
+    for force, moment, expected in (
+        (0.9, 0.09, [1, 1]),
+        (1.1, 0.0, [1, 0]),
+        (0.0, 0.11, [1, 0]),
+        (3.1, 0.0, [0, 0]),
+        (0.0, 0.31, [0, 0]),
+    ):
+        after = np.tile([0.0, force, 0.0, 0.0, moment, 0.0], (2, 1))
+        assert profiles._begins_with_last_force(np.zeros((2, 6)), after, wrench, first).tolist() == [
+            bool(x) for x in expected
+        ]
+
+
+def test_deviations_in_other_axes_are_those_of_independent_components():
+    angle = np.radians(30.0)
+    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+    found = profiles._rotated_deviations(turn[None], np.array([[4.0, 2.0, 1.0, 0.4, 0.2, 0.1]]))
+    np.testing.assert_allclose(
+        found[0, :3], [np.hypot(4 * turn[0, 0], 2 * turn[0, 1]), np.hypot(4 * turn[1, 0], 2 * turn[1, 1]), 1]
+    )
+    np.testing.assert_allclose(found[0, 3:], 0.1 * found[0, :3])
+
+
+BLOCK = (np.array([0.0, 0.0, -0.02]), np.array([0.06, 0.04, 0.0]))
+UP = np.array([[0.0, 0.0, 1.0]])
+
+
+@pytest.mark.parametrize("shape", ["flat", "ball", "bull"])
+def test_the_depth_of_an_upright_tool_is_that_of_its_end_but_for_a_cell(shape):
+    """Nothing beside the block, above it, or under its floor; a flat end is exact but for 20 µm."""
+    cell = 0.5e-3
+    stock = stocks.from_box(*BLOCK, cell)
+    cutter = Cutter(5e-3, {"flat": 0.0, "ball": 5e-3, "bull": 2e-3}[shape], 2)
+    missing = 2e-5 if shape == "flat" else cell
+    for x, y, depth in ((0.03, 0.02, 3e-3), (0.002, 0.001, 4e-3), (0.062, 0.02, 5e-3)):
+        found = depth_inside(stock, cutter, np.array([[x, y, -depth]]), UP)
+        beside = max(x - 0.06, 0.0)
+        rise = cutter.height(np.array([beside]))[0] if beside else 0.0
+        assert found == pytest.approx(depth - missing - rise, abs=(1e-6 if not beside else 6e-4))
+    for tip in ([0.03, 0.02, 1e-3], [0.066, 0.02, -5e-3], [0.03, -0.006, -5e-3]):
+        assert depth_inside(stock, cutter, np.array([tip]), UP) == 0.0
+
+
+def test_of_many_poses_the_deepest_counts():
+    stock = stocks.from_box(*BLOCK, 0.5e-3)
+    tips = np.tile([0.03, 0.02, -1e-3], (300, 1))
+    for row in (0, 127, 128, 299):
+        deeper = tips.copy()
+        deeper[row, 2] = -2e-3
+        assert depth_inside(stock, Cutter(5e-3, 0.0, 2), deeper, np.tile(UP, (300, 1))) == pytest.approx(
+            1.98e-3, abs=1e-6
+        )
