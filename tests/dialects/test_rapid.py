@@ -282,6 +282,16 @@ def test_names_are_those_of_rapid():
         assert language.fault_of(language.valid(name)) is None, name
 
 
+@pytest.mark.parametrize(
+    ("name", "valid"),
+    [("part_", "part_"), ("a__b", "a__b"), ("_a-", "a"), ("1", "P1"), ("---", "PROGRAM"), ("Größe", "Groesse"),
+     ("a" * 30, "a" * 28), ("a" * 27 + "--b", "a" * 27), ("if", "P_if"), ("Trigg" + "a" * 23, "P_Trigg" + "a" * 21)],
+)  # fmt: skip
+def test_a_name_is_kept_if_it_is_valid_or_becomes_a_similar_one(name, valid):
+    assert language.valid(name) == valid
+    assert language.fault_of(valid) is None
+
+
 def test_a_renamed_program_is_the_program_of_that_name(tmp_path):
     documents = [decode("part.mod", convert(tmp_path).encode())]
     (renamed,) = RAPID.writer.rename(documents, "other")

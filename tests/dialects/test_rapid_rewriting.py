@@ -6,6 +6,7 @@ Each conversion is read back, and its poses, speeds and zones are compared, befo
 from __future__ import annotations
 
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -282,3 +283,39 @@ def test_a_program_that_was_not_read_from_rapid_is_not_rewritten():
     program = replace(read(module([FIRST])), layout=None)
     with pytest.raises(TypeError, match="not read from RAPID"):
         rewrite(program, None, None, None)
+
+
+@pytest.mark.parametrize(
+    ("notes", "expected"),
+    [
+        ([(1, False)], [-1, -1, 0, 0, 0, 0]), ([(1, True)], [-1, -1, -1, 0, 0, 0]), ([], [-1] * 6),
+        ([(0, False), (2, True)], [0, 0, 0, 0, 0, 1]), ([(0, True), (1, False), (2, False)], [-1, 0, 1, 1, 2, 2]),
+    ],
+)  # fmt: skip
+def test_a_force_comment_holds_for_the_targets_behind_it(monkeypatch, notes, expected):
+    """Three moves with an inserted target each, which is above the line of the move, and so before its comment."""
+    seen = []
+    monkeypatch.setattr(
+        "postproc.dialects.rapid.rewrite.force_comments.needs_comment",
+        lambda forces, kind, note, of_program, start: seen.append((note.tolist(), start)) or np.arange(6) == 4,
+    )
+    monkeypatch.setattr(
+        "postproc.dialects.rapid.rewrite.force_comments.texts",
+        lambda comment, forces, rows: [f"{comment.decode()} {row}" for row in rows],
+    )
+    made = object.__new__(_Rewriter)
+    made.row, made.last, made.carried = np.array([0, 0, 1, 1, 2, 2]), np.array([False, True] * 3), "forces"
+    made.targets = SimpleNamespace(kind=np.full(6, LIN))
+    made.program = SimpleNamespace(notes=[SimpleNamespace(before=before) for before, _ in notes])
+    made.layout = SimpleNamespace(notes=[SimpleNamespace(trailing=trailing) for _, trailing in notes])
+    assert made._forces() == {4: "! 4"}
+    assert seen == [(expected, 0.0)]
+    made.carried = None
+    assert made._forces() == {}
+
+
+@pytest.mark.parametrize(("duration", "speed"), [("3.3", "18.181818"), ("2.4", "25"), ("0.7", "85.714286")])
+def test_a_speed_in_place_of_a_duration_has_six_decimals_without_zeros_at_its_end(tmp_path, duration, speed):
+    code = [FIRST, FORCE, f"MoveL {at(60, 0, 20)},v50\\T:={duration},z1,tMill\\WObj:=wPart;"]
+    line = moves_of(written(tmp_path, code), "MoveL")[-1]
+    assert f",v50\\V:={speed},z1" in line

@@ -121,12 +121,6 @@ def line_fault(line: str) -> str | None:
     return None
 
 
-def procedure(line: str) -> str | None:
-    """Return the name of a procedure of the user that a line calls; None for known instructions."""
-    match = None if _ASSIGNMENT.fullmatch(line) else _INSTRUCTION.fullmatch(line)
-    return None if match is None or match[1].upper() in HARMLESS else match[1]
-
-
 def abb_from_joints(q: Array) -> Array:
     """Return ABB's J1…J6 (…, 6) [deg] of joint angles A1…A6 (…, 6) [rad]."""
     return np.asarray(_SIGN * q * DEG_PER_RAD + _ZERO)
