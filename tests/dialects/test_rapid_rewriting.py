@@ -319,3 +319,16 @@ def test_a_speed_in_place_of_a_duration_has_six_decimals_without_zeros_at_its_en
     code = [FIRST, FORCE, f"MoveL {at(60, 0, 20)},v50\\T:={duration},z1,tMill\\WObj:=wPart;"]
     line = moves_of(written(tmp_path, code), "MoveL")[-1]
     assert f",v50\\V:={speed},z1" in line
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("name", ["p60", None])
+def test_a_quaternion_keeps_the_sign_that_the_program_gives_it(tmp_path, sign, name):
+    """Both signs are one orientation; the text changes by the correction only."""
+    q = np.array([0.1, 0.99, 0.0, 0.0998749]) * sign
+    target = at(60, 0, 20, str(q.round(7).tolist()).replace(" ", ""))
+    data = f"  CONST robtarget p60:={target};" if name else ""
+    lines = written(tmp_path, [FIRST, FORCE, f"MoveL {name or target}{tail()}"], data)
+    (line,) = [line for line in lines if "robtarget p60" in line] if name else moves_of(lines, "MoveL")[-1:]
+    found = [float(text) for text in re.search(r"\],\[([^]]*)\]", line).group(1).split(",")]
+    np.testing.assert_allclose(found, q, atol=2e-3)

@@ -9,7 +9,7 @@ import pytest
 from msgspec.structs import replace
 
 from postproc import kinematics
-from postproc.errors import MeasurementError
+from postproc.errors import MeasurementError, PlanError
 from postproc.kinematics.forward import GRAVITY
 from postproc.testpart import cut, design, features
 from postproc.testpart import fit as fitting
@@ -186,6 +186,19 @@ def test_forces_of_the_choice_are_those_in_a_block_around_the_row_of_features(tm
     assert source.process.stock.resolution_mm == 0.5
 
 
+@pytest.mark.parametrize(("thickness", "is_refused"), [(5.16, True), (5.18, False)])
+def test_a_block_has_two_millimetres_below_the_deepest_cut(tmp_path, monkeypatch, thickness, is_refused):
+    """Grooves of 3 mm; trimming takes 0.4 times 0.3 mm and 0.05 mm more off their floors."""
+    (tmp_path / "process.toml").write_text(trial.process_text(((0, 300), (0, 200), (-40, 0)), 0.5))
+    process = trial.machining.load(tmp_path / "process.toml")
+    monkeypatch.setattr(design, "loads", lambda kinds, *rest: pytest.fail(f"{len(kinds)} kinds"))
+    box = trial.Box((0.0, 300.0), (0.0, 200.0), (-thickness, 0.0))
+    with pytest.raises(
+        PlanError if is_refused else pytest.fail.Exception, match=r"too thin for grooves of 3 mm|6 kinds"
+    ):
+        design.candidates(PRIOR, (ROBOT_IN_CELL,), process, replace(CUTTING, trim=3e-4), 3e-3, box, 5e-6)
+
+
 class LinearStates(SimpleNamespace):
     """States that deflect linearly in their unknowns."""
 
@@ -276,7 +289,7 @@ def test_the_information_of_a_gauge_is_that_of_the_sag_under_its_weight():
     expected[:size, :size] = 2.0 * (slopes / noise[:, None]).T @ slopes
     np.testing.assert_allclose(found, expected, rtol=2e-2, atol=1e-3 * np.abs(expected).max())
     assert not design.gauge_information(PRIOR, (ROBOT_IN_CELL,), CUTTING, mass, np.zeros((0, 3)), 5e-6).any()
-    with pytest.raises(Exception, match="does not reach the places of the weight"):
+    with pytest.raises(PlanError, match="does not reach the places of the weight"):
         design.gauge_information(PRIOR, (ROBOT_IN_CELL,), CUTTING, mass, places + 9.0, 5e-6)
 
 
@@ -316,3 +329,71 @@ def test_a_fit_has_the_loads_torques_and_predictions_of_its_end():
     np.testing.assert_allclose(found.torque, 1.2 * np.abs(torque).max(axis=0), rtol=1e-4)
     assert found.exchanged_pair == ("F01", "F02")
     assert (found.scale, found.gamma, found.z.tolist()) == (1.2, 0.01, [0.1, -0.2])
+
+
+def states_of(value, count=2):
+    """States with a wrench that tells them apart."""
+    pose, none = np.tile(np.eye(4), (count, 1, 1)), np.zeros((count, 6))
+    return States(none, pose, pose, np.full((count, 6), float(value)), none, np.zeros(count), none)
+
+
+def test_forces_are_those_of_the_tool_deflected_as_by_the_round_before(monkeypatch):
+    """Each program is cut rigid and lifted by 0.1 mm first; then once a round, by robot, scale and lift of the call."""
+    calls = []
+
+    def cut_of(program, place, source, where):
+        calls.append((program, source))
+        number = len(calls)
+        return SimpleNamespace(
+            at=states_of(10 * number), lift_displacement=lambda height: ("lifted", height),
+            shift=lambda place, robot, scale, lift: (number, place, robot, scale, lift),
+        )  # fmt: skip
+
+    def part(name):
+        points = np.array([[1.0, 0, 0], [2.0, 0, 0]])
+        return cut.ClampedProgram(
+            name,
+            f"cell of {name}",
+            SimpleNamespace(shift_tip=lambda shift: ("by", shift)),
+            SimpleNamespace(point=points),
+        )
+
+    monkeypatch.setattr(cut, "cut", cut_of)
+    parts = [part("a"), part("b")]
+    forces = cut.CutForces(parts)
+    first = forces("robot", 1.0)
+    assert [program for program, _ in calls] == ["a", "a", "b", "b"]
+    assert [calls[k][1] for k in (1, 3)] == [("by", ("lifted", 1e-4))] * 2
+    np.testing.assert_allclose(first.wrench[:, 0], [10, 10, 30, 30])
+    np.testing.assert_allclose(first.by_lift, np.full((4, 6), 10.0 / 1e-4))
+    assert not first.lift.any()
+    lifts = [lambda points: 1e-3 * points[:, 0], lambda points: -1e-3 * points[:, 0]]
+    second = forces("changed", 1.2, lifts)
+    assert calls[4:] == [
+        ("a", ("by", (1, "cell of a", "changed", 1.2, lifts[0]))),
+        ("b", ("by", (3, "cell of b", "changed", 1.2, lifts[1]))),
+    ]
+    np.testing.assert_allclose(second.wrench[:, 0], [50, 50, 60, 60])
+    np.testing.assert_allclose(second.lift, [1e-3, 2e-3, -1e-3, -2e-3])
+    np.testing.assert_allclose(second.by_lift, first.by_lift)
+    forces("again", 1.0, lifts)
+    assert [source[1][0] for _, source in calls[6:]] == [5, 6]
+
+
+def test_the_tip_moves_by_its_deflection_and_by_the_lift_along_z_of_the_base(monkeypatch):
+    """The block is turned by 90° about X of the root: its Z is −Y there."""
+    base = np.eye(4)
+    base[:3, :3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
+    program = design.read_text(LINE, ROBOT_IN_CELL)
+    program = replace(program, bases=base[None])
+    count, none = 3, np.zeros(3)
+    tip = np.array([[0.1, 0, 0], [0.2, 0, 0], [0.3, 0, 0]])
+    motion = np.array([1, 1, 2])
+    whole = cut.Cut(states_of(0), states_of(0, count), motion, none, tip, program)
+    twist = np.arange(18.0).reshape(3, 6) * 1e-5
+    monkeypatch.setattr(States, "twist", lambda self, place, robot, scale: scale * twist)
+    moved = whole.shift(None, None, 1.5, lambda points: 1e-2 * points[:, 0])
+    expected = 1.5 * twist[:, :3] + np.array([[0, -1e-3, 0], [0, -2e-3, 0], [0, -3e-3, 0]])
+    np.testing.assert_allclose(moved.offset, expected, atol=1e-12)
+    np.testing.assert_allclose(whole.lift_displacement(2e-3).offset, [[0, -2e-3, 0]] * 3, atol=1e-12)
+    assert moved.motion.tolist() == [1, 1, 2]
