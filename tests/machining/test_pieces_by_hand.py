@@ -278,3 +278,20 @@ def test_of_many_poses_the_deepest_counts():
         assert depth_inside(stock, Cutter(5e-3, 0.0, 2), deeper, np.tile(UP, (300, 1))) == pytest.approx(
             1.98e-3, abs=1e-6
         )
+
+
+def test_a_move_without_knots_has_one_wrench_of_zero():
+    """Equal to one whose force is next to nothing, and to no other."""
+    knots = SimpleNamespace(
+        ramped=np.array([True, False, False]), t=np.array([0.3, 0.0, 1.0]), frame=np.array([1, 0, 0]),
+        wrench=np.full((3, 6), 5.0), sigma=np.full((3, 6), 0.5),
+    )  # fmt: skip
+    nothing = profiles._profile(knots, 1, 1)
+    assert (nothing.t.tolist(), nothing.values.tolist(), nothing.frame.tolist()) == ([0.0], [[0.0] * 12], [0])
+    constant, line = profiles._profile(knots, 0, 1), profiles._profile(knots, 1, 3)
+    assert np.isnan(constant.t).tolist() == [True]
+    assert (line.t.tolist(), line.frame.tolist()) == ([0.0, 1.0], [0, 0])
+    np.testing.assert_allclose(line.values, [[5.0] * 6 + [0.5] * 6] * 2)
+    assert not profiles._are_equal(nothing, line)
+    assert not profiles._are_equal(nothing, constant)
+    assert profiles._are_equal(nothing, profile([0, 1], [0.001, 0.0]))
