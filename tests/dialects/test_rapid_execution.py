@@ -181,6 +181,7 @@ def test_what_may_have_another_value_is_not_known_and_the_message_says_why(kind)
 REFUSED = {
     "a call by a name put together": (['CallByVar "work",1;'], "known at run time only", 0),
     "a call by data": (["Incr x;", "%sName%;"], "known at run time only", 1),
+    "a call by a name put together, in IF": (['IF di1=1 CallByVar "work",1;'], "whether CALLBYVAR is executed", 0),
     "an instruction that moves": (["Incr x;", "SoftAct 1,10;"], "SOFTACT moves the robot or changes how it moves", 1),
     "RAISE": (["RAISE 5;"], "RAISE changes the order of execution", 0),
     "TRYNEXT": (["Incr x;", "TRYNEXT;"], "TRYNEXT changes the order of execution", 1),

@@ -272,3 +272,12 @@ def test_a_program_without_motions_is_refused():
         read(module([]).replace(HOME, ""))
     with pytest.raises(PostprocError, match="there is no PROC"):
         read("MODULE a\nENDMODULE")
+
+
+@pytest.mark.parametrize("via", [at(30, 0, 20), at(40, 0, 20), at(20, 0, 20)])
+def test_a_circle_through_points_on_a_line_is_refused_at_its_move(via):
+    good = f"MoveC {VIA},{END},v50,z1,tMill\\WObj:=wPart;"
+    flat = f"MoveC {via},{at(40, 0, 20)},v50,z1,tMill\\WObj:=wPart;"
+    with pytest.raises(PostprocError, match="the three points of the circle are on a line or coincide") as caught:
+        read(module([START, good, flat, good]))
+    assert caught.value.line == 11

@@ -12,7 +12,9 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from postproc.dialects.rapid.moves import Target
 from postproc.dialects.rapid.rewrite import _Rewriter
+from postproc.dialects.rapid.syntax import modules
 from postproc.errors import PostprocError
 from postproc.program import CIRC, LIN, PTP
 from tests.dialects.test_rapid import read
@@ -332,3 +334,40 @@ def test_a_quaternion_keeps_the_sign_that_the_program_gives_it(tmp_path, sign, n
     (line,) = [line for line in lines if "robtarget p60" in line] if name else moves_of(lines, "MoveL")[-1:]
     found = [float(text) for text in re.search(r"\],\[([^]]*)\]", line).group(1).split(",")]
     np.testing.assert_allclose(found, q, atol=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("text", "turn", "conf", "expected"),
+    [
+        ("[[1,2,3],[0,1,0,0],[0,-1,2,4],axes]", True, (0, -1, 2, 4), "[PLACE,TURN,[0,-1,2,4],axes]"),
+        ("[[1,2,3],[0,1,0,0],[0,-1,2,4],axes]", True, (1, -1, -2, 4), "[PLACE,TURN,[1,-1,-2,4],axes]"),
+        ("[[1,2,3],[0,-1,0,0],[0,-1,2,4],axes]", True, (0, 3, 2, 4), "[PLACE,BACK,[0,3,2,4],axes]"),
+        ("[[1,2,3],[0,1,0,0],[0,-1,2,4],axes]", False, (1, -1, 2, 4), "[PLACE,[0,1,0,0],[0,-1,2,4],axes]"),
+        ("[[1,2,3],[0,1,0,0],conf,axes]", True, (0, -1, 2, 4), "[PLACE,TURN,conf,axes]"),
+        ("[[1,2,3],[0,1,0,0],conf,axes]", True, (1, -1, 2, 4), "whole"),
+        ("[p,[0,1,0,0],conf,axes]", True, (0, -1, 2, 4), "whole"),
+        ("[[1,2],[0,1,0,0],conf,axes]", True, (0, -1, 2, 4), "whole"),
+        ("[[1,2,k],[0,1,0,0],conf,axes]", True, (0, -1, 2, 4), "whole"),
+        ("[[1,2,3],[0,1,0,0],conf]", True, (0, -1, 2, 4), "whole"),
+        (f"[[1,2,3],[0,1,0,0],[0,-1,2,4],{AXES}]", True, (0, -1, 0, 4),
+         f"[PLACE,TURN,[0,-1,0,4],{AXES}]"),
+    ],
+)  # fmt: skip
+def test_numbers_of_a_target_are_replaced_one_by_one_where_they_are_numbers(text, turn, conf, expected):
+    """The configuration only where it changes with the orientation; all of it where the text has names instead."""
+    whole = f"MODULE m VAR robtarget x:={text}; ENDMODULE"
+    literal = modules(whole)[0].data[0].value
+    sign = -1.0 if "-1,0,0]" in text else 1.0
+    target = Target([1.0, 2, 3, 0, sign, 0, 0, 0, -1, 2, 4, *[9e9] * 6], literal, literal)
+    made = object.__new__(_Rewriter)
+    made.text = whole
+    made._configuration = lambda numbers, k: list(conf)
+    made._whole = lambda numbers, place, k, turn: "whole"
+    quaternion = np.array([0.0, 0.8, 0.6, 0.0]) if turn else None
+    edits = made._literal_edits(literal, target, np.array([10.0, 20.5, -30.0]), quaternion, 7)
+    for edit in sorted(edits, reverse=True):
+        whole = whole[: edit.start] + edit.text + whole[edit.stop :]
+    expected = expected.replace("PLACE", "[10.0000,20.5000,-30.0000]")
+    for word, minus in (("TURN", ""), ("BACK", "-")):
+        expected = expected.replace(word, f"[0.00000000,{minus}0.80000000,{minus}0.60000000,0.00000000]")
+    assert whole == f"MODULE m VAR robtarget x:={expected}; ENDMODULE"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from postproc.errors import ForceError
-from postproc.machining import branches, profiles, resolution
+from postproc.machining import branches, profiles, resolution, tilted
 from postproc.machining import stock as stocks
 from postproc.machining.leaning import depth_inside
 from postproc.machining.tool import Cutter
@@ -295,3 +295,23 @@ def test_a_move_without_knots_has_one_wrench_of_zero():
     assert not profiles._are_equal(nothing, line)
     assert not profiles._are_equal(nothing, constant)
     assert profiles._are_equal(nothing, profile([0, 1], [0.001, 0.0]))
+    other = constant._replace(values=constant.values + np.eye(12)[3] * 0.01)  # one moment alone
+    assert not profiles._are_equal(constant, other)
+
+
+@pytest.mark.parametrize(("height", "limit"), [(0.0, 2.9), (1.0, 4.632), (2.0, 4.9), (9.0, 4.9)])
+def test_points_ahead_of_an_upright_tool_are_near_its_side_or_outside_of_it(height, limit):
+    """A tool of radius 5 with a corner of 2 moves along +x by 1; the margin is 0.1 [mm]. Behind it nothing is ahead."""
+    tip, axis = np.array([[0.0, 0, 3e-3], [1e-3, 0, 3e-3]]), np.tile(UP, (2, 1))
+    distance = 1e-3 * np.array([[[limit - 0.01, limit + 0.01, -limit - 0.01, 8.0, -8.0]]])
+    x, level = distance + 1e-3, np.full((1, 1, 5), 3e-3 + 1e-3 * height)
+    found = tilted._is_ahead(Cutter(5e-3, 2e-3, 2), tip, axis, np.array([0]), (x, 0.0 * x), level, 1e-4)
+    assert found.ravel().tolist() == [False, True, False, True, False]
+
+
+def test_points_ahead_of_a_turning_tool_are_on_the_side_to_which_its_axis_turns():
+    """About the tip: at 8 mm above it the tool moves towards +x, at the height of the tip not at all."""
+    tip, lean = np.zeros((2, 3)), np.array([[0.0, 0.0, 1.0], [np.sin(0.1), 0.0, np.cos(0.1)]])
+    x, level = 1e-3 * np.array([[[7.0, -7.0, 7.0]]]), 1e-3 * np.array([[[8.0, 8.0, -8.0]]])
+    found = tilted._is_ahead(Cutter(5e-3, 0.0, 2), tip, lean, np.array([0]), (x, 0.0 * x), level, 1e-4)
+    assert found.ravel().tolist() == [True, False, False]

@@ -311,15 +311,11 @@ class Parser:
             self.stop = match.end()
             self.step()
             return Expression("numbers", start, match.end(), match.groups())
-        self.depth += 1
-        if self.depth > _DEEPEST:
-            raise RapidSyntaxError("brackets or statements are nested too deeply", start)
         self.take("[")
         items = [self.expression()]
         while self.accept(","):
             items.append(self.expression())
         self.take("]")
-        self.depth -= 1
         return Expression("list", start, self.behind, None, tuple(items))
 
     def _reference(self) -> Expression:
