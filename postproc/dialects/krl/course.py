@@ -135,17 +135,20 @@ class PlainRounds(Struct, frozen=True, eq=False):
         return self.first + self.count * self.length
 
     def number(self, row: int) -> int | None:
-        """Return the counter on a row of the trace that gives it its value; None for other rows."""
-        turn, remainder = divmod(row - self.first, self.length)
-        return None if remainder else self.begin + turn * self.step
+        """Return the value that a row of the trace gives the counter; None for rows that do not assign it."""
+        round_number, remainder = divmod(row - self.first, self.length)
+        return None if remainder else self.begin + round_number * self.step
 
     def line(self, statement: int) -> Ints:
-        """Return the lines of the trace (count,) with a statement of the body, by its line in the file."""
+        """Return the rows of the trace (count,) at which the rounds run a statement of the body.
+
+        :param statement: line of that statement in its file.
+        """
         return np.asarray(self.first + statement - self.head + self.length * np.arange(self.count))
 
-    def numbers(self, added: int) -> range:
-        """Return the numbers of the counter in all rounds, with another number added."""
-        begin = self.begin + added
+    def numbers(self, offset: int) -> range:
+        """Return the values of the counter plus an offset, one for each round: the indices of ``P[I+1]``."""
+        begin = self.begin + offset
         return range(begin, begin + self.count * self.step, self.step)
 
 
@@ -221,7 +224,7 @@ class Course(Struct, frozen=True, eq=False):
         return last if isinstance(last, UnrolledLoop) and last.endless else None
 
     def count(self, loop: UnrolledLoop, row: int) -> int:
-        """Return what a row of the trace assigns to the counter of a FOR."""
+        """Return the value that a row of the trace assigns to the counter of a FOR."""
         number = loop.plain.number(row) if loop.plain is not None and row < loop.plain.beyond else None
         return self.counts[row] if number is None else number
 
@@ -236,15 +239,18 @@ class Course(Struct, frozen=True, eq=False):
         return counter
 
     def rows_of(self, source: Source, lines: Ints) -> tuple[Ints, Ints]:
-        """Return the rows of the trace that are lines (n,) of a file, in order, and which of these they are."""
+        """Return the rows of the trace that are among n lines of a file, in order, and which of these lines each is.
+
+        :returns: rows, from 1, and indices in `lines`; a line that runs twice is in both twice.
+        """
         trace = self.trace
         if trace.is_file:
             return lines, np.arange(len(lines))
-        number = np.full(len(source.starts) + 1, -1, dtype=np.int64)
-        number[lines] = np.arange(len(lines))
+        index_of_line = np.full(len(source.starts) + 1, -1, dtype=np.int64)
+        index_of_line[lines] = np.arange(len(lines))
         rows = np.flatnonzero((trace.file == trace.sources.index(source)) & ~trace.is_count)
-        rows = rows[number[trace.line[rows]] >= 0]
-        return rows + 1, number[trace.line[rows]]
+        rows = rows[index_of_line[trace.line[rows]] >= 0]
+        return rows + 1, index_of_line[trace.line[rows]]
 
     def plain_rounds(self) -> list[PlainRounds]:
         """Return the rounds of all plain bodies, in order."""
@@ -257,7 +263,7 @@ class Course(Struct, frozen=True, eq=False):
 
 
 def _plain_rounds(body: Body) -> Iterator[PlainRounds]:
-    """Yield the plain rounds of loops in a body, those in called routines and other loops included."""
+    """Yield the plain rounds in a body, also those in called routines and in loops within loops."""
     for part in body.parts:
         if isinstance(part, InlinedRoutine):
             yield from _plain_rounds(part.body)

@@ -70,42 +70,44 @@ _Read = tuple[Value, int]
 
 
 def value_in(source: Source, start: int, stop: int) -> Value:
-    """Return the value that a piece of code is.
+    """Return the value of a piece of code.
 
-    `UnreadableText` if it cannot be read; `OpaqueText` if it is empty, or if more follows a value.
+    That is `UnreadableText` if it cannot be read, `OpaqueText` if it is empty or if more text follows a value.
+
+    :param start: offset of the piece in the file; `stop` the offset after it.
     """
     start = after_blanks(source.text, start, stop)
     try:
         value, end = value_at(source, start, stop)
     except ProgramError as error:
         return unreadable_text(source, start, stop, error)
-    rest = after_blanks(source.text, end, stop)
-    return value if rest == stop else opaque_text(source, start, stop, rest)
+    next_start = after_blanks(source.text, end, stop)
+    return value if next_start == stop else opaque_text(source, start, stop, next_start)
 
 
 def value_at(source: Source, start: int, stop: int) -> _Read:
-    """Return the value that begins at `start`, and the offset behind it.
+    """Return the value that begins at `start`, and the offset behind it; `OpaqueText` if it is no known expression.
 
     :raises ProgramError: braces or brackets are not balanced, an aggregate is not well formed.
     """
     text = source.text
     begin = after_blanks(text, start, stop)
-    inverse = text[begin : begin + 1] in ("N", "n") and word_at(text, begin, stop) == "NOT"
+    is_negated = text[begin : begin + 1] in ("N", "n") and word_at(text, begin, stop) == "NOT"
     first = None
-    if begin < stop and text[begin] not in "+-" and not inverse:
+    if begin < stop and text[begin] not in "+-" and not is_negated:
         first = operand(source, begin, stop)
-        next_sign = after_blanks(text, first[1], stop)
-        if next_sign == stop or text[next_sign] in _ENDS:
+        next_offset = after_blanks(text, first[1], stop)
+        if next_offset == stop or text[next_offset] in _ENDS:
             return first  # nothing is joined to it: so common that looking first is faster
-    if not inverse:
+    if not is_negated:
         first = arithmetic(source, begin, stop, first)
-        next_sign = after_blanks(text, first[1], stop)
-        if next_sign == stop or not LOGIC.match(text, next_sign, stop):
+        next_offset = after_blanks(text, first[1], stop)
+        if next_offset == stop or not LOGIC.match(text, next_offset, stop):
             return first
     try:
         value, end = condition(source, begin, stop, first)
-        next_sign = after_blanks(text, end, stop)
-        if next_sign == stop or text[next_sign] in ",)]}":
+        next_offset = after_blanks(text, end, stop)
+        if next_offset == stop or text[next_offset] in ",)]}":
             return value, end
     except ProgramError:
         end = begin if first is None else first[1]
@@ -114,9 +116,9 @@ def value_at(source: Source, start: int, stop: int) -> _Read:
 
 
 def condition(source: Source, start: int, stop: int, first: _Read | None = None) -> _Read:
-    """Return terms joined by comparisons and logic, or one alone, and the offset behind them.
+    """Return terms joined by comparisons and logic, such as ``A>1 AND NOT B``, and the offset behind them.
 
-    :param first: the first term, if it has been read; no NOT is before it.
+    :param first: the first term, if it has been read; no NOT precedes it.
     :raises ProgramError: as for `value_at`.
     """
     terms: list[Value] = []
@@ -124,11 +126,11 @@ def condition(source: Source, start: int, stop: int, first: _Read | None = None)
     operators: list[str] = []
     begin = start
     while True:
-        inverse, start = (False, start) if first is not None else after_nots(source.text, start, stop)
+        is_negated, start = (False, start) if first is not None else after_nots(source.text, start, stop)
         term, end = first or arithmetic(source, start, stop)
         first = None
         terms.append(term)
-        negations.append(inverse)
+        negations.append(is_negated)
         operator, operator_end = operator_at(source.text, end, stop)
         if not operator:
             return Condition(tuple(terms), tuple(negations), tuple(operators), begin, end), end
@@ -137,7 +139,7 @@ def condition(source: Source, start: int, stop: int, first: _Read | None = None)
 
 
 def arithmetic(source: Source, start: int, stop: int, first: _Read | None = None) -> _Read:
-    """Return the value that begins at `start`, up to what compares it or joins it to another by logic, and its end.
+    """Return a sum, or a single value, and the offset behind it; it ends before a comparison or a logical operator.
 
     :param first: its first operand, if it has been read.
     :raises ProgramError: as for `value_at`.
@@ -158,28 +160,31 @@ def _left_to_right(
     operators: str,
     part: Callable[[Source, int, int, _Read | None], _Read],
 ) -> _Read:
-    """Return operands joined by operators of one rank, from left to right, and the offset behind them.
+    """Return operands joined by operators of one rank, evaluated from left to right, and the offset behind them.
 
     :param first: the first operand, if it has been read.
-    :param operators: their signs.
-    :param part: reads an operand, which operators of a higher rank may join.
-    :raises ProgramError: there are more than `_MOST_TERMS`.
+    :param operators: their signs, such as ``+-``.
+    :param part: reads one operand with the operators of higher rank in it.
+    :raises ProgramError: there are more than `_MOST_TERMS` operands.
     """
     text = source.text
     value, end = part(source, start, stop, first)
-    next_sign, terms = after_blanks(text, end, stop), 1
-    while next_sign < stop and text[next_sign] in operators:
+    next_offset, terms = after_blanks(text, end, stop), 1
+    while next_offset < stop and text[next_offset] in operators:
         terms += 1
         if terms > _MOST_TERMS:
             raise source.error(f"an expression has more than {_MOST_TERMS} terms", start, "Write it as several.")
-        right, end = part(source, next_sign + 1, stop, None)
-        value = Operation(text[next_sign], value, right, value.start, end)
-        next_sign = after_blanks(text, end, stop)
+        right, end = part(source, next_offset + 1, stop, None)
+        value = Operation(text[next_offset], value, right, value.start, end)
+        next_offset = after_blanks(text, end, stop)
     return value, end
 
 
 def _factor(source: Source, start: int, stop: int, first: _Read | None) -> _Read:
-    """Return a value with its sign, or frames joined by ``:``."""
+    """Return a value with its sign, or frames joined by ``:``, and the offset behind it.
+
+    :raises ProgramError: as for `value_at`, and for two signs in a row.
+    """
     text = source.text
     start = after_blanks(text, start, stop)
     if text[start:stop][:1] in ("+", "-") and not NUMBER.match(text, start, stop):
@@ -188,19 +193,21 @@ def _factor(source: Source, start: int, stop: int, first: _Read | None) -> _Read
         value, end = _factor(source, start + 1, stop, None)
         return Operation(text[start], None, value, start, end), end
     value, end = first or operand(source, start, stop)
-    next_sign = after_blanks(text, end, stop)
-    if next_sign < stop and text[next_sign] == ":":
+    next_offset = after_blanks(text, end, stop)
+    if next_offset < stop and text[next_offset] == ":":
         operands: list[Value] = [value]
-        while next_sign < stop and text[next_sign] == ":":
-            value, end = operand(source, next_sign + 1, stop)
+        while next_offset < stop and text[next_offset] == ":":
+            value, end = operand(source, next_offset + 1, stop)
             operands.append(value)
-            next_sign = after_blanks(text, end, stop)
+            next_offset = after_blanks(text, end, stop)
         value = Chain(tuple(operands), operands[0].start, end)
     return value, end
 
 
 def operand(source: Source, start: int, stop: int) -> _Read:
-    """Return the value that begins at `start`, without what ``:`` or an operator joins to it, and the offset behind.
+    """Return the value that begins at `start`, without what ``:`` or an operator joins to it, and the offset behind it.
+
+    It is a name, a number, a string, an aggregate or an expression in brackets; other text is `OpaqueText`.
 
     :raises ProgramError: as for `value_at`.
     """
@@ -237,7 +244,10 @@ def operand(source: Source, start: int, stop: int) -> _Read:
 
 
 def _in_brackets(source: Source, start: int, stop: int) -> _Read:
-    """Return the value in the bracket at `start`, marked as bracketed, and the offset behind the bracket."""
+    """Return the value in the bracket at `start`, with the span of the bracket, and the offset behind the bracket.
+
+    :raises ProgramError: it cannot be read.
+    """
     close = closing_bracket(source, start, stop)
     value = value_in(source, start + 1, close)
     if isinstance(value, UnreadableText):
@@ -250,43 +260,46 @@ def _in_brackets(source: Source, start: int, stop: int) -> _Read:
 
 
 def _variable(source: Source, name: re.Match[str], stop: int) -> _Read:
-    """Return the variable, function call, TRUE or FALSE that begins with a name, and the offset behind it."""
+    """Return the variable, function call, TRUE or FALSE that begins with `name`, and the offset behind it.
+
+    :param name: match of the name in the text of the file.
+    """
     text, start, end, upper_name = source.text, name.start(), name.end(), name[0].upper()
     if upper_name in ("TRUE", "FALSE"):
         return Word(upper_name, start, end), end
-    next_sign = after_blanks(text, end, stop)
-    if next_sign == stop or text[next_sign] not in "([.":
+    next_offset = after_blanks(text, end, stop)
+    if next_offset == stop or text[next_offset] not in "([.":
         return Reference(upper_name, None, None, start, end), end
-    if text[next_sign] == "(":
-        close = closing_bracket(source, next_sign, stop)
-        return Call(upper_name, list_in(source, next_sign + 1, close), start, close + 1), close + 1
+    if text[next_offset] == "(":
+        close = closing_bracket(source, next_offset, stop)
+        return Call(upper_name, list_in(source, next_offset + 1, close), start, close + 1), close + 1
     indices: tuple[Value, ...] | None = None
     inner: tuple[Value, ...] = ()
-    path: list[str] = []
-    while True:
-        next_sign = after_blanks(text, end, stop)
-        if indices is None and not path and (index := _index(text, next_sign, stop)) is not None:
+    members: list[str] = []
+    while True:  # [indices], .member and [indices] of members
+        next_offset = after_blanks(text, end, stop)
+        if indices is None and not members and (index := _index(text, next_offset, stop)) is not None:
             indices, end = index
-        elif next_sign < stop and text[next_sign] == "[":
-            close = closing_bracket(source, next_sign, stop)
-            if path:
-                path[-1] += text[next_sign : close + 1].upper()
-                inner += list_in(source, next_sign + 1, close)
+        elif next_offset < stop and text[next_offset] == "[":
+            close = closing_bracket(source, next_offset, stop)
+            if members:
+                members[-1] += text[next_offset : close + 1].upper()
+                inner += list_in(source, next_offset + 1, close)
             elif indices is None:
-                indices = list_in(source, next_sign + 1, close)
+                indices = list_in(source, next_offset + 1, close)
             else:
                 break
             end = close + 1
         elif match := FIELD.match(text, end, stop):
-            path.append(match[1].upper())
+            members.append(match[1].upper())
             end = match.end()
         else:
             break
-    return Reference(upper_name, indices, ".".join(path) or None, start, end, inner), end
+    return Reference(upper_name, indices, ".".join(members) or None, start, end, inner), end
 
 
 def _index(text: str, start: int, stop: int) -> tuple[tuple[Value, ...], int] | None:
-    """Return the index in the bracket at an offset, and the offset behind the bracket; None if it is not `_INDEX`."""
+    """Return the index in the bracket at `start`, and the offset behind it; None if it does not match `_INDEX`."""
     match = _INDEX.match(text, start, stop)
     if match is None:
         return None
@@ -311,17 +324,17 @@ def list_in(source: Source, start: int, stop: int) -> tuple[Value, ...]:
     )
 
 
-def opaque_text(source: Source, start: int, stop: int, rest: int = -1) -> OpaqueText:
-    """Return a piece of code of which only the calls are known.
+def opaque_text(source: Source, start: int, stop: int, next_start: int = -1) -> OpaqueText:
+    """Return a piece of code that is not understood, with the calls in it.
 
-    :param rest: where the text that follows a value begins, see `OpaqueText`.
+    :param next_start: where the text that follows a value begins, see `OpaqueText`; −1 if there is no value.
     :raises ProgramError: brackets are not balanced.
     """
-    return OpaqueText(start, stop, _calls_in(source, start, stop), rest)
+    return OpaqueText(start, stop, _calls_in(source, start, stop), next_start)
 
 
 def unreadable_text(source: Source, start: int, stop: int, error: ProgramError) -> UnreadableText:
-    """Return a piece of code that cannot be read."""
+    """Return a piece of code that cannot be read, with the error and the calls in it."""
     try:
         return UnreadableText(start, stop, error, _calls_in(source, start, stop))
     except ProgramError:
@@ -329,7 +342,7 @@ def unreadable_text(source: Source, start: int, stop: int, error: ProgramError) 
 
 
 def _calls_in(source: Source, start: int, stop: int) -> tuple[Call, ...]:
-    """Return the calls in a piece of code, from left to right, without those inside others."""
+    """Return the calls of routines in a piece of code, from left to right, without calls in their arguments."""
     text, call_list = source.text, list[Call]()
     if "(" not in text[start:stop]:
         return ()
@@ -343,7 +356,7 @@ def _calls_in(source: Source, start: int, stop: int) -> tuple[Call, ...]:
 
 
 def _is_routine(name: str) -> bool:
-    """Return whether a name before a bracket may be that of a routine."""
+    """Return whether a name before a bracket may be that of a routine, and not of a function of the controller."""
     return "$" not in name and name not in RESERVED and name not in PURE
 
 
@@ -381,7 +394,7 @@ def parse_aggregate(source: Source, start: int, stop: int) -> Aggregate:
             literal = match[2]
             name, has_comma, position = match[1].upper(), match[3] is not None, match.end()
             number = float(literal)
-            if number - number != 0.0:
+            if number - number != 0.0:  # it is not finite
                 number = _finite(source, match, 2)
             value: Value = Number(number, match.start(2), match.end(2), literal.lstrip("+-").isdigit())
         else:
@@ -394,7 +407,11 @@ def parse_aggregate(source: Source, start: int, stop: int) -> Aggregate:
 
 
 def _pose(text: str, start: int, stop: int) -> tuple[dict[str, Value], bool, int]:
-    """Return X, Y, Z, A, B, C of the aggregate at `start`, whether more may follow, and from where; else nothing."""
+    """Return the components of an aggregate that begins with X, Y, Z, A, B, C as finite numbers.
+
+    :returns: the components, whether a comma follows them, and the offset behind; for other aggregates none of them,
+        True, and the offset behind the brace at `start`.
+    """
     match = _POSE.match(text, start, stop)
     if match is None:
         return {}, True, start + 1
@@ -402,7 +419,7 @@ def _pose(text: str, start: int, stop: int) -> tuple[dict[str, Value], bool, int
     for group, name in enumerate("XYZABC", 1):
         literal = match[group]
         number = float(literal)
-        if number - number != 0.0:
+        if number - number != 0.0:  # it is not finite; faster than a call of math.isfinite
             return {}, True, start + 1
         items[name] = Number(number, *match.span(group), literal.lstrip("+-").isdigit())
     has_comma = match[7] == ","
@@ -410,7 +427,12 @@ def _pose(text: str, start: int, stop: int) -> tuple[dict[str, Value], bool, int
 
 
 def _component(source: Source, opening: int, position: int, stop: int) -> tuple[str, Value, bool, int]:
-    """Return name and value of a component that is not a plain number, whether another follows, and where it ends."""
+    """Return a component of an aggregate that is not a plain number.
+
+    :param opening: offset of the brace; `position` that of the component.
+    :returns: its name, its value, whether a comma follows, and the offset behind that comma.
+    :raises ProgramError: it has no name, no value or no comma after it, or is not finite.
+    """
     text = source.text
     match = ITEM_NAME.match(text, position, stop)
     if not match:
@@ -440,7 +462,7 @@ def _raise_aggregate_error(source: Source, opening: int, position: int, stop: in
 
 
 def _finite(source: Source, match: re.Match[str], group: int = 0) -> float:
-    """Return the number that a group of a match is.
+    """Return the number in a group of a match.
 
     :raises ProgramError: it is not finite.
     """
@@ -456,12 +478,12 @@ def _finite(source: Source, match: re.Match[str], group: int = 0) -> float:
 
 
 def closing_bracket(source: Source, start: int, stop: int) -> int:
-    """Return the offset of the bracket that closes the one at `start`.
+    """Return the offset of the bracket that closes the one at `start`; brackets in strings do not count.
 
-    :raises ProgramError: there is none before `stop`.
+    :raises ProgramError: there is none before `stop`, or brackets are nested too deeply.
     """
     text = source.text
-    open_: list[str] = []
+    closing_signs: list[str] = []
     offset = start
     while offset < stop:
         char = text[offset]
@@ -470,22 +492,27 @@ def closing_bracket(source: Source, start: int, stop: int) -> int:
             if offset < 0:
                 break
         elif char in _PAIRS:
-            open_.append(_PAIRS[char])
-            if len(open_) > _DEEPEST:
+            closing_signs.append(_PAIRS[char])
+            if len(closing_signs) > _DEEPEST:
                 raise source.error(
                     f"more than {_DEEPEST} brackets are nested", start, "Write it as several statements."
                 )
         elif char in ")]}":
-            if open_.pop() != char:
+            if closing_signs.pop() != char:
                 break
-            if not open_:
+            if not closing_signs:
                 return offset
         offset += 1
     raise source.error(f"{text[start]} is not closed", start, "Check that the line is complete.")
 
 
 def split(source: Source, start: int, stop: int) -> list[tuple[int, int]]:
-    """Return the spans between the commas of a list, brackets and strings skipped; an empty list has none."""
+    """Return the spans between the commas of a list, (first offset, offset behind); an empty list has none.
+
+    Commas in brackets and strings do not count.
+
+    :raises ProgramError: a bracket or a string is not closed.
+    """
     text = source.text
     spans: list[tuple[int, int]] = []
     begin = offset = start
@@ -507,7 +534,7 @@ def split(source: Source, start: int, stop: int) -> list[tuple[int, int]]:
 
 
 def value_end(source: Source, start: int, stop: int) -> int:
-    """Return where a value that is not parsed ends: at a comma or a closing bracket that is not its own."""
+    """Return where a value that is not parsed ends: at a comma or closing bracket outside of its own brackets."""
     text, offset = source.text, start
     while offset < stop and text[offset] not in ",)]}":
         if text[offset] in _PAIRS:

@@ -49,11 +49,11 @@ class Trace(Struct, frozen=True, eq=False):
         return self.sources[self.file.item(row - 1)]
 
     def place(self, row: int) -> Place:
-        """Return the line of a file that a row is."""
+        """Return the file and the line in it that a row of the trace stands for."""
         return Place(self.source(row), self.line.item(row - 1))
 
     def starts(self, rows: Ints) -> Ints:
-        """Return where the lines of rows (n,) begin in their files."""
+        """Return the offsets (n,) at which the lines of n rows begin in their files."""
         file, line = self.file[rows - 1], self.line[rows - 1]
         starts = np.zeros(len(rows), dtype=np.int64)
         for number, source in enumerate(self.sources):
@@ -66,5 +66,5 @@ class Trace(Struct, frozen=True, eq=False):
         return self.shown.item(row - 1)
 
     def error(self, problem: str, row: int, advice: str | None = None) -> ProgramError:
-        """Return an error that names the file, the line of a row, and its text."""
+        """Return an error about a row; it names the file, the line and its text."""
         return self.place(row).error(problem, advice)

@@ -55,49 +55,62 @@ class JoinedEnds(NamedTuple):
 
 
 def free_joins(course: Course, sequence: OrderedMotions) -> frozenset[Join]:
-    """Return joins at which poses may differ: what follows, on every path, is a PTP to joint angles, or nothing."""
-    following = _Successors(course, sequence)
+    """Return the joins at which branches may end in different poses.
+
+    On every path from such a join, the next motion is a PTP to joint angles, or the program ends.
+    """
+    successors = _Successors(course, sequence)
     return frozenset(
-        step for number, step in enumerate(following.steps) if isinstance(step, Join) and following.to_joints(number)
+        step
+        for number, step in enumerate(successors.steps)
+        if isinstance(step, Join) and successors.leads_to_joints(number)
     )
 
 
 class _Successors:
-    """The motions that may follow the forks, branches and joins of a trace."""
+    """Finds the motions that may follow each fork, branch and join of an execution trace."""
 
     def __init__(self, course: Course, sequence: OrderedMotions) -> None:
         self.steps = [step for step in course.steps if isinstance(step, Fork | Branch | Join)]
         self._course, self._ordered = course, sequence
-        self._known: dict[int, bool] = {}
+        self._results: dict[int, bool] = {}
 
-    def to_joints(self, number: int) -> bool:
-        """Return whether all motions that may be next behind a step lead to joint angles."""
-        if number not in self._known:
-            self._known[number] = self._to_joints(number)
-        return self._known[number]
+    def leads_to_joints(self, number: int) -> bool:
+        """Return whether every motion that may run next after a step is a PTP to joint angles; the result is stored."""
+        if number not in self._results:
+            self._results[number] = self._step_leads_to_joints(number)
+        return self._results[number]
 
-    def _to_joints(self, number: int) -> bool:
-        """Return what `to_joints` does, from the step behind: a motion, a fork, a branch, a join, or the end."""
-        """Return whether a motion is a PTP to six joint angles."""
+    def _step_leads_to_joints(self, number: int) -> bool:
+        """Return whether every motion that may run next after a step is a PTP to joint angles.
+
+        Next comes a motion, or else a fork, the end of a branch, a join or the end of the program.
+        """
         lines, step = self._ordered.rows.line, self.steps[number]
         next_step = self.steps[number + 1] if number + 1 < len(self.steps) else None
         row = int(np.searchsorted(lines, step.row, side="right"))
         if row < len(lines) and (next_step is None or lines[row] <= next_step.row):
-            return _to_joints(self._ordered, row)
+            return _is_ptp_to_joints(self._ordered, row)
         if next_step is None:
-            return self._next_round()
+            return self._next_round_leads_to_joints()
         if isinstance(next_step, Fork):
-            branches, join = self._parts(number + 1)
-            return all(map(self.to_joints, branches if self._complete(join) else [*branches, join]))
-        return self.to_joints(number + 1 if isinstance(next_step, Join) else self._parts(number)[1])
+            branches, join = self._branches_and_join(number + 1)
+            return all(map(self.leads_to_joints, branches if self._is_complete_join(join) else [*branches, join]))
+        if isinstance(next_step, Join):
+            return self.leads_to_joints(number + 1)
+        _, join = self._branches_and_join(number)  # the next branch is not run after this one
+        return self.leads_to_joints(join)
 
-    def _complete(self, number: int) -> bool:
-        """Return whether the step is a join one of whose branches runs for certain."""
+    def _is_complete_join(self, number: int) -> bool:
+        """Return whether a step is a join of which one branch always runs, as those of an IF with ELSE do."""
         join = self.steps[number]
         return isinstance(join, Join) and join.complete
 
-    def _parts(self, number: int) -> tuple[list[int], int]:
-        """Return the branches behind a step that are not within others, up to the join that ends them, and that."""
+    def _branches_and_join(self, number: int) -> tuple[list[int], int]:
+        """Return the numbers of the branches after a step and of the join that ends them.
+
+        Branches of nested forks are left out.
+        """
         depth, branches = 0, list[int]()
         for index in range(number + 1, len(self.steps)):
             step = self.steps[index]
@@ -108,26 +121,32 @@ class _Successors:
             depth += isinstance(step, Fork) - isinstance(step, Join)
         return branches, len(self.steps) - 1
 
-    def _next_round(self) -> bool:
-        """Return whether nothing follows the end, or a round of a LOOP that begins with a PTP to joint angles."""
+    def _next_round_leads_to_joints(self) -> bool:
+        """Return whether the LOOP that ends the program begins with a PTP to joint angles; True if there is no LOOP.
+
+        It then does not matter where a round ends. Branches before that PTP count as none.
+        """
         loop, lines = self._course.endless, self._ordered.rows.line
         if loop is None:
             return True
         row = int(np.searchsorted(lines, loop.first))
-        first = row < len(lines) and not any(loop.first <= step.row < lines[row] for step in self.steps)
-        return first and _to_joints(self._ordered, row)
+        is_before_branches = row < len(lines) and not any(loop.first <= step.row < lines[row] for step in self.steps)
+        return is_before_branches and _is_ptp_to_joints(self._ordered, row)
 
 
-def _to_joints(sequence: OrderedMotions, row: int) -> bool:
+def _is_ptp_to_joints(sequence: OrderedMotions, row: int) -> bool:
+    """Return whether a motion is an absolute PTP to six joint angles, which ends in one pose wherever it starts."""
     move = sequence.moves.get(row)
     return move is not None and not move.relative and move.end.position.axis and move.end.position.complete
 
 
-def _by_present_joints(sequence: OrderedMotions, rows: slice) -> int:
-    """Return the first PTP among some motions whose joint angles depend on those before it; −1 if there is none."""
-    for row in np.flatnonzero(sequence.rows.kind[rows] == PTP).tolist():
-        row += rows.start
-        if not _to_joints(sequence, row) and (sequence.rows.posture[row] < 0).any():
+def _first_ambiguous_ptp(sequence: OrderedMotions, rows: slice) -> int:
+    """Return the first PTP among some motions whose joint angles depend on those before it; −1 if there is none.
+
+    That is a PTP to a Cartesian target without status or turn.
+    """
+    for row in (rows.start + np.flatnonzero(sequence.rows.kind[rows] == PTP)).tolist():
+        if not _is_ptp_to_joints(sequence, row) and (sequence.rows.posture[row] < 0).any():
             return int(row)
     return -1
 
@@ -135,9 +154,9 @@ def _by_present_joints(sequence: OrderedMotions, rows: slice) -> int:
 def branching(
     course: Course, sequence: OrderedMotions, predecessors: Ints | None, kept_lines: Sequence[int], free: Set[Join]
 ) -> tuple[Ints | None, list[JoinedEnds]]:
-    """Return the motion at whose end each motion begins, see `Program.after`, and the control-flow joins.
+    """Return at the end of which motion each motion begins, see `Program.after`, and the control-flow joins.
 
-    :param predecessors: the same without branches.
+    :param predecessors: (M,) the same if branches ran one after the other; None: the motion before.
     :param kept_lines: lines of uncorrected motions.
     :param free: joins at which branches may end in different poses.
     :raises BranchError: a motion in or after a branch depends on more than its start pose.
@@ -145,36 +164,53 @@ def branching(
     steps = [step for step in course.steps if isinstance(step, Fork | Branch | Join)]
     if not steps:
         return predecessors, []
-    line, forks = sequence.rows.line, _forks(course)
+    line, forks = sequence.rows.line, _fork_visits(course)
     branch_predecessors, fork_of, joins = _joined_ends(steps, line, predecessors)
     faults: list[BranchError] = []
     for join, ends in joins:
         rows = slice(*np.searchsorted(line, [ends.fork, join.row], side="right"))
         if any(ends.fork < kept_line <= join.row for kept_line in kept_lines):
             faults.append(_branch_error(course, forks, ends.fork, "an uncorrected motion is inside a branch"))
-        elif join not in free and (row := _by_present_joints(sequence, rows)) >= 0:
+        elif join not in free and (row := _first_ambiguous_ptp(sequence, rows)) >= 0:
             problem = f"a PTP to X, Y, Z without S and T is inside a branch ({course.trace.place(int(line[row]))})"
             faults.append(_branch_error(course, forks, ends.fork, problem, _PTP_ADVICE))
-    _raise(faults)
+    _raise_combined(faults)
     for row in np.flatnonzero(branch_predecessors != np.arange(len(line)) - 1).tolist():
         if branch_predecessors[row] != row and needs_start(sequence, row, arcs=False):
-            problem = f"{_why(sequence, row)} where branches begin or meet"
+            problem = f"{_start_dependence(sequence, row)} where branches begin or meet"
             faults.append(_branch_error(course, forks, int(fork_of[row]), problem, _WHOLE))
-    _raise(faults)
+    _raise_combined(faults)
     return branch_predecessors, [ends for join, ends in joins if join not in free]
+
+
+class _OpenFork(NamedTuple):
+    """A fork whose join has not been reached.
+
+    :ivar line: of the execution trace.
+    :ivar entry: the last motion before it; −1 if there is none.
+    :ivar ends: the last motions of its finished branches.
+    :ivar is_begun: whether one of its branches has begun.
+    """
+
+    line: int
+    entry: int
+    ends: list[int]
+    is_begun: bool
 
 
 def _joined_ends(
     steps: Sequence[Fork | Branch | Join], line: Ints, predecessors: Ints | None
 ) -> tuple[Ints, Ints, list[tuple[Join, JoinedEnds]]]:
-    """Return the motion at whose end each motion begins (M,), the line of the fork next to it (M + 1,), and all joins.
+    """Return the predecessors of the motions, the forks next to them, and all joins with the ends of their branches.
+
+    The predecessor of a motion is the one at whose end it begins (M,). The forks are given by their lines (M + 1,).
 
     :param line: (M,) lines of the trace with the motions.
-    :param predecessors: (M,) the motion at whose end each begins, without branches; None: the one before it.
+    :param predecessors: (M,) predecessors if branches ran one after the other; None: the motion before.
     """
     count = len(line)
     branch_predecessors = np.arange(count) - 1 if predecessors is None else predecessors.copy()
-    open_: list[tuple[int, int, list[int], bool]] = []  # line and motion before each open fork, ends of branches, begun
+    open_forks: list[_OpenFork] = []
     joins: list[tuple[Join, JoinedEnds]] = []
     fork_of = np.full(count + 1, 0)
     previous_row, row_count = -1, 0
@@ -189,13 +225,13 @@ def _joined_ends(
 
     for step in steps:
         run_to(int(np.searchsorted(line, step.row, side="right")))
-        fork_of[row_count] = open_[-1][0] if open_ else step.row
+        fork_of[row_count] = open_forks[-1].line if open_forks else step.row
         if isinstance(step, Fork):
-            open_.append((step.row, previous_row, [], False))
+            open_forks.append(_OpenFork(step.row, previous_row, [], is_begun=False))
             continue
-        fork, entry, ends, is_begun = open_.pop()
+        fork, entry, ends, is_begun = open_forks.pop()
         if isinstance(step, Branch):
-            open_.append((fork, entry, [*ends, previous_row] if is_begun else ends, True))
+            open_forks.append(_OpenFork(fork, entry, [*ends, previous_row] if is_begun else ends, is_begun=True))
             previous_row = entry
         else:
             ends = [*ends, previous_row, *([] if step.complete else [entry])]
@@ -206,60 +242,61 @@ def _joined_ends(
 
 
 def branches(course: Course, line: Ints) -> tuple[tuple[int, int], ...]:
-    """Return the row of the first motion of each branch, and of the motion behind its last; see `Program.branches`.
+    """Return the first motion of each branch, and the motion after its last; see `Program.branches`.
 
     :param line: (M,) lines of the trace with the motions.
     """
     rows: list[tuple[int, int]] = []
-    open_: list[int] = []  # per open fork: the row at which its latest branch begins, −1 before the first
+    branch_begins: list[int] = []  # per open fork: the row at which its latest branch begins, −1 before the first
     for step in course.steps:
         if not isinstance(step, Fork | Branch | Join):
             continue
         row = int(np.searchsorted(line, step.row, side="right"))
         if isinstance(step, Fork):
-            open_.append(-1)
+            branch_begins.append(-1)
             continue
-        if (first := open_.pop()) >= 0 and row > first:
-            rows.append((first, row))
+        if (begin := branch_begins.pop()) >= 0 and row > begin:
+            rows.append((begin, row))
         if isinstance(step, Branch):
-            open_.append(row)
+            branch_begins.append(row)
     return tuple(rows)
 
 
 def transitions(
     course: Course, line: Ints, predecessors: Ints | None, kept_lines: Sequence[int], free: Set[Join]
 ) -> tuple[tuple[int, int], ...]:
-    """Return further motions at whose end motions begin, see `Program.transitions`.
+    """Return further pairs of a motion and one at whose end it may begin, see `Program.transitions`.
 
     :param line: (M,) lines of the trace with the motions.
     :param predecessors: (M,) the motion at whose end each begins, see `Program.after`.
-    :param kept_lines: lines of uncorrected motions: where a round ends behind the last of them is not known.
-    :param free: joins at which branches may end in different poses; at others all end in that of the first.
+    :param kept_lines: lines of uncorrected motions: a round whose last motion is one of them ends in an unknown pose.
+    :param free: joins at which branches may end in different poses; at others all end in the pose of the first.
     """
-    after = np.arange(len(line)) - 1 if predecessors is None else predecessors
-    pairs: list[tuple[int, int]] = []
-    open_: list[tuple[set[int], set[int], bool]] = []  # per open fork: ends before it, ends of its branches, begun
-    ends, count = {-1}, 0
+    previous_rows = np.arange(len(line)) - 1 if predecessors is None else predecessors
+    further_transitions: list[tuple[int, int]] = []
+    # per open fork: motions that may end right before it, last motions of its branches, whether a branch has begun
+    open_forks: list[tuple[set[int], set[int], bool]] = []
+    ends, row_count = {-1}, 0  # the motions that may end before the present step; motions so far
 
     def run_to(row: int) -> None:
-        """Go on to a motion; note the ends at which the first of this stretch may begin, but for that of `after`."""
-        nonlocal ends, count
-        if row > count:
-            if after[count] != count:
-                pairs.extend((count, end) for end in sorted(ends) if end != after[count])
-            ends, count = {row - 1}, row
+        """Make motions up to `row` follow each other; note at which other ends the first of them may begin."""
+        nonlocal ends, row_count
+        if row > row_count:
+            if previous_rows[row_count] != row_count:
+                further_transitions.extend((row_count, end) for end in sorted(ends) if end != previous_rows[row_count])
+            ends, row_count = {row - 1}, row
 
     for step in course.steps:
         if not isinstance(step, Fork | Branch | Join):
             continue
         run_to(int(np.searchsorted(line, step.row, side="right")))
         if isinstance(step, Fork):
-            open_.append((ends, set(), False))
+            open_forks.append((ends, set(), False))
             continue
-        entries, branch_ends, is_begun = open_.pop()
+        entries, branch_ends, is_begun = open_forks.pop()
         branch_ends = branch_ends | ends if is_begun or isinstance(step, Join) else branch_ends
         if isinstance(step, Branch):
-            open_.append((entries, branch_ends, True))
+            open_forks.append((entries, branch_ends, True))
             ends = entries
         else:
             branch_ends = branch_ends if step.complete else branch_ends | entries
@@ -268,10 +305,10 @@ def transitions(
     loop = course.endless
     if loop is not None and max(kept_lines, default=0) < max(line, default=0):
         first, stop = np.searchsorted(line, [loop.first, loop.last]).tolist()
-        rows = first + np.flatnonzero(after[first:stop] == after[first : first + 1])
-        for row in rows[after[rows] != rows].tolist():
-            pairs.extend((row, end) for end in sorted(ends) if end != after[row])
-    return tuple(dict.fromkeys(pairs))
+        rows = first + np.flatnonzero(previous_rows[first:stop] == previous_rows[first : first + 1])
+        for row in rows[previous_rows[rows] != rows].tolist():
+            further_transitions.extend((row, end) for end in sorted(ends) if end != previous_rows[row])
+    return tuple(dict.fromkeys(further_transitions))
 
 
 def check_joins(
@@ -286,11 +323,11 @@ def check_joins(
 
     :param carriage: the linear axis that carries the robot.
     :param frames: `$BASE` (nb, 4, 4) and `$TOOL` (nt, 4, 4).
-    :param start: (4, 4) flange in the root where the program starts.
-    :raises BranchError: some do.
+    :param start: (4, 4) flange in the robot root at the start of the program.
+    :raises BranchError: the ends of the branches of a fork differ.
     """
     bases, tools = frames
-    forks, faults = _forks(course), []
+    forks, faults = _fork_visits(course), []
     for fork, ends in joins:
         flanges = [
             start if row < 0 else bases[motions.base[row]] @ motions.target[row] @ inverse(tools[motions.tool[row]])
@@ -299,14 +336,14 @@ def check_joins(
         if any(np.abs(flange - flanges[0]).max() > _POSE_TOLERANCE for flange in flanges[1:]):
             faults.append(_branch_error(course, forks, fork, "the branches end in different places"))
         elif carriage is not None:
-            places = np.append(carriage.end, carriage.begin[0])[list(ends)]  # −1: the start
-            if np.ptp(places) > _POSE_TOLERANCE:
+            track_positions = np.append(carriage.end, carriage.begin[0])[list(ends)]  # −1: the start
+            if np.ptp(track_positions) > _POSE_TOLERANCE:
                 faults.append(_branch_error(course, forks, fork, "E1 differs between the ends of the branches"))
-    _raise(faults)
+    _raise_combined(faults)
 
 
-def _forks(course: Course) -> Mapping[int, set[Occasion]]:
-    """Return the visits to the fork on each line."""
+def _fork_visits(course: Course) -> Mapping[int, set[Occasion]]:
+    """Return, for each line of the trace with a fork, the visits of the trace to it."""
     visits: dict[int, set[Occasion]] = {}
     for step in course.steps:
         if isinstance(step, Fork):
@@ -314,15 +351,15 @@ def _forks(course: Course) -> Mapping[int, set[Occasion]]:
     return visits
 
 
-def _raise(faults: Sequence[BranchError]) -> None:
-    """Raise the first of some errors, with the branches of all."""
+def _raise_combined(faults: Sequence[BranchError]) -> None:
+    """Raise the first of some errors, with the forks of all; do nothing if there are none."""
     if faults:
         faults[0].occasions = frozenset[Occasion]().union(*(fault.occasions for fault in faults))
         raise faults[0]
 
 
-def _why(sequence: OrderedMotions, row: int) -> str:
-    """Return why a motion depends on more than its start pose."""
+def _start_dependence(sequence: OrderedMotions, row: int) -> str:
+    """Return why a motion depends on more than its start pose, as text for a message."""
     kind, move = int(sequence.rows.kind[row]), sequence.moves.get(row)
     if kind != PTP and sequence.states[sequence.state[row]].orientation == CONSTANT:
         return "$ORI_TYPE=#CONSTANT keeps the orientation"
@@ -338,7 +375,10 @@ def _why(sequence: OrderedMotions, row: int) -> str:
 def _branch_error(
     course: Course, forks: Mapping[int, set[Occasion]], fork: int, problem: str, advice: str = _BRANCH_ADVICE
 ) -> BranchError:
-    """Return the error of a motion in a branch, at the fork of that branch."""
+    """Return the error that branches cannot be corrected.
+
+    :param forks: line of the trace → visits to the fork on it; `fork` is the line of the one in question.
+    """
     base = course.trace.error(f"motion in branches whose condition is not known: {problem}", fork, advice)
     error = BranchError(base.problem, file=base.file, line=base.line, text=base.text, advice=base.advice)
     error.occasions = frozenset(forks[fork])
@@ -355,9 +395,10 @@ def check_round(
     notes: Sequence[tuple[int, ForceNote]],
     settings: Settings,
 ) -> tuple[list[Issue], tuple[tuple[int, ...], ...]]:
-    """Return the issues about the LOOP without EXIT at the end of a program, and the motions before its iterations.
+    """Return the issues about a LOOP without EXIT, and the motions that may come before its first motion.
 
-    The latter are the motion before the loop (−1: the start) and its last.
+    Those are the one before the loop (−1: the start) and its last. There are none if the first motion leads to joint
+    angles: it does not matter then where it begins.
 
     :param loop: the LOOP.
     :param line: (M,) lines of the motions in the trace.
@@ -369,7 +410,7 @@ def check_round(
     """
     first, stop = np.searchsorted(line, [loop.first, loop.last]).tolist()
     if first < stop:
-        problem = _moved(first, stop - 1, motions, start, carriage)
+        problem = _pose_difference(first, stop - 1, motions, start, carriage)
         if problem:
             raise _loop_error(course, loop, f"its round ends {problem}", _LOOP_ADVICE)
         begin_settings, end_settings = settings_at(settings, np.array([loop.first, loop.last]))
@@ -379,12 +420,15 @@ def check_round(
             raise _loop_error(course, loop, "leaves other frames, speeds or modes than it begins with", _SETTING_ADVICE)
         _check_force(course, loop, int(line[first]), notes)
     message = "LOOP has no EXIT: one round is corrected, and is what all rounds do. What follows it is never reached."
-    issues = [Issue("info", "endless-loop", message, _line(course, loop))]
+    issues = [Issue("info", "endless-loop", message, _loop_line(course, loop))]
     return issues, (((first - 1, stop - 1),) if first < stop and np.isnan(motions.joints[first, 0]) else ())
 
 
-def _moved(first: int, last: int, motions: Motions, start: Starts, carriage: Carriage | None) -> str:
-    """Return how the end of an iteration differs from its begin, as text; empty if it does not."""
+def _pose_difference(first: int, last: int, motions: Motions, start: Starts, carriage: Carriage | None) -> str:
+    """Return how the pose after an iteration of a loop differs from that before it, as text; empty if it does not.
+
+    :param first: first motion of the loop; `last` its last.
+    """
     if carriage is not None and abs(carriage.end[last] - carriage.begin[first]) > _POSE_TOLERANCE:
         return "with E1 elsewhere than it began"
     if not np.isnan(motions.joints[first, 0]):
@@ -408,38 +452,45 @@ def starts(
     flange: Array,
     predecessors: Ints | None,
 ) -> Starts:
-    """Return the start poses of motions, and one more: the first motion of an endless loop in its second iteration.
+    """Return the start poses of M motions, and one more: that of the loop's first motion in its second iteration.
 
+    :param loop: a LOOP without EXIT.
     :param line: (M,) lines of the motions in the trace.
     :param frames: `$BASE` in the robot root and `$TOOL` in the flange frame, by the rows of motions.
     :param flange: (4, 4) in the root where the program starts.
+    :param predecessors: (M,) the motion at whose end each begins; None: the one before it.
     """
     count = len(motions)
     first, stop = np.searchsorted(line, [loop.first, loop.last]).tolist()
-    row = np.append(np.arange(count), min(first, count - 1))  # of a loop of which no motion is corrected, any
+    rows = np.append(np.arange(count), min(first, count - 1))  # any motion, if the loop has none
     all_predecessors = np.append(np.arange(count) - 1 if predecessors is None else predecessors, stop - 1)
     return Starts.of(
-        (motions.base[row], motions.tool[row], *frames), lambda at: motions.target[row[at]], flange, all_predecessors
+        (motions.base[rows], motions.tool[rows], *frames),
+        lambda indices: motions.target[rows[indices]],
+        flange,
+        all_predecessors,
     )
 
 
 def _check_force(course: Course, loop: UnrolledLoop, line: int, notes: Sequence[tuple[int, ForceNote]]) -> None:
     """Refuse a loop whose first motion has another force in the second iteration.
 
-    :param line: of its first motion.
+    :param line: line of the trace with that motion.
+    :param notes: force comments by lines of the trace.
     """
-    if any(loop.first <= at <= line for at, _ in notes):
+    if any(loop.first <= note_line <= line for note_line, _ in notes):
         return
-    acting_notes = [[note for at, note in notes if at < limit][-1:] for limit in (loop.first, loop.last)]
+    acting_notes = [[note for note_line, note in notes if note_line < limit][-1:] for limit in (loop.first, loop.last)]
     begin, end = ([(note.wrench, note.frame) for note in group if any(note.wrench)] for group in acting_notes)
     if begin != end:
         raise _loop_error(course, loop, "its round ends under another force than it began with", _FORCE_ADVICE)
 
 
-def _line(course: Course, loop: UnrolledLoop) -> int:
-    """Return the line of a LOOP in its file, which precedes its body."""
+def _loop_line(course: Course, loop: UnrolledLoop) -> int:
+    """Return the line of a LOOP in its file: the one before its body."""
     return course.trace.place(loop.first).line - 1
 
 
 def _loop_error(course: Course, loop: UnrolledLoop, problem: str, advice: str) -> ProgramError:
-    return course.main.source.line_error(f"LOOP never ends, and {problem}", _line(course, loop), advice)
+    """Return the error that a LOOP without EXIT cannot be corrected, at its line."""
+    return course.main.source.line_error(f"LOOP never ends, and {problem}", _loop_line(course, loop), advice)

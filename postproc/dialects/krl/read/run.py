@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import suppress
+from typing import NamedTuple
 
 from msgspec import Struct
 from msgspec.structs import replace
@@ -29,7 +30,7 @@ SETTING_ADVICE = "Set $BASE, $TOOL, speeds and modes outside of loops, branches 
 
 
 class Scopes:
-    """The scopes of routines; those of another file are made, and its data read, when they are first asked for.
+    """The scopes of routines; those of another file are made, and its data read, when they are first needed.
 
     :param program: the file of the program.
     :param main: the routine that is followed; its names need no scope.
@@ -42,7 +43,7 @@ class Scopes:
         self._prefix = f"{program.name}/"
 
     def of(self, module: Module, routine: Routine) -> Scope:
-        """Return which variables the names of a routine mean that are not its own."""
+        """Return the scope of the names of a routine that are not local to it: which variables they mean."""
         if routine is self.main:
             return Scope()
         if module is self.program:
@@ -54,8 +55,9 @@ class Scopes:
         return self._modules[module]
 
     def of_call(self, module: Module, routine: Routine, number: int, arrays: Mapping[str, str]) -> Scope:
-        """Return the scope of one call, in which the routine's own variables are new.
+        """Return the scope of one call of a routine, whose local variables are new ones.
 
+        :param number: of the call, from 1; it tells the variables of one call from those of another.
         :param arrays: names of parameters that are whole arrays → the names under which these are stored.
         """
         local_names = {name: f"{name}@{number}" for name in routine.local}
@@ -65,14 +67,14 @@ class Scopes:
         return replace(self.of(module, routine), local=local_names)
 
     def _of_module(self, module: Module) -> Scope:
-        """Return the scope of another file, its data read."""
+        """Return the scope of the routines in another file, and read the data list of that file."""
         variables, data = self.variables, module.data
         own_names, public = (frozenset(), frozenset()) if data is None else declared_names(data)
         main_names = (frozenset(variables.types) - variables.public) | self.main.local
         scope = Scope(own=(main_names | own_names) - public - CONTROLLER_DATA, prefix=f"{module.name}/")
         if data is not None:
             caller_scope, variables.scope, variables.reading_late = variables.scope, scope, True
-            with suppress(ProgramError):  # its variables have no values then
+            with suppress(ProgramError):  # variables of a data list with an error have no values
                 read_data(variables, data, fill=True)
             variables.scope, variables.reading_late = caller_scope, False
         return scope
@@ -122,6 +124,22 @@ class UntracedCall(Struct, frozen=True, eq=False):
     module: Module
     routine: Routine
     cause: ProgramError
+
+
+class RunPosition(NamedTuple):
+    """The routine that runs, and how deep it is in calls, loops and branches.
+
+    :ivar depth: number of routines that run.
+    :ivar loops: `Level.loops`; `is_left` is `Level.left`.
+    :ivar forks: number of open forks.
+    """
+
+    level: Level
+    depth: int
+    scope: Scope
+    loops: int
+    is_left: bool
+    forks: int
 
 
 class _Fork(Struct, eq=False):
@@ -202,21 +220,24 @@ class Run:
         self._nodes: dict[Routine, tuple[Node, ...]] = {}
 
     def come_to(self, row: int) -> Place:
-        """Make a row of the trace the present one; return its place in a file."""
+        """Make a row of the execution trace the present one; return its file and line."""
         at = self.trace.place(row)
         self.row, self.shift = row, row - at.line
         return at
 
     def in_trace(self, aggregate: Aggregate) -> Aggregate:
-        """Return an aggregate of the present statement with its row, in which its numbers are corrected."""
+        """Return an aggregate of the present statement with its row of the trace: its numbers are corrected there."""
         return replace(aggregate, row=self.row) if self.has_rows else aggregate
 
     def understand(self, *offsets: int) -> None:
-        """Note that the use of names in the present statement is followed."""
+        """Note that the use of names in the present statement is followed.
+
+        :param offsets: of these names in the file.
+        """
         self.understood.update([(self.row, offset) for offset in offsets])
 
     def note_copy(self, expression: Value, value: VariableValue, name: str) -> None:
-        """Note in `copies` that the present statement copies a point to a variable or a parameter, if it does.
+        """Note in `copies` that the present statement gives a variable or a parameter the text of a point, if it does.
 
         :param expression: what the statement assigns, and `value` its value, see `Calls.value`.
         :param name: of the variable or parameter, upper case.
@@ -243,11 +264,11 @@ class Run:
         return self.shown_line or self.trace.shown_line(self.row)
 
     def fork(self) -> None:
-        """Reach a fork."""
+        """Begin to follow branches of which it is not known which one runs: store values and settings."""
         self._forks.append(_Fork(self.variables.as_now(), self.settings.state))
 
     def branch(self) -> None:
-        """Begin one of its branches."""
+        """Begin one of the branches of the last fork, with the values and settings at that fork."""
         fork = self._forks[-1]
         if fork.is_begun:
             fork.ends.append((self.variables.as_now(), self.settings.state))
@@ -256,7 +277,11 @@ class Run:
         self.settings.change(self.row, fork.state)
 
     def join(self, at: Place, *, complete: bool) -> None:
-        """Continue after a join; values that differ between the branches become unknown."""
+        """End the last fork: values and settings that differ between its branches become unknown.
+
+        :param at: the line that ends the branches, for messages.
+        :param complete: True if one of the branches always runs.
+        """
         fork = self._forks.pop()
         for values, state in [*fork.ends, *([] if complete else [(fork.values, fork.state)])]:
             self.variables.meet(values, str(at))
@@ -265,34 +290,35 @@ class Run:
 
     @property
     def forked(self) -> bool:
-        """Whether a branch is being followed that may not be taken."""
+        """Whether a branch is followed of which it is not known whether it runs."""
         return bool(self._forks)
 
-    def position(self) -> tuple[Level, int, Scope, int, bool, int]:
+    def position(self) -> RunPosition:
         """Return the present routine and depth of the run, for `return_to`."""
         level = self.level
-        return level, len(self.stack), self.variables.scope, level.loops, level.left, len(self._forks)
+        return RunPosition(level, len(self.stack), self.variables.scope, level.loops, level.left, len(self._forks))
 
-    def return_to(self, position: tuple[Level, int, Scope, int, bool, int]) -> None:
-        """Return to that routine and depth."""
-        self.level, depth, self.variables.scope, self.level.loops, self.level.left, forks = position
-        del self.stack[depth:], self._forks[forks:]
+    def return_to(self, position: RunPosition) -> None:
+        """Return to the routine and the depth of the run at an earlier `position`."""
+        self.level, self.variables.scope = position.level, position.scope
+        self.level.loops, self.level.left = position.loops, position.is_left
+        del self.stack[position.depth :], self._forks[position.forks :]
         self.level.open.clear()
         self.level.jump = 0
 
     def marks(self) -> tuple[int, ...]:
-        """Return the number of findings, for `back_to`."""
+        """Return the number of findings of each kind so far, for `back_to`."""
         return len(self.triggers), len(self.moved), len(self.stops), len(self.absent), len(self.issues)
 
     def back_to(self, marks: tuple[int, ...]) -> None:
-        """Drop the findings since, to follow the same statements differently."""
-        triggers, moved_count, stops, absent, issues = marks
-        del self.triggers[triggers:], self.moved[moved_count:], self.stops[stops:]
-        del self.absent[absent:], self.issues[issues:]
+        """Drop all findings since a call of `marks`, to follow the same statements differently."""
+        trigger_count, moved_count, stop_count, absent_count, issue_count = marks
+        del self.triggers[trigger_count:], self.moved[moved_count:], self.stops[stop_count:]
+        del self.absent[absent_count:], self.issues[issue_count:]
 
     @property
     def in_main(self) -> bool:
-        """Whether the present routine is in the execution trace: the main routine or an inlined one."""
+        """Whether the lines of the present routine are in the execution trace: the main routine, or an inlined one."""
         return self.level.traced
 
     @property
@@ -305,11 +331,15 @@ class Run:
         return self.variables.scope.stored(name.upper())
 
     def may_change(self, names: Mapping[str, Place], cause: str) -> None:
-        """Note that names may have another value at any time."""
+        """Note that variables may get another value at any time from now on.
+
+        :param names: stored name → the statement that changes the variable.
+        :param cause: what runs that statement, for messages.
+        """
         for name, place in names.items():
             cause_place = cause if cause.endswith(f"in {place}") else f"{cause}, {place}"
             self.variables.changing.setdefault(name, UnknownValue(f"by {cause_place}"))
 
     def changes_always(self, at: Place, name: str) -> None:
-        """Note that a name, as it is stored, changes cyclically."""
+        """Note that the statement at a place makes a variable change cyclically; `name` is its stored name."""
         self.variables.changing.setdefault(name, UnknownValue(str(at)))

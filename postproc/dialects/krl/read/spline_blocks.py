@@ -53,10 +53,10 @@ class SplineBlocks:
         self.ended: list[int] = []
 
     def statement(self, at: Place, stmt: Statement, row: int) -> None:
-        """Take a line that opens or closes a block.
+        """Open or close a spline block.
 
-        :param row: of the trace.
-        :raises ProgramError: it is not understood, or none is open.
+        :param stmt: SPLINE, PTP_SPLINE or ENDSPLINE; `row` its row of the execution trace.
+        :raises ProgramError: the line is not understood, a block is open already, or none is.
         """
         if isinstance(stmt, Spline):
             if self.open is not None:
@@ -93,8 +93,8 @@ class SplineBlocks:
 def check_words(trace: Trace, rows: MotionColumns, block: np.ndarray) -> None:
     """Refuse motions that are not allowed inside or outside of a spline block.
 
-    :param block: (R,) the block that contains each; empty outside.
-    :raises ProgramError: SPL outside of a block, or an instruction in a block that is none of it.
+    :param block: (R,) word of the block that contains each motion, such as SPLINE; empty outside of blocks.
+    :raises ProgramError: SPL outside of a block, or in a block a motion that it may not hold.
     """
     for row in np.flatnonzero((block != "") | (rows.kind == SPL)).tolist():
         line, start = rows.line.item(row), rows.keyword.item(row)
@@ -109,23 +109,24 @@ def check_words(trace: Trace, rows: MotionColumns, block: np.ndarray) -> None:
 
 
 def is_spline(trace: Trace, rows: MotionColumns, indices: Ints) -> Bools:
-    """Return which of some motions (n,) are spline motions (n,): SLIN, SCIRC, SPL."""
-    file, spline = trace.file[rows.line[indices] - 1], np.zeros(len(indices), dtype=np.bool_)
+    """Return which of n motions, given by their rows, are spline motions (n,): SLIN, SCIRC, SPL."""
+    file, is_spline_row = trace.file[rows.line[indices] - 1], np.zeros(len(indices), dtype=np.bool_)
     for number, source in enumerate(trace.sources):
         keywords = rows.keyword[indices[file == number]].tolist()
-        spline[file == number] = [source.text[offset] in "sS" for offset in keywords]
-    return spline
+        # no other word of a motion begins with S
+        is_spline_row[file == number] = [source.text[offset] in "sS" for offset in keywords]
+    return is_spline_row
 
 
-def approximated(rows: MotionColumns, in_block: Bools, ends: list[int]) -> Bools:
-    """Return which motions are approximated (R,).
+def approximated(rows: MotionColumns, in_block: Bools, end_lines: list[int]) -> Bools:
+    """Return which motions are approximated (R,): at their ends the robot rounds the corner.
 
-    :param in_block: (R,) True in a spline block.
-    :param ends: lines of ENDSPLINE C_SPL.
+    :param in_block: (R,) True in a spline block, where only the last motion can be approximated.
+    :param end_lines: lines of ENDSPLINE C_SPL.
     """
     is_approximated = rows.approximated & ~in_block
-    last = np.searchsorted(rows.line, ends) - 1
-    is_approximated[last[last >= 0]] = True
+    last_rows = np.searchsorted(rows.line, end_lines) - 1
+    is_approximated[last_rows[last_rows >= 0]] = True
     return np.asarray(is_approximated)
 
 

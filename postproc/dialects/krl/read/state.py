@@ -67,13 +67,13 @@ class State(Struct, frozen=True):
     uncertain: tuple[tuple[str, int], ...] = ()
 
     def with_known(self, **fields: object) -> State:
-        """Return the state with other values, which are known."""
+        """Return the state with other values of some fields, which are known then."""
         initial = self.initial - {f"${name.upper()}" for name in fields}
         uncertain = tuple(entry for entry in self.uncertain if entry[0] not in fields)
         return replace(self, initial=initial, uncertain=uncertain, **fields)
 
     def differing(self, other_state: State) -> set[str]:
-        """Return the fields with another value in another state."""
+        """Return the names of the fields whose values differ from those of another state."""
         return {field for field in FIELDS.values() if getattr(self, field) != getattr(other_state, field)}
 
 
@@ -87,7 +87,7 @@ class Reasons:
         self.errors: list[ProgramError] = []
 
     def unknown(self, state: State, field: str, reason: ProgramError) -> State:
-        """Return a state in which a field is not known."""
+        """Return a state in which a field is not known, and store the reason for it."""
         self.errors.append(reason)
         if field in ("base", "tool"):
             return state.with_known(**{field: -len(self.errors)})
@@ -95,21 +95,25 @@ class Reasons:
         return replace(new_state, uncertain=(*new_state.uncertain, (field, len(self.errors) - 1)))
 
     def refuse(self, state: State, fields: Iterable[str]) -> None:
-        """Refuse a motion that depends on fields of its state that are not known.
+        """Refuse a motion that depends on fields of its state whose values are not known.
 
-        :raises ProgramError: the reason why one is not.
+        :raises ProgramError: the stored reason for the first such field.
         """
         for field in fields:
-            row = getattr(state, field) if field in ("base", "tool") else 0
-            if row < 0:
-                raise self.errors[-1 - row]
-            for uncertain, reason in state.uncertain:
-                if uncertain == field:
-                    raise self.errors[reason]
+            frame_row = getattr(state, field) if field in ("base", "tool") else 0
+            if frame_row < 0:  # an unknown frame holds the index of its reason, see `State.base`
+                raise self.errors[-1 - frame_row]
+            for uncertain_field, index in state.uncertain:
+                if uncertain_field == field:
+                    raise self.errors[index]
 
 
 def fields_used(kind: int, *, axis: bool, is_approximated: bool) -> list[str]:
-    """Return on which fields of its state a motion depends."""
+    """Return the fields of its `State` on which a motion depends.
+
+    :param kind: PTP, LIN, CIRC or SPL.
+    :param axis: True if its target is given by joint angles.
+    """
     fields = [] if axis else ["base", "tool"]
     if kind != PTP:
         fields += ["speed", "orientation", *(["circle"] if kind == CIRC else [])]

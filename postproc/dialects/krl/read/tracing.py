@@ -60,69 +60,80 @@ class Recorder:
         self.pinned = False
         self.is_final = True
         self._sources: dict[Source, int] = {main.source: 0}
-        self._from: list[tuple[int, int, int, int, int, bool]] = []
+        # file number, first and last line, line to report or 0 for itself, line of FOR or 0, whether the lines run
+        self._pieces: list[tuple[int, int, int, int, int, bool]] = []
         self._steps: list[Step] = []
         self._counts: list[tuple[int, int]] = []
         self._inlined: dict[Routine, None] = {}
         self._files: dict[Document, None] = {}
-        self._put(main.source, 1, main.first, 0, live=False)
+        self._record_lines(main.source, 1, main.first, 0, live=False)
         self.body = Body(self.count + 1)
         self._open = [_OpenRoutine(main.source, main.first + 1, 0, [self.body])]
 
     def present(self, line: int) -> tuple[int, int]:
-        """Return what the row of a line of the present routine has in addition to the line, and the line of the `.src`
-        to report for it.
+        """Return how far the row of a line of the present routine is behind the line, and the line to report for it.
+
+        The latter is a line of the main `.src`: for routines of other files that of the call.
         """
         open_routine = self._open[-1]
         return self.count + 1 - open_routine.cursor, open_routine.shown_line or line
 
     def run_to(self, line: int) -> None:
-        """Record lines that run, up to a line of the routine."""
+        """Record the lines of the present routine up to `line`, as lines that run."""
         first = self.count + 1
-        if self._next(line, live=True):
-            self._run_on(first)
+        if self._record_to(line, live=True):
+            self._add_run_lines(first)
 
     def pass_to(self, line: int, *, live: bool = True) -> None:
-        """Record lines of control statements, up to a line of the routine; if not `live`, lines that do not run."""
-        self._next(line, live=live)
+        """Record the lines of the present routine up to `line` that only control execution.
+
+        :param live: False for lines that do not run.
+        """
+        self._record_to(line, live=live)
 
     def keep(self, line: int, cause: ProgramError) -> None:
-        """Record lines up to a line whose branch taken is not known before run time."""
+        """Record the lines of a control structure, up to `line`, that is left as it is.
+
+        :param cause: why the branch taken is not known before run time.
+        """
         first = self.count + 1
-        self._next(line, live=True)
+        self._record_to(line, live=True)
         self._steps.append(UnresolvedStructure(first, self.count, cause))
         self.pinned = True
         self.is_final = False
 
     def divide(self, step: Fork | Branch | Join) -> None:
-        """Record a fork, the begin of a branch or a join after the recorded lines."""
+        """Record a fork, the begin of a branch or a join after the last recorded row."""
         self._steps.append(replace(step, row=self.count))
         self.is_final = False
 
     def mark(self) -> tuple[Any, ...]:
         """Return the present length of the trace, for `back_to`."""
-        open_ = [(s.cursor, len(s.bodies), [len(body.parts) for body in s.bodies]) for s in self._open]
-        last = self._steps[-1] if self._steps else None
-        lengths = len(self._from), len(self._steps), len(self._counts), len(self._inlined), len(self._files)
-        return self.count, lengths, last, open_
+        open_lengths = [
+            (routine.cursor, len(routine.bodies), [len(body.parts) for body in routine.bodies])
+            for routine in self._open
+        ]
+        last_step = self._steps[-1] if self._steps else None
+        lengths = len(self._pieces), len(self._steps), len(self._counts), len(self._inlined), len(self._files)
+        return self.count, lengths, last_step, open_lengths
 
     def back_to(self, mark: tuple[Any, ...]) -> None:
-        """Drop everything recorded since."""
+        """Drop everything recorded since a `mark`."""
         self.is_final = False
-        self.count, (pieces, steps, counts, inlined, files), last, open_ = mark
-        for routine in list(self._inlined)[inlined:]:
+        self.count, (piece_count, step_count, count_count, inlined_count, file_count), last_step, open_lengths = mark
+        for routine in list(self._inlined)[inlined_count:]:
             del self._inlined[routine]
-        for document in list(self._files)[files:]:
+        for document in list(self._files)[file_count:]:
             del self._files[document]
-        del self._from[pieces:], self._steps[steps:], self._open[len(open_) :]
-        del self._counts[counts:]
-        if steps:
-            self._steps[-1] = last
-        for open_routine, (cursor, bodies, parts) in zip(self._open, open_, strict=True):
+        del self._pieces[piece_count:], self._steps[step_count:], self._open[len(open_lengths) :]
+        del self._counts[count_count:]
+        if step_count:
+            self._steps[-1] = last_step
+        for open_routine, (cursor, body_count, part_counts) in zip(self._open, open_lengths, strict=True):
             open_routine.cursor = cursor
-            del open_routine.bodies[bodies:]
-            for body, count in zip(open_routine.bodies, parts, strict=True):
-                del body.parts[count:]
+            del open_routine.bodies[body_count:]
+            for body, part_count in zip(open_routine.bodies, part_counts, strict=True):
+                del body.parts[part_count:]
 
     def enter(self, at: Place, name: tuple[int, int], module: Module, routine: Routine) -> None:
         """Begin a routine that the present line calls.
@@ -148,14 +159,16 @@ class Recorder:
         self._steps.append(RoutineExit())
 
     def begin(self, block: Block, counter: str, step: int, *, left: bool, closing: int = 0) -> UnrolledLoop:
-        """Begin to unroll a loop; `counter`, as it is spelled, and `step` of FOR, else empty and 0.
+        """Begin to unroll a loop, and return its record.
 
+        :param counter: of FOR, as it is spelled, and `step` of FOR; empty and 0 for other loops.
+        :param left: whether the loop contains EXIT.
         :param closing: first of the lines that close it; 0: its last line does alone.
         """
         self.run_to(block.first - 1)
         source = self._open[-1].source
-        opening_text = _lines(source, block.first, block.first)
-        closing_text = _lines(source, closing or block.last, block.last)
+        opening_text = _line_text(source, block.first, block.first)
+        closing_text = _line_text(source, closing or block.last, block.last)
         loop = UnrolledLoop(opening_text, closing_text, counter, step, left, self.count + 1)
         self._open[-1].bodies[-1].parts.append(loop)
         return loop
@@ -163,16 +176,16 @@ class Recorder:
     def repeat(self, loop: UnrolledLoop, block: Block, number: int | None) -> None:
         """Begin an iteration of a loop.
 
-        :param number: of the counter of FOR; None for other loops.
+        :param number: value of the counter of FOR in it; None for other loops.
         """
         body = Body(self.count + 1)
         loop.bodies.append(body)
         self._open[-1].bodies.append(body)
-        self._assign(block, number)
+        self._record_assignment(block, number)
         self._open[-1].cursor = block.first + 1
 
     def plain_rounds(self, loop: UnrolledLoop, block: Block, rounds: PlainRounds) -> None:
-        """Record rounds that differ in the number of the counter only."""
+        """Record at once all rounds of a FOR that differ only in the value of its counter."""
         open_routine = self._open[-1]
         first, last = block.first + 1, block.last - 1
         source = self._sources.setdefault(open_routine.source, len(self._sources))
@@ -180,16 +193,16 @@ class Recorder:
             (source, 1, 1, open_routine.shown_line, block.first, True),
             (source, first, last, open_routine.shown_line, 0, True),
         )
-        self._from += round_origin * rounds.count
+        self._pieces += round_origin * rounds.count
         starts = range(rounds.first, rounds.beyond, rounds.length)
         loop.bodies += [Body(start, start + rounds.length) for start in starts]
         loop.plain = rounds
         self.count = rounds.beyond - 1
         self.is_final = False
-        self._run_on(rounds.first)
+        self._add_run_lines(rounds.first)
 
     def repeated(self, block: Block, *, whole: bool) -> None:
-        """End an iteration of a loop; if not `whole`, the loop was left."""
+        """End an iteration of a loop; `whole` is False if EXIT, RETURN or GOTO has ended it early."""
         if whole:
             self.run_to(block.last - 1)
         self.pass_to(block.last - 1, live=False)
@@ -198,11 +211,11 @@ class Recorder:
     def end(self, loop: UnrolledLoop, block: Block, number: int | None) -> None:
         """End a loop.
 
-        :param number: that the counter of FOR has then; None if the loop is left, and for other loops.
+        :param number: value of the counter of FOR after the loop; None if the loop was left early, and for other loops.
         """
         if not loop.bodies:
             self.pass_to(block.last, live=False)
-        self._assign(block, number)
+        self._record_assignment(block, number)
         self._open[-1].cursor = block.last + 1
         loop.last = self.count + 1
 
@@ -216,11 +229,11 @@ class Recorder:
         line = main.last
         for routine in sorted(self._inlined, key=lambda routine: routine.first):
             if routine.source is main.source and routine.first > main.last:
-                self._put(main.source, line, routine.first - 1, 0, live=False)
+                self._record_lines(main.source, line, routine.first - 1, 0, live=False)
                 line = routine.last + 1
-        self._put(main.source, line, len(main.source.starts), 0, live=False)
-        lengths = np.array([last - first + 1 for _, first, last, *_ in self._from])
-        column = np.array(self._from, dtype=np.int64)
+        self._record_lines(main.source, line, len(main.source.starts), 0, live=False)
+        lengths = np.array([last - first + 1 for _, first, last, *_ in self._pieces])
+        column = np.array(self._pieces, dtype=np.int64)
         run = ragged_range(lengths)
         source, first, _, shown_line, fixed_line, live = (np.repeat(values, lengths) for values in column.T)
         origin = np.where(fixed_line > 0, fixed_line, first + run)
@@ -237,35 +250,35 @@ class Recorder:
             counts=dict(self._counts),
         )
 
-    def _next(self, line: int, *, live: bool) -> bool:
-        """Record the lines up to one; return whether there are any."""
+    def _record_to(self, line: int, *, live: bool) -> bool:
+        """Record the lines of the present routine up to `line`; return whether there were any."""
         open_routine = self._open[-1]
         if line < open_routine.cursor:
             return False
-        self._put(open_routine.source, open_routine.cursor, line, open_routine.shown_line, live=live)
+        self._record_lines(open_routine.source, open_routine.cursor, line, open_routine.shown_line, live=live)
         open_routine.cursor = line + 1
         return True
 
-    def _put(self, source: Source, first: int, last: int, shown_line: int, *, live: bool) -> None:
+    def _record_lines(self, source: Source, first: int, last: int, shown_line: int, *, live: bool) -> None:
         """Record lines first … last of a file; `live` says whether they run."""
         if last < first:
             return
-        self._from.append((self._sources.setdefault(source, len(self._sources)), first, last, shown_line, 0, live))
+        self._pieces.append((self._sources.setdefault(source, len(self._sources)), first, last, shown_line, 0, live))
         self.count += last - first + 1
 
-    def _assign(self, block: Block, number: int | None) -> None:
-        """Record the assignment of a number to the counter of a FOR; None: another loop, which has no counter."""
+    def _record_assignment(self, block: Block, number: int | None) -> None:
+        """Record that a FOR sets its counter to a number; do nothing for None, which other loops pass."""
         if number is None:
             return
         open_routine = self._open[-1]
         source = self._sources.setdefault(open_routine.source, len(self._sources))
-        self._from.append((source, 1, 1, open_routine.shown_line, block.first, True))
+        self._pieces.append((source, 1, 1, open_routine.shown_line, block.first, True))
         self.count += 1
         self._counts.append((self.count, number))
-        self._run_on(self.count)
+        self._add_run_lines(self.count)
 
-    def _run_on(self, first: int) -> None:
-        """Record that lines from `first` on run, in one step with those directly before them."""
+    def _add_run_lines(self, first: int) -> None:
+        """Record that the rows from `first` up to the last one run, as one step with run rows directly before them."""
         last_step = self._steps[-1] if self._steps else None
         if isinstance(last_step, Lines) and last_step.last == first - 1:
             self._steps[-1] = Lines(last_step.first, self.count)
@@ -273,6 +286,7 @@ class Recorder:
             self._steps.append(Lines(first, self.count))
 
 
-def _lines(source: Source, first: int, last: int) -> str:
+def _line_text(source: Source, first: int, last: int) -> str:
+    """Return the text of lines first … last of a file, line ends included."""
     start = int(source.starts[first - 1])
     return source.text[start : int(source.starts[last]) if last < len(source.starts) else len(source.text)]

@@ -51,9 +51,10 @@ class FoldedProgram(Struct, frozen=True):
 
 
 def fold(course: Course, main: Routine, new_rows: EditedRows) -> FoldedProgram:
-    """Return the files of a program whose trace was corrected.
+    """Return the files of a program whose execution trace was corrected.
 
-    :param main: its main routine.
+    :param main: the main routine of the program.
+    :param new_rows: the rows of the trace that are written anew, and their texts.
     """
     return _Folder(course, main, new_rows).fold()
 
@@ -73,7 +74,11 @@ class _Piece(NamedTuple):
 
 
 class _Version(Struct, eq=False):
-    """A text of a routine: the name under which it has it, and the places of all calls that read so."""
+    """A text of a routine, and the name under which it is written.
+
+    :ivar piece: its lines; None until they are made.
+    :ivar places: of all calls that read so, see `_Piece.places`.
+    """
 
     name: str
     piece: _Piece | None = None
@@ -81,6 +86,14 @@ class _Version(Struct, eq=False):
 
 
 class _Folder(Struct, eq=False):
+    """Writes the corrected trace of a program back to its files.
+
+    :ivar edited: the rows that are written anew.
+    :ivar versions: routine → key of its changes → its text; the first one keeps the name of the routine.
+    :ivar names: names in use, once a new one has been needed.
+    :ivar outside: calls of routines in other files.
+    """
+
     course: Course
     main: Routine
     edited: EditedRows
@@ -93,15 +106,15 @@ class _Folder(Struct, eq=False):
 
     def fold(self) -> FoldedProgram:
         """Return the files of the program, with the line of each row of the trace in the main file."""
-        key = self._key(self.course.body)
-        body = self._body(self.course.body)
+        key = self._body_key(self.course.body)
+        body = self._body_piece(self.course.body)
         self.versions[self.main][key] = _Version(self.main.name, body, [*body.places])
         begins = self.edited.begins
         line = np.zeros(len(begins), dtype=np.int64)
         is_inside = np.zeros(len(begins), dtype=np.bool_)
         documents = []
         for source in dict.fromkeys([self.main.source, *(routine.source for routine in self.versions)]):
-            file = _concatenate(self._file(source))
+            file = _concatenate(self._file_pieces(source))
             if source is self.main.source:
                 number, first, last = np.array(file.places, dtype=np.int64).reshape(-1, 3).T
                 count = last - first
@@ -118,7 +131,7 @@ class _Folder(Struct, eq=False):
         return FoldedProgram(tuple(documents), line, is_inside, tuple(self.issues))
 
     def _warn_users(self, source: Source) -> None:
-        """Warn of other programs that call routines of a file that is changed."""
+        """Warn of other programs in the folder that call routines of a changed file."""
         name = source.document.name
         if users := self.course.users.get(name, ()):
             message = (
@@ -129,37 +142,41 @@ class _Folder(Struct, eq=False):
 
     # --- keys --------------------------------------------------------------------------------------------------------
 
-    def _key(self, body: Body) -> _Key:
-        """Return a key of the changes in a body, by its lines; assignments to the counter of FOR do not count."""
+    def _body_key(self, body: Body) -> _Key:
+        """Return a key of the changes in a body; bodies with equal keys are written alike.
+
+        Assignments to the counter of a FOR do not count as changes.
+        """
         key = self._keys.get(body)
         if key is None:
             changes: list[tuple[int, object]] = []
             row = body.first
             for part in body.parts:
-                first, last = (
+                part_begin, part_end = (
                     (part.row, part.body.last) if isinstance(part, InlinedRoutine) else (part.first, part.last)
                 )
-                self._add_changes(changes, row, first)
+                self._add_changes(changes, row, part_begin)
                 change = self._call_key(part) if isinstance(part, InlinedRoutine) else self._loop_key(part)
                 if change:
-                    changes.append((self._line(first), change))
-                row = last
+                    changes.append((self._line(part_begin), change))
+                row = part_end
             self._add_changes(changes, row, body.last)
             key = self._keys[body] = tuple(changes)
         return key
 
     def _add_changes(self, changes: list[tuple[int, object]], first: int, last: int) -> None:
-        """Add the changes of rows first … last − 1."""
+        """Append the line and the key of each changed row among rows first … last − 1 of the trace."""
         keys = self.edited.keys[first - 1 : last - 1]
         if any(keys):
             changes += [(self._line(row), key) for row, key in enumerate(keys, first) if key]
 
     def _line(self, row: int) -> int:
+        """Return the line that a row of the trace is in its file."""
         return self.course.trace.line.item(row - 1)
 
     def _loop_key(self, loop: UnrolledLoop) -> object:
         """Return a key of the changes in a loop: of its body if all rounds are alike, else of each round."""
-        keys = [self._key(body) for body in loop.bodies]
+        keys = [self._body_key(body) for body in loop.bodies]
         if all(key == keys[0] for key in keys):
             return keys[0] if keys else self._key_of_lines(loop)
         head = loop.opener.strip()
@@ -167,7 +184,7 @@ class _Folder(Struct, eq=False):
         line = self.course.trace.shown_line(loop.first)
         self.issues.append(Issue("info", "loop-written-out", message, line, subject=f"{head} {line}"))
         end = self.course.count(loop, loop.bodies[-1].last) if self._sets_counter(loop) else None
-        return ("rounds", end, *zip(self._counts(loop), keys, strict=True))
+        return ("rounds", end, *zip(self._counter_values(loop), keys, strict=True))
 
     def _sets_counter(self, loop: UnrolledLoop) -> bool:
         """Return whether the counter of a FOR is set behind its last round."""
@@ -180,16 +197,16 @@ class _Folder(Struct, eq=False):
         return tuple(changes)
 
     def _call_key(self, call: InlinedRoutine) -> object:
-        """Return what changes in a call: the line itself, and the name of the version that is called."""
+        """Return a key of what changes on the line of a call: the line itself, and the name of the called version."""
         version = self._version(call)
         name = "" if version.name == call.routine.name else version.name
         key = self.edited.keys[call.row - 1]
         return (key, name) if key or name else ()
 
     def _version(self, call: InlinedRoutine) -> _Version:
-        """Return the version of a routine that a call needs."""
+        """Return the version of a routine that a call needs; one with other changes is a copy with a new name."""
         versions, routine = self.versions[call.routine], call.routine
-        key = self._key(call.body)
+        key = self._body_key(call.body)
         if routine in self.course.pinned and not versions:
             text = line_text(routine.source, routine.first + 1, routine.last - 1)
             versions[()] = _Version(routine.name, _Piece(line_count(text), (text,)))
@@ -198,85 +215,94 @@ class _Folder(Struct, eq=False):
         self._calls[call] = versions[key]
         return versions[key]
 
-    def _counts(self, loop: UnrolledLoop) -> list[int]:
-        """Return the counter of a FOR in each round; of other loops zeros."""
+    def _counter_values(self, loop: UnrolledLoop) -> list[int]:
+        """Return the values of the counter of a FOR, one for each round; zeros for other loops."""
         return [self.course.count(loop, body.first) if loop.step else 0 for body in loop.bodies]
 
     # --- bodies ------------------------------------------------------------------------------------------------------
 
-    def _body(self, body: Body, begin: int = 0) -> _Piece:
-        """Return the lines of a body as they are written, from a row of the trace on; 0: from its first."""
+    def _body_piece(self, body: Body, begin: int = 0) -> _Piece:
+        """Return the lines of a body as they are written.
+
+        :param begin: first row of the trace to write; 0: the first of the body.
+        """
         pieces, row = [], begin or body.first
         for part in body.parts:
             if isinstance(part, InlinedRoutine):
-                pieces += [self._lines(row, part.row), self._call(part)]
+                pieces += [self._rows_piece(row, part.row), self._call_piece(part)]
                 row = part.body.last
             else:
-                pieces += [self._lines(row, part.first), self._loop(part)]
+                pieces += [self._rows_piece(row, part.first), self._loop_piece(part)]
                 row = part.last
-        remaining_lines = self._lines(row, body.last)
+        remaining_lines = self._rows_piece(row, body.last)
         return _concatenate([*pieces, remaining_lines]) if pieces else remaining_lines
 
-    def _lines(self, first: int, last: int) -> _Piece:
+    def _rows_piece(self, first: int, last: int) -> _Piece:
         """Return rows first … last − 1 of the trace as they are written."""
         if last <= first:
             return _Piece(0, ())
         begins = self.edited.begins
         return _Piece(int(begins[last - 1] - begins[first - 1]), ((first, last),), ((0, first, last),))
 
-    def _counter(self, loop: UnrolledLoop, row: int, blanks: str) -> _Piece:
-        """Return an assignment to the counter of a FOR; `blanks` are those before it."""
+    def _counter_piece(self, loop: UnrolledLoop, row: int, blanks: str) -> _Piece:
+        """Return the line that sets the counter of a FOR to its value on a row of the trace.
+
+        :param blanks: indentation of that line.
+        """
         text = f"{blanks}{loop.counter}={self.course.count(loop, row)}{_line_end(loop.opener)}"
         return _Piece(1, (text,), ((0, row, row + 1),))
 
-    def _loop(self, loop: UnrolledLoop) -> _Piece:
-        """Return a loop with its body corrected where all rounds are alike, else one round behind the other."""
+    def _loop_piece(self, loop: UnrolledLoop) -> _Piece:
+        """Return the lines of a loop as they are written.
+
+        It stays a loop if all rounds are corrected alike. Otherwise its rounds are written one after the other.
+        """
         if not loop.bodies:
-            return self._lines(loop.first, loop.last - (loop.step != 0))
+            return self._rows_piece(loop.first, loop.last - (loop.step != 0))
         has_counter = loop.step != 0
-        keys = [self._key(body) for body in loop.bodies]
-        rounds = [self._body(body, body.first + has_counter) for body in loop.bodies]
+        keys = [self._body_key(body) for body in loop.bodies]
+        rounds = [self._body_piece(body, body.first + has_counter) for body in loop.bodies]
         if all(key == keys[0] for key in keys):
-            return _concatenate([_of(loop.opener), _merge_rounds(rounds), _of(loop.closer)])
+            return _concatenate([_text_piece(loop.opener), _merge_rounds(rounds), _text_piece(loop.closer)])
         blanks, end = indent(loop.opener), _line_end(loop.opener)
-        pieces = [_of(f"{blanks}; {loop.opener.strip()} (written out){end}")]
+        pieces = [_text_piece(f"{blanks}; {loop.opener.strip()} (written out){end}")]
         if loop.left:
-            pieces.append(_of(f"{blanks}LOOP{end}"))
-        for first, stop in pairwise([*_runs(keys, self._counts(loop), loop.step), len(rounds)]):
-            pieces += self._run(loop, first, rounds[first:stop])
+            pieces.append(_text_piece(f"{blanks}LOOP{end}"))
+        for first, stop in pairwise([*_run_begins(keys, self._counter_values(loop), loop.step), len(rounds)]):
+            pieces += self._equal_rounds(loop, first, rounds[first:stop])
         if self._sets_counter(loop):
-            pieces.append(self._counter(loop, loop.bodies[-1].last, blanks))
+            pieces.append(self._counter_piece(loop, loop.bodies[-1].last, blanks))
         else:
-            pieces.append(self._lines(loop.bodies[-1].last, loop.last))
+            pieces.append(self._rows_piece(loop.bodies[-1].last, loop.last))
         if loop.left:
-            pieces.append(_of(f"{blanks}EXIT{end}{blanks}ENDLOOP{end}"))
+            pieces.append(_text_piece(f"{blanks}EXIT{end}{blanks}ENDLOOP{end}"))
         return _concatenate(pieces)
 
-    def _run(self, loop: UnrolledLoop, first: int, rounds: Sequence[_Piece]) -> Iterator[_Piece]:
-        """Yield the text of equal rounds: a single one unchanged, several of FOR as a new FOR.
+    def _equal_rounds(self, loop: UnrolledLoop, first: int, rounds: Sequence[_Piece]) -> Iterator[_Piece]:
+        """Yield the lines of equal rounds: a single one unchanged, several of a FOR as a new FOR.
 
-        :param first: number of the first of them, from 0.
+        :param first: number of the first of these rounds, from 0.
         """
         blanks, end = indent(loop.opener), _line_end(loop.opener)
         if len(rounds) == 1 or not loop.step or loop.left:
             for number, piece in enumerate(rounds, first):
                 if loop.step:
-                    yield self._counter(loop, loop.bodies[number].first, blanks)
+                    yield self._counter_piece(loop, loop.bodies[number].first, blanks)
                 yield piece
             return
         begin, last = (self.course.count(loop, loop.bodies[n].first) for n in (first, first + len(rounds) - 1))
         step = "" if loop.step == 1 else f" STEP {loop.step}"
-        yield _of(f"{blanks}FOR {loop.counter}={begin} TO {last}{step}{end}")
+        yield _text_piece(f"{blanks}FOR {loop.counter}={begin} TO {last}{step}{end}")
         yield _merge_rounds(rounds)
-        yield _of(loop.closer)
+        yield _text_piece(loop.closer)
 
-    def _call(self, call: InlinedRoutine) -> _Piece:
-        """Return the line of a call, with the name of the version that it calls."""
-        body, version = self._body(call.body), self._calls[call]
+    def _call_piece(self, call: InlinedRoutine) -> _Piece:
+        """Return the line of a call, with the name of the version that it calls; note the lines of that version."""
+        body, version = self._body_piece(call.body), self._calls[call]
         if version.piece is None:
             version.piece = body
         version.places.extend(body.places)
-        line = self._lines(call.row, call.row + 1)
+        line = self._rows_piece(call.row, call.row + 1)
         if call.routine.source is not self.main.source:
             self.outside.append(call)
         if version.name == call.routine.name:
@@ -305,45 +331,45 @@ class _Folder(Struct, eq=False):
         self.issues.append(Issue("info", "routine-copied", message, line, subject=name))
         return name
 
-    def _file(self, source: Source) -> Iterator[_Piece]:
-        """Yield a file with its routines as they are written, copies behind them."""
-        line = 1
+    def _file_pieces(self, source: Source) -> Iterator[_Piece]:
+        """Yield the pieces of a file: its routines as they are written, each followed by its copies."""
+        next_line = 1
         for routine in sorted(self.versions, key=lambda routine: routine.first):
             if routine.source is source:
-                yield _of(line_text(source, line, routine.first))
+                yield _text_piece(line_text(source, next_line, routine.first))
                 original, *copies = self.versions[routine].values()
                 yield _version_piece(original)
-                end = line_text(source, routine.last)
-                line = routine.last + 1
-                yield _of(end)
-                gap = _line_end(line_text(source, routine.first))
+                end_text = line_text(source, routine.last)
+                next_line = routine.last + 1
+                yield _text_piece(end_text)
+                line_end = _line_end(line_text(source, routine.first))
                 for version in copies:
-                    yield _of(gap if _line_end(end) else gap + gap)
-                    yield _of(self._head(routine, version.name))
+                    yield _text_piece(line_end if _line_end(end_text) else line_end + line_end)
+                    yield _text_piece(self._definition_line(routine, version.name))
                     yield _version_piece(version)
-                    yield _of(end if _line_end(end) else end + gap)
-        yield _of(line_text(source, line, len(source.starts)))
+                    yield _text_piece(end_text if _line_end(end_text) else end_text + line_end)
+        yield _text_piece(line_text(source, next_line, len(source.starts)))
 
-    def _head(self, routine: Routine, name: str) -> str:
-        """Return the line of a DEF with another name; in other files it is GLOBAL, for the program to find it."""
+    def _definition_line(self, routine: Routine, name: str) -> str:
+        """Return the DEF line of a routine with another name; in other files it becomes GLOBAL: calls must find it."""
         source, text = routine.source, line_text(routine.source, routine.first)
-        node, begin = statement(source, routine.first), int(source.starts[routine.first - 1])
-        if not isinstance(node, Definition):
+        definition, begin = statement(source, routine.first), int(source.starts[routine.first - 1])
+        if not isinstance(definition, Definition):
             return text
-        start, at = node.start - begin, node.at - begin
-        public = "" if node.public or source is self.main.source else "GLOBAL "
-        return f"{text[:start]}{public}{text[start:at]}{name}{text[at + len(node.name) :]}"
+        start, name_start = definition.start - begin, definition.at - begin
+        public = "" if definition.public or source is self.main.source else "GLOBAL "
+        return f"{text[:start]}{public}{text[start:name_start]}{name}{text[name_start + len(definition.name) :]}"
 
     # --- text --------------------------------------------------------------------------------------------------------
 
     def _text(self, piece: _Piece) -> str:
         """Return the text of a piece."""
-        return "".join(part if isinstance(part, str) else self._row_text(*part) for part in piece.content)
+        return "".join(part if isinstance(part, str) else self._text_of_rows(*part) for part in piece.content)
 
-    def _row_text(self, first: int, last: int) -> str:
-        """Return the text of rows first … last − 1, which are consecutive lines of a file."""
+    def _text_of_rows(self, first: int, last: int) -> str:
+        """Return the corrected text of rows first … last − 1 of the trace, which are consecutive lines of a file."""
         source, line = self.course.trace.place(first)
-        shift = line - first
+        shift = line - first  # from a row to its line in the file
         begin, stop = np.searchsorted(self.edited.rows, [first, last]).tolist()
         texts = []
         for row, text in zip(self.edited.rows[begin:stop].tolist(), self.edited.texts[begin:stop], strict=True):
@@ -354,8 +380,11 @@ class _Folder(Struct, eq=False):
         return "".join(texts)
 
 
-def _runs(keys: Sequence[_Key], counts: Sequence[int], step: int) -> list[int]:
-    """Return the first rounds of runs that are equal and evenly counted."""
+def _run_begins(keys: Sequence[_Key], counts: Sequence[int], step: int) -> list[int]:
+    """Return the numbers of the first rounds of runs, in which rounds are corrected alike and counted evenly.
+
+    :param keys: of the changes of the rounds; `counts` their values of the counter, which `step` increments.
+    """
     begins = [0]
     for number in range(1, len(keys)):
         if keys[number] != keys[number - 1] or counts[number] != counts[number - 1] + step:
@@ -363,18 +392,19 @@ def _runs(keys: Sequence[_Key], counts: Sequence[int], step: int) -> list[int]:
     return begins
 
 
-def _of(text: str) -> _Piece:
+def _text_piece(text: str) -> _Piece:
+    """Return a text that is in no row of the trace as a piece."""
     return _Piece(line_count(text), (text,))
 
 
 def _version_piece(version: _Version) -> _Piece:
-    """Return the lines of a version, for the rows of all its calls."""
-    piece = version.piece or _of("")
+    """Return the lines of a version, with the places of the rows of all its calls."""
+    piece = version.piece or _text_piece("")
     return piece._replace(places=version.places)
 
 
 def _concatenate(pieces: Iterable[_Piece]) -> _Piece:
-    """Return pieces that follow each other as one."""
+    """Return pieces that follow each other as one piece."""
     content, places, number = list[str | tuple[int, int]](), list[tuple[int, int, int]](), 0
     for piece in pieces:
         content += piece.content
@@ -384,9 +414,10 @@ def _concatenate(pieces: Iterable[_Piece]) -> _Piece:
 
 
 def _merge_rounds(rounds: Sequence[_Piece]) -> _Piece:
-    """Return the piece that rounds which are alike become, for the rows of all."""
+    """Return the lines of rounds that are written alike, once, with the places of the rows of all of them."""
     return rounds[0]._replace(places=[place for piece in rounds for place in piece.places])
 
 
 def _line_end(text: str) -> str:
+    """Return the line end of a text: CR and LF at its end, or nothing."""
     return text[len(text.rstrip("\r\n")) :]
