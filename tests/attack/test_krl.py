@@ -75,7 +75,7 @@ def test_motions_that_are_said_to_be_moved_and_loops_that_never_end_are_not_wron
     ("place", "name", "fault", "skipped"),
     [
         (flow, "carried_variables", lambda *_: [], 105),  # rounds of a LOOP without EXIT may differ
-        (Calls, "notice", lambda *_: None, 80),  # interrupts and triggers change nothing
+        (Calls, "note_lasting_effects", lambda *_: None, 80),  # interrupts and triggers change nothing
     ],
 )
 def test_programs_with_one_value_in_doubt_find_a_reader_that_passes_over_it(place, name, fault, skipped, monkeypatch):

@@ -38,12 +38,12 @@ class Calls:
     def __init__(self, run: Run, run_routine: Callable[[], None]) -> None:
         self.run, self._run_routine = run, run_routine
         run.variables.functions = _PureFunctions(self)
-        self.entered: list[_Bound] = []
+        self.entered: list[_BoundCall] = []
 
     def value(self, at: Place, value: Value, *, is_copied: bool = False) -> VariableValue:
-        """Return the present value of an expression; run the functions in it.
+        """Return the value of an expression, and run the functions in it.
 
-        :param is_copied: of a variable that is a point, return the text that has its numbers. See `Run.copy`.
+        :param is_copied: for a variable that is a point, return the text with its numbers, see `Run.note_copy`.
         """
         call = value if isinstance(value, Call) else None
         for inner in calls([value] if call is None else call.arguments):
@@ -64,26 +64,33 @@ class Calls:
         return result
 
     def call(self, at: Place, call: Call, *, certain: bool) -> VariableValue:
-        """Follow a call; return the value of a function."""
+        """Follow a call, and return the value of the function, if it is one.
+
+        :param certain: True if the call surely runs, and once; else what it may write becomes unknown.
+        :returns: an `UnknownValue` if the value is not known before run time.
+        :raises ProgramError: the routine moves the robot where this cannot be corrected.
+        """
         callee = self.run.library.find(call.name, self.run.level.module)
         unknown = UnknownValue(str(at), f"what {call.spelling(at.source)}() gives is not known")
         self._note_stop(at, call)
         if callee is None:
-            self._absent(at, call)
-            ours = call.name in PURE or call.name in STANDARD
+            self._follow_absent(at, call)
+            is_standard = call.name in PURE or call.name in STANDARD
             return (
-                unknown if ours else UnknownValue(str(at), f"{call.spelling(at.source)}() is in no file of the program")
+                unknown
+                if is_standard
+                else UnknownValue(str(at), f"{call.spelling(at.source)}() is in no file of the program")
             )
         effects = self.run.analysis.of(*callee)
-        self.notice(at, call.name, effects)
+        self.note_lasting_effects(at, call.name, effects)
         self._check_motion(at, call, *callee, effects)
         if callee[0] is self.run.library.program:
             self.run.reached.add(callee[1])
         if _has_no_effects(effects):
-            result = None if self._obstacle(at, call, *callee, effects) else self._executed(at, call, *callee)
+            result = None if self._obstacle(at, call, *callee, effects) else self._run_exactly(at, call, *callee)
             return unknown if result is None else result
         if certain and not self._obstacle(at, call, *callee, effects):
-            result = self._executed(at, call, *callee)
+            result = self._run_exactly(at, call, *callee)
             if result is not None:
                 return result
         if effects.interrupt_motion is not None:
@@ -101,25 +108,27 @@ class Calls:
         reason = at.error(f"{problem}: where the next motion begins is not known", _COMPLETE_ADVICE)
         self.run.stops.append((self.run.row, reason))
 
-    def writer(self, call: Call, name: str) -> Place | None:
-        """Return where a called routine may write a variable, by its stored name; None if it does not."""
+    def write_place(self, call: Call, name: str) -> Place | None:
+        """Return the place at which a called routine may write a variable, given by its stored name; None if there is
+        none.
+        """
         callee = self.run.library.find(call.name, self.run.level.module)
         return None if callee is None else self.run.analysis.of(*callee).writes.get(name)
 
-    def _absent(self, at: Place, call: Call) -> None:
-        """Follow a call of a routine that is in no file: it writes at most its arguments."""
+    def _follow_absent(self, at: Place, call: Call) -> None:
+        """Follow a call of a routine that is in no file: it is taken to write its arguments at most."""
         if call.name in PURE:
             return
         if call.name not in STANDARD:
             self.run.absent.append((call.spelling(at.source), self.run.here))
         self._forget_arguments(at, call, None)
 
-    def notice(self, at: Place, subject: str, effects: Effects, source: str | None = None) -> None:
+    def note_lasting_effects(self, at: Place, subject: str, effects: Effects, source: str | None = None) -> None:
         """Note routines that are in no file, and variables that may change at any time from now on.
 
-        :param subject: the routine or statement, for errors of this line.
-        :param source: the same for errors of later lines.
-        :raises ProgramError: frames or speeds may change so, or a variable that a caller gave.
+        :param subject: the routine or statement that has these effects, for errors on this line.
+        :param source: the same for errors on later lines.
+        :raises ProgramError: frames or speeds may change at any time, or a variable that a caller gave.
         """
         if not (effects.lasting_write or effects.absent or effects.resumes or effects.anytime):
             return
@@ -136,8 +145,11 @@ class Calls:
         self.run.may_change(effects.anytime, source or subject)
 
     def _forget_arguments(self, at: Place, call: Call, routine: Routine | None) -> None:
-        """Note that the variables which a call may write have no known value behind it."""
-        for _, reference in self._by_reference(at, call, routine):
+        """Mark as unknown the variables that a call may write.
+
+        :param routine: the called routine; None if it is in no file.
+        """
+        for _, reference in self._writable_arguments(at, call, routine):
             if reference.name in FIELDS:
                 problem = f"{reference.name} is given to {call.name}, which may change it"
                 self.run.settings.make_uncertain(
@@ -146,8 +158,11 @@ class Calls:
             else:
                 self.run.variables.forget(self.run.stored(reference.name), str(at))
 
-    def _by_reference(self, at: Place, call: Call, routine: Routine | None) -> list[tuple[int, Reference]]:
-        """Return the arguments that a routine may write: variables given for a parameter without ``:IN``."""
+    def _writable_arguments(self, at: Place, call: Call, routine: Routine | None) -> list[tuple[int, Reference]]:
+        """Return the arguments that a routine may write: the index and the variable of each.
+
+        They are given for parameters without ``:IN``.
+        """
         parameters = () if routine is None else routine.parameters
         return [
             (index, reference)
@@ -157,7 +172,11 @@ class Calls:
         ]
 
     def _may_have_run(self, at: Place, name: str, effects: Effects) -> None:
-        """Mark as unknown everything that code may write which runs at unknown times or an unknown number of times."""
+        """Mark as unknown all variables and settings that some code writes; it is not known whether or how often it
+        runs.
+
+        :param name: of the routine, for messages.
+        """
         for variable, place in effects.writes.items():
             if variable in RELEVANT:
                 problem = f"{name} may change {variable} ({place})"
@@ -167,7 +186,12 @@ class Calls:
                 self.run.variables.forget(variable, str(place))
 
     def _check_motion(self, at: Place, call: Call, module: Module, routine: Routine, effects: Effects) -> None:
-        """Refuse motions in routines of the program itself; after those of another file the position is not known."""
+        """Refuse the call of a routine of the program itself that moves the robot and is not in the trace.
+
+        After such a call of a routine in another file, the robot position is not known; a warning says so.
+
+        :raises ProgramError: the call cannot be left as it is.
+        """
         if effects.force is not None and self.run.in_main:
             self.run.unforced[self.run.row] = f"{call.name} is called, which holds a force comment ({effects.force})"
         place = effects.motion
@@ -177,8 +201,8 @@ class Calls:
         self.run.unfollowed |= self.run.analysis.reached(module, routine)
         if self.run.routine in self.run.unfollowed:
             raise at.error(f"{problem} and calls this program again", _INLINE_ADVICE)
-        begins = self.run.analysis.from_here(module, routine)
-        if begins is not None:
+        dependent_place = self.run.analysis.from_here(module, routine)
+        if dependent_place is not None:
             self.run.shifted.add(self.run.row)
         if self.run.keep and (place.source is self.run.routine.source or self.run.level.open):
             self.run.unresolved.append((self.run.row, at.error(problem)))
@@ -189,19 +213,20 @@ class Calls:
         if self.run.level.open:
             raise at.error(f"{problem} inside {self.run.level.open[-1][0]}", advice)
         name = call.spelling(at.source)
-        unseen = at.error(f"{problem}, in a way that cannot be followed", _INLINE_ADVICE)
-        cause = self.run.elsewhere.get(routine, unseen)
+        default_cause = at.error(f"{problem}, in a way that cannot be followed", _INLINE_ADVICE)
+        cause = self.run.elsewhere.get(routine, default_cause)
         reason = at.error(f"{problem}: where the next motion begins is not known", advice)
         self.run.moved.append(UntracedCall(self.run.row, reason, name, module, routine, cause))
         cause_text = f"{cause.file}, line {cause.line}: {cause.problem}"
         message = f"{name}() moves the robot ({place}): its motions are not corrected here, because of {cause_text}."
-        if begins is not None:
+        if dependent_place is not None:
             message += (
-                f" They begin from the robot position ({begins}): the correction of the motion before moves them too."
+                f" They begin from the robot position ({dependent_place}): the correction of the motion before moves "
+                "them too."
             )
         self.run.issues.append(Issue("warning", "motions-elsewhere", message, self.run.here, subject=call.name))
 
-    def moving(self, call: Call) -> tuple[Module, Routine] | None:
+    def traced_callee(self, call: Call) -> tuple[Module, Routine] | None:
         """Return the called routine if it belongs in the execution trace, else None.
 
         It does if it moves the robot or contains a force comment.
@@ -213,28 +238,28 @@ class Calls:
         return callee if effects.motion is not None or effects.force is not None else None
 
     def enter(self, at: Place, call: Call, module: Module, routine: Routine) -> None:
-        """Enter a routine with motions; the next statements run in it, up to `leave`.
+        """Begin a called routine with motions; statements run in it until `leave`.
 
         :raises InexactError: it cannot be followed.
         """
         effects = self.run.analysis.of(module, routine)
-        self.notice(at, call.name, effects)
+        self.note_lasting_effects(at, call.name, effects)
         if module is self.run.library.program:
             self.run.reached.add(routine)
         if obstacle := self._obstacle(at, call, module, routine, effects):
             problem = f"{call.name} is called, which moves the robot, in a way that cannot be followed: {obstacle}"
             raise inexact(at, problem, _INLINE_ADVICE, routine)
-        self.entered.append(self._bound(at, call, module, routine, is_traced=True))
-        self._begin(self.entered[-1], is_traced=True)
+        self.entered.append(self._bound_call(at, call, module, routine, is_traced=True))
+        self._begin_routine(self.entered[-1], is_traced=True)
 
     def leave(self) -> None:
-        """Return from the routine that was entered last."""
-        self._end(self.entered.pop())
+        """End the routine that was entered last."""
+        self._end_routine(self.entered.pop())
 
-    def _executed(self, at: Place, call: Call, module: Module, routine: Routine) -> VariableValue | None:
-        """Run a routine; None if that cannot be done exactly."""
-        bound = self._bound(at, call, module, routine)
-        level = self._begin(bound, is_traced=False)
+    def _run_exactly(self, at: Place, call: Call, module: Module, routine: Routine) -> VariableValue | None:
+        """Run a called routine, and return the value that it gives; None if it cannot be run exactly."""
+        bound = self._bound_call(at, call, module, routine)
+        level = self._begin_routine(bound, is_traced=False)
         try:
             self._run_routine()
         except ProgramError:
@@ -242,7 +267,7 @@ class Calls:
             return None
         finally:
             self.run.place = at
-        self._end(bound)
+        self._end_routine(bound)
         return level.result if level.result != NO_VALUE else UnknownValue(str(at))
 
     def _obstacle(self, at: Place, call: Call, module: Module, routine: Routine, effects: Effects) -> str:
@@ -258,9 +283,9 @@ class Calls:
         if len(call.arguments) > len(routine.parameters):
             return f"it takes {len(routine.parameters)} arguments, {len(call.arguments)} are given"
         roots: set[str] = set()
-        for index, reference in self._by_reference(at, call, routine):
+        for index, reference in self._writable_arguments(at, call, routine):
             name, root = at.source.text[reference.start : reference.stop], self.run.stored(reference.name)
-            if reference.indices == () and not self._is_array(routine, index, reference, root):
+            if reference.indices == () and not self._is_matching_array(routine, index, reference, root):
                 return f"{name} is a whole array, and its parameter is not one of that type"
             if root in roots or root in effects.writes or root in RELEVANT:
                 return f"{name} has two names in it, one as its parameter"
@@ -269,15 +294,20 @@ class Calls:
             return f"{min(aliases)} has two names in it, one as its parameter"
         return ""
 
-    def _is_array(self, routine: Routine, index: int, reference: Reference, root: str) -> bool:
-        """Return whether a whole array is given for a parameter that is an array of its type."""
+    def _is_matching_array(self, routine: Routine, index: int, reference: Reference, root: str) -> bool:
+        """Return whether an argument is a whole array of the type that the parameter with this index has."""
         parameter = routine.parameters[index]
         kind = self.run.variables.types.get(root)
         return parameter.is_array and reference.field is None and kind == routine.types.get(parameter.name, "")
 
-    def _bound(self, at: Place, call: Call, module: Module, routine: Routine, *, is_traced: bool = False) -> _Bound:
-        """Return a call with the values of its parameters."""
-        by_reference = self._by_reference(at, call, routine)
+    def _bound_call(
+        self, at: Place, call: Call, module: Module, routine: Routine, *, is_traced: bool = False
+    ) -> _BoundCall:
+        """Return a call with the values of its parameters; functions in the arguments are run.
+
+        :param is_traced: True if the routine is in the execution trace.
+        """
+        by_reference = self._writable_arguments(at, call, routine)
         arrays = {
             routine.parameters[index].name: self.run.stored(reference.name)
             for index, reference in by_reference
@@ -308,7 +338,7 @@ class Calls:
             if index < len(routine.parameters) and root in self.run.variables.changing
         }
         kinds = {index: self.run.variables.kind(reference) for index, reference in references}
-        return _Bound(
+        return _BoundCall(
             at,
             module,
             routine,
@@ -321,14 +351,17 @@ class Calls:
             self.run.variables.scope,
         )
 
-    def _begin(self, bound: _Bound, *, is_traced: bool) -> Level:
-        """Make a routine the running one."""
+    def _begin_routine(self, bound: _BoundCall, *, is_traced: bool) -> Level:
+        """Make the routine of a call the running one, and set its parameters.
+
+        :param is_traced: True if it is in the execution trace.
+        """
         for index, parameter in enumerate(bound.routine.parameters):
             if parameter.name in bound.scope.arrays:
                 continue  # an array of the caller
             stored_name, kind = bound.scope.stored(parameter.name), bound.routine.types.get(parameter.name, "")
-            argument = bound.kinds.get(index, kind)
-            if (kind == "REAL" and argument in ("INT", WHOLE)) or (kind == "INT" and argument != "INT"):
+            argument_kind = bound.kinds.get(index, kind)
+            if (kind == "REAL" and argument_kind in ("INT", WHOLE)) or (kind == "INT" and argument_kind != "INT"):
                 kind = WHOLE
             if kind:
                 self.run.variables.types[stored_name] = kind
@@ -341,15 +374,15 @@ class Calls:
         self.run.variables.scope = bound.scope
         return self.run.level
 
-    def _leave_routine(self, bound: _Bound) -> None:
-        """Return to the level and the scope of the caller."""
+    def _leave_routine(self, bound: _BoundCall) -> None:
+        """Make the caller the running routine again."""
         self.run.stack.pop()
         self.run.level, self.run.variables.scope = bound.caller, bound.caller_scope
         for name in bound.volatile_names:
             self.run.variables.changing.pop(name, None)
 
-    def _end(self, bound: _Bound) -> None:
-        """Continue after a call, with the values that it leaves in its arguments."""
+    def _end_routine(self, bound: _BoundCall) -> None:
+        """End a called routine: its caller runs again, with the values that the call leaves in its arguments."""
         self._leave_routine(bound)
         at, variables = bound.at, self.run.variables
         for index, reference, key in bound.references:
@@ -365,7 +398,7 @@ class Calls:
 
 
 def _has_no_effects(effects: Effects) -> bool:
-    """Return whether a routine does nothing but give a value."""
+    """Return whether a routine only gives a value: it writes nothing outside, moves nothing, does not jump."""
     changes = effects.writes or effects.anytime or effects.absent
     moves = effects.motion or effects.interrupt_motion or effects.force or effects.resumes
     return not (changes or moves or effects.parameter or effects.lasting_write or effects.jumps)
@@ -385,7 +418,7 @@ class _PureFunctions(Struct, frozen=True, eq=False):
         return callee is not None and bool(callee[1].result) and _has_no_effects(run.analysis.of(*callee))
 
     def value(self, call: Call) -> VariableValue:
-        """Return what it gives."""
+        """Return what a call gives, at the statement that runs."""
         at = self.calls.run.place
         return NO_VALUE if at is None else self.calls.call(at, call, certain=False)
 
@@ -402,7 +435,7 @@ class _Argument(NamedTuple):
     key: str | None
 
 
-class _Bound(Struct, frozen=True, eq=False):
+class _BoundCall(Struct, frozen=True, eq=False):
     """A call.
 
     :param references: arguments that the routine may write; `argument_values` the values of all, by place.

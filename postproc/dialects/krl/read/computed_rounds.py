@@ -25,7 +25,7 @@ from postproc.dialects.krl.read import plain_settings
 from postproc.dialects.krl.read.motion_reader import KINDS, ROBOT_POSITIONS, MotionReader
 from postproc.dialects.krl.read.run import Run
 from postproc.dialects.krl.read.state import RELEVANT
-from postproc.dialects.krl.read.variables import FUNCTIONS, computed, convert_to_type
+from postproc.dialects.krl.read.variables import FUNCTIONS, convert_to_type, operation_result
 from postproc.errors import ProgramError
 
 FEWEST_ROUNDS = 64
@@ -36,63 +36,77 @@ _OPERATORS = "+-*/"
 
 
 def computed_body(source: Source, block: Block) -> PlainBody | None:
-    """Return the statements of a FOR that computes points and moves to them; None if it does anything else."""
+    """Return the lines of a FOR that computes points from its counter and moves to them.
+
+    Apart from that it may switch outputs.
+
+    :returns: None if it does anything else.
+    """
     head = statement(source, block.first)
     if not isinstance(head, For) or head.bounds is None or head.counter is None or head.counter.indices is not None:
         return None
     if head.counter.field is not None or not all(isinstance(node, int) for node in block.parts[0].nodes):
         return None
     lines = [node for node in block.parts[0].nodes if isinstance(node, int)]
-    assigned = {s.target.name for s in (statement(source, line) for line in lines) if isinstance(s, Assignment)}
+    assigned_names = {
+        stmt.target.name for stmt in (statement(source, line) for line in lines) if isinstance(stmt, Assignment)
+    }
     bounds = walk(value for value in head.bounds if value is not None)
-    if any(isinstance(value, Reference) and value.name in {*assigned, head.name} for value in bounds):
+    if any(isinstance(value, Reference) and value.name in {*assigned_names, head.name} for value in bounds):
         return None
-    motions, assignments, names = [], [], set[str]()
-    unset = assigned - {name for name in assigned if name[0] == "$"}
+    motions, assignments, set_names = [], [], set[str]()
+    unset_names = assigned_names - {name for name in assigned_names if name[0] == "$"}
     for line in lines:
         stmt = statement(source, line)
         if isinstance(stmt, Assignment) and stmt.target.name[0] == "$":
             if stmt.target.name not in _SWITCHED or not plain_settings.is_plain(source, line):
                 return None
-        elif isinstance(stmt, Assignment) and _sets(stmt, head.name) and _is_computed(stmt.value, unset):
+        elif (
+            isinstance(stmt, Assignment)
+            and _sets_whole_variable(stmt, head.name)
+            and _is_computed(stmt.value, unset_names)
+        ):
             assignments.append(line)
-            names.add(stmt.target.name)
-            unset.discard(stmt.target.name)
-        elif isinstance(stmt, Motion) and _moves(stmt, names, unset):
+            set_names.add(stmt.target.name)
+            unset_names.discard(stmt.target.name)
+        elif isinstance(stmt, Motion) and _leads_to_computed_point(stmt, set_names, unset_names):
             motions.append(line)
         else:
             return None
     return PlainBody((*motions,), (), (), (*assignments,), is_computed=True) if motions else None
 
 
-def _sets(stmt: Assignment, counter: str) -> bool:
+def _sets_whole_variable(stmt: Assignment, counter: str) -> bool:
     """Return whether an assignment sets a whole variable that is not the counter."""
     target = stmt.target
     return target.indices is None and target.field is None and target.name not in (counter, *RELEVANT)
 
 
-def _is_computed(value: Value, unset: set[str]) -> bool:
-    """Return whether a value is made of numbers, variables and elements by arithmetic.
+def _is_computed(value: Value, unset_names: set[str]) -> bool:
+    """Return whether a value is made of numbers, variables and array elements by arithmetic.
 
-    :param unset: names that the round sets later.
+    :param unset_names: variables that the round sets only later.
     """
     if isinstance(value, Number):
         return True
     if isinstance(value, Reference):
-        is_plain = value.field is None and value.name[0] != "$" and value.name not in unset and not value.inner
+        is_plain = value.field is None and value.name[0] != "$" and value.name not in unset_names and not value.inner
         indices = value.indices
-        return is_plain and (indices is None or (len(indices) == 1 and _is_computed(indices[0], unset)))
+        return is_plain and (indices is None or (len(indices) == 1 and _is_computed(indices[0], unset_names)))
     if isinstance(value, Operation):
         sides = (value.right,) if value.left is None else (value.left, value.right)
-        return value.operator in _OPERATORS and all(_is_computed(side, unset) for side in sides)
+        return value.operator in _OPERATORS and all(_is_computed(side, unset_names) for side in sides)
     if isinstance(value, Call):
         is_function = value.name in FUNCTIONS and len(value.arguments) == 1 + (value.name == "ATAN2")
-        return is_function and all(_is_computed(argument, unset) for argument in value.arguments)
+        return is_function and all(_is_computed(argument, unset_names) for argument in value.arguments)
     return False
 
 
-def _moves(stmt: Motion, names: set[str], unset: set[str]) -> bool:
-    """Return whether a motion leads to a variable that the round has set, or to an aggregate of computed numbers."""
+def _leads_to_computed_point(stmt: Motion, set_names: set[str], unset_names: set[str]) -> bool:
+    """Return whether a motion leads to a variable that the round has set, or to an aggregate of computed numbers.
+
+    :param set_names: variables that the round has set; `unset_names` those that it sets later.
+    """
     tail, end = stmt.tail, stmt.end
     if stmt.word not in KINDS or stmt.word in (*CIRCLES, "SPL") or stmt.angle is not None or stmt.frame:
         return False
@@ -100,30 +114,30 @@ def _moves(stmt: Motion, names: set[str], unset: set[str]) -> bool:
         return False
     if isinstance(end, Reference):
         is_whole = end.indices is None and end.field is None and not end.bracketed
-        return is_whole and end.name in names and end.name not in ROBOT_POSITIONS and len(end.name) <= MAX_LENGTH
+        return is_whole and end.name in set_names and end.name not in ROBOT_POSITIONS and len(end.name) <= MAX_LENGTH
     if not isinstance(end, Aggregate) or end.tag not in _TAGS or set(end.items) != set(CARTESIAN):
         return False
     values = end.items.values()
-    return all(_is_computed(value, unset) for value in values) and not all(isinstance(v, Number) for v in values)
+    return all(_is_computed(value, unset_names) for value in values) and not all(isinstance(v, Number) for v in values)
 
 
 class _Column(Struct, frozen=True, eq=False):
-    """Numbers, one a round; `integer` where they may be INTs."""
+    """The numbers of a value, one for each round; `integer` is True if they may be INTs."""
 
     numbers: list[float]
     integer: bool
 
 
 class _NoColumnError(Exception):
-    """A value is not a number in all rounds, or not one kind of number."""
+    """A value is not a number in every round, or not of one type."""
 
 
 class _Rounds:
-    """The values of rounds as columns.
+    """The values in all rounds of a loop, one column for each variable.
 
     :ivar columns: of the counter and of variables that are numbers, by name.
-    :ivar positions: of variables that are positions.
-    :ivar copied: elements of arrays whose text has the numbers of positions, with the variables that got it.
+    :ivar positions: of variables that are positions, by name.
+    :ivar copied: line of an assignment, the array element that it copies, and the variable that gets the point.
     """
 
     def __init__(self, run: Run, rounds: PlainRounds, counter: str) -> None:
@@ -133,19 +147,19 @@ class _Rounds:
         self.copied: list[tuple[int, Reference, str]] = []
 
     def assign(self, line: int, stmt: Assignment) -> None:
-        """Give a variable its values.
+        """Set a variable to the values of an assignment, one for each round.
 
         :param line: of the assignment in its file.
-        :raises _NoColumnError: they are not all numbers of one kind, or not all whole positions.
+        :raises _NoColumnError: they are not all numbers of one type, or not all complete positions.
         """
-        name, key = stmt.target.name, self._stored(stmt.target.name)
+        name, key = stmt.target.name, self._stored_name(stmt.target.name)
         self.columns.pop(name, None)
         self.positions.pop(name, None)
         if isinstance(stmt.value, Reference) and stmt.value.indices is not None:
-            values = self._elements(stmt.value)
+            values = self._element_values(stmt.value)
             points = [value for value in values if isinstance(value, Aggregate)]
             if len(points) == len(values):
-                self.positions[name] = [_position(point) for point in points]
+                self.positions[name] = [_cartesian_position(point) for point in points]
                 if any(not point.computed for point in points):
                     self.copied.append((line, stmt.value, name))
                 return
@@ -155,7 +169,7 @@ class _Rounds:
         )
 
     def targets(self, end: Value | None) -> list[Position]:
-        """Return the targets of a motion.
+        """Return the targets of a motion, one for each round.
 
         :raises _NoColumnError: they are not all known, or out of reach.
         """
@@ -173,17 +187,17 @@ class _Rounds:
         return positions
 
     def column(self, value: Value) -> _Column:
-        """Return an expression in all rounds, as `Variables` evaluates it in one.
+        """Return the values of an expression, one for each round; they equal those of `Variables.evaluate`.
 
-        :raises _NoColumnError: it is not a number in one of them, or an INT in some only.
+        :raises _NoColumnError: one of them is not a number, or only some of them are INTs.
         """
         if isinstance(value, Number):
             return _Column([value.value] * self.count, value.integer)
         if isinstance(value, Reference):
-            return self._variable(value)
+            return self._variable_column(value)
         if isinstance(value, Operation):
             left = _Column([0.0] * self.count, integer=True) if value.left is None else self.column(value.left)
-            return _joined(value.operator, left, self.column(value.right))
+            return _operation_column(value.operator, left, self.column(value.right))
         if isinstance(value, Call):
             arguments = [self.column(argument) for argument in value.arguments]
             function = FUNCTIONS[value.name]
@@ -194,23 +208,23 @@ class _Rounds:
             return _Column(numbers, value.name == "ABS" and all(column.integer for column in arguments))
         raise _NoColumnError
 
-    def _variable(self, reference: Reference) -> _Column:
+    def _variable_column(self, reference: Reference) -> _Column:
         """Return the values of a variable or an array element, one for each round.
 
         :raises _NoColumnError: they are not known before run time.
         """
         if reference.indices is not None:
-            return _as_column(self._elements(reference))
+            return _as_column(self._element_values(reference))
         column = self.columns.get(reference.name)
         if column is not None:
             return column
         if reference.name in self.positions:
             raise _NoColumnError
-        return _as_column([self.run.variables.value(self._stored(reference.name))] * self.count)
+        return _as_column([self.run.variables.value(self._stored_name(reference.name))] * self.count)
 
-    def _elements(self, reference: Reference) -> Sequence[object]:
+    def _element_values(self, reference: Reference) -> Sequence[object]:
         """Return the elements of an array, one for each round."""
-        variables, name = self.run.variables, self._stored(reference.name)
+        variables, name = self.run.variables, self._stored_name(reference.name)
         if reference.indices is None or reference.name in self.columns or reference.name in self.positions:
             raise _NoColumnError
         indices = self.column(reference.indices[0]).numbers
@@ -218,23 +232,23 @@ class _Rounds:
             raise _NoColumnError
         return [variables.value(f"{name}[{int(index)}]") for index in indices]
 
-    def _stored(self, name: str) -> str:
+    def _stored_name(self, name: str) -> str:
         """Return the name under which a variable is stored.
 
         :raises _NoColumnError: it may change at any time, is a whole array of the caller, or the cell gives its value.
         """
         variables = self.run.variables
-        stored = self.run.stored(name)
-        is_given = any(key.partition("[")[0] == stored for key in variables.given)
-        if name in variables.scope.arrays or stored in variables.changing or is_given:
+        stored_name = self.run.stored(name)
+        is_given = any(key.partition("[")[0] == stored_name for key in variables.given)
+        if name in variables.scope.arrays or stored_name in variables.changing or is_given:
             raise _NoColumnError
-        return stored
+        return stored_name
 
 
 def _as_column(values: Sequence[object]) -> _Column:
-    """Return values that are all numbers, and all INTs or none.
+    """Return numbers as a column; they must all be INTs, or none.
 
-    :raises _NoColumnError: they are not.
+    :raises _NoColumnError: a value is not a number, or the types differ.
     """
     numbers = [value for value in values if isinstance(value, Number)]
     if len(numbers) < len(values) or len({number.integer for number in numbers}) != 1:
@@ -242,23 +256,25 @@ def _as_column(values: Sequence[object]) -> _Column:
     return _Column([number.value for number in numbers], numbers[0].integer)
 
 
-def _joined(operator: str, left: _Column, right: _Column) -> _Column:
-    """Return sums, differences, products or quotients.
+def _operation_column(operator: str, left: _Column, right: _Column) -> _Column:
+    """Return the sums, differences, products or quotients of two columns.
 
     :raises _NoColumnError: one of them is not known.
     """
     integer = left.integer and right.integer
-    values = [computed(operator, a, b, integer=integer) for a, b in zip(left.numbers, right.numbers, strict=True)]
+    values = [
+        operation_result(operator, a, b, integer=integer) for a, b in zip(left.numbers, right.numbers, strict=True)
+    ]
     numbers = [value for value in values if isinstance(value, int | float)]
     if len(numbers) < len(values):
         raise _NoColumnError
     return _Column(numbers, integer)
 
 
-def _position(aggregate: Aggregate) -> Position:
-    """Return the position that a variable has which was set to an aggregate.
+def _cartesian_position(aggregate: Aggregate) -> Position:
+    """Return the position of an aggregate.
 
-    :raises _NoColumnError: it is not a complete Cartesian one.
+    :raises _NoColumnError: it is not a complete Cartesian position.
     """
     if not aggregate.items.keys() >= set(CARTESIAN) or not all(isinstance(v, Number) for v in aggregate.items.values()):
         raise _NoColumnError
@@ -272,9 +288,10 @@ def _position(aggregate: Aggregate) -> Position:
 
 
 def computed_motions(run: Run, reader: MotionReader, rounds: PlainRounds) -> list[MotionStatement] | None:
-    """Return the motions of rounds that are computed from the counter, in order; None if they are not known.
+    """Return the motions of rounds whose points are computed from the counter, in execution order.
 
-    :param run: what has run before the first round; unchanged if they are not known.
+    :param run: what has run before the first round; it is unchanged if None is returned.
+    :returns: None if the motions are not known.
     """
     head, state = statement(rounds.source, rounds.head), run.settings.state
     if state.uncertain or state.block or state.base < 0 or state.tool < 0 or not run.certain or run.level.open:
@@ -296,32 +313,32 @@ def computed_motions(run: Run, reader: MotionReader, rounds: PlainRounds) -> lis
     for _, stmt, _, _ in motions:
         if stmt.end is not None:
             run.variables.rely(stmt.end)
-    _understand(run, rounds)
+    _note_understood(run, rounds)
     for line, point, name in values.copied:
         run.copies.add((point.name, name))
-        _understand_name(run, rounds, line, point)
-    columns = (_statements(rounds, *motion) for motion in motions)
+        _note_understood_name(run, rounds, line, point)
+    columns = (_motions_of_statement(rounds, *motion) for motion in motions)
     return [move for row in zip(*columns, strict=True) for move in row]
 
 
-def _understand(run: Run, rounds: PlainRounds) -> None:
-    """Note the names whose use is followed: what is set, and points."""
+def _note_understood(run: Run, rounds: PlainRounds) -> None:
+    """Note that the use of the variables that the rounds set, and of the points that they move to, is followed."""
     for line in (*rounds.body.assignments, *rounds.body.motions):
         stmt = statement(rounds.source, line)
         name = stmt.target if isinstance(stmt, Assignment) else stmt.end if isinstance(stmt, Motion) else None
         if isinstance(name, Reference):
-            _understand_name(run, rounds, line, name)
+            _note_understood_name(run, rounds, line, name)
 
 
-def _understand_name(run: Run, rounds: PlainRounds, line: int, name: Reference) -> None:
-    """Note that the use of a name on a line of the body is followed in all rounds."""
+def _note_understood_name(run: Run, rounds: PlainRounds, line: int, name: Reference) -> None:
+    """Note that the use of a name on a line of the body is followed, in all rounds."""
     run.understood.update([(row, name.start) for row in rounds.line(line).tolist()])
 
 
-def _statements(
+def _motions_of_statement(
     rounds: PlainRounds, line: int, stmt: Motion, targets: list[Position], is_approximated: bool
 ) -> list[MotionStatement]:
-    """Return the motions of one statement of the body, one a round."""
+    """Return the motions that one statement of the body makes, one for each round."""
     end, tail, kind = stmt.end, stmt.tail, KINDS[stmt.word]
     if end is None:
         return []

@@ -46,7 +46,7 @@ def read_data(
             variables.initial.add(name)
             key, value = f"{name}[{int(element[2])}]", UnparsedValue(source, element.end(), stop)
             if name in FRAME_ARRAYS:
-                variables.state_frame(key, value, f"{source.document.name}, line {line}")
+                variables.note_frame(key, value, f"{source.document.name}, line {line}")
             variables.put(key, value)
             continue
         first = text[start : start + 1]
@@ -98,7 +98,7 @@ def _declare(
         if declarator.kind == "STRUC" and (named_structure := structure(source, *source.code_span(line))):
             variables.structures.setdefault(*named_structure)
         if declarator.value >= 0 and name.partition("[")[0] in FRAME_ARRAYS:
-            variables.state_frame(
+            variables.note_frame(
                 name, UnparsedValue(source, declarator.value, stop), f"{source.document.name}, line {line}"
             )
         if declarator.value >= 0 and not (fill and name in variables):
@@ -137,7 +137,7 @@ def _noted(variables: Variables, declarator: DeclaredName, *, fill: bool = False
         if declarator.public:
             variables.public.add(name)
         if name not in variables.initial:
-            variables.take_given(name)  # what its type makes of it
+            variables.take_cell_values(name)  # what its type makes of it
     if declarator.bounds is None:
         return name
     indices = [part.strip() for part in declarator.bounds.strip("[] \t").split(",")]

@@ -53,11 +53,11 @@ _FORCE_ADVICE = "Write force comments outside of loops and branches whose condit
 
 
 class Flow:
-    """Follows a program.
+    """Follows a program statement by statement.
 
     :param run: the program as far as it has run.
     :param motion: takes a motion of the program.
-    :param fault: takes the error of a statement of the program.
+    :param note_fault: takes the error of a statement of the program.
     :param recorder: records the execution trace; None if a recorded trace is followed.
     """
 
@@ -65,16 +65,17 @@ class Flow:
         self,
         run: Run,
         motion: Callable[[Place, tree.Statement], None],
-        fault: Callable[[Place, ProgramError], None],
+        note_fault: Callable[[Place, ProgramError], None],
         recorder: Recorder | None = None,
     ) -> None:
-        self.run, self.recorder, self._fault = run, recorder, fault
-        self.interpreter = Interpreter(run, motion, self.called, self._entered)
+        self.run, self.recorder, self._note_fault = run, recorder, note_fault
+        self.interpreter = Interpreter(run, motion, self.run_called_routine, self._inline_call)
         self._moving: dict[tuple[Block, Module], bool] = {}
         self._plain: dict[Block, PlainBody | None] = {}
         self._cases: dict[Block, dict[float | None, int] | None] = {}
-        self._way: list[tuple[Place, int]] = []
-        self._traced = self._still = self._forks = 0
+        self._way: list[tuple[Place, int]] = []  # enclosing loops and calls, each with its iteration
+        self._traced = self._forks = 0  # statements of the trace, forks so far
+        self._still = 0  # depth of control structures without motion
         self._least = LeastStatements(run)
 
     def follow(self, source: Source, nodes: tuple[Node, ...], *, last: bool = False) -> None:
@@ -86,18 +87,18 @@ class Flow:
         level, index = self.run.level, 0
         while index < len(nodes):
             node = nodes[index]
-            if isinstance(node, Block) and (next_index := self._skipped(source, nodes, index, last=last)):
+            if isinstance(node, Block) and (next_index := self._follow_skip(source, nodes, index, last=last)):
                 index = next_index
                 continue
             if isinstance(node, Block):
-                self._block(source, node)
+                self._follow_block(source, node)
             elif isinstance(stmt := statement(source, node), tree.Label) and (
-                end := self._jumped_back(source, nodes, index, stmt)
+                end := self._follow_back_jump(source, nodes, index, stmt)
             ):
                 index, node = end, nodes[end]
             else:
-                self._statement(Place(source, node), stmt)
-            index = self._label(source, nodes, index) if level.jump else index + 1
+                self._follow_statement(Place(source, node), stmt)
+            index = self._label_index(source, nodes, index) if level.jump else index + 1
             if level.broken_off:
                 if self.recorder is not None and level.traced and not level.jump:
                     self.recorder.run_to(node if isinstance(node, int) else node.last)
@@ -109,12 +110,17 @@ class Flow:
         return stmt.label if isinstance(stmt, tree.Goto) else ""
 
     def labels(self, source: Source, lines: Iterable[int]) -> set[str]:
-        """Return the labels on some lines, upper case."""
+        """Return the labels that are on some lines, upper case."""
         statements = (statement(source, line) for line in lines)
         return {stmt.name for stmt in statements if isinstance(stmt, tree.Label)}
 
-    def _label(self, source: Source, nodes: tuple[Node, ...], index: int) -> int:
-        """Return the index of the statement with the label of a GOTO, after a given one; execution continues there."""
+    def _label_index(self, source: Source, nodes: tuple[Node, ...], index: int) -> int:
+        """Return the index of the node at which execution continues after a GOTO: the one with its label.
+
+        :param index: of the node with the GOTO; labels before it are not searched.
+        :returns: the number of nodes if the label is none of the later ones.
+        :raises InexactError: the GOTO is in a loop around motions.
+        """
         level, recorder = self.run.level, self.recorder
         label = self.label_of(source, level.jump)
         for number in range(index + 1, len(nodes)):
@@ -127,11 +133,13 @@ class Flow:
                 return number
         return len(nodes)
 
-    def called(self) -> None:
-        """Run the routine that was called."""
+    def run_called_routine(self) -> None:
+        """Run the statements of the routine that was called last."""
         routine, level = self.run.level.routine, self.run.level
         if not level.traced:
-            self._check_least(Place(routine.source, routine.first), self._least.of_call(level.module, routine))
+            self._check_statement_count(
+                Place(routine.source, routine.first), self._least.of_call(level.module, routine)
+            )
         self.follow(routine.source, self.run.nodes(routine), last=True)
 
     def belongs_in_trace(self, source: Source, node: Node) -> bool:
@@ -142,12 +150,12 @@ class Flow:
         if isinstance(node, int):
             return self._statement_moves(source, node)
         comment_lines = self.run.analysis.force_comment_lines(source)
-        return bisect_left(comment_lines, node.first) < bisect_left(comment_lines, node.last) or self._moves(
+        return bisect_left(comment_lines, node.first) < bisect_left(comment_lines, node.last) or self._block_moves(
             source, node
         )
 
-    def _moves(self, source: Source, node: Block) -> bool:
-        """Return whether a control structure moves the robot or calls what does; the result is stored."""
+    def _block_moves(self, source: Source, node: Block) -> bool:
+        """Return whether a control structure moves the robot or calls a routine that does; the result is stored."""
         module = self.run.level.module
         key = node, module
         if key not in self._moving:
@@ -167,30 +175,30 @@ class Flow:
         if isinstance(stmt, tree.Event):
             return False
         try:
-            return any(self.interpreter.calls.moving(call) is not None for call in calls(stmt.values))
+            return any(self.interpreter.calls.traced_callee(call) is not None for call in calls(stmt.values))
         except ProgramError:
             return False
 
-    def count(self, at: Place, counter: Reference, number: int) -> None:
-        """Give the counter of a FOR its value in a round of a recorded trace."""
-        self._count(at)
+    def set_counter(self, at: Place, counter: Reference, number: int) -> None:
+        """Set the counter of a FOR to its value in a round of a recorded trace."""
+        self._count_statement(at)
         try:
             self.interpreter.assign(at, counter, Number(float(number), counter.start, counter.stop, True))
         except InexactError:
             raise
         except ProgramError as cause:
-            self._fault(at, cause)
+            self._note_fault(at, cause)
 
     # --- statements --------------------------------------------------------------------------------------------------
 
-    def _statement(self, at: Place, stmt: tree.Statement) -> None:
-        """Follow a statement; EXIT and GOTO end the round or the routine that is followed."""
+    def _follow_statement(self, at: Place, stmt: tree.Statement) -> None:
+        """Follow one statement; after EXIT or GOTO its successors are not followed."""
         level, word = self.run.level, stmt.word
         if level.traced:
-            self._reach(at.line)
-        self._count(at)
+            self._come_to(at.line)
+        self._count_statement(at)
         if word == "EXIT" and (level.loops or (level.traced and self.recorder is None)):
-            level.left = True  # of a recorded trace: a loop around the row that runs
+            level.left = True  # in a recorded trace, the loop is around the row that runs
             return
         if word == "GOTO" and self.recorder is not None and level.traced:
             self.recorder.run_to(at.line - 1)
@@ -198,17 +206,23 @@ class Flow:
             self.run.is_final = False
             level.jump = at.line
             return
-        self._guarded(at, stmt)
+        self._follow_noting_errors(at, stmt)
 
-    def _reach(self, line: int) -> None:
-        """Make a line of a traced routine the present row."""
+    def _come_to(self, line: int) -> None:
+        """Make the row of the trace with a line of a traced routine the present row."""
         run = self.run
         if self.recorder is not None and self.recorder.is_final:
             run.shift, run.shown_line = self.recorder.present(line)
         run.row = line + run.shift
 
-    def _guarded(self, at: Place, stmt: tree.Statement) -> None:
-        """Follow a statement; an error in a traced routine is noted, so that later ones are reported too."""
+    def _follow_noting_errors(self, at: Place, stmt: tree.Statement) -> None:
+        """Follow a statement.
+
+        In a traced routine its error is noted, so that the errors of later statements are reported too.
+
+        :raises InexactError: the branch taken is not known before run time.
+        :raises ProgramError: the statement has an error, and its routine is not traced.
+        """
         try:
             self.interpreter.statement(at, stmt)
         except InexactError:
@@ -216,9 +230,9 @@ class Flow:
         except ProgramError as cause:
             if not self.run.level.traced:
                 raise
-            self._fault(at, cause)
+            self._note_fault(at, cause)
 
-    def _count(self, at: Place) -> None:
+    def _count_statement(self, at: Place) -> None:
         """Count a statement that runs.
 
         :raises InexactError: more statements run than are followed.
@@ -229,42 +243,46 @@ class Flow:
                 raise inexact(at, "too much runs before")
             return
         self._traced += 1
-        if self._traced > MOST_TRACED and self._traced > (limit := self._most(at.source)):
+        if self._traced > MOST_TRACED and self._traced > (limit := self._statement_limit(at.source)):
             problem = f"loops around motions are too long: {limit} statements have run when the program comes here"
             raise inexact(at, problem, _LENGTH_ADVICE)
 
-    def _most(self, source: Source) -> int:
-        """Return how many statements may run around motions."""
+    def _statement_limit(self, source: Source) -> int:
+        """Return the largest number of statements that may run around motions."""
         return MOST_TRACED + (len(source.starts) if self.recorder is not None else len(self.run.trace))
 
-    def _check_least(self, at: Place, minimum: int) -> None:
+    def _check_statement_count(self, at: Place, minimum: int) -> None:
         """Refuse code that runs too many statements, before it is followed.
 
-        :param minimum: lower bound on the number of statements.
-        :raises InexactError: it is above the limit.
+        :param minimum: lower bound on the number of statements that the code runs.
+        :raises InexactError: they exceed the limit, together with those that have run.
         """
         if self._still or not self.run.level.traced:
             if self.run.steps + minimum > MOST_STATEMENTS:
                 raise inexact(at, "too much runs before")
-        elif self._traced + minimum > self._most(at.source):
+        elif self._traced + minimum > self._statement_limit(at.source):
             problem = f"loops and calls around motions are too long: at least {minimum} statements run from here on, "
-            problem += f"{self._most(at.source)} are followed"
+            problem += f"{self._statement_limit(at.source)} are followed"
             raise inexact(at, problem, _LENGTH_ADVICE)
 
-    def _entered(self, at: Place, call: Call) -> bool:
-        """Inline the call of a routine with motions; return whether this was done."""
+    def _inline_call(self, at: Place, call: Call) -> bool:
+        """Follow the call of a routine with motions, as part of the execution trace.
+
+        :returns: False if the routine has no motions, or the call cannot be part of the trace.
+        :raises InexactError: its statements are not known before run time, and the call cannot be left as it is.
+        """
         run, recorder = self.run, self.recorder
         if recorder is None or not run.level.traced or not run.certain:
             return False
-        callee = self.interpreter.calls.moving(call)
-        if callee is None or any(self._moves_robot(inner) for inner in calls(call.arguments)):
+        callee = self.interpreter.calls.traced_callee(call)
+        if callee is None or any(self._call_moves(inner) for inner in calls(call.arguments)):
             return False
         _, routine = callee
         self._check_structure(routine)
-        self._check_least(at, self._least.of_call(*callee))
+        self._check_statement_count(at, self._least.of_call(*callee))
         undo = self._undo_from_here(recorder)
         try:
-            self._inlined(at, call, recorder, *callee)
+            self._record_call(at, call, recorder, *callee)
         except InexactError:
             if not run.keep or routine.source is not run.routine.source:
                 raise
@@ -287,9 +305,9 @@ class Flow:
             at = Place(routine.source, cause.line or routine.first)
             raise inexact(at, cause.problem, cause.advice, routine) from None
 
-    def _moves_robot(self, call: Call) -> bool:
-        """Return whether a call, directly or not, moves the robot."""
-        callee = self.interpreter.calls.moving(call)
+    def _call_moves(self, call: Call) -> bool:
+        """Return whether a call moves the robot, by its routine or by one that this calls."""
+        callee = self.interpreter.calls.traced_callee(call)
         return callee is not None and self.run.analysis.of(*callee).motion is not None
 
     def _undo_from_here(self, recorder: Recorder) -> Callable[[], None]:
@@ -310,15 +328,15 @@ class Flow:
 
         return undo
 
-    def _inlined(self, at: Place, call: Call, recorder: Recorder, module: Module, routine: Routine) -> None:
-        """Record the call of a routine with motions, follow its statements, and return to the caller."""
+    def _record_call(self, at: Place, call: Call, recorder: Recorder, module: Module, routine: Routine) -> None:
+        """Record the call of a routine with motions, follow the statements of the routine, and return to the caller."""
         run = self.run
         recorder.run_to(at.line - 1)
         recorder.enter(at, (call.start, call.start + len(call.name)), module, routine)
         self.interpreter.calls.enter(at, call, module, routine)
         level = run.level
         self._way.append((at, 0))
-        self.called()
+        self.run_called_routine()
         self._way.pop()
         if not level.returned:
             recorder.run_to(routine.last - 1)
@@ -328,29 +346,39 @@ class Flow:
 
     # --- control structures ------------------------------------------------------------------------------------------
 
-    def _block(self, source: Source, block: Block) -> None:
-        """Follow a control structure: exactly if its branches are known, else by what it may change."""
+    def _follow_block(self, source: Source, block: Block) -> None:
+        """Follow a control structure.
+
+        One with motions or force comments is followed exactly. For others it is enough to mark as unknown what they may
+        write
+        if the branch taken is not known.
+        """
         if self.recorder is not None and self.run.level.traced and self.belongs_in_trace(source, block):
-            self._kept(source, block, self.recorder)
+            self._follow_or_keep(source, block, self.recorder)
             return
         marks = self.run.marks()
         self._still += 1
         try:
-            self._exactly(source, block, None)
+            self._follow_exactly(source, block, None)
         except InexactError:
             self.run.back_to(marks)
-            self.roughly(source, block)
+            self.follow_roughly(source, block)
         finally:
             self._still -= 1
 
-    def _kept(self, source: Source, block: Block, recorder: Recorder) -> None:
-        """Follow a control structure that matters; if that fails, keep it unchanged under `--keep-unresolved`."""
+    def _follow_or_keep(self, source: Source, block: Block, recorder: Recorder) -> None:
+        """Follow a control structure with motions or force comments, and record it.
+
+        Under `--keep-unresolved` it is left as it is if the branch taken is not known before run time.
+
+        :raises InexactError: without that option, the branch taken is not known.
+        """
         run = self.run
         if not run.keep:
             try:
-                self._exactly(source, block, recorder)
+                self._follow_exactly(source, block, recorder)
             except InexactError:
-                if self._moves(source, block):
+                if self._block_moves(source, block):
                     raise
                 problem = (
                     f"a force comment is inside {block.word}, whose condition is not known before the program runs"
@@ -359,14 +387,14 @@ class Flow:
             return
         undo = self._undo_from_here(recorder)
         try:
-            self._exactly(source, block, recorder)
+            self._follow_exactly(source, block, recorder)
         except InexactError as cause:
             undo()
             recorder.run_to(block.first - 1)
             recorder.keep(block.last, cause)
-            self.roughly(source, block)
+            self.follow_roughly(source, block)
 
-    def roughly(self, source: Source, block: Block) -> None:
+    def follow_roughly(self, source: Source, block: Block) -> None:
         """Mark all variables that a control structure may write as unknown, for any number of iterations."""
         lines = list(block.lines())
         if self._still or not self.run.level.traced:
@@ -378,24 +406,27 @@ class Flow:
             self.run.back_to(marks)
             for line in lines:
                 if self.run.level.traced:
-                    self._reach(line)
-                self._guarded(Place(source, line), statement(source, line))
+                    self._come_to(line)
+                self._follow_noting_errors(Place(source, line), statement(source, line))
 
-    def _exactly(self, source: Source, block: Block, recorder: Recorder | None) -> None:
-        """Follow a control structure.
+    def _follow_exactly(self, source: Source, block: Block, recorder: Recorder | None) -> None:
+        """Follow the branch of a control structure that is taken, or the rounds of a loop.
 
+        An IF or SWITCH whose branch is not known is followed in all branches if it is recorded.
+
+        :param recorder: records it; None for a structure without motions.
         :raises InexactError: the branch taken is not known before run time.
         """
         if block.word in LOOPS:
-            self._loop(source, block, recorder)
+            self._follow_loop(source, block, recorder)
             return
         try:
-            part_index = self._taken(source, block)
+            part_index = self._part_taken(source, block)
         except InexactError as cause:
             occasion = Occasion(Place(source, block.first), tuple(self._way))
             if recorder is None or occasion in self.run.elsewhere:
                 raise
-            self._all(source, block, recorder, occasion, cause)
+            self._follow_branches(source, block, recorder, occasion, cause)
             return
         part = block.parts[part_index] if part_index >= 0 else None
         if recorder is not None:
@@ -412,14 +443,18 @@ class Flow:
             recorder.pass_to(block.last - 1, live=False)
             recorder.pass_to(block.last)
 
-    def _all(self, source: Source, block: Block, recorder: Recorder, occasion: Occasion, cause: InexactError) -> None:
-        """Follow all branches of IF or SWITCH, each from the fork.
+    def _follow_branches(
+        self, source: Source, block: Block, recorder: Recorder, occasion: Occasion, cause: InexactError
+    ) -> None:
+        """Follow all branches of an IF or SWITCH, each with the values at the fork.
 
-        :raises InexactError: one of them does not lead to the join.
+        :param occasion: the visit to it; `cause` is the error that its branch is not known.
+        :raises InexactError: one of them does not lead to the join, or a condition calls a function that changes
+            something.
         """
         run, level = self.run, self.run.level
         heads = [part.head for part in block.parts]
-        if any(self._changing(statement(source, head).values) for head in heads):
+        if any(self._may_have_effects(statement(source, head).values) for head in heads):
             raise cause
         self._forks += 1
         if self._forks > _MOST_FORKS:
@@ -444,8 +479,9 @@ class Flow:
         recorder.divide(Join(0, complete))
         run.join(Place(source, block.last), complete=complete)
 
-    def _skipped(self, source: Source, nodes: tuple[Node, ...], index: int, *, last: bool) -> int:
-        """Follow an IF that jumps to a label or the end of a called routine, and the skipped code, as two branches.
+    def _follow_skip(self, source: Source, nodes: tuple[Node, ...], index: int, *, last: bool) -> int:
+        """Follow an IF that skips statements by GOTO or RETURN: the jump is one branch, the skipped statements the
+        other.
 
         :param last: the routine ends after the nodes.
         :returns: the index of the node after the skipped code; 0 if the IF does not jump, or its condition is known.
@@ -461,14 +497,14 @@ class Flow:
         ):
             return 0
         part = block.parts[0]
-        if block.word != "IF" or len(block.parts) > 1 or self._changing(statement(source, block.first).values):
+        if block.word != "IF" or len(block.parts) > 1 or self._may_have_effects(statement(source, block.first).values):
             return 0
-        next_index, end = self._target(source, nodes, index, part.nodes[-1:], last=last)
+        next_index, end = self._jump_target(source, nodes, index, part.nodes[-1:], last=last)
         if not next_index:
             return 0
         occasion = Occasion(Place(source, block.first), tuple(self._way))
         try:
-            self._taken(source, block)
+            self._part_taken(source, block)
         except InexactError:
             if occasion in run.elsewhere:
                 return 0
@@ -480,12 +516,12 @@ class Flow:
             recorder.pass_to(part.head)
             recorder.divide(Fork(0, occasion))
             run.fork()
-            self._branch(source, part.nodes[:-1], recorder, last=False)
+            self._follow_branch(source, part.nodes[:-1], recorder, last=False)
             jump = part.nodes[-1]
             recorder.run_to((jump if isinstance(jump, int) else jump.last) - 1)
             recorder.pass_to(block.last)
             returns = end == run.level.routine.last - 1
-            self._branch(source, nodes[index + 1 : next_index], recorder, last=returns)
+            self._follow_branch(source, nodes[index + 1 : next_index], recorder, last=returns)
             recorder.run_to(end)
             recorder.divide(Join(0, complete=True))
             run.join(Place(source, block.last), complete=True)
@@ -496,7 +532,7 @@ class Flow:
             return 0
         return next_index
 
-    def _branch(self, source: Source, nodes: tuple[Node, ...], recorder: Recorder, *, last: bool) -> None:
+    def _follow_branch(self, source: Source, nodes: tuple[Node, ...], recorder: Recorder, *, last: bool) -> None:
         """Follow one of the branches of an IF that skips statements.
 
         :raises InexactError: the branch is left before its end.
@@ -508,12 +544,14 @@ class Flow:
         if level.broken_off:
             raise inexact(Place(source, level.jump or level.returned), *undecided_jump(self.run.variables, None))
 
-    def _target(
+    def _jump_target(
         self, source: Source, nodes: tuple[Node, ...], index: int, jump: tuple[Node, ...], *, last: bool
     ) -> tuple[int, int]:
         """Return the index of the node after the code that a GOTO or RETURN skips, and the last skipped line.
 
-        :returns: zeros if it jumps elsewhere.
+        :param jump: the last node of the IF that jumps; empty if it has none.
+        :param last: the routine ends after the nodes.
+        :returns: zeros if there is no jump to a later node.
         """
         if not jump or not isinstance(jump[0], int):
             return 0, 0
@@ -529,12 +567,16 @@ class Flow:
                 return number + 1, line
         return 0, 0
 
-    def _changing(self, values: Iterable[Value]) -> bool:
-        """Return whether values have calls that may do more than give a value."""
+    def _may_have_effects(self, values: Iterable[Value]) -> bool:
+        """Return whether some values contain calls that may do more than give a value."""
         return not all(map(self.run.variables.functions.pure, calls(values)))
 
-    def _taken(self, source: Source, block: Block) -> int:
-        """Return which part of IF or SWITCH runs; −1 for none."""
+    def _part_taken(self, source: Source, block: Block) -> int:
+        """Return the index of the part of an IF or SWITCH that runs; −1 if none does.
+
+        :raises InexactError: its condition is not known before run time.
+        :raises ProgramError: a CASE cannot be read.
+        """
         at, stmt = Place(source, block.first), statement(source, block.first)
         self.run.place = at
         if isinstance(stmt, tree.If):
@@ -542,7 +584,7 @@ class Flow:
             if holds is None:
                 raise undecided_error(self.run, at)
             return 0 if holds else 1 if len(block.parts) > 1 else -1
-        if not isinstance(stmt, tree.Switch) or self._changing(stmt.values):
+        if not isinstance(stmt, tree.Switch) or self._may_have_effects(stmt.values):
             raise undecided_error(self.run, at)
         selector = self.run.variables.evaluate(stmt.value)
         if self._still or not self.run.level.traced:
@@ -565,8 +607,8 @@ class Flow:
                 return index
         return -1
 
-    def _loop(self, source: Source, block: Block, recorder: Recorder | None) -> None:
-        """Follow the rounds of a loop, and record them if it matters.
+    def _follow_loop(self, source: Source, block: Block, recorder: Recorder | None) -> None:
+        """Follow the rounds of a loop, and record them if it contains motions.
 
         :param recorder: records the trace; None for a loop without motions.
         :raises InexactError: the number of rounds is not known, or too large.
@@ -588,8 +630,8 @@ class Flow:
         self._way.append((Place(source, block.first), 0))
         try:
             if counter is not None and recorder is not None and loop is not None:
-                self._plainly(source, block, counter, recorder, loop)
-            self._rounds_of_loop(source, block, counter, recorder, loop)
+                self._record_plain_rounds(source, block, counter, recorder, loop)
+            self._follow_rounds(source, block, counter, recorder, loop)
         finally:
             level.loops -= 1
             del self._way[depth:]
@@ -598,7 +640,7 @@ class Flow:
         if recorder is not None and loop is not None:
             recorder.end(loop, block, counter.now() if counter is not None and has_ended else None)
 
-    def _rounds_of_loop(
+    def _follow_rounds(
         self,
         source: Source,
         block: Block,
@@ -614,12 +656,12 @@ class Flow:
         """
         level, at = self.run.level, Place(source, block.first)
         start_count, depth = self._traced, len(self._way) - 1
-        while self._again(source, block, counter):
-            self._count(at)
+        while self._runs_again(source, block, counter):
+            self._count_statement(at)
             self._way[depth] = at, self._way[depth][1] + 1
             if recorder is not None and self._way[depth][1] == 2:
                 self._check_labels(source, block.lines())
-            changes = self._changes()
+            changes = self._change_counts()
             if counter is None and self._traced - start_count > MOST_UNCOUNTED:
                 problem = f"{block.word} has not ended after {MOST_UNCOUNTED} statements"
                 raise inexact(at, problem, "Check its condition, or write FOR instead.")
@@ -629,40 +671,43 @@ class Flow:
             is_whole = not level.broken_off
             if recorder is not None:
                 recorder.repeated(block, whole=is_whole)
-            if not is_whole or (block.word == "REPEAT" and self._holds(source, block.last)):
+            if not is_whole or (block.word == "REPEAT" and self._condition_holds(source, block.last)):
                 break
             if counter is not None:
                 counter.advance()
-            elif self._changes() == changes:
+            elif self._change_counts() == changes:
                 problem = f"{block.word} never ends: no variable of its condition changes from round to round"
                 raise inexact(at, problem, LOOP_ADVICE)
 
-    def _jumped_back(self, source: Source, nodes: tuple[Node, ...], index: int, label: tree.Label) -> int:
-        """Follow the rounds from a label to an IF that jumps back to it; return the index of this, 0 if there is none.
+    def _follow_back_jump(self, source: Source, nodes: tuple[Node, ...], index: int, label: tree.Label) -> int:
+        """Follow the rounds between a label and an IF that jumps back to it.
 
-        :raises InexactError: the condition is not known before run time; under `--keep-unresolved` there is none then.
+        :returns: the index of that IF; 0 if there is none, or if it is left as it is under `--keep-unresolved`.
+        :raises InexactError: its condition is not known before run time.
         """
-        end, recorder = self._jumping_back(source, nodes, index, label), self.recorder
+        end, recorder = self._back_jump_index(source, nodes, index, label), self.recorder
         if not end or recorder is None:
             return 0
         run, undo = self.run, self._undo_from_here(recorder)
-        values, state = run.variables.as_now(), run.settings.state
+        values, state = run.variables.snapshot(), run.settings.state
         run.is_final = False
         try:
-            self._rounds_of_label(source, nodes[index : end + 1], recorder)
+            self._follow_label_rounds(source, nodes[index : end + 1], recorder)
         except InexactError:
             if not run.keep:
                 raise
             undo()
-            run.variables.as_then(values)  # the same statements are followed again
+            run.variables.restore(values)  # the same statements are followed again
             run.settings.change(run.row, state)
             return 0
         return end
 
-    def _jumping_back(self, source: Source, nodes: tuple[Node, ...], index: int, label: tree.Label) -> int:
-        """Return the index of the IF that does nothing but jump back to the label of a node; 0 if there is none.
+    def _back_jump_index(self, source: Source, nodes: tuple[Node, ...], index: int, label: tree.Label) -> int:
+        """Return the index of the IF that does nothing but jump back to a label; 0 if there is none.
 
-        No other GOTO may lead to the label: the rounds may be written one after the other, without it.
+        No other GOTO may lead to the label: if the rounds are written one after the other, the label is left out.
+
+        :param index: of the node with the label.
         """
         level = self.run.level
         if self.recorder is None or not level.traced or level.loops or not self.run.certain:
@@ -674,7 +719,7 @@ class Flow:
                 return number
         return 0
 
-    def _rounds_of_label(self, source: Source, nodes: tuple[Node, ...], recorder: Recorder) -> None:
+    def _follow_label_rounds(self, source: Source, nodes: tuple[Node, ...], recorder: Recorder) -> None:
         """Follow the statements from a label to the IF that jumps back to it, as REPEAT does.
 
         :param nodes: the label, the statements, the IF.
@@ -693,11 +738,11 @@ class Flow:
         self._way.append((Place(source, first), 0))
         try:
             while not level.broken_off:
-                self._count(at)
+                self._count_statement(at)
                 self._way[depth] = Place(source, first), self._way[depth][1] + 1
                 if self._way[depth][1] == 2:
                     self._check_labels(source, range(first + 1, jump.first))
-                changes = self._changes()
+                changes = self._change_counts()
                 if self._traced - start_count > MOST_UNCOUNTED:
                     problem = f"GOTO still leads back after {MOST_UNCOUNTED} statements"
                     raise inexact(at, problem, "Check its condition, or write FOR instead.")
@@ -710,7 +755,7 @@ class Flow:
                     raise inexact(Place(source, jump.last - 1), *undecided_jump(self.run.variables, at))
                 if not holds:
                     break
-                if self._changes() == changes:
+                if self._change_counts() == changes:
                     raise inexact(at, "GOTO always leads back: no variable of its condition changes", LOOP_ADVICE)
         finally:
             level.loops -= 1
@@ -727,9 +772,9 @@ class Flow:
                 raise inexact(Place(source, line), "a label is in a loop around motions", _LABEL_ADVICE)
 
     def _check_comments(self, source: Source, block: Block, closing: Iterable[int] = ()) -> None:
-        """Refuse force comments behind the words that begin and end a loop: in which rounds they hold is not said.
+        """Refuse force comments on the lines that begin and end a loop: it is not said in which rounds they hold.
 
-        :param closing: lines that close it before its last.
+        :param closing: lines that close the loop, but for the last.
         :raises ProgramError: there is one.
         """
         comment_lines = self.run.analysis.force_comment_lines(source)
@@ -738,17 +783,19 @@ class Flow:
                 problem = f"a force comment is on the line of {statement(source, line).word}"
                 raise Place(source, line).error(problem, "Write it on a line of its own, in the loop or behind it.")
 
-    def _changes(self) -> tuple[int, int]:
-        """Return how often variables, and how often frames, speeds and modes, have changed."""
+    def _change_counts(self) -> tuple[int, int]:
+        """Return how often variables have changed, and how often frames, speeds and modes have."""
         return self.run.variables.changes, len(self.run.settings.changes)
 
-    def _plainly(self, source: Source, block: Block, counter: Counter, recorder: Recorder, loop: UnrolledLoop) -> None:
-        """Record all rounds of a FOR at once if its body is plain."""
+    def _record_plain_rounds(
+        self, source: Source, block: Block, counter: Counter, recorder: Recorder, loop: UnrolledLoop
+    ) -> None:
+        """Record all rounds of a FOR at once if its body is plain and there are enough of them; else do nothing."""
         if block not in self._plain:
             self._plain[block] = plain_body(source, block) or computed_body(source, block)
         body, begin, rounds = self._plain[block], counter.now(), counter.rounds
         statement_count = rounds * (1 + len(block.parts[0].nodes))
-        if body is None or not rounds or self._traced + statement_count > self._most(source):
+        if body is None or not rounds or self._traced + statement_count > self._statement_limit(source):
             return
         if body.is_computed and rounds < FEWEST_ROUNDS:
             return
@@ -757,11 +804,11 @@ class Flow:
         plain = PlainRounds(begin, counter.step, first, rounds, length, source, block.first, body)
         recorder.plain_rounds(loop, block, plain)
         for line in body.triggers:  # what they write may change at any time from now on
-            self._guarded(Place(source, line), statement(source, line))
-        for passed in (rounds - 1, 1):  # only the last round leaves something
+            self._follow_noting_errors(Place(source, line), statement(source, line))
+        for round_count in (rounds - 1, 1):  # only the last round leaves something
             for line in body.assignments:
-                self._guarded(Place(source, line), statement(source, line))
-            counter.pass_over(passed)
+                self._follow_noting_errors(Place(source, line), statement(source, line))
+            counter.pass_over(round_count)
 
     def _follow_endless(self, source: Source, block: Block, recorder: Recorder | None) -> None:
         """Follow one iteration of a LOOP without EXIT; nothing after it is reached.
@@ -776,7 +823,7 @@ class Flow:
             raise inexact(at, "LOOP never ends: there is no EXIT", LOOP_ADVICE)
         self._check_comments(source, block)
         run.is_final = False
-        snapshot = run.variables.as_now()
+        snapshot = run.variables.snapshot()
         loop = recorder.begin(block, "", 0, left=False)
         loop.endless = True
         self._way.append((at, 1))
@@ -786,9 +833,8 @@ class Flow:
         recorder.end(loop, block, None)
         self._way.pop()
         if names := carried_variables(run, source, block, snapshot):
-            sorted_names = sorted(
-                names, key=lambda name: (name[0] == "$", name)
-            )  # those that the program declares first
+            # variables of the program before those of the controller
+            sorted_names = sorted(names, key=lambda name: (name[0] == "$", name))
             changed_names = first_of(sorted_names, _MOST_NAMES)
             problem = f"LOOP never ends, and its rounds differ: each one changes {changed_names} for the next"
             raise inexact(at, problem, "Set it at the beginning of each round.")
@@ -806,15 +852,15 @@ class Flow:
         module = self.run.level.module
         if not self.run.level.loops and not self._least.writes(source, block, counter.here.name, module):
             rounds = counter.rounds * self._least.of_round(source, block, module)
-            self._check_least(Place(source, block.first), rounds)
+            self._check_statement_count(Place(source, block.first), rounds)
 
-    def _again(self, source: Source, block: Block, counter: Counter | None) -> bool:
-        """Return whether the body of a loop runs once more."""
+    def _runs_again(self, source: Source, block: Block, counter: Counter | None) -> bool:
+        """Return whether a loop runs its body once more, by its counter or the condition of WHILE."""
         if counter is not None:
             return counter.within()
-        return block.word != "WHILE" or self._holds(source, block.first)
+        return block.word != "WHILE" or self._condition_holds(source, block.first)
 
-    def _holds(self, source: Source, line: int) -> bool:
+    def _condition_holds(self, source: Source, line: int) -> bool:
         """Return whether the condition of WHILE or UNTIL on a line holds.
 
         :raises InexactError: it is not known before run time.

@@ -276,7 +276,7 @@ class Interpreter:
             place
             for call in calls([expression])
             for index in indices
-            if (place := self.calls.writer(call, self.run.stored(index))) is not None
+            if (place := self.calls.write_place(call, self.run.stored(index))) is not None
         }
         change_places = ", ".join(sorted(map(str, places))) or "an argument"
         element = at.source.text[target.start : target.stop]
@@ -304,6 +304,6 @@ class Interpreter:
         effects = self.run.analysis.of_action(self.run.level.module, self.run.level.routine, at, event, scope)
         if effects.motion is not None:
             raise at.error(f"{event.word} moves the robot ({effects.motion})", IN_ORDER)
-        self.calls.notice(at, event.word, effects, f"{event.word} in {at}")
+        self.calls.note_lasting_effects(at, event.word, effects, f"{event.word} in {at}")
         if event.public or at.source is self.run.routine.source:
             self.run.resumed = self.run.resumed or effects.resumes

@@ -347,7 +347,7 @@ class MainRoutine:
             return
         stmt = statement(at.source, at.line)
         if isinstance(stmt, For) and stmt.counter is not None:
-            self._flow.count(at, stmt.counter, number)
+            self._flow.set_counter(at, stmt.counter, number)
 
     def _follow_lines(self, lines: Ints, rounds: PlainRounds | None = None) -> None:
         """Follow the lines of a trace that are not read in bulk, with the counter of plain rounds."""
@@ -426,7 +426,7 @@ class MainRoutine:
         for node in nodes_of(run.trace, sorted([*lines, *setting_lines])):
             if isinstance(node, Block):
                 at = run.come_to(node.first)
-                self._flow.roughly(at.source, node.moved(-run.shift))
+                self._flow.follow_roughly(at.source, node.moved(-run.shift))
         moving = self._moving
         moving = moving[np.searchsorted(moving, step.first) : np.searchsorted(moving, step.last, "right")]
         run.unresolved += [(line, step.why) for line in moving.tolist()]

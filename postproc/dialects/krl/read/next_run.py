@@ -72,7 +72,7 @@ def kept_values(main: MainRoutine) -> dict[str, str]:
 
     Counters that it sets first are left out, and those that decide on nothing: they need no second run.
     """
-    run, change_places = main.run, main.run.settings.variables.kept()
+    run, change_places = main.run, main.run.settings.variables.changed_data()
     uses = Uses(run, run.routine.source, run.nodes(run.routine)) if change_places else None
     volatile_names = run.settings.variables.changing
     return {

@@ -191,7 +191,7 @@ def _motions(run: Run, reader: MotionReader, rounds: PlainRounds, at: int, motio
     if motion.end.name in run.variables.scope.arrays:
         return None
     numbers = rounds.numbers(_step_from(motion.end, head.name) or 0)
-    literals = run.variables.literals(run.stored(motion.end.name), numbers)
+    literals = run.variables.data_spans(run.stored(motion.end.name), numbers)
     if literals is None:
         return None
     source, spans = literals

@@ -268,7 +268,7 @@ class _Reading(Struct, frozen=True, eq=False):
         program = self.documents[0]
         program_names = [program.name, *(document.name for document in self.documents if _belongs(document, program))]
         read_shared(variables, self.code, program_names, self.library.files, self.entry.local)
-        variables.take_given()
+        variables.take_cell_values()
         return variables
 
 

@@ -11,16 +11,14 @@ from postproc.dialects.krl.language.structures import Block, Node
 from postproc.dialects.krl.language.tokens import words_in
 from postproc.dialects.krl.language.tree import Assignment, For, Statement
 from postproc.dialects.krl.language.values import Aggregate
-from postproc.dialects.krl.read.known import UnknownValue, UnparsedValue, VariableValue
 from postproc.dialects.krl.read.run import Run
+from postproc.dialects.krl.read.variables import Snapshot
 
-Values = tuple[dict[str, VariableValue | UnparsedValue], dict[str, UnknownValue]]
 
-
-def carried_variables(run: Run, source: Source, block: Block, start_values: Values) -> list[str]:
+def carried_variables(run: Run, source: Source, block: Block, start_values: Snapshot) -> list[str]:
     """Return the variables that one iteration of a loop changes and the next iteration may use.
 
-    :param start_values: their values when it began, see `Variables.as_now`.
+    :param start_values: their values when it began, see `Variables.snapshot`.
     """
     statements = Uses(run, source, block.parts[0].nodes)
     names: list[str] = sorted(run.variables.differing(start_values))

@@ -20,10 +20,10 @@ from postproc.dialects.krl.language.values import Aggregate, Reference, Value
 from postproc.dialects.krl.read.data_lists import read_data
 from postproc.dialects.krl.read.effects import Analysis
 from postproc.dialects.krl.read.folder import Library
-from postproc.dialects.krl.read.known import NO_VALUE, Scope, UnknownValue, UnparsedValue, VariableValue
+from postproc.dialects.krl.read.known import NO_VALUE, Scope, UnknownValue, VariableValue
 from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.state import State
-from postproc.dialects.krl.read.variables import Variables
+from postproc.dialects.krl.read.variables import Snapshot, Variables
 from postproc.errors import Issue, ProgramError
 
 SETTING_ADVICE = "Set $BASE, $TOOL, speeds and modes outside of loops, branches and interrupts."
@@ -149,10 +149,10 @@ class _Fork(Struct, eq=False):
     :ivar ends: the same at the ends of the branches.
     """
 
-    values: tuple[dict[str, VariableValue | UnparsedValue], dict[str, UnknownValue]]
+    values: Snapshot
     state: State
     is_begun: bool = False
-    ends: list[tuple[tuple[dict[str, VariableValue | UnparsedValue], dict[str, UnknownValue]], State]] = []
+    ends: list[tuple[Snapshot, State]] = []
 
 
 class Run:
@@ -265,15 +265,15 @@ class Run:
 
     def fork(self) -> None:
         """Begin to follow branches of which it is not known which one runs: store values and settings."""
-        self._forks.append(_Fork(self.variables.as_now(), self.settings.state))
+        self._forks.append(_Fork(self.variables.snapshot(), self.settings.state))
 
     def branch(self) -> None:
         """Begin one of the branches of the last fork, with the values and settings at that fork."""
         fork = self._forks[-1]
         if fork.is_begun:
-            fork.ends.append((self.variables.as_now(), self.settings.state))
+            fork.ends.append((self.variables.snapshot(), self.settings.state))
         fork.is_begun = True
-        self.variables.as_then(fork.values)
+        self.variables.restore(fork.values)
         self.settings.change(self.row, fork.state)
 
     def join(self, at: Place, *, complete: bool) -> None:
@@ -284,7 +284,7 @@ class Run:
         """
         fork = self._forks.pop()
         for values, state in [*fork.ends, *([] if complete else [(fork.values, fork.state)])]:
-            self.variables.meet(values, str(at))
+            self.variables.merge(values, str(at))
             problem = "what motions depend on differs behind the branches that meet here"
             self.settings.may_become(self.row, state, at.error(problem, SETTING_ADVICE))
 

@@ -6,7 +6,7 @@ import math
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from copy import copy
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from msgspec.structs import replace
@@ -65,10 +65,10 @@ _OPERATIONS: dict[str, Callable[[float, float], float]] = {
     "*": lambda a, b: a * b,
     "/": lambda a, b: a / b,
 }
-_ROUNDED = UnknownValue(why="to which side the quotient of negative INTs is rounded is in no source")
+_UNKNOWN_ROUNDING = UnknownValue(why="to which side the quotient of negative INTs is rounded is in no source")
 PARTLY_GIVEN = "not all of its components are given, and it had others"
 """Why a position is not known: it may keep the others or lack them, and a motion then keeps those of the robot."""
-_MEMBER_ALONE = "its structure had no value as a whole: give all members at once before"
+_LONE_MEMBER = "its structure had no value as a whole: give all members at once before"
 _BEYOND_INT = UnknownValue(why="what becomes of an INT beyond 32 bits is in no source")
 _HALF = 1e-5
 """REALs that are closer than this share to the middle between two INTs may be rounded to either: they have fewer
@@ -86,12 +86,13 @@ _SAME_ANGLE = math.radians(1e-3)
 """The same for orientations [rad]."""
 
 
-def computed(operator: str, a: float, b: float, *, integer: bool) -> float | VariableValue:
-    """Return a sum, difference, product or quotient of two numbers, or why it is not known.
+def operation_result(operator: str, a: float, b: float, *, integer: bool) -> float | VariableValue:
+    """Return a sum, difference, product or quotient of two numbers; an `UnknownValue` if it is not known.
 
-    The quotient of two INTs has no decimal places (KUKA, Expert Programming); to which side those of a negative one
-    are cut off is in no source, nor what becomes of an INT beyond 32 bits.
+    The quotient of two INTs has no decimal places (KUKA, Expert Programming). No source says to which side that of a
+    negative INT is rounded, nor what becomes of an INT beyond 32 bits.
 
+    :param operator: ``+ - * /``, or ``B_NOT`` of `b` alone.
     :param integer: both are INTs.
     """
     if operator == "B_NOT":
@@ -99,7 +100,7 @@ def computed(operator: str, a: float, b: float, *, integer: bool) -> float | Var
     if operator == "/" and b == 0.0:
         return NO_VALUE
     if operator == "/" and integer and a % b != 0.0:
-        return _ROUNDED if a < 0.0 or b < 0.0 else a // b
+        return _UNKNOWN_ROUNDING if a < 0.0 or b < 0.0 else a // b
     value = _OPERATIONS[operator](a, b)
     if integer and abs(value) >= LARGEST_INT:
         return _BEYOND_INT
@@ -116,11 +117,26 @@ class Functions(Protocol):
         """Return what a call gives that is `pure`."""
 
 
+class Snapshot(NamedTuple):
+    """Values of variables at one moment.
+
+    :ivar values: by stored name; elements as ``P[3]``.
+    :ivar changing: names that may change at any time, and what changes them.
+    """
+
+    values: dict[str, VariableValue | UnparsedValue]
+    changing: dict[str, UnknownValue]
+
+
 class _NoFunctions:
+    """The functions of a program that declares none."""
+
     def pure(self, call: Call) -> bool:
+        """Return False: the function is not known."""
         return False
 
     def value(self, call: Call) -> VariableValue:
+        """Return `NO_VALUE`: the function is not known."""
         return NO_VALUE
 
 
@@ -158,13 +174,13 @@ class Variables:
         self.used: set[str] = set()
         self.changed: dict[str, str] = {}
         self.initial = set(FRAME_ARRAYS)
-        self.current: Callable[[str, str | None], VariableValue] = _not_followed
+        self.current: Callable[[str, str | None], VariableValue] = _unknown_setting
         self.functions: Functions = _NoFunctions()
         self.late: dict[str, VariableValue | UnparsedValue] = {}
         self.reading_late = False
         self._stated = {f"{name}[0]": (ZERO, "the controller, whose number 0 is $NULLFRAME") for name in FRAME_ARRAYS}
         self.given = {key.upper(): _cell_value(value) for key, value in cell.krl.values.items()}
-        _check_given(self.given)
+        _check_cell_values(self.given)
         self.relied: set[str] = set()
         for number, base in cell.base_data.items():
             self._put_frame(f"BASE_DATA[{int(number)}]", from_pose(base.pose()), f"[base_data.{number}] of the cell")
@@ -174,10 +190,11 @@ class Variables:
             self._values.setdefault(name, ZERO)
 
     def _put_frame(self, key: str, frame: Position, place: str) -> None:
-        self.state_frame(key, frame, place)
+        """Store a frame that the cell gives; `place` is its table in the cell."""
+        self.note_frame(key, frame, place)
         self.put(key, frame)
 
-    def state_frame(self, key: str, value: VariableValue | UnparsedValue, place: str) -> None:
+    def note_frame(self, key: str, value: VariableValue | UnparsedValue, place: str) -> None:
         """Note the frame that the cell or a file gives for ``BASE_DATA[n]`` or ``TOOL_DATA[n]``.
 
         Components that one of two frames lacks do not count. A value that cannot be read is not noted.
@@ -193,14 +210,14 @@ class Variables:
         if frame is None:
             return
         first, other_place = self._stated.setdefault(key, (frame, place))
-        if not _agree(first, frame):
+        if not _are_equal_frames(first, frame):
             raise CellError(
                 f"{key} has two values: {_frame_text(first)} by {other_place}, and {_frame_text(frame)} by {place}",
                 advice="Make them equal, or remove the one that the controller does not have.",
             )
 
     def copied(self) -> Variables:
-        """Return the same values, for another run; it notes in the same set which values of the cell it relies on."""
+        """Return a copy for another run; both note in one set which values of the cell they rely on."""
         duplicate = copy(self)
         duplicate._values, duplicate._elements = dict(self._values), defaultdict(list)
         for name, keys in self._elements.items():
@@ -215,15 +232,15 @@ class Variables:
         duplicate.late = dict(self.late)
         return duplicate
 
-    def take_given(self, name: str = "") -> None:
-        """Set variables to the values of the cell; with a name, only that one and its elements."""
+    def take_cell_values(self, name: str = "") -> None:
+        """Set variables to the values that the cell gives; with a name, only that one and its elements."""
         for key, value in self.given.items():
             root = key.partition("[")[0]
             if not name or name == root:
                 self.put(key, convert_to_type(value, self.types.get(root, "")))
 
     def put(self, key: str, value: VariableValue | UnparsedValue) -> None:
-        """Store a value as it is. `set` converts those of assignments to the type of the variable."""
+        """Store a value unchanged; `set` converts the values of assignments to the type of the variable."""
         is_new = key not in self._values
         self.changes += self._values.get(key) != value
         if self.reading_late:
@@ -234,23 +251,23 @@ class Variables:
         self._values[key] = value
 
     def set(self, key: str, value: VariableValue, place: Place) -> None:
-        """Set a variable to a value, converted to its type.
+        """Set a variable to the value of an assignment, converted to its type.
 
-        :param place: where the program does.
+        :param place: the assignment.
         """
         name = key.partition("[")[0]
         if name not in self.changed:
             self.changed[name] = str(place)
         if isinstance(value, Number):
             value = convert_to_type(value, self.types.get(name, ""))
-        elif isinstance(value, Aggregate) and self._ambiguous(key, value):
+        elif isinstance(value, Aggregate) and self._is_ambiguous(key, value):
             value = UnknownValue(str(place), PARTLY_GIVEN)
         self.put(key, value)
 
-    def _ambiguous(self, key: str, new: Aggregate) -> bool:
-        """Return whether a position lacks components that the variable may have had.
+    def _is_ambiguous(self, key: str, new: Aggregate) -> bool:
+        """Return whether a new position lacks components that the variable may have.
 
-        What becomes of these is not certain: they may stay, or count as missing.
+        It is not certain what becomes of these: they may stay, or count as missing.
         """
         names: tuple[str, ...] = ()
         if not new.items.keys().isdisjoint(_REAL):
@@ -262,7 +279,7 @@ class Variables:
         return not isinstance(old, Aggregate) or any(name in old.items for name in missing_names)
 
     def set_field(self, key: str, field: str, value: VariableValue, place: Place) -> None:
-        """Give one component of a variable a value (``XP1.X=5``)."""
+        """Set one component of a variable, as ``XP1.X=5`` does; `place` is the assignment."""
         whole = self.value(key)
         name = key.partition("[")[0]
         if name not in self.changed:
@@ -274,10 +291,10 @@ class Variables:
         elif isinstance(whole, UnknownValue) and whole.why:
             return
         elif whole in (None, NO_VALUE) and not isinstance(value, UnknownValue):
-            self.put(key, UnknownValue(str(place), _MEMBER_ALONE))
+            self.put(key, UnknownValue(str(place), _LONE_MEMBER))
         elif not isinstance(whole, Aggregate):
             self.put(key, UnknownValue(str(place), value.why if isinstance(value, UnknownValue) else ""))
-        elif "[" not in field and (new := _with_member(self, whole, field.split("."), value)) is not None:
+        elif "[" not in field and (new := _structure_with_member(self, whole, field.split("."), value)) is not None:
             self.put(key, new)
         elif first not in _COMPONENTS:
             items = {**whole.items, first: OpaqueText(whole.start, whole.stop)}
@@ -286,8 +303,11 @@ class Variables:
             self.put(key, UnknownValue(str(place), value.why if isinstance(value, UnknownValue) else ""))
 
     def forget(self, name: str, place: str) -> None:
-        """Note that a variable (all its elements) has a value that is not known; variables of the controller without a
-        value have none that is.
+        """Mark a variable and all its elements as unknown.
+
+        Variables of the controller that have no value stay as they are.
+
+        :param place: what changes the variable, for messages.
         """
         if name[0] == "$" and name not in self._values and name not in self._elements:
             return
@@ -295,30 +315,29 @@ class Variables:
         for key in (name, *self._elements.get(name, ())):
             self._values[key] = UnknownValue(place)
 
-    def as_now(self) -> tuple[dict[str, VariableValue | UnparsedValue], dict[str, UnknownValue]]:
-        """Return all values, for `as_then` and `meet`."""
-        return dict(self._values), dict(self.changing)
+    def snapshot(self) -> Snapshot:
+        """Return all values, for `restore` and `merge`."""
+        return Snapshot(dict(self._values), dict(self.changing))
 
-    def as_then(self, snapshot: tuple[dict[str, VariableValue | UnparsedValue], dict[str, UnknownValue]]) -> None:
-        """Give all variables the values that they had."""
-        self._values, self.changing = self.late | snapshot[0], dict(snapshot[1])
+    def restore(self, snapshot: Snapshot) -> None:
+        """Give all variables the values of a snapshot."""
+        self._values, self.changing = self.late | snapshot.values, dict(snapshot.changing)
 
-    def meet(
-        self, snapshot: tuple[dict[str, VariableValue | UnparsedValue], dict[str, UnknownValue]], place: str
-    ) -> None:
-        """Merge with the values of another branch: those that differ become unknown."""
-        values, volatile_names = self.late | snapshot[0], snapshot[1]
+    def merge(self, snapshot: Snapshot, place: str) -> None:
+        """Mark as unknown the variables whose values differ from those of a snapshot: that of another branch.
+
+        :param place: the join of the branches, for messages.
+        """
+        values, volatile_names = self.late | snapshot.values, snapshot.changing
         self.changing = volatile_names | self.changing
         for key in self._values.keys() | values.keys():
             if not self._have_same_value(self._values.get(key), values.get(key)):
                 self._values[key] = UnknownValue(place)
 
-    def differing(
-        self, snapshot: tuple[dict[str, VariableValue | UnparsedValue], dict[str, UnknownValue]]
-    ) -> frozenset[str]:
-        """Return the names of variables whose values are not what they were."""
-        values, volatile_names = self.late | snapshot[0], snapshot[1]
-        keys = (key for key in self._values.keys() | values.keys())
+    def differing(self, snapshot: Snapshot) -> frozenset[str]:
+        """Return the names of variables whose values differ from those of a snapshot."""
+        values, volatile_names = self.late | snapshot.values, snapshot.changing
+        keys = self._values.keys() | values.keys()
         names = {
             key.partition("[")[0] for key in keys if not self._have_same_value(self._values.get(key), values.get(key))
         }
@@ -346,9 +365,11 @@ class Variables:
             second.items.keys(),
         ) and all(self._have_same_value(item, second.items[name]) for name, item in first.items.items())
 
-    def literals(self, name: str, numbers: Sequence[int]) -> tuple[Source, list[tuple[int, int]]] | None:
-        """Return the data list that gives elements of an array their values, and the spans of these; None if they have
-        other values.
+    def data_spans(self, name: str, numbers: Sequence[int]) -> tuple[Source, list[tuple[int, int]]] | None:
+        """Return the data list that gives elements of an array their values, and the spans of these values in it.
+
+        :param numbers: indices of the elements.
+        :returns: None if an element has another value, or may have.
         """
         if name in self.changing or any(key.partition("[")[0] == name for key in self.given):
             return None
@@ -363,7 +384,7 @@ class Variables:
         return None if source is None else (source, spans)
 
     def numbers(self, name: str, indices: Iterable[int]) -> Array | None:
-        """Return the numbers that elements of an array have; None if one of them is not known."""
+        """Return the numbers (n,) in n elements of an array; None if one of them is not known."""
         numbers = []
         for index in indices:
             value = self.value(f"{name}[{index}]")
@@ -372,15 +393,21 @@ class Variables:
             numbers.append(value.value)
         return np.array(numbers)
 
-    def kept(self) -> dict[str, str]:
-        """Return the names that keep their values from run to run and that the program changes, and where it does."""
+    def changed_data(self) -> dict[str, str]:
+        """Return the variables that keep their values from run to run and that the program changes.
+
+        :returns: stored name → the place that changes it, as text.
+        """
         change_places = self.changed | {name: value.where for name, value in self.changing.items()}
         return {name: change_places[name] for name in sorted(self.initial & change_places.keys())}
 
     def next_run(self) -> Variables:
-        """Return what the next run of the program begins with: data as this run leaves them, nothing else."""
+        """Return the variables as the next run of the program finds them.
+
+        Variables of data lists and of the controller keep the values that this run leaves; others have none.
+        """
         next_variables = copy(self)
-        next_variables._values = {key: value for key, value in self._values.items() if self._persists(key)}
+        next_variables._values = {key: value for key, value in self._values.items() if self._is_kept_between_runs(key)}
         next_variables._elements = self._elements.copy()
         (
             next_variables.scope,
@@ -392,18 +419,19 @@ class Variables:
         for name in self.initial & self.changing.keys():
             next_variables.forget(name, self.changing[name].where)
         for name in {key.partition("[")[0] for key in self.given} - self.initial:
-            next_variables.take_given(name)
+            next_variables.take_cell_values(name)
         next_variables.changed = {}
         return next_variables
 
-    def _persists(self, key: str) -> bool:
+    def _is_kept_between_runs(self, key: str) -> bool:
+        """Return whether a variable keeps its value from one run of the program to the next."""
         return key[0] == "$" or key.partition("[")[0] in self.initial
 
     def __contains__(self, key: str) -> bool:
         return key in self._values
 
     def value(self, key: str) -> VariableValue | None:
-        """Return the value of a variable or an element, None where it has none."""
+        """Return the value of a variable or an element by its stored name; None if it has none."""
         if key[0] == "$" and (root := key.partition("[")[0]) in RELEVANT:
             return self.current(root, None)
         if self.changing and (name := key.partition("[")[0]) in self.changing:
@@ -419,30 +447,33 @@ class Variables:
         return value
 
     def evaluate(self, value: Value | VariableValue) -> VariableValue:
-        """Return the present value; `UnknownValue` when that is not known before the program runs.
+        """Return the value that an expression has now; an `UnknownValue` if it is not known before the program runs.
 
-        :raises ProgramError: it cannot be read.
+        :raises ProgramError: the expression cannot be read.
         """
         if isinstance(value, _EVALUATED):
             return value
         if isinstance(value, Reference):
             return self.value_of(value)
         if isinstance(value, Aggregate):
-            return self._resolved(value)
+            return self._evaluate_aggregate(value)
         if isinstance(value, Operation):
-            return self._computed(value)
+            return self._evaluate_operation(value)
         if isinstance(value, Chain):
-            return self._product(value)
+            return self._evaluate_chain(value)
         if isinstance(value, Call):
-            return self._function(value)
+            return self._evaluate_call(value)
         if isinstance(value, Condition):
-            return self._decided(value)
+            return self._evaluate_condition(value)
         if isinstance(value, UnreadableText):
             raise value.error
         return NO_VALUE
 
-    def _resolved(self, aggregate: Aggregate) -> Aggregate:
-        """Return an aggregate whose components have the values that they have now."""
+    def _evaluate_aggregate(self, aggregate: Aggregate) -> Aggregate:
+        """Return an aggregate with the present values of its components.
+
+        Components without a known value become `OpaqueText`.
+        """
         for item in aggregate.items.values():
             if not isinstance(item, _CONSTANT):
                 break
@@ -457,7 +488,7 @@ class Variables:
         return replace(aggregate, items=items, computed=True)
 
     def truth(self, condition: Value | None) -> bool | None:
-        """Return whether a condition holds; None where that is not known before the program runs."""
+        """Return whether a condition holds; None if that is not known before the program runs."""
         try:
             if condition is None or not all(map(self.functions.pure, calls([condition]))):
                 return None
@@ -467,17 +498,17 @@ class Variables:
         return value if isinstance(value, bool) else None
 
     def is_chosen_case(self, value: VariableValue, cases: Sequence[Value]) -> bool | None:
-        """Return whether one of the values behind CASE is that of its SWITCH; None where that is not known."""
-        equal: bool | None = False
+        """Return whether a value of a SWITCH is among those behind CASE; None if that is not known."""
+        is_chosen: bool | None = False
         for case in cases:
             is_equal = matches_case(value, self.evaluate(case))
             if is_equal:
                 return True
-            equal = None if is_equal is None else equal
-        return equal
+            is_chosen = None if is_equal is None else is_chosen
+        return is_chosen
 
-    def _decided(self, condition: Condition) -> VariableValue:
-        """Return the value of terms joined by comparisons and logic, or of one alone in brackets."""
+    def _evaluate_condition(self, condition: Condition) -> VariableValue:
+        """Return the value of terms joined by comparisons and logic, or of a single term in brackets."""
         term_values = [self.evaluate(term) for term in condition.terms]
         if not condition.operators and not (condition.negated and condition.negated[0]):
             return term_values[0]
@@ -488,18 +519,21 @@ class Variables:
             return value
         return next((term_value for term_value in term_values if isinstance(term_value, UnknownValue)), NO_VALUE)
 
-    def _computed(self, operation: Operation) -> VariableValue:
-        """Return a sum, difference, product or quotient, see `computed`."""
+    def _evaluate_operation(self, operation: Operation) -> VariableValue:
+        """Return a sum, difference, product or quotient, see `operation_result`."""
         left = Number(0.0, 0, 0, True) if operation.left is None else self.evaluate(operation.left)
         right = self.evaluate(operation.right)
         if not isinstance(left, Number) or not isinstance(right, Number):
             return next((side for side in (left, right) if isinstance(side, UnknownValue)), NO_VALUE)
         integer = left.integer and right.integer
-        value = computed(operation.operator, left.value, right.value, integer=integer)
+        value = operation_result(operation.operator, left.value, right.value, integer=integer)
         return Number(value, operation.start, operation.stop, integer) if isinstance(value, int | float) else value
 
-    def _function(self, call: Call) -> VariableValue:
-        """Return the value of a call (angles in degrees) if its arguments alone determine it, else `NO_VALUE`."""
+    def _evaluate_call(self, call: Call) -> VariableValue:
+        """Return the value of a function call, angles in degrees.
+
+        :returns: `NO_VALUE` if its arguments alone do not determine it.
+        """
         function = FUNCTIONS.get(call.name)
         if function is None and call.name != "INV_POS":
             return self.functions.value(call) if self.functions.pure(call) else NO_VALUE
@@ -523,17 +557,20 @@ class Variables:
         )
         return Number(value, call.start, call.stop, integer)
 
-    def _product(self, chain: Chain) -> VariableValue:
-        """Return the position that a chain of frames gives: S, T and external axes are those of its last operand."""
-        pose, part = np.eye(4), None
+    def _evaluate_chain(self, chain: Chain) -> VariableValue:
+        """Return the position of frames that are joined by ``:``; `NO_VALUE` if it is not known.
+
+        Status, turn and external axes are those of the last operand.
+        """
+        pose, position = np.eye(4), None
         for operand in chain.operands:
-            part = self.position(operand)
-            if part is None or part.axis or (isinstance(operand, Reference) and not part.complete):
+            position = self.position(operand)
+            if position is None or position.axis or (isinstance(operand, Reference) and not position.complete):
                 return NO_VALUE
-            pose = pose @ part.pose()
-        if part is None:
+            pose = pose @ position.pose()
+        if position is None:
             return NO_VALUE
-        return replace(from_pose(pose), status=part.status, turn=part.turn, external=part.external)
+        return replace(from_pose(pose), status=position.status, turn=position.turn, external=position.external)
 
     def key_of(self, reference: Reference) -> str | None:
         """Return the key of a variable, its index resolved; None if the index is not known."""
@@ -546,12 +583,12 @@ class Variables:
         return f"{name}[{','.join(map(str, indices))}]"
 
     def index(self, value: Value) -> int | None:
-        """Return one index of an array, None if it is not known."""
+        """Return the value of one index of an array; None if it is not known, or is no whole number."""
         index = self.number(value)
         return None if index is None or index != int(index) else int(index)
 
     def value_of(self, reference: Reference) -> VariableValue:
-        """Return the present value of a variable, or of an element or component; `NO_VALUE` if it has none."""
+        """Return the present value of a variable, an element or a component; `NO_VALUE` if it has none."""
         if reference.name in RELEVANT:  # a setting of motions, such as $BASE
             return self.current(reference.name, reference.field)
         key = self.key_of(reference)
@@ -565,26 +602,26 @@ class Variables:
         if reference.field is not None:
             value = self._member_of(value, reference.field)
             if isinstance(value, Number):
-                value = self._member(reference, value)
+                value = self._convert_member(reference, value)
         return value if value is not None else NO_VALUE
 
     def _member_of(self, value: VariableValue | None, path: str) -> VariableValue | None:
-        """Return a member of a structure, or a member of that: ``F.X``; None if it has no value.
+        """Return a member of a structure by its path, such as ``F.X``; None if it has no value.
 
-        Of a structure that was computed, the text of a member may be that of another variable.
+        A member of a computed structure counts as computed too: its text may be that of another variable.
         """
-        computed = False
+        is_computed = False
         for name in path.split("."):
             if isinstance(value, UnknownValue):
                 return value
             item = value.items.get(name) if isinstance(value, Aggregate) else None
             if item is None or not isinstance(value, Aggregate):
                 return None
-            computed |= value.computed
+            is_computed |= value.computed
             value = self.evaluate(item)
-        return replace(value, computed=True) if computed and isinstance(value, Aggregate) else value
+        return replace(value, computed=True) if is_computed and isinstance(value, Aggregate) else value
 
-    def _member(self, reference: Reference, number: Number) -> VariableValue:
+    def _convert_member(self, reference: Reference, number: Number) -> VariableValue:
         """Return a number converted to the type of a member of a structure."""
         kind = self.kind(reference)
         return convert_to_type(number, kind) if kind else number
@@ -616,7 +653,7 @@ class Variables:
         return result.value if isinstance(result, Number) else None
 
     def rely(self, value: Value | VariableValue) -> None:
-        """Note which names a motion, a frame or a speed depends on."""
+        """Note the variables in a value on which a motion, a frame or a speed depends."""
         if isinstance(value, Reference):
             self.used.add(self.scope.stored(value.name))
         if not isinstance(value, _WITHOUT_PARTS):
@@ -624,7 +661,11 @@ class Variables:
                 self.rely(part)
 
     def argument(self, call: Call, field: str) -> Value | VariableValue | None:
-        """Return the first argument of a call, of a structure the component in question: None where it says nothing."""
+        """Return the first argument of a call; if it is a structure, one component of it.
+
+        :param field: that component.
+        :returns: `NO_VALUE` without an argument; None if the structure lacks the component.
+        """
         if not call.arguments:
             return NO_VALUE
         result = self.evaluate(call.arguments[0])
@@ -633,7 +674,10 @@ class Variables:
         return call.arguments[0] if isinstance(result, UnknownValue) else result
 
     def check_name(self, source: Source, reference: Reference) -> None:
-        """Refuse a name that is longer than the controller accepts."""
+        """Refuse a variable whose name is longer than the controller accepts.
+
+        :raises ProgramError: it is.
+        """
         if len(reference.name) > MAX_LENGTH:
             raise source.error(
                 f"the name {reference.name} is longer than {MAX_LENGTH} characters",
@@ -642,12 +686,13 @@ class Variables:
             )
 
 
-def _not_followed(name: str, field: str | None) -> VariableValue:
+def _unknown_setting(name: str, field: str | None) -> VariableValue:
+    """Return `NO_VALUE` for a setting of motions: settings are not followed yet."""
     return NO_VALUE
 
 
-def _check_given(keys: Iterable[str]) -> None:
-    """Refuse values of the cell for variables that the program sets, or that the reader follows.
+def _check_cell_values(keys: Iterable[str]) -> None:
+    """Refuse cell values for variables that programs set, or that describe the robot position.
 
     :raises CellError: there is one.
     """
@@ -661,49 +706,53 @@ def _check_given(keys: Iterable[str]) -> None:
 
 
 def component(position: Position, field: str) -> VariableValue:
-    """Return a component of a Cartesian position that was computed.
+    """Return a component of a computed Cartesian position [mm, deg].
 
-    A, B and C are known only where one set of them describes the orientation: which of two sets the controller has is
-    in no source.
+    A, B and C are known only if one set of them describes the orientation: no source says which of two sets a
+    controller
+    has.
     """
     value = position.values[CARTESIAN.index(field)]
-    if field in ANGLES and not _one_set(position):
+    if field in ANGLES and not _has_unique_angles(position):
         return UnknownValue(why=f"two sets of A, B, C describe this orientation, and {field} may be that of either")
     return Number(value, 0, 0, False)
 
 
 def with_component(position: Position, field: str, value: float) -> Position | None:
-    """Return a Cartesian position that was computed with another component.
+    """Return a computed Cartesian position with another value of one component.
 
-    :returns: None if it is an angle, and the others may be those of another set of A, B, C.
+    :returns: None if the component is an angle, and the others may be those of another set of A, B, C.
     """
-    if field in ANGLES and not _one_set(position, whole_turns=True):
+    if field in ANGLES and not _has_unique_angles(position, whole_turns=True):
         return None
     values = list(position.values)
     values[CARTESIAN.index(field)] = value
     return replace(position, values=tuple(values), aggregate=None)
 
 
-def _one_set(position: Position, *, whole_turns: bool = False) -> bool:
-    """Return whether one set of A, B, C alone describes an orientation.
+def _has_unique_angles(position: Position, *, whole_turns: bool = False) -> bool:
+    """Return whether only one set of A, B, C describes the orientation of a position.
 
-    :param whole_turns: sets that differ by whole turns of one angle count as one.
+    :param whole_turns: True if sets that differ by whole turns of an angle count as one.
     """
     a, b, c = position.values[3:]
     return abs(b) < 90.0 - _TURN and (whole_turns or (abs(a) < 180.0 - _TURN and abs(c) < 180.0 - _TURN))
 
 
-def _with_member(variables: Variables, whole: Aggregate, path: Sequence[str], value: VariableValue) -> Aggregate | None:
-    """Return a structure with another value of a member, or of a member of that; None if that is not known.
+def _structure_with_member(
+    variables: Variables, whole: Aggregate, path: Sequence[str], value: VariableValue
+) -> Aggregate | None:
+    """Return a structure with another value of a member, or of a member of that member.
 
-    What becomes of components that a position lacks and had before is not certain.
+    :param path: names of the members.
+    :returns: None if the result is not known, as where a position loses components that it had.
     """
     name, *inner_path = path
     item = whole.items.get(name)
     old = None if item is None else variables.evaluate(item)
     member: VariableValue | None = value
     if inner_path:
-        member = _with_member(variables, old, inner_path, value) if isinstance(old, Aggregate) else None
+        member = _structure_with_member(variables, old, inner_path, value) if isinstance(old, Aggregate) else None
     elif isinstance(value, Aggregate) and isinstance(old, Aggregate) and not old.items.keys() <= value.items.keys():
         return None
     if not isinstance(member, (Number, Word, Aggregate)):
@@ -711,14 +760,17 @@ def _with_member(variables: Variables, whole: Aggregate, path: Sequence[str], va
     return replace(whole, items={**whole.items, name: member}, computed=True)
 
 
-def _agree(frame: Position, other_frame: Position) -> bool:
-    """Return whether two frames are equal within rounding."""
+def _are_equal_frames(frame: Position, other_frame: Position) -> bool:
+    """Return whether two frames are equal within rounding; a component that one lacks counts as that of the other.
+
+    Frames given by joint angles count as different.
+    """
     if frame.axis or other_frame.axis:
         return False
     pairs = list(zip(frame.values, other_frame.values, strict=True))
-    a = Position(tuple(x if x == x else y for x, y in pairs)).pose()
-    b = Position(tuple(y if y == y else x for x, y in pairs)).pose()
-    difference = np.abs(a - b)
+    pose = Position(tuple(x if x == x else y for x, y in pairs)).pose()
+    other_pose = Position(tuple(y if y == y else x for x, y in pairs)).pose()
+    difference = np.abs(pose - other_pose)
     return bool(difference[:3, 3].max() < _SAME_PLACE and difference[:3, :3].max() < _SAME_ANGLE)
 
 
@@ -733,7 +785,7 @@ def _frame_text(frame: Position) -> str:
 
 
 def _cell_value(value: float) -> Number | Word:
-    """Return a value of the cell as KRL has it: a BOOL, an INT or a REAL."""
+    """Return a value of the cell as a value of KRL: a BOOL, an INT or a REAL."""
     if isinstance(value, bool):
         return Word(str(value).upper(), 0, 0)
     return Number(float(value), 0, 0, isinstance(value, int))
@@ -742,23 +794,24 @@ def _cell_value(value: float) -> Number | Word:
 def convert_to_type(value: VariableValue, kind: str) -> VariableValue:
     """Return a value converted to the type of a variable: a REAL is rounded to an INT (KUKA, Expert Programming).
 
-    :param kind: its type, upper case; empty if that is not known; `WHOLE` if it is REAL or INT.
+    :param kind: that type, upper case; empty if it is not known; `WHOLE` if it is REAL or INT.
+    :returns: an `UnknownValue` if the rounding is not certain.
     """
     if not isinstance(value, Number) or kind == "REAL":
         return replace(value, integer=False) if isinstance(value, Number) else value
-    whole = value.value == int(value.value)
-    if kind == WHOLE and not whole:
+    is_whole = value.value == int(value.value)
+    if kind == WHOLE and not is_whole:
         return UnknownValue(why=f"whether {value.value:g} is rounded to an INT is in no source")
     if kind in ("INT", WHOLE) and abs(value.value) >= LARGEST_INT:
         return _BEYOND_INT
-    if kind == "INT" and not whole:
+    if kind == "INT" and not is_whole:
         nearest = round(value.value)
         if abs(abs(value.value - nearest) - 0.5) < _HALF * max(1.0, abs(value.value)):
             return UnknownValue(why=f"to which side {value.value:g} is rounded is in no source")
         return replace(value, value=float(nearest), integer=True)
-    return replace(value, integer=whole)
+    return replace(value, integer=is_whole)
 
 
 def _span(value: Value) -> tuple[int, int]:
-    """Return offsets of the first character of a value and behind its last."""
+    """Return the offsets of the first character of a value and behind its last."""
     return value.start, value.stop
