@@ -15,11 +15,17 @@ from postproc.cell import Cell
 from postproc.dialects.krl import write
 from postproc.dialects.krl.language import scan
 from postproc.dialects.krl.language.names import fault_of, valid
-from postproc.dialects.krl.language.parts import MAIN, called_parts, files_of_routines, joined_program, part_of
+from postproc.dialects.krl.language.parts import (
+    MAIN,
+    called_parts,
+    files_of_routines,
+    joined_program,
+    stated_main_program,
+)
 from postproc.dialects.krl.language.scan import DEF_LINE
 from postproc.dialects.krl.layout import Layout
 from postproc.dialects.krl.read import read_program
-from postproc.dialects.krl.read.folder import moving
+from postproc.dialects.krl.read.folder import called_files_with_motion
 from postproc.dialects.text import decode
 from postproc.errors import Issue, ProgramError
 from postproc.frames import RAD_PER_DEG, Array
@@ -32,8 +38,10 @@ _NUMBERED_FRAME = re.compile(r"\b(BASE|TOOL)_(?:DATA[ \t]*\[[ \t]*|NO[ \t]+)([0-
 """``BASE_DATA[3]``, and ``TOOL_NO 2`` of a FDAT."""
 
 
-def _parts(path: Path, names: Sequence[str]) -> list[str]:
-    """Return the names of the files that a program in several files calls, and of those with its routines.
+def _part_names(path: Path, names: Sequence[str]) -> list[str]:
+    """Return the names of the further files of a program in several files; none for a program in one file.
+
+    These are the files that it calls, then those with its routines, without extension.
 
     :param names: of the files next to it.
     """
@@ -41,6 +49,7 @@ def _parts(path: Path, names: Sequence[str]) -> list[str]:
         return []
 
     def find(name: str) -> Document | None:
+        """Return a file next to the program by its name, in letters of any case; None if there is none."""
         document_name = next((document for document in names if document.lower() == name.lower()), None)
         return None if document_name is None else decode(document_name, path.with_name(document_name).read_bytes())
 
@@ -54,10 +63,10 @@ def _parts(path: Path, names: Sequence[str]) -> list[str]:
         return []
 
 
-def _main_of(part: Document) -> str | None:
-    """Return the name of the main program of which a file is a part: as it says, or as one next to it calls it."""
-    if (says := part_of(part)) is not None:
-        return says
+def _main_program_of(part: Document) -> str | None:
+    """Return the main program that a file is a part of: a comment names it, or a file next to it calls the part."""
+    if (stated_main := stated_main_program(part)) is not None:
+        return stated_main
     stem = PurePath(part.name).stem
     main_file = f"{stem.rstrip('0123456789')}{MAIN}.src".lower()
     try:
@@ -70,7 +79,7 @@ def _main_of(part: Document) -> str | None:
     return None
 
 
-def _long(document: Document, limit: int) -> Issue:
+def _long_file_warning(document: Document, limit: int) -> Issue:
     """Return the warning that a file of subprograms has more than `limit` lines."""
     lines = document.text.count("\n")
     message = (
@@ -99,7 +108,12 @@ class _Writer:
     def write(
         self, program: Program, targets: Targets, joints: TargetJoints, cell: Cell, comments: TargetForces | None
     ) -> WrittenProgram:
-        """Return a program as text, see `write.rewrite`, `write.divide_into_modules` and `write.split_files`."""
+        """Return a program as text.
+
+        A KRL program is written in its own text, see `write.rewrite`; others as new ones, see
+        `write.divide_into_modules`.
+        Both may be divided into files, see `write.split_files`.
+        """
         if not isinstance(program.layout, Layout):
             new = write.divide_into_modules(program, targets, joints, cell, comments)
             return write.split_files(program.name, (), new, cell.output.lines_per_file) if new.modules is None else new
@@ -111,7 +125,7 @@ class _Writer:
         output = write.split_files(program.name, files, program_files, limit, layout.course.taken, layout.broken_off)
         other_files = tuple(document for document in whole.documents if document.name in other_names)
         issues = [
-            _long(document, limit)
+            _long_file_warning(document, limit)
             for document in other_files
             if limit and document.name.lower().endswith(self.extension) and document.text.count("\n") > limit
         ]
@@ -139,12 +153,15 @@ class Krl:
     writer = _Writer()
 
     def companions(self, path: Path) -> list[Path]:
-        """Return the `.dat` next to a program, and the files that it calls if it is in several; letters of any case."""
+        """Return the other files of a program that exist: its `.dat`, and the parts of a program in several files.
+
+        Letters of names may be of any case.
+        """
         try:
             names = os.listdir(path.parent)  # noqa: PTH208 - a folder may hold thousands of programs
         except OSError:
             return []
-        stems = [path.stem, *_parts(path, names)]
+        stems = [path.stem, *_part_names(path, names)]
         file_names = [f"{stem}{end}".lower() for stem in stems for end in (".src", ".dat")][1:]
         path_of: dict[str, Path] = {}
         for name in sorted(names):
@@ -166,12 +183,12 @@ class Krl:
         return tuple(f"{kind}_data.{number}" for kind, number in sorted(frames) if number)
 
     def callers(self, paths: Sequence[Path]) -> dict[Path, list[Path]]:
-        """Return which of some files of a folder are but called by others of them, and by which."""
+        """Return the files of a folder that are only called by others of them, and these callers."""
         return callers(paths)
 
     def moving(self, paths: Sequence[Path], cell: Cell) -> dict[Path, set[Path]]:
         """Return the files with motions that each of some programs of one folder may call."""
-        return moving(paths, [Path(cell.folder) / folder for folder in cell.krl.search])
+        return called_files_with_motion(paths, [Path(cell.folder) / folder for folder in cell.krl.search])
 
     def copy_subprograms(
         self,
@@ -193,7 +210,7 @@ class Krl:
             try:
                 return read_program(documents, cell, forward_kinematics, name)
             except ProgramError as cause:
-                if (main := _main_of(documents[0])) is None:
+                if (main := _main_program_of(documents[0])) is None:
                     raise
                 problem = f"this file is a part of {main}, which calls it: without it, {cause.problem}"
                 advice = f"Name {main}.src instead."
@@ -225,20 +242,20 @@ class _File(Struct, frozen=True):
     """What a file has to do with others; names in upper case.
 
     :param calls: names that are called in it and that it does not declare itself.
-    :param gives: names by which others call its routines.
+    :param callable_names: names by which others call its routines.
     """
 
     calls: frozenset[str]
-    gives: frozenset[str]
+    callable_names: frozenset[str]
 
 
 def callers(paths: Sequence[Path]) -> dict[Path, list[Path]]:
-    """Return which `.src` files of one folder are only called by others of them, and by which.
+    """Return the `.src` files of one folder that are only called by others of them, and these callers.
 
-    Files that only call each other are not among them. A file of which others call a GLOBAL routine, and whose own main
-    routine has statements, is a program of its own.
+    Files that only call each other are left out. So is a file whose own main routine has statements and of which others
+    call a GLOBAL routine: it is a program of its own.
     """
-    files = {path: _file(path) for path in paths}
+    files = {path: _file_calls(path) for path in paths}
     calling: dict[str, list[Path]] = {}
     for path, file in files.items():
         for name in file.calls:
@@ -246,7 +263,7 @@ def callers(paths: Sequence[Path]) -> dict[Path, list[Path]]:
     callers_of: dict[Path, list[Path]] = {}
     callees: dict[Path, list[Path]] = {path: [] for path in paths}
     for path, file in files.items():
-        calling_paths = {caller for name in file.gives for caller in calling.get(name, ())} - {path}
+        calling_paths = {caller for name in file.callable_names for caller in calling.get(name, ())} - {path}
         callers_of[path] = sorted(calling_paths)
         for caller in calling_paths:
             callees[caller].append(path)
@@ -259,16 +276,16 @@ def callers(paths: Sequence[Path]) -> dict[Path, list[Path]]:
     return {path: calling_paths for path, calling_paths in callers_of.items() if calling_paths and path in reachable}
 
 
-def _file(path: Path) -> _File:
-    """Return the routines that a file calls, and those that others can call in it; empty if it cannot be read."""
+def _file_calls(path: Path) -> _File:
+    """Return the names that a file calls, and those by which others can call it; none if it cannot be read."""
     try:
         text = path.read_bytes().decode("latin-1")
     except OSError:
         return _File(frozenset(), frozenset())
     routines = list(scan.whole_routines(text))
     name = path.stem.upper()
-    gives = {name}
+    callable_names = {name}
     if all(routine.empty for routine in routines if routine.name == name):
-        gives |= {routine.name for routine in routines if routine.public}
+        callable_names |= {routine.name for routine in routines if routine.public}
     calls = scan.called_names(scan.without_comments(text)) if path.stem.lower() != _SELECTION_FILE else set[str]()
-    return _File(frozenset(calls), frozenset(gives))
+    return _File(frozenset(calls), frozenset(callable_names))

@@ -114,7 +114,7 @@ class Layout(Struct, frozen=True, eq=False):
         return np.where(offsets > 0, offsets + self.begin[rows, None, None], -1)
 
     def places(self, rows: Ints) -> Places | None:
-        """Return the files and lines of motions (n,); None: all in the main file."""
+        """Return the files and lines of motions (n,); None if all are in the main file."""
         trace = self.course.trace
         if trace.is_file and not self.files:
             return None

@@ -43,7 +43,7 @@ class DeclaredName(Struct, frozen=True):
 
 
 def declared_in(source: Source, start: int, stop: int) -> Iterator[DeclaredName]:
-    """Yield what one line declares, also several names: ``DECL E6POS A={…},B={…}``."""
+    """Yield the names that one line declares; there may be several, as in ``DECL E6POS A={…},B={…}``."""
     match = DECLARATION.match(source.text, start, stop)
     if not match:
         return
@@ -53,12 +53,12 @@ def declared_in(source: Source, start: int, stop: int) -> Iterator[DeclaredName]
     while True:
         if source.text[end - 1] == "=":
             end = _value_stop(source, end, stop)
-        following = NEXT_NAME.match(source.text, end, stop)
-        if not following:
+        next_name = NEXT_NAME.match(source.text, end, stop)
+        if not next_name:
             return
-        end = following.end()
-        value = end if following[3] else -1
-        yield DeclaredName(following[1].upper(), following.start(1), following[2], first.kind, first.public, value)
+        end = next_name.end()
+        value = end if next_name[3] else -1
+        yield DeclaredName(next_name[1].upper(), next_name.start(1), next_name[2], first.kind, first.public, value)
 
 
 def _first_name(source: Source, match: re.Match[str]) -> DeclaredName:
@@ -77,8 +77,9 @@ def _value_stop(source: Source, start: int, stop: int) -> int:
 
 
 def structure(source: Source, start: int, stop: int) -> tuple[str, dict[str, str]] | None:
-    """Return name and members (name → type, upper case) of a ``STRUC PT INT N,FRAME F``; None if it is something else.
+    """Return the name of a STRUC and its members, as of ``STRUC PT INT N,FRAME F``.
 
+    :returns: upper-case name, and type by name of the members; None if the code is something else.
     :raises ProgramError: brackets are not balanced.
     """
     pieces = [NAME.findall(source.text, *span) for span in split(source, start, stop)]
@@ -87,7 +88,7 @@ def structure(source: Source, start: int, stop: int) -> tuple[str, dict[str, str
     if not pieces or len(pieces[0]) < 3 or pieces[0][0].upper() != "STRUC":
         return None
     name, pieces[0] = pieces[0][1].upper(), pieces[0][2:]
-    kind, members = "", dict[str, str]()
+    kind, members = "", dict[str, str]()  # a type holds for all members up to the next type
     for words in pieces:
         kind = words[0].upper() if len(words) > 1 else kind
         members |= {word.upper(): kind for word in words[-1:]}
@@ -125,7 +126,10 @@ class DataLine(Struct, frozen=True, eq=False):
 
 
 def data_lines(data: Source) -> list[DataLine]:
-    """Return the lines of a `.dat` but for its header, DEFDAT and ENDDAT; data of the controller count as GLOBAL."""
+    """Return the lines of a `.dat` without its header, DEFDAT and ENDDAT.
+
+    Data of the controller count as GLOBAL, and so do all lines about a name that one line declares GLOBAL.
+    """
     lines = []
     for line in range(1, len(data.starts) + 1):
         start, stop = data.code_span(line)
@@ -148,8 +152,8 @@ def data_lines(data: Source) -> list[DataLine]:
 
 def _is_public(text: str, start: int, stop: int) -> bool:
     """Return whether GLOBAL is the first word of a line, or follows DECL."""
-    next_sign = after_word(text, start, stop, "DECL")
-    return after_word(text, max(start, next_sign), stop, "GLOBAL") >= 0
+    after_decl = after_word(text, start, stop, "DECL")
+    return after_word(text, max(start, after_decl), stop, "GLOBAL") >= 0
 
 
 def _other_declared_names(code: str, word: str) -> frozenset[str]:

@@ -114,15 +114,15 @@ class Trigger(Struct, frozen=True):
 
 
 def triggers(trace: Trace, rows: Sequence[tuple[int, int, bool]], length: Array) -> Iterator[Trigger]:
-    """Return TRIGGER statements of an execution trace.
+    """Yield the TRIGGER statements of an execution trace.
 
-    :param rows: row, number of the motion that follows, and whether it is attached, of each.
-    :param length: (n,) of these motions [m].
+    :param rows: of each its row, the number of the motion that follows, and whether nothing but comments is between.
+    :param length: (n,) lengths of these motions [m].
     """
-    for (line, row, is_attached), metres in zip(rows, length.tolist(), strict=True):
+    for (line, row, is_attached), path_length in zip(rows, length.tolist(), strict=True):
         node = statement(*trace.place(line))
         if isinstance(node, tree.SplineTiming):
-            yield Trigger(line, row, is_attached, node.from_start, 0.0, None, 0.0, metres)
+            yield Trigger(line, row, is_attached, node.from_start, 0.0, None, 0.0, path_length)
             continue
         offset = delay = float("nan")
         from_start, path = False, None
@@ -133,9 +133,9 @@ def triggers(trace: Trace, rows: Sequence[tuple[int, int, bool]], length: Array)
                 offset, path = value * M_PER_MM, (node.value.start, node.value.stop)
             elif value in (0.0, 1.0):
                 offset = 0.0
-        yield Trigger(line, row, is_attached, from_start, offset, path, delay, metres)
+        yield Trigger(line, row, is_attached, from_start, offset, path, delay, path_length)
 
 
 def _number(value: Value) -> float:
-    """Return a number as such; NaN for any other value."""
+    """Return the value of a number; NaN for any other value."""
     return value.value if isinstance(value, Number) else float("nan")

@@ -47,21 +47,21 @@ class JoinedProgram(Struct, frozen=True, eq=False):
     files: tuple[tuple[str, int], ...]
 
     def place(self, file: str, line: int) -> tuple[str, int]:
-        """Return the file, and the line of it, that a line of one of the joined texts comes from."""
+        """Return the file and the line that a line of the joined text, or of another file, comes from."""
         if file != self.documents[0].name:
             return file, line
         name, first = [file_and_line for file_and_line in self.files if file_and_line[1] <= line][-1]
         return name, line + 1 - first
 
-    def motion_in_file(self, left: UnresolvedMotion) -> UnresolvedMotion:
-        """Return a motion that stays as it is with its file and its line there."""
-        file, line = self.place(left.file, left.line)
-        return replace(left, file=file, line=line)
+    def motion_in_file(self, motion: UnresolvedMotion) -> UnresolvedMotion:
+        """Return an uncorrected motion with its file and its line there, instead of those of the joined text."""
+        file, line = self.place(motion.file, motion.line)
+        return replace(motion, file=file, line=line)
 
     def error_in_file(self, error: ProgramError) -> ProgramError:
-        """Return an error in the joined text as one in the file that it comes from, with those that follow it.
+        """Return an error in a line of the joined text as one in the file that the line comes from.
 
-        :param error: in a line of one of `documents`, or of another file.
+        Errors that were raised together with it are changed alike; those in other files stay as they are.
         """
         file, line = error.file, error.line
         if line is not None and file is not None:
@@ -81,7 +81,7 @@ class JoinedProgram(Struct, frozen=True, eq=False):
 def called_parts(main: Document) -> list[tuple[str, int]]:
     """Return the programs that a main program calls one after the other at its end, and the line of each call.
 
-    :returns: names as they are spelled there; empty if it is no main program of several files.
+    :returns: names as the calls spell them; none if the file is not the main program of several files.
     """
     stem = PurePath(main.name).stem
     if not stem.lower().endswith(MAIN.lower()) or len(stem) == len(MAIN):
@@ -105,23 +105,24 @@ def called_parts(main: Document) -> list[tuple[str, int]]:
 
 
 def files_of_routines(main: Document, find: Callable[[str], Document | None]) -> list[Document]:
-    """Return the files with routines of a main program of several files, which follow those that it calls.
+    """Return the files with the routines of a program in several files: they follow those that it calls.
 
+    :param main: its main program.
     :param find: returns a file by its name, None if there is none.
     """
     files: list[Document] = []
     stem, calls = PurePath(main.name).stem, called_parts(main)
     while calls:
         document = find(f"{stem[: -len(MAIN)]}{len(calls) + len(files) + 1}.src")
-        main_name = None if document is None else part_of(document)
+        main_name = None if document is None else stated_main_program(document)
         if document is None or main_name is None or main_name.lower() != stem.lower():
             break
         files.append(document)
     return files
 
 
-def part_of(document: Document) -> str | None:
-    """Return the main program of which a file says that it is a part; None if it does not."""
+def stated_main_program(document: Document) -> str | None:
+    """Return the name of the main program that a comment in a part names; None if there is no such comment."""
     main_name = _PART_OF.search(document.text)
     return None if main_name is None else main_name[1]
 
@@ -167,36 +168,44 @@ def separated_texts(text: str) -> list[str]:
 
 
 def _main_text(main: Document, calls: Sequence[int]) -> str:
-    """Return the main program with its calls and its END as comments."""
+    """Return the text of the main program, with its calls and its END as comments.
+
+    :param calls: lines of the calls.
+    :raises ProgramError: a force comment is between the calls.
+    """
     source = Source.of(main, 0)
-    _only_def(source)
+    _def_line(source)  # refuses other routines
     for line in range(calls[0], len(source.starts) + 1):
         if FORCE.match(source.text[source.starts[line - 1] : source.stops[line - 1]].strip()):
             advice = "Write it into the program that is called."
             raise source.line_error("a force comment between the calls of the parts", line, advice)
     end = max(line for line in range(calls[-1], len(source.starts) + 1) if _is_end(source, line))
-    return _with_marks(source, [*calls, end])
+    return _marked_text(source, [*calls, end])
 
 
 def _part_text(part: Document, *, ends: bool = False, has_routines: bool = False) -> str:
-    """Return a part with its header, DEF and END as comments.
+    """Return the text of a part, with its header, DEF and END as comments.
 
-    :param ends: its END is that of the whole program, and stays.
-    :param has_routines: other routines follow its END.
+    :param ends: True if its END is that of the whole program, and stays.
+    :param has_routines: True if other routines follow its END.
+    :raises ProgramError: it has no END, or its DEF cannot be one of several.
     """
     source = Source.of(part, 0)
-    begin = _only_def(source, has_routines=has_routines)
+    begin = _def_line(source, has_routines=has_routines)
     text = source.text
     header = [line for line in range(1, begin) if text[source.starts[line - 1]] == "&"]
     end_lines = (line for line in range(begin, len(source.starts) + 1) if _is_end(source, line))
     end = next(end_lines, None) if has_routines else max(end_lines, default=None)
     if end is None:
         raise source.line_error("DEF has no END", begin, "Check that the file was transferred completely.")
-    return _BEGINS + _with_marks(source, [*header, begin, *([] if ends else [end])])
+    return _BEGINS + _marked_text(source, [*header, begin, *([] if ends else [end])])
 
 
-def _only_def(source: Source, *, has_routines: bool = False) -> int:
-    """Return the line of the DEF of a file; of several that of the first."""
+def _def_line(source: Source, *, has_routines: bool = False) -> int:
+    """Return the line of the DEF of a file; if it may have routines, that of the first.
+
+    :raises ProgramError: there is another number of DEF, or it has parameters.
+    """
     def_lines = [source.line_at(routine.start) for routine in scan.routines(source.text)][: 1 if has_routines else None]
     if len(def_lines) != 1 or not _has_no_parameters(source, def_lines[0]):
         problem = f"a program in several files has one DEF without parameters in each, and here are {len(def_lines)}"
@@ -213,11 +222,16 @@ def _has_no_parameters(source: Source, line: int) -> bool:
 
 
 def _is_end(source: Source, line: int) -> bool:
+    """Return whether a line is END alone."""
     return source.text[slice(*source.code_span(line))].upper() == "END"
 
 
-def _with_marks(source: Source, lines: Sequence[int]) -> str:
-    """Return the text of a file with some of its lines (ascending) as comments, and with an end of its last line."""
+def _marked_text(source: Source, lines: Sequence[int]) -> str:
+    """Return the text of a file with marks that make some of its lines comments, and with an end of its last line.
+
+    :param lines: 1-based, ascending.
+    :raises ProgramError: it contains control characters.
+    """
     if any(mark in source.text for mark in (_DIVIDES, _BEGINS, _UNENDED)):
         raise ProgramError(
             "control characters in the program",
@@ -238,9 +252,9 @@ def _with_marks(source: Source, lines: Sequence[int]) -> str:
 
 
 def _joined_data(main: Document, data: Sequence[Document]) -> Document:
-    """Return the data of all files as one, each declaration once.
+    """Return the data lists of all files as one, with each declaration once.
 
-    :raises ProgramError: one name has different values.
+    :raises ProgramError: two files give one name different values.
     """
     lines: dict[str, str] = {}
     texts_of_name: dict[str, list[str]] = {}

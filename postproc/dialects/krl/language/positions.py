@@ -73,12 +73,12 @@ class NotANumberError(ProgramError):
     component = ""
 
 
-def from_pose(pose: Array) -> Position:
+def position_from_pose(pose: Array) -> Position:
     """Return the Cartesian position of a (4, 4) pose [m]."""
     return Position(tuple(float(value) for value in xyzabc_from_pose(pose)))
 
 
-def from_aggregate(aggregate: Aggregate) -> Position:
+def position_from_aggregate(aggregate: Aggregate) -> Position:
     """Return the position that an aggregate gives.
 
     :raises ProgramError: a component is unknown or not a number, axes and Cartesian components are mixed, S or T is
@@ -113,7 +113,7 @@ def from_aggregate(aggregate: Aggregate) -> Position:
 
 
 def _component_error(aggregate: Aggregate, name: str, components: frozenset[str]) -> ProgramError:
-    """Return the error for a component that a position does not have, or that is not a number."""
+    """Return the error for a component that a position cannot have, or that is not a number."""
     if name not in components:
         valid = ", ".join(
             component for component in (*AXES, *CARTESIAN, "S", "T", *EXTERNAL) if component in components

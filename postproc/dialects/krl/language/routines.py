@@ -76,7 +76,7 @@ class Module(Struct, frozen=True, eq=False):
         return PurePath(self.source.document.name).stem.upper()
 
     def main(self, name: str) -> Routine | None:
-        """Return the routine of a given name, else the first one."""
+        """Return the routine with a name; if there is none, the first one of the file."""
         return self.routines.get(name.upper(), next(iter(self.routines.values()), None))
 
 
@@ -92,11 +92,13 @@ class _OpenRoutine(Struct, eq=False):
 def routines(
     source: Source, lines: Sequence[int], plain: Ints, settings: Sequence[int] = ()
 ) -> tuple[dict[str, Routine], list[ProgramError]]:
-    """Return the routines of a file, and the errors in their bounds: no END, a motion outside of DEF … END.
+    """Return the routines of a file by name, upper case, and the errors in their bounds.
+
+    Such an error is a DEF without END, or a motion outside of DEF … END.
 
     :param lines: 1-based lines that are neither plain motions nor plain settings.
-    :param plain: (P,) those that are plain motions, in order.
-    :param settings: those that are known to assign something to system variables and to do nothing else, in order.
+    :param plain: (P,) lines of plain motions, in order.
+    :param settings: lines that only assign system variables, in order.
     """
     routine_of: dict[str, Routine] = {}
     faults: list[ProgramError] = []

@@ -93,9 +93,9 @@ def without_comments(text: str) -> str:
 
 
 def called_names(code: str) -> set[str]:
-    """Return the names, upper case, that are followed by a bracket in code without comments, but for its own routines.
+    """Return the names, upper case, that a bracket follows in code without comments.
 
-    Words of KRL and functions of the controller are among them.
+    Words of KRL and functions of the controller are among them; routines that the code defines are not.
     """
     return {name.upper() for name in _CALL.findall(code)} - {routine.name for routine in routines(code)}
 
@@ -111,7 +111,7 @@ def imported_files(data: str) -> set[str]:
 
 
 def words(text: str) -> Iterator[tuple[str, int]]:
-    """Yield names and strings (with their quotes) outside of comments, as spelled, and their offsets."""
+    """Yield names and strings (with their quotes) outside of comments: each as spelled, and its offset."""
     for match in _WORD.finditer(text):
         if match[0][0] != ";":
             yield match[0], match.start()
@@ -122,8 +122,8 @@ def names(text: str) -> set[str]:
     return set().union(*(names_in(word) for word, _ in words(text)))
 
 
-def places(text: str, names_to_find: Collection[str]) -> Iterator[tuple[str, int]]:
-    """Yield names that are wanted, as spelled, and their offsets, comments included."""
+def find_cut_points(text: str, names_to_find: Collection[str]) -> Iterator[tuple[str, int]]:
+    """Yield each place at which a text has one of some names, in comments too: the name as spelled, and its offset."""
     pattern = rf"(?<![\w$])(?:{'|'.join(map(re.escape, names_to_find))})(?![\w$])"
     for match in re.finditer(pattern, text, _FLAGS) if names_to_find else ():
         yield match[0], match.start()

@@ -64,7 +64,7 @@ class Source(Struct, frozen=True, eq=False):
         return np.searchsorted(self.starts, offset, side="right")
 
     def code_span(self, line: int) -> tuple[int, int]:
-        """Return the span of the code of a 1-based line: without its comment and the blanks around it."""
+        """Return the span of the code of a 1-based line, without its comment and the blanks around it."""
         text, start, stop = self.text, self.starts.item(line - 1), self.stops.item(line - 1)
         if (
             start < stop
@@ -72,7 +72,7 @@ class Source(Struct, frozen=True, eq=False):
             and text[stop - 1] not in _BLANKS
             and text.find(";", start, stop) < 0
         ):
-            return start, stop  # most lines: asked several times for each
+            return start, stop  # true of most lines, and this is called several times for each
         return code_span(text, start, stop)
 
     def error(self, problem: str, offset: int, advice: str | None = None) -> ProgramError:

@@ -52,7 +52,7 @@ class Block(Struct, frozen=True, eq=False):
     parts: tuple[Part, ...]
 
     def moved(self, shift: int) -> Block:
-        """Return the control structure on other lines, by a number that is added to each."""
+        """Return the control structure on other lines: `shift` is added to the number of each."""
         parts = (
             Part(part.head + shift, part.beyond + shift, tuple(_shifted(node, shift) for node in part.nodes))
             for part in self.parts
@@ -76,7 +76,7 @@ Node = int | Block
 
 
 def _shifted(node: Node, shift: int) -> Node:
-    """Return the line of a statement, or a control structure, on other lines."""
+    """Return a statement, given by its line, or a control structure with `shift` added to its lines."""
     return node.moved(shift) if isinstance(node, Block) else node + shift
 
 
@@ -96,42 +96,43 @@ class _OpenStructure(Struct, eq=False):
 
 
 def nodes_of(source: Source | Trace, lines: Sequence[int]) -> tuple[Node, ...]:
-    """Return statements and control structures of some lines of a file, or rows of a trace, in order.
+    """Return the statements and control structures on some lines of a file, or rows of a trace, in order.
 
-    Lines that close or divide a structure that is not open are statements, and so are those of one that is not closed.
+    In a structure that is not closed, each line is a statement. So is a line that closes or divides a structure that is
+    not open.
 
-    :raises ProgramError: they are nested too deeply.
+    :raises ProgramError: structures are nested too deeply.
     """
     if len(lines) == 1:
         return (lines[0],)
     nodes: list[Node] = []
-    open_: list[_OpenStructure] = []
+    open_structures: list[_OpenStructure] = []
     for line in lines:
-        word = _word(source, line)
-        innermost = open_[-1] if open_ else None
+        word = _control_word(source, line)
+        innermost = open_structures[-1] if open_structures else None
         if word in OPENING or word == "REPEAT":
-            open_.append(_OpenStructure(word, line, [], line, []))
-            if len(open_) > _DEEPEST:
+            open_structures.append(_OpenStructure(word, line, [], line, []))
+            if len(open_structures) > _DEEPEST:
                 problem = f"more than {_DEEPEST} control structures are nested"
                 raise source.place(line).error(problem, "Put the inner ones into a subprogram.")
         elif innermost is not None and _CLOSING.get(word) == innermost.word:
             innermost.divide(line)
-            open_.pop()
-            (open_[-1].nodes if open_ else nodes).append(
+            open_structures.pop()
+            (open_structures[-1].nodes if open_structures else nodes).append(
                 Block(innermost.word, innermost.first, line, tuple(innermost.parts))
             )
         elif innermost is not None and _DIVIDERS.get(word) == innermost.word:
             innermost.divide(line)
         else:
             (innermost.nodes if innermost is not None else nodes).append(line)
-    if open_:
-        first = open_[0].first
+    if open_structures:
+        first = open_structures[0].first
         nodes += [line for line in lines if line >= first]
     return tuple(nodes)
 
 
-def _word(source: Source | Trace, line: int) -> str:
-    """Return the first word of a line, or a row, if it is one of control structures; else it may be empty."""
+def _control_word(source: Source | Trace, line: int) -> str:
+    """Return the first word of a line or row if it belongs to a control structure; for others it may be empty."""
     if isinstance(source, Trace):
         if source.is_count.item(line - 1):
             return ""
@@ -143,12 +144,16 @@ def _word(source: Source | Trace, line: int) -> str:
 
 
 def is_outside(source: Source | Trace, lines: Sequence[int], line_numbers: Ints) -> Bools:
-    """Return which of other lines, or rows, (n,) are outside of control structures that some lines open and close."""
+    """Return which lines of a file, or rows of a trace, are outside of all control structures (n,).
+
+    :param lines: lines that open and close these structures, others among them.
+    :param line_numbers: (n,) the lines in question.
+    """
     begin_lines: list[int] = []
     end_lines: list[int] = []
     depth = 0
     for line in lines:
-        word = _word(source, line)
+        word = _control_word(source, line)
         if word in OPENING or word == "REPEAT":
             begin_lines += [] if depth else [line]
             depth += 1
@@ -159,46 +164,48 @@ def is_outside(source: Source | Trace, lines: Sequence[int], line_numbers: Ints)
 
 
 def checked_nodes(source: Source, nodes: tuple[Node, ...]) -> tuple[Node, ...]:
-    """Return statements and control structures as they are.
+    """Return statements and control structures unchanged, once their lines have been checked.
 
-    :raises ProgramError: something follows words of control structures, where it would not be read; or they lack
-        something.
+    :raises ProgramError: a line of a control structure has a text behind it that would not be read, or lacks something.
     """
-    if errors := list(islice(_mistakes(source, nodes, in_loop=False), MAX_ERRORS + 1)):
+    if errors := list(islice(_structure_errors(source, nodes, in_loop=False), MAX_ERRORS + 1)):
         raise combined_error(errors)
     return nodes
 
 
 def check_closed(source: Source, nodes: tuple[Node, ...]) -> None:
-    """Refuse statements and control structures of a routine of which one is not closed.
+    """Refuse a control structure of a routine that is not closed.
 
-    :raises ProgramError: the first that is not.
+    :raises ProgramError: for the first one.
     """
     for node in nodes:
         if isinstance(node, Block):
             continue
-        word = _word(source, node)
+        word = _control_word(source, node)
         if word in OPENING or word == "REPEAT":
             raise source.line_error(f"{word} is not closed", node, "Check that the file is complete.")
 
 
-def _mistakes(source: Source, nodes: Sequence[Node], *, in_loop: bool) -> Iterator[ProgramError]:
-    """Yield the errors in control structures; EXIT is allowed in a loop only."""
+def _structure_errors(source: Source, nodes: Sequence[Node], *, in_loop: bool) -> Iterator[ProgramError]:
+    """Yield the errors in control structures.
+
+    :param in_loop: whether they are in a loop, which EXIT may leave.
+    """
     for node in nodes:
         if isinstance(node, Block):
             for line in dict.fromkeys((*(part.head for part in node.parts), node.last)):
-                wrong = _mistake(source, line)
-                if wrong is not None:
-                    yield source.line_error(wrong[0], line, wrong[1])
+                fault = _line_fault(source, line)
+                if fault is not None:
+                    yield source.line_error(fault[0], line, fault[1])
             for part in node.parts:
-                yield from _mistakes(source, part.nodes, in_loop=in_loop or node.word in LOOPS)
-        elif not in_loop and _word(source, node) == "EXIT":
+                yield from _structure_errors(source, part.nodes, in_loop=in_loop or node.word in LOOPS)
+        elif not in_loop and _control_word(source, node) == "EXIT":
             advice = "It leaves LOOP, FOR, WHILE or REPEAT: check where these end."
             yield source.line_error("EXIT outside of a loop", node, advice)
 
 
-def _mistake(source: Source, line: int) -> tuple[str, str] | None:
-    """Return the error in a line of a control structure, and the advice."""
+def _line_fault(source: Source, line: int) -> tuple[str, str] | None:
+    """Return the error in a line of a control structure, and the advice; None if it has none."""
     node, own_line_advice = statement(source, line), "Write it on a line of its own."
     if isinstance(node, BareWord):
         return (f"{node.behind!r} follows {node.word}", own_line_advice) if node.behind else None

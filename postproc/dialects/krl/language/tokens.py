@@ -89,14 +89,14 @@ def after_sign(text: str, start: int, stop: int, sign: str) -> int:
 
 
 def words_in(text: str, start: int, stop: int) -> Iterator[tuple[str, Span]]:
-    """Yield the words of a piece of code, upper case, and where they are; not strings, constants and components."""
+    """Yield the words of a piece of code, upper case, and their spans; not those in strings, constants, components."""
     for match in _WORD.finditer(text, start, stop):
         if match[0][0] != '"':
             yield match[0].upper(), Span(*match.span())
 
 
 def key_word(text: str, start: int, stop: int, word: str) -> Span | None:
-    """Return where a key word (upper case) is first, not in a string; None if it is not there."""
+    """Return the span of the first occurrence of a key word (upper case) outside of strings; None if there is none."""
     return next((span for name, span in words_in(text, start, stop) if name == word), None)
 
 
@@ -108,12 +108,12 @@ def operator_at(text: str, start: int, stop: int) -> tuple[str, int]:
 
 
 def after_nots(text: str, start: int, stop: int) -> tuple[bool, int]:
-    """Return whether an odd number of NOT is at an offset, and the offset behind them."""
-    inverse, start = False, after_blanks(text, start, stop)
+    """Return whether an odd number of NOTs begins at an offset, and the offset behind them."""
+    is_negated, start = False, after_blanks(text, start, stop)
     while match := _NOT_WORD.match(text, start, stop):
-        inverse = not inverse
+        is_negated = not is_negated
         start = after_blanks(text, match.end(), stop)
-    return inverse, start
+    return is_negated, start
 
 
 def number(text: str) -> float:
@@ -157,21 +157,21 @@ def occurrences(text: str, start: int, stop: int) -> Iterator[Occurrence]:
     >>> [one.name for one in occurrences("LIN {X I, Y P.X}:Q", 0, 18)]
     ['LIN', 'I', 'P', 'Q']
     """
-    open_: list[str] = []
-    component = False  # the next name is one of an aggregate, or its type
+    open_brackets: list[str] = []
+    is_component = False  # the next name is one of an aggregate, or its type
     for match in _OCCURRENCE.finditer(text, start, stop):
         first = match[0][0]
         if first in "([{":
-            open_.append(first)
-            component = first == "{"
+            open_brackets.append(first)
+            is_component = first == "{"
         elif first in ")]}":
-            del open_[-1:]
-            component = False
+            del open_brackets[-1:]
+            is_component = False
         elif first == ",":
-            component = bool(open_) and open_[-1] == "{"
+            is_component = bool(open_brackets) and open_brackets[-1] == "{"
         elif first.isalpha() or first in "_$":
-            if component:
-                component = _COLON.match(text, match.end(), stop) is not None
+            if is_component:
+                is_component = _COLON.match(text, match.end(), stop) is not None
                 continue
-            is_call = _OPEN.match(text, match.end(), stop) is not None
-            yield Occurrence(match.start(), match.end(), match[0].upper(), is_call)
+            is_called = _OPEN.match(text, match.end(), stop) is not None
+            yield Occurrence(match.start(), match.end(), match[0].upper(), is_called)

@@ -17,7 +17,7 @@ from postproc.errors import ProgramError
 
 
 def _values_of(part: object) -> tuple[Value, ...]:
-    """Return the values in a part of a statement: a value, another statement, several of these, or nothing."""
+    """Return the values in a part of a statement: a value, another statement, several of these, or None."""
     if isinstance(part, (Statement, Tail)):
         return part.values
     if isinstance(part, tuple):

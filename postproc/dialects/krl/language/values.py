@@ -60,7 +60,7 @@ class Call(Struct, frozen=True):
     stop: int
 
     def spelling(self, source: Source) -> str:
-        """Return the name as the text has it."""
+        """Return the name of the function as the text spells it."""
         return source.text[self.start : self.start + len(self.name)]
 
 
@@ -179,6 +179,8 @@ def walk(values: Iterable[Value]) -> Iterator[Value]:
         yield from walk(parts(value))
 
 
-def writable(argument: Value) -> Reference | None:
-    """Return the variable that a routine may write if it gets an argument; None if it is none."""
+def writable_variable(argument: Value) -> Reference | None:
+    """Return the variable that a routine may write through an argument; None if there is none, as for ``(A)`` or
+    ``A+1``.
+    """
     return argument if isinstance(argument, Reference) and not argument.bracketed else None

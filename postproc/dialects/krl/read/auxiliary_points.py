@@ -52,7 +52,7 @@ _ON_THE_WAY = 0.01 * RAD_PER_DEG
 """An orientation closer than this [rad] to where the tool turns anyway is on its way; one must come closer by this."""
 
 
-def left_out(
+def ignores_auxiliary_orientation(
     trace: Trace,
     rows: MotionColumns,
     circular: Ints,
@@ -63,76 +63,86 @@ def left_out(
     settings: Settings,
     in_force: tuple[Sequence[State], Ints],
 ) -> Bools:
-    """Return on which circles (n,) the auxiliary orientation must not count any more once they are corrected.
+    """Return the circles (n,) whose auxiliary orientation must be ignored once they are corrected.
 
     :param circular: (n,) rows of the circles.
     :param moves: row → statement, of those that are not plain.
     :param ends: tool frames (n, 4, 4) at start and end, `$BASE` [m].
     :param arcs: centres, axes and auxiliary points (n, 3) [m], angles (n,) [rad] of the circles.
     :param control: how the orientation is led.
-    :param in_force: states, and which of them (n,) holds for each circle.
+    :param in_force: states, and the index of the state in which each circle runs (n,).
     :raises ProgramError: the tool does not turn by the shorter rotation, or it is not known whether it does.
     """
     is_left_out = np.zeros(len(circular), dtype=np.bool_)
     via_angles = np.full((len(circular), 3), np.nan)
     states, state = in_force
-    strict = np.array([s.auxiliary == "#INTERPOLATE" or _unknown(s) for s in states])[state]
-    free = np.array([s.orientation == IGNORE or (s.auxiliary == "#IGNORE" and not _unknown(s)) for s in states])[state]
-    counting_circles = np.flatnonzero(~free)
-    spline = is_spline(trace, rows, circular[counting_circles])
-    strict[counting_circles[~spline]] = False
-    for i in counting_circles[spline].tolist():
-        via_angles[i] = _orientation(trace, rows, int(circular[i]), moves)
-    oriented_circles = np.flatnonzero(~free & (strict | ~np.isnan(via_angles).all(axis=1)))
+    is_strict_circle = np.array([s.auxiliary == "#INTERPOLATE" or _is_auxiliary_mode_unknown(s) for s in states])[state]
+    is_free = np.array(
+        [s.orientation == IGNORE or (s.auxiliary == "#IGNORE" and not _is_auxiliary_mode_unknown(s)) for s in states]
+    )[state]
+    counting_circles = np.flatnonzero(~is_free)
+    is_spline_circle = is_spline(trace, rows, circular[counting_circles])
+    is_strict_circle[counting_circles[~is_spline_circle]] = False
+    for i in counting_circles[is_spline_circle].tolist():
+        via_angles[i] = _auxiliary_angles(trace, rows, int(circular[i]), moves)
+    oriented_circles = np.flatnonzero(~is_free & (is_strict_circle | ~np.isnan(via_angles).all(axis=1)))
     if not len(oriented_circles):
         return is_left_out
-    leads = _leads(
+    turns_otherwise = _turns_otherwise(
         (ends[0][oriented_circles], ends[1][oriented_circles]),
         tuple(column[oriented_circles] for column in arcs),
         via_angles[oriented_circles],
         control.with_path[circular[oriented_circles]],
-        strict[oriented_circles],
+        is_strict_circle[oriented_circles],
     )
-    for i in np.flatnonzero(leads).tolist():
+    for i in np.flatnonzero(turns_otherwise).tolist():
         settings.refuse_uncertain(states[state[oriented_circles[i]]], ["auxiliary"])
-        line, is_strict = int(rows.line[circular[oriented_circles[i]]]), bool(strict[oriented_circles[i]])
+        line, is_strict = int(rows.line[circular[oriented_circles[i]]]), bool(is_strict_circle[oriented_circles[i]])
         raise trace.error(_THROUGH_MESSAGE if is_strict else _LONGER_MESSAGE, line, _ADVICE[is_strict])
     is_left_out[oriented_circles] = True  # what lies on the whole way need not lie on those of its pieces
     return is_left_out
 
 
-def _leads(
-    ends: tuple[Array, Array], arcs: tuple[Array, ...], via_angles: Array, with_path: Bools, strict: Bools
+def _turns_otherwise(
+    ends: tuple[Array, Array], arcs: tuple[Array, ...], via_angles: Array, with_path: Bools, is_strict: Bools
 ) -> Bools:
-    """Return on which circles (n,) the orientation of the auxiliary point turns the tool off the shorter rotation.
+    """Return the circles (n,) on which the auxiliary orientation turns the tool otherwise than by the shorter rotation.
 
     :param ends: tool frames (n, 4, 4) at start and end, `$BASE` [m].
     :param arcs: centres, axes and auxiliary points (n, 3) [m], angles (n,) [rad] of the circles.
     :param via_angles: A, B, C (n, 3) [deg] of the auxiliary points, NaN where they are those of the start.
-    :param with_path: (n,) where the orientation is seen from the path, which turns the tool.
-    :param strict: (n,) where the tool takes on the orientation in the auxiliary point (#INTERPOLATE).
+    :param with_path: (n,) True where the orientation is kept relative to the path, which itself turns the tool.
+    :param is_strict: (n,) True where the tool takes on the orientation in the auxiliary point (#INTERPOLATE).
     """
     start, end = ends
     centre, axis, points, angle = arcs
     numbers = xyzabc_from_pose(start)
     numbers[:, 3:] = np.where(np.isnan(via_angles), numbers[:, 3:], via_angles)
-    first, via, last = start[:, :3, :3], pose_from_xyzabc(numbers)[:, :3, :3], end[:, :3, :3]
+    start_orientation, via_orientation, end_orientation = (
+        start[:, :3, :3],
+        pose_from_xyzabc(numbers)[:, :3, :3],
+        end[:, :3, :3],
+    )
     start_radius, via_radius = start[:, :3, 3] - centre, points - centre
-    half = np.arctan2(
+    via_turn = np.arctan2(
         np.einsum("ij,ij->i", axis, np.cross(start_radius, via_radius)), np.einsum("ij,ij->i", start_radius, via_radius)
     )
-    half %= 2.0 * np.pi
+    via_turn %= 2.0 * np.pi
     path_axis = np.where(with_path, -1.0, 0.0)[:, None] * axis
-    via, last = (
-        rotation_from_vector(half[:, None] * path_axis) @ via,
-        rotation_from_vector(angle[:, None] * path_axis) @ last,
+    via_orientation, end_orientation = (
+        rotation_from_vector(via_turn[:, None] * path_axis) @ via_orientation,
+        rotation_from_vector(angle[:, None] * path_axis) @ end_orientation,
     )
-    short = rotation_vector(last @ np.swapaxes(first, 1, 2))
-    passes = rotation_from_vector((half / angle)[:, None] * short) @ first
-    return np.where(strict, angle_between(passes, via) > _ON_THE_WAY, _longer(first, short, via))
+    shorter_rotation = rotation_vector(end_orientation @ np.swapaxes(start_orientation, 1, 2))
+    passed_orientation = rotation_from_vector((via_turn / angle)[:, None] * shorter_rotation) @ start_orientation
+    return np.where(
+        is_strict,
+        angle_between(passed_orientation, via_orientation) > _ON_THE_WAY,
+        _is_longer_way_closer(start_orientation, shorter_rotation, via_orientation),
+    )
 
 
-def _longer(first: Array, short: Array, via: Array) -> Bools:
+def _is_longer_way_closer(first: Array, short: Array, via: Array) -> Bools:
     """Return where the longer way round (n,) comes as close to an orientation as the shorter, or closer.
 
     From R₀ by φ about k, cos of the angle to R_v is a + ρ·cos(φ − φ₀): the place of a way nearest φ₀ is the nearest.
@@ -147,15 +157,16 @@ def _longer(first: Array, short: Array, via: Array) -> Bools:
     nearest = np.arctan2(sine, cosine)
 
     def angle(middle: Array, half: Array) -> Array:
-        place = middle + np.clip((nearest - middle + np.pi) % (2.0 * np.pi) - np.pi, -half, half)
-        return angle_between(rotation_from_vector(place[:, None] * axis) @ first, via)
+        """Return the smallest angle (n,) [rad] to R_v of the rotations by middle − half … middle + half about k."""
+        rotation = middle + np.clip((nearest - middle + np.pi) % (2.0 * np.pi) - np.pi, -half, half)
+        return angle_between(rotation_from_vector(rotation[:, None] * axis) @ first, via)
 
     shorter_angle, longer_angle = angle(0.5 * size, 0.5 * size), angle(0.5 * size + np.pi, np.pi - 0.5 * size)
     return (shorter_angle > _ON_THE_WAY) & (shorter_angle > longer_angle - _ON_THE_WAY) & (size >= _NO_TURN)
 
 
-def _orientation(trace: Trace, rows: MotionColumns, row: int, moves: Mapping[int, MotionStatement]) -> list[float]:
-    """Return A, B, C [deg] of an auxiliary point, NaN where missing."""
+def _auxiliary_angles(trace: Trace, rows: MotionColumns, row: int, moves: Mapping[int, MotionStatement]) -> list[float]:
+    """Return A, B, C [deg] of the auxiliary point of a circle, NaN where missing."""
     if row in moves:
         via = moves[row].via
         return [np.nan] * 3 if via is None else list(via.position.values[3:6])
@@ -163,5 +174,6 @@ def _orientation(trace: Trace, rows: MotionColumns, row: int, moves: Mapping[int
     return [item.value if isinstance(item := items.get(name), Number) else np.nan for name in "ABC"]
 
 
-def _unknown(state: State) -> bool:
+def _is_auxiliary_mode_unknown(state: State) -> bool:
+    """Return whether `$CIRC_MODE.AUX_PT.ORI` is not known in a state."""
     return any(field == "auxiliary" for field, _ in state.uncertain)

@@ -43,8 +43,8 @@ class Bas:
     def __init__(self, variables: Variables, cell: Cell, frames: Frames, path: PathSettings) -> None:
         self.variables, self.cell, self.frames, self.path = variables, cell, frames, path
 
-    def called(self, state: State, at: Place, call: Call) -> State:
-        """Return the state behind a call of ``BAS(#COMMAND, value)``.
+    def state_after_call(self, state: State, at: Place, call: Call) -> State:
+        """Return the state after ``BAS(#COMMAND, value)``.
 
         :raises ProgramError: the command is not known.
         """
@@ -54,7 +54,7 @@ class Bas:
         if argument is not None:
             self.variables.rely(argument)
         if command == "#INITMOV":
-            return self._initialised(state, at)
+            return self._state_after_initmov(state, at)
         if command == "#VEL_CP" and argument is not None:
             return self.path.speed(state, at, "CP", argument)
         if command in ("#BASE", "#TOOL"):
@@ -63,42 +63,51 @@ class Bas:
                 return self.frames.unknown(state, f"${command[1:]}", at, "its number is not known")
             return self.frames.numbered(state, at, f"${command[1:]}", int(number))
         if command == "#CP_DAT":
-            return self._path_data(state, at)
+            return self._state_after_cp_dat(state, at)
         if command in ("#FRAMES", "#PTP_PARAMS"):
-            return self._frame_data(state, at)
+            return self._state_after_frames(state, at)
         if command == "#CP_PARAMS" and argument is not None:
-            return self.path.speed(self._frame_data(self._path_data(state, at), at), at, "CP", argument)
+            return self.path.speed(
+                self._state_after_frames(self._state_after_cp_dat(state, at), at), at, "CP", argument
+            )
         if command[1:] in _HARMLESS:
             return state
         raise at.error(f"BAS({command}) is not understood", f"Understood are {_COMMANDS}.")
 
-    def _initialised(self, state: State, at: Place) -> State:
-        """#INITMOV also sets BASE(0) and TOOL_DATA[1]; the cell says whether these are meant, or its own frames."""
+    def _state_after_initmov(self, state: State, at: Place) -> State:
+        """Return the state after BAS(#INITMOV,0), which resets the settings of motions.
+
+        KUKA's BAS also sets BASE(0) and TOOL_DATA[1]; the cell says whether these are meant, or its own frames.
+        """
         spline_fields = {field: getattr(state, field) for field in _OF_SPLINES.values()}
-        fresh = State(**spline_fields, uncertain=tuple(entry for entry in state.uncertain if entry[0] in spline_fields))
+        initial_state = State(
+            **spline_fields, uncertain=tuple(entry for entry in state.uncertain if entry[0] in spline_fields)
+        )
         initmov = self.cell.krl.initmov
         if initmov == "bas":
-            return self.frames.numbered(self.frames.numbered(fresh, at, "$BASE", 0), at, "$TOOL", 1)
+            return self.frames.numbered(self.frames.numbered(initial_state, at, "$BASE", 0), at, "$TOOL", 1)
         if initmov is None and (state.base != 0 or state.tool != 0):
-            return self._no_frames(fresh, at, "BAS(#INITMOV,0) resets $BASE and $TOOL after they were set")
-        return replace(fresh, initial=frozenset(("$BASE", "$TOOL")))
+            return self._without_frames(initial_state, at, "BAS(#INITMOV,0) resets $BASE and $TOOL after they were set")
+        return replace(initial_state, initial=frozenset(("$BASE", "$TOOL")))
 
-    def _no_frames(self, state: State, at: Place, reason: str) -> State:
+    def _without_frames(self, state: State, at: Place, reason: str) -> State:
+        """Return a state in which `$BASE` and `$TOOL` are not known, for a reason."""
         return self.frames.unknown(self.frames.unknown(state, "$BASE", at, reason), "$TOOL", at, reason)
 
-    def _data(self, name: str, at: Place) -> VariableValue:
-        """Return what the structure is that a command reads."""
-        return self.variables.evaluate(self._component(name, None, at))
+    def _structure_value(self, name: str, at: Place) -> VariableValue:
+        """Return the value of a structure that a command of BAS reads, such as LDAT_ACT."""
+        return self.variables.evaluate(self._reference(name, None, at))
 
-    def _component(self, name: str, field: str | None, at: Place) -> Reference:
+    def _reference(self, name: str, field: str | None, at: Place) -> Reference:
+        """Return a reference to a structure, or to a field of it; errors about it name the line of the call."""
         start, _ = at.source.code_span(at.line)
         return Reference(name, None, field, start, start)
 
-    def _path_data(self, state: State, at: Place) -> State:
+    def _state_after_cp_dat(self, state: State, at: Place) -> State:
         """Return the state after BAS(#CP_DAT): fields of LDAT_ACT replace settings, others stay."""
-        data = self._data("LDAT_ACT", at)
+        data = self._structure_value("LDAT_ACT", at)
         for name, field in (("$APO", "APO_DIST"), ("$ORI_TYPE", "ORI_TYP"), ("$CIRC_TYPE", "CIRC_TYP")):
-            value = self._component("LDAT_ACT", field, at)
+            value = self._reference("LDAT_ACT", field, at)
             if isinstance(data, Aggregate) and field not in data.items:
                 continue
             if name == "$APO":
@@ -107,15 +116,15 @@ class Bas:
                 state = self.path.mode(state, at, name, value)
         return state
 
-    def _frame_data(self, state: State, at: Place) -> State:
+    def _state_after_frames(self, state: State, at: Place) -> State:
         """Return the state after BAS(#FRAMES): FDAT_ACT gives `$IPO_MODE` and the numbers of `$BASE` and `$TOOL`."""
-        data = self._data("FDAT_ACT", at)
+        data = self._structure_value("FDAT_ACT", at)
         if not isinstance(data, Aggregate):
-            return self._no_frames(
-                state, at, why_unknown(self.variables, at.source, self._component("FDAT_ACT", None, at))
+            return self._without_frames(
+                state, at, why_unknown(self.variables, at.source, self._reference("FDAT_ACT", None, at))
             )
         if "IPO_FRAME" in data.items:
-            state = self.path.mode(state, at, "$IPO_MODE", self._component("FDAT_ACT", "IPO_FRAME", at))
+            state = self.path.mode(state, at, "$IPO_MODE", self._reference("FDAT_ACT", "IPO_FRAME", at))
         for name, field in (("$BASE", "BASE_NO"), ("$TOOL", "TOOL_NO")):
             number = data.items.get(field)
             if isinstance(number, Number):

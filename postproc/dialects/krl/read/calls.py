@@ -12,10 +12,10 @@ from postproc.dialects.krl.language.expressions import calls
 from postproc.dialects.krl.language.names import PURE, STANDARD
 from postproc.dialects.krl.language.routines import Module, Routine
 from postproc.dialects.krl.language.source import Place
-from postproc.dialects.krl.language.values import Aggregate, Call, OpaqueText, Reference, Value, writable
+from postproc.dialects.krl.language.values import Aggregate, Call, OpaqueText, Reference, Value, writable_variable
 from postproc.dialects.krl.read.effects import Effects
 from postproc.dialects.krl.read.explanations import why_unknown
-from postproc.dialects.krl.read.known import NO_VALUE, Scope, UnknownValue, VariableValue, inexact
+from postproc.dialects.krl.read.known import NO_VALUE, Scope, UnknownValue, VariableValue, inexact_error
 from postproc.dialects.krl.read.run import SETTING_ADVICE, Level, Run, UntracedCall
 from postproc.dialects.krl.read.state import FIELDS, RELEVANT, STORED_VARIABLES
 from postproc.dialects.krl.read.variables import WHOLE, convert_to_type
@@ -167,7 +167,7 @@ class Calls:
         return [
             (index, reference)
             for index, argument in enumerate(call.arguments)
-            if (reference := writable(argument)) is not None
+            if (reference := writable_variable(argument)) is not None
             and not (index < len(parameters) and parameters[index].by_value)
         ]
 
@@ -201,7 +201,7 @@ class Calls:
         self.run.unfollowed |= self.run.analysis.reached(module, routine)
         if self.run.routine in self.run.unfollowed:
             raise at.error(f"{problem} and calls this program again", _INLINE_ADVICE)
-        dependent_place = self.run.analysis.from_here(module, routine)
+        dependent_place = self.run.analysis.first_dependent_place(module, routine)
         if dependent_place is not None:
             self.run.shifted.add(self.run.row)
         if self.run.keep and (place.source is self.run.routine.source or self.run.level.open):
@@ -248,7 +248,7 @@ class Calls:
             self.run.reached.add(routine)
         if obstacle := self._obstacle(at, call, module, routine, effects):
             problem = f"{call.name} is called, which moves the robot, in a way that cannot be followed: {obstacle}"
-            raise inexact(at, problem, _INLINE_ADVICE, routine)
+            raise inexact_error(at, problem, _INLINE_ADVICE, routine)
         self.entered.append(self._bound_call(at, call, module, routine, is_traced=True))
         self._begin_routine(self.entered[-1], is_traced=True)
 

@@ -7,7 +7,7 @@ from postproc.dialects.krl.language.tree import Motion, Statement
 from postproc.dialects.krl.read.interpreter import LOOP_ADVICE
 from postproc.dialects.krl.read.known import UnresolvedError
 from postproc.dialects.krl.read.motion_columns import MotionCollector
-from postproc.dialects.krl.read.motion_reader import MotionReader, stays
+from postproc.dialects.krl.read.motion_reader import MotionReader, keeps_position
 from postproc.dialects.krl.read.run import Run
 from postproc.dialects.krl.read.spline_blocks import SplineBlocks
 
@@ -38,7 +38,7 @@ class CollectedMotions:
         if not isinstance(stmt, Motion):
             self.splines.statement(at, stmt, run.row)
             return
-        if run.level.open and not stays(stmt):
+        if run.level.open and not keeps_position(stmt):
             self._refuse(at)
             return
         try:
@@ -55,9 +55,12 @@ class CollectedMotions:
             self.motions.add(move, state)
 
     def _refuse(self, at: Place) -> None:
-        """Refuse a motion of which it is not known whether or how often it runs, once for each control structure.
+        """Refuse a motion of which it is not known whether or how often it runs; each control structure is reported
+        once.
 
-        :raises ProgramError: it is not left as it is.
+        Under `--keep-unresolved` the motion is noted instead, to be left as it is.
+
+        :raises ProgramError: without that option.
         """
         run = self.run
         opener, open_line = run.level.open[-1]

@@ -27,9 +27,9 @@ _JOIN_ADVICE = "Let the last motion of each branch have the same force, in the a
 _ADVICE = "Write a force comment before this motion."
 
 
-def noted_lines(source: Source) -> tuple[int, ...]:
-    """Return the lines with a force comment, ascending."""
-    return tuple(_places(source)[1].tolist())
+def force_comment_lines(source: Source) -> tuple[int, ...]:
+    """Return the lines of a file that have a force comment, ascending."""
+    return tuple(_force_comment_places(source)[1].tolist())
 
 
 def notes_of(
@@ -39,9 +39,7 @@ def notes_of(
     unknown: Mapping[int, str],
     free: Set[Join] = frozenset(),
 ) -> list[tuple[int, ForceNote]]:
-    """Return the force comments that are in force in a trace, by its lines.
-
-    The acting force is stated again at the begin of each branch and at each join.
+    """Return the force comments of a trace, by its lines; the acting force is stated again at branches and joins.
 
     :param motions: (M,) lines of the motions in the trace.
     :param rapid: (M,) True for motions that carry no force.
@@ -76,7 +74,7 @@ def notes_of(
     marks = [step for step in course.steps if isinstance(step, Fork | Branch | Join)]
     if not marks and not unknown_reasons:
         return notes
-    return _ActiveForce(course, motions, rapid, free).through(notes, unknown_reasons, marks)
+    return _ActiveForce(course, motions, rapid, free).with_restated_notes(notes, unknown_reasons, marks)
 
 
 class _ActiveForce:
@@ -93,70 +91,76 @@ class _ActiveForce:
         self.last: _Force = None
         self.since = 0
 
-    def through(
+    def with_restated_notes(
         self,
         notes: Sequence[tuple[int, ForceNote]],
         unknown_reasons: Mapping[int, str],
         marks: Sequence[Fork | Branch | Join],
     ) -> list[tuple[int, ForceNote]]:
-        """Return the comments, and those that state the acting force again.
+        """Return the force comments, with those that state the acting force again at branches and joins.
 
+        :param notes: force comments by lines of the trace.
         :param unknown_reasons: lines after which the acting force is not known, and why.
+        :param marks: forks, branches and joins of the trace.
         """
         events: list[tuple[int, int, _Force | Fork | Branch | Join]] = [
             *((line, 0, note) for line, note in notes),
             *((line, 1, reason) for line, reason in unknown_reasons.items()),
             *((mark.row, 2, mark) for mark in marks),
         ]
-        forks: list[tuple[tuple[_Force, _Force], list[tuple[_Force, _Force]]]] = []
+        # per open fork: the forces at it, and those at the ends of its branches; each now and for the last motion
+        open_forks: list[tuple[tuple[_Force, _Force], list[tuple[_Force, _Force]]]] = []
         for line, _, event in sorted(events, key=lambda event: event[:2]):
-            self._move(line - isinstance(event, ForceNote))
+            self._pass_motions(line - isinstance(event, ForceNote))
             if isinstance(event, ForceNote):
                 self.notes.append((line, event))
                 self.now = event
             elif isinstance(event, str):
                 self.now = event
             elif isinstance(event, Fork):
-                forks.append(((self.now, self.last), []))
+                open_forks.append(((self.now, self.last), []))
             elif isinstance(event, Branch):
-                entry, ends = forks[-1]
+                entry, ends = open_forks[-1]
                 ends.append((self.now, self.last))
                 self.last = entry[1]
-                self._state(line, entry[0])
+                self._set_force(line, entry[0])
             elif isinstance(event, Join):
-                entry, ends = forks.pop()
+                entry, ends = open_forks.pop()
                 end_forces = [*ends[1:], (self.now, self.last), *([] if event.complete else [entry])]
-                self._meet(line, end_forces, free=event in self.free)
-        self._move(len(self.course.trace))
+                self._pass_join(line, end_forces, free=event in self.free)
+        self._pass_motions(len(self.course.trace))
         return self.notes
 
-    def _meet(self, line: int, ends: Sequence[tuple[_Force, _Force]], *, free: bool) -> None:
-        """Pass a join.
+    def _pass_join(self, line: int, ends: Sequence[tuple[_Force, _Force]], *, free: bool) -> None:
+        """Set the force that acts after a join.
 
-        :param free: branches may end in different poses.
-        :raises ProgramError: the branches end under different forces: corrected, they would not meet.
+        :param ends: for each branch, the force at its end and that of its last motion.
+        :param free: True if branches may end in different poses.
+        :raises ProgramError: the branches end under different forces: corrected, they would end in different poses.
         """
-        forces, last = ([_force_of(end[index]) for end in ends] for index in (0, 1))
-        if not free and any(_differ(force, last[0]) or _turns(*force) for force in last):
+        forces, last_forces = ([_wrench_and_frame(end[index]) for end in ends] for index in (0, 1))
+        if not free and any(
+            _certainly_differ(force, last_forces[0]) or _turns_with_path(*force) for force in last_forces
+        ):
             problem = "the branches that end here do so under different forces: corrected, they would not meet"
             raise self.course.trace.error(problem, line, _JOIN_ADVICE)
         is_common = all(force == forces[0] for force in forces)
         row = int(np.searchsorted(self.motions, line))
         if is_common and row < len(self.motions) and self.motions[row] == line:
             return  # not stated again on the line of a motion after which a routine ends
-        self._state(line, ends[0][0] if is_common else "branches that meet before it leave different ones")
+        self._set_force(line, ends[0][0] if is_common else "branches that meet before it leave different ones")
 
-    def _state(self, line: int, force: _Force) -> None:
-        """Put a force in force from a line on."""
+    def _set_force(self, line: int, force: _Force) -> None:
+        """Make a force the acting one from a line on, and add a comment that states it."""
         self.now = force
         if isinstance(force, str) or (force is None and not self.notes):
             return
-        wrench, frame = _force_of(force)
+        wrench, frame = _wrench_and_frame(force)
         origin = self.course.trace.place(line).line
         self.notes.append((line, ForceNote(origin, wrench, frame, int(np.searchsorted(self.motions, line)))))
 
-    def _move(self, line: int) -> None:
-        """Pass the motions up to a line.
+    def _pass_motions(self, line: int) -> None:
+        """Pass the motions up to a line, with the acting force.
 
         :raises ProgramError: the force on one of them is not known.
         """
@@ -171,21 +175,24 @@ class _ActiveForce:
         self.last = None if self.rapid[stop - 1] else self.now
 
 
-def _differ(force: tuple[Any, ...], other_force: tuple[Any, ...]) -> bool:
-    """Return whether two forces certainly differ: forces given in different axes may be equal."""
+def _certainly_differ(force: tuple[Any, ...], other_force: tuple[Any, ...]) -> bool:
+    """Return whether two forces, each a wrench and its axes, certainly differ; in different axes they may be equal."""
     has_zero = not any(force[0]) or not any(other_force[0])
     return (has_zero or force[1] == other_force[1]) and any(
         abs(a - b) > _FORCE_TOLERANCE for a, b in zip(force[0], other_force[0], strict=True)
     )
 
 
-def _turns(wrench: Sequence[float], frame: str) -> bool:
-    """Return whether a force depends on the direction of travel."""
+def _turns_with_path(wrench: Sequence[float], frame: str) -> bool:
+    """Return whether a force turns with the direction of travel: it acts along or across the feed."""
     return frame == "FEED" and any((*wrench[:2], *wrench[3:5]))
 
 
-def _force_of(force: _Force) -> tuple[Any, ...]:
-    """Return the force of a comment and its axes."""
+def _wrench_and_frame(force: _Force) -> tuple[Any, ...]:
+    """Return the wrench (6,) of a comment and the name of its axes; zeros in BASE without a comment.
+
+    For an unknown force it is the reason and an empty name.
+    """
     if isinstance(force, ForceNote):
         return force.wrench, force.frame
     return ((0.0,) * 6, "BASE") if force is None else (force, "")
@@ -195,7 +202,7 @@ def _force_comments(course: Course) -> tuple[Ints, NDArray[np.object_]]:
     """Return the rows of a trace with a force comment (n,), in order, and its text behind the semicolon (n,)."""
     rows, texts = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.object_)]
     for source in course.trace.sources:
-        places, lines = _places(source)
+        places, lines = _force_comment_places(source)
         stops = source.stops[lines - 1].tolist()
         comments = [source.text[place + 1 : stop] for place, stop in zip(places.tolist(), stops, strict=True)]
         row, index = course.rows_of(source, lines)
@@ -206,15 +213,15 @@ def _force_comments(course: Course) -> tuple[Ints, NDArray[np.object_]]:
     return row[order], np.concatenate(texts)[order]
 
 
-def _places(source: Source) -> tuple[Ints, Ints]:
-    """Return where force comments begin, and their lines."""
+def _force_comment_places(source: Source) -> tuple[Ints, Ints]:
+    """Return the offsets (n,) at which force comments begin in a file, and their lines (n,)."""
     text = source.text
     places = np.array([match.start() for match in FORCE.finditer(text)], dtype=np.int64)
     lines = np.searchsorted(source.starts, places, side="right")
     starts, stops = source.starts[lines - 1].tolist(), source.stops[lines - 1].tolist()
     begins = [comment_start(text, *span) for span in zip(starts, stops, strict=True)]
-    real = np.array(begins, dtype=np.int64) == places  # else the semicolon is inside a string or a comment
-    return places[real], lines[real]
+    is_comment = np.array(begins, dtype=np.int64) == places  # else the semicolon is inside a string or a comment
+    return places[is_comment], lines[is_comment]
 
 
 _COMMENT = re.compile(r";[^\r\n;]*")  # begins with a character that is found fast
@@ -231,7 +238,11 @@ _MAX_COMMENTS = 2000
 
 
 def remarks(course: Course, motions: Ints) -> tuple[Event, ...]:
-    """Return the comments of a trace, each before the first motion (M,), by its row, that is behind it."""
+    """Return the comments that may name an operation, as events at the first motions after them.
+
+    :param motions: (M,) lines of the motions in the trace.
+    :returns: none if there are more than `_MAX_COMMENTS`.
+    """
     comment_starts = []
     for source in course.trace.sources:
         starts, lines = _lines_of_comments(source)
@@ -252,15 +263,15 @@ def remarks(course: Course, motions: Ints) -> tuple[Event, ...]:
 
 
 def _lines_of_comments(source: Source) -> tuple[Ints, Ints]:
-    """Return where the comments begin that have a line of a file to themselves (n,), and their lines (n,)."""
+    """Return the offsets (n,) of comments that have a line to themselves, and their lines (n,)."""
     text = source.text
     starts = np.array([match.start() for match in _COMMENT.finditer(text)], dtype=np.int64)
     lines = source.line_at_each(starts)
     begins = source.starts[lines - 1]
     is_alone = begins == starts
     candidates = np.flatnonzero(~is_alone)
-    for k, begin, start in zip(
+    for index, begin, start in zip(
         candidates.tolist(), begins[candidates].tolist(), starts[candidates].tolist(), strict=True
     ):
-        is_alone[k] = text[begin] in _BLANKS and not text[begin:start].strip(_BLANKS)
+        is_alone[index] = text[begin] in _BLANKS and not text[begin:start].strip(_BLANKS)
     return starts[is_alone], lines[is_alone]

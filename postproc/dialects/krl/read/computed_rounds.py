@@ -16,7 +16,7 @@ from postproc.dialects.krl.course import PlainBody, PlainRounds
 from postproc.dialects.krl.language.motion_statements import MotionStatement, Point
 from postproc.dialects.krl.language.names import CIRCLES, MAX_LENGTH
 from postproc.dialects.krl.language.parser import statement
-from postproc.dialects.krl.language.positions import CARTESIAN, LARGEST_COORDINATE, Position, from_aggregate
+from postproc.dialects.krl.language.positions import CARTESIAN, LARGEST_COORDINATE, Position, position_from_aggregate
 from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.language.structures import Block
 from postproc.dialects.krl.language.tree import Assignment, For, Motion
@@ -279,7 +279,7 @@ def _cartesian_position(aggregate: Aggregate) -> Position:
     if not aggregate.items.keys() >= set(CARTESIAN) or not all(isinstance(v, Number) for v in aggregate.items.values()):
         raise _NoColumnError
     try:
-        position = from_aggregate(aggregate)
+        position = position_from_aggregate(aggregate)
     except ProgramError:
         raise _NoColumnError from None
     if position.axis:

@@ -25,32 +25,34 @@ Term = bool | Number | Word | None
 
 
 def condition_value(values: Sequence[VariableValue], condition: Condition) -> Term:
-    """Return the value of terms joined by operators; None where it is not known.
+    """Return the value of a condition; None if it is not known.
 
-    :param values: values of the terms of the condition.
+    :param values: values of its terms.
     """
     terms: list[Term] = []
-    for value, inverse in zip(values, condition.negated, strict=True):
+    for value, is_negated in zip(values, condition.negated, strict=True):
         term = as_term(value)
-        terms.append((not term if isinstance(term, bool) else None) if inverse else term)
+        terms.append((not term if isinstance(term, bool) else None) if is_negated else term)
     if any(
-        (inverse or next_inverse) and operator not in _LOGIC
-        for (inverse, next_inverse), operator in zip(pairwise(condition.negated), condition.operators, strict=True)
+        (is_negated or is_next_negated) and operator not in _LOGIC
+        for (is_negated, is_next_negated), operator in zip(
+            pairwise(condition.negated), condition.operators, strict=True
+        )
     ):
-        return None  # whether NOT or the operator comes first matters
-    return _evaluate(terms, list(condition.operators))
+        return None  # the value depends on whether NOT or the operator is applied first
+    return _combined_value(terms, list(condition.operators))
 
 
 def matches_case(value: VariableValue, case: VariableValue) -> bool | None:
-    """Return whether the value of a SWITCH is one behind CASE; None where that is not known."""
+    """Return whether the value of a SWITCH equals one behind CASE; None if that is not known."""
     return _comparison("==", as_term(value), as_term(case))
 
 
 def constant_cases(heads: Sequence[Statement]) -> dict[float | None, int] | None:
-    """Return which of the parts of a SWITCH is chosen by each integer; None: by any other, −2 if there is no DEFAULT.
+    """Return the index of the part of a SWITCH that each integer chooses; key None stands for all other integers.
 
     :param heads: the statements CASE and DEFAULT, in order.
-    :returns: None if not all values are integer constants.
+    :returns: under None −2 if there is no DEFAULT. None instead of a table if not all values are integer constants.
     """
     table: dict[float | None, int] = {}
     for index, head in enumerate(heads):
@@ -64,7 +66,7 @@ def constant_cases(heads: Sequence[Statement]) -> dict[float | None, int] | None
     return {None: -2, **table}
 
 
-def _evaluate(terms: list[Term], operators: list[str]) -> Term:
+def _combined_value(terms: list[Term], operators: list[str]) -> Term:
     """Return the value of terms joined by operators; None where it is not known. Both lists are used up.
 
     KRL joins by bits, by AND, EXOR, OR, and compares last. A result that depends on comparing first is not known.
@@ -86,9 +88,11 @@ def _evaluate(terms: list[Term], operators: list[str]) -> Term:
             return None  # a comparison of a comparison
     for logic in _LOGIC:
         while logic in operators:
-            at = operators.index(logic)
-            terms[at : at + 2] = [_logical(logic, terms[at], terms[at + 1])]
-            del operators[at]
+            index_of_logic = operators.index(logic)
+            terms[index_of_logic : index_of_logic + 2] = [
+                _logical(logic, terms[index_of_logic], terms[index_of_logic + 1])
+            ]
+            del operators[index_of_logic]
     return terms[0]
 
 
@@ -99,18 +103,18 @@ def _apply_bitwise(terms: list[Term], operators: list[str]) -> bool:
     """
     for operator, bitwise in _BITWISE.items():
         while operator in operators:
-            at = operators.index(operator)
-            left, right = terms[at], terms[at + 1]
+            index = operators.index(operator)
+            left, right = terms[index], terms[index + 1]
             if not (isinstance(left, Number) and isinstance(right, Number) and left.integer and right.integer):
                 return False
             value = float(bitwise(int(left.value), int(right.value)))
-            terms[at : at + 2] = [Number(value, left.start, right.stop, True)]
-            del operators[at]
+            terms[index : index + 2] = [Number(value, left.start, right.stop, True)]
+            del operators[index]
     return True
 
 
 def _logical(operator: str, left: Term, right: Term) -> bool | None:
-    """Return the value of AND, OR or EXOR; None where a term decides it that is not known."""
+    """Return the value of AND, OR or EXOR; None if it depends on a term that is not known."""
     operands = [side for side in (left, right) if isinstance(side, bool)]
     if operator == "AND":
         return False if False in operands else True if len(operands) == 2 else None
@@ -120,7 +124,7 @@ def _logical(operator: str, left: Term, right: Term) -> bool | None:
 
 
 def as_term(value: VariableValue) -> Term:
-    """Return a BOOL as such, numbers and words as they are, None for all other values."""
+    """Return a BOOL as a Python bool, numbers and words unchanged, None for all other values."""
     if isinstance(value, Word) and value.text in ("TRUE", "FALSE"):
         return value.text == "TRUE"
     return value if isinstance(value, (Number, Word)) else None

@@ -28,8 +28,9 @@ def read_data(
     is_global: bool = False,
     wanted_names: Set[str] | None = None,
 ) -> None:
-    """Take the declarations of a `.dat`; with `fill` only those of names that have no value yet.
+    """Store the variables and values that a `.dat` declares.
 
+    :param fill: only those of names that have no value yet.
     :param is_global: all of them are GLOBAL, as those of the `$config.dat`.
     :param wanted_names: the names to take; None: all.
     :raises ProgramError: DEFDAT or ENDDAT is missing.
@@ -60,9 +61,9 @@ def read_data(
             break
         elif word.startswith("IMPORT"):
             if wanted_names is None:
-                _import(variables, Place(source, line))
+                _note_import(variables, Place(source, line))
         else:
-            _declare(variables, source, line, start, stop, fill=fill, is_global=is_global, wanted_names=wanted_names)
+            _note_line(variables, source, line, start, stop, fill=fill, is_global=is_global, wanted_names=wanted_names)
     if not has_defdat or not has_enddat:
         raise source.line_error(
             f"{'ENDDAT' if has_defdat else 'DEFDAT'} is missing",
@@ -71,7 +72,7 @@ def read_data(
         )
 
 
-def _declare(
+def _note_line(
     variables: Variables,
     source: Source,
     line: int,
@@ -82,7 +83,7 @@ def _declare(
     is_global: bool,
     wanted_names: Set[str] | None,
 ) -> None:
-    """Note what one line of a `.dat` declares; a value is parsed when it is needed."""
+    """Store what one line of a `.dat` declares, see `read_data`; values are parsed when they are needed."""
     match = DECLARATION.match(source.text, start, stop)
     if not match:
         return
@@ -94,7 +95,7 @@ def _declare(
     for declarator in names:
         if wanted_names is not None and declarator.name not in wanted_names:
             continue
-        name = _noted(variables, replace(declarator, public=declarator.public or is_global), fill=fill)
+        name = _note_declaration(variables, replace(declarator, public=declarator.public or is_global), fill=fill)
         if declarator.kind == "STRUC" and (named_structure := structure(source, *source.code_span(line))):
             variables.structures.setdefault(*named_structure)
         if declarator.value >= 0 and name.partition("[")[0] in FRAME_ARRAYS:
@@ -106,30 +107,35 @@ def _declare(
             variables.put(name, UnparsedValue(source, declarator.value, stop))
 
 
-def _import(variables: Variables, at: Place) -> None:
-    """Note that a variable of another `.dat` has a second name here: either may be written at any time."""
-    imported = statement(at.source, at.line)
-    if isinstance(imported, Import):
-        for name in (variables.scope.stored(imported.name), *stored_originals(imported)):
+def _note_import(variables: Variables, at: Place) -> None:
+    """Note that a variable of another `.dat` has a second name here: each of the two may change at any time."""
+    stmt = statement(at.source, at.line)
+    if isinstance(stmt, Import):
+        for name in (variables.scope.stored(stmt.name), *stored_originals(stmt)):
             variables.changing.setdefault(name, UnknownValue(str(at)))
 
 
-def declare(variables: Variables, source: Source, declaration: Declaration, row: int) -> tuple[DeclaredName, ...]:
-    """Take one declaration of a `.src`, with initial values; return what it declares.
+def declare_variables(
+    variables: Variables, source: Source, declaration: Declaration, row: int
+) -> tuple[DeclaredName, ...]:
+    """Store the variables of a declaration in a `.src`, with initial values; return what it declares.
 
-    :param row: of the execution trace; 0 if it is not in it.
+    :param row: row of the execution trace with it; 0 if it is not in the trace.
     """
     if declaration.structure is not None:
         variables.structures[declaration.structure[0]] = declaration.structure[1]
     for declarator in declaration.names:
-        name = _noted(variables, declarator)
+        name = _note_declaration(variables, declarator)
         if declarator.value >= 0:
             variables.put(name, UnparsedValue(source, declarator.value, declaration.stop, row))
     return declaration.names
 
 
-def _noted(variables: Variables, declarator: DeclaredName, *, fill: bool = False) -> str:
-    """Note type and scope of a declared name; return the key of its value."""
+def _note_declaration(variables: Variables, declarator: DeclaredName, *, fill: bool = False) -> str:
+    """Store the type of a declared name and whether it is GLOBAL; return the key of its value.
+
+    :param fill: a type that is stored already stays.
+    """
     name = variables.scope.stored(declarator.name)
     by_call = declarator.name in variables.scope.local  # parameters have their types from the call
     if declarator.kind and not ((fill or by_call) and name in variables.types):
@@ -149,23 +155,25 @@ def _noted(variables: Variables, declarator: DeclaredName, *, fill: bool = False
 def read_shared(
     variables: Variables, code: str, own_names: Collection[str], files: FolderFiles, local: Set[str] = frozenset()
 ) -> None:
-    """Take GLOBAL variables that a program uses from other `.dat` files; not those that several of them declare.
+    """Store the GLOBAL variables that a program uses from other `.dat` files.
+
+    A variable that several of these files declare is not known.
 
     :param code: all code of the program that may contain names, called routines included.
     :param own_names: names of its files.
-    :param files: where to look.
+    :param files: the folders to search.
     :param local: names that the main routine declares: they hide GLOBAL ones.
     """
-    mine = {name.upper() for name in own_names}
-    other_paths = [path for name, path in files.paths.items() if name.endswith(".DAT") and name not in mine]
+    own_file_names = {name.upper() for name in own_names}
+    other_paths = [path for name, path in files.paths.items() if name.endswith(".DAT") and name not in own_file_names]
     global_names = {path: files.declared(path, scan.global_variables) for path in other_paths}
     if not any(global_names.values()):
         return
-    times = Counter(name for names in global_names.values() for name in names)
-    used_names = set().union(*(NAME.findall(text) for text in files.reached(code)))
+    declaration_counts = Counter(name for names in global_names.values() for name in names)
+    used_names = set().union(*(NAME.findall(text) for text in files.called_code(code)))
     missing_names = ({name.upper() for name in used_names} | set(variables.types.values())) - variables.types.keys()
-    unique_names = {name for name in missing_names - local if times[name] == 1}
-    for name in (name for name in missing_names - local if times[name] > 1):
+    unique_names = {name for name in missing_names - local if declaration_counts[name] == 1}
+    for name in (name for name in missing_names - local if declaration_counts[name] > 1):
         file_names = ", ".join(sorted(path.name for path, names in global_names.items() if name in names))
         variables.put(name, UnknownValue(why=f"it is GLOBAL in more than one .dat: {file_names}"))
     for path, names in global_names.items():

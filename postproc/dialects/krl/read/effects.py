@@ -33,12 +33,12 @@ from postproc.dialects.krl.language.tree import (
     Spline,
     Statement,
 )
-from postproc.dialects.krl.language.values import Call, Reference, Value, writable
+from postproc.dialects.krl.language.values import Call, Reference, Value, writable_variable
 from postproc.dialects.krl.read.bas import BAS_SETS, command_of
-from postproc.dialects.krl.read.comments import noted_lines
+from postproc.dialects.krl.read.comments import force_comment_lines
 from postproc.dialects.krl.read.folder import Library
 from postproc.dialects.krl.read.known import Scope, stored_originals
-from postproc.dialects.krl.read.motion_reader import asks_position, from_here, stays
+from postproc.dialects.krl.read.motion_reader import depends_on_position, keeps_position, reads_robot_position
 from postproc.errors import ProgramError
 
 _CLOSING = frozenset({*OPENING.values(), "UNTIL"})
@@ -86,13 +86,13 @@ class Effects(Struct, eq=False):
         self._add_common(effects)
 
     def add_action(self, effects: Effects) -> None:
-        """Add the effects of an interrupt or a trigger."""
+        """Add the effects of the action of an interrupt or a trigger: what it writes may change at any time."""
         for name, place in effects.writes.items():
             self.anytime.setdefault(name, place)
         self._add_common(effects)
 
     def _add_common(self, effects: Effects) -> None:
-        """Add the effects that a called routine and an action share: absent programs, motions, RESUME."""
+        """Add the effects of a called routine or an action that do not depend on when it runs."""
         self.absent = effects.absent | self.absent
         self.motion = self.motion or effects.motion
         self.return_motion = self.return_motion or effects.return_motion
@@ -123,13 +123,13 @@ class Analysis:
     def __init__(self, library: Library, scope_of: Callable[[Module, Routine], Scope]) -> None:
         self.library, self.scope_of = library, scope_of
         self._direct: dict[Routine, _DirectEffects] = {}
-        self._all: dict[Routine, Effects] = {}
-        self._noted: dict[Source, tuple[int, ...]] = {}
-        self._names: dict[Routine, frozenset[str]] = {}
+        self._totals: dict[Routine, Effects] = {}
+        self._force_lines: dict[Source, tuple[int, ...]] = {}
+        self._stored_names: dict[Routine, frozenset[str]] = {}
 
     def of(self, module: Module, routine: Routine) -> Effects:
         """Return the effects of a routine, including all that it calls."""
-        total = self._all.get(routine)
+        total = self._totals.get(routine)
         if total is not None:
             return total
         local_effects = self._direct_effects(module, routine).effects
@@ -143,7 +143,7 @@ class Analysis:
                 self._add_action_effects(action, event)
                 total.interrupt_motion = total.interrupt_motion or action.motion
         total.motion = total.motion or total.return_motion
-        self._all[routine] = total
+        self._totals[routine] = total
         return total
 
     def reached(self, module: Module, routine: Routine) -> set[Routine]:
@@ -151,19 +151,19 @@ class Analysis:
         return {callee for _, callee in self._reachable([(module, routine)])}
 
     def names(self, module: Module, routine: Routine) -> frozenset[str]:
-        """Return the names, as they are stored, of all variables in the code of a routine and of all that it calls."""
+        """Return the stored names of all variables in the code of a routine and of the routines that it calls."""
         stored_names: set[str] = set()
         for node in self._reachable([(module, routine)]):
-            if node[1] not in self._names:
+            if node[1] not in self._stored_names:
                 source, scope = node[1].source, self.scope_of(*node)
                 spans = [source.code_span(line) for line in node[1].lines]
                 words = {occurrence.name for span in spans for occurrence in occurrences(source.text, *span)}
-                self._names[node[1]] = frozenset(scope.stored(word) for word in words - node[1].local)
-            stored_names |= self._names[node[1]]
+                self._stored_names[node[1]] = frozenset(scope.stored(word) for word in words - node[1].local)
+            stored_names |= self._stored_names[node[1]]
         return frozenset(stored_names)
 
-    def cuts(self, module: Module, routine: Routine) -> bool:
-        """Return whether a routine, or one that it calls, moves by other than PTP, which carries no force."""
+    def may_carry_force(self, module: Module, routine: Routine) -> bool:
+        """Return whether a routine, or one that it calls, moves otherwise than by PTP, under which no force acts."""
         for _, node in self._reachable([(module, routine)]):
             for line in (*node.plain.tolist(), *node.lines):
                 stmt = statement(node.source, line)
@@ -171,44 +171,50 @@ class Analysis:
                     return True
         return False
 
-    def from_here(self, module: Module, routine: Routine) -> Place | None:
-        """Return the statement of a routine, or of one that it calls, whose target depends on where the robot is when
-        the routine begins; None if a complete target precedes all of these.
-        """
-        return self._from_here(module, routine, set())[0]
+    def first_dependent_place(self, module: Module, routine: Routine) -> Place | None:
+        """Return the first statement of a routine whose target depends on the robot position at the start of the
+        routine.
 
-    def _from_here(self, module: Module, routine: Routine, checked_routines: set[Routine]) -> tuple[Place | None, bool]:
-        """Return that statement, and whether the routine surely moves to a complete target."""
+        Routines that it calls are searched too. None if a complete target precedes all such statements.
+        """
+        return self._first_dependent_place(module, routine, set())[0]
+
+    def _first_dependent_place(
+        self, module: Module, routine: Routine, checked_routines: set[Routine]
+    ) -> tuple[Place | None, bool]:
+        """Return that statement, and whether the routine certainly moves to a complete target."""
         checked_routines.add(routine)
         depth = 0
         for line in sorted([*routine.plain.tolist(), *routine.others]):
-            stmt, complete = statement(routine.source, line), False
+            stmt, is_complete = statement(routine.source, line), False
             depth += (stmt.word in OPENING or stmt.word == "REPEAT") - (stmt.word in _CLOSING)
-            if isinstance(stmt, Motion) and stays(stmt):
+            if isinstance(stmt, Motion) and keeps_position(stmt):
                 continue
-            if asks_position(stmt) or (isinstance(stmt, Motion) and from_here(stmt)):
+            if reads_robot_position(stmt) or (isinstance(stmt, Motion) and depends_on_position(stmt)):
                 return Place(routine.source, line), False
             if isinstance(stmt, Motion):
-                complete = True
+                is_complete = True
             callee = self.library.find(stmt.call.name, module) if isinstance(stmt, CallStatement) else None
             if callee is not None and callee[1] not in checked_routines:
-                place, complete = self._from_here(*callee, checked_routines)
+                place, is_complete = self._first_dependent_place(*callee, checked_routines)
                 if place is not None:
                     return place, False
-            if complete and not depth:
+            if is_complete and not depth:
                 return None, True
         return None, False
 
     def force_comment_lines(self, source: Source) -> tuple[int, ...]:
         """Return the lines of a file with force comments."""
-        if source not in self._noted:
-            self._noted[source] = noted_lines(source)
-        return self._noted[source]
+        if source not in self._force_lines:
+            self._force_lines[source] = force_comment_lines(source)
+        return self._force_lines[source]
 
     def of_action(self, module: Module, routine: Routine, place: Place, event: Event, scope: Scope) -> Effects:
-        """Return the effects of an interrupt or a trigger in a routine that runs, on its own variables too.
+        """Return the effects of an interrupt or a trigger that a running routine declares, on its local variables too.
 
-        Motions back to where an interrupt has stopped the robot leave its path as it is: they are not among them.
+        Motions back to where an interrupt stopped the robot do not count: they leave its path as it is.
+
+        :param scope: scope of the routine.
         """
         direct, total = _DirectEffects(has_actions=True), Effects()
         _Statement(self, module, routine, place, direct.action_effects, direct.action_callees, scope).read_event(event)
@@ -228,20 +234,20 @@ class Analysis:
             total.lasting_write = total.lasting_write or node_effects.action_effects.parameter
 
     def _reachable(self, first: list[Callee]) -> Iterator[Callee]:
-        """Yield routines and all that they call, the actions that they declare included."""
+        """Yield routines and all routines that they may call, also by interrupts and triggers; each once."""
         waiting = list(first)
         queued_routines = {routine for _, routine in waiting}
         while waiting:
             node = waiting.pop()
             yield node
             direct = self._direct_effects(*node)
-            for following in (*direct.callees, *direct.action_callees):
-                if following[1] not in queued_routines:
-                    queued_routines.add(following[1])
-                    waiting.append(following)
+            for callee in (*direct.callees, *direct.action_callees):
+                if callee[1] not in queued_routines:
+                    queued_routines.add(callee[1])
+                    waiting.append(callee)
 
     def _direct_effects(self, module: Module, routine: Routine) -> _DirectEffects:
-        """Return the effects of the statements of a routine, called routines left out; each is read once."""
+        """Return the effects of the statements of a routine, without those of called routines; the result is stored."""
         direct = self._direct.get(routine)
         if direct is None:
             direct = self._direct[routine] = _DirectEffects()
@@ -260,7 +266,7 @@ class Analysis:
         return direct
 
     def _read(self, direct: _DirectEffects, stmt: Statement, node: Callee, place: Place) -> None:
-        """Note the effects of one statement."""
+        """Add the effects of one statement; those of interrupts and the like are kept apart, as actions."""
         if not isinstance(stmt, Event | CyclicInput | Import):
             _Statement(self, *node, place, direct.effects, direct.callees).read(stmt)
             return
@@ -308,7 +314,7 @@ class _Statement(Struct, eq=False):
             for name in BAS_SETS.get(command, ()):
                 self.effects.writes.setdefault(name, self.place)
             return
-        if isinstance(stmt, Motion) and _leads_back(stmt):
+        if isinstance(stmt, Motion) and _is_return_motion(stmt):
             self.effects.return_motion = self.effects.return_motion or self.place
         elif isinstance(stmt, Motion | Spline):
             self.effects.motion = self.effects.motion or self.place
@@ -321,7 +327,7 @@ class _Statement(Struct, eq=False):
         self._note_calls(stmt.values)
 
     def _note_calls(self, values: Iterable[Value]) -> None:
-        """Note the calls in some values; none where brackets are not balanced."""
+        """Note the calls in some values; a value with unbalanced brackets has none."""
         try:
             for call in calls(values):
                 self._note_call(call)
@@ -329,7 +335,7 @@ class _Statement(Struct, eq=False):
             return
 
     def writes(self, name: str) -> None:
-        """Note that a variable may get another value."""
+        """Note that a statement may write a variable, which may be global, or a parameter without ``:IN``."""
         name = name.upper()
         if self.running is not None:
             self.effects.writes.setdefault(self.running.stored(name), self.place)
@@ -340,12 +346,12 @@ class _Statement(Struct, eq=False):
             self.effects.parameter = self.effects.parameter or self.place
 
     def _note_call(self, call: Call) -> None:
-        """Note a call: variables given for parameters that it may write; the routine, or that it is in no file."""
+        """Note a call: the variables that it may write, and the routine, or that the routine is in no file."""
         callee = self.analysis.library.find(call.name, self.module)
         parameters = callee[1].parameters if callee else ()
         for index, argument in enumerate(call.arguments):
             by_value = index < len(parameters) and parameters[index].by_value
-            reference = None if by_value else writable(argument)
+            reference = None if by_value else writable_variable(argument)
             if reference is not None:
                 self.writes(reference.name)
         if callee is not None:
@@ -354,7 +360,7 @@ class _Statement(Struct, eq=False):
             self.effects.absent.setdefault(call.name, call.spelling(self.place.source))
 
 
-def _leads_back(motion: Motion) -> bool:
+def _is_return_motion(motion: Motion) -> bool:
     """Return whether a motion only returns to the point at which an interrupt stopped the robot."""
     target, tail = motion.end, motion.tail
     if not isinstance(target, Reference) or target.field is not None or target.name not in _RETURN_POSITIONS:

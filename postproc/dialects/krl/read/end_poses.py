@@ -83,7 +83,12 @@ class _RobotPosition(Struct, eq=False):
 
 
 class _Follower:
-    """Goes through the motions in order: plain runs in bulk, special motions one by one."""
+    """Completes the targets of motions in order: plain ones in bulk, special ones one by one.
+
+    :ivar present: the robot position before the next motion.
+    :ivar joints: row → joint angles (6,) [rad] of axis targets.
+    :ivar circles: see `EndPoses.circles`; `resumed` likewise.
+    """
 
     def __init__(
         self,
@@ -106,28 +111,28 @@ class _Follower:
         self.resumed = np.zeros(len(numbers), dtype=np.bool_)
 
     def flange(self) -> Array:
-        """Return the flange (4, 4) in the robot root."""
+        """Return the present flange (4, 4) in the robot root."""
         present = self.present
         if present.numbers is not None:
             tcp = self.bases[present.base] @ pose_from_xyzabc(present.numbers)
             present.flange = tcp @ inverse(self.tools[present.tool])
         return present.flange
 
-    def here(self, row: int) -> Array:
-        """Return X…C of the present position in the frames of a motion."""
+    def present_numbers(self, row: int) -> Array:
+        """Return X…C (6,) [mm, deg] of the present position, in the frames of a motion."""
         present, base, tool = self.present, int(self.base[row]), int(self.tool[row])
         if present.numbers is not None and (present.base, present.tool) == (base, tool):
             return present.numbers
         return xyzabc_from_pose(inverse(self.bases[base]) @ self.flange() @ self.tools[tool])
 
     def arrive(self, row: int) -> None:
-        """Set the present position to the Cartesian target of a motion."""
+        """Make the Cartesian target of a motion the present position."""
         present = self.present
         present.numbers, present.joints = self.numbers[row], None
         present.base, present.tool = int(self.base[row]), int(self.tool[row])
 
-    def absolute(self, first: int, last: int) -> None:
-        """Fill in the absolute Cartesian targets of rows first … last − 1."""
+    def complete_absolute(self, first: int, last: int) -> None:
+        """Fill in the missing components of the absolute Cartesian targets of rows first … last − 1."""
         if first == last:
             return
         self.resumed[first] = self.present.numbers is None
@@ -135,15 +140,16 @@ class _Follower:
             self._fill_in_rows(first + part.start, min(first + part.stop, last))
 
     def _fill_in_rows(self, first: int, last: int) -> None:
-        """Fill in missing components of absolute targets first … last − 1, a chunk, from the target before.
+        """Fill in missing components of the absolute targets first … last − 1, from the targets before.
 
-        A running maximum of row numbers finds the latest given component of each column.
+        The rows are a chunk, which fits the cache. A running maximum of row numbers finds, for each component, the
+        latest row that gives it.
         """
         block = self.numbers[first:last]
         is_missing = np.isnan(block)
         if is_missing.any():
             self._check_frames(first, last, any_column(is_missing))
-            position = self.here(first)
+            position = self.present_numbers(first)
             first_row = np.where(is_missing[:1], position, block[:1])
             latest = np.maximum.accumulate(np.where(is_missing, 0, np.arange(len(block))[:, None]), axis=0)
             previous_numbers = np.vstack(
@@ -154,22 +160,26 @@ class _Follower:
         self.arrive(last - 1)
 
     def _check_angles(self, first: int, is_missing: Bools, previous_b: Array) -> None:
-        """Refuse targets that lack some of A, B, C if a second set of angles describes the previous orientation too.
+        """Refuse targets that lack some of A, B, C if two sets of angles describe the previous orientation.
 
         :param is_missing: (n, 3) True where A, B, C are missing, from row `first` on.
         :param previous_b: (n,) the previous B [deg]; beyond ±90 the controller may keep A ± 180, ±180 − B, C ± 180.
+        :raises ProgramError: there is such a target.
         """
         is_partial = any_column(is_missing) & ~is_missing.all(axis=1)
-        wrong = np.flatnonzero(is_partial & (np.abs(previous_b) > LARGEST_B))
-        if len(wrong):
-            problem = (
-                f"A, B or C is missing, and the previous B is {previous_b[wrong[0]]:g}°: beyond 90° it is not certain"
-            )
+        uncertain_rows = np.flatnonzero(is_partial & (np.abs(previous_b) > LARGEST_B))
+        if len(uncertain_rows):
+            angle = previous_b[uncertain_rows[0]]
+            problem = f"A, B or C is missing, and the previous B is {angle:g}°: beyond 90° it is not certain"
             problem += " which angles the controller keeps"
-            raise self.trace.error(problem, int(self.line[first + wrong[0]]), "Write all of A, B, C.")
+            raise self.trace.error(problem, int(self.line[first + uncertain_rows[0]]), "Write all of A, B, C.")
 
     def _check_frames(self, first: int, last: int, incomplete: Bools) -> None:
-        """Refuse missing components whose previous value refers to other frames."""
+        """Refuse missing components right after a change of frames: the previous values refer to other frames.
+
+        :param incomplete: (n,) True where a component is missing, from row `first` on.
+        :raises ProgramError: there is such a target.
+        """
         present = self.present
         frames = np.stack([self.base[first:last], self.tool[first:last]])
         has_changed = np.zeros(last - first, dtype=np.bool_)
@@ -178,47 +188,57 @@ class _Follower:
             self.base[first],
             self.tool[first],
         )
-        wrong = np.flatnonzero(has_changed & incomplete)
-        if len(wrong):
+        uncertain_rows = np.flatnonzero(has_changed & incomplete)
+        if len(uncertain_rows):
             problem = "components are missing right after $BASE or $TOOL changed: the values they keep are not certain"
-            raise self.trace.error(problem, int(self.line[first + wrong[0]]), _FRAME_ADVICE)
+            raise self.trace.error(problem, int(self.line[first + uncertain_rows[0]]), _FRAME_ADVICE)
 
-    def special(self, row: int, move: MotionStatement | None) -> None:
-        """Take an axis or relative target, a circle with CA, or a motion that keeps the orientation of its start."""
+    def follow_special(self, row: int, move: MotionStatement | None) -> None:
+        """Complete the target of a motion that is not plain.
+
+        That is an axis or relative target, a circle with CA, or a motion that keeps the orientation of its start.
+        """
         if move is not None and move.end.position.axis:
-            self._axes(row, move)
+            self._follow_axis_target(row, move)
             return
-        start, control = self.here(row).copy(), self.control
+        start, control = self.present_numbers(row).copy(), self.control
         if move is not None and move.relative:
             self.resumed[row] = self.present.numbers is None
-            self.numbers[row] = self._relative(move, start)
+            self.numbers[row] = self._relative_target(move, start)
             if move.via is not None:
-                via = start[:3] + _step(move.via.position, move.relative, start)
+                via = start[:3] + _relative_offset(move.via.position, move.relative, start)
                 self.circles[row] = np.stack([via, self.numbers[row, :3]])
         else:
             if control.constant[row]:
                 self.numbers[row, 3:] = start[3:]
-            self.absolute(row, row + 1)
+            self.complete_absolute(row, row + 1)
         angle = None if move is None or move.angle is None else move.angle * RAD_PER_DEG
         if angle is not None or (control.constant[row] and control.with_path[row]):
-            self._round(row, start, angle)
+            self._end_of_circle(row, start, angle)
         self.arrive(row)
 
-    def _round(self, row: int, start: Array, angle: float | None) -> None:
-        """Compute the end of a circle: at the angle CA [rad], with the orientation turned if it follows the path."""
+    def _end_of_circle(self, row: int, start: Array, angle: float | None) -> None:
+        """Set the end of a circle: the point at its angle CA, and the orientation, turned if it follows the path.
+
+        :param start: (6,) X…C [mm, deg] at the start of the circle.
+        :param angle: CA [rad]; None without it.
+        """
         begin, end = start[:3] * M_PER_MM, self.numbers[row, :3] * M_PER_MM
         via = self.circles[row][0] if row in self.circles else self.control.via[row]
         via = np.where(np.isnan(via), begin, via * M_PER_MM)
-        centre, axis, sweep = circles(self.trace, self.line[row : row + 1], begin[None], via[None], end[None])
+        centre, axis, sweep = circle_geometry(self.trace, self.line[row : row + 1], begin[None], via[None], end[None])
         if angle is not None:
-            self.numbers[row, :3] = MM_PER_M * turned(begin, centre[0], axis[0], angle)
+            self.numbers[row, :3] = MM_PER_M * rotated_point(begin, centre[0], axis[0], angle)
         if self.control.constant[row] and self.control.with_path[row]:
             pose = pose_from_xyzabc(self.numbers[row])
             pose[:3, :3] = rotation_from_vector(axis[0] * (sweep[0] if angle is None else angle)) @ pose[:3, :3]
             self.numbers[row, 3:] = xyzabc_from_pose(pose)[3:]
 
-    def _axes(self, row: int, move: MotionStatement) -> None:
-        """Take an axis target, missing axes kept."""
+    def _follow_axis_target(self, row: int, move: MotionStatement) -> None:
+        """Complete an axis target: missing axes keep their angles.
+
+        :raises ProgramError: angles are missing or relative, and the angles before are not known.
+        """
         angles, previous_joints = np.array(move.end.position.values) * RAD_PER_DEG, self.present.joints
         if previous_joints is None and (move.relative or np.isnan(angles).any()):
             raise self.trace.error(
@@ -234,27 +254,37 @@ class _Follower:
         self.joints[row] = angles
         flange = self.kinematics(angles)
         if self.carriage is not None:
-            flange = carried(flange, self.carriage, float(self.carriage.end[row]))
+            flange = flange_on_track(flange, self.carriage, float(self.carriage.end[row]))
         self.present = _RobotPosition(flange, angles)
-        self.numbers[row] = self.here(row)
+        self.numbers[row] = self.present_numbers(row)
 
-    def _relative(self, move: MotionStatement, numbers: Array) -> Array:
-        """Return X…C of a target relative to a position."""
+    def _relative_target(self, move: MotionStatement, numbers: Array) -> Array:
+        """Return X…C (6,) [mm, deg] of a target that is relative to a position `numbers` (6,).
+
+        :raises ProgramError: it turns the tool.
+        """
         position = move.end.position
         offset = np.nan_to_num(np.array(position.values))
         if np.any(offset[3:] != 0.0):
             raise self.trace.error("relative A, B, C are not supported", move.line, "Write it with LIN or PTP.")
-        return np.concatenate([numbers[:3] + _step(position, move.relative, numbers), numbers[3:]])
+        return np.concatenate([numbers[:3] + _relative_offset(position, move.relative, numbers), numbers[3:]])
 
 
-def _step(position: Position, axes: str, numbers: Array) -> Array:
-    """Return the offset (3,) [mm] of a relative point from X…C; `axes` is ``#BASE`` or ``#TOOL``."""
+def _relative_offset(position: Position, axes: str, numbers: Array) -> Array:
+    """Return the offset (3,) [mm] of a relative point in `$BASE`.
+
+    :param axes: ``#BASE`` or ``#TOOL``, in which the offset is given; `numbers` X…C (6,) where it begins.
+    """
     step = np.nan_to_num(np.array(position.values[:3]))
     return np.asarray(pose_from_xyzabc(numbers)[:3, :3] @ step) if axes == "#TOOL" else step
 
 
-def carried(flange: Array, carriage: Carriage, place: float) -> Array:
-    """Return a flange (4, 4) in the robot root, with the linear axis at a position [m], in the root at E1 = 0."""
+def flange_on_track(flange: Array, carriage: Carriage, place: float) -> Array:
+    """Return the flange (4, 4) in the robot root at E1 = 0, with the linear axis at another position.
+
+    :param flange: (4, 4) in the present root.
+    :param place: position of the linear axis [m].
+    """
     carried_flange = flange.copy()
     carried_flange[:3, 3] += place * carriage.direction
     return carried_flange
@@ -290,20 +320,26 @@ def end_poses(
     """
     start_flange = kinematics(start_joints)
     if carriage is not None:
-        start_flange = carried(start_flange, carriage, float(carriage.begin[0]))
+        start_flange = flange_on_track(start_flange, carriage, float(carriage.begin[0]))
     follower = _Follower(
         trace, line, numbers, frames, _RobotPosition(start_flange, start_joints), kinematics, carriage, control
     )
     own_angles, is_incomplete = numbers[control.constant, 3:], any_column(np.isnan(numbers[:, 3:]))
     numbers[control.constant, 3:] = np.nan  # missing components keep their previous value
-    special = {at for at, move in moves.items() if move.end.position.axis or move.relative or move.angle is not None}
+    special = {
+        special_row
+        for special_row, move in moves.items()
+        if move.end.position.axis or move.relative or move.angle is not None
+    }
     has_new_frame = np.append(True, (np.diff(frames[0]) != 0) | (np.diff(frames[1]) != 0))[: len(line)]
     row = 0
-    for at in sorted(special | set(np.flatnonzero(control.constant & (has_new_frame | control.with_path)).tolist())):
-        follower.absolute(row, at)
-        follower.special(at, moves.get(at))
-        row = at + 1
-    follower.absolute(row, len(line))
+    for special_row in sorted(
+        special | set(np.flatnonzero(control.constant & (has_new_frame | control.with_path)).tolist())
+    ):
+        follower.complete_absolute(row, special_row)
+        follower.follow_special(special_row, moves.get(special_row))
+        row = special_row + 1
+    follower.complete_absolute(row, len(line))
 
     pose = poses_from_xyzabc(numbers)
     start = Starts.of(frames, pose.__getitem__, start_flange, predecessors)
@@ -342,7 +378,7 @@ def _check_ignored(
         )
 
 
-def circles(trace: Trace, line: Ints, start: Array, via: Array, end: Array) -> tuple[Array, Array, Array]:
+def circle_geometry(trace: Trace, line: Ints, start: Array, via: Array, end: Array) -> tuple[Array, Array, Array]:
     """Return centres (n, 3), axes (n, 3) and angles (n,) > 0 [rad] of arcs through three points, (n, 3) each [m].
 
     :param line: (n,) 1-based lines, for messages.
@@ -358,7 +394,7 @@ def circles(trace: Trace, line: Ints, start: Array, via: Array, end: Array) -> t
     return centre, normal, angle
 
 
-def turned(start: Array, centre: Array, normal: Array, angle: float) -> Array:
+def rotated_point(start: Array, centre: Array, normal: Array, angle: float) -> Array:
     """Return the point (3,) that a rotation of `start` about an axis through `centre` reaches."""
     end: Array = centre + rotation_from_vector(normal * angle) @ (start - centre)
     return end

@@ -25,7 +25,7 @@ from postproc.dialects.krl.read.variables import Variables
 
 
 def without_value(variables: Variables, source: Source, values: Iterable[Value]) -> list[str]:
-    """Return the variables in some values that have no value: the cell can give them one."""
+    """Return the variables in some values that have no value, as spelled: the cell can give them one."""
     spellings: dict[str, None] = {}
     for value in walk(values):
         if not isinstance(value, Reference) or value.field is not None or value.name in RELEVANT:
@@ -37,7 +37,7 @@ def without_value(variables: Variables, source: Source, values: Iterable[Value])
 
 
 def why_unknown(variables: Variables, source: Source, value: Value | VariableValue) -> str:
-    """Return why a value is not known, for a message."""
+    """Return why the value of an expression is not known, as text for a message."""
     if isinstance(value, Position | UnknownValue):
         return "it is computed while the program runs"
     if isinstance(value, Chain):
@@ -67,10 +67,10 @@ def why_unknown(variables: Variables, source: Source, value: Value | VariableVal
         return f"{text} is computed while the program runs"
     if isinstance(value, Reference):
         if variables.key_of(value) is None:
-            unknown = [
+            unknown_indices = [
                 index for index in value.indices or () if index.start < index.stop and variables.index(index) is None
             ]
-            suffix = f": {why_unknown(variables, source, unknown[0])}" if unknown else ""
+            suffix = f": {why_unknown(variables, source, unknown_indices[0])}" if unknown_indices else ""
             return f"the index of {text} is not known before the program runs{suffix}"
         if value.field is not None and "[" in value.field:
             return f"{text} is an element of an array in a structure, which is not followed: use a variable of its own"
@@ -81,9 +81,9 @@ def why_unknown(variables: Variables, source: Source, value: Value | VariableVal
 
 
 def why_not_decided(variables: Variables, source: Source, values: Sequence[Value]) -> str:
-    """Return why the values in a condition or in bounds are not known, for a message: ``: reason``.
+    """Return why a condition, or the bounds of a FOR, are not known: ``: reason``, for the end of a message.
 
-    :returns: empty if each of them is known.
+    :returns: empty if each of the values is known.
     """
     for call in calls(values):
         if variables.functions.pure(call):

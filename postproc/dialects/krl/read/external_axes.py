@@ -38,10 +38,10 @@ def external_axes(
     steps[relative] = np.nan_to_num(external[relative])
     external = external.copy()
     external[relative] = np.nan
-    issues = _fixed_axes(trace, external, steps, rows.line, carries_robot=direction is not None)
+    issues = _fixed_axis_warnings(trace, external, steps, rows.line, carries_robot=direction is not None)
     if direction is None or (np.isnan(external[:, 0]).all() and not steps[:, 0].any()):
         return issues, None
-    begin, end = _along(external[:, 0], steps[:, 0], predecessors)
+    begin, end = _axis_positions(external[:, 0], steps[:, 0], predecessors)
     unknown = np.flatnonzero(np.isnan(end) & uses_root)
     if len(unknown):
         raise trace.error(
@@ -60,7 +60,9 @@ def external_axes(
     return issues, Carriage(np.nan_to_num(begin) * M_PER_MM, np.nan_to_num(end) * M_PER_MM, direction)
 
 
-def _fixed_axes(trace: Trace, external: Array, steps: Array, line: Ints, *, carries_robot: bool) -> list[Issue]:
+def _fixed_axis_warnings(
+    trace: Trace, external: Array, steps: Array, line: Ints, *, carries_robot: bool
+) -> list[Issue]:
     """Return the warnings on external axes that do not move, but are not at 0.
 
     :param external: (R, 6) positions of the axes at targets [mm, deg], NaN where not given; `steps` (R, 6) of relative
@@ -82,20 +84,23 @@ def _fixed_axes(trace: Trace, external: Array, steps: Array, line: Ints, *, carr
             change = f"from {values[given_rows[0]]:g} to {values[moving[0]]:g}"
             raise _motion_error(trace, axis, change, int(line[moving[0]]))
         if len(given_rows) and abs(values[given_rows[0]]) > _AXIS_TOLERANCE:
-            issues.append(_fixed_axis(axis, values[given_rows[0]], int(line[given_rows[0]]), len(given_rows)))
+            issues.append(_fixed_axis_warning(axis, values[given_rows[0]], int(line[given_rows[0]]), len(given_rows)))
     return issues
 
 
-def _along(positions: Array, steps: Array, predecessors: Ints | None) -> tuple[Array, Array]:
+def _axis_positions(positions: Array, steps: Array, predecessors: Ints | None) -> tuple[Array, Array]:
     """Return the positions of an axis (R,) at the start and at the end of each motion; NaN where not known.
 
-    :param positions: (R,) NaN where it is kept, or moves by a step (R,).
+    :param positions: (R,) positions at targets; NaN where the axis keeps its position or moves by one of the `steps`
+        (R,).
+    :param predecessors: (R,) the motion at whose end each begins; None: the one before it.
     """
     is_given = ~np.isnan(positions)
     if predecessors is None:
-        last = np.maximum.accumulate(np.where(is_given, np.arange(len(positions)), -1))
+        # row of the latest given position; −1 before the first
+        given_row = np.maximum.accumulate(np.where(is_given, np.arange(len(positions)), -1))
         travel = np.cumsum(steps)
-        end = np.where(last < 0, np.nan, positions[last] + travel - travel[last])
+        end = np.where(given_row < 0, np.nan, positions[given_row] + travel - travel[given_row])
         return np.append([np.nan], end[:-1]), np.asarray(end)
     begin, end = np.full(len(positions), np.nan), positions.copy()
     for row, previous_row in enumerate(predecessors.tolist()):
@@ -121,7 +126,7 @@ def _motion_error(trace: Trace, axis: int, change: str, line: int) -> ProgramErr
     return trace.error(f"the external axis {name} moves {change}", line, advice)
 
 
-def _fixed_axis(axis: int, value: float, line: int, count: int) -> Issue:
+def _fixed_axis_warning(axis: int, value: float, line: int, count: int) -> Issue:
     """Return the warning on an external axis that does not move, but is not at 0.
 
     :param axis: 0 for E1.

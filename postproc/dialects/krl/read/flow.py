@@ -23,9 +23,9 @@ from postproc.dialects.krl.read.computed_rounds import FEWEST_ROUNDS, computed_b
 from postproc.dialects.krl.read.conditions import constant_cases
 from postproc.dialects.krl.read.counter import Counter, undecided_error
 from postproc.dialects.krl.read.interpreter import LOOP_ADVICE, Interpreter, undecided_jump
-from postproc.dialects.krl.read.known import InexactError, inexact
+from postproc.dialects.krl.read.known import InexactError, inexact_error
 from postproc.dialects.krl.read.least_statements import ENDS_LOOPS, LeastStatements
-from postproc.dialects.krl.read.motion_reader import stays
+from postproc.dialects.krl.read.motion_reader import keeps_position
 from postproc.dialects.krl.read.plain_rounds import plain_body
 from postproc.dialects.krl.read.rounds import carried_variables
 from postproc.dialects.krl.read.run import Run
@@ -127,7 +127,9 @@ class Flow:
             line = nodes[number]
             if isinstance(line, int) and recorder is not None and label in self.labels(source, [line]):
                 if level.loops:  # its rounds may be written one after the other, and the label with each
-                    raise inexact(Place(source, level.jump), "GOTO leads to a label in a loop", _JUMP_IN_LOOP_ADVICE)
+                    raise inexact_error(
+                        Place(source, level.jump), "GOTO leads to a label in a loop", _JUMP_IN_LOOP_ADVICE
+                    )
                 level.jump = 0
                 recorder.pass_to(line - 1, live=False)
                 return number
@@ -171,7 +173,7 @@ class Flow:
         if isinstance(stmt, (tree.Goto, tree.Spline)):
             return True  # the motions after a GOTO depend on it
         if isinstance(stmt, tree.Motion):
-            return not stays(stmt)
+            return not keeps_position(stmt)
         if isinstance(stmt, tree.Event):
             return False
         try:
@@ -240,12 +242,12 @@ class Flow:
         if self._still or not self.run.level.traced:
             self.run.steps += 1
             if self.run.steps > MOST_STATEMENTS:
-                raise inexact(at, "too much runs before")
+                raise inexact_error(at, "too much runs before")
             return
         self._traced += 1
         if self._traced > MOST_TRACED and self._traced > (limit := self._statement_limit(at.source)):
             problem = f"loops around motions are too long: {limit} statements have run when the program comes here"
-            raise inexact(at, problem, _LENGTH_ADVICE)
+            raise inexact_error(at, problem, _LENGTH_ADVICE)
 
     def _statement_limit(self, source: Source) -> int:
         """Return the largest number of statements that may run around motions."""
@@ -259,11 +261,11 @@ class Flow:
         """
         if self._still or not self.run.level.traced:
             if self.run.steps + minimum > MOST_STATEMENTS:
-                raise inexact(at, "too much runs before")
+                raise inexact_error(at, "too much runs before")
         elif self._traced + minimum > self._statement_limit(at.source):
             problem = f"loops and calls around motions are too long: at least {minimum} statements run from here on, "
             problem += f"{self._statement_limit(at.source)} are followed"
-            raise inexact(at, problem, _LENGTH_ADVICE)
+            raise inexact_error(at, problem, _LENGTH_ADVICE)
 
     def _inline_call(self, at: Place, call: Call) -> bool:
         """Follow the call of a routine with motions, as part of the execution trace.
@@ -303,7 +305,7 @@ class Flow:
             self.run.nodes(routine)
         except ProgramError as cause:
             at = Place(routine.source, cause.line or routine.first)
-            raise inexact(at, cause.problem, cause.advice, routine) from None
+            raise inexact_error(at, cause.problem, cause.advice, routine) from None
 
     def _call_moves(self, call: Call) -> bool:
         """Return whether a call moves the robot, by its routine or by one that this calls."""
@@ -350,8 +352,7 @@ class Flow:
         """Follow a control structure.
 
         One with motions or force comments is followed exactly. For others it is enough to mark as unknown what they may
-        write
-        if the branch taken is not known.
+        write if the branch taken is not known.
         """
         if self.recorder is not None and self.run.level.traced and self.belongs_in_trace(source, block):
             self._follow_or_keep(source, block, self.recorder)
@@ -383,7 +384,7 @@ class Flow:
                 problem = (
                     f"a force comment is inside {block.word}, whose condition is not known before the program runs"
                 )
-                raise inexact(Place(source, block.first), problem, _FORCE_ADVICE) from None
+                raise inexact_error(Place(source, block.first), problem, _FORCE_ADVICE) from None
             return
         undo = self._undo_from_here(recorder)
         try:
@@ -459,7 +460,7 @@ class Flow:
         self._forks += 1
         if self._forks > _MOST_FORKS:
             problem = f"branches whose condition is not known are reached more than {_MOST_FORKS} times"
-            raise inexact(Place(source, block.first), problem, _LENGTH_ADVICE)
+            raise inexact_error(Place(source, block.first), problem, _LENGTH_ADVICE)
         recorder.run_to(block.first - 1)
         recorder.pass_to(block.first)
         recorder.divide(Fork(0, occasion))
@@ -470,7 +471,9 @@ class Flow:
             run.branch()
             self.follow(source, part.nodes)
             if level.jump:
-                raise inexact(Place(source, level.jump), *undecided_jump(run.variables, Place(source, block.first)))
+                raise inexact_error(
+                    Place(source, level.jump), *undecided_jump(run.variables, Place(source, block.first))
+                )
             if level.broken_off:
                 raise cause
             recorder.run_to(part.beyond - 1)
@@ -542,7 +545,7 @@ class Flow:
         self.run.branch()
         self.follow(source, nodes, last=last)
         if level.broken_off:
-            raise inexact(Place(source, level.jump or level.returned), *undecided_jump(self.run.variables, None))
+            raise inexact_error(Place(source, level.jump or level.returned), *undecided_jump(self.run.variables, None))
 
     def _jump_target(
         self, source: Source, nodes: tuple[Node, ...], index: int, jump: tuple[Node, ...], *, last: bool
@@ -638,7 +641,7 @@ class Flow:
         has_ended = counter is not None and not level.broken_off
         level.left = False
         if recorder is not None and loop is not None:
-            recorder.end(loop, block, counter.now() if counter is not None and has_ended else None)
+            recorder.end(loop, block, counter.value() if counter is not None and has_ended else None)
 
     def _follow_rounds(
         self,
@@ -664,9 +667,9 @@ class Flow:
             changes = self._change_counts()
             if counter is None and self._traced - start_count > MOST_UNCOUNTED:
                 problem = f"{block.word} has not ended after {MOST_UNCOUNTED} statements"
-                raise inexact(at, problem, "Check its condition, or write FOR instead.")
+                raise inexact_error(at, problem, "Check its condition, or write FOR instead.")
             if recorder is not None and loop is not None:
-                recorder.repeat(loop, block, counter.now() if counter is not None else None)
+                recorder.repeat(loop, block, counter.value() if counter is not None else None)
             self.follow(source, block.parts[0].nodes)
             is_whole = not level.broken_off
             if recorder is not None:
@@ -677,7 +680,7 @@ class Flow:
                 counter.advance()
             elif self._change_counts() == changes:
                 problem = f"{block.word} never ends: no variable of its condition changes from round to round"
-                raise inexact(at, problem, LOOP_ADVICE)
+                raise inexact_error(at, problem, LOOP_ADVICE)
 
     def _follow_back_jump(self, source: Source, nodes: tuple[Node, ...], index: int, label: tree.Label) -> int:
         """Follow the rounds between a label and an IF that jumps back to it.
@@ -745,18 +748,18 @@ class Flow:
                 changes = self._change_counts()
                 if self._traced - start_count > MOST_UNCOUNTED:
                     problem = f"GOTO still leads back after {MOST_UNCOUNTED} statements"
-                    raise inexact(at, problem, "Check its condition, or write FOR instead.")
+                    raise inexact_error(at, problem, "Check its condition, or write FOR instead.")
                 recorder.repeat(loop, body, None)
                 self.follow(source, nodes[1:-1])
                 recorder.repeated(body, whole=not level.broken_off)
                 self.run.place = at
                 holds = self.run.variables.truth(head.condition) if isinstance(head, tree.If) else None
                 if not level.broken_off and holds is None:
-                    raise inexact(Place(source, jump.last - 1), *undecided_jump(self.run.variables, at))
+                    raise inexact_error(Place(source, jump.last - 1), *undecided_jump(self.run.variables, at))
                 if not holds:
                     break
                 if self._change_counts() == changes:
-                    raise inexact(at, "GOTO always leads back: no variable of its condition changes", LOOP_ADVICE)
+                    raise inexact_error(at, "GOTO always leads back: no variable of its condition changes", LOOP_ADVICE)
         finally:
             level.loops -= 1
             del self._way[depth:]
@@ -769,7 +772,7 @@ class Flow:
         """
         for line in lines:
             if isinstance(statement(source, line), tree.Label):
-                raise inexact(Place(source, line), "a label is in a loop around motions", _LABEL_ADVICE)
+                raise inexact_error(Place(source, line), "a label is in a loop around motions", _LABEL_ADVICE)
 
     def _check_comments(self, source: Source, block: Block, closing: Iterable[int] = ()) -> None:
         """Refuse force comments on the lines that begin and end a loop: it is not said in which rounds they hold.
@@ -793,7 +796,7 @@ class Flow:
         """Record all rounds of a FOR at once if its body is plain and there are enough of them; else do nothing."""
         if block not in self._plain:
             self._plain[block] = plain_body(source, block) or computed_body(source, block)
-        body, begin, rounds = self._plain[block], counter.now(), counter.rounds
+        body, begin, rounds = self._plain[block], counter.value(), counter.rounds
         statement_count = rounds * (1 + len(block.parts[0].nodes))
         if body is None or not rounds or self._traced + statement_count > self._statement_limit(source):
             return
@@ -808,7 +811,7 @@ class Flow:
         for round_count in (rounds - 1, 1):  # only the last round leaves something
             for line in body.assignments:
                 self._follow_noting_errors(Place(source, line), statement(source, line))
-            counter.pass_over(round_count)
+            counter.skip_rounds(round_count)
 
     def _follow_endless(self, source: Source, block: Block, recorder: Recorder | None) -> None:
         """Follow one iteration of a LOOP without EXIT; nothing after it is reached.
@@ -820,7 +823,7 @@ class Flow:
         """
         run, level, at = self.run, self.run.level, Place(source, block.first)
         if recorder is None or level.loops or run.forked or not run.certain or len(run.stack) > 1:
-            raise inexact(at, "LOOP never ends: there is no EXIT", LOOP_ADVICE)
+            raise inexact_error(at, "LOOP never ends: there is no EXIT", LOOP_ADVICE)
         self._check_comments(source, block)
         run.is_final = False
         snapshot = run.variables.snapshot()
@@ -837,7 +840,7 @@ class Flow:
             sorted_names = sorted(names, key=lambda name: (name[0] == "$", name))
             changed_names = first_of(sorted_names, _MOST_NAMES)
             problem = f"LOOP never ends, and its rounds differ: each one changes {changed_names} for the next"
-            raise inexact(at, problem, "Set it at the beginning of each round.")
+            raise inexact_error(at, problem, "Set it at the beginning of each round.")
         level.returned = block.last
 
     def _check_rounds(self, source: Source, block: Block, counter: Counter, recorder: Recorder | None) -> None:
@@ -848,16 +851,16 @@ class Flow:
         limit = MOST_STATEMENTS if recorder is None else MOST_TRACED + len(source.starts)
         if counter.rounds > limit:
             problem = f"FOR has {counter.rounds} rounds, more than {limit}"
-            raise inexact(Place(source, block.first), problem, "Check its bounds.")
+            raise inexact_error(Place(source, block.first), problem, "Check its bounds.")
         module = self.run.level.module
-        if not self.run.level.loops and not self._least.writes(source, block, counter.here.name, module):
+        if not self.run.level.loops and not self._least.may_write(source, block, counter.statement.name, module):
             rounds = counter.rounds * self._least.of_round(source, block, module)
             self._check_statement_count(Place(source, block.first), rounds)
 
     def _runs_again(self, source: Source, block: Block, counter: Counter | None) -> bool:
         """Return whether a loop runs its body once more, by its counter or the condition of WHILE."""
         if counter is not None:
-            return counter.within()
+            return counter.has_next_round()
         return block.word != "WHILE" or self._condition_holds(source, block.first)
 
     def _condition_holds(self, source: Source, line: int) -> bool:

@@ -55,7 +55,7 @@ class FolderFiles:
 
     @cached_property
     def _public(self) -> dict[str, Path]:
-        """The `.src` files by the names, upper case, of their GLOBAL routines: all of them are read for it."""
+        """The `.src` files by the names, upper case, of their GLOBAL routines; all `.src` files are searched."""
         by_routine: dict[str, Path] = {}
         for path in (path for name, path in self.paths.items() if name.endswith(".SRC")):
             for name in self.declared(path, scan.global_routines):
@@ -63,8 +63,9 @@ class FolderFiles:
         return by_routine
 
     def called(self, code: str, own_routines: Set[str] = frozenset()) -> set[Path]:
-        """Return the `.src` files that code without comments may call.
+        """Return the `.src` files whose routines some code may call.
 
+        :param code: without comments.
         :param own_routines: names, upper case, of the other routines of its file: they come first.
         """
         paths = {
@@ -73,20 +74,20 @@ class FolderFiles:
         callees = {self._public.get(name) if path is None else path for name, path in paths.items()}
         return {path for path in callees if path is not None}
 
-    def reached(self, code: str) -> Iterator[str]:
-        """Yield code, and that of the files that it calls, one through the other."""
+    def called_code(self, code: str) -> Iterator[str]:
+        """Yield code without comments, and that of all files that it calls, directly or not."""
         waiting, visited_paths = [code], set[Path]()
         while waiting:
             code = scan.without_comments(waiting.pop())
             yield code
-            new = sorted(self.called(code) - visited_paths)
-            visited_paths.update(new)
-            for path in new:
+            new_paths = sorted(self.called(code) - visited_paths)
+            visited_paths.update(new_paths)
+            for path in new_paths:
                 with suppress(ProgramError):  # what calls it says so
                     waiting.append(self.source(path).text)
 
     def source(self, path: Path) -> Source:
-        """Return the text of a file.
+        """Return a file with its lines.
 
         :raises ProgramError: it cannot be read.
         """
@@ -101,7 +102,7 @@ class FolderFiles:
             ) from cause
 
     def declared(self, path: Path, find: Callable[[str], frozenset[str]]) -> frozenset[str]:
-        """Return the names that a function of `language.scan` finds in a file; none where it cannot be read."""
+        """Return the names that `find`, a function of `language.scan`, finds in a file; none if it cannot be read."""
         document = self._given.get(path.name.upper())
         if document is not None:
             return find(document.text)
@@ -112,10 +113,10 @@ class FolderFiles:
         return _names_in(path, find, stat.st_mtime_ns, stat.st_size) if stat.st_size <= _LARGEST else frozenset()
 
 
-def moving(paths: Sequence[Path], search: Sequence[Path]) -> dict[Path, set[Path]]:
-    """Return the files with motions that each of some programs of one folder may call, one through the other.
+def called_files_with_motion(paths: Sequence[Path], search: Sequence[Path]) -> dict[Path, set[Path]]:
+    """Return, for each of some programs of one folder, the files with motions that it may call, directly or not.
 
-    :param search: folders in which they are looked for after that of the programs.
+    :param search: folders that are searched after that of the programs.
     """
     files = FolderFiles([paths[0].parent, *search])
 
@@ -131,16 +132,16 @@ def moving(paths: Sequence[Path], search: Sequence[Path]) -> dict[Path, set[Path
     moving_files: dict[Path, set[Path]] = {}
     for path in paths:
         callees: set[Path] = set()
-        new = called(path)[1]
-        while new:
-            callees |= new
-            new = set().union(*(called(callee)[1] for callee in new)) - callees
+        new_callees = called(path)[1]
+        while new_callees:
+            callees |= new_callees
+            new_callees = set().union(*(called(callee)[1] for callee in new_callees)) - callees
         moving_files[path] = {callee for callee in callees if called(callee)[0]}
     return moving_files
 
 
 def _program_files(folders: Sequence[Path]) -> Iterator[Path]:
-    """Yield the `.src`, `.dat` and `.sub` files of folders, sorted in each; none of a folder that cannot be read."""
+    """Yield the `.src`, `.dat` and `.sub` files of folders, sorted within each; none of an unreadable folder."""
     for folder in folders:
         try:
             yield from sorted(path for path in folder.iterdir() if path.suffix.upper() in (".SRC", ".DAT", ".SUB"))
@@ -149,7 +150,7 @@ def _program_files(folders: Sequence[Path]) -> Iterator[Path]:
 
 
 def calls_in(path: Path) -> set[str]:
-    """Return the names, upper case, that a file on the disk calls; none where it cannot be read."""
+    """Return the names, upper case, that a file calls; none if it cannot be read or is too large."""
     try:
         text = path.read_bytes().decode("latin-1") if path.stat().st_size <= _LARGEST else ""
     except OSError:
@@ -159,7 +160,7 @@ def calls_in(path: Path) -> set[str]:
 
 @lru_cache(maxsize=4096)
 def _names_in(path: Path, find: Callable[[str], frozenset[str]], mtime: int, size: int) -> frozenset[str]:
-    """Return the names that a function of `language.scan` finds in a file; none where it cannot be read.
+    """Return the names that `find`, a function of `language.scan`, finds in a file; none if it cannot be read.
 
     :param mtime: time of the last change [ns]; with `size` [bytes] it is part of the cache's key.
     """
@@ -184,7 +185,7 @@ class Library:
         self._found: dict[str, tuple[Module, Routine] | None] = {}
 
     def find(self, name: str, caller: Module) -> tuple[Module, Routine] | None:
-        """Return a routine and its module, as seen from the module that calls it; None if it is nowhere."""
+        """Return a routine and its module, as seen from the module that calls it; None if it is in no file."""
         routine = caller.routines.get(name)
         if routine is not None:
             return caller, routine
@@ -192,34 +193,36 @@ class Library:
             self._found[name] = self._find_routine(name)
         return self._found[name]
 
-    def submit(self) -> Iterator[Module]:
+    def submit_programs(self) -> Iterator[Module]:
         """Yield the submit programs (`.sub`), which run concurrently with the program."""
         for file, path in self.files.paths.items():
             if file.endswith(".SUB") and (module := self._module(path)) is not None:
                 yield module
 
-    def found(self) -> Iterator[tuple[Module, Routine]]:
-        """Yield the routines of other files that were looked for and found."""
+    def found_routines(self) -> Iterator[tuple[Module, Routine]]:
+        """Yield the routines of other files that `find` has returned."""
         yield from (entry for entry in self._found.values() if entry is not None)
 
-    def read(self) -> Iterator[Module]:
-        """Yield the files that were read."""
+    def read_modules(self) -> Iterator[Module]:
+        """Yield the files that have been read, the program itself left out."""
         yield from (module for module in self._modules.values() if module is not None)
 
-    def programs(self) -> frozenset[str]:
+    def program_names(self) -> frozenset[str]:
         """Return the names of the programs of all folders, upper case."""
         return frozenset(path.stem.upper() for path in self.files.paths.values() if path.suffix.upper() != ".DAT")
 
     def names(self) -> frozenset[str]:
         """Return the names of the programs and GLOBAL routines of all folders, upper case."""
         paths = (path for path in self.files.paths.values() if path.suffix.upper() != ".DAT")
-        return self.programs().union(*(self.files.declared(path, scan.global_routines) for path in paths))
+        return self.program_names().union(*(self.files.declared(path, scan.global_routines) for path in paths))
 
     def users(self, routines: Collection[Routine]) -> Mapping[str, tuple[str, ...]]:
-        """Return which programs that were not read name routines, by the file of these."""
-        read = {module.source.document.name.upper() for module in (self.program, *self.read())}
-        unread = [path for file, path in self.files.paths.items() if not file.endswith(".DAT") and file not in read]
-        call_names = {path: calls_in(path) for path in unread}
+        """Return the programs that name routines but were not read: file of the routines → names of these programs."""
+        read_files = {module.source.document.name.upper() for module in (self.program, *self.read_modules())}
+        unread_paths = [
+            path for file, path in self.files.paths.items() if not file.endswith(".DAT") and file not in read_files
+        ]
+        call_names = {path: calls_in(path) for path in unread_paths}
         user_names: dict[str, tuple[str, ...]] = {}
         for routine in sorted(routines, key=lambda routine: routine.first):
             file = routine.source.document.name
@@ -228,11 +231,11 @@ class Library:
         return user_names
 
     def writers(self, names: Set[str]) -> dict[str, tuple[str, ...]]:
-        """Return which programs that were not read set variables that all files share, by the names of these."""
-        read = {module.source.document.name.upper() for module in (self.program, *self.read())}
+        """Return the programs that set shared variables but were not read: variable → names of these programs."""
+        read_files = {module.source.document.name.upper() for module in (self.program, *self.read_modules())}
         writer_names: dict[str, list[str]] = {}
         for file, path in self.files.paths.items() if names else ():
-            if file.endswith(".SRC") and file not in read and path.stem.upper() not in _OF_THE_CONTROLLER:
+            if file.endswith(".SRC") and file not in read_files and path.stem.upper() not in _OF_THE_CONTROLLER:
                 for name in names & self.files.declared(path, scan.assigned_variables):
                     writer_names.setdefault(name, []).append(path.name)
         return {name: tuple(sorted(writer_names[name])) for name in sorted(writer_names)}
@@ -259,7 +262,7 @@ class Library:
         return None
 
     def _module(self, path: Path, name: str = "") -> Module | None:
-        """Return the routines of a file, read once; None if it cannot be read: `faults` says why."""
+        """Return the routines of a file, which is read once; None if it cannot be read, for the reason in `faults`."""
         if path not in self._modules:
             self._modules[path] = None
             try:
@@ -270,7 +273,7 @@ class Library:
         return self._modules[path]
 
     def _data_source(self, path: Path) -> Source | None:
-        """Return the `.dat` next to a `.src`; None without a readable one."""
+        """Return the `.dat` next to a `.src`; None if there is none that can be read."""
         data = self.files.paths.get(f"{path.stem.upper()}.DAT")
         if data is None or data.parent != path.parent:
             return None
@@ -300,7 +303,9 @@ def needed(
     """Return the files that a program needs from its folder, sorted by name.
 
     :param documents: its files, with those that are written with it; the main one first.
-    :param code: all code of its `.src` files that may name other files; not asked for in a folder without other files.
+    :param code: all code of its `.src` files that may name other files; it is not read if the folder has no other
+        files.
+    :param files: the files of the folders.
     :param moving: names, upper case, of files with routines that it calls and that move the robot.
     """
     folder = Path(documents[0].folder)
@@ -318,11 +323,11 @@ def needed(
         links.follow(part)
     for text in data:
         links.follow_data(text)
-    return tuple(links.needed(name, moving) for name in sorted(links.called | links.used))
+    return tuple(links.needed_file(name, moving) for name in sorted(links.called | links.used))
 
 
-def code_of(source: Source, lines: Iterable[int]) -> str:
-    """Return some lines of a file."""
+def text_of_lines(source: Source, lines: Iterable[int]) -> str:
+    """Return the text of some lines of a file."""
     return "\n".join(source.text[source.starts[line - 1] : source.stops[line - 1]] for line in lines)
 
 
@@ -344,7 +349,7 @@ def codes_of(module: Module) -> Iterator[Code]:
     module_names = frozenset() if module.data is None else frozenset().union(*declared_names(module.data))
     routines_ = frozenset(module.routines)
     for routine in module.routines.values():
-        yield Code(code_of(routine.source, routine.others), module_names | routine.local, routines_)
+        yield Code(text_of_lines(routine.source, routine.others), module_names | routine.local, routines_)
 
 
 class _Links:
@@ -368,7 +373,7 @@ class _Links:
                 self.variables.setdefault(variable, set()).add(name)
 
     def follow(self, code: Code) -> None:
-        """Note the files that code names."""
+        """Note the files that some code names, and those that these name."""
         text = scan.without_comments(code.text)
         for path in sorted(self.files.called(text, code.routines)):
             name = f"{path.stem.upper()}.SRC"
@@ -383,13 +388,13 @@ class _Links:
                 self._note_data(self.variables[name])
 
     def follow_data(self, text: str) -> None:
-        """Note the files from which a data list takes variables."""
+        """Note the data lists from which a data list imports variables."""
         data_names = {name for stem in scan.imported_files(text) if (name := f"{stem}.DAT") in self.siblings}
         self.imported |= data_names
         self._note_data(data_names)
 
-    def needed(self, name: str, moving: Collection[str]) -> NeededFile:
-        """Return a file that was found, as the program needs it."""
+    def needed_file(self, name: str, moving: Collection[str]) -> NeededFile:
+        """Return a noted file as a file that the program needs."""
         path, source = self.siblings[name], self.siblings.get(f"{PurePath(name).stem}.SRC")
         if name in self.called:
             uncorrected = name.endswith(".SRC") and scan.has_motion(scan.without_comments(self._text(path)))
@@ -401,13 +406,13 @@ class _Links:
         return NeededFile(str(path), moves=False, program=source.name, variables=variables)
 
     def _note_data(self, names: Collection[str]) -> None:
-        """Note data lists of which variables are used, and those from which they import."""
+        """Note data lists of which variables are used, and the data lists from which these import."""
         for name in sorted(set(names) - self.used):
             self.used.add(name)
             self.follow_data(self._text(self.siblings[name]))
 
     def _follow_file(self, name: str) -> None:
-        """Note a called file, its `.dat`, and the files that these name."""
+        """Note the `.dat` of a called file, and all files that the two name."""
         data = self.siblings.get(f"{PurePath(name).stem}.DAT")
         if data is not None:
             self.called.add(data.name.upper())
@@ -423,8 +428,8 @@ class _Links:
             self.follow(code)
 
     def _moves(self, path: Path) -> bool:
-        """Return whether a file moves the robot, or one that it calls."""
-        return any(map(scan.has_motion, self.files.reached(self._text(path))))
+        """Return whether a file, or one that it calls, moves the robot."""
+        return any(map(scan.has_motion, self.files.called_code(self._text(path))))
 
     def _text(self, path: Path) -> str:
         """Return the text of a file; empty where it cannot be read."""

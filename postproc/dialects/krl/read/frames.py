@@ -13,7 +13,7 @@ from postproc.dialects.krl.language.positions import (
     LARGEST_B,
     LARGEST_COORDINATE,
     Position,
-    from_pose,
+    position_from_pose,
 )
 from postproc.dialects.krl.language.source import Place
 from postproc.dialects.krl.language.values import Call, Number, Reference, Value
@@ -51,9 +51,9 @@ class Frames:
         self._folded: set[tuple[str, int]] = set()
 
     def assigned(self, state: State, at: Place, target: Reference, value: Value | VariableValue) -> State:
-        """Return the state behind ``$BASE = value`` or ``$TOOL = value``, or that of a component of it.
+        """Return the state after ``$BASE = value`` or ``$TOOL = value``, or after an assignment to a component.
 
-        :raises ProgramError: the base is moved while the program runs.
+        :raises ProgramError: the base is moved while the program runs, or a component is out of reach.
         """
         name = target.name
         if isinstance(value, Call) and value.name in ("SBASE", "STOOL", "STOOL2"):
@@ -77,38 +77,46 @@ class Frames:
         if position is None or position.axis:
             return self.unknown(state, name, at, why_unknown(self.variables, at.source, value))
         if not position.complete:
-            return self.unknown(state, name, at, _lacking(position))
+            return self.unknown(state, name, at, _missing_components(position))
         if position.largest_coordinate > LARGEST_COORDINATE:
-            raise out_of_reach(at, position.largest_coordinate)
+            raise out_of_reach_error(at, position.largest_coordinate)
         return self._with_frame(state, name, position)
 
     def numbered(self, state: State, at: Place, name: str, number: int) -> State:
-        """Return the state behind ``$BASE=BASE_DATA[number]`` or ``$TOOL=TOOL_DATA[number]``."""
+        """Return the state after ``$BASE=BASE_DATA[number]`` or ``$TOOL=TOOL_DATA[number]``.
+
+        :param name: ``$BASE`` or ``$TOOL``.
+        """
         key = f"{name[1:]}_DATA[{number}]"
-        return self._with_named_frame(state, at, name, _numbered(f"{name[1:]}_DATA", number), key)
+        return self._with_named_frame(state, at, name, _array_element(f"{name[1:]}_DATA", number), key)
 
     def unknown(self, state: State, name: str, at: Place, reason: str) -> State:
-        """Return a state in which `$BASE` or `$TOOL` is not known."""
+        """Return a state in which `$BASE` or `$TOOL` (`name`) is not known; the error for it names the line and the
+        reason.
+        """
         return self.reasons.unknown(state, FIELDS[name], at.error(f"{name} is not known: {reason}", _ADVICE))
 
     def assumed(self, state: State) -> set[str]:
-        """Return which of `$BASE` and `$TOOL` are the cell's though #INITMOV as KUKA has it gives others."""
-        tool = self.variables.position(_numbered("TOOL_DATA", 1))
-        real = {"$BASE": Position((0.0,) * 6), "$TOOL": tool}
-        return {name for name in state.initial if not self._is_cell(name, real[name])}
+        """Return which of `$BASE` and `$TOOL` are frames of the cell though KUKA's #INITMOV would set others."""
+        tool = self.variables.position(_array_element("TOOL_DATA", 1))
+        kuka_frames = {"$BASE": Position((0.0,) * 6), "$TOOL": tool}
+        return {name for name in state.initial if not self._is_cell_frame(name, kuka_frames[name])}
 
-    def _is_cell(self, name: str, position: Position | None) -> bool:
+    def _is_cell_frame(self, name: str, position: Position | None) -> bool:
+        """Return whether a position equals `$BASE` or `$TOOL` of the cell."""
         frame = self.bases[0] if name == "$BASE" else self.tools[0]
         return position is not None and bool(np.abs(position.pose() - frame).max() < _FRAME_TOLERANCE)
 
     def current(self, state: State, name: str, field: str | None) -> VariableValue:
-        """Return `$BASE` or `$TOOL` as it is in force, or a component of it."""
+        """Return the value of `$BASE` or `$TOOL` in a state, or of a component of it; an `UnknownValue` if it is not
+        known.
+        """
         row, frames = (state.base, self.bases) if name == "$BASE" else (state.tool, self.tools)
         if row < 0:
             return UnknownValue(why=self.reasons.errors[-1 - row].problem)
         if self.asks and name in self.assumed(state):
             self.doubtful.add(name)
-        position = from_pose(frames[row])
+        position = position_from_pose(frames[row])
         if field is None:
             return position
         if field in ANGLES and (name, row) in self._folded:
@@ -116,7 +124,7 @@ class Frames:
         return component(position, field) if field in CARTESIAN else NO_VALUE
 
     def _with_field(self, state: State, target: Reference, value: Value | VariableValue) -> Position | None:
-        """Return the frame in force with another component; None if that is not known."""
+        """Return the frame in force with another value of one component; None if the result is not known."""
         name, field = target.name, target.field or ""
         whole, number = self.current(state, name, None), self.variables.number(value)
         is_folded = field in ANGLES and (name, state.base if name == "$BASE" else state.tool) in self._folded
@@ -125,10 +133,14 @@ class Frames:
         return with_component(whole, field, number)
 
     def _with_named_frame(self, state: State, at: Place, name: str, reference: Reference, key: str) -> State:
-        """Return the state with `$BASE` or `$TOOL` set to a variable, stored as `key`; unknown if its value is."""
+        """Return the state with `$BASE` or `$TOOL` set to a variable.
+
+        :param key: its stored name, for messages.
+        :raises ProgramError: a component is out of reach.
+        """
         position = self.variables.position(reference)
         if position is not None and position.largest_coordinate > LARGEST_COORDINATE:
-            raise out_of_reach(at, position.largest_coordinate)
+            raise out_of_reach_error(at, position.largest_coordinate)
         if position is None:
             value = self.variables.evaluate(reference)
             reason = f"{key} is neither in the cell nor in the $config.dat"
@@ -136,7 +148,7 @@ class Frames:
                 reason = value.message_for(key)
             return self.unknown(state, name, at, reason)
         if not position.complete:
-            return self.unknown(state, name, at, f"{_lacking(position)} in {key}")
+            return self.unknown(state, name, at, f"{_missing_components(position)} in {key}")
         state = self._with_frame(state, name, position)
         if name == "$TOOL" and (number := _ELEMENT.search(key)):
             self.tool_numbers.setdefault(state.tool, set()).add(int(number[1]))
@@ -157,28 +169,28 @@ class Frames:
             if row == len(frames):
                 frames.append(pose)
             self._rows[name, position.values] = row
-        if not _usual(position):
+        if not _has_usual_angles(position):
             self._folded.add((name, row))
         return state.with_known(**{FIELDS[name]: row})
 
 
-def _usual(position: Position) -> bool:
-    """Return whether A, B, C of a frame are the ones by which controllers show its orientation."""
+def _has_usual_angles(position: Position) -> bool:
+    """Return whether A, B, C of a frame are those by which controllers show its orientation."""
     a, b, c = position.values[3:]
     return abs(a) <= HALF_TURN and abs(b) <= LARGEST_B and abs(c) <= HALF_TURN
 
 
-def _numbered(name: str, number: int) -> Reference:
-    """Return an element of an array."""
+def _array_element(name: str, number: int) -> Reference:
+    """Return the element of an array with a number, as a reference."""
     return Reference(name, (Number(float(number), 0, 0, True),), None, 0, 0)
 
 
-def _lacking(position: Position) -> str:
-    """Return which components of a frame are not given: the controller does not take them for 0."""
+def _missing_components(position: Position) -> str:
+    """Return which components of a frame are not given, as text: the controller does not take them as 0."""
     names = [name for name, value in zip(CARTESIAN, position.values, strict=True) if value != value]
     return f"{', '.join(names)} {'is' if len(names) == 1 else 'are'} not given"
 
 
-def out_of_reach(at: Place, number: float) -> ProgramError:
+def out_of_reach_error(at: Place, number: float) -> ProgramError:
     """Return the error for a coordinate beyond `LARGEST_COORDINATE`."""
     return at.error(f"{number:g} is out of any robot's reach", "Coordinates are in mm and degrees.")

@@ -17,9 +17,9 @@ from postproc.dialects.krl.language.source import Place
 from postproc.dialects.krl.language.structures import LOOPS
 from postproc.dialects.krl.language.values import Call, OpaqueText, Reference, UnreadableText, Value, Word, walk
 from postproc.dialects.krl.read.calls import IN_ORDER, Calls
-from postproc.dialects.krl.read.data_lists import declare
+from postproc.dialects.krl.read.data_lists import declare_variables
 from postproc.dialects.krl.read.explanations import why_not_decided, why_unknown, without_value
-from postproc.dialects.krl.read.known import NO_VALUE, UnknownValue, VariableValue, inexact, stored_originals
+from postproc.dialects.krl.read.known import NO_VALUE, UnknownValue, VariableValue, inexact_error, stored_originals
 from postproc.dialects.krl.read.run import SETTING_ADVICE, Run
 from postproc.dialects.krl.read.state import RELEVANT, STORED_VARIABLES, State
 from postproc.dialects.krl.read.variables import Variables, convert_to_type
@@ -45,9 +45,9 @@ LOOP_ADVICE = (
 
 
 def undecided_jump(variables: Variables, control: Place | None) -> tuple[str, str]:
-    """Return problem and advice where it is not known whether a GOTO is run.
+    """Return the problem and the advice for a GOTO of which it is not known whether it runs.
 
-    :param control: the IF or SWITCH whose condition is not known.
+    :param control: the IF or SWITCH whose condition is not known; None if there is none.
     """
     if control is None:
         return _JUMP, JUMP_ADVICE
@@ -88,11 +88,15 @@ class Interpreter:
                 self._motion(at, stmt)
             else:
                 self.follow_functions(at, stmt.values)
-        elif (isinstance(stmt, _SIMPLE) and stmt.word not in _ASYNCHRONOUS) or not self._control(at, stmt):
-            self._other(at, stmt)
+        elif (isinstance(stmt, _SIMPLE) and stmt.word not in _ASYNCHRONOUS) or not self._follow_control(at, stmt):
+            self._follow_other(at, stmt)
 
-    def _control(self, at: Place, stmt: tree.Statement) -> bool:
-        """Follow control structures; return whether the statement was one."""
+    def _follow_control(self, at: Place, stmt: tree.Statement) -> bool:
+        """Follow a statement that controls execution: a line of a control structure, GOTO, RETURN and the like.
+
+        :returns: False if it is none.
+        :raises ProgramError: it closes a structure that is not open, or what runs next is not known.
+        """
         level, word = self.run.level, stmt.word
         if word in OPENING or word == "REPEAT":
             level.open.append((word, at.line))
@@ -107,18 +111,18 @@ class Interpreter:
             control = Place(at.source, lines[-1]) if lines else None
             raise at.error(*undecided_jump(self.run.variables, control))
         elif isinstance(stmt, tree.Return):
-            self._return(at, stmt)
+            self._follow_return(at, stmt)
         elif isinstance(stmt, tree.SplineTiming):
-            self._timed(at, stmt)
+            self._follow_spline_timing(at, stmt)
         elif word in _ASYNCHRONOUS:
             raise at.error(f"{word} moves external axes", "Only fixed external axes are supported.")
         else:
             return False
         if word in _CONDITIONS:
-            self._control_statement(at, stmt)
+            self._follow_control_head(at, stmt)
         return True
 
-    def _timed(self, at: Place, stmt: tree.SplineTiming) -> None:
+    def _follow_spline_timing(self, at: Place, stmt: tree.SplineTiming) -> None:
         """Follow a statement on the speed of spline motions, which is kept unchanged.
 
         :raises ProgramError: it is not understood, or not allowed here.
@@ -133,7 +137,7 @@ class Interpreter:
         if stmt.word in _TRIGGER_WORDS:
             self.run.triggers.append(self.run.row)
 
-    def _return(self, at: Place, stmt: tree.Return) -> None:
+    def _follow_return(self, at: Place, stmt: tree.Return) -> None:
         """Follow RETURN: the routine ends, with its value if it is a function.
 
         :raises InexactError: it is not known whether it runs.
@@ -141,27 +145,31 @@ class Interpreter:
         level = self.run.level
         if not self.run.certain:
             if not level.traced or len(self.run.stack) > 1:
-                raise inexact(at, "it is not known whether it returns here")
+                raise inexact_error(at, "it is not known whether it returns here")
             return
         if stmt.value is not None:
             level.result = convert_to_type(self.calls.value(at, stmt.value), level.routine.result)
         level.returned = level.returned or at.line
 
-    def _control_statement(self, at: Place, stmt: tree.Statement) -> None:
-        """Follow the functions in the head of a control structure; the counter of a FOR has no known value then."""
+    def _follow_control_head(self, at: Place, stmt: tree.Statement) -> None:
+        """Follow the functions in the head of a control structure; the counter of a FOR becomes unknown."""
         self.follow_functions(at, stmt.values)
         if isinstance(stmt, tree.For) and stmt.name:
             self.run.variables.forget(self.run.stored(stmt.name), str(at))
 
     def follow_functions(self, at: Place, values: Iterable[Value]) -> None:
-        """Follow the functions in values, of which it is not certain that they run."""
+        """Follow the functions in some values; it is not certain that they run."""
         for call in calls(values):
             self.calls.call(at, call, certain=False)
 
-    def _other(self, at: Place, stmt: tree.Statement) -> None:
-        """Follow what neither moves nor controls: settings, assignments, declarations, calls."""
+    def _follow_other(self, at: Place, stmt: tree.Statement) -> None:
+        """Follow a statement that neither moves nor controls execution: a setting, an assignment, a declaration, a
+        call.
+
+        :raises ProgramError: it is not understood, or its effect on motion is not modelled.
+        """
         if stmt.word == "BAS":
-            self._bas(at, stmt)
+            self._follow_bas(at, stmt)
         elif isinstance(stmt, tree.Assignment):
             self.assign(at, stmt.target, stmt.value)
         elif isinstance(stmt, tree.CallStatement):
@@ -171,7 +179,7 @@ class Interpreter:
         elif isinstance(stmt, tree.Event):
             if isinstance(stmt, tree.Trigger) and self.run.in_main:
                 self.run.triggers.append(self.run.row)
-            self._event(at, stmt)
+            self._note_event(at, stmt)
         elif isinstance(stmt, (tree.CyclicInput, tree.Import)):
             if stmt.name in RELEVANT:
                 raise at.error(f"{stmt.word} changes {stmt.name} at any time", SETTING_ADVICE)
@@ -181,11 +189,11 @@ class Interpreter:
                     self.run.changes_always(at, name)
         elif isinstance(stmt, tree.Declaration):
             row = self.run.row if self.run.in_main and self.run.has_rows else 0
-            names = declare(self.run.variables, at.source, stmt, row)
+            names = declare_variables(self.run.variables, at.source, stmt, row)
             if self.run.in_main:
                 self.run.understand(*(declarator.at for declarator in names))
         elif stmt.word == "EXIT":
-            self._exit(at)
+            self._check_exit(at)
         elif isinstance(stmt, tree.IdleDeclaration):
             return
         elif stmt.word in WITHOUT_MOTION:
@@ -195,27 +203,33 @@ class Interpreter:
         elif not isinstance(stmt, tree.Label):
             raise at.error("the statement is not understood", "Check its spelling.")
 
-    def _exit(self, at: Place) -> None:
-        """Note that a loop that is followed may be left."""
+    def _check_exit(self, at: Place) -> None:
+        """Refuse an EXIT if it is not known whether it runs.
+
+        :raises InexactError: it is in a control structure of a followed loop, whose condition is not known.
+        """
         level = self.run.level
         if level.loops and not any(word in LOOPS for word, _ in level.open):
             word, line = level.open[-1]
             reason = why_not_decided(self.run.variables, at.source, statement(at.source, line).values)
             problem = "it is not known before the program runs whether the loop is left here: "
-            raise inexact(
+            raise inexact_error(
                 at, f"{problem}the condition of {word} ({Place(at.source, line)}) is not known{reason}", LOOP_ADVICE
             )
 
-    def _bas(self, at: Place, stmt: tree.Statement) -> None:
-        """Follow BAS: it sets speeds, frames and modes by its command."""
+    def _follow_bas(self, at: Place, stmt: tree.Statement) -> None:
+        """Follow a call of KUKA's BAS, which sets speeds, frames and modes by its command.
+
+        :raises ProgramError: it is not understood.
+        """
         if isinstance(stmt, tree.FaultyStatement):
             raise stmt.error
         if not isinstance(stmt, tree.CallStatement) or not stmt.call.arguments:
             raise at.error("BAS is not understood", "Write BAS(#COMMAND,value).")
-        self._set(at, self.run.settings.bas(at, stmt.call))
+        self._change_state(at, self.run.settings.bas(at, stmt.call))
 
-    def _set(self, at: Place, state: State) -> None:
-        """Put a state into force, or into doubt where it is not certain that it comes into force."""
+    def _change_state(self, at: Place, state: State) -> None:
+        """Put a state into force; if it is not certain that the statement runs, make uncertain what it would change."""
         if self.run.certain:
             self.run.settings.change(self.run.row, state)
         else:
@@ -231,7 +245,7 @@ class Interpreter:
         self.follow_functions(at, [target])
         name = target.name
         if name in RELEVANT:
-            self._set_to(at, target, expression)
+            self._assign_setting(at, target, expression)
             return
         old_key = self.run.variables.key_of(target)
         is_copied = target.field is None and self.run.in_main and at.source is self.run.routine.source
@@ -251,14 +265,15 @@ class Interpreter:
             self.run.understand(target.start)
         key = self.run.variables.key_of(target)
         if key != old_key:
-            self.run.variables.forget(self.run.stored(name), self._which_element(at, target, expression))
+            self.run.variables.forget(self.run.stored(name), self._unknown_element_reason(at, target, expression))
         elif not self.run.certain or key is None or target.indices == ():
             self.run.variables.forget(self.run.stored(name), str(at))
         elif value == NO_VALUE and name == "$H_POS" and target.field is None:
             return
         else:
-            unclear = isinstance(value, UnknownValue) and not (value.where if value.why else target.field is None)
-            if value == NO_VALUE or unclear:
+            # an UnknownValue that does not say by itself why the value is not known
+            needs_reason = isinstance(value, UnknownValue) and not (value.where if value.why else target.field is None)
+            if value == NO_VALUE or needs_reason:
                 value = UnknownValue(str(at), why_unknown(self.run.variables, at.source, expression))
             if target.field is None:
                 self.run.note_copy(expression, value, name)
@@ -266,8 +281,9 @@ class Interpreter:
             else:
                 self.run.variables.set_field(key, target.field, value, at)
 
-    def _which_element(self, at: Place, target: Reference, expression: Value) -> str:
-        """Return why it is not known which element an assignment writes: what it calls changes the index.
+    def _unknown_element_reason(self, at: Place, target: Reference, expression: Value) -> str:
+        """Return, as text, why it is not known which element an assignment writes: a call in its value changes the
+        index.
 
         KUKA does not say whether the index is evaluated before the value or after it.
         """
@@ -282,8 +298,11 @@ class Interpreter:
         element = at.source.text[target.start : target.stop]
         return f"{at}: which element {element} is, is not known, because the call changes its index: {change_places}"
 
-    def _set_to(self, at: Place, target: Reference, expression: Value) -> None:
-        """Follow an assignment to a variable of the controller that motions depend on."""
+    def _assign_setting(self, at: Place, target: Reference, expression: Value) -> None:
+        """Follow an assignment to a setting of motions, such as `$BASE`.
+
+        :raises ProgramError: the value cannot be read, or its effect on motion is not modelled.
+        """
         value: Value | VariableValue = expression
         if isinstance(expression, UnreadableText):
             raise expression.error
@@ -296,10 +315,13 @@ class Interpreter:
             result = self.calls.value(at, expression)
             if isinstance(expression, Call) and not isinstance(result, UnknownValue):
                 value = result
-        self._set(at, self.run.settings.assigned(self.run.settings.state, at, target, value))
+        self._change_state(at, self.run.settings.assigned(self.run.settings.state, at, target, value))
 
-    def _event(self, at: Place, event: tree.Event) -> None:
-        """Note what an INTERRUPT or a TRIGGER may change from now on."""
+    def _note_event(self, at: Place, event: tree.Event) -> None:
+        """Note what an INTERRUPT or a TRIGGER may change from now on.
+
+        :raises ProgramError: it moves the robot.
+        """
         scope = self.run.variables.scope
         effects = self.run.analysis.of_action(self.run.level.module, self.run.level.routine, at, event, scope)
         if effects.motion is not None:

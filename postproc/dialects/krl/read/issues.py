@@ -30,19 +30,19 @@ _MOST_FILES = 3
 def issues_of(
     main: MainRoutine, states: Sequence[State], state: Ints, rows: MotionColumns, layout: Layout
 ) -> Iterator[Issue]:
-    """Yield the assumptions about a program.
+    """Yield the issues about a program that has been followed.
 
     :param states: all states in force anywhere; `state` (M,) index of the state at each motion.
     """
-    yield from _absent(main)
-    yield from _uncalled(main)
-    yield from _never_reached(main)
-    yield from _changed_elsewhere(main)
-    yield from _initial_frames(main, states, state, rows, layout)
+    yield from _absent_program_warnings(main)
+    yield from _uncalled_routine_warnings(main)
+    yield from _unreachable_motion_warnings(main)
+    yield from _changed_variable_warnings(main)
+    yield from _initial_frame_warnings(main, states, state, rows, layout)
 
 
-def _absent(main: MainRoutine) -> Iterator[Issue]:
-    """Called programs that are in no file, and what they are assumed not to do.
+def _absent_program_warnings(main: MainRoutine) -> Iterator[Issue]:
+    """Yield a warning for each called program that is in no file: it is assumed not to move the robot.
 
     :raises ProgramError: one is known to move the robot.
     """
@@ -64,8 +64,8 @@ def _absent(main: MainRoutine) -> Iterator[Issue]:
         yield Issue("warning", "external-call", message, line, subject=name.upper())
 
 
-def _uncalled(main: MainRoutine) -> Iterator[Issue]:
-    """Routines of the program with motions that it does not call."""
+def _uncalled_routine_warnings(main: MainRoutine) -> Iterator[Issue]:
+    """Yield a warning for each routine of the program that has motions and is not called."""
     program = main.run.library.program
     for routine in program.routines.values():
         if routine is main.run.routine or routine in main.run.reached:
@@ -81,8 +81,8 @@ def _uncalled(main: MainRoutine) -> Iterator[Issue]:
         yield Issue("warning", "uncalled-motions", message, motion.line, subject=routine.name)
 
 
-def _never_reached(main: MainRoutine) -> Iterator[Issue]:
-    """Motions of the main routine that never run because of its RETURN."""
+def _unreachable_motion_warnings(main: MainRoutine) -> Iterator[Issue]:
+    """Yield a warning if motions of the main routine never run because of its RETURN."""
     routine, source, end = main.run.routine, main.run.routine.source, main.run.level.returned
     if not end or main.course.live is None or not isinstance(statement(source, end), Return):
         return
@@ -95,8 +95,8 @@ def _never_reached(main: MainRoutine) -> Iterator[Issue]:
         yield Issue("warning", "never-reached", message, int(lines[0]), subject=routine.name, count=len(lines))
 
 
-def _changed_elsewhere(main: MainRoutine) -> Iterator[Issue]:
-    """GLOBAL variables with values of files that other programs change, perhaps before this one runs."""
+def _changed_variable_warnings(main: MainRoutine) -> Iterator[Issue]:
+    """Yield a warning if other programs change GLOBAL variables on which motions depend."""
     variables = main.run.variables
     writers = main.run.library.writers((variables.used & variables.public) - variables.changed.keys())
     if not writers:
@@ -109,10 +109,10 @@ def _changed_elsewhere(main: MainRoutine) -> Iterator[Issue]:
     yield Issue("warning", "changed-elsewhere", message, subject=", ".join(list(writers)[:_MOST_NAMES]))
 
 
-def _initial_frames(
+def _initial_frame_warnings(
     main: MainRoutine, states: Sequence[State], state: Ints, rows: MotionColumns, layout: Layout
 ) -> Iterator[Issue]:
-    """Frames that are the cell's only because the program leaves them as BAS(#INITMOV,0) sets them."""
+    """Yield a warning for `$BASE` and `$TOOL` if they are frames of the cell only because no statement sets them."""
     axis = np.zeros(len(rows), dtype=np.bool_)
     axis[[row for row, move in layout.statements.items() if move.end.position.axis]] = True
     for name, table in (("$BASE", "[base]"), ("$TOOL", "[tool]")):
@@ -120,10 +120,10 @@ def _initial_frames(
         affected_rows = np.flatnonzero(is_assumed[state] & ~axis)
         if not len(affected_rows) and name not in main.run.settings.frames.doubtful:
             continue
-        real = "BASE(0), that is $ROBROOT" if name == "$BASE" else "TOOL_DATA[1]"
+        kuka_frame = "BASE(0), that is $ROBROOT" if name == "$BASE" else "TOOL_DATA[1]"
         message = (
             f"{name} is never set behind BAS(#INITMOV,0): {table} of the cell is assumed, but KUKA's BAS makes it "
-            f'{real}. Say in the cell which is meant: [krl] initmov = "cell" or "bas".'
+            f'{kuka_frame}. Say in the cell which is meant: [krl] initmov = "cell" or "bas".'
         )
         yield Issue(
             "warning",
@@ -138,35 +138,35 @@ def _initial_frames(
 _KEEP = "--keep-unresolved leaves motions as they are"
 
 
-def refuse_noted(run: Run) -> None:
-    """Refuse routines that are not followed and contain force comments.
+def refuse_routines_with_force_comments(run: Run) -> None:
+    """Refuse routines that are not followed, contain force comments and may move under force.
 
     :raises ProgramError: there is one; it names the statement that cannot be followed.
     """
     for call in run.moved:
         force = run.analysis.of(call.module, call.routine).force
-        if force is not None and run.analysis.cuts(call.module, call.routine):
+        if force is not None and run.analysis.may_carry_force(call.module, call.routine):
             raise _uncorrected_error(run, call, f": it contains a force comment ({force})")
 
 
-def refuse_loaded(run: Run, notes: Sequence[tuple[int, ForceNote]]) -> None:
-    """Refuse routines that are not followed and cut under the force that holds where they are called.
+def refuse_routines_under_force(run: Run, notes: Sequence[tuple[int, ForceNote]]) -> None:
+    """Refuse routines that are not followed and are called where a force comment holds.
 
     :param notes: force comments of the trace, by its lines.
     :raises ProgramError: there is one; it names the statement that cannot be followed.
     """
     for call in run.moved:
         acting_notes = [note for line, note in notes if line < call.row][-1:]
-        if acting_notes and any(acting_notes[0].wrench) and run.analysis.cuts(call.module, call.routine):
+        if acting_notes and any(acting_notes[0].wrench) and run.analysis.may_carry_force(call.module, call.routine):
             raise _uncorrected_error(run, call, ": a force comment holds there")
 
 
-def unfollowed(run: Run) -> tuple[UnfollowedCall, ...]:
-    """Return the calls of routines that are not followed and cut."""
+def unfollowed_calls(run: Run) -> tuple[UnfollowedCall, ...]:
+    """Return the calls of routines that are not followed and that may move under force."""
     return tuple(
         UnfollowedCall(run.trace.shown_line(call.row), _uncorrected_error(run, call))
         for call in run.moved
-        if run.analysis.cuts(call.module, call.routine)
+        if run.analysis.may_carry_force(call.module, call.routine)
     )
 
 

@@ -15,7 +15,7 @@ from postproc.dialects.krl.course import Branch, Course, Fork, Join, Occasion, U
 from postproc.dialects.krl.layout import CONSTANT
 from postproc.dialects.krl.read.motions import OrderedMotions, settings_at
 from postproc.dialects.krl.read.settings import Settings
-from postproc.dialects.krl.read.unresolved import needs_start
+from postproc.dialects.krl.read.unresolved import depends_on_start
 from postproc.errors import Issue, ProgramError
 from postproc.frames import Array, inverse
 from postproc.program import PTP, SPL, Carriage, ForceNote, Ints, Motions, Starts
@@ -176,7 +176,7 @@ def branching(
             faults.append(_branch_error(course, forks, ends.fork, problem, _PTP_ADVICE))
     _raise_combined(faults)
     for row in np.flatnonzero(branch_predecessors != np.arange(len(line)) - 1).tolist():
-        if branch_predecessors[row] != row and needs_start(sequence, row, arcs=False):
+        if branch_predecessors[row] != row and depends_on_start(sequence, row, arcs=False):
             problem = f"{_start_dependence(sequence, row)} where branches begin or meet"
             faults.append(_branch_error(course, forks, int(fork_of[row]), problem, _WHOLE))
     _raise_combined(faults)

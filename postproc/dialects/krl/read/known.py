@@ -28,7 +28,7 @@ class UnknownValue(Struct, frozen=True):
     why: str = ""
 
     def message_for(self, name: str) -> str:
-        """Return for a message that a variable has no known value, and why."""
+        """Return the part of a message that says that a variable has no known value, and why."""
         if self.why:
             return f"{name} is set to a value that is not known ({': '.join(filter(None, (self.where, self.why)))})"
         if self.where:
@@ -82,7 +82,7 @@ class Scope(Struct, frozen=True):
     arrays: frozenset[str] = frozenset()
 
     def stored(self, name: str) -> str:
-        """Return the name under which a variable (upper case) is stored."""
+        """Return the name under which a variable (upper case) is stored; variables of other scopes have other names."""
         if name[0] == "$":
             return name  # variables of the controller: no file declares its own
         local = self.local.get(name)
@@ -107,13 +107,16 @@ class UnresolvedError(ProgramError):
     """A value that a motion depends on is not known before run time."""
 
 
-def unresolved(cause: ProgramError) -> UnresolvedError:
-    """Return the error as an `UnresolvedError`."""
+def unresolved_error(cause: ProgramError) -> UnresolvedError:
+    """Return an error as one of a value that is not known before the program runs."""
     return UnresolvedError(cause.problem, file=cause.file, line=cause.line, text=cause.text, advice=cause.advice)
 
 
-def inexact(at: Place, problem: str, advice: str | None = None, routine: Routine | None = None) -> InexactError:
-    """Return the `InexactError` for a line."""
+def inexact_error(at: Place, problem: str, advice: str | None = None, routine: Routine | None = None) -> InexactError:
+    """Return the error that the branch taken, or the number of iterations, is not known at a line.
+
+    :param routine: see `InexactError`.
+    """
     base = at.error(problem, advice)
     error = InexactError(base.problem, file=base.file, line=base.line, text=base.text, advice=base.advice)
     error.routine = routine

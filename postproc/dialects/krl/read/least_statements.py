@@ -36,7 +36,7 @@ class LeastStatements:
         self._open: list[Routine] = []
 
     def of_call(self, module: Module, routine: Routine) -> int:
-        """Return how many statements a call runs at least."""
+        """Return a lower bound on the number of statements that a call runs."""
         if routine in self._open or len(self._open) > _DEEPEST:
             return 0
         if routine not in self._routines:
@@ -49,13 +49,13 @@ class LeastStatements:
         return self._routines[routine]
 
     def of_round(self, source: Source, block: Block, module: Module) -> int:
-        """Return how many statements one round of a loop runs at least, its own line included."""
+        """Return a lower bound on the number of statements that one round of a loop runs, its own line included."""
         if block not in self._rounds:
             self._rounds[block] = 1 + self._of_nodes(source, block.parts[0].nodes, module)
         return self._rounds[block]
 
-    def writes(self, source: Source, block: Block, name: str, module: Module) -> bool:
-        """Return whether statements of a loop may write its counter."""
+    def may_write(self, source: Source, block: Block, name: str, module: Module) -> bool:
+        """Return whether statements of a loop may write its counter, `name`."""
         for line in list(block.lines())[1:]:
             stmt = statement(source, line)
             if isinstance(stmt, Assignment) and stmt.target.name == name:
@@ -72,7 +72,10 @@ class LeastStatements:
         return False
 
     def _of_nodes(self, source: Source, nodes: Sequence[Node], module: Module) -> int:
-        """Return how many run for certain: those before the first that may leave the loop or the routine."""
+        """Return a lower bound on the number of statements that nodes run.
+
+        Counting stops at the first that may leave the loop or the routine.
+        """
         count = 0
         for node in nodes:
             words = {statement(source, line).word for line in node.lines()} if isinstance(node, Block) else set()
@@ -84,7 +87,7 @@ class LeastStatements:
             stmt = statement(source, node)
             if isinstance(stmt, Return | Goto) or stmt.word in ENDS_LOOPS:
                 break
-            call = self._called(source, node)
+            call = self._certain_call(source, node)
             callee = None if call is None else self.run.library.find(call.name, module)
             count += 1 if callee is None else 1 + self.of_call(*callee)
         return count
@@ -92,12 +95,12 @@ class LeastStatements:
     def _of_block(self, source: Source, block: Block, module: Module, *, left: bool) -> int:
         """Return a lower bound on the number of statements that a control structure runs.
 
-        :param left: whether EXIT may end it early; the bound is 0 then.
+        :param left: True if EXIT may end it early; the bound is 0 then.
         """
         if block.word == "IF" and len(block.parts) > 1:
             return min(self._of_nodes(source, part.nodes, module) for part in block.parts)
         stmt = statement(source, block.first)
-        if not isinstance(stmt, For) or stmt.bounds is None or left or self.writes(source, block, stmt.name, module):
+        if not isinstance(stmt, For) or stmt.bounds is None or left or self.may_write(source, block, stmt.name, module):
             return 0
         first, last, step = stmt.bounds
         numbers = [value.value for value in (first, last, step or Number(1.0, 0, 0, True)) if isinstance(value, Number)]
@@ -106,8 +109,8 @@ class LeastStatements:
         rounds = max(0, int((numbers[1] - numbers[0]) // numbers[2]) + 1)
         return rounds * self.of_round(source, block, module) if rounds else 0
 
-    def _called(self, source: Source, line: int) -> Call | None:
-        """Return the call of a statement that runs for certain."""
+    def _certain_call(self, source: Source, line: int) -> Call | None:
+        """Return the call that a statement makes; None if it makes none."""
         stmt = statement(source, line)
         if isinstance(stmt, CallStatement):
             return stmt.call

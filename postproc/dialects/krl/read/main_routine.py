@@ -40,7 +40,7 @@ from postproc.dialects.krl.read.flow import Flow
 from postproc.dialects.krl.read.folder import Library
 from postproc.dialects.krl.read.interpreter import JUMP_ADVICE
 from postproc.dialects.krl.read.motion_reader import MotionReader
-from postproc.dialects.krl.read.plain_lines import PlainLines, not_plain
+from postproc.dialects.krl.read.plain_lines import PlainLines, is_not_plain
 from postproc.dialects.krl.read.plain_rounds import ElementMotions, columns_of
 from postproc.dialects.krl.read.plain_settings import PlainAssignments, PlainSettings
 from postproc.dialects.krl.read.run import Run
@@ -73,7 +73,7 @@ class Start(Struct, frozen=True, eq=False):
     joints: tuple[float, ...]
 
     def collected(self, trace: Trace | None = None, *, has_rows: bool = True) -> CollectedMotions:
-        """Return motions to be collected, none yet.
+        """Return an empty collection of motions for a run of the program.
 
         :param trace: the execution trace; None: that of a program whose lines run one after the other.
         :param has_rows: see `Run.has_rows`.
@@ -85,12 +85,13 @@ class Start(Struct, frozen=True, eq=False):
 
 
 def course_of(start: Start) -> tuple[Course, CollectedMotions | None]:
-    """Return the lines of a program in the order in which they run, and the motions that they make.
+    """Return the execution trace of a program, and the motions that its statements have made.
 
-    There are no motions where the statements must run once more, along the complete trace: where branches meet that may
-    both run, something is kept, rounds are taken as columns, or a statement is wrong.
+    The motions are None if the statements must run once more, along the complete trace. That is so if branches meet
+    that may both run, if something is left as it is, if rounds are taken as columns, or if a statement is wrong.
 
-    :raises ProgramError: that order is not known before the program runs, or a control structure is none.
+    :raises ProgramError: the order of execution is not known before the program runs, or a control structure is not
+        closed.
     """
     if not start.cell.krl.keep_unresolved:
         with suppress(ProgramError):  # its message may depend on the trace, which is not complete
@@ -107,8 +108,8 @@ def _course(start: Start, *, collects: bool) -> tuple[Course, CollectedMotions |
     recorder = Recorder(main)
     collected = start.collected(has_rows=collects)
     run, settings = collected.run, collected.run.settings
-    reserved_names = library.programs() if settings.cell.output.lines_per_file else frozenset[str]()
-    lines, free_settings = _one_by_one(main.source, main.others, main.settings)
+    reserved_names = library.program_names() if settings.cell.output.lines_per_file else frozenset[str]()
+    lines, free_settings = _split_plain_settings(main.source, main.others, main.settings)
     nodes = checked_nodes(main.source, nodes_of(main.source, lines))
     settings.follows_numbers = len(free_settings) <= _MOST_SETTINGS  # else plain ones are no statements here
     run.is_final = collects and settings.follows_numbers
@@ -120,18 +121,18 @@ def _course(start: Start, *, collects: bool) -> tuple[Course, CollectedMotions |
             collected.take(at, stmt)
 
     def wrong(_at: Place, _cause: ProgramError) -> None:
-        """Note that a statement has an error: it is reported when the recorded trace is followed."""
-        run.is_final = False  # reported when the trace is followed
+        """Note that a statement has an error; it is reported when the recorded trace is followed."""
+        run.is_final = False
 
     flow = Flow(run, taken, wrong, recorder)
-    control = (node for node in nodes if isinstance(node, Block) or _calls(main, node))
+    control = (node for node in nodes if isinstance(node, Block) or _may_leave_line(main, node))
     if not _returns_early(main) and not any(flow.belongs_in_trace(main.source, node) for node in control):
         body = Body(main.first + 1, main.last)
         steps = (Lines(main.first + 1, main.last - 1),)
         return Course(main, run.trace, steps, body, taken=reserved_names), None
     if settings.follows_numbers and len(free_settings):
         nodes = nodes_of(main.source, main.lines)
-    _submitted(run)
+    _note_submit_programs(run)
     flow.follow(main.source, nodes)
     if run.level.jump:
         raise _jump_error(main, flow, run.level.jump)
@@ -150,7 +151,7 @@ def _course(start: Start, *, collects: bool) -> tuple[Course, CollectedMotions |
 
 
 def _jump_error(main: Routine, flow: Flow, line: int) -> ProgramError:
-    """Return the error of a GOTO in a line whose label cannot be reached."""
+    """Return the error that the label of a GOTO on a line cannot be reached."""
     label = flow.label_of(main.source, line)
     problem = f"there is no label {label} in {main.name}"
     if label in flow.labels(main.source, main.others):
@@ -158,21 +159,21 @@ def _jump_error(main: Routine, flow: Flow, line: int) -> ProgramError:
     return main.source.line_error(problem, line, JUMP_ADVICE)
 
 
-def _calls(main: Routine, line: int) -> bool:
-    """Return whether a statement may lead to other lines than the next one."""
+def _may_leave_line(main: Routine, line: int) -> bool:
+    """Return whether a statement may run other lines before the next one: it is a GOTO, or calls something."""
     stmt = statement(main.source, line)
     return isinstance(stmt, Goto) or ("(" in main.source.text[stmt.start : stmt.stop] and not isinstance(stmt, Motion))
 
 
 def _returns_early(main: Routine) -> bool:
-    """Return whether RETURN may leave the main routine before its last statement."""
+    """Return whether RETURN may end the main routine before its last statement."""
     last = max([*main.others[-1:], *main.plain[-1:].tolist()], default=0)
     return any(line < last and isinstance(statement(main.source, line), Return) for line in main.others)
 
 
-def _submitted(run: Run) -> None:
-    """Note what submit programs write all the time."""
-    for module in run.library.submit():
+def _note_submit_programs(run: Run) -> None:
+    """Note that the variables which submit programs write may change at any time."""
+    for module in run.library.submit_programs():
         for routine in module.routines.values():
             effects = run.analysis.of(module, routine)
             run.may_change(effects.writes | effects.anytime, f"the submit program {module.name}")
@@ -194,7 +195,7 @@ class MainRoutine:
         self.run, self.reader = collected.run, collected.reader
         self._collected = collected
         self.motions, self.still, self.splines = collected.motions, collected.still, collected.splines
-        self._flow = Flow(self.run, self._motion, self._fault)
+        self._flow = Flow(self.run, self._take_motion, self._note_fault)
         self._errors: list[ProgramError] = []
         self._broken: set[str] = set()
         self.rounds: list[ElementMotions] = []
@@ -209,7 +210,7 @@ class MainRoutine:
     @cached_property
     def _others(self) -> Bools:
         """Which lines are not plain."""
-        return not_plain(len(self.run.trace), self._moving, self._settings)
+        return is_not_plain(len(self.run.trace), self._moving, self._settings)
 
     @cached_property
     def _trigger_lines(self) -> frozenset[int]:
@@ -224,7 +225,7 @@ class MainRoutine:
     @cached_property
     def _lines(self) -> Sequence[int]:
         """The lines that have code and are neither plain nor in plain rounds."""
-        return self.run.routine.others if self.course.straight else self._apart_from_rounds()
+        return self.run.routine.others if self.course.straight else self._lines_outside_rounds()
 
     def follow(self, faults: Sequence[ProgramError]) -> None:
         """Run the statements of the execution trace in order: collect motions, settings and errors.
@@ -236,18 +237,18 @@ class MainRoutine:
         fault = fault_of(run.routine.name)
         if fault:
             raise run.routine.source.line_error(f"{run.routine.name} is not a valid name: {fault}", run.routine.first)
-        _submitted(run)
+        _note_submit_programs(run)
         self._errors += faults
-        lines = self._come_to_settings()
+        lines = self._split_settings()
         for step in self.course.steps:
             if isinstance(step, Lines):
-                self._run(step, lines[step])
+                self._run_step(step, lines[step])
             elif isinstance(step, UnresolvedStructure):
-                self._keep(step)
+                self._pass_structure(step)
             elif isinstance(step, Fork | Branch | Join):
-                self._divide(step)
+                self._follow_division(step)
             elif isinstance(step, RoutineEntry):
-                self._enter(step)
+                self._enter_routine(step)
             else:
                 self._flow.interpreter.calls.leave()
             if len(self._errors) > MAX_ERRORS:
@@ -269,27 +270,32 @@ class MainRoutine:
                 {(error.file, error.line, error.problem): error for error in reversed(errors)}.values()
             )
 
-    def _between(self, step: Lines | UnresolvedStructure) -> tuple[Sequence[int], Sequence[int]]:
-        """Return the lines of a step that are not plain, and those that are settings."""
+    def _lines_of_step(self, step: Lines | UnresolvedStructure) -> tuple[Sequence[int], Sequence[int]]:
+        """Return the lines of a step that are not plain, and its lines with plain settings."""
         lines, setting_lines = self._lines, self._setting_lines
         step_settings = setting_lines[bisect_left(setting_lines, step.first) : bisect_right(setting_lines, step.last)]
         return lines[bisect_left(lines, step.first) : bisect_right(lines, step.last)], step_settings
 
-    def _come_to_settings(self) -> dict[Lines, Sequence[int]]:
-        """Apply plain settings at their lines; return the lines that are run one by one."""
-        step_lines, free = {}, np.zeros(len(self.run.trace) + 1, dtype=np.bool_)
+    def _split_settings(self) -> dict[Lines, Sequence[int]]:
+        """Return the lines of each step that are run one by one, and make the other plain settings come into force
+        there.
+        """
+        step_lines, is_free_line = {}, np.zeros(len(self.run.trace) + 1, dtype=np.bool_)
         for step in self.course.steps:
             if isinstance(step, Lines):
-                step_lines[step], free_lines = _one_by_one(self.run.trace, *self._between(step))
+                step_lines[step], free_lines = _split_plain_settings(self.run.trace, *self._lines_of_step(step))
                 if len(free_lines):
-                    free[free_lines] = True
+                    is_free_line[free_lines] = True
         settings = self._settings
-        is_free = free[settings.line]
+        is_free = is_free_line[settings.line]
         self.run.settings.coming = PlainAssignments(PlainSettings(settings.line[is_free], settings.values[:, is_free]))
         return step_lines
 
-    def _run(self, step: Lines, lines: Sequence[int]) -> None:
-        """Run the lines of a step; `lines` one by one."""
+    def _run_step(self, step: Lines, lines: Sequence[int]) -> None:
+        """Run the lines of a step that are not plain, and its plain rounds, in order.
+
+        :param lines: those of its lines that are run one by one.
+        """
         run = self.run
         nodes: list[tuple[int, Node | PlainRounds]] = [
             (node if isinstance(node, int) else node.first, node) for node in nodes_of(run.trace, lines)
@@ -304,13 +310,13 @@ class MainRoutine:
             if isinstance(node, PlainRounds):
                 self._follow_rounds(node)
                 continue
-            self._follow(node)
+            self._follow_node(node)
             if run.level.returned:
                 return
         run.settings.come_to(step.last + 1)
 
     def _follow_rounds(self, rounds: PlainRounds) -> None:
-        """Take plain rounds at once if possible, else one by one."""
+        """Take all plain rounds of a FOR at once if that is possible, else one by one."""
         run = self.run
         moves = computed_motions(run, self.reader, rounds) if rounds.body.is_computed else None
         if moves is not None:
@@ -332,10 +338,10 @@ class MainRoutine:
         if trigger_rows:
             run.triggers[count:] = np.sort(np.concatenate(trigger_rows)).tolist()
 
-    def _follow(self, node: Node, number: int | None = None) -> None:
-        """Run a row of the trace, or a control structure by its rows.
+    def _follow_node(self, node: Node, number: int | None = None) -> None:
+        """Run a row of the trace, or a control structure given by its rows.
 
-        :param number: of the counter that the row assigns, if it is one of plain rounds.
+        :param number: value of the counter that the row sets in plain rounds; None for other rows.
         """
         row = node.first if isinstance(node, Block) else node
         at = self.run.come_to(row)
@@ -350,23 +356,27 @@ class MainRoutine:
             self._flow.set_counter(at, stmt.counter, number)
 
     def _follow_lines(self, lines: Ints, rounds: PlainRounds | None = None) -> None:
-        """Follow the lines of a trace that are not read in bulk, with the counter of plain rounds."""
-        for line in _coded(self.run.trace, lines[self._others[lines - 1]]):
-            self.run.settings.come_to(line)
-            self._follow(line, None if rounds is None else rounds.number(line))
+        """Run those of some rows of the trace that are not read in bulk.
 
-    def _apart_from_rounds(self) -> list[int]:
-        """Return the lines of a trace that have code and are neither plain nor in plain rounds."""
+        :param rounds: the plain rounds that contain them, whose counter they set; None outside of such rounds.
+        """
+        for line in _rows_with_code(self.run.trace, lines[self._others[lines - 1]]):
+            self.run.settings.come_to(line)
+            self._follow_node(line, None if rounds is None else rounds.number(line))
+
+    def _lines_outside_rounds(self) -> list[int]:
+        """Return the rows of the trace that have code and are neither plain nor in plain rounds."""
         is_other = self._others.copy()
         for rounds in self._rounds:
             is_other[rounds.first - 1 : rounds.beyond - 1] = False
-        return _coded(self.run.trace, np.flatnonzero(is_other) + 1)
+        return _rows_with_code(self.run.trace, np.flatnonzero(is_other) + 1)
 
     def executed(self, plain: Ints) -> Bools:
-        """Return which plain motions (n,), by their lines, are those of the course.
+        """Return which of n plain motions run (n,).
 
-        A running sum of +1 where steps of the course begin and −1 behind their ends is above zero inside them.
+        A running sum of +1 where steps of the trace begin and −1 behind their ends is above zero inside them.
 
+        :param plain: (n,) lines of the motions in the trace.
         :raises ProgramError: one of them is outside of DEF … END.
         """
         steps = np.array([(s.first, s.last) for s in self.course.steps if isinstance(s, Lines)]).reshape(-1, 2)
@@ -391,7 +401,7 @@ class MainRoutine:
         return not any(first < line < last for line in self.splines.ended)
 
     def only_comments(self, first: int, last: int) -> bool:
-        """Return whether the lines first … last hold nothing but comments and other TRIGGERs."""
+        """Return whether the rows first … last of the trace contain nothing but comments and TRIGGERs."""
         trace = self.run.trace
         for row in range(first, last + 1):
             source, line = trace.place(row)
@@ -400,8 +410,8 @@ class MainRoutine:
                 return False
         return True
 
-    def _enter(self, step: RoutineEntry) -> None:
-        """Enter a called routine: bind its arguments."""
+    def _enter_routine(self, step: RoutineEntry) -> None:
+        """Enter a called routine: set its parameters."""
         at = self.run.come_to(step.row)
         stmt = statement(at.source, at.line)
         if isinstance(stmt, CallStatement):
@@ -409,8 +419,8 @@ class MainRoutine:
                 self._flow.interpreter.calls.call(at, inner, certain=False)
             self._flow.interpreter.calls.enter(at, stmt.call, step.module, step.routine)
 
-    def _divide(self, step: Fork | Branch | Join) -> None:
-        """Store, exchange or merge values at a fork, a branch or a join."""
+    def _follow_division(self, step: Fork | Branch | Join) -> None:
+        """Store, restore or merge the values of variables, at a fork, a branch or a join."""
         self.run.row = step.row
         if isinstance(step, Fork):
             self.run.fork()
@@ -419,10 +429,13 @@ class MainRoutine:
         else:
             self.run.join(self.run.trace.place(step.row), complete=step.complete)
 
-    def _keep(self, step: UnresolvedStructure) -> None:
-        """Pass over a control structure of which it is not known what runs; its motions stay as they are."""
+    def _pass_structure(self, step: UnresolvedStructure) -> None:
+        """Pass over a control structure whose branch taken is not known.
+
+        Variables that it may write become unknown, and its motions stay uncorrected.
+        """
         run = self.run
-        lines, setting_lines = self._between(step)
+        lines, setting_lines = self._lines_of_step(step)
         for node in nodes_of(run.trace, sorted([*lines, *setting_lines])):
             if isinstance(node, Block):
                 at = run.come_to(node.first)
@@ -432,33 +445,35 @@ class MainRoutine:
         run.unresolved += [(line, step.why) for line in moving.tolist()]
         run.unresolved = [*dict(run.unresolved).items()]
 
-    def _fault(self, at: Place, cause: ProgramError) -> None:
-        """Note an error of a statement, unless it follows from an earlier error."""
+    def _note_fault(self, at: Place, cause: ProgramError) -> None:
+        """Note an error of a statement, unless it names a variable whose own statement had an error."""
         names = [name.upper() for name in NAME.findall(at.source.text, *at.source.code_span(at.line))]
         if self._broken.isdisjoint(names):
             self._errors.append(cause)
         self._broken.update(name for name in names[:1] if name not in FIELDS and name not in _INSTRUCTIONS)
 
-    def _motion(self, at: Place, stmt: Statement) -> None:
-        """Take a motion of the course."""
+    def _take_motion(self, at: Place, stmt: Statement) -> None:
+        """Run the functions in a motion, and collect it."""
         self._flow.interpreter.follow_functions(at, stmt.values)
         self._collected.take(at, stmt)
 
 
-def _one_by_one(source: Source | Trace, lines: Sequence[int], settings: Sequence[int]) -> tuple[Sequence[int], Ints]:
-    """Return the lines, or rows, that are run one by one, and settings that are not.
+def _split_plain_settings(
+    source: Source | Trace, lines: Sequence[int], settings: Sequence[int]
+) -> tuple[Sequence[int], Ints]:
+    """Return the lines, or rows, that are run one by one, and those of plain settings that are not.
 
-    One by one: those given, and settings in control structures.
+    The former are `lines` and the settings inside control structures.
     """
     setting_lines = np.array(settings, dtype=np.int64)
     if not settings:
         return lines, setting_lines
-    free = is_outside(source, lines, setting_lines)
-    return (lines if free.all() else sorted([*lines, *setting_lines[~free].tolist()])), setting_lines[free]
+    is_free = is_outside(source, lines, setting_lines)
+    return (lines if is_free.all() else sorted([*lines, *setting_lines[~is_free].tolist()])), setting_lines[is_free]
 
 
-def _coded(trace: Trace, rows: Ints) -> list[int]:
-    """Return those of some rows that have code, in order."""
+def _rows_with_code(trace: Trace, rows: Ints) -> list[int]:
+    """Return those of some rows of a trace that have code, in order."""
     has_code = trace.is_count[rows - 1].copy()
     file, line = trace.file[rows - 1], trace.line[rows - 1]
     for number, source in enumerate(trace.sources):
@@ -471,6 +486,6 @@ def _coded(trace: Trace, rows: Ints) -> list[int]:
 
 
 def _is_code(source: Source, line: int) -> bool:
-    """Return whether a line has code; lines for the editor, as ``&ACCESS``, have none."""
+    """Return whether a line has code; a header line such as ``&ACCESS`` has none."""
     start, stop = source.code_span(line)
     return start < stop and source.text[start] != "&"

@@ -86,19 +86,20 @@ class MotionCollector:
             self._convert()
 
     def _convert(self) -> None:
-        self._done.append(_of_moves(self._waiting))
+        """Convert the waiting statements to columns."""
+        self._done.append(_columns_of(self._waiting))
         self._waiting = []
 
     def rows(self) -> MotionColumns:
-        """Return all statements as rows: for a plain line the same as `plain_lines` gives.
+        """Return all statements as columns; those of plain lines equal what `plain_lines` reads.
 
         Numbers of axis and relative targets are left out, except E1…E6.
         """
         self._convert()
-        return merged([*self._done], np.arange(len(self.states)))
+        return merged_motions([*self._done], np.arange(len(self.states)))
 
 
-def _of_moves(moves: Sequence[MotionStatement]) -> MotionColumns:
+def _columns_of(moves: Sequence[MotionStatement]) -> MotionColumns:
     """Return motion statements as columns.
 
     Spans of components count from the beginning of their target, which takes fewer bytes.
@@ -129,9 +130,11 @@ def _of_moves(moves: Sequence[MotionStatement]) -> MotionColumns:
         compact(np.array([move.line for move in moves], dtype=np.int64), np.int32),
         compact(np.array([move.kind for move in moves], dtype=np.int64), np.int8),
         numbers,
-        postures(np.array([(move.end.position.status, move.end.position.turn) for move in moves]).reshape(-1, 2)),
-        given(external),
-        narrow(component_spans),
+        compact_postures(
+            np.array([(move.end.position.status, move.end.position.turn) for move in moves]).reshape(-1, 2)
+        ),
+        compact_if_missing(external),
+        narrow_integers(component_spans),
         _offsets([move.keyword[0] for move in moves]),
         _offsets([(move.end.start, move.end.stop) for move in moves]).reshape(-1, 2),
         _offsets([(move.tail, move.stop) for move in moves]).reshape(-1, 2),
@@ -142,23 +145,26 @@ def _of_moves(moves: Sequence[MotionStatement]) -> MotionColumns:
     )
 
 
-def given(column: Array) -> Array:
-    """Return a column; instead of one that is NaN throughout, one that takes no memory."""
+def compact_if_missing(column: Array) -> Array:
+    """Return a column; one that is NaN throughout becomes a read-only one that takes no memory."""
     return np.broadcast_to(np.nan, column.shape) if np.isnan(column).all() else column.copy()
 
 
-def postures(numbers: NDArray[Any]) -> Ints:
-    """Return S and T (R, 2) in two bytes each; in none if all are −1."""
+def compact_postures(numbers: NDArray[Any]) -> Ints:
+    """Return S and T (R, 2) as integers of two bytes; as a read-only column that takes no memory if all are −1."""
     return compact(np.broadcast_to(np.int64(-1), numbers.shape) if (numbers == -1).all() else numbers, np.int16)
 
 
-def narrow(numbers: NDArray[Any]) -> NDArray[np.unsignedinteger[Any]]:
-    """Return whole numbers ≥ 0 in as few bytes as they need."""
+def narrow_integers(numbers: NDArray[Any]) -> NDArray[np.unsignedinteger[Any]]:
+    """Return integers ≥ 0 in the smallest type that holds them."""
     return np.asarray(numbers.astype(np.min_scalar_type(int(numbers.max(initial=0)))))
 
 
 def no_circles(count: int) -> tuple[Array, Offsets, Ints]:
-    """Return the columns of auxiliary points of motions that have none: read-only, they take no memory."""
+    """Return the auxiliary points of motions that have none: `via`, `via_spans` and `via_target` of `MotionColumns`.
+
+    The columns are read-only and take no memory.
+    """
     spans, target = np.array(-1, dtype=np.int32), np.array(-1, dtype=np.int64)
     return (
         np.broadcast_to(np.nan, (count, 3)),
@@ -168,15 +174,16 @@ def no_circles(count: int) -> tuple[Array, Offsets, Ints]:
 
 
 def _offsets(values: Sequence[object]) -> Offsets:
+    """Return offsets as 32-bit integers."""
     return np.array(values, dtype=np.int32)
 
 
-def merged(parts: list[MotionColumns], place: Ints) -> MotionColumns:
-    """Return the motions of some parts (at least one) at the places (R,) that they have among all of them.
+def merged_motions(parts: list[MotionColumns], place: Ints) -> MotionColumns:
+    """Return the motions of at least one part, each at its place among all R motions.
 
     The list is emptied, so that each column of the parts can be released when it has been copied.
 
-    :param place: for the motions of the first part, then for those of the next, …
+    :param place: (R,) places of the motions of the first part, then of those of the next, …
     """
     destinations, begin = [], 0
     for rows in parts:
@@ -190,7 +197,7 @@ def merged(parts: list[MotionColumns], place: Ints) -> MotionColumns:
     merged_columns = []
     while waiting[0]:
         values = [columns.pop() for columns in waiting]
-        column = _room(len(place), values)
+        column = _empty_column(len(place), values)
         if column.flags.writeable:
             for destination, part_values in zip(destinations, values, strict=True):
                 column[destination] = part_values
@@ -198,14 +205,17 @@ def merged(parts: list[MotionColumns], place: Ints) -> MotionColumns:
     return MotionColumns(*merged_columns)
 
 
-def _room(count: int, parts: Sequence[Any]) -> Any:
-    """Return a column of `count` motions to be filled; one that takes no memory if all parts have such."""
+def _empty_column(count: int, parts: Sequence[Any]) -> Any:
+    """Return a column of `count` motions that is to be filled.
+
+    If all parts have a column that takes no memory, so does the result, which is then complete.
+    """
     nonempty_parts = [values for values in parts if len(values)]
     if nonempty_parts and all(values.strides[0] == 0 for values in nonempty_parts):
         return np.broadcast_to(nonempty_parts[0][0], (count, *nonempty_parts[0].shape[1:]))
     return np.empty((count, *parts[0].shape[1:]), np.result_type(*parts))
 
 
-def none() -> MotionColumns:
-    """Return no motions."""
-    return _of_moves([])
+def no_motions() -> MotionColumns:
+    """Return columns without a motion."""
+    return _columns_of([])

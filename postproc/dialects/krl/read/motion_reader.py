@@ -13,8 +13,8 @@ from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.language.tree import Assignment, Motion, Spline, Statement, Tail
 from postproc.dialects.krl.language.values import Aggregate, Reference, UnreadableText, Value, walk
 from postproc.dialects.krl.read.explanations import why_unknown
-from postproc.dialects.krl.read.frames import out_of_reach
-from postproc.dialects.krl.read.known import NO_VALUE, unresolved
+from postproc.dialects.krl.read.frames import out_of_reach_error
+from postproc.dialects.krl.read.known import NO_VALUE, unresolved_error
 from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.state import RELEVANT, State, fields_used
 from postproc.errors import ProgramError
@@ -43,19 +43,20 @@ RUN_TIME_ADVICE = (
 )
 
 
-def from_here(motion: Motion) -> bool:
-    """Return whether the target of a motion depends on the robot position: it is relative, asks for that, or lacks
-    components.
+def depends_on_position(motion: Motion) -> bool:
+    """Return whether the target of a motion depends on the robot position before it.
+
+    It does if it is relative, lacks components, or is computed from that position.
     """
     points = [point for point in (motion.via, motion.end) if isinstance(point, Aggregate)]
     cartesian = [point.items.keys() & CARTESIAN for point in points]
     axes = [point.items.keys() & AXES for point in points]
     is_incomplete = any(0 < len(names) < len(CARTESIAN) for names in (*cartesian[-1:], *axes))
-    return is_incomplete or motion.word.endswith("_REL") or asks_position(motion)
+    return is_incomplete or motion.word.endswith("_REL") or reads_robot_position(motion)
 
 
-def stays(motion: Motion) -> bool:
-    """Return whether a motion leads to where the robot is: ``PTP $POS_ACT``, ``LIN $POS_ACT``.
+def keeps_position(motion: Motion) -> bool:
+    """Return whether a motion leads to the present robot position, as ``PTP $POS_ACT`` does.
 
     :raises ProgramError: its target cannot be read.
     """
@@ -66,8 +67,8 @@ def stays(motion: Motion) -> bool:
     return isinstance(motion.end, Reference) and motion.end.name in ROBOT_POSITIONS and motion.end.field is None
 
 
-def asks_position(stmt: Statement) -> bool:
-    """Return whether a statement asks where the robot is."""
+def reads_robot_position(stmt: Statement) -> bool:
+    """Return whether a statement reads the present robot position."""
     try:
         return any(isinstance(value, Reference) and value.name in ROBOT_POSITIONS for value in walk(stmt.values))
     except ProgramError:
@@ -86,56 +87,62 @@ class MotionReader:
         self.home_used = 0
 
     def read(self, at: Place, motion: Motion, row: int) -> tuple[MotionStatement | None, State, list[int]]:
-        """Return the motion of a statement, or None where it only asks for the present position, and what it names.
+        """Return the motion of a statement with the settings for it; None if it only leads to the present position.
 
+        :param row: row of the execution trace.
         :returns: the motion; the settings in force for it; offsets of the names whose values it uses.
         :raises ProgramError: it is not understood, or its target is not known before the program runs.
         """
         name = motion.word.removesuffix("_REL")
         kind, relative = KINDS[name], motion.frame or ("#BASE" if motion.word != name else "")
-        names: list[int] = []
+        name_offsets: list[int] = []
         via = angle = None
         if motion.via is not None:
-            via = self._point(at, motion.via, names, row)
+            via = self._point(at, motion.via, name_offsets, row)
             if not via or motion.end is None:
                 raise at.error(
                     f"{motion.word} needs an auxiliary point and an end point",
                     advice="Write the auxiliary point, a comma and the end point.",
                 )
-        if stays(motion):
-            return None, self.settings.state, names
-        end = None if motion.end is None else self._point(at, motion.end, names, row)
+        if keeps_position(motion):
+            return None, self.settings.state, name_offsets
+        end = None if motion.end is None else self._point(at, motion.end, name_offsets, row)
         if end is None:
             problem = f"{motion.word}: the target is not known: it is the current robot position"
-            raise unresolved(at.error(problem, RUN_TIME_ADVICE))
+            raise unresolved_error(at.error(problem, RUN_TIME_ADVICE))
         if motion.angle is not None:
             angle = self._angle(at, motion.angle)
         state, is_approximated = self.tail(at, kind, motion.tail, (motion.end, motion.via))
-        self._check(at, motion.word, kind, end, via)
+        self._check_axis_target(at, motion.word, kind, end, via)
         try:
             self.settings.refuse_uncertain(
                 state, fields_used(kind, axis=end.position.axis, is_approximated=is_approximated)
             )
         except ProgramError as cause:
-            raise unresolved(cause) from None
+            raise unresolved_error(cause) from None
         keyword = (motion.start, motion.start + len(motion.word))
         frame_span = None if motion.frame_behind is None else (motion.frame_behind.start, motion.frame_behind.stop)
         tail = motion.tail
         move = MotionStatement(
             row, kind, keyword, end, relative, via, angle, tail.start, tail.stop, is_approximated, frame_span
         )
-        return move, state, names
+        return move, state, name_offsets
 
     def block(self, at: Place, spline: Spline) -> State:
-        """Return the settings in force within a spline block: those of its WITH apply to this block only.
+        """Return the settings within a spline block; those of its WITH hold in this block only.
 
-        :raises ProgramError: it is not understood.
+        :raises ProgramError: its WITH or its approximation is not understood.
         """
         state, _ = self.tail(at, LIN, spline.tail)
         return replace(state, block=spline.word)
 
-    def _point(self, at: Place, value: Value, names: list[int], row: int) -> Point | None:
-        """Return a point; None for the present position."""
+    def _point(self, at: Place, value: Value, name_offsets: list[int], row: int) -> Point | None:
+        """Return a point of a motion; None if it is the present robot position.
+
+        :param name_offsets: gets the offset of the variable, if the point is one.
+        :param row: row of the execution trace.
+        :raises ProgramError: it is not known before the program runs, or out of reach.
+        """
         source = at.source
         name = ""
         if isinstance(value, Reference):
@@ -143,24 +150,24 @@ class MotionReader:
             if value.name in ROBOT_POSITIONS:
                 return None
             name = value.name
-            names.append(value.start)
+            name_offsets.append(value.start)
         self.variables.rely(value)
         try:
             position = self.variables.position(value)
         except NotANumberError as cause:
-            raise unresolved(self._explained(source, value, cause)) from None
+            raise unresolved_error(self._explained(source, value, cause)) from None
         if position is None and name in _HOME and self.variables.evaluate(value) == NO_VALUE:
             self.home_used = self.home_used or row
             position = Position(self.home, axis=True)
         if position is None:
             reason = why_unknown(self.variables, source, value)
-            raise unresolved(at.error(f"the target is not known: {reason}", RUN_TIME_ADVICE))
+            raise unresolved_error(at.error(f"the target is not known: {reason}", RUN_TIME_ADVICE))
         if position.largest_coordinate > LARGEST_COORDINATE:
-            raise out_of_reach(at, position.largest_coordinate)
+            raise out_of_reach_error(at, position.largest_coordinate)
         return Point(position, value.start, value.stop, name)
 
     def _explained(self, source: Source, value: Value, cause: NotANumberError) -> ProgramError:
-        """Return the error of a component that is not a number, with the reason why it is none."""
+        """Return the error of a component that is not a number, with the reason why its value is not known."""
         item = value.items.get(cause.component) if isinstance(value, Aggregate) else None
         if item is None:
             return cause
@@ -180,15 +187,19 @@ class MotionReader:
             )
         return angle
 
-    def _check(self, at: Place, word: str, kind: int, end: Point, via: Point | None) -> None:
-        """Refuse axis angles as the target of a motion other than PTP."""
+    def _check_axis_target(self, at: Place, word: str, kind: int, end: Point, via: Point | None) -> None:
+        """Refuse joint angles as the target or auxiliary point of a motion other than PTP.
+
+        :raises ProgramError: there are such.
+        """
         if kind != PTP and (end.position.axis or (via and via.position.axis)):
             raise at.error(f"{word} to axis angles", "Write a Cartesian target, or use PTP.")
 
-    def _check_asked(self, at: Place, subject: str, value: Value | None) -> None:
-        """Refuse values of a motion with WITH that ask for what WITH may set.
+    def _check_values_beside_with(self, at: Place, subject: str, value: Value | None) -> None:
+        """Refuse a value that reads a setting which WITH of the same motion may change.
 
-        :raises ProgramError: it is in no source whether they are those before WITH or behind it.
+        :param subject: name of the setting or WITH, for the message.
+        :raises ProgramError: no source says whether the value before WITH or after it is read.
         """
         variable_names = [part.name for part in walk([] if value is None else [value]) if isinstance(part, Reference)]
         if not RELEVANT.isdisjoint(variable_names):
@@ -200,6 +211,7 @@ class MotionReader:
         """Return the settings of a single motion, from its WITH, and whether `$APO.CDIS` applies.
 
         :param points: its target and auxiliary point.
+        :raises ProgramError: WITH or the approximation is not understood.
         """
         text, state = at.source.text, self.settings.state
         if tail.error is not None:
@@ -210,12 +222,12 @@ class MotionReader:
             if not isinstance(item, Assignment):
                 raise at.error(f"{text[item.start : item.stop]!r} is not understood", advice="Check its spelling.")
             if item.target.name in RELEVANT:
-                self._check_asked(at, item.target.name, item.value)
+                self._check_values_beside_with(at, item.target.name, item.value)
                 state = self.settings.assigned(state, at, item.target, item.value)
             elif not item.target.name.startswith(_NO_EFFECT):
                 raise at.error(f"{item.target.name} in WITH is not understood", advice="Check its spelling.")
         if state != self.settings.state:
             for value in points:
-                self._check_asked(at, "WITH", value)
+                self._check_values_beside_with(at, "WITH", value)
         by_distance = "C_DIS" in tail.approximation or ("C_SPL" in tail.approximation and kind != PTP)
         return state, by_distance

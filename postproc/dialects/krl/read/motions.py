@@ -14,30 +14,36 @@ from postproc.dialects.krl.language.motion_statements import MotionStatement, Tr
 from postproc.dialects.krl.language.tokens import words_in
 from postproc.dialects.krl.language.trace import Trace
 from postproc.dialects.krl.layout import CONSTANT, FREE, IGNORE, JOINT, ORIENTATIONS, Elements, Layout, Offsets
-from postproc.dialects.krl.read.auxiliary_points import left_out
-from postproc.dialects.krl.read.end_poses import EndPoses, OrientationControl, circles, end_poses, same_orientation
+from postproc.dialects.krl.read.auxiliary_points import ignores_auxiliary_orientation
+from postproc.dialects.krl.read.end_poses import (
+    EndPoses,
+    OrientationControl,
+    circle_geometry,
+    end_poses,
+    same_orientation,
+)
 from postproc.dialects.krl.read.external_axes import external_axes
 from postproc.dialects.krl.read.main_routine import MainRoutine
-from postproc.dialects.krl.read.motion_columns import MotionColumns, merged
+from postproc.dialects.krl.read.motion_columns import MotionColumns, merged_motions
 from postproc.dialects.krl.read.plain_rounds import ElementMotions
 from postproc.dialects.krl.read.plain_settings import NUMBERS
 from postproc.dialects.krl.read.settings import Settings
-from postproc.dialects.krl.read.spline_blocks import approximated, check_words, is_spline, path_unknown
+from postproc.dialects.krl.read.spline_blocks import approximated, check_words, is_spline, unknown_path_warning
 from postproc.dialects.krl.read.state import DEFAULT_SPEED, State, fields_used
 from postproc.errors import Issue, ProgramError, combined_error
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, angle_between, any_column, norm
 from postproc.program import CIRC, LIN, PTP, Bools, Carriage, Ints, Motions, Starts, constant, distinct
 
-_BY_ROTATION = (FREE, CONSTANT)
+_ONE_ROTATION = (FREE, CONSTANT)
 """Values of `$ORI_TYPE` under which the orientation changes by one rotation, or not at all."""
-_LITTLE = 0.5 * RAD_PER_DEG
+_SMALL_TURN = 0.5 * RAD_PER_DEG
 """By less than this [rad] the wrist turns the tool as one rotation does, to 0.001° away from singular poses: the square
 of half of it."""
-_AT_THE_END = 1e-6
+_END_TOLERANCE = 1e-6
 """A circle with CA that ends this close [rad] to its end point ends there."""
-_AT_REST = 1e-7
+_REST_TOLERANCE = 1e-7
 """An external axis that moves by less [m] stays where it is: the tenth of a micrometre of the text."""
-_BY_SPEED = frozenset({"C_VEL", "C_ORI"})
+_SPEED_WORDS = frozenset({"C_VEL", "C_ORI"})
 
 
 class OrderedMotions(NamedTuple):
@@ -59,30 +65,30 @@ class OrderedMotions(NamedTuple):
 
 
 def ordered_motions(main: MainRoutine, plain: list[MotionColumns]) -> OrderedMotions:
-    """Put plain lines and statements in order.
+    """Return all motions of a program in order: plain lines and statements together.
 
     :param main: has followed all lines that are not plain.
-    :param plain: plain motions, in parts; the list is emptied, see `merged`.
+    :param plain: plain motions, in parts; the list is emptied, see `merged_motions`.
     """
     plain += [rounds.rows for rounds in main.rounds]
     statement_rows = main.motions.rows()
-    places, states, state, numbers = _in_order(main, [rows.line for rows in plain], statement_rows.line)
+    places, states, state, numbers = _merge_order(main, [rows.line for rows in plain], statement_rows.line)
     first = sum(map(len, plain))
     moves = {places.item(first + index): move for index, move in main.motions.special}
     plain.append(statement_rows)
-    return OrderedMotions(merged(plain, places), states, state, numbers, moves)
+    return OrderedMotions(merged_motions(plain, places), states, state, numbers, moves)
 
 
-def _in_order(main: MainRoutine, lines: list[Ints], statement_lines: Ints) -> tuple[Ints, list[State], Ints, Runs]:
-    """Return the order of motions, and the settings in force.
+def _merge_order(main: MainRoutine, lines: list[Ints], statement_lines: Ints) -> tuple[Ints, list[State], Ints, Runs]:
+    """Return the places of all R motions in execution order, and the settings in force.
 
-    :param lines: those of plain motions, in parts.
-    :param statement_lines: (S,) those of the statements that are followed.
-    :returns: places (R,) of the plain motions and of the statements behind them; all states; in the order of the lines,
-        (R,) which of them; (R, 2) their `NUMBERS`.
+    :param lines: lines of the plain motions, in parts.
+    :param statement_lines: (S,) lines of the motions that were read as statements.
+    :returns: places (R,), of the plain motions and then of the statements; all states; in execution order, the index of
+        the state of each motion (R,) and its `NUMBERS` (R, 2).
     """
     line = np.concatenate(lines)
-    states, state_plain, state_moves, change_lines = _states(main.run.settings, line, main.motions.states)
+    states, state_plain, state_moves, change_lines = _states_of_lines(main.run.settings, line, main.motions.states)
     order = compact(np.argsort(line, kind="stable"), np.int32)
     place = np.searchsorted(line, statement_lines, sorter=order) + np.arange(len(statement_lines))
     place_plain = np.empty_like(line)
@@ -104,7 +110,7 @@ def motions_and_layout(
     kinematics: Callable[[Array], Array],
     predecessors: Ints | None = None,
 ) -> tuple[Motions, Layout, list[Issue]]:
-    """Return the motions of a program in order, the layout of their text, and the assumptions.
+    """Return the motions of a program in order, the layout of their text, and issues about assumptions.
 
     :param main: has followed all lines that are not plain.
     :param sequence: all motions.
@@ -130,14 +136,14 @@ def motions_and_layout(
     uses_root[[row for row, move in moves.items() if move.end.position.axis]] = False
     axis_issues, carriage = external_axes(trace, rows, relative, uses_root, settings.cell.carriage, predecessors)
     frames = base, tool, np.stack(settings.frames.bases), np.stack(settings.frames.tools)
-    control = _led(trace, rows, states, state)
+    control = _orientation_control(trace, rows, states, state)
     is_missing, arc_ends = np.isnan(rows.numbers), rows.numbers[rows.kind == CIRC, :3]
     ends = end_poses(
         trace, rows.line, rows.numbers, frames, moves, start_joints, kinematics, control, carriage, predecessors
     )
-    by_wrist = _by_wrist(trace, rows, states, state, ends, carriage)
+    by_wrist = _wrist_led_rows(trace, rows, states, state, ends, carriage)
     _check_by_wrist(trace, rows, states, state, ends, settings)
-    centre, normal, sweep, unheeded = _arcs(
+    centre, normal, sweep, unheeded = _circle_columns(
         trace, rows, ends, arc_ends, moves, control, settings, (states, state), carriage
     )
 
@@ -147,11 +153,17 @@ def motions_and_layout(
     columns = is_missing, control.with_path, by_wrist, unheeded
     layout = _layout(trace, main, sequence, motions, ends, columns, carriage)
     has_assumed_speed = _column(states, state, lambda s: s.assumed) & (rows.kind != PTP)
-    assumptions = _assumptions(motions.line, is_missing, has_assumed_speed, moves)
+    assumptions = _assumption_issues(motions.line, is_missing, has_assumed_speed, moves)
     return (
         motions,
         layout,
-        [*axis_issues, *assumptions, *_by_speed(trace, rows), *path_unknown(motions), *_wrist(motions, by_wrist)],
+        [
+            *axis_issues,
+            *assumptions,
+            *_speed_blending_issues(trace, rows),
+            *unknown_path_warning(motions),
+            *_wrist_led_issues(motions, by_wrist),
+        ],
     )
 
 
@@ -162,9 +174,10 @@ def _motions(
     ends: EndPoses,
     arcs: tuple[Array, Array, Array],
 ) -> Motions:
-    """Return the motions of a program.
+    """Return the motions of a program, from what its text gives and the completed targets.
 
     :param frames: rows of `$BASE` and `$TOOL` (R,) each.
+    :param ends: the completed targets.
     :param arcs: centres (R, 3), normals (R, 3) and swept angles (R,) of circles.
     """
     rows, numbers = sequence.rows, sequence.numbers
@@ -198,21 +211,21 @@ def _layout(
     columns: tuple[Bools, Bools, Bools, Bools],
     carriage: Carriage | None,
 ) -> Layout:
-    """Return where the text has the numbers of the motions.
+    """Return the places of the numbers of the motions in the text.
 
     :param columns: (R,) each: `Layout.missing`, `with_path`, `by_wrist` and `unheeded`.
     """
     rows, states, state, _, moves = sequence
     variables = main.run.settings.variables
     is_missing, with_path, by_wrist, unheeded = columns
-    elements = tuple(_element_points(rows, rounds) for rounds in main.rounds)
+    elements = tuple(_elements_of_program(rows, rounds) for rounds in main.rounds)
     return Layout(
         course=main.course,
         line=rows.line,
         notes=(),
         numbers=ends.numbers,
         missing=is_missing,
-        begin=_begins(rows.target[:, 0], elements),
+        begin=_target_begins(rows.target[:, 0], elements),
         within=rows.within,
         keyword=rows.keyword,
         target=rows.target,
@@ -220,7 +233,7 @@ def _layout(
         via_spans=rows.via_spans,
         via_target=rows.via_target,
         resumed=ends.resumed,
-        orientation=np.where(rows.kind == PTP, np.int8(0), _column(states, state, _orientation)),
+        orientation=np.where(rows.kind == PTP, np.int8(0), _column(states, state, _orientation_index)),
         ignored=ends.ignored,
         with_path=with_path,
         by_wrist=by_wrist,
@@ -233,14 +246,14 @@ def _layout(
         public=frozenset(variables.public),
         understood=frozenset(main.run.understood),
         copies=frozenset(main.run.copies),
-        triggers=_triggers(trace, main, rows.line, motions, ends.start),
+        triggers=_triggers_of_motions(trace, main, rows.line, motions, ends.start),
         carriage=carriage,
         broken_off="" if main.run.resumed is None else str(main.run.resumed),
     )
 
 
-def _element_points(rows: MotionColumns, rounds: ElementMotions) -> Elements:
-    """Return the points of an array to which a loop moves, by the rows of their motions.
+def _elements_of_program(rows: MotionColumns, rounds: ElementMotions) -> Elements:
+    """Return the points of an array to which a loop moves, by the rows of their motions in the program.
 
     :param rows: the motions of the program; those of the loop that are not among them are left out.
     :param rounds: the motions of the loop.
@@ -250,42 +263,60 @@ def _element_points(rows: MotionColumns, rounds: ElementMotions) -> Elements:
     return Elements(row[is_present], rounds.literal[is_present], rounds.source, rounds.name)
 
 
-def _begins(target: Offsets, elements: tuple[Elements, ...]) -> Offsets:
-    """Return the beginnings (R,) of the points of motions: of their targets, or of those in data lists."""
+def _target_begins(target: Offsets, elements: tuple[Elements, ...]) -> Offsets:
+    """Return the offsets (R,) at which the points of motions begin: their targets, or elements of data lists."""
     begins = target.copy() if elements else target
     for part in elements:
         begins[part.row] = part.literal[:, 0]
     return begins
 
 
-def _states(settings: Settings, line: Ints, own_states: list[State]) -> tuple[list[State], Ints, Ints, Ints]:
-    """Return all states, the state index of plain lines (n,) and of statements (k,), and the lines (n,) that set the
-    states of plain lines.
+def _states_of_lines(
+    settings: Settings, line: Ints, statement_states: list[State]
+) -> tuple[list[State], Ints, Ints, Ints]:
+    """Return all states, and which of them is in force at each line.
+
+    :param line: (n,) lines of plain motions.
+    :param statement_states: states of the k statements that were read one by one.
+    :returns: the states; the index of that of each plain line (n,) and each statement (k,); the lines (n,) after which
+        the states of plain lines hold.
     """
     states = [state for _, state in settings.changes]
     changes = np.array([line for line, _ in settings.changes])
-    index: dict[State, int] = {}
-    own_indices = []
-    for state in own_states:
-        if state not in index:
-            index[state] = len(states)
+    index_of_state: dict[State, int] = {}
+    statement_indices = []
+    for state in statement_states:
+        if state not in index_of_state:
+            index_of_state[state] = len(states)
             states.append(state)
-        own_indices.append(index[state])
+        statement_indices.append(index_of_state[state])
     plain = compact(np.searchsorted(changes, line) - 1, np.int32)
-    return states, plain, compact(np.array(own_indices, dtype=np.int64), np.int32), compact(changes, np.int32)[plain]
+    return (
+        states,
+        plain,
+        compact(np.array(statement_indices, dtype=np.int64), np.int32),
+        compact(changes, np.int32)[plain],
+    )
 
 
 def settings_at(settings: Settings, line: Ints) -> list[tuple[State, Array, Array]]:
-    """Return the settings in force before lines (n,): the state, and `$BASE` and `$TOOL` (4, 4) instead of its rows.
+    """Return the settings in force before n lines: for each the state, and `$BASE` and `$TOOL` as matrices (4, 4).
 
-    Of a frame that is not known, the state has the reason, and the matrix is 0.
+    The rows of the frames in the state are 0. If a frame is not known, the state has the reason and the matrix is 0.
+
+    :param line: (n,) lines of the trace.
     """
-    states, state, _, change_lines = _states(settings, line, [])
-    numbers = [settings.coming.at(row, line, change_lines, _column(states, state, _number(row))) for row in (0, 1)]
+    states, state, _, change_lines = _states_of_lines(settings, line, [])
+    numbers = [
+        settings.coming.at(row, line, change_lines, _column(states, state, _number_of_state(row))) for row in (0, 1)
+    ]
     entries = []
     for index, *values in zip(state.tolist(), *(column.tolist() for column in numbers), strict=True):
         line_state = states[index]
-        frames = _frame(settings.frames.bases, line_state.base), _frame(settings.frames.tools, line_state.tool)
+        frames = (
+            _frame_or_zeros(settings.frames.bases, line_state.base),
+            _frame_or_zeros(settings.frames.tools, line_state.tool),
+        )
         field_values = dict(zip(NUMBERS, values, strict=True))
         entries.append(
             (
@@ -302,20 +333,27 @@ def settings_at(settings: Settings, line: Ints) -> list[tuple[State, Array, Arra
     return entries
 
 
-def _frame(frames: list[Array], row: int) -> Array:
+def _frame_or_zeros(frames: list[Array], row: int) -> Array:
+    """Return a frame (4, 4); zeros for a negative row, which stands for an unknown frame."""
     return frames[row] if row >= 0 else np.zeros((4, 4))
 
 
-def _number(row: int) -> Callable[[State], object]:
+def _number_of_state(row: int) -> Callable[[State], object]:
+    """Return a function that reads one of the `NUMBERS` from a state."""
     return lambda state: getattr(state, NUMBERS[row])
 
 
-def _orientation(state: State) -> object:
+def _orientation_index(state: State) -> object:
+    """Return the index of `$ORI_TYPE` of a state in `ORIENTATIONS`."""
     return np.int8(ORIENTATIONS.index(state.orientation))
 
 
 def _column(states: list[State], state: Ints, value: Callable[[State], object]) -> np.ndarray:
-    """Return one property of the states in force, to be read only; whole numbers in at most 4 bytes each."""
+    """Return one property of the states in force at n motions (n,), to be read only.
+
+    :param state: (n,) index of the state of each motion.
+    :param value: reads the property from a state; integers get at most 4 bytes each.
+    """
     values = np.array([value(s) for s in states])
     if len(values) and (values == values[0]).all():
         return np.broadcast_to(values[0], (len(state),))
@@ -325,22 +363,25 @@ def _column(states: list[State], state: Ints, value: Callable[[State], object]) 
 def _check_settings(
     settings: Settings, rows: MotionColumns, states: list[State], state: Ints, moves: Mapping[int, MotionStatement]
 ) -> None:
-    """Refuse motions that depend on unknown frames, speeds or modes."""
-    faults = list(_unsettled(settings, rows, states, state, moves))
+    """Refuse motions that depend on unknown frames, speeds or modes.
+
+    :raises ProgramError: there are some; all reasons together.
+    """
+    faults = list(_setting_errors(settings, rows, states, state, moves))
     if faults:
         raise combined_error(faults)
 
 
-def unsettled(main: MainRoutine, plain: list[MotionColumns]) -> Iterator[ProgramError]:
-    """Yield the errors in the settings of the motions of a program, once for each reason."""
+def setting_errors(main: MainRoutine, plain: list[MotionColumns]) -> Iterator[ProgramError]:
+    """Yield the errors of the motions of a program that depend on unknown settings, once for each reason."""
     sequence = ordered_motions(main, plain)
-    yield from _unsettled(main.run.settings, sequence.rows, sequence.states, sequence.state, sequence.moves)
+    yield from _setting_errors(main.run.settings, sequence.rows, sequence.states, sequence.state, sequence.moves)
 
 
-def _unsettled(
+def _setting_errors(
     settings: Settings, rows: MotionColumns, states: list[State], state: Ints, moves: Mapping[int, MotionStatement]
 ) -> Iterator[ProgramError]:
-    """Yield the errors of motions that depend on a setting which is not known, once for each reason.
+    """Yield the errors of motions that depend on unknown settings, once for each reason.
 
     :param state: (M,) index in `states` of each motion; `moves` the motions that were not read in bulk, by row.
     """
@@ -359,29 +400,29 @@ def _unsettled(
                     yield cause
 
 
-def _led(trace: Trace, rows: MotionColumns, states: list[State], state: Ints) -> OrientationControl:
-    """Return the orientation control: KUKA, KSS 8.x, `$ORI_TYPE` and `$CIRC_TYPE`.
+def _orientation_control(trace: Trace, rows: MotionColumns, states: list[State], state: Ints) -> OrientationControl:
+    """Return how the orientation of each motion is controlled: KUKA, KSS 8.x, `$ORI_TYPE` and `$CIRC_TYPE`.
 
-    Under #CONSTANT the orientation of the start stays and the programmed one is disregarded. Under #PATH a circle takes
-    the tool along: what stays, or changes by one rotation, is the orientation as seen from the path. `$CIRC_TYPE` means
-    nothing under #JOINT.
+    Under #CONSTANT the orientation of the start stays and the programmed one is disregarded. Under #PATH a circle turns
+    the tool with the path: the orientation that stays, or changes by one rotation, is the one relative to the path.
+    `$CIRC_TYPE` has no effect under #JOINT.
 
-    :raises ProgramError: a circle that is led along the path has to be led by one rotation.
+    :raises ProgramError: a circle under #PATH whose orientation changes otherwise.
     """
-    round_ = rows.kind == CIRC
-    is_unsupported = round_ & _column(
-        states, state, lambda s: s.circle == "#PATH" and s.orientation not in _BY_ROTATION
+    is_circle = rows.kind == CIRC
+    is_unsupported = is_circle & _column(
+        states, state, lambda s: s.circle == "#PATH" and s.orientation not in _ONE_ROTATION
     )
     if is_unsupported.any():
         first = int(np.argmax(is_unsupported))
         problem = f"a circle under $ORI_TYPE={states[state[first]].orientation} and $CIRC_TYPE=#PATH"
         raise trace.error(problem, int(rows.line[first]), "Use $CIRC_TYPE=#BASE, or $ORI_TYPE=#VAR.")
-    constant = _column(states, state, lambda s: s.orientation == CONSTANT) & (rows.kind != PTP)
-    with_path = _column(states, state, lambda s: s.circle == "#PATH" and s.orientation in _BY_ROTATION)
-    return OrientationControl(constant, round_ & with_path, rows.via)
+    is_constant = _column(states, state, lambda s: s.orientation == CONSTANT) & (rows.kind != PTP)
+    with_path = _column(states, state, lambda s: s.circle == "#PATH" and s.orientation in _ONE_ROTATION)
+    return OrientationControl(is_constant, is_circle & with_path, rows.via)
 
 
-def _by_wrist(
+def _wrist_led_rows(
     trace: Trace,
     rows: MotionColumns,
     states: list[State],
@@ -389,13 +430,13 @@ def _by_wrist(
     ends: EndPoses,
     carriage: Carriage | None,
 ) -> Bools:
-    """Return the lines (R,) on which the wrist axes turn the tool.
+    """Return the motions (R,) on which the wrist axes turn the tool: lines under `$ORI_TYPE=#JOINT`.
 
     :raises ProgramError: the controller would lead the orientation in a way that is not known.
     """
     is_wrist_led = np.zeros(len(rows), dtype=np.bool_)
     candidates = np.flatnonzero(
-        _column(states, state, lambda s: s.orientation not in _BY_ROTATION) & (rows.kind != PTP)
+        _column(states, state, lambda s: s.orientation not in _ONE_ROTATION) & (rows.kind != PTP)
     )
     if not len(candidates):
         return is_wrist_led
@@ -406,11 +447,11 @@ def _by_wrist(
         for subset in (candidates, next_rows)
     )
     is_turned |= is_next_turned & np.array([kind == IGNORE for kind in kinds])
-    wrist = np.array([kind == JOINT for kind in kinds]) & (rows.kind[candidates] == LIN)
+    is_led_by_wrist = np.array([kind == JOINT for kind in kinds]) & (rows.kind[candidates] == LIN)
     if carriage is not None:
-        wrist &= carriage.travel[candidates] <= _AT_REST
-    is_wrist_led[candidates[is_turned & wrist]] = True
-    is_turned &= ~wrist
+        is_led_by_wrist &= carriage.travel[candidates] <= _REST_TOLERANCE
+    is_wrist_led[candidates[is_turned & is_led_by_wrist]] = True
+    is_turned &= ~is_led_by_wrist
     if not is_turned.any():
         return is_wrist_led
     first = int(np.argmax(is_turned))
@@ -426,23 +467,28 @@ def _by_wrist(
 def _check_by_wrist(
     trace: Trace, rows: MotionColumns, states: list[State], state: Ints, ends: EndPoses, settings: Settings
 ) -> None:
-    """Refuse spline motions on which the controller may lead the orientation by the wrist axes (KUKA, KSS 8.x,
-    `$SPL_ORI_JOINT_AUTO` #ON: it decides so itself, of each motion under `$ORI_TYPE=#VAR`).
+    """Refuse spline motions whose orientation the controller may lead by the wrist axes.
+
+    Under `$SPL_ORI_JOINT_AUTO` #ON it decides that itself for each motion under `$ORI_TYPE=#VAR` (KUKA, KSS 8.x).
+
+    :raises ProgramError: the orientation changes on such a motion.
     """
-    at_will = [s.by_wrist == "#ON" or any(field == "by_wrist" for field, _ in s.uncertain) for s in states]
-    if not any(at_will):
+    may_use_wrist = [s.by_wrist == "#ON" or any(field == "by_wrist" for field, _ in s.uncertain) for s in states]
+    if not any(may_use_wrist):
         return
-    is_free = _column(states, state, lambda s: s.orientation == FREE) & np.array(at_will)[state] & (rows.kind != PTP)
+    is_free = (
+        _column(states, state, lambda s: s.orientation == FREE) & np.array(may_use_wrist)[state] & (rows.kind != PTP)
+    )
     free_rows = np.flatnonzero(is_free)
     spline_rows = free_rows[is_spline(trace, rows, free_rows)]
     turn = angle_between(ends.start.at(spline_rows)[:, :3, :3], ends.pose[spline_rows, :3, :3])
-    for row in spline_rows[turn > _LITTLE].tolist():
+    for row in spline_rows[turn > _SMALL_TURN].tolist():
         settings.refuse_uncertain(states[state[row]], ["by_wrist"])
         problem = "the orientation changes under $SPL_ORI_JOINT_AUTO=#ON: the wrist axes may lead it, not one rotation"
         raise trace.error(problem, int(rows.line[row]), "Use $SPL_ORI_JOINT_AUTO=#OFF.")
 
 
-def _arcs(
+def _circle_columns(
     trace: Trace,
     rows: MotionColumns,
     ends: EndPoses,
@@ -456,6 +502,9 @@ def _arcs(
     """Return centre (M, 3), normal (M, 3) and sweep (M,) of the circles, NaN elsewhere, and `Layout.unheeded` (M,).
 
     :param given_ends: (n, 3) X, Y, Z of the ends of the n circles as the text gives them [mm].
+    :param control: how the orientation is led.
+    :param in_force: states, and the index of the state at each motion (M,).
+    :raises ProgramError: a circle is not defined by its points, or it is not known how the tool turns on it.
     """
     unheeded = np.zeros(len(rows), dtype=np.bool_)
     nan_rows = np.broadcast_to(np.nan, (len(rows), 3))  # takes no memory
@@ -466,21 +515,21 @@ def _arcs(
     line, start = rows.line[circular], ends.start.at(circular)
     text_points = rows.via[circular] * M_PER_MM, given_ends * M_PER_MM
     for row, points in ends.circles.items():
-        at = np.searchsorted(circular, row)
-        text_points[0][at], text_points[1][at] = points * M_PER_MM
+        circle_index = np.searchsorted(circular, row)
+        text_points[0][circle_index], text_points[1][circle_index] = points * M_PER_MM
     via, end = (np.where(np.isnan(points), start[:, :3, 3], points) for points in text_points)
-    centre[circular], axis, angle = circles(trace, line, start[:, :3, 3], via, end)
+    centre[circular], axis, angle = circle_geometry(trace, line, start[:, :3, 3], via, end)
     programmed_angles = np.full(len(rows), np.nan)
     for row, move in moves.items():
         programmed_angles[row] = np.nan if move.angle is None else move.angle * RAD_PER_DEG
     programmed_angles = programmed_angles[circular]
     has_angle = ~np.isnan(programmed_angles)
-    at_other_end = circular[has_angle & ~(np.abs(programmed_angles - angle) < _AT_THE_END)]
+    at_other_end = circular[has_angle & ~(np.abs(programmed_angles - angle) < _END_TOLERANCE)]
     _check_circular_angles(trace, rows.line, at_other_end, ends, control, carriage)
     tools = start, ends.pose[circular]
     arcs = centre[circular], axis, via, angle
     states, state = in_force
-    unheeded[circular] = left_out(
+    unheeded[circular] = ignores_auxiliary_orientation(
         trace, rows, circular, moves, tools, arcs, control, settings, (states, state[circular])
     )
     normal[circular] = np.where(has_angle, np.sign(programmed_angles), 1.0)[:, None] * axis
@@ -496,32 +545,38 @@ def _check_circular_angles(
     control: OrientationControl,
     carriage: Carriage | None,
 ) -> None:
-    """Check that neither orientation nor E1 changes on circles (n,) whose CA leads to another place than the end point.
+    """Refuse a change of orientation or of E1 on circles whose CA leads to another point than the end point.
 
     :param line: (M,) lines of all motions.
+    :param circles: (n,) rows of these circles.
     :raises ProgramError: one changes.
     """
     start, end = ends.start.at(circles)[:, :3, :3], ends.pose[circles, :3, :3]
-    turning = (control.with_path[circles] | ~same_orientation(start, end)) & ~control.constant[circles]
-    if turning.any():
+    is_turning = (control.with_path[circles] | ~same_orientation(start, end)) & ~control.constant[circles]
+    if is_turning.any():
         raise trace.error(
             "the orientation changes on a circle with CA: where it is reached is not certain",
-            int(line[circles[turning]][0]),
+            int(line[circles[is_turning]][0]),
             "Give the end of the arc as its end point, without CA, or use $ORI_TYPE=#CONSTANT.",
         )
     if carriage is None:
         return
-    riding = np.abs(carriage.end[circles] - carriage.begin[circles]) > _AT_REST
-    if riding.any():
+    is_travelling = np.abs(carriage.end[circles] - carriage.begin[circles]) > _REST_TOLERANCE
+    if is_travelling.any():
         raise trace.error(
             "E1 moves along a circle with CA: where it reaches its end is not certain",
-            int(line[circles[riding]][0]),
+            int(line[circles[is_travelling]][0]),
             "Give the end of the arc as its end point, without CA, or move E1 in a motion of its own.",
         )
 
 
-def _triggers(trace: Trace, main: MainRoutine, line: Ints, motions: Motions, start: Starts) -> tuple[Trigger, ...]:
-    """Return the TRIGGERs that a motion follows."""
+def _triggers_of_motions(
+    trace: Trace, main: MainRoutine, line: Ints, motions: Motions, start: Starts
+) -> tuple[Trigger, ...]:
+    """Return the TRIGGERs that refer to a motion, in order.
+
+    :param line: (M,) lines of the motions in the trace.
+    """
     lines = np.array(main.run.triggers, dtype=np.int64)
     rows = np.searchsorted(line, lines)
     lines, rows = lines[rows < len(motions)], rows[rows < len(motions)]
@@ -532,19 +587,19 @@ def _triggers(trace: Trace, main: MainRoutine, line: Ints, motions: Motions, sta
     following = line[rows].tolist()
     is_attached = [main.only_comments(at + 1, line - 1) for at, line in zip(lines.tolist(), following, strict=True)]
     begin, end = start.at(rows)[:, :3, 3], motions.target[rows, :3, 3]
-    arc = motions.kind[rows] == CIRC
-    length = np.where(arc, norm(begin - motions.centre[rows]) * motions.sweep[rows], norm(end - begin))
+    is_arc = motions.kind[rows] == CIRC
+    length = np.where(is_arc, norm(begin - motions.centre[rows]) * motions.sweep[rows], norm(end - begin))
     return tuple(triggers(trace, list(zip(lines.tolist(), rows.tolist(), is_attached, strict=True)), length))
 
 
-def _by_speed(trace: Trace, rows: MotionColumns) -> list[Issue]:
-    """Return an issue if the path is approximated by a criterion other than a distance."""
-    exact = np.flatnonzero((rows.kind != PTP) & ~rows.approximated & (rows.tail[:, 1] > rows.tail[:, 0]))
-    tails = zip(exact.tolist(), rows.line[exact].tolist(), rows.tail[exact].tolist(), strict=True)
+def _speed_blending_issues(trace: Trace, rows: MotionColumns) -> list[Issue]:
+    """Return the information that paths are approximated by speed or orientation (C_VEL, C_ORI); none if none is."""
+    exact_rows = np.flatnonzero((rows.kind != PTP) & ~rows.approximated & (rows.tail[:, 1] > rows.tail[:, 0]))
+    tails = zip(exact_rows.tolist(), rows.line[exact_rows].tolist(), rows.tail[exact_rows].tolist(), strict=True)
     speed_rows = [
         row
         for row, line, tail in tails
-        if any(word in _BY_SPEED for word, _ in words_in(trace.source(line).text, *tail))
+        if any(word in _SPEED_WORDS for word, _ in words_in(trace.source(line).text, *tail))
     ]
     if not speed_rows:
         return []
@@ -557,8 +612,8 @@ def _by_speed(trace: Trace, rows: MotionColumns) -> list[Issue]:
     return [Issue("info", "blending-by-speed", message, int(line[0]), count=len(speed_rows), lines=lines)]
 
 
-def _wrist(motions: Motions, by_wrist: Bools) -> list[Issue]:
-    """Return the assumption about lines on which the wrist axes turn the tool."""
+def _wrist_led_issues(motions: Motions, by_wrist: Bools) -> list[Issue]:
+    """Return the warning on lines on which the wrist axes turn the tool; none if there are none."""
     wrist_rows = np.flatnonzero(by_wrist)
     if not len(wrist_rows):
         return []
@@ -569,10 +624,10 @@ def _wrist(motions: Motions, by_wrist: Bools) -> list[Issue]:
     return [motions.issue("warning", "wrist-led", message, wrist_rows)]
 
 
-def _assumptions(
+def _assumption_issues(
     line: Ints, is_missing: Bools, has_assumed_speed: Bools, moves: Mapping[int, MotionStatement]
 ) -> list[Issue]:
-    """Return a note on each kind of assumption, with the lines of the motions that it concerns.
+    """Return the information on missing components and on missing speeds, with the lines of the motions.
 
     :param line: (M,) lines of the motions.
     :param is_missing: (M, 6) components that the text lacks, which keep their value.

@@ -31,7 +31,9 @@ def changed_data_issues(
     plain: PlainLines,
     start_joints: tuple[float, ...],
 ) -> Iterator[Issue]:
-    """Yield a warning if the next run, with the values that this one leaves, moves differently or is not known.
+    """Yield a warning if the next run of the program moves differently, or is not known.
+
+    The next run begins with the data that this run leaves.
 
     :param main: has followed the program.
     :param change_places: values that it leaves to the next run, see `kept_values`.
@@ -46,7 +48,7 @@ def changed_data_issues(
     start = Start(library, routine, main.run.elsewhere, first_left.next_run(), cell, start_joints)
     try:
         course, collected = course_of(start)
-        line = _elsewhere(main.course, course)
+        line = _first_differing_row(main.course, course)
         if line is None:
             second_run = MainRoutine(collected or start.collected(main.course.trace), main.course, plain)
             if collected is None:
@@ -68,9 +70,9 @@ def changed_data_issues(
 
 
 def kept_values(main: MainRoutine) -> dict[str, str]:
-    """Return the values left by a run that the next one may use, and where.
+    """Return the variables whose values a run leaves to the next one, which may use them, and where they are changed.
 
-    Counters that it sets first are left out, and those that decide on nothing: they need no second run.
+    Variables that the program sets before it uses them are left out, and counters that nothing else uses.
     """
     run, change_places = main.run, main.run.settings.variables.changed_data()
     uses = Uses(run, run.routine.source, run.nodes(run.routine)) if change_places else None
@@ -82,10 +84,10 @@ def kept_values(main: MainRoutine) -> dict[str, str]:
     }
 
 
-def _elsewhere(first: Course, second: Course) -> int | None:
-    """Return the first row at which two traces differ; None if they are equal."""
+def _first_differing_row(first: Course, second: Course) -> int | None:
+    """Return the first row, from 1, at which the traces of two runs differ; None if they are equal."""
     rows = min(len(first.trace), len(second.trace))
-    columns = [(*_places(course), course.counter_values()) for course in (first, second)]
+    columns = [(*_file_and_line_columns(course), course.counter_values()) for course in (first, second)]
     differs = np.zeros(rows, dtype=np.bool_)
     for first_column, second_column in zip(*columns, strict=True):
         differs |= (first_column[:rows] != second_column[:rows]) & ~(
@@ -96,8 +98,8 @@ def _elsewhere(first: Course, second: Course) -> int | None:
     return None if first.steps == second.steps and len(first.trace) == len(second.trace) else 1
 
 
-def _places(course: Course) -> tuple[Array, Array]:
-    """Return the files, as numbers, and the lines that the rows of a trace (L,) are."""
+def _file_and_line_columns(course: Course) -> tuple[Array, Array]:
+    """Return the file (L,), as a number, and the line (L,) that each row of a trace is."""
     trace = course.trace
     files = np.array([float(id(source)) for source in trace.sources])
     return files[trace.file], trace.line.astype(np.float64)
@@ -106,7 +108,7 @@ def _places(course: Course) -> tuple[Array, Array]:
 def _first_difference(
     first_settings: Settings, first: OrderedMotions, second_settings: Settings, second: OrderedMotions
 ) -> int | None:
-    """Return the first line whose motion is not the same in both runs."""
+    """Return the line of the first motion that differs between two runs; None if there is none."""
     if len(first.rows) != len(second.rows):
         return int((first.rows if len(first.rows) else second.rows).line[0])
     is_same = np.ones(len(first.rows), dtype=np.bool_)
@@ -115,7 +117,10 @@ def _first_difference(
         (first.rows.posture, second.rows.posture),
         (first.rows.external, second.rows.external),
         (first.rows.via, second.rows.via),
-        (_in_force(first_settings, first)[first.state], _in_force(second_settings, second)[second.state]),
+        (
+            _settings_by_state(first_settings, first)[first.state],
+            _settings_by_state(second_settings, second)[second.state],
+        ),
         (first.numbers[:], second.numbers[:]),
     ):
         is_same &= ((a == b) | (np.isnan(a) & np.isnan(b))).all(axis=1)
@@ -134,8 +139,8 @@ def _are_equal(position: Position, other_position: Position) -> bool:
     return np.array_equal(a, b, equal_nan=True)
 
 
-def _in_force(settings: Settings, sequence: OrderedMotions) -> Array:
-    """Return (S, 36) frames and modes of each state; NaN where not known."""
+def _settings_by_state(settings: Settings, sequence: OrderedMotions) -> Array:
+    """Return the frames and modes of each of S states (S, 36); NaN for unknown frames."""
     return np.array(
         [
             np.concatenate(

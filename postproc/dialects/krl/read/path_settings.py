@@ -51,12 +51,12 @@ class PathSettings:
         """
         if isinstance(value, Call) and value.name == "SVEL_CP" and value.arguments:
             value = value.arguments[0]
-        component = self._component(at, field, "CP", value)
+        component = self._assigned_component(at, field, "CP", value)
         if component is None:
             return state
         number = self.variables.number(component)
         if number is None:
-            return self._unknown(
+            return self._unknown_state(
                 state, "speed", at, "the speed $VEL.CP is not known before the program runs", component
             )
         if not 0.0 < number <= FASTEST:
@@ -74,12 +74,14 @@ class PathSettings:
             if argument is None:
                 return state
             field, value = "CDIS", argument
-        component = self._component(at, field, "CDIS", value)
+        component = self._assigned_component(at, field, "CDIS", value)
         if component is None:
             return state
         number = self.variables.number(component)
         if number is None or number < 0.0:
-            return self._unknown(state, "cdis", at, "the approximation distance $APO.CDIS is not known", component)
+            return self._unknown_state(
+                state, "cdis", at, "the approximation distance $APO.CDIS is not known", component
+            )
         return state.with_known(cdis=number * M_PER_MM)
 
     def mode(self, state: State, at: Place, name: str, value: Value | VariableValue) -> State:
@@ -90,7 +92,7 @@ class PathSettings:
         argument: Value | VariableValue | None = value
         if isinstance(value, Call) and value.name in _MODE_OF:
             argument = self.variables.argument(value, _MODE_OF[value.name])
-        word = self._word(at, name, argument, MODES[name])
+        word = self._mode_word(at, name, argument, MODES[name])
         if isinstance(word, ProgramError):
             if name == "$IPO_MODE":
                 raise word
@@ -103,16 +105,19 @@ class PathSettings:
         return state.with_known(**{FIELDS[name]: word})
 
     def auxiliary(self, state: State, at: Place, field: str | None, value: Value | VariableValue) -> State:
-        """Return the state behind ``$CIRC_MODE = value``, or a component of it: what SCIRC makes of auxiliary points.
+        """Return the state after ``$CIRC_MODE = value``: how SCIRC uses the orientation of auxiliary points.
 
-        What it makes of end points (TARGET_PT) matters for circles with CA only, see `motions`.
+        How it uses that of end points (TARGET_PT) matters for circles with CA only, see `motions`.
 
-        :raises ProgramError: the axis that carries the robot is led through that of an auxiliary point.
+        :param field: the component that is assigned; None: all.
+        :raises ProgramError: E1, which carries the robot, is led through the auxiliary point.
         """
         argument: Value | VariableValue | None = value
         if isinstance(value, Call) and value.name == "SCIRC_M":
             argument = self.variables.argument(value, "CB")
-        word = self._word(at, "$CIRC_MODE.AUX_PT.E1", self._of_auxiliary(at, field, argument, "E1"), _AUXILIARY)
+        word = self._mode_word(
+            at, "$CIRC_MODE.AUX_PT.E1", self._auxiliary_component(at, field, argument, "E1"), _AUXILIARY
+        )
         if self.has_carriage and word == "#INTERPOLATE":
             problem = (
                 "$CIRC_MODE.AUX_PT.E1 #INTERPOLATE: E1, which carries the robot, is led through the auxiliary point"
@@ -120,15 +125,20 @@ class PathSettings:
             raise at.error(problem, "Only circles on which E1 goes from start to end are understood: use #CONSIDER.")
         if field not in (None, "AUX_PT", "AUX_PT.ORI"):
             return state
-        word = self._word(at, "$CIRC_MODE.AUX_PT.ORI", self._of_auxiliary(at, field, argument, "ORI"), _AUXILIARY)
+        word = self._mode_word(
+            at, "$CIRC_MODE.AUX_PT.ORI", self._auxiliary_component(at, field, argument, "ORI"), _AUXILIARY
+        )
         if isinstance(word, ProgramError):
             return self.reasons.unknown(state, "auxiliary", word)
         return state.with_known(auxiliary=word)
 
-    def _of_auxiliary(
+    def _auxiliary_component(
         self, at: Place, field: str | None, value: Value | VariableValue | None, component: str
     ) -> Value | VariableValue | None:
-        """Return what an assignment to `$CIRC_MODE`, or to a component of it, gives to a component of AUX_PT."""
+        """Return the value that an assignment to `$CIRC_MODE`, or to a component of it, gives a component of AUX_PT.
+
+        :param field: the component that is assigned; None: all. None is returned if it is another one.
+        """
         path = [] if field is None else field.split(".")
         names = ["AUX_PT", component]
         if path != names[: len(path)]:
@@ -140,10 +150,13 @@ class PathSettings:
             value = result.items.get(name)
         return value
 
-    def _word(
+    def _mode_word(
         self, at: Place, name: str, value: Value | VariableValue | None, words: tuple[str, ...]
     ) -> str | ProgramError:
-        """Return the mode that a value is, the first where there is none; or why it is not known."""
+        """Return the word of a mode, or the error that it is not known.
+
+        :param words: allowed words; the first is returned if there is no value.
+        """
         result = None if value is None else self.variables.evaluate(value)
         word = words[0] if result is None else result.text if isinstance(result, Word) else ""
         if word in words:
@@ -152,7 +165,7 @@ class PathSettings:
         advice = f"Write its value, one of {', '.join(words)}{'.' if word else f', or {_IN_A_FILE}.'}"
         return at.error(f"{name} is not known: {reason}", advice)
 
-    def _component(
+    def _assigned_component(
         self, at: Place, field: str | None, component: str, value: Value | VariableValue
     ) -> Value | VariableValue | None:
         """Return the value assigned to one component of a structure; None if another is assigned, or it is left out."""
@@ -161,6 +174,7 @@ class PathSettings:
         result = self.variables.evaluate(value)
         return result.items.get(component) if isinstance(result, Aggregate) else value
 
-    def _unknown(self, state: State, field: str, at: Place, problem: str, value: Value | VariableValue) -> State:
+    def _unknown_state(self, state: State, field: str, at: Place, problem: str, value: Value | VariableValue) -> State:
+        """Return a state in which a field is not known, because `value` is not."""
         reason = why_unknown(self.variables, at.source, value)
         return self.reasons.unknown(state, field, at.error(f"{problem}: {reason}", _RUN_TIME))

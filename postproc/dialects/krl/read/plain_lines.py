@@ -26,18 +26,18 @@ from postproc.dialects.krl.layout import Offsets
 from postproc.dialects.krl.read import plain_settings
 from postproc.dialects.krl.read.motion_columns import (
     MotionColumns,
-    given,
-    merged,
-    narrow,
+    compact_if_missing,
+    compact_postures,
+    merged_motions,
+    narrow_integers,
     no_circles,
-    none,
-    postures,
+    no_motions,
 )
 from postproc.dialects.krl.read.plain_settings import PlainSettings, no_settings
 from postproc.frames import Array, any_column
 from postproc.program import CIRC, LIN, PTP, Bools, Ints
 
-"""Lines read at once: the arrays of more lines do not fit the cache."""
+# possessive quantifiers (``*+``) never go back, so that a line that is not plain is refused in one pass
 _STRICT = r"[-+]?+(?:[0-9]++(?:\.[0-9]*+)?|\.[0-9]++)(?:[eE][-+]?+[0-9]++)?"
 _LOOSE = r"[-+.0-9][-+.0-9eE]*+"
 _STRAIGHT = r"[ \t]*+[Ss]?+(?:[Ll][Ii][Nn]|[Pp][Tt][Pp])"
@@ -48,8 +48,11 @@ _CIRCLE = re.compile(r"[ \t]*+[Ss]?+[Cc][Ii][Rr][Cc]")
 
 
 @cache
-def _line_of(number: str, *, circle: bool) -> re.Pattern[str]:
-    """Return the expression for a plain LIN or PTP, or a plain CIRC, with a given expression for its numbers."""
+def _line_pattern(number: str, *, circle: bool) -> re.Pattern[str]:
+    """Return the regular expression of a plain LIN or PTP, or of a plain CIRC.
+
+    :param number: expression of its numbers.
+    """
     position = [rf"[{name}{name.lower()}][ \t]++{number}" for name in "XYZABC"]
     components = [r"[Ss][ \t]++(?:[12][0-9]|3[01]|[0-9])", r"[Tt][ \t]++(?:[1-5][0-9]|6[0-3]|[0-9])"]
     components += [rf"[Ee]{axis}[ \t]++{number}" for axis in range(1, 7)]
@@ -57,16 +60,16 @@ def _line_of(number: str, *, circle: bool) -> re.Pattern[str]:
     required_count = 3 if circle else 0
     point = begin + "".join(f"{component}{_SEPARATOR}" for component in position[:required_count])
     point += "".join(f"(?:{component}{_SEPARATOR})?" for component in position[required_count:])
-    rest = "".join(f"(?:{component}{_SEPARATOR})?" for component in components) + r"\}"
+    other_components = "".join(f"(?:{component}{_SEPARATOR})?" for component in components) + r"\}"
     prefix = rf"{_CIRCLE.pattern}[ \t]*+{point}\}}[ \t]*+,[ \t]*+" if circle else rf"{_STRAIGHT}[ \t]*+"
     suffix = r"(?:[ \t]++(?i:C_(?:DIS|VEL|ORI|PTP|SPL))){0,2}[ \t]*+(?:;[^\r\n]*+)?\r{0,2}+\n"
-    return re.compile(f"{prefix}{point}{rest}{suffix}")
+    return re.compile(f"{prefix}{point}{other_components}{suffix}")
 
 
 def _is_plain(text: str, begin: int, number: str) -> bool:
-    """Return whether a plain line begins there, with a given expression for its numbers."""
+    """Return whether a plain line begins at an offset; `number` is the expression of its numbers."""
     circle = _CIRCLE.match(text, begin) is not None
-    return _line_of(number, circle=circle).match(text, begin) is not None
+    return _line_pattern(number, circle=circle).match(text, begin) is not None
 
 
 _MARK = 1
@@ -92,55 +95,67 @@ def scan(source: Source) -> list[MotionColumns]:
         part_starts = starts[lines]
         begin = int(part_starts[0])
         end = int(starts[lines.stop]) if lines.stop < len(starts) else len(text)
-        columns.append(_plain(text[begin:end], part_starts - begin, lines.start, begin))
+        columns.append(_plain_motions(text[begin:end], part_starts - begin, lines.start, begin))
     return columns
 
 
-def _plain(text: str, starts: Ints, lines: int, characters: int) -> MotionColumns:
+def _plain_motions(text: str, starts: Ints, lines: int, characters: int) -> MotionColumns:
     """Return the plain motions of a piece of text.
 
     :param starts: offsets of its lines in it.
-    :param lines: number of lines before it; `characters` of characters.
+    :param lines: number of lines before it; `characters` number of characters.
     """
     codes = text.encode("ascii", "replace")
-    line_indices = _alike(text, codes, starts)
-    plain = _scan(codes, starts, line_indices, lines, characters)
+    line_indices = _plain_line_indices(text, codes, starts)
+    plain = _motions_of_lines(codes, starts, line_indices, lines, characters)
     if plain is None:  # something that looks like a number is none, such as 1.2.3
-        strict = [index for index in line_indices.tolist() if _is_plain(text, int(starts[index]), _STRICT)]
-        plain = _scan(codes, starts, np.array(strict, dtype=np.int64), lines, characters) or none()
-    endless = [
+        strict_indices = [index for index in line_indices.tolist() if _is_plain(text, int(starts[index]), _STRICT)]
+        plain = (
+            _motions_of_lines(codes, starts, np.array(strict_indices, dtype=np.int64), lines, characters)
+            or no_motions()
+        )
+    infinite_masks = [
         np.isinf(values) for values in (plain.numbers, plain.external, plain.via)
     ]  # 1E999: refused where statements are read
-    if any(mask.any() for mask in endless):
-        plain = plain.take(~np.logical_or.reduce([any_column(mask) for mask in endless]))
+    if any(mask.any() for mask in infinite_masks):
+        plain = plain.take(~np.logical_or.reduce([any_column(mask) for mask in infinite_masks]))
     return plain
 
 
-def _alike(text: str, codes: bytes, starts: Ints) -> Ints:
-    """Return which lines (P,) are plain, if what looks like a number is one."""
+def _plain_line_indices(text: str, codes: bytes, starts: Ints) -> Ints:
+    """Return the indices of lines (P,) that are plain if all that looks like a number is one.
+
+    Lines that differ only in their numbers have one form; one line of each form is examined.
+
+    :param text: as characters, and `codes` as bytes.
+    :param starts: offsets of its lines.
+    """
     marked_codes = np.frombuffer(codes.translate(_NUMBER), dtype=np.uint8)
-    number = marked_codes == _MARK
-    number[1:] &= number[:-1].copy()
-    number[:1] = False
-    forms = marked_codes[~number].tobytes().split(b"\n")  # each number is one mark
+    is_number_tail = marked_codes == _MARK
+    is_number_tail[1:] &= is_number_tail[:-1].copy()
+    is_number_tail[:1] = False
+    forms = marked_codes[~is_number_tail].tobytes().split(b"\n")  # each number is one mark
     begins = np.append(0, np.flatnonzero(marked_codes == ord("\n")) + 1)
-    example = dict(zip(forms, range(len(forms)), strict=True))
-    verdicts = {form: _is_plain(text, int(begins[index]), _LOOSE) for form, index in example.items()}
+    line_of_form = dict(zip(forms, range(len(forms)), strict=True))
+    verdicts = {form: _is_plain(text, int(begins[index]), _LOOSE) for form, index in line_of_form.items()}
     plain = np.fromiter(map(verdicts.__getitem__, forms), np.bool_, len(forms))
-    own_forms = {form for form, good in verdicts.items() if good and _LIMITED_COMPONENT.search(form)}
-    if own_forms:
-        for index in [index for index, form in enumerate(forms) if form in own_forms]:
+    limited_forms = {form for form, good in verdicts.items() if good and _LIMITED_COMPONENT.search(form)}
+    if limited_forms:
+        for index in [index for index, form in enumerate(forms) if form in limited_forms]:
             plain[index] = _is_plain(text, int(begins[index]), _LOOSE)
     return np.asarray(np.searchsorted(starts, begins[plain]))
 
 
-def _scan(codes: bytes, line_starts: Ints, index: Ints, lines: int, characters: int) -> MotionColumns | None:
-    """Return the motions of plain lines (P,); None if one of their numbers cannot be read.
+def _motions_of_lines(
+    codes: bytes, line_starts: Ints, index: Ints, lines: int, characters: int
+) -> MotionColumns | None:
+    """Return the motions of P plain lines; None if one of their numbers cannot be read.
 
-    :param lines: number of lines before the text; `characters` of characters.
+    :param index: (P,) of the lines in the text.
+    :param lines: number of lines before the text; `characters` number of characters.
     """
     if not len(index):
-        return none()
+        return no_motions()
     body, begins, shift = _plain_body(codes, line_starts, index)
     shift += characters
     raw = np.frombuffer(body, dtype=np.uint8)
@@ -149,21 +164,23 @@ def _scan(codes: bytes, line_starts: Ints, index: Ints, lines: int, characters: 
         return None
     numbers, spans, points, (via, via_spans, via_target) = _points(raw, begins, shift, tokens)
     keyword = _skip_blanks(raw, begins, 1)
-    letter = raw[keyword + ((raw[keyword] | 32) == ord("s"))] | 32
+    motion_letter = raw[keyword + ((raw[keyword] | 32) == ord("s"))] | 32  # lower case, behind the S of splines
     ends = np.concatenate([begins[1:], [len(raw)]])
     stop = _skip_blanks(raw, ends - 1, -1) + 1
-    ptp = letter == ord("p")
+    is_ptp = motion_letter == ord("p")
     return MotionColumns(
         line=compact(index + 1 + lines, np.int32),
-        kind=compact(np.where(ptp, PTP, np.where(letter == ord("c"), CIRC, LIN)), np.int8),
+        kind=compact(np.where(is_ptp, PTP, np.where(motion_letter == ord("c"), CIRC, LIN)), np.int8),
         numbers=numbers[:, :6].copy(),
-        posture=postures(np.nan_to_num(numbers[:, 6:8], nan=-1.0).astype(np.int64)),
-        external=given(numbers[:, 8:]),
-        within=narrow(np.where(spans < 0, 0, spans - points[:, :1, None] - shift[:, None, None])[:, : len(COLUMNS)]),
+        posture=compact_postures(np.nan_to_num(numbers[:, 6:8], nan=-1.0).astype(np.int64)),
+        external=compact_if_missing(numbers[:, 8:]),
+        within=narrow_integers(
+            np.where(spans < 0, 0, spans - points[:, :1, None] - shift[:, None, None])[:, : len(COLUMNS)]
+        ),
         keyword=(keyword + shift).astype(np.int32),
         target=(points + shift[:, None]).astype(np.int32),
         tail=(np.stack([points[:, 1], stop], axis=1) + shift[:, None]).astype(np.int32),
-        approximated=_approximated(raw, begins, ptp),
+        approximated=_approximated(raw, begins, is_ptp),
         via=via,
         via_spans=via_spans,
         via_target=via_target,
@@ -171,10 +188,10 @@ def _scan(codes: bytes, line_starts: Ints, index: Ints, lines: int, characters: 
 
 
 def _plain_body(codes: bytes, line_starts: Ints, index: Ints) -> tuple[bytes, Ints, Ints]:
-    """Return the text of some lines (P,) alone, comments blanked out.
+    """Return the text of P lines alone, with comments blanked out.
 
-    :returns: the text, the offsets of the lines in it (P,), and what to add on each line (P,) to offsets in it for
-        those in all codes.
+    :returns: the text; the offsets of the lines in it (P,); what to add to offsets on each line (P,) to get those in
+        `codes`.
     """
     line_ends = np.append(line_starts[1:], len(codes))
     length = (line_ends - line_starts)[index]
@@ -189,12 +206,12 @@ def _plain_body(codes: bytes, line_starts: Ints, index: Ints) -> tuple[bytes, In
 
 
 def _number_tokens(body: bytes) -> tuple[Array, Ints, Ints] | None:
-    """Return the numbers (T,) in a text, and where each starts and stops (T,); None if one cannot be read."""
+    """Return the T numbers in a text, and the offsets (T,) of their starts and stops; None if one cannot be read."""
     digits = _digits(body)
     starts, stops = numbers_in(digits)
     values = parsed_numbers(digits, starts, stops)
     if values is None:
-        values = _values(digits)
+        values = _parsed_numbers(digits)
     return None if len(values) != len(starts) else (values, starts, stops)
 
 
@@ -211,7 +228,7 @@ def _points(
     """
     values, starts, stops = tokens
     points = np.stack([np.flatnonzero(raw == ord("{")), np.flatnonzero(raw == ord("}")) + 1], axis=1)
-    column = _COLUMN[_before(raw, starts)]
+    column = _COLUMN[_characters_before(raw, starts)]
     has_circles = len(points) > len(begins)
     if has_circles:  # auxiliary points have columns of their own, before those of the targets
         line = np.searchsorted(begins, points[:, 0], side="right") - 1
@@ -221,7 +238,7 @@ def _points(
         )
     numbers = np.full((len(begins), _NUMBERS * (1 + has_circles)), np.nan)
     spans = np.full((*numbers.shape, 2), -1, dtype=np.int32)
-    row, column = _places(column, begins, starts)
+    row, column = _rows_and_columns(column, begins, starts)
     offset, shape = (shift[:, None], (len(begins), -1)) if isinstance(row, slice) else (shift[row], (-1,))
     numbers[row, column] = values.reshape(shape)
     spans[row, column, 0] = starts.reshape(shape) + offset
@@ -236,10 +253,16 @@ def _points(
     return numbers, spans, points, (via, via_spans, via_target)
 
 
-def _places(column: Ints, begins: Ints, starts: Ints) -> tuple[Ints | slice, Ints]:
-    """Return which row and column numbers belong to: (T,) each, or where all lines are alike all rows and (C,)."""
-    width, rest = divmod(len(starts), len(begins))
-    if rest == 0:
+def _rows_and_columns(column: Ints, begins: Ints, starts: Ints) -> tuple[Ints | slice, Ints]:
+    """Return the row and the column (T,) of each of T numbers.
+
+    If all lines have the same C columns, the row is a slice of all and the columns are (C,).
+
+    :param column: (T,) column of each number; `starts` (T,) its offset.
+    :param begins: (P,) offsets of the lines.
+    """
+    width, remainder = divmod(len(starts), len(begins))
+    if remainder == 0:
         groups = column.reshape(-1, width)
         if (groups == groups[0]).all():  # columns increase within a line, so that no line reaches into the next group
             return slice(None), groups[0]
@@ -248,7 +271,7 @@ def _places(column: Ints, begins: Ints, starts: Ints) -> tuple[Ints | slice, Int
 
 
 def _digits(body: bytes) -> Bytes:
-    """Return the text with everything but numbers blanked out."""
+    """Return the text with everything but numbers replaced by blanks."""
     digits = np.frombuffer(bytearray(body.translate(_NUMBER_CODES)), dtype=np.uint8)
     exponent = np.flatnonzero((digits | 32) == ord("e"))
     if len(exponent):  # the E of E1, E6POS and C_VEL is none, and the digit behind it no number
@@ -257,8 +280,8 @@ def _digits(body: bytes) -> Bytes:
     return digits
 
 
-def _values(digits: Bytes) -> Array:
-    """Return the numbers in a text of numbers and blanks; none if one of them is no number."""
+def _parsed_numbers(digits: Bytes) -> Array:
+    """Return the numbers in a text of numbers and blanks; an empty array if one of them cannot be read."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)  # numpy before 2.4 stops at what it cannot read
         try:
@@ -267,13 +290,13 @@ def _values(digits: Bytes) -> Array:
             return np.zeros(0)
 
 
-def _before(raw: Bytes, position: Ints) -> Ints:
-    """Return the characters before each position, blanks skipped."""
+def _characters_before(raw: Bytes, position: Ints) -> Ints:
+    """Return the characters before some positions, blanks skipped."""
     return raw[_skip_blanks(raw, position - 1, -1)].astype(np.int64)
 
 
 def _skip_blanks(raw: Bytes, position: Ints, step: int) -> Ints:
-    """Return the first places from each position on, in the direction of `step`, that hold no blank."""
+    """Return for each position the next one without a blank, in the direction of `step` (1 or −1)."""
     blank = _BLANK[raw[position]]
     while blank.any():
         position = position + (step * blank if not blank.all() else step)
@@ -282,7 +305,7 @@ def _skip_blanks(raw: Bytes, position: Ints, step: int) -> Ints:
 
 
 def _approximated(raw: Bytes, begins: Ints, ptp: Bools) -> Bools:
-    """Return which lines are approximated by `$APO.CDIS`."""
+    """Return the lines (P,) that are approximated by `$APO.CDIS`: with C_DIS, and for path motions C_SPL."""
     underscore = np.flatnonzero(raw == ord("_"))
     letter = raw[underscore + 1] | 32
     row = np.searchsorted(begins, underscore, side="right") - 1
@@ -308,11 +331,11 @@ class PlainLines(Struct, frozen=True):
         return np.concatenate([rows.line for rows in self.motions])
 
     def others(self, count: int) -> Bools:
-        """Return which of the lines 1 … count are neither (count,)."""
-        return not_plain(count, self.moving, self.settings)
+        """Return which of the lines 1 … count are neither plain motions nor plain settings (count,)."""
+        return is_not_plain(count, self.moving, self.settings)
 
 
-def not_plain(count: int, moving: Ints, settings: PlainSettings) -> Bools:
+def is_not_plain(count: int, moving: Ints, settings: PlainSettings) -> Bools:
     """Return which of the lines 1 … count are neither plain motions nor plain settings (count,).
 
     :param moving: (P,) lines of plain motions.
@@ -324,26 +347,29 @@ def not_plain(count: int, moving: Ints, settings: PlainSettings) -> Bools:
 
 
 def plain_of(source: Source, *, bulk: bool = True) -> PlainLines:
-    """Return the plain lines of a text; not `bulk`: none, so that all are read one by one."""
-    return PlainLines(scan(source), plain_settings.scan(source)) if bulk else PlainLines([none()], no_settings())
+    """Return the plain lines of a file.
+
+    :param bulk: False to find none, so that all lines are read one by one.
+    """
+    return PlainLines(scan(source), plain_settings.scan(source)) if bulk else PlainLines([no_motions()], no_settings())
 
 
-def gathered(trace: Trace, plain_by_source: Mapping[Source, PlainLines], *, bulk: bool = True) -> PlainLines:
-    """Return the plain rows of an execution trace, taken from the plain lines of its files: no line is scanned twice.
+def plain_rows_of_trace(trace: Trace, plain_by_source: Mapping[Source, PlainLines], *, bulk: bool = True) -> PlainLines:
+    """Return the plain rows of an execution trace, taken from the plain lines of its files.
 
-    :param plain_by_source: plain lines of files that were scanned already.
+    :param plain_by_source: plain lines of files that have been scanned, so that none is scanned twice.
     :param bulk: see `plain_of`.
     """
-    motions, settings = [none()], [no_settings()]
+    motions, settings = [no_motions()], [no_settings()]
     for number, source in enumerate(trace.sources if bulk else ()):
         plain = plain_by_source.get(source) or plain_of(source)
         rows = np.flatnonzero(trace.file == number)
         lines = trace.line[rows]
-        columns = merged([*plain.motions], np.arange(sum(map(len, plain.motions))))
-        plain_rows = _numbers_of(columns.line, len(source.starts))[lines - 1]
+        columns = merged_motions([*plain.motions], np.arange(sum(map(len, plain.motions))))
+        plain_rows = _index_of_line(columns.line, len(source.starts))[lines - 1]
         indices = np.flatnonzero(plain_rows >= 0)
         motions.append(replace(columns.take(plain_rows[indices]), line=compact(rows[indices] + 1, np.int32)))
-        plain_rows = _numbers_of(plain.settings.line, len(source.starts))[lines - 1]
+        plain_rows = _index_of_line(plain.settings.line, len(source.starts))[lines - 1]
         indices = np.flatnonzero(plain_rows >= 0)
         settings.append(PlainSettings(rows[indices] + 1, plain.settings.values[:, plain_rows[indices]]))
     line = np.concatenate([part.line for part in motions])
@@ -352,11 +378,11 @@ def gathered(trace: Trace, plain_by_source: Mapping[Source, PlainLines], *, bulk
     given_line = np.concatenate([part.line for part in settings])
     values = np.concatenate([part.values for part in settings], axis=1)
     in_order = np.argsort(given_line, kind="stable")
-    return PlainLines([merged(motions, order)], PlainSettings(given_line[in_order], values[:, in_order]))
+    return PlainLines([merged_motions(motions, order)], PlainSettings(given_line[in_order], values[:, in_order]))
 
 
-def _numbers_of(lines: Ints, count: int) -> Ints:
-    """Return which of some 1-based lines each of the lines 1 … count is (count,); −1 for others."""
+def _index_of_line(lines: Ints, count: int) -> Ints:
+    """Return the index in `lines` of each of the 1-based lines 1 … count (count,); −1 for lines that are not in it."""
     numbers = np.full(count, -1, dtype=np.int64)
     numbers[lines - 1] = np.arange(len(lines))
     return numbers

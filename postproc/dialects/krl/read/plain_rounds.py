@@ -22,7 +22,7 @@ from postproc.dialects.krl.language.tree import Assignment, For, Motion, Stateme
 from postproc.dialects.krl.language.values import Number, Operation, Reference, Value, walk
 from postproc.dialects.krl.layout import Offsets
 from postproc.dialects.krl.read import plain_lines, plain_settings
-from postproc.dialects.krl.read.motion_columns import MotionColumns, merged
+from postproc.dialects.krl.read.motion_columns import MotionColumns, merged_motions
 from postproc.dialects.krl.read.motion_reader import KINDS, ROBOT_POSITIONS, MotionReader
 from postproc.dialects.krl.read.path_settings import FASTEST
 from postproc.dialects.krl.read.plain_settings import NUMBERS, PlainSettings
@@ -55,37 +55,39 @@ def plain_body(source: Source, block: Block) -> PlainBody | None:
         if isinstance(line, Block):
             return None
         stmt = statement(source, line)
-        if _is_plain(stmt, head.name):
+        if _is_motion_to_element(stmt, head.name):
             motions.append(line)
-        elif _sets(stmt, head.name):
+        elif _sets_from_array(stmt, head.name):
             settings.append(line)
-        elif _switches(stmt):
+        elif _is_switching_trigger(stmt):
             triggers.append(line)
         elif not plain_settings.is_plain(source, line):
             return None
     return PlainBody((*motions,), (*settings,), (*triggers,)) if motions else None
 
 
-def _sets(stmt: Statement, counter: str) -> bool:
-    """Return whether a statement gives a speed or a distance an element of an array: ``$VEL.CP=V[I]``."""
+def _sets_from_array(stmt: Statement, counter: str) -> bool:
+    """Return whether a statement sets a speed or an approximation distance to an array element, as ``$VEL.CP=V[I]``
+    does.
+    """
     if not isinstance(stmt, Assignment) or not isinstance(stmt.value, Reference):
         return False
     target, value = stmt.target, stmt.value
     is_set = target.indices is None and target.field is not None and _SET.get(target.name) == target.field
     is_element = value.name[0] != "$" and value.field is None and len(value.name) <= MAX_LENGTH
-    return is_set and is_element and _step_from(value, counter) is not None
+    return is_set and is_element and _counter_offset(value, counter) is not None
 
 
-def _switches(stmt: Statement) -> bool:
-    """Return whether a statement is a TRIGGER with numbers that switches an output."""
+def _is_switching_trigger(stmt: Statement) -> bool:
+    """Return whether a statement is a TRIGGER that switches an output, and whose distance and delay are numbers."""
     if not isinstance(stmt, Trigger) or not isinstance(stmt.action, Assignment) or calls(stmt.values):
         return False
     has_numbers = isinstance(stmt.value, Number) and isinstance(stmt.delay, Number)
     return has_numbers and stmt.action.target.name in _SWITCHED
 
 
-def _is_plain(stmt: Statement, counter: str) -> bool:
-    """Return whether a statement is a motion to an element of an array at the counter, and nothing else."""
+def _is_motion_to_element(stmt: Statement, counter: str) -> bool:
+    """Return whether a statement is a motion to an array element, as ``LIN P[I+1] C_DIS`` is, without WITH."""
     if not isinstance(stmt, Motion) or stmt.word not in KINDS or stmt.word in (*CIRCLES, "SPL"):
         return False
     tail, end = stmt.tail, stmt.end
@@ -98,23 +100,25 @@ def _is_plain(stmt: Statement, counter: str) -> bool:
         or len(end.name) > MAX_LENGTH
     ):
         return False
-    return _step_from(end, counter) is not None
+    return _counter_offset(end, counter) is not None
 
 
-def _step_from(point: Reference, counter: str) -> int | None:
-    """Return k of ``P[I+k]``, 0 of ``P[I]``; None if the index is something else.
+def _counter_offset(point: Reference, counter: str) -> int | None:
+    """Return k for ``P[I+k]``, 0 for ``P[I]``; None if the index is something else.
 
     :param counter: name of I, upper case.
     """
     index: Value | None = point.indices[0] if point.indices and len(point.indices) == 1 else None
-    step = 0
+    offset = 0
     if isinstance(index, Operation) and index.operator in "+-" and isinstance(index.right, Number):
         number = index.right
         if not number.integer or not 0 <= number.value <= _FARTHEST_STEP:
             return None
-        step, index = int(number.value) if index.operator == "+" else -int(number.value), index.left
-    plain = isinstance(index, Reference) and index.name == counter and index.indices is None and index.field is None
-    return step if plain else None
+        offset, index = int(number.value) if index.operator == "+" else -int(number.value), index.left
+    is_counter = (
+        isinstance(index, Reference) and index.name == counter and index.indices is None and index.field is None
+    )
+    return offset if is_counter else None
 
 
 class ElementMotions(Struct, frozen=True, eq=False):
@@ -134,7 +138,7 @@ class ElementMotions(Struct, frozen=True, eq=False):
 def columns_of(
     run: Run, reader: MotionReader, rounds: PlainRounds
 ) -> tuple[list[ElementMotions], PlainSettings] | None:
-    """Return the motions of plain rounds, by statement, and the settings; None if they must be followed round by round.
+    """Return the motions of plain rounds, by statement, and the settings; None if rounds must be followed one by one.
 
     :param run: the program as far as it has run, before the first round.
     """
@@ -144,11 +148,11 @@ def columns_of(
     motions = []
     for line in rounds.body.motions:
         stmt = statement(rounds.source, line)
-        element_motions = _motions(run, reader, rounds, line, stmt) if isinstance(stmt, Motion) else None
+        element_motions = _element_motions(run, reader, rounds, line, stmt) if isinstance(stmt, Motion) else None
         if element_motions is None:
             return None
         motions.append(element_motions)
-    settings = _settings(run, rounds)
+    settings = _settings_of_rounds(run, rounds)
     if settings is None:
         return None
     for line in rounds.body.motions + rounds.body.settings:
@@ -157,14 +161,14 @@ def columns_of(
     return motions, settings
 
 
-def _settings(run: Run, rounds: PlainRounds) -> PlainSettings | None:
-    """Return the speeds and distances that rounds set; None if one of them is not known, or is none."""
+def _settings_of_rounds(run: Run, rounds: PlainRounds) -> PlainSettings | None:
+    """Return the speeds and approximation distances that rounds set; None if one is not known or not allowed."""
     head, lines, values = statement(rounds.source, rounds.head), [], []
     for line in rounds.body.settings:
         stmt = statement(rounds.source, line)
         if not isinstance(stmt, Assignment) or not isinstance(stmt.value, Reference) or not isinstance(head, For):
             return None
-        element_numbers = rounds.numbers(_step_from(stmt.value, head.name) or 0)
+        element_numbers = rounds.numbers(_counter_offset(stmt.value, head.name) or 0)
         numbers = run.variables.numbers(run.stored(stmt.value.name), element_numbers)
         if numbers is None:
             return None
@@ -183,14 +187,20 @@ def _settings(run: Run, rounds: PlainRounds) -> PlainSettings | None:
     return PlainSettings(rows[order], np.concatenate(values, axis=1)[:, order])
 
 
-def _motions(run: Run, reader: MotionReader, rounds: PlainRounds, at: int, motion: Motion) -> ElementMotions | None:
-    """Return the motions of one statement; None if their points are not all literals of one data list."""
+def _element_motions(
+    run: Run, reader: MotionReader, rounds: PlainRounds, at: int, motion: Motion
+) -> ElementMotions | None:
+    """Return the motions of one statement, one for each round; None if their points are not all literals of one data
+    list.
+
+    :param at: line of the statement in its file.
+    """
     head = statement(rounds.source, rounds.head)
     if not isinstance(motion.end, Reference) or not isinstance(head, For):
         return None
     if motion.end.name in run.variables.scope.arrays:
         return None
-    numbers = rounds.numbers(_step_from(motion.end, head.name) or 0)
+    numbers = rounds.numbers(_counter_offset(motion.end, head.name) or 0)
     literals = run.variables.data_spans(run.stored(motion.end.name), numbers)
     if literals is None:
         return None
@@ -201,7 +211,7 @@ def _motions(run: Run, reader: MotionReader, rounds: PlainRounds, at: int, motio
     starts = np.append(0, ends[:-1])
     lines = Source(replace(source.document, text=text), text, source.index, starts, ends - 1)
     points = plain_lines.scan(lines)
-    rows = merged(points, np.arange(sum(map(len, points))))
+    rows = merged_motions(points, np.arange(sum(map(len, points))))
     if len(rows) != rounds.count or (np.abs(rows.numbers) > LARGEST_COORDINATE).any():
         return None
     shift = np.array([start for start, _ in spans]) - starts - len(_PREFIX)
@@ -209,6 +219,7 @@ def _motions(run: Run, reader: MotionReader, rounds: PlainRounds, at: int, motio
     _, is_approximated = reader.tail(Place(rounds.source, at), kind, motion.tail)
 
     def in_each_round(*offsets: int) -> Offsets:
+        """Return offsets that are the same in all rounds, one row for each (count, n)."""
         return np.tile(np.array(offsets, dtype=np.int32), (rounds.count, 1))
 
     literal = rows.target + shift[:, None]

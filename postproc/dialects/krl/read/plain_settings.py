@@ -18,6 +18,7 @@ from postproc.frames import M_PER_MM, Array
 from postproc.program import Ints
 
 _NUMBER = r"[0-9]{1,6}+(?:\.[0-9]{0,9}+)?"
+# system variables whose value a motion depends on, and others of which it does not; possessive, for one pass
 _SETTING = re.compile(
     rf"""\$(?:
     (VEL\.CP | APO\.CDIS)[ \t]*+=[ \t]*+({_NUMBER})
@@ -41,7 +42,7 @@ class PlainSettings(Struct, frozen=True, eq=False):
     values: Array
 
     def given(self, row: int) -> tuple[Ints, Array]:
-        """Return the lines (G,) on which one of the `NUMBERS` is given, and what (G,)."""
+        """Return the lines (G,) that assign one of the `NUMBERS`, and the values (G,)."""
         is_given = ~np.isnan(self.values[row])
         return self.line[is_given], self.values[row, is_given]
 
@@ -61,19 +62,19 @@ def scan(source: Source) -> PlainSettings:
         numbers.append(match[2])
     if not starts:
         return no_settings()
-    place = np.array(starts)
-    line = np.searchsorted(source.starts, place, side="right")
+    offsets = np.array(starts)
+    line = np.searchsorted(source.starts, offsets, side="right")
     begin = source.starts[line - 1]
     values = np.full((len(NUMBERS), len(starts)), np.nan)
-    speed = np.array([name is not None and name[0] in "Vv" for name in names])
-    distance = np.array([name is not None and name[0] in "Aa" for name in names])
+    is_speed = np.array([name is not None and name[0] in "Vv" for name in names])
+    is_distance = np.array([name is not None and name[0] in "Aa" for name in names])
     value = np.array([0.0 if number is None else float(number) for number in numbers])
-    values[0, speed] = value[speed]
-    values[1, distance] = value[distance] * M_PER_MM
-    plain = ~speed | ((value > 0.0) & (value <= FASTEST))
-    for index in np.flatnonzero(begin != place).tolist():
-        plain[index] &= not text[begin[index] : starts[index]].strip(" \t")
-    return PlainSettings(line[plain], values[:, plain])
+    values[0, is_speed] = value[is_speed]
+    values[1, is_distance] = value[is_distance] * M_PER_MM
+    is_plain_line = ~is_speed | ((value > 0.0) & (value <= FASTEST))
+    for index in np.flatnonzero(begin != offsets).tolist():
+        is_plain_line[index] &= not text[begin[index] : starts[index]].strip(" \t")
+    return PlainSettings(line[is_plain_line], values[:, is_plain_line])
 
 
 def is_plain(source: Source, line: int) -> bool:
@@ -92,32 +93,39 @@ class PlainAssignments:
     def __init__(self, settings: PlainSettings) -> None:
         self._given = [settings.given(row) for row in range(len(NUMBERS))]
         self._lines = [lines.tolist() for lines, _ in self._given]
-        self._done = [0] * len(NUMBERS)
-        self._none = not any(self._lines)
+        self._passed_counts = [0] * len(NUMBERS)
+        self._is_finished = not any(self._lines)
 
     def before(self, line: int) -> list[tuple[int, str, float]]:
-        """Return the values in force at the first and the last assignment of each field since the line of the previous
-        call: for all fields assigned in between, since each of these places gets a state of its own.
+        """Return the values to put into force before a line, and note that they are.
+
+        For each field, these are its first and its last value since the line of the previous call; at the places of
+        both, the values of the other fields are returned too.
 
         :returns: (line, field, value), in order.
         """
-        if self._none:
+        if self._is_finished:
             return []
-        spans = [(start, bisect_left(lines, line, start)) for start, lines in zip(self._done, self._lines, strict=True)]
-        places = {lines[k] for (first, stop), lines in zip(spans, self._lines, strict=True) if stop > first
-                  for k in (first, stop - 1)}  # fmt: skip
+        spans = [
+            (start, bisect_left(lines, line, start))
+            for start, lines in zip(self._passed_counts, self._lines, strict=True)
+        ]
+        places = {lines[index] for (first, stop), lines in zip(spans, self._lines, strict=True) if stop > first
+                  for index in (first, stop - 1)}  # fmt: skip
         assignments = []
         for place in sorted(places):
             for row, (first, stop) in enumerate(spans):
-                k = bisect_right(self._lines[row], place, first, stop) - 1
-                if k >= first:
-                    assignments.append((place, NUMBERS[row], float(self._given[row][1][k])))
-        self._done = [stop for _, stop in spans]
-        self._none = all(stop == len(lines) for stop, lines in zip(self._done, self._lines, strict=True))
+                index = bisect_right(self._lines[row], place, first, stop) - 1
+                if index >= first:
+                    assignments.append((place, NUMBERS[row], float(self._given[row][1][index])))
+        self._passed_counts = [stop for _, stop in spans]
+        self._is_finished = all(
+            stop == len(lines) for stop, lines in zip(self._passed_counts, self._lines, strict=True)
+        )
         return assignments
 
     def insert(self, settings: PlainSettings) -> None:
-        """Put assignments among those that are still to come."""
+        """Add assignments to those that are not yet in force."""
         for row in range(len(NUMBERS)):
             new_lines, new_values = settings.given(row)
             if len(new_lines):
@@ -125,16 +133,17 @@ class PlainAssignments:
                 place = np.searchsorted(lines, new_lines)
                 self._given[row] = np.insert(lines, place, new_lines), np.insert(values, place, new_values)
                 self._lines[row] = self._given[row][0].tolist()
-                self._none = False
+                self._is_finished = False
 
     def at(self, row: int, line: Ints, change_lines: Ints, state_values: Array) -> Array:
-        """Return one of the `NUMBERS` on lines (n,).
+        """Return the values of one of the `NUMBERS` on n lines (n,).
 
-        :param change_lines: (n,) lines on which the state in force there was created, with all earlier assignments.
-        :param state_values: (n,) its value then.
+        :param change_lines: (n,) lines at which the states in force were created; later plain assignments replace their
+            values.
+        :param state_values: (n,) values in these states.
         """
         lines, values = self._given[row]
         if not len(lines):
             return state_values
-        last = np.searchsorted(lines, line) - 1
-        return np.where((last >= 0) & (lines[last] > change_lines), values[last], state_values)
+        previous = np.searchsorted(lines, line) - 1
+        return np.where((previous >= 0) & (lines[previous] > change_lines), values[previous], state_values)

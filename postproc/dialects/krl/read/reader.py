@@ -24,9 +24,14 @@ from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.trace import Trace
 from postproc.dialects.krl.read.comments import notes_of, remarks
 from postproc.dialects.krl.read.data_lists import read_data, read_shared
-from postproc.dialects.krl.read.folder import FolderFiles, Library, code_of, codes_of, needed
-from postproc.dialects.krl.read.frames import out_of_reach
-from postproc.dialects.krl.read.issues import issues_of, refuse_loaded, refuse_noted, unfollowed
+from postproc.dialects.krl.read.folder import FolderFiles, Library, codes_of, needed, text_of_lines
+from postproc.dialects.krl.read.frames import out_of_reach_error
+from postproc.dialects.krl.read.issues import (
+    issues_of,
+    refuse_routines_under_force,
+    refuse_routines_with_force_comments,
+    unfollowed_calls,
+)
 from postproc.dialects.krl.read.joins import (
     BranchError,
     branches,
@@ -39,11 +44,11 @@ from postproc.dialects.krl.read.joins import (
 )
 from postproc.dialects.krl.read.known import InexactError
 from postproc.dialects.krl.read.main_routine import MainRoutine, Start, course_of
-from postproc.dialects.krl.read.motion_columns import MotionColumns, merged
-from postproc.dialects.krl.read.motions import OrderedMotions, motions_and_layout, ordered_motions, unsettled
+from postproc.dialects.krl.read.motion_columns import MotionColumns, merged_motions
+from postproc.dialects.krl.read.motions import OrderedMotions, motions_and_layout, ordered_motions, setting_errors
 from postproc.dialects.krl.read.next_run import changed_data_issues, kept_values
-from postproc.dialects.krl.read.plain_lines import PlainLines, gathered, plain_of
-from postproc.dialects.krl.read.unresolved import SeparatedMotions, needs_start, without_unresolved
+from postproc.dialects.krl.read.plain_lines import PlainLines, plain_of, plain_rows_of_trace
+from postproc.dialects.krl.read.unresolved import SeparatedMotions, depends_on_start, without_unresolved
 from postproc.dialects.krl.read.variables import Variables
 from postproc.dialects.text import decode
 from postproc.errors import CellError, Issue, ProgramError, combined_error
@@ -74,34 +79,41 @@ def read_program(
         frames for one number.
     """
     with garbage.collection_paused():
-        return _followed(documents, cell, kinematics, name, bulk=_bulk)
+        return _read_program(documents, cell, kinematics, name, bulk=_bulk)
 
 
-def _followed(
+def _read_program(
     documents: Sequence[Document], cell: Cell, kinematics: Callable[[Array], Array], name: str, *, bulk: bool
 ) -> Program:
-    """Return what `read_program` does."""
+    """Read a KRL program, see `read_program`.
+
+    Parts that cannot be corrected are left as they are: the program is followed again without them, until none is new.
+
+    :param bulk: False to read plain lines one by one.
+    """
     source = Source.of(documents[0], 0)
-    scanned = [plain_of(source, bulk=bulk)]  # taken out where it is used up, so that its memory is released
-    module, entry, faults = _main(source, scanned[0], name)
+    scanned_lines = [plain_of(source, bulk=bulk)]  # taken out where it is used up, so that its memory is released
+    module, entry, faults = _main_routine(source, scanned_lines[0], name)
     other_documents = [document for document in documents[1:] if not _belongs(document, documents[0])]
     library = Library(module, FolderFiles(_folders(documents[0], cell), other_documents))
-    code = code_of(source, (np.flatnonzero(scanned[0].others(len(source.starts))) + 1).tolist())
+    code = text_of_lines(source, (np.flatnonzero(scanned_lines[0].others(len(source.starts))) + 1).tolist())
     reading = _Reading(documents, cell, kinematics, name, library, entry, faults, code)
     obstacles: dict[Routine | Occasion, ProgramError] = {}
     while True:
         try:
             return reading.program(
-                reading.followed(scanned.pop() if scanned else plain_of(source, bulk=bulk), obstacles, bulk=bulk)
+                reading.follow(
+                    scanned_lines.pop() if scanned_lines else plain_of(source, bulk=bulk), obstacles, bulk=bulk
+                )
             )
         except RecursionError:
             problem = "calls, control structures and brackets are nested too deeply"
             raise source.line_error(problem, entry.first, "Write fewer of them into each other.") from None
         except ProgramError as cause:
-            culprits = _apart(cause, library, keep=cell.krl.keep_unresolved) - obstacles.keys()
+            culprits = _uncorrectable_parts(cause, library, keep=cell.krl.keep_unresolved) - obstacles.keys()
             if not culprits:
                 raise
-            obstacles |= {culprit: _about(cause, culprit) for culprit in culprits}
+            obstacles |= {culprit: _error_about(cause, culprit) for culprit in culprits}
 
 
 class _Reading(Struct, frozen=True, eq=False):
@@ -119,27 +131,28 @@ class _Reading(Struct, frozen=True, eq=False):
     faults: list[ProgramError]
     code: str
 
-    def followed(
+    def follow(
         self, plain: PlainLines, obstacles: Mapping[Routine | Occasion, ProgramError], *, bulk: bool
     ) -> _ExecutedProgram:
-        """Follow the program, and read what moves.
+        """Follow the program, and read its motions.
 
         :param plain: plain lines of the `.src`.
-        :param obstacles: see `Run.elsewhere`.
+        :param obstacles: routines and forks that are not followed, with the reason.
+        :raises ProgramError: something that changes motion is not understood or not known before the program runs.
         """
         joints = tuple(float(angle) for angle in self.cell.start_joints * DEG_PER_RAD)
-        start = Start(self.library, self.entry, obstacles, self._variables(), self.cell, joints)
+        start = Start(self.library, self.entry, obstacles, self._initial_variables(), self.cell, joints)
         course, collected = course_of(start)
         if not course.straight:
-            plain = gathered(course.trace, {self.entry.source: plain}, bulk=bulk)
+            plain = plain_rows_of_trace(course.trace, {self.entry.source: plain}, bulk=bulk)
         if collected is None or self.faults:
             main = MainRoutine(start.collected(course.trace), course, plain)
             self._follow(main, plain)
         else:
             main = MainRoutine(collected, course, plain)
         if not self.cell.krl.keep_unresolved:
-            refuse_noted(main.run)
-        plain = self._executed(main, plain)
+            refuse_routines_with_force_comments(main.run)
+        plain = self._executed_lines(main, plain)
         change_places = kept_values(main)
         parts = [*plain.motions] if change_places else plain.motions  # emptied; a second run needs them
         sequence = ordered_motions(main, parts)
@@ -149,7 +162,7 @@ class _Reading(Struct, frozen=True, eq=False):
     def _follow(self, main: MainRoutine, plain: PlainLines) -> None:
         """Run the statements along the complete trace.
 
-        :raises ProgramError: all that is wrong in them, and settings that motions lack.
+        :raises ProgramError: all errors in them, and missing settings of motions.
         """
         try:
             main.follow(self.faults)
@@ -164,17 +177,17 @@ class _Reading(Struct, frozen=True, eq=False):
             fault_keys = {(fault.file, fault.line, fault.problem) for fault in faults}
             setting_faults = [
                 fault
-                for fault in unsettled(main, plain.motions)
+                for fault in setting_errors(main, plain.motions)
                 if (fault.file, fault.line, fault.problem) not in fault_keys
             ]
             if not setting_faults:
                 raise
             raise combined_error([*faults, *setting_faults]) from None
 
-    def _executed(self, main: MainRoutine, plain: PlainLines) -> PlainLines:
-        """Return the plain lines that run.
+    def _executed_lines(self, main: MainRoutine, plain: PlainLines) -> PlainLines:
+        """Return those plain lines that run.
 
-        :raises ProgramError: nothing moves.
+        :raises ProgramError: there are no motions at all.
         """
         is_executed = main.executed(plain.moving)
         if not is_executed.any() and not len(main.motions) and not main.rounds and not main.run.unresolved:
@@ -183,16 +196,20 @@ class _Reading(Struct, frozen=True, eq=False):
             )
         if is_executed.all():
             return plain
-        return replace(plain, motions=[merged(plain.motions, np.arange(len(is_executed))).take(is_executed)])
+        return replace(plain, motions=[merged_motions(plain.motions, np.arange(len(is_executed))).take(is_executed)])
 
-    def program(self, followed: _ExecutedProgram) -> Program:
-        """Return the program, with the layout of its text."""
-        main, cell, separation = followed.main, self.cell, followed.separation
+    def program(self, executed_program: _ExecutedProgram) -> Program:
+        """Return the program with its motions and the layout of its text.
+
+        :raises ProgramError: motions cannot be corrected where branches meet or rounds repeat, or a target is not
+            certain.
+        """
+        main, cell, separation = executed_program.main, self.cell, executed_program.separation
         run, course, sequence, trace = main.run, main.course, separation.ordered, main.course.trace
         free = frozenset() if cell.carriage is not None else free_joins(course, sequence)
         notes = notes_of(course, sequence.rows.line, sequence.rows.kind == PTP, run.unforced, free)
         if not cell.krl.keep_unresolved:
-            refuse_loaded(run, notes)
+            refuse_routines_under_force(run, notes)
         uncorrected_lines = [line for line, _ in run.unresolved]
         predecessors, joins = branching(course, sequence, separation.after, uncorrected_lines, free)
         _check_size(trace, sequence.rows)
@@ -200,20 +217,20 @@ class _Reading(Struct, frozen=True, eq=False):
         motions, layout, assumptions = motions_and_layout(
             main, sequence, cell.start_joints, self.kinematics, predecessors
         )
-        issues = [*run.issues, *separation.issues, *assumptions, *followed.data_issues]
+        issues = [*run.issues, *separation.issues, *assumptions, *executed_program.data_issues]
         issues += issues_of(main, sequence.states, sequence.state, sequence.rows, layout)
-        issues += _issues_of_cell(followed)
+        issues += _cell_value_issues(executed_program)
         frames = np.stack(run.settings.frames.bases), np.stack(run.settings.frames.tools)
-        pose = self.kinematics(cell.start_joints)
-        check_joins(course, joins, motions, layout.carriage, frames, pose)
+        start_flange = self.kinematics(cell.start_joints)
+        check_joins(course, joins, motions, layout.carriage, frames, start_flange)
         loop_issues: list[Issue] = []
         rounds: tuple[tuple[int, ...], ...] = ()
         if (loop := course.endless) is not None:
-            begins = starts(loop, layout.line, motions, frames, pose, predecessors)
+            loop_starts = starts(loop, layout.line, motions, frames, start_flange, predecessors)
             loop_issues, rounds = check_round(
-                course, loop, layout.line, motions, begins, layout.carriage, notes, run.settings
+                course, loop, layout.line, motions, loop_starts, layout.carriage, notes, run.settings
             )
-        documents, needed_files = self._files(main)
+        documents, needed_files = self._program_files(main)
         return Program(
             self.name,
             "krl",
@@ -235,30 +252,32 @@ class _Reading(Struct, frozen=True, eq=False):
             branches=branches(course, sequence.rows.line),
             transitions=transitions(course, layout.line, predecessors, uncorrected_lines, free),
             unresolved=separation.unresolved,
-            unfollowed=() if cell.krl.keep_unresolved else unfollowed(run),
+            unfollowed=() if cell.krl.keep_unresolved else unfollowed_calls(run),
             needed=needed_files,
             layout=replace(layout, notes=tuple(line for line, _ in notes)),
         )
 
-    def _files(self, main: MainRoutine) -> tuple[tuple[Document, ...], tuple[NeededFile, ...]]:
-        """Return the files of the program, inlined ones included, and those that it needs besides."""
+    def _program_files(self, main: MainRoutine) -> tuple[tuple[Document, ...], tuple[NeededFile, ...]]:
+        """Return the files of the program, those of inlined routines included, and other files that it needs."""
         library = self.library
         first = self.documents[0]
         own_documents = (d for d in self.documents if d.name == first.name or _belongs(d, first))
         documents = *own_documents, *main.course.files
         files = {document.name for document in main.course.files}
-        other_modules = (module for module in library.read() if module.source.document.name in files)
+        other_modules = (module for module in library.read_modules() if module.source.document.name in files)
         code = (code for module in (self._with_data(library.program), *other_modules) for code in codes_of(module))
-        moving = {m.source.document.name.upper() for m, r in library.found() if main.run.analysis.of(m, r).motion}
+        moving = {
+            m.source.document.name.upper() for m, r in library.found_routines() if main.run.analysis.of(m, r).motion
+        }
         return documents, needed(documents, code, library.files, moving)
 
     def _with_data(self, program: Module) -> Module:
-        """Return the file of the program with its `.dat`."""
+        """Return the module of the program with its `.dat`, if it has one."""
         data = [document for document in self.documents[1:] if _belongs(document, self.documents[0])]
         return replace(program, data=Source.of(data[0], 1)) if data else program
 
-    def _variables(self) -> Variables:
-        """Return the variables with their initial values: of the .dat, $config.dat and the cell."""
+    def _initial_variables(self) -> Variables:
+        """Return the variables as they are before the program runs: from the `.dat`, `$config.dat` and the cell."""
         variables = Variables(self.cell)
         for document in self.documents[1:]:
             if _belongs(document, self.documents[0]):
@@ -285,27 +304,31 @@ class _ExecutedProgram(Struct, frozen=True, eq=False):
     data_issues: list[Issue]
 
 
-def _issues_of_cell(followed: _ExecutedProgram) -> Iterator[Issue]:
-    """Yield what is taken from the cell: the home position, values of variables."""
-    main, start = followed.main, followed.start
+def _cell_value_issues(executed_program: _ExecutedProgram) -> Iterator[Issue]:
+    """Yield issues about values that are taken from the cell: the home position, and variables."""
+    main, start = executed_program.main, executed_program.start
     if main.reader.home_used:
         message = "The home position is in no file of the program: the joints of [start] in the cell are taken for it."
         line = main.course.trace.shown_line(main.reader.home_used)
         yield Issue("info", "home-from-cell", message, line)
     if relied_names := start.variables.relied:
-        given = start.cell.krl.values
-        values = ", ".join(f"{name} = {value}" for name, value in given.items() if name.upper() in relied_names)
+        cell_values = start.cell.krl.values
+        values = ", ".join(f"{name} = {value}" for name, value in cell_values.items() if name.upper() in relied_names)
         message = f"Values of [krl.values] in the cell: {values}. The output holds for these values only."
         yield Issue("warning", "values-from-cell", message)
 
 
 def _belongs(data: Document, source: Document) -> bool:
-    """Return whether a file is the `.dat` of a program."""
+    """Return whether a file is the `.dat` of a program, by its name."""
     return PurePath(data.name).suffix.upper() == ".DAT" and data.name[:-4].upper() == PurePath(source.name).stem.upper()
 
 
-def _apart(cause: ProgramError, library: Library, *, keep: bool) -> frozenset[Routine | Occasion]:
-    """Return the routines of other files that an error is about, or branches: their motions are left as they are."""
+def _uncorrectable_parts(cause: ProgramError, library: Library, *, keep: bool) -> frozenset[Routine | Occasion]:
+    """Return the routines of other files, or the forks, whose motions are left as they are because of an error.
+
+    :param keep: whether motions in branches may be left as they are (`--keep-unresolved`).
+    :returns: nothing if the error is in the program itself.
+    """
     if isinstance(cause, BranchError) and keep:
         return cause.occasions
     if isinstance(cause, InexactError) and cause.routine is not None:
@@ -313,14 +336,14 @@ def _apart(cause: ProgramError, library: Library, *, keep: bool) -> frozenset[Ro
     files = {error.file for error in (cause, *cause.further_errors)}
     return frozenset(
         routine
-        for module in library.read()
+        for module in library.read_modules()
         if module.source.document.name in files
         for routine in module.routines.values()
     )
 
 
-def _about(cause: ProgramError, culprit: Routine | Occasion) -> ProgramError:
-    """Return which of the errors that came together is about a routine."""
+def _error_about(cause: ProgramError, culprit: Routine | Occasion) -> ProgramError:
+    """Return that one of several errors which concerns a routine; the first error if none does, or for a fork."""
     errors = [error for error in (cause, *cause.further_errors) if isinstance(error, ProgramError)]
     own_errors = [e for e in errors if isinstance(culprit, Routine) and e.file == culprit.source.document.name]
     return own_errors[0] if own_errors else cause
@@ -342,8 +365,13 @@ def _config_source(cell: Cell, path: str) -> Source:
     return Source.of(decode(file.name, data), 2)
 
 
-def _main(source: Source, plain: PlainLines, name: str) -> tuple[Module, Routine, list[ProgramError]]:
-    """Return the routines, the one to follow (that of the program's name, else the first), and faults of bounds."""
+def _main_routine(source: Source, plain: PlainLines, name: str) -> tuple[Module, Routine, list[ProgramError]]:
+    """Return the routines of the program, the main routine, and errors in the bounds of routines.
+
+    The main routine has the name of the program; if none has, it is the first.
+
+    :raises ProgramError: there is no routine.
+    """
     other_lines = np.flatnonzero(plain.others(len(source.starts))) + 1
     by_name, faults = routines(source, other_lines.tolist(), plain.moving, plain.settings.line.tolist())
     module = Module(source, by_name)
@@ -358,13 +386,16 @@ def _main(source: Source, plain: PlainLines, name: str) -> tuple[Module, Routine
 
 
 def _folders(document: Document, cell: Cell) -> list[Path]:
-    """Return the folders searched for called programs: that of the program, then those of the cell."""
+    """Return the folders that are searched for called programs: that of the program, then those that the cell names."""
     own_folders = [Path(document.folder)] if document.folder else []
     return own_folders + [Path(cell.folder) / folder for folder in cell.krl.search]
 
 
 def _check_size(trace: Trace, rows: MotionColumns) -> None:
-    """Refuse coordinates that no robot reaches."""
+    """Refuse coordinates that no robot reaches.
+
+    :raises ProgramError: for the first motion with one.
+    """
     (is_too_far,) = in_chunks(
         lambda numbers, via: (
             any_column(np.abs(numbers) > LARGEST_COORDINATE) | any_column(np.abs(via) > LARGEST_COORDINATE),
@@ -375,14 +406,17 @@ def _check_size(trace: Trace, rows: MotionColumns) -> None:
     if is_too_far.any():
         row = int(np.argmax(is_too_far))
         largest = max(float(np.nanmax(np.abs(values[row]), initial=0.0)) for values in (rows.numbers, rows.via))
-        raise out_of_reach(trace.place(int(rows.line[row])), largest)
+        raise out_of_reach_error(trace.place(int(rows.line[row])), largest)
 
 
 def _check_starts(main: MainRoutine, sequence: OrderedMotions) -> None:
-    """Refuse a motion that begins where a called program has left the robot, unless it goes to joint angles."""
+    """Refuse a motion whose start is not known, since a called program has moved the robot, and which depends on it.
+
+    :raises ProgramError: there is one.
+    """
     for line, reason in () if main.run.keep else main.run.stops:
         row = int(np.searchsorted(sequence.rows.line, line))
-        if row < len(sequence.rows) and needs_start(sequence, row):
+        if row < len(sequence.rows) and depends_on_start(sequence, row):
             raise reason
     for call in () if main.run.keep else main.run.moved:
         row = int(np.searchsorted(sequence.rows.line, call.row))

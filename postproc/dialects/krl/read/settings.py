@@ -43,15 +43,15 @@ class Settings:
         self._bas = Bas(variables, cell, self.frames, self._path)
 
     def current(self, name: str, field: str | None) -> VariableValue:
-        """Return the present value of one of the `RELEVANT` variables, or of a component of it."""
+        """Return the present value of a setting of motions, such as `$BASE`, or of a component of it."""
         state = self.state
         if state.block:
             return UnknownValue(why="which value it has inside of a spline block is in no source")
         if name in ("$BASE", "$TOOL"):
             return self.frames.current(state, name, field)
-        for uncertain, reason in state.uncertain:
-            if uncertain == FIELDS.get(name):
-                return UnknownValue(why=self._reasons.errors[reason].problem)
+        for uncertain_field, index in state.uncertain:
+            if uncertain_field == FIELDS.get(name):
+                return UnknownValue(why=self._reasons.errors[index].problem)
         if name in ("$WORLD", "$ROBROOT"):
             return ZERO if field is None else component(ZERO, field) if field in CARTESIAN else NO_VALUE
         if (name, field) == ("$VEL", "CP") and not state.assumed:
@@ -63,7 +63,7 @@ class Settings:
         return NO_VALUE
 
     def _followed(self, value: float) -> VariableValue:
-        """Return a number that plain assignments give, if these are followed."""
+        """Return a number that plain assignments may set; `NO_VALUE` if these are not followed."""
         self.lacked_numbers |= not self.follows_numbers
         return Number(value, 0, 0) if self.follows_numbers else NO_VALUE
 
@@ -74,32 +74,38 @@ class Settings:
             self.changes.append((line, state))
 
     def come_to(self, line: int) -> None:
-        """Put into force what plain assignments before a line set."""
+        """Put into force the plain assignments before a line of the program."""
         for at, field, value in self.coming.before(line):
             fields = {field: value, "assumed": False} if field == "speed" else {field: value}
             self.change(at, self.state.with_known(**fields))
 
     def may_become(self, line: int, state: State, reason: ProgramError) -> None:
-        """Make uncertain what differs in another state, which may or may not come into force."""
+        """Mark as uncertain the fields that differ in a state which may or may not come into force.
+
+        :param reason: the error for motions that depend on them.
+        """
         fields = self.state.differing(state) | {field for field, _ in state.uncertain}
         self.make_uncertain(line, sorted(fields), reason)
 
     def make_uncertain(self, line: int, fields: Iterable[str], reason: ProgramError) -> None:
-        """Note that fields of the state are not known from a line of the program on."""
+        """Mark fields of the state as not known from a line of the program on.
+
+        :param reason: the error for motions that depend on them.
+        """
         state = self.state
         for field in fields:
             state = self._reasons.unknown(state, field, reason)
         self.change(line, state)
 
     def refuse_uncertain(self, state: State, fields: Iterable[str]) -> None:
-        """Refuse a motion that depends on fields of its state that are not known.
+        """Refuse a motion that depends on fields of its state whose values are not known.
 
-        :raises ProgramError: the reason why one is not.
+        :raises ProgramError: the stored reason for the first such field.
         """
         self._reasons.refuse(state, fields)
 
     def assigned(self, state: State, at: Place, target: Reference, value: Value | VariableValue) -> State:
-        """Return the state behind ``target = value`` for one of the `RELEVANT` variables.
+        """Return the state after ``target = value``, for a setting of motions such as `$BASE`.
 
         :raises ProgramError: the value moves the robot in a way that is not modelled.
         """
@@ -118,11 +124,11 @@ class Settings:
         raise at.error(f"{name} is changed by the program", "Leave it as the controller has it.")
 
     def bas(self, at: Place, call: Call) -> State:
-        """Return the state behind a call of ``BAS(#COMMAND, value)``.
+        """Return the state after ``BAS(#COMMAND, value)``.
 
         :raises ProgramError: the command is not known.
         """
-        return self._bas.called(self.state, at, call)
+        return self._bas.state_after_call(self.state, at, call)
 
     def assumed_frames(self, state: State) -> set[str]:
         """Return which of `$BASE` and `$TOOL` are taken from the cell because `[krl] initmov` is not given."""

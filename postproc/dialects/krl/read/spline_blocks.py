@@ -130,7 +130,7 @@ def approximated(rows: MotionColumns, in_block: Bools, end_lines: list[int]) -> 
     return np.asarray(is_approximated)
 
 
-def path_unknown(motions: Motions) -> list[Issue]:
+def unknown_path_warning(motions: Motions) -> list[Issue]:
     """Return the warning that the path of SPL motions is not known between their points; empty without any."""
     spline_rows = np.flatnonzero(motions.kind == SPL)
     if not len(spline_rows):

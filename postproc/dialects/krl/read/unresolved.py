@@ -17,7 +17,7 @@ from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.tree import CallStatement, Event, Motion
 from postproc.dialects.krl.language.values import Call, Reference, Word, walk
 from postproc.dialects.krl.read.main_routine import MainRoutine
-from postproc.dialects.krl.read.motion_reader import ROBOT_POSITIONS, from_here
+from postproc.dialects.krl.read.motion_reader import ROBOT_POSITIONS, depends_on_position
 from postproc.dialects.krl.read.motions import OrderedMotions
 from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.state import fields_used
@@ -62,10 +62,10 @@ def without_unresolved(main: MainRoutine, sequence: OrderedMotions) -> Separated
     :raises ProgramError: there are none that can be corrected; a motion is synchronised with another robot.
     """
     run, rows = main.run, sequence.rows
-    sync_motions = list(_synchronised(main, rows.line))
+    sync_motions = list(_synchronised_motions(main, rows.line))
     if sync_motions and not run.keep:
         raise sync_motions[0][1]
-    uncertain_motions = list(_uncertain(run.settings, sequence)) if run.keep else []
+    uncertain_motions = list(_uncertain_motions(run.settings, sequence)) if run.keep else []
     reasons = dict(run.unresolved)
     is_dropped = np.zeros(len(rows), dtype=np.bool_)
     for row, reason in (*uncertain_motions, *sync_motions):
@@ -77,7 +77,7 @@ def without_unresolved(main: MainRoutine, sequence: OrderedMotions) -> Separated
     open_: set[int] = set()
     for line in sorted({*reasons, *(call.row for call in run.moved), *stop_lines}):
         row = int(np.searchsorted(rows.line, line, side="right"))
-        while row < len(rows) and (is_dropped[row] or needs_start(sequence, row)):
+        while row < len(rows) and (is_dropped[row] or depends_on_start(sequence, row)):
             if not is_dropped[row]:
                 reasons[int(rows.line[row])] = main.run.trace.error(_BEGIN, int(rows.line[row]))
             is_dropped[row] = True
@@ -101,12 +101,12 @@ def without_unresolved(main: MainRoutine, sequence: OrderedMotions) -> Separated
         sequence.numbers.of_rows(~is_dropped),
         moves,
     )
-    unresolved, issues = _reported(main, reasons)
+    unresolved, issues = _report_unresolved(main, reasons)
     return SeparatedMotions(left, predecessors, unresolved, (*issues, *_open_start_warnings(main, left, begins)))
 
 
-def _uncertain(settings: Settings, sequence: OrderedMotions) -> Iterator[tuple[int, ProgramError]]:
-    """Yield the motions that depend on frames, speeds or modes that are not known."""
+def _uncertain_motions(settings: Settings, sequence: OrderedMotions) -> Iterator[tuple[int, ProgramError]]:
+    """Yield the motions that depend on unknown frames, speeds or modes: the row of each, and the error."""
     for index, motion_state in enumerate(sequence.states):
         if not motion_state.uncertain and motion_state.base >= 0 and motion_state.tool >= 0:
             continue
@@ -120,12 +120,12 @@ def _uncertain(settings: Settings, sequence: OrderedMotions) -> Iterator[tuple[i
                 yield row, cause
 
 
-def _synchronised(main: MainRoutine, line: Ints) -> Iterator[tuple[int, ProgramError]]:
-    """Yield the motions during which another robot may move in time with this one, or with its tool or part.
+def _synchronised_motions(main: MainRoutine, line: Ints) -> Iterator[tuple[int, ProgramError]]:
+    """Yield the motions during which another robot may move in time with this one: the row of each, and the error.
 
-    These are the motions between two SYNCCMD. `SYNCCMD(#PROGSYNC, …)` lets the programs of the robots wait for each
-    other: behind the last of them each goes on alone. What holds behind any other, also one in a called routine, is
-    taken to hold to the end (KUKA.RoboTeam; its manual is not public).
+    These are the motions between two SYNCCMD. `SYNCCMD(#PROGSYNC, …)` only lets the programs of the robots wait for
+    each other: behind the last of them each goes on alone. Any other, also one in a called routine, is taken to hold to
+    the end (KUKA.RoboTeam; its manual is not public).
 
     :param line: (R,) lines of the motions in the trace.
     """
@@ -146,17 +146,17 @@ def _synchronised(main: MainRoutine, line: Ints) -> Iterator[tuple[int, ProgramE
 
 
 def _marks(main: MainRoutine) -> list[tuple[int, bool]]:
-    """Return the lines of the trace that synchronise robots, in order; True: the programs only wait for each other.
+    """Return the lines of the trace that synchronise robots, in order, and whether the programs only wait there.
 
-    A SYNCCMD in the action of an INTERRUPT or a TRIGGER may run at any time behind its declaration.
-    If there are some in an endless loop, the lines before and behind its round are among them.
+    A SYNCCMD in the action of an INTERRUPT or a TRIGGER may run at any time behind its declaration. If an endless loop
+    contains some, the lines before and behind its round are returned too.
     """
     run, course = main.run, main.course
-    modules = [run.library.program, *run.library.read()]
+    modules = [run.library.program, *run.library.read_modules()]
     if not any(_synchronises(module.source.text) for module in modules):
         return []
     routines = [(module, routine) for module in modules for routine in module.routines.values()]
-    words = {routine: {_word(routine.source, at) for at in routine.lines} - {""} for _, routine in routines}
+    words = {routine: {_sync_word(routine.source, at) for at in routine.lines} - {""} for _, routine in routines}
     sync_routines = {routine for routine, sync_words in words.items() if sync_words}
     names = {
         routine.name.upper()
@@ -165,7 +165,7 @@ def _marks(main: MainRoutine) -> list[tuple[int, bool]]:
     }
     waiting = set().union(*words.values()) <= {_WAITING}
     at_any_time = any(
-        isinstance(statement(routine.source, at), Event) and _word(routine.source, at, names)
+        isinstance(statement(routine.source, at), Event) and _sync_word(routine.source, at, names)
         for _, routine in routines
         for at in routine.lines
     )
@@ -174,7 +174,7 @@ def _marks(main: MainRoutine) -> list[tuple[int, bool]]:
     trace = course.trace
     for at in range(course.body.first, course.body.last):
         if not trace.is_count[at - 1] and (course.live is None or course.live[at - 1]):
-            word = _word(*trace.place(at), names, is_entered=at in entry_lines)
+            word = _sync_word(*trace.place(at), names, is_entered=at in entry_lines)
             marks += [(at, not at_any_time and (waiting or word == _WAITING))] if word else []
     loop = course.endless
     if loop is not None and any(loop.first <= at < loop.last for at, _ in marks):
@@ -183,16 +183,19 @@ def _marks(main: MainRoutine) -> list[tuple[int, bool]]:
 
 
 def _synchronises(text: str, size: int = _PIECE) -> bool:
-    """Return whether a text has one of the words that synchronise robots, also in comments and strings."""
+    """Return whether a text has one of the words that synchronise robots, also in comments and strings.
+
+    :param size: characters that are searched at once.
+    """
     pieces = (text[at : at + size + max(map(len, SYNCHRONISING))].upper() for at in range(0, len(text), size))
     return any(name in piece for piece in pieces for name in SYNCHRONISING)
 
 
-def _word(source: Source, line: int, names: Collection[str] = (), *, is_entered: bool = False) -> str:
-    """Return how a line synchronises robots: the first argument of SYNCCMD, else another word; empty if it does not.
+def _sync_word(source: Source, line: int, names: Collection[str] = (), *, is_entered: bool = False) -> str:
+    """Return how a line synchronises robots: the first argument of SYNCCMD, else `_OTHER_WORD`; empty if it does not.
 
-    :param names: of routines that do so.
-    :param is_entered: the routine that is called is in the trace itself.
+    :param names: of routines that synchronise robots.
+    :param is_entered: True if the called routine is in the trace itself.
     """
     start, stop = source.code_span(line)
     if not (names or _synchronises(source.text[start:stop])):
@@ -210,8 +213,11 @@ def _word(source: Source, line: int, names: Collection[str] = (), *, is_entered:
     return argument.text if isinstance(argument, Word) else _OTHER_WORD
 
 
-def needs_start(sequence: OrderedMotions, row: int, *, arcs: bool = True) -> bool:
-    """Return whether the target of a motion, or the shape of an arc, depends on where it begins."""
+def depends_on_start(sequence: OrderedMotions, row: int, *, arcs: bool = True) -> bool:
+    """Return whether the target of a motion, or the shape of an arc, depends on where the motion begins.
+
+    :param arcs: False to disregard the shape of arcs.
+    """
     move = sequence.moves.get(row)
     if sequence.rows.kind[row] != PTP and sequence.states[sequence.state[row]].orientation == "#CONSTANT":
         return True
@@ -225,8 +231,13 @@ def needs_start(sequence: OrderedMotions, row: int, *, arcs: bool = True) -> boo
     return bool(np.isnan(sequence.rows.numbers[row]).any())
 
 
-def _reported(main: MainRoutine, reasons: dict[int, ProgramError]) -> tuple[tuple[UnresolvedMotion, ...], list[Issue]]:
-    """Return each uncorrected line, and a warning for it."""
+def _report_unresolved(
+    main: MainRoutine, reasons: dict[int, ProgramError]
+) -> tuple[tuple[UnresolvedMotion, ...], list[Issue]]:
+    """Return each uncorrected line once, and a warning for it.
+
+    :param reasons: line of the trace → why it stays uncorrected.
+    """
     by_place: dict[str, UnresolvedMotion] = {}
     issues = []
     for line, reason in sorted(reasons.items()):
@@ -236,7 +247,7 @@ def _reported(main: MainRoutine, reasons: dict[int, ProgramError]) -> tuple[tupl
         shown_line: int | None = main.run.trace.shown_line(line)
         text = origin.source.text[slice(*origin.source.code_span(origin.line))]
         by_place[str(origin)] = UnresolvedMotion(origin.source.document.name, origin.line, text, reason.problem)
-        suffix = _SHIFT_TEXT if _starts_here(main, line, reason) else ""
+        suffix = _SHIFT_TEXT if _depends_on_position(main, line, reason) else ""
         is_elsewhere = origin.source is not main.run.routine.source
         prefix, shown_line = (f"{origin}: ", None) if is_elsewhere else ("", shown_line)
         message = f"{prefix}stays as it is, uncorrected: {text!r} ({reason.problem}){suffix}"
@@ -244,23 +255,23 @@ def _reported(main: MainRoutine, reasons: dict[int, ProgramError]) -> tuple[tupl
     return tuple(by_place.values()), issues
 
 
-def _starts_here(main: MainRoutine, line: int, reason: ProgramError) -> bool:
+def _depends_on_position(main: MainRoutine, line: int, reason: ProgramError) -> bool:
     """Return whether the target of an uncorrected motion, or of a called routine, depends on the robot position."""
     stmt = statement(*main.run.trace.place(line))
-    if line in main.run.shifted or (isinstance(stmt, Motion) and from_here(stmt)):
+    if line in main.run.shifted or (isinstance(stmt, Motion) and depends_on_position(stmt)):
         return True
     is_here = PARTLY_GIVEN in reason.problem or any(name in reason.problem.upper() for name in ROBOT_POSITIONS)
     return isinstance(stmt, Motion) and is_here
 
 
-def _open_start_warnings(main: MainRoutine, sequence: OrderedMotions, begins: list[int]) -> Iterator[Issue]:
+def _open_start_warnings(main: MainRoutine, sequence: OrderedMotions, start_rows: list[int]) -> Iterator[Issue]:
     """Yield warnings on motions with an unknown start: one for each line of other files, one for the program."""
     trace = main.run.trace
-    origins = {line: trace.place(line) for line in sequence.rows.line[begins].tolist()}
+    origins = {line: trace.place(line) for line in sequence.rows.line[start_rows].tolist()}
     own_lines = [line for line, origin in origins.items() if origin.source is main.run.routine.source]
     for name in {str(origin): None for line, origin in origins.items() if line not in own_lines}:
         yield Issue("warning", "start-unknown", f"{name}: {_OPEN}", subject=name)
     if own_lines:
         lines = distinct(trace.shown[np.array(own_lines) - 1]).tolist()
-        begins = own_lines
-        yield Issue("warning", "start-unknown", _OPEN, lines[0], count=len(begins), lines=tuple(lines))
+        start_rows = own_lines
+        yield Issue("warning", "start-unknown", _OPEN, lines[0], count=len(start_rows), lines=tuple(lines))

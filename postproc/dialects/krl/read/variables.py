@@ -15,7 +15,13 @@ from postproc.cell import Cell
 from postproc.decimals import without_negative_zero
 from postproc.dialects.krl.language.expressions import calls
 from postproc.dialects.krl.language.names import MAX_LENGTH
-from postproc.dialects.krl.language.positions import AXES, CARTESIAN, Position, from_aggregate, from_pose
+from postproc.dialects.krl.language.positions import (
+    AXES,
+    CARTESIAN,
+    Position,
+    position_from_aggregate,
+    position_from_pose,
+)
 from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.language.values import (
     Aggregate,
@@ -183,9 +189,13 @@ class Variables:
         _check_cell_values(self.given)
         self.relied: set[str] = set()
         for number, base in cell.base_data.items():
-            self._put_frame(f"BASE_DATA[{int(number)}]", from_pose(base.pose()), f"[base_data.{number}] of the cell")
+            self._put_frame(
+                f"BASE_DATA[{int(number)}]", position_from_pose(base.pose()), f"[base_data.{number}] of the cell"
+            )
         for number, tool in cell.tool_data.items():
-            self._put_frame(f"TOOL_DATA[{int(number)}]", from_pose(tool.pose()), f"[tool_data.{number}] of the cell")
+            self._put_frame(
+                f"TOOL_DATA[{int(number)}]", position_from_pose(tool.pose()), f"[tool_data.{number}] of the cell"
+            )
         for name in ("$NULLFRAME", "BASE_DATA[0]", "TOOL_DATA[0]"):
             self._values.setdefault(name, ZERO)
 
@@ -541,7 +551,7 @@ class Variables:
         numbers = [argument_value.value for argument_value in argument_values if isinstance(argument_value, Number)]
         if call.name == "INV_POS" and len(argument_values) == 1:
             position = self.position(argument_values[0])
-            return NO_VALUE if position is None or position.axis else from_pose(inverse(position.pose()))
+            return NO_VALUE if position is None or position.axis else position_from_pose(inverse(position.pose()))
         if (
             function is None
             or len(numbers) < len(argument_values)
@@ -570,7 +580,7 @@ class Variables:
             pose = pose @ position.pose()
         if position is None:
             return NO_VALUE
-        return replace(from_pose(pose), status=position.status, turn=position.turn, external=position.external)
+        return replace(position_from_pose(pose), status=position.status, turn=position.turn, external=position.external)
 
     def key_of(self, reference: Reference) -> str | None:
         """Return the key of a variable, its index resolved; None if the index is not known."""
@@ -644,7 +654,7 @@ class Variables:
         """
         result = self.evaluate(value)
         if isinstance(result, Aggregate):
-            return from_aggregate(result)
+            return position_from_aggregate(result)
         return result if isinstance(result, Position) else None
 
     def number(self, value: Value | VariableValue) -> float | None:
@@ -709,8 +719,7 @@ def component(position: Position, field: str) -> VariableValue:
     """Return a component of a computed Cartesian position [mm, deg].
 
     A, B and C are known only if one set of them describes the orientation: no source says which of two sets a
-    controller
-    has.
+    controller has.
     """
     value = position.values[CARTESIAN.index(field)]
     if field in ANGLES and not _has_unique_angles(position):

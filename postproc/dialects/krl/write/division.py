@@ -58,10 +58,10 @@ class CutPoints(Struct, frozen=True, eq=False):
     declarations: list[int]
 
 
-def places(source: Source, main: Routine) -> CutPoints:
-    """Look at all lines of the main routine.
+def find_cut_points(source: Source, main: Routine) -> CutPoints:
+    """Return where the main routine of a program may be cut.
 
-    :raises ProgramError: a statement means something else in a file of its own; there is no motion.
+    :raises ProgramError: a statement means something else in a file of its own, or there is no motion.
     """
     text = source.text
     first = first_call = depth = 0
@@ -75,22 +75,22 @@ def places(source: Source, main: Routine) -> CutPoints:
         if fold:
             depth = max(depth - 1, 0) if fold == "ENDFOLD" else depth + 1
             continue
-        node = statement(source, line)
-        if node.start == node.stop or line == main.last:
+        stmt = statement(source, line)
+        if stmt.start == stmt.stop or line == main.last:
             continue
-        _check(source, line, node, first)
-        depth = max(0, depth + (node.word in _OPENING) - (node.word in _CLOSING))
-        if isinstance(node, Motion | Spline):
+        _check_divisible(source, line, stmt, first)
+        depth = max(0, depth + (stmt.word in _OPENING) - (stmt.word in _CLOSING))
+        if isinstance(stmt, Motion | Spline):
             first, is_waiting = first or line, False
-        elif isinstance(node, Trigger) or node.word == "CONTINUE":
+        elif isinstance(stmt, Trigger) or stmt.word == "CONTINUE":
             is_waiting = True
-        elif isinstance(node, Declaration | IdleDeclaration | Import) or (
-            isinstance(node, CyclicInput) and node.word == "SIGNAL"
+        elif isinstance(stmt, Declaration | IdleDeclaration | Import) or (
+            isinstance(stmt, CyclicInput) and stmt.word == "SIGNAL"
         ):
             declarations.append(line)
-        elif isinstance(node, Event) and not node.public:
+        elif isinstance(stmt, Event) and not stmt.public:
             first_call = 0
-        elif not first_call and node.word != "BAS" and calls(node.values):
+        elif not first_call and stmt.word != "BAS" and calls(stmt.values):
             first_call = line
     first = first or first_call
     if not first:
@@ -98,19 +98,23 @@ def places(source: Source, main: Routine) -> CutPoints:
     return CutPoints(main.first, main.last, np.array(cuts, dtype=np.int64), first, declarations)
 
 
-def _check(source: Source, line: int, node: Statement, first: int) -> None:
-    """Refuse statements that mean something else in a file of their own."""
-    if isinstance(node, Return | Goto | Label):
-        raise division_error(source, f"{node.word} leads to another place of it", line)
-    if first and isinstance(node, Event) and node.declares and not node.public:
+def _check_divisible(source: Source, line: int, stmt: Statement, first: int) -> None:
+    """Refuse a statement that means something else in a file of its own.
+
+    :param first: line of the first motion; 0 if none precedes the statement.
+    :raises ProgramError: it is one.
+    """
+    if isinstance(stmt, Return | Goto | Label):
+        raise division_error(source, f"{stmt.word} leads to another place of it", line)
+    if first and isinstance(stmt, Event) and stmt.declares and not stmt.public:
         problem = "an interrupt that is not GLOBAL is declared behind the first motion"
         raise division_error(source, problem, line, f"Declare it before the first motion, or: {ADVICE}")
 
 
-def bounds(
+def part_bounds(
     source: Source, base: str, cut_points: CutPoints, limit: int, extra_lines: int
 ) -> tuple[list[int], list[Issue]]:
-    """Return the first line of each part, and END; and warnings.
+    """Return the first line of each part and the line of END, and warnings about parts that are too long.
 
     :param base: what the names of the files begin with.
     :param limit: lines of a file at most, of which `extra_lines` are not those of the program.
@@ -124,14 +128,14 @@ def bounds(
     if not len(first_cuts):
         raise division_error(source, "its first motion is in a fold or control structure", cut_points.first)
     cuts = [int(first_cuts[-1])]
-    late = [line for line in cut_points.declarations if line > cuts[0]]
-    if late:
-        raise division_error(source, "a declaration follows the first motion", late[0])
+    late_declarations = [line for line in cut_points.declarations if line > cuts[0]]
+    if late_declarations:
+        raise division_error(source, "a declaration follows the first motion", late_declarations[0])
     while cut_points.end - cuts[-1] > free_lines:
         next_cuts = cut_points.cuts[cut_points.cuts > cuts[-1]]
-        fitting = next_cuts[next_cuts <= cuts[-1] + free_lines]
-        cut = int(fitting[-1]) if len(fitting) else int(next_cuts[0]) if len(next_cuts) else cut_points.end
-        if not len(fitting):
+        fitting_cuts = next_cuts[next_cuts <= cuts[-1] + free_lines]
+        cut = int(fitting_cuts[-1]) if len(fitting_cuts) else int(next_cuts[0]) if len(next_cuts) else cut_points.end
+        if not len(fitting_cuts):
             message = (
                 f"{base}{len(cuts)}.src has more than {limit} lines: lines {cuts[-1]} to "
                 f"{cut - 1} are a fold, a control structure, a spline or a TRIGGER, which are not cut."

@@ -32,7 +32,7 @@ class EditedRows(Struct, frozen=True, eq=False):
 
 
 def edited_rows(trace: Trace, edits: Replacements) -> EditedRows:
-    """Return the rows of a trace after edits, each of which is within one row."""
+    """Return the rows of a trace after edits; each edit is within one row."""
     rows = edits.rows()
     pieces = [line_text(*trace.place(row)) for row in rows.tolist()]
     begins = np.append(0, np.cumsum([len(piece) for piece in pieces], dtype=np.int64))
@@ -54,7 +54,7 @@ def edited_rows(trace: Trace, edits: Replacements) -> EditedRows:
 
 
 def line_text(source: Source, first: int, last: int = 0) -> str:
-    """Return a 1-based line of a file with its end, or the lines up to another one."""
+    """Return a 1-based line of a file with its line end; with `last`, the lines first … last."""
     last = last or first
     if last < first:
         return ""

@@ -48,9 +48,9 @@ class Replacements(Struct, eq=False):
         :param decimals: (n,) decimals of each.
         :param rows: (n,) of the execution trace, or 0.
         """
-        for places in distinct(decimals).tolist():
-            pieces = np.flatnonzero(decimals == places)
-            digits = fixed_point_text(values[pieces], places)
+        for decimal_count in distinct(decimals).tolist():
+            pieces = np.flatnonzero(decimals == decimal_count)
+            digits = fixed_point_text(values[pieces], decimal_count)
             has_digit = digits != 0
             self._starts.append(compact(starts[pieces], np.int32))
             self._stops.append(compact(stops[pieces], np.int32))
@@ -65,11 +65,11 @@ class Replacements(Struct, eq=False):
     def moved_rows(self, shifts: Callable[[Ints], Ints]) -> Replacements:
         """Return the same replacements in a text that has the lines of the rows one after the other.
 
-        :param shifts: rows (n,) → how much later they are in that text than in their files.
+        :param shifts: rows (n,) → what to add to offsets in the files to get those in that text (n,).
         """
-        numbers = [shifts(rows) for rows in self._rows]
-        starts = [begin + shift for begin, shift in zip(self._starts, numbers, strict=True)]
-        stops = [stop + shift for stop, shift in zip(self._stops, numbers, strict=True)]
+        row_shifts = [shifts(rows) for rows in self._rows]
+        starts = [start + shift for start, shift in zip(self._starts, row_shifts, strict=True)]
+        stops = [stop + shift for stop, shift in zip(self._stops, row_shifts, strict=True)]
         single_shifts = shifts(np.array(self._single_rows, dtype=np.int64)).tolist()
         single = [
             (start + shift, stop + shift, text)
@@ -94,11 +94,14 @@ class Replacements(Struct, eq=False):
         return np.asarray(offsets + total[np.searchsorted(start[order], offsets, side="left")])
 
     def apply(self, text: str, count: int = _PIECES) -> str:
-        """Return the text with all pieces replaced, `count` of them at once."""
+        """Return the text with all pieces replaced.
+
+        :param count: number of pieces that are replaced at once.
+        """
         if not self:
             return text
-        new = "".join(piece for _, _, piece in self._single)
-        is_ascii = text.isascii() and new.isascii()
+        inserted_text = "".join(piece for _, _, piece in self._single)
+        is_ascii = text.isascii() and inserted_text.isascii()
         starts = np.concatenate([*self._starts, np.array([start for start, _, _ in self._single], dtype=np.int32)])
         stops = np.concatenate([*self._stops, np.array([stop for _, stop, _ in self._single], dtype=np.int32)])
         length = np.concatenate(
@@ -106,22 +109,22 @@ class Replacements(Struct, eq=False):
         )
         begin = np.cumsum(length, dtype=np.int64) - length
         order = np.lexsort((stops, starts))
-        codes = np.concatenate([*self._numbers, _codes(new, is_ascii)])
-        parts, at = [], 0
+        codes = np.concatenate([*self._numbers, _codes(inserted_text, is_ascii)])
+        parts, copied_to = [], 0
         for first in range(0, len(order), count):
             rows = order[first : first + count]
             end = int(stops[rows[-1]])
-            part_codes = _codes(text[at:end], is_ascii)
+            part_codes = _codes(text[copied_to:end], is_ascii)
             new_codes = _replace_pieces(
-                part_codes, starts[rows] - at, stops[rows] - at, codes, begin[rows], length[rows]
+                part_codes, starts[rows] - copied_to, stops[rows] - copied_to, codes, begin[rows], length[rows]
             )
             parts.append(new_codes.tobytes().decode("ascii" if is_ascii else "utf-32-le"))
-            at = end
-        return "".join([*parts, text[at:]])
+            copied_to = end
+        return "".join([*parts, text[copied_to:]])
 
 
 def _codes(text: str, is_ascii: bool) -> Codes:
-    """Return the code of each character of a text."""
+    """Return the code of each character of a text: bytes for ASCII, else 32-bit code points."""
     if is_ascii:
         return np.frombuffer(text.encode("ascii"), dtype=np.uint8)
     return np.frombuffer(text.encode("utf-32-le"), dtype="<u4")
@@ -144,7 +147,7 @@ def _replace_pieces(text: Codes, starts: Ints, stops: Ints, pieces: Codes, begin
 
 
 class InsertedLines(Struct, eq=False):
-    """Collects lines that come in, in order, and lines that go. Lines are given by their rows in the input."""
+    """Collects lines that are inserted and removed. Lines are given by their rows of the trace."""
 
     trace: Trace
     replacements: Replacements
@@ -152,36 +155,41 @@ class InsertedLines(Struct, eq=False):
     _target: list[int] = []
     _removed_lines: list[int] = []
 
-    def add(self, at: int, text: str, target: int = -1) -> None:
-        """Put a text with its line end before a line, behind what was put there already.
+    def add(self, next_line: int, text: str, target: int = -1) -> None:
+        """Insert a text with its line end before a line, behind texts that were inserted there already.
 
-        :param target: number of the target on it; −1 if there is none.
+        :param target: number of the target on the new line; −1 if there is none.
         """
-        source, line = self.trace.place(at)
+        source, line = self.trace.place(next_line)
         offset = source.starts.item(line - 1)
-        self.replacements.add(offset, offset, text, at)
-        self._at.append(at)
+        self.replacements.add(offset, offset, text, next_line)
+        self._at.append(next_line)
         self._target.append(target)
 
     def insert_behind(self, line: int, text: str) -> None:
-        """Insert a text without line end as a line after a line, before any text inserted before the next one."""
+        """Insert a text without line end as a line behind another.
+
+        It precedes texts that `add` inserts before the next line.
+        """
         source, number = self.trace.place(line)
         stop = source.stops.item(number - 1)
         self.replacements.add(stop, stop, source.text[stop : source.starts[number]] + text, line)
         self._at.append(line + 1)
         self._target.append(-1)
 
-    def move(self, line: int, at: int, text: str) -> None:
-        """Take a line away and put a text, in its place, before another."""
+    def move(self, line: int, next_line: int, text: str) -> None:
+        """Remove a line, and insert a text in its place before another line."""
         source, number = self.trace.place(line)
         self.replacements.add(source.starts.item(number - 1), source.starts.item(number), "", line)
         self._removed_lines.append(line)
-        self.add(at, text)
+        self.add(next_line, text)
 
     def numbers(self, line: Ints) -> Ints:
-        """Return the lines of targets (K,) in the written text: of those added, and of those that were on a `line`.
+        """Return the lines (K,) of K targets in the written text.
 
-        A line moves down by the number of lines added up to it, and up by the number of those removed before it.
+        A line moves down by the number of lines inserted up to it, and up by the number of those removed before it.
+
+        :param line: (K,) lines on which the targets were; inserted targets get the lines of their own.
         """
         at, target = np.array(self._at, dtype=np.int64), np.array(self._target, dtype=np.int64)
         order = np.argsort(at, kind="stable")

@@ -118,16 +118,18 @@ class Emitter:
             path_rows = np.searchsorted(on_path, np.array(self.starts, dtype=on_path.dtype))
             self.has_force_comment[on_path[path_rows[path_rows < len(on_path)]]] = True
         text, output_line = new.text_and_lines(
-            head, lambda kind, rows: without_trailing_zeros(self._lines(kind, rows, distances[rows] > 0.0)), ["END"]
+            head,
+            lambda kind, rows: without_trailing_zeros(self._motion_lines(kind, rows, distances[rows] > 0.0)),
+            ["END"],
         )
         encoding = "ascii" if text.isascii() else "cp1252"  # the same bytes, but much faster
         document = Document(f"{self.program.name}.src", text, encoding)
         return WrittenProgram((document,), output_line, "krl", group_issues(new.issues))
 
     def header(self, name: str, *comments: str) -> list[str]:
-        """Return header and initialisation of a module.
+        """Return the header and the initialisation of a module.
 
-        :param comments: on it.
+        :param comments: further comments in it.
         """
         controller = self.cell.output.controller
         source = _WORDS.printable(self.program.documents[0].name)
@@ -140,27 +142,27 @@ class Emitter:
         ]
 
     def begin(self) -> list[str]:
-        """Return frames, approximation distance and start position."""
+        """Return the lines that set frames and approximation distance, and move to the start position."""
         base, tool = self.new.frames(0)
         blend = self.targets.blend[self.targets.blend > 0.0]
         return [
-            f"$BASE={_frame(self.program.bases[base])}",
-            f"$TOOL={_frame(self.program.tools[tool])}",
+            f"$BASE={_frame_text(self.program.bases[base])}",
+            f"$TOOL={_frame_text(self.program.tools[tool])}",
             *([f"$APO.CDIS={number(MM_PER_M * blend[0])}"] if len(blend) else []),
             axis_motion(self.cell.start_angles, 5),
         ]
 
     def _set_frames(self, k: int) -> None:
-        """Set the frames that change before a target; both if a program was called there."""
+        """Set `$BASE` and `$TOOL` before target `k` if they change there; both if a program was called there."""
         base, tool = self.new.frames(k)
         old_base, old_tool = (-1, -1) if k in self.call_rows else self.new.frames(k - 1)
         if base != old_base:
-            self.new.before[k].append(f"$BASE={_frame(self.program.bases[base])}")
+            self.new.before[k].append(f"$BASE={_frame_text(self.program.bases[base])}")
         if tool != old_tool:
-            self.new.before[k].append(f"$TOOL={_frame(self.program.tools[tool])}")
+            self.new.before[k].append(f"$TOOL={_frame_text(self.program.tools[tool])}")
 
     def _after_tool_changes(self) -> Iterator[Issue]:
-        """Yield where the robot moves on from where a called tool change leaves it."""
+        """Yield information on tool changes after which the robot starts from where a called program leaves it."""
         for event in self.program.events:
             k = self.new.first_target(event)
             if event.kind != "tool_change" or k == len(self.targets):
@@ -175,29 +177,32 @@ class Emitter:
                     yield Issue("info", "after-tool-change", message, event.line, subject=call)
 
     def _follows_call(self, rows: Ints) -> Bools:
-        """Return which of some targets (n,), in order, are the first behind a program that was called."""
+        """Return which of n targets, in order, are the first ones behind a call of a program (n,)."""
         first = np.searchsorted(rows, np.array(self.call_rows, dtype=np.int64))
         return np.isin(np.arange(len(rows)), first)
 
     def _set_distances(self, distances: Array) -> None:
-        """Set `$APO.CDIS` anew where it changes."""
+        """Set `$APO.CDIS` before each target where it changes, or where a called program may have changed it."""
         blend_rows = np.flatnonzero(distances > 0.0)
-        first = self.targets.blend
-        current = first[first > 0.0][:1]
-        change_rows = np.append(current, distances[blend_rows])[: len(blend_rows)] != distances[blend_rows]
-        change_rows = blend_rows[change_rows | self._follows_call(blend_rows)]
-        for k in change_rows.tolist():
+        target_distances = self.targets.blend
+        current = target_distances[target_distances > 0.0][:1]
+        changed_rows = np.append(current, distances[blend_rows])[: len(blend_rows)] != distances[blend_rows]
+        changed_rows = blend_rows[changed_rows | self._follows_call(blend_rows)]
+        for k in changed_rows.tolist():
             self.new.before[k].append(f"$APO.CDIS={number(MM_PER_M * distances[k])}")
 
     def _set_speeds(self) -> None:
-        """Set `$VEL.CP` where it changes."""
+        """Set `$VEL.CP` before each target where it changes, or where a called program may have changed it."""
         path, speeds = self.new.speeds()
         change_rows = np.flatnonzero((np.diff(speeds, prepend=0.0) != 0.0) | self._follows_call(path))
         for k, speed in zip(path[change_rows].tolist(), speeds[change_rows].tolist(), strict=True):
             self.new.before[k].append(f"$VEL.CP={speed / 1e6:.6f}")
 
     def _set_turning(self) -> None:
-        """Set `$VEL.ORI1` and `$VEL.ORI2` where the program says how fast the tool turns, else as INITMOV does."""
+        """Set `$VEL.ORI1` and `$VEL.ORI2` where the turning speed of the tool changes.
+
+        Where the program states none, they are set to the values of BAS(#INITMOV).
+        """
         path = np.flatnonzero(self.targets.kind != PTP)
         speeds = np.nan_to_num(self.new.turning_speeds()[path])
         change_rows = np.flatnonzero((np.diff(speeds, prepend=0.0) != 0.0) | (self._follows_call(path) & speeds.any()))
@@ -205,10 +210,13 @@ class Emitter:
             for name in ("ORI1", "ORI2"):
                 self.new.before[k].append(f"$VEL.{name}={number(speed) if speed else f'$VEL_MA.{name}'}")
 
-    def _lines(self, kind: int, k: Ints, is_blended: Bools) -> bytes:
-        """Print the motion lines of targets (k,) of a kind, with all decimals."""
+    def _motion_lines(self, kind: int, k: Ints, is_blended: Bools) -> bytes:
+        """Return the motion lines of n targets of one kind, numbers with all decimals.
+
+        :param k: (n,) rows of the targets; `is_blended` (n,) True where the motion is approximated.
+        """
         numbers = self.targets.pose.xyzabc(k)
-        end = _aggregate(numbers)
+        end = _aggregate_parts(numbers)
         spline = b"S" if self.cell.gcode.motions == "SLIN" else b""
         is_blended = is_blended & (not spline or kind != PTP)
         tail: list[Part] = [text_in_rows(b" C_SPL" if spline else b" C_DIS", is_blended)]
@@ -221,10 +229,10 @@ class Emitter:
         tail.append(b"\r\n")
         if kind == PTP:
             status, turn = self.targets.status[k], self.targets.turn[k]
-            end = [*end[:-1], *_bits(b",S ", status), *_bits(b",T ", turn), b"}"]
+            end = [*end[:-1], *_bits_parts(b",S ", status), *_bits_parts(b",T ", turn), b"}"]
             return lines([b"PTP ", *end, *tail])
         if kind == CIRC:
-            via = _aggregate(self.targets.via[k] * MM_PER_M)
+            via = _aggregate_parts(self.targets.via[k] * MM_PER_M)
             return lines([spline + b"CIRC ", *via, b",", *end, *tail])
         return lines([spline + b"LIN ", *end, *tail])
 
@@ -235,21 +243,25 @@ def calls(statements: Sequence[str]) -> bool:
     return any(isinstance(statement(source, line + 1), CallStatement) for line in range(len(source.starts)))
 
 
-def _aggregate(numbers: Array) -> list[Part]:
-    """Return the parts of ``{X …,Y …}`` for (n, 3) or (n, 6) numbers."""
+def _aggregate_parts(numbers: Array) -> list[Part]:
+    """Return ``{X …,Y …}`` for n targets, in parts that are printed side by side.
+
+    :param numbers: (n, 3) or (n, 6).
+    """
     parts: list[Part] = []
     for name, values, decimals in zip(CARTESIAN, numbers.T, DECIMALS.tolist(), strict=False):
         parts += [f"{',' if parts else '{'}{name} ".encode(), Number.of(values, decimals)]
     return [*parts, b"}"]
 
 
-def _bits(prefix: bytes, values: Ints) -> list[Part]:
-    """Return S or T where they are given."""
+def _bits_parts(prefix: bytes, values: Ints) -> list[Part]:
+    """Return S or T for n targets, in parts that are printed side by side; nothing where the value is negative."""
     is_stated = values >= 0
     return [text_in_rows(prefix, is_stated), Number.of(np.where(is_stated, values, np.nan), 0)]
 
 
-def _frame(pose: Array) -> str:
+def _frame_text(pose: Array) -> str:
+    """Return a pose (4, 4) [m] as an aggregate of KRL: X, Y, Z [mm], A, B, C [deg]."""
     numbers = zip("XYZABC", xyzabc_from_pose(pose).tolist(), strict=True)
     return aggregate_text({name: fixed_point(value, _FRAME_DECIMALS, 0) for name, value in numbers})
 
@@ -275,5 +287,5 @@ def axis_motion(angles: Iterable[float], decimals: int) -> str:
 
 
 def document(name: str, lines: Iterable[str]) -> Document:
-    """Return a program of some lines, END behind them."""
+    """Return the file of a program: some lines, and END behind them."""
     return Document(f"{name}.src", "".join(line + LINE_END for line in (*lines, "END")), "cp1252")

@@ -72,26 +72,28 @@ def divide_into_modules(
     if not cell.output.divide_into_modules or output.size <= cell.output.program_memory_MB * _MB:
         return output
     whole = Emitter(program, targets, cell, comment_forces)
-    starts = _starts(program, targets, cell, whole, whole.write())
+    starts = _module_starts(program, targets, cell, whole, whole.write())
     emitter = Emitter(program, targets, cell, comment_forces, starts)
     return _Divider(emitter, emitter.write(), starts, joints).write()
 
 
-def _ends(output: WrittenProgram) -> Ints:
-    """Return where the lines (n,) of the targets end: offsets of the characters behind them."""
+def _line_ends(output: WrittenProgram) -> Ints:
+    """Return the offsets (n,) behind the lines of n targets in a written program."""
     content = np.frombuffer(output.documents[0].to_bytes(), dtype=np.uint8)
     return np.asarray(np.flatnonzero(content == ord("\n"))[output.output_line - 1] + 1)
 
 
-def _starts(program: Program, targets: Targets, cell: Cell, emitter: Emitter, output: WrittenProgram) -> list[int]:
+def _module_starts(
+    program: Program, targets: Targets, cell: Cell, emitter: Emitter, output: WrittenProgram
+) -> list[int]:
     """Return the targets before which new modules begin: as few as possible.
 
-    :raises ProgramError: what is between two places is too large for one module.
+    :raises ProgramError: the text between two places where a module may end is too large for one module.
     """
     motion = _places(program, cell)
     place = np.searchsorted(targets.motion, motion.astype(targets.motion.dtype), side="right")
     motion, place = motion[(place > 0) & (place < len(targets))], place[(place > 0) & (place < len(targets))]
-    ends = _ends(output)
+    ends = _line_ends(output)
     end_offset = np.append(ends[place - 1], output.size)
     lines = [line for kind in _SWITCHING for line in getattr(cell.gcode, kind) or ()]
     head = sum(len(line) + 2 for line in emitter.header(program.name))
@@ -121,32 +123,34 @@ def _starts(program: Program, targets: Targets, cell: Cell, emitter: Emitter, ou
 def _places(program: Program, cell: Cell) -> Ints:
     """Return the motions (n,) after which a module may end: of consecutive rapid moves, the one that ends highest.
 
-    Height is counted along the tool axis there, above everything that the program cuts; below 0 there is none. After
-    the last rapid move before a cut there is none.
+    Its end must be above everything that the program cuts; height is measured along the tool axis there. The last rapid
+    move before a cut does not count.
     """
-    m = program.motions
-    cartesian = np.isnan(m.joints[:, 0])
-    candidates = np.flatnonzero(m.rapid[:-1] & m.rapid[1:] & cartesian[:-1])
+    motions = program.motions
+    cartesian = np.isnan(motions.joints[:, 0])
+    candidates = np.flatnonzero(motions.rapid[:-1] & motions.rapid[1:] & cartesian[:-1])
     if not len(candidates):
         return candidates
-    base = program.bases[m.base]
+    base = program.bases[motions.base]
     column, sign = _AXES[cell.tool.axis]
-    position = np.einsum("nij,nj->ni", base[:, :3, :3], m.target.position) + base[:, :3, 3]
-    up = sign * np.einsum("nij,nj->ni", base[candidates, :3, :3], m.target[candidates, :3, :3][:, :, column])
-    cuts = np.flatnonzero(~m.rapid)
-    arcs = np.flatnonzero(m.kind == CIRC)
-    centre = np.einsum("nij,nj->ni", base[arcs, :3, :3], m.centre[arcs]) + base[arcs, :3, 3]
-    normal = np.einsum("nij,nj->ni", base[arcs, :3, :3], m.normal[arcs])
-    radius = norm(np.cross(m.normal[arcs], m.target.position[arcs] - m.centre[arcs]))
+    position = np.einsum("nij,nj->ni", base[:, :3, :3], motions.target.position) + base[:, :3, 3]
+    tool_axis = sign * np.einsum(
+        "nij,nj->ni", base[candidates, :3, :3], motions.target[candidates, :3, :3][:, :, column]
+    )
+    cuts = np.flatnonzero(~motions.rapid)
+    arcs = np.flatnonzero(motions.kind == CIRC)
+    centre = np.einsum("nij,nj->ni", base[arcs, :3, :3], motions.centre[arcs]) + base[arcs, :3, 3]
+    normal = np.einsum("nij,nj->ni", base[arcs, :3, :3], motions.normal[arcs])
+    radius = norm(np.cross(motions.normal[arcs], motions.target.position[arcs] - motions.centre[arcs]))
     height = np.empty(len(candidates))
-    axes, axis_row = np.unique(up.round(6), axis=0, return_inverse=True)
+    axes, axis_row = np.unique(tool_axis.round(6), axis=0, return_inverse=True)
     for row, axis in enumerate(axes):
-        of_axis = np.flatnonzero(axis_row.ravel() == row)
-        on_arcs = centre @ axis + radius * norm(np.cross(normal, axis))
-        highest = max((position[cuts] @ axis).max(initial=-np.inf), on_arcs.max(initial=-np.inf))
-        height[of_axis] = position[candidates[of_axis]] @ axis - highest
+        axis_candidates = np.flatnonzero(axis_row.ravel() == row)
+        arc_heights = centre @ axis + radius * norm(np.cross(normal, axis))
+        highest = max((position[cuts] @ axis).max(initial=-np.inf), arc_heights.max(initial=-np.inf))
+        height[axis_candidates] = position[candidates[axis_candidates]] @ axis - highest
     # candidates without a cut between them are one run; in each, the highest, and of equal heights the first
-    run = np.cumsum(~m.rapid)[candidates]
+    run = np.cumsum(~motions.rapid)[candidates]
     best = np.lexsort((candidates, -np.floor(height / _SAME_HEIGHT), run))
     best = best[np.diff(run[best], prepend=-1) != 0]
     return np.asarray(np.sort(candidates[best[height[best] > _SAME_HEIGHT]]))
@@ -180,26 +184,34 @@ class _Divider:
                 )
 
     def write(self) -> WrittenProgram:
-        """Return the program in one piece, and in modules."""
-        text, ends = self.whole.documents[0].text, _ends(self.whole)
+        """Return the written program as one text, with its modules."""
+        text, ends = self.whole.documents[0].text, _line_ends(self.whole)
         head = sum(len(line) + len(LINE_END) for line in self.emitter.header(self.emitter.program.name))
         documents, lines, line_count = [], [], 0
         output_line = self.whole.output_line
-        for index, (a, b) in enumerate(pairwise((*self.first, len(output_line)))):
-            top = self.emitter.header(self.names[index], self._order(index))
-            head_lines = len(self.emitter.header(self.emitter.program.name)) if a == 0 else int(output_line[a - 1])
-            top += [] if a == 0 else self._begin(a)
-            body = text[head if a == 0 else ends[a - 1] : ends[b - 1] if b < len(output_line) else len(text)]
-            bottom = [*self._switch_off_lines(b), "END"] if b < len(output_line) else []
-            whole = "".join(line + LINE_END for line in top) + body + "".join(line + LINE_END for line in bottom)
+        for index, (first, stop) in enumerate(pairwise((*self.first, len(output_line)))):
+            top_lines = self.emitter.header(self.names[index], self._order(index))
+            head_lines = (
+                len(self.emitter.header(self.emitter.program.name)) if first == 0 else int(output_line[first - 1])
+            )
+            top_lines += [] if first == 0 else self._start_lines(first)
+            body = text[
+                head if first == 0 else ends[first - 1] : ends[stop - 1] if stop < len(output_line) else len(text)
+            ]
+            bottom_lines = [*self._switch_off_lines(stop), "END"] if stop < len(output_line) else []
+            whole = (
+                "".join(line + LINE_END for line in top_lines)
+                + body
+                + "".join(line + LINE_END for line in bottom_lines)
+            )
             documents.append(Document(f"{self.names[index]}.src", whole, self.whole.documents[0].encoding))
-            lines.append(output_line[a:b] - head_lines + len(top) + line_count)
+            lines.append(output_line[first:stop] - head_lines + len(top_lines) + line_count)
             line_count += whole.count("\n")
         modules = Modules(tuple(documents), self.first, np.concatenate(lines))
         return replace(self.whole, modules=modules, issues=(*self.whole.issues, self._issue(documents)))
 
     def _order(self, index: int) -> str:
-        """Return the comment of a module on its place among the others."""
+        """Return the comment that states the place of a module among the others."""
         predecessor = f", run after {self.names[index - 1]}" if index else ""
         successor = f", next is {self.names[index + 1]}" if index + 1 < len(self.names) else ""
         return f"module {index + 1} of {len(self.names)}{predecessor}{successor}"
@@ -215,8 +227,10 @@ class _Divider:
         )
         return Issue("info", "modules", message)
 
-    def _begin(self, k: int) -> list[str]:
-        """Return the start of a module before a target: system variables, joint angles, and what is switched on."""
+    def _start_lines(self, k: int) -> list[str]:
+        """Return the first lines of a module: they set system variables, move to target `k` − 1, and switch on what was
+        on.
+        """
         state: dict[str, str] = {}
         previous_lines = (line for at in sorted(self.new.before) if at < k for line in self.new.before[at])
         for line in (*self.emitter.begin(), *previous_lines):
@@ -225,7 +239,7 @@ class _Divider:
                 state[match[1].upper()] = line
         lines, cell_lines = [*state.values(), axis_motion(self.joints.q[k - 1] * DEG_PER_RAD, 5)], list[str]()
         for switch in self._active_switches(k):
-            if self._switches(switch.event, k):
+            if self._is_switched_at(switch.event, k):
                 continue  # the program itself switches it here
             event = switch.event
             cell_lines += switch.on
@@ -234,20 +248,20 @@ class _Divider:
         return [*lines, *(state.values() if calls(cell_lines) else ())]  # a program that is called may have set others
 
     def _switch_off_lines(self, k: int) -> list[str]:
-        """Return the lines that switch off, at the end of a module, what is on before a target."""
+        """Return the lines at the end of a module, before target `k`, that switch off what is on."""
         lines = [line for switch in self._active_switches(k) for line in switch.off]
         return [self.new.words.wait, *lines] if lines else []
 
     def _active_switches(self, k: int) -> Iterator[_SwitchLines]:
-        """Yield spindle and coolant if they are on before a target.
+        """Yield the spindle and the coolant if they are on before target `k`.
 
         :raises ProgramError: the cell has lines to switch it on, and none to switch it off.
         """
         for off_kind in dict.fromkeys(SWITCHED_OFF.values()):
             switch_events = [
-                e
-                for e, at in zip(self.emitter.program.events, self.event_at, strict=True)
-                if at < k and _SWITCHING.get(e.kind) == off_kind
+                event
+                for event, target in zip(self.emitter.program.events, self.event_at, strict=True)
+                if target < k and _SWITCHING.get(event.kind) == off_kind
             ]
             if not switch_events or switch_events[-1].kind == off_kind:
                 continue
@@ -262,13 +276,13 @@ class _Divider:
                 )
             yield _SwitchLines(switch_events[-1], on_lines, off_lines if on_lines else [])
 
-    def _switches(self, event: Event, k: int) -> bool:
-        """Return whether the program switches what an event does at a target too."""
+    def _is_switched_at(self, event: Event, k: int) -> bool:
+        """Return whether the program itself switches, at target `k`, the device of an event."""
         off_kind, events = _SWITCHING[event.kind], zip(self.emitter.program.events, self.event_at, strict=True)
         return any(at == k and _SWITCHING.get(program_event.kind) == off_kind for program_event, at in events)
 
     def _dwells(self, event: Event) -> Iterator[Event]:
-        """Yield the waits that follow an event at its place: until the spindle has its speed."""
+        """Yield the dwells that follow an event before the same target: they wait until the spindle has its speed."""
         events, at = self.emitter.program.events, self.event_at
         index = max(i for i, program_event in enumerate(events) if program_event is event)
         return (e for i, e in enumerate(events) if i > index and at[i] == at[index] and e.kind == "dwell")

@@ -16,13 +16,13 @@ from postproc.dialects.krl.course import Course
 from postproc.dialects.krl.language.expressions import parse_aggregate
 from postproc.dialects.krl.language.motion_statements import MotionStatement, Point
 from postproc.dialects.krl.language.names import Names
-from postproc.dialects.krl.language.positions import from_aggregate
+from postproc.dialects.krl.language.positions import position_from_aggregate
 from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.language.tokens import NAME, names_in, word_at
 from postproc.dialects.krl.language.values import Aggregate
 from postproc.dialects.krl.layout import Elements, Layout
 from postproc.dialects.krl.write.edits import Replacements
-from postproc.dialects.krl.write.target_statements import apply, literal_of, replaced_numbers
+from postproc.dialects.krl.write.target_statements import edited_literal, literal_of, replaced_numbers
 from postproc.errors import Issue
 from postproc.program import Bools, Ints, Motions
 
@@ -60,51 +60,56 @@ class NamedPoints(Struct, eq=False):
     issues: list[Issue] = []
     _uses: dict[_TextPlace, list[Use]] = field(default_factory=lambda: defaultdict(list))
     _names: Names | None = None
-    _moved_to: dict[str, bool] = {}
+    _motion_only: dict[str, bool] = {}
 
     def use(self, use: Use) -> None:
-        """Note a use; one of a point whose numbers are in no text becomes a literal at once."""
+        """Note the use of a point in a statement; a point whose numbers are in no text is replaced there at once."""
         aggregate = use.operand.position.aggregate
         if aggregate is not None and use.operand.name:
             self._uses[_text_place(aggregate)].append(use)
         elif use.texts is not None:
-            self._replace(use)
+            self._replace_by_literal(use)
 
-    def settle(self) -> None:
-        """Make the edits for all uses."""
+    def make_edits(self) -> None:
+        """Correct each used point: in its declaration if that suits all its uses, else by new points or literals."""
         for uses in self._uses.values():
             corrected_uses = [use for use in uses if use.texts is not None]
             aggregate = uses[0].operand.position.aggregate
             if not corrected_uses or aggregate is None:
                 continue
             if self._is_replaceable(uses, aggregate):
-                self._correct(corrected_uses[0], aggregate)
+                self._correct_declaration(corrected_uses[0], aggregate)
             else:
-                self._separate(corrected_uses, aggregate)
+                self._declare_new_points(corrected_uses, aggregate)
 
     def _is_replaceable(self, uses: list[Use], aggregate: Aggregate) -> bool:
-        """Return whether the numbers of a point can be replaced in its declaration: all its uses have one
-        correction.
+        """Return whether a point can be corrected in its declaration.
+
+        All its uses must have one correction, and nothing but motions may use it.
         """
         name = uses[0].operand.name
         is_same = all(use.texts == uses[0].texts and use.operand.name == name for use in uses)
         is_written = aggregate.row > 0 or aggregate.source.index < len(self.sources)
-        return is_same and is_written and self._only_moved_to(name)
+        return is_same and is_written and self._is_used_by_motions_only(name)
 
-    def _only_moved_to(self, name: str) -> bool:
-        """Return whether the values of a variable are used by motions only, see `only_moved_to`."""
-        if name not in self._moved_to:
-            self._moved_to[name] = only_moved_to(name, self.layout, self.mentions)
-        return self._moved_to[name]
+    def _is_used_by_motions_only(self, name: str) -> bool:
+        """Return whether motions alone use the values of a variable; the result is stored."""
+        if name not in self._motion_only:
+            self._motion_only[name] = is_used_by_motions_only(name, self.layout, self.mentions)
+        return self._motion_only[name]
 
-    def _correct(self, use: Use, aggregate: Aggregate) -> None:
+    def _correct_declaration(self, use: Use, aggregate: Aggregate) -> None:
         """Replace the numbers of a point in its declaration by the corrected ones."""
         edits = self.replacements[0 if aggregate.row else aggregate.source.index]
         for piece in replaced_numbers(literal_of(aggregate), use.texts or {}):
             edits.add(*piece, aggregate.row)
 
-    def _separate(self, uses: list[Use], aggregate: Aggregate) -> None:
-        """Declare a point for each different correction; the old one stays for uncorrected uses."""
+    def _declare_new_points(self, uses: list[Use], aggregate: Aggregate) -> None:
+        """Declare a new point for each correction of a point, and use it in the statements; uncorrected uses keep the
+        old one.
+
+        Where a new point cannot be declared, the statement gets a literal.
+        """
         names: dict[str, str] = {}
         for use in uses:
             source = self.layout.course.trace.source(use.line)
@@ -113,11 +118,11 @@ class NamedPoints(Struct, eq=False):
             is_copy = any(use.operand.name in pair for pair in self.layout.copies)
             is_elsewhere = aggregate.row > 0 or aggregate.source.index != 1 or len(self.sources) < 2
             if is_elsewhere or is_copy or is_out_of_scope or not NAME.fullmatch(text):
-                self._replace(use)
+                self._replace_by_literal(use)
                 continue
-            literal = apply(literal_of(aggregate), replaced_numbers(literal_of(aggregate), use.texts or {}))
+            literal = edited_literal(literal_of(aggregate), replaced_numbers(literal_of(aggregate), use.texts or {}))
             if literal not in names:
-                names[literal] = self._declare(text, literal, aggregate)
+                names[literal] = self._declare_point(text, literal, aggregate)
             self.replacements[0].add(use.operand.start, use.operand.stop, names[literal], use.line)
             message = (
                 f"{text} is also used otherwise: this motion uses the new point {names[literal]} of the .dat. "
@@ -125,33 +130,42 @@ class NamedPoints(Struct, eq=False):
             )
             self.issues.append(Issue("info", "new-point", message, use.line))
 
-    def _declare(self, name: str, literal: str, aggregate: Aggregate) -> str:
-        """Declare a new point behind the line of another; return its name."""
+    def _declare_point(self, name: str, literal: str, aggregate: Aggregate) -> str:
+        """Declare a new point behind the line of an old one; return its name.
+
+        :param name: of the old point; `literal` is the value of the new one.
+        """
         source = aggregate.source
         if self._names is None:
             self._names = Names(set().union(*(names_in(file.text) for file in self.sources)))
-        new = self._names.unused(name)
+        new_name = self._names.unused(name)
         line = source.line_at(aggregate.start)
-        start, stop, following = int(source.starts[line - 1]), int(source.stops[line - 1]), int(source.starts[line])
-        old = source.text[start:stop]
-        indent = old[: len(old) - len(old.lstrip())]
+        start, stop, next_line_start = (
+            int(source.starts[line - 1]),
+            int(source.stops[line - 1]),
+            int(source.starts[line]),
+        )
+        old_line = source.text[start:stop]
+        indent = old_line[: len(old_line) - len(old_line.lstrip())]
         kind = self.layout.types.get(name.upper(), "E6POS")
         self.replacements[source.index].add(
-            following, following, f"{indent}DECL {kind} {new}={literal}{source.text[stop:following]}"
+            next_line_start,
+            next_line_start,
+            f"{indent}DECL {kind} {new_name}={literal}{source.text[stop:next_line_start]}",
         )
-        return new
+        return new_name
 
-    def _replace(self, use: Use) -> None:
-        """Write the target into the statement."""
+    def _replace_by_literal(self, use: Use) -> None:
+        """Replace a named point in a statement by a literal with the numbers of its target."""
         self.replacements[0].add(use.operand.start, use.operand.stop, use.whole(), use.line)
         message = "A point that is computed, or that something else uses too, is replaced by numbers in the statement."
         self.issues.append(Issue("info", "point-replaced", message, use.line))
 
 
 def mentions(course: Course, plain_rows: Ints) -> Mentions:
-    """Return the rows and offsets at which the code of a trace names each variable (upper case).
+    """Return the places at which the code of a trace names each variable (upper case): row and offset.
 
-    Names in routines that also run unchanged are listed in row 0, which is never understood.
+    Places in routines that also run unchanged have row 0: the reader follows no use in them.
 
     :param plain_rows: rows that name no points.
     """
@@ -162,30 +176,30 @@ def mentions(course: Course, plain_rows: Ints) -> Mentions:
     for row in (np.flatnonzero(~is_left_out) + 1).tolist():
         place = trace.place(row)
         if place not in names:
-            names[place] = _names(*place)
+            names[place] = _names_on_line(*place)
         for name, offset in names[place]:
             places[name].append((row, offset))
     for routine in course.pinned:
         for line in range(routine.first + 1, routine.last):
-            for name, offset in _names(routine.source, line):
+            for name, offset in _names_on_line(routine.source, line):
                 places[name].append((0, offset))
     return places
 
 
-def _names(source: Source, line: int) -> list[tuple[str, int]]:
+def _names_on_line(source: Source, line: int) -> list[tuple[str, int]]:
     """Return the names in the code of a line, upper case, and their offsets."""
     return [(match[0].upper(), match.start()) for match in NAME.finditer(source.text, *source.code_span(line))]
 
 
 def _text_place(aggregate: Aggregate) -> _TextPlace:
-    """Return where the text of an aggregate is: file, row of the trace, offset."""
+    """Return the place of the text of an aggregate: file, row of the trace, offset."""
     return aggregate.source, aggregate.row, aggregate.start
 
 
-def only_moved_to(name: str, layout: Layout, mentions: Mentions) -> bool:
-    """Return whether motions alone use the values of a variable, and of those that they are copied to or from.
+def is_used_by_motions_only(name: str, layout: Layout, mentions: Mentions) -> bool:
+    """Return whether motions alone use the values of a variable, and of variables that it is copied to or from.
 
-    All else must find the values that it found before.
+    Then the values may change: nothing else reads them.
 
     :param mentions: see `mentions`.
     """
@@ -198,7 +212,9 @@ def only_moved_to(name: str, layout: Layout, mentions: Mentions) -> bool:
 
 
 def editable_layout(layout: Layout, motions: Motions, mentions: Mentions, files: int, has_one_target: Bools) -> Layout:
-    """Return the layout with those elements only whose numbers can be edited in place; the others are statements.
+    """Return the layout with only those `elements` whose numbers can be edited in their declaration.
+
+    The other motions to array elements become statements.
 
     :param mentions: see `mentions`.
     :param files: number of files that are written: the `.src` and its `.dat`.
@@ -213,34 +229,40 @@ def editable_layout(layout: Layout, motions: Motions, mentions: Mentions, files:
     ]
     for elements in layout.elements:
         literal_starts += [(elements.source, 0, start) for start in elements.literal[:, 0].tolist()]
-    times = Counter(literal_starts)
-    left, statements, array_rows = [], dict(layout.statements), layout.within.copy()
+    literal_counts = Counter(literal_starts)
+    editable_elements, statements, array_rows = [], dict(layout.statements), layout.within.copy()
     for elements in layout.elements:
         is_editable = (
-            elements.source.index < files and layout.carriage is None and only_moved_to(elements.name, layout, mentions)
+            elements.source.index < files
+            and layout.carriage is None
+            and is_used_by_motions_only(elements.name, layout, mentions)
         )
         is_single_use = np.array(
-            [times[elements.source, 0, at] == 1 for at in elements.literal[:, 0].tolist()], np.bool_
+            [literal_counts[elements.source, 0, at] == 1 for at in elements.literal[:, 0].tolist()], np.bool_
         )
         in_place = has_one_target[elements.row] & is_single_use & is_editable
-        left.append(Elements(elements.row[in_place], elements.literal[in_place], elements.source, elements.name))
+        editable_elements.append(
+            Elements(elements.row[in_place], elements.literal[in_place], elements.source, elements.name)
+        )
         array_rows[elements.row[~in_place]] = 0
         for row, literal in zip(elements.row[~in_place].tolist(), elements.literal[~in_place].tolist(), strict=True):
-            statements[row] = _statement(layout, motions, row, elements, literal)
-    return replace(layout, statements=dict(sorted(statements.items())), elements=tuple(left), within=array_rows)
+            statements[row] = _statement_of_element(layout, motions, row, elements, literal)
+    return replace(
+        layout, statements=dict(sorted(statements.items())), elements=tuple(editable_elements), within=array_rows
+    )
 
 
-def _statement(
+def _statement_of_element(
     layout: Layout, motions: Motions, row: int, elements: Elements, literal: Sequence[int]
 ) -> MotionStatement:
-    """Return the statement of motion `row`, whose target is an element of a declared point.
+    """Return the statement of motion `row`, whose target is an array element.
 
-    :param literal: start and stop of the aggregate that the declaration has for it.
+    :param literal: offsets of the start of the aggregate in the declaration of the element, and behind its end.
     """
     start, stop = layout.target[row].tolist()
     begin, end = layout.tail[row].tolist()
     keyword = int(layout.keyword[row])
-    position = from_aggregate(parse_aggregate(elements.source, *literal))
+    position = position_from_aggregate(parse_aggregate(elements.source, *literal))
     return MotionStatement(
         int(layout.line[row]),
         int(motions.kind[row]),

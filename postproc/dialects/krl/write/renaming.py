@@ -54,32 +54,39 @@ def rename(documents: Sequence[Document], name: str) -> tuple[Document, ...]:
 
 
 def _public_names(documents: Sequence[Document], old: str, new: str) -> dict[str, str]:
-    """Return new names for GLOBAL ones, upper case, that begin with the name of their program."""
+    """Return new names for GLOBAL names that begin with the old name of their program: old, upper case → new.
+
+    :param old: name of the program; `new` its new name.
+    """
     new_names: dict[str, str] = {}
     lines = (line for document in documents for line in scan.global_lines(document.text))
     for name in (word for line in lines for word in NAME.findall(line)):
         if name.upper().startswith(f"{old}_".upper()) and name.upper() not in new_names:
-            fresh = f"{new}{name[len(old) :]}"[:MAX_LENGTH]
+            candidate = f"{new}{name[len(old) :]}"[:MAX_LENGTH]
             used_names = {new_name.upper() for new_name in new_names.values()}
-            new_names[name.upper()] = unused(fresh, used_names) if fresh.upper() in used_names else fresh
+            new_names[name.upper()] = unused(candidate, used_names) if candidate.upper() in used_names else candidate
     return new_names
 
 
-def _replace_names(text: str, new: Mapping[str, str]) -> str:
-    """Return a text with other names, by the old ones in lower case, where an empty list or nothing follows them."""
+def _replace_names(text: str, new_names: Mapping[str, str]) -> str:
+    """Return a text with other names for called programs: those at a line end or before empty brackets.
+
+    :param new_names: old name, lower case → new name.
+    """
     pieces, last = list[str](), 0
-    for name, start in scan.places(text, new):
-        next_sign = after_blanks(text, start + len(name), len(text))
-        bracket = after_sign(text, next_sign, len(text), "(")
-        if text[next_sign : next_sign + 1] in ("\r", "\n") or (
+    for name, start in scan.places(text, new_names):
+        next_offset = after_blanks(text, start + len(name), len(text))
+        bracket = after_sign(text, next_offset, len(text), "(")
+        if text[next_offset : next_offset + 1] in ("\r", "\n") or (
             bracket >= 0 and after_sign(text, bracket, len(text), ")") >= 0
         ):
-            pieces += [text[last:start], new[name.lower()]]
+            pieces += [text[last:start], new_names[name.lower()]]
             last = start + len(name)
     return "".join([*pieces, text[last:]])
 
 
 def _rename_document(document: Document, name: str) -> Document:
+    """Return a file with another name, also behind its first DEF or DEFDAT."""
     return replace(document, name=f"{name}{PurePath(document.name).suffix}", text=scan.with_name(document.text, name))
 
 
@@ -88,8 +95,10 @@ _HEADS = frozenset({"DEF", "DEFDAT", "EXT"})
 _PATH = "/R1/"
 
 
-def _with_callers(documents: Sequence[Document], names: set[str]) -> set[str]:
-    """Return names of files, upper case, and those of all files that use them, but for the main one, the first."""
+def _stems_with_callers(documents: Sequence[Document], names: set[str]) -> set[str]:
+    """Return names of files, upper case, and the names of all files that use them, directly or not, without the main
+    file.
+    """
     main, names = PurePath(documents[0].name).stem.upper(), set(names)
     while True:  # the callers have callers
         callers = {
@@ -102,20 +111,21 @@ def _with_callers(documents: Sequence[Document], names: set[str]) -> set[str]:
         names |= callers
 
 
-def _new_names(stems: Collection[str], program: str, used_names: Collection[str]) -> dict[str, str]:
-    """Return a new name of a subprogram with the program in it for each of some names, which are the keys, upper case.
+def _new_stems(stems: Collection[str], program: str, used_names: Collection[str]) -> dict[str, str]:
+    """Return a new name for each of some subprograms: old name, upper case → old name and program name joined.
 
-    :param used_names: names that it must differ from, upper case.
+    :param stems: names of the subprograms.
+    :param used_names: names that the new ones must differ from, upper case.
     """
     used_names = set(used_names)
-    new: dict[str, str] = {}
+    new_names: dict[str, str] = {}
     for stem in sorted(stems):
-        if stem.upper() not in new:
+        if stem.upper() not in new_names:
             new_name = f"{stem}_{program}"
             fits = new_name.upper() not in used_names and len(new_name) <= MAX_LENGTH
-            new[stem.upper()] = new_name if fits else unused(new_name, used_names)
-            used_names.add(new[stem.upper()].upper())
-    return new
+            new_names[stem.upper()] = new_name if fits else unused(new_name, used_names)
+            used_names.add(new_names[stem.upper()].upper())
+    return new_names
 
 
 def own_copies(
@@ -127,19 +137,19 @@ def own_copies(
 ) -> tuple[tuple[Document, ...], dict[str, str]] | None:
     """Return the files of a program with other names for some of its subprograms, and for those that call them.
 
-    Only names change: of the files, behind DEF, DEFDAT and EXT, before the bracket of a call, and behind ``/R1/``.
+    Only names change: those of files, behind DEF, DEFDAT and EXT, before the bracket of a call, and behind ``/R1/``.
 
     :param documents: files of the program and of its subprograms, the main file first.
     :param unchanged: contents of files that are written with them and must stay as they are.
     :param stems: names of the files to be renamed, without extension.
     :param program: name of the program, which becomes a part of the new names.
     :param other_names: names of other files, without extension, lower case.
-    :returns: the files, and new file name → old file name. None where a name is used in another way (in a string, as a
-        variable), where an unchanged file uses it, or where a file declares something GLOBAL: the controller would know
-        that twice.
+    :returns: the files, and new file name → old file name. None if a name is used in another way (in a string, as a
+        variable), if an unchanged file uses it, or if a file declares something GLOBAL, which would then be declared
+        twice.
     """
     main = PurePath(documents[0].name).stem.upper()
-    old = _with_callers(documents, {stem.upper() for stem in stems})
+    old = _stems_with_callers(documents, {stem.upper() for stem in stems})
     own_stems = {PurePath(document.name).stem.upper() for document in documents}
     if (
         main in old
@@ -150,7 +160,7 @@ def own_copies(
     used_names = {name.upper() for name in other_names} | own_stems
     used_names |= {name for document in documents for name in scan.names(document.text)}
     old_stems = {PurePath(d.name).stem for d in documents if PurePath(d.name).stem.upper() in old}
-    new = _new_names(old_stems, program, used_names)
+    new = _new_stems(old_stems, program, used_names)
     if any(fault_of(name) for name in new.values()):
         return None
     new_documents: list[Document] = []
@@ -167,22 +177,25 @@ def own_copies(
     return tuple(new_documents), names
 
 
-def _replace_routines(text: str, new: Mapping[str, str]) -> str | None:
-    """Return a text with other names for routines; None if one of the names is used in another way."""
+def _replace_routines(text: str, new_names: Mapping[str, str]) -> str | None:
+    """Return a text with other names for routines; None if one of the names is used in another way.
+
+    :param new_names: old name, upper case → new name.
+    """
     pieces: list[str] = []
-    last = next_sign = 0
+    last = word_end = 0
     last_word = ""
     for word, start in scan.words(text):
-        if word[0] == '"' and not new.keys().isdisjoint(names_in(word)):
+        if word[0] == '"' and not new_names.keys().isdisjoint(names_in(word)):
             return None
-        head = last_word in _HEADS and not text[next_sign:start].strip(BLANKS)
-        last_word, next_sign = word.upper(), start + len(word)
-        name = new.get(word.upper())
+        is_head = last_word in _HEADS and not text[word_end:start].strip(BLANKS)
+        last_word, word_end = word.upper(), start + len(word)
+        name = new_names.get(word.upper())
         if name is None:
             continue
-        path = text[max(0, start - len(_PATH)) : start].upper() == _PATH
-        if not head and not path and after_sign(text, next_sign, len(text), "(") < 0:
+        is_path = text[max(0, start - len(_PATH)) : start].upper() == _PATH
+        if not is_head and not is_path and after_sign(text, word_end, len(text), "(") < 0:
             return None
         pieces += [text[last:start], name]
-        last = next_sign
+        last = word_end
     return "".join([*pieces, text[last:]])

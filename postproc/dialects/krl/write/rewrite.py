@@ -41,10 +41,10 @@ from postproc.dialects.krl.write.target_statements import (
     Replacement,
     TargetStatements,
     aggregate_text,
+    consecutive_motions,
     replaced_numbers,
-    runs,
 )
-from postproc.dialects.krl.write.trigger_places import place
+from postproc.dialects.krl.write.trigger_places import place_triggers
 from postproc.dialects.new_program import number
 from postproc.errors import Issue, ProgramError, group_issues
 from postproc.program import CIRC, LIN, PTP, Bools, Document, Ints, Program, TargetForces, Targets, WrittenProgram
@@ -72,15 +72,19 @@ def rewrite(program: Program, targets: Targets, comment_forces: TargetForces | N
     layout = program.layout
     if not isinstance(layout, Layout):
         raise ValueError("only a program read from KRL can be rewritten")  # noqa: TRY004
-    _check_lowered(program, layout)
+    _check_lowered_feeds(program, layout)
     return _Rewriter(program, layout, targets, comment_forces).write()
 
 
 class _Rewriter:
-    """Collects the edits of all documents."""
+    """Collects the edits of all documents.
+
+    :ivar row: (K,) motion of each target.
+    :ivar last: (K,) True for the last target of each motion, which is written in its statement.
+    """
 
     def __init__(self, program: Program, layout: Layout, targets: Targets, comment_forces: TargetForces | None) -> None:
-        self.program, self.layout, self.targets, self.carried = program, layout, targets, comment_forces
+        self.program, self.layout, self.targets, self.comment_forces = program, layout, targets, comment_forces
         self.documents = layout.documents or program.documents
         stem = PurePath(self.documents[0].name).stem.upper()
         data = [document for document in self.documents[1:] if PurePath(document.name).stem.upper() == stem]
@@ -93,9 +97,12 @@ class _Rewriter:
         self.last = np.append(self.row[1:] != self.row[:-1], True) if len(self.row) else np.zeros(0, dtype=np.bool_)
 
     def write(self) -> WrittenProgram:
-        """Make all edits and return the documents."""
-        last, keep = self.last, self.targets.keep
-        if (last & keep).all() and not len(_lowered_motions(self.program)):
+        """Make all edits, and return the documents.
+
+        :raises ValueError: a number is too large to be written.
+        """
+        is_last, keep = self.last, self.targets.keep
+        if (is_last & keep).all() and not len(_lowered_motions(self.program)):
             return WrittenProgram(self.documents, self.program.motions.line[self.row], "krl")
         self.commanded = target_numbers(self.program.motions, self.layout, self.targets)
         moves = self.layout.statements
@@ -108,34 +115,34 @@ class _Rewriter:
             self.layout, self.program.motions, self.mentions, len(self.sources), self._has_one_target()
         )
         self.statements = TargetStatements(self.layout, self.targets, self.commanded)
-        special = np.zeros(len(self.program.motions), dtype=np.bool_)
-        special[list(self.layout.statements)] = True
-        plain = last & ~special[self.row]
-        straight = ~keep & (self.program.motions.kind[self.row] == CIRC) & (self.targets.kind == LIN)
-        for k in np.flatnonzero(plain & straight).tolist():
-            self._change(int(self.row[k]), self.statements.absolute_statement(int(self.row[k]), k))
-        plain &= ~straight
-        self._replace_numbers(np.flatnonzero(plain & ~keep))
-        for k in np.flatnonzero(plain & (self._needs_components() | self._bits())).tolist():
-            self._complete(int(self.row[k]), k)
-        own_tail = self.commanded.is_free | self.commanded.unheeding
+        is_statement = np.zeros(len(self.program.motions), dtype=np.bool_)
+        is_statement[list(self.layout.statements)] = True
+        is_plain = is_last & ~is_statement[self.row]
+        is_straightened = ~keep & (self.program.motions.kind[self.row] == CIRC) & (self.targets.kind == LIN)
+        for k in np.flatnonzero(is_plain & is_straightened).tolist():
+            self._replace_text(int(self.row[k]), self.statements.absolute_statement(int(self.row[k]), k))
+        is_plain &= ~is_straightened
+        self._replace_numbers(np.flatnonzero(is_plain & ~keep))
+        for k in np.flatnonzero(is_plain & (self._needs_components() | self._may_change_bits())).tolist():
+            self._add_components(int(self.row[k]), k)
+        changes_tail = self.commanded.is_free | self.commanded.unheeding
         has_tail = np.diff(self.layout.tail[self.row])[:, 0] > len(" WITH ")
-        for k in np.flatnonzero(last & (own_tail[self.row] | (straight & has_tail))).tolist():
+        for k in np.flatnonzero(is_last & (changes_tail[self.row] | (is_straightened & has_tail))).tolist():
             row = int(self.row[k])
             start, stop = self.layout.tail[row].tolist()
             tail = self.statements.tail(row, k)
             if tail != self.layout.source(row).text[start:stop]:
-                self._change(row, Replacement(start, stop, tail))
+                self._replace_text(row, Replacement(start, stop, tail))
         if self.layout.statements:
-            self._special()
-        output_line = self._insert()
-        documents, output_line = self._files(output_line)
+            self._rewrite_statements()
+        output_line = self._insert_lines()
+        documents, output_line = self._edited_files(output_line)
         return WrittenProgram(documents, output_line, "krl", group_issues(self.issues))
 
-    def _files(self, line: Ints) -> tuple[tuple[Document, ...], Ints]:
-        """Return the files with all edits, and the lines of the targets in the `.src`.
+    def _edited_files(self, line: Ints) -> tuple[tuple[Document, ...], Ints]:
+        """Return the files with all edits, and the lines of the targets in the `.src` (K,).
 
-        :param line: (K,) their lines in the corrected course.
+        :param line: (K,) lines of the targets in the corrected execution trace.
         """
         course, changes = self.layout.course, self.replacements[0]
         files = {document.name: document for document in self.documents}
@@ -158,30 +165,30 @@ class _Rewriter:
         )
 
     def _has_one_target(self) -> Bools:
-        """Return which motions (M,) have one target, for which their text needs no other components."""
+        """Return which motions (M,) have a single target, for which their text needs no further components."""
         count = np.bincount(self.row, minlength=len(self.program.motions))
         has_one_target = np.asarray(count == 1)
-        has_one_target[self.row[self._needs_components() | self._bits()]] = False
+        has_one_target[self.row[self._needs_components() | self._may_change_bits()]] = False
         return has_one_target
 
     def _needs_components(self) -> Bools:
-        """Return which targets get components that their text lacks, or says wrongly, (K,)."""
+        """Return which targets (K,) need components that their text lacks or gives otherwise."""
         gets_component = self.commanded.written & self.layout.missing[self.row]
         return np.asarray(gets_component.any(axis=1) | (self.targets.keep & self.commanded.written.any(axis=1)))
 
-    def _bits(self) -> Bools:
-        """Return which targets may get another S or T, (K,)."""
+    def _may_change_bits(self) -> Bools:
+        """Return which targets (K,) may get another status or turn: changed targets of PTP."""
         has_bits = (self.targets.status >= 0) | (self.targets.turn >= 0)
         return np.asarray(has_bits & (self.targets.kind == PTP) & ~self.targets.keep)
 
-    def _change(self, row: int, piece: Replacement) -> None:
+    def _replace_text(self, row: int, piece: Replacement) -> None:
         """Replace a piece of the line of a motion."""
         self.replacements[0].add(*piece, self.layout.line.item(row))
 
     def _replace_numbers(self, k: Ints) -> None:
-        """Replace the numbers in plain lines, and of points of arrays, all at once.
+        """Replace the numbers in plain lines, and those of array elements, all at once.
 
-        :param k: targets whose lines change.
+        :param k: (n,) targets whose numbers change.
         """
         file = np.zeros(len(self.program.motions), dtype=np.int32)
         for elements in self.layout.elements:
@@ -198,14 +205,14 @@ class _Rewriter:
         self._replace_via_points(k[self.targets.kind[k] == CIRC])
 
     def _replace_via_points(self, circles: Ints) -> None:
-        """Replace X, Y, Z of the via points of targets that are arcs."""
+        """Replace X, Y, Z of the auxiliary points of circles, given by their targets (n,)."""
         spans = self.layout.via_spans[self.row[circles]].astype(np.int64).reshape(-1, 2)
         decimals = np.tile(DECIMALS[:3], len(circles))
         numbers, rows = self.commanded.via[circles].reshape(-1), np.repeat(self.layout.line[self.row[circles]], 3)
         self.replacements[0].add_numbers(spans[:, 0], spans[:, 1], numbers, decimals, rows)
 
-    def _complete(self, row: int, k: int) -> None:
-        """Add components to a plain line, and change its S and T; the other numbers of a changed one are replaced."""
+    def _add_components(self, row: int, k: int) -> None:
+        """Add the components that target `k` needs to the plain line of its motion, and change its S and T."""
         literal = self.statements.literal(row)
         if literal is not None:
             texts = self.statements.texts(k, literal)
@@ -214,17 +221,17 @@ class _Rewriter:
                 name: text for name, text in texts.items() if name not in replaced_names or name not in literal.places
             }
             for piece in replaced_numbers(literal, missing_components):
-                self._change(row, piece)
+                self._replace_text(row, piece)
 
-    def _special(self) -> None:
-        """Change statements that are not plain lines."""
+    def _rewrite_statements(self) -> None:
+        """Change the statements of motions that are not plain lines."""
         moves = self.layout.statements
         points = NamedPoints(self.sources, self.layout, self.replacements, self.mentions)
         for k in np.flatnonzero(self.last).tolist():
             row = int(self.row[k])
             if row in moves:
                 self._rewrite_statement(row, k, moves[row], points)
-        points.settle()
+        points.make_edits()
         self.issues += points.issues
 
     def _rewrite_statement(self, row: int, k: int, move: MotionStatement, points: NamedPoints) -> None:
@@ -240,14 +247,14 @@ class _Rewriter:
         needs_copy = becomes_line or (is_divided and (depends_on_start or move.kind == CIRC)) or start_differs
         differs = needs_copy or bool(self.commanded.changed[k])
         if differs and (move.relative or becomes_line):
-            self._change(row, self.statements.absolute_statement(row, k))
+            self._replace_text(row, self.statements.absolute_statement(row, k))
             if move.relative:
                 if move.behind is not None:
-                    self._change(row, Replacement(*move.behind, ""))
+                    self._replace_text(row, Replacement(*move.behind, ""))
                 self._report("relative-made-absolute", "A relative target is written as an absolute one.", move.line)
             return
         if differs and move.angle is not None:
-            self._change(row, Replacement(move.end.stop, move.tail, ""))
+            self._replace_text(row, Replacement(move.end.stop, move.tail, ""))
             self._report("angle-dropped", "CA is dropped: the end point is written as where the arc ends.", move.line)
         texts = self.statements.end_texts(k, move.end, copy=needs_copy) if differs else None
         self._rewrite_point(Use(move.line, move.end, texts, partial(self.statements.whole, k, move.end)), points)
@@ -269,24 +276,24 @@ class _Rewriter:
             for piece in replaced_numbers(literal, use.texts):
                 self.replacements[0].add(*piece, use.line)
 
-    def _insert(self) -> Ints:
-        """Put inserted targets and force comments on lines of their own; return the line of every target, (K,)."""
+    def _insert_lines(self) -> Ints:
+        """Insert targets, force comments and settings as lines of their own; return the line of every target (K,)."""
         line = self.layout.line[self.row]
         lines = InsertedLines(self.trace, self.replacements[0])
-        at, trigger_texts = self._place_triggers()
-        forces = self._forces(line, at)
-        free, bound = self._free_orientation_spans()
-        slow, fast = self._feeds()
-        line_targets = [*trigger_texts, *forces, *free, *bound, *slow, *fast]
+        line_before, trigger_texts = self._place_triggers()
+        forces = self._missing_force_comments(line, line_before)
+        free_targets, reset_targets = self._free_orientation_spans()
+        lowering_feeds, restoring_feeds = self._feed_statements()
+        line_targets = [*trigger_texts, *forces, *free_targets, *reset_targets, *lowering_feeds, *restoring_feeds]
         for k in np.flatnonzero(~self.last | np.isin(np.arange(len(line)), line_targets)).tolist():
-            next_line = at.get(k, int(line[k]))
-            if k in slow:
-                lines.add(next_line, self._indent(k) + slow[k] + self.statements.line_end(int(self.row[k])))
-            if k in free:
+            next_line = line_before.get(k, int(line[k]))
+            if k in lowering_feeds:
+                lines.add(next_line, self._indent(k) + lowering_feeds[k] + self.statements.line_end(int(self.row[k])))
+            if k in free_targets:
                 lines.add(next_line, self._indent(k) + LED_BY + FREE + self.statements.line_end(int(self.row[k])))
             for trigger, text in trigger_texts.get(k, ()):
                 lines.move(trigger.line, next_line, text)
-            if k in forces and not self._replaced_comment(k, forces[k]):
+            if k in forces and not self._replace_comment(k, forces[k]):
                 lines.add(next_line, forces[k] + self.statements.line_end(int(self.row[k])))
             if not self.last[k]:
                 text = self.statements.inserted_line(int(self.row[k]), k)
@@ -294,62 +301,78 @@ class _Rewriter:
                 if not self.layout.passed[self.row[k]] and not is_approximated(text):
                     reason = _BLENDED_STOP if self.layout.distant[self.row[k]] else _UNSURE
                     self._report("stop-inserted", reason, int(line[k]))
-            if k in bound:
+            if k in reset_targets:
                 kind = ORIENTATIONS[self.layout.orientation[self.row[k]]]
                 lines.insert_behind(int(line[k]), f"{self._indent(k)}{LED_BY}{kind}")
-            if k in fast:
-                lines.insert_behind(int(line[k]), self._indent(k) + fast[k])
+            if k in restoring_feeds:
+                lines.insert_behind(int(line[k]), self._indent(k) + restoring_feeds[k])
         return lines.numbers(line)
 
     def _free_orientation_spans(self) -> tuple[set[int], set[int]]:
-        """Return targets before which `$ORI_TYPE` is set for free orientation, and those behind which it is reset.
+        """Return the targets before which `$ORI_TYPE` is set to #VAR, and the targets behind which it is reset.
 
-        Motions are found among the ascending rows of the targets, of which one motion may have several.
+        Consecutive motions share one such pair of lines; spline motions have the setting in their statements instead.
         """
         rows = np.flatnonzero(self.commanded.is_free)
-        pairs = runs(self.layout, rows[[not self.statements.is_spline(row) for row in rows.tolist()]])
+        pairs = consecutive_motions(self.layout, rows[[not self.statements.is_spline(row) for row in rows.tolist()]])
         first, last = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
         begins, ends = np.searchsorted(self.row, first), np.searchsorted(self.row, last, side="right") - 1
         return set(begins.tolist()), set(ends.tolist())
 
-    def _feeds(self) -> tuple[dict[int, str], dict[int, str]]:
-        """Return the statements that set lowered feeds before targets, and those that end them behind targets."""
+    def _feed_statements(self) -> tuple[dict[int, str], dict[int, str]]:
+        """Return the statements that set lowered feeds, by the target before which they are, and those that restore the
+        feeds.
+
+        The latter are given by the target behind which they are.
+        """
         motions, as_read = self.program.motions, self.program.feed_as_read
         if as_read is None:
             return {}, {}
         rows, line = _lowered_motions(self.program), self.layout.line
-        follows = np.append(False, (np.diff(rows) == 1) & (np.diff(line[rows]) == 1))  # nothing between them
-        same_feed = follows & (np.diff(motions.feed[rows], prepend=np.nan) == 0.0)
-        ends = np.append(~follows[1:], True)[: len(rows)]
-        begins, last = np.searchsorted(self.row, rows), np.searchsorted(self.row, rows, side="right") - 1
-        slow = zip(begins[~same_feed].tolist(), motions.feed[rows[~same_feed]].tolist(), strict=True)
-        fast = zip(last[ends].tolist(), as_read[rows[ends]].tolist(), strict=True)
-        return {k: _FEED.format(number(feed)) for k, feed in slow}, {k: _FEED.format(number(feed)) for k, feed in fast}
+        is_next_line = np.append(False, (np.diff(rows) == 1) & (np.diff(line[rows]) == 1))  # nothing between them
+        has_same_feed = is_next_line & (np.diff(motions.feed[rows], prepend=np.nan) == 0.0)
+        is_run_end = np.append(~is_next_line[1:], True)[: len(rows)]
+        first_targets, last_targets = np.searchsorted(self.row, rows), np.searchsorted(self.row, rows, side="right") - 1
+        lowered_feeds = zip(
+            first_targets[~has_same_feed].tolist(), motions.feed[rows[~has_same_feed]].tolist(), strict=True
+        )
+        restored_feeds = zip(last_targets[is_run_end].tolist(), as_read[rows[is_run_end]].tolist(), strict=True)
+        return {k: _FEED.format(number(feed)) for k, feed in lowered_feeds}, {
+            k: _FEED.format(number(feed)) for k, feed in restored_feeds
+        }
 
     def _indent(self, k: int) -> str:
-        """Return the text before the instruction on the line of a motion."""
+        """Return the text before the instruction on the line of a motion, given by one of its targets."""
         return self.statements.indent(int(self.row[k]))
 
-    def _forces(self, line: Ints, at: Mapping[int, int]) -> dict[int, str]:
-        """Return the force comments that targets need beyond those of the program."""
-        if self.carried is None:
+    def _missing_force_comments(self, line: Ints, line_before: Mapping[int, int]) -> dict[int, str]:
+        """Return the force comments that the program lacks, by the target that needs them.
+
+        :param line: (K,) lines of the targets.
+        :param line_before: inserted target → line before which it is written.
+        """
+        if self.comment_forces is None:
             return {}
         comment_line = (
             line + self.last
         )  # a comment on the line of a motion holds for it, but not for targets inserted before it
-        comment_line[list(at)] = list(at.values())
+        comment_line[list(line_before)] = list(line_before.values())
         note = np.searchsorted(self.layout.notes, comment_line) - 1
-        rows = np.flatnonzero(needs_comment(self.carried, self.targets.kind, note, self.program.notes, 0.0))
-        return dict(zip(rows.tolist(), texts(b";", self.carried, rows), strict=True))
+        rows = np.flatnonzero(needs_comment(self.comment_forces, self.targets.kind, note, self.program.notes, 0.0))
+        return dict(zip(rows.tolist(), texts(b";", self.comment_forces, rows), strict=True))
 
-    def _replaced_comment(self, k: int, text: str) -> bool:
-        """Put a force comment in place of the one on the line of a motion; return whether there is one."""
+    def _replace_comment(self, k: int, text: str) -> bool:
+        """Replace the force comment on the line of a motion by another one.
+
+        :param k: the target that needs it.
+        :returns: False if there is none on that line, or the target is not written there.
+        """
         line = int(self.layout.line[self.row[k]])
         if not self.last[k] or line not in self.comment_lines:
             return False
         source, number = self.trace.place(line)
         start, stop = source.starts.item(number - 1), source.stops.item(number - 1)
-        self._change(int(self.row[k]), Replacement(comment_start(source.text, start, stop), stop, text))
+        self._replace_text(int(self.row[k]), Replacement(comment_start(source.text, start, stop), stop, text))
         return True
 
     def _place_triggers(self) -> tuple[dict[int, int], dict[int, list[tuple[Trigger, str]]]]:
@@ -357,20 +380,20 @@ class _Rewriter:
 
         A TRIGGER that cannot be kept right becomes an error in `issues`.
 
-        :returns: by inserted target, a row of the targets: the line before which it is written, and the TRIGGERs that
-            are moved before it, with their text.
+        :returns: inserted target → line before which it is written; target → TRIGGERs that are moved before it, with
+            their text.
         """
-        at: dict[int, int] = {}
+        line_before: dict[int, int] = {}
         trigger_texts: dict[int, list[tuple[Trigger, str]]] = {}
         motions = self.program.motions
         for row, group in groupby(self.layout.triggers, attrgetter("row")):
             first, stop = np.searchsorted(self.row, [row, row + 1]).tolist()
             if stop - first < 2:
                 continue
-            places = place(
+            places = place_triggers(
                 tuple(group), int(self.layout.line[row]), self.targets.t[first:stop], float(motions.feed[row])
             )
-            at |= dict(zip(range(first, stop), places.at, strict=False))
+            line_before |= dict(zip(range(first, stop), places.at, strict=False))
             moved_triggers = {trigger for triggers in places.moved for trigger in triggers}
             for k, triggers in enumerate(places.moved, first):
                 if triggers:
@@ -381,10 +404,10 @@ class _Rewriter:
                 if trigger not in moved_triggers and trigger.path is not None:
                     self.replacements[0].add(*trigger.path, path, trigger.line)
             self.issues += [Issue("error", "trigger", _LOST_TRIGGER, trigger.line) for trigger in places.lost]
-        return at, trigger_texts
+        return line_before, trigger_texts
 
     def _trigger_line(self, trigger: Trigger, path: str | None) -> str:
-        """Return the line of a TRIGGER, with its end and another PATH if there is one."""
+        """Return the line of a TRIGGER, with its line end, and with another PATH if `path` is given."""
         source, line = self.trace.place(trigger.line)
         text, start, stop = source.text, source.starts[line - 1], source.starts[line]
         if path is None or trigger.path is None:
@@ -392,6 +415,7 @@ class _Rewriter:
         return text[start : trigger.path[0]] + path + text[trigger.path[1] : stop]
 
     def _report(self, kind: str, message: str, line: int) -> None:
+        """Add an information on a line for the user."""
         self.issues.append(Issue("info", kind, message, line))
 
 
@@ -404,7 +428,7 @@ def _lowered_motions(program: Program) -> Ints:
     return np.flatnonzero(program.motions.feed < as_read) if as_read is not None else np.zeros(0, dtype=np.int64)
 
 
-def _check_lowered(program: Program, layout: Layout) -> None:
+def _check_lowered_feeds(program: Program, layout: Layout) -> None:
     """Refuse lowered feeds that no line before the motion can set.
 
     :raises ProgramError: the motion is in a loop, branch or called routine, in a spline block, or sets its own speed.
@@ -414,7 +438,7 @@ def _check_lowered(program: Program, layout: Layout) -> None:
         return
     spans = zip(rows.tolist(), layout.tail[rows].tolist(), strict=True)
     tails = [layout.source(row).text[start:stop].upper() for row, (start, stop) in spans]
-    for bad, problem in (
+    for is_refused, problem in (
         (
             np.full(len(rows), not layout.course.straight),
             "this program has loops, branches or calls: its lines run more than once or not always",
@@ -422,10 +446,10 @@ def _check_lowered(program: Program, layout: Layout) -> None:
         (layout.passed[rows], "the motion is in a spline block"),
         (np.array(["$VEL" in tail for tail in tails]), "the motion sets its speed itself (WITH)"),
     ):
-        if bad.any():
+        if is_refused.any():
             raise ProgramError(
                 f"the feed cannot be lowered here: {problem}",
                 file=program.documents[0].name,
-                line=int(program.motions.line[rows[np.argmax(bad)]]),
+                line=int(program.motions.line[rows[np.argmax(is_refused)]]),
                 advice='Convert the G-code of this program instead, or write [output] feed = "program".',
             )

@@ -89,32 +89,34 @@ class Sharing:
         self.hidden |= {parameter.name for parameter in main.parameters}
 
     def apply(self) -> tuple[Source, Document | None, dict[str, str]]:
-        """Return the program, with as many lines, its `.dat`, and the new name of each routine by its name, upper case.
+        """Return the edited program, its `.dat`, and the new name of each routine by its old name, upper case.
 
-        :raises ProgramError: a variable has a type that other files do not see.
+        The program keeps its number of lines.
+
+        :raises ProgramError: a shared variable has a type that other files do not know.
         """
-        self._look()
-        local_names = _declared_with(self.own.shared_names(with_readers=True), self._names_by_line(self.declared))
+        self._note_uses()
+        local_names = _with_line_mates(self.own.shared_names(with_readers=True), self._names_by_line(self.declared))
         data_names = [(line, item) for line, names in self.stated.items() for item in names]
-        shared_data = _declared_with(self.kept.shared_names(with_readers=False), self._names_by_line(data_names))
+        shared_data = _with_line_mates(self.kept.shared_names(with_readers=False), self._names_by_line(data_names))
         self._check_types(
             local_names, {item.name: item for _, item in data_names if item.name in shared_data and item.kind}
         )
-        new_locals = {name: self._fresh(name) for name in sorted(local_names)}
-        public = {name: self._fresh(name) for name in sorted(shared_data)}
-        routines = {item.name: self._fresh(item.name) for item in self.others if not item.public}
+        new_locals = {name: self._global_name(name) for name in sorted(local_names)}
+        public = {name: self._global_name(name) for name in sorted(shared_data)}
+        routines = {item.name: self._global_name(item.name) for item in self.others if not item.public}
         if not new_locals and not public and not self.others:
             return self.source, None if self.data is None else self.data.document, {}
         edits = Replacements()
-        declarations = self._move(new_locals, edits)
-        self._rename(new_locals, public, routines, edits)
+        declarations = self._move_declarations(new_locals, edits)
+        self._rename_uses(new_locals, public, routines, edits)
         source = Source.of(replace(self.source.document, text=edits.apply(self.source.text)), 0)
-        return source, self._data(public, declarations), routines
+        return source, self._data_file(public, declarations), routines
 
     # --- shared names ----------------------------------------------------------------------------------------------
 
-    def _look(self) -> None:
-        """Note which files use which variables."""
+    def _note_uses(self) -> None:
+        """Note which files use and write which variables."""
         data_names = {item.name for names in self.stated.values() for item in names}
         variables = data_names | self.local
         if not variables:
@@ -127,22 +129,22 @@ class Sharing:
                 if not names or self._is_type(line) or (routine is self.main and line in declaration_lines):
                     continue
                 names &= {item.name for item in occurrences(self.source.text, start, stop)}
-                assigned_names = self._written_in(line)
+                assigned_names = self._written_names(line)
                 for name in names:
-                    owner = self._owner(name, routine, data_names)
+                    owner = self._owning_variables(name, routine, data_names)
                     if owner is not None:
                         owner.users.setdefault(name, set()).add(int(self.file[line]))
                         if name in assigned_names:
                             owner.written.setdefault(name, line)
 
-    def _owner(self, name: str, routine: Routine, data_names: Collection[str]) -> _Variables | None:
-        """Return to what a name in a routine belongs; None if it is none of what may be shared."""
+    def _owning_variables(self, name: str, routine: Routine, data_names: Collection[str]) -> _Variables | None:
+        """Return the table that contains a variable which a routine names; None if the name is not to be shared."""
         if routine is self.main and name in self.local:
             return self.own
         local_names = self.hidden if routine is self.main else routine.local
         return self.kept if name in data_names and name not in local_names else None
 
-    def _written_in(self, line: int) -> set[str]:
+    def _written_names(self, line: int) -> set[str]:
         """Return the names that a statement may write: by assignment, as argument of a call, as counter of a FOR.
 
         Statements that act at another time (TRIGGER, INTERRUPT, ANIN, DIGIN) may write every name in them.
@@ -156,23 +158,28 @@ class Sharing:
         for call in calls(node.values):
             if call.name != "BAS":
                 parameters = next((item.parameters for item in self.others if item.name == call.name), ())
-                open_ = [
-                    a for k, a in enumerate(call.arguments) if not (k < len(parameters) and parameters[k].by_value)
+                writable_arguments = [
+                    argument
+                    for index, argument in enumerate(call.arguments)
+                    if not (index < len(parameters) and parameters[index].by_value)
                 ]
-                names = names.union(*(names_in(source.text, item.start, item.stop) for item in open_))
+                names = names.union(*(names_in(source.text, item.start, item.stop) for item in writable_arguments))
         return names
 
     def _check_types(self, local_names: Collection[str], data_names: Mapping[str, DeclaredName]) -> None:
-        """Refuse variables and parameters of types that are declared for this program alone."""
-        types = set() if self.data is None else set(_types(self.data))
+        """Refuse shared variables and parameters of types that only this program declares.
+
+        :raises ProgramError: there is one: the other files would not know its type.
+        """
+        types = set() if self.data is None else set(_declared_types(self.data))
         if not types:
             return
         for line, item in self.declared:
             if item.name in local_names and item.kind in types:
-                raise self._unseen(item.name, item.kind, line)
+                raise self._type_error(item.name, item.kind, line)
         for name, item in data_names.items():
             if item.kind in types:
-                raise self._unseen(name, item.kind, self.kept.written[name])
+                raise self._type_error(name, item.kind, self.kept.written[name])
         for routine in self.others:
             head = statement(self.source, routine.first)
             result = {head.result} if isinstance(head, Definition) and head.result else set[str]()
@@ -181,9 +188,10 @@ class Sharing:
                 item.kind for line in routine.lines for item in self._declarations(line) if item.name in parameter_names
             }
             for kind in types.intersection(kinds | result):
-                raise self._unseen(f"what {routine.name} takes or gives", kind, routine.first)
+                raise self._type_error(f"what {routine.name} takes or gives", kind, routine.first)
 
-    def _unseen(self, subject: str, kind: str, line: int) -> ProgramError:
+    def _type_error(self, subject: str, kind: str, line: int) -> ProgramError:
+        """Return the error that a shared variable has a type which is not GLOBAL."""
         problem = f"{subject} is used in several of the files, and its type {kind} is not GLOBAL"
         return division_error(self.source, problem, line, f"Declare {kind} in the $config.dat, or: {ADVICE}")
 
@@ -195,6 +203,7 @@ class Sharing:
         return list(node.names) if isinstance(node, Declaration) and not node.public and node.word != "STRUC" else []
 
     def _is_constant(self, line: int) -> bool:
+        """Return whether a line declares constants."""
         node = statement(self.source, line)
         return isinstance(node, Declaration) and node.constant
 
@@ -212,8 +221,8 @@ class Sharing:
 
     # --- edits -------------------------------------------------------------------------------------------------------
 
-    def _fresh(self, name: str) -> str:
-        """Return a GLOBAL name for a name, upper case."""
+    def _global_name(self, name: str) -> str:
+        """Return a new GLOBAL name for a name (upper case): it begins with the name of the program."""
         new_name = f"{self.base}_{self._spelling(name)}"[:MAX_LENGTH]
         if new_name.upper() in self.taken:
             new_name = unused(new_name, self.taken)
@@ -221,12 +230,15 @@ class Sharing:
         return new_name
 
     def _spelling(self, name: str) -> str:
-        """Return a name as the program spells it first."""
+        """Return a name (upper case) as the program spells it at its first place."""
         spellings = (match[0] for match in NAME.finditer(self.source.text) if match[0].upper() == name)
         return next(spellings, name)
 
-    def _move(self, new_names: Mapping[str, str], edits: Replacements) -> list[str]:
-        """Take declarations out of the main routine; return them as written in a `.dat`."""
+    def _move_declarations(self, new_names: Mapping[str, str], edits: Replacements) -> list[str]:
+        """Make declarations of the main routine comments, and return them as lines for a `.dat`.
+
+        :param new_names: old name, upper case → GLOBAL name.
+        """
         declarations = []
         for line in dict.fromkeys(line for line, item in self.declared if item.name in new_names):
             start, stop = self.source.code_span(line)
@@ -236,13 +248,17 @@ class Sharing:
             for item in occurrences(text, 0, len(text)):
                 if item.name in new_names:
                     pieces.add(item.start, item.stop, new_names[item.name])
-            declarations.append(_public(pieces.apply(text)))
+            declarations.append(_global_declaration(pieces.apply(text)))
         return declarations
 
-    def _rename(
+    def _rename_uses(
         self, new_locals: Mapping[str, str], public: Mapping[str, str], routines: Mapping[str, str], edits: Replacements
     ) -> None:
-        """Rename the new GLOBAL variables, wherever the program uses it."""
+        """Rename variables and routines that become GLOBAL, wherever the program names them.
+
+        :param new_locals: variables of the main routine, old name → new name; `public` likewise those of the `.dat`.
+        :param routines: routines, old name → new name.
+        """
         text, removed_lines = self.source.text, {line for line, item in self.declared if item.name in new_locals}
         for routine in (self.main, *self.others):
             local_names = self.hidden if routine is self.main else routine.local
@@ -263,8 +279,8 @@ class Sharing:
                 start, _ = self.source.code_span(routine.first)
                 edits.add(start, start, "GLOBAL ")
 
-    def _data(self, public: Mapping[str, str], declarations: Sequence[str]) -> Document | None:
-        """Return the `.dat` with the new GLOBAL variables."""
+    def _data_file(self, public: Mapping[str, str], declarations: Sequence[str]) -> Document | None:
+        """Return the `.dat` with the new GLOBAL names, and with further declarations; None if it has nothing."""
         if self.data is None:
             if not declarations:
                 return None
@@ -288,7 +304,11 @@ class Sharing:
                     if name.name in public:
                         pieces.add(name.start, name.stop, public[name.name])
                 new = pieces.apply(new)
-                edits.add(start, stop, _public(new) if any(item.kind for item in self.stated[data_line.line]) else new)
+                edits.add(
+                    start,
+                    stop,
+                    _global_declaration(new) if any(item.kind for item in self.stated[data_line.line]) else new,
+                )
         return replace(self.data.document, text=edits.apply(text))
 
 
@@ -299,22 +319,25 @@ def _data_declarations(data: Source, data_line: DataLine) -> Iterator[DeclaredNa
         yield from declared_in(data, start, stop)
 
 
-def _types(data: Source) -> Iterator[str]:
-    """Yield the names of the types that a `.dat` declares."""
+def _declared_types(data: Source) -> Iterator[str]:
+    """Yield the names of the types that a `.dat` declares by STRUC or ENUM."""
     for line in range(1, len(data.starts) + 1):
         start, stop = data.code_span(line)
-        if (next_sign := after_word(data.text, start, stop, "STRUC", "ENUM")) >= 0:
-            yield word_at(data.text, after_blanks(data.text, next_sign, stop), stop)
+        if (word_end := after_word(data.text, start, stop, "STRUC", "ENUM")) >= 0:
+            yield word_at(data.text, after_blanks(data.text, word_end, stop), stop)
 
 
-def _public(declaration: str) -> str:
-    """Return a declaration as one of GLOBAL variables."""
-    next_sign = after_word(declaration, 0, len(declaration), "DECL")
-    return f"DECL GLOBAL {declaration[max(next_sign, 0) :].lstrip()}"
+def _global_declaration(declaration: str) -> str:
+    """Return a declaration with GLOBAL: ``DECL GLOBAL …``."""
+    decl_end = after_word(declaration, 0, len(declaration), "DECL")
+    return f"DECL GLOBAL {declaration[max(decl_end, 0) :].lstrip()}"
 
 
-def _declared_with(names: set[str], lines: Sequence[set[str]]) -> set[str]:
-    """Return names with those that are declared on one line with them."""
+def _with_line_mates(names: set[str], lines: Sequence[set[str]]) -> set[str]:
+    """Return names, and the names that are declared on one line with any of them.
+
+    :param lines: sets of names that are declared together.
+    """
     while new_names := set().union(*(line for line in lines if line & names)) - names:
         names = names | new_names
     return names

@@ -32,7 +32,7 @@ from postproc.dialects.krl.language.scan import with_name
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.tokens import names_in, word_at
 from postproc.dialects.krl.language.tree import Definition
-from postproc.dialects.krl.write.division import bounds, division_error, places
+from postproc.dialects.krl.write.division import division_error, find_cut_points, part_bounds
 from postproc.dialects.krl.write.shared_names import Sharing
 from postproc.errors import Issue, combined_error, first_of
 from postproc.program import Document, Ints, WrittenProgram
@@ -49,7 +49,11 @@ def add_data_files(sources: Sequence[Document], data: Document | None) -> Iterat
         return
     source = Source.of(data, 1)
     lines = data_lines(source)
-    header = [_line(source, line) for line in range(1, len(source.starts) + 1) if _line(source, line)[0] == "&"]
+    header = [
+        _line_with_end(source, line)
+        for line in range(1, len(source.starts) + 1)
+        if _line_with_end(source, line)[0] == "&"
+    ]
     needed_lines = [_needed_lines(lines, document) for document in sources]
     moved_lines = (
         set().union(*needed_lines[1:]) - needed_lines[0] - {data_line.line for data_line in lines if data_line.public}
@@ -59,7 +63,7 @@ def add_data_files(sources: Sequence[Document], data: Document | None) -> Iterat
         stem = PurePath(document.name).stem
         if index == 0 and any(data_line.names and data_line.line not in moved_lines for data_line in lines):
             whole = range(1, len(source.starts) + 1)
-            text = "".join(_line(source, line) for line in whole if line not in moved_lines)
+            text = "".join(_line_with_end(source, line) for line in whole if line not in moved_lines)
             yield replace(data, name=f"{stem}.dat", text=with_name(text, stem))
         texts = [
             data_line.text for data_line in lines if data_line.line in needed_lines[index] and not data_line.public
@@ -70,7 +74,10 @@ def add_data_files(sources: Sequence[Document], data: Document | None) -> Iterat
 
 
 def _needed_lines(lines: Sequence[DataLine], document: Document) -> set[int]:
-    """Return the numbers of the lines whose names a file uses, or that the types and values of such lines need."""
+    """Return the numbers of those lines of a `.dat` that a file needs.
+
+    It names their variables, or other needed lines do, in a type or a value.
+    """
     lines_of_name: dict[str, list[DataLine]] = {}
     for data_line in lines:
         for name in data_line.names:
@@ -78,14 +85,14 @@ def _needed_lines(lines: Sequence[DataLine], document: Document) -> set[int]:
     numbers: set[int] = set()
     waiting = names_in(document.text) & lines_of_name.keys()
     while waiting:
-        new = [data_line for data_line in lines_of_name[waiting.pop()] if data_line.line not in numbers]
-        numbers |= {data_line.line for data_line in new}
-        waiting |= set().union(*(names_in(data_line.text) for data_line in new)) & lines_of_name.keys()
+        new_lines = [data_line for data_line in lines_of_name[waiting.pop()] if data_line.line not in numbers]
+        numbers |= {data_line.line for data_line in new_lines}
+        waiting |= set().union(*(names_in(data_line.text) for data_line in new_lines)) & lines_of_name.keys()
     return numbers
 
 
-def _line(source: Source, line: int) -> str:
-    """Return a line with its end."""
+def _line_with_end(source: Source, line: int) -> str:
+    """Return a line of a file with its line end."""
     stop = int(source.starts[line]) if line < len(source.starts) else len(source.text)
     return source.text[int(source.starts[line - 1]) : stop]
 
@@ -107,7 +114,7 @@ def split_files(
 
     :param name: of the program.
     :param documents: the files that it was read from, if it is KRL that stays as it is; else none.
-    :param output: it as one text.
+    :param output: the program as one text.
     :param limit: lines of a file at most; 0: a program that was in one file stays in one.
     :param used_names: names of other programs and GLOBAL routines, upper case.
     :param resume_place: where RESUME in another file goes back to the program; empty: nowhere.
@@ -126,7 +133,7 @@ def split_files(
 
 
 def _restore_files(documents: Sequence[Document], output: WrittenProgram, limit: int) -> WrittenProgram:
-    """Return a program that was read from several files in these files."""
+    """Return a program that was read from several files in the same files, which keep their division."""
     whole = joined_program(documents)
     if whole is None or all(
         new_file.text == old_file.text for new_file, old_file in zip(output.documents, whole.documents, strict=True)
@@ -172,18 +179,23 @@ class _Splitter:
         self.main = main
         self.others = [routine for routine in routine_of.values() if routine is not main]
         program_words = set(_code_names(self.source))
-        self.base = self._base(name, program_words)
+        self.base = self._name_prefix(name, program_words)
         self.taken = {*program_words, *used_names, *(f"{self.base}{part}".upper() for part in (MAIN, *lines))}
         starts, stops = self.source.starts, self.source.stops
         self.line_end = self.source.text[int(stops[main.first - 1]) : int(starts[main.first])]
 
     def write(self) -> WrittenProgram:
-        """Return the program in several files, each line of a target counted on from file to file."""
+        """Return the program in several files.
+
+        Lines of targets are counted on from file to file.
+
+        :raises ProgramError: it cannot be divided.
+        """
         for line in chain.from_iterable(routine.lines for routine in (self.main, *self.others)):
             if statement(self.source, line).word == "RESUME":
                 raise division_error(self.source, _RESUME, line)
-        files = self._files()
-        file_of, number_of = self._lines(files)
+        files = self._file_contents()
+        file_of, number_of = self._line_places(files)
         data = self.whole.documents[1] if len(self.whole.documents) > 1 else None
         source, data, new_names = Sharing(
             self.base, self.source, data, self.main, self.others, file_of, self.taken
@@ -192,11 +204,11 @@ class _Splitter:
             names = first_of([f"{old} is {new}" for old, new in new_names.items()], _MOST_NAMES)
             message = f"Routines of its own are GLOBAL, for all its files to see them: {names}."
             self.issues.append(Issue("info", "global-routines", message))
-        if public := [name for name in self._public() if name.upper() not in new_names]:
-            before = self.whole.documents[0].name
+        if public := [name for name in self._former_global_names() if name.upper() not in new_names]:
+            old_name = self.whole.documents[0].name
             message = (
-                f"These files have GLOBAL routines as {before} has ({first_of(public, _MOST_NAMES)}), which they "
-                f"replace: remove {before} from the controller, where calls could reach its uncorrected routines."
+                f"These files have GLOBAL routines as {old_name} has ({first_of(public, _MOST_NAMES)}), which they "
+                f"replace: remove {old_name} from the controller, where calls could reach its uncorrected routines."
             )
             self.issues.append(Issue("warning", "global-routines", message))
         documents = [self._document(file, source) for file in files]
@@ -208,22 +220,22 @@ class _Splitter:
             issues=tuple(self.issues),
         )
 
-    def _public(self) -> Iterator[str]:
-        """Yield the names of the routines of its own, as they are spelled, that were GLOBAL before."""
+    def _former_global_names(self) -> Iterator[str]:
+        """Yield the names, as spelled, of its routines that were GLOBAL before the division."""
         for routine in self.others:
             head = statement(self.source, routine.first)
             if isinstance(head, Definition) and head.public:
                 yield head.name
 
-    def _files(self) -> list[_File]:
-        """Return the contents of each file, the main program first."""
-        cut_points, blocks = places(self.source, self.main), self._blocks()
+    def _file_contents(self) -> list[_File]:
+        """Return the files and their contents: the main program, the parts that it calls, files with routines."""
+        cut_points, blocks = find_cut_points(self.source, self.main), self._routine_blocks()
         text, starts = self.source.text, self.source.starts
         first = min(routine.first for routine in (self.main, *self.others))
         last = max(routine.last for routine in (self.main, *self.others))
         header = [range(line, line + 1) for line in range(1, first) if text[starts[line - 1]] == "&"]
         declarations = [range(line, line + 1) for line in cut_points.declarations]
-        cuts, issues = bounds(self.source, self.base, cut_points, self.limit, len(header) + len(declarations) + 3)
+        cuts, issues = part_bounds(self.source, self.base, cut_points, self.limit, len(header) + len(declarations) + 3)
         self.issues += issues
         calls = [f"{self.base}{number}( ){self.line_end}" for number in range(1, len(cuts))]
         begin = max((block.stop for block in blocks if block.stop <= self.main.first), default=first)
@@ -232,7 +244,7 @@ class _Splitter:
         files = [_File(f"{self.base}{MAIN}", (*head, *calls, *tail))]
         end = f"END{self.line_end}"
         bodies: list[tuple[str | range, ...]] = [(*declarations, range(*pair), end) for pair in pairwise(cuts)]
-        bodies += [(end, *group) for group in self._pack(blocks, self.limit - len(header) - 3)]
+        bodies += [(end, *group) for group in self._pack_blocks(blocks, self.limit - len(header) - 3)]
         for body in bodies:
             name = f"{self.base}{len(files)}"
             head_lines = [
@@ -242,8 +254,8 @@ class _Splitter:
             files.append(_File(name, (*header, *head_lines, *body)))
         return files
 
-    def _blocks(self) -> list[range]:
-        """Return the lines of the routines of its own, each with the comments before it."""
+    def _routine_blocks(self) -> list[range]:
+        """Return the lines of each routine but the main one, with the comments before it."""
         blocks, last_line = [], 0
         for routine in sorted((self.main, *self.others), key=lambda routine: routine.first):
             if routine is not self.main:
@@ -251,15 +263,18 @@ class _Splitter:
             last_line = routine.last
         return blocks
 
-    def _pack(self, blocks: Sequence[range], room: int) -> list[list[range]]:
-        """Return blocks of lines in as few files as hold them."""
+    def _pack_blocks(self, blocks: Sequence[range], capacity: int) -> list[list[range]]:
+        """Return blocks of lines in groups, one for each file; a larger block has a file to itself, and a warning.
+
+        :param capacity: lines that a file can hold.
+        """
         groups: list[list[range]] = []
         free = 0
         for block in blocks:
             if not groups or len(block) > free:
                 groups.append([])
-                free = room
-            if len(block) > room:
+                free = capacity
+            if len(block) > capacity:
                 message = (
                     f"A routine of the program, at line {block.start}, has {len(block)} lines and is not cut: its file "
                     f"has more than {self.limit} lines. Divide it into several DEF, or raise lines_per_file."
@@ -269,10 +284,10 @@ class _Splitter:
             free -= len(block)
         return groups
 
-    def _lines(self, files: Sequence[_File]) -> tuple[Ints, Ints]:
-        """Return the file of each line (L + 1,), and its number there, counted on from file to file.
+    def _line_places(self, files: Sequence[_File]) -> tuple[Ints, Ints]:
+        """Return the file of each line of the program (L + 1,), and its number there, counted on from file to file.
 
-        Lines in several files count in the first.
+        A line that is in several files counts in the first.
         """
         file_of, number_of = (np.zeros(len(self.source.starts) + 1, dtype=np.int64) for _ in range(2))
         number = 1
@@ -280,14 +295,14 @@ class _Splitter:
             for piece in file.pieces:
                 if isinstance(piece, range):
                     rows = np.array(piece, dtype=np.int64)
-                    new = number_of[rows] == 0
-                    file_of[rows[new]] = index
-                    number_of[rows[new]] = (number + np.arange(len(rows)))[new]
+                    is_new = number_of[rows] == 0
+                    file_of[rows[is_new]] = index
+                    number_of[rows[is_new]] = (number + np.arange(len(rows)))[is_new]
                 number += len(piece) if isinstance(piece, range) else 1
         return file_of, number_of
 
     def _document(self, file: _File, source: Source) -> Document:
-        """Return a file, with the lines of a source."""
+        """Return a file of the divided program; its ranges of lines are taken from `source`."""
         starts, text = np.append(source.starts, len(source.text)), source.text
         pieces = [
             piece if isinstance(piece, str) else text[int(starts[piece.start - 1]) : int(starts[piece.stop - 1])]
@@ -295,19 +310,19 @@ class _Splitter:
         ]
         return replace(self.whole.documents[0], name=f"{file.name}.src", text="".join(pieces))
 
-    def _base(self, name: str, used_names: Collection[str]) -> str:
-        """Return the prefix of the file names: valid, and not used by the program otherwise."""
+    def _name_prefix(self, name: str, used_names: Collection[str]) -> str:
+        """Return the prefix of the file names; the controller accepts them, and the program uses none of them."""
         for number in count(1):
             tail = "" if number == 1 else f"_{number}"
             base = name[: MAX_LENGTH - len(MAIN) - len(tail)] + tail
-            new = {f"{base}{part}".upper() for part in (MAIN, *range(1, len(self.source.starts) + 1))}
-            if new.isdisjoint(used_names) and not any(fault_of(f"{base}{part}") for part in (MAIN, 1)):
+            file_names = {f"{base}{part}".upper() for part in (MAIN, *range(1, len(self.source.starts) + 1))}
+            if file_names.isdisjoint(used_names) and not any(fault_of(f"{base}{part}") for part in (MAIN, 1)):
                 return base
         raise AssertionError("there is always a free name")  # pragma: no cover
 
 
 def _code_names(source: Source) -> Iterator[str]:
-    """Yield the names, upper case, in the code of a file; those of plain targets are none."""
+    """Yield the names, upper case, in the code of a file; lines of motions without calls are left out."""
     for line in range(1, len(source.starts) + 1):
         start, stop = source.code_span(line)
         if word_at(source.text, start, stop) not in MOTION_WORDS or "(" in source.text[start:stop]:

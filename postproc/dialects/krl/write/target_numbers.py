@@ -51,9 +51,15 @@ class TargetNumbers(Struct, frozen=True, eq=False):
     unheeding: Bools
 
     def texts(self, k: int, columns: Iterable[int]) -> dict[str, str]:
-        """Return the numbers of a target as printed, by component."""
+        """Return the numbers of target `k` as printed, by component.
+
+        :param columns: which of its six numbers.
+        """
         numbers, decimals, min_decimals = self.numbers[k].tolist(), self.decimals[k].tolist(), self.least[k].tolist()
-        return {CARTESIAN[c]: fixed_point(numbers[c], decimals[c], min_decimals[c]) for c in columns}
+        return {
+            CARTESIAN[column]: fixed_point(numbers[column], decimals[column], min_decimals[column])
+            for column in columns
+        }
 
     def via_texts(self, k: int) -> dict[str, str]:
         """Return X, Y, Z of the auxiliary point of a target as printed; empty if it has none."""
@@ -64,19 +70,19 @@ class TargetNumbers(Struct, frozen=True, eq=False):
 def target_numbers(motions: Motions, layout: Layout, targets: Targets) -> TargetNumbers:
     """Return the numbers to print for the targets of a program."""
     row = targets.motion
-    last = np.append(row[1:] != row[:-1], True) if len(row) else np.zeros(0, dtype=np.bool_)
-    keep = targets.keep & last
-    (exact,) = in_chunks(lambda rows: (targets.pose.xyzabc(rows),), np.arange(len(row)))
-    exact[:, 3:] = _nearest(exact[:, 3:], layout.numbers[row, 3:])
-    decimals = np.maximum(DECIMALS, np.minimum(_decimals(layout)[row], MOST_DECIMALS))
-    numbers = np.where(keep[:, None], layout.numbers[row], _round_values(exact, decimals))
+    is_last = np.append(row[1:] != row[:-1], True) if len(row) else np.zeros(0, dtype=np.bool_)
+    keep = targets.keep & is_last
+    (exact_numbers,) = in_chunks(lambda rows: (targets.pose.xyzabc(rows),), np.arange(len(row)))
+    exact_numbers[:, 3:] = _nearest_angles(exact_numbers[:, 3:], layout.numbers[row, 3:])
+    decimals = np.maximum(DECIMALS, np.minimum(_input_decimals(layout)[row], MOST_DECIMALS))
+    numbers = np.where(keep[:, None], layout.numbers[row], _round_values(exact_numbers, decimals))
 
-    first = np.append(True, row[1:] != row[:-1]) if len(row) else last
+    is_first = np.append(True, row[1:] != row[:-1]) if len(row) else is_last
     end_differs = any_column(np.abs(numbers - layout.numbers[row]) > _EQUAL)
-    start_differs = _begins_behind(row[last], end_differs[last], layout)
-    angle_differs = any_column(np.abs(numbers - layout.numbers[row])[:, 3:] > _EQUAL)
-    is_free = _begins_behind(row[last], angle_differs[last], layout)
-    is_free[row[angle_differs | (layout.with_path[row] & ~keep)]] = True
+    start_differs = _starts_at_changed_end(row[is_last], end_differs[is_last], layout)
+    orientation_differs = any_column(np.abs(numbers - layout.numbers[row])[:, 3:] > _EQUAL)
+    is_free = _starts_at_changed_end(row[is_last], orientation_differs[is_last], layout)
+    is_free[row[orientation_differs | (layout.with_path[row] & ~keep)]] = True
     ignores_angles = layout.orientation == ORIENTATIONS.index(
         IGNORE
     )  # it must not be chosen where the next motion starts, either
@@ -84,14 +90,14 @@ def target_numbers(motions: Motions, layout: Layout, targets: Targets) -> Target
     is_free &= layout.orientation != ORIENTATIONS.index(FREE)
 
     previous = np.concatenate([numbers[:1], numbers[:-1]])
-    fresh = first & layout.resumed[row]
-    previous[fresh] = layout.numbers[row[fresh]]
+    is_resumed = is_first & layout.resumed[row]
+    previous[is_resumed] = layout.numbers[row[is_resumed]]
     gets_component = layout.missing[row] & (np.abs(numbers - previous) > _EQUAL)
     incomplete = layout.ignored | any_column(layout.missing[:, 3:])
     gets_component[:, 3:] |= (is_free & incomplete)[row, None]
-    angles = layout.missing[row, 3:] & ~gets_component[:, 3:]
-    is_partial = any_column(angles) & ~angles.all(axis=1) & (np.abs(previous[:, 4]) > LARGEST_B)
-    gets_component[:, 3:] |= angles & is_partial[:, None]
+    lacks_angle = layout.missing[row, 3:] & ~gets_component[:, 3:]
+    is_partial = any_column(lacks_angle) & ~lacks_angle.all(axis=1) & (np.abs(previous[:, 4]) > LARGEST_B)
+    gets_component[:, 3:] |= lacks_angle & is_partial[:, None]
     is_printed = np.where(keep[:, None], gets_component, ~layout.missing[row] | gets_component)
     return TargetNumbers(
         numbers,
@@ -116,8 +122,11 @@ def _loses_auxiliary_orientation(layout: Layout, start_differs: Bools, targets: 
     return np.asarray(is_other_circle & layout.unheeded)
 
 
-def _begins_behind(row: Ints, end_differs: Bools, layout: Layout) -> Bools:
-    """Return which motions (M,) begin where one of some motions (n,) ends, of those that changed (n,)."""
+def _starts_at_changed_end(row: Ints, end_differs: Bools, layout: Layout) -> Bools:
+    """Return which motions (M,) begin at the changed end of another, and depend on it.
+
+    :param row: (n,) rows of motions; `end_differs` (n,) True where their ends have changed.
+    """
     start_differs = np.zeros(len(layout.line), dtype=np.bool_)
     follower = row + 1
     has_follower = follower < len(start_differs)
@@ -140,29 +149,34 @@ def fixed_point(number: float, decimals: int, min_decimals: int) -> str:
 
 
 def _round_values(values: Array, decimals: Ints) -> Array:
+    """Return numbers rounded to given decimals, without negative zeros."""
     scale = 10.0**decimals
     return without_negative_zero(np.rint(values * scale) / scale)
 
 
-def _nearest(abc: Array, reference: Array) -> Array:
-    """Return A, B, C (K, 3) [deg] of the same orientations as close as possible to others.
+def _nearest_angles(abc: Array, reference: Array) -> Array:
+    """Return A, B, C (K, 3) [deg] of the same orientations, as close as possible to those of a reference (K, 3).
 
-    An orientation has two triples, each modulo 360°; at B = ±90°, where only A ∓ C is given, any A. Angles leave ±180°
-    only where the reference does.
+    An orientation has two triples, each modulo 360°. At B = ±90° only A ∓ C is determined, so that A may be any. Angles
+    beyond ±180° are returned only if the reference has such.
     """
     upright = np.abs(np.abs(abc[:, 1]) - 90.0) < _UPRIGHT
     turn = np.where(upright, reference[:, 0] - abc[:, 0], 0.0)
     abc = np.stack([abc[:, 0] + turn, abc[:, 1], abc[:, 2] + np.sign(abc[:, 1]) * turn], axis=1)
-    second = np.stack([abc[:, 0] + 180.0, 180.0 - abc[:, 1], abc[:, 2] + 180.0], axis=1)
-    first, second = (t + 360.0 * np.rint((reference - t) / 360.0) for t in (abc, second))
-    second_is_nearer = ((first - reference) ** 2).sum(axis=1) > ((second - reference) ** 2).sum(axis=1) + _EQUAL
-    best = np.where(second_is_nearer[:, None], second, first)
-    is_outside = (np.abs(best) > 180.0) & (np.abs(reference) <= 180.0)
-    return np.where(is_outside, best - 360.0 * np.sign(best), best)
+    second_triple = np.stack([abc[:, 0] + 180.0, 180.0 - abc[:, 1], abc[:, 2] + 180.0], axis=1)
+    first_triple, second_triple = (
+        triple + 360.0 * np.rint((reference - triple) / 360.0) for triple in (abc, second_triple)
+    )
+    second_is_nearer = ((first_triple - reference) ** 2).sum(axis=1) > ((second_triple - reference) ** 2).sum(
+        axis=1
+    ) + _EQUAL
+    nearest_triple = np.where(second_is_nearer[:, None], second_triple, first_triple)
+    is_outside = (np.abs(nearest_triple) > 180.0) & (np.abs(reference) <= 180.0)
+    return np.where(is_outside, nearest_triple - 360.0 * np.sign(nearest_triple), nearest_triple)
 
 
-def _decimals(layout: Layout) -> Ints:
-    """Return the decimals (M, 6) of the numbers of M motions in the input; 0 where there is no number."""
+def _input_decimals(layout: Layout) -> Ints:
+    """Return the number of decimals (M, 6) that the numbers of M motions have in the input; 0 where there is none."""
     trace, spans = layout.course.trace, layout.spans(slice(None), slice(6))
     for elements in layout.elements:
         spans[elements.row] = -1
@@ -184,7 +198,7 @@ def _decimals(layout: Layout) -> Ints:
 
 
 def _decimals_in(text: str, spans: Offsets) -> Ints:
-    """Return the decimals of the numbers of a text at spans (…, 2); 0 where the span is −1."""
+    """Return the number of decimals of the numbers at some spans (…, 2) of a text; 0 where the span is −1."""
     codes = np.frombuffer(text.encode("ascii", "replace"), dtype=np.uint8)
     start, stop = spans[..., 0].astype(np.int64), spans[..., 1].astype(np.int64)
     point = _next_marks(codes == ord("."), start, len(codes))
@@ -193,6 +207,6 @@ def _decimals_in(text: str, spans: Offsets) -> Ints:
 
 
 def _next_marks(mark: Bools, position: Ints, end: int) -> Ints:
-    """Return the first marked offset at or behind each position; `end` where there is none."""
+    """Return the first marked offset at or behind each position; `end` if there is none."""
     places = np.append(np.flatnonzero(mark), end)
     return places[np.searchsorted(places, position)]

@@ -72,20 +72,20 @@ def replaced_numbers(literal: Literal, texts: Mapping[str, str]) -> list[Replace
     """
     places = literal.places
     pieces = [Replacement(*places[name], text) for name, text in texts.items() if name in places]
-    absent = [name for name in texts if name not in places]
-    if absent:
+    absent_names = [name for name in texts if name not in places]
+    if absent_names:
         last = max(stop for name, (_, stop) in places.items() if name in CARTESIAN)
         content = literal.text[literal.start : literal.stop]
         comma = content.find(",")
         blank = " " if comma >= 0 and content[comma + 1] == " " else ""
-        lower = content.rpartition(":")[2].islower()
-        new = "".join(f",{blank}{name.lower() if lower else name} {texts[name]}" for name in absent)
+        is_lower_case = content.rpartition(":")[2].islower()
+        new = "".join(f",{blank}{name.lower() if is_lower_case else name} {texts[name]}" for name in absent_names)
         pieces.append(Replacement(last, last, new))
     return pieces
 
 
-def apply(literal: Literal, pieces: list[Replacement]) -> str:
-    """Return a literal with pieces replaced."""
+def edited_literal(literal: Literal, pieces: list[Replacement]) -> str:
+    """Return the text of a literal with some pieces replaced."""
     texts, start = [], literal.start
     for piece in sorted(pieces):
         texts += [literal.text[start : piece.start], piece.text]
@@ -108,7 +108,9 @@ class TargetStatements:
         self.layout, self.targets, self.commanded = layout, targets, numbers
 
     def literal(self, row: int) -> Literal | None:
-        """Return the literal of the end of a motion in its statement; None if there is none."""
+        """Return the literal of the end point of a motion in its statement; None if there is none, as for a named
+        point.
+        """
         move = self.layout.statements.get(row)
         if move is not None:
             return None if move.relative else self.inline(move.end)
@@ -121,12 +123,12 @@ class TargetStatements:
         return Literal(self.layout.source(row).text, start, stop, places)
 
     def inline(self, operand: Point) -> Literal | None:
-        """Return the literal of a point whose numbers are in the statement itself."""
+        """Return the literal of a point; None if its numbers are not in the statement itself."""
         aggregate = operand.position.aggregate
         return literal_of(aggregate) if aggregate is not None and operand.inline else None
 
     def via(self, row: int) -> tuple[tuple[int, int] | None, Literal | None]:
-        """Return the span of the auxiliary point of a circle, and its literal if its numbers are there."""
+        """Return the span of the auxiliary point of a circle, and its literal; None for what there is not."""
         move = self.layout.statements.get(row)
         if move is not None:
             via = move.via
@@ -140,22 +142,25 @@ class TargetStatements:
         return (start, stop), Literal(self.layout.source(row).text, start, stop, places)
 
     def texts(self, k: int, literal: Literal, *, copy: bool = False) -> dict[str, str]:
-        """Return the numbers to be written into a literal; for a copy of it also those that stay."""
+        """Return the numbers to be written into a literal, by component.
+
+        :param copy: True for a copy of the literal, which needs the unchanged numbers too.
+        """
         is_printed = self.commanded.written[k]
         columns = [c for c in range(6) if is_printed[c] or (copy and CARTESIAN[c] in literal.places)]
         texts = self.commanded.texts(k, columns)
         if self.targets.kind[k] == PTP:
             for name, value in (("S", int(self.targets.status[k])), ("T", int(self.targets.turn[k]))):
                 if value >= 0 and name in literal.places:
-                    texts |= _bits(name, value, literal.text[slice(*literal.places[name])])
+                    texts |= _bits_text(name, value, literal.text[slice(*literal.places[name])])
         if copy and "E1" in literal.places:
-            texts |= self._carriage(k)
+            texts |= self._carriage_text(k)
         return texts
 
-    def _carriage(self, k: int, *, relative: bool = False) -> dict[str, str]:
-        """Return the position of the linear axis at an inserted target; nothing if it does not move.
+    def _carriage_text(self, k: int, *, relative: bool = False) -> dict[str, str]:
+        """Return E1 at an inserted target [mm] as text, by component; nothing if the linear axis does not move.
 
-        :param relative: the text of the motion gives but a step.
+        :param relative: True if the motion gives E1 as a step.
         """
         carriage, row, t = self.layout.carriage, self.targets.motion[k : k + 1], float(self.targets.t[k])
         if carriage is None or (t == 1.0 and not relative) or carriage.travel[row[0]] == 0.0:
@@ -163,20 +168,24 @@ class TargetStatements:
         return {"E1": fixed_point(float(carriage.at(row, t)[0]) * MM_PER_M, 4, 4)}
 
     def end_texts(self, k: int, operand: Point, *, copy: bool = False) -> dict[str, str]:
-        """Return the numbers to be written for the end point of a statement, wherever its own are."""
+        """Return the numbers to be written for the end point of a statement, by component, wherever its text is."""
         aggregate = operand.position.aggregate
         if aggregate is None:
             return self.commanded.texts(k, range(6))
         return self.texts(k, literal_of(aggregate), copy=copy)
 
     def whole(self, k: int, operand: Point | None, *, relative: bool = False) -> str:
-        """Return the whole target as a new literal, with the external axes and for a PTP the S and T that are known."""
+        """Return a target as a complete new literal, with external axes and, for a PTP, known S and T.
+
+        :param operand: the end point of the statement; None if there is none.
+        :param relative: True if it is relative: its external axes are steps.
+        """
         texts = self.commanded.texts(k, range(6))
         if operand is None:
             return aggregate_text(texts)
         position = operand.position
         if relative:  # its external axes are steps; those that do not move are kept without a word
-            return aggregate_text(texts | self._carriage(k, relative=True))
+            return aggregate_text(texts | self._carriage_text(k, relative=True))
         if self.targets.kind[k] == PTP:
             for name, value, stated_bits in (
                 ("S", self.targets.status, position.status),
@@ -185,46 +194,47 @@ class TargetStatements:
                 bits = int(value[k]) if value[k] >= 0 else stated_bits
                 if bits >= 0:
                     texts[name] = str(bits)
-        for name, place in zip(EXTERNAL, position.external, strict=False):
-            if not math.isnan(place):
-                texts[name] = fixed_point(place, MOST_DECIMALS, 0)
-        return aggregate_text(texts | (self._carriage(k) if "E1" in texts else {}))
+        for name, axis_position in zip(EXTERNAL, position.external, strict=False):
+            if not math.isnan(axis_position):
+                texts[name] = fixed_point(axis_position, MOST_DECIMALS, 0)
+        return aggregate_text(texts | (self._carriage_text(k) if "E1" in texts else {}))
 
     def end(self, row: int, k: int) -> str:
-        """Return the end point of a target as text: the literal of the statement with other numbers, or a new one."""
+        """Return the end point of a target as text: the literal of its statement with other numbers, or a new one."""
         literal = self.literal(row)
         if literal is not None:
-            return apply(literal, replaced_numbers(literal, self.texts(k, literal, copy=True)))
+            return edited_literal(literal, replaced_numbers(literal, self.texts(k, literal, copy=True)))
         move = self.layout.statements.get(row)
         return self.whole(k, move.end if move else None, relative=bool(move and move.relative))
 
     def keyword(self, row: int, k: int) -> str:
         """Return the instruction for a target: that of its motion without ``_REL``, or LIN for a piece of an arc."""
-        word = self._word(row)
+        word = self._instruction(row)
         word = word[: -len("_REL")] if word.upper().endswith("_REL") else word
         if self.via(row)[0] is not None and self.targets.kind[k] == LIN:
             line = "lin" if word.islower() else "LIN" if word.isupper() else "Lin"
             word = word[:1] + line if word[:1] in "sS" else line
         return word
 
-    def _word(self, row: int) -> str:
+    def _instruction(self, row: int) -> str:
+        """Return the instruction of a motion as spelled, such as ``LIN`` or ``lin_rel``."""
         text, start = self.layout.source(row).text, self.layout.keyword.item(row)
         return text[start : start + len(word_at(text, start, len(text)))]
 
     def points(self, row: int, k: int) -> str:
-        """Return the point or points of a target as text."""
+        """Return the end point of a target as text, for a circle with the auxiliary point before it."""
         end, (span, via) = self.end(row, k), self.via(row)
         if span is None or self.targets.kind[k] != CIRC:
             return end
         texts = self.commanded.via_texts(k)
-        first = apply(via, replaced_numbers(via, texts)) if via is not None else aggregate_text(texts)
+        first = edited_literal(via, replaced_numbers(via, texts)) if via is not None else aggregate_text(texts)
         return first + self.layout.source(row).text[span[1] : int(self.layout.target[row, 0])] + end
 
     def statement(self, row: int, k: int) -> str:
-        """Return instruction and points of a target as text, all of them literals."""
+        """Return the instruction and the points of a target as text, all points as literals."""
         span, _ = self.via(row)
         first = span[0] if span is not None else int(self.layout.target[row, 0])
-        gap = self.layout.source(row).text[int(self.layout.keyword[row]) + len(self._word(row)) : first]
+        gap = self.layout.source(row).text[int(self.layout.keyword[row]) + len(self._instruction(row)) : first]
         return self.keyword(row, k) + gap + self.points(row, k)
 
     def inserted_line(self, row: int, k: int) -> str:
@@ -242,7 +252,7 @@ class TargetStatements:
         return self.indent(row) + statement + tail + self.line_end(row)
 
     def tail(self, row: int, k: int) -> str:
-        """Return the text that follows a target: what holds for all of its motion."""
+        """Return the text that follows the points of a target: what its motion has there, changed where it must be."""
         free = bool(self.commanded.is_free[row]) and self.is_spline(row)
         circle = self.via(row)[0] is not None and self.is_spline(row)
         straight = circle and bool(self.targets.kind[k] == LIN)
@@ -263,7 +273,7 @@ class TargetStatements:
         return source.text[source.starts[line - 1] : self.layout.keyword[row]]
 
     def line_end(self, row: int) -> str:
-        """Return how the line of a motion ends."""
+        """Return the line end of the line of a motion."""
         source, line = self.layout.course.trace.place(self.layout.line.item(row))
         return source.text[source.stops[line - 1] : source.starts[line]]  # it is never the last line: END follows
 
@@ -273,11 +283,11 @@ class TargetStatements:
 
 
 def tail_text(source: Source, tail: Tail, *, free: bool, straight: bool, unheeding: bool) -> str:
-    """Return the text that follows the target of a spline motion.
+    """Return the text that follows the points of a spline motion.
 
-    :param free: with ``$ORI_TYPE=#VAR``.
-    :param straight: for a line in place of a circle: without what only circles have.
-    :param unheeding: with A, B, C of the auxiliary point ignored.
+    :param free: True to set ``$ORI_TYPE=#VAR``.
+    :param straight: True for a line in place of a circle: settings of circles are left out.
+    :param unheeding: True to ignore A, B, C of the auxiliary point.
     """
     text, assignments = source.text, [assignment for assignment in tail.given if isinstance(assignment, Assignment)]
     begin = text[tail.start : assignments[0].start] if assignments else " WITH "
@@ -301,27 +311,27 @@ def tail_text(source: Source, tail: Tail, *, free: bool, straight: bool, unheedi
     return "".join(pieces) + text[tail.behind : tail.stop]
 
 
-def _bits(name: str, value: int, text: str) -> dict[str, str]:
-    """Return S or T as text in the notation of the input; nothing if it says the same."""
+def _bits_text(name: str, value: int, text: str) -> dict[str, str]:
+    """Return S or T in the notation of the input, by component; nothing if the text gives that value already."""
     binary = INTEGER_LITERAL.fullmatch(text)
     if binary and binary[1]:
         return {} if int(binary[1], 2) == value else {name: f"'B{value:0{len(binary[1])}b}'"}
     return {} if text == str(value) else {name: str(value)}
 
 
-def runs(layout: Layout, rows: Ints) -> list[tuple[int, int]]:
-    """Return the first and last of consecutive motions (n,), with only comments between."""
+def consecutive_motions(layout: Layout, rows: Ints) -> list[tuple[int, int]]:
+    """Return the first and the last motion of each run of motions (n,) between which there are only comments."""
     run_bounds: list[tuple[int, int]] = []
     for row in rows.tolist():
-        if run_bounds and run_bounds[-1][1] == row - 1 and _adjoin(layout, row):
+        if run_bounds and run_bounds[-1][1] == row - 1 and _is_next_line(layout, row):
             run_bounds[-1] = run_bounds[-1][0], row
         else:
             run_bounds.append((row, row))
     return run_bounds
 
 
-def _adjoin(layout: Layout, row: int) -> bool:
-    """Return whether a motion follows the one before in the text, in the same round of a loop and the same routine."""
+def _is_next_line(layout: Layout, row: int) -> bool:
+    """Return whether only comments are between a motion and the one before it, in the same round and routine."""
     trace, previous_row, motion_row = layout.course.trace, int(layout.line[row - 1]), int(layout.line[row])
     (source, first), (second_source, last) = trace.place(previous_row), trace.place(motion_row)
     if source is not second_source or last - first != motion_row - previous_row:

@@ -20,9 +20,9 @@ _ROUNDING = 1e-6
 
 
 def piece_of(trigger: Trigger, ends: Array, speed: float) -> tuple[int, float] | None:
-    """Return before which piece of its motion a TRIGGER must be, and its offset there [m]; None if nowhere.
+    """Return the piece of its motion before which a TRIGGER must be, and its offset there [m]; None if there is none.
 
-    :param ends: (n,) where the pieces of its motion end, as shares of it in (0, 1].
+    :param ends: (n,) ends of the pieces, as shares of the motion in (0, 1].
     :param speed: of the TCP [m/s].
     """
     end = ends * trigger.length
@@ -58,15 +58,15 @@ class PlacedTriggers(Struct, frozen=True, eq=False):
     lost: list[Trigger]
 
 
-def place(triggers: Sequence[Trigger], line: int, ends: Array, speed: float) -> PlacedTriggers:
-    """Return the targets of one motion at which its TRIGGERs and inserted targets are written.
+def place_triggers(triggers: Sequence[Trigger], line: int, ends: Array, speed: float) -> PlacedTriggers:
+    """Return where the TRIGGERs of one divided motion, and the targets inserted into it, are written.
 
-    A TRIGGER stays on its line wherever the inserted targets can be around it.
+    A TRIGGER stays on its line if the inserted targets can be written around it.
 
     :param triggers: in order.
     :param line: 1-based line of the motion.
-    :param ends: (n,) where the pieces of the motion end, as shares of it.
-    :param speed: [m/s].
+    :param ends: (n,) ends of the pieces of the motion, as shares of it.
+    :param speed: of the TCP [m/s].
     """
     placement = PlacedTriggers([line] * (len(ends) - 1), [[] for _ in ends], {}, [])
     earliest = len(ends)
