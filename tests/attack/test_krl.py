@@ -104,7 +104,7 @@ def test_the_controller_joins_and_before_exor_and_that_before_or(condition, hold
 
 
 def test_the_attack_finds_a_reader_that_reads_the_frame_before(monkeypatch):
-    now = Settings.current
+    now = Settings.current_value
 
     def before(self, name, field):
         state, self.state = self.state, self.changes[-2][1] if len(self.changes) > 1 else self.state
@@ -113,7 +113,7 @@ def test_the_attack_finds_a_reader_that_reads_the_frame_before(monkeypatch):
         finally:
             self.state = state
 
-    monkeypatch.setattr(Settings, "current", before)
+    monkeypatch.setattr(Settings, "current_value", before)
     with pytest.raises(Wrong):
         Counter(attack(seed) for seed in range(MIXED + STATES, MIXED + STATES + 200))
 
@@ -139,7 +139,7 @@ def test_damaged_programs_are_refused_with_a_message_or_read():
 
 
 FAULTS = {
-    "calls are passed over": (Calls, "call", lambda self, at, call, certain: NO_VALUE),
+    "calls are passed over": (Calls, "follow_call", lambda self, at, call, certain: NO_VALUE),
     "what may happen is taken not to": (Calls, "_may_have_run", lambda self, at, name, effects: None),
     "arguments keep their values": (Calls, "_forget_arguments", lambda self, at, call, routine: None),
     "branches keep values": (Variables, "forget", lambda self, name, where: None),

@@ -134,19 +134,19 @@ class PlainRounds(Struct, frozen=True, eq=False):
         """Line of the trace behind the last round."""
         return self.first + self.count * self.length
 
-    def number(self, row: int) -> int | None:
+    def counter_value(self, row: int) -> int | None:
         """Return the value that a row of the trace gives the counter; None for rows that do not assign it."""
         round_number, remainder = divmod(row - self.first, self.length)
         return None if remainder else self.begin + round_number * self.step
 
-    def line(self, statement: int) -> Ints:
+    def rows_of_statement(self, statement: int) -> Ints:
         """Return the rows of the trace (count,) at which the rounds run a statement of the body.
 
         :param statement: line of that statement in its file.
         """
         return np.asarray(self.first + statement - self.head + self.length * np.arange(self.count))
 
-    def numbers(self, offset: int) -> range:
+    def indices(self, offset: int) -> range:
         """Return the values of the counter plus an offset, one for each round: the indices of ``P[I+1]``."""
         begin = self.begin + offset
         return range(begin, begin + self.count * self.step, self.step)
@@ -223,9 +223,9 @@ class Course(Struct, frozen=True, eq=False):
         last = self.body.parts[-1] if self.body.parts else None
         return last if isinstance(last, UnrolledLoop) and last.endless else None
 
-    def count(self, loop: UnrolledLoop, row: int) -> int:
+    def counter_value(self, loop: UnrolledLoop, row: int) -> int:
         """Return the value that a row of the trace assigns to the counter of a FOR."""
-        number = loop.plain.number(row) if loop.plain is not None and row < loop.plain.beyond else None
+        number = loop.plain.counter_value(row) if loop.plain is not None and row < loop.plain.beyond else None
         return self.counts[row] if number is None else number
 
     def counter_values(self) -> Array:
@@ -257,7 +257,7 @@ class Course(Struct, frozen=True, eq=False):
         return list(_plain_rounds(self.body))
 
     @property
-    def straight(self) -> bool:
+    def is_straight(self) -> bool:
         """Whether the trace is the `.src` itself."""
         return self.trace.is_file
 

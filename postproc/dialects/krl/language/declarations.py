@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from msgspec import Struct
 from msgspec.structs import replace
 
-from postproc.dialects.krl.language.expressions import split, value_at
+from postproc.dialects.krl.language.expressions import list_spans, value_at
 from postproc.dialects.krl.language.names import CONTROLLER_DATA, DECLARATIONS
 from postproc.dialects.krl.language.source import Source, code_span
 from postproc.dialects.krl.language.tokens import (
@@ -82,7 +82,7 @@ def structure(source: Source, start: int, stop: int) -> tuple[str, dict[str, str
     :returns: upper-case name, and type by name of the members; None if the code is something else.
     :raises ProgramError: brackets are not balanced.
     """
-    pieces = [NAME.findall(source.text, *span) for span in split(source, start, stop)]
+    pieces = [NAME.findall(source.text, *span) for span in list_spans(source, start, stop)]
     while pieces and pieces[0][:1] and pieces[0][0].upper() in ("GLOBAL", "DECL"):
         del pieces[0][0]
     if not pieces or len(pieces[0]) < 3 or pieces[0][0].upper() != "STRUC":

@@ -320,7 +320,7 @@ def list_in(source: Source, start: int, stop: int) -> tuple[Value, ...]:
         return (value_in(source, start, stop),)  # one name or number: so common that looking first is faster
     return tuple(
         value_in(source, begin, end) if text[begin:end].strip() else OpaqueText(begin, end)
-        for begin, end in split(source, start, stop)
+        for begin, end in list_spans(source, start, stop)
     )
 
 
@@ -506,7 +506,7 @@ def closing_bracket(source: Source, start: int, stop: int) -> int:
     raise source.error(f"{text[start]} is not closed", start, "Check that the line is complete.")
 
 
-def split(source: Source, start: int, stop: int) -> list[tuple[int, int]]:
+def list_spans(source: Source, start: int, stop: int) -> list[tuple[int, int]]:
     """Return the spans between the commas of a list, (first offset, offset behind); an empty list has none.
 
     Commas in brackets and strings do not count.

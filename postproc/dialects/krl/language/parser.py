@@ -11,9 +11,9 @@ from typing import cast
 from postproc.dialects.krl.language.declarations import declared_in, structure
 from postproc.dialects.krl.language.expressions import (
     list_in,
+    list_spans,
     opaque_text,
     operand,
-    split,
     unreadable_text,
     value_at,
     value_in,
@@ -298,7 +298,7 @@ def tail_in(source: Source, start: int, stop: int) -> Tail:
             start, stop, end, (), tuple(words), unknown_text if unknown_text.start < unknown_text.stop else None
         )
     try:
-        assignments = tuple(_with_assignment(source, *span) for span in split(source, with_end, end))
+        assignments = tuple(_with_assignment(source, *span) for span in list_spans(source, with_end, end))
         return Tail(start, stop, end, assignments, tuple(words))
     except ProgramError as error:
         return Tail(start, stop, end, (), tuple(words), error=error)

@@ -122,7 +122,7 @@ def names(text: str) -> set[str]:
     return set().union(*(names_in(word) for word, _ in words(text)))
 
 
-def find_cut_points(text: str, names_to_find: Collection[str]) -> Iterator[tuple[str, int]]:
+def name_places(text: str, names_to_find: Collection[str]) -> Iterator[tuple[str, int]]:
     """Yield each place at which a text has one of some names, in comments too: the name as spelled, and its offset."""
     pattern = rf"(?<![\w$])(?:{'|'.join(map(re.escape, names_to_find))})(?![\w$])"
     for match in re.finditer(pattern, text, _FLAGS) if names_to_find else ():

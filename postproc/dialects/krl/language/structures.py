@@ -51,7 +51,7 @@ class Block(Struct, frozen=True, eq=False):
     last: int
     parts: tuple[Part, ...]
 
-    def moved(self, shift: int) -> Block:
+    def shifted(self, shift: int) -> Block:
         """Return the control structure on other lines: `shift` is added to the number of each."""
         parts = (
             Part(part.head + shift, part.beyond + shift, tuple(_shifted(node, shift) for node in part.nodes))
@@ -77,7 +77,7 @@ Node = int | Block
 
 def _shifted(node: Node, shift: int) -> Node:
     """Return a statement, given by its line, or a control structure with `shift` added to its lines."""
-    return node.moved(shift) if isinstance(node, Block) else node + shift
+    return node.shifted(shift) if isinstance(node, Block) else node + shift
 
 
 class _OpenStructure(Struct, eq=False):

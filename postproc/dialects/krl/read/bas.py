@@ -52,22 +52,22 @@ class Bas:
         command = command_of(source, call)
         argument = call.arguments[1] if len(call.arguments) > 1 else None
         if argument is not None:
-            self.variables.rely(argument)
+            self.variables.note_dependence(argument)
         if command == "#INITMOV":
             return self._state_after_initmov(state, at)
         if command == "#VEL_CP" and argument is not None:
-            return self.path.speed(state, at, "CP", argument)
+            return self.path.state_with_speed(state, at, "CP", argument)
         if command in ("#BASE", "#TOOL"):
             number = self.variables.number(argument) if argument is not None else None
             if number is None:
-                return self.frames.unknown(state, f"${command[1:]}", at, "its number is not known")
-            return self.frames.numbered(state, at, f"${command[1:]}", int(number))
+                return self.frames.state_with_unknown_frame(state, f"${command[1:]}", at, "its number is not known")
+            return self.frames.state_with_numbered_frame(state, at, f"${command[1:]}", int(number))
         if command == "#CP_DAT":
             return self._state_after_cp_dat(state, at)
         if command in ("#FRAMES", "#PTP_PARAMS"):
             return self._state_after_frames(state, at)
         if command == "#CP_PARAMS" and argument is not None:
-            return self.path.speed(
+            return self.path.state_with_speed(
                 self._state_after_frames(self._state_after_cp_dat(state, at), at), at, "CP", argument
             )
         if command[1:] in _HARMLESS:
@@ -85,14 +85,18 @@ class Bas:
         )
         initmov = self.cell.krl.initmov
         if initmov == "bas":
-            return self.frames.numbered(self.frames.numbered(initial_state, at, "$BASE", 0), at, "$TOOL", 1)
+            return self.frames.state_with_numbered_frame(
+                self.frames.state_with_numbered_frame(initial_state, at, "$BASE", 0), at, "$TOOL", 1
+            )
         if initmov is None and (state.base != 0 or state.tool != 0):
             return self._without_frames(initial_state, at, "BAS(#INITMOV,0) resets $BASE and $TOOL after they were set")
         return replace(initial_state, initial=frozenset(("$BASE", "$TOOL")))
 
     def _without_frames(self, state: State, at: Place, reason: str) -> State:
         """Return a state in which `$BASE` and `$TOOL` are not known, for a reason."""
-        return self.frames.unknown(self.frames.unknown(state, "$BASE", at, reason), "$TOOL", at, reason)
+        return self.frames.state_with_unknown_frame(
+            self.frames.state_with_unknown_frame(state, "$BASE", at, reason), "$TOOL", at, reason
+        )
 
     def _structure_value(self, name: str, at: Place) -> VariableValue:
         """Return the value of a structure that a command of BAS reads, such as LDAT_ACT."""
@@ -111,9 +115,9 @@ class Bas:
             if isinstance(data, Aggregate) and field not in data.items:
                 continue
             if name == "$APO":
-                state = self.path.distance(state, at, "CDIS", value)
+                state = self.path.state_with_distance(state, at, "CDIS", value)
             else:
-                state = self.path.mode(state, at, name, value)
+                state = self.path.state_with_mode(state, at, name, value)
         return state
 
     def _state_after_frames(self, state: State, at: Place) -> State:
@@ -124,11 +128,11 @@ class Bas:
                 state, at, why_unknown(self.variables, at.source, self._reference("FDAT_ACT", None, at))
             )
         if "IPO_FRAME" in data.items:
-            state = self.path.mode(state, at, "$IPO_MODE", self._reference("FDAT_ACT", "IPO_FRAME", at))
+            state = self.path.state_with_mode(state, at, "$IPO_MODE", self._reference("FDAT_ACT", "IPO_FRAME", at))
         for name, field in (("$BASE", "BASE_NO"), ("$TOOL", "TOOL_NO")):
             number = data.items.get(field)
             if isinstance(number, Number):
-                state = self.frames.numbered(state, at, name, int(number.value))
+                state = self.frames.state_with_numbered_frame(state, at, name, int(number.value))
             else:
-                state = self.frames.unknown(state, name, at, f"FDAT_ACT has no {field}")
+                state = self.frames.state_with_unknown_frame(state, name, at, f"FDAT_ACT has no {field}")
         return state

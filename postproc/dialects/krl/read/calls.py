@@ -47,23 +47,23 @@ class Calls:
         """
         call = value if isinstance(value, Call) else None
         for inner in calls([value] if call is None else call.arguments):
-            self.call(at, inner, certain=False)
+            self.follow_call(at, inner, certain=False)
         if call is not None and call.name in PURE:
             return self.run.variables.evaluate(call)
         if call is not None:
-            return self.call(at, call, certain=self.run.certain)
+            return self.follow_call(at, call, certain=self.run.is_certain)
         result = self.run.variables.evaluate(value)
-        if isinstance(result, Aggregate) and not (isinstance(value, Aggregate) and self.run.in_main):
+        if isinstance(result, Aggregate) and not (isinstance(value, Aggregate) and self.run.is_traced):
             if is_copied and isinstance(value, Reference) and value.field is None:
                 return result
             return replace(result, computed=True)  # the text of its numbers belongs to another variable
         if isinstance(result, Aggregate) and not result.computed:
-            return self.run.in_trace(result)
+            return self.run.with_row(result)
         if result == NO_VALUE and not (isinstance(value, Reference) and value.name[0] != "$"):
             return UnknownValue(str(at), why_unknown(self.run.variables, at.source, value))
         return result
 
-    def call(self, at: Place, call: Call, *, certain: bool) -> VariableValue:
+    def follow_call(self, at: Place, call: Call, *, certain: bool) -> VariableValue:
         """Follow a call, and return the value of the function, if it is one.
 
         :param certain: True if the call surely runs, and once; else what it may write becomes unknown.
@@ -81,7 +81,7 @@ class Calls:
                 if is_standard
                 else UnknownValue(str(at), f"{call.spelling(at.source)}() is in no file of the program")
             )
-        effects = self.run.analysis.of(*callee)
+        effects = self.run.analysis.effects_of(*callee)
         self.note_lasting_effects(at, call.name, effects)
         self._check_motion(at, call, *callee, effects)
         if callee[0] is self.run.library.program:
@@ -102,7 +102,7 @@ class Calls:
 
     def _note_stop(self, at: Place, call: Call) -> None:
         """Note that RESUME may break off a called routine, and with it the motion that BRAKE has stopped."""
-        if not self.run.resumable or not self.run.in_main or call.name in PURE or call.name in STANDARD:
+        if not self.run.resumable or not self.run.is_traced or call.name in PURE or call.name in STANDARD:
             return
         problem = f"RESUME of an interrupt may break off {call.name} and the motion before it"
         reason = at.error(f"{problem}: where the next motion begins is not known", _COMPLETE_ADVICE)
@@ -113,14 +113,14 @@ class Calls:
         none.
         """
         callee = self.run.library.find(call.name, self.run.level.module)
-        return None if callee is None else self.run.analysis.of(*callee).writes.get(name)
+        return None if callee is None else self.run.analysis.effects_of(*callee).writes.get(name)
 
     def _follow_absent(self, at: Place, call: Call) -> None:
         """Follow a call of a routine that is in no file: it is taken to write its arguments at most."""
         if call.name in PURE:
             return
         if call.name not in STANDARD:
-            self.run.absent.append((call.spelling(at.source), self.run.here))
+            self.run.absent.append((call.spelling(at.source), self.run.reported_line))
         self._forget_arguments(at, call, None)
 
     def note_lasting_effects(self, at: Place, subject: str, effects: Effects, source: str | None = None) -> None:
@@ -135,14 +135,14 @@ class Calls:
         if effects.lasting_write is not None:
             problem = f"{subject} has a parameter that changes at any time from then on ({effects.lasting_write})"
             raise at.error(problem, "Change a variable of a .dat there, or make the parameter :IN.")
-        self.run.absent += [(name, self.run.here) for name in effects.absent.values()]
+        self.run.absent += [(name, self.run.reported_line) for name in effects.absent.values()]
         self.run.resumable |= effects.resumes is not None
         relevant = sorted(RELEVANT.intersection(effects.anytime))
         if relevant:
             problem = f"{subject} changes what motions depend on at any time: {', '.join(relevant)}"
             place = str(effects.anytime[relevant[0]])
             raise at.error(problem if place == str(at) else f"{problem} ({place})", SETTING_ADVICE)
-        self.run.may_change(effects.anytime, source or subject)
+        self.run.note_possible_changes(effects.anytime, source or subject)
 
     def _forget_arguments(self, at: Place, call: Call, routine: Routine | None) -> None:
         """Mark as unknown the variables that a call may write.
@@ -156,7 +156,7 @@ class Calls:
                     self.run.row, [FIELDS[reference.name]], at.error(problem, SETTING_ADVICE)
                 )
             else:
-                self.run.variables.forget(self.run.stored(reference.name), str(at))
+                self.run.variables.forget(self.run.stored_name(reference.name), str(at))
 
     def _writable_arguments(self, at: Place, call: Call, routine: Routine | None) -> list[tuple[int, Reference]]:
         """Return the arguments that a routine may write: the index and the variable of each.
@@ -192,13 +192,13 @@ class Calls:
 
         :raises ProgramError: the call cannot be left as it is.
         """
-        if effects.force is not None and self.run.in_main:
+        if effects.force is not None and self.run.is_traced:
             self.run.unforced[self.run.row] = f"{call.name} is called, which holds a force comment ({effects.force})"
         place = effects.motion
-        if place is None or not self.run.in_main:
+        if place is None or not self.run.is_traced:
             return
         problem = f"{call.name} is called, which moves the robot ({place})"
-        self.run.unfollowed |= self.run.analysis.reached(module, routine)
+        self.run.unfollowed |= self.run.analysis.reachable_routines(module, routine)
         if self.run.routine in self.run.unfollowed:
             raise at.error(f"{problem} and calls this program again", _INLINE_ADVICE)
         dependent_place = self.run.analysis.first_dependent_place(module, routine)
@@ -224,7 +224,9 @@ class Calls:
                 f" They begin from the robot position ({dependent_place}): the correction of the motion before moves "
                 "them too."
             )
-        self.run.issues.append(Issue("warning", "motions-elsewhere", message, self.run.here, subject=call.name))
+        self.run.issues.append(
+            Issue("warning", "motions-elsewhere", message, self.run.reported_line, subject=call.name)
+        )
 
     def traced_callee(self, call: Call) -> tuple[Module, Routine] | None:
         """Return the called routine if it belongs in the execution trace, else None.
@@ -234,15 +236,15 @@ class Calls:
         callee = self.run.library.find(call.name, self.run.level.module)
         if callee is None or callee[1] in self.run.elsewhere:
             return None
-        effects = self.run.analysis.of(*callee)
+        effects = self.run.analysis.effects_of(*callee)
         return callee if effects.motion is not None or effects.force is not None else None
 
-    def enter(self, at: Place, call: Call, module: Module, routine: Routine) -> None:
-        """Begin a called routine with motions; statements run in it until `leave`.
+    def enter_routine(self, at: Place, call: Call, module: Module, routine: Routine) -> None:
+        """Begin a called routine with motions; statements run in it until `leave_routine`.
 
         :raises InexactError: it cannot be followed.
         """
-        effects = self.run.analysis.of(module, routine)
+        effects = self.run.analysis.effects_of(module, routine)
         self.note_lasting_effects(at, call.name, effects)
         if module is self.run.library.program:
             self.run.reached.add(routine)
@@ -252,7 +254,7 @@ class Calls:
         self.entered.append(self._bound_call(at, call, module, routine, is_traced=True))
         self._begin_routine(self.entered[-1], is_traced=True)
 
-    def leave(self) -> None:
+    def leave_routine(self) -> None:
         """End the routine that was entered last."""
         self._end_routine(self.entered.pop())
 
@@ -284,13 +286,13 @@ class Calls:
             return f"it takes {len(routine.parameters)} arguments, {len(call.arguments)} are given"
         roots: set[str] = set()
         for index, reference in self._writable_arguments(at, call, routine):
-            name, root = at.source.text[reference.start : reference.stop], self.run.stored(reference.name)
+            name, root = at.source.text[reference.start : reference.stop], self.run.stored_name(reference.name)
             if reference.indices == () and not self._is_matching_array(routine, index, reference, root):
                 return f"{name} is a whole array, and its parameter is not one of that type"
             if root in roots or root in effects.writes or root in RELEVANT:
                 return f"{name} has two names in it, one as its parameter"
             roots.add(root)
-        if roots and (aliases := self.run.analysis.names(module, routine) & roots):
+        if roots and (aliases := self.run.analysis.variable_names(module, routine) & roots):
             return f"{min(aliases)} has two names in it, one as its parameter"
         return ""
 
@@ -309,12 +311,12 @@ class Calls:
         """
         by_reference = self._writable_arguments(at, call, routine)
         arrays = {
-            routine.parameters[index].name: self.run.stored(reference.name)
+            routine.parameters[index].name: self.run.stored_name(reference.name)
             for index, reference in by_reference
             if reference.indices == ()
         }
         references = [entry for entry in by_reference if entry[1].indices != ()]
-        roots = [self.run.stored(reference.name) for _, reference in references]
+        roots = [self.run.stored_name(reference.name) for _, reference in references]
         self.run.calls += 1
         scope = self.run.scopes.of_call(module, routine, self.run.calls, arrays)
         argument_values: dict[int, VariableValue] = {}
@@ -333,11 +335,11 @@ class Calls:
             if is_traced:
                 self.run.note_copy(argument, value, routine.parameters[index].name)
         volatile_names = {
-            scope.stored(routine.parameters[index].name): self.run.variables.changing[root]
+            scope.stored_name(routine.parameters[index].name): self.run.variables.changing[root]
             for (index, _), root in zip(references, roots, strict=True)
             if index < len(routine.parameters) and root in self.run.variables.changing
         }
-        kinds = {index: self.run.variables.kind(reference) for index, reference in references}
+        kinds = {index: self.run.variables.type_of(reference) for index, reference in references}
         return _BoundCall(
             at,
             module,
@@ -359,7 +361,7 @@ class Calls:
         for index, parameter in enumerate(bound.routine.parameters):
             if parameter.name in bound.scope.arrays:
                 continue  # an array of the caller
-            stored_name, kind = bound.scope.stored(parameter.name), bound.routine.types.get(parameter.name, "")
+            stored_name, kind = bound.scope.stored_name(parameter.name), bound.routine.types.get(parameter.name, "")
             argument_kind = bound.kinds.get(index, kind)
             if (kind == "REAL" and argument_kind in ("INT", WHOLE)) or (kind == "INT" and argument_kind != "INT"):
                 kind = WHOLE
@@ -386,11 +388,11 @@ class Calls:
         self._leave_routine(bound)
         at, variables = bound.at, self.run.variables
         for index, reference, key in bound.references:
-            value = variables.value(bound.scope.stored(bound.routine.parameters[index].name))
+            value = variables.value(bound.scope.stored_name(bound.routine.parameters[index].name))
             if value is bound.argument_values[index] or value is None:
                 continue
             if key is None or (reference.name[0] == "$" and reference.name not in STORED_VARIABLES):
-                variables.forget(self.run.stored(reference.name), str(at))
+                variables.forget(self.run.stored_name(reference.name), str(at))
             elif reference.field is not None:
                 variables.set_field(key, reference.field, value, at)
             else:
@@ -409,18 +411,18 @@ class _PureFunctions(Struct, frozen=True, eq=False):
 
     calls: Calls
 
-    def pure(self, call: Call) -> bool:
+    def is_pure(self, call: Call) -> bool:
         """Return whether a call gives a value and does nothing else; functions in its arguments do not count."""
         run = self.calls.run
         if call.name in PURE:
             return True
         callee = run.library.find(call.name, run.level.module)
-        return callee is not None and bool(callee[1].result) and _has_no_effects(run.analysis.of(*callee))
+        return callee is not None and bool(callee[1].result) and _has_no_effects(run.analysis.effects_of(*callee))
 
     def value(self, call: Call) -> VariableValue:
         """Return what a call gives, at the statement that runs."""
         at = self.calls.run.place
-        return NO_VALUE if at is None else self.calls.call(at, call, certain=False)
+        return NO_VALUE if at is None else self.calls.follow_call(at, call, certain=False)
 
 
 class _Argument(NamedTuple):

@@ -29,20 +29,20 @@ class CollectedMotions:
         self.splines = SplineBlocks(run.settings, reader)
         self._refused: set[Place] = set()
 
-    def take(self, at: Place, stmt: Statement) -> None:
+    def take_motion(self, at: Place, stmt: Statement) -> None:
         """Take a motion, or a line that begins or ends a spline block; the functions in it have been followed.
 
         :raises ProgramError: it is not understood, not certain, or its target is not known before the program runs.
         """
         run = self.run
         if not isinstance(stmt, Motion):
-            self.splines.statement(at, stmt, run.row)
+            self.splines.follow_line(at, stmt, run.row)
             return
         if run.level.open and not keeps_position(stmt):
             self._refuse(at)
             return
         try:
-            move, state, names = self.reader.read(at, stmt, run.row)
+            move, state, names = self.reader.read_motion(at, stmt, run.row)
         except UnresolvedError as cause:
             if not run.keep:
                 raise

@@ -142,7 +142,7 @@ class _Rounds:
 
     def __init__(self, run: Run, rounds: PlainRounds, counter: str) -> None:
         self.run, self.count = run, rounds.count
-        self.columns = {counter: _Column([float(number) for number in rounds.numbers(0)], integer=True)}
+        self.columns = {counter: _Column([float(number) for number in rounds.indices(0)], integer=True)}
         self.positions: dict[str, list[Position]] = {}
         self.copied: list[tuple[int, Reference, str]] = []
 
@@ -238,7 +238,7 @@ class _Rounds:
         :raises _NoColumnError: it may change at any time, is a whole array of the caller, or the cell gives its value.
         """
         variables = self.run.variables
-        stored_name = self.run.stored(name)
+        stored_name = self.run.stored_name(name)
         is_given = any(key.partition("[")[0] == stored_name for key in variables.given)
         if name in variables.scope.arrays or stored_name in variables.changing or is_given:
             raise _NoColumnError
@@ -294,7 +294,7 @@ def computed_motions(run: Run, reader: MotionReader, rounds: PlainRounds) -> lis
     :returns: None if the motions are not known.
     """
     head, state = statement(rounds.source, rounds.head), run.settings.state
-    if state.uncertain or state.block or state.base < 0 or state.tool < 0 or not run.certain or run.level.open:
+    if state.uncertain or state.block or state.base < 0 or state.tool < 0 or not run.is_certain or run.level.open:
         return None
     if not isinstance(head, For):
         return None
@@ -306,13 +306,13 @@ def computed_motions(run: Run, reader: MotionReader, rounds: PlainRounds) -> lis
             if isinstance(stmt, Assignment):
                 values.assign(line, stmt)
             elif isinstance(stmt, Motion):
-                _, is_approximated = reader.tail(Place(rounds.source, line), KINDS[stmt.word], stmt.tail)
+                _, is_approximated = reader.tail_settings(Place(rounds.source, line), KINDS[stmt.word], stmt.tail)
                 motions.append((line, stmt, values.targets(stmt.end), is_approximated))
     except (_NoColumnError, ProgramError):
         return None
     for _, stmt, _, _ in motions:
         if stmt.end is not None:
-            run.variables.rely(stmt.end)
+            run.variables.note_dependence(stmt.end)
     _note_understood(run, rounds)
     for line, point, name in values.copied:
         run.copies.add((point.name, name))
@@ -332,7 +332,7 @@ def _note_understood(run: Run, rounds: PlainRounds) -> None:
 
 def _note_understood_name(run: Run, rounds: PlainRounds, line: int, name: Reference) -> None:
     """Note that the use of a name on a line of the body is followed, in all rounds."""
-    run.understood.update([(row, name.start) for row in rounds.line(line).tolist()])
+    run.understood.update([(row, name.start) for row in rounds.rows_of_statement(line).tolist()])
 
 
 def _motions_of_statement(
@@ -357,5 +357,5 @@ def _motions_of_statement(
             tail.stop,
             is_approximated,
         )
-        for row, position in zip(rounds.line(line).tolist(), targets, strict=True)
+        for row, position in zip(rounds.rows_of_statement(line).tolist(), targets, strict=True)
     ]

@@ -48,7 +48,7 @@ class Counter:
         key = run.variables.key_of(stmt.counter)
         if key is None:
             raise undecided_error(run, self.at, [stmt.counter])
-        if run.variables.kind(stmt.counter) == "REAL":
+        if run.variables.type_of(stmt.counter) == "REAL":
             problem = f"motion inside FOR: its counter {self.name} is a REAL"
             raise inexact_error(self.at, problem, "Count by an INT, and compute the REAL from it in the loop.")
         self.key, self.bound_values = key, stmt.bounds
@@ -86,7 +86,7 @@ class Counter:
         """Return the present last value and step of the FOR."""
         first, last, step_value = self.bound_values
         bounds = [first, last, *([] if step_value is None else [step_value])]
-        if not all(map(self.run.variables.functions.pure, calls(bounds))):
+        if not all(map(self.run.variables.functions.is_pure, calls(bounds))):
             raise self._unknown_bounds_error()
         step = 1 if step_value is None else self._step(step_value)
         return self._integer(last), step

@@ -43,7 +43,7 @@ def read_data(
         while start < stop and text[start] in " \t\r":
             start += 1
         if is_unfiltered and (element := ELEMENT.match(text, start, stop)):
-            name = variables.scope.stored(element[1].upper())
+            name = variables.scope.stored_name(element[1].upper())
             variables.initial.add(name)
             key, value = f"{name}[{int(element[2])}]", UnparsedValue(source, element.end(), stop)
             if name in FRAME_ARRAYS:
@@ -103,7 +103,7 @@ def _note_line(
                 name, UnparsedValue(source, declarator.value, stop), f"{source.document.name}, line {line}"
             )
         if declarator.value >= 0 and not (fill and name in variables):
-            variables.initial.add(variables.scope.stored(declarator.name))
+            variables.initial.add(variables.scope.stored_name(declarator.name))
             variables.put(name, UnparsedValue(source, declarator.value, stop))
 
 
@@ -111,7 +111,7 @@ def _note_import(variables: Variables, at: Place) -> None:
     """Note that a variable of another `.dat` has a second name here: each of the two may change at any time."""
     stmt = statement(at.source, at.line)
     if isinstance(stmt, Import):
-        for name in (variables.scope.stored(stmt.name), *stored_originals(stmt)):
+        for name in (variables.scope.stored_name(stmt.name), *stored_originals(stmt)):
             variables.changing.setdefault(name, UnknownValue(str(at)))
 
 
@@ -136,7 +136,7 @@ def _note_declaration(variables: Variables, declarator: DeclaredName, *, fill: b
 
     :param fill: a type that is stored already stays.
     """
-    name = variables.scope.stored(declarator.name)
+    name = variables.scope.stored_name(declarator.name)
     by_call = declarator.name in variables.scope.local  # parameters have their types from the call
     if declarator.kind and not ((fill or by_call) and name in variables.types):
         variables.types[name] = declarator.kind

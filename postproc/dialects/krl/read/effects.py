@@ -127,7 +127,7 @@ class Analysis:
         self._force_lines: dict[Source, tuple[int, ...]] = {}
         self._stored_names: dict[Routine, frozenset[str]] = {}
 
-    def of(self, module: Module, routine: Routine) -> Effects:
+    def effects_of(self, module: Module, routine: Routine) -> Effects:
         """Return the effects of a routine, including all that it calls."""
         total = self._totals.get(routine)
         if total is not None:
@@ -146,11 +146,11 @@ class Analysis:
         self._totals[routine] = total
         return total
 
-    def reached(self, module: Module, routine: Routine) -> set[Routine]:
+    def reachable_routines(self, module: Module, routine: Routine) -> set[Routine]:
         """Return the routine and all routines that it may call, directly or not, also by interrupts and triggers."""
         return {callee for _, callee in self._reachable([(module, routine)])}
 
-    def names(self, module: Module, routine: Routine) -> frozenset[str]:
+    def variable_names(self, module: Module, routine: Routine) -> frozenset[str]:
         """Return the stored names of all variables in the code of a routine and of the routines that it calls."""
         stored_names: set[str] = set()
         for node in self._reachable([(module, routine)]):
@@ -158,7 +158,7 @@ class Analysis:
                 source, scope = node[1].source, self.scope_of(*node)
                 spans = [source.code_span(line) for line in node[1].lines]
                 words = {occurrence.name for span in spans for occurrence in occurrences(source.text, *span)}
-                self._stored_names[node[1]] = frozenset(scope.stored(word) for word in words - node[1].local)
+                self._stored_names[node[1]] = frozenset(scope.stored_name(word) for word in words - node[1].local)
             stored_names |= self._stored_names[node[1]]
         return frozenset(stored_names)
 
@@ -209,7 +209,7 @@ class Analysis:
             self._force_lines[source] = force_comment_lines(source)
         return self._force_lines[source]
 
-    def of_action(self, module: Module, routine: Routine, place: Place, event: Event, scope: Scope) -> Effects:
+    def effects_of_action(self, module: Module, routine: Routine, place: Place, event: Event, scope: Scope) -> Effects:
         """Return the effects of an interrupt or a trigger that a running routine declares, on its local variables too.
 
         Motions back to where an interrupt stopped the robot do not count: they leave its path as it is.
@@ -217,7 +217,9 @@ class Analysis:
         :param scope: scope of the routine.
         """
         direct, total = _DirectEffects(has_actions=True), Effects()
-        _Statement(self, module, routine, place, direct.action_effects, direct.action_callees, scope).read_event(event)
+        _Statement(
+            self, module, routine, place, direct.action_effects, direct.action_callees, scope
+        ).note_event_effects(event)
         self._add_action_effects(total, direct)
         return total
 
@@ -268,22 +270,22 @@ class Analysis:
     def _read(self, direct: _DirectEffects, stmt: Statement, node: Callee, place: Place) -> None:
         """Add the effects of one statement; those of interrupts and the like are kept apart, as actions."""
         if not isinstance(stmt, Event | CyclicInput | Import):
-            _Statement(self, *node, place, direct.effects, direct.callees).read(stmt)
+            _Statement(self, *node, place, direct.effects, direct.callees).note_effects(stmt)
             return
         direct.has_actions = True
         later_statement = _Statement(self, *node, place, direct.action_effects, direct.action_callees)
         if isinstance(stmt, Event):
-            later_statement.read_event(stmt)
+            later_statement.note_event_effects(stmt)
             if stmt.public:
                 event_effects = _DirectEffects(has_actions=True)
-                _Statement(self, *node, place, event_effects.action_effects, event_effects.action_callees).read_event(
-                    stmt
-                )
+                _Statement(
+                    self, *node, place, event_effects.action_effects, event_effects.action_callees
+                ).note_event_effects(stmt)
                 direct.public.append(event_effects)
         elif isinstance(stmt, CyclicInput):
-            later_statement.writes(stmt.name)
+            later_statement.note_write(stmt.name)
         else:
-            later_statement.writes(stmt.name)
+            later_statement.note_write(stmt.name)
             for name in stored_originals(stmt):
                 direct.action_effects.writes.setdefault(name, place)
 
@@ -299,13 +301,13 @@ class _Statement(Struct, eq=False):
     callees: list[Callee]
     running: Scope | None = None
 
-    def read_event(self, event: Event) -> None:
+    def note_event_effects(self, event: Event) -> None:
         """Note the effects of an INTERRUPT or a TRIGGER: its action, and functions in condition, PATH and DELAY."""
         self._note_calls(() if event.code is None else (event.code,))
         if event.action is not None:
-            self.read(event.action)
+            self.note_effects(event.action)
 
-    def read(self, stmt: Statement) -> None:
+    def note_effects(self, stmt: Statement) -> None:
         """Note the effects of a statement; a statement that cannot be read has none."""
         if isinstance(stmt, Declaration | IdleDeclaration | Import | FaultyStatement):
             return
@@ -319,11 +321,11 @@ class _Statement(Struct, eq=False):
         elif isinstance(stmt, Motion | Spline):
             self.effects.motion = self.effects.motion or self.place
         elif isinstance(stmt, For) and stmt.name:
-            self.writes(stmt.name)
+            self.note_write(stmt.name)
         elif isinstance(stmt, Assignment):
             component = _COMPONENT.get(stmt.target.name)
             if component is None or stmt.target.field in (None, component):
-                self.writes(stmt.target.name)
+                self.note_write(stmt.target.name)
         self._note_calls(stmt.values)
 
     def _note_calls(self, values: Iterable[Value]) -> None:
@@ -334,14 +336,14 @@ class _Statement(Struct, eq=False):
         except ProgramError:
             return
 
-    def writes(self, name: str) -> None:
+    def note_write(self, name: str) -> None:
         """Note that a statement may write a variable, which may be global, or a parameter without ``:IN``."""
         name = name.upper()
         if self.running is not None:
-            self.effects.writes.setdefault(self.running.stored(name), self.place)
+            self.effects.writes.setdefault(self.running.stored_name(name), self.place)
         elif name not in self.routine.local:
             scope = self.analysis.scope_of(self.module, self.routine)
-            self.effects.writes.setdefault(scope.stored(name), self.place)
+            self.effects.writes.setdefault(scope.stored_name(name), self.place)
         elif any(parameter.name == name and not parameter.by_value for parameter in self.routine.parameters):
             self.effects.parameter = self.effects.parameter or self.place
 
@@ -353,7 +355,7 @@ class _Statement(Struct, eq=False):
             by_value = index < len(parameters) and parameters[index].by_value
             reference = None if by_value else writable_variable(argument)
             if reference is not None:
-                self.writes(reference.name)
+                self.note_write(reference.name)
         if callee is not None:
             self.callees.append(callee)
         elif call.name not in STANDARD:

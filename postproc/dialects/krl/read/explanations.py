@@ -86,7 +86,7 @@ def why_not_decided(variables: Variables, source: Source, values: Sequence[Value
     :returns: empty if each of the values is known.
     """
     for call in calls(values):
-        if variables.functions.pure(call):
+        if variables.functions.is_pure(call):
             continue
         return f": it asks {call.spelling(source)}()"
     for part in walk(values):

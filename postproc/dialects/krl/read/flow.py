@@ -99,9 +99,9 @@ class Flow:
             else:
                 self._follow_statement(Place(source, node), stmt)
             index = self._label_index(source, nodes, index) if level.jump else index + 1
-            if level.broken_off:
+            if level.is_broken_off:
                 if self.recorder is not None and level.traced and not level.jump:
-                    self.recorder.run_to(node if isinstance(node, int) else node.last)
+                    self.recorder.record_run_lines(node if isinstance(node, int) else node.last)
                 return
 
     def label_of(self, source: Source, line: int) -> str:
@@ -131,7 +131,7 @@ class Flow:
                         Place(source, level.jump), "GOTO leads to a label in a loop", _JUMP_IN_LOOP_ADVICE
                     )
                 level.jump = 0
-                recorder.pass_to(line - 1, live=False)
+                recorder.record_passed_lines(line - 1, live=False)
                 return number
         return len(nodes)
 
@@ -140,7 +140,7 @@ class Flow:
         routine, level = self.run.level.routine, self.run.level
         if not level.traced:
             self._check_statement_count(
-                Place(routine.source, routine.first), self._least.of_call(level.module, routine)
+                Place(routine.source, routine.first), self._least.minimum_of_call(level.module, routine)
             )
         self.follow(routine.source, self.run.nodes(routine), last=True)
 
@@ -203,8 +203,8 @@ class Flow:
             level.left = True  # in a recorded trace, the loop is around the row that runs
             return
         if word == "GOTO" and self.recorder is not None and level.traced:
-            self.recorder.run_to(at.line - 1)
-            self.recorder.pass_to(at.line)
+            self.recorder.record_run_lines(at.line - 1)
+            self.recorder.record_passed_lines(at.line)
             self.run.is_final = False
             level.jump = at.line
             return
@@ -214,7 +214,7 @@ class Flow:
         """Make the row of the trace with a line of a traced routine the present row."""
         run = self.run
         if self.recorder is not None and self.recorder.is_final:
-            run.shift, run.shown_line = self.recorder.present(line)
+            run.shift, run.shown_line = self.recorder.shift_and_shown_line(line)
         run.row = line + run.shift
 
     def _follow_noting_errors(self, at: Place, stmt: tree.Statement) -> None:
@@ -226,7 +226,7 @@ class Flow:
         :raises ProgramError: the statement has an error, and its routine is not traced.
         """
         try:
-            self.interpreter.statement(at, stmt)
+            self.interpreter.follow_statement(at, stmt)
         except InexactError:
             raise
         except ProgramError as cause:
@@ -274,14 +274,14 @@ class Flow:
         :raises InexactError: its statements are not known before run time, and the call cannot be left as it is.
         """
         run, recorder = self.run, self.recorder
-        if recorder is None or not run.level.traced or not run.certain:
+        if recorder is None or not run.level.traced or not run.is_certain:
             return False
         callee = self.interpreter.calls.traced_callee(call)
         if callee is None or any(self._call_moves(inner) for inner in calls(call.arguments)):
             return False
         _, routine = callee
         self._check_structure(routine)
-        self._check_statement_count(at, self._least.of_call(*callee))
+        self._check_statement_count(at, self._least.minimum_of_call(*callee))
         undo = self._undo_from_here(recorder)
         try:
             self._record_call(at, call, recorder, *callee)
@@ -310,7 +310,7 @@ class Flow:
     def _call_moves(self, call: Call) -> bool:
         """Return whether a call moves the robot, by its routine or by one that this calls."""
         callee = self.interpreter.calls.traced_callee(call)
-        return callee is not None and self.run.analysis.of(*callee).motion is not None
+        return callee is not None and self.run.analysis.effects_of(*callee).motion is not None
 
     def _undo_from_here(self, recorder: Recorder) -> Callable[[], None]:
         """Return a function that restores the run, the trace and the open calls as they are now.
@@ -318,12 +318,12 @@ class Flow:
         Values and settings stay as they are: to keep them for each call would take as long as there are variables.
         """
         run, entered_calls = self.run, self.interpreter.calls.entered
-        marks, mark, position = run.marks(), recorder.mark(), run.position()
+        marks, mark, position = run.finding_counts(), recorder.mark(), run.position()
         calls_open, depth = len(entered_calls), len(self._way)
 
         def undo() -> None:
             """Restore the run, the trace and the open calls."""
-            run.back_to(marks)
+            run.drop_findings(marks)
             recorder.back_to(mark)
             run.return_to(position)
             del entered_calls[calls_open:], self._way[depth:]
@@ -333,18 +333,18 @@ class Flow:
     def _record_call(self, at: Place, call: Call, recorder: Recorder, module: Module, routine: Routine) -> None:
         """Record the call of a routine with motions, follow the statements of the routine, and return to the caller."""
         run = self.run
-        recorder.run_to(at.line - 1)
-        recorder.enter(at, (call.start, call.start + len(call.name)), module, routine)
-        self.interpreter.calls.enter(at, call, module, routine)
+        recorder.record_run_lines(at.line - 1)
+        recorder.enter_routine(at, (call.start, call.start + len(call.name)), module, routine)
+        self.interpreter.calls.enter_routine(at, call, module, routine)
         level = run.level
         self._way.append((at, 0))
         self.run_called_routine()
         self._way.pop()
         if not level.returned:
-            recorder.run_to(routine.last - 1)
-        recorder.pass_to(routine.last - 1, live=False)
-        self.interpreter.calls.leave()
-        recorder.leave()
+            recorder.record_run_lines(routine.last - 1)
+        recorder.record_passed_lines(routine.last - 1, live=False)
+        self.interpreter.calls.leave_routine()
+        recorder.leave_routine()
 
     # --- control structures ------------------------------------------------------------------------------------------
 
@@ -357,12 +357,12 @@ class Flow:
         if self.recorder is not None and self.run.level.traced and self.belongs_in_trace(source, block):
             self._follow_or_keep(source, block, self.recorder)
             return
-        marks = self.run.marks()
+        marks = self.run.finding_counts()
         self._still += 1
         try:
             self._follow_exactly(source, block, None)
         except InexactError:
-            self.run.back_to(marks)
+            self.run.drop_findings(marks)
             self.follow_roughly(source, block)
         finally:
             self._still -= 1
@@ -391,8 +391,8 @@ class Flow:
             self._follow_exactly(source, block, recorder)
         except InexactError as cause:
             undo()
-            recorder.run_to(block.first - 1)
-            recorder.keep(block.last, cause)
+            recorder.record_run_lines(block.first - 1)
+            recorder.record_unresolved(block.last, cause)
             self.follow_roughly(source, block)
 
     def follow_roughly(self, source: Source, block: Block) -> None:
@@ -402,9 +402,9 @@ class Flow:
             self.run.steps += len(lines)
         else:
             self._traced += len(lines)
-        marks = self.run.marks()
+        marks = self.run.finding_counts()
         for _ in range(1 + (block.word in LOOPS)):  # once more with the values that its own statements leave
-            self.run.back_to(marks)
+            self.run.drop_findings(marks)
             for line in lines:
                 if self.run.level.traced:
                     self._come_to(line)
@@ -431,18 +431,18 @@ class Flow:
             return
         part = block.parts[part_index] if part_index >= 0 else None
         if recorder is not None:
-            recorder.run_to(block.first - 1)
-            recorder.pass_to(block.first)
+            recorder.record_run_lines(block.first - 1)
+            recorder.record_passed_lines(block.first)
             if part is not None:
-                recorder.pass_to(part.head - 1, live=False)
-                recorder.pass_to(part.head)
+                recorder.record_passed_lines(part.head - 1, live=False)
+                recorder.record_passed_lines(part.head)
         if part is not None:
             self.follow(source, part.nodes)
         if recorder is not None:
-            if part is not None and not self.run.level.broken_off:
-                recorder.run_to(part.beyond - 1)
-            recorder.pass_to(block.last - 1, live=False)
-            recorder.pass_to(block.last)
+            if part is not None and not self.run.level.is_broken_off:
+                recorder.record_run_lines(part.beyond - 1)
+            recorder.record_passed_lines(block.last - 1, live=False)
+            recorder.record_passed_lines(block.last)
 
     def _follow_branches(
         self, source: Source, block: Block, recorder: Recorder, occasion: Occasion, cause: InexactError
@@ -461,26 +461,26 @@ class Flow:
         if self._forks > _MOST_FORKS:
             problem = f"branches whose condition is not known are reached more than {_MOST_FORKS} times"
             raise inexact_error(Place(source, block.first), problem, _LENGTH_ADVICE)
-        recorder.run_to(block.first - 1)
-        recorder.pass_to(block.first)
-        recorder.divide(Fork(0, occasion))
-        run.fork()
+        recorder.record_run_lines(block.first - 1)
+        recorder.record_passed_lines(block.first)
+        recorder.record_division(Fork(0, occasion))
+        run.begin_fork()
         for part in block.parts[block.word == "SWITCH" :]:
-            recorder.pass_to(part.head)
-            recorder.divide(Branch(0))
-            run.branch()
+            recorder.record_passed_lines(part.head)
+            recorder.record_division(Branch(0))
+            run.begin_branch()
             self.follow(source, part.nodes)
             if level.jump:
                 raise inexact_error(
                     Place(source, level.jump), *undecided_jump(run.variables, Place(source, block.first))
                 )
-            if level.broken_off:
+            if level.is_broken_off:
                 raise cause
-            recorder.run_to(part.beyond - 1)
-        recorder.pass_to(block.last)
+            recorder.record_run_lines(part.beyond - 1)
+        recorder.record_passed_lines(block.last)
         complete = statement(source, heads[-1]).word in ("ELSE", "DEFAULT")
-        recorder.divide(Join(0, complete))
-        run.join(Place(source, block.last), complete=complete)
+        recorder.record_division(Join(0, complete))
+        run.join_branches(Place(source, block.last), complete=complete)
 
     def _follow_skip(self, source: Source, nodes: tuple[Node, ...], index: int, *, last: bool) -> int:
         """Follow an IF that skips statements by GOTO or RETURN: the jump is one branch, the skipped statements the
@@ -496,7 +496,7 @@ class Flow:
             or not isinstance(block, Block)
             or not run.level.traced
             or run.level.loops
-            or not run.certain
+            or not run.is_certain
         ):
             return 0
         part = block.parts[0]
@@ -515,19 +515,19 @@ class Flow:
             return 0
         undo = self._undo_from_here(recorder)
         try:
-            recorder.run_to(block.first - 1)
-            recorder.pass_to(part.head)
-            recorder.divide(Fork(0, occasion))
-            run.fork()
+            recorder.record_run_lines(block.first - 1)
+            recorder.record_passed_lines(part.head)
+            recorder.record_division(Fork(0, occasion))
+            run.begin_fork()
             self._follow_branch(source, part.nodes[:-1], recorder, last=False)
             jump = part.nodes[-1]
-            recorder.run_to((jump if isinstance(jump, int) else jump.last) - 1)
-            recorder.pass_to(block.last)
+            recorder.record_run_lines((jump if isinstance(jump, int) else jump.last) - 1)
+            recorder.record_passed_lines(block.last)
             returns = end == run.level.routine.last - 1
             self._follow_branch(source, nodes[index + 1 : next_index], recorder, last=returns)
-            recorder.run_to(end)
-            recorder.divide(Join(0, complete=True))
-            run.join(Place(source, block.last), complete=True)
+            recorder.record_run_lines(end)
+            recorder.record_division(Join(0, complete=True))
+            run.join_branches(Place(source, block.last), complete=True)
         except InexactError:
             if not run.keep:
                 raise
@@ -541,10 +541,10 @@ class Flow:
         :raises InexactError: the branch is left before its end.
         """
         level = self.run.level
-        recorder.divide(Branch(0))
-        self.run.branch()
+        recorder.record_division(Branch(0))
+        self.run.begin_branch()
         self.follow(source, nodes, last=last)
-        if level.broken_off:
+        if level.is_broken_off:
             raise inexact_error(Place(source, level.jump or level.returned), *undecided_jump(self.run.variables, None))
 
     def _jump_target(
@@ -572,7 +572,7 @@ class Flow:
 
     def _may_have_effects(self, values: Iterable[Value]) -> bool:
         """Return whether some values contain calls that may do more than give a value."""
-        return not all(map(self.run.variables.functions.pure, calls(values)))
+        return not all(map(self.run.variables.functions.is_pure, calls(values)))
 
     def _part_taken(self, source: Source, block: Block) -> int:
         """Return the index of the part of an IF or SWITCH that runs; −1 if none does.
@@ -627,7 +627,7 @@ class Flow:
         name, step = (counter.name, counter.step) if counter is not None else ("", 0)
         if counter is not None and words.isdisjoint(ENDS_LOOPS):
             self._check_rounds(source, block, counter, recorder)
-        loop = recorder.begin(block, name, step, left="EXIT" in words) if recorder is not None else None
+        loop = recorder.begin_loop(block, name, step, left="EXIT" in words) if recorder is not None else None
         level.loops += 1
         depth = len(self._way)
         self._way.append((Place(source, block.first), 0))
@@ -638,10 +638,10 @@ class Flow:
         finally:
             level.loops -= 1
             del self._way[depth:]
-        has_ended = counter is not None and not level.broken_off
+        has_ended = counter is not None and not level.is_broken_off
         level.left = False
         if recorder is not None and loop is not None:
-            recorder.end(loop, block, counter.value() if counter is not None and has_ended else None)
+            recorder.end_loop(loop, block, counter.value() if counter is not None and has_ended else None)
 
     def _follow_rounds(
         self,
@@ -669,11 +669,11 @@ class Flow:
                 problem = f"{block.word} has not ended after {MOST_UNCOUNTED} statements"
                 raise inexact_error(at, problem, "Check its condition, or write FOR instead.")
             if recorder is not None and loop is not None:
-                recorder.repeat(loop, block, counter.value() if counter is not None else None)
+                recorder.begin_round(loop, block, counter.value() if counter is not None else None)
             self.follow(source, block.parts[0].nodes)
-            is_whole = not level.broken_off
+            is_whole = not level.is_broken_off
             if recorder is not None:
-                recorder.repeated(block, whole=is_whole)
+                recorder.end_round(block, whole=is_whole)
             if not is_whole or (block.word == "REPEAT" and self._condition_holds(source, block.last)):
                 break
             if counter is not None:
@@ -713,7 +713,7 @@ class Flow:
         :param index: of the node with the label.
         """
         level = self.run.level
-        if self.recorder is None or not level.traced or level.loops or not self.run.certain:
+        if self.recorder is None or not level.traced or level.loops or not self.run.is_certain:
             return 0
         jumps = [at for at in level.routine.lines if self.label_of(source, at) == label.name]
         for number in range(index + 1, len(nodes) if len(jumps) == 1 else 0):
@@ -735,12 +735,12 @@ class Flow:
         whole = Block("REPEAT", first, jump.last, (Part(first, jump.first, nodes[1:-1]),))
         body = Block("REPEAT", first, jump.first, whole.parts)
         self._check_comments(source, whole, range(jump.first, jump.last))
-        loop = recorder.begin(whole, "", 0, left=False, closing=jump.first)
+        loop = recorder.begin_loop(whole, "", 0, left=False, closing=jump.first)
         start_count, depth = self._traced, len(self._way)
         level.loops += 1
         self._way.append((Place(source, first), 0))
         try:
-            while not level.broken_off:
+            while not level.is_broken_off:
                 self._count_statement(at)
                 self._way[depth] = Place(source, first), self._way[depth][1] + 1
                 if self._way[depth][1] == 2:
@@ -749,12 +749,12 @@ class Flow:
                 if self._traced - start_count > MOST_UNCOUNTED:
                     problem = f"GOTO still leads back after {MOST_UNCOUNTED} statements"
                     raise inexact_error(at, problem, "Check its condition, or write FOR instead.")
-                recorder.repeat(loop, body, None)
+                recorder.begin_round(loop, body, None)
                 self.follow(source, nodes[1:-1])
-                recorder.repeated(body, whole=not level.broken_off)
+                recorder.end_round(body, whole=not level.is_broken_off)
                 self.run.place = at
                 holds = self.run.variables.truth(head.condition) if isinstance(head, tree.If) else None
-                if not level.broken_off and holds is None:
+                if not level.is_broken_off and holds is None:
                     raise inexact_error(Place(source, jump.last - 1), *undecided_jump(self.run.variables, at))
                 if not holds:
                     break
@@ -763,7 +763,7 @@ class Flow:
         finally:
             level.loops -= 1
             del self._way[depth:]
-        recorder.end(loop, whole, None)
+        recorder.end_loop(loop, whole, None)
 
     def _check_labels(self, source: Source, lines: Iterable[int]) -> None:
         """Refuse labels in a loop with a second round: they would be written more than once.
@@ -805,7 +805,7 @@ class Flow:
         self._traced += statement_count
         length, first = block.last - block.first, recorder.count + 1
         plain = PlainRounds(begin, counter.step, first, rounds, length, source, block.first, body)
-        recorder.plain_rounds(loop, block, plain)
+        recorder.record_plain_rounds(loop, block, plain)
         for line in body.triggers:  # what they write may change at any time from now on
             self._follow_noting_errors(Place(source, line), statement(source, line))
         for round_count in (rounds - 1, 1):  # only the last round leaves something
@@ -822,18 +822,18 @@ class Flow:
             that the next one may use.
         """
         run, level, at = self.run, self.run.level, Place(source, block.first)
-        if recorder is None or level.loops or run.forked or not run.certain or len(run.stack) > 1:
+        if recorder is None or level.loops or run.is_forked or not run.is_certain or len(run.stack) > 1:
             raise inexact_error(at, "LOOP never ends: there is no EXIT", LOOP_ADVICE)
         self._check_comments(source, block)
         run.is_final = False
         snapshot = run.variables.snapshot()
-        loop = recorder.begin(block, "", 0, left=False)
+        loop = recorder.begin_loop(block, "", 0, left=False)
         loop.endless = True
         self._way.append((at, 1))
-        recorder.repeat(loop, block, None)
+        recorder.begin_round(loop, block, None)
         self.follow(source, block.parts[0].nodes)
-        recorder.repeated(block, whole=True)
-        recorder.end(loop, block, None)
+        recorder.end_round(block, whole=True)
+        recorder.end_loop(loop, block, None)
         self._way.pop()
         if names := carried_variables(run, source, block, snapshot):
             # variables of the program before those of the controller
@@ -854,7 +854,7 @@ class Flow:
             raise inexact_error(Place(source, block.first), problem, "Check its bounds.")
         module = self.run.level.module
         if not self.run.level.loops and not self._least.may_write(source, block, counter.statement.name, module):
-            rounds = counter.rounds * self._least.of_round(source, block, module)
+            rounds = counter.rounds * self._least.minimum_of_round(source, block, module)
             self._check_statement_count(Place(source, block.first), rounds)
 
     def _runs_again(self, source: Source, block: Block, counter: Counter | None) -> bool:

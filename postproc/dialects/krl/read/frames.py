@@ -50,23 +50,23 @@ class Frames:
         self._rows: dict[tuple[str, tuple[float, ...]], int] = {}
         self._folded: set[tuple[str, int]] = set()
 
-    def assigned(self, state: State, at: Place, target: Reference, value: Value | VariableValue) -> State:
+    def state_after_assignment(self, state: State, at: Place, target: Reference, value: Value | VariableValue) -> State:
         """Return the state after ``$BASE = value`` or ``$TOOL = value``, or after an assignment to a component.
 
         :raises ProgramError: the base is moved while the program runs, or a component is out of reach.
         """
         name = target.name
         if isinstance(value, Call) and value.name in ("SBASE", "STOOL", "STOOL2"):
-            number = self.variables.argument(value, "BASE_NO" if value.name == "SBASE" else "TOOL_NO")
+            number = self.variables.first_argument(value, "BASE_NO" if value.name == "SBASE" else "TOOL_NO")
             if not isinstance(number, Number):
                 text = at.source.text[value.start : value.stop]
                 reason = why_unknown(self.variables, at.source, number or NO_VALUE)
-                return self.unknown(state, name, at, f"{text}: the number is not known: {reason}")
-            return self.numbered(state, at, name, int(number.value))
+                return self.state_with_unknown_frame(state, name, at, f"{text}: the number is not known: {reason}")
+            return self.state_with_numbered_frame(state, at, name, int(number.value))
         if isinstance(value, Call) and value.name == "EK":
             raise at.error("external kinematics (EK) move the base", "Only a fixed $BASE can be corrected.")
         if target.indices is not None or (target.field is not None and target.field not in CARTESIAN):
-            return self.unknown(state, name, at, "its component is not understood")
+            return self.state_with_unknown_frame(state, name, at, "its component is not understood")
         if isinstance(value, Reference) and value.name in ("BASE_DATA", "TOOL_DATA") and value.field is None:
             key = self.variables.key_of(value)
             return self._with_named_frame(state, at, name, value, key or value.name)
@@ -75,14 +75,14 @@ class Frames:
         else:
             position = self.variables.position(value)
         if position is None or position.axis:
-            return self.unknown(state, name, at, why_unknown(self.variables, at.source, value))
+            return self.state_with_unknown_frame(state, name, at, why_unknown(self.variables, at.source, value))
         if not position.complete:
-            return self.unknown(state, name, at, _missing_components(position))
+            return self.state_with_unknown_frame(state, name, at, _missing_components(position))
         if position.largest_coordinate > LARGEST_COORDINATE:
             raise out_of_reach_error(at, position.largest_coordinate)
         return self._with_frame(state, name, position)
 
-    def numbered(self, state: State, at: Place, name: str, number: int) -> State:
+    def state_with_numbered_frame(self, state: State, at: Place, name: str, number: int) -> State:
         """Return the state after ``$BASE=BASE_DATA[number]`` or ``$TOOL=TOOL_DATA[number]``.
 
         :param name: ``$BASE`` or ``$TOOL``.
@@ -90,13 +90,13 @@ class Frames:
         key = f"{name[1:]}_DATA[{number}]"
         return self._with_named_frame(state, at, name, _array_element(f"{name[1:]}_DATA", number), key)
 
-    def unknown(self, state: State, name: str, at: Place, reason: str) -> State:
+    def state_with_unknown_frame(self, state: State, name: str, at: Place, reason: str) -> State:
         """Return a state in which `$BASE` or `$TOOL` (`name`) is not known; the error for it names the line and the
         reason.
         """
-        return self.reasons.unknown(state, FIELDS[name], at.error(f"{name} is not known: {reason}", _ADVICE))
+        return self.reasons.state_with_unknown(state, FIELDS[name], at.error(f"{name} is not known: {reason}", _ADVICE))
 
-    def assumed(self, state: State) -> set[str]:
+    def frames_of_cell(self, state: State) -> set[str]:
         """Return which of `$BASE` and `$TOOL` are frames of the cell though KUKA's #INITMOV would set others."""
         tool = self.variables.position(_array_element("TOOL_DATA", 1))
         kuka_frames = {"$BASE": Position((0.0,) * 6), "$TOOL": tool}
@@ -107,14 +107,14 @@ class Frames:
         frame = self.bases[0] if name == "$BASE" else self.tools[0]
         return position is not None and bool(np.abs(position.pose() - frame).max() < _FRAME_TOLERANCE)
 
-    def current(self, state: State, name: str, field: str | None) -> VariableValue:
+    def current_value(self, state: State, name: str, field: str | None) -> VariableValue:
         """Return the value of `$BASE` or `$TOOL` in a state, or of a component of it; an `UnknownValue` if it is not
         known.
         """
         row, frames = (state.base, self.bases) if name == "$BASE" else (state.tool, self.tools)
         if row < 0:
             return UnknownValue(why=self.reasons.errors[-1 - row].problem)
-        if self.asks and name in self.assumed(state):
+        if self.asks and name in self.frames_of_cell(state):
             self.doubtful.add(name)
         position = position_from_pose(frames[row])
         if field is None:
@@ -126,7 +126,7 @@ class Frames:
     def _with_field(self, state: State, target: Reference, value: Value | VariableValue) -> Position | None:
         """Return the frame in force with another value of one component; None if the result is not known."""
         name, field = target.name, target.field or ""
-        whole, number = self.current(state, name, None), self.variables.number(value)
+        whole, number = self.current_value(state, name, None), self.variables.number(value)
         is_folded = field in ANGLES and (name, state.base if name == "$BASE" else state.tool) in self._folded
         if not isinstance(whole, Position) or number is None or is_folded:
             return None
@@ -146,9 +146,9 @@ class Frames:
             reason = f"{key} is neither in the cell nor in the $config.dat"
             if isinstance(value, UnknownValue) and value != NO_VALUE:
                 reason = value.message_for(key)
-            return self.unknown(state, name, at, reason)
+            return self.state_with_unknown_frame(state, name, at, reason)
         if not position.complete:
-            return self.unknown(state, name, at, f"{_missing_components(position)} in {key}")
+            return self.state_with_unknown_frame(state, name, at, f"{_missing_components(position)} in {key}")
         state = self._with_frame(state, name, position)
         if name == "$TOOL" and (number := _ELEMENT.search(key)):
             self.tool_numbers.setdefault(state.tool, set()).add(int(number[1]))
@@ -171,7 +171,7 @@ class Frames:
             self._rows[name, position.values] = row
         if not _has_usual_angles(position):
             self._folded.add((name, row))
-        return state.with_known(**{FIELDS[name]: row})
+        return state.with_values(**{FIELDS[name]: row})
 
 
 def _has_usual_angles(position: Position) -> bool:

@@ -77,14 +77,14 @@ class Interpreter:
         self.run, self._motion, self._inline_call = run, motion, inline_call
         self.calls = Calls(run, run_routine)
 
-    def statement(self, at: Place, stmt: tree.Statement) -> None:
+    def follow_statement(self, at: Place, stmt: tree.Statement) -> None:
         """Run one statement.
 
         :raises ProgramError: it is not understood, or its effect on motion is not modelled.
         """
         self.run.place = at
         if isinstance(stmt, _MOVING):
-            if self.run.in_main:
+            if self.run.is_traced:
                 self._motion(at, stmt)
             else:
                 self.follow_functions(at, stmt.values)
@@ -130,7 +130,7 @@ class Interpreter:
         if not stmt.complete:
             raise at.error("the statement is not understood", "Check its spelling.")
         self.follow_functions(at, stmt.values)
-        if not self.run.in_main:
+        if not self.run.is_traced:
             return
         if stmt.word != "STOP" and not self.run.settings.state.block:
             raise at.error(f"{stmt.word} outside of a spline block", "Write it between SPLINE and ENDSPLINE.")
@@ -143,7 +143,7 @@ class Interpreter:
         :raises InexactError: it is not known whether it runs.
         """
         level = self.run.level
-        if not self.run.certain:
+        if not self.run.is_certain:
             if not level.traced or len(self.run.stack) > 1:
                 raise inexact_error(at, "it is not known whether it returns here")
             return
@@ -155,12 +155,12 @@ class Interpreter:
         """Follow the functions in the head of a control structure; the counter of a FOR becomes unknown."""
         self.follow_functions(at, stmt.values)
         if isinstance(stmt, tree.For) and stmt.name:
-            self.run.variables.forget(self.run.stored(stmt.name), str(at))
+            self.run.variables.forget(self.run.stored_name(stmt.name), str(at))
 
     def follow_functions(self, at: Place, values: Iterable[Value]) -> None:
         """Follow the functions in some values; it is not certain that they run."""
         for call in calls(values):
-            self.calls.call(at, call, certain=False)
+            self.calls.follow_call(at, call, certain=False)
 
     def _follow_other(self, at: Place, stmt: tree.Statement) -> None:
         """Follow a statement that neither moves nor controls execution: a setting, an assignment, a declaration, a
@@ -175,22 +175,22 @@ class Interpreter:
         elif isinstance(stmt, tree.CallStatement):
             self.follow_functions(at, stmt.call.arguments)
             if not self._inline_call(at, stmt.call):
-                self.calls.call(at, stmt.call, certain=self.run.certain)
+                self.calls.follow_call(at, stmt.call, certain=self.run.is_certain)
         elif isinstance(stmt, tree.Event):
-            if isinstance(stmt, tree.Trigger) and self.run.in_main:
+            if isinstance(stmt, tree.Trigger) and self.run.is_traced:
                 self.run.triggers.append(self.run.row)
             self._note_event(at, stmt)
         elif isinstance(stmt, (tree.CyclicInput, tree.Import)):
             if stmt.name in RELEVANT:
                 raise at.error(f"{stmt.word} changes {stmt.name} at any time", SETTING_ADVICE)
-            self.run.changes_always(at, self.run.stored(stmt.name))
+            self.run.note_cyclic_change(at, self.run.stored_name(stmt.name))
             if isinstance(stmt, tree.Import):
                 for name in stored_originals(stmt):
-                    self.run.changes_always(at, name)
+                    self.run.note_cyclic_change(at, name)
         elif isinstance(stmt, tree.Declaration):
-            row = self.run.row if self.run.in_main and self.run.has_rows else 0
+            row = self.run.row if self.run.is_traced and self.run.has_rows else 0
             names = declare_variables(self.run.variables, at.source, stmt, row)
-            if self.run.in_main:
+            if self.run.is_traced:
                 self.run.understand(*(declarator.at for declarator in names))
         elif stmt.word == "EXIT":
             self._check_exit(at)
@@ -226,11 +226,11 @@ class Interpreter:
             raise stmt.error
         if not isinstance(stmt, tree.CallStatement) or not stmt.call.arguments:
             raise at.error("BAS is not understood", "Write BAS(#COMMAND,value).")
-        self._change_state(at, self.run.settings.bas(at, stmt.call))
+        self._change_state(at, self.run.settings.state_after_bas(at, stmt.call))
 
     def _change_state(self, at: Place, state: State) -> None:
         """Put a state into force; if it is not certain that the statement runs, make uncertain what it would change."""
-        if self.run.certain:
+        if self.run.is_certain:
             self.run.settings.change(self.run.row, state)
         else:
             word, open_line = self.run.level.open[-1]
@@ -248,7 +248,7 @@ class Interpreter:
             self._assign_setting(at, target, expression)
             return
         old_key = self.run.variables.key_of(target)
-        is_copied = target.field is None and self.run.in_main and at.source is self.run.routine.source
+        is_copied = target.field is None and self.run.is_traced and at.source is self.run.routine.source
         value = self.calls.value(at, expression, is_copied=is_copied)
         if (
             name in _SUPERPOSED_MOTIONS
@@ -261,13 +261,13 @@ class Interpreter:
         if name.startswith("$") and name not in STORED_VARIABLES:
             self.run.variables.forget(name, str(at))
             return
-        if target.field is None and self.run.in_main:
+        if target.field is None and self.run.is_traced:
             self.run.understand(target.start)
         key = self.run.variables.key_of(target)
         if key != old_key:
-            self.run.variables.forget(self.run.stored(name), self._unknown_element_reason(at, target, expression))
-        elif not self.run.certain or key is None or target.indices == ():
-            self.run.variables.forget(self.run.stored(name), str(at))
+            self.run.variables.forget(self.run.stored_name(name), self._unknown_element_reason(at, target, expression))
+        elif not self.run.is_certain or key is None or target.indices == ():
+            self.run.variables.forget(self.run.stored_name(name), str(at))
         elif value == NO_VALUE and name == "$H_POS" and target.field is None:
             return
         else:
@@ -292,7 +292,7 @@ class Interpreter:
             place
             for call in calls([expression])
             for index in indices
-            if (place := self.calls.write_place(call, self.run.stored(index))) is not None
+            if (place := self.calls.write_place(call, self.run.stored_name(index))) is not None
         }
         change_places = ", ".join(sorted(map(str, places))) or "an argument"
         element = at.source.text[target.start : target.stop]
@@ -315,7 +315,7 @@ class Interpreter:
             result = self.calls.value(at, expression)
             if isinstance(expression, Call) and not isinstance(result, UnknownValue):
                 value = result
-        self._change_state(at, self.run.settings.assigned(self.run.settings.state, at, target, value))
+        self._change_state(at, self.run.settings.state_after_assignment(self.run.settings.state, at, target, value))
 
     def _note_event(self, at: Place, event: tree.Event) -> None:
         """Note what an INTERRUPT or a TRIGGER may change from now on.
@@ -323,7 +323,7 @@ class Interpreter:
         :raises ProgramError: it moves the robot.
         """
         scope = self.run.variables.scope
-        effects = self.run.analysis.of_action(self.run.level.module, self.run.level.routine, at, event, scope)
+        effects = self.run.analysis.effects_of_action(self.run.level.module, self.run.level.routine, at, event, scope)
         if effects.motion is not None:
             raise at.error(f"{event.word} moves the robot ({effects.motion})", IN_ORDER)
         self.calls.note_lasting_effects(at, event.word, effects, f"{event.word} in {at}")

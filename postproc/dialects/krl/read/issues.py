@@ -70,7 +70,7 @@ def _uncalled_routine_warnings(main: MainRoutine) -> Iterator[Issue]:
     for routine in program.routines.values():
         if routine is main.run.routine or routine in main.run.reached:
             continue
-        motion = main.run.analysis.of(program, routine).motion
+        motion = main.run.analysis.effects_of(program, routine).motion
         if motion is None or motion.source is not main.run.routine.source:
             continue
         if not routine.first < motion.line < routine.last:
@@ -144,7 +144,7 @@ def refuse_routines_with_force_comments(run: Run) -> None:
     :raises ProgramError: there is one; it names the statement that cannot be followed.
     """
     for call in run.moved:
-        force = run.analysis.of(call.module, call.routine).force
+        force = run.analysis.effects_of(call.module, call.routine).force
         if force is not None and run.analysis.may_carry_force(call.module, call.routine):
             raise _uncorrected_error(run, call, f": it contains a force comment ({force})")
 

@@ -151,7 +151,7 @@ def _first_ambiguous_ptp(sequence: OrderedMotions, rows: slice) -> int:
     return -1
 
 
-def branching(
+def predecessors_and_joins(
     course: Course, sequence: OrderedMotions, predecessors: Ints | None, kept_lines: Sequence[int], free: Set[Join]
 ) -> tuple[Ints | None, list[JoinedEnds]]:
     """Return at the end of which motion each motion begins, see `Program.after`, and the control-flow joins.
@@ -385,7 +385,7 @@ def _branch_error(
     return error
 
 
-def check_round(
+def check_endless_loop(
     course: Course,
     loop: UnrolledLoop,
     line: Ints,
@@ -444,7 +444,7 @@ def _pose_difference(first: int, last: int, motions: Motions, start: Starts, car
     )
 
 
-def starts(
+def start_poses(
     loop: UnrolledLoop,
     line: Ints,
     motions: Motions,

@@ -81,7 +81,7 @@ class Scope(Struct, frozen=True):
     prefix: str = ""
     arrays: frozenset[str] = frozenset()
 
-    def stored(self, name: str) -> str:
+    def stored_name(self, name: str) -> str:
         """Return the name under which a variable (upper case) is stored; variables of other scopes have other names."""
         if name[0] == "$":
             return name  # variables of the controller: no file declares its own

@@ -35,23 +35,23 @@ class LeastStatements:
         self._rounds: dict[Block, int] = {}
         self._open: list[Routine] = []
 
-    def of_call(self, module: Module, routine: Routine) -> int:
+    def minimum_of_call(self, module: Module, routine: Routine) -> int:
         """Return a lower bound on the number of statements that a call runs."""
         if routine in self._open or len(self._open) > _DEEPEST:
             return 0
         if routine not in self._routines:
             self._open.append(routine)
             try:
-                self._routines[routine] = self._of_nodes(routine.source, self.run.nodes(routine), module)
+                self._routines[routine] = self._minimum_of_nodes(routine.source, self.run.nodes(routine), module)
             except ProgramError:
                 self._routines[routine] = 0
             self._open.pop()
         return self._routines[routine]
 
-    def of_round(self, source: Source, block: Block, module: Module) -> int:
+    def minimum_of_round(self, source: Source, block: Block, module: Module) -> int:
         """Return a lower bound on the number of statements that one round of a loop runs, its own line included."""
         if block not in self._rounds:
-            self._rounds[block] = 1 + self._of_nodes(source, block.parts[0].nodes, module)
+            self._rounds[block] = 1 + self._minimum_of_nodes(source, block.parts[0].nodes, module)
         return self._rounds[block]
 
     def may_write(self, source: Source, block: Block, name: str, module: Module) -> bool:
@@ -67,11 +67,11 @@ class LeastStatements:
                 call_text = source.text[call.start : call.stop].upper()
                 if name in call_text or callee is None:
                     return True
-                if any(variable.endswith(name) for variable in self.run.analysis.of(*callee).writes):
+                if any(variable.endswith(name) for variable in self.run.analysis.effects_of(*callee).writes):
                     return True
         return False
 
-    def _of_nodes(self, source: Source, nodes: Sequence[Node], module: Module) -> int:
+    def _minimum_of_nodes(self, source: Source, nodes: Sequence[Node], module: Module) -> int:
         """Return a lower bound on the number of statements that nodes run.
 
         Counting stops at the first that may leave the loop or the routine.
@@ -82,23 +82,23 @@ class LeastStatements:
             if not words.isdisjoint(ENDS_LOOPS - {"EXIT"}):
                 break
             if isinstance(node, Block):
-                count += self._of_block(source, node, module, left="EXIT" in words)
+                count += self._minimum_of_block(source, node, module, left="EXIT" in words)
                 continue
             stmt = statement(source, node)
             if isinstance(stmt, Return | Goto) or stmt.word in ENDS_LOOPS:
                 break
             call = self._certain_call(source, node)
             callee = None if call is None else self.run.library.find(call.name, module)
-            count += 1 if callee is None else 1 + self.of_call(*callee)
+            count += 1 if callee is None else 1 + self.minimum_of_call(*callee)
         return count
 
-    def _of_block(self, source: Source, block: Block, module: Module, *, left: bool) -> int:
+    def _minimum_of_block(self, source: Source, block: Block, module: Module, *, left: bool) -> int:
         """Return a lower bound on the number of statements that a control structure runs.
 
         :param left: True if EXIT may end it early; the bound is 0 then.
         """
         if block.word == "IF" and len(block.parts) > 1:
-            return min(self._of_nodes(source, part.nodes, module) for part in block.parts)
+            return min(self._minimum_of_nodes(source, part.nodes, module) for part in block.parts)
         stmt = statement(source, block.first)
         if not isinstance(stmt, For) or stmt.bounds is None or left or self.may_write(source, block, stmt.name, module):
             return 0
@@ -107,7 +107,7 @@ class LeastStatements:
         if len(numbers) < 3 or not numbers[2]:
             return 0
         rounds = max(0, int((numbers[1] - numbers[0]) // numbers[2]) + 1)
-        return rounds * self.of_round(source, block, module) if rounds else 0
+        return rounds * self.minimum_of_round(source, block, module) if rounds else 0
 
     def _certain_call(self, source: Source, line: int) -> Call | None:
         """Return the call that a statement makes; None if it makes none."""

@@ -78,7 +78,7 @@ class Start(Struct, frozen=True, eq=False):
         :param trace: the execution trace; None: that of a program whose lines run one after the other.
         :param has_rows: see `Run.has_rows`.
         """
-        settings = Settings(self.variables.copied(), self.cell)
+        settings = Settings(self.variables.copy_for_run(), self.cell)
         run = Run(self.library, self.main, settings, trace or Trace.of(self.main.source), has_rows=has_rows)
         run.elsewhere = self.obstacles
         return CollectedMotions(run, MotionReader(settings, self.joints))
@@ -118,7 +118,7 @@ def _course(start: Start, *, collects: bool) -> tuple[Course, CollectedMotions |
         """Follow the functions in a motion, and collect it while nothing is in doubt."""
         flow.interpreter.follow_functions(at, stmt.values)  # they may change what a condition depends on
         if run.is_final and recorder.is_final:
-            collected.take(at, stmt)
+            collected.take_motion(at, stmt)
 
     def wrong(_at: Place, _cause: ProgramError) -> None:
         """Note that a statement has an error; it is reported when the recorded trace is followed."""
@@ -137,8 +137,8 @@ def _course(start: Start, *, collects: bool) -> tuple[Course, CollectedMotions |
     if run.level.jump:
         raise _jump_error(main, flow, run.level.jump)
     if not run.level.returned:
-        recorder.run_to(main.last - 1)
-    recorder.pass_to(main.last - 1, live=False)
+        recorder.record_run_lines(main.last - 1)
+    recorder.record_passed_lines(main.last - 1, live=False)
     course = replace(recorder.course(run.unfollowed), taken=reserved_names)
     foreign_routines = {routine for routine in course.inlined if routine.source is not main.source}
     if foreign_routines:
@@ -175,8 +175,8 @@ def _note_submit_programs(run: Run) -> None:
     """Note that the variables which submit programs write may change at any time."""
     for module in run.library.submit_programs():
         for routine in module.routines.values():
-            effects = run.analysis.of(module, routine)
-            run.may_change(effects.writes | effects.anytime, f"the submit program {module.name}")
+            effects = run.analysis.effects_of(module, routine)
+            run.note_possible_changes(effects.writes | effects.anytime, f"the submit program {module.name}")
 
 
 class MainRoutine:
@@ -225,7 +225,7 @@ class MainRoutine:
     @cached_property
     def _lines(self) -> Sequence[int]:
         """The lines that have code and are neither plain nor in plain rounds."""
-        return self.run.routine.others if self.course.straight else self._lines_outside_rounds()
+        return self.run.routine.others if self.course.is_straight else self._lines_outside_rounds()
 
     def follow(self, faults: Sequence[ProgramError]) -> None:
         """Run the statements of the execution trace in order: collect motions, settings and errors.
@@ -250,7 +250,7 @@ class MainRoutine:
             elif isinstance(step, RoutineEntry):
                 self._enter_routine(step)
             else:
-                self._flow.interpreter.calls.leave()
+                self._flow.interpreter.calls.leave_routine()
             if len(self._errors) > MAX_ERRORS:
                 break
         errors = self._errors
@@ -322,7 +322,11 @@ class MainRoutine:
         if moves is not None:
             for move in moves:
                 self.motions.add(move, run.settings.state)
-            ends = [rows[end] for rows in map(rounds.line, (rounds.head, *rounds.body.assignments)) for end in (0, -1)]
+            ends = [
+                rows[end]
+                for rows in map(rounds.rows_of_statement, (rounds.head, *rounds.body.assignments))
+                for end in (0, -1)
+            ]
             self._follow_lines(np.sort(np.array(ends)), rounds)
             return
         columns = None if rounds.body.is_computed else columns_of(run, self.reader, rounds)
@@ -332,7 +336,7 @@ class MainRoutine:
         element_motions, settings = columns
         self.rounds += element_motions
         run.settings.coming.insert(settings)
-        trigger_rows, count = [rounds.line(line) for line in rounds.body.triggers], len(run.triggers)
+        trigger_rows, count = [rounds.rows_of_statement(line) for line in rounds.body.triggers], len(run.triggers)
         end_rows = [rounds.first, rounds.beyond - rounds.length, *(rows[-1] for rows in trigger_rows)]
         self._follow_lines(np.array(end_rows), rounds)
         if trigger_rows:
@@ -348,7 +352,7 @@ class MainRoutine:
         if number is None:
             number = self.course.counts.get(row)
         if number is None:
-            self._flow.follow(at.source, (node.moved(-self.run.shift) if isinstance(node, Block) else at.line,))
+            self._flow.follow(at.source, (node.shifted(-self.run.shift) if isinstance(node, Block) else at.line,))
             self.run.level.left = False  # the next row is the one that runs behind EXIT
             return
         stmt = statement(at.source, at.line)
@@ -362,7 +366,7 @@ class MainRoutine:
         """
         for line in _rows_with_code(self.run.trace, lines[self._others[lines - 1]]):
             self.run.settings.come_to(line)
-            self._follow_node(line, None if rounds is None else rounds.number(line))
+            self._follow_node(line, None if rounds is None else rounds.counter_value(line))
 
     def _lines_outside_rounds(self) -> list[int]:
         """Return the rows of the trace that have code and are neither plain nor in plain rounds."""
@@ -371,7 +375,7 @@ class MainRoutine:
             is_other[rounds.first - 1 : rounds.beyond - 1] = False
         return _rows_with_code(self.run.trace, np.flatnonzero(is_other) + 1)
 
-    def executed(self, plain: Ints) -> Bools:
+    def which_run(self, plain: Ints) -> Bools:
         """Return which of n plain motions run (n,).
 
         A running sum of +1 where steps of the trace begin and −1 behind their ends is above zero inside them.
@@ -384,7 +388,7 @@ class MainRoutine:
         np.add.at(depth, np.searchsorted(plain, steps[:, 0]), 1)
         np.add.at(depth, np.searchsorted(plain, steps[:, 1], side="right"), -1)
         is_executed: Bools = np.cumsum(depth[:-1]) > 0
-        if not self.course.straight:
+        if not self.course.is_straight:
             return is_executed
         in_routine = np.zeros(len(plain), dtype=np.bool_)
         for routine in self.run.library.program.routines.values():
@@ -396,11 +400,11 @@ class MainRoutine:
             )
         return is_executed
 
-    def in_one_block(self, first: int, last: int) -> bool:
+    def are_in_one_block(self, first: int, last: int) -> bool:
         """Return whether no spline block ends between two lines."""
         return not any(first < line < last for line in self.splines.ended)
 
-    def only_comments(self, first: int, last: int) -> bool:
+    def contain_only_comments(self, first: int, last: int) -> bool:
         """Return whether the rows first … last of the trace contain nothing but comments and TRIGGERs."""
         trace = self.run.trace
         for row in range(first, last + 1):
@@ -416,18 +420,18 @@ class MainRoutine:
         stmt = statement(at.source, at.line)
         if isinstance(stmt, CallStatement):
             for inner in calls(stmt.call.arguments):
-                self._flow.interpreter.calls.call(at, inner, certain=False)
-            self._flow.interpreter.calls.enter(at, stmt.call, step.module, step.routine)
+                self._flow.interpreter.calls.follow_call(at, inner, certain=False)
+            self._flow.interpreter.calls.enter_routine(at, stmt.call, step.module, step.routine)
 
     def _follow_division(self, step: Fork | Branch | Join) -> None:
         """Store, restore or merge the values of variables, at a fork, a branch or a join."""
         self.run.row = step.row
         if isinstance(step, Fork):
-            self.run.fork()
+            self.run.begin_fork()
         elif isinstance(step, Branch):
-            self.run.branch()
+            self.run.begin_branch()
         else:
-            self.run.join(self.run.trace.place(step.row), complete=step.complete)
+            self.run.join_branches(self.run.trace.place(step.row), complete=step.complete)
 
     def _pass_structure(self, step: UnresolvedStructure) -> None:
         """Pass over a control structure whose branch taken is not known.
@@ -439,7 +443,7 @@ class MainRoutine:
         for node in nodes_of(run.trace, sorted([*lines, *setting_lines])):
             if isinstance(node, Block):
                 at = run.come_to(node.first)
-                self._flow.follow_roughly(at.source, node.moved(-run.shift))
+                self._flow.follow_roughly(at.source, node.shifted(-run.shift))
         moving = self._moving
         moving = moving[np.searchsorted(moving, step.first) : np.searchsorted(moving, step.last, "right")]
         run.unresolved += [(line, step.why) for line in moving.tolist()]
@@ -455,7 +459,7 @@ class MainRoutine:
     def _take_motion(self, at: Place, stmt: Statement) -> None:
         """Run the functions in a motion, and collect it."""
         self._flow.interpreter.follow_functions(at, stmt.values)
-        self._collected.take(at, stmt)
+        self._collected.take_motion(at, stmt)
 
 
 def _split_plain_settings(

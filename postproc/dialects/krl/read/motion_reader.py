@@ -86,7 +86,7 @@ class MotionReader:
         self.home = home
         self.home_used = 0
 
-    def read(self, at: Place, motion: Motion, row: int) -> tuple[MotionStatement | None, State, list[int]]:
+    def read_motion(self, at: Place, motion: Motion, row: int) -> tuple[MotionStatement | None, State, list[int]]:
         """Return the motion of a statement with the settings for it; None if it only leads to the present position.
 
         :param row: row of the execution trace.
@@ -112,7 +112,7 @@ class MotionReader:
             raise unresolved_error(at.error(problem, RUN_TIME_ADVICE))
         if motion.angle is not None:
             angle = self._angle(at, motion.angle)
-        state, is_approximated = self.tail(at, kind, motion.tail, (motion.end, motion.via))
+        state, is_approximated = self.tail_settings(at, kind, motion.tail, (motion.end, motion.via))
         self._check_axis_target(at, motion.word, kind, end, via)
         try:
             self.settings.refuse_uncertain(
@@ -128,12 +128,12 @@ class MotionReader:
         )
         return move, state, name_offsets
 
-    def block(self, at: Place, spline: Spline) -> State:
+    def block_state(self, at: Place, spline: Spline) -> State:
         """Return the settings within a spline block; those of its WITH hold in this block only.
 
         :raises ProgramError: its WITH or its approximation is not understood.
         """
-        state, _ = self.tail(at, LIN, spline.tail)
+        state, _ = self.tail_settings(at, LIN, spline.tail)
         return replace(state, block=spline.word)
 
     def _point(self, at: Place, value: Value, name_offsets: list[int], row: int) -> Point | None:
@@ -151,7 +151,7 @@ class MotionReader:
                 return None
             name = value.name
             name_offsets.append(value.start)
-        self.variables.rely(value)
+        self.variables.note_dependence(value)
         try:
             position = self.variables.position(value)
         except NotANumberError as cause:
@@ -207,7 +207,9 @@ class MotionReader:
             problem = f"{subject}: whether {name} is the one before WITH or behind it is in no source"
             raise at.error(problem, f"Assign {name} to a variable in a line before, and use that.")
 
-    def tail(self, at: Place, kind: int, tail: Tail, points: Sequence[Value | None] = ()) -> tuple[State, bool]:
+    def tail_settings(
+        self, at: Place, kind: int, tail: Tail, points: Sequence[Value | None] = ()
+    ) -> tuple[State, bool]:
         """Return the settings of a single motion, from its WITH, and whether `$APO.CDIS` applies.
 
         :param points: its target and auxiliary point.
@@ -223,7 +225,7 @@ class MotionReader:
                 raise at.error(f"{text[item.start : item.stop]!r} is not understood", advice="Check its spelling.")
             if item.target.name in RELEVANT:
                 self._check_values_beside_with(at, item.target.name, item.value)
-                state = self.settings.assigned(state, at, item.target, item.value)
+                state = self.settings.state_after_assignment(state, at, item.target, item.value)
             elif not item.target.name.startswith(_NO_EFFECT):
                 raise at.error(f"{item.target.name} in WITH is not understood", advice="Check its spelling.")
         if state != self.settings.state:

@@ -28,7 +28,7 @@ from postproc.dialects.krl.read.motion_columns import MotionColumns, merged_moti
 from postproc.dialects.krl.read.plain_rounds import ElementMotions
 from postproc.dialects.krl.read.plain_settings import NUMBERS
 from postproc.dialects.krl.read.settings import Settings
-from postproc.dialects.krl.read.spline_blocks import approximated, check_words, is_spline, unknown_path_warning
+from postproc.dialects.krl.read.spline_blocks import approximated_motions, check_words, is_spline, unknown_path_warning
 from postproc.dialects.krl.read.state import DEFAULT_SPEED, State, fields_used
 from postproc.errors import Issue, ProgramError, combined_error
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, angle_between, any_column, norm
@@ -99,7 +99,7 @@ def _merge_order(main: MainRoutine, lines: list[Ints], statement_lines: Ints) ->
     numbers = np.array([[getattr(s, field) for field in NUMBERS] for s in states])[state]
     for row in range(len(NUMBERS)):
         row_values = numbers[place_plain, row]
-        numbers[place_plain, row] = main.run.settings.coming.at(row, line, change_lines, row_values)
+        numbers[place_plain, row] = main.run.settings.coming.values_at(row, line, change_lines, row_values)
     return places, states, state, Runs.of(numbers)
 
 
@@ -124,7 +124,7 @@ def motions_and_layout(
     rows, states, state, _, moves = sequence
     block = _column(states, state, lambda s: s.block)
     check_words(trace, rows, block)
-    rows = replace(rows, approximated=approximated(rows, block != "", main.splines.approximated))
+    rows = replace(rows, approximated=approximated_motions(rows, block != "", main.splines.approximated))
     base = _column(states, state, lambda s: s.base)
     tool = _column(states, state, lambda s: s.tool)
     _check_settings(settings, rows, states, state, moves)
@@ -308,7 +308,8 @@ def settings_at(settings: Settings, line: Ints) -> list[tuple[State, Array, Arra
     """
     states, state, _, change_lines = _states_of_lines(settings, line, [])
     numbers = [
-        settings.coming.at(row, line, change_lines, _column(states, state, _number_of_state(row))) for row in (0, 1)
+        settings.coming.values_at(row, line, change_lines, _column(states, state, _number_of_state(row)))
+        for row in (0, 1)
     ]
     entries = []
     for index, *values in zip(state.tolist(), *(column.tolist() for column in numbers), strict=True):
@@ -580,12 +581,16 @@ def _triggers_of_motions(
     lines = np.array(main.run.triggers, dtype=np.int64)
     rows = np.searchsorted(line, lines)
     lines, rows = lines[rows < len(motions)], rows[rows < len(motions)]
-    in_block = [main.in_one_block(at, int(line[row])) for at, row in zip(lines.tolist(), rows.tolist(), strict=True)]
+    in_block = [
+        main.are_in_one_block(at, int(line[row])) for at, row in zip(lines.tolist(), rows.tolist(), strict=True)
+    ]
     lines, rows = lines[in_block], rows[in_block]
     if not len(rows):
         return ()
     following = line[rows].tolist()
-    is_attached = [main.only_comments(at + 1, line - 1) for at, line in zip(lines.tolist(), following, strict=True)]
+    is_attached = [
+        main.contain_only_comments(at + 1, line - 1) for at, line in zip(lines.tolist(), following, strict=True)
+    ]
     begin, end = start.at(rows)[:, :3, 3], motions.target[rows, :3, 3]
     is_arc = motions.kind[rows] == CIRC
     length = np.where(is_arc, norm(begin - motions.centre[rows]) * motions.sweep[rows], norm(end - begin))

@@ -43,7 +43,7 @@ class PathSettings:
     def __init__(self, variables: Variables, reasons: Reasons, *, has_carriage: bool) -> None:
         self.variables, self.reasons, self.has_carriage = variables, reasons, has_carriage
 
-    def speed(self, state: State, at: Place, field: str | None, value: Value | VariableValue) -> State:
+    def state_with_speed(self, state: State, at: Place, field: str | None, value: Value | VariableValue) -> State:
         """Return the state after ``$VEL.CP = value``, or after ``$VEL = {…}`` if `field` is None; other fields are
         ignored.
 
@@ -61,16 +61,16 @@ class PathSettings:
             )
         if not 0.0 < number <= FASTEST:
             raise at.error(f"the speed $VEL.CP is {number:g} m/s", f"Give a speed above 0, up to {FASTEST:g} m/s.")
-        return state.with_known(speed=number, assumed=False)
+        return state.with_values(speed=number, assumed=False)
 
-    def distance(self, state: State, at: Place, field: str | None, value: Value | VariableValue) -> State:
+    def state_with_distance(self, state: State, at: Place, field: str | None, value: Value | VariableValue) -> State:
         """Return the state after ``$APO.CDIS = value``, or after ``$APO = {…}`` if `field` is None; other fields are
         ignored.
         """
         if isinstance(value, Call) and value.name in _OF_PTP:
             return state
         if isinstance(value, Call) and value.name == "SAPO" and field in (None, "CDIS"):
-            argument = self.variables.argument(value, "APO_DIST")
+            argument = self.variables.first_argument(value, "APO_DIST")
             if argument is None:
                 return state
             field, value = "CDIS", argument
@@ -82,29 +82,29 @@ class PathSettings:
             return self._unknown_state(
                 state, "cdis", at, "the approximation distance $APO.CDIS is not known", component
             )
-        return state.with_known(cdis=number * M_PER_MM)
+        return state.with_values(cdis=number * M_PER_MM)
 
-    def mode(self, state: State, at: Place, name: str, value: Value | VariableValue) -> State:
+    def state_with_mode(self, state: State, at: Place, name: str, value: Value | VariableValue) -> State:
         """Return the state after ``$ORI_TYPE = value``, or an assignment to another of the `MODES`.
 
         :raises ProgramError: ``$IPO_MODE`` of a robot that moves the workpiece.
         """
         argument: Value | VariableValue | None = value
         if isinstance(value, Call) and value.name in _MODE_OF:
-            argument = self.variables.argument(value, _MODE_OF[value.name])
+            argument = self.variables.first_argument(value, _MODE_OF[value.name])
         word = self._mode_word(at, name, argument, MODES[name])
         if isinstance(word, ProgramError):
             if name == "$IPO_MODE":
                 raise word
-            return self.reasons.unknown(state, FIELDS[name], word)
+            return self.reasons.state_with_unknown(state, FIELDS[name], word)
         if name == "$IPO_MODE":
             if word != "#BASE":
                 problem = f"$IPO_MODE {word}: the workpiece is moved by the robot"
                 raise at.error(problem, "Only $IPO_MODE=#BASE (the robot moves the tool) can be corrected.")
             return state
-        return state.with_known(**{FIELDS[name]: word})
+        return state.with_values(**{FIELDS[name]: word})
 
-    def auxiliary(self, state: State, at: Place, field: str | None, value: Value | VariableValue) -> State:
+    def state_with_auxiliary(self, state: State, at: Place, field: str | None, value: Value | VariableValue) -> State:
         """Return the state after ``$CIRC_MODE = value``: how SCIRC uses the orientation of auxiliary points.
 
         How it uses that of end points (TARGET_PT) matters for circles with CA only, see `motions`.
@@ -114,7 +114,7 @@ class PathSettings:
         """
         argument: Value | VariableValue | None = value
         if isinstance(value, Call) and value.name == "SCIRC_M":
-            argument = self.variables.argument(value, "CB")
+            argument = self.variables.first_argument(value, "CB")
         word = self._mode_word(
             at, "$CIRC_MODE.AUX_PT.E1", self._auxiliary_component(at, field, argument, "E1"), _AUXILIARY
         )
@@ -129,8 +129,8 @@ class PathSettings:
             at, "$CIRC_MODE.AUX_PT.ORI", self._auxiliary_component(at, field, argument, "ORI"), _AUXILIARY
         )
         if isinstance(word, ProgramError):
-            return self.reasons.unknown(state, "auxiliary", word)
-        return state.with_known(auxiliary=word)
+            return self.reasons.state_with_unknown(state, "auxiliary", word)
+        return state.with_values(auxiliary=word)
 
     def _auxiliary_component(
         self, at: Place, field: str | None, value: Value | VariableValue | None, component: str
@@ -177,4 +177,4 @@ class PathSettings:
     def _unknown_state(self, state: State, field: str, at: Place, problem: str, value: Value | VariableValue) -> State:
         """Return a state in which a field is not known, because `value` is not."""
         reason = why_unknown(self.variables, at.source, value)
-        return self.reasons.unknown(state, field, at.error(f"{problem}: {reason}", _RUN_TIME))
+        return self.reasons.state_with_unknown(state, field, at.error(f"{problem}: {reason}", _RUN_TIME))

@@ -330,7 +330,7 @@ class PlainLines(Struct, frozen=True):
         """(P,) 1-based lines of the motions."""
         return np.concatenate([rows.line for rows in self.motions])
 
-    def others(self, count: int) -> Bools:
+    def is_other(self, count: int) -> Bools:
         """Return which of the lines 1 … count are neither plain motions nor plain settings (count,)."""
         return is_not_plain(count, self.moving, self.settings)
 

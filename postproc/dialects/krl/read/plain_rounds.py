@@ -143,7 +143,7 @@ def columns_of(
     :param run: the program as far as it has run, before the first round.
     """
     state = run.settings.state
-    if state.uncertain or state.block or state.base < 0 or state.tool < 0 or not run.certain:
+    if state.uncertain or state.block or state.base < 0 or state.tool < 0 or not run.is_certain:
         return None
     motions = []
     for line in rounds.body.motions:
@@ -157,7 +157,7 @@ def columns_of(
         return None
     for line in rounds.body.motions + rounds.body.settings:
         for value in statement(rounds.source, line).values:
-            run.variables.rely(value)
+            run.variables.note_dependence(value)
     return motions, settings
 
 
@@ -168,8 +168,8 @@ def _settings_of_rounds(run: Run, rounds: PlainRounds) -> PlainSettings | None:
         stmt = statement(rounds.source, line)
         if not isinstance(stmt, Assignment) or not isinstance(stmt.value, Reference) or not isinstance(head, For):
             return None
-        element_numbers = rounds.numbers(_counter_offset(stmt.value, head.name) or 0)
-        numbers = run.variables.numbers(run.stored(stmt.value.name), element_numbers)
+        element_numbers = rounds.indices(_counter_offset(stmt.value, head.name) or 0)
+        numbers = run.variables.numbers(run.stored_name(stmt.value.name), element_numbers)
         if numbers is None:
             return None
         is_speed = FIELDS[stmt.target.name] == NUMBERS[0]
@@ -178,7 +178,7 @@ def _settings_of_rounds(run: Run, rounds: PlainRounds) -> PlainSettings | None:
             return None
         column = np.full((len(NUMBERS), len(numbers)), np.nan)
         column[0 if is_speed else 1] = numbers if is_speed else numbers * M_PER_MM
-        lines.append(rounds.line(line))
+        lines.append(rounds.rows_of_statement(line))
         values.append(column)
     if not lines:
         return plain_settings.no_settings()
@@ -200,8 +200,8 @@ def _element_motions(
         return None
     if motion.end.name in run.variables.scope.arrays:
         return None
-    numbers = rounds.numbers(_counter_offset(motion.end, head.name) or 0)
-    literals = run.variables.data_spans(run.stored(motion.end.name), numbers)
+    numbers = rounds.indices(_counter_offset(motion.end, head.name) or 0)
+    literals = run.variables.data_spans(run.stored_name(motion.end.name), numbers)
     if literals is None:
         return None
     source, spans = literals
@@ -216,7 +216,7 @@ def _element_motions(
         return None
     shift = np.array([start for start, _ in spans]) - starts - len(_PREFIX)
     kind = KINDS[motion.word]
-    _, is_approximated = reader.tail(Place(rounds.source, at), kind, motion.tail)
+    _, is_approximated = reader.tail_settings(Place(rounds.source, at), kind, motion.tail)
 
     def in_each_round(*offsets: int) -> Offsets:
         """Return offsets that are the same in all rounds, one row for each (count, n)."""
@@ -225,7 +225,7 @@ def _element_motions(
     literal = rows.target + shift[:, None]
     rows = replace(
         rows,
-        line=rounds.line(at),
+        line=rounds.rows_of_statement(at),
         kind=np.full(rounds.count, kind),
         keyword=in_each_round(motion.start)[:, 0],
         target=in_each_round(motion.end.start, motion.end.stop),

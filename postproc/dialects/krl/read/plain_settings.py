@@ -41,7 +41,7 @@ class PlainSettings(Struct, frozen=True, eq=False):
     line: Ints
     values: Array
 
-    def given(self, row: int) -> tuple[Ints, Array]:
+    def assigned_values(self, row: int) -> tuple[Ints, Array]:
         """Return the lines (G,) that assign one of the `NUMBERS`, and the values (G,)."""
         is_given = ~np.isnan(self.values[row])
         return self.line[is_given], self.values[row, is_given]
@@ -91,12 +91,12 @@ class PlainAssignments:
     """
 
     def __init__(self, settings: PlainSettings) -> None:
-        self._given = [settings.given(row) for row in range(len(NUMBERS))]
+        self._given = [settings.assigned_values(row) for row in range(len(NUMBERS))]
         self._lines = [lines.tolist() for lines, _ in self._given]
         self._passed_counts = [0] * len(NUMBERS)
         self._is_finished = not any(self._lines)
 
-    def before(self, line: int) -> list[tuple[int, str, float]]:
+    def values_before(self, line: int) -> list[tuple[int, str, float]]:
         """Return the values to put into force before a line, and note that they are.
 
         For each field, these are its first and its last value since the line of the previous call; at the places of
@@ -127,7 +127,7 @@ class PlainAssignments:
     def insert(self, settings: PlainSettings) -> None:
         """Add assignments to those that are not yet in force."""
         for row in range(len(NUMBERS)):
-            new_lines, new_values = settings.given(row)
+            new_lines, new_values = settings.assigned_values(row)
             if len(new_lines):
                 lines, values = self._given[row]
                 place = np.searchsorted(lines, new_lines)
@@ -135,7 +135,7 @@ class PlainAssignments:
                 self._lines[row] = self._given[row][0].tolist()
                 self._is_finished = False
 
-    def at(self, row: int, line: Ints, change_lines: Ints, state_values: Array) -> Array:
+    def values_at(self, row: int, line: Ints, change_lines: Ints, state_values: Array) -> Array:
         """Return the values of one of the `NUMBERS` on n lines (n,).
 
         :param change_lines: (n,) lines at which the states in force were created; later plain assignments replace their

@@ -35,11 +35,11 @@ from postproc.dialects.krl.read.issues import (
 from postproc.dialects.krl.read.joins import (
     BranchError,
     branches,
-    branching,
+    check_endless_loop,
     check_joins,
-    check_round,
     free_joins,
-    starts,
+    predecessors_and_joins,
+    start_poses,
     transitions,
 )
 from postproc.dialects.krl.read.known import InexactError
@@ -96,7 +96,7 @@ def _read_program(
     module, entry, faults = _main_routine(source, scanned_lines[0], name)
     other_documents = [document for document in documents[1:] if not _belongs(document, documents[0])]
     library = Library(module, FolderFiles(_folders(documents[0], cell), other_documents))
-    code = text_of_lines(source, (np.flatnonzero(scanned_lines[0].others(len(source.starts))) + 1).tolist())
+    code = text_of_lines(source, (np.flatnonzero(scanned_lines[0].is_other(len(source.starts))) + 1).tolist())
     reading = _Reading(documents, cell, kinematics, name, library, entry, faults, code)
     obstacles: dict[Routine | Occasion, ProgramError] = {}
     while True:
@@ -143,7 +143,7 @@ class _Reading(Struct, frozen=True, eq=False):
         joints = tuple(float(angle) for angle in self.cell.start_joints * DEG_PER_RAD)
         start = Start(self.library, self.entry, obstacles, self._initial_variables(), self.cell, joints)
         course, collected = course_of(start)
-        if not course.straight:
+        if not course.is_straight:
             plain = plain_rows_of_trace(course.trace, {self.entry.source: plain}, bulk=bulk)
         if collected is None or self.faults:
             main = MainRoutine(start.collected(course.trace), course, plain)
@@ -189,7 +189,7 @@ class _Reading(Struct, frozen=True, eq=False):
 
         :raises ProgramError: there are no motions at all.
         """
-        is_executed = main.executed(plain.moving)
+        is_executed = main.which_run(plain.moving)
         if not is_executed.any() and not len(main.motions) and not main.rounds and not main.run.unresolved:
             raise ProgramError(
                 "there are no motions", file=self.documents[0].name, advice="Check that this is the program."
@@ -211,7 +211,7 @@ class _Reading(Struct, frozen=True, eq=False):
         if not cell.krl.keep_unresolved:
             refuse_routines_under_force(run, notes)
         uncorrected_lines = [line for line, _ in run.unresolved]
-        predecessors, joins = branching(course, sequence, separation.after, uncorrected_lines, free)
+        predecessors, joins = predecessors_and_joins(course, sequence, separation.after, uncorrected_lines, free)
         _check_size(trace, sequence.rows)
         _check_starts(main, sequence)
         motions, layout, assumptions = motions_and_layout(
@@ -226,8 +226,8 @@ class _Reading(Struct, frozen=True, eq=False):
         loop_issues: list[Issue] = []
         rounds: tuple[tuple[int, ...], ...] = ()
         if (loop := course.endless) is not None:
-            loop_starts = starts(loop, layout.line, motions, frames, start_flange, predecessors)
-            loop_issues, rounds = check_round(
+            loop_starts = start_poses(loop, layout.line, motions, frames, start_flange, predecessors)
+            loop_issues, rounds = check_endless_loop(
                 course, loop, layout.line, motions, loop_starts, layout.carriage, notes, run.settings
             )
         documents, needed_files = self._program_files(main)
@@ -267,7 +267,9 @@ class _Reading(Struct, frozen=True, eq=False):
         other_modules = (module for module in library.read_modules() if module.source.document.name in files)
         code = (code for module in (self._with_data(library.program), *other_modules) for code in codes_of(module))
         moving = {
-            m.source.document.name.upper() for m, r in library.found_routines() if main.run.analysis.of(m, r).motion
+            m.source.document.name.upper()
+            for m, r in library.found_routines()
+            if main.run.analysis.effects_of(m, r).motion
         }
         return documents, needed(documents, code, library.files, moving)
 
@@ -372,7 +374,7 @@ def _main_routine(source: Source, plain: PlainLines, name: str) -> tuple[Module,
 
     :raises ProgramError: there is no routine.
     """
-    other_lines = np.flatnonzero(plain.others(len(source.starts))) + 1
+    other_lines = np.flatnonzero(plain.is_other(len(source.starts))) + 1
     by_name, faults = routines(source, other_lines.tolist(), plain.moving, plain.settings.line.tolist())
     module = Module(source, by_name)
     main = module.main(name)

@@ -21,7 +21,7 @@ def carried_variables(run: Run, source: Source, block: Block, start_values: Snap
     :param start_values: their values at the start of the iteration.
     """
     statements = Uses(run, source, block.parts[0].nodes)
-    names: list[str] = sorted(run.variables.differing(start_values))
+    names: list[str] = sorted(run.variables.differing_names(start_values))
     return [name for name in names if statements.uses(name) and not statements.only_counts(name)]
 
 
@@ -59,7 +59,7 @@ class Uses:
     def _is_named_in_callees(self, stmt: Statement, name: str) -> bool:
         """Return whether the routines that a statement calls name a variable."""
         callees = (self.run.library.find(call.name, self.run.level.module) for call in calls(stmt.values))
-        return any(name in self.run.analysis.names(*callee) for callee in callees if callee is not None)
+        return any(name in self.run.analysis.variable_names(*callee) for callee in callees if callee is not None)
 
 
 def _sets_whole_variable(stmt: Statement, name: str) -> bool:

@@ -104,7 +104,7 @@ class Level(Struct, eq=False):
     result: VariableValue = NO_VALUE
 
     @property
-    def broken_off(self) -> bool:
+    def is_broken_off(self) -> bool:
         """Whether the following statement does not run next: after RETURN, EXIT, GOTO."""
         return bool(self.returned or self.left or self.jump)
 
@@ -225,7 +225,7 @@ class Run:
         self.row, self.shift = row, row - at.line
         return at
 
-    def in_trace(self, aggregate: Aggregate) -> Aggregate:
+    def with_row(self, aggregate: Aggregate) -> Aggregate:
         """Return an aggregate of the present statement with its row of the trace: its numbers are corrected there."""
         return replace(aggregate, row=self.row) if self.has_rows else aggregate
 
@@ -259,15 +259,15 @@ class Run:
         return self._nodes[routine]
 
     @property
-    def here(self) -> int:
+    def reported_line(self) -> int:
         """Line of the program's own `.src` to report for the present line."""
         return self.shown_line or self.trace.shown_line(self.row)
 
-    def fork(self) -> None:
+    def begin_fork(self) -> None:
         """Begin to follow branches of which it is not known which one runs: store values and settings."""
         self._forks.append(_Fork(self.variables.snapshot(), self.settings.state))
 
-    def branch(self) -> None:
+    def begin_branch(self) -> None:
         """Begin one of the branches of the last fork, with the values and settings at that fork."""
         fork = self._forks[-1]
         if fork.is_begun:
@@ -276,7 +276,7 @@ class Run:
         self.variables.restore(fork.values)
         self.settings.change(self.row, fork.state)
 
-    def join(self, at: Place, *, complete: bool) -> None:
+    def join_branches(self, at: Place, *, complete: bool) -> None:
         """End the last fork: values and settings that differ between its branches become unknown.
 
         :param at: the line that ends the branches, for messages.
@@ -289,7 +289,7 @@ class Run:
             self.settings.may_become(self.row, state, at.error(problem, SETTING_ADVICE))
 
     @property
-    def forked(self) -> bool:
+    def is_forked(self) -> bool:
         """Whether a branch is followed of which it is not known whether it runs."""
         return bool(self._forks)
 
@@ -306,31 +306,31 @@ class Run:
         self.level.open.clear()
         self.level.jump = 0
 
-    def marks(self) -> tuple[int, ...]:
-        """Return the number of findings of each kind so far, for `back_to`."""
+    def finding_counts(self) -> tuple[int, ...]:
+        """Return the number of findings of each kind so far, for `drop_findings`."""
         return len(self.triggers), len(self.moved), len(self.stops), len(self.absent), len(self.issues)
 
-    def back_to(self, marks: tuple[int, ...]) -> None:
-        """Drop all findings since a call of `marks`, to follow the same statements differently."""
+    def drop_findings(self, marks: tuple[int, ...]) -> None:
+        """Drop all findings since a call of `finding_counts`, to follow the same statements differently."""
         trigger_count, moved_count, stop_count, absent_count, issue_count = marks
         del self.triggers[trigger_count:], self.moved[moved_count:], self.stops[stop_count:]
         del self.absent[absent_count:], self.issues[issue_count:]
 
     @property
-    def in_main(self) -> bool:
+    def is_traced(self) -> bool:
         """Whether the lines of the present routine are in the execution trace: the main routine, or an inlined one."""
         return self.level.traced
 
     @property
-    def certain(self) -> bool:
+    def is_certain(self) -> bool:
         """Whether the next statement runs exactly once: no control structure is open."""
         return not self.level.open
 
-    def stored(self, name: str) -> str:
+    def stored_name(self, name: str) -> str:
         """Return the name under which a variable of the running routine is stored."""
-        return self.variables.scope.stored(name.upper())
+        return self.variables.scope.stored_name(name.upper())
 
-    def may_change(self, names: Mapping[str, Place], cause: str) -> None:
+    def note_possible_changes(self, names: Mapping[str, Place], cause: str) -> None:
         """Note that variables may get another value at any time from now on.
 
         :param names: stored name → the statement that changes the variable.
@@ -340,6 +340,6 @@ class Run:
             cause_place = cause if cause.endswith(f"in {place}") else f"{cause}, {place}"
             self.variables.changing.setdefault(name, UnknownValue(f"by {cause_place}"))
 
-    def changes_always(self, at: Place, name: str) -> None:
+    def note_cyclic_change(self, at: Place, name: str) -> None:
         """Note that the statement at a place makes a variable change cyclically; `name` is its stored name."""
         self.variables.changing.setdefault(name, UnknownValue(str(at)))

@@ -32,7 +32,7 @@ class Settings:
 
     def __init__(self, variables: Variables, cell: Cell) -> None:
         self.variables, self.cell = variables, cell
-        variables.current = self.current
+        variables.current = self.current_value
         self.state = State()
         self.changes: list[tuple[int, State]] = [(0, self.state)]
         self.coming = PlainAssignments(no_settings())
@@ -42,13 +42,13 @@ class Settings:
         self._path = PathSettings(variables, self._reasons, has_carriage=cell.carriage is not None)
         self._bas = Bas(variables, cell, self.frames, self._path)
 
-    def current(self, name: str, field: str | None) -> VariableValue:
+    def current_value(self, name: str, field: str | None) -> VariableValue:
         """Return the present value of a setting of motions, such as `$BASE`, or of a component of it."""
         state = self.state
         if state.block:
             return UnknownValue(why="which value it has inside of a spline block is in no source")
         if name in ("$BASE", "$TOOL"):
-            return self.frames.current(state, name, field)
+            return self.frames.current_value(state, name, field)
         for uncertain_field, index in state.uncertain:
             if uncertain_field == FIELDS.get(name):
                 return UnknownValue(why=self._reasons.errors[index].problem)
@@ -75,16 +75,16 @@ class Settings:
 
     def come_to(self, line: int) -> None:
         """Put into force the plain assignments before a line of the program."""
-        for at, field, value in self.coming.before(line):
+        for at, field, value in self.coming.values_before(line):
             fields = {field: value, "assumed": False} if field == "speed" else {field: value}
-            self.change(at, self.state.with_known(**fields))
+            self.change(at, self.state.with_values(**fields))
 
     def may_become(self, line: int, state: State, reason: ProgramError) -> None:
         """Mark as uncertain the fields that differ in a state which may or may not come into force.
 
         :param reason: the error for motions that depend on them.
         """
-        fields = self.state.differing(state) | {field for field, _ in state.uncertain}
+        fields = self.state.differing_fields(state) | {field for field, _ in state.uncertain}
         self.make_uncertain(line, sorted(fields), reason)
 
     def make_uncertain(self, line: int, fields: Iterable[str], reason: ProgramError) -> None:
@@ -94,7 +94,7 @@ class Settings:
         """
         state = self.state
         for field in fields:
-            state = self._reasons.unknown(state, field, reason)
+            state = self._reasons.state_with_unknown(state, field, reason)
         self.change(line, state)
 
     def refuse_uncertain(self, state: State, fields: Iterable[str]) -> None:
@@ -102,28 +102,28 @@ class Settings:
 
         :raises ProgramError: the stored reason for the first such field.
         """
-        self._reasons.refuse(state, fields)
+        self._reasons.refuse_unknown(state, fields)
 
-    def assigned(self, state: State, at: Place, target: Reference, value: Value | VariableValue) -> State:
+    def state_after_assignment(self, state: State, at: Place, target: Reference, value: Value | VariableValue) -> State:
         """Return the state after ``target = value``, for a setting of motions such as `$BASE`.
 
         :raises ProgramError: the value moves the robot in a way that is not modelled.
         """
         name = target.name
-        self.variables.rely(value)
+        self.variables.note_dependence(value)
         if name in ("$BASE", "$TOOL"):
-            return self.frames.assigned(state, at, target, value)
+            return self.frames.state_after_assignment(state, at, target, value)
         if name == "$VEL":
-            return self._path.speed(state, at, target.field, value)
+            return self._path.state_with_speed(state, at, target.field, value)
         if name == "$APO":
-            return self._path.distance(state, at, target.field, value)
+            return self._path.state_with_distance(state, at, target.field, value)
         if name == "$CIRC_MODE":
-            return self._path.auxiliary(state, at, target.field, value)
+            return self._path.state_with_auxiliary(state, at, target.field, value)
         if name in MODES:
-            return self._path.mode(state, at, name, value)
+            return self._path.state_with_mode(state, at, name, value)
         raise at.error(f"{name} is changed by the program", "Leave it as the controller has it.")
 
-    def bas(self, at: Place, call: Call) -> State:
+    def state_after_bas(self, at: Place, call: Call) -> State:
         """Return the state after ``BAS(#COMMAND, value)``.
 
         :raises ProgramError: the command is not known.
@@ -132,4 +132,4 @@ class Settings:
 
     def assumed_frames(self, state: State) -> set[str]:
         """Return which of `$BASE` and `$TOOL` are taken from the cell because `[krl] initmov` is not given."""
-        return set() if self.cell.krl.initmov is not None else self.frames.assumed(state)
+        return set() if self.cell.krl.initmov is not None else self.frames.frames_of_cell(state)

@@ -52,7 +52,7 @@ class SplineBlocks:
         self.approximated: list[int] = []
         self.ended: list[int] = []
 
-    def statement(self, at: Place, stmt: Statement, row: int) -> None:
+    def follow_line(self, at: Place, stmt: Statement, row: int) -> None:
         """Open or close a spline block.
 
         :param stmt: SPLINE, PTP_SPLINE or ENDSPLINE; `row` its row of the execution trace.
@@ -64,7 +64,7 @@ class SplineBlocks:
                     f"{stmt.word} inside of a spline block ({self.open.at})",
                     advice="End that block with ENDSPLINE first.",
                 )
-            state = self.reader.block(at, stmt)
+            state = self.reader.block_state(at, stmt)
             self.open = OpenBlock(row, at, self.settings.state, state)
             self.settings.change(row, state)
             return
@@ -79,7 +79,7 @@ class SplineBlocks:
         if tail:
             self.approximated.append(row)
         block_state, end_state = self.open.block_state, self.settings.state
-        changed_fields = block_state.differing(end_state) | {
+        changed_fields = block_state.differing_fields(end_state) | {
             field for field, _ in set(end_state.uncertain) - set(block_state.uncertain)
         }
         self.settings.change(row, self.open.outer_state)
@@ -118,7 +118,7 @@ def is_spline(trace: Trace, rows: MotionColumns, indices: Ints) -> Bools:
     return is_spline_row
 
 
-def approximated(rows: MotionColumns, in_block: Bools, end_lines: list[int]) -> Bools:
+def approximated_motions(rows: MotionColumns, in_block: Bools, end_lines: list[int]) -> Bools:
     """Return which motions are approximated (R,): at their ends the robot rounds the corner.
 
     :param in_block: (R,) True in a spline block, where only the last motion can be approximated.

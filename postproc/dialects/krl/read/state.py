@@ -66,13 +66,13 @@ class State(Struct, frozen=True):
     block: str = ""
     uncertain: tuple[tuple[str, int], ...] = ()
 
-    def with_known(self, **fields: object) -> State:
+    def with_values(self, **fields: object) -> State:
         """Return the state with other values of some fields, which are known then."""
         initial = self.initial - {f"${name.upper()}" for name in fields}
         uncertain = tuple(entry for entry in self.uncertain if entry[0] not in fields)
         return replace(self, initial=initial, uncertain=uncertain, **fields)
 
-    def differing(self, other_state: State) -> set[str]:
+    def differing_fields(self, other_state: State) -> set[str]:
         """Return the names of the fields whose values differ from those of another state."""
         return {field for field in FIELDS.values() if getattr(self, field) != getattr(other_state, field)}
 
@@ -86,15 +86,15 @@ class Reasons:
     def __init__(self) -> None:
         self.errors: list[ProgramError] = []
 
-    def unknown(self, state: State, field: str, reason: ProgramError) -> State:
+    def state_with_unknown(self, state: State, field: str, reason: ProgramError) -> State:
         """Return a state in which a field is not known, and store the reason for it."""
         self.errors.append(reason)
         if field in ("base", "tool"):
-            return state.with_known(**{field: -len(self.errors)})
-        new_state = state.with_known(**{field: getattr(state, field)})
+            return state.with_values(**{field: -len(self.errors)})
+        new_state = state.with_values(**{field: getattr(state, field)})
         return replace(new_state, uncertain=(*new_state.uncertain, (field, len(self.errors) - 1)))
 
-    def refuse(self, state: State, fields: Iterable[str]) -> None:
+    def refuse_unknown(self, state: State, fields: Iterable[str]) -> None:
         """Refuse a motion that depends on fields of its state whose values are not known.
 
         :raises ProgramError: the stored reason for the first such field.

@@ -70,7 +70,7 @@ class Recorder:
         self.body = Body(self.count + 1)
         self._open = [_OpenRoutine(main.source, main.first + 1, 0, [self.body])]
 
-    def present(self, line: int) -> tuple[int, int]:
+    def shift_and_shown_line(self, line: int) -> tuple[int, int]:
         """Return how far the row of a line of the present routine is behind the line, and the line to report for it.
 
         The latter is a line of the main `.src`: for routines of other files that of the call.
@@ -78,20 +78,20 @@ class Recorder:
         open_routine = self._open[-1]
         return self.count + 1 - open_routine.cursor, open_routine.shown_line or line
 
-    def run_to(self, line: int) -> None:
+    def record_run_lines(self, line: int) -> None:
         """Record the lines of the present routine up to `line`, as lines that run."""
         first = self.count + 1
         if self._record_to(line, live=True):
             self._add_run_lines(first)
 
-    def pass_to(self, line: int, *, live: bool = True) -> None:
+    def record_passed_lines(self, line: int, *, live: bool = True) -> None:
         """Record the lines of the present routine up to `line` that only control execution.
 
         :param live: False for lines that do not run.
         """
         self._record_to(line, live=live)
 
-    def keep(self, line: int, cause: ProgramError) -> None:
+    def record_unresolved(self, line: int, cause: ProgramError) -> None:
         """Record the lines of a control structure, up to `line`, that is left as it is.
 
         :param cause: why the branch taken is not known before run time.
@@ -102,7 +102,7 @@ class Recorder:
         self.pinned = True
         self.is_final = False
 
-    def divide(self, step: Fork | Branch | Join) -> None:
+    def record_division(self, step: Fork | Branch | Join) -> None:
         """Record a fork, the begin of a branch or a join after the last recorded row."""
         self._steps.append(replace(step, row=self.count))
         self.is_final = False
@@ -135,13 +135,13 @@ class Recorder:
             for body, part_count in zip(open_routine.bodies, part_counts, strict=True):
                 del body.parts[part_count:]
 
-    def enter(self, at: Place, name: tuple[int, int], module: Module, routine: Routine) -> None:
+    def enter_routine(self, at: Place, name: tuple[int, int], module: Module, routine: Routine) -> None:
         """Begin a routine that the present line calls.
 
         :param name: span of its name in the file of that line.
         """
         caller = self._open[-1]
-        self.pass_to(at.line)
+        self.record_passed_lines(at.line)
         self._steps.append(RoutineEntry(self.count, module, routine))
         body = Body(self.count + 1)
         caller.bodies[-1].parts.append(InlinedRoutine(self.count, name, routine, body))
@@ -152,20 +152,20 @@ class Recorder:
         if not is_own:
             self._files |= {file.document: None for file in (module.source, module.data) if file is not None}
 
-    def leave(self) -> None:
+    def leave_routine(self) -> None:
         """End the routine that was entered last."""
         body = self._open.pop().bodies[0]
         body.last = self.count + 1
         self._steps.append(RoutineExit())
 
-    def begin(self, block: Block, counter: str, step: int, *, left: bool, closing: int = 0) -> UnrolledLoop:
+    def begin_loop(self, block: Block, counter: str, step: int, *, left: bool, closing: int = 0) -> UnrolledLoop:
         """Begin to unroll a loop, and return its record.
 
         :param counter: of FOR, as it is spelled, and `step` of FOR; empty and 0 for other loops.
         :param left: whether the loop contains EXIT.
         :param closing: first of the lines that close it; 0: its last line does alone.
         """
-        self.run_to(block.first - 1)
+        self.record_run_lines(block.first - 1)
         source = self._open[-1].source
         opening_text = _line_text(source, block.first, block.first)
         closing_text = _line_text(source, closing or block.last, block.last)
@@ -173,7 +173,7 @@ class Recorder:
         self._open[-1].bodies[-1].parts.append(loop)
         return loop
 
-    def repeat(self, loop: UnrolledLoop, block: Block, number: int | None) -> None:
+    def begin_round(self, loop: UnrolledLoop, block: Block, number: int | None) -> None:
         """Begin an iteration of a loop.
 
         :param number: value of the counter of FOR in it; None for other loops.
@@ -184,7 +184,7 @@ class Recorder:
         self._record_assignment(block, number)
         self._open[-1].cursor = block.first + 1
 
-    def plain_rounds(self, loop: UnrolledLoop, block: Block, rounds: PlainRounds) -> None:
+    def record_plain_rounds(self, loop: UnrolledLoop, block: Block, rounds: PlainRounds) -> None:
         """Record at once all rounds of a FOR that differ only in the value of its counter."""
         open_routine = self._open[-1]
         first, last = block.first + 1, block.last - 1
@@ -201,20 +201,20 @@ class Recorder:
         self.is_final = False
         self._add_run_lines(rounds.first)
 
-    def repeated(self, block: Block, *, whole: bool) -> None:
+    def end_round(self, block: Block, *, whole: bool) -> None:
         """End an iteration of a loop; `whole` is False if EXIT, RETURN or GOTO has ended it early."""
         if whole:
-            self.run_to(block.last - 1)
-        self.pass_to(block.last - 1, live=False)
+            self.record_run_lines(block.last - 1)
+        self.record_passed_lines(block.last - 1, live=False)
         self._open[-1].bodies.pop().last = self.count + 1
 
-    def end(self, loop: UnrolledLoop, block: Block, number: int | None) -> None:
+    def end_loop(self, loop: UnrolledLoop, block: Block, number: int | None) -> None:
         """End a loop.
 
         :param number: value of the counter of FOR after the loop; None if the loop was left early, and for other loops.
         """
         if not loop.bodies:
-            self.pass_to(block.last, live=False)
+            self.record_passed_lines(block.last, live=False)
         self._record_assignment(block, number)
         self._open[-1].cursor = block.last + 1
         loop.last = self.count + 1

@@ -161,7 +161,7 @@ def _marks(main: MainRoutine) -> list[tuple[int, bool]]:
     names = {
         routine.name.upper()
         for module, routine in routines
-        if not sync_routines.isdisjoint(run.analysis.reached(module, routine))
+        if not sync_routines.isdisjoint(run.analysis.reachable_routines(module, routine))
     }
     waiting = set().union(*words.values()) <= {_WAITING}
     at_any_time = any(

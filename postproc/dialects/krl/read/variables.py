@@ -116,11 +116,11 @@ def operation_result(operator: str, a: float, b: float, *, integer: bool) -> flo
 class Functions(Protocol):
     """The functions that a program declares."""
 
-    def pure(self, call: Call) -> bool:
+    def is_pure(self, call: Call) -> bool:
         """Return whether a call gives a value and changes nothing, so that it does not matter when and how often."""
 
     def value(self, call: Call) -> VariableValue:
-        """Return what a call gives that is `pure`."""
+        """Return what a call gives that is `is_pure`."""
 
 
 class Snapshot(NamedTuple):
@@ -137,7 +137,7 @@ class Snapshot(NamedTuple):
 class _NoFunctions:
     """The functions of a program that declares none."""
 
-    def pure(self, call: Call) -> bool:
+    def is_pure(self, call: Call) -> bool:
         """Return False: the function is not known."""
         return False
 
@@ -226,7 +226,7 @@ class Variables:
                 advice="Make them equal, or remove the one that the controller does not have.",
             )
 
-    def copied(self) -> Variables:
+    def copy_for_run(self) -> Variables:
         """Return a copy for another run; both note in one set which values of the cell they rely on."""
         duplicate = copy(self)
         duplicate._values, duplicate._elements = dict(self._values), defaultdict(list)
@@ -344,7 +344,7 @@ class Variables:
             if not self._have_same_value(self._values.get(key), values.get(key)):
                 self._values[key] = UnknownValue(place)
 
-    def differing(self, snapshot: Snapshot) -> frozenset[str]:
+    def differing_names(self, snapshot: Snapshot) -> frozenset[str]:
         """Return the names of variables whose values differ from those of a snapshot."""
         values, volatile_names = self.late | snapshot.values, snapshot.changing
         keys = self._values.keys() | values.keys()
@@ -500,7 +500,7 @@ class Variables:
     def truth(self, condition: Value | None) -> bool | None:
         """Return whether a condition holds; None if that is not known before the program runs."""
         try:
-            if condition is None or not all(map(self.functions.pure, calls([condition]))):
+            if condition is None or not all(map(self.functions.is_pure, calls([condition]))):
                 return None
             value = as_term(self.evaluate(condition))
         except ProgramError:
@@ -546,7 +546,7 @@ class Variables:
         """
         function = FUNCTIONS.get(call.name)
         if function is None and call.name != "INV_POS":
-            return self.functions.value(call) if self.functions.pure(call) else NO_VALUE
+            return self.functions.value(call) if self.functions.is_pure(call) else NO_VALUE
         argument_values = [self.evaluate(argument) for argument in call.arguments]
         numbers = [argument_value.value for argument_value in argument_values if isinstance(argument_value, Number)]
         if call.name == "INV_POS" and len(argument_values) == 1:
@@ -584,7 +584,7 @@ class Variables:
 
     def key_of(self, reference: Reference) -> str | None:
         """Return the key of a variable, its index resolved; None if the index is not known."""
-        name = self.scope.stored(reference.name)
+        name = self.scope.stored_name(reference.name)
         if reference.indices is None:
             return name
         indices = [self.index(value) for value in reference.indices]
@@ -604,7 +604,7 @@ class Variables:
         key = self.key_of(reference)
         value = self.value(key) if key is not None else None
         if value is None and key is not None and reference.indices is not None:
-            value = self.value(self.scope.stored(reference.name))  # unknown where any element may have changed
+            value = self.value(self.scope.stored_name(reference.name))  # unknown where any element may have changed
         if isinstance(value, Aggregate) and reference.indices is not None and reference.name in self.scope.arrays:
             value = replace(value, computed=True)  # the text of its numbers belongs to a variable of another name
         if isinstance(value, Position) and reference.field in CARTESIAN and not value.axis:
@@ -633,12 +633,12 @@ class Variables:
 
     def _convert_member(self, reference: Reference, number: Number) -> VariableValue:
         """Return a number converted to the type of a member of a structure."""
-        kind = self.kind(reference)
+        kind = self.type_of(reference)
         return convert_to_type(number, kind) if kind else number
 
-    def kind(self, reference: Reference) -> str:
+    def type_of(self, reference: Reference) -> str:
         """Return the declared type of a variable, an element or a member, upper case; empty if it is not known."""
-        kind = self.types.get(self.scope.stored(reference.name), "")
+        kind = self.types.get(self.scope.stored_name(reference.name), "")
         for name in () if reference.field is None else reference.field.split("."):
             members = self.structures.get(kind)
             if members is not None:
@@ -662,15 +662,15 @@ class Variables:
         result = self.evaluate(value)
         return result.value if isinstance(result, Number) else None
 
-    def rely(self, value: Value | VariableValue) -> None:
+    def note_dependence(self, value: Value | VariableValue) -> None:
         """Note the variables in a value on which a motion, a frame or a speed depends."""
         if isinstance(value, Reference):
-            self.used.add(self.scope.stored(value.name))
+            self.used.add(self.scope.stored_name(value.name))
         if not isinstance(value, _WITHOUT_PARTS):
             for part in parts(value):
-                self.rely(part)
+                self.note_dependence(part)
 
-    def argument(self, call: Call, field: str) -> Value | VariableValue | None:
+    def first_argument(self, call: Call, field: str) -> Value | VariableValue | None:
         """Return the first argument of a call; if it is a structure, one component of it.
 
         :param field: that component.

@@ -39,7 +39,7 @@ def edited_rows(trace: Trace, edits: Replacements) -> EditedRows:
     shift = begins[:-1] - trace.starts(rows)
     texts: list[str] = []
     if len(rows):
-        row_edits = edits.moved_rows(lambda pieces: shift[np.searchsorted(rows, pieces)])
+        row_edits = edits.shifted(lambda pieces: shift[np.searchsorted(rows, pieces)])
         text, bounds = row_edits.apply("".join(pieces)), row_edits.new_offsets(begins)
         texts = [text[start:stop] for start, stop in zip(bounds[:-1].tolist(), bounds[1:].tolist(), strict=True)]
     indices = [index for index, (new, old) in enumerate(zip(texts, pieces, strict=True)) if new != old]

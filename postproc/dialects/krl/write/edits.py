@@ -62,7 +62,7 @@ class Replacements(Struct, eq=False):
         """Return the rows that have pieces, in order."""
         return distinct(np.concatenate([*self._rows, np.array(self._single_rows, dtype=np.int64)]))
 
-    def moved_rows(self, shifts: Callable[[Ints], Ints]) -> Replacements:
+    def shifted(self, shifts: Callable[[Ints], Ints]) -> Replacements:
         """Return the same replacements in a text that has the lines of the rows one after the other.
 
         :param shifts: rows (n,) → what to add to offsets in the files to get those in that text (n,).
@@ -177,14 +177,14 @@ class InsertedLines(Struct, eq=False):
         self._at.append(line + 1)
         self._target.append(-1)
 
-    def move(self, line: int, next_line: int, text: str) -> None:
+    def move_line(self, line: int, next_line: int, text: str) -> None:
         """Remove a line, and insert a text in its place before another line."""
         source, number = self.trace.place(line)
         self.replacements.add(source.starts.item(number - 1), source.starts.item(number), "", line)
         self._removed_lines.append(line)
         self.add(next_line, text)
 
-    def numbers(self, line: Ints) -> Ints:
+    def output_lines(self, line: Ints) -> Ints:
         """Return the lines (K,) of K targets in the written text.
 
         A line moves down by the number of lines inserted up to it, and up by the number of those removed before it.

@@ -99,9 +99,9 @@ class Emitter:
         """Return the written program."""
         new, count = self.new, len(self.targets)
         new.stops |= set(self.starts)
-        head = [*self.header(self.program.name), *self.begin()]
+        head = [*self.header_lines(self.program.name), *self.start_lines()]
         new.events()
-        self.call_rows = [k for k, statements in sorted(new.own.items()) if k < count and calls(statements)]
+        self.call_rows = [k for k, statements in sorted(new.own.items()) if k < count and calls_program(statements)]
         new.issues += self._after_tool_changes()
         changes = set(new.frame_changes())
         for k in sorted(changes.union(self.call_rows)):
@@ -126,7 +126,7 @@ class Emitter:
         document = Document(f"{self.program.name}.src", text, encoding)
         return WrittenProgram((document,), output_line, "krl", group_issues(new.issues))
 
-    def header(self, name: str, *comments: str) -> list[str]:
+    def header_lines(self, name: str, *comments: str) -> list[str]:
         """Return the header and the initialisation of a module.
 
         :param comments: further comments in it.
@@ -141,7 +141,7 @@ class Emitter:
             *_INITIALISATION,
         ]
 
-    def begin(self) -> list[str]:
+    def start_lines(self) -> list[str]:
         """Return the lines that set frames and approximation distance, and move to the start position."""
         base, tool = self.new.frames(0)
         blend = self.targets.blend[self.targets.blend > 0.0]
@@ -168,7 +168,7 @@ class Emitter:
             if event.kind != "tool_change" or k == len(self.targets):
                 continue
             for line in self.new.lines_of(event):
-                if calls([line]):
+                if calls_program([line]):
                     call = line.strip()
                     message = (
                         f"The path from where {call} leaves the robot to the next target is not checked. Let the "
@@ -237,7 +237,7 @@ class Emitter:
         return lines([spline + b"LIN ", *end, *tail])
 
 
-def calls(statements: Sequence[str]) -> bool:
+def calls_program(statements: Sequence[str]) -> bool:
     """Return whether lines of the cell call a program."""
     source = Source.of(Document("cell.toml", "\n".join(statements)), 0)
     return any(isinstance(statement(source, line + 1), CallStatement) for line in range(len(source.starts)))

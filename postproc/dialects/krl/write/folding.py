@@ -183,7 +183,7 @@ class _Folder(Struct, eq=False):
         message = f"The rounds of {head} are corrected differently: they are written out, but for those that are alike."
         line = self.course.trace.shown_line(loop.first)
         self.issues.append(Issue("info", "loop-written-out", message, line, subject=f"{head} {line}"))
-        end = self.course.count(loop, loop.bodies[-1].last) if self._sets_counter(loop) else None
+        end = self.course.counter_value(loop, loop.bodies[-1].last) if self._sets_counter(loop) else None
         return ("rounds", end, *zip(self._counter_values(loop), keys, strict=True))
 
     def _sets_counter(self, loop: UnrolledLoop) -> bool:
@@ -217,7 +217,7 @@ class _Folder(Struct, eq=False):
 
     def _counter_values(self, loop: UnrolledLoop) -> list[int]:
         """Return the values of the counter of a FOR, one for each round; zeros for other loops."""
-        return [self.course.count(loop, body.first) if loop.step else 0 for body in loop.bodies]
+        return [self.course.counter_value(loop, body.first) if loop.step else 0 for body in loop.bodies]
 
     # --- bodies ------------------------------------------------------------------------------------------------------
 
@@ -249,7 +249,7 @@ class _Folder(Struct, eq=False):
 
         :param blanks: indentation of that line.
         """
-        text = f"{blanks}{loop.counter}={self.course.count(loop, row)}{_line_end(loop.opener)}"
+        text = f"{blanks}{loop.counter}={self.course.counter_value(loop, row)}{_line_end(loop.opener)}"
         return _Piece(1, (text,), ((0, row, row + 1),))
 
     def _loop_piece(self, loop: UnrolledLoop) -> _Piece:
@@ -290,7 +290,7 @@ class _Folder(Struct, eq=False):
                     yield self._counter_piece(loop, loop.bodies[number].first, blanks)
                 yield piece
             return
-        begin, last = (self.course.count(loop, loop.bodies[n].first) for n in (first, first + len(rounds) - 1))
+        begin, last = (self.course.counter_value(loop, loop.bodies[n].first) for n in (first, first + len(rounds) - 1))
         step = "" if loop.step == 1 else f" STEP {loop.step}"
         yield _text_piece(f"{blanks}FOR {loop.counter}={begin} TO {last}{step}{end}")
         yield _merge_rounds(rounds)

@@ -25,7 +25,7 @@ from msgspec.structs import replace
 
 from postproc.cell import Cell
 from postproc.dialects.krl.language.names import MAX_LENGTH
-from postproc.dialects.krl.write.emit import Emitter, axis_motion, calls, emit
+from postproc.dialects.krl.write.emit import Emitter, axis_motion, calls_program, emit
 from postproc.dialects.new_program import LINE_END, no_lines, number
 from postproc.errors import Issue, ProgramError
 from postproc.frames import DEG_PER_RAD, norm
@@ -96,7 +96,7 @@ def _module_starts(
     ends = _line_ends(output)
     end_offset = np.append(ends[place - 1], output.size)
     lines = [line for kind in _SWITCHING for line in getattr(cell.gcode, kind) or ()]
-    head = sum(len(line) + 2 for line in emitter.header(program.name))
+    head = sum(len(line) + 2 for line in emitter.header_lines(program.name))
     capacity = cell.output.program_memory_MB * _MB - head - _RESERVE - 2 * sum(map(len, lines))
     starts: list[int] = []
     begin, index = head, -1
@@ -186,13 +186,13 @@ class _Divider:
     def write(self) -> WrittenProgram:
         """Return the written program as one text, with its modules."""
         text, ends = self.whole.documents[0].text, _line_ends(self.whole)
-        head = sum(len(line) + len(LINE_END) for line in self.emitter.header(self.emitter.program.name))
+        head = sum(len(line) + len(LINE_END) for line in self.emitter.header_lines(self.emitter.program.name))
         documents, lines, line_count = [], [], 0
         output_line = self.whole.output_line
         for index, (first, stop) in enumerate(pairwise((*self.first, len(output_line)))):
-            top_lines = self.emitter.header(self.names[index], self._order(index))
+            top_lines = self.emitter.header_lines(self.names[index], self._order(index))
             head_lines = (
-                len(self.emitter.header(self.emitter.program.name)) if first == 0 else int(output_line[first - 1])
+                len(self.emitter.header_lines(self.emitter.program.name)) if first == 0 else int(output_line[first - 1])
             )
             top_lines += [] if first == 0 else self._start_lines(first)
             body = text[
@@ -233,7 +233,7 @@ class _Divider:
         """
         state: dict[str, str] = {}
         previous_lines = (line for at in sorted(self.new.before) if at < k for line in self.new.before[at])
-        for line in (*self.emitter.begin(), *previous_lines):
+        for line in (*self.emitter.start_lines(), *previous_lines):
             match = _STATE.match(line)
             if match:
                 state[match[1].upper()] = line
@@ -245,7 +245,10 @@ class _Divider:
             cell_lines += switch.on
             lines += [self.new.words.wait, *switch.on] if switch.on else [f"; {no_lines(event)}"]
             lines += [self.new.words.dwell.format(number(dwell.value)) for dwell in self._dwells(event)]
-        return [*lines, *(state.values() if calls(cell_lines) else ())]  # a program that is called may have set others
+        return [
+            *lines,
+            *(state.values() if calls_program(cell_lines) else ()),
+        ]  # a program that is called may have set others
 
     def _switch_off_lines(self, k: int) -> list[str]:
         """Return the lines at the end of a module, before target `k`, that switch off what is on."""

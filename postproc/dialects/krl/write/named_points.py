@@ -62,7 +62,7 @@ class NamedPoints(Struct, eq=False):
     _names: Names | None = None
     _motion_only: dict[str, bool] = {}
 
-    def use(self, use: Use) -> None:
+    def add_use(self, use: Use) -> None:
         """Note the use of a point in a statement; a point whose numbers are in no text is replaced there at once."""
         aggregate = use.operand.position.aggregate
         if aggregate is not None and use.operand.name:

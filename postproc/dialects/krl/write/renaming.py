@@ -74,7 +74,7 @@ def _replace_names(text: str, new_names: Mapping[str, str]) -> str:
     :param new_names: old name, lower case → new name.
     """
     pieces, last = list[str](), 0
-    for name, start in scan.places(text, new_names):
+    for name, start in scan.name_places(text, new_names):
         next_offset = after_blanks(text, start + len(name), len(text))
         bracket = after_sign(text, next_offset, len(text), "(")
         if text[next_offset : next_offset + 1] in ("\r", "\n") or (

@@ -130,7 +130,7 @@ class _Rewriter:
         for k in np.flatnonzero(is_last & (changes_tail[self.row] | (is_straightened & has_tail))).tolist():
             row = int(self.row[k])
             start, stop = self.layout.tail[row].tolist()
-            tail = self.statements.tail(row, k)
+            tail = self.statements.tail_of_target(row, k)
             if tail != self.layout.source(row).text[start:stop]:
                 self._replace_text(row, Replacement(start, stop, tail))
         if self.layout.statements:
@@ -148,7 +148,7 @@ class _Rewriter:
         files = {document.name: document for document in self.documents}
         for source, edits in zip(self.sources[1:], self.replacements[1:], strict=True):
             files[source.document.name] = replace(source.document, text=edits.apply(source.text))
-        if course.straight:
+        if course.is_straight:
             main = self.documents[0]
             files[main.name] = replace(main, text=changes.apply(self.sources[0].text))
             return tuple(files.values()), line
@@ -215,7 +215,7 @@ class _Rewriter:
         """Add the components that target `k` needs to the plain line of its motion, and change its S and T."""
         literal = self.statements.literal(row)
         if literal is not None:
-            texts = self.statements.texts(k, literal)
+            texts = self.statements.number_texts(k, literal)
             replaced_names = () if self.targets.keep[k] else CARTESIAN
             missing_components = {
                 name: text for name, text in texts.items() if name not in replaced_names or name not in literal.places
@@ -257,7 +257,9 @@ class _Rewriter:
             self._replace_text(row, Replacement(move.end.stop, move.tail, ""))
             self._report("angle-dropped", "CA is dropped: the end point is written as where the arc ends.", move.line)
         texts = self.statements.end_texts(k, move.end, copy=needs_copy) if differs else None
-        self._rewrite_point(Use(move.line, move.end, texts, partial(self.statements.whole, k, move.end)), points)
+        self._rewrite_point(
+            Use(move.line, move.end, texts, partial(self.statements.whole_literal, k, move.end)), points
+        )
         if move.via is not None:
             via = self.commanded.via_texts(k)
             self._rewrite_point(
@@ -269,9 +271,9 @@ class _Rewriter:
 
         :param points: gets the uses of named points.
         """
-        literal = self.statements.inline(use.operand)
+        literal = self.statements.inline_literal(use.operand)
         if literal is None:
-            points.use(use)
+            points.add_use(use)
         elif use.texts:
             for piece in replaced_numbers(literal, use.texts):
                 self.replacements[0].add(*piece, use.line)
@@ -292,7 +294,7 @@ class _Rewriter:
             if k in free_targets:
                 lines.add(next_line, self._indent(k) + LED_BY + FREE + self.statements.line_end(int(self.row[k])))
             for trigger, text in trigger_texts.get(k, ()):
-                lines.move(trigger.line, next_line, text)
+                lines.move_line(trigger.line, next_line, text)
             if k in forces and not self._replace_comment(k, forces[k]):
                 lines.add(next_line, forces[k] + self.statements.line_end(int(self.row[k])))
             if not self.last[k]:
@@ -306,7 +308,7 @@ class _Rewriter:
                 lines.insert_behind(int(line[k]), f"{self._indent(k)}{LED_BY}{kind}")
             if k in restoring_feeds:
                 lines.insert_behind(int(line[k]), self._indent(k) + restoring_feeds[k])
-        return lines.numbers(line)
+        return lines.output_lines(line)
 
     def _free_orientation_spans(self) -> tuple[set[int], set[int]]:
         """Return the targets before which `$ORI_TYPE` is set to #VAR, and the targets behind which it is reset.
@@ -440,7 +442,7 @@ def _check_lowered_feeds(program: Program, layout: Layout) -> None:
     tails = [layout.source(row).text[start:stop].upper() for row, (start, stop) in spans]
     for is_refused, problem in (
         (
-            np.full(len(rows), not layout.course.straight),
+            np.full(len(rows), not layout.course.is_straight),
             "this program has loops, branches or calls: its lines run more than once or not always",
         ),
         (layout.passed[rows], "the motion is in a spline block"),

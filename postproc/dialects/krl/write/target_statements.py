@@ -113,7 +113,7 @@ class TargetStatements:
         """
         move = self.layout.statements.get(row)
         if move is not None:
-            return None if move.relative else self.inline(move.end)
+            return None if move.relative else self.inline_literal(move.end)
         spans = self.layout.spans(slice(row, row + 1))[0].tolist()
         places = {name: (start, stop) for name, (start, stop) in zip(COLUMNS, spans, strict=True) if start >= 0}
         start, stop = self.layout.target[row].tolist()
@@ -122,17 +122,17 @@ class TargetStatements:
             places |= {} if carriage is None else {"E1": (carriage.start, carriage.stop)}
         return Literal(self.layout.source(row).text, start, stop, places)
 
-    def inline(self, operand: Point) -> Literal | None:
+    def inline_literal(self, operand: Point) -> Literal | None:
         """Return the literal of a point; None if its numbers are not in the statement itself."""
         aggregate = operand.position.aggregate
         return literal_of(aggregate) if aggregate is not None and operand.inline else None
 
-    def via(self, row: int) -> tuple[tuple[int, int] | None, Literal | None]:
+    def via_point(self, row: int) -> tuple[tuple[int, int] | None, Literal | None]:
         """Return the span of the auxiliary point of a circle, and its literal; None for what there is not."""
         move = self.layout.statements.get(row)
         if move is not None:
             via = move.via
-            return ((via.start, via.stop), self.inline(via)) if via is not None else (None, None)
+            return ((via.start, via.stop), self.inline_literal(via)) if via is not None else (None, None)
         start, stop = self.layout.via_target[row].tolist()
         if start < 0:
             return None, None
@@ -141,7 +141,7 @@ class TargetStatements:
         }
         return (start, stop), Literal(self.layout.source(row).text, start, stop, places)
 
-    def texts(self, k: int, literal: Literal, *, copy: bool = False) -> dict[str, str]:
+    def number_texts(self, k: int, literal: Literal, *, copy: bool = False) -> dict[str, str]:
         """Return the numbers to be written into a literal, by component.
 
         :param copy: True for a copy of the literal, which needs the unchanged numbers too.
@@ -172,9 +172,9 @@ class TargetStatements:
         aggregate = operand.position.aggregate
         if aggregate is None:
             return self.commanded.texts(k, range(6))
-        return self.texts(k, literal_of(aggregate), copy=copy)
+        return self.number_texts(k, literal_of(aggregate), copy=copy)
 
-    def whole(self, k: int, operand: Point | None, *, relative: bool = False) -> str:
+    def whole_literal(self, k: int, operand: Point | None, *, relative: bool = False) -> str:
         """Return a target as a complete new literal, with external axes and, for a PTP, known S and T.
 
         :param operand: the end point of the statement; None if there is none.
@@ -199,19 +199,19 @@ class TargetStatements:
                 texts[name] = fixed_point(axis_position, MOST_DECIMALS, 0)
         return aggregate_text(texts | (self._carriage_text(k) if "E1" in texts else {}))
 
-    def end(self, row: int, k: int) -> str:
+    def end_text(self, row: int, k: int) -> str:
         """Return the end point of a target as text: the literal of its statement with other numbers, or a new one."""
         literal = self.literal(row)
         if literal is not None:
-            return edited_literal(literal, replaced_numbers(literal, self.texts(k, literal, copy=True)))
+            return edited_literal(literal, replaced_numbers(literal, self.number_texts(k, literal, copy=True)))
         move = self.layout.statements.get(row)
-        return self.whole(k, move.end if move else None, relative=bool(move and move.relative))
+        return self.whole_literal(k, move.end if move else None, relative=bool(move and move.relative))
 
-    def keyword(self, row: int, k: int) -> str:
+    def instruction_text(self, row: int, k: int) -> str:
         """Return the instruction for a target: that of its motion without ``_REL``, or LIN for a piece of an arc."""
         word = self._instruction(row)
         word = word[: -len("_REL")] if word.upper().endswith("_REL") else word
-        if self.via(row)[0] is not None and self.targets.kind[k] == LIN:
+        if self.via_point(row)[0] is not None and self.targets.kind[k] == LIN:
             line = "lin" if word.islower() else "LIN" if word.isupper() else "Lin"
             word = word[:1] + line if word[:1] in "sS" else line
         return word
@@ -221,21 +221,21 @@ class TargetStatements:
         text, start = self.layout.source(row).text, self.layout.keyword.item(row)
         return text[start : start + len(word_at(text, start, len(text)))]
 
-    def points(self, row: int, k: int) -> str:
+    def points_text(self, row: int, k: int) -> str:
         """Return the end point of a target as text, for a circle with the auxiliary point before it."""
-        end, (span, via) = self.end(row, k), self.via(row)
+        end, (span, via) = self.end_text(row, k), self.via_point(row)
         if span is None or self.targets.kind[k] != CIRC:
             return end
         texts = self.commanded.via_texts(k)
         first = edited_literal(via, replaced_numbers(via, texts)) if via is not None else aggregate_text(texts)
         return first + self.layout.source(row).text[span[1] : int(self.layout.target[row, 0])] + end
 
-    def statement(self, row: int, k: int) -> str:
+    def statement_text(self, row: int, k: int) -> str:
         """Return the instruction and the points of a target as text, all points as literals."""
-        span, _ = self.via(row)
+        span, _ = self.via_point(row)
         first = span[0] if span is not None else int(self.layout.target[row, 0])
         gap = self.layout.source(row).text[int(self.layout.keyword[row]) + len(self._instruction(row)) : first]
-        return self.keyword(row, k) + gap + self.points(row, k)
+        return self.instruction_text(row, k) + gap + self.points_text(row, k)
 
     def inserted_line(self, row: int, k: int) -> str:
         """Return the line of an inserted target, with its line end.
@@ -244,17 +244,17 @@ class TargetStatements:
         the target is to stop too, or the distance is not known. In a spline block it has none. No comment is repeated.
         """
         layout = self.layout
-        statement = self.statement(row, k)
-        tail = self.tail(row, k)
+        statement = self.statement_text(row, k)
+        tail = self.tail_of_target(row, k)
         is_passed = layout.passed[row] or not layout.distant[row]
         if self.targets.blend[k] > 0.0 and not is_passed and not is_approximated(tail):
             tail += " C_SPL" if statement[:1] in "sS" else " C_PTP" if self.targets.kind[k] == PTP else " C_DIS"
         return self.indent(row) + statement + tail + self.line_end(row)
 
-    def tail(self, row: int, k: int) -> str:
+    def tail_of_target(self, row: int, k: int) -> str:
         """Return the text that follows the points of a target: what its motion has there, changed where it must be."""
         free = bool(self.commanded.is_free[row]) and self.is_spline(row)
-        circle = self.via(row)[0] is not None and self.is_spline(row)
+        circle = self.via_point(row)[0] is not None and self.is_spline(row)
         straight = circle and bool(self.targets.kind[k] == LIN)
         unheeding = circle and not straight and bool(self.commanded.unheeding[row])
         source, line = self.layout.course.trace.place(self.layout.line.item(row))
@@ -279,7 +279,7 @@ class TargetStatements:
 
     def absolute_statement(self, row: int, k: int) -> Replacement:
         """Return the edit that replaces instruction and points of a statement by absolute literals."""
-        return Replacement(int(self.layout.keyword[row]), int(self.layout.tail[row, 0]), self.statement(row, k))
+        return Replacement(int(self.layout.keyword[row]), int(self.layout.tail[row, 0]), self.statement_text(row, k))
 
 
 def tail_text(source: Source, tail: Tail, *, free: bool, straight: bool, unheeding: bool) -> str:
