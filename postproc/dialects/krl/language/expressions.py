@@ -346,9 +346,9 @@ def _calls_in(source: Source, start: int, stop: int) -> tuple[Call, ...]:
     text, call_list = source.text, list[Call]()
     if "(" not in text[start:stop]:
         return ()
-    for word, at in words_in(text, start, stop):
-        is_call = at.start >= start and _is_routine(word) and after_sign(text, at.stop, stop, "(") >= 0
-        value, end = operand(source, at.start, stop) if is_call else (None, start)
+    for word, span in words_in(text, start, stop):
+        is_call = span.start >= start and _is_routine(word) and after_sign(text, span.stop, stop, "(") >= 0
+        value, end = operand(source, span.start, stop) if is_call else (None, start)
         if isinstance(value, Call):
             call_list.append(value)
             start = end

@@ -216,6 +216,8 @@ def _line_fault(source: Source, line: int) -> tuple[str, str] | None:
             return "IF without a condition", "Write it between IF and THEN."
         return (f"{node.behind!r} follows THEN", own_line_advice) if node.behind else None
     following_words = list(words_in(source.text, node.start + len(node.word), node.stop))
-    if any(word in MOTION_WORDS and source.text[at.stop : at.stop + 1] in (" ", "\t") for word, at in following_words):
+    if any(
+        word in MOTION_WORDS and source.text[span.stop : span.stop + 1] in (" ", "\t") for word, span in following_words
+    ):
         return f"a motion follows {node.word}", own_line_advice
     return None

@@ -180,7 +180,5 @@ def walk(values: Iterable[Value]) -> Iterator[Value]:
 
 
 def writable_variable(argument: Value) -> Reference | None:
-    """Return the variable that a routine may write through an argument; None if there is none, as for ``(A)`` or
-    ``A+1``.
-    """
+    """Return the variable that a routine may write through an argument; None if there is none, as for ``(A)``."""
     return argument if isinstance(argument, Reference) and not argument.bracketed else None

@@ -99,7 +99,9 @@ def ignores_auxiliary_orientation(
         settings.refuse_uncertain(states[state[oriented_circles[i]]], ["auxiliary"])
         line, is_strict = int(rows.line[circular[oriented_circles[i]]]), bool(is_strict_circle[oriented_circles[i]])
         raise trace.error(_THROUGH_MESSAGE if is_strict else _LONGER_MESSAGE, line, _ADVICE[is_strict])
-    is_left_out[oriented_circles] = True  # what lies on the whole way need not lie on those of its pieces
+    is_left_out[oriented_circles] = (
+        True  # an orientation on the rotation of a whole circle need not be on those of its pieces
+    )
     return is_left_out
 
 

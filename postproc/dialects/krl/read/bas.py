@@ -43,38 +43,38 @@ class Bas:
     def __init__(self, variables: Variables, cell: Cell, frames: Frames, path: PathSettings) -> None:
         self.variables, self.cell, self.frames, self.path = variables, cell, frames, path
 
-    def state_after_call(self, state: State, at: Place, call: Call) -> State:
+    def state_after_call(self, state: State, place: Place, call: Call) -> State:
         """Return the state after ``BAS(#COMMAND, value)``.
 
         :raises ProgramError: the command is not known.
         """
-        source = at.source
+        source = place.source
         command = command_of(source, call)
         argument = call.arguments[1] if len(call.arguments) > 1 else None
         if argument is not None:
             self.variables.note_dependence(argument)
         if command == "#INITMOV":
-            return self._state_after_initmov(state, at)
+            return self._state_after_initmov(state, place)
         if command == "#VEL_CP" and argument is not None:
-            return self.path.state_with_speed(state, at, "CP", argument)
+            return self.path.state_with_speed(state, place, "CP", argument)
         if command in ("#BASE", "#TOOL"):
             number = self.variables.number(argument) if argument is not None else None
             if number is None:
-                return self.frames.state_with_unknown_frame(state, f"${command[1:]}", at, "its number is not known")
-            return self.frames.state_with_numbered_frame(state, at, f"${command[1:]}", int(number))
+                return self.frames.state_with_unknown_frame(state, f"${command[1:]}", place, "its number is not known")
+            return self.frames.state_with_numbered_frame(state, place, f"${command[1:]}", int(number))
         if command == "#CP_DAT":
-            return self._state_after_cp_dat(state, at)
+            return self._state_after_cp_dat(state, place)
         if command in ("#FRAMES", "#PTP_PARAMS"):
-            return self._state_after_frames(state, at)
+            return self._state_after_frames(state, place)
         if command == "#CP_PARAMS" and argument is not None:
             return self.path.state_with_speed(
-                self._state_after_frames(self._state_after_cp_dat(state, at), at), at, "CP", argument
+                self._state_after_frames(self._state_after_cp_dat(state, place), place), place, "CP", argument
             )
         if command[1:] in _HARMLESS:
             return state
-        raise at.error(f"BAS({command}) is not understood", f"Understood are {_COMMANDS}.")
+        raise place.error(f"BAS({command}) is not understood", f"Understood are {_COMMANDS}.")
 
-    def _state_after_initmov(self, state: State, at: Place) -> State:
+    def _state_after_initmov(self, state: State, place: Place) -> State:
         """Return the state after BAS(#INITMOV,0), which resets the settings of motions.
 
         KUKA's BAS also sets BASE(0) and TOOL_DATA[1]; the cell says whether these are meant, or its own frames.
@@ -86,53 +86,57 @@ class Bas:
         initmov = self.cell.krl.initmov
         if initmov == "bas":
             return self.frames.state_with_numbered_frame(
-                self.frames.state_with_numbered_frame(initial_state, at, "$BASE", 0), at, "$TOOL", 1
+                self.frames.state_with_numbered_frame(initial_state, place, "$BASE", 0), place, "$TOOL", 1
             )
         if initmov is None and (state.base != 0 or state.tool != 0):
-            return self._without_frames(initial_state, at, "BAS(#INITMOV,0) resets $BASE and $TOOL after they were set")
+            return self._without_frames(
+                initial_state, place, "BAS(#INITMOV,0) resets $BASE and $TOOL after they were set"
+            )
         return replace(initial_state, initial=frozenset(("$BASE", "$TOOL")))
 
-    def _without_frames(self, state: State, at: Place, reason: str) -> State:
+    def _without_frames(self, state: State, place: Place, reason: str) -> State:
         """Return a state in which `$BASE` and `$TOOL` are not known, for a reason."""
         return self.frames.state_with_unknown_frame(
-            self.frames.state_with_unknown_frame(state, "$BASE", at, reason), "$TOOL", at, reason
+            self.frames.state_with_unknown_frame(state, "$BASE", place, reason), "$TOOL", place, reason
         )
 
-    def _structure_value(self, name: str, at: Place) -> VariableValue:
+    def _structure_value(self, name: str, place: Place) -> VariableValue:
         """Return the value of a structure that a command of BAS reads, such as LDAT_ACT."""
-        return self.variables.evaluate(self._reference(name, None, at))
+        return self.variables.evaluate(self._reference(name, None, place))
 
-    def _reference(self, name: str, field: str | None, at: Place) -> Reference:
+    def _reference(self, name: str, field: str | None, place: Place) -> Reference:
         """Return a reference to a structure, or to a field of it; errors about it name the line of the call."""
-        start, _ = at.source.code_span(at.line)
+        start, _ = place.source.code_span(place.line)
         return Reference(name, None, field, start, start)
 
-    def _state_after_cp_dat(self, state: State, at: Place) -> State:
+    def _state_after_cp_dat(self, state: State, place: Place) -> State:
         """Return the state after BAS(#CP_DAT): fields of LDAT_ACT replace settings, others stay."""
-        data = self._structure_value("LDAT_ACT", at)
+        data = self._structure_value("LDAT_ACT", place)
         for name, field in (("$APO", "APO_DIST"), ("$ORI_TYPE", "ORI_TYP"), ("$CIRC_TYPE", "CIRC_TYP")):
-            value = self._reference("LDAT_ACT", field, at)
+            value = self._reference("LDAT_ACT", field, place)
             if isinstance(data, Aggregate) and field not in data.items:
                 continue
             if name == "$APO":
-                state = self.path.state_with_distance(state, at, "CDIS", value)
+                state = self.path.state_with_distance(state, place, "CDIS", value)
             else:
-                state = self.path.state_with_mode(state, at, name, value)
+                state = self.path.state_with_mode(state, place, name, value)
         return state
 
-    def _state_after_frames(self, state: State, at: Place) -> State:
+    def _state_after_frames(self, state: State, place: Place) -> State:
         """Return the state after BAS(#FRAMES): FDAT_ACT gives `$IPO_MODE` and the numbers of `$BASE` and `$TOOL`."""
-        data = self._structure_value("FDAT_ACT", at)
+        data = self._structure_value("FDAT_ACT", place)
         if not isinstance(data, Aggregate):
             return self._without_frames(
-                state, at, why_unknown(self.variables, at.source, self._reference("FDAT_ACT", None, at))
+                state, place, why_unknown(self.variables, place.source, self._reference("FDAT_ACT", None, place))
             )
         if "IPO_FRAME" in data.items:
-            state = self.path.state_with_mode(state, at, "$IPO_MODE", self._reference("FDAT_ACT", "IPO_FRAME", at))
+            state = self.path.state_with_mode(
+                state, place, "$IPO_MODE", self._reference("FDAT_ACT", "IPO_FRAME", place)
+            )
         for name, field in (("$BASE", "BASE_NO"), ("$TOOL", "TOOL_NO")):
             number = data.items.get(field)
             if isinstance(number, Number):
-                state = self.frames.state_with_numbered_frame(state, at, name, int(number.value))
+                state = self.frames.state_with_numbered_frame(state, place, name, int(number.value))
             else:
-                state = self.frames.state_with_unknown_frame(state, name, at, f"FDAT_ACT has no {field}")
+                state = self.frames.state_with_unknown_frame(state, name, place, f"FDAT_ACT has no {field}")
         return state

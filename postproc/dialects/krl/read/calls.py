@@ -40,18 +40,18 @@ class Calls:
         run.variables.functions = _PureFunctions(self)
         self.entered: list[_BoundCall] = []
 
-    def value(self, at: Place, value: Value, *, is_copied: bool = False) -> VariableValue:
+    def value(self, place: Place, value: Value, *, is_copied: bool = False) -> VariableValue:
         """Return the value of an expression, and run the functions in it.
 
         :param is_copied: for a variable that is a point, return the text with its numbers, see `Run.note_copy`.
         """
         call = value if isinstance(value, Call) else None
         for inner in calls([value] if call is None else call.arguments):
-            self.follow_call(at, inner, certain=False)
+            self.follow_call(place, inner, certain=False)
         if call is not None and call.name in PURE:
             return self.run.variables.evaluate(call)
         if call is not None:
-            return self.follow_call(at, call, certain=self.run.is_certain)
+            return self.follow_call(place, call, certain=self.run.is_certain)
         result = self.run.variables.evaluate(value)
         if isinstance(result, Aggregate) and not (isinstance(value, Aggregate) and self.run.is_traced):
             if is_copied and isinstance(value, Reference) and value.field is None:
@@ -60,10 +60,10 @@ class Calls:
         if isinstance(result, Aggregate) and not result.computed:
             return self.run.with_row(result)
         if result == NO_VALUE and not (isinstance(value, Reference) and value.name[0] != "$"):
-            return UnknownValue(str(at), why_unknown(self.run.variables, at.source, value))
+            return UnknownValue(str(place), why_unknown(self.run.variables, place.source, value))
         return result
 
-    def follow_call(self, at: Place, call: Call, *, certain: bool) -> VariableValue:
+    def follow_call(self, place: Place, call: Call, *, certain: bool) -> VariableValue:
         """Follow a call, and return the value of the function, if it is one.
 
         :param certain: True if the call surely runs, and once; else what it may write becomes unknown.
@@ -71,59 +71,60 @@ class Calls:
         :raises ProgramError: the routine moves the robot where this cannot be corrected.
         """
         callee = self.run.library.find(call.name, self.run.level.module)
-        unknown = UnknownValue(str(at), f"what {call.spelling(at.source)}() gives is not known")
-        self._note_stop(at, call)
+        unknown = UnknownValue(str(place), f"what {call.spelling(place.source)}() gives is not known")
+        self._note_stop(place, call)
         if callee is None:
-            self._follow_absent(at, call)
+            self._follow_absent(place, call)
             is_standard = call.name in PURE or call.name in STANDARD
             return (
                 unknown
                 if is_standard
-                else UnknownValue(str(at), f"{call.spelling(at.source)}() is in no file of the program")
+                else UnknownValue(str(place), f"{call.spelling(place.source)}() is in no file of the program")
             )
         effects = self.run.analysis.effects_of(*callee)
-        self.note_lasting_effects(at, call.name, effects)
-        self._check_motion(at, call, *callee, effects)
+        self.note_lasting_effects(place, call.name, effects)
+        self._check_motion(place, call, *callee, effects)
         if callee[0] is self.run.library.program:
             self.run.reached.add(callee[1])
         if _has_no_effects(effects):
-            result = None if self._obstacle(at, call, *callee, effects) else self._run_exactly(at, call, *callee)
+            result = None if self._obstacle(place, call, *callee, effects) else self._run_exactly(place, call, *callee)
             return unknown if result is None else result
-        if certain and not self._obstacle(at, call, *callee, effects):
-            result = self._run_exactly(at, call, *callee)
+        if certain and not self._obstacle(place, call, *callee, effects):
+            result = self._run_exactly(place, call, *callee)
             if result is not None:
                 return result
         if effects.interrupt_motion is not None:
             problem = f"{call.name} is called, and declares a GLOBAL interrupt that moves the robot"
-            raise at.error(f"{problem} ({effects.interrupt_motion})", IN_ORDER)
-        self._forget_arguments(at, call, callee[1])
-        self._may_have_run(at, call.name, effects)
+            raise place.error(f"{problem} ({effects.interrupt_motion})", IN_ORDER)
+        self._forget_arguments(place, call, callee[1])
+        self._may_have_run(place, call.name, effects)
         return unknown
 
-    def _note_stop(self, at: Place, call: Call) -> None:
+    def _note_stop(self, place: Place, call: Call) -> None:
         """Note that RESUME may break off a called routine, and with it the motion that BRAKE has stopped."""
         if not self.run.resumable or not self.run.is_traced or call.name in PURE or call.name in STANDARD:
             return
         problem = f"RESUME of an interrupt may break off {call.name} and the motion before it"
-        reason = at.error(f"{problem}: where the next motion begins is not known", _COMPLETE_ADVICE)
+        reason = place.error(f"{problem}: where the next motion begins is not known", _COMPLETE_ADVICE)
         self.run.stops.append((self.run.row, reason))
 
     def write_place(self, call: Call, name: str) -> Place | None:
-        """Return the place at which a called routine may write a variable, given by its stored name; None if there is
-        none.
+        """Return the place at which a called routine may write a variable; None if there is none.
+
+        :param name: stored name of the variable.
         """
         callee = self.run.library.find(call.name, self.run.level.module)
         return None if callee is None else self.run.analysis.effects_of(*callee).writes.get(name)
 
-    def _follow_absent(self, at: Place, call: Call) -> None:
+    def _follow_absent(self, place: Place, call: Call) -> None:
         """Follow a call of a routine that is in no file: it is taken to write its arguments at most."""
         if call.name in PURE:
             return
         if call.name not in STANDARD:
-            self.run.absent.append((call.spelling(at.source), self.run.reported_line))
-        self._forget_arguments(at, call, None)
+            self.run.absent.append((call.spelling(place.source), self.run.reported_line))
+        self._forget_arguments(place, call, None)
 
-    def note_lasting_effects(self, at: Place, subject: str, effects: Effects, source: str | None = None) -> None:
+    def note_lasting_effects(self, place: Place, subject: str, effects: Effects, source: str | None = None) -> None:
         """Note routines that are in no file, and variables that may change at any time from now on.
 
         :param subject: the routine or statement that has these effects, for errors on this line.
@@ -134,31 +135,31 @@ class Calls:
             return
         if effects.lasting_write is not None:
             problem = f"{subject} has a parameter that changes at any time from then on ({effects.lasting_write})"
-            raise at.error(problem, "Change a variable of a .dat there, or make the parameter :IN.")
+            raise place.error(problem, "Change a variable of a .dat there, or make the parameter :IN.")
         self.run.absent += [(name, self.run.reported_line) for name in effects.absent.values()]
         self.run.resumable |= effects.resumes is not None
         relevant = sorted(RELEVANT.intersection(effects.anytime))
         if relevant:
             problem = f"{subject} changes what motions depend on at any time: {', '.join(relevant)}"
-            place = str(effects.anytime[relevant[0]])
-            raise at.error(problem if place == str(at) else f"{problem} ({place})", SETTING_ADVICE)
+            change_place = str(effects.anytime[relevant[0]])
+            raise place.error(problem if change_place == str(place) else f"{problem} ({change_place})", SETTING_ADVICE)
         self.run.note_possible_changes(effects.anytime, source or subject)
 
-    def _forget_arguments(self, at: Place, call: Call, routine: Routine | None) -> None:
+    def _forget_arguments(self, place: Place, call: Call, routine: Routine | None) -> None:
         """Mark as unknown the variables that a call may write.
 
         :param routine: the called routine; None if it is in no file.
         """
-        for _, reference in self._writable_arguments(at, call, routine):
+        for _, reference in self._writable_arguments(place, call, routine):
             if reference.name in FIELDS:
                 problem = f"{reference.name} is given to {call.name}, which may change it"
                 self.run.settings.make_uncertain(
-                    self.run.row, [FIELDS[reference.name]], at.error(problem, SETTING_ADVICE)
+                    self.run.row, [FIELDS[reference.name]], place.error(problem, SETTING_ADVICE)
                 )
             else:
-                self.run.variables.forget(self.run.stored_name(reference.name), str(at))
+                self.run.variables.forget(self.run.stored_name(reference.name), str(place))
 
-    def _writable_arguments(self, at: Place, call: Call, routine: Routine | None) -> list[tuple[int, Reference]]:
+    def _writable_arguments(self, place: Place, call: Call, routine: Routine | None) -> list[tuple[int, Reference]]:
         """Return the arguments that a routine may write: the index and the variable of each.
 
         They are given for parameters without ``:IN``.
@@ -171,21 +172,20 @@ class Calls:
             and not (index < len(parameters) and parameters[index].by_value)
         ]
 
-    def _may_have_run(self, at: Place, name: str, effects: Effects) -> None:
-        """Mark as unknown all variables and settings that some code writes; it is not known whether or how often it
-        runs.
+    def _may_have_run(self, place: Place, name: str, effects: Effects) -> None:
+        """Mark as unknown all variables and settings that some code writes, since it may run any number of times.
 
         :param name: of the routine, for messages.
         """
-        for variable, place in effects.writes.items():
+        for variable, write_place in effects.writes.items():
             if variable in RELEVANT:
-                problem = f"{name} may change {variable} ({place})"
+                problem = f"{name} may change {variable} ({write_place})"
                 fields = [FIELDS[variable]] if variable in FIELDS else ["base", "tool"]
-                self.run.settings.make_uncertain(self.run.row, fields, at.error(problem, SETTING_ADVICE))
+                self.run.settings.make_uncertain(self.run.row, fields, place.error(problem, SETTING_ADVICE))
             else:
-                self.run.variables.forget(variable, str(place))
+                self.run.variables.forget(variable, str(write_place))
 
-    def _check_motion(self, at: Place, call: Call, module: Module, routine: Routine, effects: Effects) -> None:
+    def _check_motion(self, place: Place, call: Call, module: Module, routine: Routine, effects: Effects) -> None:
         """Refuse the call of a routine of the program itself that moves the robot and is not in the trace.
 
         After such a call of a routine in another file, the robot position is not known; a warning says so.
@@ -194,31 +194,33 @@ class Calls:
         """
         if effects.force is not None and self.run.is_traced:
             self.run.unforced[self.run.row] = f"{call.name} is called, which holds a force comment ({effects.force})"
-        place = effects.motion
-        if place is None or not self.run.is_traced:
+        motion_place = effects.motion
+        if motion_place is None or not self.run.is_traced:
             return
-        problem = f"{call.name} is called, which moves the robot ({place})"
+        problem = f"{call.name} is called, which moves the robot ({motion_place})"
         self.run.unfollowed |= self.run.analysis.reachable_routines(module, routine)
         if self.run.routine in self.run.unfollowed:
-            raise at.error(f"{problem} and calls this program again", _INLINE_ADVICE)
+            raise place.error(f"{problem} and calls this program again", _INLINE_ADVICE)
         dependent_place = self.run.analysis.first_dependent_place(module, routine)
         if dependent_place is not None:
             self.run.shifted.add(self.run.row)
-        if self.run.keep and (place.source is self.run.routine.source or self.run.level.open):
-            self.run.unresolved.append((self.run.row, at.error(problem)))
+        if self.run.keep and (motion_place.source is self.run.routine.source or self.run.level.open):
+            self.run.unresolved.append((self.run.row, place.error(problem)))
             return
-        if place.source is self.run.routine.source:
-            raise at.error(problem, _INLINE_ADVICE)
+        if motion_place.source is self.run.routine.source:
+            raise place.error(problem, _INLINE_ADVICE)
         advice = "Begin behind the call with a PTP to joint angles, all of A1 … A6."
         if self.run.level.open:
-            raise at.error(f"{problem} inside {self.run.level.open[-1][0]}", advice)
-        name = call.spelling(at.source)
-        default_cause = at.error(f"{problem}, in a way that cannot be followed", _INLINE_ADVICE)
+            raise place.error(f"{problem} inside {self.run.level.open[-1][0]}", advice)
+        name = call.spelling(place.source)
+        default_cause = place.error(f"{problem}, in a way that cannot be followed", _INLINE_ADVICE)
         cause = self.run.elsewhere.get(routine, default_cause)
-        reason = at.error(f"{problem}: where the next motion begins is not known", advice)
+        reason = place.error(f"{problem}: where the next motion begins is not known", advice)
         self.run.moved.append(UntracedCall(self.run.row, reason, name, module, routine, cause))
         cause_text = f"{cause.file}, line {cause.line}: {cause.problem}"
-        message = f"{name}() moves the robot ({place}): its motions are not corrected here, because of {cause_text}."
+        message = (
+            f"{name}() moves the robot ({motion_place}): its motions are not corrected here, because of {cause_text}."
+        )
         if dependent_place is not None:
             message += (
                 f" They begin from the robot position ({dependent_place}): the correction of the motion before moves "
@@ -239,28 +241,28 @@ class Calls:
         effects = self.run.analysis.effects_of(*callee)
         return callee if effects.motion is not None or effects.force is not None else None
 
-    def enter_routine(self, at: Place, call: Call, module: Module, routine: Routine) -> None:
+    def enter_routine(self, place: Place, call: Call, module: Module, routine: Routine) -> None:
         """Begin a called routine with motions; statements run in it until `leave_routine`.
 
         :raises InexactError: it cannot be followed.
         """
         effects = self.run.analysis.effects_of(module, routine)
-        self.note_lasting_effects(at, call.name, effects)
+        self.note_lasting_effects(place, call.name, effects)
         if module is self.run.library.program:
             self.run.reached.add(routine)
-        if obstacle := self._obstacle(at, call, module, routine, effects):
+        if obstacle := self._obstacle(place, call, module, routine, effects):
             problem = f"{call.name} is called, which moves the robot, in a way that cannot be followed: {obstacle}"
-            raise inexact_error(at, problem, _INLINE_ADVICE, routine)
-        self.entered.append(self._bound_call(at, call, module, routine, is_traced=True))
+            raise inexact_error(place, problem, _INLINE_ADVICE, routine)
+        self.entered.append(self._bound_call(place, call, module, routine, is_traced=True))
         self._begin_routine(self.entered[-1], is_traced=True)
 
     def leave_routine(self) -> None:
         """End the routine that was entered last."""
         self._end_routine(self.entered.pop())
 
-    def _run_exactly(self, at: Place, call: Call, module: Module, routine: Routine) -> VariableValue | None:
+    def _run_exactly(self, place: Place, call: Call, module: Module, routine: Routine) -> VariableValue | None:
         """Run a called routine, and return the value that it gives; None if it cannot be run exactly."""
-        bound = self._bound_call(at, call, module, routine)
+        bound = self._bound_call(place, call, module, routine)
         level = self._begin_routine(bound, is_traced=False)
         try:
             self._run_routine()
@@ -268,11 +270,11 @@ class Calls:
             self._leave_routine(bound)
             return None
         finally:
-            self.run.place = at
+            self.run.place = place
         self._end_routine(bound)
-        return level.result if level.result != NO_VALUE else UnknownValue(str(at))
+        return level.result if level.result != NO_VALUE else UnknownValue(str(place))
 
-    def _obstacle(self, at: Place, call: Call, module: Module, routine: Routine, effects: Effects) -> str:
+    def _obstacle(self, place: Place, call: Call, module: Module, routine: Routine, effects: Effects) -> str:
         """Return why a call cannot be run exactly, for a message; empty if it can."""
         if routine in self.run.stack:
             return "it calls itself"
@@ -285,8 +287,8 @@ class Calls:
         if len(call.arguments) > len(routine.parameters):
             return f"it takes {len(routine.parameters)} arguments, {len(call.arguments)} are given"
         roots: set[str] = set()
-        for index, reference in self._writable_arguments(at, call, routine):
-            name, root = at.source.text[reference.start : reference.stop], self.run.stored_name(reference.name)
+        for index, reference in self._writable_arguments(place, call, routine):
+            name, root = place.source.text[reference.start : reference.stop], self.run.stored_name(reference.name)
             if reference.indices == () and not self._is_matching_array(routine, index, reference, root):
                 return f"{name} is a whole array, and its parameter is not one of that type"
             if root in roots or root in effects.writes or root in RELEVANT:
@@ -303,13 +305,13 @@ class Calls:
         return parameter.is_array and reference.field is None and kind == routine.types.get(parameter.name, "")
 
     def _bound_call(
-        self, at: Place, call: Call, module: Module, routine: Routine, *, is_traced: bool = False
+        self, place: Place, call: Call, module: Module, routine: Routine, *, is_traced: bool = False
     ) -> _BoundCall:
         """Return a call with the values of its parameters; functions in the arguments are run.
 
         :param is_traced: True if the routine is in the execution trace.
         """
-        by_reference = self._writable_arguments(at, call, routine)
+        by_reference = self._writable_arguments(place, call, routine)
         arrays = {
             routine.parameters[index].name: self.run.stored_name(reference.name)
             for index, reference in by_reference
@@ -326,12 +328,14 @@ class Calls:
             if index < len(routine.parameters)
         ]
         for index, argument in enumerate(call.arguments):
-            is_empty = isinstance(argument, OpaqueText) and not at.source.text[argument.start : argument.stop].strip()
+            is_empty = (
+                isinstance(argument, OpaqueText) and not place.source.text[argument.start : argument.stop].strip()
+            )
             is_array = isinstance(argument, Reference) and argument.indices == ()
             if is_empty or is_array:
                 argument_values[index] = NO_VALUE
                 continue
-            value = argument_values[index] = self.value(at, argument, is_copied=is_traced)
+            value = argument_values[index] = self.value(place, argument, is_copied=is_traced)
             if is_traced:
                 self.run.note_copy(argument, value, routine.parameters[index].name)
         volatile_names = {
@@ -341,7 +345,7 @@ class Calls:
         }
         kinds = {index: self.run.variables.type_of(reference) for index, reference in references}
         return _BoundCall(
-            at,
+            place,
             module,
             routine,
             scope,
@@ -386,17 +390,17 @@ class Calls:
     def _end_routine(self, bound: _BoundCall) -> None:
         """End a called routine: its caller runs again, with the values that the call leaves in its arguments."""
         self._leave_routine(bound)
-        at, variables = bound.at, self.run.variables
+        place, variables = bound.place, self.run.variables
         for index, reference, key in bound.references:
             value = variables.value(bound.scope.stored_name(bound.routine.parameters[index].name))
             if value is bound.argument_values[index] or value is None:
                 continue
             if key is None or (reference.name[0] == "$" and reference.name not in STORED_VARIABLES):
-                variables.forget(self.run.stored_name(reference.name), str(at))
+                variables.forget(self.run.stored_name(reference.name), str(place))
             elif reference.field is not None:
-                variables.set_field(key, reference.field, value, at)
+                variables.set_field(key, reference.field, value, place)
             else:
-                variables.set(key, value, at)
+                variables.set(key, value, place)
 
 
 def _has_no_effects(effects: Effects) -> bool:
@@ -421,8 +425,8 @@ class _PureFunctions(Struct, frozen=True, eq=False):
 
     def value(self, call: Call) -> VariableValue:
         """Return what a call gives, at the statement that runs."""
-        at = self.calls.run.place
-        return NO_VALUE if at is None else self.calls.follow_call(at, call, certain=False)
+        place = self.calls.run.place
+        return NO_VALUE if place is None else self.calls.follow_call(place, call, certain=False)
 
 
 class _Argument(NamedTuple):
@@ -446,7 +450,7 @@ class _BoundCall(Struct, frozen=True, eq=False):
     :param volatile_names: stored names of parameters whose arguments may change at any time, and what changes them.
     """
 
-    at: Place
+    place: Place
     module: Module
     routine: Routine
     scope: Scope

@@ -29,20 +29,20 @@ class CollectedMotions:
         self.splines = SplineBlocks(run.settings, reader)
         self._refused: set[Place] = set()
 
-    def take_motion(self, at: Place, stmt: Statement) -> None:
+    def take_motion(self, place: Place, stmt: Statement) -> None:
         """Take a motion, or a line that begins or ends a spline block; the functions in it have been followed.
 
         :raises ProgramError: it is not understood, not certain, or its target is not known before the program runs.
         """
         run = self.run
         if not isinstance(stmt, Motion):
-            self.splines.follow_line(at, stmt, run.row)
+            self.splines.follow_line(place, stmt, run.row)
             return
         if run.level.open and not keeps_position(stmt):
-            self._refuse(at)
+            self._refuse(place)
             return
         try:
-            move, state, names = self.reader.read_motion(at, stmt, run.row)
+            move, state, names = self.reader.read_motion(place, stmt, run.row)
         except UnresolvedError as cause:
             if not run.keep:
                 raise
@@ -54,20 +54,20 @@ class CollectedMotions:
         else:
             self.motions.add(move, state)
 
-    def _refuse(self, at: Place) -> None:
-        """Refuse a motion of which it is not known whether or how often it runs; each control structure is reported
-        once.
+    def _refuse(self, place: Place) -> None:
+        """Refuse a motion of which it is not known whether or how often it runs.
 
-        Under `--keep-unresolved` the motion is noted instead, to be left as it is.
+        Each control structure is reported once. Under `--keep-unresolved` the motion is noted instead, to be left as it
+        is.
 
         :raises ProgramError: without that option.
         """
         run = self.run
         opener, open_line = run.level.open[-1]
-        place = Place(at.source, open_line)
-        problem = f"motion inside {opener} ({place})"
+        opening_place = Place(place.source, open_line)
+        problem = f"motion inside {opener} ({opening_place})"
         if run.keep:
-            run.unresolved.append((run.row, at.error(problem)))
-        elif place not in self._refused:
-            self._refused.add(place)
-            raise at.error(problem, LOOP_ADVICE)
+            run.unresolved.append((run.row, place.error(problem)))
+        elif opening_place not in self._refused:
+            self._refused.add(opening_place)
+            raise place.error(problem, LOOP_ADVICE)

@@ -58,8 +58,8 @@ def notes_of(
         if isinstance(step, UnresolvedStructure):
             in_step = (lines >= step.first) & (lines <= step.last)
             if in_step.any():
-                at = trace.place(int(lines[in_step][0]))
-                unknown_reasons[step.last] = f"a force comment is in code that is left unchanged ({at})"
+                place = trace.place(int(lines[in_step][0]))
+                unknown_reasons[step.last] = f"a force comment is in code that is left unchanged ({place})"
                 lines, comments = lines[~in_step], comments[~in_step]
     rows, own_lines = np.searchsorted(motions, lines).tolist(), trace.line[lines - 1].tolist()
     note_cache: dict[str, ForceNote | None] = {}

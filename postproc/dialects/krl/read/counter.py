@@ -15,19 +15,19 @@ from postproc.dialects.krl.read.known import InexactError, inexact_error
 from postproc.dialects.krl.read.run import Run
 
 
-def undecided_error(run: Run, at: Place, bounds: Sequence[Value] = ()) -> InexactError:
+def undecided_error(run: Run, place: Place, bounds: Sequence[Value] = ()) -> InexactError:
     """Return the error for the condition of a statement, or the bounds of a FOR, that are not known before run time.
 
     :param bounds: those bounds that may be unknown; empty: all values of the statement.
     """
-    stmt = statement(at.source, at.line)
+    stmt = statement(place.source, place.line)
     values = bounds or stmt.values
-    reason = why_not_decided(run.variables, at.source, values)
-    names = without_value(run.variables, at.source, values)
+    reason = why_not_decided(run.variables, place.source, values)
+    names = without_value(run.variables, place.source, values)
     value_advice = f" Or say in [krl.values] of the cell what {', '.join(names)} will be." if names else ""
     subject = "bounds are" if stmt.word == "FOR" else "condition is"
     problem = f"motion inside {stmt.word}: its {subject} not known before the program runs{reason}"
-    return inexact_error(at, problem, LOOP_ADVICE + value_advice)
+    return inexact_error(place, problem, LOOP_ADVICE + value_advice)
 
 
 class Counter:
@@ -37,23 +37,23 @@ class Counter:
     """
 
     def __init__(self, run: Run, source: Source, line: int) -> None:
-        self.run, self.at = run, Place(source, line)
+        self.run, self.place = run, Place(source, line)
         stmt = statement(source, line)
         if isinstance(stmt, tree.For) and stmt.error is not None:
             raise stmt.error
         if not isinstance(stmt, tree.For) or stmt.counter is None or stmt.bounds is None:
-            raise undecided_error(run, self.at)
+            raise undecided_error(run, self.place)
         self.statement = stmt
         self.name = source.text[stmt.counter.start : stmt.counter.stop]
         key = run.variables.key_of(stmt.counter)
         if key is None:
-            raise undecided_error(run, self.at, [stmt.counter])
+            raise undecided_error(run, self.place, [stmt.counter])
         if run.variables.type_of(stmt.counter) == "REAL":
             problem = f"motion inside FOR: its counter {self.name} is a REAL"
-            raise inexact_error(self.at, problem, "Count by an INT, and compute the REAL from it in the loop.")
+            raise inexact_error(self.place, problem, "Count by an INT, and compute the REAL from it in the loop.")
         self.key, self.bound_values = key, stmt.bounds
         self._are_numbers = all(isinstance(bound, Number) for bound in stmt.bounds[1:] if bound is not None)
-        run.place = self.at
+        run.place = self.place
         self.last, self.step = self._bounds()
         self._set(self._integer(self.bound_values[0]))
         self.value()
@@ -73,9 +73,9 @@ class Counter:
 
         :raises InexactError: the bounds or the step have changed.
         """
-        self.run.place = self.at
+        self.run.place = self.place
         if not self._are_numbers and self._bounds() != (self.last, self.step):
-            raise inexact_error(self.at, "motion inside FOR: its end changes while it runs", LOOP_ADVICE)
+            raise inexact_error(self.place, "motion inside FOR: its end changes while it runs", LOOP_ADVICE)
         self._set(self.value() + self.step)
 
     def skip_rounds(self, rounds: int) -> None:
@@ -99,7 +99,7 @@ class Counter:
         step = self.run.variables.evaluate(step_value)
         if isinstance(step, Number) and (not step.integer or step.value == 0.0):
             problem = f"FOR cannot count by STEP {step.value:g}"
-            raise self.at.error(problem, "Give a whole number other than 0, as it is or by an INT.")
+            raise self.place.error(problem, "Give a whole number other than 0, as it is or by an INT.")
         return self._integer(step_value)
 
     def _integer(self, value: Value) -> int:
@@ -112,12 +112,12 @@ class Counter:
             raise self._unknown_bounds_error()
         if not number.integer:
             problem = f"motion inside FOR: one of its bounds is a REAL, {number.value:g}"
-            raise inexact_error(self.at, problem, "Give whole numbers, as they are or by an INT.")
+            raise inexact_error(self.place, problem, "Give whole numbers, as they are or by an INT.")
         return int(number.value)
 
     def _set(self, number: int) -> None:
         """Give the counter a value."""
-        self.run.variables.set(self.key, Number(float(number), 0, 0, True), self.at)
+        self.run.variables.set(self.key, Number(float(number), 0, 0, True), self.place)
 
     def value(self) -> int:
         """Return the present value of the counter.
@@ -131,4 +131,4 @@ class Counter:
 
     def _unknown_bounds_error(self) -> InexactError:
         """Return the error that the bounds are not known before run time."""
-        return undecided_error(self.run, self.at, [bound for bound in self.bound_values if bound is not None])
+        return undecided_error(self.run, self.place, [bound for bound in self.bound_values if bound is not None])

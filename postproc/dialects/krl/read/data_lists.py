@@ -107,12 +107,12 @@ def _note_line(
             variables.put(name, UnparsedValue(source, declarator.value, stop))
 
 
-def _note_import(variables: Variables, at: Place) -> None:
+def _note_import(variables: Variables, place: Place) -> None:
     """Note that a variable of another `.dat` has a second name here: each of the two may change at any time."""
-    stmt = statement(at.source, at.line)
+    stmt = statement(place.source, place.line)
     if isinstance(stmt, Import):
         for name in (variables.scope.stored_name(stmt.name), *stored_originals(stmt)):
-            variables.changing.setdefault(name, UnknownValue(str(at)))
+            variables.changing.setdefault(name, UnknownValue(str(place)))
 
 
 def declare_variables(

@@ -172,8 +172,7 @@ class Analysis:
         return False
 
     def first_dependent_place(self, module: Module, routine: Routine) -> Place | None:
-        """Return the first statement of a routine whose target depends on the robot position at the start of the
-        routine.
+        """Return the first statement of a routine whose target depends on where the robot is when the routine begins.
 
         Routines that it calls are searched too. None if a complete target precedes all such statements.
         """

@@ -364,10 +364,10 @@ def _check_ignored(
     """
     if not is_ignored.any():
         return
-    row = np.arange(len(line))
-    last_ignored_row = np.maximum.accumulate(np.where(is_ignored, row, -1))
-    last_free_row = np.maximum.accumulate(np.where(constant, -1, row))
-    is_missing[[at for at, move in moves.items() if move.end.position.axis]] = False
+    all_rows = np.arange(len(line))
+    last_ignored_row = np.maximum.accumulate(np.where(is_ignored, all_rows, -1))
+    last_free_row = np.maximum.accumulate(np.where(constant, -1, all_rows))
+    is_missing[[axis_row for axis_row, move in moves.items() if move.end.position.axis]] = False
     rows = np.flatnonzero(is_missing[1:] & ~constant[1:] & (last_ignored_row > last_free_row)[:-1]) + 1
     if len(rows):
         raise trace.error(

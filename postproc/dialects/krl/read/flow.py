@@ -181,34 +181,34 @@ class Flow:
         except ProgramError:
             return False
 
-    def set_counter(self, at: Place, counter: Reference, number: int) -> None:
+    def set_counter(self, place: Place, counter: Reference, number: int) -> None:
         """Set the counter of a FOR to its value in a round of a recorded trace."""
-        self._count_statement(at)
+        self._count_statement(place)
         try:
-            self.interpreter.assign(at, counter, Number(float(number), counter.start, counter.stop, True))
+            self.interpreter.assign(place, counter, Number(float(number), counter.start, counter.stop, True))
         except InexactError:
             raise
         except ProgramError as cause:
-            self._note_fault(at, cause)
+            self._note_fault(place, cause)
 
     # --- statements --------------------------------------------------------------------------------------------------
 
-    def _follow_statement(self, at: Place, stmt: tree.Statement) -> None:
+    def _follow_statement(self, place: Place, stmt: tree.Statement) -> None:
         """Follow one statement; after EXIT or GOTO its successors are not followed."""
         level, word = self.run.level, stmt.word
         if level.traced:
-            self._come_to(at.line)
-        self._count_statement(at)
+            self._come_to(place.line)
+        self._count_statement(place)
         if word == "EXIT" and (level.loops or (level.traced and self.recorder is None)):
             level.left = True  # in a recorded trace, the loop is around the row that runs
             return
         if word == "GOTO" and self.recorder is not None and level.traced:
-            self.recorder.record_run_lines(at.line - 1)
-            self.recorder.record_passed_lines(at.line)
+            self.recorder.record_run_lines(place.line - 1)
+            self.recorder.record_passed_lines(place.line)
             self.run.is_final = False
-            level.jump = at.line
+            level.jump = place.line
             return
-        self._follow_noting_errors(at, stmt)
+        self._follow_noting_errors(place, stmt)
 
     def _come_to(self, line: int) -> None:
         """Make the row of the trace with a line of a traced routine the present row."""
@@ -217,7 +217,7 @@ class Flow:
             run.shift, run.shown_line = self.recorder.shift_and_shown_line(line)
         run.row = line + run.shift
 
-    def _follow_noting_errors(self, at: Place, stmt: tree.Statement) -> None:
+    def _follow_noting_errors(self, place: Place, stmt: tree.Statement) -> None:
         """Follow a statement.
 
         In a traced routine its error is noted, so that the errors of later statements are reported too.
@@ -226,15 +226,15 @@ class Flow:
         :raises ProgramError: the statement has an error, and its routine is not traced.
         """
         try:
-            self.interpreter.follow_statement(at, stmt)
+            self.interpreter.follow_statement(place, stmt)
         except InexactError:
             raise
         except ProgramError as cause:
             if not self.run.level.traced:
                 raise
-            self._note_fault(at, cause)
+            self._note_fault(place, cause)
 
-    def _count_statement(self, at: Place) -> None:
+    def _count_statement(self, place: Place) -> None:
         """Count a statement that runs.
 
         :raises InexactError: more statements run than are followed.
@@ -242,18 +242,18 @@ class Flow:
         if self._still or not self.run.level.traced:
             self.run.steps += 1
             if self.run.steps > MOST_STATEMENTS:
-                raise inexact_error(at, "too much runs before")
+                raise inexact_error(place, "too much runs before")
             return
         self._traced += 1
-        if self._traced > MOST_TRACED and self._traced > (limit := self._statement_limit(at.source)):
+        if self._traced > MOST_TRACED and self._traced > (limit := self._statement_limit(place.source)):
             problem = f"loops around motions are too long: {limit} statements have run when the program comes here"
-            raise inexact_error(at, problem, _LENGTH_ADVICE)
+            raise inexact_error(place, problem, _LENGTH_ADVICE)
 
     def _statement_limit(self, source: Source) -> int:
         """Return the largest number of statements that may run around motions."""
         return MOST_TRACED + (len(source.starts) if self.recorder is not None else len(self.run.trace))
 
-    def _check_statement_count(self, at: Place, minimum: int) -> None:
+    def _check_statement_count(self, place: Place, minimum: int) -> None:
         """Refuse code that runs too many statements, before it is followed.
 
         :param minimum: lower bound on the number of statements that the code runs.
@@ -261,13 +261,13 @@ class Flow:
         """
         if self._still or not self.run.level.traced:
             if self.run.steps + minimum > MOST_STATEMENTS:
-                raise inexact_error(at, "too much runs before")
-        elif self._traced + minimum > self._statement_limit(at.source):
+                raise inexact_error(place, "too much runs before")
+        elif self._traced + minimum > self._statement_limit(place.source):
             problem = f"loops and calls around motions are too long: at least {minimum} statements run from here on, "
-            problem += f"{self._statement_limit(at.source)} are followed"
-            raise inexact_error(at, problem, _LENGTH_ADVICE)
+            problem += f"{self._statement_limit(place.source)} are followed"
+            raise inexact_error(place, problem, _LENGTH_ADVICE)
 
-    def _inline_call(self, at: Place, call: Call) -> bool:
+    def _inline_call(self, place: Place, call: Call) -> bool:
         """Follow the call of a routine with motions, as part of the execution trace.
 
         :returns: False if the routine has no motions, or the call cannot be part of the trace.
@@ -281,10 +281,10 @@ class Flow:
             return False
         _, routine = callee
         self._check_structure(routine)
-        self._check_statement_count(at, self._least.minimum_of_call(*callee))
+        self._check_statement_count(place, self._least.minimum_of_call(*callee))
         undo = self._undo_from_here(recorder)
         try:
-            self._record_call(at, call, recorder, *callee)
+            self._record_call(place, call, recorder, *callee)
         except InexactError:
             if not run.keep or routine.source is not run.routine.source:
                 raise
@@ -304,8 +304,8 @@ class Flow:
         try:
             self.run.nodes(routine)
         except ProgramError as cause:
-            at = Place(routine.source, cause.line or routine.first)
-            raise inexact_error(at, cause.problem, cause.advice, routine) from None
+            place = Place(routine.source, cause.line or routine.first)
+            raise inexact_error(place, cause.problem, cause.advice, routine) from None
 
     def _call_moves(self, call: Call) -> bool:
         """Return whether a call moves the robot, by its routine or by one that this calls."""
@@ -330,14 +330,14 @@ class Flow:
 
         return undo
 
-    def _record_call(self, at: Place, call: Call, recorder: Recorder, module: Module, routine: Routine) -> None:
+    def _record_call(self, place: Place, call: Call, recorder: Recorder, module: Module, routine: Routine) -> None:
         """Record the call of a routine with motions, follow the statements of the routine, and return to the caller."""
         run = self.run
-        recorder.record_run_lines(at.line - 1)
-        recorder.enter_routine(at, (call.start, call.start + len(call.name)), module, routine)
-        self.interpreter.calls.enter_routine(at, call, module, routine)
+        recorder.record_run_lines(place.line - 1)
+        recorder.enter_routine(place, (call.start, call.start + len(call.name)), module, routine)
+        self.interpreter.calls.enter_routine(place, call, module, routine)
         level = run.level
-        self._way.append((at, 0))
+        self._way.append((place, 0))
         self.run_called_routine()
         self._way.pop()
         if not level.returned:
@@ -483,8 +483,7 @@ class Flow:
         run.join_branches(Place(source, block.last), complete=complete)
 
     def _follow_skip(self, source: Source, nodes: tuple[Node, ...], index: int, *, last: bool) -> int:
-        """Follow an IF that skips statements by GOTO or RETURN: the jump is one branch, the skipped statements the
-        other.
+        """Follow an IF that skips statements by GOTO or RETURN, as two branches: the jump and the skipped statements.
 
         :param last: the routine ends after the nodes.
         :returns: the index of the node after the skipped code; 0 if the IF does not jump, or its condition is known.
@@ -580,15 +579,15 @@ class Flow:
         :raises InexactError: its condition is not known before run time.
         :raises ProgramError: a CASE cannot be read.
         """
-        at, stmt = Place(source, block.first), statement(source, block.first)
-        self.run.place = at
+        place, stmt = Place(source, block.first), statement(source, block.first)
+        self.run.place = place
         if isinstance(stmt, tree.If):
             holds = self.run.variables.truth(stmt.condition)
             if holds is None:
-                raise undecided_error(self.run, at)
+                raise undecided_error(self.run, place)
             return 0 if holds else 1 if len(block.parts) > 1 else -1
         if not isinstance(stmt, tree.Switch) or self._may_have_effects(stmt.values):
-            raise undecided_error(self.run, at)
+            raise undecided_error(self.run, place)
         selector = self.run.variables.evaluate(stmt.value)
         if self._still or not self.run.level.traced:
             self.run.steps += len(block.parts) // _CASES
@@ -605,7 +604,7 @@ class Flow:
             values = case.cases if isinstance(case, tree.Case) else ()
             is_chosen = case.word == "DEFAULT" or self.run.variables.is_chosen_case(selector, values)
             if is_chosen is None:
-                raise undecided_error(self.run, at)
+                raise undecided_error(self.run, place)
             if is_chosen:
                 return index
         return -1
@@ -657,17 +656,17 @@ class Flow:
         :param loop: what the recorder unrolls; None without a recorder.
         :raises InexactError: there are too many rounds, or the loop never ends.
         """
-        level, at = self.run.level, Place(source, block.first)
+        level, place = self.run.level, Place(source, block.first)
         start_count, depth = self._traced, len(self._way) - 1
         while self._runs_again(source, block, counter):
-            self._count_statement(at)
-            self._way[depth] = at, self._way[depth][1] + 1
+            self._count_statement(place)
+            self._way[depth] = place, self._way[depth][1] + 1
             if recorder is not None and self._way[depth][1] == 2:
                 self._check_labels(source, block.lines())
             changes = self._change_counts()
             if counter is None and self._traced - start_count > MOST_UNCOUNTED:
                 problem = f"{block.word} has not ended after {MOST_UNCOUNTED} statements"
-                raise inexact_error(at, problem, "Check its condition, or write FOR instead.")
+                raise inexact_error(place, problem, "Check its condition, or write FOR instead.")
             if recorder is not None and loop is not None:
                 recorder.begin_round(loop, block, counter.value() if counter is not None else None)
             self.follow(source, block.parts[0].nodes)
@@ -680,7 +679,7 @@ class Flow:
                 counter.advance()
             elif self._change_counts() == changes:
                 problem = f"{block.word} never ends: no variable of its condition changes from round to round"
-                raise inexact_error(at, problem, LOOP_ADVICE)
+                raise inexact_error(place, problem, LOOP_ADVICE)
 
     def _follow_back_jump(self, source: Source, nodes: tuple[Node, ...], index: int, label: tree.Label) -> int:
         """Follow the rounds between a label and an IF that jumps back to it.
@@ -715,7 +714,7 @@ class Flow:
         level = self.run.level
         if self.recorder is None or not level.traced or level.loops or not self.run.is_certain:
             return 0
-        jumps = [at for at in level.routine.lines if self.label_of(source, at) == label.name]
+        jumps = [line for line in level.routine.lines if self.label_of(source, line) == label.name]
         for number in range(index + 1, len(nodes) if len(jumps) == 1 else 0):
             block = nodes[number]
             if isinstance(block, Block) and block.word == "IF" and [part.nodes for part in block.parts] == [(*jumps,)]:
@@ -731,7 +730,7 @@ class Flow:
         level, first, jump = self.run.level, nodes[0], nodes[-1]
         if not isinstance(first, int) or not isinstance(jump, Block):
             return
-        at, head = Place(source, jump.first), statement(source, jump.first)
+        place, head = Place(source, jump.first), statement(source, jump.first)
         whole = Block("REPEAT", first, jump.last, (Part(first, jump.first, nodes[1:-1]),))
         body = Block("REPEAT", first, jump.first, whole.parts)
         self._check_comments(source, whole, range(jump.first, jump.last))
@@ -741,25 +740,27 @@ class Flow:
         self._way.append((Place(source, first), 0))
         try:
             while not level.is_broken_off:
-                self._count_statement(at)
+                self._count_statement(place)
                 self._way[depth] = Place(source, first), self._way[depth][1] + 1
                 if self._way[depth][1] == 2:
                     self._check_labels(source, range(first + 1, jump.first))
                 changes = self._change_counts()
                 if self._traced - start_count > MOST_UNCOUNTED:
                     problem = f"GOTO still leads back after {MOST_UNCOUNTED} statements"
-                    raise inexact_error(at, problem, "Check its condition, or write FOR instead.")
+                    raise inexact_error(place, problem, "Check its condition, or write FOR instead.")
                 recorder.begin_round(loop, body, None)
                 self.follow(source, nodes[1:-1])
                 recorder.end_round(body, whole=not level.is_broken_off)
-                self.run.place = at
+                self.run.place = place
                 holds = self.run.variables.truth(head.condition) if isinstance(head, tree.If) else None
                 if not level.is_broken_off and holds is None:
-                    raise inexact_error(Place(source, jump.last - 1), *undecided_jump(self.run.variables, at))
+                    raise inexact_error(Place(source, jump.last - 1), *undecided_jump(self.run.variables, place))
                 if not holds:
                     break
                 if self._change_counts() == changes:
-                    raise inexact_error(at, "GOTO always leads back: no variable of its condition changes", LOOP_ADVICE)
+                    raise inexact_error(
+                        place, "GOTO always leads back: no variable of its condition changes", LOOP_ADVICE
+                    )
         finally:
             level.loops -= 1
             del self._way[depth:]
@@ -821,15 +822,15 @@ class Flow:
         :raises InexactError: it is in another loop, a branch or a called routine, or an iteration changes a variable
             that the next one may use.
         """
-        run, level, at = self.run, self.run.level, Place(source, block.first)
+        run, level, place = self.run, self.run.level, Place(source, block.first)
         if recorder is None or level.loops or run.is_forked or not run.is_certain or len(run.stack) > 1:
-            raise inexact_error(at, "LOOP never ends: there is no EXIT", LOOP_ADVICE)
+            raise inexact_error(place, "LOOP never ends: there is no EXIT", LOOP_ADVICE)
         self._check_comments(source, block)
         run.is_final = False
         snapshot = run.variables.snapshot()
         loop = recorder.begin_loop(block, "", 0, left=False)
         loop.endless = True
-        self._way.append((at, 1))
+        self._way.append((place, 1))
         recorder.begin_round(loop, block, None)
         self.follow(source, block.parts[0].nodes)
         recorder.end_round(block, whole=True)
@@ -840,7 +841,7 @@ class Flow:
             sorted_names = sorted(names, key=lambda name: (name[0] == "$", name))
             changed_names = first_of(sorted_names, _MOST_NAMES)
             problem = f"LOOP never ends, and its rounds differ: each one changes {changed_names} for the next"
-            raise inexact_error(at, problem, "Set it at the beginning of each round.")
+            raise inexact_error(place, problem, "Set it at the beginning of each round.")
         level.returned = block.last
 
     def _check_rounds(self, source: Source, block: Block, counter: Counter, recorder: Recorder | None) -> None:

@@ -50,7 +50,9 @@ class Frames:
         self._rows: dict[tuple[str, tuple[float, ...]], int] = {}
         self._folded: set[tuple[str, int]] = set()
 
-    def state_after_assignment(self, state: State, at: Place, target: Reference, value: Value | VariableValue) -> State:
+    def state_after_assignment(
+        self, state: State, place: Place, target: Reference, value: Value | VariableValue
+    ) -> State:
         """Return the state after ``$BASE = value`` or ``$TOOL = value``, or after an assignment to a component.
 
         :raises ProgramError: the base is moved while the program runs, or a component is out of reach.
@@ -59,42 +61,42 @@ class Frames:
         if isinstance(value, Call) and value.name in ("SBASE", "STOOL", "STOOL2"):
             number = self.variables.first_argument(value, "BASE_NO" if value.name == "SBASE" else "TOOL_NO")
             if not isinstance(number, Number):
-                text = at.source.text[value.start : value.stop]
-                reason = why_unknown(self.variables, at.source, number or NO_VALUE)
-                return self.state_with_unknown_frame(state, name, at, f"{text}: the number is not known: {reason}")
-            return self.state_with_numbered_frame(state, at, name, int(number.value))
+                text = place.source.text[value.start : value.stop]
+                reason = why_unknown(self.variables, place.source, number or NO_VALUE)
+                return self.state_with_unknown_frame(state, name, place, f"{text}: the number is not known: {reason}")
+            return self.state_with_numbered_frame(state, place, name, int(number.value))
         if isinstance(value, Call) and value.name == "EK":
-            raise at.error("external kinematics (EK) move the base", "Only a fixed $BASE can be corrected.")
+            raise place.error("external kinematics (EK) move the base", "Only a fixed $BASE can be corrected.")
         if target.indices is not None or (target.field is not None and target.field not in CARTESIAN):
-            return self.state_with_unknown_frame(state, name, at, "its component is not understood")
+            return self.state_with_unknown_frame(state, name, place, "its component is not understood")
         if isinstance(value, Reference) and value.name in ("BASE_DATA", "TOOL_DATA") and value.field is None:
             key = self.variables.key_of(value)
-            return self._with_named_frame(state, at, name, value, key or value.name)
+            return self._with_named_frame(state, place, name, value, key or value.name)
         if target.field is not None:
             position = self._with_field(state, target, value)
         else:
             position = self.variables.position(value)
         if position is None or position.axis:
-            return self.state_with_unknown_frame(state, name, at, why_unknown(self.variables, at.source, value))
+            return self.state_with_unknown_frame(state, name, place, why_unknown(self.variables, place.source, value))
         if not position.complete:
-            return self.state_with_unknown_frame(state, name, at, _missing_components(position))
+            return self.state_with_unknown_frame(state, name, place, _missing_components(position))
         if position.largest_coordinate > LARGEST_COORDINATE:
-            raise out_of_reach_error(at, position.largest_coordinate)
+            raise out_of_reach_error(place, position.largest_coordinate)
         return self._with_frame(state, name, position)
 
-    def state_with_numbered_frame(self, state: State, at: Place, name: str, number: int) -> State:
+    def state_with_numbered_frame(self, state: State, place: Place, name: str, number: int) -> State:
         """Return the state after ``$BASE=BASE_DATA[number]`` or ``$TOOL=TOOL_DATA[number]``.
 
         :param name: ``$BASE`` or ``$TOOL``.
         """
         key = f"{name[1:]}_DATA[{number}]"
-        return self._with_named_frame(state, at, name, _array_element(f"{name[1:]}_DATA", number), key)
+        return self._with_named_frame(state, place, name, _array_element(f"{name[1:]}_DATA", number), key)
 
-    def state_with_unknown_frame(self, state: State, name: str, at: Place, reason: str) -> State:
-        """Return a state in which `$BASE` or `$TOOL` (`name`) is not known; the error for it names the line and the
-        reason.
-        """
-        return self.reasons.state_with_unknown(state, FIELDS[name], at.error(f"{name} is not known: {reason}", _ADVICE))
+    def state_with_unknown_frame(self, state: State, name: str, place: Place, reason: str) -> State:
+        """Return a state in which `$BASE` or `$TOOL` (`name`) is not known, for a reason."""
+        return self.reasons.state_with_unknown(
+            state, FIELDS[name], place.error(f"{name} is not known: {reason}", _ADVICE)
+        )
 
     def frames_of_cell(self, state: State) -> set[str]:
         """Return which of `$BASE` and `$TOOL` are frames of the cell though KUKA's #INITMOV would set others."""
@@ -108,9 +110,7 @@ class Frames:
         return position is not None and bool(np.abs(position.pose() - frame).max() < _FRAME_TOLERANCE)
 
     def current_value(self, state: State, name: str, field: str | None) -> VariableValue:
-        """Return the value of `$BASE` or `$TOOL` in a state, or of a component of it; an `UnknownValue` if it is not
-        known.
-        """
+        """Return the value of `$BASE` or `$TOOL` in a state, or of a component; an `UnknownValue` if it is not known."""
         row, frames = (state.base, self.bases) if name == "$BASE" else (state.tool, self.tools)
         if row < 0:
             return UnknownValue(why=self.reasons.errors[-1 - row].problem)
@@ -132,7 +132,7 @@ class Frames:
             return None
         return with_component(whole, field, number)
 
-    def _with_named_frame(self, state: State, at: Place, name: str, reference: Reference, key: str) -> State:
+    def _with_named_frame(self, state: State, place: Place, name: str, reference: Reference, key: str) -> State:
         """Return the state with `$BASE` or `$TOOL` set to a variable.
 
         :param key: its stored name, for messages.
@@ -140,15 +140,15 @@ class Frames:
         """
         position = self.variables.position(reference)
         if position is not None and position.largest_coordinate > LARGEST_COORDINATE:
-            raise out_of_reach_error(at, position.largest_coordinate)
+            raise out_of_reach_error(place, position.largest_coordinate)
         if position is None:
             value = self.variables.evaluate(reference)
             reason = f"{key} is neither in the cell nor in the $config.dat"
             if isinstance(value, UnknownValue) and value != NO_VALUE:
                 reason = value.message_for(key)
-            return self.state_with_unknown_frame(state, name, at, reason)
+            return self.state_with_unknown_frame(state, name, place, reason)
         if not position.complete:
-            return self.state_with_unknown_frame(state, name, at, f"{_missing_components(position)} in {key}")
+            return self.state_with_unknown_frame(state, name, place, f"{_missing_components(position)} in {key}")
         state = self._with_frame(state, name, position)
         if name == "$TOOL" and (number := _ELEMENT.search(key)):
             self.tool_numbers.setdefault(state.tool, set()).add(int(number[1]))
@@ -191,6 +191,6 @@ def _missing_components(position: Position) -> str:
     return f"{', '.join(names)} {'is' if len(names) == 1 else 'are'} not given"
 
 
-def out_of_reach_error(at: Place, number: float) -> ProgramError:
+def out_of_reach_error(place: Place, number: float) -> ProgramError:
     """Return the error for a coordinate beyond `LARGEST_COORDINATE`."""
-    return at.error(f"{number:g} is out of any robot's reach", "Coordinates are in mm and degrees.")
+    return place.error(f"{number:g} is out of any robot's reach", "Coordinates are in mm and degrees.")

@@ -77,21 +77,21 @@ class Interpreter:
         self.run, self._motion, self._inline_call = run, motion, inline_call
         self.calls = Calls(run, run_routine)
 
-    def follow_statement(self, at: Place, stmt: tree.Statement) -> None:
+    def follow_statement(self, place: Place, stmt: tree.Statement) -> None:
         """Run one statement.
 
         :raises ProgramError: it is not understood, or its effect on motion is not modelled.
         """
-        self.run.place = at
+        self.run.place = place
         if isinstance(stmt, _MOVING):
             if self.run.is_traced:
-                self._motion(at, stmt)
+                self._motion(place, stmt)
             else:
-                self.follow_functions(at, stmt.values)
-        elif (isinstance(stmt, _SIMPLE) and stmt.word not in _ASYNCHRONOUS) or not self._follow_control(at, stmt):
-            self._follow_other(at, stmt)
+                self.follow_functions(place, stmt.values)
+        elif (isinstance(stmt, _SIMPLE) and stmt.word not in _ASYNCHRONOUS) or not self._follow_control(place, stmt):
+            self._follow_other(place, stmt)
 
-    def _follow_control(self, at: Place, stmt: tree.Statement) -> bool:
+    def _follow_control(self, place: Place, stmt: tree.Statement) -> bool:
         """Follow a statement that controls execution: a line of a control structure, GOTO, RETURN and the like.
 
         :returns: False if it is none.
@@ -99,45 +99,45 @@ class Interpreter:
         """
         level, word = self.run.level, stmt.word
         if word in OPENING or word == "REPEAT":
-            level.open.append((word, at.line))
+            level.open.append((word, place.line))
         elif word in _CLOSING:
             if not level.open or level.open[-1][0] != _CLOSING[word]:
-                raise at.error(
+                raise place.error(
                     f"{word} without {_CLOSING[word]}", advice="Check that the control structure is complete."
                 )
             level.open.pop()
         elif isinstance(stmt, tree.Goto):
             lines = [line for word, line in level.open if word in _CONDITIONS]
-            control = Place(at.source, lines[-1]) if lines else None
-            raise at.error(*undecided_jump(self.run.variables, control))
+            control = Place(place.source, lines[-1]) if lines else None
+            raise place.error(*undecided_jump(self.run.variables, control))
         elif isinstance(stmt, tree.Return):
-            self._follow_return(at, stmt)
+            self._follow_return(place, stmt)
         elif isinstance(stmt, tree.SplineTiming):
-            self._follow_spline_timing(at, stmt)
+            self._follow_spline_timing(place, stmt)
         elif word in _ASYNCHRONOUS:
-            raise at.error(f"{word} moves external axes", "Only fixed external axes are supported.")
+            raise place.error(f"{word} moves external axes", "Only fixed external axes are supported.")
         else:
             return False
         if word in _CONDITIONS:
-            self._follow_control_head(at, stmt)
+            self._follow_control_head(place, stmt)
         return True
 
-    def _follow_spline_timing(self, at: Place, stmt: tree.SplineTiming) -> None:
+    def _follow_spline_timing(self, place: Place, stmt: tree.SplineTiming) -> None:
         """Follow a statement on the speed of spline motions, which is kept unchanged.
 
         :raises ProgramError: it is not understood, or not allowed here.
         """
         if not stmt.complete:
-            raise at.error("the statement is not understood", "Check its spelling.")
-        self.follow_functions(at, stmt.values)
+            raise place.error("the statement is not understood", "Check its spelling.")
+        self.follow_functions(place, stmt.values)
         if not self.run.is_traced:
             return
         if stmt.word != "STOP" and not self.run.settings.state.block:
-            raise at.error(f"{stmt.word} outside of a spline block", "Write it between SPLINE and ENDSPLINE.")
+            raise place.error(f"{stmt.word} outside of a spline block", "Write it between SPLINE and ENDSPLINE.")
         if stmt.word in _TRIGGER_WORDS:
             self.run.triggers.append(self.run.row)
 
-    def _follow_return(self, at: Place, stmt: tree.Return) -> None:
+    def _follow_return(self, place: Place, stmt: tree.Return) -> None:
         """Follow RETURN: the routine ends, with its value if it is a function.
 
         :raises InexactError: it is not known whether it runs.
@@ -145,65 +145,65 @@ class Interpreter:
         level = self.run.level
         if not self.run.is_certain:
             if not level.traced or len(self.run.stack) > 1:
-                raise inexact_error(at, "it is not known whether it returns here")
+                raise inexact_error(place, "it is not known whether it returns here")
             return
         if stmt.value is not None:
-            level.result = convert_to_type(self.calls.value(at, stmt.value), level.routine.result)
-        level.returned = level.returned or at.line
+            level.result = convert_to_type(self.calls.value(place, stmt.value), level.routine.result)
+        level.returned = level.returned or place.line
 
-    def _follow_control_head(self, at: Place, stmt: tree.Statement) -> None:
+    def _follow_control_head(self, place: Place, stmt: tree.Statement) -> None:
         """Follow the functions in the head of a control structure; the counter of a FOR becomes unknown."""
-        self.follow_functions(at, stmt.values)
+        self.follow_functions(place, stmt.values)
         if isinstance(stmt, tree.For) and stmt.name:
-            self.run.variables.forget(self.run.stored_name(stmt.name), str(at))
+            self.run.variables.forget(self.run.stored_name(stmt.name), str(place))
 
-    def follow_functions(self, at: Place, values: Iterable[Value]) -> None:
+    def follow_functions(self, place: Place, values: Iterable[Value]) -> None:
         """Follow the functions in some values; it is not certain that they run."""
         for call in calls(values):
-            self.calls.follow_call(at, call, certain=False)
+            self.calls.follow_call(place, call, certain=False)
 
-    def _follow_other(self, at: Place, stmt: tree.Statement) -> None:
-        """Follow a statement that neither moves nor controls execution: a setting, an assignment, a declaration, a
-        call.
+    def _follow_other(self, place: Place, stmt: tree.Statement) -> None:
+        """Follow a statement that neither moves nor controls execution: an assignment, a declaration, a call and the
+        like.
 
         :raises ProgramError: it is not understood, or its effect on motion is not modelled.
         """
         if stmt.word == "BAS":
-            self._follow_bas(at, stmt)
+            self._follow_bas(place, stmt)
         elif isinstance(stmt, tree.Assignment):
-            self.assign(at, stmt.target, stmt.value)
+            self.assign(place, stmt.target, stmt.value)
         elif isinstance(stmt, tree.CallStatement):
-            self.follow_functions(at, stmt.call.arguments)
-            if not self._inline_call(at, stmt.call):
-                self.calls.follow_call(at, stmt.call, certain=self.run.is_certain)
+            self.follow_functions(place, stmt.call.arguments)
+            if not self._inline_call(place, stmt.call):
+                self.calls.follow_call(place, stmt.call, certain=self.run.is_certain)
         elif isinstance(stmt, tree.Event):
             if isinstance(stmt, tree.Trigger) and self.run.is_traced:
                 self.run.triggers.append(self.run.row)
-            self._note_event(at, stmt)
+            self._note_event(place, stmt)
         elif isinstance(stmt, (tree.CyclicInput, tree.Import)):
             if stmt.name in RELEVANT:
-                raise at.error(f"{stmt.word} changes {stmt.name} at any time", SETTING_ADVICE)
-            self.run.note_cyclic_change(at, self.run.stored_name(stmt.name))
+                raise place.error(f"{stmt.word} changes {stmt.name} at any time", SETTING_ADVICE)
+            self.run.note_cyclic_change(place, self.run.stored_name(stmt.name))
             if isinstance(stmt, tree.Import):
                 for name in stored_originals(stmt):
-                    self.run.note_cyclic_change(at, name)
+                    self.run.note_cyclic_change(place, name)
         elif isinstance(stmt, tree.Declaration):
             row = self.run.row if self.run.is_traced and self.run.has_rows else 0
-            names = declare_variables(self.run.variables, at.source, stmt, row)
+            names = declare_variables(self.run.variables, place.source, stmt, row)
             if self.run.is_traced:
                 self.run.understand(*(declarator.at for declarator in names))
         elif stmt.word == "EXIT":
-            self._check_exit(at)
+            self._check_exit(place)
         elif isinstance(stmt, tree.IdleDeclaration):
             return
         elif stmt.word in WITHOUT_MOTION:
-            self.follow_functions(at, stmt.values)
+            self.follow_functions(place, stmt.values)
         elif isinstance(stmt, tree.FaultyStatement):
             raise stmt.error
         elif not isinstance(stmt, tree.Label):
-            raise at.error("the statement is not understood", "Check its spelling.")
+            raise place.error("the statement is not understood", "Check its spelling.")
 
-    def _check_exit(self, at: Place) -> None:
+    def _check_exit(self, place: Place) -> None:
         """Refuse an EXIT if it is not known whether it runs.
 
         :raises InexactError: it is in a control structure of a followed loop, whose condition is not known.
@@ -211,13 +211,15 @@ class Interpreter:
         level = self.run.level
         if level.loops and not any(word in LOOPS for word, _ in level.open):
             word, line = level.open[-1]
-            reason = why_not_decided(self.run.variables, at.source, statement(at.source, line).values)
+            reason = why_not_decided(self.run.variables, place.source, statement(place.source, line).values)
             problem = "it is not known before the program runs whether the loop is left here: "
             raise inexact_error(
-                at, f"{problem}the condition of {word} ({Place(at.source, line)}) is not known{reason}", LOOP_ADVICE
+                place,
+                f"{problem}the condition of {word} ({Place(place.source, line)}) is not known{reason}",
+                LOOP_ADVICE,
             )
 
-    def _follow_bas(self, at: Place, stmt: tree.Statement) -> None:
+    def _follow_bas(self, place: Place, stmt: tree.Statement) -> None:
         """Follow a call of KUKA's BAS, which sets speeds, frames and modes by its command.
 
         :raises ProgramError: it is not understood.
@@ -225,80 +227,81 @@ class Interpreter:
         if isinstance(stmt, tree.FaultyStatement):
             raise stmt.error
         if not isinstance(stmt, tree.CallStatement) or not stmt.call.arguments:
-            raise at.error("BAS is not understood", "Write BAS(#COMMAND,value).")
-        self._change_state(at, self.run.settings.state_after_bas(at, stmt.call))
+            raise place.error("BAS is not understood", "Write BAS(#COMMAND,value).")
+        self._change_state(place, self.run.settings.state_after_bas(place, stmt.call))
 
-    def _change_state(self, at: Place, state: State) -> None:
+    def _change_state(self, place: Place, state: State) -> None:
         """Put a state into force; if it is not certain that the statement runs, make uncertain what it would change."""
         if self.run.is_certain:
             self.run.settings.change(self.run.row, state)
         else:
             word, open_line = self.run.level.open[-1]
-            problem = f"what motions depend on is changed inside {word} ({Place(at.source, open_line)})"
-            self.run.settings.may_become(self.run.row, state, at.error(problem, SETTING_ADVICE))
+            problem = f"what motions depend on is changed inside {word} ({Place(place.source, open_line)})"
+            self.run.settings.may_become(self.run.row, state, place.error(problem, SETTING_ADVICE))
 
-    def assign(self, at: Place, target: Reference, expression: Value) -> None:
+    def assign(self, place: Place, target: Reference, expression: Value) -> None:
         """Follow an assignment.
 
         :raises ProgramError: its effect on motion is not modelled.
         """
-        self.follow_functions(at, [target])
+        self.follow_functions(place, [target])
         name = target.name
         if name in RELEVANT:
-            self._assign_setting(at, target, expression)
+            self._assign_setting(place, target, expression)
             return
         old_key = self.run.variables.key_of(target)
-        is_copied = target.field is None and self.run.is_traced and at.source is self.run.routine.source
-        value = self.calls.value(at, expression, is_copied=is_copied)
+        is_copied = target.field is None and self.run.is_traced and place.source is self.run.routine.source
+        value = self.calls.value(place, expression, is_copied=is_copied)
         if (
             name in _SUPERPOSED_MOTIONS
             and target.field == "MODE"
             and not (isinstance(value, Word) and value.text == "#OFF")
         ):
-            raise at.error(
+            raise place.error(
                 f"{name} superposes a motion on the path", "Only programs that leave it #OFF are understood."
             )
         if name.startswith("$") and name not in STORED_VARIABLES:
-            self.run.variables.forget(name, str(at))
+            self.run.variables.forget(name, str(place))
             return
         if target.field is None and self.run.is_traced:
             self.run.understand(target.start)
         key = self.run.variables.key_of(target)
         if key != old_key:
-            self.run.variables.forget(self.run.stored_name(name), self._unknown_element_reason(at, target, expression))
+            self.run.variables.forget(
+                self.run.stored_name(name), self._unknown_element_reason(place, target, expression)
+            )
         elif not self.run.is_certain or key is None or target.indices == ():
-            self.run.variables.forget(self.run.stored_name(name), str(at))
+            self.run.variables.forget(self.run.stored_name(name), str(place))
         elif value == NO_VALUE and name == "$H_POS" and target.field is None:
             return
         else:
             # an UnknownValue that does not say by itself why the value is not known
             needs_reason = isinstance(value, UnknownValue) and not (value.where if value.why else target.field is None)
             if value == NO_VALUE or needs_reason:
-                value = UnknownValue(str(at), why_unknown(self.run.variables, at.source, expression))
+                value = UnknownValue(str(place), why_unknown(self.run.variables, place.source, expression))
             if target.field is None:
                 self.run.note_copy(expression, value, name)
-                self.run.variables.set(key, value, at)
+                self.run.variables.set(key, value, place)
             else:
-                self.run.variables.set_field(key, target.field, value, at)
+                self.run.variables.set_field(key, target.field, value, place)
 
-    def _unknown_element_reason(self, at: Place, target: Reference, expression: Value) -> str:
-        """Return, as text, why it is not known which element an assignment writes: a call in its value changes the
-        index.
+    def _unknown_element_reason(self, place: Place, target: Reference, expression: Value) -> str:
+        """Return, as text, why it is not known which element an assignment writes.
 
-        KUKA does not say whether the index is evaluated before the value or after it.
+        A call in its value changes the index, and KUKA does not say whether the index is evaluated before the value.
         """
         indices = {value.name for value in walk(target.indices or ()) if isinstance(value, Reference)}
         places = {
-            place
+            write_place
             for call in calls([expression])
             for index in indices
-            if (place := self.calls.write_place(call, self.run.stored_name(index))) is not None
+            if (write_place := self.calls.write_place(call, self.run.stored_name(index))) is not None
         }
         change_places = ", ".join(sorted(map(str, places))) or "an argument"
-        element = at.source.text[target.start : target.stop]
-        return f"{at}: which element {element} is, is not known, because the call changes its index: {change_places}"
+        element = place.source.text[target.start : target.stop]
+        return f"{place}: which element {element} is, is not known, because the call changes its index: {change_places}"
 
-    def _assign_setting(self, at: Place, target: Reference, expression: Value) -> None:
+    def _assign_setting(self, place: Place, target: Reference, expression: Value) -> None:
         """Follow an assignment to a setting of motions, such as `$BASE`.
 
         :raises ProgramError: the value cannot be read, or its effect on motion is not modelled.
@@ -307,25 +310,29 @@ class Interpreter:
         if isinstance(expression, UnreadableText):
             raise expression.error
         if isinstance(expression, OpaqueText) and expression.rest >= 0:
-            raise at.error(
-                f"{at.source.text[expression.rest : expression.stop].strip()!r} is not understood",
+            raise place.error(
+                f"{place.source.text[expression.rest : expression.stop].strip()!r} is not understood",
                 advice="Check its spelling.",
             )
         if isinstance(expression, Call) or calls([expression]):
-            result = self.calls.value(at, expression)
+            result = self.calls.value(place, expression)
             if isinstance(expression, Call) and not isinstance(result, UnknownValue):
                 value = result
-        self._change_state(at, self.run.settings.state_after_assignment(self.run.settings.state, at, target, value))
+        self._change_state(
+            place, self.run.settings.state_after_assignment(self.run.settings.state, place, target, value)
+        )
 
-    def _note_event(self, at: Place, event: tree.Event) -> None:
+    def _note_event(self, place: Place, event: tree.Event) -> None:
         """Note what an INTERRUPT or a TRIGGER may change from now on.
 
         :raises ProgramError: it moves the robot.
         """
         scope = self.run.variables.scope
-        effects = self.run.analysis.effects_of_action(self.run.level.module, self.run.level.routine, at, event, scope)
+        effects = self.run.analysis.effects_of_action(
+            self.run.level.module, self.run.level.routine, place, event, scope
+        )
         if effects.motion is not None:
-            raise at.error(f"{event.word} moves the robot ({effects.motion})", IN_ORDER)
-        self.calls.note_lasting_effects(at, event.word, effects, f"{event.word} in {at}")
-        if event.public or at.source is self.run.routine.source:
+            raise place.error(f"{event.word} moves the robot ({effects.motion})", IN_ORDER)
+        self.calls.note_lasting_effects(place, event.word, effects, f"{event.word} in {place}")
+        if event.public or place.source is self.run.routine.source:
             self.run.resumed = self.run.resumed or effects.resumes

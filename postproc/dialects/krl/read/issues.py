@@ -175,8 +175,8 @@ def _uncorrected_error(run: Run, call: UntracedCall, force: str = "") -> Program
 
     :param force: suffix of the message: which force.
     """
-    cause, at = call.cause, run.trace.place(call.row)
-    place_text = f"{at.source.document.name}, line {at.line}"
+    cause, place = call.cause, run.trace.place(call.row)
+    place_text = f"{place.source.document.name}, line {place.line}"
     problem = f"{cause.problem}; {call.name}(), called in {place_text}, would stay uncorrected under force{force}"
     advice = cause.advice or ""
     if "--keep-unresolved" not in advice:

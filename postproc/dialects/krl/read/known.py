@@ -112,12 +112,14 @@ def unresolved_error(cause: ProgramError) -> UnresolvedError:
     return UnresolvedError(cause.problem, file=cause.file, line=cause.line, text=cause.text, advice=cause.advice)
 
 
-def inexact_error(at: Place, problem: str, advice: str | None = None, routine: Routine | None = None) -> InexactError:
+def inexact_error(
+    place: Place, problem: str, advice: str | None = None, routine: Routine | None = None
+) -> InexactError:
     """Return the error that the branch taken, or the number of iterations, is not known at a line.
 
     :param routine: see `InexactError`.
     """
-    base = at.error(problem, advice)
+    base = place.error(problem, advice)
     error = InexactError(base.problem, file=base.file, line=base.line, text=base.text, advice=base.advice)
     error.routine = routine
     return error

@@ -114,11 +114,11 @@ def _course(start: Start, *, collects: bool) -> tuple[Course, CollectedMotions |
     settings.follows_numbers = len(free_settings) <= _MOST_SETTINGS  # else plain ones are no statements here
     run.is_final = collects and settings.follows_numbers
 
-    def taken(at: Place, stmt: Statement) -> None:
+    def taken(place: Place, stmt: Statement) -> None:
         """Follow the functions in a motion, and collect it while nothing is in doubt."""
-        flow.interpreter.follow_functions(at, stmt.values)  # they may change what a condition depends on
+        flow.interpreter.follow_functions(place, stmt.values)  # they may change what a condition depends on
         if run.is_final and recorder.is_final:
-            collected.take_motion(at, stmt)
+            collected.take_motion(place, stmt)
 
     def wrong(_at: Place, _cause: ProgramError) -> None:
         """Note that a statement has an error; it is reported when the recorded trace is followed."""
@@ -256,7 +256,7 @@ class MainRoutine:
         errors = self._errors
         if self.splines.open is not None and not errors:
             errors.append(
-                self.splines.open.at.error(
+                self.splines.open.place.error(
                     "the spline block is not closed", advice="Write ENDSPLINE behind its last motion."
                 )
             )
@@ -277,8 +277,9 @@ class MainRoutine:
         return lines[bisect_left(lines, step.first) : bisect_right(lines, step.last)], step_settings
 
     def _split_settings(self) -> dict[Lines, Sequence[int]]:
-        """Return the lines of each step that are run one by one, and make the other plain settings come into force
-        there.
+        """Return the lines of each step that are run one by one.
+
+        Plain settings that are not among them come into force at their lines.
         """
         step_lines, is_free_line = {}, np.zeros(len(self.run.trace) + 1, dtype=np.bool_)
         for step in self.course.steps:
@@ -348,16 +349,16 @@ class MainRoutine:
         :param number: value of the counter that the row sets in plain rounds; None for other rows.
         """
         row = node.first if isinstance(node, Block) else node
-        at = self.run.come_to(row)
+        place = self.run.come_to(row)
         if number is None:
             number = self.course.counts.get(row)
         if number is None:
-            self._flow.follow(at.source, (node.shifted(-self.run.shift) if isinstance(node, Block) else at.line,))
+            self._flow.follow(place.source, (node.shifted(-self.run.shift) if isinstance(node, Block) else place.line,))
             self.run.level.left = False  # the next row is the one that runs behind EXIT
             return
-        stmt = statement(at.source, at.line)
+        stmt = statement(place.source, place.line)
         if isinstance(stmt, For) and stmt.counter is not None:
-            self._flow.set_counter(at, stmt.counter, number)
+            self._flow.set_counter(place, stmt.counter, number)
 
     def _follow_lines(self, lines: Ints, rounds: PlainRounds | None = None) -> None:
         """Run those of some rows of the trace that are not read in bulk.
@@ -416,12 +417,12 @@ class MainRoutine:
 
     def _enter_routine(self, step: RoutineEntry) -> None:
         """Enter a called routine: set its parameters."""
-        at = self.run.come_to(step.row)
-        stmt = statement(at.source, at.line)
+        place = self.run.come_to(step.row)
+        stmt = statement(place.source, place.line)
         if isinstance(stmt, CallStatement):
             for inner in calls(stmt.call.arguments):
-                self._flow.interpreter.calls.follow_call(at, inner, certain=False)
-            self._flow.interpreter.calls.enter_routine(at, stmt.call, step.module, step.routine)
+                self._flow.interpreter.calls.follow_call(place, inner, certain=False)
+            self._flow.interpreter.calls.enter_routine(place, stmt.call, step.module, step.routine)
 
     def _follow_division(self, step: Fork | Branch | Join) -> None:
         """Store, restore or merge the values of variables, at a fork, a branch or a join."""
@@ -442,24 +443,24 @@ class MainRoutine:
         lines, setting_lines = self._lines_of_step(step)
         for node in nodes_of(run.trace, sorted([*lines, *setting_lines])):
             if isinstance(node, Block):
-                at = run.come_to(node.first)
-                self._flow.follow_roughly(at.source, node.shifted(-run.shift))
+                place = run.come_to(node.first)
+                self._flow.follow_roughly(place.source, node.shifted(-run.shift))
         moving = self._moving
         moving = moving[np.searchsorted(moving, step.first) : np.searchsorted(moving, step.last, "right")]
         run.unresolved += [(line, step.why) for line in moving.tolist()]
         run.unresolved = [*dict(run.unresolved).items()]
 
-    def _note_fault(self, at: Place, cause: ProgramError) -> None:
+    def _note_fault(self, place: Place, cause: ProgramError) -> None:
         """Note an error of a statement, unless it names a variable whose own statement had an error."""
-        names = [name.upper() for name in NAME.findall(at.source.text, *at.source.code_span(at.line))]
+        names = [name.upper() for name in NAME.findall(place.source.text, *place.source.code_span(place.line))]
         if self._broken.isdisjoint(names):
             self._errors.append(cause)
         self._broken.update(name for name in names[:1] if name not in FIELDS and name not in _INSTRUCTIONS)
 
-    def _take_motion(self, at: Place, stmt: Statement) -> None:
+    def _take_motion(self, place: Place, stmt: Statement) -> None:
         """Run the functions in a motion, and collect it."""
-        self._flow.interpreter.follow_functions(at, stmt.values)
-        self._collected.take_motion(at, stmt)
+        self._flow.interpreter.follow_functions(place, stmt.values)
+        self._collected.take_motion(place, stmt)
 
 
 def _split_plain_settings(

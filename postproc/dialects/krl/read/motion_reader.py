@@ -86,7 +86,7 @@ class MotionReader:
         self.home = home
         self.home_used = 0
 
-    def read_motion(self, at: Place, motion: Motion, row: int) -> tuple[MotionStatement | None, State, list[int]]:
+    def read_motion(self, place: Place, motion: Motion, row: int) -> tuple[MotionStatement | None, State, list[int]]:
         """Return the motion of a statement with the settings for it; None if it only leads to the present position.
 
         :param row: row of the execution trace.
@@ -98,22 +98,22 @@ class MotionReader:
         name_offsets: list[int] = []
         via = angle = None
         if motion.via is not None:
-            via = self._point(at, motion.via, name_offsets, row)
+            via = self._point(place, motion.via, name_offsets, row)
             if not via or motion.end is None:
-                raise at.error(
+                raise place.error(
                     f"{motion.word} needs an auxiliary point and an end point",
                     advice="Write the auxiliary point, a comma and the end point.",
                 )
         if keeps_position(motion):
             return None, self.settings.state, name_offsets
-        end = None if motion.end is None else self._point(at, motion.end, name_offsets, row)
+        end = None if motion.end is None else self._point(place, motion.end, name_offsets, row)
         if end is None:
             problem = f"{motion.word}: the target is not known: it is the current robot position"
-            raise unresolved_error(at.error(problem, RUN_TIME_ADVICE))
+            raise unresolved_error(place.error(problem, RUN_TIME_ADVICE))
         if motion.angle is not None:
-            angle = self._angle(at, motion.angle)
-        state, is_approximated = self.tail_settings(at, kind, motion.tail, (motion.end, motion.via))
-        self._check_axis_target(at, motion.word, kind, end, via)
+            angle = self._angle(place, motion.angle)
+        state, is_approximated = self.tail_settings(place, kind, motion.tail, (motion.end, motion.via))
+        self._check_axis_target(place, motion.word, kind, end, via)
         try:
             self.settings.refuse_uncertain(
                 state, fields_used(kind, axis=end.position.axis, is_approximated=is_approximated)
@@ -128,22 +128,22 @@ class MotionReader:
         )
         return move, state, name_offsets
 
-    def block_state(self, at: Place, spline: Spline) -> State:
+    def block_state(self, place: Place, spline: Spline) -> State:
         """Return the settings within a spline block; those of its WITH hold in this block only.
 
         :raises ProgramError: its WITH or its approximation is not understood.
         """
-        state, _ = self.tail_settings(at, LIN, spline.tail)
+        state, _ = self.tail_settings(place, LIN, spline.tail)
         return replace(state, block=spline.word)
 
-    def _point(self, at: Place, value: Value, name_offsets: list[int], row: int) -> Point | None:
+    def _point(self, place: Place, value: Value, name_offsets: list[int], row: int) -> Point | None:
         """Return a point of a motion; None if it is the present robot position.
 
         :param name_offsets: gets the offset of the variable, if the point is one.
         :param row: row of the execution trace.
         :raises ProgramError: it is not known before the program runs, or out of reach.
         """
-        source = at.source
+        source = place.source
         name = ""
         if isinstance(value, Reference):
             self.variables.check_name(source, value)
@@ -161,9 +161,9 @@ class MotionReader:
             position = Position(self.home, axis=True)
         if position is None:
             reason = why_unknown(self.variables, source, value)
-            raise unresolved_error(at.error(f"the target is not known: {reason}", RUN_TIME_ADVICE))
+            raise unresolved_error(place.error(f"the target is not known: {reason}", RUN_TIME_ADVICE))
         if position.largest_coordinate > LARGEST_COORDINATE:
-            raise out_of_reach_error(at, position.largest_coordinate)
+            raise out_of_reach_error(place, position.largest_coordinate)
         return Point(position, value.start, value.stop, name)
 
     def _explained(self, source: Source, value: Value, cause: NotANumberError) -> ProgramError:
@@ -174,28 +174,28 @@ class MotionReader:
         problem = f"{cause.problem}: {why_unknown(self.variables, source, item)}"
         return source.error(problem, item.start, cause.advice)
 
-    def _angle(self, at: Place, value: Value) -> float:
+    def _angle(self, place: Place, value: Value) -> float:
         """Return CA of a circle [deg].
 
         :raises ProgramError: it is unknown, 0, or larger than any angle of a program.
         """
         angle = self.variables.number(value)
         if angle is None or not 0.0 < abs(angle) <= LARGEST_COORDINATE:
-            raise at.error(
+            raise place.error(
                 "the circular angle CA is not a number of degrees other than 0",
                 advice="Write an angle in degrees, such as CA 90.",
             )
         return angle
 
-    def _check_axis_target(self, at: Place, word: str, kind: int, end: Point, via: Point | None) -> None:
+    def _check_axis_target(self, place: Place, word: str, kind: int, end: Point, via: Point | None) -> None:
         """Refuse joint angles as the target or auxiliary point of a motion other than PTP.
 
         :raises ProgramError: there are such.
         """
         if kind != PTP and (end.position.axis or (via and via.position.axis)):
-            raise at.error(f"{word} to axis angles", "Write a Cartesian target, or use PTP.")
+            raise place.error(f"{word} to axis angles", "Write a Cartesian target, or use PTP.")
 
-    def _check_values_beside_with(self, at: Place, subject: str, value: Value | None) -> None:
+    def _check_values_beside_with(self, place: Place, subject: str, value: Value | None) -> None:
         """Refuse a value that reads a setting which WITH of the same motion may change.
 
         :param subject: name of the setting or WITH, for the message.
@@ -205,31 +205,31 @@ class MotionReader:
         if not RELEVANT.isdisjoint(variable_names):
             name = min(RELEVANT.intersection(variable_names))
             problem = f"{subject}: whether {name} is the one before WITH or behind it is in no source"
-            raise at.error(problem, f"Assign {name} to a variable in a line before, and use that.")
+            raise place.error(problem, f"Assign {name} to a variable in a line before, and use that.")
 
     def tail_settings(
-        self, at: Place, kind: int, tail: Tail, points: Sequence[Value | None] = ()
+        self, place: Place, kind: int, tail: Tail, points: Sequence[Value | None] = ()
     ) -> tuple[State, bool]:
         """Return the settings of a single motion, from its WITH, and whether `$APO.CDIS` applies.
 
         :param points: its target and auxiliary point.
         :raises ProgramError: WITH or the approximation is not understood.
         """
-        text, state = at.source.text, self.settings.state
+        text, state = place.source.text, self.settings.state
         if tail.error is not None:
             raise tail.error
         if tail.rest is not None:
-            raise at.error(f"{tail.rest.of(text)!r} is not understood", advice="Check its spelling.")
+            raise place.error(f"{tail.rest.of(text)!r} is not understood", advice="Check its spelling.")
         for item in tail.given:
             if not isinstance(item, Assignment):
-                raise at.error(f"{text[item.start : item.stop]!r} is not understood", advice="Check its spelling.")
+                raise place.error(f"{text[item.start : item.stop]!r} is not understood", advice="Check its spelling.")
             if item.target.name in RELEVANT:
-                self._check_values_beside_with(at, item.target.name, item.value)
-                state = self.settings.state_after_assignment(state, at, item.target, item.value)
+                self._check_values_beside_with(place, item.target.name, item.value)
+                state = self.settings.state_after_assignment(state, place, item.target, item.value)
             elif not item.target.name.startswith(_NO_EFFECT):
-                raise at.error(f"{item.target.name} in WITH is not understood", advice="Check its spelling.")
+                raise place.error(f"{item.target.name} in WITH is not understood", advice="Check its spelling.")
         if state != self.settings.state:
             for value in points:
-                self._check_values_beside_with(at, "WITH", value)
+                self._check_values_beside_with(place, "WITH", value)
         by_distance = "C_DIS" in tail.approximation or ("C_SPL" in tail.approximation and kind != PTP)
         return state, by_distance

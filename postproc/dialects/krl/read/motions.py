@@ -582,14 +582,16 @@ def _triggers_of_motions(
     rows = np.searchsorted(line, lines)
     lines, rows = lines[rows < len(motions)], rows[rows < len(motions)]
     in_block = [
-        main.are_in_one_block(at, int(line[row])) for at, row in zip(lines.tolist(), rows.tolist(), strict=True)
+        main.are_in_one_block(trigger_line, int(line[row]))
+        for trigger_line, row in zip(lines.tolist(), rows.tolist(), strict=True)
     ]
     lines, rows = lines[in_block], rows[in_block]
     if not len(rows):
         return ()
     following = line[rows].tolist()
     is_attached = [
-        main.contain_only_comments(at + 1, line - 1) for at, line in zip(lines.tolist(), following, strict=True)
+        main.contain_only_comments(trigger_line + 1, line - 1)
+        for trigger_line, line in zip(lines.tolist(), following, strict=True)
     ]
     begin, end = start.at(rows)[:, :3, 3], motions.target[rows, :3, 3]
     is_arc = motions.kind[rows] == CIRC

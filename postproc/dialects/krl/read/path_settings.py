@@ -43,29 +43,30 @@ class PathSettings:
     def __init__(self, variables: Variables, reasons: Reasons, *, has_carriage: bool) -> None:
         self.variables, self.reasons, self.has_carriage = variables, reasons, has_carriage
 
-    def state_with_speed(self, state: State, at: Place, field: str | None, value: Value | VariableValue) -> State:
-        """Return the state after ``$VEL.CP = value``, or after ``$VEL = {…}`` if `field` is None; other fields are
-        ignored.
+    def state_with_speed(self, state: State, place: Place, field: str | None, value: Value | VariableValue) -> State:
+        """Return the state after ``$VEL.CP = value``.
 
+        :param field: CP; None for ``$VEL = {…}``; an assignment to another component changes nothing.
         :raises ProgramError: no path can be driven at that speed.
         """
         if isinstance(value, Call) and value.name == "SVEL_CP" and value.arguments:
             value = value.arguments[0]
-        component = self._assigned_component(at, field, "CP", value)
+        component = self._assigned_component(place, field, "CP", value)
         if component is None:
             return state
         number = self.variables.number(component)
         if number is None:
             return self._unknown_state(
-                state, "speed", at, "the speed $VEL.CP is not known before the program runs", component
+                state, "speed", place, "the speed $VEL.CP is not known before the program runs", component
             )
         if not 0.0 < number <= FASTEST:
-            raise at.error(f"the speed $VEL.CP is {number:g} m/s", f"Give a speed above 0, up to {FASTEST:g} m/s.")
+            raise place.error(f"the speed $VEL.CP is {number:g} m/s", f"Give a speed above 0, up to {FASTEST:g} m/s.")
         return state.with_values(speed=number, assumed=False)
 
-    def state_with_distance(self, state: State, at: Place, field: str | None, value: Value | VariableValue) -> State:
-        """Return the state after ``$APO.CDIS = value``, or after ``$APO = {…}`` if `field` is None; other fields are
-        ignored.
+    def state_with_distance(self, state: State, place: Place, field: str | None, value: Value | VariableValue) -> State:
+        """Return the state after ``$APO.CDIS = value``.
+
+        :param field: CDIS; None for ``$APO = {…}``; an assignment to another component changes nothing.
         """
         if isinstance(value, Call) and value.name in _OF_PTP:
             return state
@@ -74,17 +75,17 @@ class PathSettings:
             if argument is None:
                 return state
             field, value = "CDIS", argument
-        component = self._assigned_component(at, field, "CDIS", value)
+        component = self._assigned_component(place, field, "CDIS", value)
         if component is None:
             return state
         number = self.variables.number(component)
         if number is None or number < 0.0:
             return self._unknown_state(
-                state, "cdis", at, "the approximation distance $APO.CDIS is not known", component
+                state, "cdis", place, "the approximation distance $APO.CDIS is not known", component
             )
         return state.with_values(cdis=number * M_PER_MM)
 
-    def state_with_mode(self, state: State, at: Place, name: str, value: Value | VariableValue) -> State:
+    def state_with_mode(self, state: State, place: Place, name: str, value: Value | VariableValue) -> State:
         """Return the state after ``$ORI_TYPE = value``, or an assignment to another of the `MODES`.
 
         :raises ProgramError: ``$IPO_MODE`` of a robot that moves the workpiece.
@@ -92,7 +93,7 @@ class PathSettings:
         argument: Value | VariableValue | None = value
         if isinstance(value, Call) and value.name in _MODE_OF:
             argument = self.variables.first_argument(value, _MODE_OF[value.name])
-        word = self._mode_word(at, name, argument, MODES[name])
+        word = self._mode_word(place, name, argument, MODES[name])
         if isinstance(word, ProgramError):
             if name == "$IPO_MODE":
                 raise word
@@ -100,11 +101,13 @@ class PathSettings:
         if name == "$IPO_MODE":
             if word != "#BASE":
                 problem = f"$IPO_MODE {word}: the workpiece is moved by the robot"
-                raise at.error(problem, "Only $IPO_MODE=#BASE (the robot moves the tool) can be corrected.")
+                raise place.error(problem, "Only $IPO_MODE=#BASE (the robot moves the tool) can be corrected.")
             return state
         return state.with_values(**{FIELDS[name]: word})
 
-    def state_with_auxiliary(self, state: State, at: Place, field: str | None, value: Value | VariableValue) -> State:
+    def state_with_auxiliary(
+        self, state: State, place: Place, field: str | None, value: Value | VariableValue
+    ) -> State:
         """Return the state after ``$CIRC_MODE = value``: how SCIRC uses the orientation of auxiliary points.
 
         How it uses that of end points (TARGET_PT) matters for circles with CA only, see `motions`.
@@ -116,24 +119,24 @@ class PathSettings:
         if isinstance(value, Call) and value.name == "SCIRC_M":
             argument = self.variables.first_argument(value, "CB")
         word = self._mode_word(
-            at, "$CIRC_MODE.AUX_PT.E1", self._auxiliary_component(at, field, argument, "E1"), _AUXILIARY
+            place, "$CIRC_MODE.AUX_PT.E1", self._auxiliary_component(place, field, argument, "E1"), _AUXILIARY
         )
         if self.has_carriage and word == "#INTERPOLATE":
             problem = (
                 "$CIRC_MODE.AUX_PT.E1 #INTERPOLATE: E1, which carries the robot, is led through the auxiliary point"
             )
-            raise at.error(problem, "Only circles on which E1 goes from start to end are understood: use #CONSIDER.")
+            raise place.error(problem, "Only circles on which E1 goes from start to end are understood: use #CONSIDER.")
         if field not in (None, "AUX_PT", "AUX_PT.ORI"):
             return state
         word = self._mode_word(
-            at, "$CIRC_MODE.AUX_PT.ORI", self._auxiliary_component(at, field, argument, "ORI"), _AUXILIARY
+            place, "$CIRC_MODE.AUX_PT.ORI", self._auxiliary_component(place, field, argument, "ORI"), _AUXILIARY
         )
         if isinstance(word, ProgramError):
             return self.reasons.state_with_unknown(state, "auxiliary", word)
         return state.with_values(auxiliary=word)
 
     def _auxiliary_component(
-        self, at: Place, field: str | None, value: Value | VariableValue | None, component: str
+        self, place: Place, field: str | None, value: Value | VariableValue | None, component: str
     ) -> Value | VariableValue | None:
         """Return the value that an assignment to `$CIRC_MODE`, or to a component of it, gives a component of AUX_PT.
 
@@ -151,7 +154,7 @@ class PathSettings:
         return value
 
     def _mode_word(
-        self, at: Place, name: str, value: Value | VariableValue | None, words: tuple[str, ...]
+        self, place: Place, name: str, value: Value | VariableValue | None, words: tuple[str, ...]
     ) -> str | ProgramError:
         """Return the word of a mode, or the error that it is not known.
 
@@ -161,12 +164,12 @@ class PathSettings:
         word = words[0] if result is None else result.text if isinstance(result, Word) else ""
         if word in words:
             return word
-        reason = f"there is no {word}" if word else why_unknown(self.variables, at.source, value or NO_VALUE)
+        reason = f"there is no {word}" if word else why_unknown(self.variables, place.source, value or NO_VALUE)
         advice = f"Write its value, one of {', '.join(words)}{'.' if word else f', or {_IN_A_FILE}.'}"
-        return at.error(f"{name} is not known: {reason}", advice)
+        return place.error(f"{name} is not known: {reason}", advice)
 
     def _assigned_component(
-        self, at: Place, field: str | None, component: str, value: Value | VariableValue
+        self, place: Place, field: str | None, component: str, value: Value | VariableValue
     ) -> Value | VariableValue | None:
         """Return the value assigned to one component of a structure; None if another is assigned, or it is left out."""
         if field is not None:
@@ -174,7 +177,9 @@ class PathSettings:
         result = self.variables.evaluate(value)
         return result.items.get(component) if isinstance(result, Aggregate) else value
 
-    def _unknown_state(self, state: State, field: str, at: Place, problem: str, value: Value | VariableValue) -> State:
+    def _unknown_state(
+        self, state: State, field: str, place: Place, problem: str, value: Value | VariableValue
+    ) -> State:
         """Return a state in which a field is not known, because `value` is not."""
-        reason = why_unknown(self.variables, at.source, value)
-        return self.reasons.state_with_unknown(state, field, at.error(f"{problem}: {reason}", _RUN_TIME))
+        reason = why_unknown(self.variables, place.source, value)
+        return self.reasons.state_with_unknown(state, field, place.error(f"{problem}: {reason}", _RUN_TIME))

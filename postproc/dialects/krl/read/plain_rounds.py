@@ -41,8 +41,11 @@ _PREFIX = "LIN "
 
 
 def plain_body(source: Source, block: Block) -> PlainBody | None:
-    """Return the statements of a FOR that moves to elements ``P[I]`` or ``P[I+1]``, sets speeds and distances of
-    approximation likewise, and switches outputs; None if it does anything else.
+    """Return the lines of a FOR that only moves to array elements, sets speeds and distances, and switches outputs.
+
+    Elements have an index such as ``I`` or ``I+1``; speeds and approximation distances may be such elements too.
+
+    :returns: None if the loop does anything else.
     """
     head = statement(source, block.first)
     if not isinstance(head, For) or head.bounds is None or head.counter is None or head.counter.indices is not None:
@@ -67,9 +70,7 @@ def plain_body(source: Source, block: Block) -> PlainBody | None:
 
 
 def _sets_from_array(stmt: Statement, counter: str) -> bool:
-    """Return whether a statement sets a speed or an approximation distance to an array element, as ``$VEL.CP=V[I]``
-    does.
-    """
+    """Return whether a statement sets a speed or an approximation distance to an array element: ``$VEL.CP=V[I]``."""
     if not isinstance(stmt, Assignment) or not isinstance(stmt.value, Reference):
         return False
     target, value = stmt.target, stmt.value
@@ -188,12 +189,12 @@ def _settings_of_rounds(run: Run, rounds: PlainRounds) -> PlainSettings | None:
 
 
 def _element_motions(
-    run: Run, reader: MotionReader, rounds: PlainRounds, at: int, motion: Motion
+    run: Run, reader: MotionReader, rounds: PlainRounds, motion_line: int, motion: Motion
 ) -> ElementMotions | None:
-    """Return the motions of one statement, one for each round; None if their points are not all literals of one data
-    list.
+    """Return the motions of one statement, one for each round.
 
-    :param at: line of the statement in its file.
+    :param motion_line: line of the statement in its file.
+    :returns: None if their points are not all literals of one data list.
     """
     head = statement(rounds.source, rounds.head)
     if not isinstance(motion.end, Reference) or not isinstance(head, For):
@@ -216,7 +217,7 @@ def _element_motions(
         return None
     shift = np.array([start for start, _ in spans]) - starts - len(_PREFIX)
     kind = KINDS[motion.word]
-    _, is_approximated = reader.tail_settings(Place(rounds.source, at), kind, motion.tail)
+    _, is_approximated = reader.tail_settings(Place(rounds.source, motion_line), kind, motion.tail)
 
     def in_each_round(*offsets: int) -> Offsets:
         """Return offsets that are the same in all rounds, one row for each (count, n)."""
@@ -225,7 +226,7 @@ def _element_motions(
     literal = rows.target + shift[:, None]
     rows = replace(
         rows,
-        line=rounds.rows_of_statement(at),
+        line=rounds.rows_of_statement(motion_line),
         kind=np.full(rounds.count, kind),
         keyword=in_each_round(motion.start)[:, 0],
         target=in_each_round(motion.end.start, motion.end.stop),

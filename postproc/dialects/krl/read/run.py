@@ -221,9 +221,9 @@ class Run:
 
     def come_to(self, row: int) -> Place:
         """Make a row of the execution trace the present one; return its file and line."""
-        at = self.trace.place(row)
-        self.row, self.shift = row, row - at.line
-        return at
+        place = self.trace.place(row)
+        self.row, self.shift = row, row - place.line
+        return place
 
     def with_row(self, aggregate: Aggregate) -> Aggregate:
         """Return an aggregate of the present statement with its row of the trace: its numbers are corrected there."""
@@ -276,7 +276,7 @@ class Run:
         self.variables.restore(fork.values)
         self.settings.change(self.row, fork.state)
 
-    def join_branches(self, at: Place, *, complete: bool) -> None:
+    def join_branches(self, place: Place, *, complete: bool) -> None:
         """End the last fork: values and settings that differ between its branches become unknown.
 
         :param at: the line that ends the branches, for messages.
@@ -284,9 +284,9 @@ class Run:
         """
         fork = self._forks.pop()
         for values, state in [*fork.ends, *([] if complete else [(fork.values, fork.state)])]:
-            self.variables.merge(values, str(at))
+            self.variables.merge(values, str(place))
             problem = "what motions depend on differs behind the branches that meet here"
-            self.settings.may_become(self.row, state, at.error(problem, SETTING_ADVICE))
+            self.settings.may_become(self.row, state, place.error(problem, SETTING_ADVICE))
 
     @property
     def is_forked(self) -> bool:
@@ -340,6 +340,6 @@ class Run:
             cause_place = cause if cause.endswith(f"in {place}") else f"{cause}, {place}"
             self.variables.changing.setdefault(name, UnknownValue(f"by {cause_place}"))
 
-    def note_cyclic_change(self, at: Place, name: str) -> None:
+    def note_cyclic_change(self, place: Place, name: str) -> None:
         """Note that the statement at a place makes a variable change cyclically; `name` is its stored name."""
-        self.variables.changing.setdefault(name, UnknownValue(str(at)))
+        self.variables.changing.setdefault(name, UnknownValue(str(place)))

@@ -75,9 +75,9 @@ class Settings:
 
     def come_to(self, line: int) -> None:
         """Put into force the plain assignments before a line of the program."""
-        for at, field, value in self.coming.values_before(line):
+        for setting_line, field, value in self.coming.values_before(line):
             fields = {field: value, "assumed": False} if field == "speed" else {field: value}
-            self.change(at, self.state.with_values(**fields))
+            self.change(setting_line, self.state.with_values(**fields))
 
     def may_become(self, line: int, state: State, reason: ProgramError) -> None:
         """Mark as uncertain the fields that differ in a state which may or may not come into force.
@@ -104,7 +104,9 @@ class Settings:
         """
         self._reasons.refuse_unknown(state, fields)
 
-    def state_after_assignment(self, state: State, at: Place, target: Reference, value: Value | VariableValue) -> State:
+    def state_after_assignment(
+        self, state: State, place: Place, target: Reference, value: Value | VariableValue
+    ) -> State:
         """Return the state after ``target = value``, for a setting of motions such as `$BASE`.
 
         :raises ProgramError: the value moves the robot in a way that is not modelled.
@@ -112,23 +114,23 @@ class Settings:
         name = target.name
         self.variables.note_dependence(value)
         if name in ("$BASE", "$TOOL"):
-            return self.frames.state_after_assignment(state, at, target, value)
+            return self.frames.state_after_assignment(state, place, target, value)
         if name == "$VEL":
-            return self._path.state_with_speed(state, at, target.field, value)
+            return self._path.state_with_speed(state, place, target.field, value)
         if name == "$APO":
-            return self._path.state_with_distance(state, at, target.field, value)
+            return self._path.state_with_distance(state, place, target.field, value)
         if name == "$CIRC_MODE":
-            return self._path.state_with_auxiliary(state, at, target.field, value)
+            return self._path.state_with_auxiliary(state, place, target.field, value)
         if name in MODES:
-            return self._path.state_with_mode(state, at, name, value)
-        raise at.error(f"{name} is changed by the program", "Leave it as the controller has it.")
+            return self._path.state_with_mode(state, place, name, value)
+        raise place.error(f"{name} is changed by the program", "Leave it as the controller has it.")
 
-    def state_after_bas(self, at: Place, call: Call) -> State:
+    def state_after_bas(self, place: Place, call: Call) -> State:
         """Return the state after ``BAS(#COMMAND, value)``.
 
         :raises ProgramError: the command is not known.
         """
-        return self._bas.state_after_call(self.state, at, call)
+        return self._bas.state_after_call(self.state, place, call)
 
     def assumed_frames(self, state: State) -> set[str]:
         """Return which of `$BASE` and `$TOOL` are taken from the cell because `[krl] initmov` is not given."""

@@ -27,13 +27,13 @@ from postproc.program import SPL, Bools, Ints, Motions, distinct
 class OpenBlock(Struct, frozen=True):
     """A block that is open.
 
-    :ivar row: of the trace, with its first line; `at` the place of that line.
+    :ivar row: of the trace, with its first line; `place` the place of that line.
     :ivar outer_state: state in force outside of it.
     :ivar block_state: state in force behind its first line.
     """
 
     row: int
-    at: Place
+    place: Place
     outer_state: State
     block_state: State
 
@@ -52,7 +52,7 @@ class SplineBlocks:
         self.approximated: list[int] = []
         self.ended: list[int] = []
 
-    def follow_line(self, at: Place, stmt: Statement, row: int) -> None:
+    def follow_line(self, place: Place, stmt: Statement, row: int) -> None:
         """Open or close a spline block.
 
         :param stmt: SPLINE, PTP_SPLINE or ENDSPLINE; `row` its row of the execution trace.
@@ -60,22 +60,22 @@ class SplineBlocks:
         """
         if isinstance(stmt, Spline):
             if self.open is not None:
-                raise at.error(
-                    f"{stmt.word} inside of a spline block ({self.open.at})",
+                raise place.error(
+                    f"{stmt.word} inside of a spline block ({self.open.place})",
                     advice="End that block with ENDSPLINE first.",
                 )
-            state = self.reader.block_state(at, stmt)
-            self.open = OpenBlock(row, at, self.settings.state, state)
+            state = self.reader.block_state(place, stmt)
+            self.open = OpenBlock(row, place, self.settings.state, state)
             self.settings.change(row, state)
             return
         if self.open is None:
-            raise at.error(
+            raise place.error(
                 "ENDSPLINE without SPLINE",
                 advice="Write SPLINE before the first motion of the block, or remove ENDSPLINE.",
             )
         tail = stmt.behind if isinstance(stmt, EndSpline) else ""
         if tail.upper() not in ("", "C_SPL"):
-            raise at.error(f"{tail!r} is not understood", advice="Check its spelling.")
+            raise place.error(f"{tail!r} is not understood", advice="Check its spelling.")
         if tail:
             self.approximated.append(row)
         block_state, end_state = self.open.block_state, self.settings.state
@@ -85,7 +85,7 @@ class SplineBlocks:
         self.settings.change(row, self.open.outer_state)
         if changed_fields:
             problem = "a function that a motion of the spline block calls changes what motions depend on"
-            self.settings.make_uncertain(row, sorted(changed_fields), at.error(problem, SETTING_ADVICE))
+            self.settings.make_uncertain(row, sorted(changed_fields), place.error(problem, SETTING_ADVICE))
         self.ended.append(row)
         self.open = None
 

@@ -135,18 +135,18 @@ class Recorder:
             for body, part_count in zip(open_routine.bodies, part_counts, strict=True):
                 del body.parts[part_count:]
 
-    def enter_routine(self, at: Place, name: tuple[int, int], module: Module, routine: Routine) -> None:
+    def enter_routine(self, place: Place, name: tuple[int, int], module: Module, routine: Routine) -> None:
         """Begin a routine that the present line calls.
 
         :param name: span of its name in the file of that line.
         """
         caller = self._open[-1]
-        self.record_passed_lines(at.line)
+        self.record_passed_lines(place.line)
         self._steps.append(RoutineEntry(self.count, module, routine))
         body = Body(self.count + 1)
         caller.bodies[-1].parts.append(InlinedRoutine(self.count, name, routine, body))
         is_own = routine.source is self.main.source
-        shown_line = 0 if is_own else caller.shown_line or at.line
+        shown_line = 0 if is_own else caller.shown_line or place.line
         self._open.append(_OpenRoutine(routine.source, routine.first + 1, shown_line, [body]))
         self._inlined[routine] = None
         if not is_own:

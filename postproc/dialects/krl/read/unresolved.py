@@ -156,28 +156,30 @@ def _marks(main: MainRoutine) -> list[tuple[int, bool]]:
     if not any(_synchronises(module.source.text) for module in modules):
         return []
     routines = [(module, routine) for module in modules for routine in module.routines.values()]
-    words = {routine: {_sync_word(routine.source, at) for at in routine.lines} - {""} for _, routine in routines}
-    sync_routines = {routine for routine, sync_words in words.items() if sync_words}
+    sync_words_of = {
+        routine: {_sync_word(routine.source, row) for row in routine.lines} - {""} for _, routine in routines
+    }
+    sync_routines = {routine for routine, routine_words in sync_words_of.items() if routine_words}
     names = {
         routine.name.upper()
         for module, routine in routines
         if not sync_routines.isdisjoint(run.analysis.reachable_routines(module, routine))
     }
-    waiting = set().union(*words.values()) <= {_WAITING}
+    waiting = set().union(*sync_words_of.values()) <= {_WAITING}
     at_any_time = any(
-        isinstance(statement(routine.source, at), Event) and _sync_word(routine.source, at, names)
+        isinstance(statement(routine.source, row), Event) and _sync_word(routine.source, row, names)
         for _, routine in routines
-        for at in routine.lines
+        for row in routine.lines
     )
     entry_lines = {step.row for step in course.steps if isinstance(step, RoutineEntry)}
     marks = []
     trace = course.trace
-    for at in range(course.body.first, course.body.last):
-        if not trace.is_count[at - 1] and (course.live is None or course.live[at - 1]):
-            word = _sync_word(*trace.place(at), names, is_entered=at in entry_lines)
-            marks += [(at, not at_any_time and (waiting or word == _WAITING))] if word else []
+    for row in range(course.body.first, course.body.last):
+        if not trace.is_count[row - 1] and (course.live is None or course.live[row - 1]):
+            word = _sync_word(*trace.place(row), names, is_entered=row in entry_lines)
+            marks += [(row, not at_any_time and (waiting or word == _WAITING))] if word else []
     loop = course.endless
-    if loop is not None and any(loop.first <= at < loop.last for at, _ in marks):
+    if loop is not None and any(loop.first <= row < loop.last for row, _ in marks):
         marks += [(loop.first - 1, True), (loop.last, True)]
     return sorted(marks)
 
@@ -187,7 +189,9 @@ def _synchronises(text: str, size: int = _PIECE) -> bool:
 
     :param size: characters that are searched at once.
     """
-    pieces = (text[at : at + size + max(map(len, SYNCHRONISING))].upper() for at in range(0, len(text), size))
+    pieces = (
+        text[offset : offset + size + max(map(len, SYNCHRONISING))].upper() for offset in range(0, len(text), size)
+    )
     return any(name in piece for piece in pieces for name in SYNCHRONISING)
 
 

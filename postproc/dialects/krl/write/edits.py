@@ -151,8 +151,8 @@ class InsertedLines(Struct, eq=False):
 
     trace: Trace
     replacements: Replacements
-    _at: list[int] = []
-    _target: list[int] = []
+    _insertion_lines: list[int] = []
+    _inserted_targets: list[int] = []
     _removed_lines: list[int] = []
 
     def add(self, next_line: int, text: str, target: int = -1) -> None:
@@ -163,8 +163,8 @@ class InsertedLines(Struct, eq=False):
         source, line = self.trace.place(next_line)
         offset = source.starts.item(line - 1)
         self.replacements.add(offset, offset, text, next_line)
-        self._at.append(next_line)
-        self._target.append(target)
+        self._insertion_lines.append(next_line)
+        self._inserted_targets.append(target)
 
     def insert_behind(self, line: int, text: str) -> None:
         """Insert a text without line end as a line behind another.
@@ -174,8 +174,8 @@ class InsertedLines(Struct, eq=False):
         source, number = self.trace.place(line)
         stop = source.stops.item(number - 1)
         self.replacements.add(stop, stop, source.text[stop : source.starts[number]] + text, line)
-        self._at.append(line + 1)
-        self._target.append(-1)
+        self._insertion_lines.append(line + 1)
+        self._inserted_targets.append(-1)
 
     def move_line(self, line: int, next_line: int, text: str) -> None:
         """Remove a line, and insert a text in its place before another line."""
@@ -191,13 +191,16 @@ class InsertedLines(Struct, eq=False):
 
         :param line: (K,) lines on which the targets were; inserted targets get the lines of their own.
         """
-        at, target = np.array(self._at, dtype=np.int64), np.array(self._target, dtype=np.int64)
-        order = np.argsort(at, kind="stable")
-        at, target = at[order], target[order]
+        insertion_lines, inserted_targets = (
+            np.array(self._insertion_lines, dtype=np.int64),
+            np.array(self._inserted_targets, dtype=np.int64),
+        )
+        order = np.argsort(insertion_lines, kind="stable")
+        insertion_lines, inserted_targets = insertion_lines[order], inserted_targets[order]
         removed_lines = np.sort(np.array(self._removed_lines, dtype=np.int64))
-        output_line = line + np.searchsorted(at, line, side="right") - np.searchsorted(removed_lines, line)
-        target_rows = np.flatnonzero(target >= 0)
-        output_line[target[target_rows]] = (
-            at[target_rows] + target_rows - np.searchsorted(removed_lines, at[target_rows])
+        output_line = line + np.searchsorted(insertion_lines, line, side="right") - np.searchsorted(removed_lines, line)
+        target_rows = np.flatnonzero(inserted_targets >= 0)
+        output_line[inserted_targets[target_rows]] = (
+            insertion_lines[target_rows] + target_rows - np.searchsorted(removed_lines, insertion_lines[target_rows])
         )
         return np.asarray(output_line)

@@ -408,7 +408,7 @@ def _concatenate(pieces: Iterable[_Piece]) -> _Piece:
     content, places, number = list[str | tuple[int, int]](), list[tuple[int, int, int]](), 0
     for piece in pieces:
         content += piece.content
-        places += [(number + at, first, last) for at, first, last in piece.places]
+        places += [(number + line, first, last) for line, first, last in piece.places]
         number += piece.lines
     return _Piece(number, content, places)
 

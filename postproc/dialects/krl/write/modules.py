@@ -228,11 +228,12 @@ class _Divider:
         return Issue("info", "modules", message)
 
     def _start_lines(self, k: int) -> list[str]:
-        """Return the first lines of a module: they set system variables, move to target `k` − 1, and switch on what was
-        on.
+        """Return the first lines of a module that begins with target `k`.
+
+        They set system variables, move to the end of the module before, and switch on what was on there.
         """
         state: dict[str, str] = {}
-        previous_lines = (line for at in sorted(self.new.before) if at < k for line in self.new.before[at])
+        previous_lines = (line for row in sorted(self.new.before) if row < k for line in self.new.before[row])
         for line in (*self.emitter.start_lines(), *previous_lines):
             match = _STATE.match(line)
             if match:
@@ -282,7 +283,7 @@ class _Divider:
     def _is_switched_at(self, event: Event, k: int) -> bool:
         """Return whether the program itself switches, at target `k`, the device of an event."""
         off_kind, events = _SWITCHING[event.kind], zip(self.emitter.program.events, self.event_at, strict=True)
-        return any(at == k and _SWITCHING.get(program_event.kind) == off_kind for program_event, at in events)
+        return any(target == k and _SWITCHING.get(program_event.kind) == off_kind for program_event, target in events)
 
     def _dwells(self, event: Event) -> Iterator[Event]:
         """Yield the dwells that follow an event before the same target: they wait until the spindle has its speed."""

@@ -105,10 +105,9 @@ class NamedPoints(Struct, eq=False):
             edits.add(*piece, aggregate.row)
 
     def _declare_new_points(self, uses: list[Use], aggregate: Aggregate) -> None:
-        """Declare a new point for each correction of a point, and use it in the statements; uncorrected uses keep the
-        old one.
+        """Declare a new point for each correction of a point, and use it in the corrected statements.
 
-        Where a new point cannot be declared, the statement gets a literal.
+        Other statements keep the old point. If a new point cannot be declared, the statement gets a literal.
         """
         names: dict[str, str] = {}
         for use in uses:
@@ -238,7 +237,7 @@ def editable_layout(layout: Layout, motions: Motions, mentions: Mentions, files:
             and is_used_by_motions_only(elements.name, layout, mentions)
         )
         is_single_use = np.array(
-            [literal_counts[elements.source, 0, at] == 1 for at in elements.literal[:, 0].tolist()], np.bool_
+            [literal_counts[elements.source, 0, start] == 1 for start in elements.literal[:, 0].tolist()], np.bool_
         )
         in_place = has_one_target[elements.row] & is_single_use & is_editable
         editable_elements.append(

@@ -96,9 +96,7 @@ _PATH = "/R1/"
 
 
 def _stems_with_callers(documents: Sequence[Document], names: set[str]) -> set[str]:
-    """Return names of files, upper case, and the names of all files that use them, directly or not, without the main
-    file.
-    """
+    """Return names of files, upper case, and those of all files that use them, directly or not, except the main one."""
     main, names = PurePath(documents[0].name).stem.upper(), set(names)
     while True:  # the callers have callers
         callers = {

@@ -322,10 +322,9 @@ class _Rewriter:
         return set(begins.tolist()), set(ends.tolist())
 
     def _feed_statements(self) -> tuple[dict[int, str], dict[int, str]]:
-        """Return the statements that set lowered feeds, by the target before which they are, and those that restore the
-        feeds.
+        """Return the statements that set lowered feeds, and the statements that restore the feeds.
 
-        The latter are given by the target behind which they are.
+        The former are given by the target before which they are, the latter by the target behind which they are.
         """
         motions, as_read = self.program.motions, self.program.feed_as_read
         if as_read is None:

@@ -108,9 +108,7 @@ class TargetStatements:
         self.layout, self.targets, self.commanded = layout, targets, numbers
 
     def literal(self, row: int) -> Literal | None:
-        """Return the literal of the end point of a motion in its statement; None if there is none, as for a named
-        point.
-        """
+        """Return the literal of the end point of a motion in its statement; None if it has none, but a name."""
         move = self.layout.statements.get(row)
         if move is not None:
             return None if move.relative else self.inline_literal(move.end)
