@@ -143,7 +143,11 @@ FAULTS = {
     "what may happen is taken not to": (Calls, "_may_have_run", lambda self, at, name, effects: None),
     "arguments keep their values": (Calls, "_forget_arguments", lambda self, at, call, routine: None),
     "branches keep values": (Variables, "forget", lambda self, name, where: None),
-    "branches keep settings": (Settings, "may_become", lambda self, line, state, reason: self.change(line, state)),
+    "branches keep settings": (
+        Settings,
+        "may_become",
+        lambda self, line, state, reason: self.change_state(line, state),
+    ),
     "points are corrected for all who read them": (NamedPoints, "_is_replaceable", lambda self, uses, aggregate: True),
 }
 RARE = {

@@ -130,8 +130,8 @@ class PlainRounds(Struct, frozen=True, eq=False):
     body: PlainBody
 
     @property
-    def beyond(self) -> int:
-        """Line of the trace behind the last round."""
+    def stop_row(self) -> int:
+        """Row of the trace behind the last round."""
         return self.first + self.count * self.length
 
     def counter_value(self, row: int) -> int | None:
@@ -225,7 +225,7 @@ class Course(Struct, frozen=True, eq=False):
 
     def counter_value(self, loop: UnrolledLoop, row: int) -> int:
         """Return the value that a row of the trace assigns to the counter of a FOR."""
-        number = loop.plain.counter_value(row) if loop.plain is not None and row < loop.plain.beyond else None
+        number = loop.plain.counter_value(row) if loop.plain is not None and row < loop.plain.stop_row else None
         return self.counts[row] if number is None else number
 
     def counter_values(self) -> Array:
@@ -234,8 +234,8 @@ class Course(Struct, frozen=True, eq=False):
         rows = np.array([*self.counts], dtype=np.int64)
         counter[rows - 1] = [*self.counts.values()]
         for rounds in self.plain_rounds():
-            counter[rounds.first - 1 : rounds.beyond - 1 : rounds.length] = np.arange(rounds.count) * rounds.step
-            counter[rounds.first - 1 : rounds.beyond - 1 : rounds.length] += rounds.begin
+            counter[rounds.first - 1 : rounds.stop_row - 1 : rounds.length] = np.arange(rounds.count) * rounds.step
+            counter[rounds.first - 1 : rounds.stop_row - 1 : rounds.length] += rounds.begin
         return counter
 
     def rows_of(self, source: Source, lines: Ints) -> tuple[Ints, Ints]:

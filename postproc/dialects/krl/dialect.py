@@ -14,7 +14,7 @@ from postproc import provenance
 from postproc.cell import Cell
 from postproc.dialects.krl import write
 from postproc.dialects.krl.language import scan
-from postproc.dialects.krl.language.names import fault_of, valid
+from postproc.dialects.krl.language.names import fault_of, valid_name
 from postproc.dialects.krl.language.parts import (
     MAIN,
     called_parts,
@@ -103,7 +103,7 @@ class _Writer:
 
     def valid(self, name: str) -> str:
         """Return a name unchanged if the controller accepts it, otherwise one as close to it as possible."""
-        return valid(name)
+        return valid_name(name)
 
     def write(
         self, program: Program, targets: Targets, joints: TargetJoints, cell: Cell, comments: TargetForces | None

@@ -120,12 +120,12 @@ class Layout(Struct, frozen=True, eq=False):
             return None
         names = tuple(source.document.name for source in trace.sources)
         file, line = (column[self.line[rows] - 1].astype(np.int64) for column in (trace.file, trace.line))
-        if self.files:
-            first = np.array([number for _, number in self.files])
+        if self.files:  # lines of the joined text count on from file to file
+            first_lines = np.array([number for _, number in self.files])
             in_main = np.array([name == self.documents[0].name for name in names])[file]
-            part = np.searchsorted(first, line, side="right") - 1
+            part = np.searchsorted(first_lines, line, side="right") - 1
             file = np.where(in_main, len(names) + part, file)
-            line = np.where(in_main, line - first[part] + 1, line)
+            line = np.where(in_main, line - first_lines[part] + 1, line)
             names = (*names, *(name for name, _ in self.files))
         return Places(names, file, line)
 

@@ -107,29 +107,25 @@ def fault_of(name: str) -> str | None:
     return None
 
 
-def valid(name: str) -> str:
+def valid_name(name: str) -> str:
     """Return a name unchanged if the controller accepts it, otherwise one as close to it as possible.
 
-    >>> valid("part_1"), valid("1001"), valid("Gehäuse oben.2"), valid("loop")
+    >>> valid_name("part_1"), valid_name("1001"), valid_name("Gehäuse oben.2"), valid_name("loop")
     ('part_1', 'P1001', 'Gehaeuse_oben_2', 'P_loop')
     """
     if fault_of(name) is None:
         return name
     plain = unicodedata.normalize("NFKD", name.translate(_UMLAUTS)).encode("ascii", "ignore").decode()
-    valid_name = re.sub(r"\W+", "_", plain).strip("_") or "PROGRAM"
-    valid_name = (
-        f"P_{valid_name}"
-        if valid_name.upper() in RESERVED
-        else f"P{valid_name}"
-        if valid_name[0].isdigit()
-        else valid_name
+    new_name = re.sub(r"\W+", "_", plain).strip("_") or "PROGRAM"
+    new_name = (
+        f"P_{new_name}" if new_name.upper() in RESERVED else f"P{new_name}" if new_name[0].isdigit() else new_name
     )
-    return valid_name[:MAX_LENGTH].rstrip("_")
+    return new_name[:MAX_LENGTH].rstrip("_")
 
 
-def unused(name: str, used_names: Iterable[str]) -> str:
+def unused_name(name: str, used_names: Iterable[str]) -> str:
     """Return a valid name not among `used_names` (upper case): the given one with ``_2``, ``_3`` … behind it."""
-    return Names(set(used_names)).unused(name)
+    return Names(set(used_names)).unused_name(name)
 
 
 class Names:
@@ -139,10 +135,11 @@ class Names:
     """
 
     def __init__(self, used_names: set[str]) -> None:
+        """Collect names that are in use; `_next` has the number to try next for each name."""
         self.taken = used_names
         self._next: dict[str, int] = {}
 
-    def unused(self, name: str) -> str:
+    def unused_name(self, name: str) -> str:
         """Return a valid name that is not taken, and take it: the given one with ``_2``, ``_3`` … behind it."""
         number = self._next.get(name.upper(), 2)
         while True:

@@ -42,6 +42,7 @@ class Trace(Struct, frozen=True, eq=False):
         return cls((source,), file, line, line, is_count, is_file=True)
 
     def __len__(self) -> int:
+        """Return the number of rows."""
         return len(self.line)
 
     def source(self, row: int) -> Source:

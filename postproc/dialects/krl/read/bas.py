@@ -41,6 +41,7 @@ class Bas:
     """Follows calls of BAS."""
 
     def __init__(self, variables: Variables, cell: Cell, frames: Frames, path: PathSettings) -> None:
+        """Keep the parts of the settings that calls of BAS change."""
         self.variables, self.cell, self.frames, self.path = variables, cell, frames, path
 
     def state_after_call(self, state: State, place: Place, call: Call) -> State:

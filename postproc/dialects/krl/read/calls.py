@@ -36,6 +36,7 @@ class Calls:
     """
 
     def __init__(self, run: Run, run_routine: Callable[[], None]) -> None:
+        """Begin with no open call, and make this the way in which variables evaluate functions."""
         self.run, self._run_routine = run, run_routine
         run.variables.functions = _PureFunctions(self)
         self.entered: list[_BoundCall] = []

@@ -23,6 +23,7 @@ class CollectedMotions:
     """
 
     def __init__(self, run: Run, reader: MotionReader) -> None:
+        """Begin without motions; `_refused` has control structures whose motions were refused."""
         self.run, self.reader = run, reader
         self.motions = MotionCollector()
         self.still: list[int] = []

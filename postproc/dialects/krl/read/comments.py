@@ -85,6 +85,7 @@ class _ActiveForce:
     """
 
     def __init__(self, course: Course, motions: Ints, rapid: Bools, free: Set[Join]) -> None:
+        """Begin before the first line, without a force; `since` is the last line whose motions have been passed."""
         self.course, self.motions, self.rapid, self.free = course, motions, rapid, free
         self.notes: list[tuple[int, ForceNote]] = []
         self.now: _Force = None

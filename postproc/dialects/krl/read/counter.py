@@ -37,6 +37,7 @@ class Counter:
     """
 
     def __init__(self, run: Run, source: Source, line: int) -> None:
+        """Evaluate the bounds of the FOR on a line of a file, and set the counter to its first value."""
         self.run, self.place = run, Place(source, line)
         stmt = statement(source, line)
         if isinstance(stmt, tree.For) and stmt.error is not None:

@@ -121,6 +121,7 @@ class Analysis:
     """
 
     def __init__(self, library: Library, scope_of: Callable[[Module, Routine], Scope]) -> None:
+        """Begin with empty caches: effects of routines, lines with force comments, names of variables."""
         self.library, self.scope_of = library, scope_of
         self._direct: dict[Routine, _DirectEffects] = {}
         self._totals: dict[Routine, Effects] = {}

@@ -101,6 +101,11 @@ class _Follower:
         carriage: Carriage | None,
         control: OrientationControl,
     ) -> None:
+        """Begin at the robot position `present`, before the first motion.
+
+        :param numbers: (M, 6) X…C as the text gives them, completed in place; `line` (M,) their lines.
+        :param frames: rows of `$BASE` and `$TOOL` (M,) each, and the frames (n, 4, 4) each.
+        """
         self.trace, self.line, self.kinematics, self.carriage = trace, line, kinematics, carriage
         self.control = control
         self.circles: dict[int, Array] = {}

@@ -68,6 +68,7 @@ class Flow:
         note_fault: Callable[[Place, ProgramError], None],
         recorder: Recorder | None = None,
     ) -> None:
+        """Begin before the first statement."""
         self.run, self.recorder, self._note_fault = run, recorder, note_fault
         self.interpreter = Interpreter(run, motion, self.run_called_routine, self._inline_call)
         self._moving: dict[tuple[Block, Module], bool] = {}
@@ -700,7 +701,7 @@ class Flow:
                 raise
             undo()
             run.variables.restore(values)  # the same statements are followed again
-            run.settings.change(run.row, state)
+            run.settings.change_state(run.row, state)
             return 0
         return end
 

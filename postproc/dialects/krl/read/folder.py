@@ -40,6 +40,7 @@ class FolderFiles:
     """
 
     def __init__(self, folders: Sequence[Path], documents: Sequence[Document] = ()) -> None:
+        """Keep the folders, which are searched when a file is first needed."""
         self._folders = folders
         self._given = {document.name.upper(): document for document in documents}
 
@@ -179,6 +180,7 @@ class Library:
     """
 
     def __init__(self, program: Module, files: FolderFiles) -> None:
+        """Begin without files: each is read when a routine in it is first needed."""
         self.program, self.files = program, files
         self.faults: dict[str, str] = {}
         self._modules: dict[Path, Module | None] = {}
@@ -286,6 +288,7 @@ class Library:
 def module_of(source: Source, data: Source | None = None) -> Module:
     """Return the routines of a file.
 
+    :param data: the `.dat` of the file, if it has one.
     :raises ProgramError: a DEF has no END, or a motion is outside of DEF … END.
     """
     plain = np.concatenate([rows.line for rows in plain_lines.scan(source)])
@@ -362,6 +365,10 @@ class _Links:
     """
 
     def __init__(self, siblings: dict[str, Path], files: FolderFiles) -> None:
+        """Begin without links; find the data lists in which GLOBAL variables are declared.
+
+        :param siblings: other files of the folder of the program, by name, upper case.
+        """
         self.siblings, self.files = siblings, files
         self.called: set[str] = set()
         self.used: set[str] = set()

@@ -41,6 +41,7 @@ class Frames:
     """
 
     def __init__(self, variables: Variables, cell: Cell, reasons: Reasons) -> None:
+        """Begin with the frames of the cell; `_rows` has the row of each frame that was set, by its numbers."""
         self.variables, self.reasons = variables, reasons
         self.bases: list[Array] = [cell.base.pose()]
         self.tools: list[Array] = [cell.tool.pose()]
@@ -110,7 +111,7 @@ class Frames:
         return position is not None and bool(np.abs(position.pose() - frame).max() < _FRAME_TOLERANCE)
 
     def current_value(self, state: State, name: str, field: str | None) -> VariableValue:
-        """Return the value of `$BASE` or `$TOOL` in a state, or of a component; an `UnknownValue` if it is not known."""
+        """Return `$BASE` or `$TOOL` as a state has it, or a component of it; an `UnknownValue` if it is not known."""
         row, frames = (state.base, self.bases) if name == "$BASE" else (state.tool, self.tools)
         if row < 0:
             return UnknownValue(why=self.reasons.errors[-1 - row].problem)

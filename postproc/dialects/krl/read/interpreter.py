@@ -74,6 +74,7 @@ class Interpreter:
         run_routine: Callable[[], None],
         inline_call: Callable[[Place, Call], bool],
     ) -> None:
+        """Keep the functions that take motions and calls."""
         self.run, self._motion, self._inline_call = run, motion, inline_call
         self.calls = Calls(run, run_routine)
 
@@ -233,7 +234,7 @@ class Interpreter:
     def _change_state(self, place: Place, state: State) -> None:
         """Put a state into force; if it is not certain that the statement runs, make uncertain what it would change."""
         if self.run.is_certain:
-            self.run.settings.change(self.run.row, state)
+            self.run.settings.change_state(self.run.row, state)
         else:
             word, open_line = self.run.level.open[-1]
             problem = f"what motions depend on is changed inside {word} ({Place(place.source, open_line)})"

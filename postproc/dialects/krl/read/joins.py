@@ -71,6 +71,7 @@ class _Successors:
     """Finds the motions that may follow each fork, branch and join of an execution trace."""
 
     def __init__(self, course: Course, sequence: OrderedMotions) -> None:
+        """Find the forks, branches and joins of the trace; results are stored by their numbers."""
         self.steps = [step for step in course.steps if isinstance(step, Fork | Branch | Join)]
         self._course, self._ordered = course, sequence
         self._results: dict[int, bool] = {}

@@ -30,6 +30,7 @@ class LeastStatements:
     """
 
     def __init__(self, run: Run) -> None:
+        """Begin with nothing counted; `_open` are the routines that are being counted."""
         self.run = run
         self._routines: dict[Routine, int] = {}
         self._rounds: dict[Block, int] = {}

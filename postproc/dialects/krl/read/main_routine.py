@@ -191,6 +191,7 @@ class MainRoutine:
     """
 
     def __init__(self, collected: CollectedMotions, course: Course, plain: PlainLines) -> None:
+        """Begin before the first statement; `_broken` are variables whose statements had errors."""
         self.course = course
         self.run, self.reader = collected.run, collected.reader
         self._collected = collected
@@ -199,7 +200,7 @@ class MainRoutine:
         self._errors: list[ProgramError] = []
         self._broken: set[str] = set()
         self.rounds: list[ElementMotions] = []
-        self._moving, self._settings = plain.moving, plain.settings
+        self._moving, self._settings = plain.motion_lines, plain.settings
 
     @cached_property
     def _setting_lines(self) -> list[int]:
@@ -219,7 +220,7 @@ class MainRoutine:
 
     @cached_property
     def _rounds(self) -> list[PlainRounds]:
-        """The rounds of plain bodies."""
+        """The rounds of FOR loops whose bodies are plain, in order."""
         return self.course.plain_rounds()
 
     @cached_property
@@ -332,13 +333,13 @@ class MainRoutine:
             return
         columns = None if rounds.body.is_computed else columns_of(run, self.reader, rounds)
         if columns is None:
-            self._follow_lines(np.arange(rounds.first, rounds.beyond), rounds)
+            self._follow_lines(np.arange(rounds.first, rounds.stop_row), rounds)
             return
         element_motions, settings = columns
         self.rounds += element_motions
         run.settings.coming.insert(settings)
         trigger_rows, count = [rounds.rows_of_statement(line) for line in rounds.body.triggers], len(run.triggers)
-        end_rows = [rounds.first, rounds.beyond - rounds.length, *(rows[-1] for rows in trigger_rows)]
+        end_rows = [rounds.first, rounds.stop_row - rounds.length, *(rows[-1] for rows in trigger_rows)]
         self._follow_lines(np.array(end_rows), rounds)
         if trigger_rows:
             run.triggers[count:] = np.sort(np.concatenate(trigger_rows)).tolist()
@@ -373,7 +374,7 @@ class MainRoutine:
         """Return the rows of the trace that have code and are neither plain nor in plain rounds."""
         is_other = self._others.copy()
         for rounds in self._rounds:
-            is_other[rounds.first - 1 : rounds.beyond - 1] = False
+            is_other[rounds.first - 1 : rounds.stop_row - 1] = False
         return _rows_with_code(self.run.trace, np.flatnonzero(is_other) + 1)
 
     def which_run(self, plain: Ints) -> Bools:

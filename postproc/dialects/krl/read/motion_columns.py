@@ -53,6 +53,7 @@ class MotionColumns(Columns, frozen=True, eq=False):
     via_target: Ints
 
     def __len__(self) -> int:
+        """Return the number of motions."""
         return len(self.line)
 
     def columns(self) -> list[Any]:
@@ -68,12 +69,14 @@ class MotionCollector:
     """
 
     def __init__(self) -> None:
+        """Begin without statements; the latest wait until there are enough for columns."""
         self.states: list[State] = []
         self.special: list[tuple[int, MotionStatement]] = []
         self._waiting: list[MotionStatement] = []
         self._done: list[MotionColumns] = []
 
     def __len__(self) -> int:
+        """Return the number of statements."""
         return len(self.states)
 
     def add(self, move: MotionStatement, state: State) -> None:

@@ -82,6 +82,7 @@ class MotionReader:
     """
 
     def __init__(self, settings: Settings, home: tuple[float, ...]) -> None:
+        """Keep the settings, and the joint angles [deg] of the home position."""
         self.settings, self.variables = settings, settings.variables
         self.home = home
         self.home_used = 0

@@ -101,7 +101,7 @@ def _first_differing_row(first: Course, second: Course) -> int | None:
 def _file_and_line_columns(course: Course) -> tuple[Array, Array]:
     """Return the file (L,), as a number, and the line (L,) that each row of a trace is."""
     trace = course.trace
-    files = np.array([float(id(source)) for source in trace.sources])
+    files = np.array([float(id(source)) for source in trace.sources])  # the two runs share their sources
     return files[trace.file], trace.line.astype(np.float64)
 
 

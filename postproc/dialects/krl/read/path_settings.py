@@ -41,6 +41,7 @@ class PathSettings:
     """Follows assignments to these variables."""
 
     def __init__(self, variables: Variables, reasons: Reasons, *, has_carriage: bool) -> None:
+        """Keep the variables, and whether E1 carries the robot."""
         self.variables, self.reasons, self.has_carriage = variables, reasons, has_carriage
 
     def state_with_speed(self, state: State, place: Place, field: str | None, value: Value | VariableValue) -> State:

@@ -326,13 +326,13 @@ class PlainLines(Struct, frozen=True):
     settings: PlainSettings
 
     @property
-    def moving(self) -> Ints:
+    def motion_lines(self) -> Ints:
         """(P,) 1-based lines of the motions."""
         return np.concatenate([rows.line for rows in self.motions])
 
     def is_other(self, count: int) -> Bools:
         """Return which of the lines 1 … count are neither plain motions nor plain settings (count,)."""
-        return is_not_plain(count, self.moving, self.settings)
+        return is_not_plain(count, self.motion_lines, self.settings)
 
 
 def is_not_plain(count: int, moving: Ints, settings: PlainSettings) -> Bools:

@@ -91,6 +91,7 @@ class PlainAssignments:
     """
 
     def __init__(self, settings: PlainSettings) -> None:
+        """Begin before the first assignment; counts of passed ones are kept for each of the `NUMBERS`."""
         self._given = [settings.assigned_values(row) for row in range(len(NUMBERS))]
         self._lines = [lines.tolist() for lines, _ in self._given]
         self._passed_counts = [0] * len(NUMBERS)

@@ -189,7 +189,7 @@ class _Reading(Struct, frozen=True, eq=False):
 
         :raises ProgramError: there are no motions at all.
         """
-        is_executed = main.which_run(plain.moving)
+        is_executed = main.which_run(plain.motion_lines)
         if not is_executed.any() and not len(main.motions) and not main.rounds and not main.run.unresolved:
             raise ProgramError(
                 "there are no motions", file=self.documents[0].name, advice="Check that this is the program."
@@ -375,7 +375,7 @@ def _main_routine(source: Source, plain: PlainLines, name: str) -> tuple[Module,
     :raises ProgramError: there is no routine.
     """
     other_lines = np.flatnonzero(plain.is_other(len(source.starts))) + 1
-    by_name, faults = routines(source, other_lines.tolist(), plain.moving, plain.settings.line.tolist())
+    by_name, faults = routines(source, other_lines.tolist(), plain.motion_lines, plain.settings.line.tolist())
     module = Module(source, by_name)
     main = module.main(name)
     if main is None and faults:

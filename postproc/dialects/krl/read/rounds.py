@@ -32,6 +32,7 @@ class Uses:
     """
 
     def __init__(self, run: Run, source: Source, nodes: Sequence[Node]) -> None:
+        """Read the words on all lines of the statements."""
         self.run, self.source = run, source
         self._certain = {node if isinstance(node, int) else node.first for node in nodes}
         lines = [line for node in nodes for line in ([node] if isinstance(node, int) else node.lines())]

@@ -37,6 +37,7 @@ class Scopes:
     """
 
     def __init__(self, program: Module, main: Routine, variables: Variables) -> None:
+        """Begin without scopes; names of the program are stored with its name before them."""
         self.program, self.main, self.variables = program, main, variables
         self._modules: dict[Module, Scope] = {}
         self._routines: dict[Routine, Scope] = {}
@@ -190,6 +191,7 @@ class Run:
     """
 
     def __init__(self, library: Library, routine: Routine, settings: Settings, trace: Trace, *, has_rows: bool) -> None:
+        """Begin before the first statement of the main routine."""
         self.library, self.routine, self.settings = library, routine, settings
         self.trace, self.has_rows, self.variables = trace, has_rows, settings.variables
         self.scopes = Scopes(library.program, routine, self.variables)
@@ -274,7 +276,7 @@ class Run:
             fork.ends.append((self.variables.snapshot(), self.settings.state))
         fork.is_begun = True
         self.variables.restore(fork.values)
-        self.settings.change(self.row, fork.state)
+        self.settings.change_state(self.row, fork.state)
 
     def join_branches(self, place: Place, *, complete: bool) -> None:
         """End the last fork: values and settings that differ between its branches become unknown.

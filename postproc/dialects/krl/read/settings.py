@@ -31,6 +31,7 @@ class Settings:
     """
 
     def __init__(self, variables: Variables, cell: Cell) -> None:
+        """Begin with the settings of the cell, and let the variables read settings here."""
         self.variables, self.cell = variables, cell
         variables.current = self.current_value
         self.state = State()
@@ -67,7 +68,7 @@ class Settings:
         self.lacked_numbers |= not self.follows_numbers
         return Number(value, 0, 0) if self.follows_numbers else NO_VALUE
 
-    def change(self, line: int, state: State) -> None:
+    def change_state(self, line: int, state: State) -> None:
         """Put a state into force after a line of the program."""
         if state != self.state:
             self.state = state
@@ -77,7 +78,7 @@ class Settings:
         """Put into force the plain assignments before a line of the program."""
         for setting_line, field, value in self.coming.values_before(line):
             fields = {field: value, "assumed": False} if field == "speed" else {field: value}
-            self.change(setting_line, self.state.with_values(**fields))
+            self.change_state(setting_line, self.state.with_values(**fields))
 
     def may_become(self, line: int, state: State, reason: ProgramError) -> None:
         """Mark as uncertain the fields that differ in a state which may or may not come into force.
@@ -95,7 +96,7 @@ class Settings:
         state = self.state
         for field in fields:
             state = self._reasons.state_with_unknown(state, field, reason)
-        self.change(line, state)
+        self.change_state(line, state)
 
     def refuse_uncertain(self, state: State, fields: Iterable[str]) -> None:
         """Refuse a motion that depends on fields of its state whose values are not known.

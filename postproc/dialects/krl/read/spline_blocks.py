@@ -47,6 +47,7 @@ class SplineBlocks:
     """
 
     def __init__(self, settings: Settings, reader: MotionReader) -> None:
+        """Begin outside of a spline block."""
         self.settings, self.reader = settings, reader
         self.open: OpenBlock | None = None
         self.approximated: list[int] = []
@@ -66,7 +67,7 @@ class SplineBlocks:
                 )
             state = self.reader.block_state(place, stmt)
             self.open = OpenBlock(row, place, self.settings.state, state)
-            self.settings.change(row, state)
+            self.settings.change_state(row, state)
             return
         if self.open is None:
             raise place.error(
@@ -82,7 +83,7 @@ class SplineBlocks:
         changed_fields = block_state.differing_fields(end_state) | {
             field for field, _ in set(end_state.uncertain) - set(block_state.uncertain)
         }
-        self.settings.change(row, self.open.outer_state)
+        self.settings.change_state(row, self.open.outer_state)
         if changed_fields:
             problem = "a function that a motion of the spline block calls changes what motions depend on"
             self.settings.make_uncertain(row, sorted(changed_fields), place.error(problem, SETTING_ADVICE))

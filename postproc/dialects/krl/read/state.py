@@ -84,6 +84,7 @@ class Reasons:
     """
 
     def __init__(self) -> None:
+        """Begin without reasons."""
         self.errors: list[ProgramError] = []
 
     def state_with_unknown(self, state: State, field: str, reason: ProgramError) -> State:

@@ -55,6 +55,7 @@ class Recorder:
     """
 
     def __init__(self, main: Routine) -> None:
+        """Begin with the lines of the file up to the DEF of the main routine."""
         self.main = main
         self.count = 0
         self.pinned = False
@@ -194,10 +195,10 @@ class Recorder:
             (source, first, last, open_routine.shown_line, 0, True),
         )
         self._pieces += round_origin * rounds.count
-        starts = range(rounds.first, rounds.beyond, rounds.length)
+        starts = range(rounds.first, rounds.stop_row, rounds.length)
         loop.bodies += [Body(start, start + rounds.length) for start in starts]
         loop.plain = rounds
-        self.count = rounds.beyond - 1
+        self.count = rounds.stop_row - 1
         self.is_final = False
         self._add_run_lines(rounds.first)
 

@@ -169,6 +169,10 @@ class Variables:
     """
 
     def __init__(self, cell: Cell) -> None:
+        """Begin with the values that the cell gives: variables, BASE_DATA and TOOL_DATA.
+
+        :raises CellError: it gives a variable that it may not.
+        """
         self._values: dict[str, VariableValue | UnparsedValue] = {}
         self._elements: defaultdict[str, list[str]] = defaultdict(list)
         self.changes = 0
@@ -213,16 +217,17 @@ class Variables:
         :raises CellError: another place gives another frame.
         """
         try:
-            read = value.value if isinstance(value, UnparsedValue) else value
-            frame = self.position(read)
+            parsed_value = value.value if isinstance(value, UnparsedValue) else value
+            frame = self.position(parsed_value)
         except ProgramError:  # an error where it is used
             return
         if frame is None:
             return
-        first, other_place = self._stated.setdefault(key, (frame, place))
-        if not _are_equal_frames(first, frame):
+        stated_frame, other_place = self._stated.setdefault(key, (frame, place))
+        if not _are_equal_frames(stated_frame, frame):
             raise CellError(
-                f"{key} has two values: {_frame_text(first)} by {other_place}, and {_frame_text(frame)} by {place}",
+                f"{key} has two values: {_frame_text(stated_frame)} by {other_place}, "
+                f"and {_frame_text(frame)} by {place}",
                 advice="Make them equal, or remove the one that the controller does not have.",
             )
 
@@ -438,6 +443,7 @@ class Variables:
         return key[0] == "$" or key.partition("[")[0] in self.initial
 
     def __contains__(self, key: str) -> bool:
+        """Return whether a value is stored under a name."""
         return key in self._values
 
     def value(self, key: str) -> VariableValue | None:

@@ -37,7 +37,7 @@ _OPENING = frozenset({*OPENING, "REPEAT", *SPLINES})
 
 
 def division_error(source: Source, problem: str, line: int, advice: str = ADVICE) -> ProgramError:
-    """Return the error for a program that cannot be divided."""
+    """Return the error that a program cannot be divided into files, at a line."""
     return source.line_error(f"the program cannot be divided into files: {problem}", line, advice)
 
 

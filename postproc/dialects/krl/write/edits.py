@@ -78,6 +78,7 @@ class Replacements(Struct, eq=False):
         return Replacements(starts, stops, self._lengths, self._numbers, self._rows, single, self._single_rows)
 
     def __bool__(self) -> bool:
+        """Return whether there is a piece to replace."""
         return bool(self._single or self._starts)
 
     def new_offsets(self, offsets: Ints) -> Ints:

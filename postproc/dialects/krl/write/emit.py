@@ -22,7 +22,7 @@ from postproc.cell import Cell
 from postproc.decimals import Number, Part, lines, without_negative_zero, without_trailing_zeros
 from postproc.dialects import force_comments
 from postproc.dialects.force_comments import text_in_rows
-from postproc.dialects.krl.language.names import fault_of, valid
+from postproc.dialects.krl.language.names import fault_of, valid_name
 from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.positions import CARTESIAN
 from postproc.dialects.krl.language.source import Source
@@ -67,7 +67,7 @@ def emit(program: Program, targets: Targets, cell: Cell, comment_forces: TargetF
     :raises ProgramError: the name is not one of KRL; a move has no feed, or one that would be printed as 0.
     :raises ValueError: a number is too large to be written.
     """
-    check_name(program, "KRL", fault_of, valid)
+    check_name(program, "KRL", fault_of, valid_name)
     return Emitter(program, targets, cell, comment_forces).write()
 
 
@@ -89,6 +89,7 @@ class Emitter:
         comment_forces: TargetForces | None,
         starts: Sequence[int] = (),
     ) -> None:
+        """Collect the lines that all new programs have."""
         self.program, self.targets, self.cell = program, targets, cell
         self.comment_forces, self.starts = comment_forces, starts
         self.new = NewProgram(program, targets, cell, _WORDS)

@@ -322,7 +322,7 @@ class _Folder(Struct, eq=False):
         routine = call.routine
         head = statement(routine.source, routine.first)
         spelling = head.name if isinstance(head, Definition) else routine.name
-        name = self.names.unused(spelling)
+        name = self.names.unused_name(spelling)
         reason = "is corrected differently from call to call"
         if routine in self.course.pinned:
             reason = "is also called where calls are not followed, and stays as it is there"

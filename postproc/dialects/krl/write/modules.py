@@ -168,6 +168,10 @@ class _Divider:
     """Divides the text of a program at its targets `starts`."""
 
     def __init__(self, emitter: Emitter, whole: WrittenProgram, starts: Sequence[int], joints: TargetJoints) -> None:
+        """Name the modules, and find the target before which each event is.
+
+        :raises ProgramError: lines of the cell have an effect that ends with each module.
+        """
         self.new, self.emitter, self.whole, self.joints = emitter.new, emitter, whole, joints
         self.first = (0, *starts)
         name, tail = emitter.program.name, len(str(len(self.first))) + 1

@@ -137,7 +137,7 @@ class NamedPoints(Struct, eq=False):
         source = aggregate.source
         if self._names is None:
             self._names = Names(set().union(*(names_in(file.text) for file in self.sources)))
-        new_name = self._names.unused(name)
+        new_name = self._names.unused_name(name)
         line = source.line_at(aggregate.start)
         start, stop, next_line_start = (
             int(source.starts[line - 1]),

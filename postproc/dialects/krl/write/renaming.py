@@ -8,7 +8,7 @@ from pathlib import PurePath
 from msgspec.structs import replace
 
 from postproc.dialects.krl.language import scan
-from postproc.dialects.krl.language.names import MAX_LENGTH, fault_of, unused
+from postproc.dialects.krl.language.names import MAX_LENGTH, fault_of, unused_name
 from postproc.dialects.krl.language.parts import MAIN, called_parts, files_of_routines
 from postproc.dialects.krl.language.tokens import BLANKS, NAME, after_blanks, after_sign, names_in
 from postproc.program import Document
@@ -64,7 +64,9 @@ def _public_names(documents: Sequence[Document], old: str, new: str) -> dict[str
         if name.upper().startswith(f"{old}_".upper()) and name.upper() not in new_names:
             candidate = f"{new}{name[len(old) :]}"[:MAX_LENGTH]
             used_names = {new_name.upper() for new_name in new_names.values()}
-            new_names[name.upper()] = unused(candidate, used_names) if candidate.upper() in used_names else candidate
+            new_names[name.upper()] = (
+                unused_name(candidate, used_names) if candidate.upper() in used_names else candidate
+            )
     return new_names
 
 
@@ -121,7 +123,7 @@ def _new_stems(stems: Collection[str], program: str, used_names: Collection[str]
         if stem.upper() not in new_names:
             new_name = f"{stem}_{program}"
             fits = new_name.upper() not in used_names and len(new_name) <= MAX_LENGTH
-            new_names[stem.upper()] = new_name if fits else unused(new_name, used_names)
+            new_names[stem.upper()] = new_name if fits else unused_name(new_name, used_names)
             used_names.add(new_names[stem.upper()].upper())
     return new_names
 

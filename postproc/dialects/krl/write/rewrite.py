@@ -84,6 +84,7 @@ class _Rewriter:
     """
 
     def __init__(self, program: Program, layout: Layout, targets: Targets, comment_forces: TargetForces | None) -> None:
+        """Find the files of the program, and the last target of each motion."""
         self.program, self.layout, self.targets, self.comment_forces = program, layout, targets, comment_forces
         self.documents = layout.documents or program.documents
         stem = PurePath(self.documents[0].name).stem.upper()

@@ -13,7 +13,7 @@ from msgspec.structs import replace
 
 from postproc.dialects.krl.language.declarations import DataLine, DeclaredName, data_lines, declared_in
 from postproc.dialects.krl.language.expressions import calls
-from postproc.dialects.krl.language.names import DECLARATIONS, MAX_LENGTH, unused
+from postproc.dialects.krl.language.names import DECLARATIONS, MAX_LENGTH, unused_name
 from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.parts import MAIN
 from postproc.dialects.krl.language.routines import Routine
@@ -68,6 +68,7 @@ class Sharing:
         file: Ints,
         used_names: set[str],
     ) -> None:
+        """Find what the main routine and the `.dat` declare."""
         self.base, self.source, self.main, self.others, self.file, self.taken = (
             base,
             source,
@@ -225,7 +226,7 @@ class Sharing:
         """Return a new GLOBAL name for a name (upper case): it begins with the name of the program."""
         new_name = f"{self.base}_{self._spelling(name)}"[:MAX_LENGTH]
         if new_name.upper() in self.taken:
-            new_name = unused(new_name, self.taken)
+            new_name = unused_name(new_name, self.taken)
         self.taken.add(new_name.upper())
         return new_name
 

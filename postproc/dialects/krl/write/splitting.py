@@ -165,6 +165,10 @@ class _Splitter:
     """Divides one program."""
 
     def __init__(self, name: str, output: WrittenProgram, limit: int, used_names: Collection[str]) -> None:
+        """Find the routines of the program, and a prefix for the names of its files.
+
+        :raises ProgramError: it has no DEF, or its DEF has parameters.
+        """
         self.whole, self.limit, self.issues = output, limit, list(output.issues)
         self.source = Source.of(output.documents[0], 0)
         lines = range(1, len(self.source.starts) + 1)

@@ -60,7 +60,7 @@ class Literal(Struct, frozen=True):
 
 
 def literal_of(aggregate: Aggregate) -> Literal:
-    """Return the places of the numbers of an aggregate."""
+    """Return an aggregate as a literal: its text, and the spans of its numbers."""
     places = {name: (item.start, item.stop) for name, item in aggregate.items.items()}
     return Literal(aggregate.source.text, aggregate.start, aggregate.stop, places)
 
@@ -105,6 +105,7 @@ class TargetStatements:
     """
 
     def __init__(self, layout: Layout, targets: Targets, numbers: TargetNumbers) -> None:
+        """Keep the text of the program, its targets, and their numbers as printed."""
         self.layout, self.targets, self.commanded = layout, targets, numbers
 
     def literal(self, row: int) -> Literal | None:

@@ -27,20 +27,21 @@ def piece_of(trigger: Trigger, ends: Array, speed: float) -> tuple[int, float] |
     """
     end = ends * trigger.length
     begin = np.concatenate([[0.0], end[:-1]])
-    place = trigger.offset + (0.0 if trigger.from_start else trigger.length)
-    first, last = min(place, place + trigger.delay * speed), max(place, place + trigger.delay * speed)
-    is_after_begin, is_before_end = first > begin - _ROUNDING, last < end + _ROUNDING
-    is_after_begin[0] = is_before_end[-1] = True  # beyond the ends of the motion the controller does what it did
+    position = trigger.offset + (0.0 if trigger.from_start else trigger.length)
+    # stretch of the path on which the output switches; DELAY may be negative
+    earliest, latest = min(position, position + trigger.delay * speed), max(position, position + trigger.delay * speed)
+    is_after_begin, is_before_end = earliest > begin - _ROUNDING, latest < end + _ROUNDING
+    is_after_begin[0] = is_before_end[-1] = True  # beyond the ends of the motion nothing changes
     fits = is_after_begin & is_before_end
     if trigger.path is None:
         fits[slice(1, None) if trigger.from_start else slice(-1)] = False
     if not trigger.is_attached:
         fits[1:] = False
-    pieces = np.flatnonzero(fits & np.isfinite(place + trigger.delay))
+    pieces = np.flatnonzero(fits & np.isfinite(position + trigger.delay))
     if not len(pieces):
         return None
     piece = int(pieces[0 if trigger.from_start else -1])
-    return piece, float(place - (begin if trigger.from_start else end)[piece])
+    return piece, float(position - (begin if trigger.from_start else end)[piece])
 
 
 class PlacedTriggers(Struct, frozen=True, eq=False):
