@@ -37,11 +37,11 @@ class UnresolvedStructure(Struct, frozen=True):
 class Occasion(NamedTuple):
     """One visit of the trace to a place, which it may reach several times.
 
-    :ivar way: enclosing loops and calls, each with its iteration.
+    :ivar enclosing: enclosing loops and calls, each with its iteration.
     """
 
     place: Place
-    way: tuple[tuple[Place, int], ...]
+    enclosing: tuple[tuple[Place, int], ...]
 
 
 class Fork(Struct, frozen=True):
@@ -158,7 +158,7 @@ class UnrolledLoop(Struct, eq=False):
     :ivar opener: text of its first line, with its line end; `closer` that of its last, or of all that jump back.
     :ivar counter: of FOR, as it is spelled; empty for other loops.
     :ivar step: of FOR, each body of which begins with an assignment to its counter; 0 for other loops.
-    :ivar left: True if it contains EXIT.
+    :ivar has_exit: True if it contains EXIT.
     :ivar first: first line of the trace; `last` the line after it.
     :ivar bodies: one per iteration; empty if the loop does not run.
     :ivar plain: the rounds of FOR with a plain body.
@@ -169,7 +169,7 @@ class UnrolledLoop(Struct, eq=False):
     closer: str
     counter: str
     step: int
-    left: bool
+    has_exit: bool
     first: int
     last: int = 0
     bodies: list[Body] = []

@@ -300,7 +300,10 @@ class Calls:
         return ""
 
     def _is_matching_array(self, routine: Routine, index: int, reference: Reference, root: str) -> bool:
-        """Return whether an argument is a whole array of the type that the parameter with this index has."""
+        """Return whether an argument is a whole array, and of the type that its parameter has.
+
+        :param index: of the parameter; `root` is the stored name of the array.
+        """
         parameter = routine.parameters[index]
         kind = self.run.variables.types.get(root)
         return parameter.is_array and reference.field is None and kind == routine.types.get(parameter.name, "")

@@ -79,10 +79,10 @@ def _fixed_axis_warnings(
         step_rows = np.flatnonzero(np.abs(steps[:, axis]) > _AXIS_TOLERANCE)
         if len(step_rows):
             raise _motion_error(trace, axis, f"by {steps[step_rows[0], axis]:g}", int(line[step_rows[0]]))
-        moving = given_rows[np.abs(values[given_rows] - values[given_rows[:1]]) > _AXIS_TOLERANCE]
-        if len(moving):
-            change = f"from {values[given_rows[0]]:g} to {values[moving[0]]:g}"
-            raise _motion_error(trace, axis, change, int(line[moving[0]]))
+        moved_rows = given_rows[np.abs(values[given_rows] - values[given_rows[:1]]) > _AXIS_TOLERANCE]
+        if len(moved_rows):
+            change = f"from {values[given_rows[0]]:g} to {values[moved_rows[0]]:g}"
+            raise _motion_error(trace, axis, change, int(line[moved_rows[0]]))
         if len(given_rows) and abs(values[given_rows[0]]) > _AXIS_TOLERANCE:
             issues.append(_fixed_axis_warning(axis, values[given_rows[0]], int(line[given_rows[0]]), len(given_rows)))
     return issues

@@ -74,10 +74,10 @@ class Flow:
         self._moving: dict[tuple[Block, Module], bool] = {}
         self._plain: dict[Block, PlainBody | None] = {}
         self._cases: dict[Block, dict[float | None, int] | None] = {}
-        self._way: list[tuple[Place, int]] = []  # enclosing loops and calls, each with its iteration
+        self._enclosing: list[tuple[Place, int]] = []  # enclosing loops and calls, each with its iteration
         self._traced = self._forks = 0  # statements of the trace, forks so far
         self._still = 0  # depth of control structures without motion
-        self._least = LeastStatements(run)
+        self._least_statements = LeastStatements(run)
 
     def follow(self, source: Source, nodes: tuple[Node, ...], *, last: bool = False) -> None:
         """Run statements and control structures one by one, up to RETURN or the EXIT of a loop.
@@ -141,7 +141,7 @@ class Flow:
         routine, level = self.run.level.routine, self.run.level
         if not level.traced:
             self._check_statement_count(
-                Place(routine.source, routine.first), self._least.minimum_of_call(level.module, routine)
+                Place(routine.source, routine.first), self._least_statements.minimum_of_call(level.module, routine)
             )
         self.follow(routine.source, self.run.nodes(routine), last=True)
 
@@ -201,7 +201,7 @@ class Flow:
             self._come_to(place.line)
         self._count_statement(place)
         if word == "EXIT" and (level.loops or (level.traced and self.recorder is None)):
-            level.left = True  # in a recorded trace, the loop is around the row that runs
+            level.is_left = True  # in a recorded trace, the loop is around the row that runs
             return
         if word == "GOTO" and self.recorder is not None and level.traced:
             self.recorder.record_run_lines(place.line - 1)
@@ -282,7 +282,7 @@ class Flow:
             return False
         _, routine = callee
         self._check_structure(routine)
-        self._check_statement_count(place, self._least.minimum_of_call(*callee))
+        self._check_statement_count(place, self._least_statements.minimum_of_call(*callee))
         undo = self._undo_from_here(recorder)
         try:
             self._record_call(place, call, recorder, *callee)
@@ -320,14 +320,14 @@ class Flow:
         """
         run, entered_calls = self.run, self.interpreter.calls.entered
         marks, mark, position = run.finding_counts(), recorder.mark(), run.position()
-        calls_open, depth = len(entered_calls), len(self._way)
+        calls_open, depth = len(entered_calls), len(self._enclosing)
 
         def undo() -> None:
             """Restore the run, the trace and the open calls."""
             run.drop_findings(marks)
             recorder.back_to(mark)
             run.return_to(position)
-            del entered_calls[calls_open:], self._way[depth:]
+            del entered_calls[calls_open:], self._enclosing[depth:]
 
         return undo
 
@@ -338,9 +338,9 @@ class Flow:
         recorder.enter_routine(place, (call.start, call.start + len(call.name)), module, routine)
         self.interpreter.calls.enter_routine(place, call, module, routine)
         level = run.level
-        self._way.append((place, 0))
+        self._enclosing.append((place, 0))
         self.run_called_routine()
-        self._way.pop()
+        self._enclosing.pop()
         if not level.returned:
             recorder.record_run_lines(routine.last - 1)
         recorder.record_passed_lines(routine.last - 1, live=False)
@@ -425,7 +425,7 @@ class Flow:
         try:
             part_index = self._part_taken(source, block)
         except InexactError as cause:
-            occasion = Occasion(Place(source, block.first), tuple(self._way))
+            occasion = Occasion(Place(source, block.first), tuple(self._enclosing))
             if recorder is None or occasion in self.run.elsewhere:
                 raise
             self._follow_branches(source, block, recorder, occasion, cause)
@@ -505,7 +505,7 @@ class Flow:
         next_index, end = self._jump_target(source, nodes, index, part.nodes[-1:], last=last)
         if not next_index:
             return 0
-        occasion = Occasion(Place(source, block.first), tuple(self._way))
+        occasion = Occasion(Place(source, block.first), tuple(self._enclosing))
         try:
             self._part_taken(source, block)
         except InexactError:
@@ -627,19 +627,19 @@ class Flow:
         name, step = (counter.name, counter.step) if counter is not None else ("", 0)
         if counter is not None and words.isdisjoint(ENDS_LOOPS):
             self._check_rounds(source, block, counter, recorder)
-        loop = recorder.begin_loop(block, name, step, left="EXIT" in words) if recorder is not None else None
+        loop = recorder.begin_loop(block, name, step, has_exit="EXIT" in words) if recorder is not None else None
         level.loops += 1
-        depth = len(self._way)
-        self._way.append((Place(source, block.first), 0))
+        depth = len(self._enclosing)
+        self._enclosing.append((Place(source, block.first), 0))
         try:
             if counter is not None and recorder is not None and loop is not None:
                 self._record_plain_rounds(source, block, counter, recorder, loop)
             self._follow_rounds(source, block, counter, recorder, loop)
         finally:
             level.loops -= 1
-            del self._way[depth:]
+            del self._enclosing[depth:]
         has_ended = counter is not None and not level.is_broken_off
-        level.left = False
+        level.is_left = False
         if recorder is not None and loop is not None:
             recorder.end_loop(loop, block, counter.value() if counter is not None and has_ended else None)
 
@@ -658,11 +658,11 @@ class Flow:
         :raises InexactError: there are too many rounds, or the loop never ends.
         """
         level, place = self.run.level, Place(source, block.first)
-        start_count, depth = self._traced, len(self._way) - 1
+        start_count, depth = self._traced, len(self._enclosing) - 1
         while self._runs_again(source, block, counter):
             self._count_statement(place)
-            self._way[depth] = place, self._way[depth][1] + 1
-            if recorder is not None and self._way[depth][1] == 2:
+            self._enclosing[depth] = place, self._enclosing[depth][1] + 1
+            if recorder is not None and self._enclosing[depth][1] == 2:
                 self._check_labels(source, block.lines())
             changes = self._change_counts()
             if counter is None and self._traced - start_count > MOST_UNCOUNTED:
@@ -735,15 +735,15 @@ class Flow:
         whole = Block("REPEAT", first, jump.last, (Part(first, jump.first, nodes[1:-1]),))
         body = Block("REPEAT", first, jump.first, whole.parts)
         self._check_comments(source, whole, range(jump.first, jump.last))
-        loop = recorder.begin_loop(whole, "", 0, left=False, closing=jump.first)
-        start_count, depth = self._traced, len(self._way)
+        loop = recorder.begin_loop(whole, "", 0, has_exit=False, closing=jump.first)
+        start_count, depth = self._traced, len(self._enclosing)
         level.loops += 1
-        self._way.append((Place(source, first), 0))
+        self._enclosing.append((Place(source, first), 0))
         try:
             while not level.is_broken_off:
                 self._count_statement(place)
-                self._way[depth] = Place(source, first), self._way[depth][1] + 1
-                if self._way[depth][1] == 2:
+                self._enclosing[depth] = Place(source, first), self._enclosing[depth][1] + 1
+                if self._enclosing[depth][1] == 2:
                     self._check_labels(source, range(first + 1, jump.first))
                 changes = self._change_counts()
                 if self._traced - start_count > MOST_UNCOUNTED:
@@ -764,7 +764,7 @@ class Flow:
                     )
         finally:
             level.loops -= 1
-            del self._way[depth:]
+            del self._enclosing[depth:]
         recorder.end_loop(loop, whole, None)
 
     def _check_labels(self, source: Source, lines: Iterable[int]) -> None:
@@ -829,14 +829,14 @@ class Flow:
         self._check_comments(source, block)
         run.is_final = False
         snapshot = run.variables.snapshot()
-        loop = recorder.begin_loop(block, "", 0, left=False)
+        loop = recorder.begin_loop(block, "", 0, has_exit=False)
         loop.endless = True
-        self._way.append((place, 1))
+        self._enclosing.append((place, 1))
         recorder.begin_round(loop, block, None)
         self.follow(source, block.parts[0].nodes)
         recorder.end_round(block, whole=True)
         recorder.end_loop(loop, block, None)
-        self._way.pop()
+        self._enclosing.pop()
         if names := carried_variables(run, source, block, snapshot):
             # variables of the program before those of the controller
             sorted_names = sorted(names, key=lambda name: (name[0] == "$", name))
@@ -855,8 +855,10 @@ class Flow:
             problem = f"FOR has {counter.rounds} rounds, more than {limit}"
             raise inexact_error(Place(source, block.first), problem, "Check its bounds.")
         module = self.run.level.module
-        if not self.run.level.loops and not self._least.may_write(source, block, counter.statement.name, module):
-            rounds = counter.rounds * self._least.minimum_of_round(source, block, module)
+        if not self.run.level.loops and not self._least_statements.may_write(
+            source, block, counter.statement.name, module
+        ):
+            rounds = counter.rounds * self._least_statements.minimum_of_round(source, block, module)
             self._check_statement_count(Place(source, block.first), rounds)
 
     def _runs_again(self, source: Source, block: Block, counter: Counter | None) -> bool:

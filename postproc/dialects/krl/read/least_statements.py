@@ -83,7 +83,7 @@ class LeastStatements:
             if not words.isdisjoint(ENDS_LOOPS - {"EXIT"}):
                 break
             if isinstance(node, Block):
-                count += self._minimum_of_block(source, node, module, left="EXIT" in words)
+                count += self._minimum_of_block(source, node, module, has_exit="EXIT" in words)
                 continue
             stmt = statement(source, node)
             if isinstance(stmt, Return | Goto) or stmt.word in ENDS_LOOPS:
@@ -93,15 +93,20 @@ class LeastStatements:
             count += 1 if callee is None else 1 + self.minimum_of_call(*callee)
         return count
 
-    def _minimum_of_block(self, source: Source, block: Block, module: Module, *, left: bool) -> int:
+    def _minimum_of_block(self, source: Source, block: Block, module: Module, *, has_exit: bool) -> int:
         """Return a lower bound on the number of statements that a control structure runs.
 
-        :param left: True if EXIT may end it early; the bound is 0 then.
+        :param has_exit: True if EXIT may end it early; the bound is 0 then.
         """
         if block.word == "IF" and len(block.parts) > 1:
             return min(self._minimum_of_nodes(source, part.nodes, module) for part in block.parts)
         stmt = statement(source, block.first)
-        if not isinstance(stmt, For) or stmt.bounds is None or left or self.may_write(source, block, stmt.name, module):
+        if (
+            not isinstance(stmt, For)
+            or stmt.bounds is None
+            or has_exit
+            or self.may_write(source, block, stmt.name, module)
+        ):
             return 0
         first, last, step = stmt.bounds
         numbers = [value.value for value in (first, last, step or Number(1.0, 0, 0, True)) if isinstance(value, Number)]

@@ -355,7 +355,7 @@ class MainRoutine:
             number = self.course.counts.get(row)
         if number is None:
             self._flow.follow(place.source, (node.shifted(-self.run.shift) if isinstance(node, Block) else place.line,))
-            self.run.level.left = False  # the next row is the one that runs behind EXIT
+            self.run.level.is_left = False  # the next row is the one that runs behind EXIT
             return
         stmt = statement(place.source, place.line)
         if isinstance(stmt, For) and stmt.counter is not None:

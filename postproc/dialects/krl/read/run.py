@@ -87,7 +87,7 @@ class Level(Struct, eq=False):
     :ivar traced: True if its motions are in the execution trace: the main routine, and inlined routines.
     :ivar open: control structures whose branch taken is not known before run time: word and line.
     :ivar loops: number of nested loops that are followed.
-    :ivar left: True after EXIT.
+    :ivar is_left: True after EXIT.
     :ivar jump: line of a GOTO whose label has not been found yet; 0 for none.
     :ivar returned: line of a RETURN; 0 before.
     :ivar result: what a function returns.
@@ -99,7 +99,7 @@ class Level(Struct, eq=False):
     traced: bool = False
     open: list[tuple[str, int]] = []
     loops: int = 0
-    left: bool = False
+    is_left: bool = False
     jump: int = 0
     returned: int = 0
     result: VariableValue = NO_VALUE
@@ -107,7 +107,7 @@ class Level(Struct, eq=False):
     @property
     def is_broken_off(self) -> bool:
         """Whether the following statement does not run next: after RETURN, EXIT, GOTO."""
-        return bool(self.returned or self.left or self.jump)
+        return bool(self.returned or self.is_left or self.jump)
 
 
 class UntracedCall(Struct, frozen=True, eq=False):
@@ -131,7 +131,7 @@ class RunPosition(NamedTuple):
     """The routine that runs, and how deep it is in calls, loops and branches.
 
     :ivar depth: number of routines that run.
-    :ivar loops: `Level.loops`; `is_left` is `Level.left`.
+    :ivar loops: `Level.loops`; `is_left` is `Level.is_left`.
     :ivar forks: number of open forks.
     """
 
@@ -298,12 +298,12 @@ class Run:
     def position(self) -> RunPosition:
         """Return the present routine and depth of the run, for `return_to`."""
         level = self.level
-        return RunPosition(level, len(self.stack), self.variables.scope, level.loops, level.left, len(self._forks))
+        return RunPosition(level, len(self.stack), self.variables.scope, level.loops, level.is_left, len(self._forks))
 
     def return_to(self, position: RunPosition) -> None:
         """Return to the routine and the depth of the run at an earlier `position`."""
         self.level, self.variables.scope = position.level, position.scope
-        self.level.loops, self.level.left = position.loops, position.is_left
+        self.level.loops, self.level.is_left = position.loops, position.is_left
         del self.stack[position.depth :], self._forks[position.forks :]
         self.level.open.clear()
         self.level.jump = 0

@@ -159,18 +159,18 @@ class Recorder:
         body.last = self.count + 1
         self._steps.append(RoutineExit())
 
-    def begin_loop(self, block: Block, counter: str, step: int, *, left: bool, closing: int = 0) -> UnrolledLoop:
+    def begin_loop(self, block: Block, counter: str, step: int, *, has_exit: bool, closing: int = 0) -> UnrolledLoop:
         """Begin to unroll a loop, and return its record.
 
         :param counter: of FOR, as it is spelled, and `step` of FOR; empty and 0 for other loops.
-        :param left: whether the loop contains EXIT.
+        :param has_exit: whether the loop contains EXIT.
         :param closing: first of the lines that close it; 0: its last line does alone.
         """
         self.record_run_lines(block.first - 1)
         source = self._open[-1].source
         opening_text = _line_text(source, block.first, block.first)
         closing_text = _line_text(source, closing or block.last, block.last)
-        loop = UnrolledLoop(opening_text, closing_text, counter, step, left, self.count + 1)
+        loop = UnrolledLoop(opening_text, closing_text, counter, step, has_exit, self.count + 1)
         self._open[-1].bodies[-1].parts.append(loop)
         return loop
 

@@ -266,7 +266,7 @@ class _Folder(Struct, eq=False):
             return _concatenate([_text_piece(loop.opener), _merge_rounds(rounds), _text_piece(loop.closer)])
         blanks, end = indent(loop.opener), _line_end(loop.opener)
         pieces = [_text_piece(f"{blanks}; {loop.opener.strip()} (written out){end}")]
-        if loop.left:
+        if loop.has_exit:
             pieces.append(_text_piece(f"{blanks}LOOP{end}"))
         for first, stop in pairwise([*_run_begins(keys, self._counter_values(loop), loop.step), len(rounds)]):
             pieces += self._equal_rounds(loop, first, rounds[first:stop])
@@ -274,7 +274,7 @@ class _Folder(Struct, eq=False):
             pieces.append(self._counter_piece(loop, loop.bodies[-1].last, blanks))
         else:
             pieces.append(self._rows_piece(loop.bodies[-1].last, loop.last))
-        if loop.left:
+        if loop.has_exit:
             pieces.append(_text_piece(f"{blanks}EXIT{end}{blanks}ENDLOOP{end}"))
         return _concatenate(pieces)
 
@@ -284,7 +284,7 @@ class _Folder(Struct, eq=False):
         :param first: number of the first of these rounds, from 0.
         """
         blanks, end = indent(loop.opener), _line_end(loop.opener)
-        if len(rounds) == 1 or not loop.step or loop.left:
+        if len(rounds) == 1 or not loop.step or loop.has_exit:
             for number, piece in enumerate(rounds, first):
                 if loop.step:
                     yield self._counter_piece(loop, loop.bodies[number].first, blanks)

@@ -90,22 +90,25 @@ def _module_starts(
 
     :raises ProgramError: the text between two places where a module may end is too large for one module.
     """
-    motion = _places(program, cell)
-    place = np.searchsorted(targets.motion, motion.astype(targets.motion.dtype), side="right")
-    motion, place = motion[(place > 0) & (place < len(targets))], place[(place > 0) & (place < len(targets))]
+    end_motions = _places(program, cell)
+    next_targets = np.searchsorted(targets.motion, end_motions.astype(targets.motion.dtype), side="right")
+    end_motions, next_targets = (
+        end_motions[(next_targets > 0) & (next_targets < len(targets))],
+        next_targets[(next_targets > 0) & (next_targets < len(targets))],
+    )
     ends = _line_ends(output)
-    end_offset = np.append(ends[place - 1], output.size)
+    end_offset = np.append(ends[next_targets - 1], output.size)
     lines = [line for kind in _SWITCHING for line in getattr(cell.gcode, kind) or ()]
-    head = sum(len(line) + 2 for line in emitter.header_lines(program.name))
-    capacity = cell.output.program_memory_MB * _MB - head - _RESERVE - 2 * sum(map(len, lines))
+    header_size = sum(len(line) + 2 for line in emitter.header_lines(program.name))
+    capacity = cell.output.program_memory_MB * _MB - header_size - _RESERVE - 2 * sum(map(len, lines))
     starts: list[int] = []
-    begin, index = head, -1
+    begin, index = header_size, -1
     while end_offset[-1] - begin > capacity:
         last = int(np.searchsorted(end_offset, begin + capacity, side="right")) - 1
         if last <= index:
-            number_of = program.motions.line
-            first = number_of[0] if index < 0 else number_of[motion[index] + 1]
-            last_line = number_of[motion[index + 1]] if index + 1 < len(motion) else number_of[-1]
+            source_lines = program.motions.line
+            first = source_lines[0] if index < 0 else source_lines[end_motions[index] + 1]
+            last_line = source_lines[end_motions[index + 1]] if index + 1 < len(end_motions) else source_lines[-1]
             size = (end_offset[index + 1] - begin + cell.output.program_memory_MB * _MB - capacity) / _MB
             raise ProgramError(
                 f"the moves from here to line {last_line} alone need a module of {size:.2g} MB, more than "
@@ -116,7 +119,7 @@ def _module_starts(
                 "the CAM system.",
             )
         index, begin = last, int(end_offset[last])
-        starts.append(int(place[last]))
+        starts.append(int(next_targets[last]))
     return starts
 
 

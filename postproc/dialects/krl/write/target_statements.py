@@ -127,7 +127,9 @@ class TargetStatements:
         return literal_of(aggregate) if aggregate is not None and operand.inline else None
 
     def via_point(self, row: int) -> tuple[tuple[int, int] | None, Literal | None]:
-        """Return the span of the auxiliary point of a circle, and its literal; None for what there is not."""
+        """Return the span of the auxiliary point of a circle, and its literal; None for each of them that does not
+        exist.
+        """
         move = self.layout.statements.get(row)
         if move is not None:
             via = move.via
