@@ -115,15 +115,19 @@ class _Writer:
         Both may be divided into files, see `write.split_files`.
         """
         if not isinstance(program.layout, Layout):
-            new = write.divide_into_modules(program, targets, joints, cell, comments)
-            return write.split_files(program.name, (), new, cell.output.lines_per_file) if new.modules is None else new
+            new_program = write.divide_into_modules(program, targets, joints, cell, comments)
+            return (
+                write.split_files(program.name, (), new_program, cell.output.lines_per_file)
+                if new_program.modules is None
+                else new_program
+            )
         other_names = {document.name for document in program.layout.course.files}
-        whole = write.rewrite(program, targets, comments)
-        program_files = replace(whole, documents=tuple(d for d in whole.documents if d.name not in other_names))
+        rewritten = write.rewrite(program, targets, comments)
+        program_files = replace(rewritten, documents=tuple(d for d in rewritten.documents if d.name not in other_names))
         files = [document for document in program.documents if document.name not in other_names]
         limit, layout = cell.output.lines_per_file, program.layout
         output = write.split_files(program.name, files, program_files, limit, layout.course.taken, layout.broken_off)
-        other_files = tuple(document for document in whole.documents if document.name in other_names)
+        other_files = tuple(document for document in rewritten.documents if document.name in other_names)
         issues = [
             _long_file_warning(document, limit)
             for document in other_files
@@ -205,8 +209,8 @@ class Krl:
         self, documents: Sequence[Document], cell: Cell, forward_kinematics: Callable[[Array], Array], name: str
     ) -> Program:
         """Return a program, see `read.reader`; one in several files as one, see `language.parts`."""
-        whole = joined_program(documents)
-        if whole is None:
+        joined = joined_program(documents)
+        if joined is None:
             try:
                 return read_program(documents, cell, forward_kinematics, name)
             except ProgramError as cause:
@@ -215,19 +219,19 @@ class Krl:
                 problem = f"this file is a part of {main}, which calls it: without it, {cause.problem}"
                 advice = f"Name {main}.src instead."
                 raise ProgramError(problem, file=cause.file, line=cause.line, text=cause.text, advice=advice) from None
-        stems = {PurePath(file).stem.lower() for file, _ in whole.files}
+        stems = {PurePath(file).stem.lower() for file, _ in joined.files}
         subprograms = [document for document in documents if PurePath(document.name).stem.lower() not in stems]
         try:
-            program = read_program((*whole.documents, *subprograms), cell, forward_kinematics, name)
+            program = read_program((*joined.documents, *subprograms), cell, forward_kinematics, name)
         except ProgramError as cause:
-            raise whole.error_in_file(cause) from None
+            raise joined.error_in_file(cause) from None
         layout = program.layout
         if isinstance(layout, Layout):
             course_names = {document.name for document in layout.course.files}
             documents = [*(d for d in documents if d.name not in course_names), *layout.course.files]
-            layout = replace(layout, documents=(*whole.documents, *layout.course.files), files=whole.files)
+            layout = replace(layout, documents=(*joined.documents, *layout.course.files), files=joined.files)
         name = PurePath(documents[0].name).stem[: -len(MAIN)]
-        unresolved = tuple(whole.motion_in_file(item) for item in program.unresolved)
+        unresolved = tuple(joined.motion_in_file(item) for item in program.unresolved)
         needed_files = tuple(item for item in program.needed if Path(item.path).stem.lower() not in stems)
         documents = tuple(documents)
         return replace(

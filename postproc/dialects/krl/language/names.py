@@ -115,8 +115,8 @@ def valid_name(name: str) -> str:
     """
     if fault_of(name) is None:
         return name
-    plain = unicodedata.normalize("NFKD", name.translate(_UMLAUTS)).encode("ascii", "ignore").decode()
-    new_name = re.sub(r"\W+", "_", plain).strip("_") or "PROGRAM"
+    ascii_name = unicodedata.normalize("NFKD", name.translate(_UMLAUTS)).encode("ascii", "ignore").decode()
+    new_name = re.sub(r"\W+", "_", ascii_name).strip("_") or "PROGRAM"
     new_name = (
         f"P_{new_name}" if new_name.upper() in RESERVED else f"P{new_name}" if new_name[0].isdigit() else new_name
     )

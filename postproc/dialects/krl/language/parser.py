@@ -418,9 +418,9 @@ def _if(source: Source, word: str, start: int, word_start: int, stop: int) -> St
     begin = word_start + len(word)
     then_word = key_word(source.text, begin, stop, "THEN")
     head = _stripped_span(source.text, begin, stop if then_word is None else then_word.start)
-    rest = "" if then_word is None else source.text[then_word.stop : stop].strip()
+    text_after_then = "" if then_word is None else source.text[then_word.stop : stop].strip()
     condition = value_in(source, head.start, head.stop) if head.start < head.stop else None
-    return If(word, start, stop, condition, then_word is not None, rest)
+    return If(word, start, stop, condition, then_word is not None, text_after_then)
 
 
 def _while(source: Source, word: str, start: int, word_start: int, stop: int) -> Statement | None:

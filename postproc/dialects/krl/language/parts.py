@@ -157,8 +157,8 @@ def joined_program(documents: Sequence[Document]) -> JoinedProgram | None:
         first += len(Source.of(document, 0).starts)
     stems = [PurePath(document.name).stem.lower() for document in (main, *parts)]
     data = [document_of[f"{stem}.dat"] for stem in stems if f"{stem}.dat" in document_of]
-    whole = replace(main, text="".join([*texts, *([] if routine_files else [_END])]))
-    return JoinedProgram((whole, *([_joined_data(main, data)] if data else [])), tuple(files))
+    joined_source = replace(main, text="".join([*texts, *([] if routine_files else [_END])]))
+    return JoinedProgram((joined_source, *([_joined_data(main, data)] if data else [])), tuple(files))
 
 
 def separated_texts(text: str) -> list[str]:

@@ -90,14 +90,14 @@ class _OpenRoutine(Struct, eq=False):
 
 
 def routines(
-    source: Source, lines: Sequence[int], plain: Ints, settings: Sequence[int] = ()
+    source: Source, lines: Sequence[int], motion_lines: Ints, settings: Sequence[int] = ()
 ) -> tuple[dict[str, Routine], list[ProgramError]]:
     """Return the routines of a file by name, upper case, and the errors in their bounds.
 
     Such an error is a DEF without END, or a motion outside of DEF … END.
 
     :param lines: 1-based lines that are neither plain motions nor plain settings.
-    :param plain: (P,) lines of plain motions, in order.
+    :param motion_lines: (P,) lines of plain motions, in order.
     :param settings: lines that only assign system variables, in order.
     """
     routine_of: dict[str, Routine] = {}
@@ -118,10 +118,14 @@ def routines(
                         advice="Write END before this DEF.",
                     )
                 )
-                routine_of.setdefault(open_routine.name, _closed_routine(source, open_routine, line, plain, settings))
+                routine_of.setdefault(
+                    open_routine.name, _closed_routine(source, open_routine, line, motion_lines, settings)
+                )
             open_routine = _OpenRoutine(node.name.upper(), line, node)
         elif node.word in ("END", "ENDFCT") and open_routine is not None:
-            routine_of.setdefault(open_routine.name, _closed_routine(source, open_routine, line, plain, settings))
+            routine_of.setdefault(
+                open_routine.name, _closed_routine(source, open_routine, line, motion_lines, settings)
+            )
             open_routine = None
         elif open_routine is not None:
             open_routine.lines.append(line)
@@ -132,24 +136,24 @@ def routines(
     if open_routine is not None:
         faults.append(source.line_error(f"DEF {open_routine.name} has no END", open_routine.line, _INCOMPLETE))
         routine_of.setdefault(
-            open_routine.name, _closed_routine(source, open_routine, len(source.starts) + 1, plain, settings)
+            open_routine.name, _closed_routine(source, open_routine, len(source.starts) + 1, motion_lines, settings)
         )
     return routine_of, faults
 
 
 def _closed_routine(
-    source: Source, open_routine: _OpenRoutine, line: int, plain: Ints, settings: Sequence[int]
+    source: Source, open_routine: _OpenRoutine, line: int, motion_lines: Ints, settings: Sequence[int]
 ) -> Routine:
     """Return a routine whose END is on a 1-based line.
 
-    :param plain: (P,) lines of all plain motions of the file, in order; `settings` likewise.
+    :param motion_lines: (P,) lines of all plain motions of the file, in order; `settings` likewise.
     """
     types: dict[str, str] = {}
     for inner_line in open_routine.lines:
         node = statement(source, inner_line)
         if isinstance(node, Declaration) and not node.public and node.word != "STRUC":
             types |= {item.name: item.kind for item in node.names}
-    plain = plain[slice(*np.searchsorted(plain, [open_routine.line, line]).tolist())]
+    motion_lines = motion_lines[slice(*np.searchsorted(motion_lines, [open_routine.line, line]).tolist())]
     settings = settings[bisect_left(settings, open_routine.line) : bisect_left(settings, line)]
     return Routine(
         source,
@@ -158,7 +162,7 @@ def _closed_routine(
         open_routine.definition.public,
         open_routine.line,
         line,
-        plain,
+        motion_lines,
         settings,
         open_routine.lines,
         frozenset({parameter.name for parameter in open_routine.definition.parameters} | types.keys()),

@@ -37,14 +37,14 @@ def notes_of(
     motions: Ints,
     rapid: Bools,
     unknown: Mapping[int, str],
-    free: Set[Join] = frozenset(),
+    unchecked_joins: Set[Join] = frozenset(),
 ) -> list[tuple[int, ForceNote]]:
     """Return the force comments of a trace, by its lines; the acting force is stated again at branches and joins.
 
     :param motions: (M,) lines of the motions in the trace.
     :param rapid: (M,) True for motions that carry no force.
     :param unknown: lines of the trace after which the acting force is not known, and why.
-    :param free: joins at which branches may end in different poses.
+    :param unchecked_joins: joins at which branches may end in different poses.
     :raises ProgramError: the force on a motion is not known.
     :raises ForceError: a comment cannot be read.
     """
@@ -74,7 +74,7 @@ def notes_of(
     marks = [step for step in course.steps if isinstance(step, Fork | Branch | Join)]
     if not marks and not unknown_reasons:
         return notes
-    return _ActiveForce(course, motions, rapid, free).with_restated_notes(notes, unknown_reasons, marks)
+    return _ActiveForce(course, motions, rapid, unchecked_joins).with_restated_notes(notes, unknown_reasons, marks)
 
 
 class _ActiveForce:
@@ -84,9 +84,9 @@ class _ActiveForce:
     :ivar last: the same for the last motion.
     """
 
-    def __init__(self, course: Course, motions: Ints, rapid: Bools, free: Set[Join]) -> None:
+    def __init__(self, course: Course, motions: Ints, rapid: Bools, unchecked_joins: Set[Join]) -> None:
         """Begin before the first line, without a force; `since` is the last line whose motions have been passed."""
-        self.course, self.motions, self.rapid, self.free = course, motions, rapid, free
+        self.course, self.motions, self.rapid, self.unchecked_joins = course, motions, rapid, unchecked_joins
         self.notes: list[tuple[int, ForceNote]] = []
         self.now: _Force = None
         self.last: _Force = None
@@ -128,19 +128,19 @@ class _ActiveForce:
             elif isinstance(event, Join):
                 entry, ends = open_forks.pop()
                 end_forces = [*ends[1:], (self.now, self.last), *([] if event.complete else [entry])]
-                self._pass_join(line, end_forces, free=event in self.free)
+                self._pass_join(line, end_forces, is_unchecked=event in self.unchecked_joins)
         self._pass_motions(len(self.course.trace))
         return self.notes
 
-    def _pass_join(self, line: int, ends: Sequence[tuple[_Force, _Force]], *, free: bool) -> None:
+    def _pass_join(self, line: int, ends: Sequence[tuple[_Force, _Force]], *, is_unchecked: bool) -> None:
         """Set the force that acts after a join.
 
         :param ends: for each branch, the force at its end and that of its last motion.
-        :param free: True if branches may end in different poses.
+        :param is_unchecked: True if branches may end in different poses.
         :raises ProgramError: the branches end under different forces: corrected, they would end in different poses.
         """
         forces, last_forces = ([_wrench_and_frame(end[index]) for end in ends] for index in (0, 1))
-        if not free and any(
+        if not is_unchecked and any(
             _certainly_differ(force, last_forces[0]) or _turns_with_path(*force) for force in last_forces
         ):
             problem = "the branches that end here do so under different forces: corrected, they would not meet"

@@ -118,7 +118,9 @@ def _leads_to_computed_point(stmt: Motion, set_names: set[str], unset_names: set
     if not isinstance(end, Aggregate) or end.tag not in _TAGS or set(end.items) != set(CARTESIAN):
         return False
     values = end.items.values()
-    return all(_is_computed(value, unset_names) for value in values) and not all(isinstance(v, Number) for v in values)
+    return all(_is_computed(value, unset_names) for value in values) and not all(
+        isinstance(component, Number) for component in values
+    )
 
 
 class _Column(Struct, frozen=True, eq=False):
@@ -277,7 +279,9 @@ def _cartesian_position(aggregate: Aggregate) -> Position:
 
     :raises _NoColumnError: it is not a complete Cartesian position.
     """
-    if not aggregate.items.keys() >= set(CARTESIAN) or not all(isinstance(v, Number) for v in aggregate.items.values()):
+    if not aggregate.items.keys() >= set(CARTESIAN) or not all(
+        isinstance(value, Number) for value in aggregate.items.values()
+    ):
         raise _NoColumnError
     try:
         position = position_from_aggregate(aggregate)

@@ -331,7 +331,7 @@ def end_poses(
     )
     own_angles, is_incomplete = numbers[control.constant, 3:], any_column(np.isnan(numbers[:, 3:]))
     numbers[control.constant, 3:] = np.nan  # missing components keep their previous value
-    special = {
+    special_rows = {
         special_row
         for special_row, move in moves.items()
         if move.end.position.axis or move.relative or move.angle is not None
@@ -339,7 +339,7 @@ def end_poses(
     has_new_frame = np.append(True, (np.diff(frames[0]) != 0) | (np.diff(frames[1]) != 0))[: len(line)]
     row = 0
     for special_row in sorted(
-        special | set(np.flatnonzero(control.constant & (has_new_frame | control.with_path)).tolist())
+        special_rows | set(np.flatnonzero(control.constant & (has_new_frame | control.with_path)).tolist())
     ):
         follower.complete_absolute(row, special_row)
         follower.follow_special(special_row, moves.get(special_row))

@@ -732,10 +732,10 @@ class Flow:
         if not isinstance(first, int) or not isinstance(jump, Block):
             return
         place, head = Place(source, jump.first), statement(source, jump.first)
-        whole = Block("REPEAT", first, jump.last, (Part(first, jump.first, nodes[1:-1]),))
-        body = Block("REPEAT", first, jump.first, whole.parts)
-        self._check_comments(source, whole, range(jump.first, jump.last))
-        loop = recorder.begin_loop(whole, "", 0, has_exit=False, closing=jump.first)
+        loop_block = Block("REPEAT", first, jump.last, (Part(first, jump.first, nodes[1:-1]),))
+        round_block = Block("REPEAT", first, jump.first, loop_block.parts)
+        self._check_comments(source, loop_block, range(jump.first, jump.last))
+        loop = recorder.begin_loop(loop_block, "", 0, has_exit=False, closing=jump.first)
         start_count, depth = self._traced, len(self._enclosing)
         level.loops += 1
         self._enclosing.append((Place(source, first), 0))
@@ -749,9 +749,9 @@ class Flow:
                 if self._traced - start_count > MOST_UNCOUNTED:
                     problem = f"GOTO still leads back after {MOST_UNCOUNTED} statements"
                     raise inexact_error(place, problem, "Check its condition, or write FOR instead.")
-                recorder.begin_round(loop, body, None)
+                recorder.begin_round(loop, round_block, None)
                 self.follow(source, nodes[1:-1])
-                recorder.end_round(body, whole=not level.is_broken_off)
+                recorder.end_round(round_block, whole=not level.is_broken_off)
                 self.run.place = place
                 holds = self.run.variables.truth(head.condition) if isinstance(head, tree.If) else None
                 if not level.is_broken_off and holds is None:
@@ -765,7 +765,7 @@ class Flow:
         finally:
             level.loops -= 1
             del self._enclosing[depth:]
-        recorder.end_loop(loop, whole, None)
+        recorder.end_loop(loop, loop_block, None)
 
     def _check_labels(self, source: Source, lines: Iterable[int]) -> None:
         """Refuse labels in a loop with a second round: they would be written more than once.
@@ -806,8 +806,8 @@ class Flow:
             return
         self._traced += statement_count
         length, first = block.last - block.first, recorder.count + 1
-        plain = PlainRounds(begin, counter.step, first, rounds, length, source, block.first, body)
-        recorder.record_plain_rounds(loop, block, plain)
+        plain_rounds = PlainRounds(begin, counter.step, first, rounds, length, source, block.first, body)
+        recorder.record_plain_rounds(loop, block, plain_rounds)
         for line in body.triggers:  # what they write may change at any time from now on
             self._follow_noting_errors(Place(source, line), statement(source, line))
         for round_count in (rounds - 1, 1):  # only the last round leaves something

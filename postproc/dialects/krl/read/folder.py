@@ -291,10 +291,10 @@ def module_of(source: Source, data: Source | None = None) -> Module:
     :param data: the `.dat` of the file, if it has one.
     :raises ProgramError: a DEF has no END, or a motion is outside of DEF … END.
     """
-    plain = np.concatenate([rows.line for rows in plain_lines.scan(source)])
+    motion_lines = np.concatenate([rows.line for rows in plain_lines.scan(source)])
     is_other_line = np.ones(len(source.starts), dtype=np.bool_)
-    is_other_line[plain - 1] = False
-    by_name, faults = routines(source, (np.flatnonzero(is_other_line) + 1).tolist(), plain)
+    is_other_line[motion_lines - 1] = False
+    by_name, faults = routines(source, (np.flatnonzero(is_other_line) + 1).tolist(), motion_lines)
     if faults:
         raise combined_error(faults)
     return Module(source, by_name, data)

@@ -127,11 +127,11 @@ class Frames:
     def _with_field(self, state: State, target: Reference, value: Value | VariableValue) -> Position | None:
         """Return the frame in force with another value of one component; None if the result is not known."""
         name, field = target.name, target.field or ""
-        whole, number = self.current_value(state, name, None), self.variables.number(value)
+        frame, number = self.current_value(state, name, None), self.variables.number(value)
         is_folded = field in ANGLES and (name, state.base if name == "$BASE" else state.tool) in self._folded
-        if not isinstance(whole, Position) or number is None or is_folded:
+        if not isinstance(frame, Position) or number is None or is_folded:
             return None
-        return with_component(whole, field, number)
+        return with_component(frame, field, number)
 
     def _with_named_frame(self, state: State, place: Place, name: str, reference: Reference, key: str) -> State:
         """Return the state with `$BASE` or `$TOOL` set to a variable.

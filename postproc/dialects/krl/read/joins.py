@@ -153,13 +153,17 @@ def _first_ambiguous_ptp(sequence: OrderedMotions, rows: slice) -> int:
 
 
 def predecessors_and_joins(
-    course: Course, sequence: OrderedMotions, predecessors: Ints | None, kept_lines: Sequence[int], free: Set[Join]
+    course: Course,
+    sequence: OrderedMotions,
+    predecessors: Ints | None,
+    kept_lines: Sequence[int],
+    unchecked_joins: Set[Join],
 ) -> tuple[Ints | None, list[JoinedEnds]]:
     """Return at the end of which motion each motion begins, see `Program.after`, and the control-flow joins.
 
     :param predecessors: (M,) the same if branches ran one after the other; None: the motion before.
     :param kept_lines: lines of uncorrected motions.
-    :param free: joins at which branches may end in different poses.
+    :param unchecked_joins: joins at which branches may end in different poses.
     :raises BranchError: a motion in or after a branch depends on more than its start pose.
     """
     steps = [step for step in course.steps if isinstance(step, Fork | Branch | Join)]
@@ -172,7 +176,7 @@ def predecessors_and_joins(
         rows = slice(*np.searchsorted(line, [ends.fork, join.row], side="right"))
         if any(ends.fork < kept_line <= join.row for kept_line in kept_lines):
             faults.append(_branch_error(course, forks, ends.fork, "an uncorrected motion is inside a branch"))
-        elif join not in free and (row := _first_ambiguous_ptp(sequence, rows)) >= 0:
+        elif join not in unchecked_joins and (row := _first_ambiguous_ptp(sequence, rows)) >= 0:
             problem = f"a PTP to X, Y, Z without S and T is inside a branch ({course.trace.place(int(line[row]))})"
             faults.append(_branch_error(course, forks, ends.fork, problem, _PTP_ADVICE))
     _raise_combined(faults)
@@ -181,7 +185,7 @@ def predecessors_and_joins(
             problem = f"{_start_dependence(sequence, row)} where branches begin or meet"
             faults.append(_branch_error(course, forks, int(fork_of[row]), problem, _WHOLE))
     _raise_combined(faults)
-    return branch_predecessors, [ends for join, ends in joins if join not in free]
+    return branch_predecessors, [ends for join, ends in joins if join not in unchecked_joins]
 
 
 class _OpenFork(NamedTuple):
@@ -264,14 +268,14 @@ def branches(course: Course, line: Ints) -> tuple[tuple[int, int], ...]:
 
 
 def transitions(
-    course: Course, line: Ints, predecessors: Ints | None, kept_lines: Sequence[int], free: Set[Join]
+    course: Course, line: Ints, predecessors: Ints | None, kept_lines: Sequence[int], unchecked_joins: Set[Join]
 ) -> tuple[tuple[int, int], ...]:
     """Return further pairs of a motion and one at whose end it may begin, see `Program.transitions`.
 
     :param line: (M,) lines of the trace with the motions.
     :param predecessors: (M,) the motion at whose end each begins, see `Program.after`.
     :param kept_lines: lines of uncorrected motions: a round whose last motion is one of them ends in an unknown pose.
-    :param free: joins at which branches may end in different poses; at others all end in the pose of the first.
+    :param unchecked_joins: joins at which branches may end in different poses; at others they end in one pose.
     """
     previous_rows = np.arange(len(line)) - 1 if predecessors is None else predecessors
     further_transitions: list[tuple[int, int]] = []
@@ -301,7 +305,7 @@ def transitions(
             ends = entries
         else:
             branch_ends = branch_ends if step.complete else branch_ends | entries
-            ends = branch_ends if step in free else {min(branch_ends)}
+            ends = branch_ends if step in unchecked_joins else {min(branch_ends)}
     run_to(len(line))
     loop = course.endless
     if loop is not None and max(kept_lines, default=0) < max(line, default=0):
@@ -416,7 +420,8 @@ def check_endless_loop(
             raise _loop_error(course, loop, f"its round ends {problem}", _LOOP_ADVICE)
         begin_settings, end_settings = settings_at(settings, np.array([loop.first, loop.last]))
         if begin_settings[0] != end_settings[0] or not all(
-            np.array_equal(a, b) for a, b in zip(begin_settings[1:], end_settings[1:], strict=True)
+            np.array_equal(begin_value, end_value)
+            for begin_value, end_value in zip(begin_settings[1:], end_settings[1:], strict=True)
         ):
             raise _loop_error(course, loop, "leaves other frames, speeds or modes than it begins with", _SETTING_ADVICE)
         _check_force(course, loop, int(line[first]), notes)

@@ -377,28 +377,32 @@ class MainRoutine:
             is_other[rounds.first - 1 : rounds.stop_row - 1] = False
         return _rows_with_code(self.run.trace, np.flatnonzero(is_other) + 1)
 
-    def which_run(self, plain: Ints) -> Bools:
+    def which_run(self, motion_lines: Ints) -> Bools:
         """Return which of n plain motions run (n,).
 
         A running sum of +1 where steps of the trace begin and −1 behind their ends is above zero inside them.
 
-        :param plain: (n,) lines of the motions in the trace.
+        :param motion_lines: (n,) lines of the motions in the trace.
         :raises ProgramError: one of them is outside of DEF … END.
         """
-        steps = np.array([(s.first, s.last) for s in self.course.steps if isinstance(s, Lines)]).reshape(-1, 2)
-        depth = np.zeros(len(plain) + 1, dtype=np.int64)
-        np.add.at(depth, np.searchsorted(plain, steps[:, 0]), 1)
-        np.add.at(depth, np.searchsorted(plain, steps[:, 1], side="right"), -1)
+        steps = np.array([(step.first, step.last) for step in self.course.steps if isinstance(step, Lines)]).reshape(
+            -1, 2
+        )
+        depth = np.zeros(len(motion_lines) + 1, dtype=np.int64)
+        np.add.at(depth, np.searchsorted(motion_lines, steps[:, 0]), 1)
+        np.add.at(depth, np.searchsorted(motion_lines, steps[:, 1], side="right"), -1)
         is_executed: Bools = np.cumsum(depth[:-1]) > 0
         if not self.course.is_straight:
             return is_executed
-        in_routine = np.zeros(len(plain), dtype=np.bool_)
+        in_routine = np.zeros(len(motion_lines), dtype=np.bool_)
         for routine in self.run.library.program.routines.values():
-            in_routine |= (plain > routine.first) & (plain < routine.last)
+            in_routine |= (motion_lines > routine.first) & (motion_lines < routine.last)
         outside_rows = np.flatnonzero(~in_routine)
         if len(outside_rows):
             raise self.run.trace.error(
-                "the motion is outside of DEF … END", int(plain[outside_rows[0]]), advice="Move it into a routine."
+                "the motion is outside of DEF … END",
+                int(motion_lines[outside_rows[0]]),
+                advice="Move it into a routine.",
             )
         return is_executed
 

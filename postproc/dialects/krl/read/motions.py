@@ -64,19 +64,19 @@ class OrderedMotions(NamedTuple):
     moves: dict[int, MotionStatement]
 
 
-def ordered_motions(main: MainRoutine, plain: list[MotionColumns]) -> OrderedMotions:
+def ordered_motions(main: MainRoutine, plain_parts: list[MotionColumns]) -> OrderedMotions:
     """Return all motions of a program in order: plain lines and statements together.
 
     :param main: has followed all lines that are not plain.
-    :param plain: plain motions, in parts; the list is emptied, see `merged_motions`.
+    :param plain_parts: plain motions, in parts; the list is emptied, see `merged_motions`.
     """
-    plain += [rounds.rows for rounds in main.rounds]
+    plain_parts += [rounds.rows for rounds in main.rounds]
     statement_rows = main.motions.rows()
-    places, states, state, numbers = _merge_order(main, [rows.line for rows in plain], statement_rows.line)
-    first = sum(map(len, plain))
+    places, states, state, numbers = _merge_order(main, [rows.line for rows in plain_parts], statement_rows.line)
+    first = sum(map(len, plain_parts))
     moves = {places.item(first + index): move for index, move in main.motions.special}
-    plain.append(statement_rows)
-    return OrderedMotions(merged_motions(plain, places), states, state, numbers, moves)
+    plain_parts.append(statement_rows)
+    return OrderedMotions(merged_motions(plain_parts, places), states, state, numbers, moves)
 
 
 def _merge_order(main: MainRoutine, lines: list[Ints], statement_lines: Ints) -> tuple[Ints, list[State], Ints, Runs]:
@@ -290,12 +290,12 @@ def _states_of_lines(
             index_of_state[state] = len(states)
             states.append(state)
         statement_indices.append(index_of_state[state])
-    plain = compact(np.searchsorted(changes, line) - 1, np.int32)
+    state_of_line = compact(np.searchsorted(changes, line) - 1, np.int32)
     return (
         states,
-        plain,
+        state_of_line,
         compact(np.array(statement_indices, dtype=np.int64), np.int32),
-        compact(changes, np.int32)[plain],
+        compact(changes, np.int32)[state_of_line],
     )
 
 
@@ -373,9 +373,9 @@ def _check_settings(
         raise combined_error(faults)
 
 
-def setting_errors(main: MainRoutine, plain: list[MotionColumns]) -> Iterator[ProgramError]:
+def setting_errors(main: MainRoutine, plain_parts: list[MotionColumns]) -> Iterator[ProgramError]:
     """Yield the errors of the motions of a program that depend on unknown settings, once for each reason."""
-    sequence = ordered_motions(main, plain)
+    sequence = ordered_motions(main, plain_parts)
     yield from _setting_errors(main.run.settings, sequence.rows, sequence.states, sequence.state, sequence.moves)
 
 

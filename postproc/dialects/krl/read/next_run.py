@@ -28,7 +28,7 @@ def changed_data_issues(
     main: MainRoutine,
     change_places: Mapping[str, str],
     first: OrderedMotions,
-    plain: PlainLines,
+    plain_lines: PlainLines,
     start_joints: tuple[float, ...],
 ) -> Iterator[Issue]:
     """Yield a warning if the next run of the program moves differently, or is not known.
@@ -38,7 +38,7 @@ def changed_data_issues(
     :param main: has followed the program.
     :param change_places: values that it leaves to the next run, see `kept_values`.
     :param first: its motions.
-    :param plain: its plain lines.
+    :param plain_lines: its plain lines.
     :param start_joints: joint angles at the start [deg].
     """
     if not change_places:
@@ -50,10 +50,10 @@ def changed_data_issues(
         course, collected = course_of(start)
         line = _first_differing_row(main.course, course)
         if line is None:
-            second_run = MainRoutine(collected or start.collected(main.course.trace), main.course, plain)
+            second_run = MainRoutine(collected or start.collected(main.course.trace), main.course, plain_lines)
             if collected is None:
                 second_run.follow([])
-            second = ordered_motions(second_run, plain.motions)
+            second = ordered_motions(second_run, plain_lines.motions)
             line = _first_difference(main.run.settings, first, second_run.run.settings, second)
         line = None if line is None else main.course.trace.shown_line(line)
     except ProgramError as cause:
@@ -112,7 +112,7 @@ def _first_difference(
     if len(first.rows) != len(second.rows):
         return int((first.rows if len(first.rows) else second.rows).line[0])
     is_same = np.ones(len(first.rows), dtype=np.bool_)
-    for a, b in (
+    for first_values, second_values in (
         (first.rows.numbers, second.rows.numbers),
         (first.rows.posture, second.rows.posture),
         (first.rows.external, second.rows.external),
@@ -123,7 +123,7 @@ def _first_difference(
         ),
         (first.numbers[:], second.numbers[:]),
     ):
-        is_same &= ((a == b) | (np.isnan(a) & np.isnan(b))).all(axis=1)
+        is_same &= ((first_values == second_values) | (np.isnan(first_values) & np.isnan(second_values))).all(axis=1)
     for row, move in first.moves.items():
         is_same[row] &= row in second.moves and _are_equal(move.end.position, second.moves[row].end.position)
     rows = np.flatnonzero(~is_same)
@@ -132,11 +132,11 @@ def _first_difference(
 
 def _are_equal(position: Position, other_position: Position) -> bool:
     """Return whether two positions have the same components, type, S, T and external axes; NaN equals NaN."""
-    a, b = (
+    numbers, other_numbers = (
         np.array([*p.values, p.axis, p.status, p.turn, *p.external], dtype=np.float64)
         for p in (position, other_position)
     )
-    return np.array_equal(a, b, equal_nan=True)
+    return np.array_equal(numbers, other_numbers, equal_nan=True)
 
 
 def _settings_by_state(settings: Settings, sequence: OrderedMotions) -> Array:

@@ -107,19 +107,19 @@ def _plain_motions(text: str, starts: Ints, lines: int, characters: int) -> Moti
     """
     codes = text.encode("ascii", "replace")
     line_indices = _plain_line_indices(text, codes, starts)
-    plain = _motions_of_lines(codes, starts, line_indices, lines, characters)
-    if plain is None:  # something that looks like a number is none, such as 1.2.3
+    motions = _motions_of_lines(codes, starts, line_indices, lines, characters)
+    if motions is None:  # something that looks like a number is none, such as 1.2.3
         strict_indices = [index for index in line_indices.tolist() if _is_plain(text, int(starts[index]), _STRICT)]
-        plain = (
+        motions = (
             _motions_of_lines(codes, starts, np.array(strict_indices, dtype=np.int64), lines, characters)
             or no_motions()
         )
     infinite_masks = [
-        np.isinf(values) for values in (plain.numbers, plain.external, plain.via)
+        np.isinf(values) for values in (motions.numbers, motions.external, motions.via)
     ]  # 1E999: refused where statements are read
     if any(mask.any() for mask in infinite_masks):
-        plain = plain.take(~np.logical_or.reduce([any_column(mask) for mask in infinite_masks]))
-    return plain
+        motions = motions.take(~np.logical_or.reduce([any_column(mask) for mask in infinite_masks]))
+    return motions
 
 
 def _plain_line_indices(text: str, codes: bytes, starts: Ints) -> Ints:
@@ -138,12 +138,12 @@ def _plain_line_indices(text: str, codes: bytes, starts: Ints) -> Ints:
     begins = np.append(0, np.flatnonzero(marked_codes == ord("\n")) + 1)
     line_of_form = dict(zip(forms, range(len(forms)), strict=True))
     verdicts = {form: _is_plain(text, int(begins[index]), _LOOSE) for form, index in line_of_form.items()}
-    plain = np.fromiter(map(verdicts.__getitem__, forms), np.bool_, len(forms))
-    limited_forms = {form for form, good in verdicts.items() if good and _LIMITED_COMPONENT.search(form)}
+    is_plain_line = np.fromiter(map(verdicts.__getitem__, forms), np.bool_, len(forms))
+    limited_forms = {form for form, is_plain in verdicts.items() if is_plain and _LIMITED_COMPONENT.search(form)}
     if limited_forms:
         for index in [index for index, form in enumerate(forms) if form in limited_forms]:
-            plain[index] = _is_plain(text, int(begins[index]), _LOOSE)
-    return np.asarray(np.searchsorted(starts, begins[plain]))
+            is_plain_line[index] = _is_plain(text, int(begins[index]), _LOOSE)
+    return np.asarray(np.searchsorted(starts, begins[is_plain_line]))
 
 
 def _motions_of_lines(
@@ -362,16 +362,16 @@ def plain_rows_of_trace(trace: Trace, plain_by_source: Mapping[Source, PlainLine
     """
     motions, settings = [no_motions()], [no_settings()]
     for number, source in enumerate(trace.sources if bulk else ()):
-        plain = plain_by_source.get(source) or plain_of(source)
+        source_lines = plain_by_source.get(source) or plain_of(source)
         rows = np.flatnonzero(trace.file == number)
         lines = trace.line[rows]
-        columns = merged_motions([*plain.motions], np.arange(sum(map(len, plain.motions))))
+        columns = merged_motions([*source_lines.motions], np.arange(sum(map(len, source_lines.motions))))
         plain_rows = _index_of_line(columns.line, len(source.starts))[lines - 1]
         indices = np.flatnonzero(plain_rows >= 0)
         motions.append(replace(columns.take(plain_rows[indices]), line=compact(rows[indices] + 1, np.int32)))
-        plain_rows = _index_of_line(plain.settings.line, len(source.starts))[lines - 1]
+        plain_rows = _index_of_line(source_lines.settings.line, len(source.starts))[lines - 1]
         indices = np.flatnonzero(plain_rows >= 0)
-        settings.append(PlainSettings(rows[indices] + 1, plain.settings.values[:, plain_rows[indices]]))
+        settings.append(PlainSettings(rows[indices] + 1, source_lines.settings.values[:, plain_rows[indices]]))
     line = np.concatenate([part.line for part in motions])
     order = np.empty(len(line), dtype=np.int64)
     order[np.argsort(line, kind="stable")] = np.arange(len(line))

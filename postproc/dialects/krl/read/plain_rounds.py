@@ -51,7 +51,9 @@ def plain_body(source: Source, block: Block) -> PlainBody | None:
     if not isinstance(head, For) or head.bounds is None or head.counter is None or head.counter.indices is not None:
         return None
     bounds = walk(value for value in head.bounds if value is not None)
-    if head.counter.field is not None or any(isinstance(v, Reference) and v.name == head.name for v in bounds):
+    if head.counter.field is not None or any(
+        isinstance(value, Reference) and value.name == head.name for value in bounds
+    ):
         return None
     motions, settings, triggers = [], [], []
     for line in block.parts[0].nodes:

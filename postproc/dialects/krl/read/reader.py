@@ -132,11 +132,11 @@ class _Reading(Struct, frozen=True, eq=False):
     code: str
 
     def follow(
-        self, plain: PlainLines, obstacles: Mapping[Routine | Occasion, ProgramError], *, bulk: bool
+        self, plain_lines: PlainLines, obstacles: Mapping[Routine | Occasion, ProgramError], *, bulk: bool
     ) -> _ExecutedProgram:
         """Follow the program, and read its motions.
 
-        :param plain: plain lines of the `.src`.
+        :param plain_lines: plain lines of the `.src`.
         :param obstacles: routines and forks that are not followed, with the reason.
         :raises ProgramError: something that changes motion is not understood or not known before the program runs.
         """
@@ -144,22 +144,22 @@ class _Reading(Struct, frozen=True, eq=False):
         start = Start(self.library, self.entry, obstacles, self._initial_variables(), self.cell, joints)
         course, collected = course_of(start)
         if not course.is_straight:
-            plain = plain_rows_of_trace(course.trace, {self.entry.source: plain}, bulk=bulk)
+            plain_lines = plain_rows_of_trace(course.trace, {self.entry.source: plain_lines}, bulk=bulk)
         if collected is None or self.faults:
-            main = MainRoutine(start.collected(course.trace), course, plain)
-            self._follow(main, plain)
+            main = MainRoutine(start.collected(course.trace), course, plain_lines)
+            self._follow(main, plain_lines)
         else:
-            main = MainRoutine(collected, course, plain)
+            main = MainRoutine(collected, course, plain_lines)
         if not self.cell.krl.keep_unresolved:
             refuse_routines_with_force_comments(main.run)
-        plain = self._executed_lines(main, plain)
+        plain_lines = self._executed_lines(main, plain_lines)
         change_places = kept_values(main)
-        parts = [*plain.motions] if change_places else plain.motions  # emptied; a second run needs them
+        parts = [*plain_lines.motions] if change_places else plain_lines.motions  # emptied; a second run needs them
         sequence = ordered_motions(main, parts)
-        data_issues = list(changed_data_issues(main, change_places, sequence, plain, joints))
+        data_issues = list(changed_data_issues(main, change_places, sequence, plain_lines, joints))
         return _ExecutedProgram(start, main, without_unresolved(main, sequence), data_issues)
 
-    def _follow(self, main: MainRoutine, plain: PlainLines) -> None:
+    def _follow(self, main: MainRoutine, plain_lines: PlainLines) -> None:
         """Run the statements along the complete trace.
 
         :raises ProgramError: all errors in them, and missing settings of motions.
@@ -177,26 +177,28 @@ class _Reading(Struct, frozen=True, eq=False):
             fault_keys = {(fault.file, fault.line, fault.problem) for fault in faults}
             setting_faults = [
                 fault
-                for fault in setting_errors(main, plain.motions)
+                for fault in setting_errors(main, plain_lines.motions)
                 if (fault.file, fault.line, fault.problem) not in fault_keys
             ]
             if not setting_faults:
                 raise
             raise combined_error([*faults, *setting_faults]) from None
 
-    def _executed_lines(self, main: MainRoutine, plain: PlainLines) -> PlainLines:
+    def _executed_lines(self, main: MainRoutine, plain_lines: PlainLines) -> PlainLines:
         """Return those plain lines that run.
 
         :raises ProgramError: there are no motions at all.
         """
-        is_executed = main.which_run(plain.motion_lines)
+        is_executed = main.which_run(plain_lines.motion_lines)
         if not is_executed.any() and not len(main.motions) and not main.rounds and not main.run.unresolved:
             raise ProgramError(
                 "there are no motions", file=self.documents[0].name, advice="Check that this is the program."
             )
         if is_executed.all():
-            return plain
-        return replace(plain, motions=[merged_motions(plain.motions, np.arange(len(is_executed))).take(is_executed)])
+            return plain_lines
+        return replace(
+            plain_lines, motions=[merged_motions(plain_lines.motions, np.arange(len(is_executed))).take(is_executed)]
+        )
 
     def program(self, executed_program: _ExecutedProgram) -> Program:
         """Return the program with its motions and the layout of its text.
@@ -206,12 +208,14 @@ class _Reading(Struct, frozen=True, eq=False):
         """
         main, cell, separation = executed_program.main, self.cell, executed_program.separation
         run, course, sequence, trace = main.run, main.course, separation.ordered, main.course.trace
-        free = frozenset() if cell.carriage is not None else free_joins(course, sequence)
-        notes = notes_of(course, sequence.rows.line, sequence.rows.kind == PTP, run.unforced, free)
+        unchecked_joins = frozenset() if cell.carriage is not None else free_joins(course, sequence)
+        notes = notes_of(course, sequence.rows.line, sequence.rows.kind == PTP, run.unforced, unchecked_joins)
         if not cell.krl.keep_unresolved:
             refuse_routines_under_force(run, notes)
         uncorrected_lines = [line for line, _ in run.unresolved]
-        predecessors, joins = predecessors_and_joins(course, sequence, separation.after, uncorrected_lines, free)
+        predecessors, joins = predecessors_and_joins(
+            course, sequence, separation.after, uncorrected_lines, unchecked_joins
+        )
         _check_size(trace, sequence.rows)
         _check_starts(main, sequence)
         motions, layout, assumptions = motions_and_layout(
@@ -250,7 +254,7 @@ class _Reading(Struct, frozen=True, eq=False):
             after=predecessors,
             joins=(*(join.ends for join in joins), *rounds),
             branches=branches(course, sequence.rows.line),
-            transitions=transitions(course, layout.line, predecessors, uncorrected_lines, free),
+            transitions=transitions(course, layout.line, predecessors, uncorrected_lines, unchecked_joins),
             unresolved=separation.unresolved,
             unfollowed=() if cell.krl.keep_unresolved else unfollowed_calls(run),
             needed=needed_files,
@@ -267,9 +271,9 @@ class _Reading(Struct, frozen=True, eq=False):
         other_modules = (module for module in library.read_modules() if module.source.document.name in files)
         code = (code for module in (self._with_data(library.program), *other_modules) for code in codes_of(module))
         moving = {
-            m.source.document.name.upper()
-            for m, r in library.found_routines()
-            if main.run.analysis.effects_of(m, r).motion
+            module.source.document.name.upper()
+            for module, routine in library.found_routines()
+            if main.run.analysis.effects_of(module, routine).motion
         }
         return documents, needed(documents, code, library.files, moving)
 
@@ -347,7 +351,9 @@ def _uncorrectable_parts(cause: ProgramError, library: Library, *, keep: bool) -
 def _error_about(cause: ProgramError, culprit: Routine | Occasion) -> ProgramError:
     """Return that one of several errors which concerns a routine; the first error if none does, or for a fork."""
     errors = [error for error in (cause, *cause.further_errors) if isinstance(error, ProgramError)]
-    own_errors = [e for e in errors if isinstance(culprit, Routine) and e.file == culprit.source.document.name]
+    own_errors = [
+        error for error in errors if isinstance(culprit, Routine) and error.file == culprit.source.document.name
+    ]
     return own_errors[0] if own_errors else cause
 
 
@@ -367,15 +373,17 @@ def _config_source(cell: Cell, path: str) -> Source:
     return Source.of(decode(file.name, data), 2)
 
 
-def _main_routine(source: Source, plain: PlainLines, name: str) -> tuple[Module, Routine, list[ProgramError]]:
+def _main_routine(source: Source, plain_lines: PlainLines, name: str) -> tuple[Module, Routine, list[ProgramError]]:
     """Return the routines of the program, the main routine, and errors in the bounds of routines.
 
     The main routine has the name of the program; if none has, it is the first.
 
     :raises ProgramError: there is no routine.
     """
-    other_lines = np.flatnonzero(plain.is_other(len(source.starts))) + 1
-    by_name, faults = routines(source, other_lines.tolist(), plain.motion_lines, plain.settings.line.tolist())
+    other_lines = np.flatnonzero(plain_lines.is_other(len(source.starts))) + 1
+    by_name, faults = routines(
+        source, other_lines.tolist(), plain_lines.motion_lines, plain_lines.settings.line.tolist()
+    )
     module = Module(source, by_name)
     main = module.main(name)
     if main is None and faults:

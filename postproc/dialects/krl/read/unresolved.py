@@ -74,7 +74,7 @@ def without_unresolved(main: MainRoutine, sequence: OrderedMotions) -> Separated
     stop_lines = [line for line, _ in run.stops] if run.keep else []
     if not reasons and not run.moved and not stop_lines:
         return SeparatedMotions(sequence)
-    open_: set[int] = set()
+    rows_with_open_start: set[int] = set()
     for line in sorted({*reasons, *(call.row for call in run.moved), *stop_lines}):
         row = int(np.searchsorted(rows.line, line, side="right"))
         while row < len(rows) and (is_dropped[row] or depends_on_start(sequence, row)):
@@ -82,19 +82,19 @@ def without_unresolved(main: MainRoutine, sequence: OrderedMotions) -> Separated
                 reasons[int(rows.line[row])] = main.run.trace.error(_BEGIN, int(rows.line[row]))
             is_dropped[row] = True
             row += 1
-        open_.add(row)
+        rows_with_open_start.add(row)
     if is_dropped.all():
         raise min(reasons.items())[1]
     for row in np.flatnonzero(is_dropped).tolist():
         if row in sequence.moves:
             move = sequence.moves[row]
             run.understood -= {(move.line, point.start) for point in (move.end, move.via) if point is not None}
-    new = np.cumsum(~is_dropped) - 1
+    new_row = np.cumsum(~is_dropped) - 1
     predecessors = np.arange(int((~is_dropped).sum())) - 1
-    begins = [int(new[row]) for row in sorted(open_) if row < len(rows)]
+    begins = [int(new_row[row]) for row in sorted(rows_with_open_start) if row < len(rows)]
     predecessors[begins] = begins
-    moves = {int(new[row]): move for row, move in sequence.moves.items() if not is_dropped[row]}
-    left = OrderedMotions(
+    moves = {int(new_row[row]): move for row, move in sequence.moves.items() if not is_dropped[row]}
+    corrected_motions = OrderedMotions(
         rows.take(~is_dropped),
         sequence.states,
         sequence.state[~is_dropped],
@@ -102,7 +102,9 @@ def without_unresolved(main: MainRoutine, sequence: OrderedMotions) -> Separated
         moves,
     )
     unresolved, issues = _report_unresolved(main, reasons)
-    return SeparatedMotions(left, predecessors, unresolved, (*issues, *_open_start_warnings(main, left, begins)))
+    return SeparatedMotions(
+        corrected_motions, predecessors, unresolved, (*issues, *_open_start_warnings(main, corrected_motions, begins))
+    )
 
 
 def _uncertain_motions(settings: Settings, sequence: OrderedMotions) -> Iterator[tuple[int, ProgramError]]:

@@ -279,41 +279,44 @@ class Variables:
             value = UnknownValue(str(place), PARTLY_GIVEN)
         self.put(key, value)
 
-    def _is_ambiguous(self, key: str, new: Aggregate) -> bool:
+    def _is_ambiguous(self, key: str, new_position: Aggregate) -> bool:
         """Return whether a new position lacks components that the variable may have.
 
         It is not certain what becomes of these: they may stay, or count as missing.
         """
         names: tuple[str, ...] = ()
-        if not new.items.keys().isdisjoint(_REAL):
-            names = AXES if not new.items.keys().isdisjoint(AXES) else CARTESIAN
-        missing_names = [name for name in names if name not in new.items]
-        old = self.value(key)
-        if not missing_names or old is None or old == NO_VALUE:
+        if not new_position.items.keys().isdisjoint(_REAL):
+            names = AXES if not new_position.items.keys().isdisjoint(AXES) else CARTESIAN
+        missing_names = [name for name in names if name not in new_position.items]
+        old_value = self.value(key)
+        if not missing_names or old_value is None or old_value == NO_VALUE:
             return False
-        return not isinstance(old, Aggregate) or any(name in old.items for name in missing_names)
+        return not isinstance(old_value, Aggregate) or any(name in old_value.items for name in missing_names)
 
     def set_field(self, key: str, field: str, value: VariableValue, place: Place) -> None:
         """Set one component of a variable, as ``XP1.X=5`` does; `place` is the assignment."""
-        whole = self.value(key)
+        old_value = self.value(key)
         name = key.partition("[")[0]
         if name not in self.changed:
             self.changed[name] = str(place)
         first = field.partition(".")[0].partition("[")[0]
-        if isinstance(whole, Position) and field in CARTESIAN and not whole.axis and isinstance(value, Number):
-            new_position = with_component(whole, field, value.value)
+        if isinstance(old_value, Position) and field in CARTESIAN and not old_value.axis and isinstance(value, Number):
+            new_position = with_component(old_value, field, value.value)
             self.put(key, UnknownValue(str(place)) if new_position is None else new_position)
-        elif isinstance(whole, UnknownValue) and whole.why:
+        elif isinstance(old_value, UnknownValue) and old_value.why:
             return
-        elif whole in (None, NO_VALUE) and not isinstance(value, UnknownValue):
+        elif old_value in (None, NO_VALUE) and not isinstance(value, UnknownValue):
             self.put(key, UnknownValue(str(place), _LONE_MEMBER))
-        elif not isinstance(whole, Aggregate):
+        elif not isinstance(old_value, Aggregate):
             self.put(key, UnknownValue(str(place), value.why if isinstance(value, UnknownValue) else ""))
-        elif "[" not in field and (new := _structure_with_member(self, whole, field.split("."), value)) is not None:
-            self.put(key, new)
+        elif (
+            "[" not in field
+            and (new_structure := _structure_with_member(self, old_value, field.split("."), value)) is not None
+        ):
+            self.put(key, new_structure)
         elif first not in _COMPONENTS:
-            items = {**whole.items, first: OpaqueText(whole.start, whole.stop)}
-            self.put(key, replace(whole, items=items, computed=True))
+            items = {**old_value.items, first: OpaqueText(old_value.start, old_value.stop)}
+            self.put(key, replace(old_value, items=items, computed=True))
         else:
             self.put(key, UnknownValue(str(place), value.why if isinstance(value, UnknownValue) else ""))
 
@@ -755,7 +758,7 @@ def _has_unique_angles(position: Position, *, whole_turns: bool = False) -> bool
 
 
 def _structure_with_member(
-    variables: Variables, whole: Aggregate, path: Sequence[str], value: VariableValue
+    variables: Variables, structure: Aggregate, path: Sequence[str], value: VariableValue
 ) -> Aggregate | None:
     """Return a structure with another value of a member, or of a member of that member.
 
@@ -763,16 +766,24 @@ def _structure_with_member(
     :returns: None if the result is not known, as where a position loses components that it had.
     """
     name, *inner_path = path
-    item = whole.items.get(name)
-    old = None if item is None else variables.evaluate(item)
+    item = structure.items.get(name)
+    old_member = None if item is None else variables.evaluate(item)
     member: VariableValue | None = value
     if inner_path:
-        member = _structure_with_member(variables, old, inner_path, value) if isinstance(old, Aggregate) else None
-    elif isinstance(value, Aggregate) and isinstance(old, Aggregate) and not old.items.keys() <= value.items.keys():
+        member = (
+            _structure_with_member(variables, old_member, inner_path, value)
+            if isinstance(old_member, Aggregate)
+            else None
+        )
+    elif (
+        isinstance(value, Aggregate)
+        and isinstance(old_member, Aggregate)
+        and not old_member.items.keys() <= value.items.keys()
+    ):
         return None
     if not isinstance(member, (Number, Word, Aggregate)):
         return None
-    return replace(whole, items={**whole.items, name: member}, computed=True)
+    return replace(structure, items={**structure.items, name: member}, computed=True)
 
 
 def _are_equal_frames(frame: Position, other_frame: Position) -> bool:

@@ -42,7 +42,9 @@ def edited_rows(trace: Trace, edits: Replacements) -> EditedRows:
         row_edits = edits.shifted(lambda pieces: shift[np.searchsorted(rows, pieces)])
         text, bounds = row_edits.apply("".join(pieces)), row_edits.new_offsets(begins)
         texts = [text[start:stop] for start, stop in zip(bounds[:-1].tolist(), bounds[1:].tolist(), strict=True)]
-    indices = [index for index, (new, old) in enumerate(zip(texts, pieces, strict=True)) if new != old]
+    indices = [
+        index for index, (new_text, old_text) in enumerate(zip(texts, pieces, strict=True)) if new_text != old_text
+    ]
     texts = [texts[index] for index in indices]
     rows = rows[indices]
     numbers: dict[str, int] = {}

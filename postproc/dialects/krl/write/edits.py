@@ -141,9 +141,9 @@ def _replace_pieces(text: Codes, starts: Ints, stops: Ints, pieces: Codes, begin
     first[1::2], count[1::2] = begin, length
     total = np.cumsum(count)
     place = np.repeat(first - (total - count), count) + np.arange(total[-1])
-    new = np.repeat(np.arange(len(first)) % 2 == 1, count)
+    is_new = np.repeat(np.arange(len(first)) % 2 == 1, count)
     codes = np.empty(len(place), dtype=text.dtype)
-    codes[~new], codes[new] = text[place[~new]], pieces[place[new]]
+    codes[~is_new], codes[is_new] = text[place[~is_new]], pieces[place[is_new]]
     return codes
 
 

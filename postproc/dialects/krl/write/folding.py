@@ -290,7 +290,10 @@ class _Folder(Struct, eq=False):
                     yield self._counter_piece(loop, loop.bodies[number].first, blanks)
                 yield piece
             return
-        begin, last = (self.course.counter_value(loop, loop.bodies[n].first) for n in (first, first + len(rounds) - 1))
+        begin, last = (
+            self.course.counter_value(loop, loop.bodies[number_of_round].first)
+            for number_of_round in (first, first + len(rounds) - 1)
+        )
         step = "" if loop.step == 1 else f" STEP {loop.step}"
         yield _text_piece(f"{blanks}FOR {loop.counter}={begin} TO {last}{step}{end}")
         yield _merge_rounds(rounds)

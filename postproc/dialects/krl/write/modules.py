@@ -71,8 +71,8 @@ def divide_into_modules(
     output = emit(program, targets, cell, comment_forces)
     if not cell.output.divide_into_modules or output.size <= cell.output.program_memory_MB * _MB:
         return output
-    whole = Emitter(program, targets, cell, comment_forces)
-    starts = _module_starts(program, targets, cell, whole, whole.write())
+    undivided = Emitter(program, targets, cell, comment_forces)
+    starts = _module_starts(program, targets, cell, undivided, undivided.write())
     emitter = Emitter(program, targets, cell, comment_forces, starts)
     return _Divider(emitter, emitter.write(), starts, joints).write()
 
@@ -154,9 +154,9 @@ def _places(program: Program, cell: Cell) -> Ints:
         height[axis_candidates] = position[candidates[axis_candidates]] @ axis - highest
     # candidates without a cut between them are one run; in each, the highest, and of equal heights the first
     run = np.cumsum(~motions.rapid)[candidates]
-    best = np.lexsort((candidates, -np.floor(height / _SAME_HEIGHT), run))
-    best = best[np.diff(run[best], prepend=-1) != 0]
-    return np.asarray(np.sort(candidates[best[height[best] > _SAME_HEIGHT]]))
+    chosen_candidates = np.lexsort((candidates, -np.floor(height / _SAME_HEIGHT), run))
+    chosen_candidates = chosen_candidates[np.diff(run[chosen_candidates], prepend=-1) != 0]
+    return np.asarray(np.sort(candidates[chosen_candidates[height[chosen_candidates] > _SAME_HEIGHT]]))
 
 
 class _SwitchLines(Struct, frozen=True):
@@ -170,12 +170,14 @@ class _SwitchLines(Struct, frozen=True):
 class _Divider:
     """Divides the text of a program at its targets `starts`."""
 
-    def __init__(self, emitter: Emitter, whole: WrittenProgram, starts: Sequence[int], joints: TargetJoints) -> None:
+    def __init__(
+        self, emitter: Emitter, undivided: WrittenProgram, starts: Sequence[int], joints: TargetJoints
+    ) -> None:
         """Name the modules, and find the target before which each event is.
 
         :raises ProgramError: lines of the cell have an effect that ends with each module.
         """
-        self.new, self.emitter, self.whole, self.joints = emitter.new, emitter, whole, joints
+        self.new, self.emitter, self.whole, self.joints = emitter.new, emitter, undivided, joints
         self.first = (0, *starts)
         name, tail = emitter.program.name, len(str(len(self.first))) + 1
         self.names = [f"{name[: MAX_LENGTH - tail]}_{index}" for index in range(1, len(self.first) + 1)]
@@ -206,14 +208,14 @@ class _Divider:
                 head if first == 0 else ends[first - 1] : ends[stop - 1] if stop < len(output_line) else len(text)
             ]
             bottom_lines = [*self._switch_off_lines(stop), "END"] if stop < len(output_line) else []
-            whole = (
+            module_text = (
                 "".join(line + LINE_END for line in top_lines)
                 + body
                 + "".join(line + LINE_END for line in bottom_lines)
             )
-            documents.append(Document(f"{self.names[index]}.src", whole, self.whole.documents[0].encoding))
+            documents.append(Document(f"{self.names[index]}.src", module_text, self.whole.documents[0].encoding))
             lines.append(output_line[first:stop] - head_lines + len(top_lines) + line_count)
-            line_count += whole.count("\n")
+            line_count += module_text.count("\n")
         modules = Modules(tuple(documents), self.first, np.concatenate(lines))
         return replace(self.whole, modules=modules, issues=(*self.whole.issues, self._issue(documents)))
 
@@ -295,5 +297,9 @@ class _Divider:
     def _dwells(self, event: Event) -> Iterator[Event]:
         """Yield the dwells that follow an event before the same target: they wait until the spindle has its speed."""
         events, at = self.emitter.program.events, self.event_at
-        index = max(i for i, program_event in enumerate(events) if program_event is event)
-        return (e for i, e in enumerate(events) if i > index and at[i] == at[index] and e.kind == "dwell")
+        index = max(position for position, program_event in enumerate(events) if program_event is event)
+        return (
+            event_after
+            for position, event_after in enumerate(events)
+            if position > index and at[position] == at[index] and event_after.kind == "dwell"
+        )

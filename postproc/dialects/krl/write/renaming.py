@@ -30,15 +30,15 @@ def rename(documents: Sequence[Document], name: str) -> tuple[Document, ...]:
             _rename_document(document, name) if PurePath(document.name).stem.lower() == stem else document
             for document in documents
         )
-    old = PurePath(documents[0].name).stem[: -len(MAIN)]
-    new = name[: MAX_LENGTH - len(MAIN)]
+    old_base = PurePath(documents[0].name).stem[: -len(MAIN)]
+    new_base = name[: MAX_LENGTH - len(MAIN)]
     document_of = {document.name.lower(): document for document in documents}
     inner_files = files_of_routines(documents[0], lambda name: document_of.get(name.lower()))
     parts = [*(call for call, _ in calls), *(PurePath(document.name).stem for document in inner_files)]
-    stems = {f"{old}{MAIN}": f"{new}{MAIN}"} | {part: f"{new}{part[len(old) :]}" for part in parts}
+    stems = {f"{old_base}{MAIN}": f"{new_base}{MAIN}"} | {part: f"{new_base}{part[len(old_base) :]}" for part in parts}
     new_stems = {old_stem.lower(): new_stem for old_stem, new_stem in stems.items()}
     family = [document for document in documents if PurePath(document.name).stem.lower() in new_stems]
-    public = _public_names(family, old, new)
+    public = _public_names(family, old_base, new_base)
     new_documents = []
     for document in documents:
         if document not in family:
@@ -53,16 +53,16 @@ def rename(documents: Sequence[Document], name: str) -> tuple[Document, ...]:
     return tuple(new_documents)
 
 
-def _public_names(documents: Sequence[Document], old: str, new: str) -> dict[str, str]:
+def _public_names(documents: Sequence[Document], old_base: str, new_base: str) -> dict[str, str]:
     """Return new names for GLOBAL names that begin with the old name of their program: old, upper case → new.
 
-    :param old: name of the program; `new` its new name.
+    :param old_base: name of the program; `new_base` its new name.
     """
     new_names: dict[str, str] = {}
     lines = (line for document in documents for line in scan.global_lines(document.text))
     for name in (word for line in lines for word in NAME.findall(line)):
-        if name.upper().startswith(f"{old}_".upper()) and name.upper() not in new_names:
-            candidate = f"{new}{name[len(old) :]}"[:MAX_LENGTH]
+        if name.upper().startswith(f"{old_base}_".upper()) and name.upper() not in new_names:
+            candidate = f"{new_base}{name[len(old_base) :]}"[:MAX_LENGTH]
             used_names = {new_name.upper() for new_name in new_names.values()}
             new_names[name.upper()] = (
                 unused_name(candidate, used_names) if candidate.upper() in used_names else candidate
@@ -149,28 +149,30 @@ def own_copies(
         twice.
     """
     main = PurePath(documents[0].name).stem.upper()
-    old = _stems_with_callers(documents, {stem.upper() for stem in stems})
+    old_stems_upper = _stems_with_callers(documents, {stem.upper() for stem in stems})
     own_stems = {PurePath(document.name).stem.upper() for document in documents}
     if (
-        main in old
-        or not old <= own_stems
-        or any(not old.isdisjoint(scan.names(text.decode("latin-1"))) for text in unchanged)
+        main in old_stems_upper
+        or not old_stems_upper <= own_stems
+        or any(not old_stems_upper.isdisjoint(scan.names(text.decode("latin-1"))) for text in unchanged)
     ):
         return None
     used_names = {name.upper() for name in other_names} | own_stems
     used_names |= {name for document in documents for name in scan.names(document.text)}
-    old_stems = {PurePath(d.name).stem for d in documents if PurePath(d.name).stem.upper() in old}
-    new = _new_stems(old_stems, program, used_names)
-    if any(fault_of(name) for name in new.values()):
+    old_stems = {PurePath(d.name).stem for d in documents if PurePath(d.name).stem.upper() in old_stems_upper}
+    new_stem_of = _new_stems(old_stems, program, used_names)
+    if any(fault_of(name) for name in new_stem_of.values()):
         return None
     new_documents: list[Document] = []
     names: dict[str, str] = {}
     for document in documents:
         path = PurePath(document.name)
-        text = _replace_routines(document.text, new)
-        if text is None or (path.stem.upper() in old and scan.global_lines(document.text)):
+        text = _replace_routines(document.text, new_stem_of)
+        if text is None or (path.stem.upper() in old_stems_upper and scan.global_lines(document.text)):
             return None
-        name = f"{new[path.stem.upper()]}{path.suffix}" if path.stem.upper() in old else document.name
+        name = (
+            f"{new_stem_of[path.stem.upper()]}{path.suffix}" if path.stem.upper() in old_stems_upper else document.name
+        )
         if name != document.name:
             names[name] = document.name
         new_documents.append(replace(document, name=name, text=text))

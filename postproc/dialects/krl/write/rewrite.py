@@ -156,7 +156,9 @@ class _Rewriter:
         new_rows = edited_rows(self.trace, changes)
         files_of_course = fold(course, course.main, new_rows)
         files |= {document.name: document for document in files_of_course.documents}
-        shown_lines = [None if i.source_line is None else self.trace.shown_line(i.source_line) for i in self.issues]
+        shown_lines = [
+            None if issue.source_line is None else self.trace.shown_line(issue.source_line) for issue in self.issues
+        ]
         issues = zip(self.issues, shown_lines, strict=True)
         self.issues = [*(replace(issue, source_line=line) for issue, line in issues), *files_of_course.issues]
         origin = self.layout.line[self.row]

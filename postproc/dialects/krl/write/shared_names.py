@@ -263,7 +263,7 @@ class Sharing:
         text, removed_lines = self.source.text, {line for line, item in self.declared if item.name in new_locals}
         for routine in (self.main, *self.others):
             local_names = self.hidden if routine is self.main else routine.local
-            names = {name: new for name, new in public.items() if name not in local_names}
+            names = {name: new_name for name, new_name in public.items() if name not in local_names}
             names |= new_locals if routine is self.main else {}
             all_names = names.keys() | routines.keys()
             for line in range(routine.first, routine.last):
@@ -273,9 +273,9 @@ class Sharing:
                     continue
                 for item in occurrences(text, start, stop):
                     is_call = item.is_called or line == routine.first
-                    new = routines.get(item.name) if is_call else names.get(item.name)
-                    if new is not None:
-                        edits.add(item.start, item.stop, new)
+                    new_name = routines.get(item.name) if is_call else names.get(item.name)
+                    if new_name is not None:
+                        edits.add(item.start, item.stop, new_name)
             if routine in self.others and not routine.public:
                 start, _ = self.source.code_span(routine.first)
                 edits.add(start, start, "GLOBAL ")
@@ -299,16 +299,18 @@ class Sharing:
         for data_line in self.lines:
             if not public.keys().isdisjoint(data_line.names):
                 start, stop = self.data.code_span(data_line.line)
-                new = text[start:stop]
+                new_line = text[start:stop]
                 pieces = Replacements()
-                for name in occurrences(new, 0, len(new)):
+                for name in occurrences(new_line, 0, len(new_line)):
                     if name.name in public:
                         pieces.add(name.start, name.stop, public[name.name])
-                new = pieces.apply(new)
+                new_line = pieces.apply(new_line)
                 edits.add(
                     start,
                     stop,
-                    _global_declaration(new) if any(item.kind for item in self.stated[data_line.line]) else new,
+                    _global_declaration(new_line)
+                    if any(item.kind for item in self.stated[data_line.line])
+                    else new_line,
                 )
         return replace(self.data.document, text=edits.apply(text))
 

@@ -62,8 +62,8 @@ def add_data_files(sources: Sequence[Document], data: Document | None) -> Iterat
         yield document
         stem = PurePath(document.name).stem
         if index == 0 and any(data_line.names and data_line.line not in moved_lines for data_line in lines):
-            whole = range(1, len(source.starts) + 1)
-            text = "".join(_line_with_end(source, line) for line in whole if line not in moved_lines)
+            all_lines = range(1, len(source.starts) + 1)
+            text = "".join(_line_with_end(source, line) for line in all_lines if line not in moved_lines)
             yield replace(data, name=f"{stem}.dat", text=with_name(text, stem))
         texts = [
             data_line.text for data_line in lines if data_line.line in needed_lines[index] and not data_line.public
@@ -134,14 +134,14 @@ def split_files(
 
 def _restore_files(documents: Sequence[Document], output: WrittenProgram, limit: int) -> WrittenProgram:
     """Return a program that was read from several files in the same files, which keep their division."""
-    whole = joined_program(documents)
-    if whole is None or all(
-        new_file.text == old_file.text for new_file, old_file in zip(output.documents, whole.documents, strict=True)
+    joined = joined_program(documents)
+    if joined is None or all(
+        new_file.text == old_file.text for new_file, old_file in zip(output.documents, joined.documents, strict=True)
     ):
         return replace(output, documents=tuple(documents))
     texts = separated_texts(output.documents[0].text)
     document_of = {document.name: document for document in documents}
-    sources = [replace(document_of[file], text=text) for (file, _), text in zip(whole.files, texts, strict=True)]
+    sources = [replace(document_of[file], text=text) for (file, _), text in zip(joined.files, texts, strict=True)]
     longest_file = max(sources, key=lambda document: document.text.count("\n"))
     issues = list(output.issues)
     if limit and longest_file.text.count("\n") > limit:
@@ -205,7 +205,9 @@ class _Splitter:
             self.base, self.source, data, self.main, self.others, file_of, self.taken
         ).apply()
         if new_names:
-            names = first_of([f"{old} is {new}" for old, new in new_names.items()], _MOST_NAMES)
+            names = first_of(
+                [f"{old_routine} is {new_routine}" for old_routine, new_routine in new_names.items()], _MOST_NAMES
+            )
             message = f"Routines of its own are GLOBAL, for all its files to see them: {names}."
             self.issues.append(Issue("info", "global-routines", message))
         if public := [name for name in self._former_global_names() if name.upper() not in new_names]:
@@ -273,11 +275,11 @@ class _Splitter:
         :param capacity: lines that a file can hold.
         """
         groups: list[list[range]] = []
-        free = 0
+        free_lines = 0
         for block in blocks:
-            if not groups or len(block) > free:
+            if not groups or len(block) > free_lines:
                 groups.append([])
-                free = capacity
+                free_lines = capacity
             if len(block) > capacity:
                 message = (
                     f"A routine of the program, at line {block.start}, has {len(block)} lines and is not cut: its file "
@@ -285,7 +287,7 @@ class _Splitter:
                 )
                 self.issues.append(Issue("warning", "long-file", message))
             groups[-1].append(block)
-            free -= len(block)
+            free_lines -= len(block)
         return groups
 
     def _line_places(self, files: Sequence[_File]) -> tuple[Ints, Ints]:

@@ -142,9 +142,9 @@ def fixed_point(number: float, decimals: int, min_decimals: int) -> str:
     """
     text = decimal_text(number, decimals)
     if decimals > min_decimals:
-        whole, _, places = text.partition(".")
+        integer_part, _, places = text.partition(".")
         places = places.rstrip("0").ljust(min_decimals, "0")
-        text = f"{whole}.{places}" if places else whole
+        text = f"{integer_part}.{places}" if places else integer_part
     return text
 
 

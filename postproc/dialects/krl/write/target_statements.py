@@ -79,8 +79,10 @@ def replaced_numbers(literal: Literal, texts: Mapping[str, str]) -> list[Replace
         comma = content.find(",")
         blank = " " if comma >= 0 and content[comma + 1] == " " else ""
         is_lower_case = content.rpartition(":")[2].islower()
-        new = "".join(f",{blank}{name.lower() if is_lower_case else name} {texts[name]}" for name in absent_names)
-        pieces.append(Replacement(last, last, new))
+        added_text = "".join(
+            f",{blank}{name.lower() if is_lower_case else name} {texts[name]}" for name in absent_names
+        )
+        pieces.append(Replacement(last, last, added_text))
     return pieces
 
 
@@ -148,7 +150,9 @@ class TargetStatements:
         :param copy: True for a copy of the literal, which needs the unchanged numbers too.
         """
         is_printed = self.commanded.written[k]
-        columns = [c for c in range(6) if is_printed[c] or (copy and CARTESIAN[c] in literal.places)]
+        columns = [
+            column for column in range(6) if is_printed[column] or (copy and CARTESIAN[column] in literal.places)
+        ]
         texts = self.commanded.texts(k, columns)
         if self.targets.kind[k] == PTP:
             for name, value in (("S", int(self.targets.status[k])), ("T", int(self.targets.turn[k]))):
@@ -254,15 +258,15 @@ class TargetStatements:
 
     def tail_of_target(self, row: int, k: int) -> str:
         """Return the text that follows the points of a target: what its motion has there, changed where it must be."""
-        free = bool(self.commanded.is_free[row]) and self.is_spline(row)
-        circle = self.via_point(row)[0] is not None and self.is_spline(row)
-        straight = circle and bool(self.targets.kind[k] == LIN)
-        unheeding = circle and not straight and bool(self.commanded.unheeding[row])
+        is_free = bool(self.commanded.is_free[row]) and self.is_spline(row)
+        is_circle = self.via_point(row)[0] is not None and self.is_spline(row)
+        is_straightened = is_circle and bool(self.targets.kind[k] == LIN)
+        ignores_auxiliary = is_circle and not is_straightened and bool(self.commanded.unheeding[row])
         source, line = self.layout.course.trace.place(self.layout.line.item(row))
-        node = statement(source, line) if free or straight or unheeding else None
+        node = statement(source, line) if is_free or is_straightened or ignores_auxiliary else None
         if not isinstance(node, Motion):
             return source.text[slice(*self.layout.tail[row].tolist())]
-        return tail_text(source, node.tail, free=free, straight=straight, unheeding=unheeding)
+        return tail_text(source, node.tail, free=is_free, straight=is_straightened, unheeding=ignores_auxiliary)
 
     def is_spline(self, row: int) -> bool:
         """Return whether a motion is a spline motion: SLIN, SCIRC, SPL."""
