@@ -5,6 +5,7 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from pathlib import PurePath
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -78,6 +79,13 @@ class Module(Struct, frozen=True, eq=False):
     def main(self, name: str) -> Routine | None:
         """Return the routine with a name; if there is none, the first one of the file."""
         return self.routines.get(name.upper(), next(iter(self.routines.values()), None))
+
+
+class Callee(NamedTuple):
+    """A called routine, and the file that contains it."""
+
+    module: Module
+    routine: Routine
 
 
 class _OpenRoutine(Struct, eq=False):

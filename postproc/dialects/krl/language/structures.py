@@ -196,7 +196,8 @@ def _structure_errors(source: Source, nodes: Sequence[Node], *, in_loop: bool) -
             for line in dict.fromkeys((*(part.head for part in node.parts), node.last)):
                 fault = _line_fault(source, line)
                 if fault is not None:
-                    yield source.line_error(fault[0], line, fault[1])
+                    problem, advice = fault
+                    yield source.line_error(problem, line, advice)
             for part in node.parts:
                 yield from _structure_errors(source, part.nodes, in_loop=in_loop or node.word in LOOPS)
         elif not in_loop and _control_word(source, node) == "EXIT":

@@ -82,7 +82,8 @@ class Bas:
         """
         spline_fields = {field: getattr(state, field) for field in _OF_SPLINES.values()}
         initial_state = State(
-            **spline_fields, uncertain=tuple(entry for entry in state.uncertain if entry[0] in spline_fields)
+            **spline_fields,
+            uncertain=tuple((field, index) for field, index in state.uncertain if field in spline_fields),
         )
         initmov = self.cell.krl.initmov
         if initmov == "bas":

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from postproc.dialects.krl.language.expressions import calls
 from postproc.dialects.krl.language.names import PURE, STANDARD
-from postproc.dialects.krl.language.routines import Module, Routine
+from postproc.dialects.krl.language.routines import Callee, Module, Routine
 from postproc.dialects.krl.language.source import Place
 from postproc.dialects.krl.language.values import Aggregate, Call, OpaqueText, Reference, Value, writable_variable
 from postproc.dialects.krl.read.effects import Effects
@@ -85,8 +85,8 @@ class Calls:
         effects = self.run.analysis.effects_of(*callee)
         self.note_lasting_effects(place, call.name, effects)
         self._check_motion(place, call, *callee, effects)
-        if callee[0] is self.run.library.program:
-            self.run.reached.add(callee[1])
+        if callee.module is self.run.library.program:
+            self.run.reached.add(callee.routine)
         if _has_no_effects(effects):
             result = None if self._obstacle(place, call, *callee, effects) else self._run_exactly(place, call, *callee)
             return unknown if result is None else result
@@ -97,7 +97,7 @@ class Calls:
         if effects.interrupt_motion is not None:
             problem = f"{call.name} is called, and declares a GLOBAL interrupt that moves the robot"
             raise place.error(f"{problem} ({effects.interrupt_motion})", IN_ORDER)
-        self._forget_arguments(place, call, callee[1])
+        self._forget_arguments(place, call, callee.routine)
         self._may_have_run(place, call.name, effects)
         return unknown
 
@@ -231,13 +231,13 @@ class Calls:
             Issue("warning", "motions-elsewhere", message, self.run.reported_line, subject=call.name)
         )
 
-    def traced_callee(self, call: Call) -> tuple[Module, Routine] | None:
+    def traced_callee(self, call: Call) -> Callee | None:
         """Return the called routine if it belongs in the execution trace, else None.
 
         It does if it moves the robot or contains a force comment.
         """
         callee = self.run.library.find(call.name, self.run.level.module)
-        if callee is None or callee[1] in self.run.elsewhere:
+        if callee is None or callee.routine in self.run.elsewhere:
             return None
         effects = self.run.analysis.effects_of(*callee)
         return callee if effects.motion is not None or effects.force is not None else None
@@ -321,7 +321,7 @@ class Calls:
             for index, reference in by_reference
             if reference.indices == ()
         }
-        references = [entry for entry in by_reference if entry[1].indices != ()]
+        references = [(index, reference) for index, reference in by_reference if reference.indices != ()]
         roots = [self.run.stored_name(reference.name) for _, reference in references]
         self.run.calls += 1
         scope = self.run.scopes.of_call(module, routine, self.run.calls, arrays)
@@ -425,7 +425,7 @@ class _PureFunctions(Struct, frozen=True, eq=False):
         if call.name in PURE:
             return True
         callee = run.library.find(call.name, run.level.module)
-        return callee is not None and bool(callee[1].result) and _has_no_effects(run.analysis.effects_of(*callee))
+        return callee is not None and bool(callee.routine.result) and _has_no_effects(run.analysis.effects_of(*callee))
 
     def value(self, call: Call) -> VariableValue:
         """Return what a call gives, at the statement that runs."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence, Set
 from operator import itemgetter
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,6 +77,13 @@ def notes_of(
     return _ActiveForce(course, motions, rapid, unchecked_joins).with_restated_notes(notes, unknown_reasons, marks)
 
 
+class _ForcePair(NamedTuple):
+    """The acting force, and that of the last motion."""
+
+    now: _Force
+    last: _Force
+
+
 class _ActiveForce:
     """The force comment in force, from line to line.
 
@@ -109,8 +116,8 @@ class _ActiveForce:
             *((line, 1, reason) for line, reason in unknown_reasons.items()),
             *((mark.row, 2, mark) for mark in marks),
         ]
-        # per open fork: the forces at it, and those at the ends of its branches; each now and for the last motion
-        open_forks: list[tuple[tuple[_Force, _Force], list[tuple[_Force, _Force]]]] = []
+        # per open fork: the forces at it, and those at the ends of its branches
+        open_forks: list[tuple[_ForcePair, list[_ForcePair]]] = []
         for line, _, event in sorted(events, key=lambda event: event[:2]):
             self._pass_motions(line - isinstance(event, ForceNote))
             if isinstance(event, ForceNote):
@@ -119,20 +126,20 @@ class _ActiveForce:
             elif isinstance(event, str):
                 self.now = event
             elif isinstance(event, Fork):
-                open_forks.append(((self.now, self.last), []))
+                open_forks.append((_ForcePair(self.now, self.last), []))
             elif isinstance(event, Branch):
                 entry, ends = open_forks[-1]
-                ends.append((self.now, self.last))
-                self.last = entry[1]
-                self._set_force(line, entry[0])
+                ends.append(_ForcePair(self.now, self.last))
+                self.last = entry.last
+                self._set_force(line, entry.now)
             elif isinstance(event, Join):
                 entry, ends = open_forks.pop()
-                end_forces = [*ends[1:], (self.now, self.last), *([] if event.complete else [entry])]
+                end_forces = [*ends[1:], _ForcePair(self.now, self.last), *([] if event.complete else [entry])]
                 self._pass_join(line, end_forces, is_unchecked=event in self.unchecked_joins)
         self._pass_motions(len(self.course.trace))
         return self.notes
 
-    def _pass_join(self, line: int, ends: Sequence[tuple[_Force, _Force]], *, is_unchecked: bool) -> None:
+    def _pass_join(self, line: int, ends: Sequence[_ForcePair], *, is_unchecked: bool) -> None:
         """Set the force that acts after a join.
 
         :param ends: for each branch, the force at its end and that of its last motion.
@@ -149,7 +156,7 @@ class _ActiveForce:
         row = int(np.searchsorted(self.motions, line))
         if is_common and row < len(self.motions) and self.motions[row] == line:
             return  # not stated again on the line of a motion after which a routine ends
-        self._set_force(line, ends[0][0] if is_common else "branches that meet before it leave different ones")
+        self._set_force(line, ends[0].now if is_common else "branches that meet before it leave different ones")
 
     def _set_force(self, line: int, force: _Force) -> None:
         """Make a force the acting one from a line on, and add a comment that states it."""
@@ -178,9 +185,10 @@ class _ActiveForce:
 
 def _certainly_differ(force: tuple[Any, ...], other_force: tuple[Any, ...]) -> bool:
     """Return whether two forces, each a wrench and its axes, certainly differ; in different axes they may be equal."""
-    has_zero = not any(force[0]) or not any(other_force[0])
-    return (has_zero or force[1] == other_force[1]) and any(
-        abs(a - b) > _FORCE_TOLERANCE for a, b in zip(force[0], other_force[0], strict=True)
+    (wrench, frame), (other_wrench, other_frame) = force, other_force
+    has_zero = not any(wrench) or not any(other_wrench)
+    return (has_zero or frame == other_frame) and any(
+        abs(a - b) > _FORCE_TOLERANCE for a, b in zip(wrench, other_wrench, strict=True)
     )
 
 

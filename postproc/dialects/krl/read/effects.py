@@ -15,7 +15,7 @@ from msgspec import Struct, field
 from postproc.dialects.krl.language.expressions import calls
 from postproc.dialects.krl.language.names import OPENING, STANDARD
 from postproc.dialects.krl.language.parser import statement
-from postproc.dialects.krl.language.routines import Module, Routine
+from postproc.dialects.krl.language.routines import Callee, Module, Routine
 from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.language.tokens import occurrences
 from postproc.dialects.krl.language.tree import (
@@ -99,9 +99,6 @@ class Effects(Struct, eq=False):
         self.resumes = self.resumes or effects.resumes
 
 
-Callee = tuple[Module, Routine]
-
-
 class _DirectEffects(Struct, eq=False):
     """Effects of a routine itself, and its calls; the same for the actions that it declares."""
 
@@ -135,7 +132,7 @@ class Analysis:
             return total
         local_effects = self._direct_effects(module, routine).effects
         total = Effects(jumps=local_effects.jumps, parameter=local_effects.parameter)
-        for node in self._reachable([(module, routine)]):
+        for node in self._reachable([Callee(module, routine)]):
             direct = self._direct_effects(*node)
             total.add(direct.effects)
             self._add_action_effects(total, direct)
@@ -149,23 +146,25 @@ class Analysis:
 
     def reachable_routines(self, module: Module, routine: Routine) -> set[Routine]:
         """Return the routine and all routines that it may call, directly or not, also by interrupts and triggers."""
-        return {callee for _, callee in self._reachable([(module, routine)])}
+        return {callee for _, callee in self._reachable([Callee(module, routine)])}
 
     def variable_names(self, module: Module, routine: Routine) -> frozenset[str]:
         """Return the stored names of all variables in the code of a routine and of the routines that it calls."""
         stored_names: set[str] = set()
-        for node in self._reachable([(module, routine)]):
-            if node[1] not in self._stored_names:
-                source, scope = node[1].source, self.scope_of(*node)
-                spans = [source.code_span(line) for line in node[1].lines]
+        for callee in self._reachable([Callee(module, routine)]):
+            if callee.routine not in self._stored_names:
+                source, scope = callee.routine.source, self.scope_of(*callee)
+                spans = [source.code_span(line) for line in callee.routine.lines]
                 words = {occurrence.name for span in spans for occurrence in occurrences(source.text, *span)}
-                self._stored_names[node[1]] = frozenset(scope.stored_name(word) for word in words - node[1].local)
-            stored_names |= self._stored_names[node[1]]
+                self._stored_names[callee.routine] = frozenset(
+                    scope.stored_name(word) for word in words - callee.routine.local
+                )
+            stored_names |= self._stored_names[callee.routine]
         return frozenset(stored_names)
 
     def may_carry_force(self, module: Module, routine: Routine) -> bool:
         """Return whether a routine, or one that it calls, moves otherwise than by PTP, under which no force acts."""
-        for _, node in self._reachable([(module, routine)]):
+        for _, node in self._reachable([Callee(module, routine)]):
             for line in (*node.plain.tolist(), *node.lines):
                 stmt = statement(node.source, line)
                 if isinstance(stmt, Motion | Spline) and not stmt.word.startswith(_RAPID):
@@ -195,7 +194,7 @@ class Analysis:
             if isinstance(stmt, Motion):
                 is_complete = True
             callee = self.library.find(stmt.call.name, module) if isinstance(stmt, CallStatement) else None
-            if callee is not None and callee[1] not in checked_routines:
+            if callee is not None and callee.routine not in checked_routines:
                 place, is_complete = self._first_dependent_place(*callee, checked_routines)
                 if place is not None:
                     return place, False
@@ -244,8 +243,8 @@ class Analysis:
             yield node
             direct = self._direct_effects(*node)
             for callee in (*direct.callees, *direct.action_callees):
-                if callee[1] not in queued_routines:
-                    queued_routines.add(callee[1])
+                if callee.routine not in queued_routines:
+                    queued_routines.add(callee.routine)
                     waiting.append(callee)
 
     def _direct_effects(self, module: Module, routine: Routine) -> _DirectEffects:
@@ -264,7 +263,7 @@ class Analysis:
                     direct.effects.jumps = direct.effects.jumps or place
                 if stmt.word == "RESUME":
                     direct.effects.resumes = direct.effects.resumes or place
-                self._read(direct, stmt, (module, routine), place)
+                self._read(direct, stmt, Callee(module, routine), place)
         return direct
 
     def _read(self, direct: _DirectEffects, stmt: Statement, node: Callee, place: Place) -> None:
@@ -350,7 +349,7 @@ class _Statement(Struct, eq=False):
     def _note_call(self, call: Call) -> None:
         """Note a call: the variables that it may write, and the routine, or that the routine is in no file."""
         callee = self.analysis.library.find(call.name, self.module)
-        parameters = callee[1].parameters if callee else ()
+        parameters = callee.routine.parameters if callee else ()
         for index, argument in enumerate(call.arguments):
             by_value = index < len(parameters) and parameters[index].by_value
             reference = None if by_value else writable_variable(argument)

@@ -42,11 +42,11 @@ def external_axes(
     if direction is None or (np.isnan(external[:, 0]).all() and not steps[:, 0].any()):
         return issues, None
     begin, end = _axis_positions(external[:, 0], steps[:, 0], predecessors)
-    unknown = np.flatnonzero(np.isnan(end) & uses_root)
-    if len(unknown):
+    unknown_rows = np.flatnonzero(np.isnan(end) & uses_root)
+    if len(unknown_rows):
         raise trace.error(
             "the position of E1, which carries the robot, is not known here",
-            int(rows.line[unknown[0]]),
+            int(rows.line[unknown_rows[0]]),
             "Give E1 in this target, or in a PTP before it.",
         )
     assumed_starts = np.flatnonzero(np.isnan(begin) & ~np.isnan(end))

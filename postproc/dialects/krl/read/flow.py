@@ -319,15 +319,15 @@ class Flow:
         Values and settings stay as they are: to keep them for each call would take as long as there are variables.
         """
         run, entered_calls = self.run, self.interpreter.calls.entered
-        marks, mark, position = run.finding_counts(), recorder.mark(), run.position()
-        calls_open, depth = len(entered_calls), len(self._enclosing)
+        counts, mark, position = run.finding_counts(), recorder.mark(), run.position()
+        call_count, depth = len(entered_calls), len(self._enclosing)
 
         def undo() -> None:
             """Restore the run, the trace and the open calls."""
-            run.drop_findings(marks)
+            run.drop_findings(counts)
             recorder.back_to(mark)
             run.return_to(position)
-            del entered_calls[calls_open:], self._enclosing[depth:]
+            del entered_calls[call_count:], self._enclosing[depth:]
 
         return undo
 

@@ -20,7 +20,7 @@ from msgspec.structs import replace
 from postproc.dialects.krl.language import scan
 from postproc.dialects.krl.language.declarations import declared_names
 from postproc.dialects.krl.language.names import PURE, RESERVED, STANDARD
-from postproc.dialects.krl.language.routines import Module, Routine, routines
+from postproc.dialects.krl.language.routines import Callee, Module, Routine, routines
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.tokens import occurrences
 from postproc.dialects.krl.read import plain_lines
@@ -55,7 +55,7 @@ class FolderFiles:
         return by_name
 
     @cached_property
-    def _public(self) -> dict[str, Path]:
+    def _routine_paths(self) -> dict[str, Path]:
         """The `.src` files by the names, upper case, of their GLOBAL routines; all `.src` files are searched."""
         by_routine: dict[str, Path] = {}
         for path in (path for name, path in self.paths.items() if name.endswith(".SRC")):
@@ -72,7 +72,7 @@ class FolderFiles:
         paths = {
             name: self.paths.get(f"{name}.SRC") for name in scan.called_names(code) - own_routines - _OF_THE_CONTROLLER
         }
-        callees = {self._public.get(name) if path is None else path for name, path in paths.items()}
+        callees = {self._routine_paths.get(name) if path is None else path for name, path in paths.items()}
         return {path for path in callees if path is not None}
 
     def called_code(self, code: str) -> Iterator[str]:
@@ -184,13 +184,13 @@ class Library:
         self.program, self.files = program, files
         self.faults: dict[str, str] = {}
         self._modules: dict[Path, Module | None] = {}
-        self._found: dict[str, tuple[Module, Routine] | None] = {}
+        self._found: dict[str, Callee | None] = {}
 
-    def find(self, name: str, caller: Module) -> tuple[Module, Routine] | None:
+    def find(self, name: str, caller: Module) -> Callee | None:
         """Return a routine and its module, as seen from the module that calls it; None if it is in no file."""
         routine = caller.routines.get(name)
         if routine is not None:
-            return caller, routine
+            return Callee(caller, routine)
         if name not in self._found:
             self._found[name] = self._find_routine(name)
         return self._found[name]
@@ -201,7 +201,7 @@ class Library:
             if file.endswith(".SUB") and (module := self._module(path)) is not None:
                 yield module
 
-    def found_routines(self) -> Iterator[tuple[Module, Routine]]:
+    def found_routines(self) -> Iterator[Callee]:
         """Yield the routines of other files that `find` has returned."""
         yield from (entry for entry in self._found.values() if entry is not None)
 
@@ -242,25 +242,25 @@ class Library:
                     writer_names.setdefault(name, []).append(path.name)
         return {name: tuple(sorted(writer_names[name])) for name in sorted(writer_names)}
 
-    def _find_routine(self, name: str) -> tuple[Module, Routine] | None:
+    def _find_routine(self, name: str) -> Callee | None:
         """Return a routine by its name, upper case, with its file; None if it is in no file.
 
         The program's own routines come first, then the file of that name, then GLOBAL routines of other files.
         """
         program = self.program.routines.get(name)
         if program is not None and (program.public or name == self.program.name):
-            return self.program, program
+            return Callee(self.program, program)
         path = self.files.paths.get(f"{name}.SRC")
         if path is not None:
             module = self._module(path, name)
             routine = module.main(name) if module is not None else None
             if module is not None and routine is not None:
-                return module, routine
+                return Callee(module, routine)
         for file, path in self.files.paths.items():
             if file.endswith(".SRC") and name in self.files.declared(path, scan.global_routines):
                 module = self._module(path, name)
                 if module is not None and name in module.routines:
-                    return module, module.routines[name]
+                    return Callee(module, module.routines[name])
         return None
 
     def _module(self, path: Path, name: str = "") -> Module | None:
@@ -350,9 +350,9 @@ class Code(Struct, frozen=True):
 def codes_of(module: Module) -> Iterator[Code]:
     """Yield the code of the routines of a file."""
     module_names = frozenset() if module.data is None else frozenset().union(*declared_names(module.data))
-    routines_ = frozenset(module.routines)
+    routine_names = frozenset(module.routines)
     for routine in module.routines.values():
-        yield Code(text_of_lines(routine.source, routine.others), module_names | routine.local, routines_)
+        yield Code(text_of_lines(routine.source, routine.others), module_names | routine.local, routine_names)
 
 
 class _Links:

@@ -96,6 +96,8 @@ class LeastStatements:
     def _minimum_of_block(self, source: Source, block: Block, module: Module, *, has_exit: bool) -> int:
         """Return a lower bound on the number of statements that a control structure runs.
 
+        Only an IF with ELSE, and a FOR whose bounds and step are numbers, surely run some.
+
         :param has_exit: True if EXIT may end it early; the bound is 0 then.
         """
         if block.word == "IF" and len(block.parts) > 1:
@@ -109,10 +111,10 @@ class LeastStatements:
         ):
             return 0
         first, last, step = stmt.bounds
-        numbers = [value.value for value in (first, last, step or Number(1.0, 0, 0, True)) if isinstance(value, Number)]
-        if len(numbers) < 3 or not numbers[2]:
+        step = step or Number(1.0, 0, 0, True)
+        if not (isinstance(first, Number) and isinstance(last, Number) and isinstance(step, Number)) or not step.value:
             return 0
-        rounds = max(0, int((numbers[1] - numbers[0]) // numbers[2]) + 1)
+        rounds = max(0, int((last.value - first.value) // step.value) + 1)
         return rounds * self.minimum_of_round(source, block, module) if rounds else 0
 
     def _certain_call(self, source: Source, line: int) -> Call | None:

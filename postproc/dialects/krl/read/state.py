@@ -69,7 +69,7 @@ class State(Struct, frozen=True):
     def with_values(self, **fields: object) -> State:
         """Return the state with other values of some fields, which are known then."""
         initial = self.initial - {f"${name.upper()}" for name in fields}
-        uncertain = tuple(entry for entry in self.uncertain if entry[0] not in fields)
+        uncertain = tuple((field, index) for field, index in self.uncertain if field not in fields)
         return replace(self, initial=initial, uncertain=uncertain, **fields)
 
     def differing_fields(self, other_state: State) -> set[str]:
