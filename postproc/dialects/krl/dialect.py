@@ -140,7 +140,11 @@ class _Writer:
         return write.rename(documents, name)
 
     def mark(self, documents: Sequence[Document], origin: provenance.Origin) -> tuple[tuple[Document, ...], int]:
-        """Return the files with the line that says where they come from: below the first DEF."""
+        """Return the files with the line that says where they come from, below the first DEF.
+
+        :returns: the files, and the 1-based line from which on lines of the main one have moved down by one; 0 if none
+            has.
+        """
         return provenance.mark(documents, origin, _COMMENT, DEF_LINE)
 
     def origin(self, documents: Sequence[Document]) -> provenance.Provenance:
@@ -175,9 +179,9 @@ class Krl:
         return [path_of[key] for key in file_names if key in path_of]
 
     def numbered_frames(self, documents: Sequence[Document]) -> tuple[str, ...]:
-        """Return the tables of the cell for frames by number that the texts of a program name, comments left out.
+        """Return the keys of the cell, such as ``base_data.3``, for the numbered frames that a program names.
 
-        Number 0 is `$NULLFRAME` and needs none.
+        Comments do not count. Number 0 is `$NULLFRAME` and needs no key.
         """
         frames = {
             (kind.lower(), int(number))

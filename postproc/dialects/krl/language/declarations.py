@@ -57,15 +57,17 @@ def declared_in(source: Source, start: int, stop: int) -> Iterator[DeclaredName]
         if not next_name:
             return
         end = next_name.end()
-        value = end if next_name[3] else -1
-        yield DeclaredName(next_name[1].upper(), next_name.start(1), next_name[2], first.kind, first.public, value)
+        value = end if next_name["equals"] else -1
+        yield DeclaredName(
+            next_name["name"].upper(), next_name.start("name"), next_name["bounds"], first.kind, first.public, value
+        )
 
 
 def _first_name(source: Source, match: re.Match[str]) -> DeclaredName:
     """Return the first name that a line declares, from its match of `DECLARATION`."""
-    public = key_word(source.text, match.start(), match.start(2), "GLOBAL") is not None
-    kind, value = (match[1] or "").upper(), match.end() if match[4] else -1
-    return DeclaredName(match[2].upper(), match.start(2), match[3], kind, public, value)
+    public = key_word(source.text, match.start(), match.start("name"), "GLOBAL") is not None
+    kind, value = (match["kind"] or "").upper(), match.end() if match["equals"] else -1
+    return DeclaredName(match["name"].upper(), match.start("name"), match["bounds"], kind, public, value)
 
 
 def _value_stop(source: Source, start: int, stop: int) -> int:
@@ -101,7 +103,7 @@ def declared_names(source: Source) -> tuple[frozenset[str], frozenset[str]]:
     public: set[str] = set()
     for begin, end in zip(source.starts.tolist(), source.stops.tolist(), strict=True):
         if element := ELEMENT.match(source.text, begin, end):  # most lines of long data lists
-            local_names.add(element[1].upper())
+            local_names.add(element["name"].upper())
             continue
         start, stop = code_span(source.text, begin, end)
         if start < stop and source.text[start] != "&":

@@ -52,12 +52,14 @@ _MOST_TERMS = 200
 _MAX_LENGTH = 64
 """Characters of the longest INT in binary or hexadecimal notation."""
 _ENDS = ",)]}cC"
-_INDEX = re.compile(r"\[(?:([A-Za-z_$][\w$]*)|([0-9]{1,9}))\]", re.ASCII)
+_INDEX = re.compile(r"\[(?:(?P<name>[A-Za-z_$][\w$]*)|(?P<number>[0-9]{1,9}))\]", re.ASCII)
 """An index that is one name or one whole number, nearly all of them."""
 _WORDS = frozenset({"TRUE", "FALSE", "NOT", "B_NOT"})
 """Words that are no names of variables."""
 _POSE = re.compile(
-    r"\{" + ",".join(rf"[ \t]*{name}(?=[ \t+-])[ \t]*({NUMBER_PATTERN})[ \t]*" for name in "XYZABC") + r"(?=([,}]))",
+    r"\{"
+    + ",".join(rf"[ \t]*{name}(?=[ \t+-])[ \t]*(?P<{name}>{NUMBER_PATTERN})[ \t]*" for name in "XYZABC")
+    + r"(?=(?P<sign>[,}]))",
     re.ASCII | re.IGNORECASE,
 )
 """The beginning of an aggregate that gives X, Y, Z, A, B, C as numbers, in this order."""
@@ -233,7 +235,7 @@ def operand(source: Source, start: int, stop: int) -> _Read:
     if match := INTEGER_LITERAL.match(text, start, stop):
         if match.end() - start > _MAX_LENGTH:
             raise source.error(f"{match[0][:20]}… is not an INT", start, advice="Write the number in decimal notation.")
-        number = float(int(match[1], 2) if match[1] else int(match[2], 16))
+        number = float(int(match["binary"], 2) if match["binary"] else int(match["hexadecimal"], 16))
         return Number(number, start, match.end(), True), match.end()
     if match := STRING.match(text, start, stop):
         return Word(match[0], start, match.end()), match.end()
@@ -291,7 +293,7 @@ def _variable(source: Source, name: re.Match[str], stop: int) -> _Read:
                 break
             end = close + 1
         elif match := FIELD.match(text, end, stop):
-            members.append(match[1].upper())
+            members.append(match["name"].upper())
             end = match.end()
         else:
             break
@@ -303,11 +305,11 @@ def _index(text: str, start: int, stop: int) -> tuple[tuple[Value, ...], int] | 
     match = _INDEX.match(text, start, stop)
     if match is None:
         return None
-    begin, end = match.span(match.lastindex or 0)
-    if match.lastindex == 2:
-        return (Number(float(match[2]), begin, end, True),), end + 1
-    name = match[1].upper()
-    return None if name in _WORDS else ((Reference(name, None, None, begin, end),), end + 1)
+    begin, end = start + 1, match.end() - 1
+    if match["number"]:
+        return (Number(float(match["number"]), begin, end, True),), match.end()
+    name = match["name"].upper()
+    return None if name in _WORDS else ((Reference(name, None, None, begin, end),), match.end())
 
 
 def list_in(source: Source, start: int, stop: int) -> tuple[Value, ...]:
@@ -387,16 +389,16 @@ def parse_aggregate(source: Source, start: int, stop: int) -> Aggregate:
     tag = ""
     items, has_comma, position = _pose(text, start, stop)
     if not items and (match := TAG.match(text, position, stop)):
-        tag, position = match[1].upper(), match.end()
+        tag, position = match["tag"].upper(), match.end()
     while has_comma:
         match = COMPONENT.match(text, position, stop)
         if match:
-            literal = match[2]
-            name, has_comma, position = match[1].upper(), match[3] is not None, match.end()
+            literal = match["number"]
+            name, has_comma, position = match["name"].upper(), match["comma"] is not None, match.end()
             number = float(literal)
             if number - number != 0.0:  # it is not finite
-                number = _finite(source, match, 2)
-            value: Value = Number(number, match.start(2), match.end(2), literal.lstrip("+-").isdigit())
+                number = _finite(source, match, "number")
+            value: Value = Number(number, *match.span("number"), literal.lstrip("+-").isdigit())
         else:
             name, value, has_comma, position = _component(source, start, position, stop)
         if name in items:
@@ -416,13 +418,13 @@ def _pose(text: str, start: int, stop: int) -> tuple[dict[str, Value], bool, int
     if match is None:
         return {}, True, start + 1
     items: dict[str, Value] = {}
-    for group, name in enumerate("XYZABC", 1):
-        literal = match[group]
+    for name in "XYZABC":
+        literal = match[name]
         number = float(literal)
         if number - number != 0.0:  # it is not finite; faster than a call of math.isfinite
             return {}, True, start + 1
-        items[name] = Number(number, *match.span(group), literal.lstrip("+-").isdigit())
-    has_comma = match[7] == ","
+        items[name] = Number(number, *match.span(name), literal.lstrip("+-").isdigit())
+    has_comma = match["sign"] == ","
     return items, has_comma, match.end() + has_comma
 
 
@@ -437,7 +439,7 @@ def _component(source: Source, opening: int, position: int, stop: int) -> tuple[
     match = ITEM_NAME.match(text, position, stop)
     if not match:
         _raise_aggregate_error(source, opening, position, stop, "a component such as 'X 12.5' is expected")
-    name = match[1].upper()
+    name = match["name"].upper()
     if match.end() >= stop or text[match.end()] in ",}":
         _raise_aggregate_error(source, opening, match.end(), stop, f"component {name} has no value")
     value, end = value_at(source, match.end(), stop)
@@ -461,7 +463,7 @@ def _raise_aggregate_error(source: Source, opening: int, position: int, stop: in
     raise source.error(problem, position)
 
 
-def _finite(source: Source, match: re.Match[str], group: int = 0) -> float:
+def _finite(source: Source, match: re.Match[str], group: str | int = 0) -> float:
     """Return the number in a group of a match.
 
     :raises ProgramError: it is not finite.

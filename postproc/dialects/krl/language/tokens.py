@@ -22,33 +22,39 @@ NUMBER_PATTERN = r"[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 NUMBER = re.compile(NUMBER_PATTERN)
 INDEX = re.compile(r"[0-9]{1,9}", re.ASCII)
 COMPONENT = re.compile(
-    rf"[ \t]*([A-Za-z_]\w*)[ \t]*(?:(?<=[ \t])|(?=[-+]))({NUMBER_PATTERN})[ \t]*(?:(,)|(?=\}}))", re.ASCII
+    rf"[ \t]*(?P<name>[A-Za-z_]\w*)[ \t]*(?:(?<=[ \t])|(?=[-+]))(?P<number>{NUMBER_PATTERN})[ \t]*"
+    r"(?:(?P<comma>,)|(?=\}))",
+    re.ASCII,
 )
 """A component of an aggregate that is a number, with the comma behind it."""
-ITEM_NAME = re.compile(r"[ \t]*([A-Za-z_]\w*)[ \t]*(?:\[[ \t]*\])?[ \t]*", re.ASCII)
-TAG = re.compile(r"[ \t]*([A-Za-z_]\w*)[ \t]*:", re.ASCII)
-INTEGER_LITERAL = re.compile(r"'(?:[Bb]([01]+)|[Hh]([0-9A-Fa-f]+))'")
+ITEM_NAME = re.compile(r"[ \t]*(?P<name>[A-Za-z_]\w*)[ \t]*(?:\[[ \t]*\])?[ \t]*", re.ASCII)
+TAG = re.compile(r"[ \t]*(?P<tag>[A-Za-z_]\w*)[ \t]*:", re.ASCII)
+INTEGER_LITERAL = re.compile(r"'(?:[Bb](?P<binary>[01]+)|[Hh](?P<hexadecimal>[0-9A-Fa-f]+))'")
 STRING = re.compile(r'"[^"]*"')
 ENUM = re.compile(r"#[A-Za-z_]\w*", re.ASCII)
-FIELD = re.compile(r"[ \t]*\.[ \t]*([A-Za-z_][\w$]*)", re.ASCII)
+FIELD = re.compile(r"[ \t]*\.[ \t]*(?P<name>[A-Za-z_][\w$]*)", re.ASCII)
 LOGIC = re.compile(r"[<>=&|]|(?:B_)?(?:AND|OR|EXOR)\b", re.IGNORECASE)
 DECLARATION = re.compile(
-    r"(?:(?:DECL|GLOBAL|CONST|PUBLIC)[ \t]+)*(?:([A-Za-z_]\w*)[ \t]+)?([A-Za-z_$][\w$]*)[ \t]*(\[[^\]]*\])?[ \t]*(=?)",
+    r"(?:(?:DECL|GLOBAL|CONST|PUBLIC)[ \t]+)*(?:(?P<kind>[A-Za-z_]\w*)[ \t]+)?(?P<name>[A-Za-z_$][\w$]*)[ \t]*"
+    r"(?P<bounds>\[[^\]]*\])?[ \t]*(?P<equals>=?)",
     re.ASCII | re.IGNORECASE,
 )
 ELEMENT = re.compile(
-    r"([A-Za-z_$][\w$]*+)\[[ \t]*+([0-9]{1,9})[ \t]*+\][ \t]*+=[ \t]*+(?=\{[^{}\"';]*+\}[ \t]*+(?:;|$))",
+    r"(?P<name>[A-Za-z_$][\w$]*+)\[[ \t]*+(?P<index>[0-9]{1,9})[ \t]*+\][ \t]*+="
+    r"[ \t]*+(?=\{[^{}\"';]*+\}[ \t]*+(?:;|$))",
     re.ASCII,
 )
 """An element of a data list that gets one aggregate without others in it."""
-NEXT_NAME = re.compile(r"[ \t]*,[ \t]*([A-Za-z_$][\w$]*)[ \t]*(\[[^\]]*\])?[ \t]*(=?)", re.ASCII)
+NEXT_NAME = re.compile(
+    r"[ \t]*,[ \t]*(?P<name>[A-Za-z_$][\w$]*)[ \t]*(?P<bounds>\[[^\]]*\])?[ \t]*(?P<equals>=?)", re.ASCII
+)
 NEXT_INITIAL_VALUE = re.compile(r"[}\d'\"][ \t]*,[ \t]*[A-Za-z_$][\w$]*[ \t]*(?:\[[^\]]*\])?[ \t]*=", re.ASCII)
 """Behind an initial value: another name with one."""
 _COLON = re.compile(r"[ \t]*:")
 _OPEN = re.compile(r"[ \t]*\(")
 FORCE = re.compile(f";(?:{FORCE_COMMENT.pattern})", re.IGNORECASE)
 """The beginning of a comment about forces."""
-_FOLD = re.compile(r"[ \t]*;[ \t]*(END)?FOLD\b", re.IGNORECASE)
+_FOLD = re.compile(r"[ \t]*;[ \t]*(?P<end>END)?FOLD\b", re.IGNORECASE)
 
 
 class Span(Struct, frozen=True):
@@ -124,7 +130,7 @@ def number(text: str) -> float:
 def fold_at(text: str, start: int, stop: int) -> str:
     """Return ``FOLD`` or ``ENDFOLD`` if a line is the comment that begins or ends a fold; else an empty text."""
     fold = _FOLD.match(text, start, stop)
-    return "" if fold is None else "ENDFOLD" if fold[1] else "FOLD"
+    return "" if fold is None else "ENDFOLD" if fold["end"] else "FOLD"
 
 
 def indent(text: str) -> str:

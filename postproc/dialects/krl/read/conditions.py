@@ -45,7 +45,7 @@ def condition_value(values: Sequence[VariableValue], condition: Condition) -> Te
 
 def matches_case(value: VariableValue, case: VariableValue) -> bool | None:
     """Return whether the value of a SWITCH equals one behind CASE; None if that is not known."""
-    return _comparison("==", as_term(value), as_term(case))
+    return _comparison_holds("==", as_term(value), as_term(case))
 
 
 def constant_cases(heads: Sequence[Statement]) -> dict[float | None, int] | None:
@@ -82,7 +82,7 @@ def _combined_value(terms: list[Term], operators: list[str]) -> Term:
         left, right = terms[index], terms[index + 1]
         if is_mixed and (isinstance(left, bool) or isinstance(right, bool)):
             return None
-        terms[index : index + 2] = [_comparison(operators[index], left, right)]
+        terms[index : index + 2] = [_comparison_holds(operators[index], left, right)]
         del operators[index]
         if index < len(operators) and operators[index] not in _LOGIC:
             return None  # a comparison of a comparison
@@ -90,7 +90,7 @@ def _combined_value(terms: list[Term], operators: list[str]) -> Term:
         while logic in operators:
             index_of_logic = operators.index(logic)
             terms[index_of_logic : index_of_logic + 2] = [
-                _logical(logic, terms[index_of_logic], terms[index_of_logic + 1])
+                _logic_value(logic, terms[index_of_logic], terms[index_of_logic + 1])
             ]
             del operators[index_of_logic]
     return terms[0]
@@ -113,7 +113,7 @@ def _apply_bitwise(terms: list[Term], operators: list[str]) -> bool:
     return True
 
 
-def _logical(operator: str, left: Term, right: Term) -> bool | None:
+def _logic_value(operator: str, left: Term, right: Term) -> bool | None:
     """Return the value of AND, OR or EXOR; None if it depends on a term that is not known."""
     operands = [side for side in (left, right) if isinstance(side, bool)]
     if operator == "AND":
@@ -130,24 +130,24 @@ def as_term(value: VariableValue) -> Term:
     return value if isinstance(value, (Number, Word)) else None
 
 
-def _comparison(operator: str, left: Term, right: Term) -> bool | None:
+def _comparison_holds(operator: str, left: Term, right: Term) -> bool | None:
     """Return whether a comparison holds; None where it is not known, or its terms cannot be compared."""
     if isinstance(left, Number) and isinstance(right, Number):
-        return _number_comparison(operator, left, right)
+        return _number_comparison_holds(operator, left, right)
     if left is None or right is None or operator not in ("==", "<>") or type(left) is not type(right):
         return None
     left_value, right_value = (side.text if isinstance(side, Word) else side for side in (left, right))
     return (left_value == right_value) == (operator == "==")
 
 
-def _number_comparison(operator: str, left: Number, right: Number) -> bool | None:
+def _number_comparison_holds(operator: str, left: Number, right: Number) -> bool | None:
     """Return whether a comparison of numbers holds.
 
     None for REALs that are equal within the digits of a controller, unless both are the same 32-bit number.
     """
     a, b = left.value, right.value
     if not (left.integer and right.integer):
-        close = abs(a - b) <= _CLOSE * max(1.0, abs(a), abs(b))
-        if close and not (a == b and float(np.float32(a)) == a):
+        is_close = abs(a - b) <= _CLOSE * max(1.0, abs(a), abs(b))
+        if is_close and not (a == b and float(np.float32(a)) == a):
             return None
     return {"==": a == b, "<>": a != b, "<": a < b, ">": a > b, "<=": a <= b, ">=": a >= b}[operator]

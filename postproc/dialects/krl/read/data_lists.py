@@ -43,9 +43,9 @@ def read_data(
         while start < stop and text[start] in " \t\r":
             start += 1
         if is_unfiltered and (element := ELEMENT.match(text, start, stop)):
-            name = variables.scope.stored_name(element[1].upper())
+            name = variables.scope.stored_name(element["name"].upper())
             variables.initial.add(name)
-            key, value = f"{name}[{int(element[2])}]", UnparsedValue(source, element.end(), stop)
+            key, value = f"{name}[{int(element['index'])}]", UnparsedValue(source, element.end(), stop)
             if name in FRAME_ARRAYS:
                 variables.note_frame(key, value, f"{source.document.name}, line {line}")
             variables.put(key, value)
@@ -87,7 +87,7 @@ def _note_line(
     match = DECLARATION.match(source.text, start, stop)
     if not match:
         return
-    if match[4] and not NEXT_INITIAL_VALUE.search(source.text, match.end(), stop):
+    if match["equals"] and not NEXT_INITIAL_VALUE.search(source.text, match.end(), stop):
         names = [next(declared_in(source, start, match.end()))]
     else:
         start, stop = source.code_span(line)

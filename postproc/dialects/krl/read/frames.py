@@ -113,7 +113,7 @@ class Frames:
     def current_value(self, state: State, name: str, field: str | None) -> VariableValue:
         """Return `$BASE` or `$TOOL` as a state has it, or a component of it; an `UnknownValue` if it is not known."""
         row, frames = (state.base, self.bases) if name == "$BASE" else (state.tool, self.tools)
-        if row < 0:
+        if row < 0:  # it holds the index of the reason, see `State.base`
             return UnknownValue(why=self.reasons.errors[-1 - row].problem)
         if self.asks and name in self.frames_of_cell(state):
             self.doubtful.add(name)

@@ -21,7 +21,7 @@ _NUMBER = r"[0-9]{1,6}+(?:\.[0-9]{0,9}+)?"
 # system variables whose value a motion depends on, and others of which it does not; possessive, for one pass
 _SETTING = re.compile(
     rf"""\$(?:
-    (VEL\.CP | APO\.CDIS)[ \t]*+=[ \t]*+({_NUMBER})
+    (?P<name>VEL\.CP | APO\.CDIS)[ \t]*+=[ \t]*+(?P<number>{_NUMBER})
     | (?:VEL\.ORI[12] | APO\.(?:CVEL|CPTP|CORI) | ACC\.(?:CP|ORI[12]))[ \t]*+=[ \t]*+{_NUMBER}
     | (?:OUT|ANOUT|VEL_AXIS|ACC_AXIS)\[[0-9]{{1,4}}+\][ \t]*+=[ \t]*+(?:TRUE | FALSE | {_NUMBER})
     )[ \t]*+(?:;[^\r\n]*+)?[\r\n]""",
@@ -58,8 +58,8 @@ def scan(source: Source) -> PlainSettings:
     starts, names, numbers = [], [], []
     for match in _SETTING.finditer(text):
         starts.append(match.start())
-        names.append(match[1])
-        numbers.append(match[2])
+        names.append(match["name"])
+        numbers.append(match["number"])
     if not starts:
         return no_settings()
     offsets = np.array(starts)
@@ -81,7 +81,10 @@ def is_plain(source: Source, line: int) -> bool:
     """Return whether a line is a plain assignment: ``$OUT[1]=TRUE``, ``$VEL.CP=0.1``."""
     start, _ = source.code_span(line)
     match = _SETTING.match(source.text, start)
-    return match is not None and (match[1] is None or match[1][0] in "Aa" or 0.0 < float(match[2]) <= FASTEST)
+    if match is None:
+        return False
+    is_speed = match["name"] is not None and match["name"][0] in "Vv"
+    return not is_speed or 0.0 < float(match["number"]) <= FASTEST
 
 
 class PlainAssignments:

@@ -318,9 +318,9 @@ def tail_text(source: Source, tail: Tail, *, free: bool, straight: bool, unheedi
 
 def _bits_text(name: str, value: int, text: str) -> dict[str, str]:
     """Return S or T in the notation of the input, by component; nothing if the text gives that value already."""
-    binary = INTEGER_LITERAL.fullmatch(text)
-    if binary and binary[1]:
-        return {} if int(binary[1], 2) == value else {name: f"'B{value:0{len(binary[1])}b}'"}
+    match = INTEGER_LITERAL.fullmatch(text)
+    if match and match["binary"]:
+        return {} if int(match["binary"], 2) == value else {name: f"'B{value:0{len(match['binary'])}b}'"}
     return {} if text == str(value) else {name: str(value)}
 
 
