@@ -274,7 +274,7 @@ def _digits(body: bytes) -> Bytes:
     """Return the text with everything but numbers replaced by blanks."""
     digits = np.frombuffer(bytearray(body.translate(_NUMBER_CODES)), dtype=np.uint8)
     exponent = np.flatnonzero((digits | 32) == ord("e"))
-    if len(exponent):  # the E of E1, E6POS and C_VEL is none, and the digit behind it no number
+    if len(exponent):  # the E of E1, E6POS and C_VEL is no exponent, and the digit behind it no number
         letters = exponent[(digits[exponent - 1] == ord(" ")) | (digits[exponent - 1] > ord("9"))]
         digits[letters] = digits[letters + 1] = ord(" ")
     return digits
@@ -307,7 +307,7 @@ def _skip_blanks(raw: Bytes, position: Ints, step: int) -> Ints:
 def _approximated(raw: Bytes, begins: Ints, ptp: Bools) -> Bools:
     """Return the lines (P,) that are approximated by `$APO.CDIS`: with C_DIS, and for path motions C_SPL."""
     underscore = np.flatnonzero(raw == ord("_"))
-    letter = raw[underscore + 1] | 32
+    letter = raw[underscore + 1] | 32  # lower case: D of C_DIS, S of C_SPL
     row = np.searchsorted(begins, underscore, side="right") - 1
     is_approximated = np.zeros(len(begins), dtype=np.bool_)
     is_approximated[row[letter == ord("d")]] = True
