@@ -226,4 +226,4 @@ def _apply_changes(text: str, line: Ints, changes: Sequence[_Change]) -> tuple[s
     offset = first - begins[piece]
     place = np.where(origins[piece] >= 0, origins[piece] + offset, -1 - origins[piece])
     old = np.searchsorted(line_spans(text)[0], place, side="right") - 1
-    return new, line[np.clip(old, 0, len(line) - 1)]
+    return new, line[old]
