@@ -315,3 +315,89 @@ def test_points_ahead_of_a_turning_tool_are_on_the_side_to_which_its_axis_turns(
     x, level = 1e-3 * np.array([[[7.0, -7.0, 7.0]]]), 1e-3 * np.array([[[8.0, 8.0, -8.0]]])
     found = tilted._is_ahead(Cutter(5e-3, 0.0, 2), tip, lean, np.array([0]), (x, 0.0 * x), level, 1e-4)
     assert found.ravel().tolist() == [True, False, False]
+
+
+@pytest.mark.parametrize("most", [30, 400, 10**6])
+def test_windows_contain_all_cells_near_their_segments_and_batches_are_limited(monkeypatch, most):
+    """Each segment whose window is on the map is once in a batch, small windows first."""
+    monkeypatch.setattr(stocks, "_MOST_CELLS_AT_ONCE", most)
+    stock = stocks.from_box(*BLOCK, 2e-3)
+    rng = np.random.default_rng(6)
+    begin = rng.uniform([-0.02, -0.02, -0.01], [0.08, 0.06, 0.0], (40, 3))
+    end = begin + rng.uniform(-0.01, 0.01, (40, 3)) * rng.choice([0.1, 1.0, 3.0], (40, 1))
+    rows_y, columns = stock.high.shape
+    x = stock.x + stock.cell * (np.arange(columns) + 0.5)
+    y = stock.y + stock.cell * (np.arange(rows_y) + 0.5)
+    taken, sizes = [], []
+    for rows, corner, window in stocks.windows(stock, 5e-3, begin, end):
+        assert len(rows) == 1 or len(rows) * window.prod() <= 4 * most
+        assert (corner >= 0).all()
+        assert (corner + window <= [columns, rows_y]).all()
+        sizes.append(window.prod())
+        for row, (column, line) in zip(rows.tolist(), corner.tolist(), strict=True):
+            taken.append(row)
+            low, high = np.minimum(begin[row], end[row]) - 5e-3, np.maximum(begin[row], end[row]) + 5e-3
+            near_x = np.flatnonzero((x + 1e-3 > low[0]) & (x - 1e-3 < high[0]))
+            near_y = np.flatnonzero((y + 1e-3 > low[1]) & (y - 1e-3 < high[1]))
+            assert near_x.min() >= column
+            assert near_x.max() < column + window[0]
+            assert near_y.min() >= line
+            assert near_y.max() < line + window[1]
+    low, high = np.minimum(begin, end)[:, :2] - 5e-3, np.maximum(begin, end)[:, :2] + 5e-3
+    map_low, map_high = (
+        np.array([stock.x, stock.y]) + stock.cell * np.array(size) for size in ((0, 0), (columns, rows_y))
+    )
+    on_map = ((high > map_low) & (low < map_high)).all(axis=1)
+    assert sorted(taken) == np.flatnonzero(on_map).tolist()
+    assert most < 10**6 or len(sizes) == 1
+    assert most > 30 or len(sizes) > 10
+
+
+@pytest.mark.parametrize("shape", ["flat", "ball", "bull"])
+@pytest.mark.parametrize("slope", [0.0, -0.5, 0.5, -1.0])
+def test_the_front_of_a_tool_is_where_its_surface_moves_outwards(shape, slope):
+    """Its outward normal along the travel: on the rounds away from the middle of the round, on a flat end down."""
+    stock = stocks.from_box(*BLOCK, 1e-3)
+    radius, corner = 5e-3, {"flat": 0.0, "ball": 5e-3, "bull": 2e-3}[shape]
+    point, along = np.array([0.03, 0.02, -1e-3]), np.sqrt(1.0 - slope**2)
+    direction = np.array([0.6 * along, 0.8 * along, slope])
+    rows, columns = stock.high.shape
+    cell = np.arange(rows * columns)
+    found = stocks._is_ahead(stock, Cutter(radius, corner, 2), cell, point, direction, rim=False)
+    at_rim = stocks._is_ahead(stock, Cutter(radius, corner, 2), cell, point, direction, rim=True)
+    for k in cell.tolist():
+        x = stock.x + 1e-3 * (k % columns + 0.5) - point[0]
+        y = stock.y + 1e-3 * (k // columns + 0.5) - point[1]
+        distance = np.hypot(x, y)
+        if distance > radius + 0.9e-3:
+            assert distance < radius + 1.1e-3 or not found[k] or (shape == "flat" and slope == 0.0)
+            continue
+        assert at_rim[k] == (x * direction[0] + y * direction[1] > 0.0)
+        outside = max(distance - (radius - corner), 0.0)
+        if distance > radius:
+            continue
+        normal = np.array([0.0, 0.0, -1.0])
+        if corner and outside > 0.0:
+            normal = (
+                np.array([x / distance * outside, y / distance * outside, -np.sqrt(corner**2 - outside**2)]) / corner
+            )
+        if shape == "flat" and slope == 0.0:
+            assert found[k] == (x * direction[0] + y * direction[1] > 0.0)
+        elif abs(normal @ direction) > 1e-9:
+            assert found[k] == (normal @ direction > 0.0)
+
+
+def test_the_depth_of_a_cut_is_that_of_cells_that_the_tool_covers_fully():
+    """On both ways along; nothing above the block, and no more than down to its floor."""
+    stock = stocks.from_box(*BLOCK, 0.5e-3)
+    begin, end = (
+        np.array([[-0.01, 0.02, -2e-3], [0.03, 0.02, 1e-3]]),
+        np.array([[0.02, 0.02, -3e-3], [0.05, 0.02, 1e-3]]),
+    )
+    for first, last in ((begin, end), (end, begin)):
+        assert stocks.depth_of(stock, Cutter(5e-3, 0.0, 2), first, last) == pytest.approx(3e-3, abs=1e-6)
+        assert stocks.depth_of(stock, Cutter(5e-3, 0.0, 2), first[1:], last[1:]) == 0.0
+    deep = np.array([[0.03, 0.02, -0.05]])
+    assert stocks.depth_of(stock, Cutter(5e-3, 0.0, 2), deep, deep + np.array([0.01, 0, 0])) == pytest.approx(
+        0.02, abs=1e-6
+    )
