@@ -347,7 +347,7 @@ class CellFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     base_data: dict[str, Frame] = {}
     tool_data: dict[str, Tool] = {}
     config_dat: str | None = None
-    frames: Literal["controller", "model"] = "controller"
+    frames: Literal["controller", "model"] | None = None
     part: Part = Part()
     external_axes: dict[str, ExternalAxis] = {}
     collision: Collision | None = None

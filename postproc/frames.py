@@ -242,6 +242,34 @@ def displace(pose: Array, twist: Array) -> Array:
     return moved_pose
 
 
+def rigid_displacement(points: Array, shift: Array, weight: Array) -> Array:
+    """Return the displacement (4, 4) of a rigid body that fits small shifts of its points best, by least squares.
+
+    A rotation that the points do not determine (one point, or points of a line) is none.
+
+    :param points: (n, 3), and `shift` (n, 3), both in one unit; shifts turn the body by a small angle.
+    :param weight: (n,) of the points.
+
+    >>> corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    >>> turned = np.array([[0.0, 0.0, 0.5], [0.0, 0.001, 0.5], [-0.001, 0.0, 0.5]])
+    >>> rigid_displacement(corners, turned, np.ones(3))[:3, 3].round(6).tolist()
+    [0.0, 0.0, 0.5]
+    """
+    share = weight / weight.sum()
+    centre, mean_shift = share @ points, share @ shift
+    root = np.sqrt(share)[:, None]
+    design = (np.sqrt(share)[:, None, None] * -hat(points - centre)).reshape(-1, 3)
+    angle = np.linalg.lstsq(design, (root * (shift - mean_shift)).ravel(), rcond=_UNDETERMINED)[0]
+    displacement = np.eye(4)
+    displacement[:3, :3] = rotation_from_vector(angle)
+    displacement[:3, 3] = centre + mean_shift - displacement[:3, :3] @ centre
+    return displacement
+
+
+_UNDETERMINED = 1e-3
+"""Spread of points about an axis, over the largest, up to which they do not determine a turn about it."""
+
+
 def interpolate(start_pose: Array, end_pose: Array, t: Array) -> Array:
     """Return poses on the straight run from one pose to another, t in [0, 1]: position linear, orientation
     by one rotation about a fixed axis (how KUKA interpolates LIN with ``$ORI_TYPE=#VAR``).

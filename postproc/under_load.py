@@ -20,7 +20,7 @@ from postproc.chunks import Runs
 from postproc.elastostatics import Compensation, ToolSpring
 from postproc.errors import Issue, PostprocError
 from postproc.forces import ForceSource, PathForces
-from postproc.frames import M_PER_MM, MM_PER_M, Array, norm, product
+from postproc.frames import M_PER_MM, MM_PER_M, Array, inverse, norm, product, rigid_displacement
 from postproc.kinematics import ByWrist, JointPath, UnreachableError
 from postproc.poses import Poses
 from postproc.program import CIRC, PTP, Bools, Ints, Program, read_only
@@ -35,6 +35,8 @@ _MOST_TURNS = 1000
 """An arc with more turns is refused: 1000 turns make a metre of thread."""
 _MOST_REACHES = 10_000
 """A path longer than this many times the reach is refused: it would take two days at 10 m/min."""
+_MOST_CUTS = 2000
+"""Cuts by which the displacement of the arm at rest is fitted: it changes little over a part."""
 _WIDE = 0.1
 """Arcs shorter than this share of the reach are checked only at their ends (assumed)."""
 
@@ -124,10 +126,13 @@ class RobotInCell(Struct, frozen=True, eq=False, dict=True):
 
     :param robot: the robot with the cell's payload.
     :param cell: the cell.
+    :param rest_shift: (4, 4) displacement in the root [m] that was taken out of the model of the arm: what frames that
+        the controller measured contain of it. None: nothing was.
     """
 
     robot: RobotModel
     cell: Cell
+    rest_shift: Array | None = None
 
     @classmethod
     def of(cls, robot: RobotModel, cell: Cell) -> RobotInCell:
@@ -195,6 +200,44 @@ class RobotInCell(Struct, frozen=True, eq=False, dict=True):
         """True if the tool is exactly at the commanded pose without cutting force."""
         robot = self.robot
         return robot.geometry_is_nominal and robot.subtract_reference and self.cell.payload.mass_kg == 0.0
+
+    def in_touched_frames(self, program: Program, segments: Segments) -> RobotInCell:
+        """Return the robot as frames that its controller measured see it: `frames = "controller"` in the cell.
+
+        A tip that touches the part is where the arm has it at rest, and the controller notes where its own geometry has
+        it. So `$BASE` contains the displacement of the arm at rest, as far as that moves the part as a rigid body.
+        This is fitted over the cuts, since the touched points are on the part too, and taken out of the arm. By this
+        the arm leans a milliradian against its weights, which changes its sag by a micrometre.
+
+        :raises ImpossiblePathError: a target is out of reach.
+        """
+        if self.cell.frames != "controller" or self.rest_is_nominal or self.rest_shift is not None:
+            return self
+        cuts, q = self._cut_ends(program, segments)
+        if len(cuts) == 0:
+            return self
+        tool = toolpath.tool_of(program, cuts)
+        nominal_tip = kinematics.tcp(self.robot.nominal, q, tool)[0][:, :3, 3]
+        shift = elastostatics.loaded_tip(self.robot, q, tool, np.zeros((len(q), 6))) - nominal_tip
+        rest_shift = rigid_displacement(nominal_tip, shift, segments.length[cuts])
+        return RobotInCell(self.robot.with_root(inverse(rest_shift)), self.cell, rest_shift)
+
+    def _cut_ends(self, program: Program, segments: Segments) -> tuple[Ints, Array]:
+        """Return cutting motions (n,), of many a part, and the joint angles (n, 6) at their ends [rad].
+
+        :raises ImpossiblePathError: a target is out of reach.
+        """
+        m, motions = program.motions, np.arange(len(program.motions))
+        is_cut = ~m.rapid & (m.kind != PTP) & (segments.length > 0.0)
+        cuts = np.flatnonzero(is_cut)
+        if len(cuts) == 0:
+            return cuts, np.empty((0, 6))
+        try:
+            q = self.follow(program, motions, np.ones(len(motions)), m.target).q
+        except UnreachableError as cause:
+            raise ImpossiblePathError(unreachable(program, np.array(cause.rows))) from None
+        cuts = cuts[:: -(-len(cuts) // _MOST_CUTS)]
+        return cuts, q[cuts]
 
     def tip_compliance(self, tool: Array) -> tuple[float, float]:
         """Return the approximate compliance of a tool (4, 4) at the start: per force [m/N] and per moment [m/(N·m)]."""
@@ -385,6 +428,7 @@ class MotionsUnderLoad(Struct, frozen=True, eq=False):
         check_ends(program, robot_in_cell.robot)
         segments = segments_in_cell(program, robot_in_cell)
         check_arcs(program, robot_in_cell.robot, segments)
+        robot_in_cell = robot_in_cell.in_touched_frames(program, segments)
         path_forces = forces.assign(program, segments, source, robot_in_cell.spindle, robot_in_cell.ramp)
         compliance = robot_in_cell.tip_compliance(program.tools[0])
         swing_places = forces.swing_places(path_forces, compliance, SHARE_OF_TOLERANCE * robot_in_cell.tolerance)

@@ -234,3 +234,20 @@ def test_any_number_of_leading_axes_is_worked_on_pose_by_pose():
             (frames.interpolate(one, other, np.full((2, 3), 0.3)), frames.interpolate(a, b, np.array(0.3))),
         ):
             np.testing.assert_allclose(together[index], alone, rtol=0, atol=1e-12)
+
+
+def test_a_rigid_displacement_is_that_of_its_points_and_no_turn_that_they_do_not_show():
+    rng = np.random.default_rng(12)
+    turn = np.array([3e-4, -5e-4, 2e-4])
+    points, weight = rng.uniform([1.2, -0.1, 0.4], [1.8, 0.5, 1.0], (20, 3)), rng.uniform(0.1, 2.0, 20)
+    shift = np.array([1e-3, -2e-3, 5e-4]) + np.cross(turn, points)
+    found = frames.rigid_displacement(points, shift, weight)
+    assert points @ found[:3, :3].T + found[:3, 3] == pytest.approx(points + shift, abs=1e-6)  # of second order
+    line = np.array([[1.0, 0.0, 0.0], [2.0, 0.0, 0.0], [4.0, 0.0, 0.0]])
+    found = frames.rigid_displacement(line, np.cross(turn, line), np.ones(3))
+    assert frames.rotation_vector(found[:3, :3]) == pytest.approx(turn * [0.0, 1.0, 1.0], abs=1e-9)
+    found = frames.rigid_displacement(line[:1], np.array([[1e-3, 2e-3, 3e-3]]), np.ones(1))
+    assert (found[:3, :3] == np.eye(3)).all()
+    assert found[:3, 3] == pytest.approx([1e-3, 2e-3, 3e-3])
+    heavy = frames.rigid_displacement(line[:2], np.array([[0.0, 0.0, 1e-3], [0.0, 0.0, 3e-3]]), np.array([3.0, 1.0]))
+    assert (heavy @ [1.25, 0.0, 0.0, 1.0])[2] == pytest.approx(1.5e-3, abs=1e-8)  # of the centre by weight

@@ -26,6 +26,9 @@ _SHORT_TOOL = 0.005
 """A tip nearer to the flange [m] is none of a spindle: 0.35 is a length in metres that is read in millimetres."""
 _NEAR_BASE = 0.01
 """A base that is not zero and nearer to the robot root [m] is inside the foot of the arm."""
+_LEAST_REMAINDER = 5e-5
+"""The same [m] of what is left of it where a frame of the controller contains the rest: by other touched points than
+those of the fit, a base is off by twice as much."""
 _LEAST_SHIFT = 1e-4
 """Displacement of the unloaded tip [m] that is asked about, assumed: touching with a robot is no more exact."""
 _OVERLOAD = 2.0
@@ -70,25 +73,36 @@ def setup_questions(program: Program, cell: Cell, robot: RobotModel) -> Iterator
 
 
 def frame_question(program: Program, motion: Ints, shift: Array, causes: Sequence[str], cell: Cell) -> Iterator[Issue]:
-    """Yield a question where the arm at rest is not where its controller has it, if the controller measured the frames.
+    """Yield a question where frames may not hold for the arm at rest, unless the cell says that they do.
 
     A `$BASE` that is measured by touching the part contains the displacement of the tip there. By a correction that
     takes the frame for exact, the part would be off by as much.
 
     :param motion: (K,) motion of each target.
-    :param shift: (K,) distance of the unloaded tip from its nominal place [m].
+    :param shift: (K,) distance of the unloaded tip from its nominal place [m], without what frames of the controller
+        contain where the cell says that it measured them.
     :param causes: of that distance, in words.
     """
     is_cut = ~np.asarray(program.motions.rapid)[motion]
     largest_shift = float(shift.max(initial=0.0, where=is_cut))
-    if cell.frames == "controller" and largest_shift > _LEAST_SHIFT:
+    limit = _LEAST_REMAINDER if cell.frames == "controller" else _LEAST_SHIFT
+    if cell.frames == "model" or largest_shift <= limit:
+        return
+    cause, distance = " and ".join(causes), f"{largest_shift * MM_PER_M:.2g} mm"
+    if cell.frames == "controller":
         message = (
-            f"without a force the tip is up to {largest_shift * MM_PER_M:.2g} mm from where the controller has it, by "
-            f"{' and '.join(causes)}. A $BASE that this controller measured contains that, and the correction would "
-            'move the part by it. Write frames = "model" at the top of the cell, and correct its frames by '
-            "postproc check frames"
+            f"the tip without a force is displaced by {cause}, and not alike over the cuts: away from the touched "
+            f"points a $BASE that the controller measured is off by some {distance}. To take that out, write "
+            'frames = "model" in the cell, and correct its frames by postproc check frames'
         )
-        yield Issue("warning", "frames-at-rest", message)
+    else:
+        message = (
+            f"without a force the tip is up to {distance} from where the controller has it, by {cause}. A $BASE that "
+            "this controller measured contains that, and the correction would move the part by it. Write at the top of "
+            'the cell: frames = "controller" if the controller measured [base] with this arm, on the part or near it; '
+            'frames = "model" if [base] is of a laser tracker or of postproc check frames'
+        )
+    yield Issue("warning", "frames-at-rest", message)
 
 
 def short_tool(tool: Array, table: str) -> str:

@@ -260,7 +260,7 @@ def result_of(task: Task, draft: Draft, corrected_draft: Draft) -> Result:
     reversals = _reversals(corrected_draft)
     cut_length = draft.cut_lengths()
     bound, errors, error_issues = _expected_errors(task, corrected_draft, deviation, reversals, cut_length)
-    q, causes_at_rest = draft.q[row], _causes_at_rest(path.robot_in_cell)
+    q, causes_at_rest = draft.q[row], _causes_at_rest(task.robot, path.robot_in_cell.cell)
     questions: list[Issue] = []
     if causes_at_rest and task.mode != "nominal":
         shift, cell = norm(deviation - deflection), path.robot_in_cell.cell
@@ -340,13 +340,12 @@ def _uncorrected_at_targets(task: Task, draft: Draft) -> tuple[Array, Array, Arr
     return target_deviation, deflection, by_tool if by_tool is None else by_tool[row], largest
 
 
-def _causes_at_rest(robot_in_cell: RobotInCell) -> tuple[str, ...]:
+def _causes_at_rest(robot: RobotModel, cell: Cell) -> tuple[str, ...]:
     """Return the causes of deviation from nominal without a force, in words."""
-    robot = robot_in_cell.robot
     return tuple(
         cause
         for cause, is_present in (
-            ("the payload", robot_in_cell.cell.payload.mass_kg > 0.0),
+            ("the payload", cell.payload.mass_kg > 0.0),
             ("the calibrated geometry", not robot.geometry_is_nominal),
             ("the weight of the arm", robot.has_weight and not robot.subtract_reference),
         )

@@ -355,6 +355,7 @@ def _text(
 #:schema {schema_file("cell").as_uri()}
 # Cell file of postproc: mm, degrees, N. docs/reference describes every key; what follows # is optional.
 robot = {toml_string(place)}    # {robot.title}
+frames = "controller"            # it measured [base] and [tool] with this arm; "model": a laser tracker did
 {_config_line(config)}
 
 [base]                           # $BASE in the robot root: where the part lies

@@ -141,7 +141,7 @@ def check_frames(path: Path, cell_file: Path, sigma_mm: float) -> FrameCheck:
     nominal_point = touches.point @ base[:3, :3].T + base[:3, 3]
     check = judge(touches, flange[:, :3, :3], nominal_point, tip, sigma_mm * M_PER_MM)
     new_frames = dict(_frames_by_points(check, tool, base, nominal_point.mean(axis=0)))
-    return replace(check, new_frames=new_frames, arm=cell.frames)
+    return replace(check, new_frames=new_frames, arm=cell.frames or "controller")
 
 
 def _frames_by_points(check: FrameCheck, tool: Array, base: Array, centre: Array) -> Iterator[tuple[str, Array]]:

@@ -227,7 +227,7 @@ def _tolerance_answer(result: Result, content: Summary, other_remedies: Sequence
 
 
 _UNKNOWN = "whether [part] tolerance_mm is held is unknown: the robot model states no uncertainty of its parameters"
-_UNKNOWN_FRAMES = "whether [part] tolerance_mm is held is unknown: the frames may be those of an arm without errors"
+_UNKNOWN_FRAMES = "whether [part] tolerance_mm is held is unknown: the frames may not hold for this arm"
 _GAIN = 0.95
 """A remedy is named if the expected error is below this share of today's with it (assumed)."""
 

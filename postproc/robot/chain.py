@@ -45,6 +45,10 @@ class Chain(Struct, frozen=True, eq=False):
         """Number of coordinates."""
         return len(self.axis)
 
+    def with_root(self, root: Array) -> Chain:
+        """Return the chain displaced by (4, 4) in its root [m]."""
+        return replace(self, placement=np.concatenate([(root @ self.placement[0])[None], self.placement[1:]]))
+
     def with_payload(self, mass: float, centre: Array) -> Chain:
         """Return the chain with a further mass on its last link; its centre (3,) is given in the flange frame."""
         return self.with_mass(-1, mass, self.flange[:3, :3] @ centre + self.flange[:3, 3])

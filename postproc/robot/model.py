@@ -514,6 +514,12 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
             with_payload = actual if with_payload is bare else with_payload.with_mass(row, difference, centre)
         return replace(self, nominal=nominal, actual=actual, loaded=with_payload)
 
+    def with_root(self, root: Array) -> RobotModel:
+        """Return the model whose real arm, not that of the controller, stands displaced by (4, 4) in its root [m]."""
+        actual = self.actual.with_root(root)
+        loaded = actual if self.loaded is self.actual else self.loaded.with_root(root)
+        return replace(self, actual=actual, loaded=loaded)
+
     def with_payload(self, mass: float, centre: Array) -> RobotModel:
         """Return the model carrying a further payload.
 

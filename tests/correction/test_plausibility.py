@@ -255,9 +255,9 @@ def test_a_longer_tool_in_a_base_without_cuts_raises_no_question():
 
 
 @pytest.mark.parametrize(("frames", "mass_kg", "mode", "is_asked"), [
-    ("controller", 90.0, "convert", True), ("controller", 90.0, "predict", True),
-    ("controller", 90.0, "nominal", False), ("model", 90.0, "convert", False),
-    ("controller", 5.0, "convert", False), ("controller", 0.0, "convert", False),
+    (None, 90.0, "convert", True), (None, 90.0, "predict", True), (None, 90.0, "nominal", False),
+    (None, 5.0, "convert", False), (None, 0.0, "convert", False), ("model", 90.0, "convert", False),
+    ("controller", 90.0, "convert", False), ("controller", 90.0, "predict", False),
 ])  # fmt: skip
 def test_frames_that_the_controller_measured_on_an_arm_that_sags_are_asked_about(frames, mass_kg, mode, is_asked):
     """A $BASE that is touched with the sagging arm contains the sag: the correction would move the part by it."""

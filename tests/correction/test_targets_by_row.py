@@ -193,7 +193,7 @@ def test_causes_of_deviation_at_rest_are_those_that_act(rigid, mass):
     expected = ["the payload"] * bool(mass)
     expected += [] if rigid else ["the calibrated geometry"]
     expected += ["the weight of the arm"] if not rigid and not mass else []
-    assert list(_causes_at_rest(SimpleNamespace(robot=robot, cell=cell))) == expected
+    assert list(_causes_at_rest(robot, cell)) == expected
 
 
 @pytest.mark.parametrize("linearize_arcs", [False, True])
