@@ -380,7 +380,7 @@ def choose(robot: RobotModel, data: Measurements, placement: Placement) -> Choic
 
     :raises PostprocError: not even joint springs can be fitted.
     """
-    # weights and compensator may act on the gears like a load: only so if the geometry is that of a weightless robot
+    # if the geometry is a weightless robot's, weights and compensator act on the gears like a load: nothing to choose
     has_gravity_torque = robot.subtract_reference and (robot.has_weight or robot.compensator is not None)
     solutions: list[_CandidateEquations] = []
     for in_gears in (False, True) if has_gravity_torque else (False,):

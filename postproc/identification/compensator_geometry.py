@@ -52,9 +52,9 @@ _WORTH = 0.8
 
 
 def pivot_doubt(measured: Compensator | None, stated: Compensator | None) -> str:
-    """Return, as a clause, how far P0 is from where the robot model has it, and what to check; empty if it is near.
+    """Return a clause for a message if P0 is far from its place in the robot model, with what to check; else "".
 
-    :param measured: with the geometry of the markers.
+    :param measured: with the geometry identified from the markers; None: not measured.
     :param stated: of the robot model; None: it has none.
     """
     if measured is None or stated is None:
@@ -64,11 +64,15 @@ def pivot_doubt(measured: Compensator | None, stated: Compensator | None) -> str
     )
     if distance <= _FAR_PIVOT:
         return ""
-    places = [f"({law.ax * MM_PER_M:.0f}, {law.ay * MM_PER_M:.0f}) mm" for law in (measured, stated)]
+    measured_text, stated_text = (
+        f"({law.ax * MM_PER_M:.0f}, {law.ay * MM_PER_M:.0f}) mm" for law in (measured, stated)
+    )
     check = "the zero of q2 and the names of the markers"
     if mirrored_distance < 0.5 * distance:
         check = "the sign of q2 (KUKA: A2 is negative where link 2 points up)"
-    return f"the compensator's P0 comes out at {places[0]}, and the robot model has it at {places[1]}: check {check}"
+    return (
+        f"the compensator's P0 comes out at {measured_text}, and the robot model has it at {stated_text}: check {check}"
+    )
 
 
 class MarkerReadings(Struct, frozen=True, eq=False):
@@ -148,14 +152,15 @@ class CompensatorGeometry(Struct, frozen=True, eq=False):
 
 
 def joint_axis_radius(q2: Array, p1: Array) -> tuple[Array, Array, Array]:
-    """Return L (...) by Eq. (6), the axes R of the mechanism in the tracker frame (..., 3, 3), and P2 (..., 3) [m].
+    """Return the circle of P1 about joint axis 2: L (...) [m], axes (..., 3, 3) and centre P2 (..., 3) [m].
 
-    As printed, with the transpose that is missing there: the SVD is of Σ û p̂ᵀ. R is made right-handed.
+    By Eq. (6) of Klimchik et al., with a transpose that is missing in print: the SVD is of Σ û p̂ᵀ. The axes of the
+    mechanism, x towards P1 at q2 = 0 and y towards P1 at +90°, are columns in the tracker frame, right-handed.
 
-    :param q2: (m,) [rad].
-    :param p1: (..., m, 3) [m].
+    :param q2: (m,) angles of joint 2 [rad].
+    :param p1: (..., m, 3) positions of P1 in the tracker frame [m].
     """
-    u = _unit(q2)
+    u = _unit_vectors(q2)
     mean = p1.mean(axis=-2)
     u_hat, p_hat = u - u.mean(axis=0), p1 - mean[..., None, :]
     left, _, right = np.linalg.svd(u_hat.T @ p_hat)
@@ -168,13 +173,12 @@ def joint_axis_radius(q2: Array, p1: Array) -> tuple[Array, Array, Array]:
 
 
 def swivel_axis(p0: Array) -> tuple[Array, Array]:
-    """Return the point P0 (..., 3) [m] about which the markers turn, by Eq. (7), and the normal n (..., 3) of their
-    plane.
+    """Return the point P0 (..., 3) [m] about which the markers turn, and the unit normal (..., 3) of their planes.
 
-    Three corrections of print: ŝ subtracts the mean of pᵀp; the last term takes p itself, not p̂; and the inverse is
-    the pseudo-inverse of rank 2, because the points lie in planes.
+    By Eq. (7) of Klimchik et al., with three corrections of print: ŝ subtracts the mean of pᵀp; the last term takes p
+    itself, not p̂; and the inverse is the pseudo-inverse of rank 2, because the points lie in planes.
 
-    :param p0: (..., k, m, 3) k markers at m angles [m].
+    :param p0: (..., k, m, 3) positions of k markers at m angles in the tracker frame [m].
     :raises MeasurementError: the markers moved along a straight line.
     """
     origin = p0.mean(axis=(-3, -2))  # Eq. (7) does not depend on the origin; near the points it loses no digits
@@ -196,11 +200,13 @@ def swivel_axis(p0: Array) -> tuple[Array, Array]:
 
 
 def geometry(q2: Array, p1: Array, p0: Array) -> Array:
-    """Return (..., 3) L, a_x, a_y [m] of Eq. (3) from mean positions; see the module for the axes.
+    """Return (..., 3) L, a_x, a_y [m] of Eq. (3) of Klimchik et al. from mean positions of the markers.
 
-    :param q2: (m,) [rad].
-    :param p1: (..., m, 3) [m].
-    :param p0: (..., k, m, 3) [m].
+    P0 is at (−a_x, −a_y) from P2, in axes with x towards P1 at q2 = 0 and y towards P1 at q2 = +90°.
+
+    :param q2: (m,) angles of joint 2, KUKA sign [rad].
+    :param p1: (..., m, 3) positions of P1 in the tracker frame [m].
+    :param p0: (..., k, m, 3) positions of the k markers on the compensator [m].
 
     >>> angle = np.radians([0.0, -50.0, -100.0, -140.0])
     >>> circle = np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
@@ -223,14 +229,17 @@ def mechanism(value: Array, q2: Array, radius: Array, angle: Array) -> tuple[Arr
     :param radius: (k,) of the markers about P0 [m].
     :param angle: (k,) of the markers from the line P0 → P1, positive as q2 [rad].
     """
-    p1, pivot = value[0] * _unit(q2), np.array([-value[1], -value[2], 0.0])
-    return p1, pivot + radius[:, None, None] * _unit(spring_direction(value, q2) + angle[:, None])
+    p1, pivot = value[0] * _unit_vectors(q2), np.array([-value[1], -value[2], 0.0])
+    return p1, pivot + radius[:, None, None] * _unit_vectors(spring_direction(value, q2) + angle[:, None])
 
 
 def spring_direction(value: Array, q2: Array) -> Array:
-    """Return the angle (m,) [rad] of the line P0 → P1 from the x axis of the mechanism, at angles q2 (m,) [rad]."""
-    angle = np.arctan2(value[0] * np.sin(q2) + value[2], value[0] * np.cos(q2) + value[1])
-    return np.asarray(np.unwrap(angle))
+    """Return the angle (m,) [rad] of the line P0 → P1 from the x axis of the mechanism, at angles q2 (m,) [rad].
+
+    :param value: (3,) L, a_x, a_y [m].
+    """
+    length, ax, ay = value
+    return np.asarray(np.unwrap(np.arctan2(length * np.sin(q2) + ay, length * np.cos(q2) + ax)))
 
 
 def noise_covariance(q2: Array, p1: Array, p0: Array, variance_p1: Array, variance_p0: Array) -> Array:
@@ -242,17 +251,18 @@ def noise_covariance(q2: Array, p1: Array, p0: Array, variance_p1: Array, varian
     :param p1: (m, 3) measured positions of marker P1 on link 2 [m]; variance_p1: (m,) of each coordinate [m²].
     :param p0: (k, m, 3) measured positions of the k markers on the compensator [m]; variance_p0: (k, m) likewise.
     """
-    m, k, step = len(q2), len(p0), 1e-5
-    data = np.concatenate([p1.ravel(), p0.ravel()])
+    m, k, step = len(q2), len(p0), 1e-5  # a step [m] far above rounding, far below the lengths of the mechanism
+    coordinates = np.concatenate([p1.ravel(), p0.ravel()])
     variance = np.repeat(np.concatenate([variance_p1.ravel(), variance_p0.ravel()]), 3)
-    variations = data + step * np.concatenate([np.eye(len(data)), -np.eye(len(data))])
+    n = len(coordinates)
+    variations = coordinates + step * np.concatenate([np.eye(n), -np.eye(n)])
     results = geometry(q2, variations[:, : 3 * m].reshape(-1, m, 3), variations[:, 3 * m :].reshape(-1, k, m, 3))
-    sensitivity = (results[: len(data)] - results[len(data) :]) / (2.0 * step)
+    sensitivity = (results[:n] - results[n:]) / (2.0 * step)
     return np.asarray((sensitivity.T * variance) @ sensitivity)
 
 
 def pivot_bias(p0: Array, variance: Array) -> Array:
-    """Return the bias (3,) [m] of P0 by Eq. (7): the mean of its error, to second order in the noise.
+    """Return the bias (3,) [m] of P0 by Eq. (7) of Klimchik et al.: its mean error, to second order in the noise.
 
     The square of the noise of a point enters ŝ p̂ᵀ along its radius r. With M = Σ p̂ p̂ᵀ the bias is
 
@@ -260,11 +270,11 @@ def pivot_bias(p0: Array, variance: Array) -> Array:
 
     Its largest part is σ²(m − 1) M⁻¹ Σ_j R_j (cos β_j, sin β_j): hence the paper's condition on the markers.
 
-    :param p0: (k, m, 3) [m].
+    :param p0: (k, m, 3) positions of k markers at m angles in the tracker frame [m].
     :param variance: (k, m) of one coordinate [m²].
     """
     centre, normal = swivel_axis(p0)
-    _, _, axes = np.linalg.svd(normal[None])
+    _, _, axes = np.linalg.svd(normal[None])  # rows: the normal, and two axes in the plane
     r = (p0 - centre) @ axes[1:].T
     p_hat = r - r.mean(axis=1, keepdims=True)
     inverse = np.linalg.inv(np.einsum("kmi,kmj->ij", p_hat, p_hat))
@@ -275,17 +285,17 @@ def pivot_bias(p0: Array, variance: Array) -> Array:
 
 
 def even_angles(count: int) -> Array:
-    """Return the angles β (count,) [rad] around P0 that determine it best.
+    """Return the angles β (count,) [rad] of markers around P0 that determine it best.
 
-    From three markers on evenly around: Σ cos β = Σ sin β = 0 (no bias) and Σ cos 2β = Σ sin 2β = 0 (all directions
-    determined alike), so four are the paper's two opposite pairs, a quarter turn apart. Two markers cannot do both;
-    opposite ones do not determine the direction of their line, so they are a quarter turn apart.
+    Three markers or more are spread evenly: then Σ cos β = Σ sin β = 0, so that there is no bias, and
+    Σ cos 2β = Σ sin 2β = 0, so that all directions are determined equally well. Two markers cannot satisfy both. They
+    are a quarter turn apart: opposite ones would not determine P0 along their line.
     """
     return np.asarray(np.arange(count) * (np.pi / 2.0 if count < 3 else 2.0 * np.pi / count), dtype=np.float64)
 
 
 def expected_covariance(value: Array, q2: Array, radius: Array, angle: Array, variance: float) -> Array:
-    """Return the covariance (3, 3) of L, a_x, a_y [m²] to be expected of readings, bias of Eq. (7) included.
+    """Return the covariance (3, 3) of L, a_x, a_y [m²] that planned readings will give, with the square of the bias.
 
     :param value: (3,) L, a_x, a_y [m].
     :param q2: (m,) angles to be measured at [rad].
@@ -299,15 +309,18 @@ def expected_covariance(value: Array, q2: Array, radius: Array, angle: Array, va
 
 
 def degrees_of_freedom(angles: int, markers: int) -> int:
-    """Return the degrees of freedom of the residuals of the two circle fits.
+    """Return the degrees of freedom of the residuals of the two circle fits: coordinates minus unknowns.
 
-    Unknowns: 7 of the circle of P1; radius and height of each marker, and together centre (2) and tilt (2).
+    The circle of P1 has 3 coordinates at each angle and 7 unknowns. Each other marker has 2 coordinates at each angle
+    and 2 unknowns, radius and height; all together have 4 more, centre (2) and tilt (2).
+
+    :param angles: number of angles q2; `markers` number of markers on the compensator.
     """
     return (3 * angles - 7) + (2 * markers * angles - 2 * markers - 4)
 
 
 def student_95(dof: int) -> float:
-    """Return the 97.5 % quantile of Student's t."""
+    """Return the 97.5 % quantile of Student's t: half a 95 % interval, in standard deviations estimated with `dof`."""
     from scipy.special import stdtrit
 
     return float(stdtrit(dof, 0.975))
@@ -316,24 +329,25 @@ def student_95(dof: int) -> float:
 def identify(readings: MarkerReadings) -> CompensatorGeometry:
     """Identify L, a_x, a_y with 95 % intervals.
 
-    The noise comes from the scatter of the repeats and from the residuals of the two fits; the intervals from the
-    sensitivity of the estimate to every coordinate, the bias of Eq. (7) and Student's t.
+    The noise comes from the scatter of the repeats and from the residuals of the two circle fits; the intervals from
+    the sensitivity of the estimate to every coordinate, its bias and Student's t.
 
     :raises MeasurementError: the readings do not belong to one such mechanism.
     """
     q2, p1, p0 = readings.q2, readings.p1, readings.p0
     value = geometry(q2, p1, p0)
-    left_p1, left_p0 = _residuals(readings)
-    _refuse_impossible(readings, left_p1, left_p0)
+    residual_p1, residual_p0 = _circle_residuals(readings)
+    _refuse_wrong_markers(readings, residual_p1, residual_p0)
     _refuse_size(value * MM_PER_M)
     dof = readings.scatter_dof + degrees_of_freedom(len(q2), len(p0))
     squares = readings.scatter + float(
-        np.sum(readings.count_p1[:, None] * left_p1**2) + np.sum(readings.count_p0[..., None] * left_p0**2)
+        np.sum(readings.count_p1[:, None] * residual_p1**2) + np.sum(readings.count_p0[..., None] * residual_p0**2)
     )
     sigma = float(np.sqrt(squares / dof))
-    if np.hypot(value[1], value[2]) <= value[0]:
+    pivot_distance = np.hypot(value[1], value[2])
+    if pivot_distance <= value[0]:
         raise MeasurementError(
-            f"P0 comes out {np.hypot(value[1], value[2]) * MM_PER_M:.1f} mm from P2, inside the circle of P1 "
+            f"P0 comes out {pivot_distance * MM_PER_M:.1f} mm from P2, inside the circle of P1 "
             f"({value[0] * MM_PER_M:.1f} mm)",
             advice="Check the sign of q2 (KUKA: negative upwards), and that the markers P01… sit on the compensator.",
         )
@@ -341,15 +355,16 @@ def identify(readings: MarkerReadings) -> CompensatorGeometry:
     _, axes, _ = joint_axis_radius(q2, p1)
     bias = np.concatenate([[0.0], -(axes.T @ pivot_bias(p0, variance))[:2]])
     covariance = noise_covariance(q2, p1, p0, sigma**2 / readings.count_p1, variance) + np.outer(bias, bias)
-    reach = student_95(dof)
-    ci95 = reach * np.sqrt(np.diag(covariance))
-    radius, angle = _polar(value, readings, axes)
-    even_markers = np.full(len(p0), radius.mean()), even_angles(len(p0)) + float(angle[0])
-    even_covariance = expected_covariance(value, q2, *even_markers, sigma**2 / float(readings.count_p0.mean()))
-    markers = MarkerPlacement(readings.markers, radius, angle, bias, reach * np.sqrt(np.diag(even_covariance)))
+    t_factor = student_95(dof)
+    ci95 = t_factor * np.sqrt(np.diag(covariance))
+    radius, angle = _polar_coordinates(value, readings, axes)
+    even_radius, even_angle = np.full(len(p0), radius.mean()), even_angles(len(p0)) + float(angle[0])
+    mean_variance = sigma**2 / float(readings.count_p0.mean())
+    even_covariance = expected_covariance(value, q2, even_radius, even_angle, mean_variance)
+    markers = MarkerPlacement(readings.markers, radius, angle, bias, t_factor * np.sqrt(np.diag(even_covariance)))
     turn = float(np.ptp(spring_direction(value, q2)))
     warnings = list(readings.warnings)
-    if np.any(ci95 > _WIDE * np.hypot(value[1], value[2])):
+    if np.any(ci95 > _WIDE * pivot_distance):
         warnings.append(
             f"a_x ± {ci95[1] * MM_PER_M:.1f} mm, a_y ± {ci95[2] * MM_PER_M:.1f} mm: the compensator turned by only "
             f"{turn * DEG_PER_RAD:.1f}°. {_remedy(markers, ci95)}"
@@ -368,71 +383,88 @@ def _remedy(markers: MarkerPlacement, ci95: Array) -> str:
     )
 
 
-def _polar(value: Array, readings: MarkerReadings, axes: Array) -> tuple[Array, Array]:
-    """Return radius (k,) [m] and angle β (k,) [rad] of the markers about P0, from the line P0 → P1."""
+def _polar_coordinates(value: Array, readings: MarkerReadings, axes: Array) -> tuple[Array, Array]:
+    """Return radius (k,) [m] and angle β (k,) [rad] of the markers about P0, from the line P0 → P1.
+
+    :param value: (3,) L, a_x, a_y [m].
+    :param axes: (3, 3) of the mechanism as columns in the tracker frame.
+    """
     centre, _ = swivel_axis(readings.p0)
-    plane = (readings.p0 - centre) @ axes[:, :2]
-    body = plane @ np.array([1.0, 1.0j]) * np.exp(-1.0j * spring_direction(value, readings.q2))
-    mean = body.mean(axis=1)
-    return np.abs(mean), np.angle(mean)
+    offset = (readings.p0 - centre) @ axes[:, :2]  # (k, m, 2) in the plane of the mechanism
+    # as complex numbers: turned back by the angle of the spring, a marker is at one place at all angles of joint 2
+    body_offset = offset @ np.array([1.0, 1.0j]) * np.exp(-1.0j * spring_direction(value, readings.q2))
+    mean_offset = body_offset.mean(axis=1)
+    return np.abs(mean_offset), np.angle(mean_offset)
 
 
-def _unit(angle: Array) -> Array:
+def _unit_vectors(angle: Array) -> Array:
+    """Return the unit vectors (…, 3) in the xy plane at angles (…) from x [rad]."""
     return np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=-1)
 
 
-def _residuals(readings: MarkerReadings) -> tuple[Array, Array]:
-    """Return the residuals of the fits: of P1 (m, 3); of the other markers (k, m, 2), radial and along the normal
-    [m].
-    """
+def _circle_residuals(readings: MarkerReadings) -> tuple[Array, Array]:
+    """Return the residuals of the circle fits [m]: of P1 (m, 3); of other markers (k, m, 2), radial and axial."""
     length, axes, centre_p2 = joint_axis_radius(readings.q2, readings.p1)
-    left_p1 = readings.p1 - centre_p2 - length * _unit(readings.q2) @ axes.T
+    residual_p1 = readings.p1 - centre_p2 - length * _unit_vectors(readings.q2) @ axes.T
     centre_p0, normal = swivel_axis(readings.p0)
     height = (readings.p0 - centre_p0) @ normal
     radius = np.linalg.norm((readings.p0 - centre_p0) - height[..., None] * normal, axis=2)
-    return left_p1, np.stack(
+    return residual_p1, np.stack(
         [radius - radius.mean(axis=1, keepdims=True), height - height.mean(axis=1, keepdims=True)], axis=2
     )
 
 
-def _refuse_impossible(readings: MarkerReadings, left_p1: Array, left_p0: Array) -> None:
-    """Check residuals of the marker circles [m] and the distances of the markers.
+def _refuse_wrong_markers(readings: MarkerReadings, residual_p1: Array, residual_p0: Array) -> None:
+    """Refuse readings in which a marker has a wrong name or place.
 
-    :raises MeasurementError: names are swapped, or a marker is off its circle.
+    :param residual_p1: (m, 3) of the circle of P1, and `residual_p0` (k, m, 2) of those of the other markers [m].
+    :raises MeasurementError: markers on the compensator change their distances, or a marker is off its circle.
     """
-    if len(readings.markers) > 2:  # the markers sit on one rigid body: their distances do not change
-        distances = np.linalg.norm(readings.p0[:, None] - readings.p0[None], axis=3)
-        median_distances = np.median(distances, axis=2)
-        change = np.abs(distances - median_distances[..., None]).max(axis=(0, 1))
-        angle = int(np.argmax(change))
-        if change[angle] > _IMPOSSIBLE:
-            at_angle = distances[:, :, angle]
-            k = len(readings.markers)
-            swaps = [_swapped_order(k, i, j) for i in range(k) for j in range(i)]
-            swap_errors = [float(np.abs(at_angle[np.ix_(order, order)] - median_distances).max()) for order in swaps]
-            best = int(np.argmin(swap_errors))
-            names = [readings.markers[i] for i in range(k) if swaps[best][i] != i]
-            advice = "Measure this angle again."
-            if swap_errors[best] < _IMPOSSIBLE:
-                advice = f"The names of {' and '.join(names)} are swapped there: correct the file."
-            raise MeasurementError(
-                f"at q2 = {readings.q2[angle] * DEG_PER_RAD:g}° the markers do not keep their distances "
-                f"({change[angle] * MM_PER_M:.1f} mm)",
-                advice=advice,
-            )
-    sizes = [np.linalg.norm(left_p1, axis=1), *np.linalg.norm(left_p0, axis=2)]
-    worst = int(np.argmax([size.max() for size in sizes]))
-    if sizes[worst].max() > _IMPOSSIBLE:
+    _refuse_changed_distances(readings)
+    deviations = [np.linalg.norm(residual_p1, axis=1), *np.linalg.norm(residual_p0, axis=2)]
+    worst = int(np.argmax([deviation.max() for deviation in deviations]))
+    if deviations[worst].max() > _IMPOSSIBLE:
         name = (P1, *readings.markers)[worst]
-        angle = readings.q2[np.argmax(sizes[worst])] * DEG_PER_RAD
+        angle = readings.q2[np.argmax(deviations[worst])] * DEG_PER_RAD
         raise MeasurementError(
-            f"marker {name} is up to {sizes[worst].max() * MM_PER_M:.1f} mm off its circle (at q2 = {angle:g}°)",
+            f"marker {name} is up to {deviations[worst].max() * MM_PER_M:.1f} mm off its circle (at q2 = {angle:g}°)",
             advice="Check for swapped marker names, a wrong q2, a tracker that was moved, or lengths that are not mm.",
         )
 
 
+def _refuse_changed_distances(readings: MarkerReadings) -> None:
+    """Refuse readings in which the distances of the markers on the compensator, a rigid body, change with the angle.
+
+    Two markers are not checked: which of them is wrong would not be known.
+
+    :raises MeasurementError: they change; the message names two markers if their names are swapped.
+    """
+    k = len(readings.markers)
+    if k < 3:
+        return
+    distances = np.linalg.norm(readings.p0[:, None] - readings.p0[None], axis=3)
+    median_distances = np.median(distances, axis=2)
+    change = np.abs(distances - median_distances[..., None]).max(axis=(0, 1))
+    worst = int(np.argmax(change))
+    if change[worst] <= _IMPOSSIBLE:
+        return
+    wrong_distances = distances[:, :, worst]
+    orders = [_swapped_order(k, i, j) for i in range(k) for j in range(i)]
+    order_errors = [float(np.abs(wrong_distances[np.ix_(order, order)] - median_distances).max()) for order in orders]
+    best = int(np.argmin(order_errors))
+    names = [readings.markers[i] for i in range(k) if orders[best][i] != i]
+    advice = "Measure this angle again."
+    if order_errors[best] < _IMPOSSIBLE:
+        advice = f"The names of {' and '.join(names)} are swapped there: correct the file."
+    raise MeasurementError(
+        f"at q2 = {readings.q2[worst] * DEG_PER_RAD:g}° the markers do not keep their distances "
+        f"({change[worst] * MM_PER_M:.1f} mm)",
+        advice=advice,
+    )
+
+
 def _refuse_size(value: Array) -> None:
-    """Refuse L, a_x, a_y (3,) [mm] that `load` does not take.
+    """Refuse L, a_x, a_y (3,) [mm] that `load` does not accept.
 
     :raises MeasurementError: no robot has a compensator of this size.
     """
@@ -472,7 +504,9 @@ def read(path: Path) -> MarkerReadings:
         )
     marker = np.array(texts["marker"])
     groups = {
-        (n, a): np.flatnonzero((marker == n) & (numbers["q2"] == a)) for n in (P1, *on_compensator) for a in angles
+        (name, angle): np.flatnonzero((marker == name) & (numbers["q2"] == angle))
+        for name in (P1, *on_compensator)
+        for angle in angles
     }
     _check_repeats(groups, numbers["repeat"], lines, file_name)
     groups, warnings = _remove_outliers(groups, position, lines)
@@ -482,10 +516,10 @@ def read(path: Path) -> MarkerReadings:
     return MarkerReadings(
         q2=angles * RAD_PER_DEG,
         markers=on_compensator,
-        p1=np.array([mean[P1, a] for a in angles]),
-        p0=np.array([[mean[n, a] for a in angles] for n in on_compensator]),
-        count_p1=np.array([float(len(groups[P1, a])) for a in angles]),
-        count_p0=np.array([[float(len(groups[n, a])) for a in angles] for n in on_compensator]),
+        p1=np.array([mean[P1, angle] for angle in angles]),
+        p0=np.array([[mean[name, angle] for angle in angles] for name in on_compensator]),
+        count_p1=np.array([float(len(groups[P1, angle])) for angle in angles]),
+        count_p0=np.array([[float(len(groups[name, angle])) for angle in angles] for name in on_compensator]),
         scatter=scatter,
         scatter_dof=dof,
         warnings=warnings,
@@ -536,9 +570,10 @@ def _check_repeats(groups: _Groups, repeat: Array, lines: Array, file_name: str)
 
 
 def _check_angles(angles: Array, file_name: str) -> None:
-    """Check that q2 [deg] is in degrees and covers an arc.
+    """Check that the angles q2 are in degrees, and that they are enough for a circle.
 
-    :raises MeasurementError: it does not.
+    :param angles: (m,) different angles of the file [deg].
+    :raises MeasurementError: they look like radians, are fewer than three, or cover less than `_SMALL_TURN`.
     """
     if len(angles) >= 3 and np.abs(angles).max() <= 2.0 * np.pi:
         raise MeasurementError(
@@ -555,20 +590,29 @@ def _check_angles(angles: Array, file_name: str) -> None:
 
 
 def _remove_outliers(groups: _Groups, position: Array, lines: Array) -> tuple[_Groups, tuple[str, ...]]:
-    """Leave out readings that are far from the other repeats of the same point (three or more repeats)."""
-    deviation = {key: position[rows] - np.median(position[rows], axis=0) for key, rows in groups.items()}
-    sizes = np.abs(np.concatenate([d.ravel() for key, d in deviation.items() if len(d) >= 3] or [np.zeros(0)]))
-    # of three repeats one is the median itself: the median of |deviation| over the other two, normal noise
+    """Return the groups without readings that are far from the other repeats, and a warning for each of these.
+
+    Groups of fewer than three repeats are kept, and those in which half of the readings or more would be removed.
+
+    :param groups: (marker, q2 [deg]) → rows of its repeats.
+    :param position: (n, 3) of all readings [m], `lines` (n,) their lines.
+    """
+    deviation_by_group = {key: position[rows] - np.median(position[rows], axis=0) for key, rows in groups.items()}
+    deviations = [deviation.ravel() for deviation in deviation_by_group.values() if len(deviation) >= 3]
+    sizes = np.abs(np.concatenate(deviations or [np.zeros(0)]))
+    # of three repeats one is the median itself; 0.9 σ is the median of |deviation| of the others, for normal noise
     scale = float(np.median(sizes[sizes > 0.0]) / 0.9) if np.any(sizes > 0.0) else 0.0
     good_groups: _Groups = {}
     warnings: list[str] = []
     for key, rows in groups.items():
-        distances = np.linalg.norm(deviation[key], axis=1)
+        name, angle = key
+        distances = np.linalg.norm(deviation_by_group[key], axis=1)
+        # 1.5: distances in space are larger than coordinates; 1 µm: the resolution of trackers
         is_within_limit = distances <= max(_OUTLIER * 1.5 * scale, 1e-6)
         if len(rows) >= 3 and 0 < np.count_nonzero(~is_within_limit) < 0.5 * len(rows):
             good_groups[key] = rows[is_within_limit]
             warnings += [
-                f"line {int(lines[row])}: marker {key[0]} at q2 = {key[1]:g}° is {distance * MM_PER_M:.2f} mm from its "
+                f"line {int(lines[row])}: marker {name} at q2 = {angle:g}° is {distance * MM_PER_M:.2f} mm from its "
                 "other repeats: left out"
                 for row, distance in zip(rows[~is_within_limit], distances[~is_within_limit], strict=True)
             ]
@@ -580,7 +624,7 @@ def _remove_outliers(groups: _Groups, position: Array, lines: Array) -> tuple[_G
 def as_data(result: CompensatorGeometry, source: str) -> dict[str, object]:
     """Return the content of the result's file [mm, deg].
 
-    :param source: where the readings came from.
+    :param source: origin of the readings.
     """
     markers = result.markers
     sums = markers.sums * MM_PER_M
@@ -644,7 +688,7 @@ class _File(msgspec.Struct, frozen=True):
 
 
 def load(path: Path) -> Array:
-    """Return (3,) L, a_x, a_y [m] from a file that `save` wrote.
+    """Return (3,) L, a_x, a_y [m] of a compensator from a file that `save` wrote.
 
     :raises MeasurementError: it is not such a file, or no robot has a compensator of this size.
     """
@@ -661,8 +705,9 @@ def load(path: Path) -> Array:
 
 
 def save(path: Path, result: CompensatorGeometry, source: str) -> None:
-    """Write the result as TOML, whole or not at all.
+    """Write the result as TOML; a failure leaves no partial file.
 
+    :param source: origin of the readings.
     :raises InputError: the file cannot be written.
     """
     if path.is_dir():

@@ -124,57 +124,57 @@ def gauss_newton(
     start: Array | None = None,
     iterations: int = _ITERATIONS,
 ) -> Fit:
-    """Fit the parameters to loaded − unloaded displacements.
+    """Return the least-squares fit of the parameters to loaded − unloaded displacements, by Gauss-Newton steps.
 
     :param start: (p,) values to begin with, SI; None: those of the robot.
-    :param iterations: the most that are made.
+    :param iterations: largest number of steps; steps that are halved count too.
     :raises NotConvergedError: no equilibrium at the start.
     """
     values = structure.start() if start is None else start.copy()
-    displacement, w = measured_displacements(data, placement), whitening(data)
+    displacement, whitening_matrices = measured_displacements(data, placement), whitening(data)
     size = len(structure.parameters)
-    previous, smallest = values, np.inf
+    last_good_values, smallest_cost = values, np.inf
     for _ in range(iterations):
         try:
             prediction, slopes = predict(structure, values, data, placement)
-            cost = float(np.sum(whiten(w, displacement - prediction) ** 2))
+            cost = float(np.sum(whiten(whitening_matrices, displacement - prediction) ** 2))
         except NotConvergedError:
-            if values is previous:
+            if values is last_good_values:
                 raise
             cost = np.inf
-        if cost > _WORSE * smallest:  # a step too far, perhaps without equilibrium: halve it
-            values = 0.5 * (previous + values)
+        if cost > _WORSE * smallest_cost:  # a step too far, perhaps without equilibrium: halve it
+            values = 0.5 * (last_good_values + values)
             continue
-        previous, smallest = values, min(cost, smallest)
-        design = whiten(w, slopes).reshape(-1, size)
+        last_good_values, smallest_cost = values, min(cost, smallest_cost)
+        design = whiten(whitening_matrices, slopes).reshape(-1, size)
         design[:, np.linalg.norm(design, axis=0) * structure.usual() < _DEAD] = 0.0
-        target = whiten(w, displacement - prediction).ravel() + design @ values
-        new = solve(design, target)
+        target = whiten(whitening_matrices, displacement - prediction).ravel() + design @ values
+        new_values = solve(design, target)
         scale = np.linalg.norm(design, axis=0)
-        change = float(np.max(np.abs((new - values) * scale), initial=0.0))
-        values = new
-        if change < 1e-4:
+        change = float(np.max(np.abs((new_values - values) * scale), initial=0.0))
+        values = new_values
+        if change < 1e-4:  # of the whitened readings: far below their noise
             break
     return _fit_at(structure, values, data, placement)
 
 
 def _fit_at(structure: Structure, values: Array, data: Measurements, placement: Placement) -> Fit:
     """Return the fit with parameters (p,) [SI]: residuals, and the covariance of the equations linearised there."""
-    displacement, w = measured_displacements(data, placement), whitening(data)
+    displacement, whitening_matrices = measured_displacements(data, placement), whitening(data)
     size = len(structure.parameters)
     prediction, slopes = predict(structure, values, data, placement)
-    design = whiten(w, slopes).reshape(-1, size)
-    left = (displacement - prediction) * visible(data)
-    white = whiten(w, left).ravel()
+    design = whiten(whitening_matrices, slopes).reshape(-1, size)
+    residual = (displacement - prediction) * visible(data)
+    white_residual = whiten(whitening_matrices, residual).ravel()
     return Fit(
-        structure,
-        values,
-        covariance_of(design, structure.usual()),
-        left,
-        float(white @ white),
-        int(np.count_nonzero(np.linalg.norm(design, axis=1) > 0.0)) - size,
-        design,
-        white + design @ values,
+        structure=structure,
+        values=values,
+        covariance=covariance_of(design, structure.usual()),
+        residual=residual,
+        chi2=float(white_residual @ white_residual),
+        dof=int(np.count_nonzero(np.linalg.norm(design, axis=1) > 0.0)) - size,
+        design=design,
+        target=white_residual + design @ values,
     )
 
 
@@ -187,22 +187,21 @@ def solve(design: Array, target: Array) -> Array:
 
 
 def covariance_of(design: Array, typical: Array) -> Array:
-    """Return (DᵀD)⁻¹ (p, p) of a design D (r, p); directions that the data do not determine get infinite variance.
+    """Return (DᵀD)⁻¹ (p, p) of a whitened design D (r, p); the variance of undetermined parameters is infinite.
 
-    :param typical: (p,) usual sizes of the parameters: one that then moves the readings by less than 10⁻⁶ σ is dead.
+    :param typical: (p,) usual sizes of the parameters: one whose usual size changes the readings by less than `_DEAD` σ
+        is not determined.
     """
     scale = np.linalg.norm(design, axis=0)
-    dead = scale * typical < _DEAD
-    safe = np.where(dead, 1.0, scale)
-    rows = design / safe
-    _, singular, vt = np.linalg.svd(rows, full_matrices=False)
-    is_determined = singular > 1e-8 * singular.max(initial=0.0)
-    inverse = (vt[is_determined].T / singular[is_determined] ** 2) @ vt[is_determined]
-    covariance = inverse / np.outer(safe, safe)
-    open_directions = (
-        np.sum(vt[~is_determined] ** 2, axis=0) > 1e-6 if (~is_determined).any() else np.zeros(len(scale), dtype=bool)
-    )
-    for index in np.flatnonzero(dead | open_directions):
+    has_no_effect = scale * typical < _DEAD
+    scale = np.where(has_no_effect, 1.0, scale)
+    _, singular_values, directions = np.linalg.svd(design / scale, full_matrices=False)
+    is_determined = singular_values > 1e-8 * singular_values.max(initial=0.0)  # below is rounding
+    inverse = (directions[is_determined].T / singular_values[is_determined] ** 2) @ directions[is_determined]
+    covariance = inverse / np.outer(scale, scale)
+    # parameters with a component in a direction that is not determined; the limit is above rounding
+    is_open = np.sum(directions[~is_determined] ** 2, axis=0) > 1e-6
+    for index in np.flatnonzero(has_no_effect | is_open):
         covariance[index, :] = covariance[:, index] = 0.0
         covariance[index, index] = np.inf
     return np.asarray(covariance)
@@ -218,11 +217,9 @@ def to_file_units(fit: Fit) -> tuple[tuple[Parameter, ...], Array, Array]:
     parameters = fit.structure.parameters
     slopes = file_slopes(parameters, fit.parameter_values)
     values = np.array([parameter.file_value(fit.parameter_values)[0] for parameter in parameters])
-    finite = np.isfinite(values) & np.isfinite(fit.covariance).all(axis=1)
-    if not finite.all():
-        infinite_names = ", ".join(
-            parameter.name for parameter, is_finite in zip(parameters, finite, strict=True) if not is_finite
-        )
+    is_finite = np.isfinite(values) & np.isfinite(fit.covariance).all(axis=1)
+    if not is_finite.all():
+        infinite_names = ", ".join(parameters[index].name for index in np.flatnonzero(~is_finite))
         raise MeasurementError(
             f"the fit has no finite value or variance for {infinite_names}",
             file="",
@@ -264,7 +261,7 @@ class LinearEquations(Struct, frozen=True, eq=False, dict=True):
 
     @cached_property
     def by_configuration(self) -> tuple[Array, Array, Array]:
-        """DᵀWD (C, p, p), DᵀWy (C, p) and yᵀWy (C,) of the equations of each configuration."""
+        """DᵀWD (C, p, p), DᵀWy (C, p) and yᵀWy (C,) of each configuration: D design, W weights, y target."""
         product = self.design * self.weight[:, None]
         masks = [self.config == index for index in range(self.configs)]
         return (
@@ -274,23 +271,28 @@ class LinearEquations(Struct, frozen=True, eq=False, dict=True):
         )
 
     def normal(self, columns: Ints, excluded_configs: Ints | None = None) -> tuple[Array, Array, float]:
-        """Return DᵀWD (n, n), DᵀWy (n,) and yᵀWy of some columns.
+        """Return DᵀWD (n, n), DᵀWy (n,) and yᵀWy of n parameters: D design, W weights, y target.
 
+        :param columns: (n,) indices of these parameters.
         :param excluded_configs: configurations to leave out.
         """
-        square, right, square_sum = self._whole
+        square, right, square_sum = self._sum
         if excluded_configs is not None:
-            sums = [part[excluded_configs].sum(axis=0) for part in self.by_configuration]
-            square, right, square_sum = square - sums[0], right - sums[1], square_sum - float(sums[2])
+            excluded_square, excluded_right, excluded_square_sum = (
+                part[excluded_configs].sum(axis=0) for part in self.by_configuration
+            )
+            square, right = square - excluded_square, right - excluded_right
+            square_sum = square_sum - float(excluded_square_sum)
         return square[np.ix_(columns, columns)], right[columns], square_sum
 
     @cached_property
-    def _whole(self) -> tuple[Array, Array, float]:
+    def _sum(self) -> tuple[Array, Array, float]:
+        """DᵀWD (p, p), DᵀWy (p,) and yᵀWy of all configurations together."""
         square, right, square_sum = self.by_configuration
         return square.sum(axis=0), right.sum(axis=0), float(square_sum.sum())
 
     def residual(self, values: Array, rows: Array | slice = slice(None)) -> Array:
-        """Return target − design·values of some rows."""
+        """Return the residuals target − design·values of some rows, all by default; `values` (p,), SI."""
         return np.asarray(self.target[rows] - self.design[rows] @ values)
 
     def mean_squares(self, residual: Array) -> Array:
@@ -304,25 +306,26 @@ def linearise(structure: Structure, values: Array, data: Measurements, placement
 
     :raises PostprocError: the springs have no equilibrium under a measured load.
     """
-    displacement, w = measured_displacements(data, placement), whitening(data)
+    displacement, whitening_matrices = measured_displacements(data, placement), whitening(data)
     prediction, slopes = predict(structure, values, data, placement)
-    finite = np.isfinite(slopes).all(axis=(1, 2, 3)) & np.isfinite(prediction).all(axis=(1, 2))
-    if not finite.all():
-        state = int(data.loaded_states[np.argmin(finite)])
+    is_finite = np.isfinite(slopes).all(axis=(1, 2, 3)) & np.isfinite(prediction).all(axis=(1, 2))
+    if not is_finite.all():
+        state = int(data.loaded_states[np.argmin(is_finite)])
         raise PostprocError(
             f"config {data.config[data.state_config[state]]:g}, load {data.load[state]:g}: these springs have no "
             "equilibrium under this load"
         )
-    design = whiten(w, slopes).reshape(-1, len(values))
-    white = whiten(w, (displacement - prediction) * visible(data))
-    size = np.linalg.norm(white, axis=2)
-    scale_of_size = float(np.median(size[size > 0.0])) / _MEDIAN_OF_THREE if np.any(size > 0.0) else 1.0
+    design = whiten(whitening_matrices, slopes).reshape(-1, len(values))
+    white_residual = whiten(whitening_matrices, (displacement - prediction) * visible(data))
+    size = np.linalg.norm(white_residual, axis=2)  # of the residual of each point
+    usual_size = float(np.median(size[size > 0.0])) / _MEDIAN_OF_THREE if np.any(size > 0.0) else 1.0
     # 1e-300 keeps zero out of the denominator
-    weight = np.minimum(1.0, _HUBER * max(scale_of_size, 1e-12) / np.maximum(size, 1e-300))
+    weight = np.minimum(1.0, _HUBER * max(usual_size, 1e-12) / np.maximum(size, 1e-300))
     is_visible = np.repeat((visible(data)[..., 0] > 0.0).ravel(), 3)
-    rows = np.repeat(data.state_config[data.loaded_states], 3 * len(data.points))
+    config = np.repeat(data.state_config[data.loaded_states], 3 * len(data.points))
     design = design * is_visible[:, None]
-    return LinearEquations(design, white.ravel() + design @ values, rows, np.repeat(weight.ravel(), 3))
+    target = white_residual.ravel() + design @ values
+    return LinearEquations(design, target, config, np.repeat(weight.ravel(), 3))
 
 
 _LEAST_COMPLIANCE = 1e-9
@@ -367,57 +370,57 @@ class Prior(Struct, frozen=True, eq=False):
 
 
 def prior_of(structure: Structure) -> Prior:
-    """Return the prior of the parameters of a structure."""
+    """Return the prior of the parameters of a structure.
+
+    Joint compliances and parameters whose spread the robot states are about the values of the robot; others about 0.
+    """
     robot = structure.prior
-    entries = [_entry(parameter, robot) for parameter in structure.parameters]
-    kinds = tuple(name for name in FACTORS if any(name == kind for kind, _ in entries))
-    robot_values = structure.start()
-    around_robot = np.array([kind in (JOINT, STATED_SPREAD) for kind, _ in entries], dtype=bool)
+    kinds_and_sizes = [_kind_and_size(parameter, robot) for parameter in structure.parameters]
+    parameter_kinds = [kind for kind, _ in kinds_and_sizes]
+    kinds = tuple(name for name in FACTORS if name in parameter_kinds)
+    is_about_robot = np.array([kind in (JOINT, STATED_SPREAD) for kind in parameter_kinds], dtype=bool)
+    is_signed = [
+        kind == STATED_SPREAD or (isinstance(parameter, Spring) and parameter.signed)
+        for kind, parameter in zip(parameter_kinds, structure.parameters, strict=True)
+    ]
     return Prior(
-        mean=np.where(around_robot, robot_values, 0.0),
-        size=np.array([size for _, size in entries]),
-        kind=np.array([kinds.index(kind) if kind in kinds else -1 for kind, _ in entries], dtype=np.int64),
+        mean=np.where(is_about_robot, structure.start(), 0.0),
+        size=np.array([size for _, size in kinds_and_sizes]),
+        kind=np.array([kinds.index(kind) if kind in kinds else -1 for kind in parameter_kinds], dtype=np.int64),
         kinds=kinds,
-        signed=np.array(
-            [
-                kind == STATED_SPREAD or _is_signed(p)
-                for (kind, _), p in zip(entries, structure.parameters, strict=True)
-            ],
-            dtype=bool,
-        ),
+        signed=np.array(is_signed, dtype=bool),
     )
 
 
-def _is_signed(parameter: Parameter) -> bool:
-    return isinstance(parameter, Spring) and parameter.signed
+def _kind_and_size(parameter: Parameter, robot: RobotModel) -> tuple[str, float]:
+    """Return the kind of a parameter, a key of `FACTORS`, and the standard deviation of its prior at factor 1, SI.
 
-
-def _entry(parameter: Parameter, robot: RobotModel) -> tuple[str, float]:
-    """Return the kind of a parameter and its size, SI; `STATED_SPREAD` where the robot states the spread."""
+    The kind is `STATED_SPREAD` if the robot states the standard deviation.
+    """
     sigma = robot.prior_sigma(parameter)
     if not isinstance(parameter, JointCompliance) and np.isfinite(sigma):
         return STATED_SPREAD, sigma
-    joints = np.maximum(robot.compliance[list(robot.actuated)], _LEAST_COMPLIANCE)
+    joint_compliances = np.maximum(robot.compliance[list(robot.actuated)], _LEAST_COMPLIANCE)
     match parameter:
         case JointCompliance():
-            return JOINT, float(joints[parameter.index])
+            return JOINT, float(joint_compliances[parameter.index])
         case LinkSpring():
             part = "base" if parameter.link == BASE else "end" if parameter.at_end else "link"
             if parameter.slides:
                 return f"{part} translation", parameter.usual
-            of_joint = joints[0 if parameter.link == BASE else JOINTS.index(parameter.link)]
-            return f"{part} rotation", float(_OF_JOINT * of_joint)
+            joint_compliance = joint_compliances[0 if parameter.link == BASE else JOINTS.index(parameter.link)]
+            return f"{part} rotation", float(_OF_JOINT * joint_compliance)
         case GearCoupling():
-            pair = joints[[JOINTS.index(parameter.joint), JOINTS.index(parameter.second)]]
+            pair = joint_compliances[[JOINTS.index(parameter.joint), JOINTS.index(parameter.second)]]
             return "coupling", float(_OF_JOINT * np.sqrt(pair.prod()))
         case PoseWave():
-            size = _OF_JOINT * joints[JOINTS.index(parameter.joint)] * over_pose.share(parameter)
+            size = _OF_JOINT * joint_compliances[JOINTS.index(parameter.joint)] * over_pose.share(parameter)
             return f"{parameter.joint} over the pose", float(size)
         case LostMotion() | Backlash():
             return "lost motion" if isinstance(parameter, LostMotion) else "backlash", parameter.usual
         case FadingPart():
             kind = "breakpoint" if isinstance(parameter, Knee) else "fading"
-            return kind, float(_OF_JOINT * joints[JOINTS.index(parameter.joint)])
+            return kind, float(_OF_JOINT * joint_compliances[JOINTS.index(parameter.joint)])
         case CompensatorTorque():
             return "compensator", parameter.usual
     return STATED_SPREAD, parameter.usual
@@ -455,20 +458,21 @@ class Regression(Struct, frozen=True, eq=False):
         """Return the most probable values (p,), SI; zero for parameters that are not among the columns.
 
         Non-negative least squares (Lawson and Hanson 1974) on the normal equations. Signed parameters come first, and
-        are eliminated by the triangle of Cholesky.
+        are eliminated by the triangular factor of Cholesky.
 
         :param excluded_configs: configurations to leave out.
         """
         from scipy.optimize import nnls
 
         normal, right = self._normal(equations, excluded_configs)
-        order, free = np.argsort(~self.signed, kind="stable"), int(np.count_nonzero(self.signed))
-        factor = np.linalg.cholesky(normal[np.ix_(order, order)])
-        left, upper = np.linalg.solve(factor, right[order]), factor.T
+        order, signed_count = np.argsort(~self.signed, kind="stable"), int(np.count_nonzero(self.signed))
+        lower = np.linalg.cholesky(normal[np.ix_(order, order)])
+        target, upper = np.linalg.solve(lower, right[order]), lower.T
+        is_free, is_bounded = slice(0, signed_count), slice(signed_count, None)  # signed, and non-negative parameters
         scaled_values = np.empty(len(order))
-        scaled_values[free:], _ = nnls(upper[free:, free:], left[free:], maxiter=100 * len(order))
-        scaled_values[:free] = np.linalg.solve(
-            upper[:free, :free], left[:free] - upper[:free, free:] @ scaled_values[free:]
+        scaled_values[is_bounded], _ = nnls(upper[is_bounded, is_bounded], target[is_bounded], maxiter=100 * len(order))
+        scaled_values[is_free] = np.linalg.solve(
+            upper[is_free, is_free], target[is_free] - upper[is_free, is_bounded] @ scaled_values[is_bounded]
         )
         values = np.zeros(self.size)
         values[self.columns[order]] = scaled_values * self.spread[order]
@@ -482,19 +486,29 @@ class Regression(Struct, frozen=True, eq=False):
         return matrix
 
     def influence(self, equations: LinearEquations, values: Array) -> Array:
-        """Return the derivatives (p, rows) of the values by the whitened readings; 0 for parameters that are zero."""
-        on = np.flatnonzero((values[self.columns] != 0.0) | self.signed)
+        """Return the derivatives (p, rows) of the values by the whitened readings; 0 for parameters that are zero.
+
+        :param values: (p,) SI: a non-negative parameter that is zero stays there.
+        """
+        active = np.flatnonzero((values[self.columns] != 0.0) | self.signed)
         normal, _ = self._normal(equations)
-        rows = equations.design[:, self.columns[on]] * self.spread[on] * (equations.weight / self.noise)[:, None]
+        noise_weight = (equations.weight / self.noise)[:, None]
+        design = equations.design[:, self.columns[active]] * self.spread[active] * noise_weight
         matrix = np.zeros((self.size, len(equations.target)))
-        matrix[self.columns[on]] = self.spread[on, None] * np.linalg.solve(normal[np.ix_(on, on)], rows.T)
+        derivatives = np.linalg.solve(normal[np.ix_(active, active)], design.T)
+        matrix[self.columns[active]] = self.spread[active, None] * derivatives
         return matrix
 
     def degrees_of_freedom(self, equations: LinearEquations, values: Array) -> float:
-        """Return the effective number of parameters: tr(1 − (DᵀD/φ + S⁻²)⁻¹S⁻²) over those that are not zero."""
-        on = np.flatnonzero((values[self.columns] != 0.0) | self.signed)
+        """Return the effective number of parameters: tr(1 − (DᵀD/φ + S⁻²)⁻¹S⁻²) over those that are not zero.
+
+        D is the design, φ the noise factor, S the prior standard deviations.
+
+        :param values: (p,) SI.
+        """
+        active = np.flatnonzero((values[self.columns] != 0.0) | self.signed)
         normal, _ = self._normal(equations)
-        return float(len(on) - np.trace(np.linalg.inv(normal[np.ix_(on, on)])))
+        return float(len(active) - np.trace(np.linalg.inv(normal[np.ix_(active, active)])))
 
     def _normal(self, equations: LinearEquations, excluded_configs: Ints | None = None) -> tuple[Array, Array]:
         """Return the normal equations (n, n), (n,) for the values divided by their prior standard deviation."""
@@ -504,7 +518,11 @@ class Regression(Struct, frozen=True, eq=False):
 
 
 def learn(equations: LinearEquations, prior: Prior, columns: Ints) -> Regression:
-    """Return the regression whose prior widths and noise factor maximise the evidence.
+    """Return the regression whose prior widths and noise factor maximise the evidence (MacKay 1992).
+
+    With the whitened design D, the readings y, the prior N(m, S²) and the noise factor φ, y is normal about D·m with
+    covariance φ·1 + D S² Dᵀ. S has one factor for each kind of parameter; the logarithms of factors and of φ have
+    normal priors.
 
     :param columns: (n,) indices of the parameters to use, among those of the equations.
     """
@@ -514,17 +532,18 @@ def learn(equations: LinearEquations, prior: Prior, columns: Ints) -> Regression
     kinds = [name for index, name in enumerate(prior.kinds) if (prior.kind[columns] == index).any()]
     members = [np.flatnonzero(prior.kind[columns] == prior.kinds.index(name)) for name in kinds]
     square, right, square_sum = equations.normal(columns)
+    # normal equations for the deviations from the mean, in units of the sizes
     square_sum = square_sum - 2.0 * float(mean @ right) + float(mean @ square @ mean)
     right = (right - square @ mean) * size
     square = square * np.outer(size, size)
     count = equations.count
-    middle = np.array([*(FACTORS[name][0] for name in kinds), 0.0])
-    wide = np.array([*(FACTORS[name][1] for name in kinds), _NOISE_SPREAD])
+    log_mean = np.array([*(FACTORS[name][0] for name in kinds), 0.0])
+    log_sigma = np.array([*(FACTORS[name][1] for name in kinds), _NOISE_SPREAD])
 
     def factors(logs: Array) -> Array:
-        """Return the factor on each column, 1 for those of no group.
+        """Return the factor on the size of each parameter (n,), 1 for those of no kind.
 
-        :param logs: natural logarithms of the factors of the groups.
+        :param logs: natural logarithms of the factors of the kinds; the last one, of φ, is not used.
         """
         factor = np.ones(len(columns))
         for log, rows in zip(logs, members, strict=False):
@@ -538,16 +557,18 @@ def learn(equations: LinearEquations, prior: Prior, columns: Ints) -> Regression
         lower = np.linalg.cholesky(normal)
         inverse = np.linalg.inv(normal)
         values = inverse @ (factor * right) / noise
-        left = square_sum - 2.0 * float(factor * values @ right) + float((factor * values) @ square @ (factor * values))
-        value = 0.5 * (left / noise + values @ values + count * logs[-1]) + float(np.log(np.diag(lower)).sum())
-        information_share = 1.0 - np.diag(inverse)
+        residual_sum = (
+            square_sum - 2.0 * float(factor * values @ right) + float((factor * values) @ square @ (factor * values))
+        )
+        value = 0.5 * (residual_sum / noise + values @ values + count * logs[-1]) + float(np.log(np.diag(lower)).sum())
+        information_share = 1.0 - np.diag(inverse)  # of the readings in what is known of each parameter
         slope = [float((information_share[rows] - values[rows] ** 2).sum()) for rows in members]
-        slope.append(0.5 * (count - float(information_share.sum())) - 0.5 * left / noise)
-        deviation = (logs - middle) / wide
-        return value + 0.5 * float(deviation @ deviation), np.array(slope) + deviation / wide
+        slope.append(0.5 * (count - float(information_share.sum())) - 0.5 * residual_sum / noise)
+        deviation = (logs - log_mean) / log_sigma
+        return value + 0.5 * float(deviation @ deviation), np.array(slope) + deviation / log_sigma
 
     limits = [*([(_NARROWEST, _WIDEST)] * len(kinds)), (0.0, _MOST_NOISE)]
-    optimum = minimize(cost, middle, jac=True, method="L-BFGS-B", bounds=limits, options={"maxiter": 200})
+    optimum = minimize(cost, log_mean, jac=True, method="L-BFGS-B", bounds=limits, options={"maxiter": 200})
     return Regression(
         columns=columns,
         mean=mean,

@@ -77,7 +77,9 @@ class UnobservableParameter(Struct, frozen=True):
 
 
 def not_observable(fit: Fit, data: Measurements, with_misfit: bool = False) -> list[UnobservableParameter]:
-    """Return the joint compliances and compensator values that the fit does not determine, worst first.
+    """Return the joint compliances and compensator values that the fit does not determine.
+
+    The compensator comes first, then the compliances by the width of their intervals, widest first.
 
     :param with_misfit: the covariance already contains the unexplained residual.
     """
@@ -85,39 +87,42 @@ def not_observable(fit: Fit, data: Measurements, with_misfit: bool = False) -> l
     torque = joint_torques(robot, data)
     entries = []
     # an unexplained residual widens the intervals
-    wider = np.sqrt(max(1.0, fit.chi2 / fit.dof)) if not with_misfit and fit.chi2 > 2.0 * fit.dof > 0 else 1.0
+    has_misfit = not with_misfit and fit.chi2 > 2.0 * fit.dof > 0
+    interval_factor = np.sqrt(max(1.0, fit.chi2 / fit.dof)) if has_misfit else 1.0
     correlation = _correlation(fit.covariance)
     for index, parameter in enumerate(fit.structure.parameters):
         if not isinstance(parameter, JointCompliance):
             continue
-        prior = robot.compliance[robot.row(parameter)]
-        half = float(fit.ci95[index] * wider)
-        # an interval against the larger of value and prior: a noisy small value must not look determined
-        if half <= UNCERTAIN * max(abs(fit.values[index]), prior) and fit.values[index] > 0.0:
+        prior_value = robot.compliance[robot.row(parameter)]
+        half_width = float(fit.ci95[index] * interval_factor)
+        # a value far below the prior is judged against the prior: a noisy small value would never count as determined
+        if half_width <= UNCERTAIN * max(abs(fit.values[index]), prior_value) and fit.values[index] > 0.0:
             continue
-        entries.append((half, _joint_reason(parameter, torque, fit, index, half, correlation)))
+        entries.append((half_width, _unobservable_joint(parameter, torque, fit, index, half_width, correlation)))
     spring = CompensatorStiffness()
     if spring in fit.structure.parameters:
-        k2_is_open = any(entry.parameter == JOINT_COMPLIANCES[1] for _, entry in entries)
-        if entry := _compensator(fit, data, wider, k2_is_open):
+        is_k2_undetermined = any(entry.parameter == JOINT_COMPLIANCES[1] for _, entry in entries)
+        if entry := _unobservable_compensator(fit, data, interval_factor, is_k2_undetermined):
             entries.append((np.inf, entry))
     # the compensator first: without it k2 is determined again
     return [entry for _, entry in sorted(entries, key=lambda pair: (pair[1].parameter != spring, -pair[0]))]
 
 
-def _compensator(fit: Fit, data: Measurements, wider: float, k2_is_open: bool) -> UnobservableParameter | None:
+def _unobservable_compensator(
+    fit: Fit, data: Measurements, interval_factor: float, is_k2_undetermined: bool
+) -> UnobservableParameter | None:
     """Return the reason that the compensator is not observable, with advice; None if it is.
 
-    :param wider: factor of its interval.
-    :param k2_is_open: the compliance of joint 2 is not observable.
+    :param interval_factor: by which an unexplained residual widens the 95 % intervals.
+    :param is_k2_undetermined: the compliance of joint 2 is not observable.
     """
     index = fit.structure.parameters.index(CompensatorStiffness())
-    value, half = float(fit.values[index]), float(fit.ci95[index] * wider)
-    levels = int(levels_of(data).max()) + 1
-    if levels < 3 or k2_is_open:
+    value, half_width = float(fit.values[index]), float(fit.ci95[index] * interval_factor)
+    level_count = int(levels_of(data).max()) + 1
+    if level_count < 3 or is_k2_undetermined:
         return UnobservableParameter(
             CompensatorStiffness(),
-            f"K_theta2_0, K_c and s_0 are three unknowns, and there are {levels} levels of q2",
+            f"K_theta2_0, K_c and s_0 are three unknowns, and there are {level_count} levels of q2",
             "Measure at five levels of q2, far apart.",
         )
     if not is_physical(fit):
@@ -127,38 +132,41 @@ def _compensator(fit: Fit, data: Measurements, wider: float, k2_is_open: bool) -
             "outweighs its effect",
             "Measure more and heavier loads at levels of q2 far apart.",
         )
-    if half > UNCERTAIN * value:
+    if half_width > UNCERTAIN * value:
         return UnobservableParameter(
             CompensatorStiffness(),
-            f"its effect on joint 2 is too small against the noise (K_c {value:.2g} ± {half:.2g} N/m)",
-            f"Measure more and heavier loads at levels of q2 far apart (there are {levels}); a compensator that only "
-            "balances the weights can not be seen in deflections.",
+            f"its effect on joint 2 is too small against the noise (K_c {value:.2g} ± {half_width:.2g} N/m)",
+            f"Measure more and heavier loads at levels of q2 far apart (there are {level_count}); a compensator that "
+            "only balances the weights can not be seen in deflections.",
         )
     return None
 
 
 def is_physical(fit: Fit) -> bool:
-    """Return whether the compensator of a fit, if it has one, is one that could be built."""
+    """Return whether the compensator of a fit could be built: K_c positive, a free length from 0 to `_LONGEST_SPRING`.
+
+    True for a fit without compensator.
+    """
     stiffness = fit.parameter_values.get(CompensatorStiffness())
     if stiffness is None:
         return True
     return stiffness > 0.0 and 0.0 <= fit.parameter_values[CompensatorPreload()] / stiffness <= _LONGEST_SPRING
 
 
-def _joint_reason(
-    parameter: JointCompliance, torque: Array, fit: Fit, index: int, half: float, correlation: Array
+def _unobservable_joint(
+    parameter: JointCompliance, torque: Array, fit: Fit, index: int, half_width: float, correlation: Array
 ) -> UnobservableParameter:
     """Return the reason that a joint compliance is not observable, with advice.
 
     :param torque: (L, 6) of the loads [N·m].
-    :param half: half 95 % interval [rad/(N·m)].
+    :param index: of the parameter in the fit.
+    :param half_width: of its 95 % interval [rad/(N·m)].
     :param correlation: (p, p) of the parameters.
     """
     joint = parameter.index
-    largest = float(np.abs(torque[:, joint]).max())
-    reference = float(np.abs(torque).max())
-    if largest < _NO_TORQUE * reference:
-        reason = f"the loads put at most {largest:.2g} N·m on A{joint + 1}"
+    joint_torque = float(np.abs(torque[:, joint]).max())
+    if joint_torque < _NO_TORQUE * float(np.abs(torque).max()):
+        reason = f"the loads put at most {joint_torque:.2g} N·m on A{joint + 1}"
         if joint == 0:
             reason += " (they are vertical, parallel to its axis)"
             advice = "Pull the arm sideways too, for instance by a cable over a pulley."
@@ -171,9 +179,10 @@ def _joint_reason(
     cross_correlation = np.abs(correlation[index].copy())
     cross_correlation[index] = 0.0
     partner = fit.structure.parameters[int(np.argmax(cross_correlation))].symbol
-    reason = f"its 95 % interval is ± {half * 1e6:.2g} µrad/(N·m) for a value of {fit.values[index] * 1e6:.3g}"
-    if not np.isfinite(half):
+    reason = f"its 95 % interval is ± {half_width * 1e6:.2g} µrad/(N·m) for a value of {fit.values[index] * 1e6:.3g}"
+    if not np.isfinite(half_width):
         reason = "the configurations do not determine it"
+    # a correlation that is worth a mention (assumed)
     if cross_correlation.max() > 0.9:
         reason += (
             f", and it can hardly be separated from {partner} "
@@ -193,32 +202,36 @@ def _correlation(covariance: Array) -> Array:
 
 
 def unloaded_joints(robot: RobotModel, data: Measurements) -> tuple[JointCompliance, ...]:
-    """Return the compliances of joints on which the loads put next to no torque."""
-    largest = np.abs(joint_torques(robot, data)).max(axis=0)
-    return tuple(p for p, value in zip(JOINT_COMPLIANCES, largest, strict=True) if value < _NO_TORQUE * largest.max())
+    """Return the compliances of joints on which the loads put less than `_NO_TORQUE` of the largest joint torque."""
+    torque = np.abs(joint_torques(robot, data)).max(axis=0)
+    is_unloaded = torque < _NO_TORQUE * torque.max()
+    return tuple(joint for joint, unloaded in zip(JOINT_COMPLIANCES, is_unloaded, strict=True) if unloaded)
 
 
 def held_by_prior(fit: Fit, open_entries: list[UnobservableParameter]) -> Fit:
-    """Return the fit with the compliances of missing joints at the prior's values, as uncertain as the prior states."""
-    robot, parameters = fit.structure.prior, fit.structure.parameters
+    """Return the fit with values and uncertainties of the prior for joint compliances that it does not determine.
+
+    :param open_entries: parameters that are not observable; those of the compensator are ignored.
+    """
+    robot, fit_parameters = fit.structure.prior, fit.structure.parameters
     joints = [entry.parameter for entry in open_entries if isinstance(entry.parameter, JointCompliance)]
-    order = (*parameters, *(joint for joint in joints if joint not in parameters))
-    size, old = len(order), len(parameters)
+    parameters = (*fit_parameters, *(joint for joint in joints if joint not in fit_parameters))
+    size, fit_size = len(parameters), len(fit_parameters)
     values, covariance = np.zeros(size), np.zeros((size, size))
-    values[:old], covariance[:old, :old] = fit.values, fit.covariance
+    values[:fit_size], covariance[:fit_size, :fit_size] = fit.values, fit.covariance
     design = np.zeros((len(fit.design), size))
-    design[:, :old] = fit.design
+    design[:, :fit_size] = fit.design
     for joint in joints:
-        index = order.index(joint)
+        index = parameters.index(joint)
         values[index] = robot.value(joint)
         covariance[index] = covariance[:, index] = 0.0
         covariance[index, index] = prior_spread(robot, joint) ** 2
-    structure = replace(fit.structure, parameters=order)
+    structure = replace(fit.structure, parameters=parameters)
     return replace(fit, structure=structure, values=values, covariance=covariance, design=design)
 
 
 def prior_spread(robot: RobotModel, joint: Parameter) -> float:
-    """Return the standard deviation of a joint compliance of the prior [rad/(N·m)]."""
+    """Return the standard deviation of a joint compliance of a robot [rad/(N·m)]: stated, else `PRIOR_SPREAD` of it."""
     covariance = robot.covariance
     if covariance is not None and joint in covariance.parameters:
         index = covariance.parameters.index(joint)
@@ -251,10 +264,12 @@ class SpringOfJoint2(Struct, frozen=True, eq=False):
 
 
 def extended_set(robot: RobotModel, data: Measurements, placement: Placement) -> tuple[Fit, Levels] | None:
-    """First step: k1, k2 per level of q2, k3…k6 by Eq. (8), then iterated on the equilibrium.
+    """Return the fit of k1, k2 at each level of q2, and k3…k6; and the levels. First step of Klimchik et al., Eq. (8).
 
-    The first iterate, from zero compliance, is Eq. (8) itself: there the derivative of the displacement by k_j is
-    J_j J_jᵀ F. Returns None if there are too few readings for a value per level.
+    The fit is iterated on the equilibrium. Its first iterate, from zero compliance, is Eq. (8) itself: there the
+    derivative of the displacement by k_j is J_j J_jᵀ F.
+
+    :returns: None if there are too few readings for a value at each level, or no equilibrium.
     """
     level = levels_of(data)
     count = int(level.max()) + 1
@@ -273,9 +288,10 @@ def extended_set(robot: RobotModel, data: Measurements, placement: Placement) ->
 
 
 def compensator_from_levels(levels: Levels, law: Compensator) -> SpringOfJoint2 | None:
-    """Return gear and compensator of joint 2 from its compliance at levels of q2: least squares by Eq. (9) and (10).
+    """Return gear and compensator of joint 2 from its compliance at levels of q2. Second step of Klimchik et al.
 
-    The equation is linear in K⁰_θ2, K_c and s₀·K_c; the covariance of the levels is its weight.
+    Least squares by Eq. (9) and (10), which are linear in K⁰_θ2, K_c and s₀·K_c, weighted by the covariance of the
+    levels.
 
     :param law: gives L, a_x, a_y.
     :returns: None with fewer than three usable levels, or if these do not separate the three values.
@@ -283,26 +299,29 @@ def compensator_from_levels(levels: Levels, law: Compensator) -> SpringOfJoint2 
     is_determined = np.isfinite(np.diag(levels.covariance)) & (levels.compliance > 0.0)
     if np.count_nonzero(is_determined) < 3:
         return None
-    k = levels.compliance[is_determined]
-    stiffness = 1.0 / k
-    slope = -(stiffness**2)
+    stiffness = 1.0 / levels.compliance[is_determined]
+    slope = -(stiffness**2)  # derivative of the stiffness by the compliance
     covariance = levels.covariance[np.ix_(is_determined, is_determined)] * np.outer(slope, slope)
-    c = np.column_stack([np.ones_like(k), law.stiffness_columns(levels.q2[is_determined])])
+    design = np.column_stack([np.ones_like(stiffness), law.stiffness_columns(levels.q2[is_determined])])
     weight = np.linalg.inv(covariance)
-    normal = c.T @ weight @ c
+    normal = design.T @ weight @ design
     scale = 1.0 / np.sqrt(np.diag(normal))
+    # singular but for rounding
     if np.linalg.cond(normal * np.outer(scale, scale)) > 1e12:
         return None
     inverse: Array = np.asarray(np.linalg.inv(normal))
-    return SpringOfJoint2(inverse @ c.T @ weight @ stiffness, inverse)
+    return SpringOfJoint2(inverse @ design.T @ weight @ stiffness, inverse)
 
 
 def fit_joints(
     robot: RobotModel, data: Measurements, placement: Placement, start: SpringOfJoint2 | None
 ) -> tuple[Fit, list[UnobservableParameter]]:
-    """Fit k1…k6, and K_c and s₀ of a compensator; keep the prior for values that the data do not determine.
+    """Return the fit of k1…k6, and K_c and s₀ of a compensator, and the parameters that the readings do not determine.
 
-    :raises MeasurementError: there are fewer readings than unknowns.
+    These are omitted from the fit one after the other, the worst first: the robot's values are kept for them.
+
+    :param start: gear and compensator of joint 2 to begin with; None: those of the robot.
+    :raises MeasurementError: there are fewer readings than unknowns, or they determine none of the compliances.
     """
     parameters: list[Parameter] = [*JOINT_COMPLIANCES, *(COMPENSATOR if robot.compensator is not None else ())]
     readings = 3 * len(data.loaded_states) * len(data.points)
@@ -313,30 +332,32 @@ def fit_joints(
             advice="Measure more configurations or points: 15 configurations of 3 points are usual.",
         )
     open_entries: list[UnobservableParameter] = []
-    first, is_prior_refuted = True, False
+    is_first_fit, is_prior_refuted = True, False
     while True:
         structure = Structure(tuple(parameters), robot)
         values = structure.start()
-        if first and start is not None and CompensatorStiffness() in parameters and start.values[0] > 0.0:
-            values[1], values[6], values[7] = 1.0 / start.values[0], start.values[1], start.values[2]
+        if is_first_fit and start is not None and CompensatorStiffness() in parameters and start.values[0] > 0.0:
+            # all parameters are there: k1 … k6, then K_c and s₀·K_c
+            gear_stiffness, spring_stiffness, preload = start.values
+            values[1], values[6], values[7] = 1.0 / gear_stiffness, spring_stiffness, preload
         fit = _attempt(structure, data, placement, values)
-        left = not_observable(fit, data)
+        unobservable = not_observable(fit, data)
         if (
-            left
-            and left[0].parameter in COMPENSATOR
+            unobservable
+            and unobservable[0].parameter in COMPENSATOR
             and is_physical(fit)  # a spring that cannot be built is no better than the prior's
             and (is_prior_refuted or _refutes_prior_spring(fit, data, placement))
         ):
-            is_prior_refuted, left = True, left[1:]
-        if not left:
+            is_prior_refuted, unobservable = True, unobservable[1:]
+        if not unobservable:
             return fit, open_entries
-        worst = left[0]
-        if worst.parameter in COMPENSATOR:  # without it the joints left out before may be determined
+        worst = unobservable[0]
+        if worst.parameter in COMPENSATOR:  # without it the joints omitted before may be determined
             parameters, open_entries = list(JOINT_COMPLIANCES), [worst]
         else:
             parameters.remove(worst.parameter)
             open_entries.append(worst)
-        first = False
+        is_first_fit = False
         if not parameters:
             raise MeasurementError(
                 "none of the compliances can be determined", file=data.file, advice=open_entries[0].advice
@@ -368,9 +389,12 @@ def _attempt(structure: Structure, data: Measurements, placement: Placement, val
 def flange_displacements(data: Measurements, placement: Placement) -> Array:
     """Return displacements (L, 6) of the load point: position [m], rotation [rad], root axes.
 
+    NaN for a loaded state with fewer than three points that have readings with and without load.
+
     :raises MeasurementError: fewer than three points, or points on one line: no orientation.
     """
-    if len(data.points) < 3 or np.linalg.matrix_rank(placement.points - placement.points.mean(axis=0), tol=5e-3) < 2:
+    offset = placement.points - placement.points.mean(axis=0)
+    if len(data.points) < 3 or np.linalg.matrix_rank(offset, tol=5e-3) < 2:  # within 5 mm of a line
         raise MeasurementError(
             "the serial method needs full poses: three points that are not on a line",
             file=data.file,
@@ -393,19 +417,22 @@ def flange_displacements(data: Measurements, placement: Placement) -> Array:
 
 
 def fit_serial(robot: RobotModel, data: Measurements, placement: Placement) -> Fit:
-    """Fit k1…k6 of a strict serial chain, linear in the load, to full-pose displacements.
+    """Return the fit of k1…k6 of a strict serial chain, linear in the load, to full-pose displacements.
 
-    Position [m] and rotation [rad] enter one sum of squares without weights, as in the source.
+    Method of Dumas, Caro, Garnier and Furet (Robotics and Computer-Integrated Manufacturing 27, 2011). Position [m] and
+    rotation [rad] enter one sum of squares without weights, as in the source.
+
+    :raises MeasurementError: the readings give no full poses, or fewer than seven of their components.
     """
-    bare = replace(robot, compensator=None)
+    serial_robot = replace(robot, compensator=None)
     displacement = flange_displacements(data, placement)
     has_displacement = np.isfinite(displacement).all(axis=1)
     tool = np.eye(4)
     tool[:3, 3] = data.load_point
     config = data.state_config[data.loaded_states]
-    x = elastostatics.coordinates(bare, data.q[config])
-    _, jacobian = kinematics.tcp(bare.actual, x, tool)
-    jacobian = jacobian[:, :, list(bare.actuated)]
+    x = elastostatics.coordinates(serial_robot, data.q[config])
+    _, jacobian = kinematics.tcp(serial_robot.actual, x, tool)
+    jacobian = jacobian[:, :, list(serial_robot.actuated)]
     torque = np.einsum("lij,li->lj", jacobian, data.wrench[data.loaded_states])
     design = (jacobian * torque[:, None])[has_displacement].reshape(-1, 6)
     target = displacement[has_displacement].ravel()
@@ -418,16 +445,23 @@ def fit_serial(robot: RobotModel, data: Measurements, placement: Placement) -> F
     # 1e-300 keeps zero out of the denominator
     scale = np.maximum(np.linalg.norm(design, axis=0), 1e-300)
     values = np.linalg.lstsq(design / scale, target, rcond=1e-9)[0] / scale
-    left = target - design @ values
-    sigma2 = float(left @ left) / (len(target) - 6)
-    structure = Structure(JOINT_COMPLIANCES, bare)
-    deviation = np.sqrt(sigma2)
-    covariance = covariance_of(design / deviation, structure.usual())
+    pose_residual = target - design @ values
+    sigma = np.sqrt(float(pose_residual @ pose_residual) / (len(target) - 6))
+    structure = Structure(JOINT_COMPLIANCES, serial_robot)
+    covariance = covariance_of(design / sigma, structure.usual())
+    # no equilibrium without stiffness: compliances are at least 1e-9 rad/(N·m) in the prediction of the points
     prediction, slopes = predict(structure, np.maximum(values, 1e-9), data, placement)
     residual = (measured_displacements(data, placement) - prediction) * visible(data)
-    w = whitening(data)
-    white = whiten(w, residual).ravel()
-    whole = whiten(w, slopes).reshape(-1, 6)
+    whitening_matrices = whitening(data)
+    white_residual = whiten(whitening_matrices, residual).ravel()
+    white_design = whiten(whitening_matrices, slopes).reshape(-1, 6)
     return Fit(
-        structure, values, covariance, residual, float(white @ white), len(white) - 6, whole, white + whole @ values
+        structure=structure,
+        values=values,
+        covariance=covariance,
+        residual=residual,
+        chi2=float(white_residual @ white_residual),
+        dof=len(white_residual) - 6,
+        design=white_design,
+        target=white_residual + white_design @ values,
     )

@@ -54,18 +54,19 @@ class Placement(Struct, frozen=True, eq=False):
 
 
 def kabsch(source: Array, target: Array) -> Array:
-    """Return the rigid transform (4, 4) that carries points (n, 3) best to others (Kabsch 1976)."""
-    a, b = source.mean(axis=0), target.mean(axis=0)
-    u, _, vt = np.linalg.svd((source - a).T @ (target - b))
+    """Return the rigid transform (4, 4) from `source` (n, 3) to `target` (n, 3) with least squares (Kabsch 1976)."""
+    source_mean, target_mean = source.mean(axis=0), target.mean(axis=0)
+    u, _, vt = np.linalg.svd((source - source_mean).T @ (target - target_mean))
+    # a rotation, no reflection
     sign = np.diag([1.0, 1.0, np.linalg.det(vt.T @ u.T)])
     pose = np.eye(4)
     pose[:3, :3] = vt.T @ sign @ u.T
-    pose[:3, 3] = b - pose[:3, :3] @ a
+    pose[:3, 3] = target_mean - pose[:3, :3] @ source_mean
     return pose
 
 
 def locate(robot: RobotModel, data: Measurements) -> Placement:
-    """Locate the root in the device frame and the points in the flange frame by the readings without load.
+    """Return the root in the device frame and the points in the flange frame, fitted to the readings without load.
 
     :raises MeasurementError: fewer readings than unknowns, or points and configurations that do not determine the
         frames.
@@ -82,12 +83,12 @@ def locate(robot: RobotModel, data: Measurements) -> Placement:
             advice="Measure more configurations.",
         )
     position = data.guess.copy()
-    model = _place(flange, position)
+    model = _point_positions(flange, position)
     has_reading = weight.ravel() > 0.0
     pose = kabsch(model.reshape(-1, 3)[has_reading], readings.reshape(-1, 3)[has_reading])
     for _ in range(_STEPS):
-        model = _place(pose @ flange, position)
-        left = readings - model
+        model = _point_positions(pose @ flange, position)
+        residual = readings - model
         jacobian = _derivatives(model, pose, flange)
         rows = (jacobian * np.sqrt(weight)[..., None, None]).reshape(-1, 6 + 3 * points)
         normal = rows.T @ rows
@@ -99,38 +100,46 @@ def locate(robot: RobotModel, data: Measurements) -> Placement:
                 advice="Turn A1…A6, the wrist above all, more from configuration to configuration.",
             )
         step = np.asarray(
-            np.linalg.solve(normal, rows.T @ (left * np.sqrt(weight)[..., None]).ravel()), dtype=np.float64
+            np.linalg.solve(normal, rows.T @ (residual * np.sqrt(weight)[..., None]).ravel()), dtype=np.float64
         )
         pose = displace(pose, step[:6])
         position = position + step[6:].reshape(points, 3)
+        # [m], [rad]: rounding
         if np.abs(step).max() < 1e-11:
             break
-    left = (readings - _place(pose @ flange, position)) * (weight > 0.0)[..., None]
-    return Placement(pose, position, np.asarray(np.linalg.inv(normal)), left)
+    residual = (readings - _point_positions(pose @ flange, position)) * (weight > 0.0)[..., None]
+    return Placement(pose, position, np.asarray(np.linalg.inv(normal)), residual)
 
 
 def unloaded_design(robot: RobotModel, data: Measurements, placement: Placement) -> Array:
-    """Return the derivatives (C, P, 3, 6 + 3P) of the points without load, device axes, by the unknowns of `locate`."""
+    """Return the derivatives (C, P, 3, 6 + 3P) of the points without load in device axes, by root and points.
+
+    The unknowns are those of `locate`: the twist of the root about itself in device axes, and the P points in the
+    flange frame.
+    """
     flange = unloaded_flange(robot, data.q)
     root = placement.root_in_device
-    return _derivatives(_place(root @ flange, placement.points), root, flange)
+    return _derivatives(_point_positions(root @ flange, placement.points), root, flange)
 
 
 def as_positions(robot: RobotModel, data: Measurements) -> Measurements:
-    """Return displacements as positions: from where the robot has the stated points without load, root axes.
+    """Return readings of displacements as positions in the root frame; readings of positions are returned unchanged.
 
-    Readings of positions are returned as they are.
+    A displacement is added to the position of its point without load, by the geometry of the robot.
     """
     if not data.are_displacements:
         return data
-    points = _place(unloaded_flange(robot, data.q), data.guess)
+    points = _point_positions(unloaded_flange(robot, data.q), data.guess)
     start = points[data.state_config[data.state], data.point]
     return replace(data, position=start + data.position, are_displacements=False)
 
 
 def unloaded_flange(robot: RobotModel, q: Array) -> Array:
-    """Return the pose (C, 4, 4) of the flange without load [m]: sagged, if the geometry is a weightless robot's."""
-    if robot.subtract_reference:
+    """Return the pose (C, 4, 4) of the flange without load, root frame [m]; `q` (C, 6) [rad].
+
+    A robot whose geometry is that of a weightless one sags by its weights.
+    """
+    if robot.subtract_reference:  # the geometry contains the sag
         return kinematics.tcp(robot.actual, elastostatics.coordinates(robot, q), np.eye(4))[0]
     return elastostatics.deflect(robot, q, np.eye(4), np.zeros((len(q), 6))).pose
 
@@ -176,7 +185,8 @@ def _derivatives(model: Array, pose: Array, flange: Array) -> Array:
     return jacobian
 
 
-def _place(frames: Array, points: Array) -> Array:
+def _point_positions(frames: Array, points: Array) -> Array:
+    """Return the positions (C, P, 3) of points (P, 3) that are fixed in frames (C, 4, 4)."""
     positions: Array = np.einsum("cij,pj->cpi", frames[:, :3, :3], points) + frames[:, None, :3, 3]
     return positions
 
@@ -193,16 +203,17 @@ def measured_displacements(data: Measurements, placement: Placement) -> Array:
 
 
 def visible(data: Measurements) -> Array:
-    """Return (L, P, 1) one where a loaded point and its unloaded counterpart have readings, zero elsewhere."""
+    """Return 1 where a point has readings with and without load, else 0: (L, P, 1), for L loaded states."""
     _, count = data.means()
     unloaded_state = data.unloaded_states[data.state_config[data.loaded_states]]
     return np.asarray(((count[data.loaded_states] > 0) & (count[unloaded_state] > 0)).astype(float)[..., None])
 
 
 def whitening(data: Measurements) -> Array:
-    """Return (P, L, L) that turns displacements into unit variance: W Σ Wᵀ = I.
+    """Return for each point the matrix W (P, L, L) that makes its displacements independent, of variance 1: W Σ Wᵀ = I.
 
-    Loads of one configuration share its unloaded reading: Σ = σ²·(1/n_l on the diagonal, 1/n_0 added everywhere).
+    Σ (L, L) is the covariance of the displacements in L loaded states, for noise σ of a reading: σ²/n_l on the diagonal
+    for n_l readings under load. Loads of one configuration share its n_0 readings without load: plus σ²/n_0.
     """
     count = np.maximum(data.means()[1], _MIN_WEIGHT)
     states, config = data.loaded_states, data.state_config[data.loaded_states]
@@ -221,14 +232,14 @@ def whiten(w: Array, values: Array) -> Array:
 
 
 def unwhiten(w: Array, values: Array) -> Array:
-    """Return the values (L, P, …) of which `whiten` makes the given ones."""
-    return np.stack(
-        [
-            np.linalg.solve(w[point], values[:, point].reshape(len(values), -1)).reshape(values[:, point].shape)
-            for point in range(values.shape[1])
-        ],
-        axis=1,
-    )
+    """Return the inverse of `whiten`: values (L, P, …), each point multiplied by the inverse of its matrix.
+
+    :param w: (P, L, L) matrices of the points; `values` (L, P, …) of L states at P points.
+    """
+    columns = []
+    for matrix, point_values in zip(w, np.swapaxes(values, 0, 1), strict=True):
+        columns.append(np.linalg.solve(matrix, point_values.reshape(len(values), -1)).reshape(point_values.shape))
+    return np.stack(columns, axis=1)
 
 
 MIN_COMPLIANCE = 1e-12
@@ -311,11 +322,11 @@ def predict(structure: Structure, values: Array, data: Measurements, placement: 
     level = np.full(len(config), -1) if structure.levels is None else structure.levels[config]
     for value in np.unique(level):
         rows = np.flatnonzero(level == value)
-        at = None if structure.levels is None else int(value)
-        active = structure.active(at)
+        q2_level = None if structure.levels is None else int(value)
+        active = structure.active(q2_level)
         try:
-            displacement[rows], of_active = _predict(
-                structure, structure.robot(values, at), active, data.loaded_states[rows], data, placement
+            displacement[rows], active_slopes = _predict(
+                structure, structure.robot(values, q2_level), active, data.loaded_states[rows], data, placement
             )
         except NotConvergedError as error:
             state = int(data.loaded_states[rows[error.rows[0]]])
@@ -323,34 +334,44 @@ def predict(structure: Structure, values: Array, data: Measurements, placement: 
                 f"config {data.config[data.state_config[state]]:g}, load {data.load[state]:g}: {error}", error.rows
             ) from None
         for column, index in enumerate(active):
-            slopes[rows, ..., index] = of_active[..., column]
+            slopes[rows, ..., index] = active_slopes[..., column]
     return displacement, slopes
 
 
 def _predict(
     structure: Structure, robot: RobotModel, active: list[int], states: Ints, data: Measurements, placement: Placement
 ) -> tuple[Array, Array]:
-    """Return displacements and derivatives by the active parameters of some loaded states."""
+    """Return the displacements (n, P, 3) [m] of the points in root axes, and their derivatives (n, P, 3, a).
+
+    :param robot: with the values of the parameters.
+    :param active: indices of the a parameters for derivatives.
+    :param states: (n,) loaded states.
+    """
     q = data.q[data.state_config[states]]
-    x0 = elastostatics.coordinates(robot, q)
+    unloaded_coordinates = elastostatics.coordinates(robot, q)
     wrench = data.wrench[states]
     tool = np.eye(4)
     tool[:3, 3] = data.load_point
-    lever = placement.points - data.load_point
+    lever = placement.points - data.load_point  # from the load point to the points, flange axes
     pose, twist = _equilibrium(structure, robot, active, q, tool, wrench)
     with_load, slopes = _point_motions(pose, twist, lever)
     if robot.subtract_reference:
-        unloaded_pose, _ = kinematics.tcp(robot.loaded, x0, tool)
+        unloaded_pose, _ = kinematics.tcp(robot.loaded, unloaded_coordinates, tool)
         without_load, _ = _point_motions(unloaded_pose, twist, lever)
     else:  # without load the robot sags by the same springs
-        unloaded_pose, sag = _equilibrium(structure, robot, active, q, tool, np.zeros_like(wrench))
-        without_load, of_sag = _point_motions(unloaded_pose, sag, lever)
-        slopes = slopes - of_sag
+        unloaded_pose, sag_twist = _equilibrium(structure, robot, active, q, tool, np.zeros_like(wrench))
+        without_load, sag_slopes = _point_motions(unloaded_pose, sag_twist, lever)
+        slopes = slopes - sag_slopes
     return with_load - without_load + (pose[:, :3, 3] - unloaded_pose[:, :3, 3])[:, None], slopes
 
 
 def _point_motions(pose: Array, twist: Array, lever: Array) -> tuple[Array, Array]:
-    """Return points (L, P, 3) from the load point, root axes, and how they move (L, P, 3, p) with twists (L, 6, p)."""
+    """Return the points relative to the load point (L, P, 3) [m], and their motions by p twists (L, P, 3, p).
+
+    :param pose: (L, 4, 4) of the load point in the root frame; results are in root axes.
+    :param twist: (L, 6, p) of the load point.
+    :param lever: (P, 3) points relative to the load point in flange axes [m].
+    """
     points = np.einsum("lij,pj->lpi", pose[:, :3, :3], lever)
     rotation = np.cross(np.swapaxes(twist[:, 3:], 1, 2)[:, None], points[:, :, None], axisa=3, axisb=3, axisc=3)
     return points, twist[:, None, :3] + rotation.swapaxes(2, 3)
@@ -377,9 +398,12 @@ def joint_torques(robot: RobotModel, data: Measurements) -> Array:
 
 
 def levels_of(data: Measurements) -> Ints:
-    """Group the configurations (C,) by q2; angles within 2° share a level."""
+    """Return the level of q2 of each configuration (C,), numbered from 0 by angle.
+
+    Sorted angles that differ by less than `_SAME_LEVEL` from the one before share a level.
+    """
     order = np.argsort(data.q[:, 1])
-    steps = np.concatenate([[0], np.cumsum(np.diff(data.q[order, 1]) > _SAME_LEVEL)])
+    sorted_levels = np.concatenate([[0], np.cumsum(np.diff(data.q[order, 1]) > _SAME_LEVEL)])
     level = np.empty(len(order), dtype=np.int64)
-    level[order] = steps
+    level[order] = sorted_levels
     return level

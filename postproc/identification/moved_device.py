@@ -5,6 +5,8 @@ Displacements are differences within a configuration, so a step between two of t
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from postproc import elastostatics, kinematics
@@ -13,7 +15,7 @@ from postproc.identification.measurement_model import Placement, unloaded_flange
 from postproc.identification.readings import Measurements
 from postproc.robot import JOINTS, RobotModel
 
-_SPARE_OF_STEP = 12
+_FREEDOM_OF_STEP = 12
 """Fewest degrees of freedom that a step is judged by (assumed)."""
 _RARE = 1e-4
 """Chance of a step as clear as this one in readings of one set-up, at any of the configurations (assumed)."""
@@ -32,12 +34,14 @@ def moved_device(robot: RobotModel, data: Measurements, placement: Placement) ->
     the joints, with and without a step of the frame from a configuration on.
     """
     is_visible = np.abs(placement.residual).max(axis=2, keepdims=True) > 0.0
-    columns = [part(robot, data, placement) for part in (_frame_derivatives, _point_derivatives, _sag_derivatives)]
-    rows = np.concatenate(columns, axis=3) * is_visible[..., None]
-    chance, first, twist = _clearest_step(rows, placement.residual, data.q)
-    at = np.append(np.mean(placement.points, axis=0), 1.0)
-    middle = np.mean((unloaded_flange(robot, data.q) @ at)[:, :3], axis=0)
-    size = float(np.linalg.norm(twist[:3] + np.cross(twist[3:], middle)))
+    sources = (_frame_derivatives, _point_derivatives, _sag_derivatives)
+    columns = [derivatives(robot, data, placement) for derivatives in sources]
+    design = np.concatenate(columns, axis=3) * is_visible[..., None]
+    chance, first, twist = _clearest_step(design, placement.residual, data.q)
+    # size of the movement in the middle of all readings
+    mean_point = np.append(np.mean(placement.points, axis=0), 1.0)
+    mean_position = np.mean((unloaded_flange(robot, data.q) @ mean_point)[:, :3], axis=0)
+    size = float(np.linalg.norm(twist[:3] + np.cross(twist[3:], mean_position)))
     if chance * len(data.q) > _RARE or size < _MIN_MOVEMENT:
         return []
     return [
@@ -46,47 +50,66 @@ def moved_device(robot: RobotModel, data: Measurements, placement: Placement) ->
     ]
 
 
-def _clearest_step(rows: Array, residual: Array, q: Array) -> tuple[float, int, Array]:
-    """Return the smallest chance of a step in readings of one set-up, its configuration, and its twist (6,), root axes.
+class _Step(NamedTuple):
+    """A step of the measuring device.
 
-    By F-test (Draper and Smith, "Applied Regression Analysis", 1998, ch. 6). Points of a configuration share the error
-    of the geometry, so they count as one.
+    :param chance: probability of a step at least as clear in readings without any.
+    :param first: row of the first configuration after it.
+    :param twist: (6,) of the device: translation at the root [m], rotation [rad], root axes.
+    """
 
-    :param rows: (C, P, 3, n) derivatives of the readings, those by a twist of the root first.
+    chance: float
+    first: int
+    twist: Array
+
+
+def _clearest_step(design: Array, residual: Array, q: Array) -> _Step:
+    """Return the step of the measuring device that explains most of the residuals, with its chance by the F-test.
+
+    Source: Draper and Smith, "Applied Regression Analysis", 1998, ch. 6. Points of a configuration share the error of
+    the geometry, so they count as one. Without a step that can be tested the chance is infinite.
+
+    :param design: (C, P, 3, n) derivatives of the readings, those by a twist of the root first.
     :param residual: (C, P, 3) of the readings without load [m].
+    :param q: (C, 6) joint angles [rad].
     """
     configs = len(residual)
-    design = rows.reshape(-1, rows.shape[3])
-    basis, singular, _ = np.linalg.svd(design / np.maximum(norm(design.T), 1e-12), full_matrices=False)
-    basis = basis[:, singular > _RANK_TOLERANCE * singular[0]]
-    left = residual.ravel() - basis @ (basis.T @ residual.ravel())
-    spare = 3 * configs - basis.shape[1] - 6
-    best: tuple[float, int, Array] = (np.inf, 0, np.zeros(6))
-    for first in range(2, configs - 1) if spare >= _SPARE_OF_STEP else ():
-        if _is_separable_by_order(q, first):
+    columns = design.reshape(-1, design.shape[3])
+    basis, singular_values, _ = np.linalg.svd(columns / np.maximum(norm(columns.T), 1e-12), full_matrices=False)
+    basis = basis[:, singular_values > _RANK_TOLERANCE * singular_values[0]]
+    remaining = residual.ravel() - basis @ (basis.T @ residual.ravel())  # that no error of the geometry explains
+    freedom = 3 * configs - basis.shape[1] - 6
+    clearest = _Step(np.inf, 0, np.zeros(6))
+    for first in range(2, configs - 1) if freedom >= _FREEDOM_OF_STEP else ():
+        if _is_correlated_with_step(q, first):
             continue
-        step = (rows[..., :6] * (np.arange(configs) >= first)[:, None, None, None]).reshape(-1, 6)
+        step = (design[..., :6] * (np.arange(configs) >= first)[:, None, None, None]).reshape(-1, 6)
         step = step - basis @ (basis.T @ step)
-        twist, _, rank, _ = np.linalg.lstsq(step, left, rcond=_RANK_TOLERANCE)
+        twist, _, rank, _ = np.linalg.lstsq(step, remaining, rcond=_RANK_TOLERANCE)
         if rank == 6:
-            drop = float(np.sum((step @ twist) ** 2))
+            explained = float(np.sum((step @ twist) ** 2))
             # 1e-300 keeps zero out of the denominator
-            unexplained = max(float(np.sum(left**2)) - drop, 1e-300)
-            chance = _chance(drop / 6.0 * spare / unexplained, spare)
-            if chance < best[0]:
-                best = (chance, first, np.asarray(twist))
-    return best
+            unexplained = max(float(np.sum(remaining**2)) - explained, 1e-300)
+            chance = _chance(explained / 6.0 * freedom / unexplained, freedom)
+            if chance < clearest.chance:
+                clearest = _Step(chance, first, np.asarray(twist))
+    return clearest
 
 
-def _chance(ratio: float, spare: int) -> float:
-    """Return the chance of an F-distributed ratio (6, spare) beyond a value."""
+def _chance(ratio: float, freedom: int) -> float:
+    """Return the probability that an F-distributed ratio with 6 and `freedom` degrees of freedom exceeds `ratio`."""
     from scipy.stats import f
 
-    return float(f.sf(ratio, 6, spare))
+    return float(f.sf(ratio, 6, freedom))
 
 
-def _is_separable_by_order(q: Array, first: int) -> bool:
-    """Return whether a joint angle separates the configurations (C, 6) from `first` on from those before."""
+def _is_correlated_with_step(q: Array, first: int) -> bool:
+    """Return whether a joint angle is correlated with a step between configurations `first` − 1 and `first`.
+
+    Errors of the geometry that depend on this angle would look like the step.
+
+    :param q: (C, 6) joint angles [rad].
+    """
     angles = (q - q.mean(axis=0)) / np.maximum(q.std(axis=0), 1e-12)
     step = (np.arange(len(q)) >= first).astype(float)
     step = (step - step.mean()) / step.std()
@@ -94,12 +117,12 @@ def _is_separable_by_order(q: Array, first: int) -> bool:
 
 
 def _frame_derivatives(robot: RobotModel, data: Measurements, placement: Placement) -> Array:
-    """Return the derivatives (C, P, 3, 42) of the points, device axes, by twists of root and joint frames.
+    """Return the derivatives (C, P, 3, 42) of the points, device axes, by twists of the root and the six joint frames.
 
-    A twist has the axes of its frame.
+    Each twist is in the axes of its frame: translation, then rotation.
     """
     x = elastostatics.coordinates(robot, data.q)
-    turn = placement.root_in_device[:3, :3]
+    root_axes = placement.root_in_device[:3, :3]
     slopes = np.zeros((len(data.q), len(placement.points), 3, 42))
     for index, point in enumerate(placement.points):
         tool = np.eye(4)
@@ -107,11 +130,11 @@ def _frame_derivatives(robot: RobotModel, data: Measurements, placement: Placeme
         pose, _ = kinematics.tcp(robot.actual, x, tool)
         frames = [np.tile(np.eye(4), (len(x), 1, 1)), *_joint_frames(robot, data.q)]
         for number, frame in enumerate(frames):
-            axes = turn @ frame[:, :3, :3]
-            lever = (pose[:, :3, 3] - frame[:, :3, 3]) @ turn.T
-            columns = slice(6 * number, 6 * number + 3), slice(6 * number + 3, 6 * number + 6)
-            slopes[:, index, :, columns[0]] = axes
-            slopes[:, index, :, columns[1]] = np.cross(np.swapaxes(axes, 1, 2), lever[:, None]).swapaxes(1, 2)
+            axes = root_axes @ frame[:, :3, :3]
+            lever = (pose[:, :3, 3] - frame[:, :3, 3]) @ root_axes.T
+            rotation_slopes = np.cross(np.swapaxes(axes, 1, 2), lever[:, None]).swapaxes(1, 2)
+            slopes[:, index, :, 6 * number : 6 * number + 3] = axes
+            slopes[:, index, :, 6 * number + 3 : 6 * number + 6] = rotation_slopes
     return slopes
 
 
@@ -129,7 +152,7 @@ def _sag_derivatives(robot: RobotModel, data: Measurements, placement: Placement
 
 
 def _joint_frames(robot: RobotModel, q: Array) -> list[Array]:
-    """Return the frames (C, 4, 4) of the six joints before they turn, root axes."""
+    """Return the frames (C, 4, 4) of the six joints in the root, each before the rotation of its joint."""
     pose, frames = np.tile(np.eye(4), (len(q), 1, 1)), []
     for joint in range(len(JOINTS)):
         pose = pose @ robot.nominal.placement[joint]

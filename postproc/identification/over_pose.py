@@ -15,7 +15,7 @@ f_j is its prior: the model has the mean compliance there, and the bound counts 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import product
+from itertools import combinations, product
 
 import numpy as np
 
@@ -33,13 +33,13 @@ _WRIST = JOINTS[3:]
 
 
 def couplings(joints: Sequence[JointCompliance]) -> tuple[GearCoupling, ...]:
-    """Return the couplings among those joints of the wrist that loads act on."""
+    """Return the couplings of all pairs of wrist joints among some joints."""
     wrist = [joint.joint for joint in joints if joint.joint in _WRIST]
-    return tuple(GearCoupling(a, b) for index, a in enumerate(wrist) for b in wrist[index + 1 :])
+    return tuple(GearCoupling(first, second) for first, second in combinations(wrist, 2))
 
 
 def waves(joints: Sequence[JointCompliance]) -> tuple[PoseWave, ...]:
-    """Return the waves over the pose of the compliances of some joints."""
+    """Return the waves cos(n·q), sin(n·q) in which the compliances of some joints may vary with the joint angles q."""
     return tuple(
         PoseWave(joint.joint, turns, wave)
         for joint in joints
@@ -56,11 +56,17 @@ def share(wave: PoseWave) -> float:
 
 
 def _spectrum(turns: tuple[int, ...]) -> float:
+    """Return the relative variance of a wave with some turns (6,): it falls with those of A2 and A3."""
     return float(np.exp(-0.5 * (turns[1] ** 2 + turns[2] ** 2) / _SMOOTH**2))
 
 
 def _turns(index: int) -> list[tuple[int, ...]]:
-    """Return the turns (6,) of the waves of joint `index`: one of n and −n, which are the same wave."""
+    """Return n (6,), the periods in one turn of each joint angle, of all waves cos(n·q) of the compliance of a joint.
+
+    Of n and −n, which are the same wave, the one whose first turn is positive is returned. n = 0 is no wave.
+
+    :param index: of the joint, from 0.
+    """
     if index in (1, 2):
         pairs = [pair for pair in product(_TURNS_OF_ARM_JOINTS, repeat=2) if abs(pair[0]) + abs(pair[1]) <= 3]
         candidates = [(0, *pair, 0, 0, 0) for pair in pairs]
@@ -70,5 +76,5 @@ def _turns(index: int) -> list[tuple[int, ...]]:
             turns = [0, second, third, 0, 0, 0]
             turns[index] = first
             candidates.append(tuple(turns))
-    order = (index, 1, 2)
-    return [turns for turns in candidates if next((turns[i] for i in order if turns[i]), 0) > 0]
+    order = (index, 1, 2)  # other turns are zero
+    return [turns for turns in candidates if next((turns[joint] for joint in order if turns[joint]), 0) > 0]

@@ -60,7 +60,7 @@ _MOST_OUTLIERS = 0.03
 """Share of the readings that may be left out (assumed): more are no slips, but an error of the model or the set-up."""
 _SIGNIFICANCE = 3.29
 """Standard deviations of χ² beyond which joint springs alone do not explain the readings (one in a thousand)."""
-_WORTH_A_LOOK = 1.0
+_POSSIBLE = 1.0
 """Standard deviations of χ² from which richer structures are compared with joint springs, by evidence."""
 
 
@@ -128,7 +128,7 @@ def identify(
     checked = check_readings(prior, data)
     data, placement, outliers, warnings = checked.data, checked.placement, checked.outliers, checked.warnings
     if method == "serial":
-        return _serial(prior, checked)
+        return _serial_identification(prior, checked)
 
     progress("joint springs and compensator")
     joints, data, placement, names = _located_joints(prior, data, placement)
@@ -136,16 +136,16 @@ def identify(
     fit, open_entries, choice = joints.fit, joints.missing, None
     if depth == "joints" and _has_unexplained_error(fit):
         ratio = fit.chi2 / fit.dof
-        warnings.append(_left_by_joints(fit))
+        warnings.append(_joint_residual_text(fit))
         fit = replace(fit, covariance=fit.covariance * ratio)
-    elif depth == "auto" and (_is_hidden(fit) or _is_worth_a_look(fit)):
-        progress(f"{_left_by_joints(fit)}: trying link springs and gears that are not linear")
+    elif depth == "auto" and (_is_hidden(fit) or _has_possible_error(fit)):
+        progress(f"{_joint_residual_text(fit)}: trying link springs and gears that are not linear")
         clean_data, richer, names = _choose_springs(prior, data, placement)
-        if _has_unexplained_error(fit) or _is_hidden(fit) or _clearly_better(richer, fit, clean_data, placement):
+        if _has_unexplained_error(fit) or _is_hidden(fit) or _has_clear_evidence(richer, fit, clean_data, placement):
             data, choice, fit, outliers = clean_data, richer, richer.fit, outliers + names
             if not prior.subtract_reference:
                 placement = locate(fit.robot, data)
-            open_entries = _open_springs(choice, data, open_entries)
+            open_entries = _undetermined_springs(choice, data, open_entries)
     if choice is None:
         fit = held_by_prior(fit, open_entries)
     warnings += [str(entry) for entry in open_entries] + [f"outlier: {name}" for name in outliers]
@@ -153,7 +153,7 @@ def identify(
     model_error = discrepancy(data, placement, fit, left)
     fit = fit if choice is None else replace(fit, covariance=choice.wider)
     fit = add_stated_errors(fit, data, placement, None if choice is None else choice.influence)
-    workspace = over_workspace(_add_bound(fit, model_error), data)
+    workspace = over_workspace(_robot_with_bound(fit, model_error), data)
     judgement = judge(data, fit, choice, workspace, displacement_ratio(prior, data, placement))
     judgement = judgement.reserved(displaced_points(data, placement)).reserved(checked.doubt)
     warnings += judgement.notes + loops(prior, data, placement)
@@ -206,48 +206,48 @@ def check_readings(prior: RobotModel, data: Measurements) -> CheckedReadings:
     warnings = [*gaps(data), *moved_device(prior, data, placement)]
     doubt = force_axes(prior, data, placement)
     warnings += check_loads(prior, data, placement, advice)
-    data, notes = _noise(data)
+    data, notes = _readings_with_checked_noise(data)
     return CheckedReadings(data, placement, outliers, warnings + notes, doubt)
 
 
 def _located_joints(
     prior: RobotModel, data: Measurements, placement: Placement
 ) -> tuple[_Joints, Measurements, Placement, list[str]]:
-    """Fit joint springs and compensator, and where robot and points are.
+    """Fit joint springs and compensator, and the frames of robot and points if these depend on the springs.
 
-    Readings that no such springs explain are left out where the rest is then explained by them.
+    Gross errors are left out if joint springs then explain all other readings.
 
-    :returns: the fit, the readings that are kept, the placement, and what was left out.
+    :returns: the fit, the readings that are kept, the placement, and the names of the readings that are left out.
     """
-    joints = _joints(prior, data, placement)
+    joints = _fitted_joints(prior, data, placement)
     if not prior.subtract_reference:  # the pose without load depends on the springs
         placement = locate(joints.fit.robot, data)
-        joints = _joints(prior, data, placement)
+        joints = _fitted_joints(prior, data, placement)
     if _has_unexplained_error(joints.fit):
-        clean_data, fewer, names = _remove_outliers(prior, data, placement, joints.fit)
-        if names and not _has_unexplained_error(fewer):
-            placement = locate(prior if prior.subtract_reference else fewer.robot, clean_data)
-            return _joints(prior, clean_data, placement), clean_data, placement, names
+        clean_data, clean_fit, names = _remove_outliers(prior, data, placement, joints.fit)
+        if names and not _has_unexplained_error(clean_fit):
+            placement = locate(prior if prior.subtract_reference else clean_fit.robot, clean_data)
+            return _fitted_joints(prior, clean_data, placement), clean_data, placement, names
     return joints, data, placement, []
 
 
-def _left_by_joints(fit: Fit) -> str:
-    """Return for messages what the joint springs and the compensator leave unexplained."""
+def _joint_residual_text(fit: Fit) -> str:
+    """Return a text on the residual that joint springs and compensator leave unexplained."""
     return (
         f"joint springs and compensator leave {fit.rms * MM_PER_M:.3f} mm RMS, {fit.chi2 / fit.dof:.1f} times the "
         "noise variance"
     )
 
 
-def _add_bound(fit: Fit, model_error: Discrepancy) -> RobotModel:
-    """Return the identified robot with what its bound is made of."""
+def _robot_with_bound(fit: Fit, model_error: Discrepancy) -> RobotModel:
+    """Return the identified robot with the covariance of its parameters and the unmodelled error, for its bound."""
     parameters, _, covariance = to_file_units(fit)
     unmodelled = robots.Discrepancy(model_error.load, model_error.u95)
     return replace(fit.robot, covariance=robots.Covariance(parameters, covariance), discrepancy=unmodelled)
 
 
-def _clearly_better(richer: Choice, fit: Fit, data: Measurements, placement: Placement) -> bool:
-    """Return whether the evidence is for a richer structure than that of a fit."""
+def _has_clear_evidence(richer: Choice, fit: Fit, data: Measurements, placement: Placement) -> bool:
+    """Return whether the evidence for a richer structure exceeds that for the structure of a fit by `CLEAR`."""
     return richer.evidence > evidence_of(fit.structure, fit.values, data, placement) + CLEAR
 
 
@@ -269,16 +269,16 @@ def _choose_springs(
     return data, choice, outliers
 
 
-def _open_springs(
+def _undetermined_springs(
     choice: Choice, data: Measurements, open_entries: list[UnobservableParameter]
 ) -> list[UnobservableParameter]:
-    """Return the springs that the mean of structures does not determine: joints without load, and the compensator's.
+    """Return the springs that the mean of structures does not determine: of unloaded joints, and of the compensator.
 
-    What the fit of joint springs alone said of other parameters applies to a model that was given up.
+    :param open_entries: of the fit of joint springs alone: the reasons for unloaded joints are taken from them.
     """
-    fit, entry_of = choice.fit, {entry.parameter: entry for entry in open_entries}
+    fit, entry_by_parameter = choice.fit, {entry.parameter: entry for entry in open_entries}
     joints = [
-        entry_of.get(joint)
+        entry_by_parameter.get(joint)
         or UnobservableParameter(joint, "the loads put no torque on it", f"Load {joint.joint} more.")
         for joint in unloaded_joints(fit.structure.prior, data)
     ]
@@ -293,7 +293,12 @@ def _open_springs(
 
 
 class _Joints(Struct, frozen=True, eq=False):
-    """Joint springs and compensator: the fit, the paper's two steps, and what remains unidentified."""
+    """Joint springs and compensator.
+
+    :param levels: equivalent compliance of joint 2 at each level of q2; None: too few readings.
+    :param spring: gear and compensator of joint 2 from the levels; None: no compensator, or too few levels.
+    :param missing: parameters that the readings do not determine.
+    """
 
     fit: Fit
     levels: Levels | None
@@ -301,8 +306,8 @@ class _Joints(Struct, frozen=True, eq=False):
     missing: list[UnobservableParameter]
 
 
-def _joints(prior: RobotModel, data: Measurements, placement: Placement) -> _Joints:
-    """Fit the springs of the joints, and the compensator from the levels of q2 where there are enough."""
+def _fitted_joints(prior: RobotModel, data: Measurements, placement: Placement) -> _Joints:
+    """Fit joint springs and compensator, beginning with values from the levels of q2 if there are enough of them."""
     level_fit = extended_set(prior, data, placement)
     levels = level_fit[1] if level_fit else None
     spring = None
@@ -312,8 +317,11 @@ def _joints(prior: RobotModel, data: Measurements, placement: Placement) -> _Joi
     return _Joints(fit, levels, spring, open_entries)
 
 
-def _serial(prior: RobotModel, checked: CheckedReadings) -> Identification:
-    """Identify joint springs one by one (`method = "serial"`), with bound and verdict."""
+def _serial_identification(prior: RobotModel, checked: CheckedReadings) -> Identification:
+    """Return the identification by the serial method: springs of joints alone, linear in the load.
+
+    :param checked: the readings, with outliers and warnings so far.
+    """
     data, placement, outliers, warnings = checked.data, checked.placement, checked.outliers, checked.warnings
     fit = fit_serial(prior, data, placement)
     open_entries = not_observable(fit, data, with_misfit=True)
@@ -321,7 +329,7 @@ def _serial(prior: RobotModel, checked: CheckedReadings) -> Identification:
     warnings += [str(entry) for entry in open_entries] + [f"outlier: {name}" for name in outliers]
     model_error = discrepancy(data, placement, fit, fit.residual)
     fit = add_stated_errors(fit, data, placement, None)
-    workspace = over_workspace(_add_bound(fit, model_error), data)
+    workspace = over_workspace(_robot_with_bound(fit, model_error), data)
     judgement = judge(data, fit, None, workspace, displacement_ratio(prior, data, placement))
     judgement = judgement.reserved(displaced_points(data, placement)).reserved(checked.doubt)
     return Identification(
@@ -342,12 +350,13 @@ def _serial(prior: RobotModel, checked: CheckedReadings) -> Identification:
     )
 
 
-def _noise(data: Measurements) -> tuple[Measurements, list[str]]:
-    """Compare the stated noise with the scatter of the repeats; take the scatter where it is clearly larger."""
+def _readings_with_checked_noise(data: Measurements) -> tuple[Measurements, list[str]]:
+    """Return the readings, with the scatter of the repeats as noise if it clearly exceeds the stated one; and notes."""
     squares, dof = data.scatter()
-    if dof < 30:
+    if dof < 30:  # the scatter would be known to 13 % at best
         return data, []
     scatter = float(np.sqrt(squares / dof))
+    # a scatter has a relative standard deviation of 1/√(2 dof): four of these are clear
     if scatter > data.sigma * (1.0 + 4.0 / np.sqrt(2.0 * dof)):
         note = (
             f"sigma_mm = {data.sigma * MM_PER_M:g} is stated; the repeats scatter by {scatter * MM_PER_M:.3f} mm: used"
@@ -362,17 +371,22 @@ def _noise(data: Measurements) -> tuple[Measurements, list[str]]:
 
 
 def _has_unexplained_error(fit: Fit) -> bool:
+    """Return whether χ² of a fit is above what noise makes once in a thousand.
+
+    That quantile is close to dof + 3.29·√(2 dof), and a constant that counts for few degrees of freedom.
+    """
     return fit.dof > 0 and fit.chi2 > fit.dof + _SIGNIFICANCE * np.sqrt(2.0 * fit.dof) + 7.0
 
 
-def _is_worth_a_look(fit: Fit) -> bool:
-    return bool(fit.chi2 > fit.dof + _WORTH_A_LOOK * np.sqrt(2.0 * max(fit.dof, 0)))
+def _has_possible_error(fit: Fit) -> bool:
+    """Return whether χ² of a fit is above its mean for noise by a standard deviation: others may fit better."""
+    return bool(fit.chi2 > fit.dof + _POSSIBLE * np.sqrt(2.0 * max(fit.dof, 0)))
 
 
 def _is_hidden(fit: Fit) -> bool:
-    """Return whether noise hides link springs, so that joint springs which suffice say nothing of them.
+    """Return whether noise would hide the springs of links: a good fit of joint springs then proves nothing about them.
 
-    Least squares of joints alone then describe the readings, and their covariance lacks what the links add elsewhere.
+    Their smallest share of the displacements would add less to χ² than `_VISIBLE_SIGMAS` of its standard deviations.
     """
     visible_chi2 = _HIDDEN_SHARE**2 * float(fit.target @ fit.target)
     return bool(visible_chi2 < _VISIBLE_SIGMAS * np.sqrt(2.0 * max(fit.dof, 0)))
@@ -381,47 +395,53 @@ def _is_hidden(fit: Fit) -> bool:
 def _remove_outliers(
     prior: RobotModel, data: Measurements, placement: Placement, fit: Fit
 ) -> tuple[Measurements, Fit, list[str]]:
-    """Leave out gross errors against the joint model, one at a time, as long as they explain the misfit."""
+    """Leave out gross errors against the joint springs one at a time, until the springs explain the other readings.
+
+    Nothing is left out if `_MOST_OUTLIERS` of the readings could not explain the misfit.
+
+    :returns: the readings that are kept, the fit to them, and the names of those that are left out.
+    """
     names: list[str] = []
     limit = max(1, int(_MOST_OUTLIERS * len(data.state)))
-    if not _is_explained(fit, limit * (len(data.loaded_states) // len(data.q))):
+    if not _can_outliers_explain(fit, limit * (len(data.loaded_states) // len(data.q))):
         return data, fit, names
     for _ in range(limit):
         clean_data, new_names = plausibility.remove_worst_residual(data, placement, fit)
         if not new_names:
             break
         data, names = clean_data, names + new_names
-        fit = _joints(prior, data, placement).fit
+        fit = _fitted_joints(prior, data, placement).fit
         if not _has_unexplained_error(fit):
             break
     return data, fit, names
 
 
-def _is_explained(fit: Fit, limit: int) -> bool:
-    """Return whether the rest is noise when the largest residuals, of that many points, are left out.
+def _can_outliers_explain(fit: Fit, limit: int) -> bool:
+    """Return whether only noise remains without up to `limit` points with the largest residuals.
 
-    By the derivatives at the fit: a robot that is more than its joint springs needs no fits to find out.
+    The fit is linearised: this is quick, and few robots pass it that have more than joint springs.
     """
     # 1e-300 keeps zero out of the denominator
-    rows, left = fit.design / np.maximum(np.linalg.norm(fit.design, axis=0), 1e-300), fit.target.copy()
+    design, target = fit.design / np.maximum(np.linalg.norm(fit.design, axis=0), 1e-300), fit.target.copy()
     for count in range(1, limit + 1):
-        residual = (left - rows @ np.linalg.lstsq(rows, left, rcond=1e-9)[0]).reshape(-1, 3)
+        residual = (target - design @ np.linalg.lstsq(design, target, rcond=1e-9)[0]).reshape(-1, 3)
         worst = int(np.argmax(np.sum(residual**2, axis=1)))
         outlier_rows = slice(3 * worst, 3 * worst + 3)
-        rows[outlier_rows], left[outlier_rows] = 0.0, 0.0
-        residual = left - rows @ np.linalg.lstsq(rows, left, rcond=1e-9)[0]
+        design[outlier_rows], target[outlier_rows] = 0.0, 0.0
+        residual = target - design @ np.linalg.lstsq(design, target, rcond=1e-9)[0]
         if not _has_unexplained_error(replace(fit, chi2=float(residual @ residual), dof=fit.dof - 3 * count)):
             return True
     return False
 
 
 def rms_distances(result: Identification) -> tuple[Array, Array]:
-    """Return the RMS distance (C,) of the points of each configuration without and with the model [m]."""
-    square = np.sum(measured_displacements(result.data, result.placement) ** 2, axis=2).mean(axis=1)
-    left = np.sum(result.fit.residual**2, axis=2).mean(axis=1)
+    """Return the RMS of measured displacements (C,) and of residuals (C,) of the points of each configuration [m]."""
     config = result.data.state_config[result.data.loaded_states]
     count = np.bincount(config, minlength=len(result.data.q))
-    return (
-        np.sqrt(np.bincount(config, weights=square, minlength=len(count)) / count),
-        np.sqrt(np.bincount(config, weights=left, minlength=len(count)) / count),
-    )
+
+    def rms(vectors: Array) -> Array:
+        """Return the RMS length (C,) of vectors (L, P, 3) of loaded states."""
+        square = np.sum(vectors**2, axis=2).mean(axis=1)
+        return np.asarray(np.sqrt(np.bincount(config, weights=square, minlength=len(count)) / count))
+
+    return rms(measured_displacements(result.data, result.placement)), rms(result.fit.residual)

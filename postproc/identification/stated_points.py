@@ -22,9 +22,9 @@ _MOST_NAMES = 6
 
 
 def displaced_points(data: Measurements, placement: Placement) -> str:
-    """Return, as a clause, which points are far from their stated places, and what to check; empty if none is.
+    """Return a clause on points that are far from their stated positions in the flange frame, with what to check.
 
-    Distances count as far as the readings without load determine the points.
+    It is empty if none is: none whose distance exceeds `_LIMIT` by more than its 95 % uncertainty.
     """
     distance = norm(placement.points - data.guess)
     far_points = np.flatnonzero(distance - _uncertainty(placement) > _LIMIT)
@@ -56,13 +56,14 @@ def _uncertainty(placement: Placement) -> Array:
 
 
 def _flange_turn(stated: Array, points: Array) -> float | None:
-    """Return the angle [rad] about the flange axis that carries stated points (P, 3) to all others; None if none
-    does.
+    """Return the rotation [rad] about Z of the flange frame from stated to measured points; None if there is none.
+
+    :param stated: (P, 3) and `points` (P, 3), in the flange frame [m].
     """
-    plane_stated, plane_points = stated[:, :2] @ [1.0, 1.0j], points[:, :2] @ [1.0, 1.0j]
+    plane_stated, plane_points = stated[:, :2] @ [1.0, 1.0j], points[:, :2] @ [1.0, 1.0j]  # x + i·y
     turn = np.angle(np.sum(plane_points * plane_stated.conj()))
-    left = np.hypot(np.abs(plane_points - plane_stated * np.exp(1j * turn)), points[:, 2] - stated[:, 2])
-    return float(turn) if left.max() < _LIMIT else None
+    distance = np.hypot(np.abs(plane_points - plane_stated * np.exp(1j * turn)), points[:, 2] - stated[:, 2])
+    return float(turn) if distance.max() < _LIMIT else None
 
 
 def _coordinates(point: Array) -> str:

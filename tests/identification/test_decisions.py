@@ -85,7 +85,7 @@ def test_loads_without_a_lever_are_the_reason_before_the_interval_is():
         for size, named in ((19.0, True), (21.0, False)):
             small = torque.copy()
             small[:, joint] = -size
-            entry = joint_springs._joint_reason(
+            entry = joint_springs._unobservable_joint(
                 JOINT_COMPLIANCES[joint], small, fit_of(data, covariance=wide), joint, 1e-6, np.eye(6)
             )
             assert (words in entry.reason + entry.advice) == named
@@ -173,7 +173,7 @@ def chi_of(dof, chi2, target=0.0):
 @pytest.mark.parametrize(("deviations", "look"), [(0.99, False), (1.01, True)])
 def test_richer_structures_are_looked_at_from_one_standard_deviation_of_the_squares_on(deviations, look):
     """χ² of n degrees of freedom has a standard deviation of √(2n)."""
-    assert procedure._is_worth_a_look(chi_of(98, 98 + deviations * 14.0)) == look
+    assert procedure._has_possible_error(chi_of(98, 98 + deviations * 14.0)) == look
 
 
 @pytest.mark.parametrize(("share", "hidden"), [(0.99, True), (1.01, False)])
@@ -186,7 +186,7 @@ def test_links_of_a_sixteenth_of_the_displacements_are_hidden_below_ten_standard
 def test_a_richer_structure_needs_odds_of_one_in_twenty(gain, better, monkeypatch):
     monkeypatch.setattr(procedure, "evidence_of", lambda *_: 100.0)
     fit = SimpleNamespace(structure=None, values=None)
-    assert procedure._clearly_better(SimpleNamespace(evidence=100.0 + gain), fit, None, None) == better
+    assert procedure._has_clear_evidence(SimpleNamespace(evidence=100.0 + gain), fit, None, None) == better
 
 
 def test_what_a_mean_of_structures_leaves_open_are_joints_without_load_and_the_compensator():
@@ -198,7 +198,7 @@ def test_what_a_mean_of_structures_leaves_open_are_joints_without_load_and_the_c
 
     def left(prior, parameters):
         fit = SimpleNamespace(structure=SimpleNamespace(prior=prior), parameter_values=dict.fromkeys(parameters, 1.0))
-        return procedure._open_springs(SimpleNamespace(fit=fit), data, [earlier, gone])
+        return procedure._undetermined_springs(SimpleNamespace(fit=fit), data, [earlier, gone])
 
     assert left(BARE, ()) == [earlier]
     assert left(harness.PRIOR, SPRING) == [earlier]
@@ -209,7 +209,7 @@ def test_what_a_mean_of_structures_leaves_open_are_joints_without_load_and_the_c
     assert second.parameter == CompensatorPreload()
     assert "the torque on the gears at rest shows how strong it is" in second.reason
     fit = SimpleNamespace(structure=SimpleNamespace(prior=BARE), parameter_values={})
-    (new,) = procedure._open_springs(SimpleNamespace(fit=fit), data, [])
+    (new,) = procedure._undetermined_springs(SimpleNamespace(fit=fit), data, [])
     assert (new.parameter, new.reason) == (JOINT_COMPLIANCES[0], "the loads put no torque on it")
 
 
@@ -378,7 +378,7 @@ def test_readings_are_left_out_only_if_the_others_are_then_explained(
         located.append((robot, data))
         return f"placement {len(located)}"
 
-    monkeypatch.setattr(procedure, "_joints", joints)
+    monkeypatch.setattr(procedure, "_fitted_joints", joints)
     monkeypatch.setattr(procedure, "locate", locate)
     monkeypatch.setattr(procedure, "_has_unexplained_error", lambda fit: not explained[fit.name])
     clean = SimpleNamespace(name="clean", robot="robot of clean")
@@ -407,14 +407,14 @@ def test_three_of_a_hundred_readings_are_left_out_at_most(readings_count, wrong,
         limits.append(limit)
         return explained
 
-    monkeypatch.setattr(procedure, "_is_explained", is_explained)
+    monkeypatch.setattr(procedure, "_can_outliers_explain", is_explained)
     monkeypatch.setattr(
         procedure.plausibility, "remove_worst_residual",
         lambda data, _, fit: (SimpleNamespace(**(vars(data) | {"wrong": data.wrong - 1})), [f"{data.wrong}"])
         if data.wrong > 0 else (data, []),
     )  # fmt: skip
     monkeypatch.setattr(
-        procedure, "_joints", lambda _, data, __: SimpleNamespace(fit=SimpleNamespace(wrong=data.wrong))
+        procedure, "_fitted_joints", lambda _, data, __: SimpleNamespace(fit=SimpleNamespace(wrong=data.wrong))
     )
     monkeypatch.setattr(procedure, "_has_unexplained_error", lambda fit: fit.wrong > 0)
     first = SimpleNamespace(wrong=wrong)

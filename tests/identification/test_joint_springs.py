@@ -143,7 +143,7 @@ def test_a_joint_without_torque_keeps_the_springs_of_the_prior_in_the_serial_mod
     on_axis = readings_on_axis(wrench)
     stated = robot.Covariance(robot.JOINT_COMPLIANCES, np.diag([1.0, 2, 3, 4, 5, 6.0]) ** 2 * 1e-2)
     prior = replace(harness.PRIOR, covariance=stated)
-    result = procedure._serial(prior, procedure.CheckedReadings(on_axis, placed(on_axis), [], [], ""))
+    result = procedure._serial_identification(prior, procedure.CheckedReadings(on_axis, placed(on_axis), [], [], ""))
     assert [entry.parameter for entry in result.missing] == [robot.JOINT_COMPLIANCES[5]]
     assert "on A6 (they act on its axis)" in result.missing[0].reason
     assert "on a bracket" in result.missing[0].advice
@@ -151,7 +151,7 @@ def test_a_joint_without_torque_keeps_the_springs_of_the_prior_in_the_serial_mod
     np.testing.assert_allclose(result.fit.values[:5], SPRINGS[:5], rtol=5e-3)
     np.testing.assert_allclose(result.fit.covariance[5], [0, 0, 0, 0, 0, (0.6e-6) ** 2])
     np.testing.assert_array_equal(result.fit.covariance[:, 5], result.fit.covariance[5])
-    whole = procedure._serial(prior, procedure.CheckedReadings(data, placed(data), [], [], ""))
+    whole = procedure._serial_identification(prior, procedure.CheckedReadings(data, placed(data), [], [], ""))
     assert whole.missing == ()
     published = joint_springs.held_by_prior(whole.fit, list(result.missing))
     plain = replace(published.structure, prior=harness.PRIOR)
@@ -345,7 +345,7 @@ def test_vertical_loads_say_nothing_of_a1_and_that_is_the_reason():
     wrench = forces(10)
     wrench[:, :2] = 0.0
     data = readings(wrench)
-    result = procedure._serial(harness.PRIOR, procedure.CheckedReadings(data, placed(data), [], [], ""))
+    result = procedure._serial_identification(harness.PRIOR, procedure.CheckedReadings(data, placed(data), [], [], ""))
     assert robot.JOINT_COMPLIANCES[0] in [entry.parameter for entry in result.missing]
     reason = next(entry for entry in result.missing if entry.parameter == robot.JOINT_COMPLIANCES[0])
     assert "on A1 (they are vertical, parallel to its axis)" in reason.reason

@@ -37,7 +37,7 @@ def test_scatter_of_repeats_replaces_the_stated_noise_from_four_standard_errors_
         dof = 3 * (repeats - 1)
         data, own = scattered(2e-5 * (1.0 + standard_errors / np.sqrt(2.0 * dof)), 2e-5, repeats)
         assert own == dof
-        used, notes = procedure._noise(data)
+        used, notes = procedure._readings_with_checked_noise(data)
         assert len(notes) == noted
         if replaced:
             assert used.sigma == pytest.approx(2e-5 * (1.0 + standard_errors / np.sqrt(2.0 * dof)))
@@ -51,7 +51,7 @@ def test_scatter_clearly_below_the_stated_noise_is_noted_and_not_used(standard_e
     """A fifth below it is usual, since repeats share what the set-up adds."""
     data, dof = scattered(1.0, 2e-5, 101)
     data = replace(data, position=data.position * 2e-5 * (0.8 - standard_errors / np.sqrt(2.0 * dof)))
-    used, notes = procedure._noise(data)
+    used, notes = procedure._readings_with_checked_noise(data)
     assert used.sigma == 2e-5
     assert len(notes) == noted
     assert not noted or "the stated noise is kept" in notes[0]
@@ -60,7 +60,7 @@ def test_scatter_clearly_below_the_stated_noise_is_noted_and_not_used(standard_e
 @pytest.mark.parametrize(("repeats", "judged"), [(10, False), (11, True)])
 def test_scatter_is_judged_from_thirty_degrees_of_freedom_on(repeats, judged):
     data, _ = scattered(1e-4, 2e-5, repeats)
-    assert bool(procedure._noise(data)[1]) == judged
+    assert bool(procedure._readings_with_checked_noise(data)[1]) == judged
 
 
 @pytest.fixture(scope="module")

@@ -201,11 +201,11 @@ def test_richer_structures_are_taken_for_their_evidence_or_where_noise_or_a_misf
     monkeypatch.setattr(procedure, "_located_joints", lambda _, data, placement: (
         SimpleNamespace(fit=result.fit, missing=[], levels=None, spring=None), data, placement, []))  # fmt: skip
     monkeypatch.setattr(procedure, "_choose_springs", choose)
-    monkeypatch.setattr(procedure, "_is_worth_a_look", lambda _: worth_a_look)
+    monkeypatch.setattr(procedure, "_has_possible_error", lambda _: worth_a_look)
     monkeypatch.setattr(procedure, "_is_hidden", lambda _: hidden)
     monkeypatch.setattr(procedure, "_has_unexplained_error", lambda _: unexplained)
-    monkeypatch.setattr(procedure, "_clearly_better", lambda *_: better)
-    monkeypatch.setattr(procedure, "_open_springs", refuse)
+    monkeypatch.setattr(procedure, "_has_clear_evidence", lambda *_: better)
+    monkeypatch.setattr(procedure, "_undetermined_springs", refuse)
     if taken:
         with pytest.raises(TakenError):
             identify(harness.PRIOR, result.data)

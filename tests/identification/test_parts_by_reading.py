@@ -266,7 +266,7 @@ def test_the_clearest_step_is_that_of_the_f_test_over_all_configurations(seed):
     best = (np.inf, 0)
     for row in range(2, configs - 1):
         order = [np.corrcoef(np.arange(configs) >= row, angles)[0, 1] for angles in q.T]
-        assert moved_device._is_separable_by_order(q, row) == (max(map(abs, order)) > 0.5)
+        assert moved_device._is_correlated_with_step(q, row) == (max(map(abs, order)) > 0.5)
         if max(map(abs, order)) > 0.5:
             continue
         step = (rows[..., :6] * (np.arange(configs) >= row)[:, None, None, None]).reshape(-1, 6)

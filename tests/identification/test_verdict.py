@@ -203,6 +203,6 @@ def test_why_a_compensator_is_not_observable(stiffness, half, free_length, level
         ci95=np.array([half, half]), parameter_values={kind: stiffness, preload: stiffness * free_length},
     )  # fmt: skip
     data = SimpleNamespace(q=np.outer(np.repeat(np.arange(levels), 4) * -0.4, np.eye(6)[1]))
-    found = joint_springs._compensator(fit, data, 1.0, False)
+    found = joint_springs._unobservable_compensator(fit, data, 1.0, False)
     assert (found is None) == (reason is None)
     assert reason is None or reason in found.reason
