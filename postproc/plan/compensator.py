@@ -11,7 +11,6 @@ from __future__ import annotations
 import numpy as np
 from msgspec import Struct
 
-from postproc.compensator import Compensator
 from postproc.decimals import without_negative_zero
 from postproc.errors import PlanError
 from postproc.frames import DEG_PER_RAD, MM_PER_M, RAD_PER_DEG, Array
@@ -65,7 +64,7 @@ class CompensatorPlan(Struct, frozen=True, eq=False):
 
 
 def plan_compensator(robot: RobotModel, sigma: float, options: CompensatorOptions) -> CompensatorPlan:
-    """Choose angles of A2 and places of markers.
+    """Return the angles of A2 and the places of markers that determine L, a_x, a_y of the compensator best.
 
     :param sigma: noise of one coordinate of one reading [m].
     :raises PlanError: the robot has no compensator, or its A2 has no room for the angles.
@@ -76,10 +75,10 @@ def plan_compensator(robot: RobotModel, sigma: float, options: CompensatorOption
             f"robot {robot.name} has no gravity compensator",
             advice="Give the robot in the experiment a [compensator] in its model.toml, with rough L, a_x, a_y.",
         )
-    value = _value(law)
-    lower, upper = (
-        (limit + side * options.margin) * DEG_PER_RAD for limit, side in ((robot.lower[1], 1.0), (robot.upper[1], -1.0))
-    )
+    value = np.array([law.L, law.ax, law.ay])
+    lower = (robot.lower[1] + options.margin) * DEG_PER_RAD
+    upper = (robot.upper[1] - options.margin) * DEG_PER_RAD
+    # whole degrees
     grid = np.arange(np.ceil(lower - 1e-9), np.floor(upper + 1e-9) + 1.0)
     if len(grid) < 1 + _MIN_STEP * (options.angles - 1):
         raise PlanError(
@@ -88,7 +87,7 @@ def plan_compensator(robot: RobotModel, sigma: float, options: CompensatorOption
         )
     beta = geometry.even_angles(options.markers)
     even_angles = grid[np.round(np.linspace(0, len(grid) - 1, options.angles)).astype(np.int64)]
-    angles = _exchange(value, grid, even_angles, beta)
+    angles = _exchanged_angles(value, grid, even_angles, beta)
     q2 = np.sort(angles)[::-1] * RAD_PER_DEG
     return CompensatorPlan(
         robot=robot.name,
@@ -110,36 +109,41 @@ def expected_intervals(value: Array, q2: Array, beta: Array, sigma: float, repea
     :param q2: (m,) [rad].
     :param beta: (k,) angles of the markers around P0 [rad].
     :param sigma: noise of one coordinate of one reading [m].
+    :param repeats: readings of each marker at each angle.
     """
     m, k = len(q2), len(beta)
+    # of the residuals of the circle fits, and of the scatter of repeats: P1 and k markers at m angles, 3 coordinates
     dof = geometry.degrees_of_freedom(m, k) + 3 * (repeats - 1) * m * (k + 1)
     covariance = geometry.expected_covariance(value, q2, np.full(k, _RADIUS), beta, sigma**2 / repeats)
     return np.asarray(geometry.student_95(dof) * np.sqrt(np.diag(covariance)))
 
 
-def _exchange(value: Array, grid: Array, start: Array, beta: Array) -> Array:
-    """Return angles (m,) [deg] of the grid that the exchange of no single one improves."""
-    result, radius = start.copy(), np.full(len(beta), _RADIUS)
+def _exchanged_angles(value: Array, grid: Array, start: Array, beta: Array) -> Array:
+    """Return angles (m,) [deg] such that the exchange of no single one makes the expected covariance smaller.
 
-    def cost(angles: Array) -> float:
+    Exchange algorithm of Fedorov (1972); the criterion is the trace of the covariance of L, a_x, a_y.
+
+    :param value: (3,) L, a_x, a_y [m].
+    :param grid: angles to choose from [deg], and `start` (m,) those to begin with [deg].
+    :param beta: (k,) angles of the markers around P0 [rad].
+    """
+    angles, radius = start.copy(), np.full(len(beta), _RADIUS)
+
+    def cost(angles_deg: Array) -> float:
+        """Return the trace of the expected covariance [m²] for angles (m,) [deg]."""
         # noise of a typical tracker: it scales all but the bias
-        return float(np.trace(geometry.expected_covariance(value, angles * RAD_PER_DEG, radius, beta, 1e-9)))
+        return float(np.trace(geometry.expected_covariance(value, angles_deg * RAD_PER_DEG, radius, beta, 1e-9)))
 
-    best, has_gain = cost(result), True
+    lowest_cost, has_gain = cost(angles), True
     while has_gain:
         has_gain = False
-        for place in range(len(result)):
-            other_angles = np.delete(result, place)
+        for place in range(len(angles)):
+            other_angles = np.delete(angles, place)
             for angle in grid[np.abs(grid[:, None] - other_angles).min(axis=1) >= _MIN_STEP]:
-                trial = np.append(other_angles, angle)
-                trial_cost = cost(trial)
-                if trial_cost < best * (1.0 - 1e-6):
-                    result[place], best, has_gain = angle, trial_cost, True
-    return result
-
-
-def _value(law: Compensator) -> Array:
-    return np.array([law.L, law.ax, law.ay])
+                trial_cost = cost(np.append(other_angles, angle))
+                if trial_cost < lowest_cost * (1.0 - 1e-6):  # less is rounding: the loop would not end
+                    angles[place], lowest_cost, has_gain = angle, trial_cost, True
+    return angles
 
 
 def template(plan: CompensatorPlan) -> bytes:
@@ -158,7 +162,7 @@ def marker_names(plan: CompensatorPlan) -> list[str]:
 
 def summary(plan: CompensatorPlan) -> dict[str, object]:
     """Return the plan as plain data; mm and degrees."""
-    sides = {"L_mm": 0, "a_x_mm": 1, "a_y_mm": 2}
+    rows = {"L_mm": 0, "a_x_mm": 1, "a_y_mm": 2}
     return {
         "robot": plan.robot,
         "sigma_mm": round(plan.sigma * MM_PER_M, 9),
@@ -175,7 +179,7 @@ def summary(plan: CompensatorPlan) -> dict[str, object]:
                 "ci95": float(plan.ci95[row]) * MM_PER_M,
                 "ci95_even_angles": float(plan.ci95_even[row]) * MM_PER_M,
             }
-            for key, row in sides.items()
+            for key, row in rows.items()
         },
     }
 

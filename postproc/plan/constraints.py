@@ -1,4 +1,4 @@
-"""Which poses can be measured: room, sight and torques; and which constraint blocks when none can.
+"""Poses that can be measured: constraints of room, line of sight and torques, and those that forbid a pose.
 
 The arm is a chain of capsules (segments with a radius), tool and rope are capsules too, the weight is a ball.
 """
@@ -48,47 +48,59 @@ class State(Columns, frozen=True, eq=False):
 
     @classmethod
     def of(cls, site: Site, q: Array, tilt: Array | None) -> State:
-        """Pose the arm; `tilt` (N, 2) [rad] of the load, None without load."""
+        """Return the configurations q (N, 6) [rad] with the arm posed; `tilt` (N, 2) [rad] of the load, None: no load.
+
+        A tilt is a vector along the horizontal part of the load, as long as the angle of the load from straight down.
+        """
         return cls(q, None if tilt is None else direction(tilt), site.arm.pose(q))
 
 
 def feasible(site: Site, q: Array, tilt: Array) -> Bools:
-    """Return (N,) which configurations q (N, 6) [rad] under loads `tilt` (N, 2) [rad] can be measured."""
+    """Return True for configurations q (N, 6) [rad] under loads that can be measured: all constraints hold.
+
+    :param tilt: (N, 2) angles of the load from straight down [rad], along the horizontal part of the load.
+    """
     state = State.of(site, q, tilt)
     is_feasible = within_limits(site, q) & (np.linalg.norm(tilt, axis=1) <= site.rig.largest_tilt + 1e-9)
     rows = np.flatnonzero(is_feasible)
-    for group in _GROUPS:
+    for group in _GROUPS:  # each is checked only where those before are satisfied
         state = State.of(site, q[rows], tilt[rows]) if len(rows) < len(state.q) else state
         is_allowed = np.ones(len(rows), dtype=bool)
-        for _, by_constraint in group(site, state):
-            is_allowed &= by_constraint
+        for _, is_satisfied in group(site, state):
+            is_allowed &= is_satisfied
         is_feasible[rows] = is_allowed
         rows = rows[is_allowed]
     return np.asarray(is_feasible)
 
 
 def passable(site: Site, q: Array) -> Bools:
-    """Return (N,) True where the unloaded arm can be, visible or not."""
+    """Return True for configurations q (N, 6) [rad] in which the unloaded arm is within limits and touches nothing.
+
+    Torques and lines of sight do not count: the arm only moves through.
+    """
     state = State.of(site, q, None)
     is_passable = within_limits(site, q)
-    for group in (_floor, _itself, _room):
-        for _, is_allowed in group(site, state):
-            is_passable &= is_allowed
+    for group in (_floor_clearance, _self_clearance, _obstacle_clearance):
+        for _, is_satisfied in group(site, state):
+            is_passable &= is_satisfied
     return is_passable
 
 
 def failures(site: Site, q: Array, tilt: Array) -> dict[str, Bools]:
-    """Return for each constraint which configurations (N,) it forbids by itself."""
+    """Return name of a constraint → True for configurations (N,) that it forbids, whatever the others do.
+
+    :param q: (N, 6) [rad]; `tilt` (N, 2) angles of the load from straight down [rad].
+    """
     state = State.of(site, q, tilt)
-    failed_rows = {"joint limits": ~within_limits(site, q)}
+    is_forbidden = {"joint limits": ~within_limits(site, q)}
     for group in _GROUPS:
-        for name, is_allowed in group(site, state):
-            failed_rows[name] = failed_rows.get(name, np.zeros(len(q), dtype=bool)) | ~is_allowed
-    return failed_rows
+        for name, is_satisfied in group(site, state):
+            is_forbidden[name] = is_forbidden.get(name, np.zeros(len(q), dtype=bool)) | ~is_satisfied
+    return is_forbidden
 
 
 def within_limits(site: Site, q: Array) -> Bools:
-    """Return (N,) which configurations keep the margin to the joint limits."""
+    """Return True for configurations q (N, 6) [rad] within the joint limits of the site, which contain the margin."""
     return np.asarray(((q >= site.lower - 1e-9) & (q <= site.upper + 1e-9)).all(axis=1))
 
 
@@ -132,24 +144,28 @@ def torques(site: Site, state: State) -> Array:
     return torque
 
 
-def _floor(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
-    """Yield which configurations (N,) keep arm, tool and load above the floor, with the name of the limit."""
+def _floor_clearance(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
+    """Yield the name of the constraint and True for configurations (N,) with arm, tool and load clear of the floor."""
     is_above_floor = np.ones(len(state.q), dtype=bool)
     for part in (*arm_parts(site, state)[1:], *tool_parts(site, state), *load_parts(site, state)):
         is_above_floor &= np.minimum(part.start[:, 2], part.end[:, 2]) - part.radius >= site.floor + site.clearance
     yield "floor", is_above_floor
 
 
-def _torque(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
-    """Yield for each joint which configurations (N,) keep its static torque within its limit."""
+def _torque_limits(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
+    """Yield for each joint the name of the constraint and True for configurations (N,) within its static torque."""
     if site.torque_limit is not None:
         is_allowed = np.abs(torques(site, state)) <= site.torque_limit
         for joint in range(6):
             yield f"static torque of A{joint + 1}", is_allowed[:, joint]
 
 
-def _itself(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
-    """Yield the names of robot parts, and where (n,) nothing comes too close to them."""
+def _self_clearance(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
+    """Yield for each part of the robot its name and True for configurations (n,) in which nothing is too close to it.
+
+    Parts keep the clearance of the site. If the coarse shapes of two parts are closer in the arm stretched out, the
+    limit is a share of that distance.
+    """
     if len(state.q) == 0:
         return
     pairs = _capsule_pairs(site, state)
@@ -157,14 +173,14 @@ def _itself(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
     # parts that are this near with the arm stretched out overlap by their coarse shape, not by a collision
     straight_gap = _straight_distances(site)
     min_gap[: len(straight_gap)] = np.minimum(min_gap[: len(straight_gap)], _STRAIGHT_SHARE * straight_gap)
-    free = _gaps(pairs) >= min_gap[:, None]
+    is_clear = _axis_distances(pairs) >= min_gap[:, None]
     for name in _PARTS[:4]:
         rows = [row for row, (part, _) in enumerate(pairs) if part.name == name]
-        yield f"tool, load and arm against the robot's {name}", np.asarray(free[rows].all(axis=0))
+        yield f"tool, load and arm against the robot's {name}", np.asarray(is_clear[rows].all(axis=0))
 
 
 def _capsule_pairs(site: Site, state: State) -> list[tuple[Capsule, Capsule]]:
-    """Return the parts that could meet, those with the load last."""
+    """Return pairs of a part of the robot and another part that could collide with it, those with the load last."""
     column, link, elbow, forearm, hand = arm_parts(site, state)
     tool, load = tool_parts(site, state), load_parts(site, state)
     front = Capsule("forearm", 0.5 * (forearm.start + forearm.end), forearm.end, forearm.radius)
@@ -176,30 +192,31 @@ def _capsule_pairs(site: Site, state: State) -> list[tuple[Capsule, Capsule]]:
     return pairs + [(part, counterpart) for part in (column, link, elbow, forearm) for counterpart in load]
 
 
-def _gaps(pairs: list[tuple[Capsule, Capsule]]) -> Array:
-    """Return the distances (pairs, N) between the axes of parts [m]."""
-    parts, counterparts = [first for first, _ in pairs], [counterpart for _, counterpart in pairs]
+def _axis_distances(pairs: list[tuple[Capsule, Capsule]]) -> Array:
+    """Return the distances (pairs, N) between the axes of two parts [m]."""
     return between_segments(
-        *(np.array([part.start for part in parts]), np.array([part.end for part in parts])),
-        *(np.array([part.start for part in counterparts]), np.array([part.end for part in counterparts])),
+        np.array([part.start for part, _ in pairs]),
+        np.array([part.end for part, _ in pairs]),
+        np.array([counterpart.start for _, counterpart in pairs]),
+        np.array([counterpart.end for _, counterpart in pairs]),
     )
 
 
 @lru_cache(maxsize=8)
 def _straight_distances(site: Site) -> Array:
-    """Return the distances of the pairs without load, all joints at 0 [m]."""
-    return np.asarray(_gaps(_capsule_pairs(site, State.of(site, np.zeros((1, 6)), None)))[:, 0])
+    """Return the distances (pairs,) [m] between the axes of parts in the unloaded arm with all joints at 0."""
+    return np.asarray(_axis_distances(_capsule_pairs(site, State.of(site, np.zeros((1, 6)), None)))[:, 0])
 
 
-def _room(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
-    """Yield for each obstacle which configurations (N,) keep their clearance from it."""
+def _obstacle_clearance(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
+    """Yield for each obstacle its name and True for configurations (N,) with arm, tool and load clear of it."""
     parts = (*arm_parts(site, state)[1:], *tool_parts(site, state), *load_parts(site, state))
     for obstacle in site.obstacles:
         yield obstacle.name, _keeps_clearance(site, parts, obstacle, len(state.q))
 
 
 def _keeps_clearance(site: Site, parts: tuple[Capsule, ...], obstacle: BoxShape | MeshShape, count: int) -> Bools:
-    """Return at which poses (n,) parts keep their clearance from an obstacle."""
+    """Return True for configurations (count,) in which all parts keep the clearance of the site from an obstacle."""
     is_clear = np.ones(count, dtype=bool)
     for part in parts:
         rows = np.flatnonzero(is_clear)
@@ -212,37 +229,43 @@ def _keeps_clearance(site: Site, parts: tuple[Capsule, ...], obstacle: BoxShape 
 
 
 def _acceptance(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
-    """Yield the markers with a normal, and where (n,) the tracker is inside their acceptance angle."""
+    """Yield for each marker with a normal its name and True for configurations (n,) that turn it to the tracker.
+
+    The angle between the normal and the line of sight is within the acceptance angle of the site.
+    """
     if site.tracker is None:
         return
     point = state.posed.point(site.points)
     for row, name in enumerate(site.names):
         if np.isfinite(site.normals[row, 0]):
-            look = site.tracker - point[:, row]
+            line_of_sight = site.tracker - point[:, row]
             normal = state.posed.flange[:, :3, :3] @ site.normals[row]
-            cosine = np.einsum("ni,ni->n", look, normal) / np.linalg.norm(look, axis=1)
+            cosine = np.einsum("ni,ni->n", line_of_sight, normal) / np.linalg.norm(line_of_sight, axis=1)
             yield f"acceptance angle of marker {name}", cosine >= np.cos(site.acceptance)
 
 
-def _sight(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
-    """A marker is seen if no part of the arm, of the load, or of an obstacle is between it and the tracker."""
+def _line_of_sight(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
+    """Yield for each marker its name and True for configurations (N,) in which the tracker sees it.
+
+    No part of the arm, of the load, or of an obstacle is between them. Nothing is yielded without a tracker.
+    """
     if site.tracker is None:
         return
     marker = np.swapaxes(state.posed.point(site.points), 0, 1)  # (P, N, 3)
-    eye = np.broadcast_to(site.tracker, marker.shape)
+    tracker = np.broadcast_to(site.tracker, marker.shape)
     parts = [*arm_parts(site, state), *load_parts(site, state)]
     start, end = np.array([part.start for part in parts]), np.array([part.end for part in parts])
     radius = np.array([part.radius for part in parts])[:, None]
     # the coarse shape of the hand may contain the marker itself: then it does not hide it
     contains_marker = between_segments(marker[:, None], marker[:, None], start, end) < radius
-    free = contains_marker | (between_segments(eye[:, None], marker[:, None], start, end) >= radius)
-    is_in_sight = np.asarray(free.all(axis=1))
+    is_passed = contains_marker | (between_segments(tracker[:, None], marker[:, None], start, end) >= radius)
+    is_in_sight = np.asarray(is_passed.all(axis=1))
     for row, name in enumerate(site.names):
         rows = np.flatnonzero(is_in_sight[row])
         for obstacle in site.obstacles:
-            is_in_sight[row, rows] &= ~obstacle.blocks(eye[row, rows], marker[row, rows])
+            is_in_sight[row, rows] &= ~obstacle.blocks(tracker[row, rows], marker[row, rows])
         yield f"line of sight to marker {name}", is_in_sight[row]
 
 
-_GROUPS = (_floor, _torque, _acceptance, _itself, _sight, _room)
+_GROUPS = (_floor_clearance, _torque_limits, _acceptance, _self_clearance, _line_of_sight, _obstacle_clearance)
 """Cheap and strict ones first."""

@@ -68,23 +68,28 @@ class Joint2(Struct, frozen=True, eq=False):
         return np.asarray(1.0 / (1.0 + self.compliance * self.compensator.stiffness_about_joint(q2)))
 
     def columns(self, q2: Array) -> Array:
-        """Return C (n, 3) of the printed first Eq. (10): K_θ2(q2) = C·[K⁰_θ2, K_c, s₀K_c]."""
+        """Return C (n, 3) of K_θ2(q2) = C·[K⁰_θ2, K_c, s₀K_c], first Eq. (10) of Klimchik et al.; `q2` (n,) [rad]."""
         if self.compensator is None:
             return np.column_stack([np.ones(len(q2)), np.zeros((len(q2), 2))])
         return np.column_stack([np.ones(len(q2)), self.compensator.stiffness_columns(q2)])
 
     def from_levels(self, levels: Array, q2: Array) -> Array:
-        """Return ∂k2(q2)/∂k2(levels), (n, m): how errors of the levels reach other q2, by Eq. (9) unweighted.
+        """Return ∂k2(q2)/∂k2(levels) (n, m): the effect of errors of k2 at m levels on k2 at n other angles.
 
-        With fewer than three levels the compensator is not identifiable and stays at the prior.
+        The stiffness at q2 follows from those at the levels by least squares without weights, Eq. (9) of Klimchik et
+        al. With fewer than three levels the compensator is not identifiable: it keeps the prior, and the stiffness is
+        the mean of the levels.
+
+        :param levels: (m,) [rad], and `q2` (n,) [rad].
         """
         factor, level_factor = self.relative_compliance(q2), self.relative_compliance(levels)
         if self.free and len(levels) >= _LEVELS:
-            c = self.columns(levels)
-            size = np.linalg.norm(c, axis=0)
-            share = (self.columns(q2) / size) @ np.linalg.pinv(c / size, rcond=1e-9)
+            level_columns = self.columns(levels)
+            size = np.linalg.norm(level_columns, axis=0)
+            share = (self.columns(q2) / size) @ np.linalg.pinv(level_columns / size, rcond=1e-9)
         else:
             share = np.full((len(q2), len(levels)), 1.0 / len(levels))
+        # share is of stiffnesses; the derivative of a compliance by its stiffness is −k²
         return np.asarray(factor[:, None] ** 2 * share / level_factor**2)
 
     def parameters(self, q2: Array) -> Array:
@@ -111,7 +116,9 @@ class MeasuredLoads(Struct, frozen=True, eq=False):
 
 
 def measured_information(data: Measurements, readings: Readings, sigma: float) -> MeasuredLoads:
-    """Return the information of readings already made: a state weighs by how often it and its unloaded one were read.
+    """Return the information of readings that were already made, each loaded state weighted by the number of readings.
+
+    The variance of a displacement is the sum of those of the means with and without load.
 
     :param readings: with the compliances to be identified.
     :param sigma: noise of one coordinate of one reading [m].
@@ -136,6 +143,8 @@ class Criterion(Struct, frozen=True, eq=False):
     :param weight: pooled: (p − 1 + m, p − 1 + m) Σ w A₀ᵀA₀ of the extended set; grouped: (p, p).
     :param spread: (m, p) index of each compliance of a group in the extended set.
     :param before: information of earlier readings: pooled in the extended set, grouped (m, p, p).
+
+    The extended set has p − 1 compliances that all levels share, then k2 of each of the m levels.
     """
 
     grouped: bool
@@ -154,33 +163,43 @@ class Criterion(Struct, frozen=True, eq=False):
         grouped: bool,
         earlier_data: MeasuredLoads | None = None,
     ) -> Criterion:
-        """Make the criterion for levels q2 (m,) [rad]; `earlier_data`: earlier readings."""
+        """Return the criterion for levels of q2.
+
+        :param tests: poses at which errors count.
+        :param q2: (m,) levels [rad].
+        :param grouped: second Eq. (10) of Klimchik et al. as printed: each level is identified alone; else pooled.
+        :param earlier_data: readings that were already made; None: there are none.
+        """
         keep, levels = list(readings.keep), len(q2)
         two = keep.index(1)
-        a = tests.regressor[:, :, keep] * readings.scale[keep]  # (T, 3, p)
+        test_regressor = tests.regressor[:, :, keep] * readings.scale[keep]  # (T, 3, p)
         size = len(keep)
         if grouped:
-            weight = np.einsum("t,tki,tkj->ij", tests.weight, a, a)
+            weight = np.einsum("t,tki,tkj->ij", tests.weight, test_regressor, test_regressor)
             spread = np.tile(np.arange(size), (levels, 1))
             prior = np.zeros((levels, size, size))
             if earlier_data is not None:
                 np.add.at(prior, earlier_data.level, earlier_data.information)
             return cls(True, two, weight, spread, prior)
         common_joints = [index for index in range(size) if index != two]
-        regressor = np.zeros((len(a), 3, size - 1 + levels))
-        regressor[:, :, : size - 1] = a[:, :, common_joints]
-        regressor[:, :, size - 1 :] = a[:, :, two, None] * joint2.from_levels(q2, tests.q[:, 1])[:, None, :]
+        level_slopes = joint2.from_levels(q2, tests.q[:, 1])
+        regressor = np.zeros((len(test_regressor), 3, size - 1 + levels))
+        regressor[:, :, : size - 1] = test_regressor[:, :, common_joints]
+        regressor[:, :, size - 1 :] = test_regressor[:, :, two, None] * level_slopes[:, None, :]
         weight = np.einsum("t,tki,tkj->ij", tests.weight, regressor, regressor)
         spread = np.empty((levels, size), dtype=np.int64)
         spread[:, common_joints] = np.arange(size - 1)
         spread[:, two] = size - 1 + np.arange(levels)
-        empty = cls(False, two, weight, spread, np.zeros_like(weight))
+        criterion = cls(False, two, weight, spread, np.zeros_like(weight))
         if earlier_data is None:
-            return empty
-        return replace(empty, before=empty.total(earlier_data.information, earlier_data.level))
+            return criterion
+        return replace(criterion, before=criterion.total(earlier_data.information, earlier_data.level))
 
     def total(self, information: Array, level: Ints) -> Array:
-        """Return the normal matrix: pooled (P, P) of the extended set, grouped (m, p, p)."""
+        """Return the normal matrix of plan and earlier readings: pooled (P, P) of the extended set, grouped (m, p, p).
+
+        :param information: (n, p, p) of the poses, and `level` (n,) number of their level.
+        """
         normal = self.before.copy()
         if self.grouped:
             np.add.at(normal, level, information)
@@ -194,19 +213,21 @@ class Criterion(Struct, frozen=True, eq=False):
         return float(self.of_totals(self.total(information, level)[None])[0])
 
     def of_totals(self, total: Array) -> Array:
-        """Return the criterion (K,) [m²] of normal matrices (K, …)."""
+        """Return the criterion (K,) [m²] of normal matrices (K, …): the trace of the weight times their inverses."""
         # 1e-300 keeps zero out of the denominator
-        diagonal = np.sqrt(np.maximum(np.diagonal(total, axis1=-2, axis2=-1), 1e-300))
-        normal = total / (diagonal[..., :, None] * diagonal[..., None, :])
-        normal += 1e-11 * np.eye(total.shape[-1])  # an open direction costs 10¹¹, without a division by zero
-        weight = self.weight / (diagonal[..., :, None] * diagonal[..., None, :])
+        scale = np.sqrt(np.maximum(np.diagonal(total, axis1=-2, axis2=-1), 1e-300))
+        normal = total / (scale[..., :, None] * scale[..., None, :])
+        normal += 1e-11 * np.eye(total.shape[-1])  # a direction that is not determined costs 10¹¹, instead of infinity
+        weight = self.weight / (scale[..., :, None] * scale[..., None, :])
         cost = np.einsum("...ij,...ji->...", np.linalg.inv(normal), weight)
         return np.asarray(cost.sum(axis=-1) if self.grouped else cost)
 
     def exchange_values(self, total: Array, old: Array, new: Array, level: int) -> Array:
-        """Return the criterion (K,) if in one group information `old` (p, p) is replaced by each of `new` (K, p, p).
+        """Return the criterion (K,) [m²] of plans in which one pose is exchanged for each of K others of its level.
 
         :param total: normal matrix of the present plan.
+        :param old: (p, p) information of the pose, and `new` (K, p, p) of the others.
+        :param level: number of their level.
         """
         candidates = np.repeat(total[None], len(new), axis=0)
         if self.grouped:
@@ -217,7 +238,7 @@ class Criterion(Struct, frozen=True, eq=False):
         return self.of_totals(candidates)
 
     def push(self, total: Array, level: Ints) -> Array:
-        """Return ∂criterion/∂information (n, p, p) for measurements of levels (n,)."""
+        """Return ∂criterion/∂information (n, p, p) of poses at levels (n,); `total`: normal matrix of the plan."""
         inverse = np.linalg.inv(total)
         slope = -inverse @ self.weight @ inverse
         if self.grouped:
@@ -248,8 +269,9 @@ class Accuracy(Struct, frozen=True, eq=False):
 
     @property
     def uncertain(self) -> tuple[Parameter, ...]:
-        """Parameters that the identification would not take from such measurements."""
-        return tuple(p for p, half in zip(self.parameters, self.relative, strict=True) if not half <= UNCERTAIN)
+        """Parameters that the identification would not take from such measurements: their intervals are too wide."""
+        pairs = zip(self.parameters, self.relative, strict=True)
+        return tuple(parameter for parameter, half_width in pairs if not half_width <= UNCERTAIN)
 
 
 def expected_accuracy(
@@ -260,33 +282,35 @@ def expected_accuracy(
     information: Array,
     earlier_data: MeasuredLoads | None = None,
 ) -> Accuracy:
-    """Return the expected accuracy of a plan.
+    """Return the expected accuracy of a plan, by the covariance of all parameters that the identification ends with.
 
+    :param tests: poses at which errors count.
     :param q: (n, 6) poses of the plan [rad], with `information` (n, p, p).
-    :param earlier_data: earlier readings.
+    :param earlier_data: readings that were already made, which count too; None: there are none.
     """
     keep = list(readings.keep)
     if earlier_data is not None:
         q, information = np.vstack([q, earlier_data.q]), np.concatenate([information, earlier_data.information])
-    spread = _parameters(joint2, keep, q)
-    normal = np.einsum("nia,nij,njb->ab", spread, information, spread)
-    a = (tests.regressor[:, :, keep] * readings.scale[keep]) @ _parameters(joint2, keep, tests.q)
+    slopes = _compliance_slopes(joint2, keep, q)
+    normal = np.einsum("nia,nij,njb->ab", slopes, information, slopes)
+    regressor = (tests.regressor[:, :, keep] * readings.scale[keep]) @ _compliance_slopes(joint2, keep, tests.q)
     covariance = _inverse(normal)
-    variance = np.einsum("tka,ab,tkb->t", a, covariance, a)
-    moment = np.einsum("t,tka,tkb->ab", tests.weight, a, a)
+    variance = np.einsum("tka,ab,tkb->t", regressor, covariance, regressor)
+    moment = np.einsum("t,tka,tkb->ab", tests.weight, regressor, regressor)
     mean = float(tests.weight @ variance)
     # the mean square error of one identification is a sum of squares of normal numbers: g·χ²_h (Satterthwaite 1946)
     product = covariance @ moment
     square = float(np.sum(product * product.T))
     h, g = mean**2 / square, square / mean
-    interval = tuple(float(np.sqrt(g * _chi2(h, z))) for z in (-NORMAL_95, NORMAL_95))
+    lower, upper = (float(np.sqrt(g * _chi2_quantile(h, z))) for z in (-NORMAL_95, NORMAL_95))
     parameters = (*(JOINT_COMPLIANCES[index] for index in keep), *(COMPENSATOR if joint2.free else ()))
-    half = NORMAL_95 * np.sqrt(np.diag(covariance))
+    half_width = NORMAL_95 * np.sqrt(np.diag(covariance))
     if joint2.free and joint2.compensator is not None:
+        # K_c and s₀K_c in units of the gear stiffness, as the parameters are
         stiffness = joint2.compensator.stiffness * joint2.compliance
         # 1e-300 keeps zero out of the denominator
-        half[len(keep) :] /= np.maximum([stiffness, stiffness * joint2.compensator.free_length], 1e-300)
-    return Accuracy(float(np.sqrt(mean)), (interval[0], interval[1]), np.sqrt(variance), parameters, half)
+        half_width[len(keep) :] /= np.maximum([stiffness, stiffness * joint2.compensator.free_length], 1e-300)
+    return Accuracy(float(np.sqrt(mean)), (lower, upper), np.sqrt(variance), parameters, half_width)
 
 
 def not_visible(readings: Readings, information: Array, count: int) -> tuple[int, ...]:
@@ -294,12 +318,18 @@ def not_visible(readings: Readings, information: Array, count: int) -> tuple[int
 
     :param information: (N, 6, 6) of many poses that can be measured.
     """
+    # even if all poses were as good as the best one, the interval would be wider than the identification accepts
     total = np.diagonal(information, axis1=1, axis2=2).max(axis=0) * count
-    return tuple(int(j) for j in np.flatnonzero(total < (NORMAL_95 / UNCERTAIN) ** 2))
+    return tuple(int(joint) for joint in np.flatnonzero(total < (NORMAL_95 / UNCERTAIN) ** 2))
 
 
-def _parameters(joint2: Joint2, keep: list[int], q: Array) -> Array:
-    """Return D (n, p, P): how the compliances at configurations q depend on the parameters."""
+def _compliance_slopes(joint2: Joint2, keep: list[int], q: Array) -> Array:
+    """Return the derivatives (n, p, P) of p compliances at configurations q (n, 6) by the P parameters.
+
+    Parameters are the compliances, that of joint 2 without its compensator; then K_c and s₀K_c, if they are free.
+
+    :param keep: joints of the p compliances, from 0.
+    """
     size = len(keep)
     joint2_columns = joint2.parameters(q[:, 1])
     matrix = np.zeros((len(q), size, size + joint2_columns.shape[1] - 1))
@@ -321,8 +351,8 @@ def _inverse(normal: Array) -> Array:
     return np.asarray(np.linalg.inv(matrix) * np.outer(scale, scale))
 
 
-def _chi2(freedom: float, z: float) -> float:
-    """Return the quantile of χ² at z standard deviations."""
+def _chi2_quantile(freedom: float, z: float) -> float:
+    """Return the quantile of χ² with `freedom` degrees of freedom at the probability of z standard deviations."""
     from scipy.special import gammaincinv, ndtr
 
     return float(2.0 * gammaincinv(0.5 * freedom, ndtr(z)))
@@ -354,11 +384,14 @@ class Directions(Struct, frozen=True, eq=False):
     work: Array
 
     def loaded_sides(self, torque: Array) -> Bools:
-        """Return which sides (..., 6, 2) poses with torques (..., 6) [N·m] load."""
+        """Return True for directions (..., 6, 2) in which torques (..., 6) [N·m] load the joints enough to count."""
         return np.asarray(split_signs(torque) >= self.least)
 
     def missing_count(self, count: Ints) -> Ints:
-        """Return how many poses lack (...), summed over joints and sides, for numbers of poses (..., 6, 2)."""
+        """Return the number (...) of poses that are missing, summed over joints and directions.
+
+        :param count: (..., 6, 2) number of poses that load each joint in each direction.
+        """
         return np.asarray(np.maximum(self.need - count, 0).sum(axis=(-2, -1)))
 
 
@@ -376,13 +409,18 @@ def directions(torque: Array, tests: TestPoses, poses: int, data_torque: Array |
     threshold = np.clip(work, _SMALLEST * rig_torque, _LARGEST * rig_torque)
     earlier_torque = np.zeros((0, 6)) if data_torque is None else data_torque
     need = np.where(rig_torque > 0.0, min(MIN_CONFIGURATIONS, (poses + len(earlier_torque)) // _OF_POSES), 0)
-    empty = Directions(need, np.maximum(threshold, LEAST_TORQUE), rig_torque, work)
-    left = np.maximum(need - empty.loaded_sides(earlier_torque).sum(axis=0), 0)
-    return Directions(left, empty.least, rig_torque, work)
+    demand = Directions(need, np.maximum(threshold, LEAST_TORQUE), rig_torque, work)
+    remaining_need = np.maximum(need - demand.loaded_sides(earlier_torque).sum(axis=0), 0)
+    return replace(demand, need=remaining_need)
 
 
 def _typical_torques(sides: Array, weight: Array) -> Array:
-    """Return the weighted 95 % quantile (6, 2) of the torques on each side that are any; 0 where fewer than 1 % are."""
+    """Return the typical largest torque (6, 2) [N·m] on each joint in each direction: a weighted 95 % quantile.
+
+    Only torques above `LEAST_TORQUE` count; the result is 0 if fewer than 1 % of the poses have one.
+
+    :param sides: (n, 6, 2) sizes of the torques in each direction [N·m], and `weight` (n,) of the poses, sum 1.
+    """
     quantile = np.zeros((6, 2))
     for joint, side in np.ndindex(6, 2):
         values = sides[:, joint, side]
@@ -395,20 +433,19 @@ def _typical_torques(sides: Array, weight: Array) -> Array:
 
 
 def out_of_reach(demand: Directions, vertical: bool) -> tuple[str, ...]:
-    """Return a sentence on the joints whose torque the rig cannot turn to one side or the other; none if it can.
+    """Return a warning on joints that the rig cannot load in one direction or the other; none if it can load all.
 
     :param vertical: whether every load hangs vertically.
     """
     parts = []
     for joint, name in enumerate(JOINTS):
-        open_signs = [sign for side, sign in enumerate(SIGNS) if demand.reached[joint, side] == 0.0]
-        work = [f"{demand.work[joint, side]:.0f} N·m {sign}" for side, sign in enumerate(SIGNS) if sign in open_signs]
+        sides = [side for side in range(len(SIGNS)) if demand.reached[joint, side] == 0.0]  # that the rig cannot load
         work_torques = [
-            text for text, sign in zip(work, open_signs, strict=True) if demand.work[joint, SIGNS.index(sign)] > 0.0
+            f"{demand.work[joint, side]:.0f} N·m {SIGNS[side]}" for side in sides if demand.work[joint, side] > 0.0
         ]
-        if open_signs:
+        if sides:
             note = f"; the work has up to {' and '.join(work_torques)}" if work_torques else ""
-            parts.append(f"{name} ({' and '.join(open_signs)}{note})")
+            parts.append(f"{name} ({' and '.join(SIGNS[side] for side in sides)}{note})")
     if not parts:
         return ()
     advice = "another load point, or [rig] max_angle_deg if a pulley can turn the pull, may reach it"

@@ -73,9 +73,14 @@ def evaluate(
     source: str,
     by_law: Bools | None = None,
 ) -> TestPoses:
-    """Make test poses of configurations (T, 6), tools (4, 4) or (T, 4, 4), wrenches (T, 6) in root axes, weights.
+    """Return the test poses of configurations under load, with torques, derivatives and deflections.
 
-    :param by_law: (T,) see `TestPoses`; None: no cutting law computes the wrenches.
+    :param q: (T, 6) joint angles [rad].
+    :param tool: (4, 4) or (T, 4, 4) tool tip in the flange frame [m].
+    :param wrench: (T, 6) at the tool tip, root axes [N, N·m].
+    :param weight: (T,) of the poses, of any sum.
+    :param source: names of their files.
+    :param by_law: (T,) True where a cutting law computes the wrench; None: nowhere.
     """
     _, jacobian = kinematics.tcp(robot.nominal, q, tool)
     torque = np.einsum("nij,ni->nj", jacobian, wrench)
@@ -107,30 +112,31 @@ def from_program(program: Program, robot: RobotModel, cell: Cell, source: ForceS
     except ImpossiblePathError as cause:
         raise PlanError(cause.issue.message.rstrip("."), file=name, line=cause.issue.source_line) from None
     motion, distance = path.sample.motion, path.sample.distance
-    start_distance = np.concatenate([[0.0], distance[:-1]])
-    way = np.where(np.concatenate([[True], np.diff(motion) != 0]), distance, distance - start_distance)
-    in_root = path.wrench_in_root(np.arange(len(path)))
-    cutting = np.flatnonzero(~m.rapid[motion] & (way > 0.0) & (np.abs(in_root).max(axis=1) > 0.0))
+    # length of path before each sample: distances begin anew with each motion
+    last_distance = np.concatenate([[0.0], distance[:-1]])
+    length = np.where(np.concatenate([[True], np.diff(motion) != 0]), distance, distance - last_distance)
+    wrench = path.wrench_in_root(np.arange(len(path)))
+    cutting = np.flatnonzero(~m.rapid[motion] & (length > 0.0) & (np.abs(wrench).max(axis=1) > 0.0))
     if len(cutting) == 0:
         raise PlanError(
             "no cutting move of this program carries a force",
             file=name,
             advice="Give forces with --forces, or as comments (FORCE FX= FY= FZ=), or test poses with --poses.",
         )
-    rows, shares = _thin_rows(cutting, way[cutting])
+    rows, lengths = _thin_rows(cutting, length[cutting])
     tool, law = program.tools[m.tool[motion[rows]]], motions.forces.by_law
     by_law = None if law is None else np.isin(motion[rows], law.motion)
-    return evaluate(robot, path.joints.q[rows], tool, in_root[rows], shares, name, by_law)
+    return evaluate(robot, path.joints.q[rows], tool, wrench[rows], lengths, name, by_law)
 
 
-def _thin_rows(rows: Ints, way: Array) -> tuple[Ints, Array]:
-    """Return every n-th of the rows (n,) of a long path, and the lengths [m] with those of the rows left out.
+def _thin_rows(rows: Ints, length: Array) -> tuple[Ints, Array]:
+    """Return at most `_SAMPLES` of the rows (n,) of a path, evenly, and the lengths of path that they represent [m].
 
-    :param way: (n,) length before each row [m].
+    :param length: (n,) of the path before each row [m].
     """
-    step = -(-len(rows) // _SAMPLES)
+    step = -(-len(rows) // _SAMPLES)  # rounded up
     begin = np.arange(0, len(rows), step)
-    return rows[np.minimum(begin + step // 2, len(rows) - 1)], np.add.reduceat(way, begin)
+    return rows[np.minimum(begin + step // 2, len(rows) - 1)], np.add.reduceat(length, begin)
 
 
 def from_file(path: Path, robot: RobotModel, cell: Cell) -> TestPoses:
@@ -172,16 +178,20 @@ def join(parts: Sequence[TestPoses]) -> TestPoses:
 def representatives(tests: TestPoses, scale: Array, count: int, seed: int) -> TestPoses:
     """Return at most `count` poses that represent all, with weights.
 
-    Clusters (k-means, Lloyd 1982) of the criterion's inputs: A₀ᵀA₀ in units of the robot's compliances, and
-    q2. Of each cluster the pose nearest to its mean represents it with the weight of all; then the weights are set so
-    that Σ w A₀ᵀA₀ keeps its trace.
+    Poses are clustered (k-means, Lloyd 1982) by the inputs of the criterion: A₀ᵀA₀, A₀ being the regressor in units of
+    the compliances, and q2. The pose nearest to the mean of a cluster represents it, with the weight of the cluster.
+    Then all forces are scaled so that Σ w A₀ᵀA₀ keeps its trace.
+
+    :param scale: (6,) compliances of the robot [rad/(N·m)].
+    :param seed: of the first cluster centres.
     """
     if len(tests) <= count:
         return tests
-    a = tests.regressor * scale
-    square = np.einsum("tki,tkj->tij", a, a)
-    upper = np.triu_indices(6)
-    features = square[:, upper[0], upper[1]] * np.where(upper[0] == upper[1], 1.0, np.sqrt(2.0))
+    regressor = tests.regressor * scale
+    square = np.einsum("tki,tkj->tij", regressor, regressor)
+    row, column = np.triu_indices(6)
+    # an entry off the diagonal counts for two: distances of features are those of the matrices
+    features = square[:, row, column] * np.where(row == column, 1.0, np.sqrt(2.0))
     q2 = tests.q[:, 1:2] - np.average(tests.q[:, 1:2], axis=0, weights=tests.weight)
     features = np.hstack([features, _SHARE_OF_Q2 * q2 * float(np.linalg.norm(features, axis=1).mean())])
     rng = np.random.default_rng(seed)
@@ -191,19 +201,20 @@ def representatives(tests: TestPoses, scale: Array, count: int, seed: int) -> Te
         if distance.sum() <= 0.0:
             break
         centres = np.vstack([centres, features[int(rng.choice(len(tests), p=distance / distance.sum()))]])
-    owner = np.zeros(len(tests), dtype=np.int64)
+    cluster = np.zeros(len(tests), dtype=np.int64)  # of each pose
     for _ in range(_ROUNDS):
-        owner = _squared_distances(features, centres).argmin(axis=1)
-        total = np.bincount(owner, weights=tests.weight, minlength=len(centres))
-        mean = np.stack([np.bincount(owner, tests.weight * f, len(centres)) for f in features.T], axis=1)
+        cluster = _squared_distances(features, centres).argmin(axis=1)
+        total = np.bincount(cluster, weights=tests.weight, minlength=len(centres))
+        weighted_sums = [np.bincount(cluster, tests.weight * feature, len(centres)) for feature in features.T]
         # 1e-300 keeps zero out of the denominator
-        centres = np.where(total[:, None] > 0.0, mean / np.maximum(total, 1e-300)[:, None], centres)
+        mean = np.stack(weighted_sums, axis=1) / np.maximum(total, 1e-300)[:, None]
+        centres = np.where(total[:, None] > 0.0, mean, centres)
     distance = _squared_distances(features, centres)
-    clusters = np.unique(owner)
-    rows = np.array([np.flatnonzero(owner == c)[distance[owner == c, c].argmin()] for c in clusters])
-    weight = np.bincount(owner, weights=tests.weight, minlength=len(centres))[clusters]
+    clusters = np.unique(cluster)
+    rows = np.array([np.flatnonzero(cluster == c)[distance[cluster == c, c].argmin()] for c in clusters])
+    weight = np.bincount(cluster, weights=tests.weight, minlength=len(centres))[clusters]
     sample = replace(tests.take(rows), weight=np.asarray(weight, dtype=float))
-    full_trace, sample_trace = (np.trace(t.second_moment * np.outer(scale, scale)) for t in (tests, sample))
+    full_trace, sample_trace = (np.trace(poses.second_moment * np.outer(scale, scale)) for poses in (tests, sample))
     factor = np.sqrt(full_trace / sample_trace) if sample_trace > 0.0 else 1.0
     return TestPoses(
         q=sample.q,

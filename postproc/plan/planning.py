@@ -66,7 +66,7 @@ _LEAST_SHARE, _LARGEST_SHARE = 0.1, 0.4
 
 
 def unchecked_warnings(site: Site) -> list[str]:
-    """Return warnings on what the plan cannot check for want of numbers."""
+    """Return warnings on constraints that the plan cannot check: the experiment or the robot lacks the numbers."""
     warnings = []
     if site.torque_limit is None:
         warnings.append(NO_TORQUES)
@@ -79,8 +79,7 @@ def unchecked_warnings(site: Site) -> list[str]:
 
 
 def hidden_by_rig(site: Site, tests: TestPoses, scale: Array, hidden_joints: tuple[int, ...]) -> tuple[str, ...]:
-    """Return warnings on compliances that the rig does not excite: reason, remedy, and their share of the milling
-    deflection.
+    """Return warnings on compliances that the rig does not excite, with reason, remedy and share of the deflection.
 
     :param scale: (6,) compliances of the robot [rad/(N·m)].
     :param hidden_joints: joints, counted from 0.
@@ -114,11 +113,11 @@ def hidden_by_rig(site: Site, tests: TestPoses, scale: Array, hidden_joints: tup
 def second_load(site: Site, tests: TestPoses) -> float:
     """Return the ratio of the second load of each pose to its first.
 
-    Stiffening gears, knees and backlash are seen in the difference of displacements under two loads. The second load is
-    close to the cutting force, so that they are measured where milling excites them.
+    Two loads show gears that stiffen, have breakpoints or backlash. The second load is near the RMS cutting force, so
+    that gears are measured at the torques of milling.
     """
-    work = float(np.sqrt(tests.weight @ np.sum(tests.wrench[:, :3] ** 2, axis=1)))
-    return float(np.clip(work / site.rig.force, _LEAST_SHARE, _LARGEST_SHARE))
+    rms_force = float(np.sqrt(tests.weight @ np.sum(tests.wrench[:, :3] ** 2, axis=1)))
+    return float(np.clip(rms_force / site.rig.force, _LEAST_SHARE, _LARGEST_SHARE))
 
 
 def uncertainty_warnings(accuracy: Accuracy, joint2: Joint2, blocked_rows: Ints) -> list[str]:
@@ -127,11 +126,12 @@ def uncertainty_warnings(accuracy: Accuracy, joint2: Joint2, blocked_rows: Ints)
     :param blocked_rows: rows that the robot cannot reach without an obstacle.
     """
     warnings = []
-    uncertain = [p.name for p in accuracy.uncertain if isinstance(p, JointCompliance)]
-    if uncertain:
+    uncertain_names = [parameter.name for parameter in accuracy.uncertain if isinstance(parameter, JointCompliance)]
+    if uncertain_names:
         warnings.append(
-            f"{', '.join(uncertain)}: the 95 % interval will be wider than half the value, so that the identification "
-            "keeps the robot's own. If the programs need it, plan more poses, more weight or more repeats"
+            f"{', '.join(uncertain_names)}: the 95 % interval will be wider than half the value, so that the "
+            "identification keeps the robot's own. If the programs need it, plan more poses, more weight or more "
+            "repeats"
         )
     if joint2.compensator is not None and not joint2.free:
         warnings.append(
@@ -156,7 +156,7 @@ _BLOCKED_COST = 1e3
 
 
 def travel_times(site: Site, q: Array) -> Array:
-    """Return (n, n) seconds from each configuration (n, 6) to each other: PTP, the slowest joint decides."""
+    """Return the seconds (n, n) of PTP motions between configurations (n, 6) [rad], by the slowest joint."""
     return np.asarray((np.abs(q[:, None] - q[None]) / site.robot.speed).max(axis=2))
 
 
@@ -167,27 +167,28 @@ def free_moves(site: Site, q: Array) -> Bools:
     """
     count = len(q)
     first, last = np.triu_indices(count, 1)
-    free = np.ones((count, count), dtype=bool)
-    samples, owner = [], []
-    for pair, (a, b) in enumerate(zip(q[first], q[last], strict=True)):
-        steps = int(np.ceil(np.abs(b - a).max() / _STEP))
+    is_free = np.ones((count, count), dtype=bool)
+    samples, pair_of_sample = [], []
+    for pair, (begin, end) in enumerate(zip(q[first], q[last], strict=True)):
+        steps = int(np.ceil(np.abs(end - begin).max() / _STEP))
         t = np.linspace(0.0, 1.0, steps + 1)[1:-1, None]
-        samples.append(a * (1.0 - t) + b * t)
-        owner.append(np.full(len(t), pair))
+        samples.append(begin * (1.0 - t) + end * t)
+        pair_of_sample.append(np.full(len(t), pair))
     if samples:
-        places = np.concatenate(samples)
-        hit = np.zeros(len(first), dtype=bool)
-        hit[np.concatenate(owner)[~constraints.passable(site, places)]] = True
-        free[first, last] = free[last, first] = ~hit
-    return free
+        is_passable = constraints.passable(site, np.concatenate(samples))
+        is_blocked = np.zeros(len(first), dtype=bool)
+        is_blocked[np.concatenate(pair_of_sample)[~is_passable]] = True
+        is_free[first, last] = is_free[last, first] = ~is_blocked
+    return is_free
 
 
 def least_travel(site: Site, q: Array) -> tuple[Ints, float, Ints]:
-    """Return the order (n,) of least travel from where the robot starts, its seconds, and the blocked moves.
+    """Return the order of least travel time through configurations (n, 6) [rad], from the start of the robot.
 
-    Nearest neighbour, then 2-opt and or-opt until nothing improves (Croes 1958, Or 1976).
+    Nearest neighbour, then 2-opt and or-opt until nothing improves (Croes 1958, Or 1976). Blocked moves are avoided as
+    far as possible.
 
-    :returns: order, seconds, and the places k in it where the move to order[k] would hit something.
+    :returns: order (n,), seconds, and each k for which the direct move to order[k] would hit something.
     """
     stops = np.vstack([site.start, q])
     seconds = travel_times(site, stops)
@@ -195,47 +196,51 @@ def least_travel(site: Site, q: Array) -> tuple[Ints, float, Ints]:
     cost = seconds + _BLOCKED_COST * is_blocked
     tour = [0]
     while len(tour) < len(stops):
-        left = [node for node in range(len(stops)) if node not in tour]
-        tour.append(min(left, key=lambda node: (cost[tour[-1], node], node)))
-    while True:
-        better = _shorter_tour(tour, cost)
-        if better is None:
-            break
-        tour = better
-    order = np.array(tour[1:]) - 1
-    steps = list(pairwise(tour))
-    length = float(sum(seconds[a, b] for a, b in steps))
-    return order, length, np.array([k for k, (a, b) in enumerate(steps) if is_blocked[a, b]], dtype=np.int64)
+        unvisited = [node for node in range(len(stops)) if node not in tour]
+        tour.append(min(unvisited, key=lambda node: (cost[tour[-1], node], node)))
+    while (shorter_tour := _shorter_tour(tour, cost)) is not None:
+        tour = shorter_tour
+    order = np.array(tour[1:]) - 1  # the start is node 0
+    moves = list(pairwise(tour))
+    duration = float(sum(seconds[begin, end] for begin, end in moves))
+    blocked_moves = [k for k, (begin, end) in enumerate(moves) if is_blocked[begin, end]]
+    return order, duration, np.array(blocked_moves, dtype=np.int64)
 
 
-def _length(tour: list[int], cost: Array) -> float:
+def _tour_cost(tour: list[int], cost: Array) -> float:
+    """Return the sum of the costs (n, n) of the moves of a tour, a list of nodes."""
     return float(cost[tour[:-1], tour[1:]].sum())
 
 
 def _shorter_tour(tour: list[int], cost: Array) -> list[int] | None:
-    """Return a shorter tour by reversing a piece (2-opt) or moving up to three poses (Or-opt), or None."""
-    length = _length(tour, cost)
+    """Return a tour of less cost by reversing a piece (2-opt) or moving up to three nodes (Or-opt); None without one.
+
+    :param tour: nodes in order; the first one stays.
+    :param cost: (n, n) of the moves between nodes.
+    """
+    limit = _tour_cost(tour, cost) - 1e-9  # less is rounding
     for i in range(1, len(tour)):
         for j in range(i + 1, len(tour) + 1):
             reversed_tour = tour[:i] + tour[i:j][::-1] + tour[j:]
-            if _length(reversed_tour, cost) < length - 1e-9:
+            if _tour_cost(reversed_tour, cost) < limit:
                 return reversed_tour
     for i in range(1, len(tour)):
         for size in (1, 2, 3):
             piece, remaining_tour = tour[i : i + size], tour[:i] + tour[i + size :]
             for j in range(1, len(remaining_tour) + 1):
                 new_tour = remaining_tour[:j] + piece + remaining_tour[j:]
-                if _length(new_tour, cost) < length - 1e-9:
+                if _tour_cost(new_tour, cost) < limit:
                     return new_tour
     return None
 
 
 def detours(site: Site, q: Array, hit: Ints) -> tuple[tuple[Array, ...], Ints]:
-    """Return the via configurations (k, 6) to each pose, and the rows without a free path.
+    """Return via configurations (k, 6) to each pose of a sequence, and the rows of poses without a free path.
 
     A blocked move goes through the start position. If that is blocked too, the arm takes the shape of the start
     position, or folds, then turns by A1 from the direction of the first pose to that of the second, and unfolds.
 
+    :param q: (n, 6) the poses in order [rad]; the robot begins at the start of the site.
     :param hit: rows whose direct move is blocked.
     """
     start = site.start
@@ -244,12 +249,12 @@ def detours(site: Site, q: Array, hit: Ints) -> tuple[tuple[Array, ...], Ints]:
     shapes = [start, folded_pose(site)] if len(hit) else []
     for row in hit:
         origin, goal = start if row == 0 else q[row - 1], q[row]
-        options = [start[None]]
+        candidates = [start[None]]
         for shape in shapes:
             start_shape, end_shape = shape.copy(), shape.copy()
             start_shape[0], end_shape[0] = origin[0], goal[0]
-            options += [end_shape[None], start_shape[None], np.array([start_shape, end_shape])]
-        for via in options:
+            candidates += [end_shape[None], start_shape[None], np.array([start_shape, end_shape])]
+        for via in candidates:
             stops = np.vstack([origin, via, goal])
             if constraints.passable(site, via).all() and np.diag(free_moves(site, stops), 1).all():
                 via_poses[row] = via
@@ -265,8 +270,8 @@ def folded_pose(site: Site) -> Array:
     q = rng.uniform(np.maximum(site.lower, -np.pi), np.minimum(site.upper, np.pi), (_SHAPES, 6))
     q[:, 0] = np.clip(0.0, site.lower[0], site.upper[0])
     arm_pose = site.arm.pose(q)
-    places = np.concatenate([arm_pose.origin, arm_pose.point(np.vstack([site.load_point, site.points]))], axis=1)
-    reach = np.linalg.norm(places[..., :2], axis=2).max(axis=1)
+    points = np.concatenate([arm_pose.origin, arm_pose.point(np.vstack([site.load_point, site.points]))], axis=1)
+    reach = np.linalg.norm(points[..., :2], axis=2).max(axis=1)
     empty_site = replace(site, obstacles=())
     return np.asarray(q[np.argmin(np.where(constraints.passable(empty_site, q), reach, np.inf))])
 
@@ -366,7 +371,14 @@ Progress = Callable[[str, float, float], None]
 
 
 class _Problem(Struct, frozen=True, eq=False):
-    """The search task and its inputs."""
+    """The search task and its inputs.
+
+    :param task: of choosing the poses.
+    :param readings: geometry, load and noise of the measurement.
+    :param joint2: model of joint 2, with a free compensator or not.
+    :param known: information of earlier readings; None: there are none.
+    :param warnings: for the user.
+    """
 
     task: Task
     readings: Readings
@@ -382,7 +394,7 @@ def plan_measurements(
     data: Measurements | None = None,
     progress: Progress | None = None,
 ) -> PlanResult:
-    """Plan the measurements that make the error at the test poses smallest.
+    """Return the plan of measurements with the smallest expected error at the test poses.
 
     Ctrl-C (`KeyboardInterrupt`) ends the search; the best plan so far is the result.
 
@@ -401,16 +413,16 @@ def plan_measurements(
     scale = site.robot.compliance[list(site.robot.actuated)]
     sample = representatives(tests, scale, options.test_poses, options.seed)
     report("drawing poses that can be measured", 0.0, np.nan)
-    problem = _problem(site, sample, scale, options, data)
+    problem = _planning_problem(site, sample, scale, options, data)
     plan, is_interrupted = _search(problem.task, options, report)
     plan, force, seconds, via, blocked_rows = _order_plan(problem, plan)
     information = problem.readings.information_of(plan.q, force)
     accuracy = expected_accuracy(sample, problem.readings, problem.joint2, plan.q, information, problem.known)
-    others = _OtherPlans(np.zeros(0), None, (), is_interrupted)
+    comparison = _OtherPlans(np.zeros(0), None, (), is_interrupted)
     if options.comparisons and not is_interrupted:
-        others = _other_plans(problem.task, options, plan, report)
+        comparison = _compared_plans(problem.task, options, plan, report)
     warnings = (*problem.warnings, *uncertainty_warnings(accuracy, problem.joint2, blocked_rows))
-    full_moment, sample_moment = (t.second_moment * np.outer(scale, scale) for t in (tests, sample))
+    full_moment, sample_moment = (poses.second_moment * np.outer(scale, scale) for poses in (tests, sample))
     return PlanResult(
         options=options,
         robot=site.robot.name,
@@ -425,20 +437,20 @@ def plan_measurements(
         accuracy=accuracy,
         unobservable=tuple(c.name for k, c in enumerate(JOINT_COMPLIANCES) if k not in problem.readings.keep),
         before=None if problem.known is None else _accuracy_of_earlier_readings(problem, sample, information.shape[1:]),
-        random=others.random,
-        serial=others.serial,
-        sizes=others.sizes,
+        random=comparison.random,
+        serial=comparison.serial,
+        sizes=comparison.sizes,
         seconds=seconds,
         via=via,
         blocked=blocked_rows,
         compensator_free=problem.joint2.free,
         warnings=warnings,
-        interrupted=others.is_interrupted,
+        interrupted=comparison.is_interrupted,
     )
 
 
 def _accuracy_of_earlier_readings(problem: _Problem, tests: TestPoses, shape: tuple[int, ...]) -> Accuracy:
-    """Return the accuracy at the test poses that the earlier readings promise, without a plan.
+    """Return the expected accuracy at the test poses after the earlier readings alone, without a plan.
 
     :param shape: of the information of one configuration.
     """
@@ -447,7 +459,13 @@ def _accuracy_of_earlier_readings(problem: _Problem, tests: TestPoses, shape: tu
 
 
 class _OtherPlans(Struct, frozen=True, eq=False):
-    """What the plan is compared with: random plans, the serial approach, other numbers of poses."""
+    """Plans for comparison.
+
+    :param random: (R,) criterion of random plans [m²].
+    :param serial: plan of the serial approach; None: not computed.
+    :param sizes: other numbers of poses.
+    :param is_interrupted: Ctrl-C ended the comparison.
+    """
 
     random: Array
     serial: Plan | None
@@ -455,8 +473,8 @@ class _OtherPlans(Struct, frozen=True, eq=False):
     is_interrupted: bool
 
 
-def _other_plans(task: Task, options: Options, plan: Plan, report: Progress) -> _OtherPlans:
-    """Return the plans to compare with; Ctrl-C ends the comparison with those that are there."""
+def _compared_plans(task: Task, options: Options, plan: Plan, report: Progress) -> _OtherPlans:
+    """Return plans for comparison with `plan`; Ctrl-C ends their computation, and those that are ready are returned."""
     random, serial, sizes = np.zeros(0), None, []
     is_interrupted = False
     try:
@@ -471,12 +489,16 @@ def _other_plans(task: Task, options: Options, plan: Plan, report: Progress) -> 
     return _OtherPlans(random, serial, tuple(sizes), is_interrupted)
 
 
-def _problem(site: Site, tests: TestPoses, scale: Array, options: Options, data: Measurements | None) -> _Problem:
-    """Return the task to search in, from candidates, readings already made and what the load can excite.
+def _planning_problem(
+    site: Site, tests: TestPoses, scale: Array, options: Options, data: Measurements | None
+) -> _Problem:
+    """Return the search task: candidates, the compliances that the load excites, and the directions of torques.
 
-    :raises PlanError: too few levels of q2 can be measured.
+    :param scale: (6,) compliances of the robot [rad/(N·m)].
+    :param data: earlier readings; None: there are none.
+    :raises PlanError: too few levels of q2 can be measured, or too few readings are planned.
     """
-    # loaded minus unloaded, each the mean of the repeats
+    # of a displacement, loaded minus unloaded, each the mean of the repeats
     noise = site.sigma * np.sqrt(2.0 / options.repeats)
     readings = Readings(site.arm, site.load_point, site.points, site.rig.force, noise, scale)
     earlier_data = None if data is None else measured_information(data, readings, site.sigma)
@@ -492,7 +514,7 @@ def _problem(site: Site, tests: TestPoses, scale: Array, options: Options, data:
     hidden_joints = _hidden_joints(readings, candidates, options.configurations, earlier_data)
     warnings = hidden_by_rig(site, tests, scale, hidden_joints)
     if hidden_joints:
-        keep = tuple(j for j in range(6) if j not in hidden_joints)
+        keep = tuple(joint for joint in range(6) if joint not in hidden_joints)
         readings, candidates = replace(readings, keep=keep), candidates.take_parameters(keep)
         earlier_data = None if data is None else measured_information(data, readings, site.sigma)
     _check_number(options, readings, len(site.points), levels, earlier_data)
@@ -529,9 +551,9 @@ def _problem(site: Site, tests: TestPoses, scale: Array, options: Options, data:
 def _hidden_joints(
     readings: Readings, candidates: Candidates, configurations: int, earlier_data: MeasuredLoads | None
 ) -> tuple[int, ...]:
-    """Return the joints whose compliance neither the candidates nor the earlier readings show, see `not_visible`.
+    """Return the joints, from 0, whose compliance neither candidates nor earlier readings can determine.
 
-    :param configurations: number of them in the plan.
+    :param configurations: number of configurations of the plan.
     """
     information = candidates.information.reshape(-1, 6, 6)
     if earlier_data is None:
@@ -551,7 +573,12 @@ def _largest_torques(data: Measurements, readings: Readings) -> Array:
 def _joint2(
     site: Site, tests: TestPoses, earlier_data: MeasuredLoads | None, with_joint2: Callable[[Joint2], Task], seed: int
 ) -> Joint2:
-    """Decide as the identification will: K_c is identified only if a plan made for it can determine it."""
+    """Return joint 2 with a free compensator if a plan can determine its stiffness K_c, else with that of the robot.
+
+    The identification decides in the same way.
+
+    :param with_joint2: returns the search task for a model of joint 2.
+    """
     free = Joint2.of(site.robot, free=True)
     prior = Joint2.of(site.robot, free=False)
     task = with_joint2(free)
@@ -584,7 +611,11 @@ def _search(task: Task, options: Options, report: Progress) -> tuple[Plan, bool]
 
 
 def _order_plan(problem: _Problem, plan: Plan) -> tuple[Plan, Array, float, tuple[Array, ...], Ints]:
-    """Round the plan as printed, order it by travel, and check the paths between its poses."""
+    """Return the plan rounded as printed, in the order of least travel, with forces, travel time and detours.
+
+    :returns: plan; forces (n, 3) at the load point, root axes [N]; seconds of travel; via configurations (k, 6) before
+        each pose; rows of poses without a free path.
+    """
     site = problem.task.site
     q2 = np.round(plan.q2 * DEG_PER_RAD, _ANGLE_DECIMALS) * RAD_PER_DEG
     q = np.round(plan.q * DEG_PER_RAD, _ANGLE_DECIMALS) * RAD_PER_DEG
@@ -597,9 +628,11 @@ def _order_plan(problem: _Problem, plan: Plan) -> tuple[Plan, Array, float, tupl
 
 
 def _check_identifiable(parameters: int, options: Options, points: int, data: Measurements | None) -> None:
-    """Raise a `PlanError` if `identify` would not trust a model from so few configurations, with those of `data`.
+    """Check that the identification would trust a model from the planned and measured configurations.
 
-    :param parameters: number of parameters of least squares.
+    :param parameters: number of parameters of least squares; `points` number of reference points.
+    :param data: earlier readings; None: there are none.
+    :raises PlanError: there are too few configurations.
     """
     # both loads of a planned pose have the same direction
     directions = [*([] if data is None else load_directions(data)), *[1] * options.configurations]
@@ -618,7 +651,11 @@ def _check_identifiable(parameters: int, options: Options, points: int, data: Me
 def _check_number(
     options: Options, readings: Readings, points: int, levels: int, earlier_data: MeasuredLoads | None
 ) -> None:
-    """Raise a `PlanError` if there are fewer readings than unknowns; with `grouped`, within each level of A2."""
+    """Check that there are as many readings as unknowns; with `options.grouped`, within each level of q2.
+
+    :param points: number of reference points; `levels` number of levels of q2.
+    :raises PlanError: there are fewer.
+    """
     if earlier_data is not None:
         return
     unknowns = len(readings.keep) if options.grouped else len(readings.keep) - 1 + levels

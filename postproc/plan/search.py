@@ -75,25 +75,28 @@ def draw(site: Site, count: int, rng: np.random.Generator, q2: float | None = No
 
 
 def feasible_at(site: Site, q2: float, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Return up to `count` feasible configurations and tilts at one level of q2."""
-    found_q, found_tilt, have = [], [], 0
+    """Return up to `count` random feasible configurations (k, 6) and tilts of the load (k, 2) at one q2 [rad]."""
+    feasible_q, feasible_tilt, feasible_count = [], [], 0
     for _ in range(_ROUNDS):
         q, tilt = draw(site, _ROUND, rng, q2)
         is_feasible = constraints.feasible(site, q, tilt)
-        found_q.append(q[is_feasible])
-        found_tilt.append(tilt[is_feasible])
-        have += int(is_feasible.sum())
-        if have >= count or (have == 0 and len(found_q) >= _ROUNDS // 4):
+        feasible_q.append(q[is_feasible])
+        feasible_tilt.append(tilt[is_feasible])
+        feasible_count += int(is_feasible.sum())
+        if feasible_count >= count or (feasible_count == 0 and len(feasible_q) >= _ROUNDS // 4):
             break
-    return np.concatenate(found_q)[:count], np.concatenate(found_tilt)[:count]
+    return np.concatenate(feasible_q)[:count], np.concatenate(feasible_tilt)[:count]
 
 
 def draw_candidates(
     site: Site, readings: Readings, rng: np.random.Generator, fixed_levels: Array | None = None
 ) -> Candidates:
-    """Draw candidates on a grid of levels over the range of q2, and at `fixed_levels` levels (first among them).
+    """Return random candidates at fixed levels of q2 and on a grid of levels over its range.
+
+    Grid levels with few feasible poses are left out.
 
     :param readings: with all six compliances.
+    :param fixed_levels: (m,) levels of earlier readings [rad], which come first; None: there are none.
     :raises PlanError: no pose can be measured; the message names the constraints that block.
     """
     lower, upper = site.lower[1], site.upper[1]
@@ -105,35 +108,37 @@ def draw_candidates(
     fixed_count = 0 if fixed_levels is None else len(fixed_levels)
     rows = [index for index in range(len(levels)) if is_sufficient[index] or index < fixed_count]
     q, tilt = np.zeros((len(rows), _PER_LEVEL, 6)), np.zeros((len(rows), _PER_LEVEL, 2))
-    real = np.zeros((len(rows), _PER_LEVEL), dtype=bool)
+    has_pose = np.zeros((len(rows), _PER_LEVEL), dtype=bool)
     for place, index in enumerate(rows):
-        found_q, found_tilt = draws[index]
-        if len(found_q):
-            row = np.arange(_PER_LEVEL) % len(found_q)  # repeated where there are fewer
-            q[place], tilt[place], real[place] = found_q[row], found_tilt[row], True
+        level_q, level_tilt = draws[index]
+        if len(level_q):
+            row = np.arange(_PER_LEVEL) % len(level_q)  # repeated where there are fewer
+            q[place], tilt[place], has_pose[place] = level_q[row], level_tilt[row], True
     information = readings.information(q.reshape(-1, 6), tilt.reshape(-1, 2)).reshape(*q.shape[:2], 6, 6)
-    information *= real[:, :, None, None]  # no information from a level at which nothing can be measured any more
+    information *= has_pose[:, :, None, None]  # no information from a level at which nothing can be measured any more
     load = readings.force * direction(tilt.reshape(-1, 2))
-    torque = readings.torque(q.reshape(-1, 6), load).reshape(*q.shape[:2], 6) * real[:, :, None]
+    torque = readings.torque(q.reshape(-1, 6), load).reshape(*q.shape[:2], 6) * has_pose[:, :, None]
     return Candidates(levels[rows], q, tilt, information, torque)
 
 
 def blocking(site: Site, rng: np.random.Generator) -> tuple[str]:
-    """Return the error text if no pose is feasible: share that each constraint forbids, and poses possible without
-    it.
+    """Return the error text if no pose is feasible, which names the constraint that blocks most.
+
+    For each constraint it has the share of random poses that it forbids, and the number of poses possible without it.
     """
     q, tilt = draw(site, _LOOK, rng)
     failures = constraints.failures(site, q, tilt)
-    count = sum(failures.values(), np.zeros(_LOOK, dtype=int))
-    lines = []
+    failure_count = sum(failures.values(), np.zeros(_LOOK, dtype=int))  # of each pose
+    lines = []  # poses possible without a constraint, share that it forbids, text
     for name, is_forbidden in sorted(failures.items(), key=lambda entry: -entry[1].mean()):
-        freed_poses = int(np.count_nonzero((count == 1) & is_forbidden))
+        freed_count = int(np.count_nonzero((failure_count == 1) & is_forbidden))
+        share = is_forbidden.mean()
         if is_forbidden.any():
-            note = f", without it {freed_poses} poses were possible" if freed_poses else ""
-            lines.append((freed_poses, is_forbidden.mean(), f"{name} forbids {100 * is_forbidden.mean():.1f} %{note}"))
+            note = f", without it {freed_count} poses were possible" if freed_count else ""
+            lines.append((freed_count, share, f"{name} forbids {100 * share:.1f} %{note}"))
     sole_causes = [line for line in lines if line[1] > 0.999]
-    freeing = sorted((line for line in lines if line[0]), reverse=True)
-    culprit = (freeing or sole_causes or lines)[0][2].split(" forbids")[0]
+    freeing_lines = sorted((line for line in lines if line[0]), reverse=True)
+    culprit = (freeing_lines or sole_causes or lines)[0][2].split(" forbids")[0]
     summary = "; ".join(text for _, _, text in lines[:6])
     return (f"no pose can be measured: what blocks is: {culprit}. Of {_LOOK} poses at random: {summary}",)
 
@@ -198,7 +203,7 @@ class Task(Struct, frozen=True, eq=False):
     fixed: int = 0
 
     def sides(self, q: Array, tilt: Array) -> Bools:
-        """Return which sides (N, 6, 2) poses with loads count for."""
+        """Return True for directions (N, 6, 2), negative and positive of each joint, that poses load enough."""
         return self.directions.loaded_sides(self.readings.torque(q, self.readings.force * direction(tilt)))
 
     def pose_levels(self, rng: np.random.Generator) -> Ints:
@@ -209,20 +214,21 @@ class Task(Struct, frozen=True, eq=False):
 
 
 def improve(task: Task, seed: int, starts: int, finalists: int, rounds: int) -> Iterator[Plan]:
-    """Yield better and better plans; the last one is the result.
+    """Yield the best plan so far after each step of the search; the last one is the result.
 
-    :param starts: number of starts from other levels and poses.
-    :param finalists: how many of them are refined.
-    :param rounds: of refinement.
+    :param starts: number of plans by exchange, each from other levels and poses; at least 1.
+    :param finalists: number of the best of these that are refined.
+    :param rounds: of refinement, at most.
     """
-    rough: list[Plan] = []
+    exchange_plans: list[Plan] = []
     best: Plan | None = None
     for start in range(starts):
-        rough.append(exchange(task, np.random.default_rng([seed, start]), spread=start == 0))
-        best = rough[-1] if best is None or rough[-1].value < best.value else best
+        plan = exchange(task, np.random.default_rng([seed, start]), spread=start == 0)
+        exchange_plans.append(plan)
+        best = plan if best is None or plan.value < best.value else best
         yield best
     assert best is not None
-    for rank, plan in enumerate(sorted(rough, key=lambda entry: entry.value)[:finalists]):
+    for rank, plan in enumerate(sorted(exchange_plans, key=lambda entry: entry.value)[:finalists]):
         rng = np.random.default_rng([seed, starts + rank])
         for refined_plan in refine(task, plan, rng, rounds):
             best = refined_plan if refined_plan.value < best.value else best
@@ -247,7 +253,12 @@ class _Choice(Struct, frozen=True, eq=False):
 
 
 def exchange(task: Task, rng: np.random.Generator, spread: bool = False) -> Plan:
-    """Return a plan of candidates that no exchange of one pose or one level improves."""
+    """Return a plan of candidates that hardly any exchange of one pose or one level improves.
+
+    Then poses are exchanged so that each joint is loaded in both directions as the task demands.
+
+    :param spread: begin with levels evenly spread over the range of q2, else with random ones.
+    """
     candidates = task.candidates
     row = first_levels(task, rng, spread)
     level = task.pose_levels(rng)
@@ -268,52 +279,61 @@ def exchange(task: Task, rng: np.random.Generator, spread: bool = False) -> Plan
 
 
 def first_levels(task: Task, rng: np.random.Generator, spread: bool) -> Ints:
-    """Return levels (m,) of A2 as rows of the candidates: the fixed ones, then evenly spread or random ones."""
-    free = np.arange(task.fixed, len(task.candidates))
-    free_levels = task.levels - task.fixed
-    row = list(range(task.fixed))
+    """Return the levels (m,) of q2 to begin with, as rows of the candidates: fixed ones, then even or random ones.
+
+    :param spread: spread the levels evenly over the range of q2; ignored with fixed levels.
+    """
+    free_rows = np.arange(task.fixed, len(task.candidates))
+    rows = list(range(task.fixed))
     if spread and task.fixed == 0:
-        return free[np.round(np.linspace(0, len(free) - 1, free_levels)).astype(np.int64)]
-    for candidate in rng.permutation(free):
-        if len(row) < task.levels and _is_distant(task.candidates.q2[row], task.candidates.q2[candidate]):
-            row.append(int(candidate))
-    for candidate in rng.permutation(free):  # too many levels for the distance: nearer ones, but different
-        if len(row) < task.levels and int(candidate) not in row:
-            row.append(int(candidate))
-    return np.array(row)
+        return free_rows[np.round(np.linspace(0, len(free_rows) - 1, task.levels)).astype(np.int64)]
+    for candidate in rng.permutation(free_rows):
+        if len(rows) < task.levels and _is_distant(task.candidates.q2[rows], task.candidates.q2[candidate]):
+            rows.append(int(candidate))
+    for candidate in rng.permutation(free_rows):  # too many levels for the distance: nearer ones, but different
+        if len(rows) < task.levels and int(candidate) not in rows:
+            rows.append(int(candidate))
+    return np.array(rows)
 
 
 def _is_distant(levels: Array, q2: float) -> bool:
+    """Return whether a level q2 is at least `_LEAST_DISTANCE` from all other levels (m,) [rad]."""
     return bool((np.abs(levels - q2) >= _LEAST_DISTANCE - 1e-9).all())
 
 
 def _load_both_signs(task: Task, choice: _Choice) -> _Choice:
-    """Replace poses within their levels until each joint is loaded with both signs; the smallest criterion wins."""
+    """Return the choice with poses exchanged within their levels until each joint is loaded in both directions.
+
+    Of the exchanges that bring the plan nearer to the demand, the one with the smallest criterion is made each time.
+    """
     information, row, criterion, level = task.candidates.information, choice.row, choice.criterion, choice.level
     pick, demand = choice.pick.copy(), task.directions
-    sides = demand.loaded_sides(task.candidates.torque[row]).astype(np.int64)
+    candidate_sides = demand.loaded_sides(task.candidates.torque[row]).astype(np.int64)  # (m, C, 6, 2)
     while True:
-        pose_sides = sides[level, pick]
-        shortfall = demand.missing_count(pose_sides.sum(axis=0))
+        pose_sides = candidate_sides[level, pick]
+        side_count = pose_sides.sum(axis=0)
+        shortfall = demand.missing_count(side_count)
         total = criterion.total(information[row[level], pick], level)
-        best = (np.inf, 0, 0)
+        best_value, best_place, best_pick = np.inf, 0, 0
         for place in range(task.count) if shortfall > 0 else ():
-            new = np.flatnonzero(
-                demand.missing_count(pose_sides.sum(axis=0) - pose_sides[place] + sides[level[place]]) < shortfall
-            )
-            old = information[row[level[place]], pick[place]]
-            if len(new):
-                values = criterion.exchange_values(total, old, information[row[level[place]], new], int(level[place]))
-                best = min(best, (float(values.min()), place, int(new[np.argmin(values)])))
-        if not np.isfinite(best[0]):
+            changed_counts = side_count - pose_sides[place] + candidate_sides[level[place]]
+            better_picks = np.flatnonzero(demand.missing_count(changed_counts) < shortfall)
+            if len(better_picks):
+                level_information = information[row[level[place]]]
+                old, new = level_information[pick[place]], level_information[better_picks]
+                values = criterion.exchange_values(total, old, new, int(level[place]))
+                if float(values.min()) < best_value:
+                    best_value, best_place, best_pick = float(values.min()), place, int(better_picks[np.argmin(values)])
+        if not np.isfinite(best_value):
             return replace(choice, pick=pick, value=criterion.value(information[row[level], pick], level))
-        pick[best[1]] = best[2]
+        pick[best_place] = best_pick
 
 
 def _exchange_poses(task: Task, choice: _Choice) -> _Choice:
-    """Replace each pose in turn by the best candidate of its level, or of any level if the levels are fixed.
+    """Return the choice with each pose in turn exchanged for the best candidate of its level.
 
-    An exchange never reduces the signs of torque with which the joints are loaded.
+    With fixed levels, it is the best candidate of any level. An exchange never leaves the plan with fewer of the
+    demanded directions of joint torques.
     """
     information, row, criterion = task.candidates.information, choice.row, choice.criterion
     level, pick, demand = choice.level.copy(), choice.pick.copy(), task.directions
@@ -331,7 +351,8 @@ def _exchange_poses(task: Task, choice: _Choice) -> _Choice:
             reduced_total = criterion.total(information[row[level[other_poses]], pick[other_poses]], level[other_poses])
             zero = np.zeros_like(old)
             values_by_level = [
-                criterion.exchange_values(reduced_total, zero, information[r], g) for g, r in enumerate(row)
+                criterion.exchange_values(reduced_total, zero, information[level_row], group)
+                for group, level_row in enumerate(row)
             ]
             best = int(np.argmin(np.where(worse, np.inf, values_by_level)))
             level[place], pick[place] = np.unravel_index(best, (task.levels, information.shape[1]))
@@ -340,7 +361,10 @@ def _exchange_poses(task: Task, choice: _Choice) -> _Choice:
 
 
 def _exchange_level(task: Task, choice: _Choice, group: int) -> _Choice:
-    """Return the choice with one level of q2 moved to the candidate that gives the smallest criterion."""
+    """Return the choice with level number `group` of q2 exchanged for the candidate level with the smallest criterion.
+
+    The poses of the level are chosen anew at each candidate; it stays without a gain.
+    """
     candidates, level = task.candidates, choice.level
     members = np.flatnonzero(level == group)
     other_rows = np.delete(choice.row, group)
@@ -370,7 +394,10 @@ def _exchange_level(task: Task, choice: _Choice, group: int) -> _Choice:
 
 
 def refine(task: Task, plan: Plan, rng: np.random.Generator, rounds: int) -> Iterator[Plan]:
-    """Yield plans, each no worse than the one before, with poses and levels moved off the candidates."""
+    """Yield plans, each no worse than the one before, with joint angles, loads and levels changed continuously.
+
+    :param rounds: largest number of plans; it ends earlier if there is no more gain.
+    """
     scale = 0.3  # standard deviation of random steps [rad]; smaller after each round without a gain
     for _ in range(rounds):
         old_value = plan.value
@@ -384,7 +411,7 @@ def refine(task: Task, plan: Plan, rng: np.random.Generator, rounds: int) -> Ite
 
 
 def _move_poses(task: Task, plan: Plan, rng: np.random.Generator, scale: float) -> Plan:
-    """Return the plan with each pose moved to its best feasible neighbour, if that is better.
+    """Return the plan with each pose in turn moved to the best feasible pose around it, if that lowers the criterion.
 
     :param scale: standard deviation of the random steps of angles and tilts [rad].
     """
@@ -402,8 +429,10 @@ def _move_poses(task: Task, plan: Plan, rng: np.random.Generator, scale: float) 
         order = np.argsort(values, kind="stable")
         order = order[values[order] < value * (1.0 - 1e-5)]
         new_sides, count = task.sides(new_q, new_tilt), sides.sum(axis=0)
-        worse = task.directions.missing_count(count - sides[place] + new_sides) > task.directions.missing_count(count)
-        order = order[~worse[order]]
+        is_worse = task.directions.missing_count(count - sides[place] + new_sides) > task.directions.missing_count(
+            count
+        )
+        order = order[~is_worse[order]]
         is_feasible = constraints.feasible(task.site, new_q[order], new_tilt[order])
         if is_feasible.any():
             best = order[np.argmax(is_feasible)]
@@ -415,7 +444,13 @@ def _move_poses(task: Task, plan: Plan, rng: np.random.Generator, scale: float) 
 def _proposals(
     site: Site, q: Array, tilt: Array, slope: Array, rng: np.random.Generator, scale: float
 ) -> tuple[Array, Array]:
-    """Return places around a pose: down the gradient, at random, and with the load turned; q2 stays."""
+    """Return joint angles (k, 6) and tilts of the load (k, 2) [rad] around a pose: down the gradient, and at random.
+
+    q2 stays; the results are within the joint limits and the largest tilt.
+
+    :param slope: (8,) gradient of the criterion by joint angles and tilt.
+    :param scale: standard deviation of the random steps [rad].
+    """
     slope = slope.copy()
     slope[1] = 0.0
     if site.rig.largest_tilt == 0.0:
@@ -435,7 +470,10 @@ def _proposals(
 
 
 def _move_levels(task: Task, plan: Plan) -> Plan:
-    """Shift each level that is not fixed, with its group: link 2 alone, or so that the forearm keeps its direction."""
+    """Return the plan with each level of q2 that is not fixed shifted with its poses, if that lowers the criterion.
+
+    Either q2 alone changes, or q3 too, so that the forearm keeps its direction.
+    """
     demand = task.directions
     for group in range(task.fixed, len(plan.q2)):
         members = plan.level == group
@@ -447,14 +485,14 @@ def _move_levels(task: Task, plan: Plan) -> Plan:
             if not is_in_range or not _is_distant(np.delete(q2, group), q2[group]):
                 continue
             criterion = task.criterion_at(q2)
-            for follow in (0.0, -shift):
+            for q3_shift in (0.0, -shift):
                 q = plan.q.copy()
                 q[members, 1] = q2[group]
-                q[members, 2] += follow
+                q[members, 2] += q3_shift
                 value = criterion.value(task.readings.information(q, plan.tilt), plan.level)
-                better = value < plan.value * (1.0 - 1e-5)
-                better = better and bool(demand.missing_count(task.sides(q, plan.tilt).sum(axis=0)) <= shortfall)
-                if better and constraints.feasible(task.site, q[members], plan.tilt[members]).all():
+                is_better = value < plan.value * (1.0 - 1e-5)
+                is_better = is_better and bool(demand.missing_count(task.sides(q, plan.tilt).sum(axis=0)) <= shortfall)
+                if is_better and constraints.feasible(task.site, q[members], plan.tilt[members]).all():
                     plan = replace(plan, q=q, q2=q2, value=value)
                     break
             if plan.q2[group] == q2[group]:
@@ -504,7 +542,10 @@ def serial_plan(task: Task) -> Plan:
 
 
 def _dexterity(task: Task, q: Array) -> Array:
-    """Return 1/condition (C,) of the Jacobian of the load point, lengths over their mean (Angeles and López-Cajún)."""
+    """Return the reciprocal condition number (C,) of the Jacobian of the load point at configurations q (C, 6) [rad].
+
+    Lengths are divided by their RMS over all configurations, the characteristic length (Angeles and López-Cajún 1992).
+    """
     arm_pose = task.site.arm.pose(q)
     linear = arm_pose.velocity(arm_pose.point(task.site.load_point[None]))[:, 0]
     length = np.sqrt(np.mean(linear**2)) * np.sqrt(3.0)
@@ -514,7 +555,11 @@ def _dexterity(task: Task, q: Array) -> Array:
 
 
 def _distant_rows(q: Array, rows: Ints, count: int) -> list[int]:
-    """Return rows whose joint angles are far apart: each the farthest from those before."""
+    """Return `count` of some rows with joint angles far from each other: each is the farthest from those before.
+
+    :param q: (C, 6) joint angles [rad].
+    :param rows: to choose from; the first one is always chosen.
+    """
     selection = [int(rows[0])]
     while len(selection) < count:
         distance = np.linalg.norm(q[rows][:, None] - q[selection][None], axis=2).min(axis=1)
@@ -524,9 +569,9 @@ def _distant_rows(q: Array, rows: Ints, count: int) -> list[int]:
 
 
 def criterion_by_number(task: Task, seed: int, best: Plan) -> Iterator[tuple[int, float, float]]:
-    """Yield (number of poses, criterion of the best plan found, median of random plans) [m²] for several sizes.
+    """Yield number of poses, criterion of the best plan, and median of random plans [m²], for some sizes.
 
-    A short search: good to some per cent. The size of the plan itself takes its own value.
+    The search is short: criteria are right to some per cent. For the size of `best` its own value is taken.
     """
     min_count = 1 if task.fixed else task.levels
     for count in sorted({max(min_count, round(factor * task.count)) for factor in FACTORS}):

@@ -24,7 +24,7 @@ class Arm(Struct, frozen=True, eq=False):
 
     @classmethod
     def of(cls, robot: RobotModel) -> Arm:
-        """Take the controller's geometry of a robot."""
+        """Return the arm with the geometry that the controller of a robot has."""
         return cls(robot.nominal)
 
     def pose(self, q: Array) -> ArmPoses:
@@ -66,24 +66,26 @@ before them."""
 
 
 def direction(tilt: Array) -> Array:
-    """Return unit directions (N, 3) of the load, root axes, for tilts (N, 2) [rad]: length the angle from straight
-    down, heading that of its horizontal part.
+    """Return unit directions (N, 3) of the load in root axes.
+
+    :param tilt: (N, 2) vectors along the horizontal part of the load, as long as its angle from straight down [rad].
     """
     angle = np.linalg.norm(tilt, axis=-1)
     return np.concatenate([tilt * np.sinc(angle / np.pi)[..., None], -np.cos(angle)[..., None]], axis=-1)
 
 
 def direction_slope(tilt: Array) -> Array:
-    """Return ∂direction/∂tilt (N, 3, 2)."""
+    """Return the derivatives (N, 3, 2) of the directions of the load by tilts (N, 2) [rad], see `direction`."""
     angle = np.linalg.norm(tilt, axis=-1)
-    ratio = np.sinc(angle / np.pi)
-    safe = np.where(angle > 1e-4, angle, 1.0)
-    bend = np.where(angle > 1e-4, (np.cos(angle) - ratio) / safe**2, -1.0 / 3.0)
+    sinc = np.sinc(angle / np.pi)  # sin(angle) / angle
+    # derivative of sinc over the angle; its limit −1/3 near 0, where the quotient loses all digits
+    is_large = angle > 1e-4
+    sinc_slope = np.where(is_large, (np.cos(angle) - sinc) / np.where(is_large, angle, 1.0) ** 2, -1.0 / 3.0)
     slope = np.empty((*tilt.shape[:-1], 3, 2))
     slope[..., :2, :] = (
-        ratio[..., None, None] * np.eye(2) + bend[..., None, None] * tilt[..., :, None] * tilt[..., None, :]
+        sinc[..., None, None] * np.eye(2) + sinc_slope[..., None, None] * tilt[..., :, None] * tilt[..., None, :]
     )
-    slope[..., 2, :] = ratio[..., None] * tilt
+    slope[..., 2, :] = sinc[..., None] * tilt
     return slope
 
 
@@ -108,8 +110,12 @@ class Readings(Struct, frozen=True, eq=False):
     keep: tuple[int, ...] = (0, 1, 2, 3, 4, 5)
 
     def rows(self, q: Array, load: Array) -> Array:
-        """Return the whitened regressor (N, 3P, 6), Eq. (8), at configurations q (N, 6) under forces, or forces and
-        moments, (N, 3 or 6) at the load point, root axes [N, N·m].
+        """Return the whitened derivatives (N, 3P, 6) of the displacements of the points by the relative compliances.
+
+        Regressor of Eq. (8) of Klimchik et al.
+
+        :param q: (N, 6) joint angles [rad].
+        :param load: (N, 3) forces [N], or (N, 6) with moments [N·m], at the load point, root axes.
         """
         arm_pose = self.arm.pose(q)
         at_load = arm_pose.velocity(arm_pose.point(self.load_point[None]))[:, 0]
@@ -136,7 +142,13 @@ class Readings(Struct, frozen=True, eq=False):
         return np.asarray(np.swapaxes(rows, 1, 2) @ rows)
 
     def slope(self, q: Array, tilt: Array, weight: Array) -> Array:
-        """Return the gradient (N, 8) of tr(weight·information) by (q, tilt), for symmetric weights (N, p, p)."""
+        """Return the gradient (N, 8) of tr(weight·information) by joint angles (6) and tilt (2).
+
+        The columns of the regressor are velocities of points times torques; both change with joint angles.
+
+        :param q: (N, 6) joint angles, and `tilt` (N, 2) of the load [rad].
+        :param weight: (N, p, p) symmetric.
+        """
         keep = list(self.keep)
         arm_pose = self.arm.pose(q)
         load = self.force * direction(tilt)

@@ -30,15 +30,17 @@ _POINT = 1e-12
 
 
 def between_segments(p: Array, p_end: Array, r: Array, r_end: Array) -> Array:
-    """Return distances (...) [m] between segments p–p_end and r–r_end, each (..., 3) (Ericson, "Real-Time Collision
-    Detection", 2005, 5.1.9).
+    """Return the distances (...) [m] between segments from p to p_end and from r to r_end, each (..., 3) [m].
+
+    Source, with the names of its variables: Ericson, "Real-Time Collision Detection", 2005, 5.1.9. s and t are the
+    shares of the segments at which the closest points are.
     """
     u, v, w = p_end - p, r_end - r, p - r
     a, b, c = _dot(u, u), _dot(u, v), _dot(v, v)
     d, e = _dot(u, w), _dot(v, w)
     denominator = a * c - b * b
-    skew = denominator > _POINT
-    s = np.where(skew, np.clip((b * e - c * d) / np.where(skew, denominator, 1.0), 0.0, 1.0), 0.0)
+    is_skew = denominator > _POINT  # else parallel, or one of them a point
+    s = np.where(is_skew, np.clip((b * e - c * d) / np.where(is_skew, denominator, 1.0), 0.0, 1.0), 0.0)
     t = np.where(c > _POINT, (b * s + e) / np.where(c > _POINT, c, 1.0), 0.0)
     is_clipped = ((t < 0.0) | (t > 1.0) | (c <= _POINT)) & (a > _POINT)
     t = np.clip(t, 0.0, 1.0)
@@ -48,11 +50,15 @@ def between_segments(p: Array, p_end: Array, r: Array, r_end: Array) -> Array:
 
 
 def _dot(a: Array, b: Array) -> Array:
+    """Return the scalar products (...) of vectors (..., 3)."""
     return np.asarray(np.einsum("...i,...i->...", a, b))
 
 
 def points_on_segments(start: Array, end: Array, length: float) -> Array:
-    """Return points (..., n, 3) on segments (..., 3) of at most `length` [m], evenly spaced, ends included."""
+    """Return n evenly spaced points (..., n, 3) on segments from `start` to `end` (..., 3) [m], ends included.
+
+    :param length: of the longest segment [m]: points of it are at most `_SPACING` apart.
+    """
     count = max(2, int(np.ceil(length / _SPACING)) + 1)
     t = np.linspace(0.0, 1.0, count)[:, None]
     return np.asarray(start[..., None, :] * (1.0 - t) + end[..., None, :] * t)
@@ -67,7 +73,7 @@ class BoxShape(Struct, frozen=True, eq=False):
 
     @classmethod
     def of(cls, box: Box, number: int) -> BoxShape:
-        """Take a box of the experiment."""
+        """Return a box of the experiment; without a name it is called by its number."""
         name = box.name or str(number)
         return cls(f"box {name}", inverse(box.pose()), 0.5 * np.array(box.size) * M_PER_MM)
 
@@ -77,11 +83,14 @@ class BoxShape(Struct, frozen=True, eq=False):
         return np.asarray(np.linalg.norm(np.maximum(excess, 0.0), axis=-1) + np.minimum(excess.max(axis=-1), 0.0))
 
     def blocks(self, start: Array, end: Array) -> Bools:
-        """Return (...) True where a line of sight (..., 3) passes through the box (slabs, Kay and Kajiya 1986)."""
-        p = start @ self.to_box[:3, :3].T + self.to_box[:3, 3]
-        d = end @ self.to_box[:3, :3].T + self.to_box[:3, 3] - p
-        d = np.where(np.abs(d) > 1e-12, d, 1e-12)
-        low_side, high_side = (-self.half - p) / d, (self.half - p) / d
+        """Return (...) True if the line from `start` to `end` (..., 3) [m] passes through the box.
+
+        By slabs (Kay and Kajiya 1986): the line enters and leaves the space between each pair of faces at some shares.
+        """
+        begin = start @ self.to_box[:3, :3].T + self.to_box[:3, 3]
+        chord = end @ self.to_box[:3, :3].T + self.to_box[:3, 3] - begin
+        chord = np.where(np.abs(chord) > 1e-12, chord, 1e-12)  # no division by zero along a face
+        low_side, high_side = (-self.half - begin) / chord, (self.half - begin) / chord
         enter, leave = np.minimum(low_side, high_side).max(axis=-1), np.maximum(low_side, high_side).min(axis=-1)
         return np.asarray((enter <= leave) & (leave >= 0.0) & (enter <= 1.0))
 
@@ -119,27 +128,28 @@ class MeshShape(Struct, frozen=True, eq=False):
         return cls(f"mesh {mesh.file}", points, edge / np.sqrt(3.0), cKDTree(points))
 
     def distance(self, point: Array) -> Array:
-        """Return distances (...) of points (..., 3) [m] from the surface, or less by at most the clearance
-        `between`.
-        """
+        """Return lower bounds (...) of the distances of points (..., 3) from the surface [m], within `between`."""
         gap, _ = self.tree.query(point.reshape(-1, 3))  # type: ignore[attr-defined]
         return np.asarray(gap).reshape(point.shape[:-1]) - self.between
 
     def blocks(self, start: Array, end: Array) -> Bools:
-        """Return (...) True where a line of sight (..., 3) comes too near the surface (sphere tracing)."""
+        """Return (...) True if the line from `start` to `end` (..., 3) [m] is closer to the surface than the clearance.
+
+        By sphere tracing: a step from a point is as long as its distance from the surface.
+        """
         start, end = (np.ascontiguousarray(side) for side in np.broadcast_arrays(start, end))
         shape = start.shape[:-1]
         start, end = start.reshape(-1, 3), end.reshape(-1, 3)
         length = np.linalg.norm(end - start, axis=-1)
-        distance, hit = np.zeros(len(start)), np.zeros(len(start), dtype=bool)
+        travel, is_blocked = np.zeros(len(start)), np.zeros(len(start), dtype=bool)
         rows = np.arange(len(start))
         while len(rows):
-            share = distance[rows] / np.maximum(length[rows], 1e-9)
-            free = self.distance(start[rows] + (end[rows] - start[rows]) * share[:, None])
-            hit[rows] = free < _SIGHT_CLEARANCE
-            distance[rows] += free
-            rows = rows[~hit[rows] & (distance[rows] < length[rows])]
-        return hit.reshape(shape)
+            share = travel[rows] / np.maximum(length[rows], 1e-9)
+            distance = self.distance(start[rows] + (end[rows] - start[rows]) * share[:, None])
+            is_blocked[rows] = distance < _SIGHT_CLEARANCE
+            travel[rows] += distance
+            rows = rows[~is_blocked[rows] & (travel[rows] < length[rows])]
+        return is_blocked.reshape(shape)
 
 
 _RADII = (0.149, 0.085, 0.12, 0.072, 0.055)
@@ -276,7 +286,7 @@ def _normals(experiment: Experiment) -> Array:
 
 
 def _torque_limit(robot: RobotModel, stated_limit: tuple[float, ...] | None) -> Array | None:
-    """Return the static torques (6,) [N·m] that are allowed: as stated, else those of the URDF; None without."""
+    """Return the allowed static torques (6,) [N·m]: those stated, else those of the URDF; None without either."""
     if stated_limit is not None:
         return np.array(stated_limit)
     effort = robot.nominal.effort

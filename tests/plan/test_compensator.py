@@ -137,7 +137,7 @@ def test_readings_that_were_filled_in_are_not_replaced_by_a_new_template(tmp_pat
 
 
 def test_names_of_more_than_nine_markers_are_those_that_identify_reads(tmp_path, monkeypatch):
-    monkeypatch.setattr("postproc.plan.compensator._exchange", lambda _, __, start, ___: start)  # any angles do
+    monkeypatch.setattr("postproc.plan.compensator._exchanged_angles", lambda _, __, start, ___: start)  # any angles do
     assert planned(tmp_path, "--angles", "3", "--markers", "11", "--repeats", "1").exit_code == 0
     names = set(re.findall(r"P0\d+", (tmp_path / "readings.csv").read_text()))
     assert len(names) == 11

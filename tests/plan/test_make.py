@@ -295,7 +295,7 @@ def test_every_exchange_has_the_value_of_its_plan_and_improves_it(tmp_path):
     """Of the poses, then of each level: the value that is kept up to date is the criterion of the whole plan."""
     site, tests = setting.site(tmp_path), replace(setting.job().take(np.array([0, 150])), weight=np.array([0.5, 0.5]))
     options = Options(configurations=7, levels=3)
-    task = planning._problem(site, tests, setting.ROBOT.compliance, options, None).task
+    task = planning._planning_problem(site, tests, setting.ROBOT.compliance, options, None).task
     rng = np.random.default_rng(2)
     row, level = search.first_levels(task, rng, spread=False), task.pose_levels(rng)
     pick = rng.integers(0, task.candidates.q.shape[1], task.count)
@@ -339,11 +339,11 @@ def test_earlier_readings_inform_the_compliances_that_the_rig_can_show(tmp_path)
     hanging = setting.site(tmp_path, BASIC + "\n[rig]\nmass_kg = 275\n")
     vertical = replace(data, wrench=data.wrench * [0.0, 0, 1, 0, 0, 0])
     options = Options(configurations=4, levels=3)
-    problem = planning._problem(hanging, setting.job(), setting.ROBOT.compliance, options, vertical)
+    problem = planning._planning_problem(hanging, setting.job(), setting.ROBOT.compliance, options, vertical)
     assert problem.readings.keep == (1, 2, 3, 4, 5)
     assert problem.known.information.shape[1:] == (5, 5)
     assert (np.diagonal(problem.known.information, axis1=1, axis2=2).sum(axis=0) > 0.0).all()
     assert problem.task.candidates.information.shape[2:] == (5, 5)
     assert problem.task.fixed == 2
-    whole = planning._problem(setting.site(tmp_path), setting.job(), setting.ROBOT.compliance, options, data)
+    whole = planning._planning_problem(setting.site(tmp_path), setting.job(), setting.ROBOT.compliance, options, data)
     assert whole.known.information.shape[1:] == (6, 6)

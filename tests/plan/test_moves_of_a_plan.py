@@ -19,7 +19,7 @@ TWO = replace(setting.job().take(np.array([0, 150])), weight=np.array([0.5, 0.5]
 def task(tmp_path_factory):
     site = setting.site(tmp_path_factory.mktemp("site"))
     options = planning.Options(configurations=6, levels=3)
-    return planning._problem(site, TWO, setting.ROBOT.compliance, options, None).task
+    return planning._planning_problem(site, TWO, setting.ROBOT.compliance, options, None).task
 
 
 def start_of(task, seed=0):
@@ -101,7 +101,7 @@ def test_poses_go_to_the_level_where_they_help_most_if_levels_were_measured(tmp_
     data, q, force = measured_so_far(tmp_path)
     options = planning.Options(configurations=4, levels=3)
     site = setting.site(tmp_path)
-    task = planning._problem(site, TWO, setting.ROBOT.compliance, options, data).task
+    task = planning._planning_problem(site, TWO, setting.ROBOT.compliance, options, data).task
     assert (task.fixed, task.levels, task.count) == (2, 3, 4)
     rng = np.random.default_rng(5)
     row, level = search.first_levels(task, rng, spread=False), task.pose_levels(rng)

@@ -14,7 +14,7 @@ from postproc.errors import PlanError
 from postproc.identification.readings import Box, Measurements, read_experiment
 from postproc.plan import constraints, milling, planning, search
 from postproc.plan.compensator import CompensatorOptions, plan_compensator, summary, text_lines
-from postproc.plan.criterion import Joint2, _parameters, measured_information
+from postproc.plan.criterion import Joint2, _compliance_slopes, measured_information
 from postproc.plan.search import Candidates, Plan, Task
 from postproc.plan.sensitivity import Readings, direction
 from postproc.plan.site import BoxShape, site_of
@@ -535,12 +535,12 @@ def test_parts_of_the_arm_stretched_out_are_not_too_close_to_each_other(site):
     site = replace(site, radius=3.0 * site.radius)
     state = constraints.State.of(site, np.zeros((1, 6)), None)
     pairs = constraints._capsule_pairs(site, state)
-    gaps = constraints._gaps(pairs)[:, 0]
+    gaps = constraints._axis_distances(pairs)[:, 0]
     overlapping = [
         one.radius + other.radius + site.clearance > gap for (one, other), gap in zip(pairs, gaps, strict=True)
     ]
     assert any(overlapping)
-    assert all(allowed.all() for _, allowed in constraints._itself(site, state))
+    assert all(allowed.all() for _, allowed in constraints._self_clearance(site, state))
 
 
 def test_more_levels_than_can_be_measured_are_refused(site, monkeypatch):
@@ -548,7 +548,7 @@ def test_more_levels_than_can_be_measured_are_refused(site, monkeypatch):
     monkeypatch.setattr(planning, "draw_candidates", lambda *_: task.candidates)
     options = planning.Options(configurations=8, levels=4)
     with pytest.raises(PlanError, match="poses can be measured at 3 of the levels of q2 tried only, 4 are asked for"):
-        planning._problem(site, setting.job(), setting.ROBOT.compliance, options, None)
+        planning._planning_problem(site, setting.job(), setting.ROBOT.compliance, options, None)
 
 
 @pytest.mark.parametrize("keep", [(0, 1, 2, 3, 4, 5), (1, 3)])
@@ -571,7 +571,7 @@ def test_compliances_depend_on_gear_and_spring_of_joint_2_by_its_pose(keep):
         return 1.0 / (1.0 / parameters[0] + gear * (energy[0] - 2.0 * energy[1] + energy[2]) / h**2)
 
     for free in (False, True):
-        found = _parameters(Joint2.of(stiff, free), list(keep), q)
+        found = _compliance_slopes(Joint2.of(stiff, free), list(keep), q)
         size, two = len(keep), keep.index(1)
         assert found.shape == (3, size, size + (2 if free else 0))
         for row, angle in enumerate(q[:, 1]):
