@@ -59,39 +59,40 @@ class Surfaces(Columns, frozen=True, eq=False):
     point: Array
 
     def deviation(self, twist: Array) -> tuple[Array, Array]:
-        """Return the deviations (n,) for twists (n, 6), and their derivatives by the twist (n, 6)."""
+        """Return the deviations (n,) [m] for twists of the tool (n, 6), and their derivatives by the twist (n, 6)."""
         values = np.einsum("nik,nk->ni", self.weight, twist)
-        smaller = np.argmin(values, axis=1)
-        rows = np.arange(len(smaller))
-        return values[rows, smaller], self.weight[rows, smaller]
+        smaller_column = np.argmin(values, axis=1)
+        rows = np.arange(len(values))
+        return values[rows, smaller_column], self.weight[rows, smaller_column]
 
 
 def surfaces(program: Program, robot_in_cell: RobotInCell, probe_data: ProbedSurfaces, radius: float) -> Surfaces:
-    """Find where on the path of a program its probed surfaces are made.
+    """Return the places on the path of a program where its probed surfaces are made.
 
     :param radius: of the tool, a flat end mill [m].
     :raises MeasurementError: a row names no cutting move, or a point that its tool does not make there.
     """
-    hangs = probe_data.mass > 0.0
-    motion = _motions_of(program, probe_data, hangs)
+    is_gauge = probe_data.mass > 0.0
+    motion = _motions_of(program, probe_data, is_gauge)
     segments = toolpath.segments(program, robot_in_cell.start_flange)
     place = toolpath.at(program, segments, motion, probe_data.t)
     travel = toolpath.tangent(program, segments, motion, probe_data.t)
+    # the axis of the tool frame that points from the spindle to the tip: its column, and the sign from tip to spindle
     column, sign = {"+Z": (2, -1.0), "-Z": (2, 1.0), "+X": (0, -1.0), "-X": (0, 1.0)}[robot_in_cell.spindle]
     axis = sign * place.pose[:, :3, column]
     lever = probe_data.point - place.pose[:, :3, 3]
     height = np.einsum("ni,ni->n", lever, axis)
     radial = lever - height[:, None] * axis
     slope = np.einsum("ni,ni->n", probe_data.normal, axis)
-    floor, wall = slope > _FLOOR_COSINE, np.abs(slope) < _WALL_COSINE
-    offset = np.where(floor, np.abs(height), norm(radial + radius * probe_data.normal))
+    is_floor, is_wall = slope > _FLOOR_COSINE, np.abs(slope) < _WALL_COSINE
+    offset = np.where(is_floor, np.abs(height), norm(radial + radius * probe_data.normal))
     is_impossible = (
-        ~(floor | wall)
+        ~(is_floor | is_wall)
         | ~(offset < _SURFACE_TOLERANCE)
         | (norm(radial) > radius + _SURFACE_TOLERANCE)
         | (height < -_SURFACE_TOLERANCE)
     )
-    is_impossible &= ~hangs  # a gauge may be anywhere on the tool
+    is_impossible &= ~is_gauge  # a gauge may be anywhere on the tool
     if is_impossible.any():
         k = int(np.argmax(is_impossible))
         raise MeasurementError(
@@ -101,27 +102,28 @@ def surfaces(program: Program, robot_in_cell: RobotInCell, probe_data: ProbedSur
             advice="Points are on walls along the axis of a flat end mill, or on the floor below it.",
         )
     weight = weights(probe_data.normal, lever, axis, travel, radius)
-    weight[hangs] = np.concatenate([probe_data.normal, np.cross(lever, probe_data.normal)], axis=1)[hangs, None]
+    gauge_weight = np.concatenate([probe_data.normal, np.cross(lever, probe_data.normal)], axis=1)
+    weight[is_gauge] = gauge_weight[is_gauge, None]
     weight_wrench = np.zeros((len(motion), 6))
     weight_wrench[:, 2] = -GRAVITY * probe_data.mass
     rotation = np.broadcast_to(toolpath.base_of(program, motion)[..., :3, :3], (len(motion), 3, 3))
-    is_wall = (wall & ~hangs).astype(float)
-    return Surfaces(motion, probe_data.t, turn_weights(rotation, weight), is_wall, weight_wrench, probe_data.point)
+    wall = (is_wall & ~is_gauge).astype(float)
+    return Surfaces(motion, probe_data.t, turn_weights(rotation, weight), wall, weight_wrench, probe_data.point)
 
 
-def _motions_of(program: Program, probe_data: ProbedSurfaces, hangs: Bools) -> Ints:
+def _motions_of(program: Program, probe_data: ProbedSurfaces, is_gauge: Bools) -> Ints:
     """Return the motions (n,) that make the probed surfaces, by the lines that these name.
 
-    :param hangs: (n,) readings of a gauge under a weight, which name rapid moves.
+    :param is_gauge: (n,) readings of a gauge under a weight: their lines are rapid moves, those of others cutting ones.
     :raises MeasurementError: a line is not one such move.
     """
     m = program.motions
     motion = np.empty(len(probe_data), dtype=np.int64)
     for k, line in enumerate(probe_data.line.tolist()):
-        moves = np.flatnonzero((m.line == line) & (m.rapid == hangs[k]))
+        moves = np.flatnonzero((m.line == line) & (m.rapid == is_gauge[k]))
         if len(moves) != 1:
             raise MeasurementError(
-                f"line {line} of the program is not one {'rapid' if hangs[k] else 'cutting'} move",
+                f"line {line} of the program is not one {'rapid' if is_gauge[k] else 'cutting'} move",
                 file=probe_data.file,
                 line=int(probe_data.row[k]),
                 advice="Give the program that the part was cut with, and its probing.csv.",
@@ -131,26 +133,32 @@ def _motions_of(program: Program, probe_data: ProbedSurfaces, hangs: Bools) -> I
 
 
 def weights(normal: Array, lever: Array, axis: Array, travel: Array, radius: float) -> Array:
-    """Return the deviations of surfaces by the twist of the tool (n, 2, 6), of which the smaller one counts.
+    """Return the derivatives of deviations of surfaces by the twist of the tool at its tip, two for each: (n, 2, 6).
 
-    :param normal: (n, 3) of the surfaces; `lever` (n, 3) from the tip to the points [m]; `axis` (n, 3) from the tip to
-        the spindle; `travel` (n, 3) direction of travel.
+    The rim of a flat end mill passes over a point of a floor ahead of the axis and behind it: the smaller of the two
+    deviations remains. For a wall both are equal.
+
+    :param normal: (n, 3) unit vectors of the surfaces; `lever` (n, 3) from the tip to the points [m].
+    :param axis: (n, 3) unit directions from the tip to the spindle; `travel` (n, 3) unit directions of travel.
+    :param radius: of the tool [m].
     """
-    floor = np.einsum("ni,ni->n", normal, axis) > _FLOOR_COSINE
-    # the rim passes over a place of the floor ahead of the axis and behind it
+    is_floor = np.einsum("ni,ni->n", normal, axis) > _FLOOR_COSINE
     left = np.cross(axis, travel)
     lateral = np.einsum("ni,ni->n", lever, left)
-    reach = np.sqrt(np.maximum(radius**2 - lateral**2, 0.0))
+    half_chord = np.sqrt(np.maximum(radius**2 - lateral**2, 0.0))
     levers = np.stack([lever, lever], axis=1)
-    for k, way in enumerate((1.0, -1.0)):
-        rim = lateral[:, None] * left + way * reach[:, None] * travel
-        levers[floor, k] = rim[floor]
+    for k, sign in enumerate((1.0, -1.0)):
+        rim = lateral[:, None] * left + sign * half_chord[:, None] * travel
+        levers[is_floor, k] = rim[is_floor]
     normals = np.broadcast_to(normal[:, None], levers.shape)
     return np.concatenate([normals, np.cross(levers, normals)], axis=2)
 
 
 def turn_weights(rotation: Array, weight: Array) -> Array:
-    """Return weights (n, 2, 6) in axes turned by rotations (n, 3, 3)."""
+    """Return weights (n, 2, 6), derivatives by translation and rotation, in other axes.
+
+    :param rotation: (n, 3, 3) from the present axes to the other ones.
+    """
     return np.asarray(np.einsum("nij,nkhj->nkhi", rotation, weight.reshape(-1, 2, 2, 3))).reshape(-1, 2, 6)
 
 
@@ -187,7 +195,9 @@ class States(Columns, frozen=True, eq=False):
     ) -> tuple[Array, Array, Array]:
         """Return the twist (n, 6), its derivatives by linear parameters (n, 6, p) [SI], and by the scale (n, 6).
 
-        By differences of equilibria: the exact derivatives need Pinocchio, which is not there on Windows.
+        By differences of equilibria: the exact derivatives need Pinocchio, which is not available on Windows.
+
+        :param scale: factor of the cutting forces.
         """
         twist = self.twist(robot_in_cell, robot, scale)
         by_parameter = np.empty((*twist.shape, len(parameters)))
@@ -212,7 +222,11 @@ class States(Columns, frozen=True, eq=False):
 
 
 def at_nominal_height(q: Array, tool: Array, pose: Array, wrench: Array, weight_wrench: Array | None = None) -> States:
-    """Return states of a program that runs at its height over the block, whatever its forces are at another one."""
+    """Return states of a program at its written height over the block, with the change of forces by height as zero.
+
+    :param q: (n, 6) joint angles [rad]; `tool` (n, 4, 4) `$TOOL`, and `pose` (n, 4, 4) of the tool in the root [m].
+    :param wrench: (n, 6) on the tool at its tip, and `weight_wrench` (n, 6) of a weight, root axes; None: no weight.
+    """
     no_wrench = np.zeros((len(q), 6))
     return States(
         q, tool, pose, wrench, no_wrench if weight_wrench is None else weight_wrench, np.zeros(len(q)), no_wrench
@@ -238,7 +252,8 @@ class Cut(Struct, frozen=True, eq=False):
     def shift(self, robot_in_cell: RobotInCell, robot: RobotModel, scale: float, lift: Heights) -> Shift:
         """Return the displacement of the tip along the path, for the forces of the deflected tool.
 
-        :param lift: how high the program runs over the block.
+        :param scale: factor of the cutting forces.
+        :param lift: height of the program over the one that is written.
         """
         displacement = self.path.twist(robot_in_cell, robot, scale)[:, :3]
         return self._shift(displacement + lift(self.tip)[:, None] * self.up)
@@ -248,6 +263,7 @@ class Cut(Struct, frozen=True, eq=False):
         return self._shift(height * self.up)
 
     def _shift(self, displacement: Array) -> Shift:
+        """Return displacements (N, 3) of the samples, root axes [m], as a shift of the tip along the path."""
         program = self.program
         return Shift(self.motion, self.t, displacement, program.bases[:, :3, :3], program.motions.base)
 
@@ -325,10 +341,10 @@ class CutForces:
         self._by_lift: list[Array] = []
 
     def __call__(self, robot: RobotModel, scale: float, lifts: Sequence[Heights] = ()) -> States:
-        """Return the states where surfaces are made, part after part.
+        """Return the states where the surfaces are made, of one program after the other.
 
-        :param scale: of the forces.
-        :param lifts: how high each program ran over the block; none: as written.
+        :param scale: factor of the forces.
+        :param lifts: height of each program over the one that is written; empty: all run as written.
         """
         lifts = lifts or [no_lift] * len(self._parts)
         if not self._cuts:
@@ -355,4 +371,5 @@ class CutForces:
 
 
 def _recut(part: ClampedProgram, shift: Shift) -> Cut:
+    """Return a program under the forces of its tool with a displaced tip."""
     return cut(part.program, part.robot_in_cell, part.source.shift_tip(shift), part.surfaces)

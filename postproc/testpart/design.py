@@ -59,7 +59,7 @@ _TRIM = 1.3
 
 
 def read_text(text: str, robot_in_cell: RobotInCell) -> Motions:
-    """Read G-code made here.
+    """Return the motions of the G-code of a test part.
 
     :raises ProgramError: the cell does not allow it.
     """
@@ -114,7 +114,7 @@ class Design(Struct, frozen=True, eq=False):
     :param chosen: (k,) rows of the candidates, in the order of cutting: one placement after another.
     :param sigma: (p + 1,) standard deviations of parameters and force scale after the part, over those before.
     :param sigma_without_weight: the same without the weight that is hung on the tool; None if none is.
-    :param change: (p,) smallest relative change of each parameter that the same part shows later, see `_visible`.
+    :param change: (p,) smallest relative change of each parameter that the same part shows later.
     :param before: expected error at the test poses without the part, RMS [m], and `after` with it.
     :param deflection: RMS deflection at the test poses [m].
     :param seconds: cutting time [s].
@@ -157,7 +157,7 @@ class Loads(Struct, frozen=True, eq=False):
 
 
 def loads(kinds: list[Kind], cutting: Cutting, process: Process, robot_in_cell: RobotInCell) -> list[Loads]:
-    """Compute the forces on each kind of feature once, cut in a separate block.
+    """Return the forces on the tool in each kind of feature, cut in one row of a separate block.
 
     :raises ForceError: the process cannot be used.
     """
@@ -187,7 +187,7 @@ def loads(kinds: list[Kind], cutting: Cutting, process: Process, robot_in_cell: 
 
 
 def _source(kinds: list[Kind], cutting: Cutting, process: Process, robot_in_cell: RobotInCell) -> ProcessSource:
-    """Return the forces in a block that has room for a row of features."""
+    """Return the process as a source of forces in a block around a row of features, one of each kind."""
     long, pitch = features.half_length(cutting.diameter), 4.0 * cutting.diameter
     deep = max(kind.depth for kind in kinds) + 5e-3
     spans = (-2.0 * long, 2.0 * long), (-pitch, len(kinds) * pitch), (cutting.top - deep, cutting.top)
@@ -232,23 +232,23 @@ def candidates(
 
 
 def _inside_block(kinds: list[Kind], cutting: Cutting, box: tuple[Array, Array], max_places: int) -> list[Feature]:
-    """Return the features that fit into a block, at some number of places at most.
+    """Return the features that fit into a block: each kind at places of a grid, in several directions.
 
+    :param box: lower (3,) and upper (3,) corner of the block, `$BASE` [m].
+    :param max_places: number of places of the grid, about.
     :raises PlanError: there is none.
     """
     long = features.half_length(cutting.diameter)
     size = box[1][:2] - box[0][:2]
     pitch = max(0.5 * long, float(np.sqrt(size[0] * size[1] / max_places)))
-    corner_positions = [
-        box[0][k] + size[k] * (np.arange(max(1, int(size[k] / pitch))) + 0.5) / max(1, int(size[k] / pitch))
-        for k in (0, 1)
-    ]
+    counts = [max(1, int(size[k] / pitch)) for k in (0, 1)]
+    x_positions, y_positions = (box[0][k] + size[k] * (np.arange(counts[k]) + 0.5) / counts[k] for k in (0, 1))
     angles = 2.0 * np.pi * np.arange(_ANGLES) / _ANGLES
     all_features = [
         Feature(kind, float(x), float(y), float(angle))
         for kind in kinds
-        for x in corner_positions[0]
-        for y in corner_positions[1]
+        for x in x_positions
+        for y in y_positions
         for angle in angles
     ]
     fitting = [feature for feature in all_features if _is_in_box(feature, cutting, box)]
@@ -325,7 +325,11 @@ def _features_of_kind(
     cutting: Cutting,
     sigma: float,
 ) -> _Reachable:
-    """Return the reachable features of one kind."""
+    """Return the features of one kind that the robot reaches, with information, displacement and most loaded state.
+
+    :param load: on the tool in a feature of this kind, in its axes.
+    :param sigma: noise of the probe [m].
+    """
     probes = features.probes(features_of_kind[0].kind, cutting)
     count = len(probes)
     points = np.array([probe.point for probe in probes])
@@ -380,8 +384,10 @@ def _information(
 ) -> tuple[Array, Array]:
     """Return the information (k, m, m) of features of `count` probed points each, and the displacements (k, count) [m].
 
-    :param arm: (k count, 3) from a place of the block to the points [m].
-    :param normal: (k count, 3) of the surfaces.
+    :param states: of the k·count points, feature after feature.
+    :param arm: (k·count, 3) from a fixed point of the block to the points [m].
+    :param normal: (k·count, 3) of the surfaces.
+    :param sigma: noise of the probe [m].
     """
     twist, by_parameter, by_scale = states.derivatives(robot_in_cell, prior.robot, prior.order, 1.0)
     at = surfaces.deviation(twist)[1]
@@ -404,9 +410,12 @@ def _information(
 def _states(
     robot_in_cell: RobotInCell, tip: Array, wrenches: tuple[Array, Array], cutting: Cutting, count: int
 ) -> tuple[States, Bools, Array]:
-    """Return the states at tips (n, 3) of features of `count` places each, which features are reached, and `$BASE`.
+    """Return the states at points of features that the robot reaches, True for these features, and axes of `$BASE`.
 
+    :param tip: (n, 3) positions of the tip in `$BASE` [m], `count` for each feature.
     :param wrenches: (n, 6) on the tips, and (n, 6) their derivative by the lift, `$BASE` axes.
+    :returns: states of the features that are reached; (n / count,) True for these; (n, 3, 3) axes of `$BASE` as columns
+        in the root.
     """
     text = f"G21 G90 G17 G94\nT{cutting.tool} M6\nG0 X0 Y0 Z0\nG1 X0 Y0 Z1 F100\n"
     motions = read_text(text, robot_in_cell)
@@ -445,8 +454,10 @@ def _states(
 
 
 def _is_in_box(feature: Feature, cutting: Cutting, box: tuple[Array, Array]) -> bool:
-    *ends, half = features.middle_line(feature, cutting)
-    return all(bool(((end - half >= box[0][:2]) & (end + half <= box[1][:2])).all()) for end in ends)
+    """Return whether a feature with half a wall around it is between two corners (3,) of a box [m], seen along Z."""
+    *ends, half_width = features.middle_line(feature, cutting)
+    low, high = box[0][:2], box[1][:2]
+    return all(bool(((end - half_width >= low) & (end + half_width <= high)).all()) for end in ends)
 
 
 def _do_not_touch(all_features: tuple[Feature, ...], cutting: Cutting) -> Bools:
@@ -474,7 +485,7 @@ def _do_not_touch(all_features: tuple[Feature, ...], cutting: Cutting) -> Bools:
 
 
 def tests_in_block(candidates_in_block: Candidates) -> Tests:
-    """Return test poses all over the block: the most loaded places of features, evenly taken."""
+    """Return test poses all over the block: the most loaded states of candidates, taken evenly from their list."""
     rows = np.unique(np.linspace(0, len(candidates_in_block.feature) - 1, _TESTS).astype(np.int64))
     suffix = " in all its placements" if candidates_in_block.placement.any() else ""
     return Tests(
@@ -495,9 +506,11 @@ class Criterion(Struct, frozen=True, eq=False):
 
     @classmethod
     def of(cls, prior: Prior, robot_in_cell: RobotInCell, tests: Tests, unknowns: int) -> Criterion:
-        """Take the sensitivities of the deflection at test poses, for information of some number of unknowns.
+        """Return the criterion for test poses.
 
         Where other sources state the forces, only the parameters count: the force scale is that of the process.
+
+        :param unknowns: number m of unknowns of the information, parameters and force scale first.
         """
         _, by_parameter, by_scale = tests.states.derivatives(robot_in_cell, prior.robot, prior.order, 1.0)
         slopes = by_parameter[:, :3] @ prior.by_file * prior.sigma[:-1]
@@ -515,7 +528,12 @@ class Criterion(Struct, frozen=True, eq=False):
 
 
 def _prior_information(prior: Prior, size: int) -> Array:
-    """Return the information (m, m) before the part; parameters in units of their prior standard deviations."""
+    """Return the information (m, m) before the part: that of parameters and force scale, and 1 of all other unknowns.
+
+    Unknowns are in units of their prior standard deviations.
+
+    :param size: number m of unknowns.
+    """
     sigma = prior.sigma
     products = np.outer(sigma, sigma)
     correlation = np.divide(prior.covariance, products, out=np.eye(len(sigma)), where=products > 0.0)
@@ -565,10 +583,11 @@ def choose(
     count: int,
     weight_information: Array | float = 0.0,
 ) -> Design:
-    """Choose the features of a part: one by one by gain per second, then by exchanges until none lowers the criterion.
+    """Return the design of a part: features by gain per second, one by one, then exchanged while the criterion falls.
 
+    :param tests: poses at which the expected error counts.
     :param count: number of features at most.
-    :param weight_information: information that there is without features, see `weight_information`.
+    :param weight_information: (m, m) of a gauge that reads the displacement by a weight; 0: none.
     """
     unknowns = candidates_in_block.information.shape[1]
     criterion = Criterion.of(prior, robot_in_cell, tests, unknowns)
@@ -613,7 +632,11 @@ def evaluate(
     rows: Ints,
     weight_information: Array | float = 0.0,
 ) -> Design:
-    """Return the design with features `rows`, and its predicted standard deviations and errors."""
+    """Return the design with the features in `rows` of the candidates, and its expected standard deviations and errors.
+
+    :param tests: poses at which the expected error counts.
+    :param weight_information: (m, m) of a gauge that reads the displacement by a weight; 0: none.
+    """
     unknowns = candidates_in_block.information.shape[1]
     criterion = Criterion.of(prior, robot_in_cell, tests, unknowns)
     start = _prior_information(prior, unknowns)
@@ -641,7 +664,7 @@ def evaluate(
         ),
         np.sqrt(np.diag(covariance)[:size]),
         np.sqrt(np.diag(covariance_without_weight)[:size]) if np.any(weight_information) else None,
-        _visible(prior, whole + weight_information - start),
+        _visible_changes(prior, whole + weight_information - start),
         float(np.sqrt(criterion(start))),
         float(np.sqrt(np.sum(covariance * criterion.weight))),
         float(np.sqrt(np.sum(tests.weight * np.sum(deflection**2, axis=1)))),
@@ -650,10 +673,10 @@ def evaluate(
     )
 
 
-def _visible(prior: Prior, information: Array) -> Array:
+def _visible_changes(prior: Prior, information: Array) -> Array:
     """Return the smallest relative change (p,) of each parameter that is seen (95 %) when the part is cut again.
 
-    The model is then that of the first part, under the same forces: `Fit.compare_with_prior`. With J the information
+    The second part is compared with the model from the first one, under the same forces. With J the information
     of a part on parameters and scale, its position and radius eliminated, and P the covariance before it, the
     deviations of the second part have the information (J⁻¹ + (P⁻¹ + J)⁻¹)⁻¹ = J − J (P⁻¹ + 2 J)⁻¹ J (Woodbury).
 

@@ -137,13 +137,17 @@ def half_length(diameter: float) -> float:
 
 
 def outline(kind: Kind, cutting: Cutting) -> tuple[float, float]:
-    """Return the middle v and half the width of what a feature takes, with half the wall next to it [m]."""
+    """Return the middle v and half the width of the strip that a feature takes, with half the wall next to it [m]."""
     step = _STEP * cutting.diameter * kind.side
     return 0.5 * step, 0.5 * (1.0 + _WALL) * cutting.diameter + cutting.trims[-1][0] + 0.5 * abs(step)
 
 
 def passes(kind: Kind, cutting: Cutting) -> list[Pass]:
-    """Return the moves that cut a feature."""
+    """Return the moves that cut a feature, from above the block to above the block.
+
+    First the groove, along −u, its first half by a ramp there and back; then the step, if any; then the trimming passes
+    along the half u > 0, whose surfaces are the reference.
+    """
     long, deep, step = half_length(cutting.diameter), -kind.depth, _STEP * cutting.diameter * kind.side
     moves = [
         Pass((long, 0.0, _CLEAR), 0.0),
@@ -203,7 +207,7 @@ def probes(kind: Kind, cutting: Cutting) -> list[Probe]:
 
 
 def seconds(kind: Kind, cutting: Cutting) -> float:
-    """Return the time that a feature takes, without the way to it [s]."""
+    """Return the time that the moves of a feature take [s], without the move to its start."""
     total, last_end = 0.0, None
     for move in passes(kind, cutting):
         end = np.array(move.end)
@@ -215,9 +219,13 @@ def seconds(kind: Kind, cutting: Cutting) -> float:
 
 
 def to_base(feature: Feature, top: float, vectors: Array, *, is_direction: bool = False) -> Array:
-    """Return points (n, 3) in the axes of a feature in `$BASE` [m]; with `is_direction`, directions."""
-    c, s = np.cos(feature.angle), np.sin(feature.angle)
-    directions = vectors @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]).T
+    """Return points (n, 3) in `$BASE` [m] that are given in the axes u, v, w of a feature.
+
+    :param top: Z of the upper face of the block, which is w = 0 [m].
+    :param is_direction: the vectors are directions: they are turned, not displaced.
+    """
+    cosine, sine = np.cos(feature.angle), np.sin(feature.angle)
+    directions = vectors @ np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]]).T
     return np.asarray(directions if is_direction else directions + np.array([feature.x, feature.y, top]))
 
 
@@ -264,13 +272,16 @@ class Program(Struct, frozen=True, eq=False):
 
 
 def hanging_places(low: Array, high: Array, top: float) -> Array:
-    """Return where the tip is when a weight hangs on the tool (n, 3) in `$BASE`: above a diagonal of the block [m]."""
+    """Return the positions of the tip (n, 3) in `$BASE` [m] for a weight on the tool: above a diagonal of the block.
+
+    :param low: (3,) and `high` (3,) corners of the block [m]; `top` Z of its upper face [m].
+    """
     share = np.array([[0.1, 0.1], [0.5, 0.5], [0.9, 0.9]])
     return np.column_stack([low[:2] + share * (high - low)[:2], np.full(len(share), top + _HANG_HEIGHT)])
 
 
 def middle_line(feature: Feature, cutting: Cutting) -> tuple[Array, Array, float]:
-    """Return the ends of the middle line of a feature (2,) and half its width, with half the wall next to it [m]."""
+    """Return both ends (2,) of the middle line of a feature in `$BASE`, and half its width with half a wall [m]."""
     middle, half = outline(feature.kind, cutting)
     long = half_length(cutting.diameter)
     ends = to_base(feature, 0.0, np.array([[-long, middle, 0.0], [long, middle, 0.0]]))[:, :2]
@@ -288,19 +299,20 @@ def touch_off_places(features: Sequence[Feature], cutting: Cutting, low: Array, 
         np.arange(low[k] + _TOUCH_EDGE, high[k] - _TOUCH_EDGE + 1e-9, max(_TOUCH_PITCH, (high[k] - low[k]) / 100.0))
         for k in (0, 1)
     )
-    free = np.array([[px, py] for px in x for py in y]).reshape(-1, 2)
+    uncut = np.array([[px, py] for px in x for py in y]).reshape(-1, 2)
     for feature in features:
-        begin, end, half = middle_line(feature, cutting)
-        share = np.clip((free - begin) @ (end - begin) / ((end - begin) @ (end - begin)), 0.0, 1.0)
-        distance = np.linalg.norm(free - begin - share[:, None] * (end - begin), axis=1)
-        free = free[distance > half + _TOUCH_WALL]
+        begin, end, half_width = middle_line(feature, cutting)
+        share = np.clip((uncut - begin) @ (end - begin) / ((end - begin) @ (end - begin)), 0.0, 1.0)
+        distance = np.linalg.norm(uncut - begin - share[:, None] * (end - begin), axis=1)
+        uncut = uncut[distance > half_width + _TOUCH_WALL]
     places = np.zeros((0, 2))
-    if len(free):
-        corners = [(cx, cy) for cx in (low[0], high[0]) for cy in (low[1], high[1])]
-        nearest = [int(np.argmin(np.linalg.norm(free - corner, axis=1))) for corner in corners]
-        places = free[list(dict.fromkeys(nearest))]
-    size = np.linalg.svd(places - places.mean(axis=0), compute_uv=False) if len(places) > 1 else np.zeros(1)
-    if len(places) < _FEWEST_TOUCHES or size[-1] < 2.0 * _TOUCH_EDGE:
+    if len(uncut):
+        corners = [(corner_x, corner_y) for corner_x in (low[0], high[0]) for corner_y in (low[1], high[1])]
+        nearest_rows = [int(np.argmin(np.linalg.norm(uncut - corner, axis=1))) for corner in corners]
+        places = uncut[list(dict.fromkeys(nearest_rows))]
+    # spread of the points across the line that fits them best: points on a line show no tilt about it
+    spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False) if len(places) > 1 else np.zeros(1)
+    if len(places) < _FEWEST_TOUCHES or spread[-1] < 2.0 * _TOUCH_EDGE:
         raise PlanError(
             "the features leave no room for touch-off points on the top of the block",
             file="--block",
@@ -331,7 +343,7 @@ def program(
     first: tuple[int, int, int] = (1, 1, 1),
     placement_title: str = "",
 ) -> Program:
-    """Return the G-code of features and the points to be probed.
+    """Return the G-code of a part with some features, and the points to be probed.
 
     :param mass: of a weight [kg] that is hung on the tool at places `weight_places` (n, 3) in `$BASE`, after cutting.
     :param touches: (k, 3) touch-off points on the uncut top, `$BASE` [m].
@@ -364,7 +376,11 @@ def program(
 
 
 def _head(cutting: Cutting, touches: Array, first: int, placement_title: str) -> _Lines:
-    """Return the first lines, and the touch-off points as comments for the operator."""
+    """Return the first lines of the program: comments for the operator with the touch-off points, tool and spindle.
+
+    :param touches: (k, 3) touch-off points in `$BASE` [m]; `first` number of the first one.
+    :param placement_title: the placement of the block; empty: there is one only.
+    """
     lines = [
         "(Test part for postproc identify part: cut it uncorrected, with the cell that it was made for)",
         *([f"(The block is at {placement_title})"] if placement_title else []),
@@ -382,9 +398,10 @@ def _head(cutting: Cutting, touches: Array, first: int, placement_title: str) ->
 
 
 def _feature_lines(number: int, feature: Feature, cutting: Cutting, *, has_height: bool) -> _Lines:
-    """Return the moves that cut a feature.
+    """Return the G-code lines that cut a feature, and the points to be probed on it.
 
-    :param has_height: the tool is at its height already: features begin and end at one.
+    :param number: of the feature.
+    :param has_height: the tool is at the height of rapid moves, at which features begin and end: no Z is needed.
     """
     kind, name, feed = feature.kind, f"F{number:02d}", cutting.feed * MM_PER_M * 60.0
     lines = [f"({name}: {kind.title}, depth {kind.depth * MM_PER_M:g} mm, {np.degrees(feature.angle):g} deg)"]
@@ -408,7 +425,10 @@ def _feature_lines(number: int, feature: Feature, cutting: Cutting, *, has_heigh
 
 
 def _stops(mass: float, places: Array, first: int) -> _Lines:
-    """Return the stops at which a weight is hung on the tool."""
+    """Return the G-code lines of the stops at which a weight is hung on the tool, and the readings of the gauge.
+
+    :param mass: of the weight [kg]; `places` (n, 3) of the tip in `$BASE` [m]; `first` number of the first place.
+    """
     lines, points = [], []
     for number, place in enumerate(places, start=first):
         x, y, z = (place * MM_PER_M).tolist()

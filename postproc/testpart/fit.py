@@ -148,7 +148,11 @@ class Fit(Struct, frozen=True, eq=False):
         return np.sqrt(np.diag(self.covariance) / np.maximum(np.diag(self.prior.covariance), 1e-300))
 
     def u95(self) -> tuple[Array, Array]:
-        """Return levels of load (m,) [N], and the 95 % bound of the unmodelled error at each (m,) [m]."""
+        """Return levels of load (m,) [N], and the 95 % bound of the unmodelled error at each (m,) [m].
+
+        From the errors of points predicted from all others, as far as their noise does not explain them. Points of one
+        feature count as one. Light loads, below a quarter of the largest, are left out.
+        """
         loaded_rows = np.flatnonzero(self.load > 0.25 * self.load.max())
         level = levels(self.load[loaded_rows])
         group = self.readings.probed.group[loaded_rows]
@@ -184,10 +188,13 @@ class Surprise(Struct, frozen=True, eq=False):
 
 
 def _chance(score: Array, information: Array) -> float:
-    """Return the chance of scores as large as the largest of these, in its standard deviations, if nothing changed.
+    """Return the probability of deviations that look as much like a change of one unknown, if nothing has changed.
 
-    Each unknown by itself is tested, so that a small effect is seen next to large ones. The scale of the forces is the
+    Each unknown is tested by itself, so that a small effect is seen next to large ones; the scale of the forces is the
     test of all compliances together. The number of tests counts (Bonferroni).
+
+    :param score: (p + 1,) derivatives of the log likelihood by the unknowns, and `information` (p + 1, p + 1) their
+        covariance.
     """
     variance = np.diag(information)
     is_testable = variance > 1e-9 * variance.max()
@@ -222,21 +229,21 @@ class _Estimate(Struct, frozen=True, eq=False):
 
 
 def fit(prior: Prior, readings: Readings, robot_in_cell: RobotInCell, cut_at: CutAt) -> tuple[Fit, tuple[str, ...]]:
-    """Fit the model, leave out gross errors, and hold parameters that the part does not determine.
+    """Return the fit of a model to a part, without gross errors, with undetermined parameters at their prior values.
 
     :param cut_at: returns the states under new forces; called once a round.
     :returns: the fit, and the points left out.
     :raises MeasurementError: the deviations are none that a robot near the model makes, or the fit does not settle.
     """
     whole = prior.covariance
-    start = np.zeros(len(prior.parameters))
+    no_change = np.zeros(len(prior.parameters))
     states = cut_at(prior.robot, 1.0, ())
-    local = linearise(prior, readings, states, robot_in_cell, start, 1.0)
+    local = linearise(prior, readings, states, robot_in_cell, no_change, 1.0)
     _check_size(readings, local)
     exchanged_pair = swapped_features(prior, readings, local)
-    estimate = _Estimate(readings, np.arange(len(readings.probed)), (), np.diag(whole) > 0.0, states, start, 1.0)
+    estimate = _Estimate(readings, np.arange(len(readings.probed)), (), np.diag(whole) > 0.0, states, no_change, 1.0)
     max_outliers = int(_MOST_OUTLIERS * len(readings.probed))
-    at_prior, change = None, np.inf
+    prior_prediction_and_rows, change = None, np.inf
     for _ in range(_ROUNDS):
         estimate = _solve(prior, robot_in_cell, estimate)
         if (
@@ -247,29 +254,33 @@ def fit(prior: Prior, readings: Readings, robot_in_cell: RobotInCell, cut_at: Cu
         z, scale, local = estimate.z, estimate.scale, _local(estimate)
         heights = _heights(_lifts(estimate, whole), MOST_LIFT * readings.least_depth)
         states = cut_at(prior.robot_with_change(z), scale, heights).take(estimate.rows)
-        if at_prior is None:  # the tool of the prior model deflects by nearly as much
-            at_prior = linearise(prior, estimate.readings, states, robot_in_cell, start, 1.0), estimate.rows
+        if prior_prediction_and_rows is None:  # the tool of the prior model deflects by nearly as much
+            prior_prediction_and_rows = (
+                linearise(prior, estimate.readings, states, robot_in_cell, no_change, 1.0),
+                estimate.rows,
+            )
         value = linearise(prior, estimate.readings, states, robot_in_cell, z, scale).value
         change = float(np.sqrt(np.mean((value - local.value) ** 2)))
         estimate = replace(estimate, states=states)
         if change < _CONVERGENCE_RMS:
             break
-    if not change < _LARGEST_RESIDUAL or at_prior is None:
+    if not change < _LARGEST_RESIDUAL or prior_prediction_and_rows is None:
         raise MeasurementError(
             "the fit of the test part does not settle", file=readings.probed.file, advice="Check the deviations."
         )
-    prior_linear, prior_rows = at_prior
+    prior_linear, prior_rows = prior_prediction_and_rows
     prior_linear = prior_linear.take(np.searchsorted(prior_rows, estimate.rows))
     return _fit_at_end(prior, estimate, prior_linear, exchanged_pair), estimate.outliers
 
 
 def _local(estimate: _Estimate) -> LinearPrediction:
+    """Return the linear model at the solution of an estimate, which `_solve` has set."""
     assert estimate.local is not None
     return estimate.local
 
 
 def _solve(prior: Prior, robot_in_cell: RobotInCell, estimate: _Estimate) -> _Estimate:
-    """Return the solution for fixed forces."""
+    """Return the estimate with the solution for its fixed forces."""
     local, z, scale, gamma = solve(
         prior, estimate.readings, estimate.states, robot_in_cell, estimate.z, estimate.scale, estimate.free
     )
@@ -278,7 +289,7 @@ def _solve(prior: Prior, robot_in_cell: RobotInCell, estimate: _Estimate) -> _Es
 
 def _remove_outlier(estimate: _Estimate, whole: Array, max_outliers: int) -> _Estimate | None:
     """Return the estimate without its worst gross error; None if there is none."""
-    # with the γ that a gross error makes, it would not be seen
+    # with the median of γ before any reading: a gross error enlarges γ, and would hide in it
     error, variance = cross_validation_errors(
         estimate.readings, _local(estimate), GAMMA, whole, estimate.z, estimate.scale
     )
@@ -297,7 +308,10 @@ def _remove_outlier(estimate: _Estimate, whole: Array, max_outliers: int) -> _Es
 
 
 def _hold_parameters(estimate: _Estimate, whole: Array) -> _Estimate | None:
-    """Return the estimate with the parameters held that the part does not determine; None if there is none more."""
+    """Return the estimate with undetermined parameters at their prior values; None if all that are free are determined.
+
+    :param whole: (p + 1, p + 1) prior covariance of parameters and scale.
+    """
     all_free = np.ones_like(estimate.free)
     sigma = np.sqrt(np.diag(posterior(estimate.readings, _local(estimate), estimate.gamma, whole, all_free)))
     is_held = estimate.free & (sigma > HELD_SHARE * np.sqrt(np.diag(whole)))
@@ -309,7 +323,10 @@ def _hold_parameters(estimate: _Estimate, whole: Array) -> _Estimate | None:
 
 
 def _lifts(estimate: _Estimate, whole: Array) -> tuple[Lift, ...]:
-    """Return how high the programs ran over the block, by the readings."""
+    """Return the heights at which the programs ran over the block, estimated from the readings.
+
+    :param whole: (p + 1, p + 1) prior covariance of parameters and scale.
+    """
     readings, local = estimate.readings, _local(estimate)
     target = readings.probed.deviation - local.value + local.slopes @ np.append(estimate.z, estimate.scale - 1.0)
     covariance = local.slopes @ whole @ local.slopes.T + noise_of(readings, local, estimate.gamma)
@@ -317,9 +334,10 @@ def _lifts(estimate: _Estimate, whole: Array) -> tuple[Lift, ...]:
 
 
 def _heights(lifts: Sequence[Lift], limit: float) -> list[Heights]:
-    """Return the lifts as functions of points, none larger than a limit [m]: beyond it the verdict refuses the part."""
+    """Return the lifts as functions of points, limited to ± `limit` [m]: a part with larger ones is refused."""
 
     def limited(lift: Lift) -> Heights:
+        """Return a lift as a function of points (n, 3) in `$BASE` [m], with limited values (n,) [m]."""
         return lambda points: np.clip(lift.at(points), -limit, limit)
 
     return [limited(lift) for lift in lifts]
@@ -330,7 +348,8 @@ def _fit_at_end(
 ) -> Fit:
     """Return the fit at the end of the iteration.
 
-    :param prior_linear: the prior model, under the forces of the last but one round.
+    :param prior_linear: the linear model at the prior, under the forces of the tool that the first fit deflects.
+    :param exchanged_pair: features whose readings look exchanged; None: there are none.
     """
     readings, local, gamma, whole = estimate.readings, _local(estimate), estimate.gamma, prior.covariance
     states, scale = estimate.states, estimate.scale
@@ -340,41 +359,45 @@ def _fit_at_end(
     error, variance = cross_validation_errors(readings, local, gamma, whole, estimate.z, scale)
     jacobian = kinematics.tcp(prior.robot.nominal, states.q, states.tool)[1]
     return Fit(
-        prior,
-        readings,
-        estimate.z,
-        scale,
-        posterior(readings, local, gamma, whole, estimate.free),
-        estimate.free,
-        prior_linear.value + gain @ prior_residual,
-        local.value + gain @ (deviation - local.value),
-        scale * np.linalg.norm(states.wrench[:, :3], axis=1),
-        local.displacement,
-        error,
-        np.sqrt(variance),
-        gamma,
-        prior_residual,
-        prior_linear.slopes,
-        scale * np.abs(np.einsum("nij,ni->nj", jacobian, states.wrench)).max(axis=0),
-        _lifts(estimate, whole),
-        local.by_lift,
-        exchanged_pair,
+        prior=prior,
+        readings=readings,
+        z=estimate.z,
+        scale=scale,
+        covariance=posterior(readings, local, gamma, whole, estimate.free),
+        free=estimate.free,
+        prior_prediction=prior_linear.value + gain @ prior_residual,
+        prediction=local.value + gain @ (deviation - local.value),
+        load=scale * np.linalg.norm(states.wrench[:, :3], axis=1),
+        displacement=local.displacement,
+        error=error,
+        spread=np.sqrt(variance),
+        gamma=gamma,
+        prior_error=prior_residual,
+        slopes=prior_linear.slopes,
+        torque=scale * np.abs(np.einsum("nij,ni->nj", jacobian, states.wrench)).max(axis=0),
+        lifts=_lifts(estimate, whole),
+        by_lift=local.by_lift,
+        exchanged_pair=exchanged_pair,
     )
 
 
 def swapped_features(prior: Prior, readings: Readings, local: LinearPrediction) -> tuple[str, str] | None:
     """Return two features whose readings agree with the model only if they are exchanged.
 
-    :param local: the prior model; χ² counts its covariance, so a robot that differs from it is no exchange.
+    They lower χ² most, and by much. χ² counts the covariance of the model, so that a robot that differs from the model
+    is not taken for an exchange.
+
+    :param local: the linear model at the prior.
+    :returns: names of the features; None if no exchange is clear.
     """
     points = readings.probed
-    rows: dict[str, dict[str, int]] = {}
+    rows: dict[str, dict[str, int]] = {}  # feature → surface → row
     for row, name in enumerate(points.name):
         feature, _, surface = name.partition(".")
         rows.setdefault(feature, {})[surface] = row
     covariance = local.slopes @ prior.covariance @ local.slopes.T + noise_of(readings, local, GAMMA)
     inverse = np.linalg.inv(covariance)
-    as_read = points.deviation - local.value
+    residual = points.deviation - local.value
     smallest_chi2, pair = np.inf, None
     for first, second in combinations(rows, 2):
         if rows[first].keys() != rows[second].keys():
@@ -385,7 +408,7 @@ def swapped_features(prior: Prior, readings: Readings, local: LinearPrediction) 
         chi2 = float((deviation - local.value) @ inverse @ (deviation - local.value))
         if chi2 < smallest_chi2:
             smallest_chi2, pair = chi2, (first, second)
-    decrease = float(as_read @ inverse @ as_read) - smallest_chi2
+    decrease = float(residual @ inverse @ residual) - smallest_chi2
     return pair if decrease > _SWAP_DECREASE * max(1.0, smallest_chi2 / len(points)) else None
 
 

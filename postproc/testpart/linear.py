@@ -50,6 +50,7 @@ def linearise(
 ) -> LinearPrediction:
     """Return predicted deviations and their derivatives at values of the unknowns.
 
+    :param z: (p,) change of the parameters from the prior, units of files; `scale` factor of the forces.
     :raises MeasurementError: the springs have no equilibrium under the forces.
     """
     robot = prior.robot_with_change(z)
@@ -67,7 +68,10 @@ def linearise(
 
 
 def noise_of(readings: Readings, local: LinearPrediction, gamma: float) -> Array:
-    """Return the covariance (n, n) [m²] of the deviations for a robot and forces that are known."""
+    """Return the covariance (n, n) [m²] of the deviations of a robot that is known exactly, as are the forces.
+
+    :param gamma: unmodelled error as a share of the displacement of the tool.
+    """
     variance = np.diag(
         readings.sigma**2 + (gamma * local.displacement) ** 2 + light_pass_variance(readings, local.displacement)
     )
@@ -75,63 +79,76 @@ def noise_of(readings: Readings, local: LinearPrediction, gamma: float) -> Array
 
 
 def light_pass_variance(readings: Readings, displacement: Array) -> Array:
-    """Return the variance (n,) [m²] of displacements (n,) because the chips of light passes are hardly known."""
-    cut = readings.probed.mass == 0.0
-    return np.where(cut & (displacement < _LIGHT * displacement.max()), (_LIGHT_PASS_ERROR * displacement) ** 2, 0.0)
+    """Return the variance (n,) [m²] of displacements (n,) [m] by light passes, 0 for others.
+
+    The chip of a light pass is the difference of the deflections of the passes before: its force is hardly known.
+    """
+    is_light_pass = (readings.probed.mass == 0.0) & (displacement < _LIGHT * displacement.max())
+    return np.where(is_light_pass, (_LIGHT_PASS_ERROR * displacement) ** 2, 0.0)
 
 
 def solve(
     prior: Prior, readings: Readings, states: States, robot_in_cell: RobotInCell, z: Array, scale: float, free: Bools
 ) -> tuple[LinearPrediction, Array, float, float]:
-    """Return the model linearised at the solution for fixed forces, and z, the scale and γ there.
+    """Return the linear model at the most probable unknowns for fixed forces, and there z (p,), the scale and γ.
 
     Each round solves the linear least squares with the prior, and linearises anew at its solution.
 
-    :param z: (P,) unknowns of the model where it begins, see `Prior.robot_with_change`.
-    :param scale: factor of the forces there.
-    :param free: (P + 1,) which of z and the scale may change.
+    :param states: of the robot where the surfaces are made, with the forces.
+    :param z: (p,) change of the parameters from the prior to begin with, units of files.
+    :param scale: factor of the forces to begin with.
+    :param free: (p + 1,) True for parameters, and the scale, that may change.
     """
-    whole = prior.covariance
+    prior_covariance = prior.covariance
     gamma = 0.0
     for _ in range(_ROUNDS):
         local = linearise(prior, readings, states, robot_in_cell, z, scale)
-        x = np.append(z, scale - 1.0)
-        target = readings.probed.deviation - local.value + local.slopes @ x
-        gamma = unmodelled_share(readings, local, whole, target)
+        last_solution = np.append(z, scale - 1.0)
+        target = readings.probed.deviation - local.value + local.slopes @ last_solution
+        gamma = unmodelled_share(readings, local, prior_covariance, target)
         noise = noise_of(readings, local, gamma)
-        covariance = local.slopes @ whole @ local.slopes.T + noise
-        solution = free * (whole @ local.slopes.T @ np.linalg.solve(covariance, target))
+        covariance = local.slopes @ prior_covariance @ local.slopes.T + noise
+        solution = free * (prior_covariance @ local.slopes.T @ np.linalg.solve(covariance, target))
         z, scale = solution[:-1], max(1.0 + float(solution[-1]), MIN_SHARE)
-        if float(np.abs(local.slopes @ (solution - x)).max()) < _STEP_TOLERANCE:
+        if float(np.abs(local.slopes @ (solution - last_solution)).max()) < _STEP_TOLERANCE:
             break
     return linearise(prior, readings, states, robot_in_cell, z, scale), z, scale, gamma
 
 
 def unmodelled_share(readings: Readings, local: LinearPrediction, whole: Array, target: Array) -> float:
-    """Return γ: the root of its mean square, given the readings."""
+    """Return the unmodelled error γ as a share of the displacement of the tool: its RMS over the posterior.
+
+    The prior of γ is log-normal about `GAMMA`. The posterior is summed on a grid of logarithms.
+
+    :param whole: (p + 1, p + 1) prior covariance of parameters and scale.
+    :param target: (n,) deviations that the linear model is to explain [m].
+    """
     log_ratio = np.linspace(-4.0, 4.0, 97)  # fine enough for γ from 200 readings
     share = GAMMA * np.exp(WIDTH * log_ratio)
     covariance = local.slopes @ whole @ local.slopes.T + noise_of(readings, local, 0.0)
-    likely = np.empty(len(share))
+    log_density = np.empty(len(share))
     for k, gamma in enumerate(share.tolist()):
         lower = np.linalg.cholesky(covariance + np.diag((gamma * local.displacement) ** 2))
         white = np.linalg.solve(lower, target)
-        likely[k] = -0.5 * float(white @ white) - float(np.log(np.diag(lower)).sum()) - 0.5 * log_ratio[k] ** 2
-    chance = np.exp(likely - likely.max())
-    return float(np.sqrt(np.sum(chance * share**2) / chance.sum()))
+        log_density[k] = -0.5 * float(white @ white) - float(np.log(np.diag(lower)).sum()) - 0.5 * log_ratio[k] ** 2
+    density = np.exp(log_density - log_density.max())
+    return float(np.sqrt(np.sum(density * share**2) / density.sum()))
 
 
 def posterior(readings: Readings, local: LinearPrediction, gamma: float, whole: Array, free: Bools) -> Array:
-    """Return the covariance (p + 1, p + 1) after the readings.
+    """Return the covariance (p + 1, p + 1) of parameters and scale after the readings.
 
     A parameter that is not free keeps its value, and its uncertainty counts for those that are: Schmidt, "Application
     of state-space methods to navigation problems", 1966 (consider covariance).
+
+    :param whole: (p + 1, p + 1) covariance before them.
+    :param free: (p + 1,) True for what was fitted.
     """
     noise = noise_of(readings, local, gamma)
     spread = whole @ local.slopes.T
     gain = free[:, None] * np.linalg.solve(local.slopes @ spread + noise, spread.T).T
-    left = np.eye(len(whole)) - gain @ local.slopes
-    return np.asarray(left @ whole @ left.T + gain @ noise @ gain.T)
+    error_factor = np.eye(len(whole)) - gain @ local.slopes  # of prior errors in the result
+    return np.asarray(error_factor @ whole @ error_factor.T + gain @ noise @ gain.T)
 
 
 def cross_validation_errors(

@@ -199,7 +199,10 @@ def agreement(fit: Fit, prior: Prior, outliers: tuple[str, ...] = ()) -> Agreeme
 
 
 def summary(fit: Fit, outliers: tuple[str, ...]) -> PartIdentification:
-    """Return the result as plain data, with the verdict."""
+    """Return the content of `identification.json`: parameters, points, errors and the verdict on the model.
+
+    :param outliers: names of points left out of the fit.
+    """
     readings, prior = fit.readings, fit.prior
     parameters, held_names = _parameters(fit)
     scale = Parameter(
@@ -226,13 +229,17 @@ def summary(fit: Fit, outliers: tuple[str, ...]) -> PartIdentification:
         parameters=parameters,
         force_scale=scale,
         sigma_mm=readings.sigma * MM_PER_M,
-        left_mm=_rms(fit.prediction - deviation),
-        without_mm=_rms(fit.prior_prediction - deviation),
-        deviation_mm=_rms(deviation),
+        left_mm=_rms_mm(fit.prediction - deviation),
+        without_mm=_rms_mm(fit.prior_prediction - deviation),
+        deviation_mm=_rms_mm(deviation),
         unmodelled_percent=round(100.0 * fit.gamma, 2),
         discrepancy=[
             CrossValidation(
-                float(level), _rms(fit.error), readings.sigma * MM_PER_M, _rms(fit.spread), float(bound) * MM_PER_M
+                float(level),
+                _rms_mm(fit.error),
+                readings.sigma * MM_PER_M,
+                _rms_mm(fit.spread),
+                float(bound) * MM_PER_M,
             )
             for level, bound in zip(load, u95, strict=True)
         ],
@@ -247,7 +254,7 @@ def summary(fit: Fit, outliers: tuple[str, ...]) -> PartIdentification:
 def _parameters(fit: Fit) -> tuple[dict[str, Parameter], list[str]]:
     """Return the parameters with their intervals, and the names of those that keep their prior."""
     values, covariance = file_values(fit)
-    half = NORMAL_95 * np.sqrt(np.diag(covariance))[:-1]
+    half_width = NORMAL_95 * np.sqrt(np.diag(covariance))[:-1]
     parameters, held_names = {}, []
     for k, (parameter, prior_value) in enumerate(zip(fit.prior.parameters, fit.prior.values.tolist(), strict=True)):
         is_held = not fit.free[k]
@@ -255,7 +262,7 @@ def _parameters(fit: Fit) -> tuple[dict[str, Parameter], list[str]]:
             held_names.append(parameter.name)
         parameters[parameter.name] = Parameter(
             float(prior_value if is_held else values[k]),
-            float(half[k]),
+            float(half_width[k]),
             parameter.unit,
             observable=not is_held,
             prior=float(prior_value),
@@ -269,15 +276,15 @@ def _touch_off_errors(fit: Fit) -> list[TouchOffError]:
     errors = []
     for top, lift in _cut_tops(fit):
         frame = Placement("" if top.base < 0 else str(top.base)).title
-        height, half = float(lift.height[0]), NORMAL_95 * float(np.sqrt(lift.covariance[0, 0]))
+        height, half_width = float(lift.height[0]), NORMAL_95 * float(np.sqrt(lift.covariance[0, 0]))
         tilt = float(np.linalg.norm(lift.height[1:]))
         errors.append(
             TouchOffError(
-                frame,
-                round(height * MM_PER_M, 4),
-                round(half * MM_PER_M, 4),
-                round(tilt * MM_PER_M, 3),
-                list(top.points),
+                frame=frame,
+                lift_mm=round(height * MM_PER_M, 4),
+                ci95=round(half_width * MM_PER_M, 4),
+                tilt_mm_per_m=round(tilt * MM_PER_M, 3),
+                points=list(top.points),
             )
         )
     return errors
@@ -285,8 +292,8 @@ def _touch_off_errors(fit: Fit) -> list[TouchOffError]:
 
 def _cut_tops(fit: Fit) -> list[tuple[Top, Lift]]:
     """Return the top and the lift of each placement in which something was cut."""
-    lift_of = {lift.base: lift for lift in fit.lifts}
-    return [(top, lift_of[top.base]) for top in fit.readings.tops]
+    lift_by_base = {lift.base: lift for lift in fit.lifts}
+    return [(top, lift_by_base[top.base]) for top in fit.readings.tops]
 
 
 def _touch_off_fault(fit: Fit) -> str:
@@ -301,10 +308,10 @@ def _touch_off_fault(fit: Fit) -> str:
             )
         half_tilt = 2.0 * float(np.sqrt(np.trace(lift.covariance[1:, 1:])))
         if half_tilt > _VAGUE_TILT:
-            return _vague_tilt(fit, top, half_tilt)
+            return _vague_tilt_fault(fit, top, half_tilt)
         if np.abs(lift.at(points)).max() > MOST_LIFT * depth:
             return (
-                f"the program ran {_too_high(error.lift_mm)} over the block at {error.frame}, more than half of the "
+                f"the program ran {_lift_text(error.lift_mm)} over the block at {error.frame}, more than half of the "
                 f"flattest cut ({depth * MM_PER_M:g} mm): touch off again, and cut and probe a new part"
             )
         if np.hypot(*lift.height[1:]) > _MOST_TILT + half_tilt:
@@ -320,14 +327,14 @@ def _touch_off_fault(fit: Fit) -> str:
     return ""
 
 
-def _vague_tilt(fit: Fit, top: Top, half_tilt: float) -> str:
-    """Return that the probed features are too few, or too near each other, to show how the program is tilted.
+def _vague_tilt_fault(fit: Fit, top: Top, half_tilt: float) -> str:
+    """Return the fault that the features of a placement do not determine the tilt of the program against the top.
 
     :param half_tilt: half width of the 95 % interval of the tilt [rad].
     """
     probe_data = fit.readings.probed
-    is_here = (probe_data.base == top.base) & (probe_data.mass == 0.0)
-    count = len({name.partition(".")[0] for name, here in zip(probe_data.name, is_here, strict=True) if here})
+    rows = np.flatnonzero((probe_data.base == top.base) & (probe_data.mass == 0.0))
+    count = len({probe_data.name[row].partition(".")[0] for row in rows})
     frame = Placement("" if top.base < 0 else str(top.base)).title
     features = "one feature is too few" if count == 1 else f"{count} features so close together are too few"
     return (
@@ -336,16 +343,18 @@ def _vague_tilt(fit: Fit, top: Top, half_tilt: float) -> str:
     )
 
 
-def _too_high(lift_mm: float) -> str:
+def _lift_text(lift_mm: float) -> str:
+    """Return a lift in words: "0.12 mm too high", or low."""
     return f"{abs(lift_mm):.2f} mm too {'high' if lift_mm > 0.0 else 'low'}"
 
 
-def _rms(values: Array) -> float:
+def _rms_mm(values: Array) -> float:
+    """Return the root mean square of lengths (n,) [m] in mm, rounded."""
     return round(float(np.sqrt(np.mean(np.square(values)))) * MM_PER_M, 5)
 
 
 def _part_fault(fit: Fit, outliers: tuple[str, ...]) -> str:
-    """Return a sentence on contradictory readings of the part; empty if there are none."""
+    """Return a clause on readings of the part that contradict each other, with what to do; empty if there are none."""
     if fault := _touch_off_fault(fit):
         return fault
     if fit.exchanged_pair is not None:
@@ -380,7 +389,10 @@ def _verdict(fit: Fit, outliers: tuple[str, ...]) -> Verdict:
 
 
 def _remarks(fit: Fit, held_names: list[str], outliers: tuple[str, ...]) -> list[str]:
-    """Return remarks on parameters held, outliers, touch-off and forces."""
+    """Return remarks for the user on undetermined parameters, outliers, touch-off, and the scale of the forces.
+
+    :param held_names: of parameters that keep their prior.
+    """
     remarks = []
     if held_names:
         remarks.append(f"the part does not determine {', '.join(held_names)}: they keep their prior")
@@ -388,7 +400,7 @@ def _remarks(fit: Fit, held_names: list[str], outliers: tuple[str, ...]) -> list
     for error in _touch_off_errors(fit):
         if abs(error.lift_mm) > max(_STATED_LIFT * MM_PER_M, error.ci95):
             remarks.append(
-                f"the program ran {_too_high(error.lift_mm)} over the block at {error.frame} (± {error.ci95:.2f} mm): "
+                f"the program ran {_lift_text(error.lift_mm)} over the block at {error.frame} (± {error.ci95:.2f} mm): "
                 "the forces are computed for the depths that were cut"
             )
         if len(error.points) < _CHECKABLE:
@@ -405,29 +417,34 @@ def _remarks(fit: Fit, held_names: list[str], outliers: tuple[str, ...]) -> list
     size = len(fit.prior.parameters)
     with np.errstate(divide="ignore", invalid="ignore"):
         correlation = np.nan_to_num(covariance[-1, :size] / (sigma[-1] * sigma[:size]))
-    tied_names = [fit.prior.parameters[k].name for k in range(size) if fit.free[k] and correlation[k] < -0.6]
-    if tied_names:
+    # the deflection is compliance times force: both are known by their product only (limit assumed)
+    correlated_names = [fit.prior.parameters[k].name for k in range(size) if fit.free[k] and correlation[k] < -0.6]
+    if correlated_names:
         remarks.append(
-            f"{', '.join(tied_names)} and the scale of the forces are known by their product only (scale ± "
+            f"{', '.join(correlated_names)} and the scale of the forces are known by their product only (scale ± "
             f"{100 * NORMAL_95 * sigma[-1]:.0f} %): use material.toml together with this model"
         )
     return remarks
 
 
 def model_file(fit: Fit, prior: ModelFile, process: Process, source: str) -> ModelFile:
-    """Return `model.toml`: identified values with intervals, the prior's where the part determines none.
+    """Return the content of `model.toml`: identified values with intervals, the prior's where the part determines none.
 
-    Its covariance has the scale of the forces too, for those that are computed with `material`.
+    Its covariance contains the scale of the forces, for robots under forces by the `material.toml` of this part.
+
+    :param prior: the model file before the part.
+    :param process: with which the part was cut.
+    :param source: origin of the values, for the file.
     """
     values, covariance = file_values(fit)
-    half = NORMAL_95 * np.sqrt(np.diag(covariance))[:-1]
-    size = np.sqrt(np.diag(covariance))
-    is_tied = (np.abs(covariance) > _LEAST_CORRELATION * np.outer(size, size)).sum(axis=0) > 1
-    content = _with_values(msgspec.to_builtins(prior), fit, values, half, source)
+    half_width = NORMAL_95 * np.sqrt(np.diag(covariance))[:-1]
+    deviation = np.sqrt(np.diag(covariance))
+    is_correlated = (np.abs(covariance) > _LEAST_CORRELATION * np.outer(deviation, deviation)).sum(axis=0) > 1
+    content = _with_values(msgspec.to_builtins(prior), fit, values, half_width, source)
     stated_rows = [
         k  # of the others value and spread stay as they are in the file
         for k, parameter in enumerate(fit.prior.parameters)
-        if fit.free[k] or parameter not in fit.prior.robot.stated_spread or is_tied[k]
+        if fit.free[k] or parameter not in fit.prior.robot.stated_spread or is_correlated[k]
     ]
     names = [fit.prior.parameters[k].name for k in stated_rows]
     forces = _forces(fit, process, source)
@@ -452,17 +469,21 @@ def model_file(fit: Fit, prior: ModelFile, process: Process, source: str) -> Mod
     return msgspec.structs.replace(msgspec.convert(content, ModelFile), **extra)
 
 
-def _with_values(content: dict[str, Any], fit: Fit, values: Array, half: Array, source: str) -> dict[str, Any]:
+def _with_values(content: dict[str, Any], fit: Fit, values: Array, half_width: Array, source: str) -> dict[str, Any]:
     """Return the tables of `model.toml` with the identified values in place of the prior's.
 
-    :param values: (p,) of the parameters in the units of the file, `half` (p,) half widths of their 95 % intervals.
+    :param content: these tables before, as plain data; they are changed in place.
+    :param values: (p,) of the parameters in the units of the file, `half_width` (p,) of their 95 % intervals.
+    :param source: origin of the values.
     """
     identified = [
-        (parameter, float(values[k]), float(half[k])) for k, parameter in enumerate(fit.prior.parameters) if fit.free[k]
+        (parameter, float(values[k]), float(half_width[k]))
+        for k, parameter in enumerate(fit.prior.parameters)
+        if fit.free[k]
     ]
     tables: dict[str, Any] = {"joints": {}, "links": {}, "compensator": {}, "masses": {}}
-    for parameter, value, reach in identified:
-        parameter.write(tables, value, reach, source)
+    for parameter, value, interval in identified:
+        parameter.write(tables, value, interval, source)
     for table, entries in tables.items():
         if not entries:
             continue
@@ -479,7 +500,10 @@ def _with_values(content: dict[str, Any], fit: Fit, values: Array, half: Array, 
 
 
 def _discrepancy(fit: Fit) -> tuple[Array, Array]:
-    """Return levels of load [N] and the unmodelled error [m] there: the larger one of the part and the model before."""
+    """Return levels of load (m,) [N], and the 95 % bound of the unmodelled error at each (m,) [m].
+
+    It is the larger one of the part and of the model before.
+    """
     load, u95 = fit.u95()
     prior_discrepancy = fit.prior.robot.discrepancy
     if prior_discrepancy is None:
@@ -490,7 +514,10 @@ def _discrepancy(fit: Fit) -> tuple[Array, Array]:
 
 
 def _forces(fit: Fit, process: Process, source: str) -> ForcesEntry | None:
-    """Return the law of `material`, as its numbers are read; None where the scale is certain or says too little."""
+    """Return the cutting law with scaled forces for `model.toml`; None for a certain scale or an unknown axial force.
+
+    The numbers are those that are read from `material.toml`, rounded alike: both files are recognised as one law.
+    """
     numbers = cutting_law(_scaled_process(fit, process, source), process.path).numbers
     if not numbers or not numbers[-1] > 0.0:
         return None
@@ -504,7 +531,7 @@ def _forces(fit: Fit, process: Process, source: str) -> ForcesEntry | None:
 
 
 def material(fit: Fit, process: Process, source: str) -> bytes:
-    """Return `material.toml`: the cutting law of the process with the scale of the forces found."""
+    """Return the content of `material.toml`: the cutting law of the process with its forces scaled as fitted."""
     comment = "Written by `postproc identify part`; process.toml takes it by [material] file."
     return files.toml({"material": _scaled_process(fit, process, source)}, comment)
 

@@ -34,11 +34,11 @@ class Prior(Struct, frozen=True, eq=False):
 
     @classmethod
     def of(cls, robot: RobotModel, sigma_scale: float, law: tuple[float, ...] = ()) -> Prior:
-        """Take the prior of a model.
+        """Return the prior of a robot model: its parameters with their covariance, and the scale of the forces.
 
         :param sigma_scale: standard deviation of the scale of the forces.
-        :param law: numbers of the cutting law that computes them; where the model was identified with it, the scale
-            and the compliances are known together.
+        :param law: numbers of the cutting law that computes the forces. If the model was identified with the same law,
+            the covariance of scale and compliances is that of the model.
         :raises MeasurementError: the model states no covariance and no `sigma_percent`.
         """
         if robot.covariance is None or not robot.covariance.parameters:
@@ -73,11 +73,11 @@ class Prior(Struct, frozen=True, eq=False):
 
     @property
     def drift(self) -> Array:
-        """(p + 1,) standard deviations of what may have changed since: not the forces."""
+        """(p + 1,) standard deviations of changes of the robot since its identification; 0 for the scale of forces."""
         return np.append(np.where(self.sigma[:-1] > 0.0, _UNMEASURED * self.values, 0.0), 0.0)
 
     def widen(self) -> Prior:
-        """Return the same values, each at least as uncertain as a robot that was never measured."""
+        """Return the prior with the variance of changes since the identification added: `drift`, squared."""
         return replace(self, covariance=self.covariance + np.diag(self.drift**2))
 
     def robot_with_change(self, z: Array) -> RobotModel:

@@ -151,8 +151,9 @@ def read(path: Path) -> ProbedSurfaces:
 
 
 def _normals(numbers: dict[str, Array], rows: Ints, lines: Ints, file: str) -> Array:
-    """Return the normals of all rows of a table (n, 3); those of some rows are checked, the others are as written.
+    """Return the normals of all rows of a table (n, 3); those of some rows are checked and made unit vectors exactly.
 
+    :param rows: to be checked; `lines` (n,) of the file.
     :raises MeasurementError: one of these is no unit vector.
     """
     normal = np.column_stack([numbers[name] for name in ("nx", "ny", "nz")])
@@ -176,7 +177,9 @@ def _touch_off_points(
 ) -> TouchOff:
     """Return the touch-off points of a table.
 
-    :param rows: of these points.
+    :param numbers: columns by name; `names`, `normal` (n, 3), `base` (n,), `mass` (n,) [kg] and `lines` (n,) of all
+        rows.
+    :param rows: of the touch-off points.
     :raises MeasurementError: one has a normal that is not Z, or a weight.
     """
     is_invalid = (normal[rows, 2] < 1.0 - _UNIT) | (mass[rows] > 0.0)
@@ -196,7 +199,7 @@ def _touch_off_points(
 
 
 def is_probed(path: Path) -> bool:
-    """Return whether a file begins as a table of probed points does."""
+    """Return whether the first line of a file has the column of a table of probed points; False if it is no text."""
     try:
         with path.open(encoding="utf-8-sig") as text:
             return "deviation_mm" in text.readline()

@@ -44,4 +44,4 @@ def test_the_smallest_change_is_that_of_the_readings_of_two_parts(prior):
     expected = slopes @ first @ slopes.T + nuisance
     per_sigma = np.sqrt(np.einsum("nk,nk->k", slopes, np.linalg.solve(expected, slopes)))[:-1]
     relative = 5.1 / (per_sigma * prior.values / prior.sigma[:-1])
-    np.testing.assert_allclose(design._visible(prior, columns.T @ columns / noise**2), relative, rtol=1e-4)
+    np.testing.assert_allclose(design._visible_changes(prior, columns.T @ columns / noise**2), relative, rtol=1e-4)
