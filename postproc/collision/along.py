@@ -67,7 +67,7 @@ def path_hits(
 
     :param q: (n, 6) joint angles [rad].
     :param commanded_q: (n, 6) joint angles that the arm may have instead, or any between [rad]: distances of a body are
-        less by as far as it moves from one to the other at most.
+        reduced by its largest displacement from one to the other.
     :param need: smallest allowed distance [m]; 0: they must not touch.
     :param shift: (n, 3) how far E1 carries the robot from the root [m].
     """
@@ -77,7 +77,7 @@ def path_hits(
 def pair_hits(
     solids: Solids, q: Array, need: float, shift: Array | None = None, commanded_q: Array | None = None
 ) -> Hits:
-    """Return what `path_hits` does, for the pairs of some bodies."""
+    """Return where bodies come closer than allowed along a path, for the pairs of `solids`; see `path_hits`."""
     search = _Search(solids, q, need, shift, needs_minimum=True)
     if commanded_q is not None:
         search.less = _largest_displacement(solids, q, commanded_q)
@@ -94,9 +94,12 @@ def pair_hits(
 
 
 def hits(solids: Solids, q: Array, need: float, shift: Array | None = None, *, between_samples: bool = True) -> Bools:
-    """Return at, or before, which samples (n,) of a path two bodies touch or come closer than allowed; see `path_hits`.
+    """Return True for samples (n,) of a path at which, or before which, two bodies are closer than allowed, or touch.
 
-    :param between_samples: look between samples too; else where they are alone.
+    :param q: (n, 6) joint angles [rad].
+    :param need: smallest allowed distance [m]; 0: they must not touch.
+    :param shift: (n, 3) how far E1 carries the robot from the root [m].
+    :param between_samples: look between samples too; else at the samples only.
     """
     search = _Search(solids, q, need, shift, needs_minimum=False)
     is_hit = np.zeros(len(q), dtype=bool)
@@ -124,7 +127,13 @@ class _Search:
         self.hits: dict[tuple[int, int, int], float] = {}
 
     def look(self, first: int, second: int, *, between_samples: bool = True) -> None:
-        """Search one pair of bodies."""
+        """Record in `hits` and `closest` where two bodies are too close, and their smallest distance.
+
+        Intervals of samples are halved, unless a bound shows that nothing in them counts: the bodies cannot approach
+        by more than half of their relative travel beyond the distances at both ends.
+
+        :param first: the body that moves, and `second` the other one: rows of the bodies.
+        """
         count = len(self.q)
         length = self._length(first, second)
         distance = np.full(count, np.nan)
@@ -132,13 +141,13 @@ class _Search:
         self._measure(first, second, ends, distance)
         if self._distance(first, second, self.frames[:1], solid=True)[0] == 0.0:
             distance[0] = 0.0  # also where one is inside the other
-            self._note(first, second, 0, 0.0)
+            self._record_hit(first, second, 0, 0.0)
         low, high = ends[:-1], ends[1:]
         open_rows = []
         while len(low):
             bound = 0.5 * (distance[low] + distance[high] - (length[high] - length[low]))
-            open_ = self._open(bound)
-            low, high = low[open_], high[open_]
+            is_open = self._is_open(bound)
+            low, high = low[is_open], high[is_open]
             is_step = high - low == 1
             open_rows.append(low[is_step])
             low, high = low[~is_step], high[~is_step]
@@ -158,43 +167,47 @@ class _Search:
         return self._lengths[key]
 
     def _distance(self, first: int, second: int, frames: Array, *, solid: bool = False) -> Array:
-        """Return the distances (n,) [m], less by as far as both bodies may be elsewhere."""
+        """Return the distances (n,) of two bodies [m], reduced by the displacement that each may have; at least 0."""
         reduction = self.less[first] + self.less[second]
         return np.asarray(np.maximum(self.solids.distance(first, second, frames, solid=solid) - reduction, 0.0))
 
-    def _open(self, bound: Array) -> np.ndarray:
-        """Return which lower bounds decide neither whether the distance is kept nor that a smaller one was found."""
+    def _is_open(self, bound: Array) -> np.ndarray:
+        """Return True for lower bounds of distances that leave open a hit, or a new smallest distance."""
         return np.asarray((bound < self.need) | (bound < self._smallest_distance() - _EXACT))
 
     def _smallest_distance(self) -> float:
-        """Return the smallest distance so far [m]; nothing is below it if none is wanted."""
+        """Return the smallest distance so far [m], infinite before the first; −∞ if the smallest one is not wanted."""
         if not self.needs_minimum:
             return -np.inf
         return np.inf if self.closest is None else self.closest.distance
 
     def _measure(self, first: int, second: int, rows: Ints, distance: Array) -> None:
-        """Compute distances at samples where they are not known."""
+        """Compute the distances at rows of samples where they are NaN, in place; record hits and the smallest one."""
         rows = rows[np.isnan(distance[rows])]
         distance[rows] = self._distance(first, second, self.frames[rows])
         is_hit = (distance[rows] < self.need) | (distance[rows] <= 0.0)  # bodies that touch, also without a clearance
         for row in rows[is_hit].tolist():
-            self._note(first, second, row, float(distance[row]))
+            self._record_hit(first, second, row, float(distance[row]))
         if len(rows):
             row = int(rows[np.argmin(distance[rows])])
-            self._nearer(first, second, row, float(distance[row]))
+            self._update_closest(first, second, row, float(distance[row]))
 
-    def _nearer(self, first: int, second: int, row: int, distance: float) -> None:
+    def _update_closest(self, first: int, second: int, row: int, distance: float) -> None:
+        """Record a distance [m] of two bodies at a sample if it is the smallest so far."""
         if self.closest is None or distance < self.closest.distance:
             self.closest = SmallestDistance(distance, first, second, row)
 
-    def _note(self, first: int, second: int, row: int, distance: float) -> None:
-        """Keep the smallest distance [m] of two bodies on a row as a hit."""
+    def _record_hit(self, first: int, second: int, row: int, distance: float) -> None:
+        """Record a hit: the smallest distance [m] of two bodies at a row of samples, or before it."""
         key = (row, first, second)
         self.hits[key] = min(distance, self.hits.get(key, np.inf))
-        self._nearer(first, second, row, distance)
+        self._update_closest(first, second, row, distance)
 
     def _halve(self, first: int, second: int, rows: Ints, distance: Array) -> None:
-        """Halve the motions from samples to the next ones."""
+        """Halve the motions from some rows of samples to the next ones until bounds decide them; record hits.
+
+        :param distance: (N,) of the bodies at the samples [m].
+        """
         begin, end = self.states[rows], self.states[rows + 1]
         begin_distance, end_distance = distance[rows], distance[rows + 1]
         while len(rows):
@@ -203,22 +216,19 @@ class _Search:
             bound = 0.5 * (begin_distance + end_distance - length)
             smaller = np.minimum(begin_distance, end_distance)
             is_noted = (smaller < self.need) | (smaller <= 0.0)  # reported already
-            open_ = ((bound < self.need) & ~is_noted | (bound < self._smallest_distance() - _EXACT)) & (length > _SHORT)
+            may_hit = (bound < self.need) & ~is_noted
+            is_open = (may_hit | (bound < self._smallest_distance() - _EXACT)) & (length > _SHORT)
             rows, begin, end, begin_distance, end_distance = (
-                rows[open_],
-                begin[open_],
-                end[open_],
-                begin_distance[open_],
-                end_distance[open_],
+                values[is_open] for values in (rows, begin, end, begin_distance, end_distance)
             )
             if not len(rows):
                 return
             middle = 0.5 * (begin + end)
             middle_distance = self._distance(first, second, self._frames(middle))
             for k in np.flatnonzero((middle_distance < self.need) | (middle_distance <= 0.0)).tolist():
-                self._note(first, second, int(rows[k]) + 1, float(middle_distance[k]))
+                self._record_hit(first, second, int(rows[k]) + 1, float(middle_distance[k]))
             k = int(np.argmin(middle_distance))
-            self._nearer(first, second, int(rows[k]) + 1, float(middle_distance[k]))
+            self._update_closest(first, second, int(rows[k]) + 1, float(middle_distance[k]))
             rows = np.concatenate([rows, rows])
             begin, end = np.concatenate([begin, middle]), np.concatenate([middle, end])
             begin_distance, end_distance = (
@@ -227,16 +237,19 @@ class _Search:
             )
 
     def _frames(self, states: Array) -> Array:
+        """Return the link frames (n, 8, 4, 4) at states (n, 6 or 9): joint angles [rad], and the shift by E1 [m]."""
         return link_frames(self.chain, states[:, :6], states[:, 6:] if states.shape[1] > 6 else None)
 
 
 def motion_bound(solids: Solids, first: int, second: int, q: Array, frames: Array) -> Array:
-    """Return an upper bound on the relative displacement of two bodies from pose to pose (n − 1,) [m].
+    """Return an upper bound (n − 1,) on the relative displacement of two bodies between successive poses [m].
 
-    There and on: for any pose between, the distances from it to both poses are no more together.
-
-    That is the chord of its middle, twice the height of the arc over it, and its rotation times its radius. With
+    For any pose between, the displacements from one pose to it and from it to the next one sum to no more. The bound is
+    the chord of the middle of the body, twice the height of the arc over it, and its rotation times its radius. With
     joints moving in proportion by Δq in all, no point within R of the axes leaves the chord by more than Δq²·R/8.
+
+    :param first: the body, and `second` the reference of its motion: rows of the bodies.
+    :param q: (n, 6) joint angles [rad], and `frames` (n, 8, 4, 4) the link frames there.
     """
     body, reference = solids.bodies[first], solids.bodies[second]
     centre, radius = solids.spheres[first]
@@ -257,7 +270,7 @@ _CHUNK = 4096
 def _largest_displacement(solids: Solids, q: Array, commanded_q: Array) -> Array:
     """Return an upper bound on the displacement of each body (b,) between two sets of joint angles (n, 6) [m].
 
-    That is how far its middle moves, and by how much it turns, times its radius; the arc of so short a motion is longer
+    It is the displacement of its middle, plus its rotation times its radius; the arc of so short a motion is longer
     than its chord by less than a thousandth.
     """
     chain, displacement = solids.scene.robot.nominal, np.zeros(len(solids.bodies))

@@ -36,7 +36,7 @@ class Clearance(Struct, frozen=True, eq=False):
 
 
 def clearance(scene: Scene, q: Array) -> Clearance:
-    """Return the smallest distance of the bodies at poses that are independent of each other.
+    """Return the smallest distance of the bodies of a scene at each of n independent poses.
 
     :param q: (n, 6) joint angles of the controller [rad].
     """
@@ -140,7 +140,7 @@ class Solids:
         return model
 
     def frame(self, row: int, frames: Array) -> Array:
-        """Return the frames (n, 4, 4) of the link that carries a body."""
+        """Return the frames (n, 4, 4) of the link that carries a body, from those of all links (n, 8, 4, 4)."""
         body = self.bodies[row]
         return np.broadcast_to(np.eye(4), (len(frames), 4, 4)) if body.is_fixed else frames[:, body.carrier + 1]
 
@@ -175,17 +175,14 @@ class Solids:
         poses = [self.frame(row, frames) @ self.bodies[row].pose for row in (first, second)]
         first_object, second_object = self.objects[first], self.objects[second]
         distances = np.empty(len(frames))
-        turn, shift = (pose[:, :3, :3] for pose in poses), (pose[:, :3, 3] for pose in poses)
-        turns, shifts = (
-            [np.ascontiguousarray(values) for values in turn],
-            [np.ascontiguousarray(values) for values in shift],
-        )
-        transform, measure, request = self.fcl.Transform, self.fcl.distance, self.request
-        result = self.fcl.DistanceResult
+        first_rotation, second_rotation = (np.ascontiguousarray(pose[:, :3, :3]) for pose in poses)
+        first_position, second_position = (np.ascontiguousarray(pose[:, :3, 3]) for pose in poses)
+        transform, distance_of_objects = self.fcl.Transform, self.fcl.distance
+        request, new_result = self.request, self.fcl.DistanceResult
         for k in range(len(distances)):
-            first_object.setTransform(transform(turns[0][k], shifts[0][k]))
-            second_object.setTransform(transform(turns[1][k], shifts[1][k]))
-            distances[k] = measure(first_object, second_object, request, result())
+            first_object.setTransform(transform(first_rotation[k], first_position[k]))
+            second_object.setTransform(transform(second_rotation[k], second_position[k]))
+            distances[k] = distance_of_objects(first_object, second_object, request, new_result())
         self.calls += len(distances)
         distances = np.maximum(distances, 0.0)
         if solid:
@@ -195,7 +192,7 @@ class Solids:
         return distances
 
     def _contains(self, inner: int, outer: int, frames: Array) -> NDArray[np.bool_]:
-        """Return at which poses (n,) a point of a body is inside a mesh, by the solid angle of its triangles.
+        """Return True for poses (n,) at which the first point of a body is inside a mesh, by the mesh's solid angle.
 
         Source: van Oosterom and Strackee, "The solid angle of a plane triangle", IEEE Trans. Biomed. Eng. 30, 1983.
         """
@@ -207,12 +204,13 @@ class Solids:
         is_inside = ((local > low) & (local < high)).all(axis=1)
         for row in np.flatnonzero(is_inside).tolist():
             a, b, c = (mesh.points[mesh.faces[:, k]] - local[row] for k in range(3))
-            la, lb, lc = (np.sqrt(np.einsum("fi,fi->f", vector, vector)) for vector in (a, b, c))
-            volume = np.einsum("fi,fi->f", a, np.cross(b, c))
-            base = la * lb * lc + np.einsum("fi,fi->f", a, b) * lc
-            base += np.einsum("fi,fi->f", b, c) * la + np.einsum("fi,fi->f", c, a) * lb
+            length_a, length_b, length_c = (np.sqrt(np.einsum("fi,fi->f", vector, vector)) for vector in (a, b, c))
+            # tan(Ω/2) of each triangle is numerator / denominator
+            numerator = np.einsum("fi,fi->f", a, np.cross(b, c))
+            denominator = length_a * length_b * length_c + np.einsum("fi,fi->f", a, b) * length_c
+            denominator += np.einsum("fi,fi->f", b, c) * length_a + np.einsum("fi,fi->f", c, a) * length_b
             # the solid angle of a closed mesh is 4π from inside and 0 from outside
-            is_inside[row] = abs(float(np.sum(2.0 * np.arctan2(volume, base)))) > 2.0 * np.pi
+            is_inside[row] = abs(float(np.sum(2.0 * np.arctan2(numerator, denominator)))) > 2.0 * np.pi
         return np.asarray(is_inside)
 
 

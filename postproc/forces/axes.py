@@ -51,7 +51,7 @@ def feed_axes(program: Program, path: Segments, sample: Toolpath, axis: str, las
 
 
 def is_arc_across(program: Program, path: Segments, arcs: Ints, axis: str) -> Bools:
-    """Return on which arcs (n,), rows of `Motions`, the travel keeps 45° from the direction of the spindle.
+    """Return True for arcs (n,), rows of `Motions`, whose travel keeps at least 45° from the direction of the spindle.
 
     On these arcs FEED axes turn about as fast as the travel. Near the direction of the spindle they swing by up to half
     a turn, the faster the nearer, and at that direction they jump.
@@ -70,11 +70,11 @@ def is_arc_across(program: Program, path: Segments, arcs: Ints, axis: str) -> Bo
 
 
 def is_line_across(program: Program, path: Segments, lines: Ints, axis: str) -> Bools:
-    """Return on which straight motions (n,), rows of `Motions`, the travel keeps 45° from the direction of the spindle.
+    """Return True for straight motions (n,), rows of `Motions`, whose travel keeps at least 45° from the spindle.
 
     Nearer to it, FEED axes may swing by up to half a turn while the tool turns a little.
     """
-    # the angle at the nearer end, less half the turn of the tool: nearer the spindle cannot come in between
+    # the smallest angle between travel and spindle is at least that at the ends, less half the turn of the tool
     ends = at(program, path, lines, np.ones(len(lines)))
     travel = tangent(program, path, lines, ends.t)
     start = path.start.at(lines)[:, :3, _SPINDLE[axis][0]]
@@ -128,7 +128,7 @@ def predecessors(program: Program) -> Ints:
 
 
 def _last_across(previous: Ints, is_undefined: Bools) -> Ints:
-    """Return the last motion (M,) executed before each that has a travel direction of its own; −1 if there is none.
+    """Return the last motion (M,) executed before each that defines a travel direction; −1 if there is none.
 
     :param previous: (M,) the motion at whose end each begins, see `Program.after`.
     :param is_undefined: (M,) True for motions without such a direction.

@@ -86,7 +86,7 @@ def unused_comments(program: Program) -> Iterator[Issue]:
 
 
 def small_forces(program: Program, knots: Knots) -> Iterator[Issue]:
-    """Yield a question if the largest force of the cutting moves is so small that it may be in kilonewtons."""
+    """Yield an issue if the largest force of the cutting moves is so small that it may be in kilonewtons."""
     size = norm(knots.wrench[:, :3])
     has_force = ~program.motions.rapid[knots.motion] & (size > 0.0)
     if has_force.any() and not any_column(knots.wrench[:, 3:] != 0.0).any() and size[has_force].max() < _NEWTONS:

@@ -77,7 +77,11 @@ class ClosedForm(Struct, frozen=True, eq=False):
         return wrap_angles(q[:, 2] - self.elbow_stretched)
 
     def branch_of(self, q: Array) -> Ints:
-        """Return the branch (N,) on which joint angles (N, 6) lie; with A5 in line that of A5 > 0."""
+        """Return the branch 0…7 (N,) of joint angles (N, 6) [rad]; if A4 and A6 are in line, that of A5 > 0.
+
+        Bit 0: the wrist centre is behind the A1 axis (overhead). Bit 1: A3 is beyond the stretched arm. Bit 2: the
+        wrist is bent to the negative side.
+        """
         is_overhead = self.reach(q) < 0.0
         is_elbow_positive = self.elbow(q) >= 0.0
         is_wrist_negative = wrap_angles(q[:, 4] + self.bend) < -_IN_LINE
@@ -92,6 +96,7 @@ class ClosedForm(Struct, frozen=True, eq=False):
         """Return joint angles (6, n) [rad] of flange poses (3, 4, n) [m] on branches; NaN out of reach."""
         behind_bit, elbow_bit, wrist_bit = (np.asarray(branch) >> bit & 1 for bit in range(3))
         columns = [flange[:, k] for k in range(3)]
+        # A1 to A3 by the place of the wrist centre: heading, then the triangle of upper arm a and forearm b
         wrist = combination(columns, self.wrist) + flange[:, 3] - self.base[:, None]
         wrist_x, wrist_y, height = self.axes @ wrist
         a, b = self.upper_arm, self.forearm
@@ -107,18 +112,20 @@ class ClosedForm(Struct, frozen=True, eq=False):
         arm_length, arm_offset = a + b * cosine, b * sine
         upper = np.arctan2(radius * arm_length - height * arm_offset, height * arm_length + radius * arm_offset)
 
+        # A4 to A6 by the orientation that remains after A1 to A3
         hand = np.stack([combination(columns, column[:, None]) for column in self.hand.T], axis=1)
         x, y, z = np.tensordot(self.axes, hand, 1)
         sine, cosine = sine_and_cosine(heading)
         x, y = x * cosine + y * sine, y * cosine - x * sine
         sine, cosine = sine_and_cosine(upper + elbow - self.tilt[1])
         x, z = x * cosine - z * sine, z * cosine + x * sine
-        # what the wrist has to turn is Rz(A4)·Ry(A5 + bend)·Rz(A6)
+        # m = Rz(A4)·Ry(A5 + bend)·Rz(A6)
         m = np.tensordot(self.before_wrist, np.stack([x, y, z]), 1)
-        side = np.sqrt(m[0, 2] * m[0, 2] + m[1, 2] * m[1, 2])
-        unique = side > _NO_TURN
-        turn = (1 - 2 * wrist_bit) / np.where(unique, side, 1.0)
-        cosine, sine = np.where(unique, m[0, 2] * turn, 1.0), np.where(unique, m[1, 2] * turn, 0.0)
+        wrist_sine = np.sqrt(m[0, 2] * m[0, 2] + m[1, 2] * m[1, 2])
+        is_unique = wrist_sine > _NO_TURN
+        factor = (1 - 2 * wrist_bit) / np.where(is_unique, wrist_sine, 1.0)
+        # of A4
+        cosine, sine = np.where(is_unique, m[0, 2] * factor, 1.0), np.where(is_unique, m[1, 2] * factor, 0.0)
         return np.stack(
             [
                 self.sign[0] * heading,
@@ -133,7 +140,7 @@ class ClosedForm(Struct, frozen=True, eq=False):
 
 @lru_cache(maxsize=16)
 def closed_form(robot: RobotModel) -> ClosedForm:
-    """Read the parameters of the closed form off the robot's nominal geometry.
+    """Return the closed form of the inverse kinematics of a robot, by the axes of its nominal geometry at zero angles.
 
     :raises ModelError: the arm has no vertical A1, no parallel A2 and A3, or no spherical wrist: forward and
         inverse kinematics do not agree.
@@ -179,7 +186,7 @@ def closed_form(robot: RobotModel) -> ClosedForm:
 
 
 def _crossing(p: Array, u: Array, r: Array, v: Array) -> Array:
-    """Return the point of the first line (p, u) nearest to the second (r, v)."""
+    """Return the point of the line p + s·u that is nearest to the line r + t·v, each (3,); r if they are parallel."""
     normal = np.cross(u, v)
     if normal @ normal < _TOLERANCE:
         return r

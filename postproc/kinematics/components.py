@@ -18,7 +18,7 @@ _SMALL_STEP = 5e-3
 
 
 def components(pose: Array) -> Array:
-    """Return poses (4, 4) or (n, 4, 4) as (3, 4, 1) or (3, 4, n)."""
+    """Return poses (4, 4) or (n, 4, 4) as (3, 4, 1) or (3, 4, n); n poses that are one broadcast pose as (3, 4, 1)."""
     if pose.ndim == 2:
         pose = pose[None]
     elif pose.strides[0] == 0:
@@ -56,7 +56,7 @@ def product(columns: Sequence[Array], pose: Array) -> Array:
 
 
 def cross(a: Array, b: Array, out: Array | None = None) -> Array:
-    """Return the cross products (3, n) of vectors (3, n) or (3, 1)."""
+    """Return the cross products (3, n) of vectors `a` and `b`, (3, n) or (3, 1) each, in `out` if it is given."""
     out = np.empty(np.broadcast_shapes(a.shape, b.shape)) if out is None else out
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
@@ -66,7 +66,10 @@ def cross(a: Array, b: Array, out: Array | None = None) -> Array:
 
 
 def twist_between(start: Array, end: Array) -> Array:
-    """Return (6, n) as `frames.twist_between`, poses (3, 4, n)."""
+    """Return the twists (6, n) from poses to other poses, (3, 4, n) each: translation [m], then rotation vector [rad].
+
+    Root axes, as of `frames.twist_between`.
+    """
     difference = end[:, :3] - start[:, :3]
     if not np.abs(difference).max(initial=0.0) < _SMALL_STEP:
         return np.ascontiguousarray(frames.twist_between(matrices(start), matrices(end)).T)

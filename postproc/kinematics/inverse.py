@@ -69,7 +69,7 @@ def follow(
     status: Ints,
     turn: Ints,
 ) -> JointPath:
-    """Solve a path by the controller's geometry, continuous from the start.
+    """Return the joint angles along a path by the controller's geometry, continuous from the start.
 
     A run of linear and circular moves stays on one branch. A PTP move may change it: to the status S and turn T it
     gives, else it keeps the branch and takes the nearest turn.
@@ -85,10 +85,10 @@ def follow(
     """
     jumps, status, turn = np.flatnonzero(free), status.astype(np.int64), turn.astype(np.int64)
     by_axes = np.isfinite(axis_target[:, 0])
-    slots = _path_branches(robot, flange(jumps), start, axis_target, status)
-    branch = np.repeat(slots, np.diff(jumps, prepend=0, append=len(free)))
+    branches = _path_branches(robot, flange(jumps), start, axis_target, status)
+    branch = np.repeat(branches, np.diff(jumps, prepend=0, append=len(free)))
     q = np.zeros((len(branch), 6))
-    start_angles, wound = np.asarray(start, dtype=float), np.zeros(6)
+    start_angles, turns_removed = np.asarray(start, dtype=float), np.zeros(6)
     unreached: list[int] = []
     for part in chunks(len(branch)):
         rows = np.arange(part.start, min(part.stop, len(branch)))
@@ -100,7 +100,8 @@ def follow(
         has_turn = ~is_axis_target & (turn[targets] >= 0)
         exact[at[has_turn]] = _whole_turns(robot, exact[at[has_turn]], turn[targets][has_turn])
         if len(rows) and not unreached:
-            q[part], wound = _continuous_angles(exact, start_angles, wound, at[is_axis_target | has_turn])
+            target_rows = at[is_axis_target | has_turn]
+            q[part], turns_removed = _continuous_angles(exact, start_angles, turns_removed, target_rows)
             start_angles = exact[-1]
     if unreached:
         raise UnreachableError(unreached)
@@ -108,10 +109,11 @@ def follow(
 
 
 def _path_branches(robot: RobotModel, flange: Array, start: Array, axis_target: Array, status: Ints) -> Ints:
-    """Return the branch before the first PTP move, and from each of them on (J + 1,).
+    """Return the branch before the first PTP move, and from each PTP move on (J + 1,).
 
     Moves that state no branch keep the one before: a running maximum finds the last move that states one.
 
+    :param flange: (J, 4, 4) flange poses at their targets [m], and `start` (6,) joint angles at the start [rad].
     :param axis_target: (J, 6) joint angles of PTP moves to them [rad], NaN for others.
     :param status: (J,) S, −1 if it is not given.
     """
@@ -129,17 +131,18 @@ def _path_branches(robot: RobotModel, flange: Array, start: Array, axis_target: 
     return np.asarray(branch[last])
 
 
-def _continuous_angles(q: Array, start_angles: Array, wound: Array, exact_rows: Ints) -> tuple[Array, Array]:
-    """Return angles (n, 6) with the whole turns that make them continuous; those `exact_rows` stay.
+def _continuous_angles(q: Array, start_angles: Array, turns_removed: Array, exact_rows: Ints) -> tuple[Array, Array]:
+    """Return joint angles (n, 6) [rad] minus the whole turns that make them continuous, and the turns of the last (6,).
 
-    :param start_angles: (6,) angles before the first of them, without whole turns.
-    :param wound: (6,) whole turns taken off there; returned for the last of them.
+    :param start_angles: (6,) angles before the first of them, as the closed form returns them [rad].
+    :param turns_removed: (6,) whole turns that are subtracted there.
+    :param exact_rows: rows whose angles are kept: continuity begins anew at each.
     """
     turns = np.round(np.diff(q, axis=0, prepend=start_angles[None]) / FULL_TURN)
-    if not turns.any() and not wound.any():
-        return q, wound
+    if not turns.any() and not turns_removed.any():
+        return q, turns_removed
     turns[exact_rows] = 0.0
-    total = wound + np.cumsum(turns, axis=0)
+    total = turns_removed + np.cumsum(turns, axis=0)
     exact_row = np.full(len(q), -1)
     exact_row[exact_rows] = exact_rows
     exact_row = np.maximum.accumulate(exact_row)
@@ -154,16 +157,20 @@ def branch_joints(robot: RobotModel, pose_flange_in_root: Array, branch: Ints) -
 
 
 def _whole_turns(robot: RobotModel, angles: Array, turn: Ints) -> Array:
-    """Return angles (J, 6) with the whole turns that T (J,) asks for: inside the limits if that is possible."""
-    options = angles[..., None] + FULL_TURN * np.arange(-2, 3)
-    within_limits = (options >= robot.lower[:, None] - _ANGLE_TOLERANCE) & (
-        options <= robot.upper[:, None] + _ANGLE_TOLERANCE
+    """Return joint angles (J, 6) [rad] with the whole turns that KUKA's T (J,) states: bit n − 1 for a negative axis n.
+
+    Angles within the limits with the stated sign come first, then others within the limits; of these the smallest.
+    """
+    candidates = angles[..., None] + FULL_TURN * np.arange(-2, 3)
+    within_limits = (candidates >= robot.lower[:, None] - _ANGLE_TOLERANCE) & (
+        candidates <= robot.upper[:, None] + _ANGLE_TOLERANCE
     )
-    negative = (turn[:, None] >> np.arange(6) & 1).astype(np.bool_)
-    has_sign = within_limits & ((options < 0.0) == negative[..., None])
-    worse = np.where(has_sign, 0.0, np.where(within_limits, 100.0, 200.0))
-    best = np.argmin(np.abs(options) + worse, axis=2)
-    return np.asarray(np.take_along_axis(options, best[..., None], axis=2)[..., 0])
+    is_negative = (turn[:, None] >> np.arange(6) & 1).astype(np.bool_)
+    has_sign = within_limits & ((candidates < 0.0) == is_negative[..., None])
+    # larger than any angle, so that it decides
+    penalty = np.where(has_sign, 0.0, np.where(within_limits, 100.0, 200.0))
+    best = np.argmin(np.abs(candidates) + penalty, axis=2)
+    return np.asarray(np.take_along_axis(candidates, best[..., None], axis=2)[..., 0])
 
 
 _LOOKED_AT = 2_000
@@ -191,6 +198,7 @@ def smallest_singular_value(robot: RobotModel, q: Array, tool: Array) -> float:
     stride = len(q) // _LOOKED_AT + 1
 
     def tools(rows: slice) -> Array:
+        """Return the tool of some rows, or the one of all."""
         return tool if tool.ndim == 2 else tool[rows]
 
     sampled_rows = slice(None, None, stride)
@@ -281,12 +289,16 @@ class ByWrist(Struct, frozen=True, eq=False):
         return np.asarray(np.swapaxes(self.base[row], 1, 2) @ pose[:, :3, :3])
 
     def _tip(self, row: Ints, t: Array) -> Array:
+        """Return the tip (n, 3) on its line, root frame [m]; `row` (n,) of the fields, `t` (n,) in [0, 1]."""
         return np.asarray(self.tip[row, 0] + t[:, None] * (self.tip[row, 1] - self.tip[row, 0]))
 
     def _solution(self, row: Ints, t: Array) -> tuple[Array, Array]:
-        """Return the joint angles (n, 6) [rad] and the poses (n, 4, 4) in the root [m].
+        """Return the joint angles (n, 6) [rad] and the tool poses (n, 4, 4) in the root [m] at places on motions.
 
-        A1 to A3 are found by Newton's method, from the line between their values at start and end.
+        A4 to A6 move in proportion to t. A1 to A3 keep the tip on its line: they are found by Newton's method, from the
+        line between their values at start and end.
+
+        :param row: (n,) of the fields, and `t` (n,) in [0, 1].
         """
         q = (self.begin[row] + t[:, None] * (self.end[row] - self.begin[row])).T.copy()
         tip, tool = self._tip(row, t).T, components(self.tool[row])

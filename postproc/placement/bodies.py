@@ -17,10 +17,10 @@ class Bodies:
     """The bodies of a cell with [collision], with each tool of a program."""
 
     def __init__(self, samples: PathSamples, need_mm: float) -> None:
-        """Read the bodies.
+        """Read the bodies of the cell for each tool of a program.
 
-        :param need_mm: smallest allowed distance; 0: no contact. What the forces deflect at most is added for the
-            correction, by which distances are less when the path is checked.
+        :param need_mm: smallest allowed distance; 0: no contact. The largest deflection by the forces is added, as a
+            correction moves the tool by about as much.
         :raises CellError: a body cannot be read.
         """
         program, robot_in_cell = samples.program, samples.robot_in_cell
@@ -45,7 +45,7 @@ class Bodies:
         *,
         between_samples: bool = True,
     ) -> Bools:
-        """Return at, or before, which samples (n,) of a path bodies are too close; False where `q` is NaN.
+        """Return True for samples (n,) of a path at which, or before which, bodies are too close; False if `q` is NaN.
 
         :param q: (n, 6) joint angles [rad]; from one sample to the next each joint goes the short way.
         :param rows: (n,) samples of the program.
@@ -55,23 +55,24 @@ class Bodies:
         :param between_samples: look between samples too.
         """
         is_hit = np.zeros(len(rows), dtype=bool)
-        usable = np.asarray(np.isfinite(q).all(axis=1))
+        is_in_reach = np.asarray(np.isfinite(q).all(axis=1))
         tool = self.tool[rows]
+        # stretches of the path with one tool and without a gap
         begins = breaks.copy()
-        begins |= ~usable
-        begins[1:] |= ~usable[:-1] | (np.diff(tool) != 0)
+        begins |= ~is_in_reach
+        begins[1:] |= ~is_in_reach[:-1] | (np.diff(tool) != 0)
         ends = np.append(np.flatnonzero(begins[1:]) + 1, len(rows))
-        solids_of_tool = {
+        solids_by_tool = {
             key: solids if base_motion is None else solids.move_base(base_motion) for key, solids in self.solids.items()
         }
         for begin, end in zip(np.append(0, ends[:-1]).tolist(), ends.tolist(), strict=True):
-            if begin < end and usable[begin]:
+            if begin < end and is_in_reach[begin]:
                 part = slice(begin, end)
                 steps = wrap_angles(np.diff(q[part], axis=0))
                 path = q[begin] + np.concatenate([np.zeros((1, 6)), np.cumsum(steps, axis=0)])
                 part_shift = None if shift is None else shift[part]
                 is_hit[part] = hits(
-                    solids_of_tool[int(tool[begin])], path, self.need, part_shift, between_samples=between_samples
+                    solids_by_tool[int(tool[begin])], path, self.need, part_shift, between_samples=between_samples
                 )
         return is_hit
 
@@ -84,7 +85,12 @@ class Bodies:
         return next(iter(self.solids.values())).bodies[row].name
 
     def is_closer(self, q: Array, rows: Ints, shift: Array, base_motion: Array) -> bool:
-        """Return whether bodies are too close at any of some unrelated poses; see `is_hit_along_path`."""
+        """Return whether bodies are too close at any of some unrelated poses.
+
+        :param q: (n, 6) joint angles [rad], and `rows` (n,) samples whose tools they have.
+        :param shift: (n, 3) how far E1 carries the robot [m].
+        :param base_motion: (4, 4) motion of `$BASE` from its place in the cell, in the root.
+        """
         tools = self.tool[rows]
         for tool, solids in self.solids.items():
             of_tool = tools == tool

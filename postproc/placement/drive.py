@@ -90,13 +90,15 @@ def margins(robot: RobotModel, q: Array) -> Margins:
 
 
 def reason(margin: Margins, speed: Array, jump: Array, keep: LeastMargins, hit: Bools | None = None) -> Ints:
-    """Return the first reason (...,) in `REASONS` to refuse configurations, 0 = none.
+    """Return the first reason (...,) to refuse configurations, as an index in `REASONS`; 0: none.
 
     :param speed: (...,) largest joint speed as a share of its limit; `jump` (...,) largest turn of a joint from the
-        sample before [rad]; `hit` (...,) whether bodies come too close, None = not checked.
+        sample before [rad].
+    :param keep: margins to keep.
+    :param hit: (...,) whether bodies come too close; None: not checked.
     """
     with np.errstate(invalid="ignore"):
-        reasons = np.zeros(margin.joint.shape, dtype=np.int64)
+        reasons = np.zeros(margin.joint.shape, dtype=np.int64)  # the last assignment of these counts
         if hit is not None:
             reasons[hit] = COLLISION
         reasons[~(speed <= keep.speed)] = SPEED
@@ -143,21 +145,22 @@ def errors(robot_in_cell: RobotInCell, q: Array, tool: Array, load: Load) -> tup
 
 
 def _in_series(spring: ToolSpring | None, pose: Array) -> Array | None:
+    """Return the compliance (n, 6, 6) of the tool in root axes at poses (n, 4, 4); None without a spring."""
     return None if spring is None else spring.matrices(pose[:, :3, :3])
 
 
 def _deflections(robot_in_cell: RobotInCell, q: Array, tool: Array, wrench: Array, pose: Array) -> Array:
     """Return the deviation (n,) [m] of the tip from nominal without correction; NaN without equilibrium."""
     deflection = np.full(len(q), np.nan)
-    left = np.arange(len(q))
-    while len(left):
-        tools = tool if tool.ndim == 2 else tool[left]
+    rows = np.arange(len(q))
+    while len(rows):
+        tools = tool if tool.ndim == 2 else tool[rows]
         try:
-            tip = robot_in_cell.tip(q[left], tools, wrench[left])
-        except NotConvergedError as cause:
-            left = np.delete(left, list(cause.rows))
+            tip = robot_in_cell.tip(q[rows], tools, wrench[rows])
+        except NotConvergedError as cause:  # try again without the rows that have no equilibrium
+            rows = np.delete(rows, list(cause.rows))
             continue
-        deflection[left] = norm(tip - pose[left, :3, 3])
+        deflection[rows] = norm(tip - pose[rows, :3, 3])
         break
     return deflection
 
@@ -169,5 +172,5 @@ def timed_speed(robot: RobotModel, step: Array, time: Array) -> Array:
 
 
 def any_bad(reasons: Ints) -> Bools:
-    """Return where configurations are refused."""
+    """Return True for configurations (...) that are refused; `reasons` (...) are indices in `REASONS`."""
     return np.asarray(reasons != FREE)

@@ -62,13 +62,13 @@ class Region(Struct, frozen=True):
         return np.clip(place, self.low, self.high)
 
     def settable(self, place: Array) -> Array:
-        """Return the nearest place (5,) in the region that a person sets: whole millimetres and degrees.
+        """Return the nearest place (5,) in the region in whole millimetres and degrees, as a person sets it.
 
-        What is not free stays as it is.
+        Coordinates that are not free stay as they are.
         """
-        whole = place.copy()
-        whole[self.free] = np.round(place[self.free])
-        return self.clip(whole)
+        rounded_place = place.copy()
+        rounded_place[self.free] = np.round(place[self.free])
+        return self.clip(rounded_place)
 
 
 class Assessment(Struct, frozen=True):
@@ -209,9 +209,11 @@ class Programs:
         self.full_stations = [_stations(item, len(item)) for item in samples]
 
     def judge(self, place: Array, *, all_samples: bool = False) -> JudgedPlace:
-        """Judge a place (5,) [mm, deg] by its stations, or by every sample.
+        """Return the judgement of a place (5,) [mm, deg] with the best turn of the tool about its axis.
 
-        The tool keeps the turn of the cell where that can be driven and no other turn saves enough.
+        The tool keeps the turn of the cell if the programs can be driven with it, and no other turn saves enough.
+
+        :param all_samples: judge by every sample of the programs; else by some stations of them.
         """
         best: JudgedPlace | None = None
         cell_turn: JudgedPlace | None = None
@@ -221,7 +223,7 @@ class Programs:
                 place, turn, self.branch, self.full_stations if all_samples else self.station_choice
             )
             if judgement.reachable:
-                best = judgement if best is None or _better(judgement, best) else best
+                best = judgement if best is None or _is_better(judgement, best) else best
                 cell_turn = judgement if turn == 0.0 else cell_turn
             elif judgement.reason > nearest.reason or np.isnan(nearest.margin):
                 nearest = judgement
@@ -266,7 +268,13 @@ class Programs:
     def _joint_path(
         self, group: _Stations, base_motion: Array, e1_shift: Array, turn: float, branch: int
     ) -> tuple[Array, int, float]:
-        """Return joint angles (n, 6), the worst reason to refuse, and the smallest joint margin [rad]."""
+        """Return joint angles (n, 6) [rad] at stations, the worst reason to refuse them, and the smallest joint margin.
+
+        :param base_motion: (4, 4) motion of `$BASE` that the place makes, root axes [m].
+        :param e1_shift: (3,) by which E1 carries the robot to the place [m].
+        :param turn: of the tool about its axis [rad]; `branch` of the inverse kinematics at the start.
+        :returns: the reason as an index in `drive.REASONS`, `FREE` for none; the margin [rad], NaN out of reach.
+        """
         flange = product(base_motion, self._flange(group, turn))
         flange[:, :3, 3] -= group.shift + e1_shift
         branches = np.where(group.branch >= 0, group.branch, branch)
@@ -280,7 +288,7 @@ class Programs:
         reasons = drive.reason(at_stations, speed, jump, self.keep)
         margin = float(np.nanmin(at_stations.joint, initial=np.inf))
         if count == len(group.samples) and np.isnan(group.samples.program.motions.joints).all():
-            reasons[self._wound(q[:, count:])] = drive.LIMIT
+            reasons[self._winds_past_limits(q[:, count:])] = drive.LIMIT
         violations = reasons[reasons != FREE]
         return (
             q[:, count:].T,
@@ -333,8 +341,11 @@ class Programs:
             return drive.COLLISION
         return drive.FIRST_MOVE if is_hit.any() else FREE
 
-    def _wound(self, q: Array) -> Bools:
-        """Return which samples (n,) of a whole program wind A4 or A6 past their limits, counted from the start."""
+    def _winds_past_limits(self, q: Array) -> Bools:
+        """Return True for samples (n,) of a whole program at which A4 or A6 has wound past its limits since the start.
+
+        :param q: (6, n) joint angles without whole turns [rad].
+        """
         joints = list(drive.WINDING)
         start = self.robot_in_cell.cell.start_joints[joints, None]
         steps = np.nan_to_num(wrap_angles(np.diff(q[joints], axis=1, prepend=start)))
@@ -345,7 +356,12 @@ class Programs:
     def _errors(
         self, group: _Stations, base_motion: Array, e1_shift: Array, turn: float, q: Array
     ) -> tuple[float, float, float]:
-        """Return the largest deflection and expected error on cuts [m], and the smallest singular value."""
+        """Return the largest deflection and expected error (95 %) on cuts [m], and the smallest singular value.
+
+        :param base_motion: (4, 4) motion of `$BASE` that the place makes, root axes [m].
+        :param e1_shift: (3,) by which E1 carries the robot to the place [m].
+        :param turn: of the tool about its axis [rad]; `q` (n, 6) joint angles at the stations [rad].
+        """
         cuts = np.flatnonzero(group.cuts)
         samples = group.samples
         tool = toolpath.tool_of(samples.program, samples.sample.motion[group.row])
@@ -367,14 +383,17 @@ class Programs:
 
 
 def _stations(samples: PathSamples, max_count: int) -> _Stations:
-    """Choose samples of a program: evenly along the path, and its outermost places."""
+    """Return stations of a program: samples evenly along its path, and those with the extreme coordinates.
+
+    :param max_count: number of even ones, at most.
+    """
     m = samples.program.motions
     motion = samples.sample.motion
-    usable = np.flatnonzero(np.isnan(m.joints[motion, 0]))
-    place = samples.sample.pose[usable, :3, 3]
-    even_rows = np.linspace(0, len(usable) - 1, min(max_count, len(usable))).astype(np.int64)
-    outer = np.concatenate([place.argmin(axis=0), place.argmax(axis=0)])
-    row = usable[distinct(np.append(even_rows, outer))]
+    cartesian_rows = np.flatnonzero(np.isnan(m.joints[motion, 0]))  # not on moves to joint angles
+    position = samples.sample.pose[cartesian_rows, :3, 3]
+    even_rows = np.linspace(0, len(cartesian_rows) - 1, min(max_count, len(cartesian_rows))).astype(np.int64)
+    extreme_rows = np.concatenate([position.argmin(axis=0), position.argmax(axis=0)])
+    row = cartesian_rows[distinct(np.append(even_rows, extreme_rows))]
     previous = np.maximum(row - 1, 0)
     pair_rows = np.append(previous, row)
     carriage = samples.program.carriage
@@ -432,8 +451,8 @@ def check_base(program: Program, robot_in_cell: RobotInCell, shifted_program: Pr
             )
 
 
-def _better(place: JudgedPlace, rival: JudgedPlace) -> bool:
-    """Return whether a place is better than another: a smaller error, or one that is alike with more margin."""
+def _is_better(place: JudgedPlace, rival: JudgedPlace) -> bool:
+    """Return whether a place is better than another: by a smaller error, or by more margin if errors are alike."""
     if (
         place.reachable
         and rival.reachable
@@ -471,7 +490,7 @@ def search(
     judgements: list[JudgedPlace] = []
 
     def judged(place: Array) -> JudgedPlace:
-        """Return the judgement of a place by samples, noted, with the progress shown."""
+        """Return the judgement of a place by stations; append it to the list, and report the progress."""
         judgements.append(programs.judge(place))
         if progress is not None:
             progress(min(len(judgements), total), total)
@@ -505,7 +524,11 @@ def _assess(place: JudgedPlace, assess: Assess | None) -> JudgedPlace:
 
 
 def _descend(judge: Callable[[Array], JudgedPlace], region: Region, start: JudgedPlace, steps: Array) -> None:
-    """Go to better neighbours along the axes, with steps that are halved where there are none."""
+    """Judge places from `start` on to better neighbours along the axes, with steps that are halved without any.
+
+    :param judge: judges a place (5,), and keeps the judgement.
+    :param steps: (5,) along each axis to begin with [mm, deg].
+    """
     best, free = start, region.free
     for _ in range(_HALVINGS):
         is_improving = True
@@ -573,7 +596,10 @@ def _best_by_conversion(
 
 
 def _is_neighbour(region: Region, span: Array, place: JudgedPlace, refusal: JudgedPlace) -> bool:
-    """Return whether a place is so near to a refused one that it is refused too; `span` of the free axes."""
+    """Return whether a place is so near to a refused one that it is taken for refused too.
+
+    :param span: (k,) of the region along the free axes [mm, deg].
+    """
     share = _NEIGHBOURHOOD if refusal.assessment is None else _CONVERSION_NEIGHBOURHOOD
     gap = np.abs(np.subtract(place.place, refusal.place))[region.free]
     return bool((gap < share * span).all())

@@ -15,11 +15,11 @@ _LEAST = 1e-9
 
 
 def cut_lengths(motions: Motions, length: Array, motion: Ints, t: Array, goes_on: Bools) -> Array:
-    """Return the length (K,) of the cutting path for which each target stands [m]: 0 on rapid moves, else above 0.
+    """Return the length (K,) of cutting path that each target represents [m]: 0 on rapid moves, else above 0.
 
-    The piece of path to a target counts by halves for it and for the target before it (trapezoidal rule), but wholly
-    for its end where another force begins with the piece, or where a rapid move is before it: at its start, the
-    deviation is not that of the target before. The sum is the length of all cutting motions up to the last target.
+    Half of the piece of path to a target counts for it, and half for the target before it (trapezoidal rule). All of it
+    counts for its end if another force begins with the piece, or a rapid move is before it: at its start, the deviation
+    is then not that of the target before. The sum is the length of all cutting motions up to the last target.
 
     :param motions: of the program, M of them.
     :param length: (M,) length of their paths [m]; 0 of PTP.

@@ -15,7 +15,7 @@ _STRAIGHT = 1e-6
 
 
 def retract_motions(ends: Array, up: Array) -> Bools:
-    """Return which motions (M,) retract straight up, or follow a retract before the tool comes down again.
+    """Return True for motions (M,) that retract straight up, or follow a retract before the tool descends again.
 
     :param ends: (M, 3) ends of all motions [m], in order.
     :param up: unit vector from the part to the spindle, (3,) or (M, 3).

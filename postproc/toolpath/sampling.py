@@ -142,9 +142,11 @@ class Pieces(Columns, frozen=True, eq=False):
         return self.take(np.lexsort((self.begin, self.motion)))
 
     def cut(self, parts: Ints) -> Pieces:
-        """Return the stretches cut into equal parts, `parts` (S,) the number of parts of each.
+        """Return the stretches divided into equal parts, with their pieces divided among the parts, rounded up.
 
-        Pieces are shared out, rounded up: cut into as many parts as it has pieces, each piece becomes a stretch.
+        A stretch that is divided into as many parts as it has pieces becomes one stretch for each piece.
+
+        :param parts: (S,) number of parts of each stretch.
         """
         stretches = self.take(np.repeat(np.arange(len(parts)), parts))
         index = ragged_range(parts)
@@ -242,7 +244,7 @@ def places(
     arcs: Pieces,
     extra_places: tuple[Ints, Array] | None = None,
 ) -> tuple[Ints, Array]:
-    """Choose the places at which the path is computed: every end, middle and end of each piece of an arc, and between.
+    """Return the places at which the path is computed: ends of motions, middles and ends of pieces, and between.
 
     :param tolerance: largest path error [m].
     :param arcs: the pieces of the arcs.

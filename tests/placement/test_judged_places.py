@@ -217,7 +217,7 @@ def test_a4_and_a6_of_a_whole_program_are_counted_from_the_start(axis, start, re
     begin = np.zeros(6)
     begin[axis] = np.radians(start)
     judged.robot_in_cell = replace_start(judged.robot_in_cell, begin)
-    found = judged._wound(q)
+    found = judged._winds_past_limits(q)
     expected = (angles < low[0] + LeastMargins().joint) | (angles > high[0] - LeastMargins().joint)
     np.testing.assert_array_equal(found, expected)
     assert found.any() == (reason == drive.LIMIT)

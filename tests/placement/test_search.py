@@ -129,11 +129,11 @@ def test_the_best_of_places_that_are_alike_is_the_one_with_more_margin():
         (1.01005e-4, 0.2, False), (0.99005e-4, 0.05, True),
     ):  # fmt: skip
         other = replace(one, u95=cost, margin=margin)
-        assert region._better(other, one) is is_better
-        assert region._better(one, other) is not is_better
+        assert region._is_better(other, one) is is_better
+        assert region._is_better(one, other) is not is_better
     refused = JudgedPlace((0.0,) * 5, drive.REACH)
-    assert region._better(one, refused)
-    assert not region._better(refused, one)
+    assert region._is_better(one, refused)
+    assert not region._is_better(refused, one)
 
 
 def test_a_place_states_its_problem_and_its_cost():
