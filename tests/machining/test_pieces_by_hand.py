@@ -401,3 +401,25 @@ def test_the_depth_of_a_cut_is_that_of_cells_that_the_tool_covers_fully():
     assert stocks.depth_of(stock, Cutter(5e-3, 0.0, 2), deep, deep + np.array([0.01, 0, 0])) == pytest.approx(
         0.02, abs=1e-6
     )
+
+
+@pytest.mark.parametrize("rows_at_once", [1, 4, 1000])
+def test_the_map_of_a_wedge_is_its_plane_however_many_rows_are_taken_at_once(monkeypatch, rows_at_once):
+    """The top rises from 2 to 12 mm along y, the floor is at −3 mm; ten rows are no multiple of four."""
+    corners = [
+        (x, y, z) for x in (0.0, 0.02) for y, heights in ((0.0, (-3e-3, 2e-3)), (0.02, (-3e-3, 12e-3))) for z in heights
+    ]
+    quads = [(0, 2, 6, 4), (1, 5, 7, 3), (0, 4, 5, 1), (2, 3, 7, 6), (0, 1, 3, 2), (4, 6, 7, 5)]
+    faces = np.array([face for a, b, c, d in quads for face in ((a, b, c), (a, c, d))])
+    whole = stocks.from_mesh(np.array(corners), faces, 2e-3)
+    rows, columns = whole.high.shape
+    monkeypatch.setattr(stocks, "_MOST_PAIRS", rows_at_once * columns * stocks._SUBDIVISION**2)
+    stock = stocks.from_mesh(np.array(corners), faces, 2e-3)
+    y = stock.y + 2e-3 * (np.arange(rows) + 0.5)
+    inside = (y > 1e-3) & (y < 0.019)
+    middle = columns // 2
+    np.testing.assert_allclose(stock.high[inside, middle], 2e-3 + 0.5 * y[inside], atol=1e-7)
+    np.testing.assert_allclose(stock.floor[inside, middle], -3e-3, atol=1e-7)
+    for name in ("high", "low", "share", "floor"):
+        np.testing.assert_array_equal(getattr(stock, name), getattr(whole, name))
+    assert stock.volume() == pytest.approx(0.02 * 0.02 * 10e-3, rel=0.01)
