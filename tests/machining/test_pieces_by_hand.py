@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from postproc.errors import ForceError
-from postproc.machining import branches, profiles, resolution, tilted
+from postproc.machining import branches, cutting, profiles, resolution, tilted
 from postproc.machining import stock as stocks
 from postproc.machining.leaning import depth_inside
 from postproc.machining.tool import Cutter
@@ -423,3 +423,13 @@ def test_the_map_of_a_wedge_is_its_plane_however_many_rows_are_taken_at_once(mon
     for name in ("high", "low", "share", "floor"):
         np.testing.assert_array_equal(getattr(stock, name), getattr(whole, name))
     assert stock.volume() == pytest.approx(0.02 * 0.02 * 10e-3, rel=0.01)
+
+
+@pytest.mark.parametrize("reach", [0, 1, 3, 20])
+def test_marks_near_a_point_are_those_up_to_some_points_to_either_side(reach):
+    marks = np.random.default_rng(8).random((6, 14)) < 0.15
+    marks[0] = False
+    found = cutting._has_no_mark_near(marks, reach)
+    for row in range(6):
+        for k in range(14):
+            assert found[row, k] == (not any(marks[row, max(k - reach, 0) : k + reach + 1]))
