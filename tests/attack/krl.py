@@ -145,7 +145,7 @@ def executed(files, seed, program, main="PART", initmov="cell"):
     reported = {("part.src", issue.source_line) for issue in program.issues if issue.kind == "motions-elsewhere"}
     stay = {(one.file, one.line) for one in program.unresolved}
     first, second = ([shown(one) for one in motions if not stays(one, stay)] for motions in controller.rounds)
-    if first != second and program.layout.course.endless:
+    if first != second and program.layout.course.endless_loop:
         raise Wrong("the rounds of a LOOP without EXIT differ")
     made, elsewhere, begins_uncorrected = [], set(), False
     for motion in motions:

@@ -218,7 +218,7 @@ class Course(Struct, frozen=True, eq=False):
     counts: Mapping[int, int] = field(default_factory=dict)
 
     @property
-    def endless(self) -> UnrolledLoop | None:
+    def endless_loop(self) -> UnrolledLoop | None:
         """The LOOP without EXIT at the end of the program; None if there is none."""
         last = self.body.parts[-1] if self.body.parts else None
         return last if isinstance(last, UnrolledLoop) and last.endless else None

@@ -206,7 +206,10 @@ class Krl:
         program: str,
         used_names: Collection[str],
     ) -> tuple[tuple[Document, ...], dict[str, str]] | None:
-        """Return the files of a program with other names for some of its subprograms, see `write.own_copies`."""
+        """Return the files of a program with other names for some of its subprograms, see `write.own_copies`.
+
+        :returns: the files, and new file name → old file name; None if the names cannot be changed.
+        """
         return write.own_copies(documents, unchanged, stems, program, used_names)
 
     def read(

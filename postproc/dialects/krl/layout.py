@@ -106,9 +106,9 @@ class Layout(Struct, frozen=True, eq=False):
     files: tuple[tuple[str, int], ...] = ()
 
     def spans(self, rows: Ints | slice, columns: slice = slice(None)) -> Offsets:
-        """Return the spans of the texts of X … T of motions (n, 8, 2), or of some of these columns; −1 where missing.
+        """Return the spans of the texts of X … T of n motions (n, 8, 2), or of some of these columns; −1 where missing.
 
-        Of `elements` they are offsets in the data list.
+        They are offsets in the file of the motion; for array elements (`elements`) in the data list that declares them.
         """
         offsets = self.within[rows, columns].astype(np.int32)
         return np.where(offsets > 0, offsets + self.begin[rows, None, None], -1)

@@ -273,8 +273,11 @@ def is_approximated(text: str) -> bool:
 
 def _is_approximation(text: str, start: int, stop: int) -> bool:
     """Return whether the last word of a piece of code is that of an approximation."""
-    spans = list(words_in(text, start, stop))
-    return bool(spans) and spans[-1][0].startswith("C_") and not text[spans[-1][1].stop : stop].strip()
+    words = list(words_in(text, start, stop))
+    if not words:
+        return False
+    word, span = words[-1]
+    return word.startswith("C_") and not text[span.stop : stop].strip()
 
 
 def tail_in(source: Source, start: int, stop: int) -> Tail:

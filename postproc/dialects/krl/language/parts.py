@@ -162,7 +162,10 @@ def joined_program(documents: Sequence[Document]) -> JoinedProgram | None:
 
 
 def separated_texts(text: str) -> list[str]:
-    """Return the texts of the files that one text was joined from, the main one first."""
+    """Return the texts of the files that one text was joined from, the main one first.
+
+    Marks that `joined_program` put before lines, and the END that it added, are removed.
+    """
     pieces = text.removesuffix(_END).split(_BEGINS)
     return [_UNENDED_LINE.sub(r"\1", piece).replace(_DIVIDES, "") for piece in pieces]
 

@@ -60,7 +60,7 @@ def routines(text: str) -> Iterator[RoutineHead]:
 
 
 def whole_routines(text: str) -> Iterator[RoutineHead]:
-    """Yield the routines that begin and end in a text."""
+    """Yield the routines that begin and end in a text, and whether each is empty."""
     for match in _WHOLE_ROUTINE.finditer(text):
         empty = _CODE.search(match["body"]) is None
         yield RoutineHead(match["name"].upper(), bool(match["public"]), match.start(), empty)
@@ -129,7 +129,7 @@ def name_places(text: str, names_to_find: Collection[str]) -> Iterator[tuple[str
         yield match[0], match.start()
 
 
-def with_name(text: str, name: str) -> str:
+def text_with_name(text: str, name: str) -> str:
     """Return the text of a file with another name behind its first DEF or DEFDAT."""
     match = _HEAD_NAME.search(text)
     return text if match is None else text[: match.start("name")] + name + text[match.end("name") :]

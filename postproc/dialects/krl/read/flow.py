@@ -106,7 +106,7 @@ class Flow:
                 return
 
     def label_of(self, source: Source, line: int) -> str:
-        """Return the label to which a GOTO leads, upper case."""
+        """Return the label to which a GOTO leads, upper case; empty for other statements."""
         stmt = statement(source, line)
         return stmt.label if isinstance(stmt, tree.Goto) else ""
 

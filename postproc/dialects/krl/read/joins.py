@@ -127,7 +127,7 @@ class _Successors:
 
         It then does not matter where a round ends. Branches before that PTP count as none.
         """
-        loop, lines = self._course.endless, self._ordered.rows.line
+        loop, lines = self._course.endless_loop, self._ordered.rows.line
         if loop is None:
             return True
         row = int(np.searchsorted(lines, loop.first))
@@ -307,7 +307,7 @@ def transitions(
             branch_ends = branch_ends if step.complete else branch_ends | entries
             ends = branch_ends if step in unchecked_joins else {min(branch_ends)}
     run_to(len(line))
-    loop = course.endless
+    loop = course.endless_loop
     if loop is not None and max(kept_lines, default=0) < max(line, default=0):
         first, stop = np.searchsorted(line, [loop.first, loop.last]).tolist()
         rows = first + np.flatnonzero(previous_rows[first:stop] == previous_rows[first : first + 1])

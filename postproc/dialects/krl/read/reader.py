@@ -229,7 +229,7 @@ class _Reading(Struct, frozen=True, eq=False):
         check_joins(course, joins, motions, layout.carriage, frames, start_flange)
         loop_issues: list[Issue] = []
         rounds: tuple[tuple[int, ...], ...] = ()
-        if (loop := course.endless) is not None:
+        if (loop := course.endless_loop) is not None:
             loop_starts = start_poses(loop, layout.line, motions, frames, start_flange, predecessors)
             loop_issues, rounds = check_endless_loop(
                 course, loop, layout.line, motions, loop_starts, layout.carriage, notes, run.settings

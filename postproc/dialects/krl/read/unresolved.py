@@ -180,7 +180,7 @@ def _marks(main: MainRoutine) -> list[tuple[int, bool]]:
         if not trace.is_count[row - 1] and (course.live is None or course.live[row - 1]):
             word = _sync_word(*trace.place(row), names, is_entered=row in entry_lines)
             marks += [(row, not at_any_time and (waiting or word == _WAITING))] if word else []
-    loop = course.endless
+    loop = course.endless_loop
     if loop is not None and any(loop.first <= row < loop.last for row, _ in marks):
         marks += [(loop.first - 1, True), (loop.last, True)]
     return sorted(marks)

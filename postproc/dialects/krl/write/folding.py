@@ -207,7 +207,7 @@ class _Folder(Struct, eq=False):
         """Return the version of a routine that a call needs; one with other changes is a copy with a new name."""
         versions, routine = self.versions[call.routine], call.routine
         key = self._body_key(call.body)
-        if routine in self.course.pinned and not versions:
+        if routine in self.course.pinned and not versions:  # the unchanged text keeps the name
             text = line_text(routine.source, routine.first + 1, routine.last - 1)
             versions[()] = _Version(routine.name, _Piece(line_count(text), (text,)))
         if key not in versions:

@@ -89,7 +89,9 @@ def _replace_names(text: str, new_names: Mapping[str, str]) -> str:
 
 def _rename_document(document: Document, name: str) -> Document:
     """Return a file with another name, also behind its first DEF or DEFDAT."""
-    return replace(document, name=f"{name}{PurePath(document.name).suffix}", text=scan.with_name(document.text, name))
+    return replace(
+        document, name=f"{name}{PurePath(document.name).suffix}", text=scan.text_with_name(document.text, name)
+    )
 
 
 _HEADS = frozenset({"DEF", "DEFDAT", "EXT"})

@@ -28,7 +28,7 @@ from postproc.dialects.krl.language.names import MAX_LENGTH, MOTION_WORDS, fault
 from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.parts import MAIN, joined_program, separated_texts
 from postproc.dialects.krl.language.routines import Module, routines
-from postproc.dialects.krl.language.scan import with_name
+from postproc.dialects.krl.language.scan import text_with_name
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.tokens import names_in, word_at
 from postproc.dialects.krl.language.tree import Definition
@@ -64,7 +64,7 @@ def add_data_files(sources: Sequence[Document], data: Document | None) -> Iterat
         if index == 0 and any(data_line.names and data_line.line not in moved_lines for data_line in lines):
             all_lines = range(1, len(source.starts) + 1)
             text = "".join(_line_with_end(source, line) for line in all_lines if line not in moved_lines)
-            yield replace(data, name=f"{stem}.dat", text=with_name(text, stem))
+            yield replace(data, name=f"{stem}.dat", text=text_with_name(text, stem))
         texts = [
             data_line.text for data_line in lines if data_line.line in needed_lines[index] and not data_line.public
         ]
@@ -218,7 +218,7 @@ class _Splitter:
             )
             self.issues.append(Issue("warning", "global-routines", message))
         documents = [self._document(file, source) for file in files]
-        documents[0] = replace(documents[0], text=with_name(documents[0].text, files[0].name))
+        documents[0] = replace(documents[0], text=text_with_name(documents[0].text, files[0].name))
         return replace(
             self.whole,
             documents=tuple(add_data_files(documents, data)),
