@@ -107,7 +107,7 @@ def key_word(text: str, start: int, stop: int, word: str) -> Span | None:
 
 
 def operator_at(text: str, start: int, stop: int) -> tuple[str, int]:
-    """Return the comparison or logical operator at an offset, upper case, and the offset behind it; else an empty text."""
+    """Return the comparison or logical operator at an offset, upper case, and the offset behind it; empty if none."""
     start = after_blanks(text, start, stop)
     match = _OPERATOR.match(text, start, stop)
     return (match[0].upper(), match.end()) if match else ("", start)
