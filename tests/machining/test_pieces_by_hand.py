@@ -423,6 +423,8 @@ def test_the_map_of_a_wedge_is_its_plane_however_many_rows_are_taken_at_once(mon
     for name in ("high", "low", "share", "floor"):
         np.testing.assert_array_equal(getattr(stock, name), getattr(whole, name))
     assert stock.volume() == pytest.approx(0.02 * 0.02 * 10e-3, rel=0.01)
+    for box in (stock, stocks.from_box(*BLOCK, 2e-3)):  # points below this height are compared with the floor
+        assert 0.0 < box.ground - float(box.floor.max()) < 1e-5
 
 
 @pytest.mark.parametrize("reach", [0, 1, 3, 20])
