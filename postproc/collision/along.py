@@ -218,9 +218,8 @@ class _Search:
             is_noted = (smaller < self.need) | (smaller <= 0.0)  # reported already
             may_hit = (bound < self.need) & ~is_noted
             is_open = (may_hit | (bound < self._smallest_distance() - _EXACT)) & (length > _SHORT)
-            rows, begin, end, begin_distance, end_distance = (
-                values[is_open] for values in (rows, begin, end, begin_distance, end_distance)
-            )
+            rows, begin, end = rows[is_open], begin[is_open], end[is_open]
+            begin_distance, end_distance = begin_distance[is_open], end_distance[is_open]
             if not len(rows):
                 return
             middle = 0.5 * (begin + end)

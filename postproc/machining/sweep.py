@@ -231,13 +231,13 @@ class Sweep(Struct, eq=False):
 
         :param top: height of the highest material [m].
         """
-        x0, x1, y0, y1 = self.stock.bounds
+        x_low, x_high, y_low, y_high = self.stock.bounds
         reach = np.zeros(len(segments.motion))
         for number in distinct(self.tools.tool[segments.motion]).tolist():
             reach[self.tools.tool[segments.motion] == number] = self._cutter(number).radius
         low, high = np.minimum(segments.begin, segments.end), np.maximum(segments.begin, segments.end)
-        may_touch = (low[:, 2] < top) & (high[:, 0] + reach > x0) & (low[:, 0] - reach < x1)
-        may_touch &= (high[:, 1] + reach > y0) & (low[:, 1] - reach < y1)
+        may_touch = (low[:, 2] < top) & (high[:, 0] + reach > x_low) & (low[:, 0] - reach < x_high)
+        may_touch &= (high[:, 1] + reach > y_low) & (low[:, 1] - reach < y_high)
         may_touch[segments.leans] = (low[:, 2] - reach - _SAGITTA < top)[segments.leans]
         return np.asarray(may_touch)
 
@@ -298,9 +298,11 @@ class Sweep(Struct, eq=False):
     def _upright_sweep(
         self, segments: StraightSegments, begin: int, end: int, cutter: Cutter, *, goes_on: bool
     ) -> Footprint:
-        """Remove what a tool along z sweeps, and return the cells under its front where it goes on.
+        """Remove the material that a tool along z sweeps, and return the cells under its front, which are not cut yet.
 
         :param begin: first segment, and `end` the one after the last.
+        :param goes_on: the tool moves on from the last segment; else all material is removed, and no cells are
+            returned.
         """
         run_begins = _straight_runs(segments, begin, end)
         run_ends = [*(run_begins[1:] - 1), end - 1]
@@ -380,9 +382,9 @@ class Sweep(Struct, eq=False):
     def _highest_level(self, position: Array, radius: float) -> float:
         """Return the highest level of the map within `radius` of positions (n, 3) of the tip [m]; −inf off the map."""
         stock, reach = self.stock, radius + 2.0 * self.stock.cell
-        (x0, y0), (x1, y1) = position[:, :2].min(axis=0) - reach, position[:, :2].max(axis=0) + reach
-        columns = slice(max(0, int((x0 - stock.x) / stock.cell)), max(0, int((x1 - stock.x) / stock.cell) + 1))
-        rows = slice(max(0, int((y0 - stock.y) / stock.cell)), max(0, int((y1 - stock.y) / stock.cell) + 1))
+        (x_low, y_low), (x_high, y_high) = position[:, :2].min(axis=0) - reach, position[:, :2].max(axis=0) + reach
+        columns = slice(max(0, int((x_low - stock.x) / stock.cell)), max(0, int((x_high - stock.x) / stock.cell) + 1))
+        rows = slice(max(0, int((y_low - stock.y) / stock.cell)), max(0, int((y_high - stock.y) / stock.cell) + 1))
         return float(stock.high[rows, columns].max(initial=-np.inf))
 
     def _cuts_at(self, turn: Turn, number: int, position: Array, heading: Array, motion: Ints, t: Array) -> Cuts:
@@ -465,7 +467,11 @@ class Sweep(Struct, eq=False):
         return cut_edge(self.stock, turn, x, y, position.astype(np.float32), descent * cutter.teeth)
 
     def _tilted_cuts(self, path: TiltedPath, number: int, top: float) -> Iterator[Cuts]:
-        """Yield engagement and loads of tool `number`, which leans or turns; `top` is the highest material near [m]."""
+        """Yield engagement and loads of a tool that leans or turns, in chunks that limit memory.
+
+        :param number: of the tool, as an index in `ToolStates.keys`.
+        :param top: height of the highest material near the path [m].
+        """
         cutter, step = self._cutter(number), self.stock.cell
         height = (top - float(path.tip[:, 2].min()) + cutter.radius) / float(path.axis[:, 2].min())
         count = max(1, int(np.ceil(height / step / _SLICE_STEP))) * _SLICE_STEP
@@ -500,9 +506,11 @@ class Sweep(Struct, eq=False):
         return path, max(self._highest_level(path.tip, cutter.radius + reach), float(path.tip[:, 2].min()))
 
     def _tilted_sweep(self, path: TiltedPath, cutter: Cutter, top: float, *, goes_on: bool) -> Footprint:
-        """Remove what a tool that leans or turns sweeps, and return the cells under its front where it goes on.
+        """Remove the material that a tool that leans or turns sweeps, and return the cells under its front.
 
         :param top: height of the highest material near [m].
+        :param goes_on: the tool moves on from the end of the path; else all material is removed, and no cells are
+            returned.
         """
         sweep = tilted.sweep(self.stock, cutter, *path.poses, top)
         last = int(path.motion[-1])
@@ -536,11 +544,11 @@ def _extent(segments: StraightSegments, begin: int, end: int, cutter: Cutter) ->
 
 
 def _straight_runs(segments: StraightSegments, begin: int, end: int) -> Ints:
-    """Return the first segments (k,) of the straight runs from `begin` to `end` (exclusive): one is cut at once."""
-    chord = segments.end[begin:end] - segments.begin[begin:end]
-    chord /= np.linalg.norm(chord, axis=1)[:, None]
-    bends = np.abs(np.diff(chord, axis=0)).max(axis=1, initial=0.0) > _ON_LINE
-    return np.concatenate([[begin], np.flatnonzero(bends) + begin + 1])
+    """Return the first segment of each straight run (k,) among the segments from `begin` to `end` (exclusive)."""
+    direction = segments.end[begin:end] - segments.begin[begin:end]
+    direction /= np.linalg.norm(direction, axis=1)[:, None]
+    has_bend = np.abs(np.diff(direction, axis=0)).max(axis=1, initial=0.0) > _ON_LINE
+    return np.concatenate([[begin], np.flatnonzero(has_bend) + begin + 1])
 
 
 def _dot(a: list[float], b: list[float]) -> float:
@@ -549,7 +557,9 @@ def _dot(a: list[float], b: list[float]) -> float:
 
 
 def _engagement_sizes(turn: Turn, cuts: Floats) -> tuple[Array, Array, Array, Array]:
-    """Return smallest and largest angle in material [rad], depth and width of cut [m], (n,) each.
+    """Return smallest and largest angle in material [rad], depth and width of cut [m], (n,) each; NaN angles in air.
+
+    The width of cut is the extent of the edge in material across the feed.
 
     :param cuts: (n, P) length of edge that cuts at the points of a turn [m].
     """
@@ -558,13 +568,19 @@ def _engagement_sizes(turn: Turn, cuts: Floats) -> tuple[Array, Array, Array, Ar
         axis=1, keepdims=True, initial=0.0
     )
     has_contact = is_engaged.any(axis=1)
-    half, outer = 0.5 * turn.width, turn.radius + np.where(turn.axial > 0.0, 0.5 * turn.length * turn.axial, 0.0)
-    outer = np.minimum(outer, turn.radius[turn.side].max(initial=0.0) or np.inf)  # that of the corner is straight
-    lateral = outer * np.cos([turn.phi - half, turn.phi, turn.phi + half])
-    ends = [
-        (np.where(is_engaged, low, np.inf).min(axis=1), np.where(is_engaged, high, -np.inf).max(axis=1))
-        for low, high in ((turn.phi - half, turn.phi + half), (lateral.min(axis=0), lateral.max(axis=0)))
-    ]
-    enter, leave = (np.where(has_contact, angle, np.nan) for angle in ends[0])
+    half_width = 0.5 * turn.width
+    outer_radius = turn.radius + np.where(turn.axial > 0.0, 0.5 * turn.length * turn.axial, 0.0)
+    # pieces of a round corner are taken for straight: their outer ends must not be outside of the cylinder
+    outer_radius = np.minimum(outer_radius, turn.radius[turn.side].max(initial=0.0) or np.inf)
+    lateral = outer_radius * np.cos([turn.phi - half_width, turn.phi, turn.phi + half_width])
+
+    def extent(low: Array, high: Array) -> tuple[Array, Array]:
+        """Return the smallest of `low` and the largest of `high` (P,) over the engaged points, (n,) each."""
+        return np.where(is_engaged, low, np.inf).min(axis=1), np.where(is_engaged, high, -np.inf).max(axis=1)
+
+    enter, leave = (
+        np.where(has_contact, angle, np.nan) for angle in extent(turn.phi - half_width, turn.phi + half_width)
+    )
+    right, left = extent(lateral.min(axis=0), lateral.max(axis=0))
     depth = cutting.product_in_blocks(cuts, turn.tall).max(axis=1) if turn.side.start > 0 else cuts.max(axis=1)
-    return enter, leave, depth.astype(float), np.where(has_contact, ends[1][1] - ends[1][0], 0.0)
+    return enter, leave, depth.astype(float), np.where(has_contact, left - right, 0.0)

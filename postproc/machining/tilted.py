@@ -132,11 +132,12 @@ class TiltedPath(Columns, frozen=True, eq=False):
 
 
 def loads(stock: Stock, turn: Turn, path: TiltedPath, tooth: Array, hand: Ints) -> tuple[Loads, Floats, Bools]:
-    """Return the mean loads of a tool that leans or turns in `local_axes`, and its edge in material that cuts (S, P).
+    """Return the mean loads of a tool that leans or turns at the S stations of a path.
 
     :param tooth: (S,) time from one tooth to the next [s].
     :param hand: (S,) 1 for M3, −1 for M4.
-    :returns: also which stations (S,) are along the spindle.
+    :returns: loads in `local_axes`; length of edge that cuts at each sample point (S, P) [m]; True for stations (S,)
+        at which the travel is along the spindle.
     """
     axes, is_axial = local_axes(path.heading, path.axis)
     edge_axes = axes.copy()
@@ -181,7 +182,7 @@ class SweptCells(Struct, frozen=True, eq=False):
 
 
 def sweep(stock: Stock, cutter: Cutter, tip: Array, axis: Array, top: float) -> SweptCells:
-    """Return the cells under a tool that moves from pose to pose.
+    """Return the cells under a tool that moves from pose to pose, without removing their material.
 
     :param tip: (n, 3) positions of the tip [m], and axis: (n, 3) unit directions to the spindle, frame of the map,
         close together, n > 1.
@@ -229,10 +230,9 @@ def _is_ahead(
     level: Array | Floats,
     margin: float,
 ) -> Bools:
-    """Return where a tool moves outwards at the end of moves, and points (L, h, w) are near its side or outside of it.
+    """Return True for points (L, h, w) next to the side of a tool, or outside of it, where the tool moves outwards.
 
-    A point moves with the tool outwards where the velocity of the tool at it has a component along the normal of its
-    cylinder.
+    It does so where its velocity at the point has a component along the outward normal of its cylinder.
 
     :param tip: (n, 3) positions of the tip [m], and `axis` (n, 3) unit directions to the spindle at the poses.
     :param rows: (L,) first pose of each move.
@@ -257,7 +257,7 @@ def _is_ahead(
 def _lowest_levels(
     cutter: Cutter, tip: Array, axis: Array, rows: Ints, x: Array, y: Array
 ) -> tuple[Array, Bools, Array]:
-    """Return the lowest level of a tool over cells as it moves from pose to pose, each (L, h, w).
+    """Return the lowest level of a tool over cells in L moves from one pose to the next, each (L, h, w).
 
     The slope of the lower side with the move is known at both ends, so that its minimum between them is found from two
     planes or from a parabola.
@@ -276,7 +276,7 @@ def _lowest_levels(
         px, py = x - displacement[:, 0, None, None], y - displacement[:, 1, None, None]
         low, high, slope = _lower_and_upper_sides(cutter, axis[pose], px, py, shift, turn)
         sides.append((low + tip[pose, 2, None, None], high + tip[pose, 2, None, None], slope))
-    (low_a, high_a, slope_a), (low_b, high_b, slope_b) = sides
+    (low_a, high_a, slope_a), (low_b, high_b, slope_b) = sides  # at both poses of each move
     level = np.minimum(low_a, low_b)
     has_minimum = np.isfinite(low_a) & np.isfinite(low_b) & (slope_a < 0.0) & (slope_b > 0.0)
     a, b, sa, sb = low_a[has_minimum], low_b[has_minimum], slope_a[has_minimum], slope_b[has_minimum]

@@ -70,7 +70,7 @@ def tool_states(program: Program, process: Process) -> ToolStates:
 
 
 def cutter_entries(program: Program, process: Process) -> Ints:
-    """Return the row of [tools] that each motion is cut by (M,); −1: none.
+    """Return the entry of [tools] of the cutter of each motion (M,), by its row in the process; −1: it has none.
 
     :raises ForceError: several names of a tool of a robot program have an entry.
     """
@@ -94,7 +94,7 @@ def _tool_numbers(program: Program) -> Ints:
 
 
 def tapping_motions(program: Program, tools: ToolStates) -> Ints:
-    """Return the motions at feed at whose end the spindle reverses before another motion at feed: into a thread."""
+    """Return the motions (n,) that cut a thread: at feed, with a reversed spindle on the motion at feed after them."""
     is_cut = ~np.asarray(program.motions.rapid)
     return np.flatnonzero((tools.hand[1:] != tools.hand[:-1]) & is_cut[1:] & is_cut[:-1])
 
@@ -232,7 +232,7 @@ _RAPID = re.compile(r"\s*S?PTP", re.IGNORECASE)
 
 
 def refuse_unread_cuts(program: Program) -> None:
-    """Refuse routines that cut and are not followed: their motions would remain uncorrected under force.
+    """Refuse a program that calls routines whose cuts were not read: these would remain uncorrected under force.
 
     :raises ProgramError: there is one; the error names the cause.
     """
@@ -499,9 +499,10 @@ class ToolPoses(Struct, frozen=True, eq=False):
 
 
 def _divided_at_shift(motion: Ints, first: Array, last: Array, shift: Shift) -> tuple[Ints, Array, Array]:
-    """Return segments, divided where displacements are given: motion, begin and end (k,) of the parts.
+    """Return segments divided at the places of a displacement: motion (k,), and places (k,) of begin and end.
 
     :param motion: (L,) of the segments, in order; `first` (L,) and `last` (L,) places where they begin and end.
+    :param shift: displacement of the tip, given at places on the path.
     """
     # motion + t is one sorted key of all places
     keys = np.unique(np.concatenate([motion + first, shift.motion + shift.t, motion + last]))
@@ -516,7 +517,12 @@ def _divided_at_shift(motion: Ints, first: Array, last: Array, shift: Shift) -> 
 def _to_map(
     program: Program, motion: Ints, frame: Array, points: tuple[Array, Array], directions: tuple[Array, Array]
 ) -> tuple[Array, Array, Array, Array]:
-    """Return points and directions, each (L, 3) in the `$BASE` of their motion, in the frame of the map."""
+    """Return two points and two directions of L segments in the frame of the map, each (L, 3).
+
+    :param motion: (L,) rows of `Motions`.
+    :param frame: (4, 4) frame of the map in the `$BASE` of the stock, see `home_base`.
+    :param points: each (L, 3) in the `$BASE` of the motion [m], and `directions` likewise.
+    """
     base = program.motions.base[motion]
     vectors = [vector.copy() for vector in (*points, *directions)]
     home = home_base(program)
@@ -552,7 +558,7 @@ def home_base(program: Program) -> int:
 
 
 def _length_by_base(program: Program) -> Array:
-    """Return the length of moves at feed in each $BASE (nb,) [m], without moves between frames; arcs as chords."""
+    """Return the length of moves at feed in each `$BASE` (nb,) [m]; arcs as chords, without moves between frames."""
     m = program.motions
     chord = norm(np.diff(m.target[:][:, :3, 3], axis=0, prepend=0.0))
     is_within = ~m.rapid & (np.diff(m.base, prepend=-1) == 0)
