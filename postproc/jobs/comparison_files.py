@@ -114,8 +114,8 @@ def compare_programs(request: CompareRequest) -> ComparisonFiles:
         pairs: pairs_csv(comparison),
         page: comparison_page(comparison, content),
     }
-    whole = add_record(contents, record, lambda entries: json_bytes(replace(content, files=entries)))
-    paths = write_whole(folder, whole)
+    contents_with_record = add_record(contents, record, lambda entries: json_bytes(replace(content, files=entries)))
+    paths = write_whole(folder, contents_with_record)
     return ComparisonFiles(EXCEEDED if content.verdict.state == "failed" else GOOD, content, tuple(paths))
 
 
@@ -203,21 +203,26 @@ def _refuse_corrected_program(path: Path, program: Program) -> None:
 
 
 def _origin(program: Program) -> provenance.Provenance:
+    """Return what a program states of its origin; of a format that postproc does not write, nothing."""
     writer = registry.dialect_of_name(program.dialect).writer
     return provenance.Provenance("none") if writer is None else writer.origin(program.documents)
 
 
 def _origin_of_second(request: CompareRequest, cell: Cell, nominal: Program, second_program: Program) -> ProgramOrigin:
-    """Return the origin of the second program, as far as it states it."""
-    origin, first = _origin(second_program), _origin(nominal)
+    """Return the stated origin of the second program, and which of its inputs agree with those of the request.
+
+    Forces that are not given are not compared.
+    """
+    origin, nominal_origin = _origin(second_program), _origin(nominal)
     if not origin.sums:
         return ProgramOrigin(origin, {})
     request_origin = origin_of(nominal.documents, request.cell, cell, request.forces, "corrected")
-    sums = {"program": "source", "cell": "cell", "robot model": "model", "force file": "forces"}
-    agrees = {name: origin.sums.get(key) == getattr(request_origin, key) for name, key in sums.items()}
-    if first.state == "intact" and first.mode == "nominal":  # both were written from one program
+    key_of_input = {"program": "source", "cell": "cell", "robot model": "model", "force file": "forces"}
+    agrees = {name: origin.sums.get(key) == getattr(request_origin, key) for name, key in key_of_input.items()}
+    if nominal_origin.state == "intact" and nominal_origin.mode == "nominal":  # both were written from one program
         agrees |= {
-            name: first.sums.get(sums[name]) == origin.sums.get(sums[name]) for name in ("program", "force file")
+            name: nominal_origin.sums.get(key_of_input[name]) == origin.sums.get(key_of_input[name])
+            for name in ("program", "force file")
         }
     without_forces = request.forces is None and not agrees["force file"]
     if without_forces:

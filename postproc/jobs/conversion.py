@@ -42,7 +42,10 @@ _OPTIONS = ("tolerance_mm", "part_tolerance_mm", "lines_per_file", "linearize_ar
 
 
 def options_of(settings: Settings) -> dict[str, str]:
-    """Return the settings that were given, as a written program says them."""
+    """Return the settings that the user gave, as text for the line of origin: name → value.
+
+    A switch that is on is ``"1"``; a float has all its digits, so that the same settings give the same text.
+    """
     values = {name: getattr(settings, name) for name in _OPTIONS}
     values = {name: value for name, value in values.items() if value is not None and value is not False}
     return {name: repr(value) if isinstance(value, float) else f"{value:d}" for name, value in values.items()}
@@ -51,7 +54,9 @@ def options_of(settings: Settings) -> dict[str, str]:
 def mark_origin(
     result: Result, job: Job, settings: Settings, cell: Cell, own_names: Mapping[str, str] | None = None
 ) -> Result:
-    """Return a result whose program states where it comes from; one that is unchanged to the byte states nothing new.
+    """Return a result whose program states its origin in a comment line; `output_line` follows the inserted lines.
+
+    A program that is unchanged to the byte gets no such line.
 
     :param own_names: names of copies of subprograms → names as they were read.
     """
@@ -70,22 +75,25 @@ def mark_origin(
 
 
 def _contents(documents: Sequence[Document]) -> list[tuple[bytes, str, str]]:
-    """Return the contents of files, to be compared without copies."""
+    """Return byte-order mark, encoding and text of each file: two programs are equal if these are."""
     return [(document.bom, document.encoding, document.text) for document in documents]
 
 
 def _mark_modules(result: Result, job: Job, origin: provenance.Origin) -> Result:
-    """Return a result each of whose modules states where it comes from, and which of them it is."""
+    """Return a result whose modules each state their origin, their number from 1, and how many modules there are."""
     documents, line, count = list[Document](), result.output_line.copy(), len(result.modules)
-    for index, (document, first) in enumerate(zip(result.documents, result.modules, strict=True)):
+    for index, (document, first_target) in enumerate(zip(result.documents, result.modules, strict=True)):
         options = {**origin.options, "module": str(index + 1), "modules": str(count)}
         documents += job.writer.mark([document], replace(origin, options=options))[0]
-        line[first:] += 1
+        line[first_target:] += 1  # the line of origin is inserted at the top of the module
     return replace(result, documents=tuple(documents), output_line=line)
 
 
 def subprograms(result: Result, job: Job, own_names: Mapping[str, str]) -> list[str]:
-    """Return the names of the files that are written with a program because it calls routines in them."""
+    """Return the names of the written files that contain only subprograms, not the program of the job itself.
+
+    :param own_names: names of copies of subprograms → names as they were read.
+    """
     job_files = {path.name for path in job.reads()}
     called_files = {document.name for document in result.program.documents} - job_files
     return [
@@ -96,9 +104,11 @@ def subprograms(result: Result, job: Job, own_names: Mapping[str, str]) -> list[
 def _mark_subprograms(
     result: Result, job: Job, origin: provenance.Origin, own_names: Mapping[str, str]
 ) -> list[Document]:
-    """Return the files of a program; those of subprograms that differ from what was read state their own origin.
+    """Return the files of a program; subprograms that differ from what was read get a line of origin of their own.
 
-    It does not depend on the program that calls them: two programs may be given the same file.
+    That line does not name the calling program, so that two programs that call one subprogram can share its file.
+
+    :param own_names: names of copies of subprograms → names as they were read.
     """
     source_of = {document.name: document for document in result.program.documents}
     output_of = {document.name: document for document in result.documents}
@@ -107,8 +117,8 @@ def _mark_subprograms(
         return source_of[own_names.get(name, name)]
 
     for name in subprograms(result, job, own_names):
-        files = [file for file in output_of if Path(file).stem.lower() == Path(name).stem.lower()]
-        files.sort(key=lambda file: file != name)
+        files = [file for file in output_of if Path(file).stem.lower() == Path(name).stem.lower()]  # .src and .dat
+        files.sort(key=lambda file: file != name)  # the marked file first
         if Path(name).suffix.lower() == job.writer.extension and any(output_of[n].text != read(n).text for n in files):
             source = provenance.digest_of(read(file) for file in files)
             marked_files, _ = job.writer.mark(
@@ -152,7 +162,9 @@ def _inputs(origin: provenance.Origin, program: Program, output: Path) -> Inputs
 
 
 def _check_unchanged(origin: provenance.Origin, summary: Summary) -> None:
-    """Check that the sums that a result states are those of the files that it was computed from.
+    """Check that cell, robot model and forces are still those that were there before the conversion.
+
+    :param origin: sums of the files before the conversion; `summary` states those after it.
 
     :raises InputError: a file was changed meanwhile.
     """
@@ -163,7 +175,10 @@ def _check_unchanged(origin: provenance.Origin, summary: Summary) -> None:
 
 
 def _record(origin: provenance.Origin, path: Path, cell: Cell) -> Record:
-    """Return the record of a program that is converted now; see `origin_of`."""
+    """Return the record for the head of the report: title, customer, sums of the inputs, date of today.
+
+    :param path: cell file, `cell` its content.
+    """
     sums = {"program": origin.source, "cell": origin.cell, "robot model": origin.model, "forces": origin.forces}
     return Record(cell.report.title, cell.report.customer, path.name, sums, today())
 
@@ -249,7 +264,7 @@ def convert_program(
     program: Program,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[Result, ProcessForces | None]:
-    """Return the result of one program, before anything is written, and what a process makes of it.
+    """Return the result of one program before anything is written, and the forces that its process computes, or None.
 
     :param program: of the job, as `read_with_start` returns it with the cell.
     :param progress: of sweeps of the stock, see `process_forces.read`.
@@ -303,7 +318,7 @@ def check_held_feed(cell: Cell, *, process: bool) -> None:
 
 
 def _name_force_file(issue: Issue, job: Job) -> Issue:
-    """Return an issue that forces are missing with the name of a force file next to the program."""
+    """Return the issue; if it says that forces are missing, with a hint at the force file next to the program."""
     force_file = job.program.with_name(f"{job.program.stem}.forces.csv")
     if issue.kind != "no-force" or not force_file.is_file():
         return issue
@@ -394,7 +409,10 @@ def _output_of(
 
 
 def _tables_of(result: Result, stem: str) -> dict[str, bytes | Iterable[bytes]]:
-    """Return the tables of forces and targets: file name, which begins with `stem`, → content."""
+    """Return the tables of forces and targets: file name → content.
+
+    :param stem: beginning of the names, with a full stop at its end.
+    """
     tables: dict[str, bytes | Iterable[bytes]] = {}
     if result.modules:
         tables |= report.forces_by_module(result)
@@ -440,7 +458,10 @@ def surface_of(result: Result, part: Path, process: Path | None, mesh_frame: Arr
 def _add_subprograms(
     task: Task, settings: Settings, cell: Cell, robot: RobotModel, result: Result
 ) -> tuple[Result, list[str], dict[str, bytes]]:
-    """Return a result whose program states where it comes from, with subprograms that are no other program's.
+    """Return a result with its line of origin, and with subprograms that do not clash with those of other programs.
+
+    A subprogram that was written differently for another program is renamed. Each renaming may cause new clashes, so
+    this is repeated until there are none.
 
     :returns: the result, the names of the files of its subprograms, and files that are written as they were read.
     :raises InputError: see `output_plan.copy_subprograms`.
@@ -473,25 +494,28 @@ def _add_subprograms(
 
 
 def _check_same_motions(result: Result, new_documents: Sequence[Document], robot: RobotModel, cell: Cell) -> None:
-    """Read a released program again after subprograms were renamed in it: its motions must be the same.
+    """Check that a program moves as before after subprograms were renamed in it, by reading both versions.
 
     :raises InputError: they are not, or the renamed program cannot be read.
     """
     name, dialect = result.program.name, result.program.dialect
     try:
         first_program, second_program = (
-            correction.read(item, robot, cell, name, dialect) for item in (result.documents, new_documents)
+            correction.read(documents, robot, cell, name, dialect) for documents in (result.documents, new_documents)
         )
         pairs = [
-            (getattr(first_program.motions, item), getattr(second_program.motions, item))
-            for item in Motions.__struct_fields__
+            (getattr(first_program.motions, field), getattr(second_program.motions, field))
+            for field in Motions.__struct_fields__
         ]
         pairs.append((first_program.numbers_as_written(), second_program.numbers_as_written()))
         is_same = all(np.array_equal(first, second, equal_nan=True) for first, second in pairs)
     except ProgramError:
         is_same = False
     if not is_same:
-        names = ", ".join(sorted({item.name for item in new_documents} - {item.name for item in result.documents}))
+        old_names, new_names = (
+            {document.name for document in documents} for documents in (result.documents, new_documents)
+        )
+        names = ", ".join(sorted(new_names - old_names))
         raise InputError(
             f"with subprograms under names of their own ({names}) the program would move differently",
             file=result.documents[0].name,
@@ -500,7 +524,7 @@ def _check_same_motions(result: Result, new_documents: Sequence[Document], robot
 
 
 def failure(job: Job, cause: Exception) -> Outcome:
-    """Return the outcome of a program that an exception ended."""
+    """Return the outcome of a program that an exception ended; a fault of postproc itself has a traceback."""
     program = str(job.program)
     if isinstance(cause, PostprocError):
         return Outcome(program, FAILED, message=str(cause))

@@ -158,7 +158,7 @@ def _frames_by_points(check: FrameCheck, tool: Array, base: Array, centre: Array
 
 
 def judge(touches: TouchedPoints, flange: Array, nominal_point: Array, tip: Array, sigma: float) -> FrameCheck:
-    """Return the simplest explanation of touched points.
+    """Return the simplest explanation of touched points: no error, `$TOOL`, `$BASE` or both, by a χ² test.
 
     :param flange: (n, 3, 3) orientation of the flange in the root.
     :param nominal_point: (n, 3) where the points are by `$BASE` [m], root.
@@ -166,48 +166,54 @@ def judge(touches: TouchedPoints, flange: Array, nominal_point: Array, tip: Arra
     :param sigma: standard deviation of a coordinate [m].
     """
     residual = (tip - nominal_point).ravel()
-    arm = nominal_point - nominal_point.mean(axis=0)
-    of_tool = flange.reshape(-1, 3)
-    of_base = np.tile(np.eye(3), (len(arm), 1))
-    of_turn = np.concatenate([-_cross(vector) for vector in arm])
+    lever_arm = nominal_point - nominal_point.mean(axis=0)
+    tool_columns = flange.reshape(-1, 3)
+    shift_columns = np.tile(np.eye(3), (len(lever_arm), 1))
+    turn_columns = np.concatenate([-_cross(vector) for vector in lever_arm])
     matrices = {
         "none": np.zeros((len(residual), 0)),
-        "tool": of_tool,
-        "base": np.hstack([of_base, of_turn]),
-        "both": np.hstack([of_tool, of_base, of_turn]),
+        "tool": tool_columns,
+        "base": np.hstack([shift_columns, turn_columns]),
+        "both": np.hstack([tool_columns, shift_columns, turn_columns]),
     }
     distances = norm(residual.reshape(-1, 3))
     plausible_suspects: list[Suspect] = []
-    left = {}
+    residual_left = {}
     for name, matrix in matrices.items():
         values = np.linalg.lstsq(matrix, residual, rcond=_RANK_TOLERANCE)[0] if matrix.shape[1] else np.zeros(0)
-        left[name] = residual - matrix @ values
-        freedom = len(residual) - (np.linalg.matrix_rank(matrix, tol=_RANK_TOLERANCE) if matrix.shape[1] else 0)
-        if freedom > 0 and left[name] @ left[name] / sigma**2 <= chi2.ppf(_CONFIDENCE, freedom):
+        residual_left[name] = residual - matrix @ values
+        degrees_of_freedom = len(residual) - (
+            np.linalg.matrix_rank(matrix, tol=_RANK_TOLERANCE) if matrix.shape[1] else 0
+        )
+        if degrees_of_freedom > 0 and residual_left[name] @ residual_left[name] / sigma**2 <= chi2.ppf(
+            _CONFIDENCE, degrees_of_freedom
+        ):
             plausible_suspects.append(name)  # type: ignore[arg-type]
     suspect: Suspect = "contradiction"
     if plausible_suspects:
         suspect = (
             "undecided" if plausible_suspects[0] == "tool" and "base" in plausible_suspects else plausible_suspects[0]
         )
-    visible = _smallest_residual(of_tool, matrices["base"])
-    if suspect == "none" and visible < _LEAST_VISIBLE:
+    visible_length = _smallest_residual(tool_columns, matrices["base"])
+    if suspect == "none" and visible_length < _LEAST_VISIBLE:
         suspect = "unturned" if angle_between(flange[:1], flange).max() < _LEAST_TURN else "one-axis"
     if suspect in ("none", "unturned", "one-axis", "contradiction", "undecided"):
-        best = "both" if suspect == "contradiction" else "tool" if suspect == "undecided" else "none"
-        residual_distances = norm(left[best].reshape(-1, 3))
+        best_hypothesis = "both" if suspect == "contradiction" else "tool" if suspect == "undecided" else "none"
+        residual_distances = norm(residual_left[best_hypothesis].reshape(-1, 3))
         if suspect != "undecided":
-            hidden = _INTERVAL_FACTOR * sigma / visible if suspect == "none" else None
+            hidden = _INTERVAL_FACTOR * sigma / visible_length if suspect == "none" else None
             return FrameCheck(suspect, touches, distances, residual_distances, hidden=hidden)
     parts: dict[str, Any] = {}
     for name in ("tool", "base") if suspect == "undecided" else (suspect,):
         parts |= _parts(name, matrices[name], residual, sigma)
     frame_name = "tool" if suspect == "undecided" else suspect
-    return FrameCheck(suspect, touches, distances, norm(left[frame_name].reshape(-1, 3)), **parts)
+    return FrameCheck(suspect, touches, distances, norm(residual_left[frame_name].reshape(-1, 3)), **parts)
 
 
 def _smallest_residual(of_tool: Array, of_base: Array) -> float:
-    """Return the least length of the residuals by a unit error of `$TOOL`, with the `$BASE` that hides most of it.
+    """Return the smallest norm of the residuals that a unit error of `$TOOL` leaves after the best fit of `$BASE`.
+
+    Errors of `$TOOL` in that direction are the hardest to see.
 
     :param of_tool: (3 n, 3) residuals by unit errors of `$TOOL`, `of_base` (3 n, 6) likewise of `$BASE`.
     """
@@ -217,11 +223,19 @@ def _smallest_residual(of_tool: Array, of_base: Array) -> float:
 
 
 def _parts(name: str, matrix: Array, residual: Array, sigma: float) -> dict[str, Any]:
-    """Return the errors of a hypothesis with the half widths of their 95 % intervals."""
+    """Return the least-squares errors of the suspected frames: field of `FrameCheck` → errors (3,), half widths (3,).
+
+    The half widths are those of 95 % intervals. Lengths are in m, the rotation in rad.
+
+    :param name: suspect, ``"tool"``, ``"base"`` or ``"both"``.
+    :param matrix: (3 n, 3 k) residuals by unit errors; `residual` (3 n,) [m]; `sigma` of a coordinate [m].
+    """
     values = np.linalg.lstsq(matrix, residual, rcond=_RANK_TOLERANCE)[0]
-    half = _INTERVAL_FACTOR * sigma * np.sqrt(np.diag(np.linalg.pinv(matrix.T @ matrix, rcond=_RANK_TOLERANCE**2)))
+    half_widths = (
+        _INTERVAL_FACTOR * sigma * np.sqrt(np.diag(np.linalg.pinv(matrix.T @ matrix, rcond=_RANK_TOLERANCE**2)))
+    )
     fields = {"tool": ["tool"], "base": ["base", "turn"], "both": ["tool", "base", "turn"]}[name]
-    return {field: (values[3 * k : 3 * k + 3], half[3 * k : 3 * k + 3]) for k, field in enumerate(fields)}
+    return {field: (values[3 * k : 3 * k + 3], half_widths[3 * k : 3 * k + 3]) for k, field in enumerate(fields)}
 
 
 def _cross(vector: Array) -> Array:
@@ -250,11 +264,11 @@ _HEADLINES: dict[Suspect, str] = {
 }
 
 
-def _lengths(error: Array, half: Array) -> str:
+def _lengths(error: Array, half_widths: Array) -> str:
     """Return by how much `$TOOL` is too long or too short along X, Y, Z; error and half widths (3,) [m]."""
     return ", ".join(
         f"{axis} {_error_meaning(value)} {abs(value):z.2f} ± {width:.2f} mm"
-        for axis, value, width in zip("XYZ", error * MM_PER_M, half * MM_PER_M, strict=True)
+        for axis, value, width in zip("XYZ", error * MM_PER_M, half_widths * MM_PER_M, strict=True)
     )
 
 

@@ -190,6 +190,7 @@ def _machine_questions(needs: ProgramNeeds) -> Iterator[Question]:
 
 
 def _usual_base(answers: Answers) -> str | None:
+    """Return a place that the chosen robot reaches well, as ``X,Y,Z`` [mm]; None: no robot was chosen yet."""
     robot = answers.values.get("robot")
     return None if robot is None else ",".join(f"{value:g}" for value in usual_base(robot))
 
@@ -287,6 +288,7 @@ def _cutter_text(comment: CommentedTool) -> str | None:
 
 
 def _stock_guess(needs: ProgramNeeds, answers: Answers) -> Box | None:
+    """Return the stock that comments or the cutting moves suggest, `$BASE` [mm]; None: nothing is cut."""
     diameters = {key: shape.diameter_mm for key, shape in answers.by_code("cutter").items()}
     return needs.stock_box(diameters)
 
@@ -304,7 +306,7 @@ class StartFiles(Struct, frozen=True):
 
 
 def cell_request(output: Path, answers: Answers, **fields: Any) -> CellRequest:
-    """Return the request for the cell that answers describe; values that nobody was asked for have their defaults.
+    """Return the request for the cell that the answers describe; what has no answer gets its default.
 
     :param fields: further fields of the request, such as ``axis``.
     """
@@ -365,8 +367,8 @@ def process_head(needs: ProgramNeeds, material: str | None) -> Iterator[str]:
 def tool_head(key: str, needs: ProgramNeeds) -> str:
     """Return the first line of the table of a tool, with what comments of the program say of it."""
     comment = needs.cutter(key).text
-    says = f"    # {' '.join(comment.split())}" if comment.isprintable() and comment else ""
-    return f"[tools.{key if key.isascii() else toml_string(key)}]{says}"
+    remark = f"    # {' '.join(comment.split())}" if comment.isprintable() and comment else ""
+    return f"[tools.{key if key.isascii() else toml_string(key)}]{remark}"
 
 
 def _tool_lines(key: str, shape: CutterShape, needs: ProgramNeeds, answers: Answers) -> Iterator[str]:

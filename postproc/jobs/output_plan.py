@@ -124,13 +124,16 @@ def needed_warnings(
 
 
 def _mentions(names: Sequence[str], contents: Mapping[str, bytes]) -> bool:
-    """Return whether files may name one of some variables; True if none is given."""
-    text = b"\n".join(contents.values()).upper()
-    return not names or any(name.upper().encode() in text for name in names)
+    """Return whether one of these names occurs in the contents, case ignored; True if no name is given."""
+    all_text = b"\n".join(contents.values()).upper()
+    return not names or any(name.upper().encode() in all_text for name in names)
 
 
 def _has_same_sources(task: Task, paths: Sequence[Path]) -> bool:
-    """Return whether files were corrected for other programs from these sources, and are intact."""
+    """Return whether intact files of these names were written for other programs from the same sources.
+
+    :param paths: source files of one stem, such as `.src` and `.dat`.
+    """
     writer = task.job.writer
     paths = sorted(paths, key=lambda path: path.suffix.lower() != writer.extension)
     contents: list[bytes] = []
@@ -232,16 +235,17 @@ def sequences(jobs: Sequence[Job], cell: Cell) -> list[list[Job]]:
         if len(jobs_of_dialect) == 1 or not isinstance(kind, Calling):
             continue
         paths = [job.program for job in jobs_of_dialect]
-        one_folder = len({path.parent.resolve() for path in paths}) == 1
-        moving = kind.moving(paths, cell) if one_folder else {path: {paths[0]} for path in paths}
-        first: dict[Path, Job] = {}
+        is_one_folder = len({path.parent.resolve() for path in paths}) == 1
+        corrected_files = kind.moving(paths, cell) if is_one_folder else {path: {paths[0]} for path in paths}
+        first_job_of_file: dict[Path, Job] = {}
         for job in jobs_of_dialect:
-            for path in moving[job.program]:
-                group, own_group = group_of[first.setdefault(path, job).program], group_of[job.program]
-                if group is not own_group:
-                    group += own_group
-                    group_of |= dict.fromkeys((member.program for member in own_group), group)
-    return list({id(group): group for group in group_of.values()}.values())
+            for path in corrected_files[job.program]:
+                first_job = first_job_of_file.setdefault(path, job)
+                group, merged_group = group_of[first_job.program], group_of[job.program]
+                if group is not merged_group:
+                    group += merged_group
+                    group_of |= dict.fromkeys((member.program for member in merged_group), group)
+    return list({id(group): group for group in group_of.values()}.values())  # each group once
 
 
 class _PendingOutput(Struct, frozen=True, eq=False):
@@ -390,9 +394,9 @@ class OutputPlan:
             )
             refuse(
                 [
-                    p
-                    for p in foreign_files
-                    if not folder.is_from_other_program(job, p, only_pending=p.name not in outcome.shared_files)
+                    path
+                    for path in foreign_files
+                    if not folder.is_from_other_program(job, path, only_pending=path.name not in outcome.shared_files)
                 ]
             )
         lower_names = {name.lower() for name in names}
@@ -413,7 +417,7 @@ class OutputPlan:
         waiting, ready, incomplete = self._complete, [], []
         while waiting:
             group = [waiting[0]]
-            for program in group:  # grows
+            for program in group:  # the list grows in the loop, until no program has another partner
                 group += [
                     candidate
                     for candidate in waiting
@@ -428,7 +432,7 @@ class OutputPlan:
         return ready
 
     def _are_partners(self, program_a: _PendingOutput, program_b: _PendingOutput) -> bool:
-        """Return whether the reports of two programs must be replaced together."""
+        """Return whether the files of two programs must be replaced together: one replaces a file of the other."""
         reports = [program.task.job.report(self._mode) for program in (program_a, program_b)]
         same_folder = program_a.task.job.output == program_b.task.job.output
         return same_folder and (reports[1] in program_a.partners or reports[0] in program_b.partners)
@@ -459,7 +463,7 @@ class OutputPlan:
         ]
 
     def _not_ours(self, job: Job, names: Iterable[str]) -> list[Path]:
-        """Return existing files that postproc did not write, or that were changed since."""
+        """Return the files of these names that exist and that postproc did not write, or that were changed since."""
         folder = self._folders[job.output]
         foreign_files = [
             path for path in foreign(job.output, names, job.report(self._mode)) if not folder.is_needed_copy(job, path)
@@ -494,16 +498,16 @@ class OutputPlan:
         ]
         if not own_names:
             return ""
-        inputs = {_key(path) for path in job.reads()}
-        if changed_files or any(_key(job.output / name) in inputs for name in own_names):
+        input_keys = {_key(path) for path in job.reads()}
+        if changed_files or any(_key(job.output / name) in input_keys for name in own_names):
             return leftover_note([job], mode)
         try:
             for path in (job.output / name for name in own_names):
                 path.rename(_backup_path(path))
         except OSError:
             return leftover_note([job], mode)
-        other_owners = ", and its reports likewise" if len(own_names) > 1 else ""
-        return f"{job.output / own_names[0]} is of an earlier run: renamed to {own_names[0]}.old{other_owners}."
+        suffix = ", and its reports likewise" if len(own_names) > 1 else ""
+        return f"{job.output / own_names[0]} is of an earlier run: renamed to {own_names[0]}.old{suffix}."
 
 
 class _Folder:
@@ -522,6 +526,7 @@ class _Folder:
 
     @cached_property
     def _names(self) -> frozenset[str]:
+        """Names of the programs that the run writes into the folder, lower case."""
         return frozenset(job.stem.lower() for job in self.jobs)
 
     @cached_property
@@ -582,11 +587,17 @@ class _Folder:
         self._new[report] = replace(self._new[report], at=self._path)
 
     def waits(self, reports: Iterable[str]) -> bool:
-        """Return whether one of these programs is still to be converted."""
+        """Return whether one of these programs is still to be converted.
+
+        :param reports: names of their reports, which identify them.
+        """
         return not self._pending.isdisjoint(reports)
 
     def programs_needing(self, names: Sequence[str]) -> frozenset[str]:
-        """Return the reports of programs, still to be converted, whose earlier results need one of these files."""
+        """Return the programs still to be converted whose earlier results contain one of these files.
+
+        :returns: names of their reports.
+        """
         return frozenset(
             report
             for report in self._pending
@@ -666,6 +677,7 @@ def _overviews(jobs: Sequence[Job]) -> list[Path]:
 
 
 def _has_overview(folder: Path) -> bool:
+    """Return whether a folder has an overview that postproc wrote."""
     return (folder / OVERVIEW).is_file() and not foreign_single(folder / OVERVIEW)
 
 
@@ -678,14 +690,17 @@ def _may_share(job: Job) -> bool:
 
 
 def _is_part_name(name: str, program_stem: str) -> bool:
-    """Return whether a file may be a part of a divided program."""
+    """Return whether a file may be a part of a divided program: its stem, or the stem with ``Main`` or a number.
+
+    :param program_stem: name of the program without extension, lower case.
+    """
     stem = PurePath(name).stem.lower()
-    return stem.startswith(program_stem) and (
-        stem[len(program_stem) :] in ("", "main") or stem[len(program_stem) :].isdecimal()
-    )
+    suffix = stem.removeprefix(program_stem)
+    return stem.startswith(program_stem) and (suffix in ("", "main") or suffix.isdecimal())
 
 
 def _existing_names(job: Job, names: Iterable[str]) -> list[str]:
+    """Return those of the names that exist in the output folder of a job."""
     return [name for name in names if (job.output / name).exists()]
 
 
@@ -696,7 +711,7 @@ def _run_files(job: Job, mode: Mode) -> list[str]:
 
 
 def _intact(job: Job, mode: Mode) -> list[str]:
-    """Return the files of an earlier result whose own provenance line states that it is intact."""
+    """Return the program files of an earlier run if their line of origin shows them unchanged; else an empty list."""
     program = next((job.output / name for name in _existing_names(job, job.mains(mode))), None)
     if mode == "predict" or program is None or not program.is_file():
         return []
@@ -725,6 +740,7 @@ def same_names(jobs: Iterable[Job]) -> Iterator[tuple[Job, Job]]:
 
 
 def _key(path: Path) -> str:
+    """Return a text that is equal for paths to one file, also where file names differ in case only."""
     return str(files.resolve(path)).lower()
 
 
@@ -737,7 +753,7 @@ def _sum(path: Path) -> str:
 
 
 def _backup_path(path: Path) -> Path:
-    """Return a name for an old file: with ``.old`` appended, or ``.old2`` …"""
+    """Return a path that does not exist yet for an old file: ``.old`` appended, or ``.old2``, ``.old3`` …"""
     number = 2
     target = path.with_name(f"{path.name}.old")
     while target.exists():

@@ -37,7 +37,7 @@ _BOUNDS = re.compile(r"\s*(\w+)\s*=\s*([-+.\deE]+)\s*:\s*([-+.\deE]+)\s*")
 
 
 class PlaceRequest(Struct, frozen=True, kw_only=True):
-    """What a place is looked for with, and where the result is written.
+    """Inputs and output folder of a search for the place of the part.
 
     :param programs: files, folders, patterns.
     :param forces: file of forces, or a folder of such files; `process` computes them instead.
@@ -80,8 +80,8 @@ def make_place(request: PlaceRequest, progress: Callable[[int, int], None] | Non
     cell, start_message = _cell_with_start(request, cell, robot)
     samples, paths, frame_numbers = _samples(request, cell, robot)
     turns = cell.gcode.redundancy != "constant" and not any(path.program.keeps_text for path in samples)
-    keep, clearance = LeastMargins(joint=request.margin_deg * RAD_PER_DEG), _clearance(request, cell)
-    programs = region.Programs(samples, keep, turns=turns, clearance_mm=clearance)
+    least_margins, clearance = LeastMargins(joint=request.margin_deg * RAD_PER_DEG), _clearance(request, cell)
+    programs = region.Programs(samples, least_margins, turns=turns, clearance_mm=clearance)
     search = region.search(programs, bounds, progress, assess)
     content = report.summary(
         search,
@@ -123,11 +123,11 @@ def region_of(text: str | None, cell: Cell) -> Region:
 
     :raises OptionError: it cannot be read.
     """
-    today = {"X": cell.base.X, "Y": cell.base.Y, "Z": cell.base.Z, "A": cell.base.A, "E1": 0.0}
-    low, high = dict(today), dict(today)
+    cell_value = {"X": cell.base.X, "Y": cell.base.Y, "Z": cell.base.Z, "A": cell.base.A, "E1": 0.0}
+    low, high = dict(cell_value), dict(cell_value)
     if text is None:
-        for axis, reach in _DEFAULT_REACH.items():
-            low[axis], high[axis] = today[axis] - reach, today[axis] + reach
+        for axis, half_width in _DEFAULT_REACH.items():
+            low[axis], high[axis] = cell_value[axis] - half_width, cell_value[axis] + half_width
     stated_axes = set[str]()
     for part in () if text is None else text.split(","):
         axis, lower, upper = _bounds(part)
@@ -168,7 +168,10 @@ def _cell_with_start(request: PlaceRequest, cell: Cell, robot: RobotModel) -> tu
 
 
 def _assessment(request: PlaceRequest, cell: Cell, robot: RobotModel, place: JudgedPlace) -> Assessment:
-    """Return the results of `convert` for the programs at a place: the worst of them."""
+    """Return deflection, error and chance with the part at a place, each that of the worst program.
+
+    The programs are converted as by `postproc convert`; the first that fails makes the place unusable.
+    """
     cell = _cell_at(cell, place)
     settings = Settings(cell=request.cell)
     verdicts = []
@@ -205,7 +208,8 @@ def _assessment(request: PlaceRequest, cell: Cell, robot: RobotModel, place: Jud
 def _cell_at(cell: Cell, place: JudgedPlace) -> Cell:
     """Return the cell with the part at a place.
 
-    E1 that is not zero is as the part moved the other way; bodies of the cell, which it does not move, are left out.
+    A robot that the linear axis E1 moves by some distance sees the part moved back by that distance. The obstacles of
+    the cell would have to move too, so collisions are not checked then.
     """
     x, y, z, a, e1 = place.place
     if not e1:
@@ -227,8 +231,8 @@ def _samples(
 ) -> tuple[Sequence[PathSamples], list[Path], list[str]]:
     """Read the programs; return samples of their paths, their files, and the numbers of the frames that move with them.
 
-    A robot program is read a second time, with `[base]` and each frame that is equal to it elsewhere, each by another
-    length: its `$BASE` then tell which of them it moves in.
+    A robot program is read a second time, with `[base]` and all frames equal to it shifted, each by another length. The
+    shift that is found in its `$BASE` shows which of these frames it uses.
 
     :raises InputError: a program has frames of its own, so that moving $BASE would not move it.
     """
@@ -246,7 +250,9 @@ def _samples(
         shifted_program = _shifted_program(path, robot, shifted_cell) if program.keeps_text else None
         region.check_base(program, robot_in_cell, shifted_program)
         if shifted_program is not None:
-            used_numbers |= {n for n, frame in shifted_frames.items() if region.has_base(shifted_program, frame)}
+            used_numbers |= {
+                number for number, frame in shifted_frames.items() if region.has_base(shifted_program, frame)
+            }
         samples.append(PathSamples.of(program, robot_in_cell, source))
         paths.append(path)
     return samples, paths, [number for number in shifted_frames if number in used_numbers]

@@ -145,20 +145,24 @@ class _Search:
     """Bounds of the feed of each motion, by false position.
 
     :ivar open: (M,) motions whose feed may be lowered.
-    :ivar feed: (M,) of the last trial; was_good: (M,) motions that held the tolerance in the trial before it.
-    :ivar low: (M,) feed that holds the tolerance as far as is known, with error_low; high: (M,) feed that does not.
-    :ivar error_low, error_high: (M,) errors there, or what the Illinois method takes for them.
+    :ivar feed: (M,) feeds of the last trial [m/s].
+    :ivar low: (M,) highest feed known to hold the tolerance [m/s]; `high`: (M,) lowest feed known to exceed it.
+    :ivar error_low, error_high: (M,) errors [m] at these feeds; halved towards the limit by the Illinois method.
+    :ivar was_good: (M,) motions whose last trial raised `low`; `was_bad`: (M,) whose last trial lowered `high`.
+    :ivar power: 1 − mc: chip forces grow with feed^power.
     """
 
     def __init__(
         self, program: Program, tolerance: float, min_feed: float, power: float, error: Array, *, uses_min_feed: bool
     ) -> None:
-        """Begin with the errors (M,) at the programmed feeds.
+        """Begin with the programmed feeds.
 
+        :param tolerance: of the part [m]; `min_feed`: least feed [m/s]; `power`: chip forces grow with feed^power.
+        :param error: (M,) expected errors at the programmed feeds [m].
         :param uses_min_feed: motions that no feed holds get the least one; else they keep theirs.
         """
         m = program.motions
-        self.of, self.power, self.feed = program, power, m.feed
+        self.nominal_program, self.power, self.feed = program, power, m.feed
         self.limit, self.uses_min_feed = tolerance, uses_min_feed
         self.high, self.error_high = m.feed.copy(), error
         self.min_feeds = np.minimum(m.feed, np.ceil(min_feed / _STEP) * _STEP)
@@ -168,8 +172,8 @@ class _Search:
 
     def program(self, feed: Array) -> Program:
         """Return the program with other feeds (M,) for open motions."""
-        self.feed = np.where(self.open, feed, self.of.motions.feed)
-        return _with_feed(self.of, self.feed)
+        self.feed = np.where(self.open, feed, self.nominal_program.motions.feed)
+        return _with_feed(self.nominal_program, self.feed)
 
     def start(self, error: Array) -> Bools:
         """Take the errors (M,) at the least feeds.
@@ -187,7 +191,7 @@ class _Search:
             self.open = self.open & ~unheld
 
     def trial_feeds(self) -> Array:
-        """Return the feeds (M,) to try."""
+        """Return the feeds (M,) of the next trial [m/s], by false position in feed^power, as multiples of `_STEP`."""
         low, high = self.low**self.power, self.high**self.power
         gap = self.error_high - self.error_low
         share = np.clip((self.limit - self.error_low) / np.where(gap > 0.0, gap, 1.0), 0.0, 1.0)
@@ -195,23 +199,27 @@ class _Search:
         return np.asarray(np.clip(np.floor(feed / _STEP + 1e-6) * _STEP, self.low, self.high))
 
     def take_errors(self, error: Array) -> bool:
-        """Take the errors (M,) at the feeds of the last trial; return whether these feeds are to be written."""
+        """Narrow the bounds of the feeds by the errors (M,) [m] of the last trial.
+
+        :returns: whether the feeds of the trial are final: all hold the tolerance and are within `_CLOSE` of the
+            highest feeds that do.
+        """
         is_fixed = self.low >= self.high
         is_within = error <= self.limit
-        rises, falls = self.open & ~is_fixed & is_within, self.open & ~is_fixed & ~is_within
+        raised, lowered = self.open & ~is_fixed & is_within, self.open & ~is_fixed & ~is_within
         reserve = np.minimum(self._reserve(error), self.high - self.feed)
-        close = is_fixed | (rises & (reserve <= _CLOSE * self.feed))
-        repeats_good, repeats_bad = rises & self.was_good, falls & self.was_bad
+        is_final = is_fixed | (raised & (reserve <= _CLOSE * self.feed))
+        repeats_good, repeats_bad = raised & self.was_good, lowered & self.was_bad
         self.error_high[repeats_good] = 0.5 * (self.limit + self.error_high[repeats_good])
         self.error_low[repeats_bad] = 0.5 * (self.limit + self.error_low[repeats_bad])
-        is_stuck = falls & (self.feed <= self.low)  # the error depends on the motions before, too
+        is_stuck = lowered & (self.feed <= self.low)  # the error depends on the motions before, too
         unheld = is_stuck & (self.feed <= self.min_feeds)
-        self.low[rises], self.error_low[rises] = self.feed[rises], error[rises]
+        self.low[raised], self.error_low[raised] = self.feed[raised], error[raised]
         self.low[is_stuck] = np.maximum(self.min_feeds, _BACKSTEP * self.low)[is_stuck]
-        self.high[falls], self.error_high[falls] = self.feed[falls], error[falls]
-        self.was_good, self.was_bad = rises, falls
+        self.high[lowered], self.error_high[lowered] = self.feed[lowered], error[lowered]
+        self.was_good, self.was_bad = raised, lowered
         self.give_up(unheld)
-        return bool(np.all(~self.open | close)) and not (unheld.any() and not self.uses_min_feed)
+        return bool(np.all(~self.open | is_final)) and not (unheld.any() and not self.uses_min_feed)
 
     def _reserve(self, error: Array) -> Array:
         """Return by how much the feed (M,) could be higher [m/s], by the smaller of the slopes below and above it.
@@ -258,11 +266,14 @@ def read(path: Path, cell: Cell, progress: Callable[[int, int], None] | None = N
 
 
 def _guard(table: Collision) -> Guard:
-    """Return what must stay clear of the stock: the cylinders of the tool above the cutter."""
+    """Return what must stay clear of the stock: the cylinders of the tool above the cutter.
+
+    :param table: `[collision]` of the cell.
+    """
     tool_cylinders = list(cylinders(table.holder))
     parts = [Part(part.name, part.radius, part.begin) for part in tool_cylinders if not part.cuts]
-    cutter = next((2.0 * part.radius for part in tool_cylinders if part.cuts), None)
-    return Guard(parts, table.clearance_mm * M_PER_MM, cutter)
+    cutter_diameter = next((2.0 * part.radius for part in tool_cylinders if part.cuts), None)
+    return Guard(parts, table.clearance_mm * M_PER_MM, cutter_diameter)
 
 
 def stock(process: ProcessForces) -> bytes:
@@ -288,24 +299,24 @@ def predict_in_material(
         return correction.process(program, robot, cell, source, "predict"), source
     if source.process_forces is None:
         return correction.process(program, robot, cell, source, "predict"), source
-    places, weight = (path.sample.motion, path.sample.t), _weights(path)
+    sample_place, weight = (path.sample.motion, path.sample.t), _weights(path)
     cut, rounds, is_settled = source, 0, False
     deviation, offset, last_shift = residual, _FIRST * residual, _FIRST * residual
     while not is_settled and rounds < _ROUNDS:
         rounds += 1
-        cut = source.shift_tip(Shift.of(program, *places, offset))
+        cut = source.shift_tip(Shift.of(program, *sample_place, offset))
         path_forces = forces.assign(
             program, motions.segments, cut, motions.robot_in_cell.spindle, motions.robot_in_cell.ramp
         )
         change = _deviation(replace(path, wrench=path_forces.at(path.sample))) - deviation
         deviation = deviation + change
         residual, last_residual = deviation - offset, residual
-        moves = residual - _overshoot(residual, residual - last_residual, weight) * change
+        shift = residual - _overshoot(residual, residual - last_residual, weight) * change
         limit = max(_CONVERGENCE, _SHARE * _rms(deviation, weight))
-        is_settled = _next_change(change, last_shift, moves, weight) < limit
+        is_settled = _next_change(change, last_shift, shift, weight) < limit
         if rounds > 1 and not is_settled:
-            is_settled = _next_change(change, last_shift, moves, _contact_weights(weight, residual)) < limit
-        last_shift, offset = moves, offset + moves
+            is_settled = _next_change(change, last_shift, shift, _contact_weights(weight, residual)) < limit
+        last_shift, offset = shift, offset + shift
     result = correction.process(program, robot, cell, cut, "predict")
     if result.failed or source.process_forces is None:
         return result, cut
@@ -325,16 +336,19 @@ def predict_in_material(
 
 
 def _deviation(path: PathUnderLoad) -> Array:
-    """Return the deviation (N, 3) [m] of the uncorrected tip at the samples of a path, `$BASE`."""
+    """Return the deviation (N, 3) [m] of the uncorrected tip from the N samples of a path, `$BASE` axes."""
     theta = np.broadcast_to(0.0, (len(path), path.robot_in_cell.robot.actual.nv))
     return correction.uncorrected_deviations(path, np.arange(len(path)), theta)[0]
 
 
 def _weights(path: PathUnderLoad) -> Array:
-    """Return the length (N,) of the cutting path for which each sample stands [m]: many are where forces change."""
+    """Return the length of cutting path (N,) [m] that each of the N samples represents.
+
+    Samples are dense where forces change, so means over the path need these weights.
+    """
     sample, motions = path.sample, path.program.motions
-    goes_on = np.ones(len(sample), dtype=bool)
-    return toolpath.cut_lengths(motions, path.motions.segments.length, sample.motion, sample.t, goes_on)
+    is_continued = np.ones(len(sample), dtype=bool)
+    return toolpath.cut_lengths(motions, path.motions.segments.length, sample.motion, sample.t, is_continued)
 
 
 def convert_with_held_feed(
@@ -363,8 +377,8 @@ def _overshoot(residual: Array, change: Array, weight: Array) -> float:
     :param residual: (n, 3) deflection less that assumed for the cut; change: (n, 3) of it in this round.
     :param weight: (n,) of the places.
     """
-    square = float(weight @ np.sum(change * change, axis=1))
-    share = float(weight @ np.sum(residual * change, axis=1)) / square if square > 0.0 else 0.0
+    squared_change = float(weight @ np.sum(change * change, axis=1))
+    share = float(weight @ np.sum(residual * change, axis=1)) / squared_change if squared_change > 0.0 else 0.0
     return float(np.clip(share, 0.0, _LARGEST))
 
 
@@ -383,9 +397,9 @@ def _next_change(change: Array, shift: Array, next_shift: Array, weight: Array) 
 def _contact_weights(weight: Array, residual: Array) -> Array:
     """Return the weights (n,) with 0 at the places where the residual (n, 3) is largest, see `_CONTACT`."""
     order = np.argsort(-norm(residual))
-    place_weight = weight.copy()
-    place_weight[order[: np.searchsorted(np.cumsum(weight[order]), _CONTACT * weight.sum(), side="right")]] = 0.0
-    return place_weight
+    contact_weight = weight.copy()
+    contact_weight[order[: np.searchsorted(np.cumsum(weight[order]), _CONTACT * weight.sum(), side="right")]] = 0.0
+    return contact_weight
 
 
 def _rms(vectors: Array, weight: Array) -> float:
@@ -395,7 +409,7 @@ def _rms(vectors: Array, weight: Array) -> float:
 
 
 class ForcesRequest(Struct, frozen=True, kw_only=True):
-    """What forces are made from, and where they are written.
+    """Inputs and output files of `postproc forces`.
 
     :param program: file.
     :param process: process.toml.
@@ -433,8 +447,8 @@ def make_forces(request: ForcesRequest, progress: Callable[[int, int], None] | N
     cell = cells.load(request.cell)
     robot = load_robot(cell.robot, cell.folder)
     program, cell = read_with_start(request.program, robot, cell, request.dialect)
-    place = RobotInCell.of(robot, cell)
-    path = segments_in_cell(program, place)
+    robot_in_cell = RobotInCell.of(robot, cell)
+    path = segments_in_cell(program, robot_in_cell)
     folder, names = _names(request)
     protect(filter(None, (request.program, request.cell, request.process, request.stock)), folder, names)
     if not request.overwrite:
@@ -445,14 +459,14 @@ def make_forces(request: ForcesRequest, progress: Callable[[int, int], None] | N
             program,
             path,
             process,
-            place.spindle,
+            robot_in_cell.spindle,
             stock=request.stock,
             base_axes=request.base_axes,
             progress=progress,
         )
     knots = _knots(program, process, forces)
     content = process_forces.summary(program, forces, int(knots.ramped.sum()))
-    rows = machining.one_move_a_line(program, path, place.spindle, knots)
+    rows = machining.one_move_a_line(program, path, robot_in_cell.spindle, knots)
     contents: dict[str, bytes | Iterable[bytes]] = {names[0]: process_forces.forces_csv(program, rows)}
     if request.stock_out is not None:
         if forces is None:

@@ -118,7 +118,10 @@ class ProgramNeeds(Struct, frozen=True):
         return self.cutters.get(number, CommentedTool())
 
     def stock_box(self, diameters: Mapping[str, float]) -> Box | None:
-        """Return the stock that comments state, or a box around what the tools sweep; None: it does not cut.
+        """Return the stock in `$BASE` [mm], rounded outwards to whole millimetres; None: the program does not cut.
+
+        A size that comments state is centred on the cutting moves. Else the box is what the tools sweep, and
+        `_SIDE_MM` more; a side where the tool comes down in rapid is moved inwards.
 
         :param diameters: diameters of the cutters by key in [tools] of a process [mm].
         """
@@ -180,14 +183,14 @@ def needs_of(path: Path, dialect: str | None = None) -> ProgramNeeds:
 
 
 def _add_content(needs: ProgramNeeds, program: Program) -> ProgramNeeds:
-    """Return needs with what the program that was read contains."""
+    """Return the needs with tools, forces, speeds and extents of the program that was read."""
     motions = program.motions
     tools = needs.tools or tuple(
         dict.fromkeys(int(event.value) for event in program.events if event.kind == "tool_change")
     )
     cutting_tools = distinct(motions.tool[~np.asarray(motions.rapid)]).tolist() if program.tool_keys else []
-    keys = dict.fromkeys(key for row in cutting_tools for key in program.tool_keys[row])
-    robot_tools = sorted(keys, key=lambda key: int(key) if key.isdecimal() else 0)
+    cutter_keys = dict.fromkeys(key for row in cutting_tools for key in program.tool_keys[row])
+    robot_tools = sorted(cutter_keys, key=lambda key: int(key) if key.isdecimal() else 0)
     return replace(
         needs,
         tools=tools,
@@ -202,7 +205,7 @@ def _add_content(needs: ProgramNeeds, program: Program) -> ProgramNeeds:
 def _low_rapids(program: Program) -> tuple[tuple[float, float], ...]:
     """Return X, Y of rapid moves that end below the highest cutting target, each once to 1 mm.
 
-    Those to a place that was cut before, as into a hole between two pecks, are left out.
+    Moves to a place where a cut ended before are left out, such as those into a hole between two pecks.
     """
     motions = program.motions
     ends = motions.target[:][:, :3, 3]
@@ -213,33 +216,40 @@ def _low_rapids(program: Program) -> tuple[tuple[float, float], ...]:
     cutting = _cutting(program)
     top = ends[cutting, 2].max() if len(cutting) else 0.0
     is_low = rapid & (ends[:, 2] < max(0.0, top) - _LOW_M)
-    has_been_cut: set[tuple[float, ...]] = set()
+    cut_places: set[tuple[float, ...]] = set()
     points: dict[tuple[float, float], None] = {}
-    for place, is_rapid, is_low_end in zip(places, rapid.tolist(), is_low.tolist(), strict=True):
+    for place, is_rapid, ends_low in zip(places, rapid.tolist(), is_low.tolist(), strict=True):
         if not is_rapid:
-            has_been_cut.add(place)
-        elif is_low_end and place not in has_been_cut:
+            cut_places.add(place)
+        elif ends_low and place not in cut_places:
             points[place[0], place[1]] = None
     return tuple(points)
 
 
 def _exclude_points(low: Array, high: Array, points: Sequence[tuple[float, float]], margin: float) -> None:
-    """Move the nearest side of a box inwards so far that a tool at these points does not touch it.
+    """Move the nearest side of a box inwards, in place, so far that a tool at these points does not touch it.
 
-    Points that are farther inside than the path is wide are in what the program has cut before: they are left.
+    Points more than two margins inside are taken to be in material that was cut before, and move no side.
+
+    :param low: (3,) smallest corner of the box [mm], changed; `high` (3,): its largest corner, changed.
+    :param points: X, Y of the tool axis [mm].
+    :param margin: distance of the tool axis to keep from the box [mm].
     """
     for x, y in points:
-        gaps = {(0, 0): x - low[0], (0, 1): high[0] - x, (1, 0): y - low[1], (1, 1): high[1] - y}
+        gaps = {(0, "low"): x - low[0], (0, "high"): high[0] - x, (1, "low"): y - low[1], (1, "high"): high[1] - y}
         (axis, side), gap = min(gaps.items(), key=lambda item: item[1])
         if -margin < gap <= 2.0 * margin:
-            if side == 0:
+            if side == "low":
                 low[axis] = (x, y)[axis] + margin
             else:
                 high[axis] = (x, y)[axis] - margin
 
 
 def _cutting(program: Program) -> Ints:
-    """Return the motions that cut: not rapid, not a retract at feed and, if comments state forces, under one."""
+    """Return the indices of the motions that cut, sorted.
+
+    They are not rapid and no retract at feed of an upright tool. If comments state forces, they are under a force.
+    """
     is_cutting = ~np.asarray(program.motions.rapid)
     target: Array = program.motions.target[:]
     columns = [0, 2] if program.keeps_text else [2]  # the axis of the tool: a robot program does not say which it is
@@ -253,7 +263,10 @@ def _cutting(program: Program) -> Ints:
 
 
 def _span(program: Program) -> tuple[tuple[float, float, float], tuple[float, float, float]] | None:
-    """Return the smallest and largest X, Y, Z of cutting moves [mm]; of their starts X and Y only: they come down."""
+    """Return the smallest and the largest X, Y, Z of cutting moves in `$BASE` [mm]; None: the program does not cut.
+
+    The start of a move counts with its X and Y only: a plunge starts above the material.
+    """
     cutting = _cutting(program)
     if not len(cutting):
         return None
@@ -261,13 +274,18 @@ def _span(program: Program) -> tuple[tuple[float, float, float], tuple[float, fl
     starts = targets[np.maximum(cutting - 1, 0)]
     starts[:, 2] = targets[cutting, 2]
     points = np.concatenate([targets[cutting], _arc_points(program, cutting), starts]) * MM_PER_M
-    x, y, z = without_negative_zero(np.round(points.min(axis=0), 3)).tolist()
-    u, v, w = without_negative_zero(np.round(points.max(axis=0), 3)).tolist()
-    return (x, y, z), (u, v, w)
+    x_min, y_min, z_min = without_negative_zero(np.round(points.min(axis=0), 3)).tolist()
+    x_max, y_max, z_max = without_negative_zero(np.round(points.max(axis=0), 3)).tolist()
+    return (x_min, y_min, z_min), (x_max, y_max, z_max)
 
 
 def _arc_points(program: Program, cutting: Ints) -> Array:
-    """Return points on the arcs among some motions (n, 3) [m], `$BASE`: a full circle ends where it begins."""
+    """Return points (n, 3) [m], `$BASE`, on the arcs of cutting motions, at most `_ARC_STEP` apart.
+
+    Their ends do not show how far they reach: a full circle ends where it begins.
+
+    :param cutting: indices of the cutting motions.
+    """
     arcs = cutting[program.motions.kind[cutting] == CIRC]
     parts = np.ceil(program.motions.sweep[arcs] / _ARC_STEP).astype(np.int64)
     motion, t = toolpath.even_places(arcs, parts)
@@ -289,7 +307,10 @@ With a home place no tilted tool retracts."""
 
 
 class _Trial:
-    """Readings of a program with cells that state more or less."""
+    """Trial readings of a program with cells that lack one setting or the other, to see which ones it needs.
+
+    :param name: of the program; `dialect`: of its format.
+    """
 
     def __init__(self, documents: Sequence[Document], dialect: str, name: str, survey: Survey) -> None:
         self.documents, self.dialect, self.name, self.survey = documents, dialect, name, survey
@@ -299,7 +320,7 @@ class _Trial:
         self.frames = reader.numbered_frames(documents) if isinstance(reader, WithNumberedFrames) else ()
 
     def outcome(self) -> tuple[Program | None, str, tuple[str, ...]]:
-        """Return the program read with all answers, the reason of a refusal, and the settings that it needs."""
+        """Return the program, or None with the reason of its refusal, and the settings without which it is refused."""
         if registry.dialect_of_name(self.dialect).writer is not None:
             return self._read_robot_program()
         answers, refusals = dict(_ASSUMED_ANSWERS), []
@@ -325,14 +346,18 @@ class _Trial:
         return tuple(frame for frame in self.frames if self._read({}, frames={*self.frames} - {frame})[0] is None)
 
     def _read_robot_program(self) -> tuple[Program | None, str, tuple[str, ...]]:
-        """Return a robot program; frames of its files that are not there may be missing here, which is no refusal."""
+        """Return a robot program as `outcome` does, never with a reason.
+
+        It may be unreadable here only because frames of the controller are missing, so that is no refusal.
+        """
         return self._read({})[0], "", ()
 
     def _read(
         self, answers: Mapping[str, Any], kind: str = _ROTARY_KINDS[0], frames: Collection[str] | None = None
     ) -> tuple[Program | None, str]:
-        """Return the program as it is read with some answers, and why it is refused.
+        """Return the program as it is read with some answers, or None, and the reason of a refusal, else empty.
 
+        :param kind: meaning of X, Y, Z with rotary axes, one of `_ROTARY_KINDS`.
         :param frames: frames by number that the cell states; None: all that the program names.
         """
         cell = self._cell(answers, kind, self.frames if frames is None else frames)
@@ -342,7 +367,10 @@ class _Trial:
             return None, str(cause)
 
     def _cell(self, answers: Mapping[str, Any], kind: str, frames: Collection[str]) -> Cell:
-        """Return a cell in which the program can be read before the real one exists; its frames do not count."""
+        """Return a cell for a trial reading. Its frames are arbitrary: the needs of a program do not depend on them.
+
+        :param answers: settings by name, as in `_ASSUMED_ANSWERS`; `kind`, `frames`: see `_read`.
+        """
         letters = [letter for letter in "CBA" if letter in self.survey.rotary][:2]
         points = dict.fromkeys(letters, (0.0, 0.0, 0.0))
         gcode = GCode(
@@ -366,5 +394,5 @@ class _Trial:
 
 
 def _numbers(frames: Collection[str], table: str) -> Iterator[str]:
-    """Yield the numbers of the frames of one table."""
+    """Return an iterator of the numbers in names such as ``"base_data.3"`` that belong to a table of the cell."""
     return (number for name, _, number in (frame.partition(".") for frame in frames) if name == table)

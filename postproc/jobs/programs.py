@@ -99,7 +99,7 @@ class Job(Struct, frozen=True):
 
     @property
     def writer(self) -> Writer:
-        """What writes the program."""
+        """Writer of the language in which the program is written."""
         return registry.written_in(self.dialect, self.to)[1]
 
 
@@ -204,15 +204,18 @@ def _leave_out_parts(programs: list[Path], input_paths: set[Path], dialect: str 
 
 
 def _callers(unnamed: Sequence[Path], programs: Sequence[Path], dialect: str | None) -> dict[Path, list[Path]]:
-    """Return which programs that are not named themselves are but called by others, and by which."""
+    """Return the programs that others call and that the user did not name: program → its callers.
+
+    Only programs of one folder and one format can call each other here.
+    """
     folders: dict[tuple[Path, str], list[Path]] = {}
     for path in programs if len(programs) > 1 else ():
         folders.setdefault((path.parent, dialect or path.suffix.lower()), []).append(path)
     callers_of: dict[Path, list[Path]] = {}
     for paths in folders.values():
-        kind = registry.dialect_of_name(dialect) if dialect else registry.dialect_of_file(paths[0])
-        if len(paths) > 1 and isinstance(kind, Calling):
-            callers_of |= kind.callers(paths)
+        reader = registry.dialect_of_name(dialect) if dialect else registry.dialect_of_file(paths[0])
+        if len(paths) > 1 and isinstance(reader, Calling):
+            callers_of |= reader.callers(paths)
     return {path: callers for path, callers in callers_of.items() if path in unnamed}
 
 
@@ -251,9 +254,9 @@ def _force_files(programs: Sequence[Path], forces: Path | None) -> dict[Path, Pa
 def force_files(folder: Path) -> dict[str, list[Path]]:
     """Return the force files of a folder, NAME.csv and NAME.forces.csv, by name of the program in lower case."""
     files: dict[str, list[Path]] = {}
-    ends = extensions()
+    endings = extensions()
     for file in sorted(folder.iterdir()):
-        if file.suffix.lower() in ends and file.is_file():
+        if file.suffix.lower() in endings and file.is_file():
             files.setdefault(file.stem.lower().removesuffix(".forces"), []).append(file)
     return files
 
@@ -292,7 +295,9 @@ def process_of(program: Path, output: Path, common: Path | None = None) -> Path 
     return None if states_forces(program) else shared_file
 
 
-_FORCE = re.compile(rb"(?:(?:[;(!]|\$\$)[ \t]*|\bPPRINT[^\r\n]{0,80}?)(FORCE\b[^\r\n]*)", re.IGNORECASE)
+_FORCE = re.compile(  # FORCE at the start of a comment: after ;, (, !, $$ or in PPRINT of a cutter-location file
+    rb"(?:(?:[;(!]|\$\$)[ \t]*|\bPPRINT[^\r\n]{0,80}?)(FORCE\b[^\r\n]*)", re.IGNORECASE
+)
 
 
 def states_forces(program: Path) -> bool:
@@ -334,7 +339,7 @@ class Settings(Struct, frozen=True):
 
 
 class Outcome(Struct, frozen=True):
-    """What came of one program.
+    """Result of the conversion of one program, also where nothing was written.
 
     :param program: its file as the user named it.
     :param code: 0 good, 1 nothing was written, 3 the verdict is "failed", see `postproc.report.answers`.

@@ -36,15 +36,15 @@ class Workers(Protocol):
         ...
 
     def outcome(self, future: Any, task: Task) -> Outcome | None:
-        """Return what came of a task that is done; None if no process could be started for it."""
+        """Return the outcome of a task that has ended; None if no process could be started for it."""
         ...
 
     def lost_outcome(self, task: Task) -> Outcome | None:
-        """Return the outcome of a task that will not be done because there are no processes any more; else None."""
+        """Return a failure if the processes that should do a task are gone; None while it may still be done."""
         ...
 
     def end(self) -> None:
-        """End at once, with tasks that were begun."""
+        """End the processes at once, also those that are working."""
         ...
 
 
@@ -98,7 +98,7 @@ def _outcomes(
     settings: Settings,
     cell: Cell,
     robot: RobotModel,
-    count: int,
+    worker_count: int,
     cluster: Cluster | None,
     progress: Callable[[int, int], None] | None,
 ) -> Iterator[Outcome]:
@@ -108,11 +108,11 @@ def _outcomes(
 
         plan.divide(cell)
         yield from _outcomes_of(plan, ClusterWorkers(cluster, settings), settings, cell, robot)
-    elif count > 1 and len(plan.jobs) > 1:
+    elif worker_count > 1 and len(plan.jobs) > 1:
         from postproc.jobs.workers import LocalWorkers
 
         plan.divide(cell)
-        yield from _outcomes_of(plan, LocalWorkers(min(count, len(plan.jobs)), settings), settings, cell, robot)
+        yield from _outcomes_of(plan, LocalWorkers(min(worker_count, len(plan.jobs)), settings), settings, cell, robot)
     else:
         for task in plan.ready():
             with interrupts.allow():
@@ -164,7 +164,10 @@ def _outcomes_of(
 
 
 def _caller_outcome(job: Job, outcomes: Sequence[Outcome], settings: Settings) -> Outcome:
-    """Return the outcome of a program that others call: it is corrected with those that it is written with."""
+    """Return the outcome of a program that others call: a sentence that says with which of them it was written.
+
+    :param outcomes: of the programs that were converted.
+    """
     callers = ", ".join(path.name for path in job.callers)
     file = str(job.output / job.program.name)
     partners = ", ".join(sorted(Path(outcome.program).name for outcome in outcomes if file in outcome.written_files))
@@ -221,7 +224,7 @@ def reason(outcome: Outcome) -> str:
 
 
 def _entry(path: Path) -> Entry | None:
-    """Return the entry of a report; None if it is not that of a written program."""
+    """Return the overview entry of a report file; None if it is unreadable or that of a prediction."""
     try:
         content = msgspec.convert(json.loads(path.read_bytes()), ReportEntry)
         if content.mode == "predict":

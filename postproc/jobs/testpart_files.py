@@ -60,7 +60,7 @@ _RECORD = "testpart.json"
 
 
 class TestPartRequest(Struct, frozen=True, kw_only=True):
-    """What a test part is made from, and where it is written.
+    """Inputs and output folder of a test part.
 
     :param placements: numbers of `[base_data]`: further placements of the block, besides `[base]` of the cell.
     :param block: ``"X=0:300,Y=0:200,Z=-40:0"`` in `$BASE`, mm; None: the box of the process.
@@ -176,7 +176,7 @@ def make_testpart(request: TestPartRequest, progress: Callable[[str], None] = la
     )
     tests = _tests(request, robot_in_cell, process, candidates)
     progress("choice of features")
-    low, high = (np.array([span[k] for span in (box.X, box.Y, box.Z)]) * M_PER_MM for k in (0, 1))
+    low, high = (np.array([span[side] for span in (box.X, box.Y, box.Z)]) * M_PER_MM for side in (0, 1))
     weight_places = features.hanging_places(low, high, cutting.top) if request.weight_kg else np.zeros((0, 3))
     weight_readings = design.gauge_information(
         prior, robots_in_cell, cutting, request.weight_kg, weight_places, request.sigma_mm * M_PER_MM
@@ -185,10 +185,10 @@ def make_testpart(request: TestPartRequest, progress: Callable[[str], None] = la
     touches = features.touch_off_places(selection.features, cutting, low, high)
     parts = _programs(request, selection, cutting, tuple(placements), weight_places, touches)
     contents: dict[str, bytes | Iterable[bytes]] = {}
-    for placement, its_cell in placements.items():
+    for placement, placement_cell in placements.items():
         if len(parts[placement].feature):
             contents[placement.name] = parts[placement].text.encode()
-            contents |= _krl(request, placement.name, parts[placement].text, its_cell)
+            contents |= _krl(request, placement.name, parts[placement].text, placement_cell)
     contents["probing.csv"] = probing.table(parts)
     contents[PROCESS] = _process(process, box)
     contents["testpart.html"] = design_page(selection, prior, cutting, parts, box, cell.robot)
@@ -225,7 +225,7 @@ def questions(weight_kg: float, robot: RobotModel, cutting: Cutting, flutes: int
 
 
 def _cutting(request: TestPartRequest, key: str, tool: ToolTable, box: Box) -> Cutting:
-    """Return how the part is cut: as the request says, or by the diameter of the tool.
+    """Return tool, speed and feed of the test part: those of the request, else usual ones for the diameter.
 
     :param key: number of the tool in the process.
     """
@@ -267,6 +267,7 @@ def _programs(
 
 
 def _prior(robot_in_cell: RobotInCell, process: Process) -> Prior:
+    """Return the parameters before the part is probed: those of the robot model and of the cutting law."""
     law = process.law()
     return Prior.of(robot_in_cell.robot, law.sigma, law.numbers)
 
@@ -332,7 +333,11 @@ def _is_of_law(source: ForceSource | None, law: CuttingLaw) -> bool:
 
 
 def _krl(request: TestPartRequest, name: str, text: str, cell: Cell) -> dict[str, bytes]:
-    """Return the nominal program in the language of the robot, marked as such."""
+    """Return the uncorrected program in the language of the robot: file name → content.
+
+    :param name: of the G-code program, `text` its content.
+    :raises InputError: the robot cannot run it.
+    """
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / name
         path.write_bytes(text.encode())
@@ -361,7 +366,7 @@ def _process(process: Process, box: Box) -> bytes:
 
 
 class PartRequest(Struct, frozen=True, kw_only=True):
-    """What a model is identified from.
+    """Inputs for the identification of a model from a probed part.
 
     :param probed: probing.csv filled in.
     :param cell: the cell in which the part was cut; its robot is the prior.
@@ -394,7 +399,7 @@ class _FitInput(Struct, frozen=True, eq=False):
     process: Process
 
     def fit(self, prior: Prior) -> tuple[Fit, tuple[str, ...]]:
-        """Fit a model; return the points left out too."""
+        """Return the fit of the model to the probed points, and the points that are left out as gross errors."""
         return fit(prior, self.readings, self.parts[0].robot_in_cell, CutForces(self.parts))
 
 
@@ -412,8 +417,8 @@ def _read_part(request: PartRequest, model: str | None = None) -> _FitInput:
     _check_top(probe_data, process)
     rows, parts = [], []
     for path, base in programs_of(probe_data, request.programs).items():
-        its_cell = cell_of_placement(cell, Placement("" if base < 0 else str(base)), probe_data.file)
-        program, robot_in_cell = read_program(path, robot, its_cell), RobotInCell.of(robot, its_cell)
+        placement_cell = cell_of_placement(cell, Placement("" if base < 0 else str(base)), probe_data.file)
+        program, robot_in_cell = read_program(path, robot, placement_cell), RobotInCell.of(robot, placement_cell)
         rows.append(np.flatnonzero(probe_data.base == base))
         contact_surfaces = surfaces(
             program, robot_in_cell, probe_data.take(rows[-1]), 0.5 * tool.diameter_mm * M_PER_MM

@@ -115,7 +115,7 @@ def _outcomes(watcher: _Watcher, stop: Event) -> Iterator[tuple[Outcome, Job]]:
 def _pause(folder: Path, stop: Event) -> Callable[[], object]:
     """Return a function that waits until something may have changed in a folder, for `SCAN` at most."""
     try:
-        from watchfiles import watch as notified
+        from watchfiles import watch as changes
     except ImportError:
         return lambda: stop.wait(SCAN)
 
@@ -124,7 +124,7 @@ def _pause(folder: Path, stop: Event) -> Callable[[], object]:
         start = time.monotonic()
         try:
             options = {"yield_on_timeout": True, "recursive": False, "rust_timeout": int(1e3 * SCAN), "debounce": 200}
-            next(notified(folder, stop_event=stop, raise_interrupt=True, **options), None)
+            next(changes(folder, stop_event=stop, raise_interrupt=True, **options), None)
         except (OSError, RuntimeError):  # the folder is gone, or the system has no notifications left
             stop.wait(SCAN)
         stop.wait(max(0.0, 0.2 * SCAN - (time.monotonic() - start)))
@@ -148,6 +148,7 @@ def _files_of_process(path: Path, status: os.stat_result) -> list[Path]:
 
 @lru_cache(1024)
 def _read_process(path: Path, size: int, time_ns: int) -> tuple[Path, ...]:
+    """Return the files that belong to a process; size and time only tell the cache that the file has changed."""
     return tuple(inputs.force_inputs(path))
 
 
@@ -158,6 +159,10 @@ class _Watcher:
     :ivar same_named: programs that were refused since they would be written under one name.
     :ivar force_folder: folder of forces, None if there is none; `force_files`: what the last scan found there, see
         `programs.force_files`; `plain_options`: arguments of `find_jobs` without the folder.
+    :ivar seen: program → its signature, and the monotonic time of the last change [s].
+    :ivar finished: program → signature with which it was converted, or refused.
+    :ivar entries: content of the state file: name of the program → entry.
+    :ivar reported: sentences that the user has seen, and that are not said again.
     """
 
     def __init__(
@@ -219,7 +224,7 @@ class _Watcher:
         return ready if quiet and ready and self._can_write() else []
 
     def _retry_same_named(self) -> None:
-        """Let programs be converted that were refused for their names: one of them is gone."""
+        """Forget programs that were refused because they share a name, so that the next scan tries them again."""
         for path in self.same_named:
             self.finished.pop(path, None)
             self.entries.pop(path.name, None)
@@ -349,7 +354,7 @@ class _Watcher:
         return self._find_forces(job for job in all_jobs if job.program in programs and not job.callers)
 
     def _jobs_without_forces(self, program: Path) -> list[Job]:
-        """Return the job of a program whose forces are unusable; none if the program is the cause."""
+        """Return the job of a program without its file of forces; an empty list if the program is unusable too."""
         try:
             return find_jobs([str(program)], output=self.output, **self.plain_options)
         except PostprocError:
@@ -403,7 +408,7 @@ class _Watcher:
         return programs
 
     def _reads(self, path: Path) -> list[Path]:
-        """Return the files that belong to a program: it, those read with it, its forces."""
+        """Return the program file, the files that are read with it, and those of its forces."""
         companions = registry.dialect_of_file(path).companions(path) if self.options.get("dialect") is None else []
         process = self._process_of(path)
         is_common = process is None or process == self.plain_options["forces"]
@@ -418,7 +423,7 @@ class _Watcher:
             return None
 
     def _sum(self, path: Path) -> str | None:
-        """Return the sum of the files of a program; None if one cannot be opened at present."""
+        """Return the SHA-256 of the files of a program; None, with a remark to the user, if one cannot be opened."""
         try:
             return provenance.digest(file.read_bytes() for file in self._reads(path))
         except OSError:
@@ -426,7 +431,10 @@ class _Watcher:
             return None
 
     def _is_new(self, path: Path, signature: Signature) -> bool:
-        """Return whether the contents of a program differ from those that were converted."""
+        """Return whether a program differs from the version that was converted; if not, it counts as finished.
+
+        :param signature: of the program in this scan.
+        """
         total = self._sum(path)
         if total is None:
             return False
@@ -464,7 +472,10 @@ class _Watcher:
             return False
 
     def _record(self, path: Path, outcome: Outcome, signature: Signature, total: str | None) -> None:
-        """Record that a program has been converted, or could not be."""
+        """Record in the state file that a program has been converted, or could not be.
+
+        :param signature: of the program before the conversion; `total`: sum of its contents then, None: not readable.
+        """
         self.finished[path] = signature
         if total is not None:
             cause = reason(outcome) if outcome.summary is None and outcome.code == FAILED else ""

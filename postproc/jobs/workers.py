@@ -66,7 +66,7 @@ class LocalWorkers:
         return None if isinstance(future.exception(), OSError) else future.result()
 
     def lost_outcome(self, task: Task) -> None:
-        """Return no failure: `outcome` of a task ends as soon as its process does."""
+        """Return None: a local process that ends is noticed by its thread, which then makes the outcome."""
 
     def end(self) -> None:
         """End the processes at once."""
@@ -198,7 +198,7 @@ def main() -> None:
 
 
 def _receive(tasks: SimpleQueue[tuple[Task, Settings]]) -> None:
-    """Pass tasks on; end this process when the other end of the pipe is closed, whatever it is doing."""
+    """Read tasks from standard input into a queue; end this process as soon as the other end of the pipe is closed."""
     try:
         while True:
             tasks.put(pickle.load(sys.stdin.buffer))
@@ -208,6 +208,7 @@ def _receive(tasks: SimpleQueue[tuple[Task, Settings]]) -> None:
 
 @lru_cache(maxsize=1)
 def _setup(settings: Settings) -> tuple[Cell, RobotModel]:
+    """Return cell and robot of the settings; read once for all tasks with the same settings."""
     return load_setup(settings)
 
 
@@ -294,7 +295,10 @@ class ClusterWorkers:
         return Outcome(program, FAILED, message=message, keeps_old_files=True)
 
     def lost_outcome(self, task: Task) -> Outcome | None:
-        """Return a failure if the cluster, or the worker that has the task, has not been there for some time."""
+        """Return a failure if the cluster or the worker that has the task has not responded for some time; else None.
+
+        The cluster has `PATIENCE` seconds, a worker `_SIGN_TIMEOUT`.
+        """
         self._update_workers()
         if time.monotonic() > self._alive + PATIENCE:
             return self._loss_outcome(task)
@@ -308,7 +312,10 @@ class ClusterWorkers:
         return Outcome(str(task.job.program), FAILED, message=message, keeps_old_files=True)
 
     def _update_workers(self) -> None:
-        """Note, at intervals, which workers are alive, when the scheduler saw each last, and which tasks each has."""
+        """Ask the scheduler which workers are alive, when it saw each last, and which tasks each has.
+
+        It is asked every `_LOOK` seconds at most.
+        """
         time_s = time.monotonic()
         if time_s < self._looked + min(_LOOK, PATIENCE / 4.0) or self._client.status != "running":
             return
@@ -368,9 +375,12 @@ def _task() -> Callable[[str, bytes], Outcome | OtherCode]:
     """Return the function that a cluster worker runs; sent as code, because its postproc may be another version."""
 
     def work(code: str, content: bytes) -> Any:
-        """Do one job in a worker on another machine; return its address and version if its code is not the same.
+        """Return the outcome of a task on another machine; if its code differs, address and version of the worker.
 
-        Only what every machine has is imported before that is known.
+        postproc is imported in here, since the machine may have another version or none.
+
+        :param code: sum of the code of the machine that sends the task.
+        :param content: pickled task and settings.
         """
         import pickle
 
