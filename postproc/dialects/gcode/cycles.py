@@ -67,13 +67,18 @@ class Cycle:
         self.words.clear()
 
     def hole(
-        self, code: float, line_words: Mapping[str, float], at: Point, modes: tuple[bool, bool], spindle: EventKind
+        self,
+        code: float,
+        line_words: Mapping[str, float],
+        position: Point,
+        modes: tuple[bool, bool],
+        spindle: EventKind,
     ) -> tuple[list[Step], list[CycleEvent]]:
-        """Return the moves and events of a line.
+        """Return the moves of the holes of a line, and the events between them.
 
         :param line_words: its words: U and V in the plane, Z across it, R, Q [mm], P, L. L0 states the hole for the
             lines that follow and drills none (Fanuc and Haas; LinuxCNC refuses it).
-        :param at: where the tool is: in the plane and across it [mm].
+        :param position: where the tool is: in the plane and across it [mm].
         :param modes: whether G91 and whether G99 is active.
         :param spindle: state of the spindle.
         :raises BlockError: a word is missing, or impossible.
@@ -82,13 +87,13 @@ class Cycle:
             self.words.clear()
             self.code = code
         self.words.update({letter: line_words[letter] for letter in "ZRPQ" if letter in line_words})
-        relative, to_r = modes
+        relative, retracts_to_r = modes
         self.relative.update(dict.fromkeys(line_words, relative))
         self._check_words(relative)
         repeats = line_words.get("L", 1.0)
         if repeats < 0.0 or repeats != round(repeats):
             raise BlockError(f"L{repeats:g} of a cycle is not a number of holes", None)
-        u, v, height = at
+        u, v, height = position
         self.level = height if self.level is None else self.level
         if repeats == 0.0:
             stay = (0.0, 0.0) if relative else (u, v)
@@ -103,18 +108,18 @@ class Cycle:
         if self.lifts:
             steps.append(Step(0.0, (u, v, r)))
             height = r
-        clear = r if to_r else max(self.level, r)
-        for n in range(round(repeats)):
+        clear_height = r if retracts_to_r else max(self.level, r)
+        for hole_number in range(round(repeats)):
             u, v = (
-                line_words.get(name, 0.0 if relative else old) + (old if relative else 0.0)
-                for name, old in zip("UV", (u, v), strict=True)
+                last + line_words.get(name, 0.0) if relative else line_words.get(name, last)
+                for name, last in zip("UV", (u, v), strict=True)
             )
-            start = height if n == 0 and height > r else clear
+            start = height if hole_number == 0 and height > r else clear_height
             steps.append(Step(0.0, (u, v, start)))
             if start > r:
                 steps.append(Step(0.0, (u, v, r)))
             self._add_descent((u, v, z), r, steps)
-            self._up((u, v, clear), r, steps, events, spindle)
+            self._add_retract((u, v, clear_height), r, steps, events, spindle)
         return steps, events
 
     def _check_words(self, relative: bool) -> None:
@@ -164,31 +169,31 @@ class Cycle:
                 depth -= peck
         steps.append(Step(1.0, bottom, bottom=True))
 
-    def _up(
-        self, clear: Point, r: float, steps: list[Step], cycle_events: list[CycleEvent], spindle: EventKind
+    def _add_retract(
+        self, clear_point: Point, r: float, steps: list[Step], cycle_events: list[CycleEvent], spindle: EventKind
     ) -> None:
         """Append to `steps` the retract from the bottom, and to `cycle_events` the dwell and spindle changes before it.
 
-        :param clear: end of the retract; r: height of the R plane [mm].
+        :param clear_point: end of the retract; `r`: height of the R plane [mm].
         :param spindle: state of the spindle before the cycle.
         :raises BlockError: the cycle needs a spindle that turns.
         """
-        at, dwell = len(steps), self.words.get("P", 0.0)
-        wait = [CycleEvent(at, "dwell", dwell)] if self.code in DWELLING and dwell > 0.0 else []
+        step_count, dwell = len(steps), self.words.get("P", 0.0)
+        wait = [CycleEvent(step_count, "dwell", dwell)] if self.code in DWELLING and dwell > 0.0 else []
         if self.code == 84.0:
             if spindle != "spindle_on":
                 raise BlockError("G84 with a spindle that does not turn clockwise", "Start it with M3 before.")
-            cycle_events += [CycleEvent(at, "spindle_off"), CycleEvent(at, "spindle_ccw"), *wait]
-            steps.append(Step(1.0, clear, bottom=True))
-            cycle_events += [CycleEvent(at + 1, "spindle_off"), CycleEvent(at + 1, "spindle_on")]
+            cycle_events += [CycleEvent(step_count, "spindle_off"), CycleEvent(step_count, "spindle_ccw"), *wait]
+            steps.append(Step(1.0, clear_point, bottom=True))
+            cycle_events += [CycleEvent(step_count + 1, "spindle_off"), CycleEvent(step_count + 1, "spindle_on")]
         elif self.code == 86.0:
             if spindle == "spindle_off":
                 raise BlockError("G86 with a spindle that does not turn", "Start it with M3 before.")
-            cycle_events += [*wait, CycleEvent(at, "spindle_off")]
-            steps.append(Step(0.0, clear))
-            cycle_events.append(CycleEvent(at + 1, spindle))
+            cycle_events += [*wait, CycleEvent(step_count, "spindle_off")]
+            steps.append(Step(0.0, clear_point))
+            cycle_events.append(CycleEvent(step_count + 1, spindle))
         elif self.code == 85.0:
-            steps += [Step(1.0, (clear[0], clear[1], r)), Step(0.0, clear)]
+            steps += [Step(1.0, (clear_point[0], clear_point[1], r)), Step(0.0, clear_point)]
         else:
             cycle_events += wait
-            steps.append(Step(1.0 if self.code == 89.0 else 0.0, clear))
+            steps.append(Step(1.0 if self.code == 89.0 else 0.0, clear_point))

@@ -119,7 +119,10 @@ class Switching:
                 self.events.append(RowEvent(row, False, "m_code", code))
 
     def tool_length(self, row: int, length: float | None) -> None:
-        """Read G43 with its H."""
+        """Check G43 against the tool in the spindle; before the first M6, H selects the tool.
+
+        :param length: number of the stored tool length (H), or None.
+        """
         tools = self.cell.tools
         mounted = self._tool if self._spindle_tool is None else self._spindle_tool
         if not tools:
@@ -140,7 +143,7 @@ class Switching:
             self._remark("warning", "tool-length", message, row, f"{length:g}")
 
     def dwell(self, row: int, seconds: float) -> None:
-        """Read a G4."""
+        """Record a dwell (G4) [s]."""
         self._event(row, "dwell", seconds)
 
     def _change(self, row: int) -> None:
@@ -169,7 +172,10 @@ class Switching:
             self._remark("warning", "tool-change", message, row)
 
     def _power(self, row: int, m: Sequence[float], values: dict[str, float]) -> None:
-        """Read M3 P of Snapmaker: a share of the full speed, which is not known here."""
+        """Ignore P of M3 and M4 with a warning: on Snapmaker machines it is a share of an unknown full speed.
+
+        :raises BlockError: the cell needs the speed in rpm.
+        """
         if "P" not in values or not set(m) & set(codes.SPINDLE[:2]) or set(values) - {"P", "S"}:
             return
         gcode = self.cell.gcode
@@ -207,9 +213,11 @@ class Switching:
             self.events.append(RowEvent(row, True, "coolant_off"))
 
     def _event(self, row: int, kind: EventKind, value: float = 0.0) -> None:
+        """Record an event before the motion of a line."""
         self.events.append(RowEvent(row, False, kind, value))
 
     def _remark(self, level: Level, kind: str, message: str, row: int, subject: str = "") -> None:
+        """Add a remark on a line for the user."""
         self.issues.append(Issue(level, kind, message, row + 1, subject=subject))
 
 
@@ -239,10 +247,10 @@ class TipControl:
             self._on, self._off = tip_codes(rotary), TCP_OFF
 
     def read(self, row: int, code: str) -> bool:
-        """Read a code that switches it; return whether it is one."""
-        on = code in self._on
-        if on or code in self._off:
-            self.changes.append((row, float(on)))
+        """Record a code that switches tool-centre-point control; return whether it is one, such as ``M128``."""
+        is_on = code in self._on
+        if is_on or code in self._off:
+            self.changes.append((row, float(is_on)))
             return True
         return False
 
@@ -285,30 +293,32 @@ class FrameCodes:
         self.returns: dict[int, Return] = {}
         self._shifted = False
 
-    def read(self, row: int, g: Sequence[float], motion: float, values: dict[str, float], mm: float) -> None:
-        """Read such a code, if the block has one.
+    def read(self, row: int, g: Sequence[float], motion: float, values: dict[str, float], mm_per_unit: float) -> None:
+        """Record the code of a block that changes the program frame or goes to a machine position, if it has one.
 
         :param g: G codes of the block; `motion` is the one of G0 to G3, or NaN.
         :param values: its words by letter; used words are removed.
-        :param mm: length of a unit [mm].
+        :param mm_per_unit: length of a unit [mm].
         :raises BlockError: the code cannot be executed on the robot.
         """
-        using = [code for code in g if code in codes.ORIGINS or code in codes.RETURNS]
-        if not using:
+        frame_codes = [code for code in g if code in codes.ORIGINS or code in codes.RETURNS]
+        if not frame_codes:
             return
-        takes = {letter: values.pop(letter) for letter in "XYZ" if letter in values}
+        position_words = {letter: values.pop(letter) for letter in "XYZ" if letter in values}
         rotary_letters = [letter for letter in self.rotary if letter in values]
-        if rotary_letters and (using[0] in codes.ORIGINS or self.machine.home_joints is None):
-            raise BlockError(f"{rotary_letters[0]} in a block with G{using[0]:g}", "Write X, Y and Z alone there.")
+        if rotary_letters and (frame_codes[0] in codes.ORIGINS or self.machine.home_joints is None):
+            raise BlockError(
+                f"{rotary_letters[0]} in a block with G{frame_codes[0]:g}", "Write X, Y and Z alone there."
+            )
         for letter in rotary_letters:
             values[letter] = 0.0  # position of the axes at home
-        axes = {"XYZ".index(letter): value * mm for letter, value in takes.items()}
-        conflicts = [f"G{code:g}" for code in g if code in using or code in (2.0, 3.0, *codes.CYCLES)]
+        axes = {"XYZ".index(letter): value * mm_per_unit for letter, value in position_words.items()}
+        conflicts = [f"G{code:g}" for code in g if code in frame_codes or code in (2.0, 3.0, *codes.CYCLES)]
         if len(conflicts) > 1:
             raise BlockError(
                 f"{conflicts[0]} and {conflicts[1]} in one block use the same words", "Write one block for each."
             )
-        code = using[0]
+        code = frame_codes[0]
         if code in codes.RETURNS:
             self._return(row, code, motion, axes)
         elif code == codes.STORE:
@@ -349,15 +359,15 @@ class FrameCodes:
 
         :raises BlockError: it sets something else.
         """
-        kind, system, turn = values.pop("L", 0.0), values.pop("P", -1.0), values.pop("R", None)
-        if kind not in (2.0, 20.0) or (kind == 20.0 and turn is not None):
-            raise BlockError(f"G10 L{kind:g} is not supported", "Tools are in the cell: [tools.1] …")
+        target, system, turn = values.pop("L", 0.0), values.pop("P", -1.0), values.pop("R", None)
+        if target not in (2.0, 20.0) or (target == 20.0 and turn is not None):
+            raise BlockError(f"G10 L{target:g} is not supported", "Tools are in the cell: [tools.1] …")
         if system not in range(10):
             raise BlockError("G10 without a work offset", "Write P1 for G54 … P9 for G59.3, P0 for the active one.")
         number = int(system)
         if number:
             self.offsets.add(f"G{codes.WORK_OFFSETS[number - 1]:g}")
-        self.origins.append(Origin(row, codes.STORE, axes, number, turn, kind == 20.0))
+        self.origins.append(Origin(row, codes.STORE, axes, number, turn, target == 20.0))
 
 
 _UNIT_SYNONYMS = {70.0: 20.0, 71.0: 21.0}
@@ -433,20 +443,22 @@ class Modes(Struct, frozen=True, eq=False):
     complete: bool = True
 
 
-def read_modes(source: Source, odd: Ints, words: Words, cell: Cell, faults_of_run: Sequence[Fault] = ()) -> Modes:
-    """Read the lines `odd` and put their coordinates, feeds and motion codes into `words`.
+def read_modes(
+    source: Source, other_rows: Ints, words: Words, cell: Cell, faults_of_run: Sequence[Fault] = ()
+) -> Modes:
+    """Read the lines that are not plain motion blocks, and put their coordinates, feeds and motion codes into `words`.
 
-    :param odd: (n,) rows of the lines to read, ascending.
-    :param words: as `words.read_plain` returns them; rows of `odd` are filled in.
+    :param other_rows: (n,) rows of the lines to read, ascending.
+    :param words: as `words.read_plain` returns them; rows of `other_rows` are filled in.
     :param cell: work offsets, tools, M-codes, approximation distance, meaning of G28 and G53.
     :param faults_of_run: faults found when the program was executed.
     """
     opening = _OPENING.match(source.code)
-    tape = -1 if opening is None else opening[0].count(b"\n") - 1
-    reader = _Reader(words, cell, tape)
+    tape_row = -1 if opening is None else opening[0].count(b"\n") - 1
+    reader = _Reader(words, cell, tape_row)
     faults: list[Fault] = []
     rows = len(source)
-    for row in odd.tolist():
+    for row in other_rows.tolist():
         code = source.line(row)
         try:
             reader.read(row, code)
@@ -458,7 +470,7 @@ def read_modes(source: Source, odd: Ints, words: Words, cell: Cell, faults_of_ru
                 faults.append(Fault(row, *CUT_SHORT))
             break
     faults = sorted([*faults, *(fault for fault in faults_of_run if fault.row < rows)], key=lambda fault: fault.row)
-    complete = reader.has_ended or tape < 0 or len(faults) > MAX_ERRORS or bool(faults_of_run)
+    complete = reader.has_ended or tape_row < 0 or len(faults) > MAX_ERRORS or bool(faults_of_run)
     if not reader.has_ended and complete:
         message = "The program ends without M2, M30 or %. Check that the file is complete."
         reader.issues.append(Issue("warning", "program-end", message, rows))
@@ -587,6 +599,7 @@ class _Reader:
             raise BlockError("negative feed", None)
 
     def _remark(self, level: Level, kind: str, message: str, row: int, subject: str = "") -> None:
+        """Add a remark on a line for the user."""
         self.issues.append(Issue(level, kind, message, row + 1, subject=subject))
 
     def _offset_refusal(self, code: float) -> tuple[str, str] | None:
@@ -662,6 +675,7 @@ class _Reader:
         self.frame_codes.read(row, g, self._motion(row), values, self.mm_per_unit)
 
     def _switching(self, row: int, _: Sequence[float], m: Sequence[float], values: dict[str, float]) -> None:
+        """Record M codes, T and S of a block."""
         self.switching.read(row, m, values)
 
     def _ignore_smoothing(self, row: int, g: Sequence[float], _: object, values: dict[str, float]) -> None:
@@ -713,28 +727,30 @@ class _Reader:
 
         D of G41.1 and G42.1 is a diameter, which no offset of the control replaces.
         """
-        wear = self.cell.gcode.radius_offsets == "wear"
+        holds_wear = self.cell.gcode.radius_offsets == "wear"
         for code in g:
-            if code in codes.RADIUS and values.get("D") != 0.0 and not (wear and code in codes.RADIUS_BY_OFFSET):
+            if code in codes.RADIUS and values.get("D") != 0.0 and not (holds_wear and code in codes.RADIUS_BY_OFFSET):
                 raise BlockError(*codes.refusal("G", code))
             if code in codes.RADIUS:
-                zero = values.pop("D", None) == 0.0
+                has_d0 = values.pop("D", None) == 0.0
                 if codes.TOOL_LENGTH not in g:
                     values.pop("H", None)  # the offset of older Fanuc controls
-                reason = "with D0" if zero else "by offsets that hold wear only ([gcode] radius_offsets)"
+                reason = "with D0" if has_d0 else "by offsets that hold wear only ([gcode] radius_offsets)"
                 message = f"Radius compensation {reason} has no effect: the path is read as that of the tool centre."
                 self._remark("info", "radius-compensation", message, row)
 
     def _blending(self, row: int, g: Sequence[float], _: Sequence[float], values: dict[str, float]) -> None:
         """Record G64, G61 and G9: how far corners may be cut [m], and from which row on."""
         if codes.BLENDING in g:
-            limit = values.pop("P", None)
+            tolerance_word = values.pop("P", None)
             values.pop("Q", None)
             distance = self.approximation
-            if limit is not None:
-                distance = min(distance, 2.0 * max(limit, 0.0) * self.mm_per_unit * M_PER_MM)
+            if tolerance_word is not None:
+                distance = min(distance, 2.0 * max(tolerance_word, 0.0) * self.mm_per_unit * M_PER_MM)
             self.blends.append((row, distance))
-            tolerance = float("nan") if limit is None else max(limit, 0.0) * self.mm_per_unit * M_PER_MM
+            tolerance = (
+                float("nan") if tolerance_word is None else max(tolerance_word, 0.0) * self.mm_per_unit * M_PER_MM
+            )
             self.roundings.append((row, tolerance))
         elif set(g) & set(codes.EXACT):
             self.blends.append((row, 0.0))

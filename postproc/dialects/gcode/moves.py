@@ -110,18 +110,21 @@ class Moves(Struct, frozen=True, eq=False):
     def begin(self, move: Ints) -> Array:
         """Return the starts (n, 3) of moves (n,)."""
         starts = self.end[move - 1]
-        place = np.searchsorted(self.first, move)
-        has_own_start = np.append(self.first, -1)[place] == move
-        starts[has_own_start] = self.start[place[has_own_start]]
+        index = np.searchsorted(self.first, move)
+        has_own_start = np.append(self.first, -1)[index] == move
+        starts[has_own_start] = self.start[index[has_own_start]]
         return starts
 
     def repeat(self, count: Ints) -> Moves:
-        """Return the moves, each repeated `count` (N,) times: as they end there, the first of each begins as before."""
+        """Return the moves, each repeated `count` (N,) times.
+
+        All repeats have the end of their move; the first of them begins where the move began.
+        """
         index = np.repeat(np.arange(len(count)), count)
         offsets = np.append(0, np.cumsum(count))
         names = ("row", "code", "end", "frame", "tool", "turn", "bottom", "home")
         columns = {name: take_rows(getattr(self, name), index) for name in names}
-        events = [(int(offsets[at]), row, event) for at, row, event in self.events]
+        events = [(int(offsets[move]), row, event) for move, row, event in self.events]
         return replace(self, **columns, first=offsets[self.first], events=events)
 
 
@@ -131,7 +134,7 @@ def moves_of(rows: LineStates, modes: Modes, cell_frames: CellFrames) -> Moves:
 
 
 def below_top(rows: LineStates, first: int, complete: int) -> Bools:
-    """Return which lines (L,) from `first` to `complete` are not at the highest Z of the program, stated before.
+    """Return which lines (L,) from row `first` to row `complete` are not at the highest Z that the program states.
 
     Programs for hobby controls go up by G1 first, and then to the start position: these moves are at the top. A highest
     Z that is the only one, or not above zero, may be that of a cut: no line is at the top then.
@@ -140,9 +143,9 @@ def below_top(rows: LineStates, first: int, complete: int) -> Bools:
     window = slice(first, complete + 1)
     z = rows.xyz[window, 2]
     has_z = ~np.isnan(z)
-    latest = np.maximum.accumulate(np.where(has_z, np.arange(len(z)), -1))
+    latest_z_row = np.maximum.accumulate(np.where(has_z, np.arange(len(z)), -1))
     lowest, top = np.nanmin(rows.xyz[:, 2], initial=np.inf), np.nanmax(rows.xyz[:, 2], initial=-np.inf)
-    is_top = (latest >= 0) & (z[latest] >= top) & (lowest < top) & (top > 0.0)
+    is_top = (latest_z_row >= 0) & (z[latest_z_row] >= top) & (lowest < top) & (top > 0.0)
     is_below[window] = ~is_top | rows.incremental.any() | ~has_z[: complete - first].any()
     return is_below
 
@@ -155,16 +158,24 @@ def _repetition(values: Sequence[int], count: Ints) -> Ints:
 class _Walk:
     """State of the machine from line to line.
 
+    :ivar position: (3,) of the tool tip in the program frame [mm].
     :ivar known: (3,) whether X, Y, Z have been programmed.
-    :ivar away: (3,) along which the machine is at another place than the robot since G28, G30 or G53.
+    :ivar away: (3,) axes along which the machine is at another place than the robot since G28, G30 or G53.
     :ivar lifted: whether the robot has retracted by a code that does not move Z of the machine.
+    :ivar offset_frames: code of a work offset → (4, 4) frame in `$BASE` [m]; G10 changes it.
+    :ivar shift: (3,) shift of coordinates by G52 and G92 [mm]; `kept_shift`: the one that G92.3 restores.
+    :ivar angles: (k,) of the rotary axes [deg].
+    :ivar number: number of moves so far.
+    :ivar first: number of the first move of each run; `starts`: position, row of `frames` and row of `$TOOL` there.
+    :ivar losses: rows from which the position of some axes (3,) is unknown.
+    :ivar parked: rows of G28, G30 and G53, and the axes (3,) along which the machine has moved away.
     """
 
     def __init__(self, rows: LineStates, modes: Modes, cell_frames: CellFrames) -> None:
         self.rows, self.modes, self.cell_frames = rows, modes, cell_frames
         self.count = len(rows.motion)
         self.offset = active_values(modes.changes["offset"], codes.WORK_OFFSETS[0], self.count)
-        self.places = dict(cell_frames.offsets)
+        self.offset_frames = dict(cell_frames.offsets)
         self.shift, self.kept_shift = np.zeros(3), np.zeros(3)
         self.frames, self.machine_frames = [np.eye(4)], [np.eye(4)]
         self.position = cell_frames.start[:3, 3] / M_PER_MM
@@ -176,9 +187,11 @@ class _Walk:
         self.angles = cell_frames.rotary.upright
         self.tool = 0
         self.cycle = Cycle()
-        spindle_events = [h for h in modes.row_events if h.kind in ("spindle_on", "spindle_ccw", "spindle_off")]
-        self.spindle_rows = [h.row for h in spindle_events]
-        self.spindle_kinds: list[EventKind] = ["spindle_off", *(h.kind for h in spindle_events)]
+        spindle_events = [
+            event for event in modes.row_events if event.kind in ("spindle_on", "spindle_ccw", "spindle_off")
+        ]
+        self.spindle_rows = [event.row for event in spindle_events]
+        self.spindle_kinds: list[EventKind] = ["spindle_off", *(event.kind for event in spindle_events)]
         self.parts: dict[str, list[NDArray[Any]]] = {name: [] for name in ("row", "code", "end", "turn")}
         self.first: list[int] = []
         self.starts: list[tuple[Array, int, int]] = []
@@ -253,7 +266,10 @@ class _Walk:
             self.known = np.asarray(~np.isnan(rows.xyz[row:end]).all(axis=0))
 
     def _add_lines(self, begin: int, end: int) -> int:
-        """Add the moves of some lines; return the last on which axes turn without tool-centre-point control, or −1."""
+        """Add the moves of lines `begin` to `end` (exclusive), all in G90 or all in G91.
+
+        :returns: the last row on which rotary axes turn without tool-centre-point control; −1: none.
+        """
         rows = self.rows
         positions = np.empty((end - begin, 3))
         for axis in range(3):
@@ -273,7 +289,10 @@ class _Walk:
         return begin + int(swing_rows[-1]) if len(swing_rows) else -1
 
     def _index(self, row: int) -> None:
-        """Process a line that may turn the part: a rapid, along which the tool moves about the axes."""
+        """Process a line with words of indexed axes, which must be a rapid.
+
+        The move is split into steps of `INDEX_STEP`: seen from the part, the tool moves on an arc about the axes.
+        """
         start_angles, words = self.angles, self.rows.rotary[row]
         turn = (
             np.nan_to_num(words) if self.rows.incremental[row] else np.where(np.isnan(words), 0.0, words - start_angles)
@@ -310,7 +329,7 @@ class _Walk:
         self._reframe(float(self.offset[row]))
 
     def _rotary_angles(self, begin: int, end: int) -> Array:
-        """Return the angles of the rotary axes (n, 2, k) before and after lines."""
+        """Return the angles of the rotary axes (n, 2, k) [deg] before and after each line; keep the last ones."""
         words = self.rows.rotary[begin:end]
         end_angles = np.empty((end - begin, len(self.angles)))
         for axis, angle in enumerate(self.angles.tolist()):
@@ -323,7 +342,10 @@ class _Walk:
         return np.stack([start_angles, end_angles], axis=1)
 
     def _drill(self, begin: int, end: int) -> None:
-        """Process lines with cycles; after the second hole, lines with positions only are processed together."""
+        """Process lines with cycles.
+
+        From the second hole on the steps no longer change, so lines with positions only are processed together.
+        """
         self._check_drilling(begin, end)
         self._check_height(begin, end)
         spindle = self._spindle(begin, end)
@@ -332,15 +354,18 @@ class _Walk:
         row, has_steps = begin, False
         while row < end:
             steps, events = self._hole(row, spindle[row - begin])
-            second = has_steps and bool(is_position_only[row - begin])
+            repeats_hole = has_steps and bool(is_position_only[row - begin])
             row, has_steps = row + 1, bool(steps)
-            if second and has_steps:
+            if repeats_hole and has_steps:
                 stop = int(other_rows[np.searchsorted(other_rows, row)])
                 self._holes(row, stop, steps, events)
                 row = stop
 
     def _is_next_hole(self, begin: int, end: int, spindle: Sequence[EventKind]) -> Bools:
-        """Return which lines (n,) give only the position of the next hole."""
+        """Return which lines (n,) state only the position of the next hole: words, modes and spindle are as before.
+
+        :param spindle: state of the spindle on each line.
+        """
         rows = self.rows
         is_position_only = np.append(False, np.array(spindle[1:]) == spindle[:-1])
         for state in (rows.motion, rows.plane, rows.to_r):
@@ -356,7 +381,7 @@ class _Walk:
         axes = list(PLANE_AXES[float(rows.plane[row])])
         words = dict(zip("UVZ", rows.xyz[row][axes].tolist(), strict=True))
         words |= {"R": rows.radius[row], "P": rows.turns[row], "Q": rows.pecks[row], "L": rows.repeats[row]}
-        words = {letter: value for letter, value in words.items() if value == value}
+        words = {letter: value for letter, value in words.items() if not np.isnan(value)}
         modes = bool(rows.incremental[row]), bool(rows.to_r[row])
         u, v, height = self.position[axes].tolist()
         if "P" in words and rows.motion[row] in DWELLING:
@@ -389,12 +414,12 @@ class _Walk:
         for axis in axes[:2]:
             words = self.rows.xyz[row:stop, axis]
             if self.rows.incremental[row - 1]:
-                at = self.position[axis] + np.cumsum(np.nan_to_num(words))
+                coordinates = self.position[axis] + np.cumsum(np.nan_to_num(words))
             else:
-                at = carry_forward(words, self.position[axis])
-            places[:, :, axis] = at[:, None]
+                coordinates = carry_forward(words, self.position[axis])
+            places[:, :, axis] = coordinates[:, None]
             if self.cycle.lifts:
-                places[:, 0, axis] = np.append(self.position[axis], at[:-1])
+                places[:, 0, axis] = np.append(self.position[axis], coordinates[:-1])
         self._add_holes(np.repeat(np.arange(row, stop), len(steps)), places.reshape(-1, 3), steps, cycle_events)
 
     def _add_holes(self, row: Ints, places: Array, steps: Sequence[Step], cycle_events: Sequence[CycleEvent]) -> None:
@@ -512,16 +537,16 @@ class _Walk:
         rows = self.rows
         has_word = ~np.isnan(rows.xyz[begin:end])
         if rows.incremental[begin]:
-            wrong = self.away[2] & ((has_word[:, 2] & (rows.xyz[begin:end, 2] != 0.0)) | rows.drilling[begin:end])
+            is_wrong = self.away[2] & ((has_word[:, 2] & (rows.xyz[begin:end, 2] != 0.0)) | rows.drilling[begin:end])
         else:
-            wrong = self.lifted & rows.moving[begin:end] & (rows.motion[begin:end] > 0.0)
-            wrong &= ~np.logical_or.accumulate(has_word[:, 2])
+            is_wrong = self.lifted & rows.moving[begin:end] & (rows.motion[begin:end] > 0.0)
+            is_wrong &= ~np.logical_or.accumulate(has_word[:, 2])
             self.away &= ~has_word.any(axis=0)
             self.lifted &= bool(self.away[2])
-        if wrong.any():
+        if is_wrong.any():
             problem = "Z must be programmed again after G28, G30 or G53, before this move"
             advice = "Program Z in G90: the robot is at clearance_Z of the cell, the machine at another height."
-            self.faults.append((begin + int(np.argmax(wrong)), problem, advice))
+            self.faults.append((begin + int(np.argmax(is_wrong)), problem, advice))
             self.away[2] = self.lifted = False
 
     def _check_return(self) -> None:
@@ -530,34 +555,39 @@ class _Walk:
         The machine is elsewhere then, and the robot is not.
         """
         has_word = ~np.isnan(self.rows.xyz)
-        safe = (self.rows.motion == 0.0) & ~self.rows.incremental & ~has_word[:, 2]
+        is_rapid_in_plane = (self.rows.motion == 0.0) & ~self.rows.incremental & ~has_word[:, 2]
         for row, axes in self.parked:
             open_axes = axes.copy()
-            for at in (row + 1 + np.flatnonzero(self.rows.is_placed[row + 1 :])).tolist():
-                if not safe[at]:
+            for next_row in (row + 1 + np.flatnonzero(self.rows.is_placed[row + 1 :])).tolist():
+                if not is_rapid_in_plane[next_row]:
                     names = " and ".join("XYZ"[axis] for axis in np.flatnonzero(open_axes).tolist())
                     problem = f"{names} must be programmed again after G28, G30 or G53, before this move"
                     advice = "Program X and Y by G0 in G90, without Z, or give [machine] home in the cell."
-                    self.faults.append((at, problem, advice))
+                    self.faults.append((next_row, problem, advice))
                     break
-                open_axes &= ~has_word[at]
+                open_axes &= ~has_word[next_row]
                 if not open_axes.any():
                     break
 
     def _mount(self, row: int, number: float) -> None:
         """Change the tool; its tip moves to the position of the last tip, where the next move starts."""
-        new = self.cell_frames.tools[number]
-        if new != self.tool:
-            self.tool = new
+        tool_row = self.cell_frames.tools[number]
+        if tool_row != self.tool:
+            self.tool = tool_row
             if self.known.all():
                 self._go(row, self.position)
 
     def _go(self, row: int, place: Array) -> None:
+        """Add a rapid move of a line to a place (3,) in the program frame [mm]."""
         self._add(np.array([row]), np.zeros(1), place[None])
         self.position = place
 
     def _add(self, row: Ints, code: Array | NDArray[np.int8], end: Array, turn: Array | None = None) -> None:
-        """Add moves (n,) one after the other, the first from the current position."""
+        """Add moves (n,) one after the other, the first from the current position.
+
+        :param row: (n,) lines; `code`: (n,) 0 to 3; `end`: (n, 3) ends in the program frame [mm].
+        :param turn: (n, 2, k) angles of the rotary axes before and after each move [deg]; None: those now.
+        """
         if turn is None:
             turn = np.broadcast_to(self.angles, (len(row), 2, len(self.angles)))
         columns: tuple[NDArray[Any], ...] = compact(row, np.int32), code.astype(np.int8), end, turn
@@ -568,19 +598,22 @@ class _Walk:
         self.number += len(row)
 
     def _reframe(self, offset: float) -> None:
-        """Express the position in another program frame."""
-        machine = self.places[offset].copy()
+        """Express the position in the program frame of a work offset (code 54.0 …), with shifts and rotary axes."""
+        machine = self.offset_frames[offset].copy()
         machine[:3, 3] += machine[:3, :3] @ self.shift * M_PER_MM
-        new = self.cell_frames.rotary.part_from_machine(self.angles) @ machine
-        old = self.frames[-1]
-        if not np.array_equal(new, old):
-            at = inverse(new) @ old
-            self.position = at[:3, :3] @ self.position + at[:3, 3] / M_PER_MM
-            self.frames.append(new)
+        frame = self.cell_frames.rotary.part_from_machine(self.angles) @ machine
+        last_frame = self.frames[-1]
+        if not np.array_equal(frame, last_frame):
+            frame_change = inverse(frame) @ last_frame
+            self.position = frame_change[:3, :3] @ self.position + frame_change[:3, 3] / M_PER_MM
+            self.frames.append(frame)
             self.machine_frames.append(machine)
 
     def _shift(self, origin: Origin, current: float) -> None:
-        """Apply G52, G92, their inverse or G10 to the shift (3,) of coordinates."""
+        """Apply G10, G52, G92 or G92.1 to G92.3, and express the position in the new frame.
+
+        :param current: code of the active work offset.
+        """
         shift = self.shift.copy()
         if origin.code == codes.STORE:
             self._store(origin, current)
@@ -599,7 +632,10 @@ class _Walk:
         self._reframe(current)
 
     def _check_position(self, origin: Origin, name: str, axes: Sequence[int]) -> None:
-        """Check that the position is known that a code gives coordinates to."""
+        """Check that the present position is known, because a code assigns coordinates to it.
+
+        :param name: of the code, for messages; `axes`: indices of the axes that get coordinates.
+        """
         advice = (
             "Remove it if X, Y, Z of the program are those of $BASE, or give the origin in the cell, "
             "[work_offsets.G55]. Else program X, Y and Z by G0 in G90 before."
@@ -612,18 +648,21 @@ class _Walk:
             self.faults.append((origin.row, problem, advice))
 
     def _store(self, origin: Origin, current: float) -> None:
-        """Set a work offset (G10): by its frame in `$BASE` (L2), or by coordinates of the current position (L20)."""
+        """Set a work offset (G10): by its frame in `$BASE` (L2), or by coordinates of the current position (L20).
+
+        :param current: code of the active work offset, which P0 means.
+        """
         system = codes.WORK_OFFSETS[origin.system - 1] if origin.system else current
-        place = self.places[system].copy()
+        place = self.offset_frames[system].copy()
         if origin.turn is not None and self.cell_frames.rotary.turns_part:
             self.faults.append((origin.row, "G10 R with indexed axes", "X, Y, Z are machine axes there: remove R."))
         elif origin.turn is not None:
             place[:3, :3] = pose_from_xyzabc([0.0, 0.0, 0.0, origin.turn, 0.0, 0.0])[:3, :3]
         if origin.here:
             self._check_position(origin, "G10 L20", list(origin.axes))
-            old = self.frames[-1]
-            base = old[:3, :3] @ self.position * M_PER_MM + old[:3, 3]
-            offset = place[:3, :3].T @ (base - place[:3, 3]) / M_PER_MM - self.shift
+            frame = self.frames[-1]
+            base_point = frame[:3, :3] @ self.position * M_PER_MM + frame[:3, 3]
+            offset = place[:3, :3].T @ (base_point - place[:3, 3]) / M_PER_MM - self.shift
             for axis, word in origin.axes.items():
                 offset[axis] -= word
             offset[[axis for axis in range(3) if axis not in origin.axes]] = 0.0
@@ -631,19 +670,19 @@ class _Walk:
         else:
             for axis, word in origin.axes.items():
                 place[axis, 3] = word * M_PER_MM
-        self.places[system] = place
+        self.offset_frames[system] = place
 
     def _moves(self) -> Moves:
         """Return the moves of all lines."""
-        flags = np.zeros((2, self.number), dtype=bool)
-        flags[0, self.bottoms] = True
-        flags[1, self.homes] = True
+        is_bottom, is_home = np.zeros(self.number, dtype=bool), np.zeros(self.number, dtype=bool)
+        is_bottom[self.bottoms] = True
+        is_home[self.homes] = True
         if not self.first:
             self._add(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, 3)))
         columns = {name: np.concatenate(self.parts.pop(name)) for name in list(self.parts)}
         position, frame, tool = zip(*self.starts, strict=True)
         count = np.diff(self.first, append=self.number)
-        unknown, start_rows = self._ranges_behind_start(self._unknown())
+        unknown, last_start_row = self._ranges_behind_start(self._unknown())
         indices = np.flatnonzero(count)
         moves = Moves(
             **columns,
@@ -651,13 +690,13 @@ class _Walk:
             start=np.stack(position)[indices],
             frame=_repetition(frame, count),
             tool=_repetition(tool, count),
-            bottom=flags[0],
-            home=flags[1],
+            bottom=is_bottom,
+            home=is_home,
             frames=np.stack(self.frames),
             machine_frames=np.stack(self.machine_frames),
             events=self.events,
             unknown=unknown,
-            last_start_row=start_rows,
+            last_start_row=last_start_row,
             offset=self.offset,
             faults=self.faults,
             remarks=self.remarks,
@@ -666,62 +705,68 @@ class _Walk:
         return moves
 
     def _resolve_after_g80(self, moves: Moves) -> None:
-        """Turn coordinates after G80 without a motion code into rapids (in place) where that is safe; refuse others."""
-        at = np.flatnonzero(moves.code == codes.CANCEL_CYCLE)
-        if not len(at):
+        """Turn moves without a motion code after G80 into rapids (in place) where that is safe; refuse others.
+
+        Safe are retracts along the tool, and moves no lower than the lowest rapid before.
+        """
+        g80_moves = np.flatnonzero(moves.code == codes.CANCEL_CYCLE)
+        if not len(g80_moves):
             return
         row, turn = moves.row, moves.turn
-        tool = self.cell_frames.rotary.tool_direction(turn[at, 1])
-        step = moves.end[at] - moves.begin(at)
-        axial_step = np.einsum("ni,ni->n", step, tool)
-        lateral_step = np.abs(step - axial_step[:, None] * tool).max(axis=1)
-        safe = (axial_step > 0.0) & (lateral_step < _FEWEST)
+        tool_direction = self.cell_frames.rotary.tool_direction(turn[g80_moves, 1])
+        displacement = moves.end[g80_moves] - moves.begin(g80_moves)
+        axial_step = np.einsum("ni,ni->n", displacement, tool_direction)
+        lateral_step = np.abs(displacement - axial_step[:, None] * tool_direction).max(axis=1)
+        is_safe = (axial_step > 0.0) & (lateral_step < _FEWEST)
         if not turn.any() and all(np.array_equal(self.frames[0][:3, :3], matrix[:3, :3]) for matrix in self.frames[1:]):
             origin = np.array([matrix[:3, 2] @ matrix[:3, 3] for matrix in self.frames])
             height = moves.end[:, 2] + origin[moves.frame] / M_PER_MM
-            rapid = (moves.code == 0.0) & ~moves.bottom
+            is_known_rapid = (moves.code == 0.0) & ~moves.bottom
             for first, last in moves.unknown:
-                rapid &= (row < first) | (row >= last)
-            lowest_height = np.minimum.accumulate(np.where(rapid, height, np.inf))[at]
-            safe |= np.isfinite(lowest_height) & (height[at] >= lowest_height - _FEWEST)
-        safe &= (turn[at, 0] == turn[at, 1]).all(axis=1)
+                is_known_rapid &= (row < first) | (row >= last)
+            lowest_height = np.minimum.accumulate(np.where(is_known_rapid, height, np.inf))[g80_moves]
+            is_safe |= np.isfinite(lowest_height) & (height[g80_moves] >= lowest_height - _FEWEST)
+        is_safe &= (turn[g80_moves, 0] == turn[g80_moves, 1]).all(axis=1)
         for first, last in moves.unknown:
-            safe &= (row[at] < first) | (row[at] > last)
-        moves.code[at] = 0  # the others are refused here, once, and not as arcs too
+            is_safe &= (row[g80_moves] < first) | (row[g80_moves] > last)
+        moves.code[g80_moves] = 0  # the others are refused here, once, and not as arcs too
         message = "Coordinates without G0 after G80 are read as a rapid, as on Fanuc controls."
-        self.remarks += [(int(n), "info", "motion-after-g80", message) for n in row[at[safe]]]
+        self.remarks += [(int(line_row), "info", "motion-after-g80", message) for line_row in row[g80_moves[is_safe]]]
         advice = "Write the motion code. A rapid is assumed only at heights to which the program has moved in rapid."
-        for n in row[at[~safe]][:1].tolist():
-            self.faults.append((n, "coordinates without G0, G1, G2 or G3", advice))
+        for line_row in row[g80_moves[~is_safe]][:1].tolist():
+            self.faults.append((line_row, "coordinates without G0, G1, G2 or G3", advice))
 
     def _ranges_behind_start(self, unknown: list[tuple[int, int]]) -> tuple[list[tuple[int, int]], int]:
-        """Return ranges with an unknown position, without the first if its moves begin at `[start]`; its last row."""
+        """Return the ranges of rows with an unknown position, and the last row whose moves begin at `[start]`, or −1.
+
+        A program that begins with moves at feed at a safe height begins at `[start]`: its first range is then empty.
+        """
         rows = self.rows
         first, last = unknown[0]
         row_range = slice(first, min(last + 1, self.count))
-        has_position = rows.is_placed[row_range]
-        feeds = has_position & (rows.motion[row_range] == 1.0)
-        has_place = ~np.isnan(rows.xyz[row_range])
-        is_over_place = np.logical_or.accumulate(has_place[:, :2], axis=0).all(axis=1)
-        is_low = feeds & (np.where(has_place[:, 2], rows.xyz[row_range, 2], np.inf) <= 0.0)
+        is_placed = rows.is_placed[row_range]
+        is_feed = is_placed & (rows.motion[row_range] == 1.0)
+        has_word = ~np.isnan(rows.xyz[row_range])
+        is_xy_known = np.logical_or.accumulate(has_word[:, :2], axis=0).all(axis=1)
+        is_low = is_feed & (np.where(has_word[:, 2], rows.xyz[row_range, 2], np.inf) <= 0.0)
         if (
-            not feeds.any()
-            or (is_low & ~is_over_place).any()  # the place of a plunge is not known
+            not is_feed.any()
+            or (is_low & ~is_xy_known).any()  # the place of a plunge is not known
             or last >= self.count
             or np.isnan(rows.xyz).all(axis=0).any()
-            or (has_position & rows.incremental[row_range]).any()
+            or (is_placed & rows.incremental[row_range]).any()
             or (rows.moving[row_range] & (rows.motion[row_range] >= 2.0)).any()
             or rows.drilling[row_range].any()
-            or (self.offset[row_range][has_position] != self.offset[row_range][has_position][0]).any()
-            or rows.motion[first + int(np.argmax(has_position))] != 1.0
-            or not (below_top(rows, first, last)[row_range] & feeds).any()
+            or (self.offset[row_range][is_placed] != self.offset[row_range][is_placed][0]).any()
+            or rows.motion[first + int(np.argmax(is_placed))] != 1.0
+            or not (below_top(rows, first, last)[row_range] & is_feed).any()
         ):
             return unknown, -1
         message = (
             "G1 before X, Y and Z are known: the moves begin at [start] of the cell. Check that the path from there is "
             "free."
         )
-        self.remarks.append((first + int(np.argmax(feeds)), "warning", "from-start", message))
+        self.remarks.append((first + int(np.argmax(is_feed)), "warning", "from-start", message))
         return [(first, first), *unknown[1:]], last
 
     def _unknown(self) -> list[tuple[int, int]]:

@@ -16,6 +16,7 @@ alone is in deg/min, as in LinuxCNC: its time is √(ΔA² + ΔB² + ΔC²) / F.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from math import isnan
 
 import numpy as np
 from msgspec import Struct
@@ -73,19 +74,21 @@ def add_approaches(moves: Moves, cell_frames: CellFrames) -> tuple[Moves, Bools,
     is_return = is_arrival & (moves.row >= min((first for first, _ in moves.unknown[1:]), default=np.inf))
     if cell_frames.clearance is None or not is_return.any():
         return moves, is_held_back, is_arrival
-    at = np.flatnonzero(is_return)
-    frames = moves.machine_frames[moves.frame[at]]
-    tool = cell_frames.rotary.tool_direction(moves.turn[at, 1])
+    returns = np.flatnonzero(is_return)
+    frames = moves.machine_frames[moves.frame[returns]]
+    tool = cell_frames.rotary.tool_direction(moves.turn[returns, 1])
     tool_z = np.einsum("ni,ni->n", frames[:, 2, :3], tool)
-    z = np.einsum("ni,ni->n", frames[:, 2, :3], moves.end[at]) + frames[:, 2, 3] / M_PER_MM
-    split = (z < cell_frames.clearance - _NEAR_MM) & (tool_z > LEVEL)
+    z = np.einsum("ni,ni->n", frames[:, 2, :3], moves.end[returns]) + frames[:, 2, 3] / M_PER_MM
+    needs_approach = (z < cell_frames.clearance - _NEAR_MM) & (tool_z > LEVEL)
     count = np.ones(len(moves.row), dtype=np.int64)
-    count[at[split]] = 2
+    count[returns[needs_approach]] = 2
     # each of these moves becomes two: the first ends at the clearance height, along the tool axis above its end
-    approach_moves = np.cumsum(count)[at[split]] - 2
+    approach_moves = np.cumsum(count)[returns[needs_approach]] - 2
     new_moves = moves.repeat(count)
     end, turn = new_moves.end.copy(), new_moves.turn.copy()
-    end[approach_moves] += tool[split] * ((cell_frames.clearance - z[split]) / tool_z[split])[:, None]
+    end[approach_moves] += (
+        tool[needs_approach] * ((cell_frames.clearance - z[needs_approach]) / tool_z[needs_approach])[:, None]
+    )
     turn[approach_moves + 1, 0] = turn[approach_moves, 1]
     is_arrival = np.repeat(is_arrival, count)
     is_arrival[approach_moves + 1] = False
@@ -122,7 +125,12 @@ def chords(moves: Moves, circular: Ints, arcs: Arcs, tolerance: float) -> tuple[
 
 
 def _helix_points(begin: Array, end: Array, radial: Array, normal: Array, angle: Array) -> Array:
-    """Return the points (n, 3) of a helix at angles (n, 1) from 0 to its whole; the radius may grow."""
+    """Return points (n, 3) of a helix whose radius and height change in proportion to the angle.
+
+    :param begin: (3,) its start; `end`: (3,) its end, which sets the climb and the last radius.
+    :param radial: (3,) from the axis to the start; `normal`: (3,) unit axis.
+    :param angle: (n, 1) angles about the axis from the start [rad], ascending; the last is the whole angle.
+    """
     share = angle / angle[-1]
     climb = normal * (normal @ (end - begin))
     growth = norm(end - climb - begin + radial) / norm(radial) - 1.0
@@ -137,12 +145,15 @@ _STEPS = 32
 
 
 def rotation_bound(moves: Moves, axes: Array) -> Array:
-    """Return an upper bound of the rotation of the tool in each move (N,) [rad]."""
+    """Return an upper bound of the rotation of the tool in each move (N,) [rad].
+
+    :param axes: (k, 3) unit vectors of the rotary axes.
+    """
     angles = np.zeros(len(moves.row))
-    rows = np.flatnonzero((moves.turn[:, 0] != moves.turn[:, 1]).any(axis=1))
-    if len(rows):
-        turns = moves.turn[rows] * RAD_PER_DEG
-        angles[rows] = in_chunks(lambda turn: (turning(axes, turn[:, 0], turn[:, 1]),), turns)[0]
+    turning_moves = np.flatnonzero((moves.turn[:, 0] != moves.turn[:, 1]).any(axis=1))
+    if len(turning_moves):
+        angle_pairs = moves.turn[turning_moves] * RAD_PER_DEG
+        angles[turning_moves] = in_chunks(lambda turn: (turning(axes, turn[:, 0], turn[:, 1]),), angle_pairs)[0]
     return angles
 
 
@@ -156,19 +167,21 @@ def swivel_of(
     """
     active = ~free & ~moves.home[motion_moves]
     active[:1] = False
-    begin, end = moves.turn[motion_moves, 0] * RAD_PER_DEG, moves.turn[motion_moves, 1] * RAD_PER_DEG
+    start_angles, end_angles = moves.turn[motion_moves, 0] * RAD_PER_DEG, moves.turn[motion_moves, 1] * RAD_PER_DEG
     rate = np.full(len(motion_moves), np.nan)
-    at = np.flatnonzero(only_turns)
-    if len(at):
-        row = moves.row[motion_moves[at]]
-        degrees = norm(moves.turn[motion_moves[at], 1] - moves.turn[motion_moves[at], 0])
+    turns_only = np.flatnonzero(only_turns)
+    if len(turns_only):
+        row = moves.row[motion_moves[turns_only]]
+        degrees = norm(moves.turn[motion_moves[turns_only], 1] - moves.turn[motion_moves[turns_only], 0])
         if moves.turn.shape[2] == COMPONENTS:
-            degrees = np.full(len(at), np.nan)  # what F means while a direction turns alone is stated nowhere
+            degrees = np.full(len(turns_only), np.nan)  # what F means while a direction turns alone is stated nowhere
         minutes = np.where(rows.inverse_time[row], 1.0, degrees) / rows.rate[row]
-        rate[at] = _way(cell_frames.rotary.directions, begin[at], end[at]) / (minutes * S_PER_MIN)
+        rate[turns_only] = _swept_angles(
+            cell_frames.rotary.directions, start_angles[turns_only], end_angles[turns_only]
+        ) / (minutes * S_PER_MIN)
     return Swivel(
-        begin=begin,
-        end=end,
+        begin=start_angles,
+        end=end_angles,
         axes=cell_frames.rotary.directions,
         frame=moves.frame[motion_moves],
         frames=moves.machine_frames[:, :3, :3],
@@ -178,8 +191,11 @@ def swivel_of(
     )
 
 
-def _way(axes: Array, begin: Array, end: Array) -> Array:
-    """Return the angle that the tool direction sweeps (n,) [rad]."""
+def _swept_angles(axes: Array, begin: Array, end: Array) -> Array:
+    """Return the angle that the tool direction sweeps in each motion (n,) [rad], summed over `_STEPS` steps.
+
+    :param axes: (k, 3) unit vectors of the rotary axes; `begin`, `end`: (n, k) their angles [rad].
+    """
     angles = np.zeros(len(begin))
     start_direction = tilt_to(direction(axes, begin))
     for step in range(1, _STEPS + 1):
@@ -195,18 +211,23 @@ def check_turning(rows: LineStates, moves: Moves, is_early: Bools, rotary_axes: 
     :param is_early: (N,) moves that are left out while X, Y, Z are not all known.
     :param tip_on: codes that switch tool-centre-point control on.
     """
-    tilt = (moves.turn != rotary_axes.upright).any(axis=(1, 2))
+    is_tilted = (moves.turn != rotary_axes.upright).any(axis=(1, 2))
     axes = rotary_axes.directions
     has_position = ~np.isnan(rows.xyz[moves.row]).all(axis=1) | (moves.code > 0.0)
 
-    def away(turn: Array) -> tuple[Bools]:
+    def points_away(turn: Array) -> tuple[Bools]:
+        """Return whether the tool points away from the part at begin or end (n,), for angles (n, 2, k) [deg]."""
         return (any_column(np.stack([direction(axes, turn[:, n] * RAD_PER_DEG)[:, 2] < _LEAST_Z for n in (0, 1)], 1)),)
 
     faults: dict[int, Fault] = {}
     for is_invalid, problem, advice in (
-        (in_chunks(away, moves.turn)[0], "the tool points away from the part", "Check axes and signs in [rotary]."),
         (
-            tilt & has_position & ~rows.tip[moves.row] & ~moves.home & ~is_early,
+            in_chunks(points_away, moves.turn)[0],
+            "the tool points away from the part",
+            "Check axes and signs in [rotary].",
+        ),
+        (
+            is_tilted & has_position & ~rows.tip[moves.row] & ~moves.home & ~is_early,
             "coordinates with tilted axes, but without tool-centre-point control",
             f"They depend on the machine: program {tip_on} before, or retract by G53 Z or G28 Z as [machine] says.",
         ),
@@ -226,26 +247,27 @@ def faults_of(rows: LineStates, moves: Moves, modes: Modes, circular: Ints, arcs
     doubt = _Doubt(rows, modes.faults)
     faults = {fault.row: fault for fault in modes.faults}
 
-    def check(wrong: Bools, problem: str, advice: str | None = None, *, first: bool = False) -> None:
-        for row in np.flatnonzero(wrong)[: 1 if first else MAX_ERRORS + 1].tolist():
+    def check(is_wrong: Bools, problem: str, advice: str | None = None, *, first: bool = False) -> None:
+        """Add a fault for each line (L,) that is wrong and has none yet; `first`: for the first of them only."""
+        for row in np.flatnonzero(is_wrong)[: 1 if first else MAX_ERRORS + 1].tolist():
             faults.setdefault(row, Fault(row, problem, advice))
 
     count = len(rows.motion)
-    straight, arc = rows.motion == 1.0, (rows.motion == 2.0) | (rows.motion == 3.0)
+    is_straight, is_arc = rows.motion == 1.0, (rows.motion == 2.0) | (rows.motion == 3.0)
     dwelling = np.zeros(count, dtype=bool)
     dwelling[[row for row in modes.dwells if row < count]] = True
-    uses_words = (rows.moving & arc) | rows.drilling | doubt.motion
+    uses_words = (rows.moving & is_arc) | rows.drilling | doubt.motion
     has_centre = any_column(~np.isnan(rows.ijk))
-    stray = has_centre | ~(np.isnan(rows.radius) & np.isnan(rows.turns))
+    has_stray_word = has_centre | ~(np.isnan(rows.radius) & np.isnan(rows.turns))
     as_vector = 'If I, J, K are the direction of the tool (G43.5), write kind = "vector" in [rotary] of the cell.'
-    check(has_centre & straight & ~uses_words, "I, J or K without an arc", as_vector)
-    check(stray & ~uses_words, "I, J, K, R or P without an arc or a cycle that uses it")
-    stray = ~np.isnan(rows.pecks) | ~(np.isnan(rows.repeats) | (rows.repeats == 0.0))  # L0 repeats nothing
-    check(stray & (~uses_words | (rows.moving & arc)), "Q or L without a cycle that uses it")
+    check(has_centre & is_straight & ~uses_words, "I, J or K without an arc", as_vector)
+    check(has_stray_word & ~uses_words, "I, J, K, R or P without an arc or a cycle that uses it")
+    has_stray_word = ~np.isnan(rows.pecks) | ~(np.isnan(rows.repeats) | (rows.repeats == 0.0))  # L0 repeats nothing
+    check(has_stray_word & (~uses_words | (rows.moving & is_arc)), "Q or L without a cycle that uses it")
     for row in np.flatnonzero(rows.drilling & has_centre)[: MAX_ERRORS + 1].tolist():
         faults.setdefault(row, Fault(row, "I, J or K in a cycle", _repeats_advice(rows, row)))
-    check(dwelling & rows.moving & arc, "G4 in one block with an arc", "Write one block for each.")
-    cuts = ((rows.named | rows.moving) & (straight | arc)) | rows.drilling
+    check(dwelling & rows.moving & is_arc, "G4 in one block with an arc", "Write one block for each.")
+    cuts = ((rows.named | rows.moving) & (is_straight | is_arc)) | rows.drilling
     no_feed = cuts & ~(rows.feed > 0.0) & ~doubt.motion & ~doubt.feed
     check(no_feed & ~rows.inverse_time, "cutting move without a feed", "Give F.", first=True)
     check(no_feed & rows.inverse_time & rows.moving, "cutting move in G93 without a feed", "Give F in each block.")
@@ -263,21 +285,21 @@ def faults_of(rows: LineStates, moves: Moves, modes: Modes, circular: Ints, arcs
 
 def _repeats_advice(rows: LineStates, row: int) -> str | None:
     """Return advice for a K that may be the number of holes, as on Fanuc; None for other words."""
-    i, j, k = (rows.ijk[row] / MM_PER_UNIT[float(rows.units[row])]).tolist()
-    count = round(k, 9) if k == k else 0.0
-    if i == i or j == j or count < 1.0 or count != round(count) or rows.repeats[row] == rows.repeats[row]:
+    i, j, k = (rows.ijk[row] / MM_PER_UNIT[float(rows.units[row])]).tolist()  # back in the units of the program
+    count = 0.0 if isnan(k) else round(k, 9)
+    if not (isnan(i) and isnan(j) and isnan(rows.repeats[row])) or count < 1.0 or count != round(count):
         return None
     return f"If K is the number of holes, write L{count:g}."
 
 
 def _check_positions_known(rows: LineStates, moves: Moves, doubt: _Doubt, check: Callable[..., None]) -> None:
-    """Check for moves that need a known position where it is unknown: at the start and after G28.
+    """Check that no move needs a position that is not known yet: before X, Y, Z are programmed, and after G28.
 
     :param doubt: lines whose motion or position is in doubt because of other faults, which are reported instead.
     :param check: notes a fault: where it is (n,), the problem, the advice, and `first` for the first line alone.
     """
     line = np.arange(len(rows.motion))
-    axes = rows.is_placed
+    has_axis_word = rows.is_placed
     straight, arc = rows.motion == 1.0, (rows.motion == 2.0) | (rows.motion == 3.0)
     advice = (
         "Program X, Y and Z in rapid moves (G0, in G90) first: the tool may be anywhere before. Or state in the cell "
@@ -290,17 +312,17 @@ def _check_positions_known(rows: LineStates, moves: Moves, doubt: _Doubt, check:
         if first >= len(line):
             continue
         is_within = (line >= first) & (line <= complete)
-        early = axes & is_within & ~doubt.position
+        is_early = has_axis_word & is_within & ~doubt.position
         problem = "incremental move before the position is known"
-        check(early & rows.incremental, problem, advice, first=True)
-        begin = first + int(np.argmax(axes[first:])) if axes[first:].any() else first
+        check(is_early & rows.incremental, problem, advice, first=True)
+        begin = first + int(np.argmax(has_axis_word[first:])) if has_axis_word[first:].any() else first
         is_low = (begin != complete) & below_top(rows, first, complete)
-        cutting = early & (straight & is_low | (rows.drilling & (line < complete))) & ~doubt.motion
-        check(cutting, "cutting move before the position is known", advice, first=True)
-        turning = rows.moving & arc & is_within & ~doubt.motion & ~doubt.position
-        check(turning, "arc before the position is known", advice, first=True)
-        other_offset = early & (moves.offset != moves.offset[begin])
-        check(other_offset, "change of the work offset before the position is known", advice, first=True)
+        is_cut = is_early & (straight & is_low | (rows.drilling & (line < complete))) & ~doubt.motion
+        check(is_cut, "cutting move before the position is known", advice, first=True)
+        is_unknown_arc = rows.moving & arc & is_within & ~doubt.motion & ~doubt.position
+        check(is_unknown_arc, "arc before the position is known", advice, first=True)
+        has_other_offset = is_early & (moves.offset != moves.offset[begin])
+        check(has_other_offset, "change of the work offset before the position is known", advice, first=True)
 
 
 class _Doubt:
@@ -408,21 +430,31 @@ def read_path(
         np.repeat(is_arrival, count),
         np.repeat(length, count),
     )
-    whole = count[circular] == 1
-    circular, arcs = np.flatnonzero(moves.code >= 2.0), arcs.of(whole)
-    other_tool = np.diff(moves.tool, prepend=moves.tool[:1]) != 0
-    turns = rotation_bound(moves, cell_frames.rotary.directions) > _NO_ROTATION
-    stays = ~turns & (length <= SAME_MM) & (moves.code < 2.0) & ~moves.home & ~other_tool & ~is_arrival & ~is_held_back
-    motion_moves = np.flatnonzero(~stays & ~is_held_back)
-    free = is_arrival[motion_moves] | moves.home[motion_moves]
-    is_rotation = turns[motion_moves] & (length[motion_moves] <= SAME_MM) & (moves.code[motion_moves] == 1.0) & ~free
-    swivel = None if rotary is None else swivel_of(moves, rows, motion_moves, free, is_rotation, cell_frames)
+    is_whole = count[circular] == 1
+    circular, arcs = np.flatnonzero(moves.code >= 2.0), arcs.of(is_whole)
+    is_tool_change = np.diff(moves.tool, prepend=moves.tool[:1]) != 0
+    rotates = rotation_bound(moves, cell_frames.rotary.directions) > _NO_ROTATION
+    is_null_move = (
+        ~rotates
+        & (length <= SAME_MM)
+        & (moves.code < 2.0)
+        & ~moves.home
+        & ~is_tool_change
+        & ~is_arrival
+        & ~is_held_back
+    )
+    motion_moves = np.flatnonzero(~is_null_move & ~is_held_back)
+    is_free = is_arrival[motion_moves] | moves.home[motion_moves]
+    is_rotation = (
+        rotates[motion_moves] & (length[motion_moves] <= SAME_MM) & (moves.code[motion_moves] == 1.0) & ~is_free
+    )
+    swivel = None if rotary is None else swivel_of(moves, rows, motion_moves, is_free, is_rotation, cell_frames)
     motions = _motions(
         rows,
         moves,
         (circular, arcs),
         motion_moves,
-        free,
+        is_free,
         (swivel, is_rotation, length[motion_moves]),
         modes,
         cell_frames,
@@ -430,7 +462,7 @@ def read_path(
     )
     events = [(int(np.searchsorted(motion_moves, at)), row, event) for at, row, event in moves.events]
     held_rows = moves.row[is_held_back]
-    motionless_rows = distinct(np.concatenate([held_rows, moves.row[stays]]))
+    motionless_rows = distinct(np.concatenate([held_rows, moves.row[is_null_move]]))
     unforced = np.flatnonzero((moves.row[motion_moves] <= moves.last_start_row) & (moves.code[motion_moves] == 1.0))
     return MotionPath(
         motions, swivel, moves.row[motion_moves], unforced, motionless_rows, distinct(held_rows), events, moves.remarks
@@ -438,7 +470,7 @@ def read_path(
 
 
 def _arcs(rows: LineStates, moves: Moves, circular: Ints) -> Arcs:
-    """Return the arcs of the moves `circular` (n,)."""
+    """Return the arcs of the moves `circular` (n,), with the faults of their words."""
     row = moves.row[circular]
     return read_arcs(
         ArcWords(
@@ -467,8 +499,10 @@ def _motions(
     cell_frames: CellFrames,
     speeds: Speeds,
 ) -> Motions:
-    """Return the kept moves as motions in `$BASE`.
+    """Return the moves that are motions, in `$BASE`.
 
+    :param circles: which moves are arcs (A,), and these arcs.
+    :param motion_moves: (M,) moves that are motions.
     :param free: (M,) True for moves by joint interpolation.
     :param turning: rotation of the tool, which moves rotate it only (M,), and lengths (M,) [mm].
     """
@@ -558,11 +592,11 @@ def _arcs_in_base(
     if not len(is_arc):
         return empty, empty, empty[:, 0]
     circular, arcs = circles
-    at = np.searchsorted(circular, motion_moves[is_arc])
+    arc_rows = np.searchsorted(circular, motion_moves[is_arc])
     centre, normal, sweep = empty.copy(), empty.copy(), empty[:, 0].copy()
-    centre[is_arc] = _points_in_base(frames, frame[is_arc], arcs.centre[at])
-    normal[is_arc] = np.einsum("nij,nj->ni", frames[frame[is_arc], :3, :3], arcs.normal[at])
-    sweep[is_arc] = arcs.sweep[at]
+    centre[is_arc] = _points_in_base(frames, frame[is_arc], arcs.centre[arc_rows])
+    normal[is_arc] = np.einsum("nij,nj->ni", frames[frame[is_arc], :3, :3], arcs.normal[arc_rows])
+    sweep[is_arc] = arcs.sweep[arc_rows]
     return centre, normal, sweep
 
 
@@ -591,8 +625,9 @@ def _points_in_base(frames: Array, frame: Ints, mm: Array) -> Array:
         points: Array = np.einsum("nj,ij->ni", mm, frames[0, :3, :3] * M_PER_MM) + frames[0, :3, 3]
         return points
 
-    def some(frame: Ints, mm: Array) -> tuple[Array]:
+    def transformed(frame: Ints, mm: Array) -> tuple[Array]:
+        """Return points of some moves in `$BASE` [m]."""
         move_frames = frames[frame]
         return (np.einsum("nij,nj->ni", move_frames[:, :3, :3] * M_PER_MM, mm) + move_frames[:, :3, 3],)
 
-    return in_chunks(some, frame, mm)[0]
+    return in_chunks(transformed, frame, mm)[0]
