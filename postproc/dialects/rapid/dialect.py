@@ -55,11 +55,12 @@ class _Writer:
         path = PurePath(document.name)
         prefixes = {path.stem.upper(): "", f"{language.PREFIX}{path.stem}".upper(): language.PREFIX}
 
-        def other(match: re.Match[str]) -> str:
+        def renamed(match: re.Match[str]) -> str:
+            """Return the head of a module or routine with the new name, if it has the name of the file."""
             prefix = prefixes.get(match[3].upper())
             return match[0] if prefix is None else f"{match[1]}{prefix}{name}"
 
-        text = _HEAD_NAME.sub(other, document.text)
+        text = _HEAD_NAME.sub(renamed, document.text)
         return (replace(document, name=f"{name}{path.suffix}", text=text),)
 
     def mark(self, documents: Sequence[Document], origin: provenance.Origin) -> tuple[tuple[Document, ...], int]:

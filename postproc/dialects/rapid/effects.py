@@ -97,7 +97,7 @@ class Effects:
         """
         if (name, with_foreign) not in self._changed_data:
             names: set[str] = set()
-            waiting, looked_at = [name], {name}
+            waiting, visited_names = [name], {name}
             while waiting:
                 called_name = waiting.pop()
                 routine = self.routines.get(called_name)
@@ -108,8 +108,8 @@ class Effects:
                 local_names = {parameter.name for parameter in routine.parameters}
                 local_names |= {item.name for item in all_statements(statements) if isinstance(item, Declaration)}
                 names |= set(self.changed_names(statements)) - local_names
-                waiting += (names_called := called_names(statements) - looked_at)
-                looked_at |= names_called
+                waiting += (names_called := called_names(statements) - visited_names)
+                visited_names |= names_called
             self._changed_data[name, with_foreign] = frozenset(names)
         return self._changed_data[name, with_foreign]
 

@@ -119,8 +119,8 @@ def _data(loaded_modules: tuple[Module, ...]) -> dict[str, Variable]:
         name: Variable(item.type, declaration=item, literal=item.value is not None)
         for name, item in declarations.items()
     }
-    of_controller = {name: Variable(type_, value) for name, (value, type_) in predefined_data().items()}
-    scope = Scope({**of_controller, **declared})
+    predefined = {name: Variable(type_, value) for name, (value, type_) in predefined_data().items()}
+    scope = Scope({**predefined, **declared})
     data: dict[str, Variable] = {}
     for name, item in declarations.items():
         if item.local:

@@ -91,8 +91,10 @@ def stated_move(statement: Instruction, form: Form, scope: Scope, setting: Setti
 
     :raises UnknownValueError: a value is not known before the program runs, or an option is not followed.
     """
-    expressions = [a.value for a in statement.arguments if not a.name and a.value is not None]
-    options = {a.name: a for a in statement.arguments if a.name}
+    expressions = [
+        argument.value for argument in statement.arguments if not argument.name and argument.value is not None
+    ]
+    options = {argument.name: argument for argument in statement.arguments if argument.name}
     for name in options:
         if name in _REFUSED_OPTIONS:
             raise UnknownValueError(f"the move {_REFUSED_OPTIONS[name]} (\\{name})")
@@ -101,21 +103,21 @@ def stated_move(statement: Instruction, form: Form, scope: Scope, setting: Setti
     min_count = form.points + 3 + form.before_zone
     if not min_count <= len(expressions) <= min_count + form.behind:
         raise UnknownValueError(f"{statement.name} has {len(expressions)} arguments instead of {min_count}")
-    *points, last = (_target(expressions[k], scope, joints=form.joints) for k in range(form.points))
-    speed_at, zone_at = form.points, form.points + 1 + form.before_zone
-    speed, duration = _speed_and_duration(expressions[speed_at], options, scope, setting)
+    *via_points, end_point = (_target(expressions[k], scope, joints=form.joints) for k in range(form.points))
+    speed_index, zone_index = form.points, form.points + 1 + form.before_zone
+    speed, duration = _speed_and_duration(expressions[speed_index], options, scope, setting)
     wobj = options["WOBJ"].value if "WOBJ" in options else None
     return Move(
         statement=statement,
         kind=form.kind,
-        target=last,
-        via=points[0] if points else None,
+        target=end_point,
+        via=via_points[0] if via_points else None,
         joints=form.joints,
         speed=speed,
         duration=duration,
-        zone=_zone(expressions[zone_at], options, scope),
-        tool=_frame(expressions[zone_at + 1], "TOOLDATA", scope, frames),
-        tool_name=_data_name(expressions[zone_at + 1], scope),
+        zone=_zone(expressions[zone_index], options, scope),
+        tool=_frame(expressions[zone_index + 1], "TOOLDATA", scope, frames),
+        tool_name=_data_name(expressions[zone_index + 1], scope),
         wobj=predefined_data()["WOBJ0"][0] if wobj is None else _frame(wobj, "WOBJDATA", scope, frames),
         setting=setting,
     )
@@ -147,7 +149,10 @@ def _target(expression: Expression, scope: Scope, *, joints: bool) -> Target:
 def _speed_and_duration(
     expression: Expression, options: dict[str, Argument], scope: Scope, setting: Setting
 ) -> tuple[float, float]:
-    """Return the speed [mm/s] and the duration [s], 0 if there is none."""
+    """Return the speed of the TCP [mm/s] and the duration of the move [s]; the one that is not stated is 0.
+
+    :raises UnknownValueError: neither is known.
+    """
     share, limit = setting.speed
     for name in ("T", "V"):
         argument = options.get(name)
@@ -210,6 +215,7 @@ def _data_name(expression: Expression, scope: Scope) -> str:
 
 
 def _numbers(value: Value, *, joints: bool) -> list[float]:
+    """Return the 17 numbers of a robtarget, or the 12 of a jointtarget."""
     return record_numbers(value, 6, 6) if joints else record_numbers(value, 3, 4, 4, 6)
 
 
@@ -228,8 +234,8 @@ def _element(expression: Expression, initial: Expression | None, scope: Scope) -
 def equal(first: Move, second: Move) -> bool:
     """Return whether two motions are the same."""
     same_target = first.statement is second.statement and first.target.numbers == second.target.numbers
-    vias = (first.via.numbers if first.via else None) == (second.via.numbers if second.via else None)
+    same_via = (first.via.numbers if first.via else None) == (second.via.numbers if second.via else None)
     has_same_data = (first.speed, first.zone, first.tool, first.wobj, first.setting) == (
         second.speed, second.zone, second.tool, second.wobj, second.setting,
     )  # fmt: skip
-    return same_target and vias and has_same_data
+    return same_target and same_via and has_same_data

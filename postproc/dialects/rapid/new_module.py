@@ -101,13 +101,8 @@ class _NewModule:
     def __init__(
         self, program: Program, targets: Targets, joints: TargetJoints, cell: Cell, comment_forces: TargetForces | None
     ) -> None:
-        self.program, self.targets, self.joints, self.cell, self.carried = (
-            program,
-            targets,
-            joints,
-            cell,
-            comment_forces,
-        )
+        self.program, self.targets, self.joints, self.cell = program, targets, joints, cell
+        self.comment_forces = comment_forces
         self.new = NewProgram(program, targets, cell, WORDS)
 
     def write(self) -> WrittenProgram:
@@ -155,15 +150,18 @@ class _NewModule:
 
     def _note_forces(self) -> None:
         """Put force comments before the targets that need one."""
-        if self.carried is None:
+        if self.comment_forces is None:
             return
         no_note = constant(-1, len(self.targets))
-        rows = np.flatnonzero(force_comments.needs_comment(self.carried, self.targets.kind, no_note, (), np.nan))
-        for k, text in zip(rows.tolist(), force_comments.texts(b"!", self.carried, rows), strict=True):
+        rows = np.flatnonzero(force_comments.needs_comment(self.comment_forces, self.targets.kind, no_note, (), np.nan))
+        for k, text in zip(rows.tolist(), force_comments.texts(b"!", self.comment_forces, rows), strict=True):
             self.new.before[k].append(f"    {text}")
 
     def _head(self, zones: Array, speeds: Array) -> list[str]:
-        """Return the lines up to the start position."""
+        """Return the lines from MODULE to the move to the start position.
+
+        :param zones: (Z,) approximation distances [m], the first 0; `speeds`: (S, 2) [mm/s, deg/s].
+        """
         program, cell = self.program, self.cell
         start = ",".join(f"{angle:.5f}" for angle in without_negative_zero(abb_from_joints(cell.start_joints)).tolist())
         base, tool = self.new.frames(0)
@@ -208,7 +206,10 @@ class _NewModule:
         return _NO_LOAD
 
     def _lines(self, kind: int, k: Ints) -> bytes:
-        """Return the lines of some targets of a kind."""
+        """Return the move instructions of some targets as text.
+
+        :param kind: LIN, CIRC or PTP; `k` (n,): rows of the targets, all of this kind.
+        """
         motions, motion = self.program.motions, self.targets.motion[k]
         target = [b",", *_columns(quaternions(self.targets.pose[k, :3, :3]), _QUATERNION)]
         branch = configuration(self.joints.q[k], self.joints.status[k])
@@ -255,7 +256,7 @@ def _frame(pose: Array) -> str:
 
 
 def _zonedata(distance: float) -> str:
-    """Return zonedata of an approximation distance [m]; reorientation begins with the path."""
+    """Return zonedata of an approximation distance [m]; the tool begins to turn where the path begins to round."""
     mm = number(distance * MM_PER_M)
     tenth = number(0.1 * distance * MM_PER_M)
     return f"[FALSE,{mm},{mm},{mm},{tenth},{mm},{tenth}]"

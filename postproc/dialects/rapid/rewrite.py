@@ -69,7 +69,13 @@ def rewrite(
 
 
 class _Rewriter:
-    """Collects the edits of one program."""
+    """Collects the edits of one program with M moves and K targets.
+
+    :ivar row: (K,) move of each target; `last`: (K,) whether the target is the end of its move.
+    :ivar place: (K, 3) positions [mm]; `turn`: (K, 4) quaternions of the targets.
+    :ivar degrees: (K, 6) ABB's joint angles [deg]; `conf`: (K, 4) cf1, cf4, cf6, cfx.
+    :ivar lowered: moves whose feed was lowered.
+    """
 
     def __init__(
         self,
@@ -79,7 +85,7 @@ class _Rewriter:
         joints: TargetJoints,
         comment_forces: TargetForces | None,
     ) -> None:
-        self.program, self.layout, self.targets, self.carried = program, layout, targets, comment_forces
+        self.program, self.layout, self.targets, self.comment_forces = program, layout, targets, comment_forces
         self.text, self.moves = layout.text, layout.moves
         self.row = np.asarray(targets.motion, dtype=np.int64)
         self.last = np.append(self.row[1:] != self.row[:-1], True)[: len(self.row)]
@@ -142,7 +148,7 @@ class _Rewriter:
 
     def _forces(self) -> dict[int, str]:
         """Return the force comments that targets need beyond those of the program."""
-        if self.carried is None:
+        if self.comment_forces is None:
             return {}
         note_motions = np.array([note.before for note in self.program.notes], dtype=np.int64)
         trailing = np.array([comment.trailing for comment in self.layout.notes], dtype=np.int64)
@@ -150,12 +156,16 @@ class _Rewriter:
         target_keys = 2 * self.row + self.last
         note = np.searchsorted(2 * note_motions + trailing, target_keys, side="right") - 1
         rows = np.flatnonzero(
-            force_comments.needs_comment(self.carried, self.targets.kind, note, self.program.notes, 0.0)
+            force_comments.needs_comment(self.comment_forces, self.targets.kind, note, self.program.notes, 0.0)
         )
-        return dict(zip(rows.tolist(), force_comments.texts(b"!", self.carried, rows), strict=True))
+        return dict(zip(rows.tolist(), force_comments.texts(b"!", self.comment_forces, rows), strict=True))
 
     def _add_lines(self, row: int, inserted_rows: range, k: int, forces: dict[int, str]) -> None:
-        """Add the lines of inserted targets and of force comments before a move."""
+        """Add the lines of inserted targets and of force comments before a move.
+
+        :param row: the move; `inserted_rows`: rows of the targets before its end; `k`: row of its end.
+        :param forces: row of a target → force comment.
+        """
         start = self.moves[row].statement.start
         line = int(np.searchsorted(self.starts, start, side="right")) - 1
         lead = self.text[self.starts[line] : start]
@@ -199,18 +209,26 @@ class _Rewriter:
         return False
 
     def _line_end(self, line: int) -> str:
+        """Return the characters that end a line (index from 0); a line feed if it ends with the text."""
         following = int(self.starts[line + 1]) if line + 1 < len(self.starts) else len(self.text)
         return self.text[int(self.stops[line]) : following] or "\n"
 
     def _inserted_statement(self, row: int, k: int) -> str:
-        """Return the statement of an inserted target."""
+        """Return the statement of an inserted target.
+
+        :param row: the move before whose end it is inserted; `k`: row of the target.
+        """
         move = self.moves[row]
         form = MOVES[move.statement.name]
         kind = int(self.targets.kind[k])
-        positional_args = [a for a in move.statement.arguments if not a.name]
-        tail = positional_args[form.points :]
+        positional_arguments = [argument for argument in move.statement.arguments if not argument.name]
+        tail = positional_arguments[form.points :]  # speed, perhaps a trigger, zone, tool
         speed, zone, tool = tail[0], tail[1 + form.before_zone], tail[2 + form.before_zone]
-        options = {a.name: self.text[a.start : a.stop] for a in move.statement.arguments if a.name}
+        options = {
+            argument.name: self.text[argument.start : argument.stop]
+            for argument in move.statement.arguments
+            if argument.name
+        }
         speed_text = self.text[speed.start : speed.stop]
         if (value := self._new_speed(row)) is not None:
             options.pop("T", None)
@@ -226,12 +244,12 @@ class _Rewriter:
         points.append(self._whole(move.target.numbers, self.place[k], k))
         concurrent = options.get("CONC", "")
         timing = options.get("V", options.get("T", ""))
-        suffix = "".join(options.get(name, "") for name in ("TLOAD",))
+        load = options.get("TLOAD", "")
         wobj = options.get("WOBJ", "")
         zone_text += options.get("Z", "") + options.get("INPOS", "")
         return (
             f"{_PLAIN[kind]} {concurrent + ',' if concurrent else ''}{','.join(points)},{speed_text}{timing},"
-            f"{zone_text},{self.text[tool.start : tool.stop]}{wobj}{suffix};"
+            f"{zone_text},{self.text[tool.start : tool.stop]}{wobj}{load};"
         )
 
     def _new_speed(self, row: int) -> str | None:
@@ -248,23 +266,27 @@ class _Rewriter:
         move = self.moves[row]
         if value is None or move.kind == PTP:
             return
-        options = {a.name: a for a in move.statement.arguments if a.name}
+        options = {argument.name: argument for argument in move.statement.arguments if argument.name}
         for name in ("T", "V"):
             if name in options:
                 self.edits.append(Edit(options[name].start, options[name].stop, f"\\V:={value}"))
                 return
-        speed = [a for a in move.statement.arguments if not a.name][MOVES[move.statement.name].points]
+        positional_arguments = [argument for argument in move.statement.arguments if not argument.name]
+        speed = positional_arguments[MOVES[move.statement.name].points]
         self.edits.append(Edit(speed.stop, speed.stop, f"\\V:={value}"))
 
     # --- the end of a move
 
     def _change(self, row: int, k: int, uses: dict[int, list[tuple[int, str]]]) -> None:
-        """Give a move another end."""
+        """Give a move another end.
+
+        :param row: the move; `k`: row of the target at its end; `uses`: see `_rewrite_point`.
+        """
         move = self.moves[row]
-        circle = int(self.targets.kind[k]) == CIRC
-        if move.via is not None and not circle:
+        is_circle = int(self.targets.kind[k]) == CIRC
+        if move.via is not None and not is_circle:
             self._straighten(move)
-        if move.via is not None and circle:
+        if move.via is not None and is_circle:
             self._rewrite_point(move.via, self.targets.via[k] * MM_PER_M, None, k, uses)
         self._rewrite_point(move.target, self.place[k], self.turn[k], k, uses)
 
@@ -381,43 +403,48 @@ class _Rewriter:
         return Edit(*span, decimal_text(value, decimals))
 
     def _whole(self, numbers: Sequence[float], place: Array, k: int, turn: Array | None = None) -> str:
-        """Return a target as numbers; configuration and external axes are those of the move."""
+        """Return a robtarget as text of its 17 numbers, with the external axes of the target as read.
+
+        :param numbers: 17 numbers of the target as read.
+        :param place: (3,) position [mm]; `turn`: (4,) quaternion, None: that of the new target.
+        :param k: row of the new target.
+        """
         turn = self.turn[k] if turn is None else turn
         conf = self._configuration(numbers, k)
         axes = ["9E+09" if abs(value) >= NONE else f"{value:g}" for value in numbers[11:17]]
         return (
-            f"[[{','.join(decimal_text(v, _MILLIMETRES) for v in place.tolist())}],"
-            f"[{','.join(decimal_text(v, _QUATERNION) for v in turn.tolist())}],"
+            f"[[{','.join(decimal_text(value, _MILLIMETRES) for value in place.tolist())}],"
+            f"[{','.join(decimal_text(value, _QUATERNION) for value in turn.tolist())}],"
             f"[{','.join(map(str, conf))}],[{','.join(axes)}]]"
         )
 
     def _configuration(self, numbers: Sequence[float], k: int) -> list[int]:
-        """Return cf1, cf4, cf6, cfx of a target.
+        r"""Return cf1, cf4, cf6, cfx of a new target.
 
-        Where the program states that of its joints (whole turns aside), that of the target; else what it states, as
-        programs do whose moves do not heed it.
+        If the configuration that the program states agrees with the joints at the end of the move, whole turns aside,
+        it follows the joints of the new target. Else it is kept as stated: moves with ``ConfL\Off`` ignore it.
         """
         programmed_conf = [int(value) for value in numbers[7:11]]
         end = int(np.searchsorted(self.row, self.row[k], side="right")) - 1
-        offsets = [programmed_conf[c] - int(self.conf[end, c]) for c in range(3)]
+        quadrant_offsets = [programmed_conf[axis] - int(self.conf[end, axis]) for axis in range(3)]
         degrees = self.degrees[end, [0, 3, 5]]
-        for c, offset in enumerate(offsets):
-            nearest = offset - 4 * round(offset / 4)
-            border = abs(degrees[c] - 90.0 * round(degrees[c] / 90.0))
+        for axis, quadrant_offset in enumerate(quadrant_offsets):
+            nearest = quadrant_offset - 4 * round(quadrant_offset / 4)
+            border = abs(degrees[axis] - 90.0 * round(degrees[axis] / 90.0))
             if nearest and not (abs(nearest) == 1 and border < _AT_QUADRANT):
                 return programmed_conf
-            offsets[c] = offset - nearest
-        return [*(int(self.conf[k, c]) + offsets[c] for c in range(3)), programmed_conf[3]]
+            quadrant_offsets[axis] = quadrant_offset - nearest
+        return [*(int(self.conf[k, axis]) + quadrant_offsets[axis] for axis in range(3)), programmed_conf[3]]
 
     def _edited_text(self) -> tuple[str, Ints]:
         """Return the text with all edits, and the line of every target (K,)."""
         edits = sorted(set(self.edits), key=lambda edit: (edit.start, edit.stop))
         pieces: list[str] = []
-        at = 0
+        position = 0
         for edit in edits:
-            pieces += [self.text[at : edit.start], edit.text]
-            at = edit.stop
-        pieces.append(self.text[at:])
+            pieces += [self.text[position : edit.start], edit.text]
+            position = edit.stop
+        pieces.append(self.text[position:])
         text = "".join(pieces)
         begins = list(accumulate((len(piece) for piece in pieces), initial=0))
         offset = np.zeros(len(self.row), dtype=np.int64)
@@ -427,9 +454,9 @@ class _Rewriter:
         starts = np.array([edit.start for edit in edits])
         stops = np.array([edit.stop for edit in edits])
         ends = np.flatnonzero(self.last)
-        place = np.array([self.moves[row].statement.start for row in self.row[ends].tolist()], dtype=np.int64)
-        edit_counts = np.searchsorted(stops, place, side="right")  # edits before the statement
-        edit_counts = np.minimum(edit_counts, np.searchsorted(starts, place, side="right"))
-        new = np.cumsum([0, *(len(edit.text) - (edit.stop - edit.start) for edit in edits)])
-        offset[ends] = place + new[edit_counts]
+        statement_start = np.array([self.moves[row].statement.start for row in self.row[ends].tolist()], dtype=np.int64)
+        edit_counts = np.searchsorted(stops, statement_start, side="right")  # edits before the statement
+        edit_counts = np.minimum(edit_counts, np.searchsorted(starts, statement_start, side="right"))
+        added_lengths = np.cumsum([0, *(len(edit.text) - (edit.stop - edit.start) for edit in edits)])
+        offset[ends] = statement_start + added_lengths[edit_counts]
         return text, np.searchsorted(line_spans(text)[0], offset, side="right")
