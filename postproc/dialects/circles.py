@@ -29,17 +29,21 @@ def arcs_through(start: Array, via: Array, end: Array) -> tuple[Array, Array, Ar
 
     :returns: besides (n,) True where the three points lie on a straight line, or two of them coincide: no circle.
     """
-    a, b = via - start, end - start
-    aa, bb, cc = (np.einsum("ni,ni->n", v, v) for v in (a, b, b - a))
-    cross = np.cross(a, b)
+    to_via, to_end = via - start, end - start
+    via_square, end_square, chord_square = (
+        np.einsum("ni,ni->n", v, v) for v in (to_via, to_end, to_end - to_via)
+    )  # squared lengths
+    cross = np.cross(to_via, to_end)
     size = np.linalg.norm(cross, axis=1)
-    flat = ~(size > _FLAT * np.maximum(np.maximum(aa, bb), cc))
-    size = np.where(flat, 1.0, size)
-    centre = start + np.cross(aa[:, None] * b - bb[:, None] * a, cross) / (2.0 * size**2)[:, None]
+    is_flat = ~(size > _FLAT * np.maximum(np.maximum(via_square, end_square), chord_square))
+    size = np.where(is_flat, 1.0, size)
+    centre = (
+        start + np.cross(via_square[:, None] * to_end - end_square[:, None] * to_via, cross) / (2.0 * size**2)[:, None]
+    )
     normal = cross / size[:, None]
     u, v = start - centre, end - centre
     angle = np.arctan2(np.einsum("ni,ni->n", np.cross(u, v), normal), np.einsum("ni,ni->n", u, v))
-    return centre, normal, np.where(angle > 0.0, angle, angle + 2.0 * np.pi), flat
+    return centre, normal, np.where(angle > 0.0, angle, angle + 2.0 * np.pi), is_flat
 
 
 class Circle(Struct, frozen=True, eq=False):

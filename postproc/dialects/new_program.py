@@ -57,7 +57,7 @@ class NewProgram:
 
     :ivar before: lines before each target; the key K (number of targets) means the end of the program.
     :ivar stops: targets before which the robot must stop.
-    :ivar own: lines of the cell before each target that has some.
+    :ivar cell_lines: lines of the cell before each target that has some; they are in `before` too.
     :ivar issues: warnings for the user.
     """
 
@@ -66,7 +66,7 @@ class NewProgram:
         self.row = targets.motion
         self.before: defaultdict[int, list[str]] = defaultdict(list)
         self.stops: set[int] = {len(self.row)}
-        self.own: defaultdict[int, list[str]] = defaultdict(list)
+        self.cell_lines: defaultdict[int, list[str]] = defaultdict(list)
         self.issues: list[Issue] = []
         self.without_lines: list[Event] = []
 
@@ -119,7 +119,7 @@ class NewProgram:
                     waiting = k
                 if cell_lines:
                     self.stops.add(k)
-                    self.own[k] += cell_lines
+                    self.cell_lines[k] += cell_lines
                 self.before[k] += cell_lines or [f"{words.comment} {no_lines(event)}"]
         if self.without_lines:
             names = ", ".join(dict.fromkeys(event.kind for event in self.without_lines))

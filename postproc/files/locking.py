@@ -100,6 +100,7 @@ def _missing_folders(folder: Path) -> list[Path]:
 
 
 def _this_process() -> str:
+    """Return what the lock file says of this process: number, machine, command and time."""
     command = " ".join(sys.argv[1:2])
     return f"process {os.getpid()} on {socket.gethostname()} (postproc {command}, since {time.strftime('%H:%M:%S')})"
 

@@ -251,7 +251,7 @@ def _full_key(at: str, name: str) -> str:
 def _inner(kind: Any) -> Any:
     """Return the table or list type of a type that may also be None."""
     if isinstance(kind, msgspec.inspect.UnionType):
-        return next((t for t in kind.types if not isinstance(t, msgspec.inspect.NoneType)), kind)
+        return next((part for part in kind.types if not isinstance(part, msgspec.inspect.NoneType)), kind)
     return kind
 
 
@@ -270,7 +270,7 @@ def _valid_values(kind: Any, at: str, invalid_value: re.Match[str] | None) -> st
         elif part.startswith("[") and isinstance(kind, msgspec.inspect.ListType):
             kind = kind.item_type
         elif isinstance(kind, msgspec.inspect.StructType):
-            kind = next((f.type for f in kind.fields if f.encode_name == part), kind)
+            kind = next((field.type for field in kind.fields if field.encode_name == part), kind)
     description = ""
     if isinstance(kind, msgspec.inspect.Metadata):
         kind, description = kind.type, f" {(kind.extra_json_schema or {})['description']}"
@@ -427,7 +427,7 @@ def _header(
 
 def _numeric(values: Sequence[str], *, empty_is_nan: bool) -> tuple[Array, NDArray[np.int64]]:
     """Return a column as numbers, NaN where they are none, and the places (n,) of those that are wrong."""
-    empty = np.array([empty_is_nan and not value.strip() for value in values], dtype=bool)
+    is_empty = np.array([empty_is_nan and not value.strip() for value in values], dtype=bool)
     try:
         column = np.array(values, dtype=float)
     except ValueError:
@@ -435,7 +435,7 @@ def _numeric(values: Sequence[str], *, empty_is_nan: bool) -> tuple[Array, NDArr
         for index, value in enumerate(values):
             with contextlib.suppress(ValueError):
                 column[index] = float(value)
-    invalid_rows = np.flatnonzero(~np.isfinite(column) & ~empty)
+    invalid_rows = np.flatnonzero(~np.isfinite(column) & ~is_empty)
     column[invalid_rows] = np.nan
     return column, invalid_rows
 
@@ -529,29 +529,32 @@ def _chord_heights(mesh: Any) -> Array:
     A facet of width c that meets the next one at the angle θ is a chord of an arc of height c/2·tan(θ/4).
     """
     facets, angle = np.asarray(mesh.face_adjacency), np.asarray(mesh.face_adjacency_angles)
-    smooth = angle < _EDGE
-    ends = np.asarray(mesh.vertices)[np.asarray(mesh.face_adjacency_edges)[smooth]]
+    is_smooth = angle < _EDGE
+    ends = np.asarray(mesh.vertices)[np.asarray(mesh.face_adjacency_edges)[is_smooth]]
     length = np.maximum(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1), 1e-12)
     height = np.zeros(len(mesh.faces))
     for side in range(2):
-        facet = facets[smooth, side]
+        facet = facets[is_smooth, side]
         width = 2.0 * np.asarray(mesh.area_faces)[facet] / length
-        np.maximum.at(height, facet, 0.5 * width * np.tan(0.25 * angle[smooth]))
+        np.maximum.at(height, facet, 0.5 * width * np.tan(0.25 * angle[is_smooth]))
     return height
 
 
 def _subdivide(corners: Array, coarse: Array) -> tuple[Array, Array]:
-    """Return facets whose longest side is short compared with the part, up to a number of them, and their `coarse`."""
+    """Return facets, halved until the longest side of each is short compared with the part, or there are too many.
+
+    :param corners: (F, 3, 3) [m]; `coarse`: (F,) values of the facets, which their halves inherit.
+    """
     limit = float(np.ptp(corners.reshape(-1, 3), axis=0).max()) / _SIDES_PER_PART
     while True:
         side = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2)  # from corner i to i + 1
         longest_side = np.argmax(side, axis=1)
-        split = side.max(axis=1) > limit
-        if not split.any() or len(corners) + np.count_nonzero(split) > _MOST_FACETS:
+        is_long = side.max(axis=1) > limit
+        if not is_long.any() or len(corners) + np.count_nonzero(is_long) > _MOST_FACETS:
             return corners, coarse
-        rows, first = np.flatnonzero(split), longest_side[split]
+        rows, first = np.flatnonzero(is_long), longest_side[is_long]
         a, b, c = (corners[rows, (first + k) % 3] for k in range(3))
         middle = 0.5 * (a + b)
         halves = [np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)]
-        corners = np.concatenate([corners[~split], *halves])
-        coarse = np.concatenate([coarse[~split], coarse[split], coarse[split]])
+        corners = np.concatenate([corners[~is_long], *halves])
+        coarse = np.concatenate([coarse[~is_long], coarse[is_long], coarse[is_long]])

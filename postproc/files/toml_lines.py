@@ -49,7 +49,12 @@ def _parts(text: str) -> list[str]:
 
 
 def _begins(path: Sequence[str], key_parts: Sequence[str]) -> bool:
-    """Return whether a wanted key is this one, or in an inline table or list that this one holds."""
+    """Return whether the parts of a key begin with those of a line, ``*`` being any part.
+
+    The key is then that of the line, or inside its inline table or list.
+
+    :param path: parts of the key of the line; `key_parts`: of the wanted key.
+    """
     return len(path) <= len(key_parts) and all(
-        want in (part, _ANY_KEY) for part, want in zip(path, key_parts, strict=False)
+        key_part in (part, _ANY_KEY) for part, key_part in zip(path, key_parts, strict=False)
     )

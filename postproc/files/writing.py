@@ -65,11 +65,15 @@ def add_record(
             yield piece
         entries.append(FileEntry(name, digest.hexdigest()))
 
-    def last() -> Iterator[bytes]:
+    def rendered_record() -> Iterator[bytes]:
+        """Yield the record, which is made only when the other files have been written."""
         yield render(entries)
 
-    digested_contents = {n: digested(n, [c] if isinstance(c, bytes) else c) for n, c in contents.items()}
-    return {**digested_contents, name: last()}
+    digested_contents = {
+        file_name: digested(file_name, [content] if isinstance(content, bytes) else content)
+        for file_name, content in contents.items()
+    }
+    return {**digested_contents, name: rendered_record()}
 
 
 def foreign(folder: Path, names: Iterable[str], record: str) -> list[Path]:
@@ -189,18 +193,18 @@ def stage(folder: Path, contents: Mapping[str, bytes | Iterable[bytes]]) -> Stag
     :param contents: see `write_whole`.
     :raises InputError: the folder or a file cannot be written; the message names it.
     """
-    with _naming(folder, contents) as at:
+    with _naming(folder, contents) as paths:
         folder.mkdir(parents=True, exist_ok=True)
         for name in contents:
             if (folder / name).is_dir():
-                at.append(folder / name)
+                paths.append(folder / name)
                 raise IsADirectoryError(errno.EISDIR, "a folder of that name is in the way")
         path = Path(tempfile.mkdtemp(_STAGE[1], _STAGE[0], dir=folder))
         try:
             (path / "new").mkdir()
             (path / "old").mkdir()
             for name, content in contents.items():
-                at.append(folder / name)
+                paths.append(folder / name)
                 _write(path / "new" / name, content)
         except BaseException:
             shutil.rmtree(path, ignore_errors=True)
@@ -246,14 +250,14 @@ def remove_leftovers(folder: Path) -> None:
 @contextlib.contextmanager
 def _naming(folder: Path, names: Collection[str]) -> Iterator[list[Path]]:
     """Turn an `OSError` into an `InputError` that names the file concerned, or the last one in the list."""
-    at = [folder]
+    paths = [folder]
     try:
-        yield at
+        yield paths
     except OSError as cause:
         name = Path(cause.filename or "").name
         raise InputError(
             f"cannot be written ({cause.strerror or cause})",
-            file=str(folder / name if name in names else at[-1]),
+            file=str(folder / name if name in names else paths[-1]),
             advice="Nothing was written; existing files are unchanged. Check the folder, its rights and the free "
             "space, and that no other program has the file open.",
         ) from cause
@@ -268,31 +272,36 @@ def _write(path: Path, content: bytes | Iterable[bytes]) -> None:
 
 
 def _replace(file_sets: Sequence[StagedFiles], folder: Path, names: Sequence[str], obsolete: Sequence[str]) -> None:
-    """Put new files in the place of old ones; a single one in one step."""
-    source = {name: file_set.path / "new" / name for file_set in file_sets for name in file_set.names}
+    """Put staged files in the place of old ones; on a failure the old ones come back.
+
+    A single file without obsolete ones is replaced in one step. Else the old files are moved out of the way first.
+
+    :param names: of all files, in the order in which they are moved away; new ones appear in the opposite order.
+    """
+    staged_path = {name: file_set.path / "new" / name for file_set in file_sets for name in file_set.names}
     old_names: list[str] = []
     new_names: list[str] = []
-    old = file_sets[0].path / "old"
+    old_folder = file_sets[0].path / "old"
     try:
         for name in (*obsolete, *(names if len(names) > 1 or obsolete else ())):
             if (folder / name).exists() or (folder / name).is_symlink():
-                (folder / name).rename(old / name)
+                (folder / name).rename(old_folder / name)
                 old_names.append(name)
         for name in reversed(names):
-            source[name].replace(folder / name)
+            staged_path[name].replace(folder / name)
             new_names.append(name)
     except BaseException as cause:
         for name in new_names:
             (folder / name).unlink(missing_ok=True)
         for name in old_names:
             with contextlib.suppress(OSError):
-                (old / name).rename(folder / name)
-        left = sorted(path.name for path in old.iterdir())
-        if left:
-            problem = f"could not be put back: {', '.join(left)}; the new ones could not be written ({cause})"
-            raise InputError(problem, file=str(old), advice=f"Move them to {folder} by hand.") from cause
+                (old_folder / name).rename(folder / name)
+        stranded_names = sorted(path.name for path in old_folder.iterdir())
+        if stranded_names:
+            problem = f"could not be put back: {', '.join(stranded_names)}; the new ones could not be written ({cause})"
+            raise InputError(problem, file=str(old_folder), advice=f"Move them to {folder} by hand.") from cause
         raise
-    shutil.rmtree(old, ignore_errors=True)
+    shutil.rmtree(old_folder, ignore_errors=True)
 
 
 def toml(content: object, comment: str) -> bytes:
@@ -326,4 +335,5 @@ def _plain(value: Any) -> Any:
 
 
 def _default(field: msgspec.structs.FieldInfo) -> object:
+    """Return the default of a field that has one."""
     return field.default if field.default_factory is msgspec.NODEFAULT else field.default_factory()

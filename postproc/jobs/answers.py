@@ -37,7 +37,7 @@ def numbers(text: str) -> Numbers:
 
 
 def _finite(values: Numbers, text: str) -> Numbers:
-    """Return numbers as they are.
+    """Return the numbers if all are finite.
 
     :raises InputError: one of them is not finite.
     """
@@ -47,7 +47,10 @@ def _finite(values: Numbers, text: str) -> Numbers:
 
 
 def number(text: str) -> float:
-    """Parse one number."""
+    """Return one finite number.
+
+    :raises InputError: the text is none.
+    """
     try:
         value = float(text)
     except ValueError:

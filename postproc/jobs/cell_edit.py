@@ -96,8 +96,8 @@ def kept_frames(path: Path, tools: Sequence[int]) -> str:
 
 def _in_words(frame: cells.Frame) -> str:
     """Return a frame as text [mm, deg]; angles that are all 0 are left out."""
-    turn = (frame.A, frame.B, frame.C)
-    values = (frame.X, frame.Y, frame.Z, *(turn if any(turn) else ()))
+    angles = (frame.A, frame.B, frame.C)
+    values = (frame.X, frame.Y, frame.Z, *(angles if any(angles) else ()))
     return " ".join(f"{axis} {value:g}" for axis, value in zip("XYZABC", values, strict=False))
 
 

@@ -58,6 +58,7 @@ def readings_of(folder: Path) -> list[Readings]:
 
 
 def _is_hidden(path: Path) -> bool:
+    """Return whether a name in a path begins with a full stop."""
     return any(part.startswith(".") for part in path.parts)
 
 

@@ -40,10 +40,10 @@ def force_inputs(path: Path) -> list[Path]:
     from postproc.machining import process  # what a cutter does is imported with it
 
     try:
-        table = process.load(path)
+        process_file = process.load(path)
     except PostprocError:
         return [path]
-    names = (table.stock.file, None if table.material is None else table.material.file)
+    names = (process_file.stock.file, None if process_file.material is None else process_file.material.file)
     return [path, *(path.parent / name for name in names if name is not None)]
 
 

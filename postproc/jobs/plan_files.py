@@ -196,15 +196,18 @@ def cutting_states(programs: Sequence[str], force_path: Path | None, robot: Robo
     ]
 
 
-def check_same_arm(measured_robot: RobotModel, mills: RobotModel) -> None:
+def check_same_arm(measured_robot: RobotModel, milling_robot: RobotModel) -> None:
     """Refuse models of different arms; different models (priors, identified ones) of one arm are valid.
 
     :raises InputError: the arms differ.
     """
-    first, second = measured_robot.nominal, mills.nominal
-    if abs(first.placement - second.placement).max() > 1e-6 or abs(first.axis - second.axis).max() > 1e-6:
+    measured_arm, milling_arm = measured_robot.nominal, milling_robot.nominal
+    if (
+        abs(measured_arm.placement - milling_arm.placement).max() > 1e-6
+        or abs(measured_arm.axis - milling_arm.axis).max() > 1e-6
+    ):
         raise InputError(
-            f"the experiment is with robot {measured_robot.name}, the cell has {mills.name}, an arm of other "
+            f"the experiment is with robot {measured_robot.name}, the cell has {milling_robot.name}, an arm of other "
             "dimensions",
             advice="Plan the measurements for the robot that mills.",
         )

@@ -50,13 +50,13 @@ def upright_joints(cell: Cell, robot: RobotModel, turn: float, height: float) ->
     :param height: Z of the tip in `$BASE` [mm].
     :returns: NaN if it is out of reach.
     """
-    form = kinematics.closed_form(robot)
+    inverse_kinematics = kinematics.closed_form(robot)
     pose = cell.base.pose()
     pose[:3, 3] += pose[:3, 2] * (height / MM_PER_M)
     turned_cell = replace(cell, gcode=replace(cell.gcode, redundancy_deg=turn))
     pose[:3, :3] = pose[:3, :3] @ turned_cell.tool_pose_in_program()
-    branch = form.branch_of(cell.start_joints[None])[0]
-    joints: Array = form.branches((pose @ inverse(cell.tool.pose()))[None])[0, branch]
+    branch = inverse_kinematics.branch_of(cell.start_joints[None])[0]
+    joints: Array = inverse_kinematics.branches((pose @ inverse(cell.tool.pose()))[None])[0, branch]
     return joints
 
 

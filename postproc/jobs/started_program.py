@@ -83,13 +83,14 @@ def _start_in_turn(program: Program, robot: RobotModel, cell: Cell, start: Chose
 
     :param start: for the tool as the program is read.
     """
-    place = RobotInCell.of(robot, replace(cell, start=Start(start.joints)))
-    turned, turn, _ = placement.in_chosen_turn(program, place, None)
+    robot_in_cell = RobotInCell.of(robot, replace(cell, start=Start(start.joints)))
+    turned_program, turn, _ = placement.in_chosen_turn(program, robot_in_cell, None)
     if turn is None:
         return start
-    constant_turn = replace(place.cell, gcode=replace(cell.gcode, redundancy="constant"))
-    return chosen_start(turned, RobotInCell.of(robot, constant_turn))
+    constant_turn = replace(robot_in_cell.cell, gcode=replace(cell.gcode, redundancy="constant"))
+    return chosen_start(turned_program, RobotInCell.of(robot, constant_turn))
 
 
 def _are_equal(first: Array, second: Array) -> bool:
+    """Return whether numbers differ by rounding only, a nanometre or a nanoradian; NaN equals NaN."""
     return bool(np.allclose(first, second, rtol=0.0, atol=1e-9, equal_nan=True))

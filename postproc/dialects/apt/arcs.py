@@ -61,11 +61,11 @@ class PendingArc(Struct, frozen=True, eq=False):
         sweep = self.circle.sweep(place, end) + 2.0 * np.pi * self.turns
         if self.angle is None:
             return sweep
-        full = round((self.angle - sweep) / (2.0 * np.pi)) * 2.0 * np.pi
-        if abs(sweep + full - self.angle) * self.circle.radius > _DIFFERENCE_MM or sweep + full <= 0.0:
+        whole_turns = round((self.angle - sweep) / (2.0 * np.pi)) * 2.0 * np.pi
+        if abs(sweep + whole_turns - self.angle) * self.circle.radius > _DIFFERENCE_MM or sweep + whole_turns <= 0.0:
             degrees = f"{np.rad2deg(self.angle):.3f}° stated, {np.rad2deg(sweep):.3f}° to the end"
             raise StatementError(f"the angle of the arc disagrees with its end: {degrees}", ARC_ADVICE)
-        return sweep + full
+        return sweep + whole_turns
 
 
 def turns_of(count: float | str) -> int:
@@ -76,15 +76,21 @@ def turns_of(count: float | str) -> int:
 
 
 def axis_distance(numbers: Array, place: Array) -> float:
-    """Return the distance of a place (3,) from the axis of an arc, in its unit; (6,): centre and direction."""
+    """Return the distance of a place (3,) from the axis of an arc, in the unit of both.
+
+    :param numbers: (6,) a point of the axis, and its direction.
+    """
     axis = numbers[3:6] / np.maximum(norm(numbers[3:6]), UNIT_LENGTH)
     return float(norm(np.cross(place - numbers[:3], axis)))
 
 
 def circle_of(numbers: Array, unit: float, *, is_right_hand: bool) -> Circle:
-    """Return the circle of centre, axis and radius (7,).
+    """Return the circle of a statement in mm.
 
-    :param unit: of centre and radius [mm].
+    :param numbers: (7,) centre, axis, radius, in the unit of the file.
+    :param unit: length of that unit [mm].
+    :param is_right_hand: whether the arc turns right-handed about the axis.
+    :raises StatementError: the axis does not have length 1.
     """
     axis = numbers[3:6]
     if abs(norm(axis) - 1.0) > UNIT_LENGTH:
@@ -109,23 +115,24 @@ def tangent_arc(code: str, direction: Array | None, place: Array | None, unit: f
     :param code: behind the slash of GOFWD.
     :param direction: (3,) in which the arc leaves its start, of INDIRV.
     :param place: (3,) where it starts [mm]; None if that is not known.
+    :raises StatementError: the statement is not understood, or its parts contradict each other.
     """
     flat = code.replace("(", "").replace(")", "").replace("CIRCLE/", "").replace("LINE/", "L,")
     words = values(flat.removeprefix("CANON,"))
     advice = f"Only arcs along INDIRV are read. {ARC_ADVICE}"
     if direction is None or not code.startswith("(CIRCLE/") or "ON" not in words or "L" not in words:
         raise StatementError("TLON is not understood", advice)
-    on, line = words.index("ON"), words.index("L")
-    if words[on + 1 : line] not in ([], [2.0, "INTOF"]):
+    on_index, line_index = words.index("ON"), words.index("L")
+    if words[on_index + 1 : line_index] not in ([], [2.0, "INTOF"]):
         raise StatementError("TLON is not understood", advice)
-    centre = numbers_of(words[:on], 4, 7) * unit
-    ends = numbers_of(words[line + 1 :], 6) * unit
+    centre = numbers_of(words[:on_index], 4, 7) * unit
+    ends = numbers_of(words[line_index + 1 :], 6) * unit
     if place is None:
         raise StatementError(*UNKNOWN_START)
     circle = leaving(place, direction, centre[:3], float(centre[-1]))
     if circle is None or norm(ends[:3] - centre[:3]) > _COINCIDENT_MM:
         raise StatementError("INDIRV, CIRCLE and LINE disagree", ARC_ADVICE)
-    is_second_end = words[on + 1 : line] == [2.0, "INTOF"]
+    is_second_end = words[on_index + 1 : line_index] == [2.0, "INTOF"]
     sweep = circle.sweep(place, ends[3:])
     # a half circle, to a milliradian, and a whole one may be written either way
     if sweep < 2.0 * np.pi and (sweep > np.pi + 1e-6) != is_second_end and abs(sweep - np.pi) > 1e-3:

@@ -136,7 +136,10 @@ def cycle_words(words: Sequence[float | str], rates: Sequence[str]) -> CycleWord
 
 
 def _normalise_depth(couplets: Sequence[float | str]) -> tuple[list[float | str], bool]:
-    """Return a cycle with FEDTO in the words of the others, and whether it goes back to the height before."""
+    """Return a cycle with FEDTO in the words of the other cycles, and whether it returns to the height before the hole.
+
+    :param couplets: word, value, word, value …
+    """
     automatic = ("RTRCTO", "AUTO")
     pairs = list(zip(couplets[0::2], couplets[1::2], strict=True))
     stated = dict(pairs)

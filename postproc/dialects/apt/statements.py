@@ -43,7 +43,11 @@ class StatementError(Exception):
 
 
 def numbers_of(words: list[float | str], *counts: int) -> Array:
-    """Return the values of a statement, which must be numbers, and as many as one of `counts`."""
+    """Return the values of a statement as numbers (n,).
+
+    :param counts: numbers of values that are valid.
+    :raises StatementError: a value is a word, or their number is not valid.
+    """
     if any(isinstance(value, str) for value in words) or len(words) not in counts:
         count_text = " or ".join(map(str, counts))
         raise StatementError(f"{count_text} numbers are needed here", "Check the values behind /.")
@@ -95,9 +99,12 @@ def split(document: Document) -> Statements:
     comment_spans = [(match.start(), match.end()) for match in _COMMENT.finditer(raw)]
     for begin, end in comment_spans:
         chars[begin:end] = _BLANK
-    at = np.searchsorted(starts, np.array([begin for begin, _ in comment_spans], dtype=np.int64), side="right").tolist()
+    comment_line = np.searchsorted(
+        starts, np.array([begin for begin, _ in comment_spans], dtype=np.int64), side="right"
+    ).tolist()
     comments = tuple(
-        (line, _comment(document.text[begin + 2 : end])) for line, (begin, end) in zip(at, comment_spans, strict=True)
+        (line, _comment(document.text[begin + 2 : end]))
+        for line, (begin, end) in zip(comment_line, comment_spans, strict=True)
     )
     keep = ~_SPACE[chars]
     keep[stops] = True
@@ -106,9 +113,11 @@ def split(document: Document) -> Statements:
     code, line = _join_lines(np.frombuffer(lines, dtype=np.uint8))
     ends = np.concatenate([[0], np.flatnonzero(np.frombuffer(code, dtype=np.uint8) == _LF) + 1])
     points, numbers = _points(np.frombuffer(code, dtype=np.uint8), ends)
-    empty = np.diff(ends) == 1
-    empty[points] = True
-    return Statements(document, code, ends, line, np.flatnonzero(~empty), points, numbers, comments, (starts, stops))
+    is_plain_or_empty = np.diff(ends) == 1
+    is_plain_or_empty[points] = True
+    return Statements(
+        document, code, ends, line, np.flatnonzero(~is_plain_or_empty), points, numbers, comments, (starts, stops)
+    )
 
 
 def _comment(text: str) -> str:
@@ -117,34 +126,40 @@ def _comment(text: str) -> str:
 
 
 def _join_lines(chars: np.typing.NDArray[np.uint8]) -> tuple[bytes, Ints]:
-    """Return lines joined where they end with ``$``, and the 1-based first line of each statement."""
+    """Return lines joined where they end with ``$``, and the 1-based first line of each statement.
+
+    :param chars: bytes of the lines, each with a line feed at its end.
+    """
     ends = np.flatnonzero(chars == _LF)
-    goes_on = chars[ends - 1] == _DOLLAR
-    goes_on[:1] &= ends[:1] > 0
-    goes_on[-1:] = False
-    if not goes_on.any():
+    is_continued = chars[ends - 1] == _DOLLAR
+    is_continued[:1] &= ends[:1] > 0
+    is_continued[-1:] = False
+    if not is_continued.any():
         return chars.tobytes(), np.arange(1, len(ends) + 1)
     keep = np.ones(len(chars), dtype=np.bool_)
-    keep[ends[goes_on]] = False
-    keep[ends[goes_on] - 1] = False
-    return chars[keep].tobytes(), np.flatnonzero(np.append(True, ~goes_on[:-1])) + 1
+    keep[ends[is_continued]] = False
+    keep[ends[is_continued] - 1] = False
+    return chars[keep].tobytes(), np.flatnonzero(np.append(True, ~is_continued[:-1])) + 1
 
 
 def _points(chars: np.typing.NDArray[np.uint8], ends: Ints) -> tuple[Ints, Array]:
-    """Return the plain GOTO statements (P,) and their numbers (P, 6)."""
-    empty = np.zeros(0, dtype=np.int64), np.zeros((0, 6))
+    """Return the rows of the plain GOTO statements (P,) and their numbers (P, 6), see `Statements`.
+
+    :param chars: bytes of all statements; `ends`: (S + 1,) positions, see `Statements`.
+    """
+    no_points = np.zeros(0, dtype=np.int64), np.zeros((0, 6))
     width = np.diff(ends)
     rows = np.flatnonzero(width > len(_GOTO) + 1)
-    for place, letter in enumerate(_GOTO):
-        rows = rows[chars[ends[rows] + place] == letter]
+    for column, letter in enumerate(_GOTO):
+        rows = rows[chars[ends[rows] + column] == letter]
     if not len(rows):
-        return empty
-    strange = np.cumsum(np.append(0, ~_NUMERIC[chars]), dtype=np.int64)
-    rows = rows[strange[ends[rows + 1]] - strange[ends[rows]] == len(_GOTO)]
-    comma = np.cumsum(np.append(0, chars == _COMMA), dtype=np.int64)
-    count = comma[ends[rows + 1]] - comma[ends[rows]] + 1
+        return no_points
+    other_character_count = np.cumsum(np.append(0, ~_NUMERIC[chars]), dtype=np.int64)
+    rows = rows[other_character_count[ends[rows + 1]] - other_character_count[ends[rows]] == len(_GOTO)]
+    comma_count = np.cumsum(np.append(0, chars == _COMMA), dtype=np.int64)
+    count = comma_count[ends[rows + 1]] - comma_count[ends[rows]] + 1
     rows = rows[(count == 3) | (count == 6)]
-    for _ in range(2):
+    for _ in range(2):  # once more without the statements that turn out not to be plain
         is_number = np.zeros(len(chars) + 1, dtype=np.int8)
         is_number[ends[rows] + len(_GOTO)] = 1
         is_number[ends[rows + 1]] -= 1
@@ -154,24 +169,24 @@ def _points(chars: np.typing.NDArray[np.uint8], ends: Ints) -> tuple[Ints, Array
         length = width[rows] - len(_GOTO)
         begin = np.concatenate([[0], np.cumsum(length)])
         words = np.diff(np.searchsorted(first, begin))
-        count = comma[ends[rows + 1]] - comma[ends[rows]] + 1
-        whole = words == count
-        if whole.all():
+        count = comma_count[ends[rows + 1]] - comma_count[ends[rows]] + 1
+        is_complete = words == count
+        if is_complete.all():
             break
-        rows = rows[whole]  # a number is missing between two commas
+        rows = rows[is_complete]  # a number is missing between two commas
     if not len(rows):
-        return empty
+        return no_points
     values = parsed_numbers(text, first, last)
     if values is None:
         try:
             values = np.array([float(word) for word in digits.split()])
         except ValueError:
-            return empty
+            return no_points
     numbers = np.full((len(rows), 6), np.nan)
     row = np.repeat(np.arange(len(rows)), count)
     numbers[row, ragged_range(count)] = values
-    large = distinct(row[np.abs(values) >= LIMIT])
-    return np.delete(rows, large), np.delete(numbers, large, axis=0)
+    large_rows = distinct(row[np.abs(values) >= LIMIT])
+    return np.delete(rows, large_rows), np.delete(numbers, large_rows, axis=0)
 
 
 _NUMBER = re.compile(r"[-+]?(?:\d{1,30}\.?\d{0,30}|\.\d{1,30})(?:[ED][-+]?\d{1,3})?")

@@ -92,6 +92,18 @@ _AMBIGUOUS = (
 
 
 class _Walk:
+    """State of the machine from statement to statement, and the moves so far (`course`).
+
+    :ivar place: (3,) of the tool tip [mm], if `known`; `axis`: (3,) unit direction from the tip to the spindle.
+    :ivar unit: length of a unit of the file [mm].
+    :ivar rapid: whether the next move is rapid.
+    :ivar feed: [mm/min], or [mm/turn] if `per_turn`; `speed`: of the spindle [1/min].
+    :ivar pending: circle of an arc whose end is the next GOTO; `closed`: circle of the last arc, which may go on.
+    :ivar leaving: (3,) direction of INDIRV; `cycle`: active drilling cycle.
+    :ivar number: number of moves so far; `ended`: row of FINI, `parted`: of PARTNO, −1 without.
+    :ivar doubt: whether the last statement had a fault, so that the next arc cannot be checked.
+    """
+
     def __init__(self, statements: Statements, cell: Cell) -> None:
         """Begin at a place that is not known."""
         self.statements, self.cell = statements, cell
@@ -126,33 +138,38 @@ class _Walk:
 
     def run(self) -> Course:
         """Execute all statements of the file in order."""
-        of, course = self.statements, self.course
-        previous = 0
-        for row in of.others.tolist():
-            self._points(previous, row)
-            previous = row + 1
+        statements, course = self.statements, self.course
+        next_row = 0
+        for row in statements.others.tolist():
+            self._points(next_row, row)
+            next_row = row + 1
             if self.ended >= 0 or len(course.faults) > MAX_ERRORS:
                 break
             try:
-                self._obey(row, of.of(row))
+                self._obey(row, statements.of(row))
             except StatementError as cause:
                 course.faults.append(Fault(row, *cause.args))
                 self.doubt = True
         else:
-            self._points(previous, len(of))
+            self._points(next_row, len(statements))
         self._end_compensation()
         if self.pending is not None and not course.faults:
             problem = "an arc without a GOTO behind it"
             course.faults.append(Fault(self.pending.row, problem, "Write the end of the arc."))
         if self.ended >= 0:
-            rows_behind_end = [row for row in of.others.tolist() if row > self.ended and of.of(row) != "FINI"]
-            course.after_end = (*rows_behind_end, *of.points[np.searchsorted(of.points, self.ended) :].tolist())
+            rows_behind_end = [
+                row for row in statements.others.tolist() if row > self.ended and statements.of(row) != "FINI"
+            ]
+            course.after_end = (
+                *rows_behind_end,
+                *statements.points[np.searchsorted(statements.points, self.ended) :].tolist(),
+            )
         elif self.parted >= 0 and not course.faults:
             problem = "the program begins with PARTNO but ends without FINI"
-            course.faults.append(Fault(len(of) - 1, problem, "Check that the file was transferred completely."))
+            course.faults.append(Fault(len(statements) - 1, problem, "Check that the file was transferred completely."))
         elif not course.faults and not self.path_ended:
             message = "The program ends without FINI, END or END-OF-PATH. Check that the file is complete."
-            course.remarks.append((len(of) - 1, "warning", "program-end", message))
+            course.remarks.append((len(statements) - 1, "warning", "program-end", message))
         if self.inches is not None and not course.stated:
             course.faults.append(
                 Fault(self.inches, "a feed in inches, but no UNITS", "Write UNITS/MM or UNITS/INCHES.")
@@ -160,49 +177,61 @@ class _Walk:
         return course
 
     def _points(self, begin: int, end: int) -> None:
-        """Execute plain GOTO statements."""
-        of = self.statements
-        first, last = np.searchsorted(of.points, [begin, end]).tolist()
+        """Execute the plain GOTO statements from row `begin` to row `end` (exclusive)."""
+        statements = self.statements
+        first, last = np.searchsorted(statements.points, [begin, end]).tolist()
         if first < last and self.ended < 0:
             self.path_ended = False
             try:
-                self._goto(of.points[first:last], of.numbers[first:last])
+                self._goto(statements.points[first:last], statements.numbers[first:last])
             except StatementError as cause:
-                row = cause.args[2] if len(cause.args) > 2 else int(of.points[first])
+                row = cause.args[2] if len(cause.args) > 2 else int(statements.points[first])
                 self.course.faults.append(Fault(row, *cause.args[:2]))
 
     def _goto(self, row: Ints, numbers: Array) -> None:
-        """Go to points; numbers (n, 6), the last three NaN where the direction stays."""
-        bare = np.isnan(numbers[:, 3])
-        if self.is_tilted_setup and bare.any():
+        """Add the moves of GOTO statements: the end of a pending arc, holes of a cycle, or straight moves.
+
+        :param row: (n,) their rows; `numbers`: (n, 6) x, y, z, i, j, k; NaN where the direction is not stated.
+        :raises StatementError: its third argument is the row.
+        """
+        has_no_direction = np.isnan(numbers[:, 3])
+        if self.is_tilted_setup and has_no_direction.any():
             advice = "Let the CAM system write the direction of the tool, i, j, k, in each GOTO."
-            raise StatementError("GOTO without a direction in a tilted CSYS", advice, int(row[np.argmax(bare)]))
+            raise StatementError(
+                "GOTO without a direction in a tilted CSYS", advice, int(row[np.argmax(has_no_direction)])
+            )
         if self.system_of_file == "Creo":
-            numbers = np.where(bare[:, None] & _IS_DIRECTION, _UPRIGHT, numbers)
-        if self.is_axis_open and bare[0]:
+            numbers = np.where(has_no_direction[:, None] & _IS_DIRECTION, _UPRIGHT, numbers)
+        if self.is_axis_open and has_no_direction[0]:
             advice = "Write the direction of the tool, i, j, k, in this GOTO, or TLAXIS/i,j,k before it."
             raise StatementError("GOTO without a direction behind MULTAX/OFF of a tilted tool", advice, int(row[0]))
         end, axis = numbers[:, :3] * self.unit, self._axes(row, numbers[:, 3:])
         self.is_axis_open = False
-        at = 0
+        first_left = 0
         closed_contour, self.closed = self.closed, None
         if closed_contour is not None and closed_contour.fault_at(end[0]) is None:
             raise StatementError(*_AMBIGUOUS, int(row[0]))
         if self.pending is not None:
             pending, self.pending = self.pending, None
-            at = 1 if self.doubt else self._arc(pending, row, end, axis)
+            first_left = 1 if self.doubt else self._arc(pending, row, end, axis)
         if self.cycle is not None:
-            for n in range(at, len(row)):
+            for n in range(first_left, len(row)):
                 self._drill(int(row[n]), end[n], axis[n], self.cycle)
             self.rapid = False
         elif self.is_cycle_refused:  # these are holes: a missing feed would be an error that is none
             self.place, self.known, self.rapid = end[-1], True, False
-        elif at < len(row):
+        elif first_left < len(row):
             if self.rapid or not self.known:
-                self._single_move(int(row[at]), end[at], axis[at])
-                at += 1
-            if at < len(row):
-                self._add(row[at:], end[at:], axis[at:], LINE, self._feed_per_minute(int(row[at])))
+                self._single_move(int(row[first_left]), end[first_left], axis[first_left])
+                first_left += 1
+            if first_left < len(row):
+                self._add(
+                    row[first_left:],
+                    end[first_left:],
+                    axis[first_left:],
+                    LINE,
+                    self._feed_per_minute(int(row[first_left])),
+                )
         self.axis = axis[-1]
         self.doubt = False
 
@@ -228,13 +257,17 @@ class _Walk:
         return np.asarray(unit[latest][1:])
 
     def _single_move(self, row: int, end: Array, axis: Array) -> None:
-        """Make one move that is rapid, or whose start is not known."""
-        rapid, self.rapid = self.rapid, False
+        """Add a move that is rapid, or that is the first after the start or after GOHOME.
+
+        :param end: (3,) [mm]; `axis` (3,): direction of the tool there.
+        :raises StatementError: a move at feed from home.
+        """
+        is_rapid, self.rapid = self.rapid, False
         if self.known:
-            self._add_move(row, end, axis, RAPID if rapid else LINE, 0.0 if rapid else self._feed_per_minute(row))
+            self._add_move(row, end, axis, RAPID if is_rapid else LINE, 0.0 if is_rapid else self._feed_per_minute(row))
             return
         has_motions = bool(self.course.parts)
-        if not rapid:
+        if not is_rapid:
             if has_motions:
                 raise StatementError("GOTO at feed behind GOHOME", "Write RAPID before: the tool is at home.", row)
             message = (
@@ -254,7 +287,10 @@ class _Walk:
         self.known = True
 
     def _feed_per_minute(self, row: int) -> float:
-        """Return the feed of a move [mm/min]."""
+        """Return the feed of a move [mm/min].
+
+        :raises StatementError: none is known; its third argument is the row.
+        """
         if not self.feed > 0.0:
             raise StatementError("cutting move without a feed", "Write FEDRAT before it.", row)
         if not self.per_turn:
@@ -264,7 +300,11 @@ class _Walk:
         return self.feed * self.speed
 
     def _arc(self, pending: PendingArc, row: Ints, end: Array, axis: Array) -> int:
-        """Make the arc to the first points; return how many belong to it."""
+        """Add the arc of a CIRCLE to the points that follow it; return how many of them belong to it.
+
+        :param row: (n,) statements of the points; `end` (n, 3) [mm]; `axis` (n, 3): direction of the tool there.
+        :raises StatementError: that number is ambiguous, or the arc has a fault.
+        """
         count: int | None = 1
         if pending.several and len(row) > 1:
             count = belonging(pending.circle, self.place, end, _DIGIT * self.unit)
@@ -302,27 +342,33 @@ class _Walk:
         self._add_move(row, end, axis, ARC, self._feed_per_minute(row), circle=arc_circle, sweep=sweep)
 
     def _drill(self, row: int, top: Array, axis: Array, cycle: Cycle) -> None:
-        """Add the moves of the active cycle at a hole."""
+        """Add the moves of the active cycle at a hole; heights are above its top.
+
+        :param top: (3,) of the hole [mm]; `axis` (3,): direction of the tool.
+        """
         if not self.known:
             raise StatementError("a cycle before the position is known", "Write RAPID and a GOTO before it.", row)
-        self._swing(row, axis)
+        self._check_same_axis(row, axis)
         start_height = float((self.place - top) @ axis)
         if start_height < cycle.clear - NEAR_MM:
             self._add_move(row, self.place + axis * (cycle.clear - start_height), axis, RAPID, 0.0)
         height = max(start_height, cycle.clear)
-        for to in (height, cycle.clear, cycle.near):
-            self._add_move(row, top + axis * to, axis, RAPID, 0.0)
+        for rapid_height in (height, cycle.clear, cycle.near):
+            self._add_move(row, top + axis * rapid_height, axis, RAPID, 0.0)
         for bottom in cycle.pecks():
             self._add_move(row, top + axis * bottom, axis, LINE, cycle.feed, exact=True)
-            for to in cycle.retracts(bottom):
-                self._add_move(row, top + axis * to, axis, RAPID, 0.0, exact=True)
+            for retract_height in cycle.retracts(bottom):
+                self._add_move(row, top + axis * retract_height, axis, RAPID, 0.0, exact=True)
         self._add_move(row, top - axis * cycle.depth, axis, LINE, cycle.feed, exact=True)
         if cycle.dwell > 0.0:
             self._event(row, "dwell", cycle.dwell)
         self._add_move(row, top + axis * (height if cycle.back is None else cycle.back), axis, RAPID, 0.0)
 
-    def _swing(self, row: int, axis: Array) -> None:
-        """Refuse a direction of the tool that changes on the way to a hole."""
+    def _check_same_axis(self, row: int, axis: Array) -> None:
+        """Check that the direction of the tool does not change on the way to a hole.
+
+        :raises StatementError: it does.
+        """
         if norm(np.cross(axis, self.axis)) > UNIT_LENGTH or axis @ self.axis < 0.0:
             raise StatementError("the tool turns in a cycle", "Write a GOTO with the new direction before CYCLE.", row)
 
@@ -334,14 +380,15 @@ class _Walk:
     def _add(self, row: Ints, end: Array, axis: Array, code: int, feed: float, **properties: Any) -> None:
         """Add moves to the course; the last of their ends becomes the place of the tool.
 
-        :param row: (n,) rows of the statements; `end` (n, 3) places [m], `axis` (n, 3) directions of the tool.
-        :param feed: [m/s].
+        :param row: (n,) rows of the statements; `end` (n, 3) places [mm], `axis` (n, 3) directions of the tool.
+        :param code: `RAPID`, `LINE` or `ARC`; `feed` [mm/min]; `properties`: further fields of `Part`.
         """
         self.course.parts.append(Part(row, end, axis, code, feed, self.tool, **properties))
         self.number += len(row)
         self.place = end[-1]
 
     def _event(self, row: int, kind: EventKind, value: float = 0.0, text: str = "") -> None:
+        """Record an event after the moves so far."""
         self.course.events.append(Happening(self.number, row, kind, value, text))
 
     def _obey(self, row: int, code: str) -> None:
@@ -554,11 +601,18 @@ class _Walk:
         self._pend(row, numbers, is_right_hand=not is_nx, several=len(words) == 7, turns=turns - 1)
 
     def _move_arc(self, row: int, words: list[float | str]) -> None:
+        """Read MOVARC: a circle and the angle of the arc on it, whose end the next GOTO states."""
         numbers, angle = stated_angle(words)
         self._pend(row, numbers, is_right_hand=True, angle=angle)
 
     def _pend(self, row: int, numbers: Array, *, is_right_hand: bool, **properties: Any) -> None:
-        """Keep a circle for the GOTO that follows."""
+        """Keep a circle for the GOTO that follows.
+
+        :param numbers: (7,) centre, axis, radius, in the unit of the file.
+        :param is_right_hand: whether the arc turns right-handed about the axis.
+        :param properties: further fields of `PendingArc`.
+        :raises StatementError: no arc is possible here.
+        """
         circle = circle_of(numbers, self.unit, is_right_hand=is_right_hand)
         if self.pending is not None or self.cycle is not None:
             raise StatementError("an arc where none is possible", "Write a GOTO for the end of the arc before.")
@@ -567,6 +621,7 @@ class _Walk:
         self.pending = PendingArc(row, circle, **properties)
 
     def _direction(self, row: int, words: list[float | str]) -> None:
+        """Read INDIRV: the direction in which the next arc leaves its start."""
         del row
         self.leaving = numbers_of(words, 3)
 
@@ -618,6 +673,7 @@ class _Walk:
         self._event(row, "spindle_ccw" if self.spindle == "spindle_ccw" else "spindle_on", self.speed)
 
     def _coolant(self, row: int, words: list[float | str]) -> None:
+        """Read COOLNT: on, unless its value is OFF."""
         self.coolant = "OFF" not in words
         self._event(row, "coolant_on" if self.coolant else "coolant_off")
 
@@ -655,6 +711,7 @@ class _Walk:
         self._event(row, "dwell", float(numbers_of(words, 1)[0]))
 
     def _stop(self, row: int, words: list[float | str]) -> None:
+        """Read STOP and OPSTOP: the program waits until it is started again."""
         del words
         self._event(row, "stop")
 
@@ -665,6 +722,7 @@ class _Walk:
             self.course.remarks.append((row, "info", "block-delete", message))
 
     def _auxiliary(self, row: int, words: list[float | str]) -> None:
+        """Read AUXFUN: an M code by its number."""
         self._machine_code(row, f"M{self._one_number(words, 'AUXFUN'):g}")
 
     def _insert(self, row: int, word: str) -> None:
@@ -706,11 +764,11 @@ class _Walk:
         self._end_compensation()
         if words[:1] == ["OFF"]:
             return
-        wear = self.cell.gcode.radius_offsets == "wear"
+        holds_wear = self.cell.gcode.radius_offsets == "wear"
         side = next((word for word in ("LEFT", "RIGHT") if word in words), None)
-        if side is None and not wear:
+        if side is None and not holds_wear:
             raise StatementError(*_COMPENSATION_FAULT)
-        self.compensation = Compensation(row, 1.0 if side == "LEFT" else -1.0, is_centre=wear)
+        self.compensation = Compensation(row, 1.0 if side == "LEFT" else -1.0, is_centre=holds_wear)
 
     def _end_compensation(self) -> None:
         """Check that the path since CUTCOM is that of the tool's centre."""
@@ -724,6 +782,7 @@ class _Walk:
         self.course.remarks.append((compensation.row, "info", "radius-compensation", message))
 
     def _cutter(self, row: int, words: list[float | str]) -> None:
+        """Read CUTTER: its first value is the diameter of the cutter."""
         del row
         self.cutter_radius = words[0] * self.unit / 2.0 if words and isinstance(words[0], float) else np.nan
 
@@ -857,5 +916,5 @@ _HANDLERS: Mapping[str, Any] = {
 
 
 def execute(statements: Statements, cell: Cell) -> Course:
-    """Return the moves of a file, or its faults."""
+    """Return the moves, events and faults of a file; with faults the moves are incomplete."""
     return _Walk(statements, cell).run()

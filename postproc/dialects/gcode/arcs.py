@@ -73,6 +73,7 @@ class ArcWords(Struct, frozen=True, eq=False):
         return vectors
 
     def _axes(self) -> Ints:
+        """Return the indices (A, 3) of first and second axis of the plane and of the axis across it."""
         return np.array([PLANE_AXES[17.0], PLANE_AXES[18.0], PLANE_AXES[19.0]])[self.plane.astype(np.int64) - 17]
 
 
@@ -105,7 +106,10 @@ class Arcs(Struct, frozen=True, eq=False):
 
 
 def read_arcs(words: ArcWords) -> Arcs:
-    """Return the geometry of arcs, and their faults."""
+    """Return the geometry of arcs, and their faults.
+
+    Suffixes 1 and 2 are components along the first and second axis of the plane: s start, e end, o offset, c centre.
+    """
     with np.errstate(invalid="ignore", divide="ignore"):
         s1, s2, height = words.to_plane(words.start)
         e1, e2, _ = words.to_plane(words.end)
@@ -131,7 +135,12 @@ def read_arcs(words: ArcWords) -> Arcs:
 
 
 def _centre_from_radius(s1: Array, s2: Array, e1: Array, e2: Array, words: ArcWords) -> tuple[Array, Array]:
-    """Return the centres of arcs given by R: left of the chord for G3, right for G2; the other side for R < 0."""
+    """Return the centres of arcs given by R, as components (A,) along first and second axis of the plane.
+
+    They are left of the chord for G3, right for G2, and on the other side for R < 0.
+
+    :param s1, s2: (A,) components of the starts; `e1`, `e2`: of the ends.
+    """
     d1, d2 = 0.5 * (e1 - s1), 0.5 * (e2 - s2)
     half = np.hypot(d1, d2)
     centre_ratio = np.sqrt(np.maximum((np.abs(words.radius) - half) * (np.abs(words.radius) + half), 0.0)) / half
@@ -142,7 +151,11 @@ def _centre_from_radius(s1: Array, s2: Array, e1: Array, e2: Array, words: ArcWo
 def _faults(
     words: ArcWords, by_radius: Bools, full: Bools, r_start: Array, r_end: Array, half: Array
 ) -> tuple[ArcFault, ...]:
-    """Return the first fault of each arc, for the first few arcs with each kind of fault."""
+    """Return the first fault of each arc, for the first few arcs with each kind of fault.
+
+    :param by_radius: (A,) arcs given by R; `full`: (A,) arcs that end where they begin.
+    :param r_start: (A,) radii at the starts; `r_end`: at the ends; `half`: half lengths of the chords [mm].
+    """
     faults: dict[int, ArcFault] = {}
 
     def check(wrong: Bools, problem: str, advice: str | None = None, *, placed: bool = False) -> None:

@@ -122,23 +122,23 @@ class Library:
         self.units = [program]
         self._files: dict[str, Path] | None = None
 
-    def find(self, label: str, caller: int, *, own: bool) -> tuple[int, int] | None:
+    def find(self, label: str, caller: int, *, is_linuxcnc_style: bool) -> tuple[int, int] | None:
         """Return file and first row of a subprogram; None if it is not found.
 
         :param caller: index of the calling file in `units`.
-        :param own: whether it is called in LinuxCNC style.
+        :param is_linuxcnc_style: whether it is called by ``O<name> CALL``, not by M98.
         :raises BlockError: its file cannot be read.
         """
         for n in dict.fromkeys((caller, 0)):
-            place = (self.units[n].subs if own else self.units[n].numbers).get(label)
+            place = (self.units[n].subs if is_linuxcnc_style else self.units[n].numbers).get(label)
             if place is not None:
                 return n, place + 1
         unit_index = self._load(label)
         if unit_index is None:
             return None
         unit = self.units[unit_index]
-        place = (unit.subs if own else unit.numbers).get(label, -1)
-        if own and place < 0:
+        place = (unit.subs if is_linuxcnc_style else unit.numbers).get(label, -1)
+        if is_linuxcnc_style and place < 0:
             raise BlockError(f"{unit.document.name} has no O<{label}> SUB", None)
         return unit_index, place + 1
 
@@ -217,13 +217,15 @@ def execute(document: Document) -> ExecutedProgram:
 
 
 class _Frame(Struct, frozen=True):
-    """A subprogram in execution: its label, whether LinuxCNC style, the position of its call.
+    """A subprogram in execution.
 
-    `repeats`: number of repeats that M98 still has to make, from row `begin`.
+    :param is_linuxcnc_style: whether it was called by ``O<name> CALL``, not by M98.
+    :param unit: index of the calling file; `row`: row after the call, `main`: see `_Run`.
+    :param repeats: repeats that M98 still has to make, from row `begin` of the subprogram.
     """
 
     label: str
-    own: bool
+    is_linuxcnc_style: bool
     unit: int
     row: int
     main: int
@@ -236,12 +238,22 @@ class _EndError(Exception):
 
 
 class _Run:
+    """Execution of a program: the present line, the calls that lead to it, and the pieces executed so far.
+
+    :ivar unit: index of the present file in `units`; `row`: next row in it.
+    :ivar main: row of the program from which the present subprogram was called; −1 in the program itself.
+    :ivar counts: rounds that REPEAT loops still have to make, by number of calls, file and row of the loop.
+    :ivar rows: number of executed lines; `orders`: of those with parameters or O-words.
+    :ivar wrong: faults by file and row.
+    :ivar end: row of the program at which it ends.
+    """
+
     def __init__(self, unit: Unit) -> None:
         self.end = len(unit.source)
         self.library = Library(unit)
         self.units = self.library.units
         self.unit, self.row, self.main = 0, 0, -1
-        self.known = Parameters()
+        self.parameters = Parameters()
         self.frames: list[_Frame] = []
         self.counts: dict[tuple[int, int, int], int] = {}
         self.pieces: list[Piece] = []
@@ -270,7 +282,7 @@ class _Run:
             self._take(row, at)
         if at == len(unit.source):
             if self.frames:
-                end = "ENDSUB" if self.frames[-1].own else "M99"
+                end = "ENDSUB" if self.frames[-1].is_linuxcnc_style else "M99"
                 self._stop(at - 1, f"subprogram O{self.frames[-1].label} does not end with {end}")
             raise _EndError
         self.orders += 1
@@ -303,6 +315,10 @@ class _Run:
         self._take(row, row + 1, "")
 
     def _stop(self, row: int, problem: str, advice: str | None = None) -> None:
+        """Record a fault and end the execution.
+
+        :raises _EndError: always.
+        """
         self._add_fault(row, problem, advice)
         raise _EndError
 
@@ -321,7 +337,7 @@ class _Run:
 
     def _execute(self, row: int, line: Block) -> None:
         """Execute a line of words: parameters are replaced, M98 and M99 followed, M2 and M30 end the program."""
-        text = line.text(self.known)
+        text = line.text(self.parameters)
         orders = end_words(text) if "M" in text else {}
         if not orders:
             if text:
@@ -346,13 +362,13 @@ class _Run:
         if "P" not in number:
             raise BlockError("M98 without P", "Write, for example, M98 P100 L3: subprogram O100, three times.")
         label, times = str(nearest_integer(number["P"])), nearest_integer(number.get("L", 1.0))
-        location = self.library.find(label, self.unit, own=False)
+        location = self.library.find(label, self.unit, is_linuxcnc_style=False)
         if location is None:
             advice = "Write M98 P100 L3 for three times." if number["P"] >= 1e4 and "L" not in number else None
             raise BlockError(f"subprogram O{label} is neither in this file nor in its folder", advice)
         if times > 0:
             self._enter(_Frame(label, False, self.unit, self.row, self.main, times - 1, location[1]), location[0], row)
-            self.known.enter(None)
+            self.parameters.enter(None)
 
     def _return_number(self, row: int, number: dict[str, float]) -> None:
         """Execute M99: repeat the subprogram, or return from it."""
@@ -362,13 +378,13 @@ class _Run:
         if "P" in number:
             raise BlockError("M99 with P", "A return to another line than the call is not supported: write M99 alone.")
         frame = self.frames[-1]
-        if frame.own:
+        if frame.is_linuxcnc_style:
             raise BlockError(f"M99 in O{frame.label} SUB", f"End it with O{frame.label} ENDSUB.")
         if frame.repeats:
             self.frames[-1] = replace(frame, repeats=frame.repeats - 1)
             self.row = frame.begin
-            self.known.leave()
-            self.known.enter(None)
+            self.parameters.leave()
+            self.parameters.enter(None)
             return
         self._leave()
 
@@ -389,7 +405,7 @@ class _Run:
         """Return to the caller of a subprogram, with its local parameters."""
         frame = self.frames.pop()
         self.unit, self.row, self.main = frame.unit, frame.row, frame.main
-        self.known.leave()
+        self.parameters.leave()
 
     def _obey(self, row: int, order: Order) -> None:
         """Execute an O word: a call, a branch or a loop (LinuxCNC's O codes)."""
@@ -408,10 +424,10 @@ class _Run:
         elif keyword in ("ELSEIF", "ELSE", "BREAK"):
             self.row = link[-1] + 1
         elif keyword == "WHILE" and row == link[0]:
-            if order.values[0](self.known) == 0.0:
+            if order.values[0](self.parameters) == 0.0:
                 self.row = link[-1] + 1
         elif keyword == "WHILE":
-            if order.values[0](self.known) != 0.0:
+            if order.values[0](self.parameters) != 0.0:
                 self.row = link[0] + 1
         elif keyword == "ENDWHILE":
             self.row = link[0]
@@ -427,7 +443,7 @@ class _Run:
         for row in link[:-1]:
             branch = unit.at(row)
             self.row = row + 1
-            if not isinstance(branch, Order) or not branch.values or branch.values[0](self.known) != 0.0:
+            if not isinstance(branch, Order) or not branch.values or branch.values[0](self.parameters) != 0.0:
                 return
         self.row = link[-1] + 1
 
@@ -435,7 +451,7 @@ class _Run:
         """Count a REPEAT loop, and continue at its begin or after its end."""
         key = (len(self.frames), self.unit, link[0])
         if order.keyword == "REPEAT":
-            self.counts[key] = int(np.floor(order.values[0](self.known) + 0.5))
+            self.counts[key] = int(np.floor(order.values[0](self.parameters) + 0.5))
         else:
             self.counts[key] -= 1
         self.row = (link[0] if self.counts[key] > 0 else link[-1]) + 1
@@ -445,20 +461,20 @@ class _Run:
 
         :raises BlockError: there is no such subprogram.
         """
-        label = order.label if isinstance(order.label, str) else str(nearest_integer(order.label(self.known)))
-        arguments = [value(self.known) for value in order.values]
-        location = self.library.find(label, self.unit, own=True)
+        label = order.label if isinstance(order.label, str) else str(nearest_integer(order.label(self.parameters)))
+        arguments = [value(self.parameters) for value in order.values]
+        location = self.library.find(label, self.unit, is_linuxcnc_style=True)
         if location is None:
             raise BlockError(f"subprogram O<{label}> is neither in this file nor in its folder", None)
         self._enter(_Frame(label, True, self.unit, self.row, self.main, 0, location[1]), location[0], row)
-        self.known.enter(arguments)
+        self.parameters.enter(arguments)
 
     def _return(self, order: Order) -> None:
         """Execute ENDSUB or RETURN, and store the value that it returns."""
         frame = self.frames[-1] if self.frames else None
-        if frame is None or not frame.own or (order.keyword == "ENDSUB" and frame.label != order.label):
+        if frame is None or not frame.is_linuxcnc_style or (order.keyword == "ENDSUB" and frame.label != order.label):
             raise BlockError(f"O{order.label} {order.keyword} outside of O{order.label} SUB", None)
-        value = order.values[0](self.known) if order.values else 0.0
+        value = order.values[0](self.parameters) if order.values else 0.0
         self._leave()
-        self.known.put("_value", value)
-        self.known.put("_value_returned", float(len(order.values)))
+        self.parameters.put("_value", value)
+        self.parameters.put("_value_returned", float(len(order.values)))

@@ -44,7 +44,7 @@ class Parameters:
 
     def __init__(self) -> None:
         self._common: dict[Key, float] = {}
-        self._own: dict[Key, float] = {}
+        self._local: dict[Key, float] = {}
         self._callers: list[tuple[dict[Key, float] | None, dict[Key, float]]] = []
 
     def get(self, key: Key) -> float:
@@ -80,19 +80,20 @@ class Parameters:
             caller_values = {n: self._common[n] for n in _LOCAL if n in self._common}
             self._common.update(dict.fromkeys(_LOCAL, 0.0))
             self._common.update(enumerate(arguments, 1))
-        self._callers.append((caller_values, self._own))
-        self._own = {}
+        self._callers.append((caller_values, self._local))
+        self._local = {}
 
     def leave(self) -> None:
         """End a subprogram: restore the local parameters of its caller."""
-        caller_values, self._own = self._callers.pop()
+        caller_values, self._local = self._callers.pop()
         if caller_values is not None:
             for n in _LOCAL:
                 self._common.pop(n, None)
             self._common.update(caller_values)
 
     def _place(self, key: Key) -> dict[Key, float]:
-        return self._own if isinstance(key, str) and not key.startswith("_") else self._common
+        """Return the values among which a parameter is: those of local names, or all others."""
+        return self._local if isinstance(key, str) and not key.startswith("_") else self._common
 
 
 def _check_number(number: int) -> int:
@@ -117,6 +118,7 @@ _OPERATOR = re.compile(r"\*\*|[-+*/]|MOD|AND|XOR|OR|EQ|NE|GT|GE|LT|LE")
 
 
 def _modulo(left: float, right: float) -> float:
+    """Return the remainder of a division, never negative (LinuxCNC)."""
     remainder = math.fmod(left, right)
     return remainder + abs(right) if remainder < 0.0 else remainder
 
@@ -190,7 +192,7 @@ class Reader:
         if following == "[":
             return self.expression()
         if following == "#":
-            return _looked_up(self.parameter())
+            return _parameter_value(self.parameter())
         if following in ("+", "-") and following:
             self.at += 1
             inner = self.value()
@@ -277,7 +279,8 @@ class Reader:
         self.at += 1
 
 
-def _looked_up(key: Callable[[Parameters], Key]) -> Value:
+def _parameter_value(key: Callable[[Parameters], Key]) -> Value:
+    """Return a value that reads a parameter, whose key may be computed."""
     return lambda parameters: parameters.get(key(parameters))
 
 
@@ -300,7 +303,10 @@ def _unary_value(name: str, inner: Value) -> Value:
 
 
 def _binary_value(name: str, function: Callable[[float, float], float], left: Value, right: Value) -> Value:
-    """Return a value that combines two others by an operator."""
+    """Return a value that combines two others by an operator.
+
+    :param name: of the operator, for messages; `function`: what it computes.
+    """
 
     def apply(parameters: Parameters) -> float:
         """Return the value of the operation.

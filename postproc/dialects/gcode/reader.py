@@ -325,7 +325,9 @@ def _events(
     In one line comments come first, stops last.
     """
     texts = [(row, 0, None, Event(0, "comment", 0, 0.0, text)) for row, text in comments if isinstance(text, str)]
-    row_entries = [(h.row, 2 if h.after else 1, None, Event(0, h.kind, 0, h.value)) for h in modes.row_events]
+    row_entries = [
+        (event.row, 2 if event.after else 1, None, Event(0, event.kind, 0, event.value)) for event in modes.row_events
+    ]
     cycle_entries = [
         (row, 1, at, Event(0, event.kind, 0, event.value or _spindle_speed(modes, row, event.kind)))
         for at, row, event in path.events
@@ -345,10 +347,14 @@ def _events(
 
 
 def _spindle_speed(modes: Modes, row: int, kind: str) -> float:
-    """Return the speed at which a cycle restarts the spindle."""
+    """Return the speed at which a cycle restarts the spindle, the last one that the program states [1/min]; else 0.
+
+    :param row: line of the cycle; `kind`: of the event of the cycle.
+    """
     if kind == "spindle_off":
         return 0.0
-    return next((h.value for h in reversed(modes.row_events) if h.row <= row and h.kind in SPINDLE_ON), 0.0)
+    starts = (event for event in reversed(modes.row_events) if event.row <= row and event.kind in SPINDLE_ON)
+    return next((event.value for event in starts), 0.0)
 
 
 def _unit_issue(path: MotionPath, text: str) -> Issue:

@@ -146,26 +146,26 @@ class Unit(Struct, eq=False):
 
     def _connect(self, notable: Ints) -> None:
         """Connect the O-words of each loop, branch and subprogram."""
-        open_: list[tuple[str, str, list[int]]] = []
+        open_blocks: list[tuple[str, str, list[int]]] = []
         for row, order in self._orders(notable):
             label, keyword = str(order.label), order.keyword
             if keyword == "":
                 self.numbers.setdefault(label, row)
             elif keyword == "SUB":
-                if label in self.subs or any(word == "SUB" for word, *_ in open_):
+                if label in self.subs or any(word == "SUB" for word, *_ in open_blocks):
                     problem = "a second subprogram of this name" if label in self.subs else "a subprogram in another"
                     self.faults.append(Fault(row, f"O{label} SUB: {problem}"))
                 self.subs.setdefault(label, row)
-            open_indices = [at for at, (word, name, _) in enumerate(open_) if name == label and word != "SUB"]
-            if keyword == "WHILE" and open_indices and open_[open_indices[-1]][0] == "DO":
-                self._close(row, open_, open_indices[-1])
+            open_indices = [at for at, (word, name, _) in enumerate(open_blocks) if name == label and word != "SUB"]
+            if keyword == "WHILE" and open_indices and open_blocks[open_indices[-1]][0] == "DO":
+                self._close(row, open_blocks, open_indices[-1])
             elif keyword in ("SUB", "IF", "WHILE", "DO", "REPEAT"):
-                open_.append((keyword, label, [row]))
+                open_blocks.append((keyword, label, [row]))
             elif keyword in _OPENED_BY:
                 opening_words = _OPENED_BY[keyword]
                 fits = [
                     n
-                    for n, (word, name, _) in enumerate(open_)
+                    for n, (word, name, _) in enumerate(open_blocks)
                     if word in opening_words and (name == label or keyword == "RETURN")
                 ]
                 at = fits[-1] if fits else -1
@@ -174,23 +174,23 @@ class Unit(Struct, eq=False):
                         Fault(row, f"O{label} {keyword} without O{label} {' or '.join(opening_words)} before it")
                     )
                 elif keyword in ("ELSEIF", "ELSE"):
-                    open_[at][2].append(row)
+                    open_blocks[at][2].append(row)
                 elif keyword.startswith("END"):
-                    self._close(row, open_, at)
+                    self._close(row, open_blocks, at)
                 elif keyword != "RETURN":
-                    self.links[row] = (open_[at][2][0],)
-        for keyword, label, rows in open_:
+                    self.links[row] = (open_blocks[at][2][0],)
+        for keyword, label, rows in open_blocks:
             self.faults.append(Fault(rows[0], f"O{label} {keyword} without its end"))
         for row, (opening,) in [(row, link) for row, link in self.links.items() if len(link) == 1]:
             self.links[row] = self.links.get(opening, (row, row))
 
-    def _close(self, row: int, open_: list[tuple[str, str, list[int]]], at: int) -> None:
+    def _close(self, row: int, open_blocks: list[tuple[str, str, list[int]]], at: int) -> None:
         """Link the rows of a block of O words that ends at `row`; blocks inside that are open have no end."""
-        for keyword, label, rows in open_[at + 1 :]:
+        for keyword, label, rows in open_blocks[at + 1 :]:
             self.faults.append(Fault(rows[0], f"O{label} {keyword} without its end"))
-        link = (*open_[at][2], row)
+        link = (*open_blocks[at][2], row)
         self.links.update(dict.fromkeys(link, link))
-        del open_[at:]
+        del open_blocks[at:]
 
     def _orders(self, notable: Ints) -> Iterator[tuple[int, Order]]:
         """Yield the O words of those rows, with their rows."""

@@ -72,4 +72,5 @@ def _normal_word(word: bytes) -> str:
 
 
 def _order(word: str) -> float:
+    """Return the number of a code, ``54`` of ``G54``, by which codes are sorted."""
     return float(word[1:])

@@ -390,5 +390,6 @@ def _not_a_word(rest: str) -> tuple[str, str | None]:
 
 
 def _conflict(code_words: Sequence[tuple[str, str]]) -> str:
+    """Return the problem of a block whose codes exclude each other, with the codes."""
     code_names = [f"{letter}{float(number):g}" for letter, number in code_words if letter in "GM"]
     return f"two codes of one modal group, or a code twice, in one block: {' '.join(code_names)}"
