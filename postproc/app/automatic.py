@@ -67,7 +67,7 @@ class AutomaticConversion:
                 self.step(time.monotonic())
 
     def step(self, time_s: float) -> None:
-        """Begin with the first program that is ready, if nothing runs.
+        """Begin to correct the first program that is ready, if the switch is on and no command runs.
 
         :param time_s: monotonic time [s].
         """
@@ -88,13 +88,12 @@ class AutomaticConversion:
             return
 
     def _commands(self) -> tuple[bool, set[str]]:
-        """Return whether no command runs, and the programs that users have corrected since the last step.
+        """Return whether no command runs, and the names of programs that users have corrected since the last step.
 
-        One that was begun here has finished what it was begun with: if its program changes meanwhile, it is ready
-        again.
+        Commands begun by `step` are left out: if a program changes during such a command, it is converted again.
         """
         recent = self._runs.runs_since(self._oldest)
         active = [run for run in recent if run.code is None]
         self._oldest = min((run.number for run in active), default=self._oldest + len(recent))
-        users = (run for run in recent if run is not self._begun and run.arguments[0] in _CORRECTING)
-        return not active, {run.key for run in users}
+        user_runs = (run for run in recent if run is not self._begun and run.arguments[0] in _CORRECTING)
+        return not active, {run.key for run in user_runs}

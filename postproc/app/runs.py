@@ -24,7 +24,7 @@ _MAX_OUTPUT = 200_000
 
 
 def command_line(arguments: Sequence[str]) -> str:
-    """Return what to type for the same."""
+    """Return a command as a user would type it in a terminal."""
     return " ".join(["postproc", *(argument(word) for word in arguments)])
 
 
@@ -88,32 +88,32 @@ class Run:
 
     @property
     def text(self) -> str:
-        """Return what it has printed so far."""
+        """Return the last characters that the command has printed so far."""
         return self._text
 
     @property
     def is_failure(self) -> bool:
-        """Return whether it has ended without a result, and not because it was stopped."""
+        """Return whether the command has ended with an error, and not because it was stopped."""
         return self.code not in (None, 0, 3) and not self.is_stopped
 
     @property
     def progress(self) -> str:
-        """Return how far it is, in words; empty: unknown."""
+        """Return the present step of the command and the share done, as text; empty: unknown."""
         return self.step if self.share is None else f"{self.step}: {100 * self.share:.0f} %"
 
     @property
     def command(self) -> str:
-        """Return what to type for the same."""
+        """Return a command as a user would type it in a terminal."""
         return command_line(self.arguments)
 
     def stop(self) -> None:
-        """Ask it to end, by the end of its pipe; what it has written is whole."""
+        """Ask the command to end by closing its standard input; files that it has written are complete."""
         if self.code is None:
             self.is_stopped = True
             self._close_pipe()
 
     def wait(self, seconds: float | None = None) -> None:
-        """Wait until it has ended."""
+        """Wait until the command has ended, for `seconds` at most; None: without a limit."""
         self._reader.join(seconds)
 
 
@@ -177,7 +177,7 @@ class Runs:
             raise InputError(problem, advice="Wait until it has ended, or stop it.")
 
     def run_of_number(self, number: str) -> Run:
-        """Return a run.
+        """Return the command of a number, as an address states it.
 
         :raises InputError: there is none of this number.
         """
@@ -191,7 +191,7 @@ class Runs:
         return len(self._runs)
 
     def active(self) -> list[Run]:
-        """Return what runs."""
+        """Return the commands that run now."""
         return [run for run in self._runs if run.code is None]
 
     def runs_since(self, number: int) -> list[Run]:

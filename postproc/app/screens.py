@@ -76,12 +76,19 @@ def _environment() -> Environment:
 
 
 def _page(template: str, **context: Any) -> Page:
+    """Return the page of a template, with a new random nonce for its script.
+
+    :param context: values that the template uses.
+    """
     nonce = secrets.token_urlsafe(16)
     return Page(_environment().get_template(template).render(nonce=nonce, **context).encode(errors="replace"), nonce)
 
 
 def answers_of(item: Item) -> dict[str, Any]:
-    """Return the three answers about a program as texts: may it be run, what is gained, what is expected."""
+    """Return the answers about a program as texts by name, for the templates.
+
+    They say whether it may be run (`run`, `kind`: its colour), what the correction gains, and the expected errors.
+    """
     content = None if item.entry is None else item.entry.content
     if item.name_fault:
         problem = f"Rename it: {item.name_fault}"
@@ -199,6 +206,7 @@ def _choices(kind: str) -> dict[str, str]:
 
 @cache
 def _robot_titles() -> dict[str, str]:
+    """Return the shipped robots: name → title."""
     return {name: robot.load(folder).title for name, folder in robot.shipped_models().items()}
 
 
@@ -252,9 +260,9 @@ def setup(
         fault = f"Nothing was begun. Missing or unusable answers: {count}."
     for field in form.fields:
         kind = field.question.key.partition(".")[0]
-        cutting = kind in ("material", "cutter", "flutes", "rpm", "stock")
-        basic = kind in ("robot", "base", "tool", "part_tolerance") or not field.question.optional
-        group = "Tool, material and stock" if cutting else "Robot and cell" if basic else "Details"
+        is_of_cutting = kind in ("material", "cutter", "flutes", "rpm", "stock")
+        is_of_cell = kind in ("robot", "base", "tool", "part_tolerance") or not field.question.optional
+        group = "Tool, material and stock" if is_of_cutting else "Robot and cell" if is_of_cell else "Details"
         control = _controls(field)
         groups[group].append(control if is_posted else {**control, "fault": ""})
     return _page(
@@ -310,6 +318,7 @@ def _feed_rule(workspace: Workspace, name: str) -> str:
 
 
 def _menu_of(run: Run) -> str:
+    """Return the entry of the menu that a command belongs to."""
     return "testpart" if run.page == "/testpart" else "robots" if run.page else "programs"
 
 

@@ -243,12 +243,12 @@ class Workspace(Struct, frozen=True):
             raise InputError(f"{name}: {fault}, which is in the folder", advice="Rename the new one.")
         with tempfile.NamedTemporaryFile(dir=self.folder, prefix=".postproc-", delete=False) as file:
             upload_path = Path(file.name)
-            absent_parts = size
-            while absent_parts and (piece := content.read(min(_PIECE, absent_parts))):
+            missing_bytes = size
+            while missing_bytes and (piece := content.read(min(_PIECE, missing_bytes))):
                 file.write(piece)
-                absent_parts -= len(piece)
+                missing_bytes -= len(piece)
         try:
-            if absent_parts:
+            if missing_bytes:
                 raise InputError(f"{name} did not come whole", advice="Drop it again.")
             if os.path.lexists(path):
                 raise InputError(f"{name} is in the folder already", advice="Another window added it.")
@@ -266,9 +266,11 @@ def _name_fault(name: str, names: Sequence[str]) -> str:
     if _FOREIGN.search(name):
         return "its name has a character, a beginning or an end that Windows or a command line would not take"
     stems = _written_stems(name)
-    twins = (program_name for program_name in names if program_name != name and stems & _written_stems(program_name))
-    twin = next(twins, "")
-    return f"its files would be those of {twin}" if twin else ""
+    same_stem_names = (
+        program_name for program_name in names if program_name != name and stems & _written_stems(program_name)
+    )
+    first_same = next(same_stem_names, "")
+    return f"its files would be those of {first_same}" if first_same else ""
 
 
 @cache

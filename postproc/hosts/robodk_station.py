@@ -128,4 +128,5 @@ def _frame(pose: Any) -> tuple[float, ...]:
 
 
 def _letters(name: str) -> str:
+    """Return the letters and digits of a name, lower case, without what is in brackets, to compare names."""
     return re.sub(r"\(.*|[^a-z0-9]", "", name.lower())
