@@ -52,9 +52,9 @@ def copy_samples(folder: Path, *, overwrite: bool = False) -> list[Path]:
             advice="Choose another folder, or give --overwrite.",
         )
     paths = []
-    for place in sorted({name.parent for name in contents}):
-        folder_contents = {name.name: content for name, content in contents.items() if name.parent == place}
-        paths += write_whole(folder / place, folder_contents)
+    for subfolder in sorted({name.parent for name in contents}):
+        folder_contents = {name.name: content for name, content in contents.items() if name.parent == subfolder}
+        paths += write_whole(folder / subfolder, folder_contents)
     return paths
 
 
@@ -82,6 +82,7 @@ def _files(root: Path) -> Iterator[Path]:
 
 
 def _differs(path: Path, content: bytes) -> bool:
+    """Return whether a path exists and is no file with this content."""
     return path.exists() and not (path.is_file() and path.read_bytes() == content)
 
 
@@ -93,7 +94,7 @@ _ZERO = (0.0,) * 6
 
 
 class CellRequest(Struct, frozen=True, kw_only=True):
-    """What a cell is made from.
+    """Values for a new cell file.
 
     :param output: cell file to write.
     :param robot: name of a shipped robot, or path of a model folder (relative to the working folder).
@@ -246,7 +247,12 @@ def _six_values(title: str, values: Numbers, min_count: int) -> Numbers:
 
 
 def _frame(array: str, value: Numbers | int, request: CellRequest, robot: RobotModel) -> Numbers:
-    """Return X…C of a frame, mm and degrees."""
+    """Return X, Y, Z, A, B, C of a frame [mm, deg].
+
+    :param array: ``"BASE_DATA"`` or ``"TOOL_DATA"``.
+    :param value: the numbers themselves, or the index of the frame in `$config.dat`.
+    :raises OptionError: a number without a `$config.dat`, or a wrong count of numbers.
+    """
     if not isinstance(value, int):
         return _six_values("$BASE" if array == "BASE_DATA" else "$TOOL", value, 3)
     if request.config_dat is None:
@@ -257,13 +263,17 @@ def _frame(array: str, value: Numbers | int, request: CellRequest, robot: RobotM
 
 
 def _frame_of(config: Path, array: str, number: int, robot: RobotModel) -> Numbers:
-    """Return a frame of a `$config.dat`: asked of the reader of KRL by a program that uses it."""
+    """Return X, Y, Z, A, B, C [mm, deg] of a frame in a `$config.dat`, by reading a small KRL program that uses it.
+
+    :param config: the file; `array`: ``"BASE_DATA"`` or ``"TOOL_DATA"``.
+    :raises InputError: the file has no frame of that number.
+    """
     variable = "$BASE" if array == "BASE_DATA" else "$TOOL"
-    other_variable = "$TOOL" if variable == "$BASE" else "$BASE"
+    unused_variable = "$TOOL" if variable == "$BASE" else "$BASE"
     lines = [
         "DEF ASK()",
         f"{variable}={array}[{number}]",
-        f"{other_variable}=$NULLFRAME",
+        f"{unused_variable}=$NULLFRAME",
         "LIN {X 0,Y 0,Z 0,A 0,B 0,C 0}",
         "END",
     ]
@@ -282,8 +292,9 @@ def _frame_of(config: Path, array: str, number: int, robot: RobotModel) -> Numbe
         if cause.file != "ASK.SRC":
             raise
         raise InputError(f"no {array}[{number}]", file=str(config), advice="Give a number that it has.") from None
-    poses = program.bases if variable == "$BASE" else program.tools
-    frame: Array = xyzabc_from_pose(poses[[program.motions.base, program.motions.tool][variable == "$TOOL"][-1]])
+    motions = program.motions
+    pose = program.bases[motions.base[-1]] if variable == "$BASE" else program.tools[motions.tool[-1]]
+    frame: Array = xyzabc_from_pose(pose)
     return tuple(float(value) for value in without_negative_zero(np.round(frame.ravel(), 6)))
 
 
@@ -308,9 +319,9 @@ def _base_warnings(cell: Cell) -> Iterator[str]:
 
 
 def _turn_of_tool(cell: Cell, robot: RobotModel) -> tuple[float, tuple[str, ...]]:
-    """Return the quarter turn of the tool about its axis that is nearest to how the arm starts, and the problems found.
+    """Return the constant turn of the tool about its axis [deg], a quarter turn, and problems for the user.
 
-    The pose is that of the tool upright on the origin of `$BASE`, the arm on the branch of its start.
+    It is the one with the smallest changes of A4 and A6 from the start to the tool upright on the origin of `$BASE`.
     """
     start = cell.start_joints
     wrist_changes = []
@@ -341,7 +352,7 @@ _TOOL_BY_HAND = {"krl": ["; tool {T} by hand", "HALT"], "rapid": ["! tool {T} by
 
 
 def _text(
-    place: str,
+    robot_path: str,
     robot: RobotModel,
     cell: Cell,
     turn: float,
@@ -349,12 +360,17 @@ def _text(
     request: CellRequest,
     tools: Mapping[int, Frame],
 ) -> str:
-    """Return the text of a new cell file, with comments; `turn` [deg]: the constant turn of the tool."""
+    """Return the text of a new cell file, with comments.
+
+    :param robot_path: name of a shipped robot, or path of its model folder.
+    :param turn: constant turn of the tool about its axis [deg].
+    :param config: path of `$config.dat`, or None.
+    """
     language = robot.language if robot.language in _LINES else "krl"
     return f"""\
 #:schema {schema_file("cell").as_uri()}
 # Cell file of postproc: mm, degrees, N. docs/reference describes every key; what follows # is optional.
-robot = {toml_string(place)}    # {robot.title}
+robot = {toml_string(robot_path)}    # {robot.title}
 frames = "controller"            # it measured [base] and [tool] with this arm; "model": a laser tracker did
 {_config_line(config)}
 
@@ -435,10 +451,10 @@ def _switching(
 
 def _part(tolerance: float | None) -> str:
     """Return the table of the part; a comment where no tolerance is given."""
-    says = "# error allowed on the part (95 %)"
+    comment = "# error allowed on the part (95 %)"
     if tolerance is None:
-        return f"# [part]\n# tolerance_mm = 0.5             {says}: the verdict judges by it"
-    return f"[part]\ntolerance_mm = {_number(tolerance)}               {says}"
+        return f"# [part]\n# tolerance_mm = 0.5             {comment}: the verdict judges by it"
+    return f"[part]\ntolerance_mm = {_number(tolerance)}               {comment}"
 
 
 def _tools(tools: Mapping[int, Frame]) -> str:
@@ -482,12 +498,12 @@ def _payload(values: Numbers | None) -> str:
     return "\n".join([head, f"mass_kg = {mass}", *axes])
 
 
-def _home(place: Numbers | None) -> str:
-    """Return the key of the home place, or a comment with an example."""
-    if place is None:
+def _home(home: Numbers | None) -> str:
+    """Return the line of the home place in `$BASE` [mm], or a comment with an example."""
+    if home is None:
         example = "# home = [0, -90, 90, 0, 0, 0]   # A1 to A6: G28 and G30 go there"
         return f"{example}; without it the tool stays above its place"
-    return f"home = [{', '.join(map(_number, place))}]    # X, Y, Z before the first move, and after G28 and G53"
+    return f"home = [{', '.join(map(_number, home))}]    # X, Y, Z before the first move, and after G28 and G53"
 
 
 def _rotary(rotary: Rotary | None) -> str:
@@ -514,10 +530,12 @@ def _m_codes(codes: Mapping[str, Sequence[str]]) -> str:
 
 
 def _keys(frame: Frame) -> str:
+    """Return the lines ``X = …`` to ``C = …`` of a frame [mm, deg]."""
     return "\n".join(f"{key} = {_number(getattr(frame, key))}" for key in "XYZABC")
 
 
 def _table_key(name: str) -> str:
+    """Return a name as a key of a TOML table; one with a dot, such as ``G54.1``, in quotes."""
     return toml_string(name) if "." in name else name
 
 
@@ -527,6 +545,7 @@ def toml_string(text: str) -> str:
 
 
 def _number(value: float) -> str:
+    """Return a number as text with ten significant digits at most; −0 is 0."""
     return repr(without_negative_zero(float(f"{value:.10g}")))
 
 
@@ -591,7 +610,11 @@ def add_robot(
 
 
 def _file(carrier: int, kind: str) -> str:
-    """Return the name of the mesh of a link."""
+    """Return the file name of the mesh of a link.
+
+    :param carrier: index of the joint that moves the link, −1 for the base.
+    :param kind: ``"visual"`` or ``"collision"``.
+    """
     name = "base" if carrier < 0 else JOINTS[carrier]
     return f"{name}.stl" if kind == "visual" else f"{name}_collision.stl"
 
@@ -623,28 +646,30 @@ def _meshes(
 ) -> tuple[dict[tuple[int, str], LinkShape], list[str]]:
     """Return the shapes of the links in the frames of the model: those that are drawn, simplified, and solids.
 
-    :returns: (carrier, "visual" or "collision") → surface, and notes. A link without <collision> has its hull.
+    A link without <collision> gets the convex hull of its drawing, one without <visual> is drawn by its solid.
+
+    :returns: shapes by the joint that moves the link (−1: base) and "visual" or "collision", and notes for the user.
     """
     if not geometry:
         return {}, ["the URDF names no shapes: pages draw the arm as solids of revolution"]
     visuals, problems = shapes.read([shape for shape in geometry if shape.drawn], urdf)
-    solid, solid_problems = shapes.read([shape for shape in geometry if not shape.drawn], urdf)
-    visuals, solid = (
+    solids_read, solid_problems = shapes.read([shape for shape in geometry if not shape.drawn], urdf)
+    visuals, solids_read = (
         [shape.transform(arm.moved[shape.carrier + 1]) for shape in shapes.join_by_carrier(shapes_read)]
-        for shapes_read in (visuals, solid)
+        for shapes_read in (visuals, solids_read)
     )
-    with_drawing = {shape.carrier for shape in visuals}
-    with_solid = {shape.carrier for shape in solid}
-    solids = solid + [shape.hull() for shape in visuals if shape.carrier not in with_solid]
-    drawings = visuals + [shape for shape in solid if shape.carrier not in with_drawing]
-    simple = [shapes.simplify(shape, _TRIANGLES) for shape in drawings]
-    link_shapes = [shape for shape, _ in simple]
+    drawn_carriers = {shape.carrier for shape in visuals}
+    solid_carriers = {shape.carrier for shape in solids_read}
+    all_solids = solids_read + [shape.hull() for shape in visuals if shape.carrier not in solid_carriers]
+    drawings = visuals + [shape for shape in solids_read if shape.carrier not in drawn_carriers]
+    simplified = [shapes.simplify(shape, _TRIANGLES) for shape in drawings]
+    link_shapes = [shape for shape, _ in simplified]
     notes = [*_shape_notes(problems + solid_problems)]
     if link_shapes:
         count, old_count = (sum(len(shape.faces) for shape in group) for group in (link_shapes, drawings))
         points = sum(len(shape.points) for shape in link_shapes)
         size = 16 * (count + points)  # three numbers of 4 bytes each, in base64
-        largest_mm = max(displacement for _, displacement in simple) * MM_PER_M
+        largest_mm = max(displacement for _, displacement in simplified) * MM_PER_M
         change_text = "" if count == old_count else f" of {old_count}, corners moved by at most {largest_mm:.2g} mm"
         notes.append(
             f"shapes of {len(link_shapes)} links: {count} triangles{change_text}; {size / 1000:.0f} kB in a page"
@@ -652,4 +677,4 @@ def _meshes(
     elif notes:
         notes.append("pages draw the arm as solids of revolution")
     surfaces = {(shape.carrier, "visual"): shape for shape in link_shapes}
-    return surfaces | {(shape.carrier, "collision"): shape for shape in solids}, notes
+    return surfaces | {(shape.carrier, "collision"): shape for shape in all_solids}, notes

@@ -158,7 +158,7 @@ class Execution:
         for module in self.modules:
             for declaration in module.data:
                 self.data[declaration.name] = _initial_variable(declaration)
-        self.done = ExecutedProgram()
+        self.result = ExecutedProgram()
         self.setting = Setting()
         self.count = 0
         self._moving: dict[str, bool] = {}
@@ -187,7 +187,7 @@ class Execution:
             pass
         except RecursionError:
             raise RapidError("calls and loops are nested too deeply", self.entry.start, _KEEP) from None
-        return self.done
+        return self.result
 
     # --- what is not followed
 
@@ -214,7 +214,7 @@ class Execution:
             for data_name in self.effects.changed_data_of(name):
                 _forget_variable(self.data.get(data_name), reason)
 
-    def _functions(self, statement: Statement, scope: Scope) -> None:
+    def _forget_results_of_functions(self, statement: Statement, scope: Scope) -> None:
         """Make unknown what the functions that a statement calls may change.
 
         :raises RapidError: one of them moves the robot.
@@ -224,7 +224,7 @@ class Execution:
             if function is not None:
                 self._check_function(function, statement)
             elif self.effects.is_foreign(call.value):
-                self._foreign(call.value, statement)
+                self._list_foreign_call(call.value, statement)
             for name in self.effects.changed_arguments(call.value, call.items):
                 _forget_variable(scope.find(name), f"{call.value} may change it")
             self._forget_data_of(call.value)
@@ -262,13 +262,13 @@ class Execution:
         for data_name in self.effects.changed_data_of(name):
             _forget_variable(self.data.get(data_name), f"{name}{place} may change it")
 
-    def _foreign(self, name: str, statement: Statement) -> None:
-        """List a call of a routine that is in no module of the file."""
-        start, count = self.done.foreign.get(name, (statement.start, 0))
-        self.done.foreign[name] = start, count + 1
+    def _list_foreign_call(self, name: str, statement: Statement) -> None:
+        """Count a call of a routine that is in no module of the file; an empty name is that of a computed call."""
+        start, count = self.result.foreign.get(name, (statement.start, 0))
+        self.result.foreign[name] = start, count + 1
 
     def _is_foreign_move(self, statement: Instruction) -> bool:
-        """Return whether a routine of another file gets a target: then it may go there."""
+        """Return whether an instruction calls a routine of another file with a target, so that it may move there."""
         if not self.effects.is_foreign(statement.name.removeprefix("%")):
             return False
         for argument in statement.arguments:
@@ -321,7 +321,7 @@ class Execution:
         """
         if depth > _DEEPEST:
             raise RapidError(f"{routine.name} calls itself", routine.start, _KEEP)
-        self.done.followed.add(routine.name)
+        self.result.followed.add(routine.name)
         with contextlib.suppress(_Return):
             self._block(routine.body, scope, routine, depth)
 
@@ -340,7 +340,7 @@ class Execution:
     def _statement(self, statement: Statement, scope: Scope, routine: Routine, depth: int) -> None:
         """Execute a statement by its kind."""
         if self.effects.has_functions:
-            self._functions(statement, scope)
+            self._forget_results_of_functions(statement, scope)
         match statement:
             case Instruction():
                 self._instruction(statement, scope, depth)
@@ -358,8 +358,8 @@ class Execution:
                 self._jump(statement, routine, scope)
 
     def _comment(self, comment: Comment) -> None:
-        count = len(self.done.moves)
-        self.done.notes.append((comment, count - 1 if comment.trailing and count else count))
+        count = len(self.result.moves)
+        self.result.notes.append((comment, count - 1 if comment.trailing and count else count))
 
     def _leave(self, routine: Routine, scope: Scope, reason: str) -> NoReturn:
         """Leave a routine without moves in which it is not known what runs: all that it may change is not known."""
@@ -449,12 +449,12 @@ class Execution:
         if self.moves(loop.body) is None:
             self._loop_without_moves(loop, scope, routine, depth)
             return
-        first = len(self.done.moves)
+        first = len(self.result.moves)
         values = (
             self._for_loop(loop, scope, routine, depth) if loop.name else self._while_loop(loop, scope, routine, depth)
         )
-        if len(self.done.moves) > first:
-            self.done.rounds.setdefault(loop.start, []).append((loop, values))
+        if len(self.result.moves) > first:
+            self.result.rounds.setdefault(loop.start, []).append((loop, values))
 
     def _loop_without_moves(self, loop: Loop, scope: Scope, routine: Routine, depth: int) -> None:
         """Follow a loop without moves while its conditions are known; then mark the data that it changes as unknown."""
@@ -470,7 +470,7 @@ class Execution:
                     return
                 self._block(loop.body, scope, routine, depth)
                 if self.effects.has_functions:
-                    self._functions(loop, scope)
+                    self._forget_results_of_functions(loop, scope)
         except UnknownValueError as cause:
             reason = cause.problem
         self._skip(loop.body, f"the rounds of a loop are not known: {reason}", scope, routine)
@@ -518,36 +518,39 @@ class Execution:
             rounds.append(float(len(rounds)))
             self._block(loop.body, scope, routine, depth)
             if self.effects.has_functions:
-                self._functions(loop, scope)
+                self._forget_results_of_functions(loop, scope)
 
     def _follow_endless(self, loop: Loop, scope: Scope, routine: Routine, depth: int) -> None:
-        """Follow two rounds of a loop that does not end, and keep the first; nothing after the loop is reached.
+        """Follow two rounds of a loop that does not end, check that they are equal, and keep the first.
+
+        Nothing after the loop is reached.
 
         :raises RapidError: the second round differs, or the loop begins with a move whose start differs.
         :raises _End: always, at the end.
         """
-        begin = len(self.done.moves), len(self.done.notes)
+        move_count = len(self.result.moves)
         self._block(loop.body, scope, routine, depth)
-        state, middle = self._state(scope), (len(self.done.moves), len(self.done.notes))
-        setting = self.setting
-        calls, rounds = {name: list(calls) for name, calls in self.done.calls.items()}, dict(self.done.rounds)
+        state_after_first = self._state(scope)
+        first_end, note_count = len(self.result.moves), len(self.result.notes)
+        setting_after_first = self.setting
+        calls, rounds = {name: list(calls) for name, calls in self.result.calls.items()}, dict(self.result.rounds)
         rounds = {start: list(runs) for start, runs in rounds.items()}
         self._block(loop.body, scope, routine, depth)
-        first, second = self.done.moves[begin[0] : middle[0]], self.done.moves[middle[0] :]
+        first, second = self.result.moves[move_count:first_end], self.result.moves[first_end:]
         is_same = len(first) == len(second) and all(map(equal, first, second))
-        if not is_same or self._state(scope) != state or self.setting != setting:
+        if not is_same or self._state(scope) != state_after_first or self.setting != setting_after_first:
             problem = "the rounds of this loop without end differ"
             raise RapidError(problem, loop.start, "Put the moves of the part into a routine of its own.")
         if first and first[0].kind != PTP:
             problem = "a loop without end begins with a straight move, from another place in its second round"
             advice = "Begin its body with MoveAbsJ or MoveJ, or put the moves of the part into a routine of its own."
             raise RapidError(problem, loop.start, advice)
-        del self.done.moves[middle[0] :], self.done.notes[middle[1] :]
-        self.done.calls, self.done.rounds = calls, rounds
+        del self.result.moves[first_end:], self.result.notes[note_count:]
+        self.result.calls, self.result.rounds = calls, rounds
         raise _End
 
     def _state(self, scope: Scope) -> list[tuple[str, Any]]:
-        """Return all data that change."""
+        """Return names and values of the data that have changed since the program began; constants do not."""
         variables = (*self.data.items(), *scope.inner.items())
         return [(name, variable.value) for name, variable in variables if not variable.literal]
 
@@ -564,11 +567,11 @@ class Execution:
             self._refuse(statement, problem, "Call the routine by its name.")
         elif statement.name in MOVES:
             try:
-                self.done.moves.append(
+                self.result.moves.append(
                     stated_move(statement, MOVES[statement.name], scope, self.setting, self._frame_of_cell)
                 )
             except UnknownValueError as cause:
-                self._refuse(statement, cause.problem, _OPEN_DATA if self.done.foreign else _NUMBERS)
+                self._refuse(statement, cause.problem, _OPEN_DATA if self.result.foreign else _NUMBERS)
         elif name in self.routines and self.routines[name].kind == "PROC":
             self._call(statement, self.routines[name], scope, depth)
         elif name in SETTINGS:
@@ -589,20 +592,20 @@ class Execution:
             for argument in results(statement) if is_reading else changed_arguments(statement.arguments):
                 _forget_variable(scope.find(base_name(argument)), f"{name} may change it")
             if self.effects.is_foreign(name):
-                self._foreign(name, statement)
+                self._list_foreign_call(name, statement)
             self._forget_data_of(name)
 
     def _refuse(self, statement: Statement, problem: str, advice: str) -> None:
-        """Note an error, and read on.
+        """Record an error at a statement, so that later ones are found too.
 
         :raises RapidError: there are too many.
         """
-        self.done.errors.append(RapidError(problem, statement.start, advice))
-        if len(self.done.errors) > MAX_ERRORS:
-            raise self.done.errors.pop()
+        self.result.errors.append(RapidError(problem, statement.start, advice))
+        if len(self.result.errors) > MAX_ERRORS:
+            raise self.result.errors.pop()
 
     def _connect(self, statement: Instruction) -> None:
-        """Check that an interrupt does not move the robot."""
+        """Record an error if the trap routine of CONNECT moves the robot."""
         value = statement.arguments[0].value
         routine = self.effects.routines.get(value.value) if value is not None else None
         if routine is not None and self._routine_moves(routine):
@@ -610,7 +613,7 @@ class Execution:
             self._refuse(statement, problem, _KEEP)
 
     def _count(self, statement: Instruction, scope: Scope) -> None:
-        """Execute Incr, Decr, Add or Clear."""
+        """Execute Incr, Decr, Add or Clear; the number becomes unknown if it cannot be calculated."""
         target = next(changed_arguments(statement.arguments), None)
         variable = None if target is None else scope.find(base_name(target))
         if target is None or variable is None:
@@ -636,11 +639,13 @@ class Execution:
             fields["circles"] = next(iter(switches), "PATHFRAME")
         elif name == "VELSET":
             try:
-                share, limit = (number(a.value, scope) for a in statement.arguments if a.value is not None)
+                percent, limit = (
+                    number(argument.value, scope) for argument in statement.arguments if argument.value is not None
+                )
             except (UnknownValueError, ValueError):
                 self._refuse(statement, "the speeds of VelSet are not known", "Write them as numbers.")
                 return
-            fields["speed"] = (share / 100.0, limit)
+            fields["speed"] = (percent / 100.0, limit)
         self.setting = Setting(**fields)  # type: ignore[arg-type]
 
     def _call(self, statement: Instruction, routine: Routine, scope: Scope, depth: int) -> None:
@@ -650,7 +655,7 @@ class Execution:
         handler_names = self.effects.changed_by_handler(routine)
         for parameter, expression, is_given in bound:
             variable = Variable(parameter.type, None, f"the call of {routine.name} does not give it")
-            if parameter.changeable and _is_plain(expression, scope):  # the routine has the data itself
+            if parameter.changeable and _is_data_name(expression, scope):  # the routine has the data itself
                 variable = scope.variable(expression.value)
             elif parameter.changeable and expression is not None and self._is_shared(routine, parameter, bound):
                 variable.why = f"{routine.name} may change it"
@@ -665,10 +670,10 @@ class Execution:
             inner.inner[parameter.name] = variable
             inner.presence[parameter.name] = is_given
         if self._routine_moves(routine):
-            self.done.calls.setdefault(routine.name, []).append(statement)
+            self.result.calls.setdefault(routine.name, []).append(statement)
         self._routine(routine, inner, depth + 1)
         for parameter, expression, _ in bound:
-            if parameter.changeable and expression is not None and not _is_plain(expression, scope):
+            if parameter.changeable and expression is not None and not _is_data_name(expression, scope):
                 _forget_variable(scope.find(base_name(expression)), f"{routine.name} may change it")
 
     def _call_other_module(self, statement: Instruction, routine: Routine, scope: Scope) -> None:
@@ -688,9 +693,12 @@ class Execution:
         parameter: Parameter,
         bound: list[tuple[Parameter, Expression | None, bool | None]],
     ) -> bool:
-        """Return whether a routine may change an element of data that a parameter refers to, by any name."""
+        """Return whether a routine may change the data that a parameter is an element of, under another name too.
+
+        :param bound: parameters of the routine with their arguments, and whether these are given.
+        """
         names = [base_name(expression) for _, expression, _ in bound if expression is not None]
-        base = next(base_name(e) for item, e, _ in bound if item is parameter and e is not None)
+        base = next(base_name(value) for item, value, _ in bound if item is parameter and value is not None)
         changed_names = {*self.effects.changed_names(routine.body), *self.effects.changed_data_of(routine.name)}
         return parameter.name in changed_names or base in changed_names or names.count(base) > 1
 
@@ -698,7 +706,7 @@ class Execution:
         """Return what the cell states for a tool or work object that no module declares, and note that it was used."""
         value = self.from_cell(name, type_)
         if value is not None:
-            self.done.assumed[name] = type_
+            self.result.assumed[name] = type_
         return value
 
 
@@ -726,7 +734,10 @@ def _check_functions(modules: tuple[Module, ...]) -> None:
 
 
 def _interrupt_variable(variable: Variable | None, name: str) -> None:
-    """Make data unknown for good, which a trap or handler may change at any time."""
+    """Make data unknown for the whole program, because a trap or handler may change them at any time.
+
+    :param name: of the trap or handler.
+    """
     if variable is not None and not _is_constant(variable):
         variable.forget(f"{name} may change it")
         variable.interrupt = name
@@ -737,8 +748,8 @@ def _loop_values(loop: Loop, scope: Scope) -> list[float]:
 
     :raises UnknownValueError: they are not known, or their number depends on rounding.
     """
-    begin, end, *steps = (number(bound, scope) for bound in loop.bounds)
-    step = steps[0] if steps else (1.0 if end >= begin else -1.0)
+    begin, end, *stated_step = (number(bound, scope) for bound in loop.bounds)
+    step = stated_step[0] if stated_step else (1.0 if end >= begin else -1.0)
     if step == 0.0 or (end - begin) * step < 0.0:
         return []
     count = (end - begin) / step
@@ -753,7 +764,7 @@ def _loop_values(loop: Loop, scope: Scope) -> list[float]:
 
 
 def _forget_variable(variable: Variable | None, reason: str) -> None:
-    """Make data unknown that may change."""
+    """Make data unknown unless they are constant; None is ignored."""
     if variable is not None and not _is_constant(variable):
         variable.forget(reason)
 
@@ -766,10 +777,11 @@ def _initial_variable(declaration: Declaration) -> Variable:
     return variable
 
 
-def _is_plain(expression: Expression | None, scope: Scope) -> TypeGuard[Expression]:
+def _is_data_name(expression: Expression | None, scope: Scope) -> TypeGuard[Expression]:
     """Return whether an argument is the name of data that are declared."""
     return expression is not None and expression.kind == "name" and scope.find(expression.value) is not None
 
 
 def _is_constant(variable: Variable) -> bool:
+    """Return whether data are declared as CONST."""
     return variable.declaration is not None and variable.declaration.kind == "CONST"

@@ -61,15 +61,15 @@ def expand(
     loops: list[int] = []
     copies: list[str] = []
     for _ in range(_MOST_PASSES):
-        whole = modules(text)
-        entry = entry_of(whole)
+        program_modules = modules(text)
+        entry = entry_of(program_modules)
         try:
-            execution = Execution(whole, entry, cell_value, without_effect, loaded).run()
-            changes = _changes(text, whole, execution)
+            execution = Execution(program_modules, entry, cell_value, without_effect, loaded).run()
+            changes = _changes(text, program_modules, execution)
         except RapidError as cause:
             raise cause.set_line(_line_at(text, line, cause.start)) from None
         if not changes:
-            return ExpandedProgram(text, whole, execution, line, tuple(loops), tuple(copies))
+            return ExpandedProgram(text, program_modules, execution, line, tuple(loops), tuple(copies))
         for change in changes:
             if change.copied:
                 copies.append(change.copied)
@@ -90,8 +90,9 @@ def _line_at(text: str, line: Ints, start: int) -> int:
 
 
 class _Change(Struct, frozen=True):
-    """A piece of the text and what replaces it: pieces of the text (offsets) and new text.
+    """A piece of the text, `start` to `stop`, and what replaces it.
 
+    :ivar pieces: new text in order, each with the offset in the old text that it is copied from; −1: it is new.
     :ivar copied: name of the routine that this is a copy of; `is_loop`: this is a loop written out.
     """
 
@@ -102,12 +103,12 @@ class _Change(Struct, frozen=True):
     is_loop: bool = False
 
 
-def _changes(text: str, whole: Sequence[Module], execution: ExecutedProgram) -> list[_Change]:
+def _changes(text: str, program_modules: Sequence[Module], execution: ExecutedProgram) -> list[_Change]:
     """Return the first changes: outermost loops that run once, then routines called by statements that run once."""
-    times: dict[int, int] = {}
+    move_counts: dict[int, int] = {}
     for move in execution.moves:
-        times[move.statement.start] = times.get(move.statement.start, 0) + 1
-    if max(times.values(), default=0) <= 1:
+        move_counts[move.statement.start] = move_counts.get(move.statement.start, 0) + 1
+    if max(move_counts.values(), default=0) <= 1:
         return []
     single_runs = [runs[0] for runs in execution.rounds.values() if len(runs) == 1 and len(runs[0][1]) > 1]
     outermost = [
@@ -117,11 +118,11 @@ def _changes(text: str, whole: Sequence[Module], execution: ExecutedProgram) -> 
     ]
     if outermost:
         return [_unroll(text, loop, values) for loop, values in outermost]
-    routines = {routine.name: routine for module in whole for routine in module.routines}
+    routines = {routine.name: routine for module in program_modules for routine in module.routines}
     changes: list[_Change] = []
     for name, calls in execution.calls.items():
-        places = {call.start for call in calls}
-        if len(calls) < 2 or len(places) < len(calls) or any(change.copied for change in changes):
+        call_starts = {call.start for call in calls}
+        if len(calls) < 2 or len(call_starts) < len(calls) or any(change.copied for change in changes):
             continue
         routine = routines[name]
         copies: list[tuple[int, str]] = []
@@ -132,12 +133,12 @@ def _changes(text: str, whole: Sequence[Module], execution: ExecutedProgram) -> 
                 problem = f"{name} is called more than once, by its name as text"
                 raise RapidError(problem, call.start, f"Call it as {name};")
             changes.append(_Change(word.start(), word.end(), ((-1, copy),)))
-            head, tail = routine.name_span
-            copies += [(-1, _line_end(text)), (routine.start, text[routine.start : head]), (-1, copy)]
-            copies.append((tail, text[tail : routine.stop]))
+            name_start, name_stop = routine.name_span
+            copies += [(-1, _line_end(text)), (routine.start, text[routine.start : name_start]), (-1, copy)]
+            copies.append((name_stop, text[name_stop : routine.stop]))
         changes.append(_Change(routine.stop, routine.stop, tuple(copies), copied=name))
     if not changes:
-        start = next(start for start, count in times.items() if count > 1)
+        start = next(start for start, count in move_counts.items() if count > 1)
         raise RapidError("a loop or routine with moves runs more than once", start, "Write its moves one by one.")
     return changes
 
@@ -151,34 +152,40 @@ def _free_name(name: str, number: int, routines: dict[str, Routine]) -> str:
 
 
 def _line_end(text: str) -> str:
+    """Return the first line end of a text; a line feed if it has none."""
     match = re.search(r"\r\n|\n|\r", text)
     return match[0] if match else "\n"
 
 
 def _unroll(text: str, loop: Loop, values: Sequence[float]) -> _Change:
-    """Return the text of a loop, written out."""
+    """Return the change that writes a loop out: its body once a round, after a comment with the round.
+
+    :param values: of the variable of FOR in each round, which replace its name; of WHILE only their number counts.
+    """
     begin, end = loop.inside
     body = text[begin:end]
-    head = re.match(r"[ \t]*(?:![^\r\n]*)?(\r\n|\n|\r)", body)  # the end of the line of DO
-    offset = head.end() if head else 0
-    tail = re.search(r"[ \t]*\Z", body[offset:])
-    last = offset + tail.start() if tail else len(body)
+    first_line_end = re.match(r"[ \t]*(?:![^\r\n]*)?(\r\n|\n|\r)", body)  # the end of the line of DO
+    offset = first_line_end.end() if first_line_end else 0
+    last_blanks = re.search(r"[ \t]*\Z", body[offset:])
+    body_stop = offset + last_blanks.start() if last_blanks else len(body)
     indent = re.search(r"[ \t]*\Z", text[: loop.start])
-    places = _uses(text, loop) if loop.name else []
+    variable_spans = _uses(text, loop) if loop.name else []
     pieces: list[tuple[int, str]] = []
     for number, value in enumerate(values, 1):
         end_of_line = _line_end(text)
         label = f"{text[loop.start :].split(maxsplit=2)[1]} = {value:g}" if loop.name else f"round {number}"
-        lead = (
-            "" if number == 1 or not indent else ("" if body[:last].endswith(("\n", "\r")) else end_of_line) + indent[0]
+        prefix = (
+            ""
+            if number == 1 or not indent
+            else ("" if body[:body_stop].endswith(("\n", "\r")) else end_of_line) + indent[0]
         )
-        pieces.append((-1, f"{lead}! {label}{end_of_line}"))
-        at = begin + offset
-        for start, stop in places:
-            pieces += [(at, text[at:start]), (-1, f"{value:.9g}" if value >= 0 else f"({value:.9g})")]
-            at = stop
-        pieces.append((at, text[at : begin + last]))
-    if body[:last].endswith(("\n", "\r")) and indent:
+        pieces.append((-1, f"{prefix}! {label}{end_of_line}"))
+        position = begin + offset
+        for start, stop in variable_spans:
+            pieces += [(position, text[position:start]), (-1, f"{value:.9g}" if value >= 0 else f"({value:.9g})")]
+            position = stop
+        pieces.append((position, text[position : begin + body_stop]))
+    if body[:body_stop].endswith(("\n", "\r")) and indent:
         pieces.append((-1, f"{indent[0]}! end"))
     return _Change(loop.start, loop.stop, tuple(pieces), is_loop=True)
 
@@ -203,27 +210,29 @@ def _uses(text: str, loop: Loop) -> list[tuple[int, int]]:
 
 def _apply_changes(text: str, line: Ints, changes: Sequence[_Change]) -> tuple[str, Ints]:
     """Return the text with changes, and the line of the file that each of its lines comes from."""
-    pieces: list[tuple[int, str]] = []
-    at = 0
+    pieces: list[tuple[int, str]] = []  # text, and the offset it comes from; −1 − start of its change for new text
+    position = 0
     for change in sorted(changes, key=lambda change: (change.start, change.stop)):
-        pieces.append((at, text[at : change.start]))
+        pieces.append((position, text[position : change.start]))
         pieces += [(origin if origin >= 0 else -1 - change.start, piece) for origin, piece in change.pieces]
-        at = change.stop
-    pieces.append((at, text[at:]))
-    new = "".join(piece for _, piece in pieces)
-    begins = np.cumsum([0, *(len(piece) for _, piece in pieces)])[:-1]
+        position = change.stop
+    pieces.append((position, text[position:]))
+    new_text = "".join(piece for _, piece in pieces)
+    piece_begins = np.cumsum([0, *(len(piece) for _, piece in pieces)])[:-1]
     origins = np.array([origin for origin, _ in pieces])
-    starts, stops = line_spans(new)
+    starts, stops = line_spans(new_text)
     # a line is that of its first character that is no blank, so that a copied line begins with its own text
-    first = np.array(
+    first_character = np.array(
         [
-            start + (len(new[start:stop]) - len(new[start:stop].lstrip())) if new[start:stop].strip() else start
+            start + (len(new_text[start:stop]) - len(new_text[start:stop].lstrip()))
+            if new_text[start:stop].strip()
+            else start
             for start, stop in zip(starts.tolist(), stops.tolist(), strict=True)
         ],
         dtype=np.int64,
     )
-    piece = np.searchsorted(begins, first, side="right") - 1
-    offset = first - begins[piece]
-    place = np.where(origins[piece] >= 0, origins[piece] + offset, -1 - origins[piece])
-    old = np.searchsorted(line_spans(text)[0], place, side="right") - 1
-    return new, line[old]
+    piece = np.searchsorted(piece_begins, first_character, side="right") - 1
+    offset = first_character - piece_begins[piece]
+    old_offset = np.where(origins[piece] >= 0, origins[piece] + offset, -1 - origins[piece])
+    old_row = np.searchsorted(line_spans(text)[0], old_offset, side="right") - 1
+    return new_text, line[old_row]

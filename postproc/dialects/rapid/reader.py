@@ -80,21 +80,21 @@ class _Reader:
 
     def program(self, forward_kinematics: Callable[[Array], Array], name: str) -> Program:
         """Return the program."""
-        whole = self._expand(name)
-        execution = whole.executed
-        line = self._lines(whole, np.array([move.statement.start for move in execution.moves], dtype=np.int64))
+        expanded = self._expand(name)
+        execution = expanded.executed
+        line = self._lines(expanded, np.array([move.statement.start for move in execution.moves], dtype=np.int64))
         if execution.errors:
-            lines = self._lines(whole, np.array([cause.start for cause in execution.errors])).tolist()
+            lines = self._lines(expanded, np.array([cause.start for cause in execution.errors])).tolist()
             pairs = zip(execution.errors, lines, strict=True)
             raise combined_error([self._at(cause.problem, at, cause.advice) for cause, at in pairs])
         if not execution.moves:
             raise ProgramError(
                 "there are no motions", file=self.document.name, advice="Check that this is the program."
             )
-        comments, notes = self._notes(whole)
+        comments, notes = self._notes(expanded)
         motions, bases, tools, numbers, turns = self._motions(execution.moves, line, forward_kinematics)
-        plain = not whole.loops and not whole.copies
-        all_modules = (*self.loaded.modules, *whole.modules)
+        is_plain = not expanded.loops and not expanded.copies
+        all_modules = (*self.loaded.modules, *expanded.modules)
         data_names = frozenset(data.name for module in all_modules for data in module.data)
         return Program(
             name,
@@ -105,10 +105,10 @@ class _Reader:
             tools,
             tool_keys=_tool_names(execution.moves, motions.tool, len(tools)),
             notes=notes,
-            issues=tuple(self._issues(whole)),
+            issues=tuple(self._issues(expanded)),
             by_wrist=turns[0] if turns[0].any() else None,
             with_path=turns[1] if turns[1].any() else None,
-            layout=Layout(numbers, whole.text, plain, tuple(execution.moves), comments, data_names),
+            layout=Layout(numbers, expanded.text, is_plain, tuple(execution.moves), comments, data_names),
         )
 
     # --- text
@@ -131,13 +131,15 @@ class _Reader:
             raise self._at(cause.problem, max(cause.line, 1), cause.advice) from None
 
     @staticmethod
-    def _lines(whole: ExpandedProgram, start: Ints) -> Ints:
+    def _lines(expanded: ExpandedProgram, start: Ints) -> Ints:
         """Return the lines of the file (n,) of offsets (n,) of the text."""
-        return np.asarray(whole.line[np.searchsorted(line_spans(whole.text)[0], start, side="right") - 1])
+        return np.asarray(expanded.line[np.searchsorted(line_spans(expanded.text)[0], start, side="right") - 1])
 
     def _entry(self, modules: Sequence[Module], name: str) -> Routine:
         """Return the routine that is the program: that of the file's name, main, or the only one nobody calls."""
-        routines = {r.name: r for module in modules for r in module.routines if r.kind == "PROC"}
+        routines = {
+            routine.name: routine for module in modules for routine in module.routines if routine.kind == "PROC"
+        }
         for candidate in (PurePath(self.document.name).stem.upper(), name.upper(), "MAIN"):
             if candidate in routines:
                 return routines[candidate]
@@ -147,12 +149,14 @@ class _Reader:
             for statement in all_statements(routine.body)
             if isinstance(statement, RapidInstruction)
         }
-        free = [routine for routine in routines.values() if routine.name not in called_names and not routine.parameters]
-        if len(free) == 1:
-            return free[0]
+        uncalled_routines = [
+            routine for routine in routines.values() if routine.name not in called_names and not routine.parameters
+        ]
+        if len(uncalled_routines) == 1:
+            return uncalled_routines[0]
         if not routines:
             raise ProgramError("there is no PROC", file=self.document.name, advice="Check that this is the program.")
-        names = first_of([routine.name for routine in (free or routines.values())], _MOST_NAMES)
+        names = first_of([routine.name for routine in (uncalled_routines or routines.values())], _MOST_NAMES)
         raise ProgramError(
             f"there is no PROC main, and it is not clear which of these is the program: {names}",
             file=self.document.name,
@@ -172,14 +176,14 @@ class _Reader:
             self.frames[type_] = _FromCell(self.cell.tool.pose() if type_ == "TOOLDATA" else self.cell.base.pose())
         return self.frames[type_]
 
-    def _notes(self, whole: ExpandedProgram) -> tuple[tuple[Comment, ...], tuple[ForceNote, ...]]:
+    def _notes(self, expanded: ExpandedProgram) -> tuple[tuple[Comment, ...], tuple[ForceNote, ...]]:
         """Return the force comments, and the force notes with the motion that each precedes."""
         comments: list[Comment] = []
         notes: list[ForceNote] = []
         errors: list[InputError] = []
-        starts = line_spans(whole.text)[0]
-        for comment, motion_index in whole.executed.notes:
-            line = int(whole.line[np.searchsorted(starts, comment.start, side="right") - 1])
+        starts = line_spans(expanded.text)[0]
+        for comment, motion_index in expanded.executed.notes:
+            line = int(expanded.line[np.searchsorted(starts, comment.start, side="right") - 1])
             try:
                 note = parse_force_note(comment.text, line, self.document.name)
             except InputError as cause:
@@ -326,7 +330,10 @@ class _Reader:
         return np.asarray(_pose(user) @ _pose(frame))
 
     def _check(self, numbers: Array, line: Ints) -> None:
-        """Refuse targets that no robot has."""
+        """Check the numbers of robtargets (n, 17) in lines (n,).
+
+        :raises ProgramError: one is out of reach of any robot, or its orientation or configuration is not valid.
+        """
         is_too_far = np.abs(numbers[:, :3]) > _LARGEST_COORDINATE
         if is_too_far.any():
             raise self._at(
@@ -372,27 +379,37 @@ class _Reader:
             via_numbers = np.array([move.via.numbers for move in moves if move.via is not None])
             self._check(via_numbers, line[rows])
             via_points = poses(via_numbers[:, :7])[:, :3, 3]
-            centre[rows], normal[rows], sweep[rows], flat = circles.arcs_through(
+            centre[rows], normal[rows], sweep[rows], is_degenerate = circles.arcs_through(
                 start[rows, :3, 3], via_points, pose[rows, :3, 3]
             )
-            if flat.any():
-                at = int(line[rows[np.argmax(flat)]])
+            if is_degenerate.any():
+                circle_line = int(line[rows[np.argmax(is_degenerate)]])
                 problem = "the three points of the circle are on a line or coincide"
-                raise self._at(problem, at, "Write MoveL, or give the circle another point.")
+                raise self._at(problem, circle_line, "Write MoveL, or give the circle another point.")
         return centre, normal, sweep
 
     def _turning(self, moves: list[Move], kind: Ints, start: Array, pose: Array, line: Ints) -> tuple[Bools, Bools]:
-        """Return which motions (M,) turn the tool by the wrist axes, and which with their path."""
+        r"""Return which motions (M,) turn the tool by the wrist axes (SingArea\Wrist), and which with their path.
+
+        :param start: (M, 4, 4) poses at the starts of the motions; `pose`: at their ends.
+        :raises ProgramError: how a motion turns the tool is not known.
+        """
         area = np.array([move.setting.area for move in moves])
         mode = np.array([move.setting.circles for move in moves])
-        turns = norm((start[:, :3, :3] - pose[:, :3, :3]).reshape(-1, 9)) > _TURNS
+        is_turned = norm((start[:, :3, :3] - pose[:, :3, :3]).reshape(-1, 9)) > _TURNS
         faults = (
             (
-                (area == "LOCKAXIS4") & turns & (kind != PTP),
+                (area == "LOCKAXIS4") & is_turned & (kind != PTP),
                 "the turn of the tool is not known under SingArea\\LockAxis4",
             ),
-            ((area == "WRIST") & turns & (kind == CIRC), "the turn along a circle is not known under SingArea\\Wrist"),
-            ((kind == CIRC) & ~np.isin(mode, ("PATHFRAME", "OBJECTFRAME")) & turns, "this CirPathMode is not followed"),
+            (
+                (area == "WRIST") & is_turned & (kind == CIRC),
+                "the turn along a circle is not known under SingArea\\Wrist",
+            ),
+            (
+                (kind == CIRC) & ~np.isin(mode, ("PATHFRAME", "OBJECTFRAME")) & is_turned,
+                "this CirPathMode is not followed",
+            ),
         )
         for is_invalid, problem in faults:
             if is_invalid.any():
@@ -404,7 +421,12 @@ class _Reader:
     def _tcp_speed(
         self, moves: list[Move], kind: Ints, start: Array, pose: Array, arcs: tuple[Array, Array, Array], line: Ints
     ) -> Array:
-        """Return the speed of the TCP (M,) [m/s], as the controller stores it."""
+        """Return the speed of the TCP (M,) [m/s], as the controller stores it; NaN for joint interpolation.
+
+        :param start: (M, 4, 4) poses at the starts of the motions; `pose`: at their ends [m].
+        :param arcs: centre, normal and sweep of circles.
+        :raises ProgramError: a move without length has a duration.
+        """
         speed = _single([move.speed for move in moves]) * M_PER_MM
         duration = np.array([move.duration for move in moves])
         timed_rows = np.flatnonzero((duration > 0.0) & (kind != PTP))
@@ -413,41 +435,41 @@ class _Reader:
             radius = norm(start[timed_rows, :3, 3] - arcs[0][timed_rows])
             length = np.where(kind[timed_rows] == CIRC, radius * arcs[2][timed_rows], length)
             if (length < 1e-9).any():
-                at = int(line[timed_rows[np.argmin(length)]])
-                raise self._at("a move without length has a duration (\\T)", at, "Give it a speed instead.")
+                move_line = int(line[timed_rows[np.argmin(length)]])
+                raise self._at("a move without length has a duration (\\T)", move_line, "Give it a speed instead.")
             speed[timed_rows] = length / duration[timed_rows]
         return np.where(kind == PTP, np.nan, speed)
 
     # --- issues
 
-    def _issues(self, whole: ExpandedProgram) -> Iterator[Issue]:
+    def _issues(self, expanded: ExpandedProgram) -> Iterator[Issue]:
         """Yield information and warnings on how the module was read."""
-        execution = whole.executed
+        execution = expanded.executed
         for name, (start, count) in execution.foreign.items():
             message = f"{name} is in no module of this file: it is assumed not to move the robot."
-            at = int(self._lines(whole, np.array([start]))[0])
-            yield Issue("warning", "external-call", message, at, subject=name.upper(), count=count)
+            line = int(self._lines(expanded, np.array([start]))[0])
+            yield Issue("warning", "external-call", message, line, subject=name.upper(), count=count)
         yield from self._cell_frame_issues(execution)
-        for module in whole.modules:
+        for module in expanded.modules:
             for routine in module.routines:
-                moving = next(
+                first_move = next(
                     (
-                        s
-                        for s in all_statements(routine.body)
-                        if isinstance(s, RapidInstruction) and s.name.startswith("MOVE")
+                        statement
+                        for statement in all_statements(routine.body)
+                        if isinstance(statement, RapidInstruction) and statement.name.startswith("MOVE")
                     ),
                     None,
                 )
-                if moving is not None and routine.name not in execution.followed:
+                if first_move is not None and routine.name not in execution.followed:
                     message = f"{routine.kind} {routine.name} has moves but is not called; they are left as they are."
-                    at = int(self._lines(whole, np.array([moving.start]))[0])
-                    yield Issue("warning", "uncalled-motions", message, at, subject=routine.name)
-        if whole.loops:
-            lines = line_names(sorted(set(whole.loops)), _MOST_NAMES)
+                    line = int(self._lines(expanded, np.array([first_move.start]))[0])
+                    yield Issue("warning", "uncalled-motions", message, line, subject=routine.name)
+        if expanded.loops:
+            lines = line_names(sorted(set(expanded.loops)), _MOST_NAMES)
             message = f"Loops with moves are written out, round by round ({lines}): each round has its own targets."
-            yield Issue("info", "loop-expanded", message, min(whole.loops))
-        if whole.copies:
-            names = first_of(list(dict.fromkeys(whole.copies)), _MOST_NAMES)
+            yield Issue("info", "loop-expanded", message, min(expanded.loops))
+        if expanded.copies:
+            names = first_of(list(dict.fromkeys(expanded.copies)), _MOST_NAMES)
             message = f"Routines with moves that are called more than once get a copy for each call: {names}."
             yield Issue("info", "routine-copied", message)
 
@@ -486,12 +508,15 @@ def _tool_names(moves: list[Move], tool: Ints, count: int) -> tuple[tuple[str, .
 
 
 def _single(values: list[float]) -> Array:
-    """Return numbers as the controller stores them."""
+    """Return numbers rounded to single precision, as the controller stores them."""
     return np.array(values).astype(np.float32).astype(np.float64)
 
 
 def _pose(value: Value) -> Array:
-    """Return a `pose` (4, 4) [m]."""
+    """Return the pose (4, 4) [m] of a RAPID value of type `pose`, [[x, y, z], [q1, q2, q3, q4]] [mm].
+
+    :raises UnknownValueError: it is none.
+    """
     numbers = np.array(record_numbers(value, 3, 4))
     if (np.abs(numbers[:3]) > _LARGEST_COORDINATE).any():
         raise UnknownValueError("the frame is beyond any cell")

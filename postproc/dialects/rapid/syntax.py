@@ -205,7 +205,7 @@ class Parser:
         self.step()
 
     def step(self) -> None:
-        """Go to the next token."""
+        """Go to the next token; comments before it are collected in `comments`."""
         self.behind = at = self.stop
         while True:
             match = _TOKEN.match(self.text, at)
@@ -252,7 +252,11 @@ class Parser:
     # --- expressions
 
     def expression(self, level: int = 0) -> Expression:
-        """Parse an expression, and move behind it."""
+        """Parse an expression and go beyond it.
+
+        :param level: index in `_OPERATORS` of the operators that bind loosest in it; brackets begin at 0 again.
+        :raises RapidSyntaxError: it is not valid, or nested too deeply.
+        """
         if level == len(_OPERATORS):
             return self._factor()
         self.depth += 1
@@ -299,9 +303,9 @@ class Parser:
             self.take(")")
             return Expression(inner.kind, start, self.behind, inner.value, inner.items)
         if kind == "name" and self.word in ("TRUE", "FALSE"):
-            value_ = self.word == "TRUE"
+            is_true = self.word == "TRUE"
             self.step()
-            return Expression("bool", start, self.behind, value_)
+            return Expression("bool", start, self.behind, is_true)
         return self._reference()
 
     def _list(self) -> Expression:
@@ -330,7 +334,7 @@ class Parser:
         return self._components(expression)
 
     def arguments(self, end: str) -> tuple[Argument, ...]:
-        """Read arguments up to a symbol, which is left."""
+        """Parse arguments up to the symbol `end`, which remains the next token."""
         items: list[Argument] = []
         while self.word != end or self.kind != "symbol":
             if items and not self.accept(",") and not (self.word == "\\" and self.kind == "symbol"):
@@ -349,7 +353,7 @@ class Parser:
     # --- statements
 
     def block(self) -> tuple[Statement, ...]:
-        """Read statements up to the word that ends them, which is left."""
+        """Parse statements up to the word that ends them, which remains the next token."""
         self.depth += 1  # each block in another one has an expression before it, which is counted and refused
         statements: list[Statement] = []
         while True:
@@ -362,11 +366,12 @@ class Parser:
             statements.append(self.statement())
 
     def _remarks(self) -> list[Comment]:
+        """Return the comments before the next token, and forget them."""
         comments, self.comments = self.comments, []
         return comments
 
     def statement(self) -> Statement:
-        """Parse a statement, and move behind it."""
+        """Parse a statement and go beyond it."""
         start, word = self.start, self.word
         if self.kind == "symbol" and word == "%":
             return self._late_call()
@@ -389,11 +394,11 @@ class Parser:
         return self._simple(start)
 
     def _plain_move(self, match: re.Match[str]) -> Statement:
-        """Return the move that a pattern matched at once: numbers as target, names as speed, zone and tool."""
+        """Return the move that `_MOVE` matched: target of numbers, speed, zone, tool and perhaps a work object."""
         groups = match.groups()
         target = Expression("numbers", match.start(_FIRST), match.end(_FIRST), groups[_FIRST : _FIRST + _NUMBERS])
         arguments = [Argument("", target, target.start, target.stop)]
-        for group in range(_FIRST + _NUMBERS + 1, _FIRST + _NUMBERS + 4):
+        for group in range(_FIRST + _NUMBERS + 1, _FIRST + _NUMBERS + 4):  # speed, zone and tool
             start, stop = match.span(group)
             arguments.append(Argument("", self._plain_argument(start, stop), start, stop))
         if groups[-1] is not None:
@@ -427,7 +432,7 @@ class Parser:
         return Jump(start, self.behind, word)
 
     def _late_call(self) -> Statement:
-        """Read ``%"name"% arguments;``: the routine is the text."""
+        """Parse a call by a text, ``%"name"% arguments;``: an instruction named ``%NAME``, or ``%`` if not literal."""
         start = self.start
         self.take("%")
         name = self.expression()
@@ -438,7 +443,7 @@ class Parser:
         return Instruction(start, self.behind, f"%{routine_name}", arguments)
 
     def _simple(self, start: int) -> Statement:
-        """Read an assignment, an instruction, a label."""
+        """Parse an assignment, an instruction or a label, which all begin with a name."""
         name = Expression("name", start, self.stop, self.word)
         self.step()
         if self.kind == "symbol" and self.word == ":":
@@ -522,7 +527,7 @@ class Parser:
 
     def _loop(self, start: int, name: str, bounds: tuple[Expression, ...], end: str) -> Statement:
         """Parse the body of a loop from DO to `end`."""
-        begin = self.stop
+        begin = self.stop  # the end of the word DO
         self.take("DO")
         body = self.block()
         span = begin, self.start
@@ -600,7 +605,7 @@ class Parser:
         return Module(name, tuple(data), tuple(routines))
 
     def _type(self, word: str) -> None:
-        """Pass over a declaration of a type."""
+        """Skip a declaration of a type, from RECORD or ALIAS to its end."""
         end = ";" if word == "ALIAS" else "ENDRECORD"
         while self.word != end:
             self.step()
@@ -664,7 +669,7 @@ def modules(text: str) -> tuple[Module, ...]:
 
 
 def all_statements(statements: tuple[Statement, ...]) -> Iterator[Statement]:
-    """Yield statements and all inside of them."""
+    """Yield statements, each followed by the statements inside it: branches of IF and TEST, bodies of loops."""
     for statement in statements:
         yield statement
         if isinstance(statement, Conditional):

@@ -113,7 +113,10 @@ _ORIGIN = [[0.0, 0.0, 0.0], UNIT]
 
 
 def predefined_data() -> dict[str, tuple[Value, str]]:
-    """Return the data that every controller has, by name: (value, type)."""
+    """Return the data that every controller has: name → value and type.
+
+    Speeds, zones, `tool0`, `wobj0`, `load0` and `pi`, with the values that the manual states.
+    """
     data: dict[str, tuple[Value, str]] = {
         f"V{speed}": ([float(speed), 500.0, 5000.0, 1000.0], "SPEEDDATA") for speed in _SPEEDS
     }
@@ -169,7 +172,7 @@ class Scope:
         self.presence: dict[str, bool | None] = {}
 
     def find(self, name: str) -> Variable | None:
-        """Return the data of a name."""
+        """Return the data of a name, upper case; None if it is not declared."""
         return self.inner.get(name) or self.outer.get(name)
 
     def variable(self, name: str) -> Variable:
@@ -229,7 +232,7 @@ def record_numbers(value: Value, *sizes: int) -> list[float]:
 
     :raises UnknownValueError: it has another form.
     """
-    if not isinstance(value, list) or [len(v) if isinstance(v, list) else 1 for v in value] != list(sizes):
+    if not isinstance(value, list) or [len(part) if isinstance(part, list) else 1 for part in value] != list(sizes):
         raise UnknownValueError("the value has another form than its type")
     numbers = list(flat(value))
     if not np.isfinite(numbers).all():
@@ -267,10 +270,10 @@ def _index(expression: Expression, scope: Scope) -> tuple[Value, str]:
     """
     value, type_ = evaluate(expression.items[0], scope)
     for item in expression.items[1:]:
-        place = number(item, scope)
-        if not isinstance(value, list) or not place.is_integer() or not 1 <= place <= len(value):
-            raise UnknownValueError(f"the index {place:g} is outside of the array")
-        value = value[int(place) - 1]
+        index = number(item, scope)
+        if not isinstance(value, list) or not index.is_integer() or not 1 <= index <= len(value):
+            raise UnknownValueError(f"the index {index:g} is outside of the array")
+        value = value[int(index) - 1]
     return value, type_
 
 
@@ -280,17 +283,19 @@ def _field(expression: Expression, scope: Scope) -> tuple[Value, str]:
     :raises UnknownValueError: there is none.
     """
     value, type_ = evaluate(expression.items[0], scope)
-    for place, (name, inner) in enumerate(FIELDS.get(type_, ())):
-        if name == expression.value and isinstance(value, list) and place < len(value):
-            return value[place], inner
+    for index, (name, component_type) in enumerate(FIELDS.get(type_, ())):
+        if name == expression.value and isinstance(value, list) and index < len(value):
+            return value[index], component_type
     raise UnknownValueError(f"the component {expression.value} is not known")
 
 
 def _list(expression: Expression, scope: Scope) -> tuple[Value, str]:
+    """Return the values of an aggregate, ``[1, [2, 3]]``; its type does not show, so it is empty."""
     return [item.value if item.kind == "number" else evaluate(item, scope)[0] for item in expression.items], ""
 
 
 def _literal(expression: Expression, scope: Scope) -> tuple[Value, str]:
+    """Return value and type of a number, string or TRUE and FALSE."""
     del scope
     return expression.value, {"number": "NUM", "bool": "BOOL", "string": "STRING"}[expression.kind]
 
@@ -324,10 +329,16 @@ def _operation(expression: Expression, scope: Scope) -> tuple[Value, str]:
             return not truth(items[0], scope), "BOOL"
         value, type_ = evaluate(items[0], scope)
         sign = -1.0 if word == "-" else 1.0
-        return ([sign * v for v in flat(value)] if isinstance(value, list) else sign * number(items[0], scope)), type_
+        return (
+            [sign * component for component in flat(value)]
+            if isinstance(value, list)
+            else sign * number(items[0], scope)
+        ), type_
     if word in ("AND", "OR", "XOR"):
-        a, b = truth(items[0], scope), truth(items[1], scope)
-        return {"AND": a and b, "OR": a or b, "XOR": a != b}[word], "BOOL"
+        left_truth, right_truth = truth(items[0], scope), truth(items[1], scope)
+        return {"AND": left_truth and right_truth, "OR": left_truth or right_truth, "XOR": left_truth != right_truth}[
+            word
+        ], "BOOL"
     left, type_ = evaluate(items[0], scope)
     right, right_type = evaluate(items[1], scope)
     if word in _COMPARISONS:
@@ -353,18 +364,18 @@ def _is_decided(left: float, right: float) -> bool:
 
 def _arithmetic_value(word: str, left: Value, right: Value) -> Value:
     """Return the value of an arithmetic operation: numbers, and the vectors of `pos`."""
-    pair = isinstance(left, list), isinstance(right, list)
-    if pair == (False, False):
+    are_lists = isinstance(left, list), isinstance(right, list)
+    if are_lists == (False, False):
         if isinstance(left, bool) or isinstance(right, bool) or isinstance(left, str) or isinstance(right, str):
             raise UnknownValueError("a number is expected")
         return _ARITHMETIC[word](left, right)
-    a, b = list(flat(left)), list(flat(right))
-    if pair == (True, True) and word in "+-" and len(a) == len(b) == 3:
-        return [_ARITHMETIC[word](x, y) for x, y in zip(a, b, strict=True)]
-    if word == "*" and pair == (True, False) and len(a) == 3:
-        return [x * b[0] for x in a]
-    if word == "*" and pair == (False, True) and len(b) == 3:
-        return [a[0] * y for y in b]
+    left_numbers, right_numbers = list(flat(left)), list(flat(right))
+    if are_lists == (True, True) and word in "+-" and len(left_numbers) == len(right_numbers) == 3:
+        return [_ARITHMETIC[word](x, y) for x, y in zip(left_numbers, right_numbers, strict=True)]
+    if word == "*" and are_lists == (True, False) and len(left_numbers) == 3:
+        return [x * right_numbers[0] for x in left_numbers]
+    if word == "*" and are_lists == (False, True) and len(right_numbers) == 3:
+        return [left_numbers[0] * y for y in right_numbers]
     raise UnknownValueError("an operation on records is not followed")
 
 
@@ -396,26 +407,28 @@ def _size(array: Expression, dimension: Expression, scope: Scope) -> float:
 
     :raises UnknownValueError: the declaration of the array is not known, or it has no such dimension.
     """
-    place = number(dimension, scope)
+    dimension_number = number(dimension, scope)
     variable = scope.variable(array.value) if array.kind == "name" else None
     sizes = () if variable is None or variable.declaration is None else variable.declaration.dimensions
-    if place not in range(1, len(sizes) + 1):
+    if dimension_number not in range(1, len(sizes) + 1):
         raise UnknownValueError("the function DIM gives its value at run time, but for arrays that the module declares")
-    return number(sizes[int(place) - 1], scope if array.value in scope.inner else Scope(scope.outer))
+    return number(sizes[int(dimension_number) - 1], scope if array.value in scope.inner else Scope(scope.outer))
 
 
-def _rotation(turn: list[float]) -> Array:
-    return np.asarray(rotations(np.array([turn]))[0])
+def _rotation(quaternion: list[float]) -> Array:
+    """Return the rotation (3, 3) of a quaternion q1…q4."""
+    return np.asarray(rotations(np.array([quaternion]))[0])
 
 
 def _quaternion(rotation: Array) -> list[float]:
+    """Return the quaternion q1…q4 of a rotation (3, 3)."""
     return [float(value) for value in quaternions(rotation[None])[0]]
 
 
 def axis_rotation(axis: int, degrees: float) -> Array:
-    """Return the rotation (3, 3) about an axis, 0 for x."""
+    """Return the rotation (3, 3) about an axis, 0 for x to 2 for z, by an angle [deg]."""
     rotation, angle = np.eye(3), degrees * RAD_PER_DEG
-    i, j = (axis + 1) % 3, (axis + 2) % 3
+    i, j = (axis + 1) % 3, (axis + 2) % 3  # the axes of the plane in which it turns, in cyclic order
     rotation[i, i] = rotation[j, j] = np.cos(angle)
     rotation[j, i] = np.sin(angle)
     rotation[i, j] = -rotation[j, i]
@@ -423,7 +436,10 @@ def axis_rotation(axis: int, degrees: float) -> Array:
 
 
 def _offs(values: list[Value], options: dict[str, float]) -> tuple[Value, str]:
-    """``Offs(p, x, y, z)``: in the work object."""
+    """Return the value and type of ``Offs(p, x, y, z)``: the target p displaced in the work object [mm].
+
+    :raises ValueError: other arguments.
+    """
     point, *offset = values
     if options or len(offset) != 3:
         raise ValueError
@@ -432,7 +448,12 @@ def _offs(values: list[Value], options: dict[str, float]) -> tuple[Value, str]:
 
 
 def _reltool(values: list[Value], options: dict[str, float]) -> tuple[Value, str]:
-    r"""``RelTool(p, dx, dy, dz \Rx \Ry \Rz)``: in the tool; turned about x, then the new y, then the new z."""
+    r"""Return value and type of ``RelTool(p, dx, dy, dz \Rx \Ry \Rz)``: target p displaced in its tool frame [mm].
+
+    The tool is turned about x, then about the new y, then about the new z [deg].
+
+    :raises ValueError: other arguments.
+    """
     point, *offset = values
     if set(options) - {"RX", "RY", "RZ"} or len(offset) != 3:
         raise ValueError
@@ -448,7 +469,10 @@ def _reltool(values: list[Value], options: dict[str, float]) -> tuple[Value, str
 
 
 def _orient_zyx(values: list[Value], options: dict[str, float]) -> tuple[Value, str]:
-    """``OrientZYX(z, y, x)``."""
+    """Return the value and type of ``OrientZYX(z, y, x)``: the quaternion of turns about z, new y, new x [deg].
+
+    :raises ValueError: other arguments.
+    """
     z, y, x = values
     if options:
         raise ValueError
@@ -541,7 +565,11 @@ def assign(target: Expression, value: Value, scope: Scope) -> None:
 
 
 def _replace_component(whole: Value, path: list[int], value: Value) -> Value:
-    """Return a record with another value at a place."""
+    """Return a record or array with another value in one component.
+
+    :param path: indices from 0 of the component, from outside to inside; empty: the whole value is replaced.
+    :raises UnknownValueError: there is no such component.
+    """
     if not path:
         return value
     if not isinstance(whole, list) or not 0 <= path[0] < len(whole):

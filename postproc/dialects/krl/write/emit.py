@@ -102,7 +102,9 @@ class Emitter:
         new.stops |= set(self.starts)
         head = [*self.header_lines(self.program.name), *self.start_lines()]
         new.events()
-        self.call_rows = [k for k, statements in sorted(new.own.items()) if k < count and calls_program(statements)]
+        self.call_rows = [
+            k for k, statements in sorted(new.cell_lines.items()) if k < count and calls_program(statements)
+        ]
         new.issues += self._after_tool_changes()
         changes = set(new.frame_changes())
         for k in sorted(changes.union(self.call_rows)):
