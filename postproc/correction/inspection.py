@@ -483,6 +483,23 @@ def frame_issues(program: Program, cell: Cell) -> list[Issue]:
     return issues
 
 
+def obstacle_issues(program: Program, cell: Cell) -> list[Issue]:
+    """Return a warning if a robot program moves in another `$BASE` than the one that obstacles of the cell stand in."""
+    if not program.keeps_text or cell.collision is None:
+        return []
+    m, is_elsewhere = program.motions, np.abs(program.bases - cell.base.pose()).max(axis=(1, 2)) > _SAME_FRAME
+    motion = np.flatnonzero(is_elsewhere[m.base] & np.isnan(m.joints[:, 0]))
+    count = sum(obstacle.frame == "base" for obstacle in cell.collision.obstacles)
+    if not count or not len(motion):
+        return []
+    stand = "1 obstacle of [collision] stands" if count == 1 else f"{count} obstacles of [collision] stand"
+    message = (
+        f"{stand} in [base] of the cell, but the program moves in its own $BASE: do they belong to this part? Then "
+        'they are not where they are checked. Make [base] equal to $BASE, or give them frame = "root"'
+    )
+    return [m.issue("warning", "obstacles-elsewhere", message, motion)]
+
+
 _FIRST_MOVE_PARTS = 200
 """Number of parts of the first move: the tip, moved by joints, is at most some tenths of a millimetre lower between."""
 

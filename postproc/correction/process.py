@@ -613,6 +613,7 @@ def _initial_issues(program: Program, robot: RobotModel, cell: Cell, mode: Mode)
         *inspection.tool_change_issues(program, cell),
         *inspection.frame_issues(program, cell),
         *inspection.holder_issues(program, cell),
+        *inspection.obstacle_issues(program, cell),
         *plausibility.setup_questions(program, cell, robot),
         *plausibility.tool_changes(program, cell.tool.axis),
     )

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from postproc import cell as cells
 from postproc.correction import checks, inspection
 from postproc.correction.inspection import Slowing, Stretches
 from postproc.poses import Poses
@@ -244,6 +245,31 @@ def test_frames_that_are_not_those_of_the_cell_are_noted_with_their_numbers(axis
             assert issue.message.startswith(f"{name} is {{X ")
             assert f"[{section}] of the cell" in issue.message
             assert set(issue.lines) == set(program.motions.line.tolist())
+
+
+@pytest.mark.parametrize(
+    ("frames", "shift", "text"),
+    [
+        (["base"], 0.1, "1 obstacle of [collision] stands in [base] of the cell"),
+        (["base", "root", "base"], 0.1, "2 obstacles of [collision] stand in [base] of the cell"),
+        (["base"], 0.9e-6, ""), (["root"], 0.1, ""), ([], 0.1, ""), (None, 0.1, ""),
+    ],
+)  # fmt: skip
+def test_obstacles_in_the_base_of_the_cell_are_asked_about_where_the_program_has_another(frames, shift, text):
+    box = cells.Box(X=(0.0, 10.0), Y=(0.0, 10.0), Z=(0.0, 10.0))
+    collision = None
+    if frames is not None:
+        collision = cells.Collision(obstacles=[cells.ObstacleTable(box=box, frame=frame) for frame in frames])
+    cell = replace(CELL, collision=collision)
+    bases = CELL.base.pose()[None].copy()
+    bases[0, 1, 3] += shift
+    program = replace(PATH.program, dialect="krl", bases=bases)
+    program = replace(program, motions=replace(program.motions, base=0 * program.motions.base))
+    assert inspection.obstacle_issues(program, cell) == []  # converted G-code is placed in [base]
+    issues = inspection.obstacle_issues(replace(program, layout=SimpleNamespace()), cell)
+    assert [(issue.level, issue.kind, issue.message[: len(text)]) for issue in issues] == (
+        [("warning", "obstacles-elsewhere", text)] if text else []
+    )
 
 
 @pytest.mark.parametrize("seed", range(40))
