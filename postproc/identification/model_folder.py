@@ -113,8 +113,16 @@ def _joint_springs(tables: Mapping[str, dict[str, Any]], prior: ModelFile, sourc
         table = tables.get(joint.joint)
         if table is not None and table["compliance_urad_per_Nm"] >= 0.0:
             # where link springs deflect in its place, the prior's value would count twice
-            compliance = max(table["compliance_urad_per_Nm"], MIN_COMPLIANCE * joint.per_si)
-            joints[joint.joint] = msgspec.convert(table | {"compliance_urad_per_Nm": compliance}, JointSpring)
+            least = MIN_COMPLIANCE * joint.per_si
+            parts = {
+                key: [
+                    part | {"compliance_urad_per_Nm": max(part["compliance_urad_per_Nm"], least)} for part in table[key]
+                ]
+                for key in ("stiffening", "knees")
+                if key in table
+            }
+            compliance = max(table["compliance_urad_per_Nm"], least)
+            joints[joint.joint] = msgspec.convert(table | parts | {"compliance_urad_per_Nm": compliance}, JointSpring)
         else:
             prior_spring = prior.joints[joint.joint]
             joints[joint.joint] = JointSpring(

@@ -14,7 +14,6 @@ from postproc.frames import MM_PER_M, Array
 from postproc.identification import plausibility
 from postproc.identification.choice import CLEAR, Choice, choose, evidence_of
 from postproc.identification.fit import Fit, to_file_units
-from postproc.identification.force_axes import force_axes
 from postproc.identification.joint_springs import (
     Levels,
     SpringOfJoint2,
@@ -36,6 +35,7 @@ from postproc.identification.measurement_model import (
 from postproc.identification.moved_device import moved_device
 from postproc.identification.plausibility import check_loads, displacement_ratio, loops
 from postproc.identification.readings import Measurements, gaps
+from postproc.identification.stated_loads import doubt_of_loads
 from postproc.identification.stated_points import displaced_points
 from postproc.identification.uncertainty import (
     Discrepancy,
@@ -186,7 +186,7 @@ class CheckedReadings(Struct, frozen=True, eq=False):
     :param placement: base transform and reference points.
     :param outliers: a line for each reading that was left out.
     :param warnings: for the user.
-    :param doubt: clause on the axes of the forces, a reservation of the model; may be empty.
+    :param doubt: clause on axes and point of the loads, a reservation of the model; may be empty.
     """
 
     data: Measurements
@@ -204,7 +204,7 @@ def check_readings(prior: RobotModel, data: Measurements) -> CheckedReadings:
     advice = _CHECK_ANGLES if data.are_displacements else ""
     data, placement, outliers = plausibility.check_placement(prior, as_positions(prior, data))
     warnings = [*gaps(data), *moved_device(prior, data, placement)]
-    doubt = force_axes(prior, data, placement)
+    doubt = doubt_of_loads(prior, data, placement)
     warnings += check_loads(prior, data, placement, advice)
     data, notes = _readings_with_checked_noise(data)
     return CheckedReadings(data, placement, outliers, warnings + notes, doubt)

@@ -590,7 +590,7 @@ def _notes(data: Measurements, fit: Fit, choice: Choice | None) -> list[str]:
         basis = "on configurations left out" if choice is not None else "on the readings"
         notes.append(
             f"{basis} the mean square error is {square_error:.1f} σ² (noise alone: 1): the robot does something that "
-            "the model does not describe, or the set-up is wrong. The bound contains it."
+            "the model does not describe, which the bound contains, or the set-up is stated wrong, which it does not."
         )
     if choice is not None:
         if int(levels(load).max()) == 0:

@@ -207,7 +207,7 @@ def test_what_readings_have_is_counted(measured, tmp_path):
         (lambda cells: cells, "has   readings that agree with"),
         (
             lambda cells: [*cells[:12], str(-float(cells[12])), *cells[13:]],
-            "lacks .*the forces fit .* times better if Fx, Fy, Fz of the root are the columns Fx, Fy, -Fz",
+            "lacks .*the loads fit .* times better if Fx, Fy, Fz of the root are the columns Fx, Fy, -Fz",
         ),
         (
             lambda cells: [*cells[:4], str(float(cells[4]) + 5.0 * (cells[0] == "3")), *cells[5:]],

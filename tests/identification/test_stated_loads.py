@@ -7,10 +7,10 @@ import pytest
 from msgspec.structs import replace
 
 from postproc.errors import MeasurementError
-from postproc.identification import force_axes as module
-from postproc.identification.force_axes import force_axes
+from postproc.identification import stated_loads as module
 from postproc.identification.measurement_model import locate, unloaded_flange
 from postproc.identification.procedure import identify
+from postproc.identification.stated_loads import doubt_of_loads
 from samples.paper_study import harness, simulator
 
 
@@ -40,7 +40,7 @@ def turn(degrees, axis):
 
 
 def judged(data):
-    return force_axes(harness.PRIOR, data, locate(harness.PRIOR, data))
+    return doubt_of_loads(harness.PRIOR, data, locate(harness.PRIOR, data))
 
 
 @pytest.mark.parametrize("hard", [False, True])
@@ -107,7 +107,7 @@ def test_hanging_weights_and_two_loads_tell_nothing_of_axes(tmp_path):
     wrench[:, :2] = 0.0
     assert judged(replace(data, wrench=wrench)) == ""
     few = stated(data.take_configurations(np.arange(2)), turn(40.0, 2))
-    assert force_axes(harness.PRIOR, few, locate(harness.PRIOR, data)) == ""
+    assert doubt_of_loads(harness.PRIOR, few, locate(harness.PRIOR, data)) == ""
 
 
 def test_moments_are_turned_as_those_of_turned_forces():
@@ -126,3 +126,22 @@ def readings_with(wrench):
         wrench: object
 
     return Wrenches(wrench)
+
+
+@pytest.mark.parametrize(
+    "point",
+    [(0.210 / 25.4, -0.060 / 25.4, 0.180 / 25.4), (0.210, -0.060, -0.180), (-0.060, 0.210, 0.180)],
+    ids=["inch", "sign of Z", "X and Y exchanged"],
+)
+def test_a_load_point_that_is_stated_wrong_is_named_with_the_true_one(tmp_path, point):
+    data = replace(readings(tmp_path), load_point=np.array(point))
+    with pytest.raises(MeasurementError, match=r"times better if they pull at .* Check \[load_point\]") as caught:
+        judged(data)
+    place = re.search(r"at (-?\d+), (-?\d+), (-?\d+) mm in the flange frame, not at", str(caught.value))
+    distance = np.array([float(value) for value in place.groups()]) - simulator.LOAD_POINT * 1e3
+    assert np.abs(distance).max() < 40.0  # two rounds: enough to see which number is wrong
+
+
+def test_a_load_point_that_was_measured_by_a_ruler_is_not_questioned(tmp_path):
+    data = readings(tmp_path)
+    assert judged(replace(data, load_point=data.load_point + np.array([0.0, 0.02, -0.03]))) == ""

@@ -1,19 +1,21 @@
-"""Forces that are stated in other axes than those of the robot root: turned, exchanged, mirrored, or in flange axes.
+"""Loads that are stated in other axes than those of the robot root, or at another point than the one that they pull.
 
-Links and gears that no joint spring describes leave a tenth of the displacements, whatever the axes are. So forces in
-wrong axes pass for a soft robot with a wide bound. But a turn has three parameters alone: if joint springs under turned
-forces leave much less, the axes are wrong.
+Links and gears that no joint spring describes leave a tenth of the displacements, whatever the set-up is. So forces in
+wrong axes pass for a soft robot with a wide bound. But a turn of the forces has three parameters alone, and so has a
+point: if joint springs leave much less with them, the set-up is stated wrong.
 """
 
 from __future__ import annotations
+
+from contextlib import suppress
 
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc.errors import MeasurementError, PostprocError
-from postproc.frames import DEG_PER_RAD, RAD_PER_DEG, Array, angle_between, norm, rotation_vector
-from postproc.identification.fit import Fit, gauss_newton
+from postproc.frames import DEG_PER_RAD, MM_PER_M, RAD_PER_DEG, Array, angle_between, norm, rotation_vector
+from postproc.identification.fit import Fit, gauss_newton, solve
 from postproc.identification.measurement_model import (
     Placement,
     Structure,
@@ -35,6 +37,10 @@ backlash and couplings, whose forces were stated right, one is below 0.8 and non
 _EXPLAINED = 2.0
 """χ² per degree of freedom up to which joint springs explain the readings: a turn by 5° leaves two tenths of a
 millimetre of displacements of 2 mm, more than three times the noise of a tracker."""
+_MIN_LOADS = 3
+"""Loaded states from which a turn can be told from other springs."""
+_MIN_DISTANCE = 0.05
+"""Distance [m] of another load point that is no inexact measurement (assumed)."""
 _MIN_SPREAD = 0.1
 """Least singular value of the directions of the forces, over the largest, by which all three axes can be told."""
 _ALIGNED, _NAMED = 5.0 * RAD_PER_DEG, 12.0 * RAD_PER_DEG
@@ -56,36 +62,100 @@ class _Turn(Struct, frozen=True, eq=False):
     ratio: float
 
 
-def force_axes(prior: RobotModel, data: Measurements, placement: Placement) -> str:
-    """Return, as a clause, that the forces fit better in other axes, and in which; empty if they do not.
+def doubt_of_loads(prior: RobotModel, data: Measurements, placement: Placement) -> str:
+    """Return, as a clause, in which other axes or at which other point the loads fit better; empty if they do not.
 
     :raises MeasurementError: they fit twice as well.
     """
-    force = data.wrench[data.loaded_states, :3]
-    spread = np.linalg.svd(force / np.maximum(np.linalg.norm(force, axis=1, keepdims=True), 1e-9), compute_uv=False)
-    if len(force) < 3 or spread[2] < _MIN_SPREAD * spread[0]:
-        return ""
     try:
         stated = _joint_springs(prior, data, placement)
-        if stated.chi2 < _EXPLAINED * stated.dof:
-            return ""
-        flange_ratio = _joint_springs(prior, _from_flange_axes(prior, data), placement).rms / stated.rms
-        turn = _best_turn(prior, data, placement, stated.rms)
     except PostprocError:  # no equilibrium: other checks name the cause
         return ""
-    if min(turn.ratio, flange_ratio) > _DOUBTFUL:
+    if len(data.loaded_states) < _MIN_LOADS or stated.chi2 < _EXPLAINED * stated.dof:
         return ""
-    if flange_ratio < turn.ratio:
-        ratio, axes = flange_ratio, "if they are in flange axes"
-    elif (axes := _description(turn.matrix, placement)) == "":
+    clauses = [_NO_CLAUSE]
+    for hypothesis in (_other_axes, _other_point):
+        with suppress(PostprocError):  # no equilibrium: it does not explain the readings
+            clauses.append(hypothesis(prior, data, placement, stated))
+    ratio, clause, advice = min(clauses)
+    if ratio > _DOUBTFUL:
         return ""
-    else:
-        ratio = turn.ratio
-    clause = f"the forces fit {1.0 / ratio:.1f} times better {axes}"
-    advice = "F and M are in the axes of the robot root ($ROBROOT), whatever the axes of load cell or tracker are"
+    text = f"the loads fit {1.0 / ratio:.1f} times better {clause}"
     if ratio < _CERTAIN:
-        raise MeasurementError(clause, file=data.file, advice=f"{advice}. Turn or exchange them.")
-    return f"{clause}: {advice}"
+        raise MeasurementError(text, file=data.file, advice=advice)
+    return f"{text}. {advice.removesuffix('.')}"
+
+
+_NO_CLAUSE = (1.0, "", "")
+
+
+def _other_axes(prior: RobotModel, data: Measurements, placement: Placement, stated: Fit) -> tuple[float, str, str]:
+    """Return the ratio of residuals with forces in other axes to those as stated, these axes, and advice.
+
+    :param stated: joint springs with the loads as stated.
+    """
+    force = data.wrench[data.loaded_states, :3]
+    spread = np.linalg.svd(force / np.maximum(np.linalg.norm(force, axis=1, keepdims=True), 1e-9), compute_uv=False)
+    if spread[2] < _MIN_SPREAD * spread[0]:
+        return _NO_CLAUSE
+    advice = (
+        "F and M are in the axes of the robot root ($ROBROOT), whatever the axes of load cell or tracker are. Turn or "
+        "exchange them."
+    )
+    flange_ratio = _joint_springs(prior, _from_flange_axes(prior, data), placement).rms / stated.rms
+    turn = _best_turn(prior, data, placement, stated.rms)
+    if flange_ratio < turn.ratio:
+        return flange_ratio, "if they are in flange axes", advice
+    axes = _description(turn.matrix, placement)
+    return (turn.ratio, axes, advice) if axes else _NO_CLAUSE
+
+
+def _other_point(prior: RobotModel, data: Measurements, placement: Placement, stated: Fit) -> tuple[float, str, str]:
+    """Return the ratio of residuals with another load point to those with the stated one, the point, and advice.
+
+    :param stated: joint springs with the loads as stated.
+    """
+    point, ratio = _best_point(data, placement, stated)
+    distance = float(norm(point - data.load_point))
+    if distance < _MIN_DISTANCE:
+        return _NO_CLAUSE
+    clause = f"if they pull at {_coordinates(point)} mm in the flange frame, not at {_coordinates(data.load_point)}"
+    return ratio, clause, "Check [load_point]: its unit (mm), its signs, and that it is in the flange frame."
+
+
+def _best_point(data: Measurements, placement: Placement, stated: Fit) -> tuple[Array, float]:
+    """Return the load point (3,) [m], flange frame, that joint springs fit best, and the ratio of its residuals.
+
+    Gauss-Newton for springs and point together, with differences by the point.
+    """
+    structure, whitening_matrix, is_visible = stated.structure, whitening(data), visible(data)
+    displacement = measured_displacements(data, placement)
+    point, values, best = data.load_point, stated.values, (data.load_point, 1.0)
+    for _ in range(_ROUNDS):
+        moved = replace(data, load_point=point)
+        prediction, slopes = predict(structure, values, moved, placement)
+        by_point = [
+            predict(structure, values, replace(data, load_point=point + step), placement)[0] - prediction
+            for step in _POINT_STEP * np.eye(3)
+        ]
+        columns = np.concatenate([slopes, np.stack(by_point, axis=-1) / _POINT_STEP], axis=-1)
+        design = whiten(whitening_matrix, columns * is_visible[..., None]).reshape(-1, columns.shape[-1])
+        target = whiten(whitening_matrix, displacement - prediction * is_visible).ravel()
+        point = point + solve(design, target)[-3:]
+        fit = gauss_newton(structure, replace(data, load_point=point), placement)
+        values = np.maximum(fit.values, _LEAST_COMPLIANCE)
+        if fit.rms / stated.rms < best[1]:
+            best = point, fit.rms / stated.rms
+    return best
+
+
+_POINT_STEP = 0.01
+"""Step of the load point [m] for differences: torques are linear in it."""
+
+
+def _coordinates(point: Array) -> str:
+    """Return the coordinates of a point (3,) [m] in whole mm."""
+    return ", ".join(str(round(value * MM_PER_M)) for value in point.tolist())
 
 
 def _joint_springs(prior: RobotModel, data: Measurements, placement: Placement) -> Fit:
