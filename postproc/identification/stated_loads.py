@@ -64,8 +64,11 @@ class _Turn(Struct, frozen=True, eq=False):
     ratio: float
 
 
-def doubt_of_loads(prior: RobotModel, data: Measurements, placement: Placement) -> str:
+def doubt_of_loads(prior: RobotModel, data: Measurements, placement: Placement, doubt_of_points: str = "") -> str:
     """Return, as a clause, in which other axes or at which other point the loads fit better; empty if they do not.
+
+    :param doubt_of_points: clause on reference points that are far from where they are stated, which the load point is
+        stated with; may be empty.
 
     :raises MeasurementError: they fit twice as well.
     """
@@ -84,7 +87,7 @@ def doubt_of_loads(prior: RobotModel, data: Measurements, placement: Placement) 
         return ""
     text = f"the loads fit {1.0 / ratio:.1f} times better {clause}"
     if ratio < _CERTAIN:
-        raise MeasurementError(text, file=data.file, advice=advice)
+        raise MeasurementError("; ".join(filter(None, (text, doubt_of_points))), file=data.file, advice=advice)
     return f"{text}. {advice.removesuffix('.')}"
 
 

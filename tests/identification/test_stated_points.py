@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from postproc.errors import MeasurementError
 from postproc.identification.measurement_model import locate
 from postproc.identification.model_folder import geometry_folder
 from postproc.identification.procedure import identify
@@ -58,16 +59,27 @@ def test_a_reservation_precedes_the_others_and_refuses_nothing():
 
 
 @pytest.mark.parametrize("method", ["enhanced", "serial"])
-def test_a_model_from_readings_with_another_zero_of_a6_gets_a_reservation(tmp_path, method):
+def test_readings_with_another_zero_of_a6_are_refused_since_the_load_point_turns_too(tmp_path, method):
     rng = np.random.default_rng(2)
     true, (q, f) = simulator.paper_like(rng), simulator.plan(rng, 10)
     _, raw = simulator.measure(true, q, f, rng)
     data = harness.load(simulator.write(tmp_path, q, f, raw))
-    for turn in (0.0, 90.0):
-        turned = replace(data, q=data.q + np.radians([0, 0, 0, 0, 0, turn]))
-        judgement = identify(harness.PRIOR, turned, method, "joints").judgement
-        assert judgement.distrust == ""
-        assert ("turned by 90° about Z of the flange frame" in judgement.reservation) == (turn > 0.0)
+    assert identify(harness.PRIOR, data, method, "joints").judgement.line == "the model may be used, within its bound"
+    turned = replace(data, q=data.q + np.radians([0, 0, 0, 0, 0, 90.0]))
+    with pytest.raises(
+        MeasurementError, match=r"times better if they pull at .*turned by 90° about Z of the flange frame"
+    ):
+        identify(harness.PRIOR, turned, method, "joints")
+
+
+def test_points_that_are_stated_careless_are_a_reservation(tmp_path):
+    rng = np.random.default_rng(2)
+    true, (q, f) = simulator.paper_like(rng), simulator.plan(rng, 10)
+    _, raw = simulator.measure(true, q, f, rng)
+    data = harness.load(simulator.write(tmp_path, q, f, raw))
+    judgement = identify(harness.PRIOR, replace(data, guess=data.guess + 0.05), "enhanced", "joints").judgement
+    assert judgement.distrust == ""
+    assert "comes out at" in judgement.reservation
 
 
 def test_the_calibration_of_the_geometry_alone_warns_of_it_too(tmp_path):
