@@ -12,10 +12,11 @@ from __future__ import annotations
 from itertools import permutations
 
 import numpy as np
+from msgspec.structs import replace
 
 from postproc import elastostatics, kinematics
 from postproc.errors import MeasurementError, PostprocError
-from postproc.frames import MM_PER_M, Array, norm
+from postproc.frames import M_PER_MM, MM_PER_M, Array, norm
 from postproc.identification.fit import Fit
 from postproc.identification.measurement_model import (
     Placement,
@@ -253,8 +254,28 @@ def check_frames(robot: RobotModel, data: Measurements) -> Placement:
     raise MeasurementError(
         f"the readings without load are {placement.rms * MM_PER_M:.0f} mm (RMS) off the geometry of {robot.name}",
         file=data.file,
-        advice="Check the robot named in the experiment, the signs of A1…A6 and the guesses of the points.",
+        advice=_advice_on_positions(robot, data),
     )
+
+
+_INCH = 25.4e-3
+"""An inch [m]."""
+
+
+def _advice_on_positions(robot: RobotModel, data: Measurements) -> str:
+    """Return what to check where readings without load do not fit the robot: unit and axes of the positions first."""
+    mean = data.means()[0][data.unloaded_states]
+    sizes = [np.linalg.norm(points[..., 1:, :] - points[..., :1, :], axis=-1) for points in (mean, data.guess[None])]
+    if len(data.points) > 1 and abs(np.nanmedian(sizes[0] / sizes[1]) / (M_PER_MM / _INCH) - 1.0) < _SAME_SCALE:
+        return "The points are as far apart as if X, Y, Z were in inch: give them in mm."
+    mirrored = replace(data, position=data.position * np.array([1.0, 1.0, -1.0]))
+    if _rms(robot, mirrored, np.arange(len(data.q))) < _MAX_DISTANCE:
+        return "They fit in a mirror: the axes of the measuring device are left-handed. Exchange two, or negate one."
+    return "Check the robot named in the experiment, the signs of A1…A6 and the guesses of the points."
+
+
+_SAME_SCALE = 0.2
+"""Relative difference of a scale that stated distances of points leave: they are measured by a ruler (assumed)."""
 
 
 def _frame_change(robot: RobotModel, data: Measurements) -> int | None:

@@ -8,6 +8,7 @@ point: if joint springs leave much less with them, the set-up is stated wrong.
 from __future__ import annotations
 
 from contextlib import suppress
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -48,9 +49,25 @@ _MIN_SPREAD = 0.1
 _ALIGNED, _NAMED = 5.0 * RAD_PER_DEG, 12.0 * RAD_PER_DEG
 """Angles up to which axes are those of the root (assumed: no rig is aligned much better), and up to which a turn is one
 with a name: springs of links mislead the angle by some degrees."""
-
 _OPPOSITE = 30.0 * RAD_PER_DEG
 """Angle to a mirror at the origin up to which forces are of the other sign, as `plausibility.check_loads` says."""
+
+
+class _Hypothesis(NamedTuple):
+    """Loads that are stated otherwise.
+
+    :param ratio: RMS of the residuals with it, over that as stated.
+    :param clause: what it is, as the end of a sentence.
+    :param advice: what to check.
+    """
+
+    ratio: float
+    clause: str
+    advice: str
+
+
+_NONE = _Hypothesis(1.0, "", "")
+"""The loads as stated."""
 
 
 class _Turn(Struct, frozen=True, eq=False):
@@ -69,7 +86,6 @@ def doubt_of_loads(prior: RobotModel, data: Measurements, placement: Placement, 
 
     :param doubt_of_points: clause on reference points that are far from where they are stated, which the load point is
         stated with; may be empty.
-
     :raises MeasurementError: they fit twice as well.
     """
     try:
@@ -78,31 +94,28 @@ def doubt_of_loads(prior: RobotModel, data: Measurements, placement: Placement, 
         return ""
     if len(data.loaded_states) < _MIN_LOADS or stated.chi2 < _EXPLAINED * stated.dof:
         return ""
-    clauses = [_NO_CLAUSE]
-    for hypothesis in (_other_axes, _other_point):
+    hypotheses = [_NONE]
+    for best_hypothesis in (_other_axes, _other_point):
         with suppress(PostprocError):  # no equilibrium: it does not explain the readings
-            clauses.append(hypothesis(prior, data, placement, stated))
-    ratio, clause, advice = min(clauses)
-    if ratio > _DOUBTFUL:
+            hypotheses.append(best_hypothesis(prior, data, placement, stated))
+    best = min(hypotheses)
+    if best.ratio > _DOUBTFUL:
         return ""
-    text = f"the loads fit {1.0 / ratio:.1f} times better {clause}"
-    if ratio < _CERTAIN:
-        raise MeasurementError("; ".join(filter(None, (text, doubt_of_points))), file=data.file, advice=advice)
-    return f"{text}. {advice.removesuffix('.')}"
+    text = f"the loads fit {1.0 / best.ratio:.1f} times better {best.clause}"
+    if best.ratio < _CERTAIN:
+        raise MeasurementError("; ".join(filter(None, (text, doubt_of_points))), file=data.file, advice=best.advice)
+    return f"{text}. {best.advice.removesuffix('.')}"
 
 
-_NO_CLAUSE = (1.0, "", "")
-
-
-def _other_axes(prior: RobotModel, data: Measurements, placement: Placement, stated: Fit) -> tuple[float, str, str]:
-    """Return the ratio of residuals with forces in other axes to those as stated, these axes, and advice.
+def _other_axes(prior: RobotModel, data: Measurements, placement: Placement, stated: Fit) -> _Hypothesis:
+    """Return in which other axes the forces fit best.
 
     :param stated: joint springs with the loads as stated.
     """
     force = data.wrench[data.loaded_states, :3]
     spread = np.linalg.svd(force / np.maximum(np.linalg.norm(force, axis=1, keepdims=True), 1e-9), compute_uv=False)
     if spread[2] < _MIN_SPREAD * spread[0]:
-        return _NO_CLAUSE
+        return _NONE
     advice = (
         "F and M are in the axes of the robot root ($ROBROOT), whatever the axes of load cell or tracker are. Turn or "
         "exchange them."
@@ -110,22 +123,23 @@ def _other_axes(prior: RobotModel, data: Measurements, placement: Placement, sta
     flange_ratio = _joint_springs(prior, _from_flange_axes(prior, data), placement).rms / stated.rms
     turn = _best_turn(prior, data, placement, stated.rms)
     if flange_ratio < turn.ratio:
-        return flange_ratio, "if they are in flange axes", advice
+        return _Hypothesis(flange_ratio, "if they are in flange axes", advice)
     axes = _description(turn.matrix, placement)
-    return (turn.ratio, axes, advice) if axes else _NO_CLAUSE
+    return _Hypothesis(turn.ratio, axes, advice) if axes else _NONE
 
 
-def _other_point(prior: RobotModel, data: Measurements, placement: Placement, stated: Fit) -> tuple[float, str, str]:
-    """Return the ratio of residuals with another load point to those with the stated one, the point, and advice.
+def _other_point(prior: RobotModel, data: Measurements, placement: Placement, stated: Fit) -> _Hypothesis:
+    """Return at which other point the loads fit best.
 
     :param stated: joint springs with the loads as stated.
     """
     point, ratio = _best_point(data, placement, stated)
     distance = float(norm(point - data.load_point))
     if distance < _MIN_DISTANCE or ratio > _DOUBTFUL_POINT:
-        return _NO_CLAUSE
+        return _NONE
     clause = f"if they pull at {_coordinates(point)} mm in the flange frame, not at {_coordinates(data.load_point)}"
-    return ratio, clause, "Check [load_point]: its unit (mm), its signs, and that it is in the flange frame."
+    advice = "Check [load_point]: its unit (mm), its signs, and that it is in the flange frame."
+    return _Hypothesis(ratio, clause, advice)
 
 
 def _best_point(data: Measurements, placement: Placement, stated: Fit) -> tuple[Array, float]:

@@ -153,3 +153,19 @@ def test_few_configurations_of_which_one_is_far_off_are_named_by_leaving_each_ou
     data = readings(tmp_path).take_configurations(np.arange(6))
     with pytest.raises(MeasurementError, match="config 5: the readings without load are far from the points"):
         check_frames(harness.PRIOR, with_angle(data, 4, 0, 20.0))
+
+
+@pytest.mark.parametrize(
+    ("position", "cause"),
+    [
+        (lambda place: place / 25.4, "as far apart as if X, Y, Z were in inch: give them in mm"),
+        (lambda place: place * [1.0, -1.0, 1.0], "the axes of the measuring device are left-handed"),
+        (lambda place: place[:, [1, 0, 2]], "the axes of the measuring device are left-handed"),
+        (lambda place: place * 1.5, "Check the robot named in the experiment"),
+    ],
+)
+def test_positions_of_another_unit_or_of_left_handed_axes_are_named(tmp_path, position, cause):
+    data = readings(tmp_path)
+    with pytest.raises(MeasurementError, match=r"mm \(RMS\) off the geometry of kuka_kr270\. ") as caught:
+        check_frames(harness.PRIOR, replace(data, position=position(data.position)))
+    assert cause in str(caught.value)
