@@ -412,19 +412,49 @@ def swapped_features(prior: Prior, readings: Readings, local: LinearPrediction) 
     return pair if decrease > _SWAP_DECREASE * max(1.0, smallest_chi2 / len(points)) else None
 
 
+_MM_PER_INCH = 25.4
+_ALIKE = 0.8
+"""Cosine between probed and predicted deviations, in units of their noise, from which they differ by size alone."""
+
+
+def _likeness(deviation: Array, prediction: Array, noise: Array) -> float:
+    """Return the cosine between deviations (n,) and predicted ones, in units of their noise (n, n); 0 of nothing."""
+    weighted = np.linalg.solve(noise, np.stack([deviation, prediction], axis=1))
+    product = np.stack([deviation, prediction]) @ weighted
+    size = float(np.sqrt(product[0, 0] * product[1, 1]))
+    return float(product[0, 1]) / size if size > 0.0 else 0.0
+
+
+def _other_sides(names: Sequence[str]) -> Ints:
+    """Return the rows (n,) of the same features with ``left`` and ``right`` exchanged; of other surfaces, their own."""
+    row_of = {name: row for row, name in enumerate(names)}
+    other = {"left": "right", "right": "left"}
+    rows = []
+    for row, name in enumerate(names):
+        feature, _, surface = name.partition(".")
+        rows.append(row_of.get(f"{feature}.{other.get(surface, surface)}", row))
+    return np.array(rows)
+
+
 def _check_size(readings: Readings, local: LinearPrediction) -> None:
     """Refuse deviations that no robot near the model can make: of the other sign, of another unit, or none at all.
 
     :raises MeasurementError: they are not between a fifth of what the model predicts and five times that.
     """
-    weighted_prediction = np.linalg.solve(noise_of(readings, local, GAMMA), local.value)
-    share = float(weighted_prediction @ readings.probed.deviation) / float(weighted_prediction @ local.value)
+    noise, deviation = noise_of(readings, local, GAMMA), readings.probed.deviation
+    weighted_prediction = np.linalg.solve(noise, local.value)
+    share = float(weighted_prediction @ deviation) / float(weighted_prediction @ local.value)
     if 1.0 / _FACTOR <= share <= _FACTOR:
         return
-    if share < -1.0 / _FACTOR:
+    exchanged = deviation[_other_sides(readings.probed.name)]
+    if _likeness(exchanged, local.value, noise) > _ALIKE > _likeness(deviation, local.value, noise):
+        advice = "They fit if left and right of all features are exchanged: left is that seen along the groove, on +v."
+    elif share < -1.0 / _FACTOR:
         advice = "deviation_mm is positive where material is left: is the sign the other way?"
     elif share > _FACTOR:
         advice = "Is deviation_mm in millimetres? Are program and process those that the part was cut with?"
+    elif 0.5 < share * _MM_PER_INCH < 2.0 and _likeness(deviation, local.value, noise) > _ALIKE:
+        advice = "Is deviation_mm in inch? Give it in mm."
     else:
         advice = "The part shows hardly any deflection. Was testpart.src cut as it was written, not corrected?"
     problem = f"the probed deviations are {share:.2g} times what the model predicts"

@@ -302,6 +302,18 @@ def test_parameters_that_stay_as_uncertain_as_before_are_held_but_not_the_forces
     assert fitting._hold_parameters(found, whole) is None
 
 
+def test_the_likeness_of_deviations_is_a_cosine_in_units_of_their_noise():
+    noise = np.diag([4.0, 1.0])
+    assert fitting._likeness(np.array([2.0, 0.0]), np.array([2.0, 1.0]), noise) == pytest.approx(np.sqrt(0.5))
+    assert fitting._likeness(np.array([-4.0, -2.0]), np.array([2.0, 1.0]), noise) == pytest.approx(-1.0)
+    assert fitting._likeness(np.zeros(2), np.array([2.0, 1.0]), noise) == 0.0
+
+
+def test_the_other_sides_of_features_are_found_by_their_names():
+    names = ["F01.left", "F01.floor", "F02.left", "F01.right", "F03.right"]
+    assert fitting._other_sides(names).tolist() == [3, 1, 2, 0, 4]
+
+
 @pytest.mark.parametrize(
     ("factor", "problem"),
     [(0.21, None), (4.9, None), (1.0, None), (5.1, "millimetres"), (0.19, "hardly any"), (-0.1, "hardly any"),

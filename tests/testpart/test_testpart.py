@@ -253,8 +253,11 @@ def test_features_probed_in_each_others_place_are_named(folder, cut):
 
 @pytest.mark.parametrize(
     ("factor", "advice"),
-    [(-1.0, "positive where material is left"), (1000.0, "in millimetres?"), (0.0, "hardly any deflection")],
-)
+    [
+        (-1.0, "positive where material is left"), (1000.0, "in millimetres?"), (0.0, "hardly any deflection"),
+        (1.0 / 25.4, "Is deviation_mm in inch?"),
+    ],
+)  # fmt: skip
 def test_deviations_of_another_sign_or_unit_are_named(folder, cut, factor, advice):
     rows = [line.rpartition(",") for line in (folder / "probed.csv").read_text().splitlines()]
     head, body = "".join(rows[0]), [f"{place},{factor * float(value):.5f}" for place, _, value in rows[1:]]
@@ -263,6 +266,20 @@ def test_deviations_of_another_sign_or_unit_are_named(folder, cut, factor, advic
     with pytest.raises(MeasurementError, match=r"times what the model predicts") as error:
         fit(Prior.of(robot_in_cell.robot, 0.1), given, robot_in_cell, states())
     assert advice in str(error.value)
+
+
+def test_exchanged_sides_of_all_features_are_named(folder, cut):
+    rows = [line.rpartition(",") for line in (folder / "probed.csv").read_text().splitlines()]
+    value = {row[0].partition(",")[0]: row[2] for row in rows}
+    other = {"left": "right", "right": "left"}
+    lines = []
+    for place, _, stated in rows:
+        feature, _, surface = place.partition(",")[0].partition(".")
+        lines.append(f"{place},{value.get(f'{feature}.{other.get(surface, surface)}', stated)}")
+    (folder / "sides.csv").write_text("\n".join(lines) + "\n")
+    given, robot_in_cell, states = readings(folder, "sides.csv")
+    with pytest.raises(MeasurementError, match="They fit if left and right of all features are exchanged"):
+        fit(Prior.of(robot_in_cell.robot, 0.1), given, robot_in_cell, states())
 
 
 def test_true_values_are_where_the_covariance_says(cut, fitted):
