@@ -34,9 +34,9 @@ _SAGITTA = 0.01e-3
 """Arcs are compared by chords that are off by this [m] at most: far below what clearances are asked for (assumed)."""
 _ROUNDING = 1e-9
 """An arc whose number of parts exceeds a whole number by less than this has no further part: it is rounding."""
-_SMALLEST_MESH = 5e-3
-"""Meshes of obstacles and holders whose largest edge is shorter [m] are questioned: in metres a part of 5 m has it
-(assumed)."""
+_SMALLEST_MESH = 12e-3
+"""Meshes of obstacles and holders whose largest edge is shorter [m] are questioned (assumed): a clamp of 300 mm is so
+in inch, a part of 12 m in metres."""
 STOCK = "stock"
 """Name of the stock in messages, next to the names of bodies."""
 _MOST_STOCKS = 200
@@ -146,7 +146,8 @@ def _mesh_questions(scene: Scene) -> Iterator[Issue]:
         size = float(np.ptp(body.points, axis=0).max())
         if size < _SMALLEST_MESH:
             message = (
-                f"The mesh of {body.name} is {size * MM_PER_M:.2g} mm large: is it in mm? Scale one in metres by 1000."
+                f"The mesh of {body.name} is {size * MM_PER_M:.2g} mm large: is it in mm? "
+                "Scale one in inch by 25.4, one in metres by 1000."
             )
             yield Issue("warning", "mesh-units", message, subject=body.name)
 

@@ -75,7 +75,7 @@ def test_contact_on_a_rapid_move_is_found_between_its_ends():
     assert "part.nc:9: collision" in output
 
 
-@pytest.mark.parametrize(("size", "is_asked"), [(0.2, True), (4.9, True), (5.1, False), (200.0, False)])
+@pytest.mark.parametrize(("size", "is_asked"), [(0.2, True), (11.9, True), (12.1, False), (200.0, False)])
 @pytest.mark.parametrize("is_holder", [True, False])
 def test_a_mesh_that_is_too_small_is_asked_for_its_unit(size, is_asked, is_holder):
     trimesh.creation.box(extents=[0.5 * size, size, 0.1 * size]).apply_translation(
