@@ -27,11 +27,12 @@ def arm_view(picture: CellPicture, name: str, axes: tuple[int, int]) -> dict[str
     :param axes: of the root, to the right and upwards, such as (0, 2) from the side.
     """
 
-    def seen(points: Array) -> Array:
+    def projected(points: Array) -> Array:
+        """Return points (…, 3) in the picture (…, 2), whose second axis points down as in SVG."""
         return np.asarray(points[..., list(axes)] * np.array([1.0, -1.0]))
 
-    arm, tip, base = seen(picture.arm), seen(picture.tip), seen(picture.base)
-    ends = seen(picture.base + _AXIS_MM * picture.base_axes)
+    arm, tip, base = projected(picture.arm), projected(picture.tip), projected(picture.base)
+    ends = projected(picture.base + _AXIS_MM * picture.base_axes)
     corners = np.vstack([arm, tip, base, ends])
     low, high = corners.min(axis=0), corners.max(axis=0)
     span = float(max(high - low))
@@ -55,8 +56,10 @@ def arm_view(picture: CellPicture, name: str, axes: tuple[int, int]) -> dict[str
 
 
 def _points(points: Array) -> str:
+    """Return points (n, 2) as the attribute `points` of a polyline."""
     return " ".join(f"{x:.0f},{y:.0f}" for x, y in points)
 
 
 def _line(start: Array, end: Array) -> dict[str, str]:
+    """Return the attributes of an SVG line from start (2,) to end (2,)."""
     return dict(zip(("x1", "y1", "x2", "y2"), (f"{value:.0f}" for value in (*start, *end)), strict=True))

@@ -49,11 +49,11 @@ _COMPARED_SUFFIXES = (".src", ".mod")
 """Written programs that another one is compared with."""
 _TIMEOUT_S = 60.0
 """A browser that says nothing for so long is left."""
-_OF_WINDOW = (
+_WINDOW_POLICY = (
     "default-src 'none'; style-src 'unsafe-inline'; script-src 'nonce-{}'; img-src data:; connect-src 'self'; "
     "frame-src 'self'; form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
 )
-_OF_REPORT = (
+_REPORT_POLICY = (
     "sandbox allow-scripts; default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval' blob:; "
     "style-src 'unsafe-inline'; img-src data: blob:; frame-ancestors 'self'"
 )
@@ -104,11 +104,15 @@ class _Handler(BaseHTTPRequestHandler):
         self._answer(_PAGES, changes=False)
 
     def do_POST(self) -> None:
-        """Change something, and lead to the page that shows it."""
+        """Carry out a posted command, and redirect the browser to the page that shows its result."""
         self._answer(_CHANGES, changes=True)
 
     def _answer(self, routes: dict[str, Callable[[_Handler], None]], *, changes: bool) -> None:
-        """Answer a request, with a page that says what to do if it fails."""
+        """Answer a request; if it fails, send a page that says what to do.
+
+        :param routes: address → method that answers it.
+        :param changes: whether the request may change files.
+        """
         try:
             return self._route(routes, changes=changes)
         except (ConnectionError, TimeoutError):  # the browser has hung up
@@ -123,15 +127,19 @@ class _Handler(BaseHTTPRequestHandler):
         return self._page(screens.message("That did not work", text), status)
 
     def _route(self, routes: dict[str, Callable[[_Handler], None]], *, changes: bool) -> None:
-        """Answer a request by the function for its address, or refuse it. `changes`: it may change files."""
+        """Answer a request by the method for its address, or refuse it.
+
+        :param routes: address → method that answers it.
+        :param changes: whether the request may change files.
+        """
         address = urlsplit(self.path)
         self.query = dict(parse_qsl(address.query, keep_blank_values=True, max_num_fields=20))
         token = self.query.pop("token", "")
         if reason := self.server.access.refusal(dict(self.headers.items()), changes=changes, token=token):
             self.close_connection = True
             return self._send(403, reason.encode(), "text/plain; charset=utf-8")
-        if token:  # out of the address, before a page is shown that may be copied
-            return self._lead(
+        if token:  # the address of a page may be copied: the secret goes into a cookie instead
+            return self._redirect(
                 address.path if address.path in routes else "/", ("Set-Cookie", self.server.access.cookie)
             )
         route = routes.get(address.path)
@@ -160,14 +168,23 @@ class _Handler(BaseHTTPRequestHandler):
         return int(text)
 
     def _page(self, page: screens.Page, status: int = 200) -> None:
-        policy = ("Content-Security-Policy", _OF_WINDOW.format(page.nonce))
+        """Send a page; only scripts with its nonce may run in it."""
+        policy = ("Content-Security-Policy", _WINDOW_POLICY.format(page.nonce))
         self._send(status, page.html, "text/html; charset=utf-8", policy)
 
-    def _lead(self, path: str, *headers: tuple[str, str]) -> None:
+    def _redirect(self, path: str, *headers: tuple[str, str]) -> None:
+        """Redirect the browser to a page, which it gets by GET (status 303).
+
+        :param headers: name and value of further headers.
+        """
         self._send(303, b"", "text/plain", ("Location", path), *headers)
 
     def _send(self, status: int, content: bytes, kind: str, *headers: tuple[str, str]) -> None:
-        """Send a response with its content, which no browser may store or guess the type of."""
+        """Send a response whose content browsers neither store nor guess the type of.
+
+        :param kind: media type of the content.
+        :param headers: name and value of further headers.
+        """
         self.send_response(status)
         for name, value in (
             ("Content-Type", kind),
@@ -197,6 +214,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._page(screens.programs(workspace, rows, stamp, is_automatic=self.server.automatic.is_on))
 
     def _has_forces(self, name: str) -> bool:
+        """Return whether the forces of a program are known: by a process file, or by comments in the program."""
         workspace = self.server.workspace
         return workspace.process(name) is not None or states_forces(workspace.folder / name)
 
@@ -210,23 +228,24 @@ class _Handler(BaseHTTPRequestHandler):
         return f"{server.workspace.stamp()}-{server.automatic.is_on}-{server.runs.count}-{active}"
 
     def programs_state(self) -> None:
-        """Send whether the list of programs has changed, and how far commands are."""
+        """Send as JSON the stamp of the list of programs, and how far each running command is."""
         shares = {run.key: run.progress for run in self.server.runs.active()}
         self._send(200, json.dumps({"stamp": self._stamp(), "working": shares}).encode(), "application/json")
 
     def questions(self, texts: dict[str, str] | None = None) -> None:
-        """Send the questions that a program raises; begin when all are answered.
+        """Send the questions that a program raises; begin to correct it when all are answered.
 
         :param texts: posted answers; None: the page is opened.
+        :raises InputError: the program cannot be read.
         """
         workspace, name = self.server.workspace, self.query.get("name", "")
         program = workspace.sole_program(name)
         answers = load_answers(workspace.results / f"{program.stem}.answers.toml", program)
         process = workspace.results / f"{program.stem}.process.toml"
         needs = needs_of(program)
-        asking = {"cell": not is_edited(workspace.cell, answers), "process": not is_edited(process, answers)}
+        is_asked = {"cell": not is_edited(workspace.cell, answers), "process": not is_edited(process, answers)}
         kept_texts = answers.answers | ({CHECKED: "1"} if "stock" in answers.answers else {})
-        form = setup_form(needs, kept_texts if texts is None else texts, **asking)
+        form = setup_form(needs, kept_texts if texts is None else texts, **is_asked)
         arguments, fault = start_arguments(program, form), ""
         if texts is not None and form.complete and not needs.refusal:
             try:
@@ -234,8 +253,8 @@ class _Handler(BaseHTTPRequestHandler):
             except InputError as cause:
                 fault = str(cause)
         cutters = [named_text(number, cutter.text) for number, cutter in needs.cutters.items() if cutter.text]
-        kept_cell = "" if asking["cell"] else kept_frames(workspace.cell, needs.tools)
-        frames = () if asking["cell"] else missing_frames(workspace.cell, needs)
+        kept_cell = "" if is_asked["cell"] else kept_frames(workspace.cell, needs.tools)
+        frames = () if is_asked["cell"] else missing_frames(workspace.cell, needs)
         page = screens.setup(
             name,
             cutters,
@@ -269,13 +288,17 @@ class _Handler(BaseHTTPRequestHandler):
         self._page(screens.running(self.server.runs.run_of_number(self.query.get("number", ""))))
 
     def run_state(self) -> None:
-        """Send what a command has printed."""
+        """Send as JSON the exit code of a command, what it has printed, and how far it is."""
         run = self.server.runs.run_of_number(self.query.get("number", ""))
         content = {"code": run.code, "text": run.text, "share": run.share, "progress": run.progress}
         self._send(200, json.dumps(content).encode(), "application/json")
 
     def cell(self, fault: str = "", texts: Mapping[str, str] = _NOTHING) -> None:
-        """Send the numbers of the cell, with the posted ones that a fault has kept from being written."""
+        """Send the numbers of the cell.
+
+        :param fault: why posted numbers were not written; empty: none were refused.
+        :param texts: these numbers as they were typed, by name, to be corrected.
+        """
         workspace = self.server.workspace
         if not workspace.cell.is_file():
             text = "There is no cell yet: the set-up of the first program asks for robot, base and tool."
@@ -313,14 +336,14 @@ class _Handler(BaseHTTPRequestHandler):
         self._page(screens.robots(self.query.get("name", ""), workspace, readings_of(workspace.folder)))
 
     def readings(self) -> None:
-        """Send readings, the model that was identified from them, and what can be done with it."""
+        """Send the page of readings: the model identified from them, and the commands that use it."""
         workspace, name = self.server.workspace, self.query.get("name", "")
         self._page(screens.readings(name, workspace, workspace.readings(name)))
 
     def model_page(self) -> None:
         """Send the report of a model."""
         path = self.server.workspace.model_page(self._model(self.query.get("name", "")))
-        self._send(200, path.read_bytes(), MEDIA_TYPES[".html"], ("Content-Security-Policy", _OF_REPORT))
+        self._send(200, path.read_bytes(), MEDIA_TYPES[".html"], ("Content-Security-Policy", _REPORT_POLICY))
 
     def _model(self, name: str) -> Path:
         """Return the folder of the model of an experiment; of an empty name that of the test part."""
@@ -336,13 +359,13 @@ class _Handler(BaseHTTPRequestHandler):
         self._file(self.server.part.file(self.query.get("name", "")))
 
     def result(self) -> None:
-        """Send a result: a page to look at, or a file to keep."""
+        """Send a file of the folder of results."""
         self._file(self.server.workspace.result(self.query.get("name", "")))
 
     def _file(self, path: Path) -> None:
-        """Send a page to look at, or a file to keep."""
+        """Send a file: HTML is shown by the browser, other files are saved."""
         kind, name = MEDIA_TYPES[path.suffix.lower()], quote(path.name)
-        headers = [("Content-Security-Policy", _OF_REPORT)]
+        headers = [("Content-Security-Policy", _REPORT_POLICY)]
         if path.suffix.lower() != ".html":
             headers.append(("Content-Disposition", f"attachment; filename*=UTF-8''{name}"))
         self._send(200, path.read_bytes(), kind, *headers)
@@ -350,30 +373,35 @@ class _Handler(BaseHTTPRequestHandler):
     # changes
 
     def add(self) -> None:
-        """Add a program that was dropped."""
+        """Add a program that was dropped on the page."""
         workspace, name = self.server.workspace, self.query.get("name", "")
 
-        def page() -> str:
+        def next_page() -> str:
             is_automatic = self.server.automatic.is_on and workspace.cell.is_file() and self._has_forces(name)
             return "/" if is_automatic else f"/setup?name={quote(name)}"
 
-        self._add_upload(lambda: workspace.add(name, self.rfile, self._size()), page)
+        self._add_upload(lambda: workspace.add(name, self.rfile, self._size()), next_page)
 
-    def _add_upload(self, add: Callable[[], object], page: Callable[[], str]) -> None:
-        """Take a file that was dropped, and send the address of the page that comes next."""
+    def _add_upload(self, add: Callable[[], object], next_page: Callable[[], str]) -> None:
+        """Add a file that was dropped on the page; send as JSON the address of the next page, or the fault.
+
+        :param add: reads the file and saves it; raises `InputError` if it is refused.
+        :param next_page: returns that address, once the file is saved.
+        """
         try:
             add()
         except InputError as cause:
-            self.close_connection = True  # what was not read would be taken for the next request
+            # bytes of the file that were not read would be taken for the next request
+            self.close_connection = True
             return self._send(400, json.dumps({"fault": str(cause)}).encode(), "application/json")
-        return self._send(200, json.dumps({"next": page()}).encode(), "application/json")
+        return self._send(200, json.dumps({"next": next_page()}).encode(), "application/json")
 
-    def answers(self) -> None:
-        """Take the answers of the set-up."""
+    def submit_answers(self) -> None:
+        """Save the answers of the set-up, see `questions`."""
         self.questions(screens.posted_answers(self.form()))
 
     def convert(self) -> None:
-        """Correct a program again, by options."""
+        """Correct a program again, with the options of the form."""
         form = self.form()
         arguments = self.server.workspace.conversion(self._program_name(form))
         for option in screens.FORM_OPTIONS:
@@ -385,36 +413,43 @@ class _Handler(BaseHTTPRequestHandler):
         self.begin(form["name"], f"Correct {form['name']}", arguments)
 
     def place(self) -> None:
-        """Look for the best place of the part."""
+        """Begin to search the best place of the part of a program."""
         name = self._program_name(self.form())
         folder = f"{RESULTS}/place-{Path(name).stem}"
         self.begin(name, f"Best place for {name}", self.server.workspace.cell_arguments("place", name, output=folder))
 
-    def take_place(self) -> None:
-        """Write the base of the best place into the cell, and correct again; both, or nothing."""
+    def use_best_place(self) -> None:
+        """Write the frames of the best place into the cell, and begin to correct the program again.
+
+        These are `$BASE` and the frames by number that move with it. Nothing is written if the command cannot begin.
+        """
         name = self._program_name(self.form())
         workspace = self.server.workspace
         place = tomllib.loads(workspace.place(name).read_text(encoding="utf-8"))
         frames = {f"base_data.{number}": frame for number, frame in place.get("base_data", {}).items()}
         tables = {"base": place["base"], **frames}
+        # fields of the form of the cell, such as base.X
         texts = {f"{table}.{axis}": str(value) for table, frame in tables.items() for axis, value in frame.items()}
         arguments = workspace.conversion(name)
         self.begin(name, f"Correct {name}", arguments, lambda: edit(workspace.stated_cell(), texts, [*frames]))
 
     def feed(self) -> None:
-        """Lower feeds where the tolerance of the part would be exceeded, or keep them, and correct again."""
+        """Write the rule of feeds into the cell, and correct a program again.
+
+        "hold" lowers feeds where the tolerance of the part would be exceeded, "program" keeps those of the program.
+        """
         form, workspace = self.form(), self.server.workspace
         name, rule = self._program_name(form), "hold" if form.get("rule") == "hold" else "program"
         cell = workspace.stated_cell()
         self.begin(name, f"Correct {name}", workspace.conversion(name), lambda: set_feed_rule(cell, rule))
 
     def automatic(self) -> None:
-        """Turn on or off that programs are corrected by themselves."""
+        """Turn the automatic correction of programs on or off."""
         self.server.automatic.switch(is_on=self.form().get("to") == "on")
-        self._lead("/")
+        self._redirect("/")
 
     def compare(self) -> None:
-        """Compare a program with another."""
+        """Begin to compare a program with another one, of the folder or of its results."""
         form = self.form()
         name, other_program = self._program_name(form), form.get("other", "")
         if other_program.startswith(f"{RESULTS}/"):
@@ -422,20 +457,20 @@ class _Handler(BaseHTTPRequestHandler):
         else:
             self.server.workspace.program(other_program)
         arguments = self.server.workspace.cell_arguments("compare", name)
-        arguments.insert(2, other_program)
-        if "--process" in arguments:
+        arguments.insert(2, other_program)  # after "compare" and the first program
+        if "--process" in arguments:  # `compare` has one option for both
             arguments[arguments.index("--process")] = "--forces"
         self.begin(name, f"Compare {name}", arguments)
 
     def identify(self) -> None:
-        """Identify a model from readings."""
+        """Begin to identify a model from readings."""
         form, workspace = self.form(), self.server.workspace
         name = form.get("name", "")
         arguments = identification(workspace, workspace.readings(name), form)
         self.begin(f"model {name}", f"Model from {name}", arguments, page=f"/readings?name={quote(name)}")
 
     def validate(self) -> None:
-        """Check a model with other readings."""
+        """Begin to check a model with readings that it was not identified from."""
         form, workspace = self.form(), self.server.workspace
         name = form.get("name", "")
         entry = workspace.readings(name)
@@ -444,39 +479,45 @@ class _Handler(BaseHTTPRequestHandler):
         arguments += ["--experiment", workspace.relative(entry.experiment)]
         self.begin(f"model {name}", f"Check of the model from {name}", arguments, page=f"/readings?name={quote(name)}")
 
-    def take_model(self) -> None:
-        """Write a model into the cell."""
+    def use_identified_model(self) -> None:
+        """Write the name of an identified model into the cell.
+
+        :raises InputError: there is no model, or it was refused.
+        """
         workspace, name = self.server.workspace, self.form().get("name", "")
         model = model_of(self._model(name))
         if model is None or model.refused:
             raise InputError(f"{name}: there is no model that may be used", advice="Identify one first.")
         self.server.runs.edit(lambda: use_model(workspace.stated_cell(), model.folder))
-        self._lead(f"/readings?name={quote(name)}" if name else "/testpart")
+        self._redirect(f"/readings?name={quote(name)}" if name else "/testpart")
 
     def write_part(self) -> None:
-        """Write the test part."""
+        """Begin to write the test part."""
         arguments = self.server.part.writing(self.form())
         self.begin("testpart", "Test part", arguments, page="/testpart")
 
     def add_probed(self) -> None:
-        """Take a probing file that was filled in."""
+        """Save a probing file that was filled in and dropped on the page."""
         self._add_upload(lambda: self.server.part.add_probed(self.rfile, self._size()), lambda: "/testpart")
 
     def identify_part(self) -> None:
-        """Make a model of the test part, or check that of the cell."""
+        """Begin to identify a model from the test part, or to check the model of the cell by it."""
         compare = bool(self.form().get("compare"))
         title = "Check of the cell's model by the part" if compare else "Model from the test part"
         self.begin("testpart", title, self.server.part.identification(compare=compare), page="/testpart")
 
     def stop(self) -> None:
-        """Stop a command."""
+        """Stop a command, and wait up to 5 s for its end."""
         run = self.server.runs.run_of_number(self.form().get("number", ""))
         run.stop()
         run.wait(5.0)
-        self._lead(f"/run?number={run.number}")
+        self._redirect(f"/run?number={run.number}")
 
-    def posted_robot(self) -> None:
-        """Take the robot of the cell: one that is shipped."""
+    def change_robot(self) -> None:
+        """Write the name of a shipped robot into the cell.
+
+        :raises InputError: no shipped robot has that name.
+        """
         name, path = self.form().get("robot", ""), self.server.workspace.stated_cell()
         if name not in shipped_models():
             raise InputError(f"no robot {name!r}", advice="Choose one of the list.")
@@ -484,19 +525,19 @@ class _Handler(BaseHTTPRequestHandler):
             self.server.runs.edit(lambda: set_robot(path, name))
         except InputError as cause:
             return self.cell(str(cause))
-        return self._lead("/cell?saved")
+        return self._redirect("/cell?saved")
 
-    def posted_start(self) -> None:
-        """Choose where programs start: above the part."""
+    def change_start(self) -> None:
+        """Write a start above the part into the cell."""
         path = self.server.workspace.stated_cell()
         try:
             self.server.runs.edit(lambda: choose_start(path))
         except InputError as cause:
             return self.cell(str(cause))
-        return self._lead("/cell?saved")
+        return self._redirect("/cell?saved")
 
-    def posted_cell(self) -> None:
-        """Take numbers of the cell."""
+    def change_cell(self) -> None:
+        """Write changed numbers into the cell; if they are refused, send the form again with the fault."""
         form, path, frames = self.form(), self.server.workspace.stated_cell(), self._frames()
         texts = screens.posted_fields(form, fields_of(path, frames))
 
@@ -507,14 +548,14 @@ class _Handler(BaseHTTPRequestHandler):
             self.server.runs.edit(write)
         except InputError as cause:
             return self.cell(str(cause), texts)
-        return self._lead(f"/cell?saved&frames={','.join(frames)}" if frames else "/cell?saved")
+        return self._redirect(f"/cell?saved&frames={','.join(frames)}" if frames else "/cell?saved")
 
     def _frames(self) -> tuple[str, ...]:
-        """Return the tables of frames that the address names, which the cell may get."""
+        """Return the names of the tables of frames that the form of the cell adds, as the address states them."""
         return frame_tables(self.query.get("frames", ""))
 
-    def posted_process(self) -> None:
-        """Take tools, material and stock of a program."""
+    def change_process(self) -> None:
+        """Write changed tools, material and stock of a program; if refused, send the form again with the fault."""
         workspace, name, form = self.server.workspace, self.query.get("name", ""), self.form()
         path, needs = workspace.process_to_edit(name), needs_of(workspace.sole_program(name))
 
@@ -528,7 +569,7 @@ class _Handler(BaseHTTPRequestHandler):
             )
         except InputError as cause:
             return self.process(str(cause), texts)
-        return self._lead(f"/process?name={quote(name)}&saved")
+        return self._redirect(f"/process?name={quote(name)}&saved")
 
     def begin(
         self,
@@ -538,14 +579,23 @@ class _Handler(BaseHTTPRequestHandler):
         change: Callable[[], object] | None = None,
         page: str = "",
     ) -> None:
-        """Begin a command, and lead to its page.
+        """Begin a command of postproc, and redirect the browser to its page.
 
-        :param change: see `Runs.begin`; `page`: likewise.
+        :param key: two commands with one key do not run at the same time.
+        :param title: heading of the page.
+        :param arguments: words after `postproc`.
+        :param change: changes a file that commands read, before the command begins.
+        :param page: address that shows the result; empty: the page of the program.
+        :raises InputError: the command cannot begin now, see `Runs.begin`; nothing was changed.
         """
         run: Run = self.server.runs.begin(key, title, arguments, change, page)
-        self._lead(f"/run?number={run.number}")
+        self._redirect(f"/run?number={run.number}")
 
     def _program_name(self, form: dict[str, str]) -> str:
+        """Return the file name of the program that a form names.
+
+        :raises InputError: there is no such program.
+        """
         return self.server.workspace.sole_program(form.get("name", "")).name
 
 
@@ -580,22 +630,22 @@ _PAGES: dict[str, Callable[[_Handler], None]] = {
 }
 _CHANGES: dict[str, Callable[[_Handler], None]] = {
     "/add": _Handler.add,
-    "/setup": _Handler.answers,
+    "/setup": _Handler.submit_answers,
     "/convert": _Handler.convert,
     "/automatic": _Handler.automatic,
     "/place": _Handler.place,
-    "/take-place": _Handler.take_place,
+    "/take-place": _Handler.use_best_place,
     "/compare": _Handler.compare,
     "/feed": _Handler.feed,
     "/identify": _Handler.identify,
     "/validate": _Handler.validate,
-    "/use-model": _Handler.take_model,
+    "/use-model": _Handler.use_identified_model,
     "/testpart": _Handler.write_part,
     "/add-probed": _Handler.add_probed,
     "/identify-part": _Handler.identify_part,
     "/stop": _Handler.stop,
-    "/cell": _Handler.posted_cell,
-    "/robot": _Handler.posted_robot,
-    "/start": _Handler.posted_start,
-    "/process": _Handler.posted_process,
+    "/cell": _Handler.change_cell,
+    "/robot": _Handler.change_robot,
+    "/start": _Handler.change_start,
+    "/process": _Handler.change_process,
 }

@@ -67,9 +67,9 @@ class RobotPost:
         self._line("END")
 
     def ProgSave(self, folder: str, progname: str, ask_user: bool = False, show_result: Any = False) -> None:
-        """Have all programs corrected, and write them: those without motion as they are.
+        """Correct all programs by postproc and write them; programs without motion are written as they are.
 
-        :raises HostError: nothing of the program that it names is written.
+        :raises HostError: a program cannot be converted; nothing is written of it.
         """
         target = Path(_ask(folder, progname) if ask_user or not Path(folder).is_dir() else folder)
         cell = _cell(target)
@@ -77,10 +77,10 @@ class RobotPost:
         if self.MAX_LINES_X_PROG:
             flags.append(("--lines-per-file", str(self.MAX_LINES_X_PROG)))
         files: dict[str, list[Path]] = {}
-        names: dict[str, str] = {}  # of the files that calls are to name, by names of programs in lower case
+        names: dict[str, str] = {}  # name of a program in lower case → name of its file, which calls must use
         try:
             for name in _callees_first(self.programs):
-                blocks = [_calling(block, names) for block in self.programs[name]]
+                blocks = [_with_written_name(block, names) for block in self.programs[name]]
                 if any(_MOTION.match(block.text) for block in blocks):
                     conversion = convert(blocks, target, name, "src", flags)
                     _compare_postures(conversion, self.joints[name])
@@ -131,12 +131,12 @@ class RobotPost:
         self._line(f"CIRC {{{_pose(pose1, joints1)}}},{{{_pose(pose2, joints2)}}}{self._end()}", "MoveC", joints2)
 
     def setFrame(self, pose: Any, frame_id: int | None = None, frame_name: str | None = None) -> None:
-        """Give the frame that targets are in, in the robot's."""
+        """Set the frame that the following targets are in, in the base of the robot."""
         self._line(f"; frame {one_line(str(frame_name or frame_id))}")
         self._line(f"$BASE={{{_pose(pose)}}}", "setFrame")
 
     def setTool(self, pose: Any, tool_id: int | None = None, tool_name: str | None = None) -> None:
-        """Give the tool's frame in the flange's."""
+        """Set the frame of the tool in that of the flange."""
         self._line(f"; tool {one_line(str(tool_name or tool_id))}")
         self._line(f"$TOOL={{{_pose(pose)}}}", "setTool")
 
@@ -223,16 +223,19 @@ class RobotPost:
         return valid
 
     def _end(self) -> str:
+        """Return the end of a path motion: approximation by distance, or nothing for an exact stop."""
         return " C_DIS" if self.blended else ""
 
     def _code(self, text: str, origin: str) -> None:
+        """Add the lines of a text to the program; `origin`: method of the post that got it."""
         for line in re.split("[\r\n]+", text.strip("\r\n")):
             self._line(line, origin)
 
     def _line(self, text: str, origin: str = "", joints: Any = ()) -> None:
-        """Add a line to the program, with where it comes from.
+        """Add a line to the program, with its place in the station.
 
-        :param joints: A1 to A6 of the host [deg]; empty: none.
+        :param origin: method of the post that adds it; empty: not named.
+        :param joints: A1 to A6 of the host [deg] at the end of the motion; empty: not compared.
         """
         lines = self.programs[self.name]
         if len(joints):
@@ -271,10 +274,10 @@ def _callees_first(programs: dict[str, list[Block]]) -> list[str]:
     return order
 
 
-def _calling(block: Block, names: dict[str, str]) -> Block:
-    """Return a line that calls a program by the name under which it was written.
+def _with_written_name(block: Block, names: dict[str, str]) -> Block:
+    """Return a line; if it calls a program, by the name under which that was written.
 
-    :param names: by the called names in lower case.
+    :param names: called name in lower case → name of the written file, without extension.
     """
     match = _CALL.match(block.text)
     if match is None or match[1].lower() not in names:
@@ -292,18 +295,22 @@ def _pose(pose: Any, joints: Sequence[float] = ()) -> str:
 
 
 def _axes(joints: Sequence[float]) -> list[str]:
+    """Return the joints [deg], then the external axes, as KRL has them, such as ``A1 12.50000``."""
     return [f"{axis} {float(value):.5f}" for axis, value in zip(_AXES, _numbers(joints))]
 
 
 def _numbers(joints: Any) -> list[float]:
-    """Return the joints of RoboDK, a list or a matrix of one column."""
+    """Return the joints of RoboDK, which gives a list or a matrix of one column, as numbers."""
     return [float(value) for value in (joints.list() if hasattr(joints, "list") else joints)]
 
 
 def _compare_postures(conversion: Converted, joints: dict[int, list[float]]) -> None:
-    """Take results back whose postures are not those of RoboDK: the cell's [start] leads to another branch.
+    """Delete results whose postures are not those of RoboDK: from the cell's [start] the arm takes another branch.
 
-    :raises HostError: says where, and what to do.
+    Joint angles that differ by more than 1° are another branch: corrections are far smaller.
+
+    :param joints: line of the program → A1 to A6 of RoboDK [deg] at the end of its motion.
+    :raises HostError: the files are deleted; the message says which line differs, and what to do.
     """
     table = next(path for path in conversion.files if path.name.endswith(".targets.csv"))
     with table.open(encoding="utf-8", newline="") as stream:
@@ -328,11 +335,13 @@ def _angles(joints: list[float]) -> str:
 
 
 def _signal(kind: str, signal: str | int) -> str:
+    """Return a signal as KRL has it, such as ``$OUT[3]``; a name stays as it is. `kind`: IN, OUT or ANOUT."""
     text = str(signal).strip()
     return f"${kind}[{text}]" if text.isdigit() else _operand(text)
 
 
 def _truth(value: Any) -> str:
+    """Return TRUE or FALSE; a text is the name of a KRL variable."""
     return _operand(value) if isinstance(value, str) else "TRUE" if value else "FALSE"
 
 

@@ -70,66 +70,69 @@ def _folder(host: Host, folder: Path | None) -> Path:
         if not folder.is_dir():
             raise InputError(f"{folder}: no such folder")
         return folder
-    for default_folder in host.folders:
-        for path in _places(default_folder):
-            if (
-                path.is_dir() or "*" in default_folder
-            ):  # a version has its folder, and none for posts before its first macro
+    for pattern in host.folders:
+        for path in _candidate_folders(pattern):
+            # where the folder of a version is, that of its posts may be missing: it is made with the first macro
+            if path.is_dir() or "*" in pattern:
                 return path
-    first = next(Path(default_folder).expanduser() for default_folder in host.folders if "*" not in default_folder)
-    if first.parent.is_dir() and not first.anchor.startswith("C:"):
+    first = next(Path(pattern).expanduser() for pattern in host.folders if "*" not in pattern)
+    if first.parent.is_dir() and not first.anchor.startswith("C:"):  # on another system C:/… would be a relative path
         return first
     places = ", ".join(host.folders)
     raise InputError(f"{host.title} is in none of its usual places ({places}): name its folder of posts with --dir")
 
 
-def _places(usual: str) -> list[Path]:
-    """Return the places that a name with `~` and `*` means, the newest version first."""
-    parent = Path(usual).expanduser().parent
+def _candidate_folders(pattern: str) -> list[Path]:
+    """Return the folders that a pattern with `~`, and `*` in its last but one part, means; the newest version first.
 
-    def version(folders: Path) -> list[int]:
-        return [int(number) for number in re.findall(r"\d+", folders.name)]
+    They need not exist; with `*` their parents do.
+    """
+    parent = Path(pattern).expanduser().parent
 
-    folders = sorted(parent.parent.glob(parent.name), key=version, reverse=True) if "*" in usual else [parent]
-    return [folder / Path(usual).name for folder in folders]
+    def version(folder: Path) -> list[int]:
+        """Return the numbers in the name of a folder: [1, 0] of v1-0."""
+        return [int(number) for number in re.findall(r"\d+", folder.name)]
+
+    parents = sorted(parent.parent.glob(parent.name), key=version, reverse=True) if "*" in pattern else [parent]
+    return [folder / Path(pattern).name for folder in parents]
 
 
 def install_post(name: str, folder: Path | None = None) -> list[Path]:
-    """Put the post of a host where the host looks for it, and note which postproc it is to run: this one.
+    """Copy the post of a host to the folder where the host looks for posts, with the command that runs this postproc.
 
     :param name: a key of `HOSTS`.
     :param folder: where; None = the first usual place that exists.
-    :return: what was written.
+    :return: the written files.
     :raises InputError: there is no such place, or it cannot be written to.
     """
     host = HOSTS[name]
     target = _folder(host, folder)
     source = Path(__file__).parent
     shared_folder = target / _SHARED_FOLDER
-    files = [
+    post, package, setting, module = (
         target / host.post,
         shared_folder / "__init__.py",
         shared_folder / "command.json",
         shared_folder / _COPIED_FILE,
-    ]
+    )
     try:
         shared_folder.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(source / host.post, files[0])
-        shutil.copyfile(source / _SHARED_FOLDER / "__init__.py", files[1])
-        shutil.copyfile(source.parent / _COPIED_FILE, files[3])
+        shutil.copyfile(source / host.post, post)
+        shutil.copyfile(source / _SHARED_FOLDER / "__init__.py", package)
+        shutil.copyfile(source.parent / _COPIED_FILE, module)
         content = {"command": _command(target)}
-        files[2].write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+        setting.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     except OSError as cause:
         raise InputError(f"{target}: the post cannot be written there: {cause.strerror}.") from cause
-    return files
+    return [post, package, setting, module]
 
 
 def remove_post(name: str, folder: Path | None = None) -> list[Path]:
-    """Remove the post of a host; what posts of other hosts in the folder share stays while one is there.
+    """Remove the post of a host; the package that all posts share stays while the folder has that of another host.
 
     :param name: a key of `HOSTS`.
     :param folder: as for `install_post`.
-    :return: what was removed; empty if there was nothing.
+    :return: the removed files; empty if there were none.
     :raises InputError: there is no such place, or it cannot be written to.
     """
     host = HOSTS[name]

@@ -33,6 +33,8 @@ and feeds of the job (NAME.process.toml says what was taken); or --process FILE.
 
 
 class _Parser(argparse.ArgumentParser):
+    """A parser whose errors are messages for the user of FreeCAD; argparse itself would end FreeCAD."""
+
     def error(self, message: str) -> NoReturn:
         raise HostError(f"Arguments of the post: {message}. Understood are:\n{self.format_help()}")
 
@@ -93,13 +95,13 @@ def _post(FreeCAD: Any, objects: list[Any], filename: str, argstring: str) -> st
         raise HostError("Arguments of the post: --forces, --process and --material exclude each other.")
     flags += [("--forces", _file(options.forces, document))] if options.forces else []
     flags += [("--process", _file(options.process, document))] if options.process else []
-    more_files: dict[str, bytes] = {}
+    process_files: dict[str, bytes] = {}
     if options.material:
-        more_files = _process(_job(document, objects), name, options.material)
+        process_files = _process(_job(document, objects), name, options.material)
         flags.append(("--process", f"{name}.process.toml"))
     flags += [("--tolerance", options.tolerance)] if options.tolerance else []
     flags += [("--nominal", "")] if options.nominal else []
-    conversion = convert(blocks, folder, name, "nc", flags, more_files)
+    conversion = convert(blocks, folder, name, "nc", flags, process_files)
     for warning in conversion.warnings:
         FreeCAD.Console.PrintWarning(f"{warning}\n")
     if "modules" in conversion.summary:
@@ -111,9 +113,11 @@ def _post(FreeCAD: Any, objects: list[Any], filename: str, argstring: str) -> st
     program = conversion.files[0]
     text: str = program.read_bytes().decode("utf-8")
     console = FreeCAD.Console
-    say = {"ok": console.PrintMessage, "warning": console.PrintWarning, "failed": console.PrintError}[conversion.state]
+    print_line = {"ok": console.PrintMessage, "warning": console.PrintWarning, "failed": console.PrintError}[
+        conversion.state
+    ]
     for line in conversion.verdict:
-        say(f"{line}\n")
+        print_line(f"{line}\n")
     console.PrintMessage(f"{program}; report: {program.with_suffix('.report.html')}\n")
     return text
 
@@ -182,7 +186,12 @@ _CELLS = 4e6
 
 
 def _process(job: Any, name: str, material: str) -> dict[str, bytes]:
-    """Return a process of what the job states, NAME.process.toml, and the mesh of its stock where that is no box."""
+    """Return the process file of a job, and the mesh of its stock if that is no box: file name → content.
+
+    :param name: of the program.
+    :param material: name of the material.
+    :raises HostError: the job is not known, has no stock, or a tool whose forces cannot be computed.
+    """
     if job is None:
         raise HostError("--material: the job of these operations is not found: post the job as a whole.")
     controllers: dict[int, Any] = {}
@@ -213,7 +222,11 @@ def _process(job: Any, name: str, material: str) -> dict[str, bytes]:
 
 
 def _tool(controller: Any) -> list[str]:
-    """Return the lines of [tools.n]: shape, diameter, flutes."""
+    """Return the lines of [tools.n] of a process file: shape, diameter, flutes.
+
+    :param controller: tool controller of FreeCAD.
+    :raises HostError: the shape is not known, or diameter or flutes are not stated.
+    """
     tool, subject = controller.Tool, f"--material: tool {int(controller.ToolNumber)}, {controller.Label}"
     name = next((str(getattr(tool, key)) for key in ("ShapeName", "ShapeID", "ShapeType") if hasattr(tool, key)), "")
     shape = _SHAPES.get(re.sub("[^a-z]", "", name.lower()))
@@ -273,16 +286,18 @@ _ON = {"Flood": ("M8",), "Mist": ("M7",)}
 
 
 def _coolant(item: Any) -> str:
+    """Return the mode of coolant of an operation, or of the operation that a dress-up changes."""
     holder = item if hasattr(item, "CoolantMode") else getattr(item, "Base", None)
     return str(getattr(holder, "CoolantMode", "None"))
 
 
 def _comment(text: str) -> str:
+    """Return a text that can be a comment of G-code: one line, without brackets."""
     return re.sub("[()]", " ", one_line(text))
 
 
 def _block(command: Any) -> str:
-    """Return a command of FreeCAD as a block: lengths in mm, feeds, which FreeCAD has in mm/s, in mm/min."""
+    """Return a command of FreeCAD as a block of G-code; empty for a message, which moves nothing."""
     name: str = command.Name
     if name.startswith("("):
         return f"({_comment(name).strip()})"
@@ -301,7 +316,7 @@ def _block(command: Any) -> str:
 
 
 def _word(letter: str, value: float) -> str:
-    """Return a word of G-code; the host has feeds in mm/s, F in mm/min."""
+    """Return a word of G-code; FreeCAD has feeds in mm/s, F is in mm/min."""
     if value == int(value):
         return f"{letter}{int(value) * (60 if letter == 'F' else 1)}"
     return f"{letter}{value * (60.0 if letter == 'F' else 1.0):.7f}".rstrip("0").rstrip(".")

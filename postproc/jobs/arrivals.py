@@ -36,7 +36,7 @@ class Arrivals:
         self._busy: set[Path] = set()
 
     def ready(self, time_s: float, busy: Collection[str] = ()) -> list[Path]:
-        """Return the programs whose inputs have changed since they were finished, and not for `QUIET`; sorted.
+        """Return the programs whose inputs differ from those last converted, and are unchanged for `QUIET` s; sorted.
 
         A program that others of the folder call is left to them.
 
@@ -65,13 +65,13 @@ class Arrivals:
                 continue
             if self._seen.get(path, ((), 0.0))[0] != signature:
                 self._seen[path] = (signature, time_s)
-            elif time_s - self._seen[path][1] >= QUIET and self._has_forces(path) and _opens(path):
+            elif time_s - self._seen[path][1] >= QUIET and self._has_forces(path) and _is_readable(path):
                 ready_paths.append(path)
         self._forget(paths)
         return self._main_programs(ready_paths) if ready_paths else []
 
     def finish(self, path: Path) -> None:
-        """Note that a program that was ready has been begun, or needs nothing: it is not ready before it changes."""
+        """Note that the conversion of a ready program has begun or is not needed; it is ready again when it changes."""
         self._finished[path] = self._seen[path][0]
 
     def _forget(self, paths: Collection[Path]) -> None:
@@ -103,10 +103,12 @@ class Arrivals:
             return [self.cell]
 
     def _force_files(self, path: Path) -> list[Path]:
+        """Return the files that give the forces of a program; empty: it has no process file."""
         process = process_of(path, self.output)
         return [] if process is None else inputs.force_inputs(process)
 
     def _has_forces(self, path: Path) -> bool:
+        """Return whether the forces of a program are known: by a process file, or by comments in the program."""
         return process_of(path, self.output) is not None or states_forces(path)
 
     def _main_programs(self, paths: list[Path]) -> list[Path]:
@@ -125,7 +127,7 @@ def _program_files(path: Path) -> list[Path]:
 
 
 def _signature(paths: Collection[Path]) -> Signature:
-    """Return names, sizes and times of files; of those that are not there the name."""
+    """Return names, sizes and times of files, see `_stamp`."""
     return tuple(_stamp(path) for path in paths)
 
 
@@ -138,7 +140,7 @@ def _stamp(path: Path) -> tuple[str, int, int]:
     return path.name, status.st_size, status.st_mtime_ns
 
 
-def _opens(path: Path) -> bool:
+def _is_readable(path: Path) -> bool:
     """Return whether a program can be read: on Windows not while another program writes it."""
     try:
         with path.open("rb"):

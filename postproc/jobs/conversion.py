@@ -110,22 +110,20 @@ def _mark_subprograms(
 
     :param own_names: names of copies of subprograms → names as they were read.
     """
-    source_of = {document.name: document for document in result.program.documents}
-    output_of = {document.name: document for document in result.documents}
-
-    def read(name: str) -> Document:
-        return source_of[own_names.get(name, name)]
-
+    documents_as_read = {document.name: document for document in result.program.documents}
+    output_documents = {document.name: document for document in result.documents}
     for name in subprograms(result, job, own_names):
-        files = [file for file in output_of if Path(file).stem.lower() == Path(name).stem.lower()]  # .src and .dat
-        files.sort(key=lambda file: file != name)  # the marked file first
-        if Path(name).suffix.lower() == job.writer.extension and any(output_of[n].text != read(n).text for n in files):
-            source = provenance.digest_of(read(file) for file in files)
-            marked_files, _ = job.writer.mark(
-                [output_of[file] for file in files], replace(origin, source=source, forces="-", options={})
-            )
-            output_of[name] = marked_files[0]
-    return list(output_of.values())
+        if Path(name).suffix.lower() != job.writer.extension:
+            continue  # a .dat is marked with its .src
+        stem = Path(name).stem.lower()
+        file_names = [name, *(file for file in output_documents if file != name and Path(file).stem.lower() == stem)]
+        sources = [documents_as_read[own_names.get(file, file)] for file in file_names]
+        outputs = [output_documents[file] for file in file_names]
+        if any(source.text != output.text for source, output in zip(sources, outputs, strict=True)):
+            subprogram_origin = replace(origin, source=provenance.digest_of(sources), forces="-", options={})
+            # the line of origin is in the first file, the .src
+            output_documents[name] = job.writer.mark(outputs, subprogram_origin)[0][0]
+    return list(output_documents.values())
 
 
 def origin_of(
@@ -194,13 +192,14 @@ def convert(
 ) -> Outcome:
     """Convert or predict one program and stage its files (`Outcome.staged_files`).
 
-    Whatever goes wrong with this program is its outcome and no exception, a fault of postproc included.
+    Whatever goes wrong with this program is its outcome and no exception, a fault of postproc included. A subprogram
+    that the user did not name, and that cannot be read alone, is skipped: programs that call it convert it.
 
     :param progress: of sweeps of the stock, see `process_forces.read`.
     :raises KeyboardInterrupt: nothing was staged.
     """
     job = task.job
-    is_computed = False
+    is_computed = False  # whether only the staging of the files can fail, so that those of an earlier run stay
     try:
         check_utf8(job.program)
         name = None if job.keeps_text else job.stem

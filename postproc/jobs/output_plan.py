@@ -345,7 +345,7 @@ class OutputPlan:
         for job in self.jobs:
             self._refuse_called_names(job, job.writes(self._mode))
         if not self._overwrite:
-            foreign_files = [path for job in self.jobs for path in self._not_ours(job, job.writes(self._mode))]
+            foreign_files = [path for job in self.jobs for path in self._foreign_files(job, job.writes(self._mode))]
             refuse(foreign_files + [path for folder in self.overviews for path in foreign_single(folder / OVERVIEW)])
 
     def _refuse_called_names(self, job: Job, names: Iterable[str]) -> None:
@@ -389,7 +389,7 @@ class OutputPlan:
         sums = {entry.name: entry.sha256 for entry in outcome.summary.files or ()}
         changed_names = [name for name in outcome.shared_files if _sum(job.output / name) not in ("", sums[name])]
         if not self._overwrite:
-            foreign_files = self._not_ours(
+            foreign_files = self._foreign_files(
                 job, [name for name in unplanned_names if name not in outcome.shared_files or name in changed_names]
             )
             refuse(
@@ -421,7 +421,7 @@ class OutputPlan:
                 group += [
                     candidate
                     for candidate in waiting
-                    if candidate not in group and self._are_partners(program, candidate)
+                    if candidate not in group and self._share_files(program, candidate)
                 ]
             waiting = [program for program in waiting if program not in group]
             if any(self._folders[program.task.job.output].waits(program.partners) for program in group):
@@ -431,11 +431,12 @@ class OutputPlan:
         self._complete = incomplete
         return ready
 
-    def _are_partners(self, program_a: _PendingOutput, program_b: _PendingOutput) -> bool:
-        """Return whether the files of two programs must be replaced together: one replaces a file of the other."""
-        reports = [program.task.job.report(self._mode) for program in (program_a, program_b)]
-        same_folder = program_a.task.job.output == program_b.task.job.output
-        return same_folder and (reports[1] in program_a.partners or reports[0] in program_b.partners)
+    def _share_files(self, program_a: _PendingOutput, program_b: _PendingOutput) -> bool:
+        """Return whether the files of two programs must be replaced together: one changes a file that both need."""
+        if program_a.task.job.output != program_b.task.job.output:
+            return False
+        report_a, report_b = (program.task.job.report(self._mode) for program in (program_a, program_b))
+        return report_b in program_a.partners or report_a in program_b.partners
 
     def _replace_files(self, group: Sequence[_PendingOutput]) -> list[Outcome]:
         """Move the staged files of programs to their places together; return the outcomes."""
@@ -462,7 +463,7 @@ class OutputPlan:
             if member.outcome.staged_files is not None
         ]
 
-    def _not_ours(self, job: Job, names: Iterable[str]) -> list[Path]:
+    def _foreign_files(self, job: Job, names: Iterable[str]) -> list[Path]:
         """Return the files of these names that exist and that postproc did not write, or that were changed since."""
         folder = self._folders[job.output]
         foreign_files = [
@@ -488,12 +489,12 @@ class OutputPlan:
         names = _existing_names(job, _run_files(job, mode))
         owners = {name: folder.owners(job, name) for name in names}
         own_names = [name for name in names if not owners[name]]
-        changed_files = self._not_ours(job, own_names)
+        changed_files = self._foreign_files(job, own_names)
         changed_files += [
             path
             for name, other_owners in owners.items()
             if other_owners
-            for path in self._not_ours(job, [name])
+            for path in self._foreign_files(job, [name])
             if not folder.is_from_other_program(job, path)
         ]
         if not own_names:

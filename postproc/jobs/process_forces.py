@@ -289,7 +289,8 @@ def predict_in_material(
     The deflection of the tool leaves material or removes more; force and remaining stock are those of this cut. A round
     is one sweep of the stock and the loaded equilibrium at the samples of the nominal path.
 
-    :returns: the result, and the source that holds the cut.
+    :returns: the result, and the source of forces of the deflected tool; the given one where force and deflection
+        cannot be iterated.
     """
     try:
         motions = MotionsUnderLoad.of(program, RobotInCell.of(robot, cell), source)
@@ -299,12 +300,12 @@ def predict_in_material(
         return correction.process(program, robot, cell, source, "predict"), source
     if source.process_forces is None:
         return correction.process(program, robot, cell, source, "predict"), source
-    sample_place, weight = (path.sample.motion, path.sample.t), _weights(path)
+    weight = _weights(path)
     cut, rounds, is_settled = source, 0, False
     deviation, offset, last_shift = residual, _FIRST * residual, _FIRST * residual
     while not is_settled and rounds < _ROUNDS:
         rounds += 1
-        cut = source.shift_tip(Shift.of(program, *sample_place, offset))
+        cut = source.shift_tip(Shift.of(program, path.sample.motion, path.sample.t, offset))
         path_forces = forces.assign(
             program, motions.segments, cut, motions.robot_in_cell.spindle, motions.robot_in_cell.ramp
         )
@@ -320,14 +321,15 @@ def predict_in_material(
     result = correction.process(program, robot, cell, cut, "predict")
     if result.failed or source.process_forces is None:
         return result, cut
-    nominal_force, real_force = (float(norm(item[:, :3]).max(initial=0.0)) for item in (path.wrench, result.wrench))
-    volumes = [
-        0.0 if item.process_forces is None else item.process_forces.removed_volume * 1e9 for item in (source, cut)
-    ]
+    nominal_force, real_force = (float(norm(wrench[:, :3]).max(initial=0.0)) for wrench in (path.wrench, result.wrench))
+    nominal_volume, real_volume = (
+        0.0 if forces_source.process_forces is None else forces_source.process_forces.removed_volume * 1e9
+        for forces_source in (source, cut)
+    )
     message = (
         f"forces of the deflected tool ({rounds} round{'s' * (rounds != 1)}): largest force {real_force:.0f} N, "
-        f"{nominal_force:.0f} N on the nominal path; removed {volumes[1]:.0f} mm³ of {volumes[0]:.0f}. The corrected "
-        "program has the nominal engagement."
+        f"{nominal_force:.0f} N on the nominal path; removed {real_volume:.0f} mm³ of {nominal_volume:.0f}. The "
+        "corrected program has the nominal engagement."
     )
     note = Issue("info" if is_settled else "warning", "real-cut", message)
     hits = [issue for issue in source.process_forces.issues if issue.kind in ("rapid-in-material", "collision")]
@@ -395,10 +397,19 @@ def _next_change(change: Array, shift: Array, next_shift: Array, weight: Array) 
 
 
 def _contact_weights(weight: Array, residual: Array) -> Array:
-    """Return the weights (n,) with 0 at the places where the residual (n, 3) is largest, see `_CONTACT`."""
-    order = np.argsort(-norm(residual))
+    """Return the weights without the samples of the largest residuals, which have no weight then.
+
+    Samples are left out as long as their weights together are no more than the share `_CONTACT` of all: these are the
+    places where the tool loses contact, whose force agrees with no deflection.
+
+    :param weight: (n,) length of path [m] that each sample represents.
+    :param residual: (n, 3) deflection less that assumed for the cut [m].
+    """
+    largest_first = np.argsort(-norm(residual))
+    cumulated_weight = np.cumsum(weight[largest_first])
+    left_out_count = np.searchsorted(cumulated_weight, _CONTACT * weight.sum(), side="right")
     contact_weight = weight.copy()
-    contact_weight[order[: np.searchsorted(np.cumsum(weight[order]), _CONTACT * weight.sum(), side="right")]] = 0.0
+    contact_weight[largest_first[:left_out_count]] = 0.0
     return contact_weight
 
 

@@ -120,8 +120,9 @@ class ProgramNeeds(Struct, frozen=True):
     def stock_box(self, diameters: Mapping[str, float]) -> Box | None:
         """Return the stock in `$BASE` [mm], rounded outwards to whole millimetres; None: the program does not cut.
 
-        A size that comments state is centred on the cutting moves. Else the box is what the tools sweep, and
-        `_SIDE_MM` more; a side where the tool comes down in rapid is moved inwards.
+        A size that comments state is centred on the cutting moves in X and Y, and goes down from the top. Else the box
+        is what the tools sweep, and `_SIDE_MM` more; a side where the tool comes down in rapid is moved inwards. The
+        top is the highest cut, or Z = 0 if that is higher: there may be material above the cuts.
 
         :param diameters: diameters of the cutters by key in [tools] of a process [mm].
         """
@@ -131,17 +132,17 @@ class ProgramNeeds(Struct, frozen=True):
         margin = 0.5 * max(diameters.values(), default=0.0) + _SIDE_MM
         low[:2], high[:2] = low[:2] - margin, high[:2] + margin
         if self.stock_mm is not None:
-            middle = 0.5 * (low + high)[:2]
-            low[:2], high[:2] = middle - 0.5 * np.array(self.stock_mm[:2]), middle + 0.5 * np.array(self.stock_mm[:2])
+            middle, half_size = 0.5 * (low + high)[:2], 0.5 * np.array(self.stock_mm[:2])
+            low[:2], high[:2] = middle - half_size, middle + half_size
             low[2] = min(low[2], max(high[2], 0.0) - self.stock_mm[2])
         else:
             low[2] -= _SIDE_MM
             _exclude_points(low, high, self.low_rapids, margin)
         high[2] = max(high[2], 0.0)
         low, high = without_negative_zero(np.floor(low)), without_negative_zero(np.ceil(high))
-        if low[2] >= high[2]:
+        if low[2] >= high[2]:  # a box needs a height
             high[2] = low[2] + 1.0
-        return Box(*((float(a), float(b)) for a, b in zip(low, high, strict=True)))
+        return Box(*((float(begin), float(end)) for begin, end in zip(low, high, strict=True)))
 
 
 def needs_of(path: Path, dialect: str | None = None) -> ProgramNeeds:

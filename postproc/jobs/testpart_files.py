@@ -160,7 +160,7 @@ def make_testpart(request: TestPartRequest, progress: Callable[[str], None] = la
     box = process.stock.box if request.block is None else block_of(request.block)
     if box is None:
         raise InputError("no block", file=str(request.process), advice="Give --block, or [stock] box in the process.")
-    placements = _placements(cell, request.placements)
+    placements = _cells_of_placements(cell, request.placements)
     programs = [name for item in placements for name in (item.name, str(Path(item.name).with_suffix(".src")))]
     names = [*programs, "probing.csv", PROCESS, "testpart.html", _RECORD]
     protect([request.cell, request.process], request.output, names)
@@ -448,17 +448,19 @@ def _check_top(probe_data: ProbedSurfaces, process: Process) -> None:
             )
 
 
-def _placements(cell: Cell, numbers: tuple[int, ...]) -> dict[Placement, Cell]:
-    """Return the placements and a cell for each.
+def _cells_of_placements(cell: Cell, numbers: tuple[int, ...]) -> dict[Placement, Cell]:
+    """Return the cell of each placement of the block; the first placement is at the `[base]` of the cell itself.
 
-    :raises InputError: a number is given twice.
+    :param numbers: N of `[base_data.N]` of the further placements.
+    :raises InputError: a number is given twice, or the cell does not know it.
     """
-    cell_of = {Placement(): cell}
-    for placement in map(Placement, map(str, numbers)):
-        if placement in cell_of:
+    cells = {Placement(): cell}
+    for number in numbers:
+        placement = Placement(str(number))
+        if placement in cells:
             raise InputError(f"{placement.title} is given twice", file="--placement", advice="Give each number once.")
-        cell_of[placement] = cell_of_placement(cell, placement, "--placement")
-    return cell_of
+        cells[placement] = cell_of_placement(cell, placement, "--placement")
+    return cells
 
 
 def cell_of_placement(cell: Cell, placement: Placement, source: str) -> Cell:

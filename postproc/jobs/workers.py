@@ -269,7 +269,7 @@ class ClusterWorkers:
     def begin(self, task: Task) -> Any:
         """Send a task to the cluster; return its future."""
         content = pickle.dumps((_absolute(task), self._settings))
-        future = self._client.submit(_task(), self._code, content, pure=False)
+        future = self._client.submit(_work_function(), self._code, content, pure=False)
         self._begun[task.job.program] = future
         return future
 
@@ -371,15 +371,18 @@ def _connect(cluster: Cluster) -> Any:
     return client
 
 
-def _task() -> Callable[[str, bytes], Outcome | OtherCode]:
-    """Return the function that a cluster worker runs; sent as code, because its postproc may be another version."""
+def _work_function() -> Callable[[str, bytes], Outcome | OtherCode]:
+    """Return the function that a worker of a cluster runs.
+
+    It is a local function, which Dask sends as code: the postproc of the worker may be another version that lacks it.
+    """
 
     def work(code: str, content: bytes) -> Any:
         """Return the outcome of a task on another machine; if its code differs, address and version of the worker.
 
         postproc is imported in here, since the machine may have another version or none.
 
-        :param code: sum of the code of the machine that sends the task.
+        :param code: checksum of the code of postproc on the machine that sends the task.
         :param content: pickled task and settings.
         """
         import pickle

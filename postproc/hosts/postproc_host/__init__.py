@@ -130,15 +130,18 @@ def convert(
     moves.write_bytes(text)
     for input_name, content in (inputs or {}).items():
         (folder / input_name).write_bytes(content)
-    left = [moves, *(folder / input_name for input_name in inputs or ())]
+    kept_inputs = [moves, *(folder / input_name for input_name in inputs or ())]
     lines = [_with_host_places(line, program, blocks) for line in lines]
-    return Converted([*paths, *left], entry, warnings, verdict["state"], lines)
+    return Converted([*paths, *kept_inputs], entry, warnings, verdict["state"], lines)
 
 
 def _run(words: Sequence[str]) -> dict[str, Any]:
-    """Run postproc and return the JSON it prints."""
-    prefix, in_linux = command()
-    if in_linux:
+    """Run postproc and return the JSON that it prints.
+
+    :raises HostError: it cannot be run, or prints something else.
+    """
+    prefix, is_in_linux = command()
+    if is_in_linux:
         words = [_to_linux(prefix, word) for word in words]
     try:
         process = subprocess.run(
@@ -174,7 +177,11 @@ def _environment() -> dict[str, str]:
 
 
 def _to_linux(prefix: Sequence[str], word: str) -> str:
-    r"""Return a path as WSL knows it: ``C:\parts\a.nc`` is ``/mnt/c/parts/a.nc``; other words as they are."""
+    r"""Return a path as WSL knows it: ``C:\parts\a.nc`` is ``/mnt/c/parts/a.nc``; other words as they are.
+
+    :param prefix: command that runs postproc, which begins with `wsl`.
+    :raises HostError: WSL does not reach the path.
+    """
     if not re.match(r"[A-Za-z]:[\\/]", word):
         return word
     words = [*prefix[:1], "wslpath", "-a", "-u", word.replace("\\", "/")]
@@ -185,6 +192,7 @@ def _to_linux(prefix: Sequence[str], word: str) -> str:
 
 
 def _from_linux(path: str) -> Path:
+    """Return a path of WSL as Windows knows it: ``/mnt/c/parts/a.src`` is ``C:/parts/a.src``; others as they are."""
     match = re.match("/mnt/([a-z])/(.*)", path) if os.name == "nt" else None
     return Path(f"{match[1].upper()}:/{match[2]}" if match else path)
 
@@ -200,6 +208,7 @@ def _with_host_places(text: str, program: Path, blocks: Sequence[Block]) -> str:
     """Return a text with program lines replaced by the host's names of places."""
 
     def place(match: re.Match[str]) -> str:
+        """Return the host's name of the place of a line; the text as it is if there is no such line."""
         line = int(match[1])
         return f"{blocks[line - 1].place}:" if 1 <= line <= len(blocks) else match[0]
 
