@@ -87,6 +87,10 @@ def convert(
 
 
 def _check_part(options: dict[str, Any], jobs: Sequence[Job]) -> None:
+    """Check that the mesh of a part is given with one program only; subprograms of others do not count.
+
+    :raises click.UsageError: there are several programs.
+    """
     if options["part"] is not None and sum(not job.callers for job in jobs) > 1:
         raise click.UsageError("--part goes with one program.")
 
@@ -94,6 +98,8 @@ def _check_part(options: dict[str, Any], jobs: Sequence[Job]) -> None:
 def _cluster(scheduler: str | None, *certificates: Path | None) -> Cluster | None:
     """Return the Dask scheduler that the options name, or None.
 
+    :param scheduler: its address.
+    :param certificates: files of authority, certificate and key.
     :raises click.UsageError: certificates without a scheduler.
     """
     if scheduler is not None:

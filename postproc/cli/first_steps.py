@@ -23,7 +23,11 @@ _HOME = "Where X, Y, Z are before the first move and after G28 and G53, in $BASE
 
 
 def _option_value(kind: str, text: Any) -> Any:
-    """Return the value of a text, by the function of this name in `jobs.answers`; the error is one of the option."""
+    """Return the value of a text.
+
+    :param kind: name of the function of `jobs.answers` that reads it.
+    :raises click.BadParameter: the text cannot be used.
+    """
     from postproc.errors import InputError
     from postproc.jobs import answers
 
@@ -33,12 +37,12 @@ def _option_value(kind: str, text: Any) -> Any:
         raise click.BadParameter(str(cause).removesuffix(".")) from None
 
 
-def _words(kind: str) -> Callable[[str], Any]:
-    """Return a function for texts with blanks or commas between, see `_option_value`."""
+def _list_parser(kind: str) -> Callable[[str], Any]:
+    """Return a function that reads a list separated by blanks, see `_option_value`."""
     return lambda text: _option_value(kind, text.split())
 
 
-def _callback(kind: str) -> Any:
+def _option_callback(kind: str) -> Any:
     """Return a click callback that turns the text of an option into its value."""
     return lambda _ctx, _param, text: None if text is None else _option_value(kind, text)
 
@@ -47,10 +51,13 @@ def _callback(kind: str) -> Any:
 @click.argument("files", nargs=-1, type=_PATH, metavar="[CELL] [PROGRAM]...", shell_complete=complete_files)
 @click.option("--robot", shell_complete=complete_robots, help="Robot: a name of `postproc robots`, or a model folder.")
 @click.option(
-    "--base", callback=_callback("frame"), metavar="X,Y,Z[,A,B,C]", help="$BASE in the robot root, or a number."
+    "--base", callback=_option_callback("frame"), metavar="X,Y,Z[,A,B,C]", help="$BASE in the robot root, or a number."
 )
 @click.option(
-    "--tool", callback=_callback("frame"), metavar="X,Y,Z[,A,B,C]", help="$TOOL in the flange frame, or a number."
+    "--tool",
+    callback=_option_callback("frame"),
+    metavar="X,Y,Z[,A,B,C]",
+    help="$TOOL in the flange frame, or a number.",
 )
 @click.option(
     "--axis",
@@ -61,7 +68,7 @@ def _callback(kind: str) -> Any:
 )
 @click.option(
     "--start",
-    callback=_callback("numbers"),
+    callback=_option_callback("numbers"),
     metavar="A1,…,A6",
     help="Where programs start, in deg; default: the tip 50 mm above --clearance, over the origin of $BASE.",
 )
@@ -71,14 +78,14 @@ def _callback(kind: str) -> Any:
 )
 @click.option(
     "--tool-change",
-    callback=_callback("line"),
+    callback=_option_callback("line"),
     metavar="LINE",
     help="Line for M6, with {T}; 'hand': the program stops (default); 'none': no line.",
 )
 @click.option(
     "--tools",
     multiple=True,
-    callback=_callback("tools"),
+    callback=_option_callback("tools"),
     metavar="N=X,Y,Z[,A,B,C]",
     help="$TOOL after T n M6, or its Z alone; once for each tool. Default: --tool for all.",
 )
@@ -86,21 +93,21 @@ def _callback(kind: str) -> Any:
     "--work-offset",
     "work_offsets",
     multiple=True,
-    callback=_callback("work_offsets"),
+    callback=_option_callback("work_offsets"),
     metavar="G55=X,Y,Z[,A,B,C]",
     help="Frame of a work offset in $BASE; once for each. G54 is $BASE itself.",
 )
 @click.option(
     "--base-data",
     multiple=True,
-    callback=_callback("numbered_frames"),
+    callback=_option_callback("numbered_frames"),
     metavar="N=X,Y,Z[,A,B,C]",
     help="BASE_DATA[N] of KRL programs, in the robot root; once for each.",
 )
 @click.option(
     "--tool-data",
     multiple=True,
-    callback=_callback("numbered_frames"),
+    callback=_option_callback("numbered_frames"),
     metavar="N=X,Y,Z[,A,B,C]",
     help="TOOL_DATA[N] of KRL programs, in the flange frame; once for each.",
 )
@@ -108,7 +115,7 @@ def _callback(kind: str) -> Any:
     "--m-code",
     "m_codes",
     multiple=True,
-    callback=_callback("m_codes"),
+    callback=_option_callback("m_codes"),
     metavar="M31",
     help="M code of the machine that has no effect on the robot; once for each.",
 )
@@ -124,14 +131,16 @@ def _callback(kind: str) -> Any:
     type=Choice(["s", "ms"]),
     help="What the control counts in P of G4 and of cycles: s (LinuxCNC) or ms (Fanuc, Haas, Mach3).",
 )
-@click.option("--home", callback=_callback("place"), metavar="X,Y,Z", help=f"{_HOME}.")
-@click.option("--rotary", callback=_callback("rotary_axes"), metavar="C,B", help="Rotary axes from the part outwards.")
+@click.option("--home", callback=_option_callback("place"), metavar="X,Y,Z", help=f"{_HOME}.")
+@click.option(
+    "--rotary", callback=_option_callback("rotary_axes"), metavar="C,B", help="Rotary axes from the part outwards."
+)
 @click.option("--rotary-kind", type=Choice(["tcp", "indexed"]), help="What X, Y, Z are where rotary axes turn.")
 @click.option(
     "--rotary-point",
     "rotary_points",
     multiple=True,
-    callback=_callback("points"),
+    callback=_option_callback("points"),
     metavar="A=X,Y,Z",
     help="A point of an indexed axis in $BASE; once for each.",
 )
@@ -143,19 +152,19 @@ def _callback(kind: str) -> Any:
 )
 @click.option(
     "--payload",
-    callback=_callback("payload"),
+    callback=_option_callback("payload"),
     metavar="KG[,X,Y,Z]",
     help="Mass that the flange carries, and its centre in the flange frame; RAPID states it as load of the tool.",
 )
 @click.option(
     "--spindle",
-    callback=_callback("switch"),
+    callback=_option_callback("switch"),
     metavar="ON|OFF",
     help="Lines for M3, with {S}, and for M5, with | between; 'hand': you start it. Default: a warning.",
 )
 @click.option(
     "--coolant",
-    callback=_callback("switch"),
+    callback=_option_callback("switch"),
     metavar="ON|OFF",
     help="Lines for M7 and M8, and for M9, likewise.",
 )
@@ -213,7 +222,10 @@ def init(files: tuple[Path, ...], robodk: str | None, **options: Any) -> None:
 
 
 def _cell_and_programs(files: tuple[Path, ...]) -> tuple[Path, list[Path]]:
-    """Return the cell file to write and the programs that it is for."""
+    """Return the cell file to write, and the programs that it is for: the files with the extension of a program.
+
+    :raises click.UsageError: several files are no programs.
+    """
     from postproc.dialects import registry
 
     extensions = registry.extensions()
@@ -225,7 +237,10 @@ def _cell_and_programs(files: tuple[Path, ...]) -> tuple[Path, list[Path]]:
 
 
 def _rotary(options: dict[str, Any]) -> dict[str, Any]:
-    """Return the field of `CellRequest` for rotary axes; none where no option names them."""
+    """Return the field `rotary` of `CellRequest` by name; empty if no option names rotary axes.
+
+    :raises click.UsageError: their kind is not stated.
+    """
     from postproc.jobs import answers
 
     if options["rotary"] is None:
@@ -251,19 +266,22 @@ _SAME_OPTIONS = (
 
 
 def _request_for_programs(cell: Path, programs: list[Path], options: dict[str, Any]) -> CellRequest:
-    """Return the request for a cell that these programs need; ask for what no option says."""
+    """Return the request for a cell that these programs need; ask for what no option says.
+
+    :raises click.UsageError: an answer is missing and there is no terminal.
+    """
     from msgspec.structs import replace
 
     from postproc.cli.start import print_needs, prompt
     from postproc.jobs import guided_start
     from postproc.jobs.program_needs import needs_of
 
-    item = [needs_of(program) for program in programs]
-    for needs in item:
+    needs_of_programs = [needs_of(program) for program in programs]
+    for needs in needs_of_programs:
         print_needs(needs)
         if needs.refusal:
             click.echo(f"no answer makes this program readable: {needs.refusal}", err=True)
-    needs = guided_start.merge_needs(item)
+    needs = guided_start.merge_needs(needs_of_programs)
     if options["config_dat"] is not None:
         needs = replace(needs, frames=())  # the file of the controller states them
     answers = guided_start.Answers()
@@ -301,12 +319,16 @@ def _request_for_programs(cell: Path, programs: list[Path], options: dict[str, A
 
 
 def _is_stated(name: str) -> bool:
+    """Return whether the user gave an option, on the command line or by an environment variable."""
     source = click.get_current_context().get_parameter_source(name)
     return source is not None and source.name not in ("DEFAULT", "DEFAULT_MAP")
 
 
 def _all_convert(programs: list[Path], cell: Path, language: str) -> bool:
-    """Convert each program with the cell, without forces, and print the outcome."""
+    """Convert each program with the cell, without forces and files; print the outcome; return whether all convert.
+
+    :param language: robot language of the controller; empty: KRL.
+    """
     from postproc.jobs.guided_start import problems_of
 
     all_convert = True
@@ -344,7 +366,10 @@ def _station_warnings(station: Station, robot: str) -> tuple[str, ...]:
 
 
 def _ask(options: dict[str, Any]) -> dict[str, Any]:
-    """Ask for values without an option; without a terminal take the default, or raise if there is none."""
+    """Return the options with the values that the user was asked for; without a terminal with the defaults.
+
+    :raises click.UsageError: robot, base or tool is missing, and there is no terminal.
+    """
     from postproc.jobs import answers, first_steps
 
     absent_names = [name for name in ("robot", "base", "tool") if options[name] is None]
@@ -387,13 +412,15 @@ def _ask(options: dict[str, Any]) -> dict[str, Any]:
 
 
 def _ask_for_program(options: dict[str, Any]) -> None:
-    """Ask for what programs name by number, and for where they start; empty answers leave it out."""
+    """Ask for tools, work offsets, M codes and start joints of programs; an empty answer leaves one out."""
     if not options["tools"]:
         text = "Tools that programs change to, such as 1=0,0,350 2=0,0,412.5 (empty: $TOOL holds for all)"
-        options["tools"] = click.prompt(text, default="", show_default=False, value_proc=_words("tools"))
+        options["tools"] = click.prompt(text, default="", show_default=False, value_proc=_list_parser("tools"))
     if not options["work_offsets"]:
         text = "Work offsets that programs use in addition to G54, such as G55=300,0,0 (empty: none)"
-        options["work_offsets"] = click.prompt(text, default="", show_default=False, value_proc=_words("work_offsets"))
+        options["work_offsets"] = click.prompt(
+            text, default="", show_default=False, value_proc=_list_parser("work_offsets")
+        )
     if not options["m_codes"]:
         text = "M codes that have no effect on the robot, such as M31 M33 (empty: none)"
         options["m_codes"] = click.prompt(

@@ -107,8 +107,8 @@ def elastostatics(ctx: click.Context, /, as_json: bool, **request: Any) -> None:
     from postproc.jobs.identification_files import ElastostaticsRequest, identify_elastostatics
 
     files_request = ElastostaticsRequest(**request)
-    folder = identify_elastostatics(files_request, _say)
-    _show(folder, files_request.output, as_json)
+    folder = identify_elastostatics(files_request, _print_step)
+    _print_result(folder, files_request.output, as_json)
     if folder.data.verdict is not None and folder.data.verdict.refused:
         ctx.exit(3)
 
@@ -134,7 +134,7 @@ def geometry(output: Path, as_json: bool, **request: Any) -> None:
     """  # noqa: D301 - click: keep these lines as they are
     from postproc.jobs.identification_files import identify_geometry
 
-    _show(identify_geometry(output=output, **request), output, as_json)
+    _print_result(identify_geometry(output=output, **request), output, as_json)
 
 
 @identify.command()
@@ -324,7 +324,7 @@ def part(
         ctx.exit(3)
 
 
-def _show(folder: IdentifiedFolder, output: Path, as_json: bool) -> None:
+def _print_result(folder: IdentifiedFolder, output: Path, as_json: bool) -> None:
     """Print the result, its warnings and the output folder; with `as_json` only the result as JSON."""
     if as_json:
         click.echo(folder.data.as_json().decode())
@@ -335,8 +335,8 @@ def _show(folder: IdentifiedFolder, output: Path, as_json: bool) -> None:
     click.echo(f"written: {output}")
 
 
-def _say(message: str) -> None:
-    """Report a step of the work as progress: as a line for the app, else on a terminal only."""
+def _print_step(message: str) -> None:
+    """Print a step of the work as progress: as a line for the window, else on a terminal only."""
     import sys
 
     from postproc import progress

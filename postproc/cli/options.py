@@ -30,9 +30,9 @@ class Choice(click.Choice[str]):
     """Values of an option or argument; the error for another one offers the nearest."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        """Return the enumeration member of an option's text.
+        """Return the value.
 
-        :raises click.BadParameter: it is none of them.
+        :raises click.BadParameter: it is none of the choices; the message offers the nearest.
         """
         try:
             return super().convert(value, param, ctx)
@@ -63,23 +63,23 @@ def several_programs(text: str, *, is_required: bool = False) -> Callable[[Calla
     """
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
-        """Give a command the option, and the argument that takes the programs behind the first."""
-        rest_argument = click.argument(
+        """Return a command with the option, and with the argument that takes the programs behind the first."""
+        further_programs = click.argument(
             "other_programs", nargs=-1, metavar="[PROGRAM]...", shell_complete=complete_files
         )
         option = click.option(
             "--program", "programs", multiple=True, required=is_required, metavar="PROGRAM...",
             shell_complete=complete_files, help=text,
         )  # fmt: skip
-        return option(rest_argument(command))
+        return option(further_programs(command))
 
     return decorate
 
 
 def _dialect(_ctx: click.Context, _param: click.Parameter, value: str | None) -> str | None:
-    """Return the dialect with this name or alias; a click callback.
+    """Return the name of a dialect unchanged, if there is one; a click callback.
 
-    :raises click.BadParameter: no dialect has it.
+    :raises click.BadParameter: no dialect has this name, or it cannot be used.
     """
     from postproc.dialects import registry
     from postproc.errors import InputError
@@ -90,7 +90,7 @@ def _dialect(_ctx: click.Context, _param: click.Parameter, value: str | None) ->
         raise click.BadParameter(str(cause)) from None
 
 
-def _decorator(option: Option) -> Callable[[_Command], _Command]:
+def _click_option(option: Option) -> Callable[[_Command], _Command]:
     """Return the click option of an option of the table."""
     attributes: dict[str, Any] = {"metavar": option.metavar} if option.metavar else {}
     if option.kind == "flag":
@@ -106,7 +106,7 @@ def _decorator(option: Option) -> Callable[[_Command], _Command]:
     return click.option(*option.flags, option.name, required=option.required, help=option.help, **attributes)
 
 
-overwrite = _decorator(actions.OVERWRITE)
+overwrite = _click_option(actions.OVERWRITE)
 
 
 def shared_options(command: _Command) -> _Command:
@@ -122,14 +122,16 @@ def conversion_options(command: _Command) -> _Command:
 def _with_options(command: _Command, options: tuple[Option, ...]) -> _Command:
     """Return a command with options, which its help shows in this order."""
     for option in reversed(options):
-        command = _decorator(option)(command)
+        command = _click_option(option)(command)
     return command
 
 
 def pop_file_options(options: dict[str, Any]) -> dict[str, Any]:
-    """Move the options of `find_jobs` (dialect, target language, forces, output) out of the options of a run.
+    """Remove the options of `find_jobs` (dialect, to, forces, output) from the options of a command; return them.
 
-    The process file becomes the force file. All other options stay: they are the settings.
+    A process file becomes the force file. All other options stay: they are the settings.
+
+    :raises click.UsageError: forces and process are both given, or the process is no .toml file.
     """
     process = options.pop("process")
     if process is not None:

@@ -170,6 +170,7 @@ def _progress_display() -> Iterator[Progress | None]:
         task = bar.add_task("planning", total=1.0, best="")
 
         def show(stage: str, share: float, best: float) -> None:
+            """Draw stage and share of the search, and the least error so far [m]; not finite: there is none yet."""
             best_text = f"best so far {best * 1e3:.4g} mm" if math.isfinite(best) else ""
             bar.update(task, description=stage, completed=share, best=best_text)
 

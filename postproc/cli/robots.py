@@ -26,6 +26,7 @@ class _Robots(click.Group):
         return super().resolve_command(ctx, args)
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        """Return the names of robots and of commands that begin so."""
         return [*complete_robots(ctx, None, incomplete), *super().shell_complete(ctx, incomplete)]
 
 

@@ -24,14 +24,14 @@ _NUMBERED_OPTIONS = {"tools": "tool", "work_offset": "work_offset", "base_data":
              "tool_data": "tool_data", "m_code": "m_code", "rotary_point": "rotary_point",
              "cutter": "cutter", "flutes": "flutes", "rpm": "rpm"}  # fmt: skip
 """Options that may be given several times: option → first part of the name of its answers."""
-_OF_PROCESS = ("material", "cutter", "flutes", "rpm", "stock")
+_PROCESS_ANSWERS = ("material", "cutter", "flutes", "rpm", "stock")
 
 
 @click.command()
 @click.argument("program", type=_PATH, shell_complete=complete_files)
 @click.option("-o", "--output", type=_PATH, help="Folder to write into; default: corrected/ next to the program.")
-@click.option("--cell", "own_cell", type=_PATH, help="Cell file that is there: nothing is asked about the cell.")
-@click.option("--process", "own_process", type=_PATH, help="Process file that is there: nothing is asked about it.")
+@click.option("--cell", "cell_file", type=_PATH, help="Cell file that is there: nothing is asked about the cell.")
+@click.option("--process", "process_file", type=_PATH, help="Process file that is there: nothing is asked about it.")
 @click.option("--forces", type=_PATH, help="File of cutting forces, instead of a process.")
 @click.option("--robot", shell_complete=complete_robots, help="Robot: a name of `postproc robots`, or a model folder.")
 @click.option("--base", metavar="X,Y,Z[,A,B,C]", help="$BASE in the robot root.")
@@ -85,24 +85,24 @@ def start(ctx: click.Context, /, program: Path, output: Path | None, no_open: bo
     folder = program.parent / "corrected" if output is None else output
     answers_path = folder / f"{program.stem}.answers.toml"
     answer_file = load_answers(answers_path, program)
-    cell, process = options["own_cell"], options["own_process"] or options["forces"]
+    cell, process = options["cell_file"], options["process_file"] or options["forces"]
     keep_cell = cell is not None or (is_edited(folder / "cell.toml", answer_file) and not options["overwrite"])
     cell = cell or folder / "cell.toml"
-    own_process = folder / f"{program.stem}.process.toml"
-    keep_process = process is not None or (is_edited(own_process, answer_file) and not options["overwrite"])
+    process_path = folder / f"{program.stem}.process.toml"
+    keep_process = process is not None or (is_edited(process_path, answer_file) and not options["overwrite"])
     if process is None and (keep_process or not needs.has_forces):
-        process = own_process
+        process = process_path
     for path in (cell, process):
-        if path in (folder / "cell.toml", own_process) and is_edited(path, answer_file) and not options["overwrite"]:
+        if path in (folder / "cell.toml", process_path) and is_edited(path, answer_file) and not options["overwrite"]:
             click.echo(f"{path} is used as it is.")
     answers = Answers()
     kept_files = [file for file, is_kept in (("cell", keep_cell), ("process", keep_process)) if is_kept]
-    asking = {"cell": not keep_cell, "process": not keep_process and process is not None}
-    _ask(needs, answers, answer_file, answers_path, _option_answers(options, needs), asking, kept_files)
+    is_asked = {"cell": not keep_cell, "process": not keep_process and process is not None}
+    _ask(needs, answers, answer_file, answers_path, _option_answers(options, needs), is_asked, kept_files)
     files = write_files(
         needs, answers, answer_file, cell=cell, process=process, keep_cell=keep_cell, keep_process=keep_process
     )
-    _keep(answers_path, answer_file)
+    _save(answers_path, answer_file)
     for remark in files.remarks:
         click.echo(f"warning: {remark}", err=True)
     outcome = _convert_and_print(ctx, program, folder, files.cell, files.process, options)
@@ -118,7 +118,7 @@ def start(ctx: click.Context, /, program: Path, output: Path | None, no_open: bo
 
 
 def print_needs(needs: ProgramNeeds) -> None:
-    """Print what the program shows."""
+    """Print the tools, frames, axes and codes that a program names, and the span of its cuts."""
     parts = [
         f"T{number}" + (f" ({cutter.text})" if (cutter := needs.cutters.get(number)) else "") for number in needs.tools
     ]
@@ -163,15 +163,15 @@ def _answers_of_option(option: str, name: str, text: str, needs: ProgramNeeds) -
     key, names = key.strip().upper(), {name.upper(): name for name in needs.robot_tools}
     if option == "m_code":
         yield f"{name}.{key}", value or "none"
-    elif not equals and option in _OF_PROCESS:
+    elif not equals and option in _PROCESS_ANSWERS:
         for tool in needs.cutter_keys:
             yield f"{name}.{tool}", text
     elif not equals:
         raise click.BadParameter(f"{text!r}: write NAME=VALUE.", param_hint=f"--{option.replace('_', '-')}")
     else:
-        if option in _OF_PROCESS and key in names:
+        if option in _PROCESS_ANSWERS and key in names:
             key = names[key]
-        elif option in ("tools", *_OF_PROCESS):
+        elif option in ("tools", *_PROCESS_ANSWERS):
             key = key.removeprefix("T")
         yield f"{name}.{key}", f"0,0,{value}" if option == "tools" and "," not in value else value
 
@@ -182,17 +182,23 @@ def _ask(
     answer_file: Any,
     answers_path: Path,
     option_texts: Mapping[str, str],
-    asking: Mapping[str, bool],
+    is_asked: Mapping[str, bool],
     kept_files: Collection[str],
 ) -> None:
-    """Fill the answers from options, from an earlier start, and from questions; save each answer at once."""
+    """Fill the answers from options, from an earlier start, and from questions; save each answer at once.
+
+    :param option_texts: answers given by options, by name.
+    :param is_asked: "cell" and "process" → whether questions about this file are put.
+    :param kept_files: "cell" and "process" if these files are used as they are.
+    :raises click.UsageError: an answer is missing and there is no terminal, or cannot be used.
+    """
     from postproc.errors import InputError
     from postproc.jobs.guided_start import next_question
 
     on_terminal = is_terminal()
     unanswered: list[Question] = []
     question_keys: set[str] = set()
-    while question := next_question(needs, answers, {item.key for item in unanswered}, **asking):
+    while question := next_question(needs, answers, {item.key for item in unanswered}, **is_asked):
         question_keys.add(question.key)
         text = option_texts.get(question.key, answer_file.answers.get(question.key))
         if text is None and on_terminal:
@@ -210,7 +216,7 @@ def _ask(
         is_unchecked_stock = question.key == "stock" and "stock" in answers.offered
         if (on_terminal and not is_unchecked_stock) or question.key in option_texts:
             answer_file.answers[question.key] = text
-            _keep(answers_path, answer_file)
+            _save(answers_path, answer_file)
     _report_unused(option_texts, option_texts.keys() - question_keys, answer_file, kept_files)
     if unanswered:
         lines = [f"  {item.option}    {item.text}" for item in unanswered]
@@ -220,7 +226,7 @@ def _ask(
 def _report_unused(
     option_texts: Mapping[str, str], unused: set[str], answer_file: Any, kept_files: Collection[str]
 ) -> None:
-    """Note the options that no question needed.
+    """Print a note on each option that no question needed.
 
     :param option_texts: all answers given by options, by name; `unused`: the names of those without a question.
     :param kept_files: "cell" and "process" if these files are used as they are.
@@ -240,10 +246,10 @@ def _report_unused(
 
 def _file_of(name: str) -> str:
     """Return the file that an answer belongs to, "cell" or "process"."""
-    return "process" if name.partition(".")[0] in _OF_PROCESS else "cell"
+    return "process" if name.partition(".")[0] in _PROCESS_ANSWERS else "cell"
 
 
-def _keep(path: Path, answer_file: Any) -> None:
+def _save(path: Path, answer_file: Any) -> None:
     """Write the answers to a file, in a folder that need not exist."""
     from postproc.jobs.guided_start import save_answers
 
@@ -267,13 +273,13 @@ def prompt(question: Question, *, first: bool) -> str:
 
 
 def _prompt_check(parse: Callable[[str], Any]) -> Callable[[str], str]:
-    """Return a function that passes texts on that `parse` takes."""
+    """Return a function that returns its text if `parse` accepts it, and else makes click ask again."""
     from postproc.errors import InputError
 
     def check(text: str) -> str:
         """Return the text of an answer.
 
-        :raises BadParameter: it is none, so that click asks again.
+        :raises click.BadParameter: it cannot be used; click then asks again.
         """
         try:
             parse(text)
@@ -287,7 +293,7 @@ def _prompt_check(parse: Callable[[str], Any]) -> Callable[[str], str]:
 def _convert_and_print(
     ctx: click.Context, program: Path, folder: Path, cell: Path, process: Path | None, options: Mapping[str, Any]
 ) -> Outcome:
-    """Convert the program, print what came of it, and return it."""
+    """Convert the program, print its summary or fault, and return the outcome."""
     from postproc.cli.outcomes import run_jobs
     from postproc.jobs import Settings, find_jobs
     from postproc.jobs.programs import load_setup
@@ -301,10 +307,10 @@ def _convert_and_print(
 
 
 def _offer_place(outcome: Outcome, program: Path, cell: Path, process: Path | None) -> None:
-    """Offer `place` where another place of the part may gain: name its command, and run it if the user agrees."""
+    """Offer the search of a place if another one may help: print the command, and run it if the user agrees."""
     from postproc.errors import argument
 
-    if (reason := _gain_of_place(outcome)) is None:
+    if (reason := _reason_to_search_place(outcome)) is None:
         return
     folder = cell.parent / "place"
     is_process = process is not None and process.suffix.lower() == ".toml"
@@ -331,14 +337,14 @@ def _offer_place(outcome: Outcome, program: Path, cell: Path, process: Path | No
         click.echo(f"Put the frames of {folder / 'place.toml'} into {cell}, and run start again.")
 
 
-_OF_PLACE = ("joint-limit", "joint-speed", "singular", "reach", "branch", "collision")
+_PLACE_ISSUES = ("joint-limit", "joint-speed", "singular", "reach", "branch", "collision")
 """Beginnings of the kinds of issues that another place of the part may mend."""
 
 
-def _gain_of_place(outcome: Outcome) -> str | None:
+def _reason_to_search_place(outcome: Outcome) -> str | None:
     """Return the problem that another place of the part may solve, as a clause; None without one."""
     issues = outcome.issues if outcome.summary is None else outcome.summary.issues
-    if any(issue.kind.startswith(_OF_PLACE) and issue.level != "info" for issue in issues):
+    if any(issue.kind.startswith(_PLACE_ISSUES) and issue.level != "info" for issue in issues):
         return "The robot is near a limit here"
     verdict = None if outcome.summary is None else outcome.summary.verdict
     if verdict is not None and verdict.tolerance is not None and not verdict.tolerance.held:

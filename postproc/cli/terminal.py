@@ -17,7 +17,10 @@ _COLOURS: dict[State, str] = {"ok": "green", "warning": "yellow", "failed": "red
 
 
 class _Terminal:
+    """Summaries with colours, and tables as wide as the terminal, by rich."""
+
     def verdict(self, text: str, state: State) -> str:
+        """Return a text in bold and in the colour of a state."""
         return click.style(text, fg=_COLOURS[state], bold=True)
 
     def table(
@@ -32,9 +35,9 @@ class _Terminal:
 
         rich_table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False)
         for column, title in enumerate(head):
-            number = column in right
+            is_right = column in right
             rich_table.add_column(
-                Text(title), justify="right" if number else "left", no_wrap=number, min_width=4, overflow="fold"
+                Text(title), justify="right" if is_right else "left", no_wrap=is_right, min_width=4, overflow="fold"
             )
         for row in rows:
             rich_table.add_row(*map(Text, row))

@@ -41,8 +41,9 @@ def arcs_through(start: Array, via: Array, end: Array) -> tuple[Array, Array, Ar
         start + np.cross(via_square[:, None] * to_end - end_square[:, None] * to_via, cross) / (2.0 * size**2)[:, None]
     )
     normal = cross / size[:, None]
-    u, v = start - centre, end - centre
-    angle = np.arctan2(np.einsum("ni,ni->n", np.cross(u, v), normal), np.einsum("ni,ni->n", u, v))
+    start_vector, end_vector = start - centre, end - centre
+    sine = np.einsum("ni,ni->n", np.cross(start_vector, end_vector), normal)
+    angle = np.arctan2(sine, np.einsum("ni,ni->n", start_vector, end_vector))
     return centre, normal, np.where(angle > 0.0, angle, angle + 2.0 * np.pi), is_flat
 
 
@@ -89,8 +90,13 @@ class Circle(Struct, frozen=True, eq=False):
         return np.asarray(point - self.polar_components(point)[0])
 
 
-def leaving(start: Array, direction: Array, centre: Array, radius: float) -> Circle | None:
-    """Return the circle that leaves a start along a direction (3,), or None if there is none."""
+def tangent_circle(start: Array, direction: Array, centre: Array, radius: float) -> Circle | None:
+    """Return the circle about a centre (3,) on which the tool leaves a start (3,) along a direction (3,).
+
+    None if the direction is more than 8° from the tangent, whose sine is 0.99: that is no rounding.
+
+    :param radius: as stated [mm].
+    """
     axis = np.cross(start - centre, direction)
     size = float(norm(axis))
     largest_size = float(norm(start - centre)) * float(norm(direction))
@@ -99,7 +105,7 @@ def leaving(start: Array, direction: Array, centre: Array, radius: float) -> Cir
     return Circle(centre, axis / size, radius)
 
 
-def belonging(circle: Circle, start: Array, points: Array, digit_mm: float) -> int | None:
+def arc_point_count(circle: Circle, start: Array, points: Array, digit_mm: float) -> int | None:
     """Return the number of points (n, 3) after a CIRCLE that belong to its arc; None if it is ambiguous.
 
     Creo divides an arc by points on it, evenly spaced. A straight line whose end happens to be on the circle must not

@@ -34,17 +34,20 @@ def needs_comment(forces: TargetForces, kind: Ints, note: Ints, notes: Sequence[
     states = np.array([(FORCE_FRAMES.index(comment.frame), *comment.wrench) for comment in notes]).reshape(-1, 7)
     states[:, 0] = np.where(states[:, 1:].any(axis=1) & (states[:, 0] != _BASE), np.nan, _BASE)  # turns with the path
 
-    def wanted(row: Ints) -> Array:
+    def rounded_states(row: Ints) -> Array:
+        """Return frame and wrench (n, 7) of targets (n,), as comments would state them."""
         return np.column_stack([forces.frame[row], round_wrenches(forces.wrench[row])])
 
     def in_chunk(row: Ints, previous: Ints) -> tuple[Bools]:
         """Return which targets (n,) need one; `previous` (n,) is the one before each, −1 for none."""
         is_first = previous < 0
-        state = wanted(previous)
+        state = rounded_states(previous)
         state[is_first] = start
         fresh = note[row] != np.where(is_first, -1, note[previous])
         state[fresh] = states[note[row[fresh]]]
-        return (np.asarray(~(np.abs(wanted(row) - state) <= [0.0, *(0.6 * 0.1**_DECIMALS)]).all(axis=1)),)
+        # both are rounded to the last decimal: different ones differ by a unit of it or more
+        tolerance = [0.0, *(0.6 * 0.1**_DECIMALS)]
+        return (np.asarray(~(np.abs(rounded_states(row) - state) <= tolerance).all(axis=1)),)
 
     rows = np.flatnonzero(kind != PTP)
     needs_comment = np.zeros(len(kind), dtype=np.bool_)

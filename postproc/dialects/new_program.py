@@ -113,7 +113,7 @@ class NewProgram:
                 self.stops.add(k)
                 waiting = k
             else:
-                cell_lines = self._own_lines(event)
+                cell_lines = self._lines_or_warning(event)
                 if cell_lines and waiting != k and words.wait:
                     self.before[k].append(words.wait)
                     waiting = k
@@ -144,7 +144,7 @@ class NewProgram:
             yield event
         yield from axes
 
-    def _own_lines(self, event: Event) -> list[str]:
+    def _lines_or_warning(self, event: Event) -> list[str]:
         """Return the cell's lines for an event, with its value inserted; warn if there are none."""
         gcode, cell_lines = self.cell.gcode, self.lines_of(event)
         if event.kind == "spindle_ccw" and cell_lines and not gcode.spindle_ccw:

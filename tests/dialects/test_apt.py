@@ -783,16 +783,16 @@ WORDS = st.sampled_from(["0", "1.5", "-2", "+.25", "12.0000000001", "1E1", "", "
 def test_plain_points_mean_the_same_in_bulk_and_one_by_one(lines):
     text = HEAD + "".join(f"GOTO/{','.join(words)}\n" for words in lines)
     outcomes = []
-    bulk = statements._points
+    bulk = statements._plain_gotos
     for how in (bulk, lambda chars, ends: (np.zeros(0, dtype=np.int64), np.zeros((0, 6)))):
-        statements._points = how
+        statements._plain_gotos = how
         try:
             program = read(text)
             outcomes.append([*(getattr(program.motions, name).tolist() for name in ("line", "kind")), points(program)])
         except InputError as error:
             outcomes.append([str(error), [], np.zeros((0, 3))])
         finally:
-            statements._points = bulk
+            statements._plain_gotos = bulk
     assert outcomes[0][:2] == outcomes[1][:2]
     np.testing.assert_array_equal(outcomes[0][2], outcomes[1][2])
 

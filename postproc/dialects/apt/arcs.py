@@ -22,7 +22,7 @@ import numpy as np
 from msgspec import Struct
 
 from postproc.dialects.apt.statements import NEAR_MM, UNIT_LENGTH, StatementError, numbers_of, values
-from postproc.dialects.circles import Circle, leaving
+from postproc.dialects.circles import Circle, tangent_circle
 from postproc.frames import Array, norm
 
 _MOST_TURNS = 10_000
@@ -129,7 +129,7 @@ def tangent_arc(code: str, direction: Array | None, place: Array | None, unit: f
     ends = numbers_of(words[line_index + 1 :], 6) * unit
     if place is None:
         raise StatementError(*UNKNOWN_START)
-    circle = leaving(place, direction, centre[:3], float(centre[-1]))
+    circle = tangent_circle(place, direction, centre[:3], float(centre[-1]))
     if circle is None or norm(ends[:3] - centre[:3]) > _COINCIDENT_MM:
         raise StatementError("INDIRV, CIRCLE and LINE disagree", ARC_ADVICE)
     is_second_end = words[on_index + 1 : line_index] == [2.0, "INTOF"]

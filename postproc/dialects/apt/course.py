@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from msgspec import Struct, field
 
 from postproc.dialects.circles import Circle
@@ -18,6 +20,15 @@ class Fault(Struct, frozen=True):
     row: int
     problem: str
     advice: str | None = None
+
+
+class Remark(NamedTuple):
+    """A remark on a statement for the user; `kind` as in `Issue`."""
+
+    row: int
+    level: Level
+    kind: str
+    message: str
 
 
 class Happening(Struct, frozen=True):
@@ -64,7 +75,7 @@ class Course(Struct, eq=False):
     parts: list[Part] = field(default_factory=list)
     events: list[Happening] = field(default_factory=list)
     faults: list[Fault] = field(default_factory=list)
-    remarks: list[tuple[int, Level, str, str]] = field(default_factory=list)
+    remarks: list[Remark] = field(default_factory=list)
     tools: list[float] = field(default_factory=list)
     unforced: bool = False
     stated: bool = False

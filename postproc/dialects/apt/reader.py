@@ -292,8 +292,8 @@ def _issues(course: Course, source: Statements, moves: _Moves, motion_moves: Int
         yield Issue(
             "warning", "coordinate-system", message, csys_lines[0], count=len(csys_lines), lines=tuple(csys_lines)
         )
-    for row, level, kind, message in course.remarks:
-        yield Issue(level, kind, message, int(source.line[row]))
+    for remark in course.remarks:
+        yield Issue(remark.level, remark.kind, remark.message, int(source.line[remark.row]))
     null_lines = distinct(source.line[np.delete(moves.row, motion_moves)])
     if len(null_lines):
         lines = tuple(null_lines.tolist())

@@ -112,7 +112,7 @@ def split(document: Document) -> Statements:
     lines = chars[keep].tobytes().upper()
     code, line = _join_lines(np.frombuffer(lines, dtype=np.uint8))
     ends = np.concatenate([[0], np.flatnonzero(np.frombuffer(code, dtype=np.uint8) == _LF) + 1])
-    points, numbers = _points(np.frombuffer(code, dtype=np.uint8), ends)
+    points, numbers = _plain_gotos(np.frombuffer(code, dtype=np.uint8), ends)
     is_plain_or_empty = np.diff(ends) == 1
     is_plain_or_empty[points] = True
     return Statements(
@@ -142,8 +142,10 @@ def _join_lines(chars: np.typing.NDArray[np.uint8]) -> tuple[bytes, Ints]:
     return chars[keep].tobytes(), np.flatnonzero(np.append(True, ~is_continued[:-1])) + 1
 
 
-def _points(chars: np.typing.NDArray[np.uint8], ends: Ints) -> tuple[Ints, Array]:
+def _plain_gotos(chars: np.typing.NDArray[np.uint8], ends: Ints) -> tuple[Ints, Array]:
     """Return the rows of the plain GOTO statements (P,) and their numbers (P, 6), see `Statements`.
+
+    A GOTO is plain if only digits, signs, points and commas follow its slash and they are three or six decimal numbers.
 
     :param chars: bytes of all statements; `ends`: (S + 1,) positions, see `Statements`.
     """
@@ -154,23 +156,25 @@ def _points(chars: np.typing.NDArray[np.uint8], ends: Ints) -> tuple[Ints, Array
         rows = rows[chars[ends[rows] + column] == letter]
     if not len(rows):
         return no_points
+    # counts before each character: their differences between the ends of a statement are the counts in it
     other_character_count = np.cumsum(np.append(0, ~_NUMERIC[chars]), dtype=np.int64)
     rows = rows[other_character_count[ends[rows + 1]] - other_character_count[ends[rows]] == len(_GOTO)]
     comma_count = np.cumsum(np.append(0, chars == _COMMA), dtype=np.int64)
     count = comma_count[ends[rows + 1]] - comma_count[ends[rows]] + 1
     rows = rows[(count == 3) | (count == 6)]
     for _ in range(2):  # once more without the statements that turn out not to be plain
-        is_number = np.zeros(len(chars) + 1, dtype=np.int8)
-        is_number[ends[rows] + len(_GOTO)] = 1
-        is_number[ends[rows + 1]] -= 1
-        digits = chars[np.cumsum(is_number[:-1], dtype=np.int8).view(np.bool_)].tobytes().translate(_TO_NUMBERS)
+        # 1 where the numbers of a statement begin and −1 where they end: the sum is 1 between them
+        boundary = np.zeros(len(chars) + 1, dtype=np.int8)
+        boundary[ends[rows] + len(_GOTO)] = 1
+        boundary[ends[rows + 1]] -= 1
+        digits = chars[np.cumsum(boundary[:-1], dtype=np.int8).view(np.bool_)].tobytes().translate(_TO_NUMBERS)
         text = np.frombuffer(digits, dtype=np.uint8)
         first, last = numbers_in(text)
         length = width[rows] - len(_GOTO)
         begin = np.concatenate([[0], np.cumsum(length)])
-        words = np.diff(np.searchsorted(first, begin))
+        word_count = np.diff(np.searchsorted(first, begin))
         count = comma_count[ends[rows + 1]] - comma_count[ends[rows]] + 1
-        is_complete = words == count
+        is_complete = word_count == count
         if is_complete.all():
             break
         rows = rows[is_complete]  # a number is missing between two commas

@@ -39,7 +39,7 @@ from postproc.dialects.apt.arcs import (
     tangent_arc,
     turns_of,
 )
-from postproc.dialects.apt.course import ARC, LINE, RAPID, Course, Fault, Happening, Part
+from postproc.dialects.apt.course import ARC, LINE, RAPID, Course, Fault, Happening, Part, Remark
 from postproc.dialects.apt.cycles import Cycle, cycle_words
 from postproc.dialects.apt.inserted import inserted_comment, inserted_fault
 from postproc.dialects.apt.statements import (
@@ -56,7 +56,7 @@ from postproc.dialects.apt.statements import (
     values,
 )
 from postproc.dialects.apt.systems import sequence_at, sequence_lines, system_of
-from postproc.dialects.circles import Circle, belonging
+from postproc.dialects.circles import Circle, arc_point_count
 from postproc.errors import MAX_ERRORS
 from postproc.frames import MM_PER_INCH, Array, norm
 from postproc.program import EventKind, Ints
@@ -141,17 +141,17 @@ class _Walk:
         statements, course = self.statements, self.course
         next_row = 0
         for row in statements.others.tolist():
-            self._points(next_row, row)
+            self._run_plain_gotos(next_row, row)
             next_row = row + 1
             if self.ended >= 0 or len(course.faults) > MAX_ERRORS:
                 break
             try:
-                self._obey(row, statements.of(row))
+                self._execute(row, statements.of(row))
             except StatementError as cause:
                 course.faults.append(Fault(row, *cause.args))
                 self.doubt = True
         else:
-            self._points(next_row, len(statements))
+            self._run_plain_gotos(next_row, len(statements))
         self._end_compensation()
         if self.pending is not None and not course.faults:
             problem = "an arc without a GOTO behind it"
@@ -169,14 +169,14 @@ class _Walk:
             course.faults.append(Fault(len(statements) - 1, problem, "Check that the file was transferred completely."))
         elif not course.faults and not self.path_ended:
             message = "The program ends without FINI, END or END-OF-PATH. Check that the file is complete."
-            course.remarks.append((len(statements) - 1, "warning", "program-end", message))
+            course.remarks.append(Remark(len(statements) - 1, "warning", "program-end", message))
         if self.inches is not None and not course.stated:
             course.faults.append(
                 Fault(self.inches, "a feed in inches, but no UNITS", "Write UNITS/MM or UNITS/INCHES.")
             )
         return course
 
-    def _points(self, begin: int, end: int) -> None:
+    def _run_plain_gotos(self, begin: int, end: int) -> None:
         """Execute the plain GOTO statements from row `begin` to row `end` (exclusive)."""
         statements = self.statements
         first, last = np.searchsorted(statements.points, [begin, end]).tolist()
@@ -273,7 +273,7 @@ class _Walk:
             message = (
                 "The first GOTO is at feed: it begins at [start] of the cell. Check that the path from there is free."
             )
-            self.course.remarks.append((row, "warning", "from-start", message))
+            self.course.remarks.append(Remark(row, "warning", "from-start", message))
             self.course.unforced = True
             feed, self.known = self._feed_per_minute(row), True
             self._add_move(row, end, axis, LINE, feed)
@@ -307,7 +307,7 @@ class _Walk:
         """
         count: int | None = 1
         if pending.several and len(row) > 1:
-            count = belonging(pending.circle, self.place, end, _DIGIT * self.unit)
+            count = arc_point_count(pending.circle, self.place, end, _DIGIT * self.unit)
             sequence = sequence_at(self.sequences, int(self.statements.line[row[0]]))
             if count is None and sequence in self.undivided:
                 count = 1
@@ -391,13 +391,17 @@ class _Walk:
         """Record an event after the moves so far."""
         self.course.events.append(Happening(self.number, row, kind, value, text))
 
-    def _obey(self, row: int, code: str) -> None:
-        """Execute a statement that is not a plain GOTO."""
+    def _execute(self, row: int, code: str) -> None:
+        """Execute a statement that is not a plain GOTO.
+
+        :param code: the statement in upper case, without white space and comment.
+        :raises StatementError: it is not supported or not understood.
+        """
         for word in TEXT:
             if code.startswith(word):
                 if word == "PARTNO" and self.parted < 0:
                     self.parted = row
-                self._event(row, "comment", text=self._text(row, word))
+                self._event(row, "comment", text=self._text_behind(row, word))
                 return
         if code.startswith("INSERT"):
             self._insert(row, "INSERT")
@@ -407,7 +411,7 @@ class _Walk:
         if major != "GOTO":
             self.closed = None
         if code.startswith("TOOLPATH/"):
-            self._event(row, "comment", text=self._text(row, "TOOL"))
+            self._event(row, "comment", text=self._text_behind(row, "TOOL"))
             return
         if major == "TLON,GOFWD":
             self._leave_by_arc(row, minor_words)
@@ -427,8 +431,11 @@ class _Walk:
             raise StatementError(*refusal(major))
         handler(self, row, words)
 
-    def _text(self, row: int, word: str) -> str:
-        """Return the text of a statement behind its word, as it is in the file."""
+    def _text_behind(self, row: int, word: str) -> str:
+        """Return the text behind the major word of a statement, from its first line as it is in the file.
+
+        Comment, slash, quotes and the ``$`` of a continuation at its ends are left out.
+        """
         text = self.statements.text(row).partition("$$")[0].strip()
         return text[len(word) :].lstrip(" \t/").strip("' \t$")
 
@@ -719,7 +726,7 @@ class _Walk:
         """Read OPSKIP, and remark that the statements behind it are executed."""
         if words != ["OFF"]:
             message = "OPSKIP: the statements behind it are executed, as with the switch off."
-            self.course.remarks.append((row, "info", "block-delete", message))
+            self.course.remarks.append(Remark(row, "info", "block-delete", message))
 
     def _auxiliary(self, row: int, words: list[float | str]) -> None:
         """Read AUXFUN: an M code by its number."""
@@ -727,7 +734,7 @@ class _Walk:
 
     def _insert(self, row: int, word: str) -> None:
         """Read INSERT: a comment, a stop or a machine code for one control."""
-        text = self._text(row, word).upper()
+        text = self._text_behind(row, word).upper()
         if "".join(text.split()) != self.statements.of(row)[len(word) :].lstrip("/").strip("'"):
             raise StatementError("INSERT in more than one line", "Write the text in one line.")
         comment = inserted_comment(text)
@@ -779,7 +786,7 @@ class _Walk:
             self.course.faults.append(Fault(compensation.row, *_COMPENSATION_FAULT))
             return
         message = "CUTCOM has no effect: the path is that of the tool's centre, and the offsets hold wear only."
-        self.course.remarks.append((compensation.row, "info", "radius-compensation", message))
+        self.course.remarks.append(Remark(compensation.row, "info", "radius-compensation", message))
 
     def _cutter(self, row: int, words: list[float | str]) -> None:
         """Read CUTTER: its first value is the diameter of the cutter."""
@@ -825,7 +832,7 @@ class _Walk:
             raise StatementError("MSYS changes within the program", advice)
         if self.system is None:
             message = "MSYS: coordinates are those of this system, which is $BASE of the cell."
-            self.course.remarks.append((row, "info", "coordinate-system", message))
+            self.course.remarks.append(Remark(row, "info", "coordinate-system", message))
         self.system = words
 
     def _section_axes(self, row: int, words: list[float | str]) -> None:
@@ -845,7 +852,7 @@ class _Walk:
             raise StatementError("ZERO: the work offset changes within the program", advice)
         if self.work_offset is None:
             message = f"ZERO: coordinates are those of work offset {offset:g}, which is $BASE of the cell."
-            self.course.remarks.append((row, "info", "coordinate-system", message))
+            self.course.remarks.append(Remark(row, "info", "coordinate-system", message))
         self.work_offset = offset
 
     def _end(self, row: int, words: list[float | str]) -> None:

@@ -292,7 +292,7 @@ class _Run:
         try:
             line = unit.at(at)
             if isinstance(line, Order):
-                self._obey(at, line)
+                self._execute_order(at, line)
             elif isinstance(line, Block):
                 self._execute(at, line)
             else:
@@ -407,12 +407,16 @@ class _Run:
         self.unit, self.row, self.main = frame.unit, frame.row, frame.main
         self.parameters.leave()
 
-    def _obey(self, row: int, order: Order) -> None:
-        """Execute an O word: a call, a branch or a loop (LinuxCNC's O codes)."""
+    def _execute_order(self, row: int, order: Order) -> None:
+        """Execute an O word of LinuxCNC: continue at the line to which a call, a branch or a loop leads.
+
+        :param row: its line in the current file.
+        :raises BlockError: it calls a subprogram that does not exist.
+        """
         unit, keyword = self.units[self.unit], order.keyword
         if self.wrong and keyword in ("IF", "ELSEIF", "WHILE", "REPEAT"):
             raise _EndError  # the condition may depend on an earlier fault
-        link = unit.links.get(row, (row,))
+        link = unit.links.get(row, (row,))  # lines of the O words of this structure, from its first to its last
         if keyword == "SUB":
             self.row = link[-1] + 1
         elif keyword in ("ENDSUB", "RETURN"):

@@ -31,8 +31,7 @@ from postproc.dialects.gcode.cycles import DWELLING, Cycle, CycleEvent, Step
 from postproc.dialects.gcode.line_states import LineStates, active_values, carry_forward, take_rows
 from postproc.dialects.gcode.modes import Modes, Origin, Return, dwell_time
 from postproc.dialects.gcode.rotary import RotaryAxes
-from postproc.dialects.gcode.words import BlockError
-from postproc.errors import Level
+from postproc.dialects.gcode.words import BlockError, Fault, Remark
 from postproc.frames import M_PER_MM, Array, any_column, inverse, pose_from_xyzabc
 from postproc.program import COMPONENTS, Bools, EventKind, Ints, constant
 
@@ -84,8 +83,6 @@ class Moves(Struct, frozen=True, eq=False):
     :param unknown: first and last row of each range of lines in which the position of some axis is unknown.
     :param last_start_row: last row of the lines whose moves at feed come from `[start]`; −1 if there are none.
     :param offset: (L,) active work offset of each line.
-    :param faults: row, problem, advice.
-    :param remarks: row, level, kind and message for the user.
     """
 
     row: Ints
@@ -104,8 +101,8 @@ class Moves(Struct, frozen=True, eq=False):
     unknown: Sequence[tuple[int, int]]
     last_start_row: int
     offset: Array
-    faults: Sequence[tuple[int, str, str | None]]
-    remarks: Sequence[tuple[int, Level, str, str]]
+    faults: Sequence[Fault]
+    remarks: Sequence[Remark]
 
     def begin(self, move: Ints) -> Array:
         """Return the starts (n, 3) of moves (n,)."""
@@ -160,7 +157,7 @@ class _Walk:
 
     :ivar position: (3,) of the tool tip in the program frame [mm].
     :ivar known: (3,) whether X, Y, Z have been programmed.
-    :ivar away: (3,) axes along which the machine is at another place than the robot since G28, G30 or G53.
+    :ivar displaced: (3,) axes along which the machine is at another place than the robot since G28, G30 or G53.
     :ivar lifted: whether the robot has retracted by a code that does not move Z of the machine.
     :ivar offset_frames: code of a work offset → (4, 4) frame in `$BASE` [m]; G10 changes it.
     :ivar shift: (3,) shift of coordinates by G52 and G92 [mm]; `kept_shift`: the one that G92.3 restores.
@@ -182,7 +179,7 @@ class _Walk:
         self.known = np.zeros(3, dtype=bool)
         if cell_frames.home_place is not None:
             self.position, self.known = cell_frames.home_place, np.ones(3, dtype=bool)
-        self.away = np.zeros(3, dtype=bool)
+        self.displaced = np.zeros(3, dtype=bool)
         self.lifted = False
         self.angles = cell_frames.rotary.upright
         self.tool = 0
@@ -201,8 +198,8 @@ class _Walk:
         self.events: list[tuple[int, int, CycleEvent]] = []
         self.losses: list[tuple[int, Bools]] = [(0, ~self.known)]
         self.parked: list[tuple[int, Bools]] = []
-        self.faults: list[tuple[int, str, str | None]] = []
-        self.remarks: list[tuple[int, Level, str, str]] = []
+        self.faults: list[Fault] = []
+        self.remarks: list[Remark] = []
 
     def moves(self) -> Moves:
         """Process the program in runs of lines between changes of mode."""
@@ -302,7 +299,7 @@ class _Walk:
             return
         if self.rows.motion[row] != 0.0:
             advice = "Turn indexed axes by G0, or set the CAM system to output tool-centre-point control."
-            self.faults.append((row, "an indexed axis turns in a line that is not a rapid", advice))
+            self.faults.append(Fault(row, "an indexed axis turns in a line that is not a rapid", advice))
             return
         if not self.known.all():  # the move from [start] is made when X, Y and Z are known
             self._turn_part(row, start_angles + turn)
@@ -389,16 +386,16 @@ class _Walk:
             try:
                 words["P"] = dwell_time(word, time, self.modes.dwell_unit, with_point=row in self.modes.with_point)
             except BlockError as cause:  # the time does not matter to the holes that follow
-                self.faults.append((row, *cause.args))
+                self.faults.append(Fault(row, *cause.args))
                 words["P"] = 0.0
         try:
             steps, events = self.cycle.hole(float(rows.motion[row]), words, (u, v, height), modes, spindle)
         except BlockError as cause:
-            self.faults.append((row, *cause.args))
+            self.faults.append(Fault(row, *cause.args))
             return [], []
         if self.cycle.lifts and not self.known[axes[:2]].all():
             advice = "Program X and Y by G0 before, or Z above R: the tool goes up to R where it is."
-            self.faults.append((row, "a cycle that begins below R before the position is known", advice))
+            self.faults.append(Fault(row, "a cycle that begins below R before the position is known", advice))
         if not modes[0]:
             self.known[axes[:2]] |= ~np.isnan(rows.xyz[row][axes[:2]])
         places = np.empty((len(steps), 3))
@@ -440,13 +437,12 @@ class _Walk:
         turns = self._rotary_angles(begin, end)
         row = begin + int(np.argmax((turns[:, 0] != turns[:, 1]).any(axis=1)))
         if (turns[:, 0] != turns[:, 1]).any():
-            self.faults.append(
-                (row, "rotary axes turn in a cycle", "Program the rotary axes in a block before the cycle.")
-            )
+            advice = "Program the rotary axes in a block before the cycle."
+            self.faults.append(Fault(row, "rotary axes turn in a cycle", advice))
         alignment = abs(self._direction()[PLANE_AXES[float(self.rows.plane[begin])][2]])
         if self.angles.any() and alignment < 1.0 - 1e-9:
             advice = "Set the CAM system to output holes in tilted planes as G0 and G1."
-            self.faults.append((begin, "a cycle with a tilted tool", advice))
+            self.faults.append(Fault(begin, "a cycle with a tilted tool", advice))
 
     def _direction(self) -> Array:
         """Return the unit direction from the tip to the spindle in the program frame (3,)."""
@@ -479,20 +475,20 @@ class _Walk:
             previous_number = self.number
             self._retract(row, cell_frames.clearance)
             self.lifted = not axis_mask[2] and (self.lifted or self.number > previous_number)
-            self.away[2] |= self.lifted
+            self.displaced[2] |= self.lifted
         if cell_frames.home is None or (to.code == codes.MACHINE and is_retract and cell_frames.clearance is not None):
             if not self.known.all():
                 message = "A retract before X, Y and Z are known is left out: the robot is at [start]."
-                self.remarks.append((row, "info", "start-position", message))
-            self.away |= axis_mask
+                self.remarks.append(Remark(row, "info", "start-position", message))
+            self.displaced |= axis_mask
             if cell_frames.home is None and not is_retract:
                 message = "The tool retracts to clearance_Z and stays above its place: [machine] home is not given."
-                self.remarks.append((row, "info", "parked", message))
+                self.remarks.append(Remark(row, "info", "parked", message))
                 self.parked.append((row, axis_mask & [True, True, False]))
             return
         if cell_frames.clearance is None:
             message = "From home the robot goes to the next position by a joint motion, without an approach from above."
-            self.remarks.append((row, "warning", "approach", f"{message} Give [machine] clearance_Z."))
+            self.remarks.append(Remark(row, "warning", "approach", f"{message} Give [machine] clearance_Z."))
         self.homes.append(self.number)
         self._turn_part(row, np.where(np.isnan(self.rows.rotary[row]), self.angles, 0.0))
         self._go(row, self.position)
@@ -503,7 +499,7 @@ class _Walk:
         """Move the named axes to home, as the machine does. Words of G53 other than 0 are places that are not known."""
         if self.angles.any() and not self.cell_frames.rotary.turns_part:
             advice = "Turn the rotary axes to zero before, or give A1 to A6 as [machine] home."
-            self.faults.append((row, f"G{to.code:g} with tilted axes, and home is a place", advice))
+            self.faults.append(Fault(row, f"G{to.code:g} with tilted axes, and home is a place", advice))
             return
         frame = self.machine_frames[-1]
         place = frame[:3, :3] @ self.position + frame[:3, 3] / M_PER_MM
@@ -512,8 +508,8 @@ class _Walk:
         stray = np.zeros(3, dtype=bool)
         if to.code == codes.MACHINE:
             stray[[axis for axis, word in to.axes.items() if word != 0.0]] = True
-        self.away = (self.away & ~axis_mask) | stray
-        self.lifted = bool(self.away[2])
+        self.displaced = (self.displaced & ~axis_mask) | stray
+        self.lifted = bool(self.displaced[2])
         if stray[:2].any():
             self.parked.append((row, stray & [True, True, False]))
 
@@ -528,7 +524,7 @@ class _Walk:
         rise = float(frame[2, :3] @ direction)
         if rise < LEVEL:
             advice = "Retract along the tool with G0 before: a vertical move would drag it through the part."
-            self.faults.append((row, "retract with a nearly horizontal tool", advice))
+            self.faults.append(Fault(row, "retract with a nearly horizontal tool", advice))
             return
         self._go(row, self.position + direction * ((clearance - z) / rise))
 
@@ -537,17 +533,19 @@ class _Walk:
         rows = self.rows
         has_word = ~np.isnan(rows.xyz[begin:end])
         if rows.incremental[begin]:
-            is_wrong = self.away[2] & ((has_word[:, 2] & (rows.xyz[begin:end, 2] != 0.0)) | rows.drilling[begin:end])
+            is_wrong = self.displaced[2] & (
+                (has_word[:, 2] & (rows.xyz[begin:end, 2] != 0.0)) | rows.drilling[begin:end]
+            )
         else:
             is_wrong = self.lifted & rows.moving[begin:end] & (rows.motion[begin:end] > 0.0)
             is_wrong &= ~np.logical_or.accumulate(has_word[:, 2])
-            self.away &= ~has_word.any(axis=0)
-            self.lifted &= bool(self.away[2])
+            self.displaced &= ~has_word.any(axis=0)
+            self.lifted &= bool(self.displaced[2])
         if is_wrong.any():
             problem = "Z must be programmed again after G28, G30 or G53, before this move"
             advice = "Program Z in G90: the robot is at clearance_Z of the cell, the machine at another height."
-            self.faults.append((begin + int(np.argmax(is_wrong)), problem, advice))
-            self.away[2] = self.lifted = False
+            self.faults.append(Fault(begin + int(np.argmax(is_wrong)), problem, advice))
+            self.displaced[2] = self.lifted = False
 
     def _check_return(self) -> None:
         """Check that X and Y are programmed, at the height of the retract, after G28 and G53 have moved them away.
@@ -563,7 +561,7 @@ class _Walk:
                     names = " and ".join("XYZ"[axis] for axis in np.flatnonzero(open_axes).tolist())
                     problem = f"{names} must be programmed again after G28, G30 or G53, before this move"
                     advice = "Program X and Y by G0 in G90, without Z, or give [machine] home in the cell."
-                    self.faults.append((next_row, problem, advice))
+                    self.faults.append(Fault(next_row, problem, advice))
                     break
                 open_axes &= ~has_word[next_row]
                 if not open_axes.any():
@@ -641,11 +639,11 @@ class _Walk:
             "[work_offsets.G55]. Else program X, Y and Z by G0 in G90 before."
         )
         if not self.known[axes].all():
-            self.faults.append((origin.row, f"{name} before the position is known", advice))
-        elif self.away[axes].any():
-            names = " and ".join("XYZ"[axis] for axis in axes if self.away[axis])
+            self.faults.append(Fault(origin.row, f"{name} before the position is known", advice))
+        elif self.displaced[axes].any():
+            names = " and ".join("XYZ"[axis] for axis in axes if self.displaced[axis])
             problem = f"{name} {names} after G28, G30 or G53: the machine is at another place than the robot"
-            self.faults.append((origin.row, problem, advice))
+            self.faults.append(Fault(origin.row, problem, advice))
 
     def _store(self, origin: Origin, current: float) -> None:
         """Set a work offset (G10): by its frame in `$BASE` (L2), or by coordinates of the current position (L20).
@@ -655,7 +653,9 @@ class _Walk:
         system = codes.WORK_OFFSETS[origin.system - 1] if origin.system else current
         place = self.offset_frames[system].copy()
         if origin.turn is not None and self.cell_frames.rotary.turns_part:
-            self.faults.append((origin.row, "G10 R with indexed axes", "X, Y, Z are machine axes there: remove R."))
+            self.faults.append(
+                Fault(origin.row, "G10 R with indexed axes", "X, Y, Z are machine axes there: remove R.")
+            )
         elif origin.turn is not None:
             place[:3, :3] = pose_from_xyzabc([0.0, 0.0, 0.0, origin.turn, 0.0, 0.0])[:3, :3]
         if origin.here:
@@ -731,10 +731,12 @@ class _Walk:
             is_safe &= (row[g80_moves] < first) | (row[g80_moves] > last)
         moves.code[g80_moves] = 0  # the others are refused here, once, and not as arcs too
         message = "Coordinates without G0 after G80 are read as a rapid, as on Fanuc controls."
-        self.remarks += [(int(line_row), "info", "motion-after-g80", message) for line_row in row[g80_moves[is_safe]]]
+        self.remarks += [
+            Remark(int(line_row), "info", "motion-after-g80", message) for line_row in row[g80_moves[is_safe]]
+        ]
         advice = "Write the motion code. A rapid is assumed only at heights to which the program has moved in rapid."
         for line_row in row[g80_moves[~is_safe]][:1].tolist():
-            self.faults.append((line_row, "coordinates without G0, G1, G2 or G3", advice))
+            self.faults.append(Fault(line_row, "coordinates without G0, G1, G2 or G3", advice))
 
     def _ranges_behind_start(self, unknown: list[tuple[int, int]]) -> tuple[list[tuple[int, int]], int]:
         """Return the ranges of rows with an unknown position, and the last row whose moves begin at `[start]`, or −1.
@@ -766,7 +768,7 @@ class _Walk:
             "G1 before X, Y and Z are known: the moves begin at [start] of the cell. Check that the path from there is "
             "free."
         )
-        self.remarks.append((first + int(np.argmax(is_feed)), "warning", "from-start", message))
+        self.remarks.append(Remark(first + int(np.argmax(is_feed)), "warning", "from-start", message))
         return [(first, first), *unknown[1:]], last
 
     def _unknown(self) -> list[tuple[int, int]]:

@@ -30,8 +30,8 @@ from postproc.dialects.gcode.line_states import LineStates, active_values, take_
 from postproc.dialects.gcode.modes import MM_PER_UNIT, Modes, tip_codes
 from postproc.dialects.gcode.moves import LEVEL, CellFrames, Moves, below_top, moves_of
 from postproc.dialects.gcode.rotary import RotaryAxes, kind_faults
-from postproc.dialects.gcode.words import Fault
-from postproc.errors import MAX_ERRORS, Level
+from postproc.dialects.gcode.words import Fault, Remark
+from postproc.errors import MAX_ERRORS
 from postproc.frames import M_PER_MM, RAD_PER_DEG, S_PER_MIN, Array, angle_between, any_column, norm
 from postproc.poses import Poses
 from postproc.program import (
@@ -273,13 +273,13 @@ def faults_of(rows: LineStates, moves: Moves, modes: Modes, circular: Ints, arcs
     check(no_feed & rows.inverse_time & rows.moving, "cutting move in G93 without a feed", "Give F in each block.")
     check(rows.drilling & rows.inverse_time, "a cycle in G93", "Write G94, and F in mm/min or inch/min.", first=True)
     _check_positions_known(rows, moves, doubt, check)
-    for row, problem, advice in moves.faults:
-        if not (doubt.motion[row] or doubt.position[row]):
-            faults.setdefault(row, Fault(row, problem, advice))
-    for fault in arcs:
-        row = int(circular[fault.n])
-        if not (doubt.motion[row] or (fault.is_placed and doubt.position[row])):
-            faults.setdefault(row, Fault(row, fault.problem, fault.advice))
+    for fault in moves.faults:
+        if not (doubt.motion[fault.row] or doubt.position[fault.row]):
+            faults.setdefault(fault.row, fault)
+    for arc_fault in arcs:
+        row = int(circular[arc_fault.n])
+        if not (doubt.motion[row] or (arc_fault.is_placed and doubt.position[row])):
+            faults.setdefault(row, Fault(row, arc_fault.problem, arc_fault.advice))
     return [faults[row] for row in sorted(faults)]
 
 
@@ -391,7 +391,6 @@ class MotionPath(Struct, frozen=True, eq=False):
     :param unforced: (n,) motions at feed that come from `[start]` of the cell.
     :param held_back: (n,) the rows of `still` with rapid moves before the position is known.
     :param events: events of cycles: index of the motion after it, row, event.
-    :param remarks: row, level, kind and message for the user.
     """
 
     motions: Motions
@@ -401,7 +400,7 @@ class MotionPath(Struct, frozen=True, eq=False):
     still: Ints
     held_back: Ints
     events: Sequence[tuple[int, int, CycleEvent]]
-    remarks: Sequence[tuple[int, Level, str, str]]
+    remarks: Sequence[Remark]
 
 
 def read_path(
@@ -586,7 +585,12 @@ def _rotations(frames: Array, frame: Ints, swivel: Swivel | None, orientation: A
 def _arcs_in_base(
     circles: tuple[Ints, Arcs], motion_moves: Ints, kind: Ints, frames: Array, frame: Ints
 ) -> tuple[Array, Array, Array]:
-    """Return centre (M, 3) [m], unit axis (M, 3) and angle (M,) [rad] of the arcs in `$BASE`; NaN for other motions."""
+    """Return centre (M, 3) [m], unit axis (M, 3) and angle (M,) [rad] of the arcs in `$BASE`; NaN for other motions.
+
+    :param circles: which moves are arcs (A,), and these arcs in the program frame [mm].
+    :param motion_moves: (M,) moves that are motions; `kind` (M,) of each.
+    :param frames: (nf, 4, 4) program frames in `$BASE` [m]; `frame` (M,) the row of each motion.
+    """
     empty = np.broadcast_to(np.nan, (len(motion_moves), 3))  # takes no memory
     is_arc = np.flatnonzero(kind == CIRC)
     if not len(is_arc):

@@ -381,8 +381,8 @@ def _issues(path: MotionPath, modes: Modes, text: str) -> Iterator[Issue]:
     """Yield information and warnings on how the program was read."""
     if not modes.changes["units"]:
         yield _unit_issue(path, text)
-    for row, level, kind, message in path.remarks:
-        yield Issue(level, kind, message, row + 1)
+    for remark in path.remarks:
+        yield Issue(remark.level, remark.kind, remark.message, remark.row + 1)
     if len(path.held_back):
         message = "Moves are held back until X, Y and Z are all known."
         lines = tuple((path.held_back + 1).tolist())

@@ -17,6 +17,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -24,6 +25,7 @@ from numpy.typing import NDArray
 
 from postproc.chunks import chunks, compact
 from postproc.decimals import numbers_in, parsed_numbers
+from postproc.errors import Level
 from postproc.frames import Array
 from postproc.program import Document, Ints, distinct
 
@@ -297,6 +299,15 @@ class Fault(Struct, frozen=True):
     lost: str = ""
 
 
+class Remark(NamedTuple):
+    """A remark on a line for the user; `kind` as in `Issue`."""
+
+    row: int
+    level: Level
+    kind: str
+    message: str
+
+
 class BlockError(Exception):
     """A block cannot be read. Its arguments are problem and advice (or None)."""
 
@@ -349,7 +360,7 @@ def _split(code: str) -> list[tuple[str, str]]:
     while position < stop:
         match = _WORD.match(code, position)
         if match is None:
-            raise BlockError(*_not_a_word(code[position:].lstrip(MARK)))
+            raise BlockError(*_fault_of_text(code[position:].lstrip(MARK)))
         if match[1] in "LNT" and len(match[2]) > 15:
             raise BlockError(f"{match[0].lstrip(MARK)[:20]}… has too many digits", None)
         if match[1] in "MT" and "." in _plain_number(match[1], match[2]):
@@ -374,12 +385,12 @@ def _plain_number(letter: str, number: str) -> str:
     return number
 
 
-def _not_a_word(rest: str) -> tuple[str, str | None]:
+def _fault_of_text(text: str) -> tuple[str, str | None]:
     """Return problem and advice for text that does not begin with a word."""
-    character = rest[0]
+    character = text[0]
     if character in "()":
         return "a bracket outside of comments", "Close each comment in its line. Do not nest comments."
-    if character in "Tt" and rest[1:].lstrip().startswith('"'):
+    if character in "Tt" and text[1:].lstrip().startswith('"'):
         advice = "Give the tool a number in the CAM system (T5), and its length by [tools.5] in the cell."
         return "a tool by its name, not by a number", advice
     if character.isalpha():
