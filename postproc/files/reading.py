@@ -14,7 +14,7 @@ import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import islice
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import msgspec
 import numpy as np
@@ -281,6 +281,19 @@ def _valid_values(kind: Any, at: str, invalid_value: re.Match[str] | None) -> st
     return None
 
 
+class CsvTable(NamedTuple):
+    """The n rows of a CSV file.
+
+    :ivar numbers: numeric columns by name, (n,) each.
+    :ivar texts: text columns by name, n texts each.
+    :ivar lines: (n,) 1-based line of each row.
+    """
+
+    numbers: dict[str, Array]
+    texts: dict[str, list[str]]
+    lines: Array
+
+
 def read_csv(
     path: Path,
     required_columns: Sequence[str],
@@ -288,12 +301,15 @@ def read_csv(
     error: type[Error],
     text_columns: Sequence[str] = (),
     may_be_empty: Sequence[str] = (),
-) -> tuple[dict[str, Array], dict[str, list[str]], Array]:
-    """Read a CSV file as `parse_csv` does; all errors in its rows are raised together."""
-    numbers, texts, line, faults = parse_csv(path, required_columns, optional, error, text_columns, may_be_empty)
+) -> CsvTable:
+    """Read a CSV file as `parse_csv` does.
+
+    :raises InputError: (`error`) the file cannot be read, or rows have faults; all of them together.
+    """
+    numbers, texts, lines, faults = parse_csv(path, required_columns, optional, error, text_columns, may_be_empty)
     if faults:
         raise combined_error(faults)
-    return numbers, texts, line
+    return CsvTable(numbers, texts, lines)
 
 
 def parse_csv(

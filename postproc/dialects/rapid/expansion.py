@@ -65,7 +65,7 @@ def expand(
         entry = entry_of(program_modules)
         try:
             execution = Execution(program_modules, entry, cell_value, without_effect, loaded).run()
-            changes = _changes(text, program_modules, execution)
+            changes = _first_changes(text, program_modules, execution)
         except RapidError as cause:
             raise cause.set_line(_line_at(text, line, cause.start)) from None
         if not changes:
@@ -103,13 +103,21 @@ class _Change(Struct, frozen=True):
     is_loop: bool = False
 
 
-def _changes(text: str, program_modules: Sequence[Module], execution: ExecutedProgram) -> list[_Change]:
-    """Return the first changes: outermost loops that run once, then routines called by statements that run once."""
+def _first_changes(text: str, program_modules: Sequence[Module], execution: ExecutedProgram) -> list[_Change]:
+    """Return the changes of the next pass; empty if each statement that moves runs once.
+
+    Loops that run once are written out first, the outermost of each nest. Without such loops, a routine that several
+    statements call, each once, gets a copy for each call but the first; one routine in a pass.
+
+    :raises RapidError: a routine to be copied is called by its name as text, or a statement runs more than once for
+        another reason.
+    """
     move_counts: dict[int, int] = {}
     for move in execution.moves:
         move_counts[move.statement.start] = move_counts.get(move.statement.start, 0) + 1
     if max(move_counts.values(), default=0) <= 1:
         return []
+    # loops that run once, with the values of their counter; those of a single round need no change
     single_runs = [runs[0] for runs in execution.rounds.values() if len(runs) == 1 and len(runs[0][1]) > 1]
     outermost = [
         (loop, values)

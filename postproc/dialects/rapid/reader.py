@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import PurePath
+from typing import NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
@@ -69,6 +70,25 @@ def read(document: Document, cell: Cell, forward_kinematics: Callable[[Array], A
         return _Reader(document, cell).program(forward_kinematics, name)
 
 
+class _Path(NamedTuple):
+    """The M motions of a module.
+
+    :ivar bases: (n, 4, 4) frames of the work objects in the robot root [m].
+    :ivar tools: (n, 4, 4) frames of the tools in the flange [m].
+    :ivar numbers: X, Y, Z, A, B, C (M, 6) [mm, deg] of the targets, exactly as the text gives them; of joint targets
+        those of their poses.
+    :ivar by_wrist: (M,) whether the wrist axes turn the tool.
+    :ivar with_path: (M,) whether the tool turns with its path.
+    """
+
+    motions: Motions
+    bases: Array
+    tools: Array
+    numbers: Array
+    by_wrist: Bools
+    with_path: Bools
+
+
 class _Reader:
     """Reader of one module."""
 
@@ -92,7 +112,7 @@ class _Reader:
                 "there are no motions", file=self.document.name, advice="Check that this is the program."
             )
         comments, notes = self._notes(expanded)
-        motions, bases, tools, numbers, turns = self._motions(execution.moves, line, forward_kinematics)
+        path = self._motions(execution.moves, line, forward_kinematics)
         is_plain = not expanded.loops and not expanded.copies
         all_modules = (*self.loaded.modules, *expanded.modules)
         data_names = frozenset(data.name for module in all_modules for data in module.data)
@@ -100,15 +120,15 @@ class _Reader:
             name,
             "rapid",
             (self.document,),
-            motions,
-            bases,
-            tools,
-            tool_keys=_tool_names(execution.moves, motions.tool, len(tools)),
+            path.motions,
+            path.bases,
+            path.tools,
+            tool_keys=_tool_names(execution.moves, path.motions.tool, len(path.tools)),
             notes=notes,
             issues=tuple(self._issues(expanded)),
-            by_wrist=turns[0] if turns[0].any() else None,
-            with_path=turns[1] if turns[1].any() else None,
-            layout=Layout(numbers, expanded.text, is_plain, tuple(execution.moves), comments, data_names),
+            by_wrist=path.by_wrist if path.by_wrist.any() else None,
+            with_path=path.with_path if path.with_path.any() else None,
+            layout=Layout(path.numbers, expanded.text, is_plain, tuple(execution.moves), comments, data_names),
         )
 
     # --- text
@@ -198,14 +218,12 @@ class _Reader:
 
     # --- motions
 
-    def _motions(
-        self, moves: list[Move], line: Ints, forward_kinematics: Callable[[Array], Array]
-    ) -> tuple[Motions, Array, Array, Array, tuple[Bools, Bools]]:
-        """Return motions (M,), bases and tools (n, 4, 4) [m], numbers of the text, and how motions turn the tool.
+    def _motions(self, moves: list[Move], line: Ints, forward_kinematics: Callable[[Array], Array]) -> _Path:
+        """Return the motions of moves.
 
         :param line: (M,) lines of the moves.
-        :returns: numbers: X, Y, Z, A, B, C (M, 6) [mm, deg] of the targets, exactly as the text gives them; of joint
-            targets those of their poses. The last two (M,): turned by the wrist axes, and as seen from the path.
+        :param forward_kinematics: (6,) joints [rad] → (4, 4) flange in the robot root [m].
+        :raises ProgramError: numbers of a move cannot be used, all together.
         """
         kind = np.array([move.kind for move in moves], dtype=np.int64)
         has_joints = np.array([move.joints for move in moves])
@@ -243,7 +261,7 @@ class _Reader:
             status=status,
             turn=np.full(len(line), -1),
         )
-        return motions, bases, tools, numbers, (by_wrist, with_path)
+        return _Path(motions, bases, tools, numbers, by_wrist, with_path)
 
     def _target_values(self, moves: list[Move], line: Ints, has_joints: Bools) -> tuple[Array, Array]:
         """Return the numbers of robtargets (M, 17), and joint angles (M, 6) [rad]; NaN where a move has none.
