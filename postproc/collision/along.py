@@ -269,8 +269,9 @@ _CHUNK = 4096
 def _largest_displacement(solids: Solids, q: Array, commanded_q: Array) -> Array:
     """Return an upper bound on the displacement of each body (b,) between two sets of joint angles (n, 6) [m].
 
-    It is the displacement of its middle, plus its rotation times its radius; the arc of so short a motion is longer
-    than its chord by less than a thousandth.
+    It is the displacement of the centre of the body's bounding sphere, plus its rotation times the radius. For the
+    difference D of two rotation matrices, the chord 2·sin(angle/2) is the Frobenius norm of D over √2; the arc of so
+    short a motion is at most `_ARC` times as long.
     """
     chain, displacement = solids.scene.robot.nominal, np.zeros(len(solids.bodies))
     for begin in range(0, len(q), _CHUNK):

@@ -150,6 +150,7 @@ def _arm(robot: RobotModel, source: str) -> tuple[list[Body], list[str]]:
 
 
 def _link(carrier: int) -> str:
+    """Return the name of a link for messages, by the index of its joint; −1 is the base."""
     return "base of the robot" if carrier < 0 else f"link of {JOINTS[carrier]}"
 
 
@@ -260,11 +261,16 @@ def _obstacle(table: ObstacleTable, number: int, base: Array, folder: Path) -> B
 
 
 def _read(name: str, folder: Path) -> tuple[Array, NDArray[np.int64]]:
+    """Return the vertices (v, 3) [m] and triangles (f, 3), as rows of vertices, of a mesh file in millimetres.
+
+    :raises CellError: the file is missing or no mesh.
+    """
     mesh = files.read_mesh(folder / name, CellError, "mesh of [collision]")
     return np.asarray(mesh.vertices) * M_PER_MM, np.asarray(mesh.faces, dtype=np.int64)
 
 
 def _mesh(name: str, carrier: int, of: Of, points: Array, faces: NDArray[np.int64]) -> Body:
+    """Return a body with the surface of a mesh: vertices (v, 3) [m] in the frame of its carrier, triangles (f, 3)."""
     return Body(name, carrier, of, "mesh", (), np.eye(4), points, faces)
 
 

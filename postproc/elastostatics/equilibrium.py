@@ -136,13 +136,17 @@ def deflection_by_parameter(
 def solve_equilibrium(
     robot: RobotModel, x0: Array, tool: Array, wrench: Array, guess: Array | None = None
 ) -> tuple[Array, Array]:
-    """Solve the loaded equilibrium, as `deflect`, with the sample index last.
+    """Return the deflections of the joint springs and the tool position at which loads and springs balance.
 
-    :param x0: (nv, n) coordinates that the controller holds.
-    :param tool: (3, 4, n) or (3, 4, 1).
-    :param wrench: (6, n).
-    :param guess: (nv, n) start for θ, e.g. the solution of a neighbouring state.
-    :returns: (nv, n) deflections of the springs [rad, m]; (3, n) position of the loaded tool [m].
+    Iterates n samples at once; the sample index is last. The last step is added to the tool position by the Jacobian,
+    without another evaluation.
+
+    :param x0: (nv, n) coordinates that the controller holds [rad, m].
+    :param tool: (3, 4, n) or (3, 4, 1) tool in the flange frame [m].
+    :param wrench: (6, n) at the TCP, root axes [N, N·m].
+    :param guess: (nv, n) start for the deflections θ, e.g. those of a neighbouring sample; zero by default.
+    :returns: (nv, n) deflections of the springs [rad, m]; (3, n) position of the loaded tool in the root [m].
+    :raises NotConvergedError: no equilibrium is found, or the load is too large for the springs.
     """
     rest_torque, wrench = balanced_torque(robot, x0), np.ascontiguousarray(wrench)
     theta = np.zeros_like(x0) if guess is None else np.ascontiguousarray(guess)
@@ -196,6 +200,7 @@ def springs_at_target(robot: RobotModel, x: Array, load: Array, weights: Array) 
 
 
 def _largest(values: Array) -> Array:
+    """Return the largest absolute value of each column (n,) of values (k, n)."""
     return np.asarray(np.abs(values).max(axis=0))
 
 

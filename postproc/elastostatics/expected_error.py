@@ -131,7 +131,12 @@ class ChanceOfGain:
 
     @property
     def chance(self) -> float | None:
-        """The chance, in [0, 1]; None if correction changes nothing."""
+        """Probability, in [0, 1], that correction lowers the RMS error on the part; None if it changes no target.
+
+        The gain is taken as normally distributed about the expected one. Its variance adds those of the robot's
+        parameters, of the worst of the force cases, and of the other sources, each fully correlated along the path.
+        Without variance the probability is 0 or 1.
+        """
         if not self._is_changed or self._by_parameter is None or self._covariance is None:
             return None
         variance = float(self._by_parameter @ self._covariance @ self._by_parameter)

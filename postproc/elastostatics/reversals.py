@@ -109,6 +109,7 @@ def flank_covariance(robot: RobotModel, q: Array, tool: Array, wrench: Array, tu
 
 
 def _flanks(robot: RobotModel) -> list[tuple[Backlash, float]]:
+    """Return the backlash and lost-motion terms of a model with their values b > 0 [rad]: the gear is within ±b."""
     return [(parameter, value) for parameter, value in robot.terms if isinstance(parameter, Backlash) and value > 0.0]
 
 
@@ -121,7 +122,10 @@ def _moving_torque(state: Balance, parameter: Backlash) -> Array:
 
 
 def _changes(torque: Array, threshold: float) -> tuple[Ints, Ints]:
-    """Return the places before and after each change of sign of a torque (N,), without those below `threshold`."""
+    """Return the rows (m,) before and after each change of sign of a torque (N,).
+
+    Rows with a torque of at most `threshold` [N·m] have no sign and are skipped.
+    """
     places = np.flatnonzero(np.abs(torque) > threshold)
     sign_changes = np.flatnonzero(np.diff(np.sign(torque[places])) != 0.0)
     return places[sign_changes], places[sign_changes + 1]

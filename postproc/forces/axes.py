@@ -73,6 +73,8 @@ def is_line_across(program: Program, path: Segments, lines: Ints, axis: str) -> 
     """Return True for straight motions (n,), rows of `Motions`, whose travel keeps at least 45° from the spindle.
 
     Nearer to it, FEED axes may swing by up to half a turn while the tool turns a little.
+
+    :param axis: axis of the tool frame that points from the spindle to the tip: "+Z", "-Z", "+X" or "-X".
     """
     # the smallest angle between travel and spindle is at least that at the ends, less half the turn of the tool
     ends = at(program, path, lines, np.ones(len(lines)))

@@ -107,7 +107,15 @@ class Knots(Columns, frozen=True, eq=False):
         sigma: Array | None = None,
         factor: Array | None = None,
     ) -> Knots:
-        """Return wrenches (n, 6) at places (motion, t), in order, without a ramp; other parameters as of `Knots`."""
+        """Return the knots of wrenches that are known at n places along motions, without a ramp.
+
+        :param motion: (n,) rows of `Motions`, ascending.
+        :param t: (n,) places on the motions, in [0, 1], ascending on each.
+        :param wrench: (n, 6) force and moment [N, N·m].
+        :param frame: (n,) the axes in which the wrenches are given.
+        :param sigma: (n, 6) standard deviations of the components of the wrenches [N, N·m]; None: zero.
+        :param factor: (n,) the part of `sigma`, relative, by which a whole wrench may be off; None: zero.
+        """
         sigma = np.broadcast_to(0.0, np.shape(wrench)) if sigma is None else sigma
         factor = constant(0.0, len(motion)) if factor is None else factor
         return cls(motion, t, wrench, frame, sigma, factor, np.zeros(len(motion), dtype=np.bool_))

@@ -335,6 +335,7 @@ class _Solution(Struct, frozen=True, eq=False):
 
 
 def _usual(parameters: tuple[GeometryParameter, ...]) -> Array:
+    """Return the usual sizes (p,) of errors of geometry parameters, each in the unit of its parameter."""
     return np.array([parameter.usual for parameter in parameters])
 
 

@@ -217,6 +217,7 @@ def check_points(data: Measurements) -> None:
 
 
 def _distances(points: Array) -> Array:
+    """Return the distances (n, n) between all pairs of points (n, 3) [m]."""
     return np.asarray(np.linalg.norm(points[:, None] - points[None], axis=2))
 
 
@@ -398,10 +399,12 @@ def _ratios(displacement: Array, prediction: Array) -> Array:
 
 
 def _state_name(data: Measurements, state: int) -> str:
+    """Return the configuration and load of a state as messages name them."""
     return f"config {data.config[data.state_config[state]]:g}, load {data.load[state]:g}"
 
 
 def _first_line(data: Measurements, state: int) -> int:
+    """Return the first line of the file with readings of a state."""
     return int(data.line[np.flatnonzero(data.state == state)[0]])
 
 

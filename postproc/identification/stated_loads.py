@@ -178,6 +178,7 @@ def _coordinates(point: Array) -> str:
 
 
 def _joint_springs(prior: RobotModel, data: Measurements, placement: Placement) -> Fit:
+    """Return the fit of the joint compliances alone, from a prior model."""
     return gauss_newton(Structure(JOINT_COMPLIANCES, prior), data, placement)
 
 
@@ -259,4 +260,5 @@ def _description(matrix: Array, placement: Placement) -> str:
 
 
 def _angle(matrix: Array, other_matrix: Array) -> float:
+    """Return the angle [rad] between two rotation matrices (3, 3)."""
     return float(angle_between(matrix[None], other_matrix[None])[0])

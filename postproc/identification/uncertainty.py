@@ -580,7 +580,13 @@ def _numbers_of_a_configuration(points: int, directions: float) -> float:
 
 
 def _notes(data: Measurements, fit: Fit, choice: Choice | None) -> list[str]:
-    """Return notes on misfit, load levels, backlash and compliances at zero."""
+    """Return sentences for the report on what the fit or the readings leave in doubt.
+
+    They name a mean square error above that of noise, readings at one load level only, parameters that the readings
+    do not narrow, joints with a compliance of zero, and backlash beyond its 95 % half-width.
+
+    :param choice: the chosen model structure; None if the structure was given.
+    """
     # the posterior, not the wider covariance of the bound, tells whether a value is there
     posterior_fit = fit if choice is None else choice.fit
     notes, half = [], dict(zip(posterior_fit.structure.parameters, posterior_fit.ci95.tolist(), strict=True))

@@ -359,6 +359,7 @@ def limits(inside_counts: Array, counts: Array, doubt: float) -> tuple[float, fl
 
 
 def _rms(values: Array) -> float:
+    """Return the root mean square of all values."""
     return float(np.sqrt(np.mean(values**2)))
 
 

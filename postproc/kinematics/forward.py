@@ -82,10 +82,16 @@ class Posture(Struct, frozen=True, eq=False):
         return columns
 
     def weight(self, link: int | None = None) -> Array:
-        """Return ∇U_g (nv, n): torques that hold the weights of the links, or that of one."""
+        """Return the torques ∇U_g (nv, n) that hold the weights of the links [N·m], forces of sliding joints [N].
+
+        Needs a posture with moments (`weigh=True`). Gravity is along −Z of the root.
+
+        :param link: index of the joint whose link alone has a weight; None: all links.
+        """
         torque = np.zeros((len(self.axis), self.frame[0].shape[-1]))
         mass, moment = 0.0, np.zeros((2, 1))
-        for joint in reversed(range(len(torque))):  # what a joint carries is all behind it
+        # from the tool to the base: a joint carries its own link and all after it
+        for joint in reversed(range(len(torque))):
             if self.steps[joint].mass and link in (None, joint):
                 mass, moment = mass + self.steps[joint].mass, moment + self.moment[joint]
             if mass and self.steps[joint].turns:
@@ -97,11 +103,11 @@ class Posture(Struct, frozen=True, eq=False):
 
 
 def posture(chain: Chain, q: Array, tool: Array | None = None, *, weigh: bool = False) -> Posture:
-    """Return a chain in configurations.
+    """Return the joint axes, joint origins and tool frames of a chain in n configurations, in the root frame.
 
     :param q: (nv, n) coordinates [rad, m].
     :param tool: (3, 4, n) or (3, 4, 1) in the flange frame [m]; the flange itself by default.
-    :param weigh: with the moments of the masses.
+    :param weigh: whether to compute the moments of the links' masses, which `Posture.weight` needs.
     """
     first, steps, end = _steps(chain)
     end = end if tool is None else product([*np.moveaxis(end, 1, 0)], tool)
@@ -136,7 +142,7 @@ def tcp(chain: Chain, q: Array, tool: Array) -> tuple[Array, Array]:
 
 
 def gravity_torque(chain: Chain, q: Array) -> Array:
-    """Return ∇U_g (N, nv): torques that hold the weights of the links at configurations q (N, nv)."""
+    """Return ∇U_g (N, nv): torques [N·m] (forces of sliding joints [N]) that hold the links at q (N, nv) [rad, m]."""
     return posture(chain, by_coordinate(q), weigh=True).weight().T
 
 
@@ -190,11 +196,12 @@ def _upright_rotation(axis: Array) -> Array:
 
 
 def _about_z(angle: float) -> Array:
+    """Return the rotation (3, 3) about Z by an angle [rad]."""
     sine, cosine = np.sin(angle), np.cos(angle)
     return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
 
 
 def clean(values: Array) -> Array:
-    """Return values with those below the last digit set to zero, and those as near to ±1 set to that."""
+    """Return values with those within 1e-15 of 0, 1 or −1 set to exactly that: right angles lose their rounding."""
     nearest = np.round(values)
     return np.where((np.abs(values - nearest) < _ZERO) & (np.abs(nearest) <= 1.0), nearest, values)

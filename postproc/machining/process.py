@@ -196,7 +196,10 @@ def _check_tools(tools: dict[str, ToolTable], file: str) -> None:
 
 
 def is_name(key: str) -> bool:
-    """Return whether a key in [tools] is a name of RAPID tooldata: no number, and not that of all other tools."""
+    """Return whether a key in [tools] can be the name of RAPID tooldata.
+
+    A tool number cannot, nor can `DEFAULT`, the key for all tools without a table of their own.
+    """
     return key != DEFAULT and _NAME.fullmatch(key) is not None
 
 

@@ -440,7 +440,10 @@ class Directions(Struct, frozen=True, eq=False):
         return cls(end, ~m.rapid, turning, inner)
 
     def of_range(self, begin: int, end: int) -> Array:
-        """Return all unit directions (n, 3) on the cutting motions from `begin` to `end` (exclusive)."""
+        """Return all unit directions (n, 3) of the tool on the cutting motions from row `begin` to `end` (exclusive).
+
+        First those at the ends of motions, then those inside motions on which the tool turns.
+        """
         first, last = np.searchsorted(self.turning, [begin, end]).tolist()
         inner = self.inner[:, first:last][:, self.cuts[self.turning[first:last]]]
         return np.concatenate([self.end[begin:end][self.cuts[begin:end]], inner.reshape(-1, 3)])

@@ -591,6 +591,10 @@ def _begin(
 
 
 def _offsets(index: int) -> Array:
+    """Return the whole turns (2,) to add to A4 and A6, −1, 0 or 1 each, of one of their nine combinations.
+
+    :param index: 0…8 is three times the turns of A4 plus those of A6, each plus 1; 4 is no turn.
+    """
     return np.array([index // 3 - 1, index % 3 - 1], dtype=float)
 
 

@@ -386,6 +386,7 @@ class ChosenStart(Struct, frozen=True):
 
 
 def _first_target_error(program: Program, problem: str, advice: str) -> ProgramError:
+    """Return an error with the file and line of the first target of a program."""
     file, line = program.places(np.zeros(1, dtype=np.int64)).of(0)
     return ProgramError(problem, file=file, line=line, advice=advice)
 
@@ -510,6 +511,7 @@ def _start(q: Array, reason: str) -> ChosenStart:
 
 
 def _solve(samples: PathSamples, rows: Ints, turn: float, branch: int) -> Array:
+    """Return the joint angles (6, n) [rad] at samples, with the tool turned about its axis by `turn` [rad]."""
     flange = samples.flange(rows, np.full(len(rows), turn))
     return drive.solve(samples.robot_in_cell.robot, components(flange), branch)
 

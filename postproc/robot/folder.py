@@ -253,6 +253,7 @@ def _force_factor(content: ModelFile, covariance: Covariance | None) -> ForceFac
 
 
 def _discrepancy(entry: DiscrepancyEntry | None) -> Discrepancy | None:
+    """Return [discrepancy] in SI units, loads [N] and 95 % bounds [m]; None without the entry."""
     return None if entry is None else Discrepancy(np.array(entry.load_N), np.array(entry.u95_mm) * M_PER_MM)
 
 
@@ -380,6 +381,7 @@ def _compensator_values(content: ModelFile) -> Iterator[SourcedValue]:
 
 
 def _angles(entry: GeometryErrorEntry) -> str:
+    """Return the joint angles for which a bound holds as the end of a sentence, "" if it holds for all."""
     ranges = [f"{joint} {low:.0f} to {high:.0f}°" for joint, (low, high) in entry.angles_deg.items()]
     return f" at {', '.join(ranges)}; more beyond" if ranges else ""
 
@@ -421,4 +423,5 @@ def _basis(spring: JointSpring) -> Basis:
 
 
 def _sigma(percent: float | None) -> str:
+    """Return a relative standard deviation in brackets with a leading space, "" without one."""
     return "" if percent is None else f" (σ {percent:g} %)"

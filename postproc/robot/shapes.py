@@ -99,6 +99,7 @@ def _mesh(geometry: Geometry, urdf: Path) -> Any:
 
 
 def _place_list(places: list[Path]) -> str:
+    """Return the first `_MAX_PLACES` paths as a list with commas, then the number of those left out."""
     suffix = f", and {len(places) - _MAX_PLACES} more above" if len(places) > _MAX_PLACES else ""
     return f"{', '.join(str(place) for place in places[:_MAX_PLACES])}{suffix}"
 

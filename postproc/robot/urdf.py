@@ -296,7 +296,12 @@ def _axis(joint: ET.Element) -> Array:
 
 
 def _limits(joint: ET.Element) -> Array:
-    """Return lower, upper, velocity and effort."""
+    """Return the limits (4,) of a joint: lower, upper [rad, m], velocity [rad/s, m/s] and effort [N·m, N].
+
+    The effort is 0 where the file gives none.
+
+    :raises _RefusedError: limits are missing, the lower is not below the upper, or the velocity is not positive.
+    """
     limit = joint.find("limit")
     problem = f"limits of joint {joint.get('name')} are missing or impossible"
     advice = "Every joint needs <limit lower upper velocity> in radians, lower < upper, velocity > 0."

@@ -360,18 +360,20 @@ def program(
     lines: list[str] = []
     points = []
     for block in blocks:
+        # lines count from the start of their block; 0, a point that no line makes, stays 0
         points += [(name, line and line + len(lines), *values) for name, line, *values in block.points]
         lines += block.text
-    columns = list(zip(*points, strict=True)) if points else [()] * 6
+    # columns of the points; a program without points has six empty ones
+    names, line_numbers, t, positions, normals, masses = zip(*points, strict=True) if points else [()] * 6
     return Program(
         "\n".join([*lines, "M30", ""]),
         count,
-        tuple(columns[0]),
-        np.array(columns[1], dtype=np.int64),
-        np.array(columns[2], dtype=float),
-        np.array(columns[3]).reshape(-1, 3),
-        np.array(columns[4]).reshape(-1, 3),
-        np.array(columns[5], dtype=float),
+        tuple(names),
+        np.array(line_numbers, dtype=np.int64),
+        np.array(t, dtype=float),
+        np.array(positions).reshape(-1, 3),
+        np.array(normals).reshape(-1, 3),
+        np.array(masses, dtype=float),
     )
 
 
