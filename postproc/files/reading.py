@@ -40,10 +40,10 @@ def resolve(path: Path) -> Path:
     return Path(os.path.realpath(path))
 
 
-def read_bytes(path: Path, error: type[InputError], absent: str | None = None) -> bytes:
+def read_bytes(path: Path, error: type[InputError], missing_advice: str | None = None) -> bytes:
     """Return the content of a file; `error` names it when it cannot be read.
 
-    :param absent: advice where there is no such file.
+    :param missing_advice: advice where there is no such file.
     :raises InputError: (`error`) there is none, it is a device, a pipe or a folder, or larger than `MOST_BYTES`.
     """
     try:
@@ -56,20 +56,20 @@ def read_bytes(path: Path, error: type[InputError], absent: str | None = None) -
             raise error(problem, file=str(path), advice="Divide it.")
         return path.read_bytes()
     except FileNotFoundError:
-        raise error("no such file", file=str(path), advice=absent) from None
+        raise error("no such file", file=str(path), advice=missing_advice) from None
     except OSError as cause:
         raise error(
             f"cannot be read ({cause.strerror})", file=str(path), advice="Check its path, and that you may read it."
         ) from cause
 
 
-def read_text(path: Path, error: type[InputError], absent: str | None = None) -> str:
+def read_text(path: Path, error: type[InputError], missing_advice: str | None = None) -> str:
     """Return the text of a UTF-8 file (BOM allowed); `error` names the file when it cannot be read.
 
-    :param absent: advice where there is no such file.
+    :param missing_advice: advice where there is no such file.
     """
     try:
-        return read_bytes(path, error, absent).decode("utf-8-sig")
+        return read_bytes(path, error, missing_advice).decode("utf-8-sig")
     except UnicodeDecodeError as cause:
         raise error(f"not UTF-8 text (byte {cause.start})", file=str(path), advice="Save the file as UTF-8.") from cause
 
@@ -79,7 +79,11 @@ _DEEP_KEY = re.compile(r"""(?<![\w"'-])(?:[\w"'-]+[ \t]*\.[ \t]*){30}""")
 
 
 def read_toml(
-    path: Path, structure: type[T], error: type[InputError], example: str | None = None, absent: str | None = None
+    path: Path,
+    structure: type[T],
+    error: type[InputError],
+    example: str | None = None,
+    missing_advice: str | None = None,
 ) -> T:
     """Read a TOML file into a msgspec structure.
 
@@ -87,9 +91,9 @@ def read_toml(
     the key and, for an unknown one, the valid ones.
 
     :param example: shown where keys are missing: what such a file looks like.
-    :param absent: advice where there is no such file.
+    :param missing_advice: advice where there is no such file.
     """
-    text = read_text(path, error, absent)
+    text = read_text(path, error, missing_advice)
     if deep := _DEEP_KEY.search(text):
         line = text.count("\n", 0, deep.start()) + 1
         raise error("a key of more than 30 parts", file=str(path), line=line, advice="Correct the key.")

@@ -72,7 +72,7 @@ class RobotPost:
         :raises HostError: a program cannot be converted; nothing is written of it.
         """
         target = Path(_ask(folder, progname) if ask_user or not Path(folder).is_dir() else folder)
-        cell = _cell(target)
+        cell = _cell_file(target)
         flags = [("--cell", str(cell))]
         if self.MAX_LINES_X_PROG:
             flags.append(("--lines-per-file", str(self.MAX_LINES_X_PROG)))
@@ -356,10 +356,11 @@ def _operand(value: Any) -> str:
     return text
 
 
-def _cell(folder: Path) -> Path:
-    """Return the cell file.
+def _cell_file(folder: Path) -> Path:
+    """Return the cell file: that of the variable POSTPROC_CELL, else cell.toml in a folder or in its parent.
 
-    :raises HostError: there is none; says where it was looked for.
+    :param folder: of the written programs.
+    :raises HostError: there is none; the message says where it was looked for.
     """
     variable = os.environ.get("POSTPROC_CELL")
     places = [Path(variable)] if variable else [folder / "cell.toml", folder.parent / "cell.toml"]

@@ -69,8 +69,9 @@ def export(objectslist: list[Any], filename: str, argstring: str) -> str:
     """Return corrected KRL of the objects of a job, and write it with its report.
 
     :param objectslist: what FreeCAD posts: fixtures, tool controllers, operations.
-    :param filename: of FreeCAD's choice, or "-" where FreeCAD itself writes the text.
+    :param filename: file that FreeCAD chose, or "-" if FreeCAD itself writes the text.
     :param argstring: the job's arguments, see `TOOLTIP_ARGS`.
+    :raises HostError: nothing can be written, or the program does not fit into one text; the message is shown, too.
     """
     import FreeCAD
 

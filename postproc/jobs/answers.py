@@ -156,7 +156,10 @@ def switch(text: str) -> tuple[list[str], list[str]]:
 
 
 def tolerance(text: str) -> float | None:
-    """Return a length above 0; None for an empty answer."""
+    """Return a tolerance [mm] above 0; None for an empty answer.
+
+    :raises InputError: the text is no number, or not above 0.
+    """
     if not text.strip():
         return None
     if not (length := number(text)) > 0.0:

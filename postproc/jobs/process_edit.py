@@ -88,14 +88,14 @@ def edit_process(path: Path, needs: ProgramNeeds, texts: Mapping[str, str]) -> b
     if new_tools and new_text == old_text:
         new_text = document.as_string()
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_valid(path, new_text, _check)
+    write_valid(path, new_text, _check_process)
     return True
 
 
-def _check(path: Path) -> None:
-    """Read a process file as `convert` does.
+def _check_process(path: Path) -> None:
+    """Check that `convert` can read a process file, and that its material has a law of cutting forces.
 
-    :raises InputError: it is unusable.
+    :raises InputError: the file is unusable.
     """
     process = load_process(path)
     if process.material is not None or not process.operations:

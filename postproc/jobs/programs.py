@@ -381,7 +381,7 @@ def load_setup(settings: Settings) -> tuple[Cell, RobotModel]:
     """Read the cell and its robot.
 
     :raises CellError: the cell is unusable.
-    :raises ModelError: its robot is.
+    :raises ModelError: the robot model is unusable.
     """
     cell = apply_settings(cells.load(settings.cell), settings)
     return cell, load_robot(cell.robot, cell.folder)

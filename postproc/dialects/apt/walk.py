@@ -373,7 +373,11 @@ class _Walk:
             raise StatementError("the tool turns in a cycle", "Write a GOTO with the new direction before CYCLE.", row)
 
     def _add_move(self, row: int, end: Array, axis: Array, code: int, feed: float, **properties: Any) -> None:
-        """Add one move to `end` (3,) [mm] with a tool axis (3,)."""
+        """Add one move to `end` (3,) [mm] with a tool axis (3,), which becomes the present one.
+
+        :param row: its statement; `code`: `RAPID`, `LINE` or `ARC`; `feed` [mm/min].
+        :param properties: further fields of `Part`.
+        """
         self._add(np.array([row]), end[None], axis[None], code, feed, **properties)
         self.axis = axis
 

@@ -123,24 +123,27 @@ class Library:
         self._files: dict[str, Path] | None = None
 
     def find(self, label: str, caller: int, *, is_linuxcnc_style: bool) -> tuple[int, int] | None:
-        """Return file and first row of a subprogram; None if it is not found.
+        """Return the index in `units` of the file of a subprogram, and its first row; None if it is not found.
 
+        :param label: name or number of the subprogram.
         :param caller: index of the calling file in `units`.
         :param is_linuxcnc_style: whether it is called by ``O<name> CALL``, not by M98.
         :raises BlockError: its file cannot be read.
         """
-        for n in dict.fromkeys((caller, 0)):
-            place = (self.units[n].subs if is_linuxcnc_style else self.units[n].numbers).get(label)
-            if place is not None:
-                return n, place + 1
+        for loaded_index in dict.fromkeys((caller, 0)):  # the calling file, then the main one
+            loaded_unit = self.units[loaded_index]
+            label_row = (loaded_unit.subs if is_linuxcnc_style else loaded_unit.numbers).get(label)
+            if label_row is not None:
+                return loaded_index, label_row + 1
         unit_index = self._load(label)
         if unit_index is None:
             return None
         unit = self.units[unit_index]
-        place = (unit.subs if is_linuxcnc_style else unit.numbers).get(label, -1)
-        if is_linuxcnc_style and place < 0:
+        # a file called by M98 need not state its number: it then begins at row 0
+        label_row = (unit.subs if is_linuxcnc_style else unit.numbers).get(label, -1)
+        if is_linuxcnc_style and label_row < 0:
             raise BlockError(f"{unit.document.name} has no O<{label}> SUB", None)
-        return unit_index, place + 1
+        return unit_index, label_row + 1
 
     def _load(self, label: str) -> int | None:
         """Return the index of the file of the folder that contains a subprogram; read it on the first call."""

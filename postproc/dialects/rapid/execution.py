@@ -243,18 +243,19 @@ class Execution:
     def _check_forces(self, statements: tuple[Statement, ...], reason: str) -> None:
         """Check that statements which are not followed, and the routines that they call, have no comments of forces.
 
-        :raises RapidError: one has: it is not known from where on the force acts.
+        :param reason: why they are not followed, for the message.
+        :raises RapidError: there is such a comment: where its force begins to act is not known.
         """
-        waiting, names = [statements], set[str]()
-        while waiting:
-            block = waiting.pop()
+        blocks, names = [statements], set[str]()
+        while blocks:
+            block = blocks.pop()
             for statement in all_statements(block):
                 if isinstance(statement, Comment) and FORCE_COMMENT.match(statement.text):
                     problem = f"it is not known whether this force acts: {reason}"
                     raise RapidError(problem, statement.start, "Put the comment before the move on which it acts.")
             names_called = (called_names(block) & self.routines.keys()) - names
             names |= names_called
-            waiting += [self.routines[name].body for name in names_called]
+            blocks += [self.routines[name].body for name in names_called]
 
     def _forget_data_of(self, name: str) -> None:
         """Make unknown the data of the modules that an instruction, function or routine may change."""

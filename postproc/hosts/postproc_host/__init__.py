@@ -165,7 +165,10 @@ def _run(words: Sequence[str]) -> dict[str, Any]:
 
 
 def _environment() -> dict[str, str]:
-    """Return the environment without variables that configure the Python of the host."""
+    """Return the environment for postproc: without the variables that configure the Python of the host.
+
+    An AppImage, which sets APPDIR, makes the libraries of the host be found first: its LD_LIBRARY_PATH is left out.
+    """
     host_names = {"LD_LIBRARY_PATH"} if "APPDIR" in os.environ else set()
     variables = {
         name: value
