@@ -145,3 +145,14 @@ def test_a_load_point_that_is_stated_wrong_is_named_with_the_true_one(tmp_path, 
 def test_a_load_point_that_was_measured_by_a_ruler_is_not_questioned(tmp_path):
     data = readings(tmp_path)
     assert judged(replace(data, load_point=data.load_point + np.array([0.0, 0.02, -0.03]))) == ""
+
+
+def test_readings_that_joint_springs_explain_raise_no_other_hypothesis(tmp_path, monkeypatch):
+    def unexpected(*_):
+        raise AssertionError
+
+    monkeypatch.setattr(module, "_other_axes", unexpected)
+    data = replace(readings(tmp_path), sigma=0.06e-3)  # twice the noise of the readings: χ² is a quarter of its freedom
+    assert judged(data) == ""
+    with pytest.raises(AssertionError):
+        judged(replace(data, sigma=0.01e-3))
