@@ -311,7 +311,7 @@ def _surface_levels(
                 level = level + np.where(is_same_surface, cut_share * (lower - level), np.float32(0.0))
                 material = material * np.where(is_same_surface, np.float32(1.0), 1 - cut_share)
         plane = level + rises[k] if rises else level
-        if not material.all():
+        if (material < 1).any():
             is_covered = False
             weights[k] = weights[k] * material
             level, plane = (np.where(material > 0, values, np.float32(_OUTSIDE_LEVEL)) for values in (level, plane))
