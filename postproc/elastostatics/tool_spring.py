@@ -45,7 +45,9 @@ class ToolSpring(Struct, frozen=True, eq=False):
         return compliance
 
     def arm_target(self, target: Array, wrench: Array) -> tuple[Array, Array]:
-        """Return the tool frame (n, 4, 4) that the arm must hold so that the tip is at its target, and its wrench.
+        """Return the pose (n, 4, 4) [m] of the unbent tool for a loaded tip at its target, and the wrench (n, 6).
+
+        The wrench is that on the tip, with the moment about the tip of the unbent tool.
 
         :param target: (n, 4, 4) of the loaded tip [m], and `wrench` (n, 6) on it, in the same axes.
         """
@@ -68,12 +70,10 @@ class ToolSpring(Struct, frozen=True, eq=False):
         :param guess: (n, nv) start for the deflections of the robot's springs.
         :raises NotConvergedError: the load is too large for the springs.
         """
-        x, tools, theta = (
-            elastic_coordinates(robot, q.T),
-            kinematics.components(tool),
-            None if guess is None else guess.T,
-        )
+        x, tools = elastic_coordinates(robot, q.T), kinematics.components(tool)
+        theta = None if guess is None else guess.T
         tip_shift = np.zeros((len(q), 3))
+        # the tip's shift changes the arm's moment, and so its deflection, only at second order: twice is enough
         for _ in range(2):
             theta, tip = solve_equilibrium(robot, x, tools, about_arm(wrench, tip_shift).T, theta)
             pose = kinematics.matrices(kinematics.posture(robot.loaded, x + theta, tools).pose)

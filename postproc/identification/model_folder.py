@@ -201,6 +201,7 @@ def write(
         contents["report.html"] = render(data, folder.resolve().name)
 
     def rendered(entries: list[files.FileEntry]) -> bytes:
+        """Return the text of `identification.json` with a list of the files written with it."""
         return msgspec.structs.replace(data, files=entries).as_json()
 
     return files.write_whole(folder, files.add_record(contents, record.NAME, rendered))

@@ -524,13 +524,18 @@ def _margin(robot_in_cell: RobotInCell, q: Array) -> Array:
 
 
 def _unwind(robot_in_cell: RobotInCell, q: Array) -> Array:
-    """Return the first of joint angles (6, n), A4 and A6 with the whole turns that keep the path within limits."""
+    """Return the joint angles (6,) [rad] at the start of a path, A4 and A6 moved by −1, 0 or 1 whole turns.
+
+    Of these, the turn with the largest margin of the whole path to the limits of the joint; 0 if it is as good.
+
+    :param q: (6, n) joint angles along the path [rad]; NaN where the robot does not reach it.
+    """
     robot, joints = robot_in_cell.robot, q[:, 0].copy()
     for axis in drive.WINDING:
         axis_path = q[axis, 0] + np.append(0.0, np.cumsum(np.nan_to_num(wrap_angles(np.diff(q[axis])))))
-        turn_ranges = [
-            min(axis_path.min() + whole - robot.lower[axis], robot.upper[axis] - axis_path.max() - whole)
-            for whole in 2.0 * np.pi * np.array([0.0, -1.0, 1.0])
+        limit_margins = [
+            min(axis_path.min() + whole_turn - robot.lower[axis], robot.upper[axis] - axis_path.max() - whole_turn)
+            for whole_turn in 2.0 * np.pi * np.array([0.0, -1.0, 1.0])
         ]
-        joints[axis] += 2.0 * np.pi * (0.0, -1.0, 1.0)[int(np.argmax(turn_ranges))]
+        joints[axis] += 2.0 * np.pi * (0.0, -1.0, 1.0)[int(np.argmax(limit_margins))]
     return joints

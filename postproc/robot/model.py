@@ -466,7 +466,11 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
         return replace(self.actual, mass=mass, centre=centre)
 
     def with_link_springs(self, springs: Iterable[LinkSpring]) -> RobotModel:
-        """Return the robot (of six coordinates, without payload) with a further coordinate, still rigid, a spring."""
+        """Return the robot with one more coordinate for each link spring, with infinite stiffness until one is set.
+
+        Coordinates are inserted in the order of the links from the base. The robot itself if there are no springs.
+        It must have six coordinates and no payload.
+        """
         order = [LinkSpring(link, axis) for link in (BASE, *JOINTS) for axis in LINK_AXES]
         link_springs = tuple(sorted(set(springs), key=order.index))
         if not link_springs:

@@ -160,7 +160,7 @@ class Readings(Columns, frozen=True, eq=False):
 
     @property
     def least_depth(self) -> float:
-        """Depth of the flattest surface below the top [m]: of floors, if any was probed."""
+        """Smallest depth of a probed point below the top [m]; of floors alone if any was probed, inf without points."""
         top = {top.base: top.origin[2] for top in self.tops}
         depth = np.array([top.get(base, np.inf) for base in self.probed.base.tolist()]) - self.probed.point[:, 2]
         is_floor = (self.surfaces.wall == 0.0) & (self.probed.mass == 0.0)
@@ -173,7 +173,10 @@ class Readings(Columns, frozen=True, eq=False):
         return np.asarray(self.probed.mass == 0.0, dtype=float)
 
     def _position(self, direction: Array) -> Array:
-        """Return the derivatives (n, 6 b) [m] by the position of the cuts in each placement, in its free units.
+        """Return the derivatives (n, 6 b) [m] of the readings by the position of the cuts in each of b placements.
+
+        Six columns for each placement: shifts in units of `SHIFT`, then turns in units of `TURN`, along and about X,
+        Y, Z.
 
         :param direction: (n, 3) in which a displacement is seen.
         """
@@ -216,9 +219,9 @@ class Readings(Columns, frozen=True, eq=False):
         return np.asarray(covariance)
 
     def lifts(self, by_lift: Array, precision: Array, target: Array) -> tuple[Lift, ...]:
-        """Return the height of each program over the block.
+        """Return the height of the program over the block in each placement, with its covariance.
 
-        :param by_lift: (n,) as in `part_covariance`.
+        :param by_lift: (n,) derivative of the deviations by the lift of the program over the block.
         :param precision: (n, n) inverse of the covariance of the deviations.
         :param target: (n,) deviations less those that the model predicts at no lift [m].
         """
@@ -227,7 +230,9 @@ class Readings(Columns, frozen=True, eq=False):
         covariance = np.eye(len(value)) - position.T @ precision @ position
         lifts = []
         for k, base in enumerate(self._bases):
-            free = 6 * k + np.array([2, 3, 4])  # along Z, about X and Y
+            # of the six columns of a placement: along Z, about X, about Y
+            free = 6 * k + np.array([2, 3, 4])
+            # height by the shift, slope along X by the turn about −Y, slope along Y by the turn about X
             terms = np.array([[SHIFT, 0.0, 0.0], [0.0, 0.0, -TURN], [0.0, TURN, 0.0]])
             origin = self.probed.point.mean(axis=0, where=(self.probed.base == base)[:, None])
             spread = terms @ covariance[np.ix_(free, free)] @ terms.T

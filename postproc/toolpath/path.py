@@ -200,9 +200,9 @@ def at(program: Program, path: Segments, motion: Ints, t: Array) -> Toolpath:
     """Return the nominal path at n places: motion (n,), t (n,) in [0, 1].
 
     LIN: position linear, orientation by one rotation, or as rotary axes or the wrist turn (`Program.turning`). CIRC:
-    rotation about the arc's axis with a linear rise, the orientation as for LIN, or so as seen from the path
-    (`Program.with_path`). PTP: as `Segments.joint_moves`; without them its end everywhere. A piece of a spline is
-    represented by its chord.
+    rotation about the arc's axis with a linear rise; the orientation is interpolated as for LIN, in axes that turn with
+    the arc where `Program.with_path` is set. PTP: from joint interpolation (`Segments.joint_moves`); without a
+    robot, its end everywhere. A piece of a spline is represented by its chord.
     """
     m = program.motions
     pose = m.target.take(motion)
