@@ -73,7 +73,7 @@ class ToolSpring(Struct, frozen=True, eq=False):
         x, tools = elastic_coordinates(robot, q.T), kinematics.components(tool)
         theta = None if guess is None else guess.T
         tip_shift = np.zeros((len(q), 3))
-        # the tip's shift changes the arm's moment, and so its deflection, only at second order: twice is enough
+        # the shift of the tip changes the moment on the arm by the shift times the force: a second round has that
         for _ in range(2):
             theta, tip = solve_equilibrium(robot, x, tools, about_arm(wrench, tip_shift).T, theta)
             pose = kinematics.matrices(kinematics.posture(robot.loaded, x + theta, tools).pose)
