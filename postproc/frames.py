@@ -257,9 +257,9 @@ def rigid_displacement(points: Array, shift: Array, weight: Array) -> Array:
     """
     share = weight / weight.sum()
     centre, mean_shift = share @ points, share @ shift
-    root = np.sqrt(share)[:, None]
-    design = (np.sqrt(share)[:, None, None] * -hat(points - centre)).reshape(-1, 3)
-    angle = np.linalg.lstsq(design, (root * (shift - mean_shift)).ravel(), rcond=_UNDETERMINED)[0]
+    root = np.sqrt(share)[:, None, None]
+    design = (-root * hat(points - centre)).reshape(-1, 3)
+    angle = np.linalg.lstsq(design, (root[..., 0] * (shift - mean_shift)).ravel(), rcond=_UNDETERMINED)[0]
     displacement = np.eye(4)
     displacement[:3, :3] = rotation_from_vector(angle)
     displacement[:3, 3] = centre + mean_shift - displacement[:3, :3] @ centre

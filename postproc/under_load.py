@@ -162,6 +162,17 @@ class RobotInCell(Struct, frozen=True, eq=False, dict=True):
         start = self.cell.start_joints
         return kinematics.follow(self.robot, flange, start, free, m.joints[ptp], m.status[ptp], m.turn[ptp])
 
+    def end_joints(self, program: Program) -> Array:
+        """Return the joint angles (M, 6) at the ends of all motions of a program [rad].
+
+        :raises ImpossiblePathError: a target is out of reach.
+        """
+        motions = np.arange(len(program.motions))
+        try:
+            return self.follow(program, motions, np.ones(len(motions)), program.motions.target).q
+        except UnreachableError as cause:
+            raise ImpossiblePathError(unreachable(program, np.array(cause.rows))) from None
+
     def has_model_factor(self, path_forces: PathForces, motion: Ints) -> Bools:
         """Return on which motions (n,) the errors of the forces are the factor that the model was identified with."""
         factor, by_law = self.robot.force_factor, path_forces.by_law
@@ -227,17 +238,12 @@ class RobotInCell(Struct, frozen=True, eq=False, dict=True):
 
         :raises ImpossiblePathError: a target is out of reach.
         """
-        m, motions = program.motions, np.arange(len(program.motions))
-        is_cut = ~m.rapid & (m.kind != PTP) & (segments.length > 0.0)
-        cuts = np.flatnonzero(is_cut)
+        m = program.motions
+        cuts = np.flatnonzero(~m.rapid & (m.kind != PTP) & (segments.length > 0.0))
         if len(cuts) == 0:
             return cuts, np.empty((0, 6))
-        try:
-            q = self.follow(program, motions, np.ones(len(motions)), m.target).q
-        except UnreachableError as cause:
-            raise ImpossiblePathError(unreachable(program, np.array(cause.rows))) from None
         cuts = cuts[:: -(-len(cuts) // _MOST_CUTS)]
-        return cuts, q[cuts]
+        return cuts, self.end_joints(program)[cuts]
 
     def tip_compliance(self, tool: Array) -> tuple[float, float]:
         """Return the approximate compliance of a tool (4, 4) at the start: per force [m/N] and per moment [m/(N·m)]."""
@@ -368,10 +374,7 @@ def led_by_wrist(program: Program, robot_in_cell: RobotInCell) -> Program:
     m, motions = program.motions, np.arange(len(program.motions))
     motion = np.flatnonzero(program.by_wrist)
     segments = toolpath.segments(program, robot_in_cell.start_flange)
-    try:
-        ends = robot_in_cell.follow(program, motions, np.ones(len(motions)), m.target).q
-    except UnreachableError as cause:
-        raise ImpossiblePathError(unreachable(program, np.array(cause.rows))) from None
+    ends = robot_in_cell.end_joints(program)
     previous = (motions - 1 if program.after is None else program.after)[motion]
     begin = np.where(previous[:, None] >= 0, ends[previous], robot_in_cell.cell.start_joints)
     change = (ends[motion] - begin + np.pi) % (2.0 * np.pi) - np.pi

@@ -68,10 +68,8 @@ def compare(
     nominal, _, _ = placement.in_chosen_turn(nominal, place, source)
     nominal_path = PlacedProgram.of(nominal, place)
     place = place.in_touched_frames(nominal, nominal_path.segments)
-    nominal_path, corrected_path = (
-        replace(nominal_path, robot_in_cell=place),
-        PlacedProgram.of(corrected_program, place),
-    )
+    nominal_path = replace(nominal_path, robot_in_cell=place)
+    corrected_path = PlacedProgram.of(corrected_program, place)
     stated_pairs = _stated_partners(nominal_path, corrected_path, ends)
     if source is None and not nominal.notes:
         loads = None

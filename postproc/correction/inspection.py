@@ -461,6 +461,16 @@ _SAME_FRAME = 1e-6
 """Entries of frames that differ by less [m, 1] are equal (assumed)."""
 
 
+def _motions_in_other_frame(program: Program, frames: Array, row: Ints, cell_frame: Array) -> Ints:
+    """Return the motions with a Cartesian target whose frame is not that of the cell.
+
+    :param frames: (F, 4, 4) [m], and `row` (M,) that of each motion.
+    :param cell_frame: (4, 4) [m].
+    """
+    is_other = np.abs(frames - cell_frame).max(axis=(1, 2)) > _SAME_FRAME
+    return np.flatnonzero(is_other[row] & np.isnan(program.motions.joints[:, 0]))
+
+
 def frame_issues(program: Program, cell: Cell) -> list[Issue]:
     """Return notes if `$BASE` or `$TOOL` of a robot program are its own, and not those of the cell."""
     if not program.keeps_text:
@@ -471,8 +481,7 @@ def frame_issues(program: Program, cell: Cell) -> list[Issue]:
         ("$BASE", "[base]", program.bases, m.base, cell.base),
         ("$TOOL", "[tool]", program.tools, m.tool, cell.tool),
     ):
-        is_other_frame = np.abs(frames - cell_frame.pose()).max(axis=(1, 2)) > _SAME_FRAME
-        motion = np.flatnonzero(is_other_frame[row] & np.isnan(m.joints[:, 0]))
+        motion = _motions_in_other_frame(program, frames, row, cell_frame.pose())
         if len(motion):
             values = without_negative_zero(xyzabc_from_pose(frames[row[motion[0]]]).round(4)).tolist()
             frame = ", ".join(f"{axis} {value:.8g}" for axis, value in zip("XYZABC", values, strict=True))
@@ -487,8 +496,8 @@ def obstacle_issues(program: Program, cell: Cell) -> list[Issue]:
     """Return a warning if a robot program moves in another `$BASE` than the one that obstacles of the cell stand in."""
     if not program.keeps_text or cell.collision is None:
         return []
-    m, is_elsewhere = program.motions, np.abs(program.bases - cell.base.pose()).max(axis=(1, 2)) > _SAME_FRAME
-    motion = np.flatnonzero(is_elsewhere[m.base] & np.isnan(m.joints[:, 0]))
+    m = program.motions
+    motion = _motions_in_other_frame(program, program.bases, m.base, cell.base.pose())
     count = sum(obstacle.frame == "base" for obstacle in cell.collision.obstacles)
     if not count or not len(motion):
         return []

@@ -92,13 +92,12 @@ def check_configurations(
     worst = int(np.argmax(judged.ratio))
     if judged.ratio[worst] < _LIMIT or distance[worst] < _MIN_DISTANCE:
         return
-    line = int(data.line[np.flatnonzero(data.state_config[data.state] == worst)[0]])
     raise MeasurementError(
         f"config {data.config[worst]:g}: without load the points are {distance[worst] * MM_PER_M:.1f} mm from where "
         f"the other configurations put them, {judged.ratio[worst]:.0f} times as far as usual"
         f"{_wrong_angle(robot, data.q[worst], placement.points, in_root_axes(placement, error[worst]))}",
         file=data.file,
-        line=line,
+        line=data.first_line(worst),
         advice="Correct its angles or readings, or leave the configuration out.",
     )
 

@@ -242,14 +242,14 @@ def check_frames(robot: RobotModel, data: Measurements) -> Placement:
         raise MeasurementError(
             f"config {data.config[worst]:g}: the readings without load are far from the points that A1…A6 predict",
             file=data.file,
-            line=_first_line_of_configuration(data, worst),
+            line=data.first_line(worst),
             advice="Check its angles (degrees, KUKA signs) and its readings, or leave it out.",
         )
     if (split := _frame_change(robot, data)) is not None:
         raise MeasurementError(
             f"readings from config {data.config[split]:g} on are in another frame of the measuring device",
             file=data.file,
-            line=_first_line_of_configuration(data, split),
+            line=data.first_line(split),
             advice="The tracker was moved or set up anew: identify from one set-up, or bring both into one frame.",
         )
     raise MeasurementError(
@@ -406,11 +406,6 @@ def _state_name(data: Measurements, state: int) -> str:
 def _first_line(data: Measurements, state: int) -> int:
     """Return the first line of the file with readings of a state."""
     return int(data.line[np.flatnonzero(data.state == state)[0]])
-
-
-def _first_line_of_configuration(data: Measurements, row: int) -> int:
-    """Return the first line of the file with readings of a configuration, by its row in `data.q`."""
-    return int(data.line[np.flatnonzero(data.state_config[data.state] == row)[0]])
 
 
 _SAME_LOAD, _LARGER = 0.02, 1.2

@@ -204,7 +204,7 @@ def check_readings(prior: RobotModel, data: Measurements) -> CheckedReadings:
     advice = _CHECK_ANGLES if data.are_displacements else ""
     data, placement, outliers = plausibility.check_placement(prior, as_positions(prior, data))
     warnings = [*gaps(data), *moved_device(prior, data, placement)]
-    doubt = doubt_of_loads(prior, data, placement, displaced_points(data, placement))
+    doubt = doubt_of_loads(prior, data, placement)
     warnings += check_loads(prior, data, placement, advice)
     data, notes = _readings_with_checked_noise(data)
     return CheckedReadings(data, placement, outliers, warnings + notes, doubt)

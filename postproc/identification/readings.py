@@ -291,6 +291,10 @@ class Measurements(Struct, frozen=True, eq=False):
         left = (self.position - mean[self.state, self.point])[self.used]
         return float(np.sum(left**2)), int(3 * np.sum(np.maximum(count - 1, 0)))
 
+    def first_line(self, configuration: int) -> int:
+        """Return the first line of the file with readings of a configuration, by its row in `q`."""
+        return int(self.line[np.flatnonzero(self.state_config[self.state] == configuration)[0]])
+
     def name(self, reading: int) -> str:
         """Return line, configuration, load, repeat and point of a reading, for messages."""
         state = self.state[reading]

@@ -15,7 +15,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc.errors import MeasurementError, PostprocError
-from postproc.frames import DEG_PER_RAD, MM_PER_M, RAD_PER_DEG, Array, angle_between, norm, rotation_vector
+from postproc.frames import DEG_PER_RAD, RAD_PER_DEG, Array, angle_between, norm, rotation_vector
 from postproc.identification.fit import Fit, gauss_newton, solve
 from postproc.identification.measurement_model import (
     Placement,
@@ -28,6 +28,7 @@ from postproc.identification.measurement_model import (
     whitening,
 )
 from postproc.identification.readings import Measurements
+from postproc.identification.stated_points import coordinates_text, displaced_points
 from postproc.robot import JOINT_COMPLIANCES, RobotModel
 
 _ROUNDS = 2
@@ -81,11 +82,9 @@ class _Turn(Struct, frozen=True, eq=False):
     ratio: float
 
 
-def doubt_of_loads(prior: RobotModel, data: Measurements, placement: Placement, doubt_of_points: str = "") -> str:
+def doubt_of_loads(prior: RobotModel, data: Measurements, placement: Placement) -> str:
     """Return, as a clause, in which other axes or at which other point the loads fit better; empty if they do not.
 
-    :param doubt_of_points: clause on reference points that are far from where they are stated, which the load point is
-        stated with; may be empty.
     :raises MeasurementError: they fit twice as well.
     """
     try:
@@ -103,7 +102,9 @@ def doubt_of_loads(prior: RobotModel, data: Measurements, placement: Placement, 
         return ""
     text = f"the loads fit {1.0 / best.ratio:.1f} times better {best.clause}"
     if best.ratio < _CERTAIN:
-        raise MeasurementError("; ".join(filter(None, (text, doubt_of_points))), file=data.file, advice=best.advice)
+        raise MeasurementError(
+            "; ".join(filter(None, (text, displaced_points(data, placement)))), file=data.file, advice=best.advice
+        )
     return f"{text}. {best.advice.removesuffix('.')}"
 
 
@@ -137,7 +138,9 @@ def _other_point(prior: RobotModel, data: Measurements, placement: Placement, st
     distance = float(norm(point - data.load_point))
     if distance < _MIN_DISTANCE or ratio > _DOUBTFUL_POINT:
         return _NONE
-    clause = f"if they pull at {_coordinates(point)} mm in the flange frame, not at {_coordinates(data.load_point)}"
+    clause = (
+        f"if they pull at {coordinates_text(point)} mm in the flange frame, not at {coordinates_text(data.load_point)}"
+    )
     advice = "Check [load_point]: its unit (mm), its signs, and that it is in the flange frame."
     return _Hypothesis(ratio, clause, advice)
 
@@ -170,11 +173,6 @@ def _best_point(data: Measurements, placement: Placement, stated: Fit) -> tuple[
 
 _POINT_STEP = 0.01
 """Step of the load point [m] for differences: torques are linear in it."""
-
-
-def _coordinates(point: Array) -> str:
-    """Return the coordinates of a point (3,) [m] in whole mm."""
-    return ", ".join(str(round(value * MM_PER_M)) for value in point.tolist())
 
 
 def _joint_springs(prior: RobotModel, data: Measurements, placement: Placement) -> Fit:

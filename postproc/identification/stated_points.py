@@ -32,8 +32,8 @@ def displaced_points(data: Measurements, placement: Placement) -> str:
         return ""
     worst = int(far_points[np.argmax(distance[far_points])])
     clause = (
-        f"point {data.points[worst]} comes out at {_coordinates(placement.points[worst])} mm in the flange frame, "
-        f"{distance[worst] * MM_PER_M:.0f} mm from the stated {_coordinates(data.guess[worst])}"
+        f"point {data.points[worst]} comes out at {coordinates_text(placement.points[worst])} mm in the flange frame, "
+        f"{distance[worst] * MM_PER_M:.0f} mm from the stated {coordinates_text(data.guess[worst])}"
     )
     others = [
         f"{data.points[index]} by {distance[index] * MM_PER_M:.0f} mm"
@@ -66,6 +66,6 @@ def _flange_turn(stated: Array, points: Array) -> float | None:
     return float(turn) if distance.max() < _LIMIT else None
 
 
-def _coordinates(point: Array) -> str:
+def coordinates_text(point: Array) -> str:
     """Return the coordinates of a point (3,) [m] in whole mm."""
     return ", ".join(str(round(value * MM_PER_M)) for value in point.tolist())
