@@ -100,7 +100,7 @@ def test_faults_of_the_set_up_are_read_with_their_fields(browser, window):
             "[...document.querySelectorAll('[aria-invalid=true]')].map((e) => e.hasAttribute('aria-describedby'))"
         )
         assert set(page.evaluate(described)) == {True}
-        page.wait_for_function("document.activeElement.getAttribute('aria-invalid') === 'true'")  # it has the focus
+        page.locator("[aria-invalid=true]:focus").wait_for()
         looked_at(page, "61-faults")
 
 
