@@ -12,6 +12,9 @@ An offset of zero across the plane (K0 in G17, as FreeCAD writes it) is ignored;
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from typing import NamedTuple
+
 import numpy as np
 from msgspec import Struct
 
@@ -27,6 +30,8 @@ RADIUS_TOLERANCE_MM = 0.00127
 _RELATIVE, _CAP = 1e-3, 100.0
 """As in LinuxCNC (interp_arc.cc): beyond the tolerance, radii may differ by a thousandth of the larger one, but by
 no more than 100 tolerances."""
+_WHOLE = 1e-3
+"""P that differs from a whole number by more is refused (assumed)."""
 SAME_MM = 1e-6
 """Points closer than this are equal: it covers rounding in incremental programs, far below any resolution."""
 
@@ -39,10 +44,10 @@ class ArcWords(Struct, frozen=True, eq=False):
 
     :param start: (A, 3) where each begins.
     :param end: (A, 3) where each ends.
-    :param given: (A, 3) True where X, Y, Z is programmed.
+    :param is_programmed: (A, 3) True where X, Y, Z is programmed.
     :param offset: (A, 3) I, J, K; NaN where absent.
     :param radius: (A,) R; NaN where absent.
-    :param turns: (A,) P; NaN where absent.
+    :param turns: (A,) P, the number of turns; NaN where absent.
     :param is_clockwise: (A,) True for G2.
     :param plane: (A,) 17, 18 or 19.
     :param units: (A,) 20 or 21.
@@ -51,7 +56,7 @@ class ArcWords(Struct, frozen=True, eq=False):
 
     start: Array
     end: Array
-    given: Bools
+    is_programmed: Bools
     offset: Array
     radius: Array
     turns: Array
@@ -60,11 +65,10 @@ class ArcWords(Struct, frozen=True, eq=False):
     units: Array
     absolute: Bools
 
-    def to_plane(self, vectors: Array) -> tuple[Array, Array, Array]:
-        """Return the components (A,) of (A, 3) along first and second axis of the plane and across it."""
-        axes = self._axes()
+    def to_plane(self, vectors: Array) -> Array:
+        """Return the components (3, A) of vectors (A, 3): along first and second axis of the plane, and across it."""
         rows = np.arange(len(vectors))
-        return vectors[rows, axes[:, 0]], vectors[rows, axes[:, 1]], vectors[rows, axes[:, 2]]
+        return np.array([vectors[rows, axis] for axis in self._axes().T])
 
     def from_plane(self, first: Array, second: Array, normal: Array) -> Array:
         """Return vectors (A, 3) from their components: inverse of `to_plane`."""
@@ -108,7 +112,8 @@ class Arcs(Struct, frozen=True, eq=False):
 def read_arcs(words: ArcWords) -> Arcs:
     """Return the geometry of arcs, and their faults.
 
-    Suffixes 1 and 2 are components along the first and second axis of the plane: s start, e end, o offset, c centre.
+    Suffixes 1 and 2 are components along the first and second axis of the plane: s start, e end, o offset, c centre,
+    r centre by R, a and b from the centre to start and end.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         s1, s2, height = words.to_plane(words.start)
@@ -125,82 +130,114 @@ def read_arcs(words: ArcWords) -> Arcs:
         sign = np.where(words.is_clockwise, -1.0, 1.0)
         a1, a2, b1, b2 = s1 - c1, s2 - c2, e1 - c1, e2 - c2
         angle = np.arctan2(sign * (a1 * b2 - a2 * b1), a1 * b1 + a2 * b2)
-        full = np.hypot(e1 - s1, e2 - s2) <= SAME_MM
-        sweep = np.where(full, 2.0 * np.pi, np.where(angle > 0.0, angle, angle + 2.0 * np.pi))
+        chord = np.hypot(e1 - s1, e2 - s2)
+        is_full_circle = chord <= SAME_MM
+        sweep = np.where(is_full_circle, 2.0 * np.pi, np.where(angle > 0.0, angle, angle + 2.0 * np.pi))
         turns = np.nan_to_num(words.turns, nan=1.0)
         sweep = sweep + 2.0 * np.pi * (np.rint(turns) - 1.0)
         zero = np.zeros_like(sign)
-        faults = _faults(words, by_radius, full, np.hypot(a1, a2), np.hypot(b1, b2), 0.5 * np.hypot(e1 - s1, e2 - s2))
+        sizes = _ArcSizes(np.hypot(a1, a2), np.hypot(b1, b2), 0.5 * chord)
+        faults = _faults(words, by_radius, is_full_circle, sizes)
     return Arcs(words.from_plane(c1, c2, height), words.from_plane(zero, zero, sign), sweep, faults)
 
 
 def _centre_from_radius(s1: Array, s2: Array, e1: Array, e2: Array, words: ArcWords) -> tuple[Array, Array]:
     """Return the centres of arcs given by R, as components (A,) along first and second axis of the plane.
 
-    They are left of the chord for G3, right for G2, and on the other side for R < 0.
+    They are left of the chord for G3, right for G2, and on the other side for R < 0. They are NaN where an arc ends
+    where it begins, and at the middle of the chord where R is shorter than half of it.
 
     :param s1, s2: (A,) components of the starts; `e1`, `e2`: of the ends.
     """
     d1, d2 = 0.5 * (e1 - s1), 0.5 * (e2 - s2)
-    half = np.hypot(d1, d2)
-    centre_ratio = np.sqrt(np.maximum((np.abs(words.radius) - half) * (np.abs(words.radius) + half), 0.0)) / half
-    left = np.where(words.is_clockwise, -centre_ratio, centre_ratio) * np.sign(words.radius)
+    half_chord = np.hypot(d1, d2)
+    radius = np.abs(words.radius)
+    distance_to_chord = np.sqrt(np.maximum((radius - half_chord) * (radius + half_chord), 0.0))
+    ratio = distance_to_chord / half_chord
+    left = np.where(words.is_clockwise, -ratio, ratio) * np.sign(words.radius)  # in half chords; right is negative
     return s1 + d1 - left * d2, s2 + d2 + left * d1
 
 
-def _faults(
-    words: ArcWords, by_radius: Bools, full: Bools, r_start: Array, r_end: Array, half: Array
-) -> tuple[ArcFault, ...]:
+class _ArcSizes(NamedTuple):
+    """Radii (A,) of arcs at their starts and at their ends, and half lengths (A,) of their chords [mm]."""
+
+    start_radius: Array
+    end_radius: Array
+    half_chord: Array
+
+
+class _Check(NamedTuple):
+    """A check of arcs: where it fails (A,), the problem with names of sizes in braces, and the advice."""
+
+    is_wrong: Bools
+    problem: str
+    advice: str | None = None
+
+
+_FULL_CIRCLE = "Give a full circle by I, J, K."
+
+
+def _faults(words: ArcWords, by_radius: Bools, is_full_circle: Bools, sizes: _ArcSizes) -> tuple[ArcFault, ...]:
     """Return the first fault of each arc, for the first few arcs with each kind of fault.
 
-    :param by_radius: (A,) arcs given by R; `full`: (A,) arcs that end where they begin.
-    :param r_start: (A,) radii at the starts; `r_end`: at the ends; `half`: half lengths of the chords [mm].
+    :param by_radius: (A,) arcs given by R.
+    :param is_full_circle: (A,) arcs that end where they begin.
     """
     faults: dict[int, ArcFault] = {}
+    for checks, is_placed in (
+        (_word_checks(words, by_radius), False),
+        (_size_checks(words, by_radius, is_full_circle, sizes), True),
+    ):
+        for check in checks:
+            for n in np.flatnonzero(check.is_wrong)[: MAX_ERRORS + 1].tolist():
+                r1, r2, half_chord = (float(size[n]) for size in sizes)
+                values = {"r1": r1, "r2": r2, "least": half_chord, "radius": abs(words.radius[n])}
+                faults.setdefault(n, ArcFault(n, check.problem.format(**values), check.advice, is_placed))
+    return tuple(faults.values())
 
-    def check(wrong: Bools, problem: str, advice: str | None = None, *, placed: bool = False) -> None:
-        """Note the first arcs on which a check fails; an arc keeps its first fault.
 
-        :param wrong: (n,) where it fails.
-        :param problem: with names of radii in braces.
-        :param placed: it is a fault only if the start of the arc is known.
-        """
-        for n in np.flatnonzero(wrong)[: MAX_ERRORS + 1].tolist():
-            values = {"r1": r_start[n], "r2": r_end[n], "reach": half[n], "radius": abs(words.radius[n])}
-            faults.setdefault(n, ArcFault(n, problem.format(**values), advice, placed))
+def _word_checks(words: ArcWords, by_radius: Bools) -> Iterator[_Check]:
+    """Yield the checks of words that are wrong wherever an arc begins.
 
+    :param by_radius: (A,) arcs given by R.
+    """
     has_radius = ~np.isnan(words.radius)
     o1, o2, normal_offset = words.to_plane(words.offset)
-    g1, g2, _ = words.to_plane(words.given.astype(float))
-    difference, larger = np.abs(r_start - r_end), np.maximum(r_start, r_end)
-    tolerance = np.where(words.units == 20.0, CENTRE_TOLERANCE[20.0], CENTRE_TOLERANCE[21.0])
-    full_circle = "Give a full circle by I, J, K."
-    check(
+    has_end = words.to_plane(words.is_programmed.astype(float))[:2].any(axis=0)
+    yield _Check(
         np.nan_to_num(normal_offset) != 0.0,
         "arc with an offset across its plane",
         "G17 takes I and J, G18 I and K, G19 J and K.",
     )
-    check(by_radius & ~has_radius, "arc without I, J, K or R", "If a straight move is meant, write G0 or G1.")
-    check(~by_radius & has_radius, "arc with R and with I, J or K", "Give one or the other.")
-    check(
+    yield _Check(by_radius & ~has_radius, "arc without I, J, K or R", "If a straight move is meant, write G0 or G1.")
+    yield _Check(~by_radius & has_radius, "arc with R and with I, J or K", "Give one or the other.")
+    yield _Check(
         ~by_radius & words.absolute & (np.isnan(o1) | np.isnan(o2)),
         "arc with an incomplete absolute centre",
         "With G90.1 both coordinates of the centre are needed.",
     )
-    check(np.abs(np.rint(words.turns) - words.turns) > 1e-3, "P of an arc is not a whole number")
-    check(np.rint(words.turns) < 1.0, "P of an arc is below 1")
-    check(by_radius & (g1 + g2 == 0.0), "arc with R but without an end point in its plane", full_circle)
-    check(by_radius & full, "arc with R that ends where it begins", full_circle, placed=True)
-    check(
-        by_radius & (half - np.abs(words.radius) > RADIUS_TOLERANCE_MM),
-        "R too small to reach the end point: {radius:.4f} mm where {reach:.4f} mm is the least",
-        placed=True,
+    yield _Check(np.abs(np.rint(words.turns) - words.turns) > _WHOLE, "P of an arc is not a whole number")
+    yield _Check(np.rint(words.turns) < 1.0, "P of an arc is below 1")
+    yield _Check(by_radius & ~has_end, "arc with R but without an end point in its plane", _FULL_CIRCLE)
+
+
+def _size_checks(words: ArcWords, by_radius: Bools, is_full_circle: Bools, sizes: _ArcSizes) -> Iterator[_Check]:
+    """Yield the checks of sizes, which depend on the starts of arcs, by the tolerances of LinuxCNC.
+
+    :param by_radius: (A,) arcs given by R.
+    :param is_full_circle: (A,) arcs that end where they begin.
+    """
+    r1, r2, half_chord = sizes
+    difference, larger = np.abs(r1 - r2), np.maximum(r1, r2)
+    tolerance = np.where(words.units == 20.0, CENTRE_TOLERANCE[20.0], CENTRE_TOLERANCE[21.0])
+    yield _Check(by_radius & is_full_circle, "arc with R that ends where it begins", _FULL_CIRCLE)
+    yield _Check(
+        by_radius & (half_chord - np.abs(words.radius) > RADIUS_TOLERANCE_MM),
+        "R too small to reach the end point: {radius:.4f} mm where {least:.4f} mm is the least",
     )
-    check(np.minimum(r_start, r_end) < RADIUS_TOLERANCE_MM, "arc with radius zero", placed=True)
-    check(
+    yield _Check(np.minimum(r1, r2) < RADIUS_TOLERANCE_MM, "arc with radius zero")
+    yield _Check(
         ~by_radius & ((difference > _CAP * tolerance) | ((difference > tolerance) & (difference > _RELATIVE * larger))),
         "radii of the arc disagree: {r1:.4f} mm at the start, {r2:.4f} mm at the end",
         "Check the centre, G90.1/G91.1 and the plane (G17, G18, G19).",
-        placed=True,
     )
-    return tuple(faults.values())

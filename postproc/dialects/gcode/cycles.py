@@ -12,6 +12,7 @@ Without G98 or G99 holes return to the initial level, the higher of the two.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
 from msgspec import Struct
 
@@ -31,7 +32,10 @@ Point = tuple[float, float, float]
 
 
 class Step(Struct, frozen=True):
-    """A move of a cycle: code 0 (rapid) or 1, end in the plane and across it [mm], whether it reverses there."""
+    """A move of a cycle: code 0 (rapid) or 1, end in the plane and across it [mm].
+
+    :param bottom: it begins or ends in the hole, where the tool reverses: no corner may be rounded at its end.
+    """
 
     code: float
     end: Point
@@ -46,9 +50,18 @@ class CycleEvent(Struct, frozen=True):
     value: float = 0.0
 
 
+class CycleMoves(NamedTuple):
+    """Moves of the holes of a line, and the events between them."""
+
+    steps: list[Step]
+    events: list[CycleEvent]
+
+
 class Cycle:
     """The modal words of a cycle, and the initial level.
 
+    :ivar code: number of the G code; 0: no cycle is active.
+    :ivar level: height before the first cycle of the series [mm]; None: no cycle is active.
     :ivar words: letter → number: Z and R in mm as programmed, P in s, Q in mm.
     :ivar relative: letter → whether it was given in G91.
     :ivar lifts: whether the tool first goes up to R.
@@ -71,36 +84,29 @@ class Cycle:
         code: float,
         line_words: Mapping[str, float],
         position: Point,
-        modes: tuple[bool, bool],
         spindle: EventKind,
-    ) -> tuple[list[Step], list[CycleEvent]]:
+        *,
+        relative: bool,
+        retracts_to_r: bool,
+    ) -> CycleMoves:
         """Return the moves of the holes of a line, and the events between them.
 
-        :param line_words: its words: U and V in the plane, Z across it, R, Q [mm], P, L. L0 states the hole for the
-            lines that follow and drills none (Fanuc and Haas; LinuxCNC refuses it).
-        :param position: where the tool is: in the plane and across it [mm].
-        :param modes: whether G91 and whether G99 is active.
+        :param code: number of the G code of the cycle.
+        :param line_words: words of the line: U and V in the plane, Z across it, R, Q [mm], P, L. L0 states the hole for
+            the lines that follow and drills none (Fanuc and Haas; LinuxCNC refuses it).
+        :param position: of the tool, in the plane and across it [mm].
         :param spindle: state of the spindle.
+        :param relative: G91 is active.
+        :param retracts_to_r: G99 is active.
         :raises BlockError: a word is missing, or impossible.
         """
-        if code != self.code:
-            self.words.clear()
-            self.code = code
-        self.words.update({letter: line_words[letter] for letter in "ZRPQ" if letter in line_words})
-        relative, retracts_to_r = modes
-        self.relative.update(dict.fromkeys(line_words, relative))
-        self._check_words(relative)
-        repeats = line_words.get("L", 1.0)
-        if repeats < 0.0 or repeats != round(repeats):
-            raise BlockError(f"L{repeats:g} of a cycle is not a number of holes", None)
+        self._keep_words(code, line_words, relative)
         u, v, height = position
         self.level = height if self.level is None else self.level
-        if repeats == 0.0:
-            stay = (0.0, 0.0) if relative else (u, v)
-            if any(line_words.get(name, place) != place for name, place in zip("UV", stay, strict=True)):
-                advice = "Controls differ in whether the tool goes there: program the place in a block before, by G0."
-                raise BlockError("L0 of a cycle at another place than the tool is", advice)
-            return [], []
+        repeats = _repeats(line_words)
+        if repeats == 0:
+            _check_place(line_words, (0.0, 0.0) if relative else (u, v))
+            return CycleMoves([], [])
         r, z = self._heights(self.level if relative else None)
         steps: list[Step] = []
         events: list[CycleEvent] = []
@@ -109,7 +115,7 @@ class Cycle:
             steps.append(Step(0.0, (u, v, r)))
             height = r
         clear_height = r if retracts_to_r else max(self.level, r)
-        for hole_number in range(round(repeats)):
+        for hole_number in range(repeats):
             u, v = (
                 last + line_words.get(name, 0.0) if relative else line_words.get(name, last)
                 for name, last in zip("UV", (u, v), strict=True)
@@ -120,13 +126,19 @@ class Cycle:
                 steps.append(Step(0.0, (u, v, r)))
             self._add_descent((u, v, z), r, steps)
             self._add_retract((u, v, clear_height), r, steps, events, spindle)
-        return steps, events
+        return CycleMoves(steps, events)
 
-    def _check_words(self, relative: bool) -> None:
-        """Check that the words of the cycle are complete, and R and Z given in the active mode, G91 if `relative`.
+    def _keep_words(self, code: float, line_words: Mapping[str, float], relative: bool) -> None:
+        """Keep the modal words of a line; those of another cycle are forgotten.
 
-        :raises BlockError: they are not.
+        :param relative: whether G91 is active.
+        :raises BlockError: a word is missing, or R or Z was given in the other one of the modes G90 and G91.
         """
+        if code != self.code:
+            self.words.clear()
+            self.code = code
+        self.words.update({letter: line_words[letter] for letter in "ZRPQ" if letter in line_words})
+        self.relative.update(dict.fromkeys(line_words, relative))
         missing_letters = [letter for letter in ("Z", "R", *_NEEDS.get(self.code, "")) if letter not in self.words]
         if missing_letters:
             raise BlockError(f"G{self.code:g} without {' and '.join(missing_letters)}", None)
@@ -153,7 +165,11 @@ class Cycle:
         return r, z
 
     def _add_descent(self, bottom: Point, r: float, steps: list[Step]) -> None:
-        """Append to `steps` the moves from the R plane to the bottom, in pecks where the cycle has them."""
+        """Append to `steps` the moves from the R plane to the bottom, in pecks where the cycle has them.
+
+        :param bottom: end of the descent; `r`: height of the R plane [mm].
+        :raises BlockError: the depth of a peck is not above zero, or needs too many pecks.
+        """
         u, v, z = bottom
         if self.code in (73.0, 83.0):
             peck = self.words["Q"]
@@ -176,7 +192,7 @@ class Cycle:
 
         :param clear_point: end of the retract; `r`: height of the R plane [mm].
         :param spindle: state of the spindle before the cycle.
-        :raises BlockError: the cycle needs a spindle that turns.
+        :raises BlockError: the spindle does not turn as the cycle needs it.
         """
         step_count, dwell = len(steps), self.words.get("P", 0.0)
         wait = [CycleEvent(step_count, "dwell", dwell)] if self.code in DWELLING and dwell > 0.0 else []
@@ -197,3 +213,25 @@ class Cycle:
         else:
             cycle_events += wait
             steps.append(Step(1.0 if self.code == 89.0 else 0.0, clear_point))
+
+
+def _repeats(line_words: Mapping[str, float]) -> int:
+    """Return the number of holes of a line with a cycle: its L, or 1.
+
+    :raises BlockError: L is negative or not a whole number.
+    """
+    repeats = line_words.get("L", 1.0)
+    if repeats < 0.0 or repeats != round(repeats):
+        raise BlockError(f"L{repeats:g} of a cycle is not a number of holes", None)
+    return round(repeats)
+
+
+def _check_place(line_words: Mapping[str, float], place: tuple[float, float]) -> None:
+    """Check that a line without a hole (L0) does not name another place in the plane than that of the tool.
+
+    :param place: words U and V of the place of the tool [mm].
+    :raises BlockError: it does.
+    """
+    if any(line_words.get(letter, word) != word for letter, word in zip("UV", place, strict=True)):
+        advice = "Controls differ in whether the tool goes there: program the place in a block before, by G0."
+        raise BlockError("L0 of a cycle at another place than the tool is", advice)

@@ -52,7 +52,13 @@ class ExecutedProgram(Struct, frozen=True, eq=False):
 
 
 class Piece(NamedTuple):
-    """Lines `first` to `last` (exclusive) of a file; `text` for a line whose executed words differ from its own."""
+    """Lines of a file that are executed one after the other.
+
+    :param unit: index of the file.
+    :param first: row of the first line; `last`: row after the last line.
+    :param main: row of the program from which the file was called; −1 for lines of the program itself.
+    :param text: the executed words of a single line, if they differ from those of the file.
+    """
 
     unit: int
     first: int
@@ -92,21 +98,24 @@ def _bytes(units: Sequence[Unit], pieces: Sequence[Piece]) -> Iterator[bytes]:
 
 
 def _comments(units: Sequence[Unit], document: Ints, row: Ints) -> tuple[tuple[str, ...], Ints]:
-    """Return the comments of the executed lines, and their rows."""
+    """Return the comments of the executed lines, and the executed row of each.
+
+    :param document: (L,) index of the file of each executed line; `row`: (L,) its row in that file.
+    """
     texts: list[str] = []
-    at: list[Ints] = []
-    index: list[Ints] = []
+    executed_rows: list[Ints] = []
+    text_indices: list[Ints] = []
     for n, unit in enumerate(units):
         rows = np.flatnonzero(document == n)
-        lines = unit.source.comment_lines - 1
-        begin, stop = np.searchsorted(lines, row[rows], "left"), np.searchsorted(lines, row[rows], "right")
-        count = stop - begin
-        at.append(np.repeat(rows, count))
-        index.append(len(texts) + ragged_range(count, begin))
+        comment_rows = unit.source.comment_lines - 1
+        first = np.searchsorted(comment_rows, row[rows], "left")
+        count = np.searchsorted(comment_rows, row[rows], "right") - first
+        executed_rows.append(np.repeat(rows, count))
+        text_indices.append(len(texts) + ragged_range(count, first))
         texts += unit.source.comments
-    order = np.argsort(np.concatenate(at), kind="stable")
-    text_indices = np.concatenate(index)[order].tolist()
-    return tuple(texts[n] for n in text_indices), np.concatenate(at)[order]
+    order = np.argsort(np.concatenate(executed_rows), kind="stable")
+    ordered_indices = np.concatenate(text_indices)[order].tolist()
+    return tuple(texts[n] for n in ordered_indices), np.concatenate(executed_rows)[order]
 
 
 _EXTENSIONS = (".ngc", ".nc", ".tap", ".cnc", ".gcode", ".mpf", ".ptp", ".txt", ".sub", "")
@@ -146,7 +155,12 @@ class Library:
         return unit_index, label_row + 1
 
     def _load(self, label: str) -> int | None:
-        """Return the index of the file of the folder that contains a subprogram; read it on the first call."""
+        """Return the index in `units` of the file of the folder that contains a subprogram; None: there is none.
+
+        The file is read on the first call.
+
+        :raises BlockError: it cannot be read.
+        """
         for n, unit in enumerate(self.units):
             if n and _stem(unit.document.name) == label:
                 return n
@@ -247,7 +261,7 @@ class _Run:
     :ivar main: row of the program from which the present subprogram was called; −1 in the program itself.
     :ivar counts: rounds that REPEAT loops still have to make, by number of calls, file and row of the loop.
     :ivar rows: number of executed lines; `orders`: of those with parameters or O-words.
-    :ivar wrong: faults by file and row.
+    :ivar faults: faults by file and row.
     :ivar end: row of the program at which it ends.
     """
 
@@ -261,7 +275,7 @@ class _Run:
         self.counts: dict[tuple[int, int, int], int] = {}
         self.pieces: list[Piece] = []
         self.rows = self.orders = 0
-        self.wrong: dict[tuple[int, int], Fault] = {}
+        self.faults: dict[tuple[int, int], Fault] = {}
 
     def result(self) -> ExecutedProgram:
         """Execute the program from its first line, unless its O-words have faults."""
@@ -272,40 +286,40 @@ class _Run:
                 self._step()
         except _EndError:
             pass
-        return assemble(self.units, self.pieces, list(self.wrong.values()), self.end)
+        return assemble(self.units, self.pieces, list(self.faults.values()), self.end)
 
     def _step(self) -> None:
         """Execute the lines up to the next one with a parameter or an O word, and that one.
 
         :raises _EndError: the program ends, or cannot be followed any further.
         """
-        unit, row = self.units[self.unit], self.row
-        at = unit.following[row]
-        if at > row:
-            self._take(row, at)
-        if at == len(unit.source):
+        unit, first = self.units[self.unit], self.row
+        row = unit.following[first]
+        if row > first:
+            self._add_rows(first, row)
+        if row == len(unit.source):
             if self.frames:
                 end = "ENDSUB" if self.frames[-1].is_linuxcnc_style else "M99"
-                self._stop(at - 1, f"subprogram O{self.frames[-1].label} does not end with {end}")
+                self._stop(row - 1, f"subprogram O{self.frames[-1].label} does not end with {end}")
             raise _EndError
         self.orders += 1
         if self.orders > _MOST_ORDERS or self.rows > _MOST_ROWS:
-            self._stop(at, f"more than {_MOST_ORDERS:,} lines with parameters and O-words are executed", _ENDLESS)
-        self.row = at + 1
+            self._stop(row, f"more than {_MOST_ORDERS:,} lines with parameters and O-words are executed", _ENDLESS)
+        self.row = row + 1
         try:
-            line = unit.at(at)
+            line = unit.at(row)
             if isinstance(line, Order):
-                self._execute_order(at, line)
+                self._execute_order(row, line)
             elif isinstance(line, Block):
-                self._execute(at, line)
+                self._execute_block(row, line)
             else:
-                self._tape(at)
+                self._execute_percent(row)
         except BlockError as cause:
-            self._add_fault(at, *cause.args)
-            if isinstance(unit.lines.get(at), Order) or len(self.wrong) > MAX_ERRORS:
+            self._add_fault(row, *cause.args)
+            if isinstance(unit.lines.get(row), Order) or len(self.faults) > MAX_ERRORS:
                 raise _EndError from cause  # the next line is not known
 
-    def _take(self, first: int, last: int, text: str | None = None) -> None:
+    def _add_rows(self, first: int, last: int, text: str | None = None) -> None:
         """Add rows first … last − 1 of the present file to the program; `text` replaces theirs."""
         main = self.main if self.unit else -1
         self.pieces.append(Piece(self.unit, first, last, main, text))
@@ -313,9 +327,9 @@ class _Run:
 
     def _add_fault(self, row: int, problem: str, advice: str | None = None) -> None:
         """Record a fault. The text of the line is recorded too, so that later steps know which words are unknown."""
-        if (self.unit, row) not in self.wrong:
-            self.wrong[self.unit, row] = Fault(self.rows, problem, advice, self.units[self.unit].source.line(row))
-        self._take(row, row + 1, "")
+        if (self.unit, row) not in self.faults:
+            self.faults[self.unit, row] = Fault(self.rows, problem, advice, self.units[self.unit].source.line(row))
+        self._add_rows(row, row + 1, "")
 
     def _stop(self, row: int, problem: str, advice: str | None = None) -> None:
         """Record a fault and end the execution.
@@ -325,8 +339,11 @@ class _Run:
         self._add_fault(row, problem, advice)
         raise _EndError
 
-    def _tape(self, row: int) -> None:
-        """Execute %: the first one of a file opens the program, the next one ends it."""
+    def _execute_percent(self, row: int) -> None:
+        """Execute %: the first one of a file opens the program, the next one ends it.
+
+        :raises _EndError: it ends the program.
+        """
         source = self.units[self.unit].source
         opens = not source.code[: source.ends[row] + 1].strip(b"\n" + MARK.encode())
         if not opens and self.frames:
@@ -334,51 +351,64 @@ class _Run:
         elif not opens and source.goes_on(row):
             self._stop(row, *CUT_SHORT)
         elif not self.frames:
-            self._take(row, row + 1)
+            self._add_rows(row, row + 1)
             if not opens:
                 raise _EndError
 
-    def _execute(self, row: int, line: Block) -> None:
-        """Execute a line of words: parameters are replaced, M98 and M99 followed, M2 and M30 end the program."""
+    def _execute_block(self, row: int, line: Block) -> None:
+        """Execute a line of words: parameters are replaced, M98 and M99 followed, M2 and M30 end the program.
+
+        :raises BlockError: a value is not known, or a call is impossible.
+        :raises _EndError: the program ends.
+        """
         text = line.text(self.parameters)
-        orders = end_words(text) if "M" in text else {}
-        if not orders:
+        end_codes = end_words(text) if "M" in text else {}
+        if not end_codes:
             if text:
-                self._take(row, row + 1, text)
+                self._add_rows(row, row + 1, text)
             return
-        if "98" in orders or "99" in orders:
-            number = {match[1]: float(match[2]) for match in _CALL.finditer(text) if match[1]}
+        if "98" in end_codes or "99" in end_codes:
+            words = {match[1]: float(match[2]) for match in _CALL.finditer(text) if match[1]}
             text_without_call = _CALL.sub("", text)
             if text_without_call.strip("/"):
-                self._take(row, row + 1, text_without_call)
-            if "98" in orders:
-                self._call_number(row, number)
+                self._add_rows(row, row + 1, text_without_call)
+            if "98" in end_codes:
+                self._call_by_number(row, words)
             else:
-                self._return_number(row, number)
+                self._repeat_or_return(words)
             return
-        self._take(row, row + 1, text)
+        self._add_rows(row, row + 1, text)
         self.end = row if self.unit == 0 else self.main
         raise _EndError
 
-    def _call_number(self, row: int, number: dict[str, float]) -> None:
-        """Execute M98: call a subprogram by its number, `L` times."""
-        if "P" not in number:
+    def _call_by_number(self, row: int, words: dict[str, float]) -> None:
+        """Execute M98: call subprogram P, L times.
+
+        :param row: line of the call; `words`: its P and L by letter.
+        :raises BlockError: P is missing, there is no such subprogram, or calls are nested too deeply.
+        """
+        if "P" not in words:
             raise BlockError("M98 without P", "Write, for example, M98 P100 L3: subprogram O100, three times.")
-        label, times = str(nearest_integer(number["P"])), nearest_integer(number.get("L", 1.0))
+        label, times = str(nearest_integer(words["P"])), nearest_integer(words.get("L", 1.0))
         location = self.library.find(label, self.unit, is_linuxcnc_style=False)
         if location is None:
-            advice = "Write M98 P100 L3 for three times." if number["P"] >= 1e4 and "L" not in number else None
+            # M98 P30100 calls O100 three times on some Fanuc controls
+            advice = "Write M98 P100 L3 for three times." if words["P"] >= 1e4 and "L" not in words else None
             raise BlockError(f"subprogram O{label} is neither in this file nor in its folder", advice)
         if times > 0:
             self._enter(_Frame(label, False, self.unit, self.row, self.main, times - 1, location[1]), location[0], row)
             self.parameters.enter(None)
 
-    def _return_number(self, row: int, number: dict[str, float]) -> None:
-        """Execute M99: repeat the subprogram, or return from it."""
+    def _repeat_or_return(self, words: dict[str, float]) -> None:
+        """Execute M99: repeat the subprogram if M98 asks for it, else return from it.
+
+        :param words: P and L of the line by letter.
+        :raises BlockError: M99 has P, or is not in a subprogram that M98 called.
+        """
         if not self.frames:
             advice = "End a program with M30. If this is a subprogram, convert the program that calls it."
             raise BlockError("M99 in a main program: it would repeat forever", advice)
-        if "P" in number:
+        if "P" in words:
             raise BlockError("M99 with P", "A return to another line than the call is not supported: write M99 alone.")
         frame = self.frames[-1]
         if frame.is_linuxcnc_style:
@@ -392,8 +422,9 @@ class _Run:
         self._leave()
 
     def _enter(self, frame: _Frame, unit: int, row: int) -> None:
-        """Continue in a subprogram; `row`: the line of the call.
+        """Continue in a subprogram.
 
+        :param unit: index of its file in `units`; `row`: line of the call.
         :raises BlockError: calls are nested too deeply.
         """
         if len(self.frames) >= _DEEPEST - 1:
@@ -414,10 +445,11 @@ class _Run:
         """Execute an O word of LinuxCNC: continue at the line to which a call, a branch or a loop leads.
 
         :param row: its line in the current file.
-        :raises BlockError: it calls a subprogram that does not exist.
+        :raises BlockError: it calls a subprogram that does not exist, or returns outside of one.
+        :raises _EndError: its condition may depend on an earlier fault.
         """
         unit, keyword = self.units[self.unit], order.keyword
-        if self.wrong and keyword in ("IF", "ELSEIF", "WHILE", "REPEAT"):
+        if self.faults and keyword in ("IF", "ELSEIF", "WHILE", "REPEAT"):
             raise _EndError  # the condition may depend on an earlier fault
         link = unit.links.get(row, (row,))  # lines of the O words of this structure, from its first to its last
         if keyword == "SUB":
@@ -466,6 +498,7 @@ class _Run:
     def _call(self, row: int, order: Order) -> None:
         """Execute O CALL with its arguments.
 
+        :param row: line of the call.
         :raises BlockError: there is no such subprogram.
         """
         label = order.label if isinstance(order.label, str) else str(nearest_integer(order.label(self.parameters)))
@@ -477,7 +510,10 @@ class _Run:
         self.parameters.enter(arguments)
 
     def _return(self, order: Order) -> None:
-        """Execute ENDSUB or RETURN, and store the value that it returns."""
+        """Execute ENDSUB or RETURN, and store the value that it returns.
+
+        :raises BlockError: it is not in the subprogram of its label.
+        """
         frame = self.frames[-1] if self.frames else None
         if frame is None or not frame.is_linuxcnc_style or (order.keyword == "ENDSUB" and frame.label != order.label):
             raise BlockError(f"O{order.label} {order.keyword} outside of O{order.label} SUB", None)

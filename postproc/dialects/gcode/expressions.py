@@ -52,7 +52,7 @@ class Parameters:
 
         :raises BlockError: it has none.
         """
-        value = self._place(key).get(key)
+        value = self._scope(key).get(key)
         if value is not None:
             return value
         if isinstance(key, int):
@@ -62,7 +62,7 @@ class Parameters:
 
     def exists(self, key: Key) -> bool:
         """Return whether a parameter has a value."""
-        return key in self._place(key)
+        return key in self._scope(key)
 
     def put(self, key: Key, value: float) -> None:
         """Give a parameter a value.
@@ -71,10 +71,13 @@ class Parameters:
         """
         if isinstance(key, int) and _check_number(key) > _OF_THE_MACHINE:
             raise BlockError(f"parameter #{key} belongs to the control", "Use G10, G52 or G54 … instead.")
-        self._place(key)[key] = value
+        self._scope(key)[key] = value
 
     def enter(self, arguments: Sequence[float] | None) -> None:
-        """Begin a subprogram: #1 … are its arguments, other local numbers zero; with None it shares its caller's."""
+        """Begin a subprogram, whose local names have no value yet.
+
+        :param arguments: values of #1, #2 …; other local numbers are zero. None: it shares those of its caller (M98).
+        """
         caller_values: dict[Key, float] | None = None
         if arguments is not None:
             caller_values = {n: self._common[n] for n in _LOCAL if n in self._common}
@@ -91,8 +94,8 @@ class Parameters:
                 self._common.pop(n, None)
             self._common.update(caller_values)
 
-    def _place(self, key: Key) -> dict[Key, float]:
-        """Return the values among which a parameter is: those of local names, or all others."""
+    def _scope(self, key: Key) -> dict[Key, float]:
+        """Return the scope of a parameter: the values of local names, or of all other parameters."""
         return self._local if isinstance(key, str) and not key.startswith("_") else self._common
 
 
@@ -157,7 +160,10 @@ _UNARY: Mapping[str, Callable[[float], float]] = {
 
 
 def nearest_integer(value: float) -> int:
-    """Return the nearest integer; within 0.0001, as rs274 requires."""
+    """Return a value that is whole within 0.0001, as rs274 requires.
+
+    :raises BlockError: it is not.
+    """
     if abs(value - round(value)) > _EQUALITY_TOLERANCE:
         raise BlockError(f"{value:g} is not a whole number", None)
     return round(value)
@@ -174,7 +180,10 @@ class Reader:
         self.code, self.at, self._inside = code, at, 0
 
     def value(self) -> Value:
-        """Read a value: a number, a parameter, a function or an expression, with signs before it."""
+        """Read a value: a number, a parameter, a function or an expression, with signs before it.
+
+        :raises BlockError: there is none, or brackets and signs are nested too deeply.
+        """
         if self._inside == _DEEPEST:
             raise BlockError(f"more than {_DEEPEST} brackets or signs one in another", None)
         self._inside += 1
@@ -183,7 +192,10 @@ class Reader:
         return result
 
     def _value(self) -> Value:
-        """Return the next value: a number, [expression], parameter or function, with its sign."""
+        """Return the next value: a number, [expression], parameter or function, with its sign.
+
+        :raises BlockError: there is none.
+        """
         number = self._match(_NUMBER)
         if number is not None:
             constant = float(number[0])
@@ -193,7 +205,7 @@ class Reader:
             return self.expression()
         if following == "#":
             return _parameter_value(self.parameter())
-        if following in ("+", "-") and following:
+        if following in ("+", "-"):
             self.at += 1
             inner = self.value()
             return inner if following == "+" else lambda parameters: -inner(parameters)
@@ -223,7 +235,10 @@ class Reader:
         return lambda parameters: nearest_integer(index(parameters))
 
     def _operation(self, weakest: int) -> Value:
-        """Return the operations from here on that bind at least as tightly as `weakest` (precedence climbing)."""
+        """Return the operations from here on that bind at least as tightly as `weakest` (precedence climbing).
+
+        :raises BlockError: a value is missing or invalid.
+        """
         left = self.value()
         while True:
             match = _OPERATOR.match(self.code, self.at)
@@ -257,7 +272,7 @@ class Reader:
         return _unary_value(name[1], inner)
 
     def _match(self, pattern: re.Pattern[str]) -> re.Match[str] | None:
-        """Return what a pattern matches here, and go on behind it; None: nothing."""
+        """Return the match of a pattern here, and skip it; None: it does not match."""
         match = pattern.match(self.code, self.at)
         if match is not None:
             self.at = match.end()

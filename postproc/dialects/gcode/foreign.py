@@ -110,7 +110,7 @@ FOREIGN = (
 
 
 def recognise(lines: Sequence[str]) -> tuple[int, ForeignFormat] | None:
-    """Return index and kind of the first unreadable line that reveals the kind of the program, or None.
+    """Return the index of the first unreadable line that reveals the kind of the program, and that kind; None: none.
 
     :param lines: with their comments, in order.
     """

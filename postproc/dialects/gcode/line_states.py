@@ -22,13 +22,17 @@ class LineStates(Struct, frozen=True, eq=False):
     """Words and modal state of each line, lengths in mm: XYZ, IJK (L, 3); all else (L,).
 
     :param is_placed: whether X, Y or Z is programmed.
-    :param turns: P; for cycles a dwell.
+    :param ijk: words I, J, K; `radius`: R, of cycles the height to which they retract; NaN where absent.
+    :param turns: P, turns of an arc or dwell of a cycle.
+    :param motion: active motion code, such as 1 for G1; 80: none.
     :param named: whether the line itself has a motion code.
     :param feed: [mm/min]; in G93 [1/min]. `rate`: F as written, in deg/min for rotary axes alone.
+    :param plane: 17, 18 or 19; `units`: 20 or 21.
+    :param incremental: G91; `absolute_centre`: G90.1.
     :param moving: lines that move by G0…G3; `drilling`: by a cycle.
     :param rotary: (L, k) words of the rotary axes [deg].
     :param tip: whether tool-centre-point control is on.
-    :param to_r: G99.
+    :param inverse_time: G93; `to_r`: G99.
     :param pecks: Q; `repeats`: L.
     """
 
@@ -68,11 +72,11 @@ def carry_forward(values: Array, initial: float) -> Array:
 
 def active_values(changes: Sequence[tuple[int, float]], initial: float, rows: int) -> Array:
     """Return the active value of each line (rows,), from changes (row, value) in order of rows."""
-    at = [0, *(row for row, _ in changes if row < rows), rows]
+    bounds = [0, *(row for row, _ in changes if row < rows), rows]
     values = [initial, *(value for row, value in changes if row < rows)]
     if len(set(values)) == 1:
         return constant(initial, rows)
-    return np.repeat(np.array(values, dtype=float), np.diff(at))
+    return np.repeat(np.array(values, dtype=float), np.diff(bounds))
 
 
 def take_rows(column: NDArray[Any], rows: Ints) -> NDArray[Any]:
@@ -86,42 +90,37 @@ def line_states_of(words: Words, modes: Modes, rotary: Rotary | None) -> LineSta
     """Return words and modal state of all lines of a program, lengths in mm.
 
     :param modes: modal state and events of the blocks that are not plain.
-    :param rotary: the rotary axes of the cell, whose words are angles or directions; None: it has none.
+    :param rotary: the rotary has_axis_word of the cell, whose words are angles or directions; None: it has none.
     """
     count = modes.rows
     state = {group: active_values(modes.changes[group], valid[0], count) for group, valid in codes.GROUPS.items()}
     inches = state["units"] == 20.0
     factor = np.where(inches, MM_PER_UNIT[20.0], MM_PER_UNIT[21.0])[:, None] if inches.any() else None
-
-    def mm(group: str) -> Array:
-        group_words = words[group][:count]
-        return group_words if factor is None or not group_words.strides[0] else group_words * factor
-
-    xyz, ijk = mm("XYZ"), mm("IJK")
+    xyz, ijk, radius, pecks, feed = (_in_mm(words[group][:count], factor) for group in ("XYZ", "IJK", "R", "Q", "F"))
     code = words.column("G")[:count]
     motion = carry_forward(code, codes.CANCEL_CYCLE).astype(np.int8)
-    circular = (motion == 2.0) | (motion == 3.0)
+    is_arc = (motion == 2.0) | (motion == 3.0)
     has_motion_code = ~np.isnan(code) & (code != codes.CANCEL_CYCLE)
-    rotary_words = _rotary_words(words, circular, rotary)
+    rotary_words = _rotary_words(words, is_arc, rotary)
     if rotary is not None and rotary.kind == "vector":
-        ijk = np.where(circular[:, None], ijk, np.nan)
+        ijk = np.where(is_arc[:, None], ijk, np.nan)
     has_position = any_column(~np.isnan(xyz))
-    axes = has_position | ~np.isnan(rotary_words).all(axis=1)
-    is_always_tip = rotary is None or not (rotary.tcp_on or any(on for _, on in modes.tip))
-    drilling = np.isin(motion, codes.CYCLES) & axes
-    moving = ~drilling & (axes | (circular & (has_motion_code | any_column(~np.isnan(ijk)))))
+    has_axis_word = has_position | ~np.isnan(rotary_words).all(axis=1)
+    drilling = np.isin(motion, codes.CYCLES) & has_axis_word
+    moving = ~drilling & (has_axis_word | (is_arc & (has_motion_code | any_column(~np.isnan(ijk)))))
     inverse_time = state["feed"] == 93.0
     rate = carry_forward(words.column("F")[:count], 0.0)
-    needs_conversion = factor is not None or inverse_time.any()
+    # in millimetres and without G93 the feed is the rate, which is then not carried forward twice
+    is_feed_rate = factor is None and not inverse_time.any()
     return LineStates(
         xyz=xyz,
         is_placed=has_position,
         ijk=ijk,
-        radius=mm("R")[:, 0],
+        radius=radius[:, 0],
         turns=words.column("P")[:count],
         motion=motion,
         named=has_motion_code,
-        feed=_feeds(mm("F")[:, 0], words.column("F")[:count], inverse_time) if needs_conversion else rate,
+        feed=rate if is_feed_rate else _feeds(feed[:, 0], words.column("F")[:count], inverse_time),
         rate=rate,
         plane=state["plane"],
         units=state["units"],
@@ -130,22 +129,40 @@ def line_states_of(words: Words, modes: Modes, rotary: Rotary | None) -> LineSta
         moving=moving,
         drilling=drilling,
         rotary=rotary_words,
-        tip=np.ones(count, dtype=bool) if is_always_tip else active_values(modes.tip, 0.0, count) > 0.0,
+        tip=_tip_control(modes, rotary, count),
         inverse_time=inverse_time,
         to_r=state["retract"] == 99.0,
-        pecks=mm("Q")[:, 0],
+        pecks=pecks[:, 0],
         repeats=words.column("L")[:count],
     )
 
 
-def _rotary_words(words: Words, circular: Bools, rotary: Rotary | None) -> Array:
+def _in_mm(group_words: Array, factor: Array | None) -> Array:
+    """Return words (L, n) in millimetres; a group without words still takes no memory.
+
+    :param factor: (L, 1) millimetres per unit of each line; None: all lines are in millimetres.
+    """
+    return group_words if factor is None or not group_words.strides[0] else group_words * factor
+
+
+def _tip_control(modes: Modes, rotary: Rotary | None, count: int) -> Bools:
+    """Return whether tool-centre-point control is on, for each of `count` lines.
+
+    It is always on without rotary axes, and where neither the cell nor the program has codes that switch it on.
+    """
+    if rotary is None or not (rotary.tcp_on or any(on for _, on in modes.tip)):
+        return np.ones(count, dtype=bool)
+    return active_values(modes.tip, 0.0, count) > 0.0
+
+
+def _rotary_words(words: Words, is_arc: Bools, rotary: Rotary | None) -> Array:
     """Return the words of the rotary axes (n, k) of the first n lines [deg], or the direction of the tool (n, 3).
 
-    :param circular: (n,) lines of arcs, where I, J and K are no direction of the tool but the centre.
+    :param is_arc: (n,) lines of arcs, where I, J and K are no direction of the tool but the centre.
     """
-    count = len(circular)
+    count = len(is_arc)
     if rotary is not None and rotary.kind == "vector":
-        direction = np.where(circular[:, None], np.nan, words["IJK"][:count])
+        direction = np.where(is_arc[:, None], np.nan, words["IJK"][:count])
         length = norm(direction)[:, None]  # NaN of an incomplete direction, which is an error like I0 J0 K0
         return np.divide(direction, length, out=direction, where=length > 0.0)
     if rotary is None or not rotary.axes:
@@ -153,10 +170,14 @@ def _rotary_words(words: Words, circular: Bools, rotary: Rotary | None) -> Array
     return np.stack([words.column(letter)[:count] for letter in rotary.axes], axis=1)
 
 
-def _feeds(mm: Array, words: Array, inverse_time: Bools) -> Array:
-    """Return the modal feed of each line [mm/min]; in G93 the feed of the line itself [1/min], or 0."""
+def _feeds(feeds_mm: Array, feed_words: Array, inverse_time: Bools) -> Array:
+    """Return the modal feed (L,) of each line [mm/min]; in G93 the feed of the line itself [1/min], or 0.
+
+    :param feeds_mm: (L,) F as a feed [mm/min]; `feed_words`: (L,) F as written; NaN where absent.
+    :param inverse_time: (L,) lines in G93.
+    """
     if not inverse_time.any():
-        return carry_forward(mm, 0.0)
+        return carry_forward(feeds_mm, 0.0)
     is_after_g93 = np.append(False, inverse_time[:-1] & ~inverse_time[1:])  # the feed before G93 is not valid after it
-    plain = np.where(inverse_time, np.nan, np.where(is_after_g93 & np.isnan(mm), 0.0, mm))
-    return np.where(inverse_time, np.nan_to_num(words), carry_forward(plain, 0.0))
+    plain = np.where(inverse_time, np.nan, np.where(is_after_g93 & np.isnan(feeds_mm), 0.0, feeds_mm))
+    return np.where(inverse_time, np.nan_to_num(feed_words), carry_forward(plain, 0.0))

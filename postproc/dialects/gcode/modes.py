@@ -88,22 +88,23 @@ class Switching:
     def read(self, row: int, m: Sequence[float], values: dict[str, float]) -> None:
         """Read the M codes, T and S of a block.
 
+        :param m: its M codes.
         :param values: its words by letter; used words are removed.
         :raises BlockError: a code is unknown or impossible.
         """
         self._tool = values.pop("T", self._tool)
-        self._power(row, m, values)
+        self._ignore_spindle_power(row, m, values)
         if codes.CHANGE in m:
-            self._change(row)
-        self._turn(row, m, values.pop("S", None))
+            self._add_tool_change(row)
+        self._read_spindle(row, m, values.pop("S", None))
         for code in m:
             if code in codes.COOLANT:
                 self._coolant = code != codes.COOLANT[-1]
-                self._event(row, "coolant_on" if self._coolant else "coolant_off")
+                self._add_event(row, "coolant_on" if self._coolant else "coolant_off")
             elif code in codes.STOP:
                 self.events.append(RowEvent(row, True, "stop"))
             elif code in codes.END:
-                self._end(row)
+                self._end_program(row)
         for code in m:
             if self.is_known(row, f"M{code:g}"):
                 continue
@@ -118,7 +119,7 @@ class Switching:
             if cell_lines:
                 self.events.append(RowEvent(row, False, "m_code", code))
 
-    def tool_length(self, row: int, length: float | None) -> None:
+    def check_tool_length(self, row: int, length: float | None) -> None:
         """Check G43 against the tool in the spindle; before the first M6, H selects the tool.
 
         :param length: number of the stored tool length (H), or None.
@@ -127,53 +128,54 @@ class Switching:
         mounted = self._tool if self._spindle_tool is None else self._spindle_tool
         if not tools:
             message = "G43 has no effect: $TOOL contains the tool length, and X Y Z are those of the tool tip."
-            self._remark("info", "tool-length", message, row)
+            self._add_remark("info", "tool-length", message, row)
             if length and mounted and length != mounted:
                 message = (
                     f"G43 H{length:g} with tool {mounted:g}: the length of another tool. Its tip is elsewhere if "
                     f"[tool] of the cell is not that of tool {mounted:g}."
                 )
-                self._remark("warning", "tool-length", message, row, f"{length:g}")
+                self._add_remark("warning", "tool-length", message, row, f"{length:g}")
         elif length and self._spindle_tool is None and f"{length:g}" in tools:
             self.tools.append((row, length))
             message = "There is no M6 before G43: the tool is selected by H."
-            self._remark("info", "tool-length", message, row)
+            self._add_remark("info", "tool-length", message, row)
         elif length and length != mounted and f"{length:g}" in tools:
             message = f"G43 H{length:g} is not the tool in the spindle: $TOOL of tool {mounted or 0:g} is used."
-            self._remark("warning", "tool-length", message, row, f"{length:g}")
+            self._add_remark("warning", "tool-length", message, row, f"{length:g}")
 
-    def dwell(self, row: int, seconds: float) -> None:
+    def add_dwell(self, row: int, seconds: float) -> None:
         """Record a dwell (G4) [s]."""
-        self._event(row, "dwell", seconds)
+        self._add_event(row, "dwell", seconds)
 
-    def _change(self, row: int) -> None:
+    def _add_tool_change(self, row: int) -> None:
         """Record a tool change, which stops the spindle.
 
         :raises BlockError: the cell has no such tool.
         """
         if self._spindle != "spindle_off":
             self._spindle = "spindle_off"
-            self._event(row, "spindle_off")
+            self._add_event(row, "spindle_off")
         number = self._tool or 0.0
-        self._event(row, "tool_change", number)
+        self._add_event(row, "tool_change", number)
         self._mounted.add(number)
         self._spindle_tool = number
         if self._tool is None and self.cell.tools:
             raise BlockError("M6 without a T before it", "Write the number of the tool in [tools]: T1 M6.")
         if self._tool is None:
             message = "M6 without a T before it: the tool is unknown."
-            self._remark("warning", "tool-change", message, row)
+            self._add_remark("warning", "tool-change", message, row)
         elif self.cell.tools and number:
             if f"{number:g}" not in self.cell.tools:
                 raise BlockError(f"tool {number:g} is not in the cell", f"Give its $TOOL: [tools.{number:g}].")
             self.tools.append((row, number))
         elif len(self._mounted) > 1:
             message = "The program uses several tools, but the cell has only [tool]. Give [tools.n] for each."
-            self._remark("warning", "tool-change", message, row)
+            self._add_remark("warning", "tool-change", message, row)
 
-    def _power(self, row: int, m: Sequence[float], values: dict[str, float]) -> None:
+    def _ignore_spindle_power(self, row: int, m: Sequence[float], values: dict[str, float]) -> None:
         """Ignore P of M3 and M4 with a warning: on Snapmaker machines it is a share of an unknown full speed.
 
+        :param m: M codes of the block; `values`: its other words by letter, from which P is removed.
         :raises BlockError: the cell needs the speed in rpm.
         """
         if "P" not in values or not set(m) & set(codes.SPINDLE[:2]) or set(values) - {"P", "S"}:
@@ -185,10 +187,14 @@ class Switching:
         message = (
             f"P{values.pop('P'):g} of M3 is ignored: a share of the full speed (Snapmaker). Set the speed by hand."
         )
-        self._remark("warning", "spindle-speed", message, row)
+        self._add_remark("warning", "spindle-speed", message, row)
 
-    def _turn(self, row: int, m: Sequence[float], speed: float | None) -> None:
-        """Record the spindle speed [1/min], and M3, M4 or M5."""
+    def _read_spindle(self, row: int, m: Sequence[float], speed: float | None) -> None:
+        """Record the spindle speed [1/min], and M3, M4 or M5.
+
+        :param m: M codes of the block; `speed`: its S, or None.
+        :raises BlockError: the speed is negative.
+        """
         if speed is not None:
             if speed < 0.0:
                 raise BlockError("negative spindle speed", None)
@@ -196,15 +202,15 @@ class Switching:
         spindle_kind = next((kind for code, kind in _SPINDLE.items() if code in m), None)
         self._spindle = spindle_kind or self._spindle
         if spindle_kind == "spindle_off":
-            self._event(row, "spindle_off")
+            self._add_event(row, "spindle_off")
         elif spindle_kind or (speed is not None and self._spindle != "spindle_off"):
-            self._event(row, self._spindle, self._speed)
+            self._add_event(row, self._spindle, self._speed)
             if self._speed == 0.0:
-                self._remark(
+                self._add_remark(
                     "warning", "spindle-speed", "The spindle starts without a speed. Program S before M3 or M4.", row
                 )
 
-    def _end(self, row: int) -> None:
+    def _end_program(self, row: int) -> None:
         """End the program: switch spindle and coolant off after the motion of the block."""
         self.ended = True
         if self._spindle != "spindle_off":
@@ -212,11 +218,11 @@ class Switching:
         if self._coolant:
             self.events.append(RowEvent(row, True, "coolant_off"))
 
-    def _event(self, row: int, kind: EventKind, value: float = 0.0) -> None:
+    def _add_event(self, row: int, kind: EventKind, value: float = 0.0) -> None:
         """Record an event before the motion of a line."""
         self.events.append(RowEvent(row, False, kind, value))
 
-    def _remark(self, level: Level, kind: str, message: str, row: int, subject: str = "") -> None:
+    def _add_remark(self, level: Level, kind: str, message: str, row: int, subject: str = "") -> None:
         """Add a remark on a line for the user."""
         self.issues.append(Issue(level, kind, message, row + 1, subject=subject))
 
@@ -260,7 +266,7 @@ class Origin(Struct, frozen=True):
 
     :ivar axes: axis 0…2 → its word.
     :ivar system: of G10: 1 for G54 to 9 for G59.3, 0 for the active one; `turn` its R [deg] or None.
-    :ivar here: True for G10 L20, which gives the coordinates of the current position.
+    :ivar is_here: True for G10 L20, which gives the coordinates of the current position.
     """
 
     row: int
@@ -268,7 +274,7 @@ class Origin(Struct, frozen=True):
     axes: Mapping[int, float]
     system: int = 0
     turn: float | None = None
-    here: bool = False
+    is_here: bool = False
 
 
 class Return(Struct, frozen=True):
@@ -320,15 +326,16 @@ class FrameCodes:
             )
         code = frame_codes[0]
         if code in codes.RETURNS:
-            self._return(row, code, motion, axes)
+            self._add_return(row, code, motion, axes)
         elif code == codes.STORE:
-            self._store(row, axes, values)
+            self._add_work_offset(row, axes, values)
         else:
-            self._shift(row, code, axes)
+            self._add_shift(row, code, axes)
 
-    def _shift(self, row: int, code: float, axes: Mapping[int, float]) -> None:
+    def _add_shift(self, row: int, code: float, axes: Mapping[int, float]) -> None:
         """Record G52, G92 or G92.1 to G92.3.
 
+        :param axes: axis 0…2 → its word [mm].
         :raises BlockError: words or an earlier G92 are missing.
         """
         if code in (codes.LOCAL, codes.SHIFT) and not axes:
@@ -340,10 +347,11 @@ class FrameCodes:
         self._shifted |= code in (codes.LOCAL, codes.SHIFT)
         self.origins.append(Origin(row, code, axes))
 
-    def _return(self, row: int, code: float, motion: float, axes: Mapping[int, float]) -> None:
+    def _add_return(self, row: int, code: float, motion: float, axes: Mapping[int, float]) -> None:
         """Record G28, G30 or G53.
 
-        :raises BlockError: the cell does not state where the robot retracts to.
+        :param motion: code of G0 to G3 in the block, or NaN; `axes`: axis 0…2 → its word [mm].
+        :raises BlockError: the cell does not state where the robot retracts to, or G53 is not with G0.
         """
         machine, name = self.machine, f"G{code:g}"
         if machine.home is None and machine.clearance_Z is None:
@@ -354,9 +362,10 @@ class FrameCodes:
             raise BlockError(f"{name} with G{motion:g}", advice)
         self.returns[row] = Return(row, code, axes)
 
-    def _store(self, row: int, axes: Mapping[int, float], values: dict[str, float]) -> None:
-        """Record G10 L2 or L20: a work offset that the program sets.
+    def _add_work_offset(self, row: int, axes: Mapping[int, float], values: dict[str, float]) -> None:
+        """Record G10 L2 or L20: a work offset that the program sets by its frame, or by the present coordinates.
 
+        :param axes: axis 0…2 → its word [mm]; `values`: other words by letter, from which L, P and R are removed.
         :raises BlockError: it sets something else.
         """
         target, system, turn = values.pop("L", 0.0), values.pop("P", -1.0), values.pop("R", None)
@@ -407,6 +416,20 @@ def dwell_time(word: str, number: float, unit: DwellUnit | None, *, with_point: 
     return 1e-3 * number
 
 
+class _Block(Struct):
+    """A block that is read.
+
+    :ivar row: row of its line.
+    :ivar g: its G codes; `m`: its M codes; in order.
+    :ivar values: its other words by letter; each step of reading removes the words that it uses.
+    """
+
+    row: int
+    g: list[float]
+    m: list[float]
+    values: dict[str, float]
+
+
 class Modes(Struct, frozen=True, eq=False):
     """Modal state, events and remarks of the blocks that are not plain.
 
@@ -423,7 +446,7 @@ class Modes(Struct, frozen=True, eq=False):
     :param row_events: events of the lines, in order.
     :param issues: remarks for the user.
     :param faults: faults of blocks, in order.
-    :param complete: False if the required end is missing.
+    :param is_complete: False if the required end is missing.
     """
 
     rows: int
@@ -440,7 +463,7 @@ class Modes(Struct, frozen=True, eq=False):
     faults: Sequence[Fault]
     dwell_unit: DwellUnit | None = None
     with_point: frozenset[int] = frozenset()
-    complete: bool = True
+    is_complete: bool = True
 
 
 def read_modes(
@@ -470,8 +493,8 @@ def read_modes(
                 faults.append(Fault(row, *CUT_SHORT))
             break
     faults = sorted([*faults, *(fault for fault in faults_of_run if fault.row < rows)], key=lambda fault: fault.row)
-    complete = reader.has_ended or tape_row < 0 or len(faults) > MAX_ERRORS or bool(faults_of_run)
-    if not reader.has_ended and complete:
+    is_complete = reader.has_ended or tape_row < 0 or len(faults) > MAX_ERRORS or bool(faults_of_run)
+    if not reader.has_ended and is_complete:
         message = "The program ends without M2, M30 or %. Check that the file is complete."
         reader.issues.append(Issue("warning", "program-end", message, rows))
     return Modes(
@@ -489,7 +512,7 @@ def read_modes(
         faults=faults,
         dwell_unit=cell.gcode.dwell_unit,
         with_point=frozenset(reader.with_point),
-        complete=complete,
+        is_complete=is_complete,
     )
 
 
@@ -530,7 +553,7 @@ class _Reader:
         delete_mark = _DELETE.match(code)
         if delete_mark:
             code = code[delete_mark.end() :]
-            self._remark("info", "block-delete", "Blocks with / are executed (block delete is off).", row)
+            self._add_remark("info", "block-delete", "Blocks with / are executed (block delete is off).", row)
         if code.endswith("%"):  # the end of the tape in the last block
             code, self.taped = code[:-1], True
         code = self._replace_sender_command(row, code)
@@ -538,22 +561,25 @@ class _Reader:
         if _P_WITH_POINT.search(code):
             self.with_point.add(row)
         words = words_of(code)
-        g = [value for letter, value in words if letter == "G"]
-        m = [value for letter, value in words if letter == "M"]
-        values = {letter: value for letter, value in words if letter not in "GM"}
+        block = _Block(
+            row,
+            [value for letter, value in words if letter == "G"],
+            [value for letter, value in words if letter == "M"],
+            {letter: value for letter, value in words if letter not in "GM"},
+        )
         first_error: BlockError | None = None
         for step in (
             self._ignore_smoothing,
-            self._modes,
-            self._radius,
-            self._frames,
-            self._dwell,
-            self._blending,
-            self._switching,
-            self._coordinates,
+            self._read_modes,
+            self._ignore_radius,
+            self._read_frames,
+            self._read_dwell,
+            self._read_blending,
+            self._read_switching,
+            self._read_coordinates,
         ):
             try:
-                step(row, g, m, values)
+                step(block)
             except BlockError as cause:  # keep the valid parts of the block: later blocks depend on them
                 first_error = first_error or cause
         if first_error is not None:
@@ -570,35 +596,48 @@ class _Reader:
         if command in _GRBL_WITHOUT_MOTION:
             name = "?" if command == "$?" else command
             message = f"{name} is a command to Grbl: it moves nothing."
-            self._remark("info", "sender-command", message, row)
+            self._add_remark("info", "sender-command", message, row)
             return ""
         return code
 
-    def _coordinates(self, row: int, g: Sequence[float], _: Sequence[float], values: dict[str, float]) -> None:
-        """Record coordinates and other numbers of a block.
+    def _read_coordinates(self, block: _Block) -> None:
+        """Record coordinates and other numbers of a block: the words that no other step has used.
 
-        :raises BlockError: a letter has no meaning here.
+        :raises BlockError: a letter has no meaning here, or the feed is negative.
         """
-        if codes.TOOL_LENGTH in g or (43.4 in g and self.frame_codes.rotary) or (43.5 in g and self.takes_directions):
-            self.switching.tool_length(row, values.pop("H", None))
-            values.pop("D", None)  # a radius, which only G41 and G42 use
-        elif values.get("H") == 0.0:
-            del values["H"]
+        values = block.values
+        self._read_tool_length(block)
         for letter in codes.OTHER_AXES:
             if values.get(letter) == 0.0 and letter not in self.frame_codes.rotary:
                 del values[letter]
                 message = f"{letter}0 is ignored: the robot has no axis {letter}."
-                self._remark("info", "other-axis", message, row, letter)
-        is_negative_feed = values.get("F", 0.0) < 0.0 and values.pop("F") < 0.0
+                self._add_remark("info", "other-axis", message, block.row, letter)
+        is_negative_feed = values.get("F", 0.0) < 0.0
+        if is_negative_feed:
+            del values["F"]
         for letter in self.letters:
             if letter in values:
-                self.words.put(letter, row, values.pop(letter))
-        for letter in values:
+                self.words.put(letter, block.row, values.pop(letter))
+        if values:
+            letter = next(iter(values))
             raise BlockError(f"{letter} word without a code that uses it", codes.WORD_ADVICE.get(letter))
         if is_negative_feed:
             raise BlockError("negative feed", None)
 
-    def _remark(self, level: Level, kind: str, message: str, row: int, subject: str = "") -> None:
+    def _read_tool_length(self, block: _Block) -> None:
+        """Read H of a code that applies a tool length; H0 without such a code is ignored."""
+        applies_length = (
+            codes.TOOL_LENGTH in block.g
+            or (43.4 in block.g and self.frame_codes.rotary)
+            or (43.5 in block.g and self.takes_directions)
+        )
+        if applies_length:
+            self.switching.check_tool_length(block.row, block.values.pop("H", None))
+            block.values.pop("D", None)  # a radius, which only G41 and G42 use
+        elif block.values.get("H") == 0.0:
+            del block.values["H"]
+
+    def _add_remark(self, level: Level, kind: str, message: str, row: int, subject: str = "") -> None:
         """Add a remark on a line for the user."""
         self.issues.append(Issue(level, kind, message, row + 1, subject=subject))
 
@@ -631,13 +670,14 @@ class _Reader:
                 "reverses by itself, and keep the override at 100 %."
             )
         message = f"G84 with a robot taps in a floating holder only: feed and spindle are not in step. {advice}"
-        self._remark("warning", "tapping", message, row)
+        self._add_remark("warning", "tapping", message, row)
 
-    def _modes(self, row: int, g: Sequence[float], _: object, values: Mapping[str, float]) -> None:
+    def _read_modes(self, block: _Block) -> None:
         """Record the modal codes of a block.
 
-        :raises BlockError: a code is not supported.
+        :raises BlockError: a code is not supported, or a work offset is not in the cell.
         """
+        row, g, values = block.row, block.g, block.values
         first_refusal: tuple[str, str | None] | None = None
         for code in g:
             group = codes.GROUP_OF.get(code)
@@ -648,85 +688,104 @@ class _Reader:
                 if group == "units":
                     if "F" in values and MM_PER_UNIT[code] != self.mm_per_unit:
                         message = "F in the block of G20 or G21 is in the new units. LinuxCNC reads it in those before."
-                        self._remark("warning", "feed-units", message, row)
+                        self._add_remark("warning", "feed-units", message, row)
                     self.mm_per_unit = MM_PER_UNIT[code]
             elif code in codes.MOVING or (code == codes.CANCEL_CYCLE and not set(g) & set(codes.MOVING)):
                 self.words.put("G", row, code)
                 if code == 84.0:
                     self._warn_of_tapping(row)
-            elif (
-                self.tip.read(row, f"G{code:g}")
-                or self._repeats_units(code)
-                or code in codes.RADIUS
-                or (row in self.smooth and code in codes.SMOOTHING_MODES)
-            ):
-                pass
+            elif self._is_read_elsewhere(row, code):
+                continue
             elif code not in codes.ACCEPTED_G or (code == codes.SCALE_OFF and set(values) & set("XYZIJKPS")):
                 first_refusal = first_refusal or codes.refusal("G", code)
         if first_refusal is not None:
             raise BlockError(*first_refusal)
 
-    def _frames(self, row: int, g: Sequence[float], _: Sequence[float], values: dict[str, float]) -> None:
-        """Read the codes of work offsets, shifts and machine positions."""
+    def _is_read_elsewhere(self, row: int, code: float) -> bool:
+        """Return whether a G code is none of the modes: of tool-centre-point control, which is recorded, or ignored."""
+        return (
+            self.tip.read(row, f"G{code:g}")
+            or self._repeats_units(code)
+            or code in codes.RADIUS
+            or (row in self.smooth and code in codes.SMOOTHING_MODES)
+        )
+
+    def _read_frames(self, block: _Block) -> None:
+        """Read the codes of work offsets, shifts and machine positions.
+
+        :raises BlockError: a code cannot be executed on the robot.
+        """
+        row, g, values = block.row, block.g, block.values
         if codes.MACHINE in g and not set(values) & {"X", "Y", "Z", *self.frame_codes.rotary}:
             g = [code for code in g if code != codes.MACHINE]
             message = "G53 without X, Y or Z has no effect: it holds for its own block only."
-            self._remark("info", "machine-position", message, row)
-        self.frame_codes.read(row, g, self._motion(row), values, self.mm_per_unit)
+            self._add_remark("info", "machine-position", message, row)
+        self.frame_codes.read(row, g, self._motion_code(row), values, self.mm_per_unit)
 
-    def _switching(self, row: int, _: Sequence[float], m: Sequence[float], values: dict[str, float]) -> None:
-        """Record M codes, T and S of a block."""
-        self.switching.read(row, m, values)
+    def _read_switching(self, block: _Block) -> None:
+        """Record M codes, T and S of a block.
 
-    def _ignore_smoothing(self, row: int, g: Sequence[float], _: object, values: dict[str, float]) -> None:
-        """Ignore look-ahead modes: the cell says how exactly corners are cut."""
-        for code in g:
+        :raises BlockError: a code is unknown or impossible.
+        """
+        self.switching.read(block.row, block.m, block.values)
+
+    def _ignore_smoothing(self, block: _Block) -> None:
+        """Ignore look-ahead modes with their words: the cell says how exactly corners are cut.
+
+        G5, G5.1 and G8 without words are not such modes, G103 and G187 are.
+        """
+        for code in block.g:
             code_words = codes.SMOOTHING_MODES.get(code)
-            if code_words is None or not set(values) <= set(code_words):
+            if code_words is None or not set(block.values) <= set(code_words):
                 continue
-            if values or code in (103.0, 187.0):
-                self.smooth.add(row)
-                values.clear()
+            if block.values or code in (103.0, 187.0):
+                self.smooth.add(block.row)
+                block.values.clear()
                 message = f"G{code:g} is ignored: [gcode] corner_tolerance_mm says how exactly corners are cut."
-                self._remark("info", "smoothing", message, row, f"G{code:g}")
+                self._add_remark("info", "smoothing", message, block.row, f"G{code:g}")
 
     def _repeats_units(self, code: float) -> bool:
         """Return whether G70 or G71 repeats the last G20 or G21, as Vectric's posts write it."""
         return bool(self.changes["units"]) and self.changes["units"][-1][1] == _UNIT_SYNONYMS.get(code)
 
-    def _motion(self, row: int) -> float:
-        """Return the motion code of a block, or NaN."""
+    def _motion_code(self, row: int) -> float:
+        """Return the motion code of the block of a line, or NaN."""
         return float(self.words.column("G")[row])
 
-    def _dwell(self, row: int, g: Sequence[float], _: Sequence[float], values: dict[str, float]) -> None:
+    def _read_dwell(self, block: _Block) -> None:
         """Record G4 with its time in seconds.
 
-        :raises BlockError: the time is missing or ambiguous.
+        :raises BlockError: the time is missing or ambiguous, or the block has an arc.
         """
-        if codes.DWELL not in g:
+        row, values = block.row, block.values
+        if codes.DWELL not in block.g:
             return
-        if self._motion(row) in (2.0, 3.0):
+        if self._motion_code(row) in (2.0, 3.0):
             raise BlockError("G4 in one block with an arc", "Write one block for each.")
         letter = next((letter for letter in codes.DWELL_WORDS if letter in values), None)
         if letter is None or not values[letter] >= 0.0:
             raise BlockError("G4 without a time", "Write G4 P with the time in seconds.")
-        if letter != "P" and not np.isnan(self._motion(row)):
+        if letter != "P" and not np.isnan(self._motion_code(row)):
             raise BlockError(f"G4 {letter} in one block with a motion code", "Write one block for each.")
         seconds = values.pop(letter)
         with_point = _WITH_POINT.search(self.code) is not None
+        # X and U with a decimal point are seconds, and so are F and S
         if letter == "P" or (letter in "XU" and not with_point):
             seconds = dwell_time(f"G4 {letter}", seconds, self.cell.gcode.dwell_unit, with_point=with_point)
         self.dwells.append(row)
-        self.switching.dwell(row, seconds)
+        self.switching.add_dwell(row, seconds)
         if letter == "S":
             message = f"G4 S{seconds:g} is read as seconds (Marlin). Sinumerik controls count turns of the spindle."
-            self._remark("info", "dwell", message, row)
+            self._add_remark("info", "dwell", message, row)
 
-    def _radius(self, row: int, g: Sequence[float], _: Sequence[float], values: dict[str, float]) -> None:
-        """Read G41 and G42: without effect with D0, which is no radius, and with offsets that hold wear only.
+    def _ignore_radius(self, block: _Block) -> None:
+        """Ignore G41 and G42 with D0, which is no radius, and with offsets that hold wear only.
 
         D of G41.1 and G42.1 is a diameter, which no offset of the control replaces.
+
+        :raises BlockError: the code has a radius.
         """
+        g, values = block.g, block.values
         holds_wear = self.cell.gcode.radius_offsets == "wear"
         for code in g:
             if code in codes.RADIUS and values.get("D") != 0.0 and not (holds_wear and code in codes.RADIUS_BY_OFFSET):
@@ -737,23 +796,25 @@ class _Reader:
                     values.pop("H", None)  # the offset of older Fanuc controls
                 reason = "with D0" if has_d0 else "by offsets that hold wear only ([gcode] radius_offsets)"
                 message = f"Radius compensation {reason} has no effect: the path is read as that of the tool centre."
-                self._remark("info", "radius-compensation", message, row)
+                self._add_remark("info", "radius-compensation", message, block.row)
 
-    def _blending(self, row: int, g: Sequence[float], _: Sequence[float], values: dict[str, float]) -> None:
-        """Record G64, G61 and G9: how far corners may be cut [m], and from which row on."""
-        if codes.BLENDING in g:
-            tolerance_word = values.pop("P", None)
-            values.pop("Q", None)
-            distance = self.approximation
+    def _read_blending(self, block: _Block) -> None:
+        """Record G64, G61 and G9: how far corners may be cut [m], and from which row on.
+
+        With G64 P the approximation distance is at most 2·P: the corner is then rounded by no more than P.
+        """
+        row = block.row
+        if codes.BLENDING in block.g:
+            tolerance_word = block.values.pop("P", None)
+            block.values.pop("Q", None)
+            distance, tolerance = self.approximation, float("nan")
             if tolerance_word is not None:
-                distance = min(distance, 2.0 * max(tolerance_word, 0.0) * self.mm_per_unit * M_PER_MM)
+                tolerance = max(tolerance_word, 0.0) * self.mm_per_unit * M_PER_MM
+                distance = min(distance, 2.0 * tolerance)
             self.blends.append((row, distance))
-            tolerance = (
-                float("nan") if tolerance_word is None else max(tolerance_word, 0.0) * self.mm_per_unit * M_PER_MM
-            )
             self.roundings.append((row, tolerance))
-        elif set(g) & set(codes.EXACT):
+        elif set(block.g) & set(codes.EXACT):
             self.blends.append((row, 0.0))
-        elif codes.EXACT_BLOCK in g:
+        elif codes.EXACT_BLOCK in block.g:
             previous_blend = self.blends[-1][1] if self.blends else self.approximation
             self.blends += [(row, 0.0), (row + 1, previous_blend)]

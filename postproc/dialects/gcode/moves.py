@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from postproc.chunks import chunks, compact
 from postproc.dialects.gcode import codes
 from postproc.dialects.gcode.arcs import PLANE_AXES
-from postproc.dialects.gcode.cycles import DWELLING, Cycle, CycleEvent, Step
+from postproc.dialects.gcode.cycles import DWELLING, Cycle, CycleEvent, CycleMoves
 from postproc.dialects.gcode.line_states import LineStates, active_values, carry_forward, take_rows
 from postproc.dialects.gcode.modes import Modes, Origin, Return, dwell_time
 from postproc.dialects.gcode.rotary import RotaryAxes
@@ -35,7 +35,7 @@ from postproc.dialects.gcode.words import BlockError, Fault, Remark
 from postproc.frames import M_PER_MM, Array, any_column, inverse, pose_from_xyzabc
 from postproc.program import COMPONENTS, Bools, EventKind, Ints, constant
 
-_FEWEST = 1e-6
+_LEAST_MM = 1e-6
 """Lengths [mm] that are shorter are rounding: far below the last digit of any program."""
 INDEX_STEP = 5.0
 """Largest turn [deg] of indexed axes in one step: a chord is then 0.1 % of the radius inside the arc."""
@@ -207,30 +207,30 @@ class _Walk:
         for origin in self.modes.origins:
             origins.setdefault(origin.row, []).append(origin)
         tools = dict(self.modes.tools)
-        indexing = set(self._indexing().tolist())
+        indexing = set(self._indexing_rows().tolist())
         current = -1.0
         for begin, end in pairwise(self._bounds(origins, tools, indexing)):
             if self.offset[begin] != current:
                 current = float(self.offset[begin])
-                self._reframe(current)
+                self._change_frame(current)
             if begin == 0 and self.cell_frames.home_place is not None:
-                self._go(0, self.position)
+                self._add_rapid(0, self.position)
             for origin in origins.get(begin, ()):
-                self._shift(origin, current)
+                self._set_origin(origin, current)
             if begin in tools:
-                self._mount(begin, tools[begin])
+                self._change_tool(begin, tools[begin])
             if begin in self.modes.returns:
-                self._return(begin, self.modes.returns[begin])
+                self._add_return(begin, self.modes.returns[begin])
             elif self.rows.drilling[begin]:
-                self._drill(begin, end)
+                self._add_drilling(begin, end)
             elif begin in indexing:
-                self._index(begin)
+                self._add_indexed_move(begin)
             else:
-                self._straight_moves(begin, end)
+                self._add_straight_moves(begin, end)
         self._check_return()
-        return self._moves()
+        return self._joined_moves()
 
-    def _indexing(self) -> Ints:
+    def _indexing_rows(self) -> Ints:
         """Return the rows (n,) with words of indexed axes."""
         if not self.cell_frames.rotary.turns_part:
             return np.zeros(0, dtype=np.int64)
@@ -247,7 +247,7 @@ class _Walk:
         next_rows = [row + 1 for row in (*self.modes.returns, *indexing) if row + 1 < self.count]
         return sorted({0, self.count, *(np.flatnonzero(is_bound) + 1).tolist(), *single, *next_rows})
 
-    def _straight_moves(self, begin: int, end: int) -> None:
+    def _add_straight_moves(self, begin: int, end: int) -> None:
         """Process lines of G0 to G3: coordinates are modal (G90), or they add up (G91)."""
         rows = self.rows
         if (rows.named[begin:end]).any() or (rows.motion[begin:end] == codes.CANCEL_CYCLE).any():
@@ -280,12 +280,12 @@ class _Walk:
         self._check_height(begin, end)
         turn = self._rotary_angles(begin, end)
         moving = np.flatnonzero(rows.moving[begin:end])
-        self._add(begin + moving, rows.motion[begin + moving], positions[moving], turn[moving])
+        self._add_moves(begin + moving, rows.motion[begin + moving], positions[moving], turn[moving])
         self.position = positions[-1].copy()
         swing_rows = np.flatnonzero(~rows.tip[begin:end] & (turn[:, 0] != turn[:, 1]).any(axis=1))
         return begin + int(swing_rows[-1]) if len(swing_rows) else -1
 
-    def _index(self, row: int) -> None:
+    def _add_indexed_move(self, row: int) -> None:
         """Process a line with words of indexed axes, which must be a rapid.
 
         The move is split into steps of `INDEX_STEP`: seen from the part, the tool moves on an arc about the axes.
@@ -295,7 +295,7 @@ class _Walk:
             np.nan_to_num(words) if self.rows.incremental[row] else np.where(np.isnan(words), 0.0, words - start_angles)
         )
         if not turn.any():
-            self._straight_moves(row, row + 1)
+            self._add_straight_moves(row, row + 1)
             return
         if self.rows.motion[row] != 0.0:
             advice = "Turn indexed axes by G0, or set the CAM system to output tool-centre-point control."
@@ -304,7 +304,7 @@ class _Walk:
         if not self.known.all():  # the move from [start] is made when X, Y and Z are known
             self._turn_part(row, start_angles + turn)
             if self.rows.is_placed[row]:
-                self._straight_moves(row, row + 1)
+                self._add_straight_moves(row, row + 1)
             return
         self.cycle.end()
         self._check_height(row, row + 1)
@@ -317,13 +317,13 @@ class _Walk:
             share = number / steps
             angles = np.stack([self.angles, start_angles + share * turn])[None]
             self._turn_part(row, angles[0, 1])
-            self._add(np.array([row]), np.zeros(1), (start + share * step)[None], angles)
+            self._add_moves(np.array([row]), np.zeros(1), (start + share * step)[None], angles)
             self.position = start + share * step
 
     def _turn_part(self, row: int, angles: Array) -> None:
         """Turn indexed axes to angles (k,) [deg]: the program frame turns, the robot stays."""
         self.angles = angles
-        self._reframe(float(self.offset[row]))
+        self._change_frame(float(self.offset[row]))
 
     def _rotary_angles(self, begin: int, end: int) -> Array:
         """Return the angles of the rotary axes (n, 2, k) [deg] before and after each line; keep the last ones."""
@@ -338,24 +338,24 @@ class _Walk:
         self.angles = end_angles[-1].copy()
         return np.stack([start_angles, end_angles], axis=1)
 
-    def _drill(self, begin: int, end: int) -> None:
-        """Process lines with cycles.
+    def _add_drilling(self, begin: int, end: int) -> None:
+        """Add the moves of lines `begin` to `end` (exclusive), all with cycles.
 
         From the second hole on the steps no longer change, so lines with positions only are processed together.
         """
         self._check_drilling(begin, end)
         self._check_height(begin, end)
-        spindle = self._spindle(begin, end)
+        spindle = self._spindle_states(begin, end)
         is_position_only = self._is_next_hole(begin, end, spindle)
         other_rows = np.append(np.flatnonzero(~is_position_only), end - begin) + begin
         row, has_steps = begin, False
         while row < end:
-            steps, events = self._hole(row, spindle[row - begin])
+            cycle_moves = self._add_hole(row, spindle[row - begin])
             repeats_hole = has_steps and bool(is_position_only[row - begin])
-            row, has_steps = row + 1, bool(steps)
+            row, has_steps = row + 1, bool(cycle_moves.steps)
             if repeats_hole and has_steps:
                 stop = int(other_rows[np.searchsorted(other_rows, row)])
-                self._holes(row, stop, steps, events)
+                self._add_next_holes(row, stop, cycle_moves)
                 row = stop
 
     def _is_next_hole(self, begin: int, end: int, spindle: Sequence[EventKind]) -> Bools:
@@ -372,14 +372,14 @@ class _Walk:
             is_position_only &= np.isnan(words[begin:end])
         return is_position_only
 
-    def _hole(self, row: int, spindle: EventKind) -> tuple[list[Step], list[CycleEvent]]:
-        """Process one line with a cycle; return its steps and events, none if it has a fault."""
+    def _add_hole(self, row: int, spindle: EventKind) -> CycleMoves:
+        """Add the moves of one line with a cycle, and return them; a line with a fault has none."""
         rows = self.rows
         axes = list(PLANE_AXES[float(rows.plane[row])])
         words = dict(zip("UVZ", rows.xyz[row][axes].tolist(), strict=True))
         words |= {"R": rows.radius[row], "P": rows.turns[row], "Q": rows.pecks[row], "L": rows.repeats[row]}
         words = {letter: value for letter, value in words.items() if not np.isnan(value)}
-        modes = bool(rows.incremental[row]), bool(rows.to_r[row])
+        is_incremental = bool(rows.incremental[row])
         u, v, height = self.position[axes].tolist()
         if "P" in words and rows.motion[row] in DWELLING:
             word, time = f"G{rows.motion[row]} P", float(words["P"])
@@ -389,22 +389,34 @@ class _Walk:
                 self.faults.append(Fault(row, *cause.args))
                 words["P"] = 0.0
         try:
-            steps, events = self.cycle.hole(float(rows.motion[row]), words, (u, v, height), modes, spindle)
+            cycle_moves = self.cycle.hole(
+                float(rows.motion[row]),
+                words,
+                (u, v, height),
+                spindle,
+                relative=is_incremental,
+                retracts_to_r=bool(rows.to_r[row]),
+            )
         except BlockError as cause:
             self.faults.append(Fault(row, *cause.args))
-            return [], []
+            return CycleMoves([], [])
         if self.cycle.lifts and not self.known[axes[:2]].all():
             advice = "Program X and Y by G0 before, or Z above R: the tool goes up to R where it is."
             self.faults.append(Fault(row, "a cycle that begins below R before the position is known", advice))
-        if not modes[0]:
+        if not is_incremental:
             self.known[axes[:2]] |= ~np.isnan(rows.xyz[row][axes[:2]])
+        steps = cycle_moves.steps
         places = np.empty((len(steps), 3))
         places[:, axes] = np.reshape([step.end for step in steps], (-1, 3))
-        self._add_holes(np.full(len(steps), row), places, steps, events)
-        return steps, events
+        self._add_holes(np.full(len(steps), row), places, cycle_moves)
+        return cycle_moves
 
-    def _holes(self, row: int, stop: int, steps: Sequence[Step], cycle_events: Sequence[CycleEvent]) -> None:
-        """Process lines that give only positions; `steps` and `cycle_events` are those of the hole before."""
+    def _add_next_holes(self, row: int, stop: int, cycle_moves: CycleMoves) -> None:
+        """Add the moves of lines `row` to `stop` (exclusive) that give only positions.
+
+        :param cycle_moves: those of the hole before.
+        """
+        steps = cycle_moves.steps
         axes = PLANE_AXES[float(self.rows.plane[row - 1])]
         places = np.empty((stop - row, len(steps), 3))
         places[:, :, axes[2]] = [step.end[2] for step in steps]
@@ -417,63 +429,65 @@ class _Walk:
             places[:, :, axis] = coordinates[:, None]
             if self.cycle.lifts:
                 places[:, 0, axis] = np.append(self.position[axis], coordinates[:-1])
-        self._add_holes(np.repeat(np.arange(row, stop), len(steps)), places.reshape(-1, 3), steps, cycle_events)
+        self._add_holes(np.repeat(np.arange(row, stop), len(steps)), places.reshape(-1, 3), cycle_moves)
 
-    def _add_holes(self, row: Ints, places: Array, steps: Sequence[Step], cycle_events: Sequence[CycleEvent]) -> None:
-        """Add the moves (n,) of holes that all have the same steps."""
+    def _add_holes(self, row: Ints, places: Array, cycle_moves: CycleMoves) -> None:
+        """Add the moves of holes that all have the same steps and events.
+
+        :param row: (n,) line of each move; `places`: (n, 3) its end in the program frame [mm].
+        :param cycle_moves: moves and events of one of these holes.
+        """
         if not len(row):
             return
+        steps, cycle_events = cycle_moves
         first = np.arange(self.number, self.number + len(row), len(steps))
         if cycle_events:
             holes = zip(first.tolist(), row[:: len(steps)].tolist(), strict=True)
             self.events += [(begin + event.after, at, event) for begin, at in holes for event in cycle_events]
         bottom = [n for n, step in enumerate(steps) if step.bottom]
         self.bottoms += (first[:, None] + np.array(bottom, dtype=np.int64)).ravel().tolist()
-        self._add(row, np.tile([step.code for step in steps], len(first)), places)
+        self._add_moves(row, np.tile([step.code for step in steps], len(first)), places)
         self.position = places[-1].copy()
 
     def _check_drilling(self, begin: int, end: int) -> None:
-        """Check that no rotary axis turns in lines with cycles, and that the tool points along the hole."""
+        """Add a fault if a rotary axis turns in lines with cycles, or the tool does not point along the hole.
+
+        :param begin: first row of the lines; `end`: row after the last.
+        """
         turns = self._rotary_angles(begin, end)
         row = begin + int(np.argmax((turns[:, 0] != turns[:, 1]).any(axis=1)))
         if (turns[:, 0] != turns[:, 1]).any():
             advice = "Program the rotary axes in a block before the cycle."
             self.faults.append(Fault(row, "rotary axes turn in a cycle", advice))
-        alignment = abs(self._direction()[PLANE_AXES[float(self.rows.plane[begin])][2]])
+        alignment = abs(self._tool_direction()[PLANE_AXES[float(self.rows.plane[begin])][2]])
         if self.angles.any() and alignment < 1.0 - 1e-9:
             advice = "Set the CAM system to output holes in tilted planes as G0 and G1."
             self.faults.append(Fault(begin, "a cycle with a tilted tool", advice))
 
-    def _direction(self) -> Array:
+    def _tool_direction(self) -> Array:
         """Return the unit direction from the tip to the spindle in the program frame (3,)."""
         return np.asarray(self.cell_frames.rotary.tool_direction(self.angles[None])[0])
 
-    def _spindle(self, begin: int, end: int) -> list[EventKind]:
-        """Return the state of the spindle on lines."""
-        at = np.searchsorted(self.spindle_rows, np.arange(begin, end), side="right").tolist()
-        return [self.spindle_kinds[n] for n in at]
+    def _spindle_states(self, begin: int, end: int) -> list[EventKind]:
+        """Return the state of the spindle on lines `begin` to `end` (exclusive): the kind of its last event."""
+        event_counts = np.searchsorted(self.spindle_rows, np.arange(begin, end), side="right").tolist()
+        return [self.spindle_kinds[count] for count in event_counts]
 
-    def _return(self, row: int, to: Return) -> None:
-        """Add the moves to a machine position."""
+    def _add_return(self, row: int, to: Return) -> None:
+        """Add the moves to a machine position: through the intermediate point, up to the clearance height, and home."""
         cell_frames = self.cell_frames
         self.cycle.end()
         axis_mask = np.zeros(3, dtype=bool)
         axis_mask[list(to.axes) or [0, 1, 2]] = True
-        relative = bool(self.rows.incremental[row])
         if to.code != codes.MACHINE and self.known.all():
-            via = self.position.copy()
-            for axis, word in to.axes.items():
-                if not np.isnan(word):
-                    via[axis] = word + (via[axis] if relative else 0.0)
-            if np.abs(via - self.position).max() > _FEWEST:
-                self._go(row, via)
+            self._add_intermediate_move(row, to)
         if cell_frames.home_place is not None:
-            self._move_home(row, to, axis_mask, cell_frames.home_place)
+            self._add_home_move(row, to, axis_mask, cell_frames.home_place)
             return
         is_retract = not axis_mask[:2].any()
         if cell_frames.clearance is not None and self.known.all():
             previous_number = self.number
-            self._retract(row, cell_frames.clearance)
+            self._add_retract(row, cell_frames.clearance)
             self.lifted = not axis_mask[2] and (self.lifted or self.number > previous_number)
             self.displaced[2] |= self.lifted
         if cell_frames.home is None or (to.code == codes.MACHINE and is_retract and cell_frames.clearance is not None):
@@ -491,12 +505,25 @@ class _Walk:
             self.remarks.append(Remark(row, "warning", "approach", f"{message} Give [machine] clearance_Z."))
         self.homes.append(self.number)
         self._turn_part(row, np.where(np.isnan(self.rows.rotary[row]), self.angles, 0.0))
-        self._go(row, self.position)
+        self._add_rapid(row, self.position)
         self.known &= ~axis_mask
         self.losses.append((row + 1, axis_mask))
 
-    def _move_home(self, row: int, to: Return, axis_mask: Bools, home: Array) -> None:
-        """Move the named axes to home, as the machine does. Words of G53 other than 0 are places that are not known."""
+    def _add_intermediate_move(self, row: int, to: Return) -> None:
+        """Add the move to the intermediate point that the words of G28 or G30 give, unless the tool is there."""
+        point = self.position.copy()
+        for axis, word in to.axes.items():
+            if not np.isnan(word):
+                point[axis] = word + (point[axis] if self.rows.incremental[row] else 0.0)
+        if np.abs(point - self.position).max() > _LEAST_MM:
+            self._add_rapid(row, point)
+
+    def _add_home_move(self, row: int, to: Return, axis_mask: Bools, home: Array) -> None:
+        """Move the named axes to home, as the machine does. Words of G53 other than 0 are places that are not known.
+
+        :param axis_mask: (3,) the named axes.
+        :param home: (3,) place of the machine at home in `$BASE` [mm].
+        """
         if self.angles.any() and not self.cell_frames.rotary.turns_part:
             advice = "Turn the rotary axes to zero before, or give A1 to A6 as [machine] home."
             self.faults.append(Fault(row, f"G{to.code:g} with tilted axes, and home is a place", advice))
@@ -504,7 +531,7 @@ class _Walk:
         frame = self.machine_frames[-1]
         place = frame[:3, :3] @ self.position + frame[:3, 3] / M_PER_MM
         place[axis_mask] = home[axis_mask]
-        self._go(row, frame[:3, :3].T @ (place - frame[:3, 3] / M_PER_MM))
+        self._add_rapid(row, frame[:3, :3].T @ (place - frame[:3, 3] / M_PER_MM))
         stray = np.zeros(3, dtype=bool)
         if to.code == codes.MACHINE:
             stray[[axis for axis, word in to.axes.items() if word != 0.0]] = True
@@ -513,11 +540,11 @@ class _Walk:
         if stray[:2].any():
             self.parked.append((row, stray & [True, True, False]))
 
-    def _retract(self, row: int, clearance: float) -> None:
+    def _add_retract(self, row: int, clearance: float) -> None:
         """Retract to a height in `$BASE` [mm], along the tool if it is tilted."""
-        frame, direction = self.machine_frames[-1], self._direction()
+        frame, direction = self.machine_frames[-1], self._tool_direction()
         z = float(frame[2, :3] @ self.position + frame[2, 3] / M_PER_MM)
-        if z >= clearance - _FEWEST:
+        if z >= clearance - _LEAST_MM:
             return
         if (direction[:2] == 0.0).all():
             direction = frame[2, :3]
@@ -526,10 +553,13 @@ class _Walk:
             advice = "Retract along the tool with G0 before: a vertical move would drag it through the part."
             self.faults.append(Fault(row, "retract with a nearly horizontal tool", advice))
             return
-        self._go(row, self.position + direction * ((clearance - z) / rise))
+        self._add_rapid(row, self.position + direction * ((clearance - z) / rise))
 
     def _check_height(self, begin: int, end: int) -> None:
-        """Check that Z is programmed in G90 before lines of G0 to G3 or cycles whose height depends on a retract."""
+        """Add a fault if lines of G0 to G3 or cycles depend on the height of a retract, without a Z in G90 before.
+
+        :param begin: first row of the lines, all in G90 or all in G91; `end`: row after the last.
+        """
         rows = self.rows
         has_word = ~np.isnan(rows.xyz[begin:end])
         if rows.incremental[begin]:
@@ -548,7 +578,7 @@ class _Walk:
             self.displaced[2] = self.lifted = False
 
     def _check_return(self) -> None:
-        """Check that X and Y are programmed, at the height of the retract, after G28 and G53 have moved them away.
+        """Add faults where X and Y are not programmed, at the height of the retract, after G28 and G53 moved them.
 
         The machine is elsewhere then, and the robot is not.
         """
@@ -567,20 +597,20 @@ class _Walk:
                 if not open_axes.any():
                     break
 
-    def _mount(self, row: int, number: float) -> None:
+    def _change_tool(self, row: int, number: float) -> None:
         """Change the tool; its tip moves to the position of the last tip, where the next move starts."""
         tool_row = self.cell_frames.tools[number]
         if tool_row != self.tool:
             self.tool = tool_row
             if self.known.all():
-                self._go(row, self.position)
+                self._add_rapid(row, self.position)
 
-    def _go(self, row: int, place: Array) -> None:
+    def _add_rapid(self, row: int, place: Array) -> None:
         """Add a rapid move of a line to a place (3,) in the program frame [mm]."""
-        self._add(np.array([row]), np.zeros(1), place[None])
+        self._add_moves(np.array([row]), np.zeros(1), place[None])
         self.position = place
 
-    def _add(self, row: Ints, code: Array | NDArray[np.int8], end: Array, turn: Array | None = None) -> None:
+    def _add_moves(self, row: Ints, code: Array | NDArray[np.int8], end: Array, turn: Array | None = None) -> None:
         """Add moves (n,) one after the other, the first from the current position.
 
         :param row: (n,) lines; `code`: (n,) 0 to 3; `end`: (n, 3) ends in the program frame [mm].
@@ -595,8 +625,11 @@ class _Walk:
         self.starts.append((self.position, len(self.frames) - 1, self.tool))
         self.number += len(row)
 
-    def _reframe(self, offset: float) -> None:
-        """Express the position in the program frame of a work offset (code 54.0 …), with shifts and rotary axes."""
+    def _change_frame(self, offset: float) -> None:
+        """Express the position in the program frame of a work offset, with shifts and rotary axes.
+
+        :param offset: code of the work offset (54.0 …).
+        """
         machine = self.offset_frames[offset].copy()
         machine[:3, 3] += machine[:3, :3] @ self.shift * M_PER_MM
         frame = self.cell_frames.rotary.part_from_machine(self.angles) @ machine
@@ -607,14 +640,14 @@ class _Walk:
             self.frames.append(frame)
             self.machine_frames.append(machine)
 
-    def _shift(self, origin: Origin, current: float) -> None:
+    def _set_origin(self, origin: Origin, current: float) -> None:
         """Apply G10, G52, G92 or G92.1 to G92.3, and express the position in the new frame.
 
         :param current: code of the active work offset.
         """
         shift = self.shift.copy()
         if origin.code == codes.STORE:
-            self._store(origin, current)
+            self._set_work_offset(origin, current)
         elif origin.code == codes.SHIFT_ON:
             shift = self.kept_shift.copy()
         elif origin.code in (codes.SHIFT_CLEARED, codes.SHIFT_OFF):
@@ -627,10 +660,10 @@ class _Walk:
         self.shift = shift
         if origin.code != codes.SHIFT_OFF:
             self.kept_shift = shift.copy()
-        self._reframe(current)
+        self._change_frame(current)
 
     def _check_position(self, origin: Origin, name: str, axes: Sequence[int]) -> None:
-        """Check that the present position is known, because a code assigns coordinates to it.
+        """Add a fault if the present position is not known, because a code assigns coordinates to it.
 
         :param name: of the code, for messages; `axes`: indices of the axes that get coordinates.
         """
@@ -645,7 +678,7 @@ class _Walk:
             problem = f"{name} {names} after G28, G30 or G53: the machine is at another place than the robot"
             self.faults.append(Fault(origin.row, problem, advice))
 
-    def _store(self, origin: Origin, current: float) -> None:
+    def _set_work_offset(self, origin: Origin, current: float) -> None:
         """Set a work offset (G10): by its frame in `$BASE` (L2), or by coordinates of the current position (L20).
 
         :param current: code of the active work offset, which P0 means.
@@ -658,7 +691,7 @@ class _Walk:
             )
         elif origin.turn is not None:
             place[:3, :3] = pose_from_xyzabc([0.0, 0.0, 0.0, origin.turn, 0.0, 0.0])[:3, :3]
-        if origin.here:
+        if origin.is_here:
             self._check_position(origin, "G10 L20", list(origin.axes))
             frame = self.frames[-1]
             base_point = frame[:3, :3] @ self.position * M_PER_MM + frame[:3, 3]
@@ -672,17 +705,17 @@ class _Walk:
                 place[axis, 3] = word * M_PER_MM
         self.offset_frames[system] = place
 
-    def _moves(self) -> Moves:
+    def _joined_moves(self) -> Moves:
         """Return the moves of all lines."""
         is_bottom, is_home = np.zeros(self.number, dtype=bool), np.zeros(self.number, dtype=bool)
         is_bottom[self.bottoms] = True
         is_home[self.homes] = True
         if not self.first:
-            self._add(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, 3)))
+            self._add_moves(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, 3)))
         columns = {name: np.concatenate(self.parts.pop(name)) for name in list(self.parts)}
         position, frame, tool = zip(*self.starts, strict=True)
         count = np.diff(self.first, append=self.number)
-        unknown, last_start_row = self._ranges_behind_start(self._unknown())
+        unknown, last_start_row = self._ranges_behind_start(self._unknown_ranges())
         indices = np.flatnonzero(count)
         moves = Moves(
             **columns,
@@ -717,7 +750,7 @@ class _Walk:
         displacement = moves.end[g80_moves] - moves.begin(g80_moves)
         axial_step = np.einsum("ni,ni->n", displacement, tool_direction)
         lateral_step = np.abs(displacement - axial_step[:, None] * tool_direction).max(axis=1)
-        is_safe = (axial_step > 0.0) & (lateral_step < _FEWEST)
+        is_safe = (axial_step > 0.0) & (lateral_step < _LEAST_MM)
         if not turn.any() and all(np.array_equal(self.frames[0][:3, :3], matrix[:3, :3]) for matrix in self.frames[1:]):
             origin = np.array([matrix[:3, 2] @ matrix[:3, 3] for matrix in self.frames])
             height = moves.end[:, 2] + origin[moves.frame] / M_PER_MM
@@ -725,7 +758,7 @@ class _Walk:
             for first, last in moves.unknown:
                 is_known_rapid &= (row < first) | (row >= last)
             lowest_height = np.minimum.accumulate(np.where(is_known_rapid, height, np.inf))[g80_moves]
-            is_safe |= np.isfinite(lowest_height) & (height[g80_moves] >= lowest_height - _FEWEST)
+            is_safe |= np.isfinite(lowest_height) & (height[g80_moves] >= lowest_height - _LEAST_MM)
         is_safe &= (turn[g80_moves, 0] == turn[g80_moves, 1]).all(axis=1)
         for first, last in moves.unknown:
             is_safe &= (row[g80_moves] < first) | (row[g80_moves] > last)
@@ -742,16 +775,36 @@ class _Walk:
         """Return the ranges of rows with an unknown position, and the last row whose moves begin at `[start]`, or −1.
 
         A program that begins with moves at feed at a safe height begins at `[start]`: its first range is then empty.
+
+        :param unknown: ranges of rows as `_unknown_ranges` returns them.
+        """
+        first, last = unknown[0]
+        if not self._begins_at_start(first, last):
+            return unknown, -1
+        row_range = slice(first, last + 1)
+        is_feed = self.rows.is_placed[row_range] & (self.rows.motion[row_range] == 1.0)
+        message = (
+            "G1 before X, Y and Z are known: the moves begin at [start] of the cell. Check that the path from there is "
+            "free."
+        )
+        self.remarks.append(Remark(first + int(np.argmax(is_feed)), "warning", "from-start", message))
+        return [(first, first), *unknown[1:]], last
+
+    def _begins_at_start(self, first: int, last: int) -> bool:
+        """Return whether a program begins with moves at feed at a safe height, which the robot makes from `[start]`.
+
+        They must be straight, in G90 and in one work offset, and some of them below the highest Z.
+
+        :param first: first row; `last`: row on which X, Y and Z are all known, or the number of lines.
         """
         rows = self.rows
-        first, last = unknown[0]
         row_range = slice(first, min(last + 1, self.count))
         is_placed = rows.is_placed[row_range]
         is_feed = is_placed & (rows.motion[row_range] == 1.0)
         has_word = ~np.isnan(rows.xyz[row_range])
         is_xy_known = np.logical_or.accumulate(has_word[:, :2], axis=0).all(axis=1)
         is_low = is_feed & (np.where(has_word[:, 2], rows.xyz[row_range, 2], np.inf) <= 0.0)
-        if (
+        return not (
             not is_feed.any()
             or (is_low & ~is_xy_known).any()  # the place of a plunge is not known
             or last >= self.count
@@ -762,17 +815,13 @@ class _Walk:
             or (self.offset[row_range][is_placed] != self.offset[row_range][is_placed][0]).any()
             or rows.motion[first + int(np.argmax(is_placed))] != 1.0
             or not (below_top(rows, first, last)[row_range] & is_feed).any()
-        ):
-            return unknown, -1
-        message = (
-            "G1 before X, Y and Z are known: the moves begin at [start] of the cell. Check that the path from there is "
-            "free."
         )
-        self.remarks.append(Remark(first + int(np.argmax(is_feed)), "warning", "from-start", message))
-        return [(first, first), *unknown[1:]], last
 
-    def _unknown(self) -> list[tuple[int, int]]:
-        """Return ranges of rows with an unknown position: each lasts until every lost axis is programmed again."""
+    def _unknown_ranges(self) -> list[tuple[int, int]]:
+        """Return ranges (first, last) of rows with an unknown position, one for each of `losses`.
+
+        Each lasts until every lost axis is programmed again, or until the next loss. Where none is lost it is empty.
+        """
         has_word = ~np.isnan(self.rows.xyz)
         for plane, axes in PLANE_AXES.items():  # the word across the plane is the bottom of the hole
             has_word[:, axes[2]] &= ~(self.rows.drilling & (self.rows.plane == plane))

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from math import isnan
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -55,6 +56,14 @@ _NEAR_MM = 1e-6
 """Heights [mm] that differ by less are equal: far below the last digit of any program."""
 
 
+class ApproachedMoves(NamedTuple):
+    """N moves, which of them (N,) are held back while X, Y, Z are not all known, and which (N,) arrive instead."""
+
+    moves: Moves
+    is_held_back: Bools
+    is_arrival: Bools
+
+
 def arrivals(moves: Moves) -> tuple[Bools, Bools]:
     """Return which moves (N,) are held back while X, Y, Z are not all known, and which (N,) arrive instead."""
     is_held_back, is_arrival = np.zeros(len(moves.row), dtype=bool), np.zeros(len(moves.row), dtype=bool)
@@ -65,19 +74,19 @@ def arrivals(moves: Moves) -> tuple[Bools, Bools]:
     return is_held_back, is_arrival
 
 
-def add_approaches(moves: Moves, cell_frames: CellFrames) -> tuple[Moves, Bools, Bools]:
-    """Return the moves with separate approaches, and the result of `arrivals` for them.
+def add_approaches(moves: Moves, cell_frames: CellFrames) -> ApproachedMoves:
+    """Return the moves with a separate approach from the clearance height where the tool_direction comes from home.
 
     The first move from `[start]` has no separate approach: the user chose that position.
     """
     is_held_back, is_arrival = arrivals(moves)
     is_return = is_arrival & (moves.row >= min((first for first, _ in moves.unknown[1:]), default=np.inf))
     if cell_frames.clearance is None or not is_return.any():
-        return moves, is_held_back, is_arrival
+        return ApproachedMoves(moves, is_held_back, is_arrival)
     returns = np.flatnonzero(is_return)
     frames = moves.machine_frames[moves.frame[returns]]
-    tool = cell_frames.rotary.tool_direction(moves.turn[returns, 1])
-    tool_z = np.einsum("ni,ni->n", frames[:, 2, :3], tool)
+    tool_direction = cell_frames.rotary.tool_direction(moves.turn[returns, 1])
+    tool_z = np.einsum("ni,ni->n", frames[:, 2, :3], tool_direction)
     z = np.einsum("ni,ni->n", frames[:, 2, :3], moves.end[returns]) + frames[:, 2, 3] / M_PER_MM
     needs_approach = (z < cell_frames.clearance - _NEAR_MM) & (tool_z > LEVEL)
     count = np.ones(len(moves.row), dtype=np.int64)
@@ -87,19 +96,21 @@ def add_approaches(moves: Moves, cell_frames: CellFrames) -> tuple[Moves, Bools,
     new_moves = moves.repeat(count)
     end, turn = new_moves.end.copy(), new_moves.turn.copy()
     end[approach_moves] += (
-        tool[needs_approach] * ((cell_frames.clearance - z[needs_approach]) / tool_z[needs_approach])[:, None]
+        tool_direction[needs_approach] * ((cell_frames.clearance - z[needs_approach]) / tool_z[needs_approach])[:, None]
     )
     turn[approach_moves + 1, 0] = turn[approach_moves, 1]
     is_arrival = np.repeat(is_arrival, count)
     is_arrival[approach_moves + 1] = False
-    return replace(new_moves, end=end, turn=turn), np.repeat(is_held_back, count), is_arrival
+    return ApproachedMoves(replace(new_moves, end=end, turn=turn), np.repeat(is_held_back, count), is_arrival)
 
 
 def chords(moves: Moves, circular: Ints, arcs: Arcs, tolerance: float) -> tuple[Moves, Ints]:
-    """Return the moves with arcs along which rotary axes turn as straight ones, and how many there are of each (N,).
+    """Return the moves with chords for arcs along which rotary axes turn, and the number (N,) of moves of each move.
+
+    The sagitta radius·angle²/8 of a chord is the tolerance.
 
     :param circular: (A,) which moves are `arcs`.
-    :param tolerance: what chords may leave them by [mm].
+    :param tolerance: deviation of chords from arcs [mm].
     """
     count = np.ones(len(moves.row), dtype=np.int64)
     turns = (moves.turn[circular, 0] != moves.turn[circular, 1]).any(axis=1)
@@ -157,33 +168,30 @@ def rotation_bound(moves: Moves, axes: Array) -> Array:
     return angles
 
 
-def swivel_of(
-    moves: Moves, rows: LineStates, motion_moves: Ints, free: Bools, only_turns: Bools, cell_frames: CellFrames
-) -> Swivel:
-    """Return the rotation of the tool in the kept motions.
+def swivel_of(selected: _MotionMoves, rows: LineStates, cell_frames: CellFrames) -> Swivel:
+    """Return the rotation of the tool in the motions of a program.
 
-    :param free: (M,) motions by joint interpolation.
-    :param only_turns: (M,) motions at feed that rotate the tool without moving its tip.
+    F of a motion that only rotates the tool is in deg/min of √(ΔA² + ΔB² + ΔC²); in G93 it is 1/min.
     """
-    active = ~free & ~moves.home[motion_moves]
-    active[:1] = False
-    start_angles, end_angles = moves.turn[motion_moves, 0] * RAD_PER_DEG, moves.turn[motion_moves, 1] * RAD_PER_DEG
-    rate = np.full(len(motion_moves), np.nan)
-    turns_only = np.flatnonzero(only_turns)
-    if len(turns_only):
-        row = moves.row[motion_moves[turns_only]]
-        degrees = norm(moves.turn[motion_moves[turns_only], 1] - moves.turn[motion_moves[turns_only], 0])
+    moves, index = selected.moves, selected.index
+    active = ~selected.is_free & ~moves.home[index]
+    active[:1] = False  # the first motion comes from wherever the robot is
+    start_angles, end_angles = moves.turn[index, 0] * RAD_PER_DEG, moves.turn[index, 1] * RAD_PER_DEG
+    rate = np.full(len(index), np.nan)
+    rotations = np.flatnonzero(selected.is_rotation)
+    if len(rotations):
+        row = moves.row[index[rotations]]
+        degrees = norm(moves.turn[index[rotations], 1] - moves.turn[index[rotations], 0])
         if moves.turn.shape[2] == COMPONENTS:
-            degrees = np.full(len(turns_only), np.nan)  # what F means while a direction turns alone is stated nowhere
+            degrees = np.full(len(rotations), np.nan)  # what F means while a direction turns alone is stated nowhere
         minutes = np.where(rows.inverse_time[row], 1.0, degrees) / rows.rate[row]
-        rate[turns_only] = _swept_angles(
-            cell_frames.rotary.directions, start_angles[turns_only], end_angles[turns_only]
-        ) / (minutes * S_PER_MIN)
+        swept_angles = _swept_angles(cell_frames.rotary.directions, start_angles[rotations], end_angles[rotations])
+        rate[rotations] = swept_angles / (minutes * S_PER_MIN)
     return Swivel(
         begin=start_angles,
         end=end_angles,
         axes=cell_frames.rotary.directions,
-        frame=moves.frame[motion_moves],
+        frame=moves.frame[index],
         frames=moves.machine_frames[:, :3, :3],
         tool=cell_frames.orientation,
         active=active,
@@ -248,7 +256,7 @@ def faults_of(rows: LineStates, moves: Moves, modes: Modes, circular: Ints, arcs
     faults = {fault.row: fault for fault in modes.faults}
 
     def check(is_wrong: Bools, problem: str, advice: str | None = None, *, first: bool = False) -> None:
-        """Add a fault for each line (L,) that is wrong and has none yet; `first`: for the first of them only."""
+        """Add a fault for each line (L,) that is wrong and has none yet; `first`: for the first line only."""
         for row in np.flatnonzero(is_wrong)[: 1 if first else MAX_ERRORS + 1].tolist():
             faults.setdefault(row, Fault(row, problem, advice))
 
@@ -272,7 +280,7 @@ def faults_of(rows: LineStates, moves: Moves, modes: Modes, circular: Ints, arcs
     check(no_feed & ~rows.inverse_time, "cutting move without a feed", "Give F.", first=True)
     check(no_feed & rows.inverse_time & rows.moving, "cutting move in G93 without a feed", "Give F in each block.")
     check(rows.drilling & rows.inverse_time, "a cycle in G93", "Write G94, and F in mm/min or inch/min.", first=True)
-    _check_positions_known(rows, moves, doubt, check)
+    _check_unknown_positions(rows, moves, doubt, check)
     for fault in moves.faults:
         if not (doubt.motion[fault.row] or doubt.position[fault.row]):
             faults.setdefault(fault.row, fault)
@@ -292,8 +300,8 @@ def _repeats_advice(rows: LineStates, row: int) -> str | None:
     return f"If K is the number of holes, write L{count:g}."
 
 
-def _check_positions_known(rows: LineStates, moves: Moves, doubt: _Doubt, check: Callable[..., None]) -> None:
-    """Check that no move needs a position that is not known yet: before X, Y, Z are programmed, and after G28.
+def _check_unknown_positions(rows: LineStates, moves: Moves, doubt: _Doubt, check: Callable[..., None]) -> None:
+    """Report moves that need a position that is not known yet: before X, Y, Z are programmed, and after G28.
 
     :param doubt: lines whose motion or position is in doubt because of other faults, which are reported instead.
     :param check: notes a fault: where it is (n,), the problem, the advice, and `first` for the first line alone.
@@ -403,6 +411,29 @@ class MotionPath(Struct, frozen=True, eq=False):
     remarks: Sequence[Remark]
 
 
+class _MotionMoves(Struct, frozen=True, eq=False):
+    """The M moves of a program that are motions, among all N.
+
+    :param moves: all moves; arcs along which rotary axes turn are chords.
+    :param index: (M,) which moves are motions, ascending.
+    :param length: (M,) their lengths [mm].
+    :param is_free: (M,) motions by joint interpolation.
+    :param is_rotation: (M,) motions at feed that rotate the tool without moving its tip.
+    :param circular: (A,) moves that are arcs; `arcs`: their geometry.
+    :param is_held_back: (N,) moves left out while X, Y, Z are not all known; `is_null_move`: (N,) moves of no effect.
+    """
+
+    moves: Moves
+    index: Ints
+    length: Array
+    is_free: Bools
+    is_rotation: Bools
+    circular: Ints
+    arcs: Arcs
+    is_held_back: Bools
+    is_null_move: Bools
+
+
 def read_path(
     rows: LineStates, modes: Modes, cell_frames: CellFrames, speeds: Speeds, rotary: Rotary | None
 ) -> MotionPath | list[Fault]:
@@ -410,61 +441,65 @@ def read_path(
 
     :param rows: words and modal state of all lines.
     :param modes: modal state and events of the blocks that are not plain.
+    :param rotary: rotary axes of the cell; None: it has none.
     """
-    moves, is_held_back, is_arrival = add_approaches(moves_of(rows, modes, cell_frames), cell_frames)
+    approached = add_approaches(moves_of(rows, modes, cell_frames), cell_frames)
+    moves = approached.moves
     circular = np.flatnonzero(moves.code >= 2.0)
     arcs = _arcs(rows, moves, circular)
     faults = faults_of(rows, moves, modes, moves.row[circular], arcs.faults)
     if not faults and rotary is not None:
         switched_on = np.array([row for row, on in modes.tip if on], dtype=np.int64)
         faults = kind_faults(rotary, rows.rotary, switched_on) or check_turning(
-            rows, moves, is_held_back, cell_frames.rotary, " or ".join(rotary.tcp_on or tip_codes(rotary))
+            rows, moves, approached.is_held_back, cell_frames.rotary, " or ".join(rotary.tcp_on or tip_codes(rotary))
         )
     if faults:
         return faults
-    length = _lengths(moves, circular, arcs)
-    moves, count = chords(moves, circular, arcs, speeds.chord)
-    is_held_back, is_arrival, length = (
-        np.repeat(is_held_back, count),
-        np.repeat(is_arrival, count),
-        np.repeat(length, count),
-    )
-    is_whole = count[circular] == 1
-    circular, arcs = np.flatnonzero(moves.code >= 2.0), arcs.of(is_whole)
-    is_tool_change = np.diff(moves.tool, prepend=moves.tool[:1]) != 0
-    rotates = rotation_bound(moves, cell_frames.rotary.directions) > _NO_ROTATION
-    is_null_move = (
-        ~rotates
-        & (length <= SAME_MM)
-        & (moves.code < 2.0)
-        & ~moves.home
-        & ~is_tool_change
-        & ~is_arrival
-        & ~is_held_back
-    )
-    motion_moves = np.flatnonzero(~is_null_move & ~is_held_back)
-    is_free = is_arrival[motion_moves] | moves.home[motion_moves]
-    is_rotation = (
-        rotates[motion_moves] & (length[motion_moves] <= SAME_MM) & (moves.code[motion_moves] == 1.0) & ~is_free
-    )
-    swivel = None if rotary is None else swivel_of(moves, rows, motion_moves, is_free, is_rotation, cell_frames)
-    motions = _motions(
-        rows,
-        moves,
-        (circular, arcs),
-        motion_moves,
-        is_free,
-        (swivel, is_rotation, length[motion_moves]),
-        modes,
-        cell_frames,
-        speeds,
-    )
-    events = [(int(np.searchsorted(motion_moves, at)), row, event) for at, row, event in moves.events]
-    held_rows = moves.row[is_held_back]
-    motionless_rows = distinct(np.concatenate([held_rows, moves.row[is_null_move]]))
-    unforced = np.flatnonzero((moves.row[motion_moves] <= moves.last_start_row) & (moves.code[motion_moves] == 1.0))
+    selected = _motion_moves(approached, circular, arcs, cell_frames.rotary, speeds.chord)
+    moves, row = selected.moves, selected.moves.row[selected.index]
+    swivel = None if rotary is None else swivel_of(selected, rows, cell_frames)
+    held_rows = moves.row[selected.is_held_back]
     return MotionPath(
-        motions, swivel, moves.row[motion_moves], unforced, motionless_rows, distinct(held_rows), events, moves.remarks
+        motions=_motions(selected, rows, modes, swivel, cell_frames, speeds),
+        swivel=swivel,
+        row=row,
+        unforced=np.flatnonzero((row <= moves.last_start_row) & (moves.code[selected.index] == 1.0)),
+        still=distinct(np.concatenate([held_rows, moves.row[selected.is_null_move]])),
+        held_back=distinct(held_rows),
+        events=[(int(np.searchsorted(selected.index, move)), row, event) for move, row, event in moves.events],
+        remarks=moves.remarks,
+    )
+
+
+def _motion_moves(
+    approached: ApproachedMoves, circular: Ints, arcs: Arcs, rotary_axes: RotaryAxes, chord_tolerance: float
+) -> _MotionMoves:
+    """Return the moves that are motions: not held back, and with an effect.
+
+    :param circular: (A,) moves that are arcs; `arcs`: their geometry.
+    :param chord_tolerance: deviation of chords from arcs along which rotary axes turn [mm].
+    """
+    moves, count = chords(approached.moves, circular, arcs, chord_tolerance)
+    is_held_back = np.repeat(approached.is_held_back, count)
+    is_arrival = np.repeat(approached.is_arrival, count)
+    length = np.repeat(_lengths(approached.moves, circular, arcs), count)
+    is_tool_change = np.diff(moves.tool, prepend=moves.tool[:1]) != 0
+    rotates = rotation_bound(moves, rotary_axes.directions) > _NO_ROTATION
+    is_short = length <= SAME_MM
+    is_kept = rotates | (moves.code >= 2.0) | moves.home | is_tool_change | is_arrival | is_held_back
+    is_null_move = is_short & ~is_kept
+    index = np.flatnonzero(~is_null_move & ~is_held_back)
+    is_free = is_arrival[index] | moves.home[index]
+    return _MotionMoves(
+        moves=moves,
+        index=index,
+        length=length[index],
+        is_free=is_free,
+        is_rotation=(rotates & is_short & (moves.code == 1.0))[index] & ~is_free,
+        circular=np.flatnonzero(moves.code >= 2.0),
+        arcs=arcs.of(count[circular] == 1),
+        is_held_back=is_held_back,
+        is_null_move=is_null_move,
     )
 
 
@@ -475,7 +510,7 @@ def _arcs(rows: LineStates, moves: Moves, circular: Ints) -> Arcs:
         ArcWords(
             start=moves.begin(circular),
             end=moves.end[circular],
-            given=~np.isnan(rows.xyz[row]),
+            is_programmed=~np.isnan(rows.xyz[row]),
             offset=rows.ijk[row],
             radius=rows.radius[row],
             turns=rows.turns[row],
@@ -488,48 +523,42 @@ def _arcs(rows: LineStates, moves: Moves, circular: Ints) -> Arcs:
 
 
 def _motions(
+    selected: _MotionMoves,
     rows: LineStates,
-    moves: Moves,
-    circles: tuple[Ints, Arcs],
-    motion_moves: Ints,
-    free: Bools,
-    turning: tuple[Swivel | None, Bools, Array],
     modes: Modes,
+    swivel: Swivel | None,
     cell_frames: CellFrames,
     speeds: Speeds,
 ) -> Motions:
-    """Return the moves that are motions, in `$BASE`.
+    """Return the M moves that are motions, in `$BASE`.
 
-    :param circles: which moves are arcs (A,), and these arcs.
-    :param motion_moves: (M,) moves that are motions.
-    :param free: (M,) True for moves by joint interpolation.
-    :param turning: rotation of the tool, which moves rotate it only (M,), and lengths (M,) [mm].
+    :param swivel: rotation of the tool; None: there are no rotary axes.
     """
-    swivel, is_rotation, length = turning
-    row, code, home = moves.row[motion_moves], moves.code[motion_moves], moves.home[motion_moves]
-    kind = np.where(free, PTP, np.where(code < 2.0, LIN, CIRC))
-    frame = take_rows(moves.frame, motion_moves)
-    joints = np.broadcast_to(np.nan, (len(motion_moves), 6))  # takes no memory
+    moves, index = selected.moves, selected.index
+    row, code, home = moves.row[index], moves.code[index], moves.home[index]
+    kind = np.where(selected.is_free, PTP, np.where(code < 2.0, LIN, CIRC))
+    frame = take_rows(moves.frame, index)
+    joints = np.broadcast_to(np.nan, (len(index), 6))  # takes no memory
     if home.any() and cell_frames.home is not None:
         joints = joints.copy()
         joints[home] = speeds.home
-    centre, normal, sweep = _arcs_in_base(circles, motion_moves, kind, moves.frames, frame)
-    feed = _speeds_of(rows, row, code == 0.0, is_rotation, length, speeds)
+    arcs = _arcs_in_base(selected, kind, frame)
+    feed = _speeds_of(rows, row, code == 0.0, selected.is_rotation, selected.length, speeds)
     feed[kind == PTP] = np.nan
-    blend, rounding = _corner_distances(modes, row, moves.bottom[motion_moves], speeds)
-    unset = constant(-1, len(motion_moves))
+    blend, rounding = _corner_distances(modes, row, moves.bottom[index], speeds)
+    unset = constant(-1, len(index))
     motions = Motions(
         kind=kind,
         rapid=code == 0.0,
         line=row + 1,
-        target=_targets(moves, motion_moves, frame, swivel, cell_frames),
+        target=_targets(moves, index, frame, swivel, cell_frames),
         joints=Runs.of(joints),
-        centre=centre,
-        normal=normal,
-        sweep=sweep,
+        centre=arcs.centre,
+        normal=arcs.normal,
+        sweep=arcs.sweep,
         feed=feed,
-        base=constant(0, len(motion_moves)),
-        tool=take_rows(moves.tool, motion_moves),
+        base=constant(0, len(index)),
+        tool=take_rows(moves.tool, index),
         blend=blend,
         rounding=rounding,
         status=unset,
@@ -582,31 +611,39 @@ def _rotations(frames: Array, frame: Ints, swivel: Swivel | None, orientation: A
     return np.broadcast_to(frames[0, :3, :3] @ orientation, (len(frame), 3, 3))
 
 
-def _arcs_in_base(
-    circles: tuple[Ints, Arcs], motion_moves: Ints, kind: Ints, frames: Array, frame: Ints
-) -> tuple[Array, Array, Array]:
-    """Return centre (M, 3) [m], unit axis (M, 3) and angle (M,) [rad] of the arcs in `$BASE`; NaN for other motions.
+class _ArcColumns(NamedTuple):
+    """Centre (M, 3) [m], unit axis (M, 3) and angle (M,) [rad] of motions in `$BASE`; NaN for those without an arc."""
 
-    :param circles: which moves are arcs (A,), and these arcs in the program frame [mm].
-    :param motion_moves: (M,) moves that are motions; `kind` (M,) of each.
-    :param frames: (nf, 4, 4) program frames in `$BASE` [m]; `frame` (M,) the row of each motion.
+    centre: Array
+    normal: Array
+    sweep: Array
+
+
+def _arcs_in_base(selected: _MotionMoves, kind: Ints, frame: Ints) -> _ArcColumns:
+    """Return the arcs of motions in `$BASE`.
+
+    :param kind: (M,) of each motion; `frame`: (M,) its row of the program frames.
     """
-    empty = np.broadcast_to(np.nan, (len(motion_moves), 3))  # takes no memory
-    is_arc = np.flatnonzero(kind == CIRC)
-    if not len(is_arc):
-        return empty, empty, empty[:, 0]
-    circular, arcs = circles
-    arc_rows = np.searchsorted(circular, motion_moves[is_arc])
-    centre, normal, sweep = empty.copy(), empty.copy(), empty[:, 0].copy()
-    centre[is_arc] = _points_in_base(frames, frame[is_arc], arcs.centre[arc_rows])
-    normal[is_arc] = np.einsum("nij,nj->ni", frames[frame[is_arc], :3, :3], arcs.normal[arc_rows])
-    sweep[is_arc] = arcs.sweep[arc_rows]
-    return centre, normal, sweep
+    empty = np.broadcast_to(np.nan, (len(kind), 3))  # takes no memory
+    arc_motions = np.flatnonzero(kind == CIRC)
+    if not len(arc_motions):
+        return _ArcColumns(empty, empty, empty[:, 0])
+    arcs, frames = selected.arcs, selected.moves.frames
+    arc_rows = np.searchsorted(selected.circular, selected.index[arc_motions])
+    columns = _ArcColumns(empty.copy(), empty.copy(), empty[:, 0].copy())
+    columns.centre[arc_motions] = _points_in_base(frames, frame[arc_motions], arcs.centre[arc_rows])
+    columns.normal[arc_motions] = np.einsum("nij,nj->ni", frames[frame[arc_motions], :3, :3], arcs.normal[arc_rows])
+    columns.sweep[arc_motions] = arcs.sweep[arc_rows]
+    return columns
 
 
 def _speeds_of(rows: LineStates, row: Ints, rapid: Bools, is_rotation: Bools, length: Array, speeds: Speeds) -> Array:
-    """Return the speeds of motions (M,) [m/s] of lines `row` (M,), whose lengths are (M,) [mm]."""
-    per_minute = rows.feed[row]
+    """Return the speeds of motions (M,) [m/s].
+
+    :param row: (M,) line of each motion; `length`: (M,) [mm].
+    :param rapid: (M,) motions of G0; `is_rotation`: (M,) motions that only rotate the tool.
+    """
+    per_minute = rows.feed[row]  # [mm/min]; in G93 [1/min]
     is_inverse_time = rows.inverse_time[row] & ~rapid
     per_minute[is_inverse_time] *= length[is_inverse_time]
     per_minute[is_inverse_time & is_rotation] = speeds.rapid * S_PER_MIN / M_PER_MM  # the speed of rotation counts
@@ -614,7 +651,10 @@ def _speeds_of(rows: LineStates, row: Ints, rapid: Bools, is_rotation: Bools, le
 
 
 def _lengths(moves: Moves, circular: Ints, arcs: Arcs) -> Array:
-    """Return the lengths of moves (N,) [mm]."""
+    """Return the lengths of moves (N,) [mm]; of arcs those of the helix with the radius of its start.
+
+    :param circular: (A,) moves that are arcs; `arcs`: their geometry.
+    """
     (lengths,) = in_chunks(lambda move: (norm(moves.end[move] - moves.begin(move)),), np.arange(len(moves.row)))
     if len(circular):
         begin = moves.begin(circular)

@@ -91,7 +91,11 @@ def read(document: Document, cell: Cell, forward_kinematics: Callable[[Array], A
 def _read(
     document: Document, cell: Cell, forward_kinematics: Callable[[Array], Array], name: str, *, bulk: bool
 ) -> Program:
-    """Read a document; if all its arcs disagree with their ends, read their centres as absolute coordinates."""
+    """Read a document; if all its arcs disagree with their ends, read their centres as absolute coordinates.
+
+    :param bulk: read plain motion blocks together, else each block by pygcode (for tests).
+    :raises InputError: the program has faults, see `read`.
+    """
     inner, issues = _blank_leader(document)
     try:
         program = _executed_program(inner, cell, forward_kinematics, name, bulk=bulk)
@@ -117,9 +121,10 @@ _COMMENT = re.compile(r"\([^()\r\n]*\)|;[^\r\n]*")
 
 
 def _blank_leader(document: Document) -> tuple[Document, list[Issue]]:
-    """Return a program with blanks for the text before its first %, which controls do not read, and the remark.
+    """Return a program with blanks for the text before its first %, which controls do not read, and a remark on it.
 
-    Lines with words such as G1 or X5 are no such text: where they are before a %, it ends the program.
+    A program without such text is returned as it is, without a remark. Lines with words such as G1 or X5 are no such
+    text: where they are before a %, it ends the program.
     """
     starts, stops = line_spans(document.text)
     lines = [document.text[start:stop].strip() for start, stop in zip(starts[:_LEADER], stops[:_LEADER], strict=True)]
@@ -147,7 +152,12 @@ def _executed_program(
     bulk: bool,
     absolute: bool = False,
 ) -> Program:
-    """Read a program, see `read`; `absolute`: centres of arcs are coordinates, though the program does not say so."""
+    """Read a program, see `read`.
+
+    :param bulk: see `_read`.
+    :param absolute: centres of arcs are coordinates, though the program does not say so.
+    :raises InputError: the program has faults.
+    """
     run = execute(document)
     source = run.source
     rotary = "" if cell.rotary is None else "".join(cell.rotary.axes)
@@ -163,7 +173,6 @@ def _executed_program(
     notes, events = _events(run, path, modes, comments)
     line = run.main[path.row]
     line.flags.writeable = False
-    issues = (*_issues(path, modes, document.text), *modes.issues, *_brackets(run, comments))
     return Program(
         name=name,
         dialect="gcode",
@@ -177,11 +186,22 @@ def _executed_program(
         unforced=path.unforced,
         still=distinct(run.main[path.still]),
         issues=(
-            *(replace(issue, source_line=_line(run, issue.source_line)) for issue in issues),
-            *_code_behind_end(run, modes.rows),
+            *_program_issues(run, path, modes, document.text, comments),
             *([Issue("info", "absolute-centres", _ABSOLUTE)] if absolute else []),
         ),
     )
+
+
+def _program_issues(
+    run: ExecutedProgram, path: MotionPath, modes: Modes, text: str, comments: Sequence[tuple[int, str | ForceNote]]
+) -> Iterator[Issue]:
+    """Yield what the user should know of how a program was read, by line numbers of the program.
+
+    :param text: of the program; `comments`: row and content of its comments.
+    """
+    for issue in (*_issues(path, modes, text), *modes.issues, *_brackets(run, comments)):
+        yield replace(issue, source_line=_line(run, issue.source_line))
+    yield from _code_behind_end(run, modes.rows)
 
 
 def _checked_path(
@@ -192,7 +212,7 @@ def _checked_path(
     :raises InputError: path, end of the program or force comments have faults, or the program moves nothing.
     """
     faults = path if isinstance(path, list) else []
-    if not modes.complete:
+    if not modes.is_complete:
         advice = "Check that the file was transferred completely."
         faults.append(Fault(modes.rows - 1, "the program begins with % but ends without %, M2 or M30", advice))
     if faults or force_faults or isinstance(path, list):
@@ -254,30 +274,33 @@ def _line(run: ExecutedProgram, line: int | None) -> int | None:
 
 
 def _errors(run: ExecutedProgram, faults: Sequence[Fault]) -> list[InputError]:
-    """Return faults as errors; a single error if they show that the program is for another control."""
+    """Return faults as errors, the first of each line; a single error if the program is for another control."""
     from postproc.dialects.gcode.foreign import recognise  # its patterns are compiled where there are faults
 
     spans = [line_spans(document.text) for document in run.documents]
-    places: dict[tuple[int, int], Fault] = {}
+    fault_of_line: dict[tuple[int, int], Fault] = {}
     for fault in faults:
-        places.setdefault((int(run.document[fault.row]), int(run.line[fault.row])), fault)
-    texts = [run.documents[n].text[spans[n][0][line - 1] : spans[n][1][line - 1]] for n, line in places]
+        fault_of_line.setdefault((int(run.document[fault.row]), int(run.line[fault.row])), fault)
+    texts = [run.documents[n].text[spans[n][0][line - 1] : spans[n][1][line - 1]] for n, line in fault_of_line]
     names = [document.name for document in run.documents]
     kind = recognise(texts)
     if kind is not None:
-        at, control = kind
-        n, line = list(places)[at]
+        index, control = kind
+        n, line = list(fault_of_line)[index]
         article = "an" if control.name[0] in "AO" else "a"
         problem = f"this is not plain G-code, but {article} {control.name} program"
-        return [ProgramError(problem, file=names[n], line=line, text=texts[at], advice=control.advice)]
+        return [ProgramError(problem, file=names[n], line=line, text=texts[index], advice=control.advice)]
     return [
         ProgramError(fault.problem, file=names[n], line=line, text=text, advice=fault.advice)
-        for ((n, line), fault), text in zip(places.items(), texts, strict=True)
+        for ((n, line), fault), text in zip(fault_of_line.items(), texts, strict=True)
     ]
 
 
 def _code_behind_end(run: ExecutedProgram, rows: int) -> Iterator[Issue]:
-    """Report code after the end of the program, which is not executed (rs274 does not even read it)."""
+    """Yield a warning of code after the end of the program, which is not executed (rs274 does not even read it).
+
+    :param rows: number of executed lines.
+    """
     source, lines = run.source, list(run.after_end)
     if source.code[source.ends[rows] :].strip(b"\n%" + words.MARK.encode()):
         lines = [row + 1 for row in range(rows, len(source)) if source.line(row).strip(words.MARK + "%")]
@@ -288,7 +311,10 @@ def _code_behind_end(run: ExecutedProgram, rows: int) -> Iterator[Issue]:
 
 
 def _comments(run: ExecutedProgram, rows: int) -> tuple[list[tuple[int, str | ForceNote]], list[InputError]]:
-    """Return the comments of the first `rows` lines with their rows, and the errors of force comments."""
+    """Return the comments of the first `rows` lines with their rows, and the errors of force comments.
+
+    :returns: row and content of each comment, and one error for each line with unreadable force comments.
+    """
     comments: list[tuple[int, str | ForceNote]] = []
     faults: dict[tuple[int, int], InputError] = {}
     for line, text in zip(run.source.comment_lines.tolist(), run.source.comments, strict=True):
@@ -305,7 +331,10 @@ def _comments(run: ExecutedProgram, rows: int) -> tuple[list[tuple[int, str | Fo
 
 
 def _brackets(run: ExecutedProgram, comments: Sequence[tuple[int, str | ForceNote]]) -> Iterator[Issue]:
-    """Report brackets inside comments, which some controls refuse."""
+    """Yield remarks on brackets inside comments, which some controls refuse; comments after ; may have them.
+
+    :param comments: row and content of each comment.
+    """
     rows = [row for row, text in comments if isinstance(text, str) and "(" in text]
     if rows:
         spans = [line_spans(document.text) for document in run.documents]
@@ -329,19 +358,20 @@ def _events(
         (event.row, 2 if event.after else 1, None, Event(0, event.kind, 0, event.value)) for event in modes.row_events
     ]
     cycle_entries = [
-        (row, 1, at, Event(0, event.kind, 0, event.value or _spindle_speed(modes, row, event.kind)))
-        for at, row, event in path.events
+        (row, 1, before, Event(0, event.kind, 0, event.value or _spindle_speed(modes, row, event.kind)))
+        for before, row, event in path.events
     ]
     entries = sorted([*texts, *row_entries, *cycle_entries], key=itemgetter(0, 1))
     force_notes = [(row, note) for row, note in comments if isinstance(note, ForceNote)]
     motion_index = np.searchsorted(path.row, [row + (order == 2) for row, order, *_ in entries]).tolist()
     first = np.searchsorted(path.row, [row for row, _ in force_notes]).tolist()
     events = (
-        replace(event, before=at if cycle_move is None else cycle_move, line=int(run.main[row]))
-        for at, (row, _, cycle_move, event) in zip(motion_index, entries, strict=True)
+        replace(event, before=before if cycle_move is None else cycle_move, line=int(run.main[row]))
+        for before, (row, _, cycle_move, event) in zip(motion_index, entries, strict=True)
     )
     notes = (
-        replace(note, before=at, line=int(run.main[row])) for at, (row, note) in zip(first, force_notes, strict=True)
+        replace(note, before=before, line=int(run.main[row]))
+        for before, (row, note) in zip(first, force_notes, strict=True)
     )
     return tuple(notes), tuple(events)
 
@@ -378,7 +408,7 @@ def _unit_issue(path: MotionPath, text: str) -> Issue:
 
 
 def _issues(path: MotionPath, modes: Modes, text: str) -> Iterator[Issue]:
-    """Yield information and warnings on how the program was read."""
+    """Yield information and warnings on how the program was read; their lines are those of the executed program."""
     if not modes.changes["units"]:
         yield _unit_issue(path, text)
     for remark in path.remarks:

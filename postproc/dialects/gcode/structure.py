@@ -8,7 +8,8 @@ style.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -87,6 +88,18 @@ class Order(Struct, frozen=True):
     values: tuple[Value, ...] = ()
 
 
+class _OpenStructure(NamedTuple):
+    """A subprogram, branch or loop without an end so far: its first keyword, its label, and rows of its O-words."""
+
+    keyword: str
+    label: str
+    rows: list[int]
+
+    def end_fault(self) -> Fault:
+        """Return the fault of a structure that has no end."""
+        return Fault(self.rows[0], f"O{self.label} {self.keyword} without its end")
+
+
 class Unit(Struct, eq=False):
     """A file with the structure of its subprograms, loops and branches.
 
@@ -108,10 +121,10 @@ class Unit(Struct, eq=False):
 
     @classmethod
     def of(cls, document: Document, source: Source) -> Unit:
-        """Find the structure of a file."""
+        """Return a file with its structure."""
         unit = cls(document, source)
-        at = np.array([match.start() for match in _NOTABLE.finditer(source.code)], dtype=np.int64)
-        notable = distinct(np.searchsorted(source.ends, at) - 1)
+        positions = np.array([match.start() for match in _NOTABLE.finditer(source.code)], dtype=np.int64)
+        notable = distinct(np.searchsorted(source.ends, positions) - 1)
         rows = np.append(notable, len(source))
         unit.following = rows[np.searchsorted(notable, np.arange(len(source) + 1))].tolist()
         unit._connect(notable)
@@ -145,55 +158,71 @@ class Unit(Struct, eq=False):
         return None
 
     def _connect(self, notable: Ints) -> None:
-        """Connect the O-words of each loop, branch and subprogram."""
-        open_blocks: list[tuple[str, str, list[int]]] = []
+        """Connect the O-words of each loop, branch and subprogram.
+
+        :param notable: (n,) rows that may have O-words, ascending.
+        """
+        open_structures: list[_OpenStructure] = []
         for row, order in self._orders(notable):
             label, keyword = str(order.label), order.keyword
             if keyword == "":
                 self.numbers.setdefault(label, row)
             elif keyword == "SUB":
-                if label in self.subs or any(word == "SUB" for word, *_ in open_blocks):
-                    problem = "a second subprogram of this name" if label in self.subs else "a subprogram in another"
-                    self.faults.append(Fault(row, f"O{label} SUB: {problem}"))
-                self.subs.setdefault(label, row)
-            open_indices = [at for at, (word, name, _) in enumerate(open_blocks) if name == label and word != "SUB"]
-            if keyword == "WHILE" and open_indices and open_blocks[open_indices[-1]][0] == "DO":
-                self._close(row, open_blocks, open_indices[-1])
+                self._add_subprogram(row, label, open_structures)
+            same_label = [
+                n
+                for n, structure in enumerate(open_structures)
+                if structure.label == label and structure.keyword != "SUB"
+            ]
+            if keyword == "WHILE" and same_label and open_structures[same_label[-1]].keyword == "DO":
+                self._close(row, open_structures, same_label[-1])
             elif keyword in ("SUB", "IF", "WHILE", "DO", "REPEAT"):
-                open_blocks.append((keyword, label, [row]))
+                open_structures.append(_OpenStructure(keyword, label, [row]))
             elif keyword in _OPENED_BY:
-                opening_words = _OPENED_BY[keyword]
-                fits = [
-                    n
-                    for n, (word, name, _) in enumerate(open_blocks)
-                    if word in opening_words and (name == label or keyword == "RETURN")
-                ]
-                at = fits[-1] if fits else -1
-                if at < 0:
-                    self.faults.append(
-                        Fault(row, f"O{label} {keyword} without O{label} {' or '.join(opening_words)} before it")
-                    )
-                elif keyword in ("ELSEIF", "ELSE"):
-                    open_blocks[at][2].append(row)
-                elif keyword.startswith("END"):
-                    self._close(row, open_blocks, at)
-                elif keyword != "RETURN":
-                    self.links[row] = (open_blocks[at][2][0],)
-        for keyword, label, rows in open_blocks:
-            self.faults.append(Fault(rows[0], f"O{label} {keyword} without its end"))
+                self._continue(row, keyword, label, open_structures)
+        for structure in open_structures:
+            self.faults.append(structure.end_fault())
         for row, (opening,) in [(row, link) for row, link in self.links.items() if len(link) == 1]:
             self.links[row] = self.links.get(opening, (row, row))
 
-    def _close(self, row: int, open_blocks: list[tuple[str, str, list[int]]], at: int) -> None:
-        """Link the rows of a block of O words that ends at `row`; blocks inside that are open have no end."""
-        for keyword, label, rows in open_blocks[at + 1 :]:
-            self.faults.append(Fault(rows[0], f"O{label} {keyword} without its end"))
-        link = (*open_blocks[at][2], row)
+    def _add_subprogram(self, row: int, label: str, open_structures: Sequence[_OpenStructure]) -> None:
+        """Add a subprogram that begins at a row; a fault if its name is not new, or if it is within another one."""
+        if label in self.subs or any(structure.keyword == "SUB" for structure in open_structures):
+            problem = "a second subprogram of this name" if label in self.subs else "a subprogram in another"
+            self.faults.append(Fault(row, f"O{label} SUB: {problem}"))
+        self.subs.setdefault(label, row)
+
+    def _continue(self, row: int, keyword: str, label: str, open_structures: list[_OpenStructure]) -> None:
+        """Add an O-word to the innermost open structure that it belongs to; a fault if there is none.
+
+        BREAK and CONTINUE are linked to the row of its first O-word until the structure is closed.
+        """
+        opening_words = _OPENED_BY[keyword]
+        indices = [
+            n
+            for n, structure in enumerate(open_structures)
+            if structure.keyword in opening_words and (structure.label == label or keyword == "RETURN")
+        ]
+        if not indices:
+            problem = f"O{label} {keyword} without O{label} {' or '.join(opening_words)} before it"
+            self.faults.append(Fault(row, problem))
+        elif keyword in ("ELSEIF", "ELSE"):
+            open_structures[indices[-1]].rows.append(row)
+        elif keyword.startswith("END"):
+            self._close(row, open_structures, indices[-1])
+        elif keyword != "RETURN":
+            self.links[row] = (open_structures[indices[-1]].rows[0],)
+
+    def _close(self, row: int, open_structures: list[_OpenStructure], index: int) -> None:
+        """Link the rows of the open structure of an index, which ends at a row; open ones inside it have no end."""
+        for structure in open_structures[index + 1 :]:
+            self.faults.append(structure.end_fault())
+        link = (*open_structures[index].rows, row)
         self.links.update(dict.fromkeys(link, link))
-        del open_blocks[at:]
+        del open_structures[index:]
 
     def _orders(self, notable: Ints) -> Iterator[tuple[int, Order]]:
-        """Yield the O words of those rows, with their rows."""
+        """Yield row and O-word of those of the rows that have one; unreadable lines are left out."""
         for row in notable.tolist():
             if "O" in self.source.line(row):
                 try:
@@ -205,7 +234,10 @@ class Unit(Struct, eq=False):
 
 
 def _read(code: str) -> Order | Block | None:
-    """Return a block, or a control order with its O word; None for a line that begins with %."""
+    """Return a block, or a control order with its O-word; None for a line that begins with %.
+
+    :raises BlockError: the line cannot be read.
+    """
     if code.startswith("%"):
         return None
     head = _HEAD.match(code)
@@ -273,7 +305,10 @@ def _block(code: str) -> Block:
 
 
 def _word(letter: str, value: float) -> str:
-    """Return a word with its computed number; codes and counts must be whole, as in rs274, but D may be a diameter."""
+    """Return a word with its computed number.
+
+    :raises BlockError: a code or count is not whole, as rs274 requires; D may be a diameter.
+    """
     if letter in "MNTLHO":
         return f"{letter}{nearest_integer(value)}"
     if letter == "G":

@@ -201,7 +201,12 @@ def read_plain(source: Source, rotary: str = "") -> tuple[Words, Ints]:
 
 
 def _read_lines(source: Source, first: int, last: int, rotary: str, words: Words) -> Ints:
-    """Read the plain blocks of some rows (`last` exclusive); return the rows (n,) of the lines that are not plain."""
+    """Read the plain blocks of some lines into `words`.
+
+    :param first: row of the first line; `last`: row after the last.
+    :param rotary: see `read_plain`.
+    :returns: rows (n,) of the lines that are not plain.
+    """
     count = last - first
     code = source.code[source.ends[first] : source.ends[last] + 1]
     code = _LINE_NUMBER.sub(b"\n", code) if b"\nN" in code else code
@@ -210,26 +215,19 @@ def _read_lines(source: Source, first: int, last: int, rotary: str, words: Words
     needs_parser = np.zeros(count, dtype=bool)
     needs_parser[np.searchsorted(ends, _malformed_words(kind), side="left") - 1] = True
 
-    letters = np.flatnonzero(kind == _LETTER)
+    letters = np.flatnonzero(kind == _LETTER)  # positions of the words
     row = np.repeat(np.arange(count), np.diff(np.searchsorted(letters, ends)))
     if needs_parser.any():
-        plain = ~needs_parser[row]
-        letters, row = letters[plain], row[plain]
-        blank = np.repeat(needs_parser, np.diff(ends))
-        chars = np.frombuffer(code, dtype=np.uint8)[1:].copy()
-        chars[blank] = ord(" ")
-        code = chars.tobytes()
-        letters = letters - 1
+        is_plain = ~needs_parser[row]
+        letters, row = letters[is_plain], row[is_plain]
+        code = _blanked(code, ends, needs_parser)
     letter = np.frombuffer(code, dtype=np.uint8)[letters]
-    digits = code.translate(_TO_NUMBERS)
-    value = parsed_numbers(np.frombuffer(digits, dtype=np.uint8), *numbers_in(np.frombuffer(digits, dtype=np.uint8)))
-    if value is None:
-        value = np.fromstring(digits, sep=" ")
+    value = _numbers(code)
 
     by_letter = {name: np.flatnonzero(letter == ord(name)) for name in _PLAIN if name.encode() in code}
     refused_rows = [row[np.abs(value) >= LIMIT]]
-    for name, at in by_letter.items():
-        rows, letter_values = row[at], value[at]
+    for name, indices in by_letter.items():
+        rows, letter_values = row[indices], value[indices]
         if name in "ABC" and name not in rotary:
             refused_rows.append(rows)
             continue
@@ -245,8 +243,30 @@ def _read_lines(source: Source, first: int, last: int, rotary: str, words: Words
     return first + np.flatnonzero(needs_parser)
 
 
+def _blanked(code: bytes, ends: Ints, is_blank: NDArray[np.bool_]) -> bytes:
+    """Return code with blanks in some of its lines.
+
+    :param ends: (n + 1,) positions of the line feeds; line i is ``code[ends[i] + 1 : ends[i + 1]]``.
+    :param is_blank: (n,) lines to blank, with their line feeds.
+    """
+    characters = np.frombuffer(code, dtype=np.uint8).copy()
+    characters[1:][np.repeat(is_blank, np.diff(ends))] = ord(" ")
+    return characters.tobytes()
+
+
+def _numbers(code: bytes) -> Array:
+    """Return the numbers of all words of plain blocks (n,), in order."""
+    digits = code.translate(_TO_NUMBERS)
+    characters = np.frombuffer(digits, dtype=np.uint8)
+    values = parsed_numbers(characters, *numbers_in(characters))
+    return np.fromstring(digits, sep=" ") if values is None else values  # numbers with too many digits
+
+
 def _malformed_words(kind: Bytes) -> Ints:
-    """Return positions at which a plain word is malformed: wrong next character, two dots, no digit."""
+    """Return positions (n,) at which a plain word is malformed: wrong next character, two dots, no digit.
+
+    :param kind: (N,) class of each character, such as `_DIGIT`.
+    """
     pairs = (kind[:-1] << 3) | kind[1:]
     wrong = np.flatnonzero(np.frombuffer(pairs.tobytes().translate(_WRONG_PAIR), dtype=np.bool_)) + 1
     dots = np.flatnonzero(kind[:-1] == _DOT)
@@ -259,7 +279,7 @@ def _malformed_words(kind: Bytes) -> Ints:
 
 
 def no_plain_words(source: Source) -> tuple[Words, Ints]:
-    """Return the result of `read_plain` with no line taken as plain, so that pygcode reads all lines with words."""
+    """Return no words, and the rows (n,) of all lines with words: `read_plain` with no line taken as plain."""
     rows = [row for row in range(len(source)) if source.line(row).strip(MARK)]
     return Words(len(source)), np.array(rows, dtype=np.int64)
 
@@ -272,6 +292,8 @@ _BARE_HOME = re.compile(rf"{MARK}*(?:N\d{{1,15}}{MARK}*)?G(28|30){MARK}*([XYZ]{{
 
 _MOST_WORDS = 100
 """More words than all letters and modal groups together: such a block is refused."""
+_MOST_DIGITS = 15
+"""Whole numbers of more digits are not exact as floats."""
 _CHARACTERS = {
     "/": "Write / at the beginning of the block.",
     ",": "Write decimals with a point: X10.5. Corners (,R and ,C) are not read: let the CAM system write them out.",
@@ -361,7 +383,7 @@ def _split(code: str) -> list[tuple[str, str]]:
         match = _WORD.match(code, position)
         if match is None:
             raise BlockError(*_fault_of_text(code[position:].lstrip(MARK)))
-        if match[1] in "LNT" and len(match[2]) > 15:
+        if match[1] in "LNT" and len(match[2]) > _MOST_DIGITS:
             raise BlockError(f"{match[0].lstrip(MARK)[:20]}… has too many digits", None)
         if match[1] in "MT" and "." in _plain_number(match[1], match[2]):
             raise BlockError(f"{match[1]}{match[2]} is not a whole number", _WHOLE[match[1]])
