@@ -7,7 +7,9 @@ stretched arm; bit 2, A5 on the negative side of where A4 and A6 are in line. On
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -17,7 +19,7 @@ from postproc.frames import Array, sine_and_cosine, wrap_angles
 from postproc.kinematics.components import combination, components
 from postproc.kinematics.forward import clean, posture, tcp
 from postproc.program import Ints
-from postproc.robot import RobotModel
+from postproc.robot import Chain, RobotModel
 
 _TOLERANCE = 1e-6
 """Angles [rad] that the closed form must return to count as solved, and sin² between axes that count as parallel
@@ -26,6 +28,19 @@ _IN_LINE = 1e-6
 """A5 within this of where A4 and A6 are in line [rad] counts as on the side of A5 > 0: its sign is rounding."""
 _NO_TURN = 1e-12
 """Sine of A5 below which only the sum of A4 and A6 means something: A4 is then 0."""
+
+
+class _ArmAngles(NamedTuple):
+    """Angles (n,) of an arm in n configurations [rad].
+
+    :param heading: of the arm's plane about the vertical, from `ClosedForm.axes`.
+    :param upper: of the upper arm against the vertical.
+    :param elbow: of the forearm against the upper arm.
+    """
+
+    heading: Array
+    upper: Array
+    elbow: Array
 
 
 class ClosedForm(Struct, frozen=True, eq=False):
@@ -66,14 +81,14 @@ class ClosedForm(Struct, frozen=True, eq=False):
         return float(wrap_angles(self.sign[2] * (self.tilt[0] - self.tilt[1])))
 
     def reach(self, q: Array) -> Array:
-        """Return the distance (N,) [m] of the wrist centre ahead of the A1 axis at angles (N, 6); overhead < 0."""
+        """Return how far (N,) [m] the wrist centre is ahead of the A1 axis at angles (N, 6) [rad]; < 0 overhead."""
         upper = self.tilt[0] + self.sign[1] * q[:, 1]
         fore = self.tilt[1] + self.sign[1] * q[:, 1] + self.sign[2] * q[:, 2]
         (upper, _), (fore, _) = sine_and_cosine(upper), sine_and_cosine(fore)
         return np.asarray(self.shoulder + self.upper_arm * upper + self.forearm * fore)
 
     def elbow(self, q: Array) -> Array:
-        """Return A3 minus its value for the stretched arm (N,) [rad], from −π to π, at angles (N, 6)."""
+        """Return A3 minus its value for the stretched arm (N,) [rad], from −π to π, at angles (N, 6) [rad]."""
         return wrap_angles(q[:, 2] - self.elbow_stretched)
 
     def branch_of(self, q: Array) -> Ints:
@@ -88,17 +103,40 @@ class ClosedForm(Struct, frozen=True, eq=False):
         return np.asarray(is_overhead * 1 + is_elbow_positive * 2 + is_wrist_negative * 4, dtype=np.int64)
 
     def branches(self, pose_flange_in_root: Array) -> Array:
-        """Return joint angles (N, 8, 6) [rad] of all branches; NaN where one does not exist."""
+        """Return joint angles (N, 8, 6) [rad] of all branches for flange poses (N, 4, 4) [m]; NaN out of reach."""
         flange = components(pose_flange_in_root)
         return np.stack([self.solve(flange, branch).T for branch in range(8)], axis=1)
 
     def solve(self, flange: Array, branch: int | Ints) -> Array:
-        """Return joint angles (6, n) [rad] of flange poses (3, 4, n) [m] on branches; NaN out of reach."""
+        """Return joint angles (6, n) [rad] of flange poses in the root on branches; NaN out of reach.
+
+        :param flange: (3, 4, n) poses [m], see `components`.
+        :param branch: 0…7, one for all or (n,).
+        """
         behind_bit, elbow_bit, wrist_bit = (np.asarray(branch) >> bit & 1 for bit in range(3))
-        columns = [flange[:, k] for k in range(3)]
-        # A1 to A3 by the place of the wrist centre: heading, then the triangle of upper arm a and forearm b
+        columns = [flange[:, column] for column in range(3)]
         wrist = combination(columns, self.wrist) + flange[:, 3] - self.base[:, None]
-        wrist_x, wrist_y, height = self.axes @ wrist
+        arm = self._arm_angles(self.axes @ wrist, behind_bit, elbow_bit)
+        return np.stack(
+            [
+                self.sign[0] * arm.heading,
+                self.sign[1] * (arm.upper - self.tilt[0]),
+                self.sign[2] * (arm.elbow + self.tilt[0] - self.tilt[1]),
+                *self._wrist_angles(columns, arm, wrist_bit),
+            ]
+        )
+
+    def _arm_angles(self, wrist: Array, behind_bit: Ints, elbow_bit: Ints) -> _ArmAngles:
+        """Return the angles of the arm that bring the wrist centre to a point; NaN out of reach.
+
+        First the heading; then, in the plane of the arm, the triangle of upper arm a, forearm b and the line from A2 to
+        the wrist centre, by the law of cosines.
+
+        :param wrist: (3, n) point from `base`, along ahead, across and up [m].
+        :param behind_bit: 1 for a wrist centre behind the A1 axis, else 0; one for all or (n,).
+        :param elbow_bit: 1 for A3 beyond the stretched arm, else 0; one for all or (n,).
+        """
+        wrist_x, wrist_y, height = wrist
         a, b = self.upper_arm, self.forearm
         with np.errstate(invalid="ignore"):
             radius = (1 - 2 * behind_bit) * np.sqrt(wrist_x * wrist_x + wrist_y * wrist_y - self.lateral_offset**2)
@@ -109,15 +147,21 @@ class ClosedForm(Struct, frozen=True, eq=False):
             cosine = (radius * radius + height * height - (a * a + b * b)) / (2.0 * a * b)
             sine = self.sign[2] * (2 * elbow_bit - 1) * np.sqrt((1.0 - cosine) * (1.0 + cosine))
         elbow = np.arctan2(sine, cosine)
-        arm_length, arm_offset = a + b * cosine, b * sine
+        arm_length, arm_offset = a + b * cosine, b * sine  # of the wrist centre, along the upper arm and across it
         upper = np.arctan2(radius * arm_length - height * arm_offset, height * arm_length + radius * arm_offset)
+        return _ArmAngles(heading, upper, elbow)
 
-        # A4 to A6 by the orientation that remains after A1 to A3
+    def _wrist_angles(self, columns: Sequence[Array], arm: _ArmAngles, wrist_bit: Ints) -> Sequence[Array]:
+        """Return A4, A5 and A6 (n,) [rad], by the orientation of the flange that remains after A1 to A3.
+
+        :param columns: X, Y and Z (3, n) of the flange in the root.
+        :param wrist_bit: 1 for a wrist bent to the negative side, else 0; one for all or (n,).
+        """
         hand = np.stack([combination(columns, column[:, None]) for column in self.hand.T], axis=1)
         x, y, z = np.tensordot(self.axes, hand, 1)
-        sine, cosine = sine_and_cosine(heading)
+        sine, cosine = sine_and_cosine(arm.heading)
         x, y = x * cosine + y * sine, y * cosine - x * sine
-        sine, cosine = sine_and_cosine(upper + elbow - self.tilt[1])
+        sine, cosine = sine_and_cosine(arm.upper + arm.elbow - self.tilt[1])
         x, z = x * cosine - z * sine, z * cosine + x * sine
         # m = Rz(A4)·Ry(A5 + bend)·Rz(A6)
         m = np.tensordot(self.before_wrist, np.stack([x, y, z]), 1)
@@ -126,15 +170,10 @@ class ClosedForm(Struct, frozen=True, eq=False):
         factor = (1 - 2 * wrist_bit) / np.where(is_unique, wrist_sine, 1.0)
         # of A4
         cosine, sine = np.where(is_unique, m[0, 2] * factor, 1.0), np.where(is_unique, m[1, 2] * factor, 0.0)
-        return np.stack(
-            [
-                self.sign[0] * heading,
-                self.sign[1] * (upper - self.tilt[0]),
-                self.sign[2] * (elbow + self.tilt[0] - self.tilt[1]),
-                np.arctan2(sine, cosine),
-                np.arctan2(cosine * m[0, 2] + sine * m[1, 2], m[2, 2]) - self.bend,
-                np.arctan2(cosine * m[1, 0] - sine * m[0, 0], cosine * m[1, 1] - sine * m[0, 1]),
-            ]
+        return (
+            np.arctan2(sine, cosine),
+            np.arctan2(cosine * m[0, 2] + sine * m[1, 2], m[2, 2]) - self.bend,
+            np.arctan2(cosine * m[1, 0] - sine * m[0, 0], cosine * m[1, 1] - sine * m[0, 1]),
         )
 
 
@@ -142,25 +181,42 @@ class ClosedForm(Struct, frozen=True, eq=False):
 def closed_form(robot: RobotModel) -> ClosedForm:
     """Return the closed form of the inverse kinematics of a robot, by the axes of its nominal geometry at zero angles.
 
+    It is tried on 20 configurations.
+
     :raises ModelError: the arm has no vertical A1, no parallel A2 and A3, or no spherical wrist: forward and
         inverse kinematics do not agree.
     """
     chain = robot.nominal
+    form = _read_off(chain)
+    q = np.sin(np.arange(120.0)).reshape(20, 6)  # spread evenly enough
+    with np.errstate(divide="ignore", invalid="ignore"):
+        solution = form.solve(components(tcp(chain, q, np.eye(4))[0]), form.branch_of(q)).T
+    if not np.abs(wrap_angles(solution - q)).max() < _TOLERANCE:
+        raise ModelError(
+            f"robot {robot.name}: not an arm with vertical A1, parallel A2 and A3 and a spherical wrist",
+            advice="Only such arms (all common KUKA six-axis robots) are supported.",
+        )
+    return form
+
+
+def _read_off(chain: Chain) -> ClosedForm:
+    """Return the lengths and directions of a chain (of six joints) at zero angles, whether or not it has the form."""
     zero = posture(chain, np.zeros((6, 1)))
     axis, origin = (np.array([vector[:, 0] for vector in vectors]) for vectors in (zero.axis, zero.origin))
     flange = zero.pose[..., 0]
     up = np.array([0.0, 0.0, 1.0])
     y_axis = axis[1]
     x_axis = np.cross(y_axis, up)
-    if (origin[1] - origin[0]) @ x_axis < 0.0:
+    if (origin[1] - origin[0]) @ x_axis < 0.0:  # A2 is ahead of A1
         y_axis, x_axis = -y_axis, -x_axis
     axes = np.array([x_axis, y_axis, up])
+    # the wrist centre is where the axes of A4 and A5 cross; the bars are upper arm and forearm
     wrist = _crossing(origin[3], axis[3], origin[4], axis[4])
     bars = np.array([origin[2] - origin[1], wrist - origin[2]]) @ axes.T
     wrist_axes = np.array([np.cross(axis[4], axis[3]), axis[4], axis[3]])
     bend = float(np.arctan2(axis[5] @ wrist_axes[0], axis[5] @ wrist_axes[2]))
     about_y = np.array([[np.cos(bend), 0, np.sin(bend)], [0, 1, 0], [-np.sin(bend), 0, np.cos(bend)]])
-    form = ClosedForm(
+    return ClosedForm(
         axes=axes,
         base=np.append(origin[0, :2], origin[1, 2]),
         lateral_offset=float((wrist - origin[0]) @ y_axis),
@@ -174,15 +230,6 @@ def closed_form(robot: RobotModel) -> ClosedForm:
         hand=clean(flange[:, :3].T @ wrist_axes.T @ about_y),
         bend=bend,
     )
-    q = np.sin(np.arange(120.0)).reshape(20, 6)  # spread evenly enough
-    with np.errstate(divide="ignore", invalid="ignore"):
-        solution = form.solve(components(tcp(chain, q, np.eye(4))[0]), form.branch_of(q)).T
-    if not np.abs(wrap_angles(solution - q)).max() < _TOLERANCE:
-        raise ModelError(
-            f"robot {robot.name}: not an arm with vertical A1, parallel A2 and A3 and a spherical wrist",
-            advice="Only such arms (all common KUKA six-axis robots) are supported.",
-        )
-    return form
 
 
 def _crossing(p: Array, u: Array, r: Array, v: Array) -> Array:
@@ -198,5 +245,7 @@ def status_of(robot: RobotModel, q: Array) -> Ints:
     """Return KUKA's status S (N,) of joint angles (N, 6) [rad].
 
     Bits 0 and 1 are those of the branch. Bit 2 is set if A5 is negative, without the tolerance of `branch_of`.
+
+    :raises ModelError: the robot has no closed form.
     """
     return np.asarray(closed_form(robot).branch_of(q) & 3 | (q[:, 4] < 0.0) * 4)

@@ -14,7 +14,7 @@ from postproc import frames
 from postproc.frames import Array
 
 _SMALL_STEP = 5e-3
-"""Below this rotation [rad] series to the fifth power are exact to 1e-16."""
+"""Below this difference of the columns of two rotations [rad], series to the fifth power are exact to 1e-16."""
 
 
 def components(pose: Array) -> Array:
@@ -35,7 +35,10 @@ def matrices(pose: Array) -> Array:
 
 
 def combination(columns: Sequence[Array], factors: Array) -> Array:
-    """Return Σ columns[k]·factors[k] (m, n) of k columns (m, n), factors (k, n); constant 0 and 1 cost nothing."""
+    """Return Σ columns[k]·factors[k] (m, n) of k columns (m, n) or (m, 1), with factors (k, n) or (k, 1).
+
+    A single factor of 0 or 1 costs nothing.
+    """
     total: Array | None = None
     for column, factor in zip(columns, factors, strict=True):
         constant = float(factor[0]) if len(factor) == 1 else None
@@ -47,7 +50,11 @@ def combination(columns: Sequence[Array], factors: Array) -> Array:
 
 
 def product(columns: Sequence[Array], pose: Array) -> Array:
-    """Return the poses frame·pose (3, 4, n); columns X, Y, Z and origin of the frame (3, n) or (3, 1) each."""
+    """Return the poses frame·pose (3, 4, n).
+
+    :param columns: X, Y, Z and origin of the frame, (3, n) or (3, 1) each.
+    :param pose: (3, 4, n) or (3, 4, 1) in that frame.
+    """
     result = np.empty(np.broadcast_shapes(pose.shape, *(column.shape[-1:] for column in columns)))
     for column in range(4):
         result[:, column] = combination(columns[:3], pose[:, column])
@@ -73,11 +80,13 @@ def twist_between(start: Array, end: Array) -> Array:
     difference = end[:, :3] - start[:, :3]
     if not np.abs(difference).max(initial=0.0) < _SMALL_STEP:
         return np.ascontiguousarray(frames.twist_between(matrices(start), matrices(end)).T)
+    # axis times sine of the rotation R₂·R₁ᵀ: half of Σ x₁ × x₂ over the columns, and x₁ × x₂ = x₁ × (x₂ − x₁)
     sine = (
         cross(start[:, 0], difference[:, 0])
         + cross(start[:, 1], difference[:, 1])
         + cross(start[:, 2], difference[:, 2])
     )
-    sine *= 0.5  # R₂·R₁ᵀ less its transpose is Σ x₁ × x₂ over the columns
+    sine *= 0.5
     square = (sine * sine).sum(axis=0)
-    return np.concatenate([end[:, 3] - start[:, 3], sine * (1.0 + square * (1.0 / 6.0 + square * (3.0 / 40.0)))])
+    angle_over_sine = 1.0 + square * (1.0 / 6.0 + square * (3.0 / 40.0))  # series of asin(s)/s
+    return np.concatenate([end[:, 3] - start[:, 3], sine * angle_over_sine])

@@ -8,6 +8,7 @@ Z, which adds to the angle of the joint. It is made from the model once, and tes
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -41,6 +42,19 @@ class _Step(Struct, frozen=True, eq=False):
     centre: Array
 
 
+class _Steps(NamedTuple):
+    """A chain by the steps from joint to joint.
+
+    :param first_turn: (3, 3, 1) turn about Z of the root before the first step.
+    :param joints: the nv joints.
+    :param flange: (3, 4, 1) in the frame of the last joint [m].
+    """
+
+    first_turn: Array
+    joints: tuple[_Step, ...]
+    flange: Array
+
+
 class Posture(Struct, frozen=True, eq=False):
     """A chain in n configurations; vectors (3, n), or (3, 1) where they are the same for all.
 
@@ -49,7 +63,7 @@ class Posture(Struct, frozen=True, eq=False):
     :param origin: of each joint [m].
     :param frame: columns X, Y, Z and origin [m] of the last link.
     :param tool: (3, 4, n) or (3, 4, 1) in it [m].
-    :param moment: (2, n) mass times centre of mass of each link, level, where asked for [kg·m].
+    :param moment: (2, n) mass times X and Y of the centre of mass of each link [kg·m]; empty without weights.
     """
 
     steps: tuple[_Step, ...]
@@ -84,7 +98,8 @@ class Posture(Struct, frozen=True, eq=False):
     def weight(self, link: int | None = None) -> Array:
         """Return the torques ∇U_g (nv, n) that hold the weights of the links [N·m], forces of sliding joints [N].
 
-        Needs a posture with moments (`weigh=True`). Gravity is along −Z of the root.
+        Needs a posture with moments (`weigh=True`). Gravity is along −Z of the root: the torque on a joint is
+        g·(axis × lever)_z, with the lever the mass that it carries times the level distance of its centre.
 
         :param link: index of the joint whose link alone has a weight; None: all links.
         """
@@ -109,24 +124,24 @@ def posture(chain: Chain, q: Array, tool: Array | None = None, *, weigh: bool = 
     :param tool: (3, 4, n) or (3, 4, 1) in the flange frame [m]; the flange itself by default.
     :param weigh: whether to compute the moments of the links' masses, which `Posture.weight` needs.
     """
-    first, steps, end = _steps(chain)
+    first_turn, steps, end = _steps(chain)
     end = end if tool is None else product([*np.moveaxis(end, 1, 0)], tool)
-    frame, at = [*np.moveaxis(first, 1, 0)], np.zeros((3, 1))
+    frame, origin = [*np.moveaxis(first_turn, 1, 0)], np.zeros((3, 1))
     axes, origins, moments = [], [], []
-    for step, value in zip(steps, q, strict=True):
-        at = at + combination(frame, step.offset)
+    for step, coordinate in zip(steps, q, strict=True):
+        origin = origin + combination(frame, step.offset)
         x, y, z = frame
         y, z = (combination((y, z), factors) for factors in step.tilt)
         axes.append(z)
-        origins.append(at)
-        angle = value + step.turn if step.turns else np.full(1, step.turn)
+        origins.append(origin)
+        angle = coordinate + step.turn if step.turns else np.full(1, step.turn)
         if not step.turns:
-            at = at + z * value
+            origin = origin + z * coordinate
         sine, cosine = sine_and_cosine(angle)
         frame = [x * cosine + y * sine, y * cosine - x * sine, z]
         if weigh:
-            moments.append(step.mass * (at[:2] + combination([level[:2] for level in frame], step.centre)))
-    return Posture(steps, axes, origins, [*frame, at], end, moments)
+            moments.append(step.mass * (origin[:2] + combination([column[:2] for column in frame], step.centre)))
+    return Posture(steps, axes, origins, [*frame, origin], end, moments)
 
 
 def tcp(chain: Chain, q: Array, tool: Array) -> tuple[Array, Array]:
@@ -152,45 +167,43 @@ def by_coordinate(rows: Array) -> Array:
 
 
 @lru_cache(maxsize=16)
-def _steps(chain: Chain) -> tuple[Array, tuple[_Step, ...], Array]:
-    """Return the turn about Z that comes first (3, 3, 1), the steps, and the flange (3, 4, 1) in the last frame.
+def _steps(chain: Chain) -> _Steps:
+    """Return the steps from the root to the last joint.
 
-    With A_i any rotation that carries Z to the axis of joint i, what lies between two joints is a rotation
+    With A_i any rotation that carries Z to the axis of joint i, what is between two joints is a rotation
     A_iᵀ·R·A_(i+1) = Rz(a)·Rx(b)·Rz(c): a adds to the angle of the joint before, c to that of the joint behind.
     """
-    upright = [np.eye(3), *map(_upright_rotation, chain.axis)]
+    upright = [np.eye(3), *map(_upright_rotation, chain.axis)]  # A_i, of the root first
     steps: list[_Step] = []
-    next_turn = 0.0
-    for joint in reversed(range(chain.nv)):
+    next_a = 0.0
+    for joint in reversed(range(chain.nv)):  # the next joint's a is needed
         parent_axes, joint_axes = upright[joint : joint + 2]
         rotation = parent_axes.T @ chain.placement[joint, :3, :3] @ joint_axes
-        sine = float(np.hypot(rotation[0, 2], rotation[1, 2]))
-        a = float(np.arctan2(rotation[0, 2], -rotation[1, 2])) if sine > _ZERO else 0.0
-        remaining_rotation = _about_z(-a) @ rotation  # Rx(b)·Rz(c)
+        sine_b = float(np.hypot(rotation[0, 2], rotation[1, 2]))
+        a = float(np.arctan2(rotation[0, 2], -rotation[1, 2])) if sine_b > _ZERO else 0.0
+        tilt_and_turn = _about_z(-a) @ rotation  # Rx(b)·Rz(c)
+        cosine, sine = tilt_and_turn[2, 2], -tilt_and_turn[1, 2]  # of b
         step = _Step(
             offset=clean(_about_z(-a) @ (parent_axes.T @ chain.placement[joint, :3, 3]))[:, None],
-            tilt=clean(
-                np.array(
-                    [
-                        [remaining_rotation[2, 2], -remaining_rotation[1, 2]],
-                        [remaining_rotation[1, 2], remaining_rotation[2, 2]],
-                    ]
-                )
-            )[..., None],
-            turn=float(np.arctan2(-remaining_rotation[0, 1], remaining_rotation[0, 0])) + next_turn,
+            tilt=clean(np.array([[cosine, sine], [-sine, cosine]]))[..., None],
+            turn=float(np.arctan2(-tilt_and_turn[0, 1], tilt_and_turn[0, 0])) + next_a,
             turns=bool(chain.turns[joint]),
             mass=float(chain.mass[joint]),
-            centre=clean(_about_z(-next_turn) @ joint_axes.T @ chain.centre[joint])[:, None],
+            centre=clean(_about_z(-next_a) @ joint_axes.T @ chain.centre[joint])[:, None],
         )
         steps.insert(0, step)
-        next_turn = a
-    return clean(_about_z(next_turn))[..., None], tuple(steps), clean(upright[-1].T @ chain.flange[:3])[..., None]
+        next_a = a
+    return _Steps(
+        first_turn=clean(_about_z(next_a))[..., None],
+        joints=tuple(steps),
+        flange=clean(upright[-1].T @ chain.flange[:3])[..., None],
+    )
 
 
 def _upright_rotation(axis: Array) -> Array:
     """Return a rotation (3, 3) that carries Z to a unit axis (3,)."""
-    unit_vector = np.eye(3)[int(np.argmin(np.abs(axis)))]
-    x = np.cross(unit_vector, axis)
+    least_parallel = np.eye(3)[int(np.argmin(np.abs(axis)))]
+    x = np.cross(least_parallel, axis)
     x /= np.sqrt(x @ x)
     return np.stack([x, np.cross(axis, x), axis], axis=1)
 

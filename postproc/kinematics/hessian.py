@@ -30,10 +30,11 @@ def load_stiffness(jacobian: Array, wrench: Array) -> Array:
     # (ω_i × v_j)·F = ω_i·(v_j × F), i ≤ j
     upper = np.triu(axes @ (hat(-wrench[:, :3]) @ linear))
     symmetric = upper + np.swapaxes(np.triu(upper, 1), 1, 2)
-    # row j, column i < j: (ω_i × ω_j)·M = ω_i·(ω_j × M)
     if not wrench[:, 3:].any():
         return np.asarray(symmetric)
-    return np.asarray(symmetric + np.tril(np.swapaxes(axes @ (hat(-wrench[:, 3:]) @ angular), 1, 2), -1))
+    # row j, column i < j: (ω_i × ω_j)·M = ω_i·(ω_j × M)
+    by_moment = np.tril(np.swapaxes(axes @ (hat(-wrench[:, 3:]) @ angular), 1, 2), -1)
+    return np.asarray(symmetric + by_moment)
 
 
 def gravity_stiffness(chain: Chain, q: Array) -> Array:
@@ -59,7 +60,11 @@ def require_pinocchio(robot: str) -> None:
 
 
 def _pinocchio(subject: str = "this needs") -> Any:
-    """Return the module `pinocchio`."""
+    """Return the module `pinocchio`.
+
+    :param subject: what needs it, as the beginning of a sentence.
+    :raises PostprocError: it is not installed.
+    """
     try:
         return import_module("pinocchio")
     except ImportError as cause:

@@ -40,6 +40,7 @@ class UnreachableError(PostprocError):
     """Poses have no solution on their branch; `rows` are the samples concerned."""
 
     def __init__(self, rows: Sequence[int]) -> None:
+        """Say how many poses are out of reach."""
         super().__init__(f"{len(rows)} poses out of reach")
         self.rows = tuple(rows)
 
@@ -88,6 +89,7 @@ def follow(
     branches = _path_branches(robot, flange(jumps), start, axis_target, status)
     branch = np.repeat(branches, np.diff(jumps, prepend=0, append=len(free)))
     q = np.zeros((len(branch), 6))
+    # of the last sample of the part before
     start_angles, turns_removed = np.asarray(start, dtype=float), np.zeros(6)
     unreached: list[int] = []
     for part in chunks(len(branch)):
@@ -111,14 +113,15 @@ def follow(
 def _path_branches(robot: RobotModel, flange: Array, start: Array, axis_target: Array, status: Ints) -> Ints:
     """Return the branch before the first PTP move, and from each PTP move on (J + 1,).
 
-    Moves that state no branch keep the one before: a running maximum finds the last move that states one.
+    Moves that state no branch keep the one before, and so do those to a pose that no branch with their status reaches.
 
-    :param flange: (J, 4, 4) flange poses at their targets [m], and `start` (6,) joint angles at the start [rad].
-    :param axis_target: (J, 6) joint angles of PTP moves to them [rad], NaN for others.
+    :param flange: (J, 4, 4) flange poses at their targets in the root [m].
+    :param start: (6,) joint angles at the start [rad].
+    :param axis_target: (J, 6) joint angles of PTP moves to axis targets [rad], NaN for others.
     :param status: (J,) S, −1 if it is not given.
     """
     form = closed_form(robot)
-    branch = np.full(len(status) + 1, -1)
+    branch = np.full(len(status) + 1, -1)  # −1: not stated
     branch[0] = form.branch_of(np.asarray(start)[None])[0]
     by_axes = np.isfinite(axis_target[:, 0])
     branch[1:][by_axes] = form.branch_of(axis_target[by_axes])
@@ -127,14 +130,16 @@ def _path_branches(robot: RobotModel, flange: Array, start: Array, axis_target: 
     fits = np.isfinite(candidates).all(axis=2)
     fits &= status_of(robot, candidates.reshape(-1, 6)).reshape(-1, 8) == (status[pose_targets] & 7)[:, None]
     branch[1 + pose_targets] = np.where(fits.any(axis=1), fits.argmax(axis=1), -1)
-    last = np.maximum.accumulate(np.where(branch >= 0, np.arange(len(branch)), 0))
-    return np.asarray(branch[last])
+    # a running maximum finds the last row with a branch; row 0 has one
+    last_stated = np.maximum.accumulate(np.where(branch >= 0, np.arange(len(branch)), 0))
+    return np.asarray(branch[last_stated])
 
 
 def _continuous_angles(q: Array, start_angles: Array, turns_removed: Array, exact_rows: Ints) -> tuple[Array, Array]:
     """Return joint angles (n, 6) [rad] minus the whole turns that make them continuous, and the turns of the last (6,).
 
-    :param start_angles: (6,) angles before the first of them, as the closed form returns them [rad].
+    :param q: (n, 6) angles as the closed form returns them, or with the turns of their target [rad]; n ≥ 1.
+    :param start_angles: (6,) angles before the first of them, before any turns were subtracted [rad].
     :param turns_removed: (6,) whole turns that are subtracted there.
     :param exact_rows: rows whose angles are kept: continuity begins anew at each.
     """
@@ -143,6 +148,7 @@ def _continuous_angles(q: Array, start_angles: Array, turns_removed: Array, exac
         return q, turns_removed
     turns[exact_rows] = 0.0
     total = turns_removed + np.cumsum(turns, axis=0)
+    # the last exact row up to each row, −1 before the first
     exact_row = np.full(len(q), -1)
     exact_row[exact_rows] = exact_rows
     exact_row = np.maximum.accumulate(exact_row)
@@ -151,7 +157,10 @@ def _continuous_angles(q: Array, start_angles: Array, turns_removed: Array, exac
 
 
 def branch_joints(robot: RobotModel, pose_flange_in_root: Array, branch: Ints) -> Array:
-    """Return joint angles (N, 6) of flange poses (N, 4, 4) on given branches (N,); NaN out of reach."""
+    """Return joint angles (N, 6) [rad] of flange poses (N, 4, 4) [m] on their branches 0…7 (N,); NaN out of reach.
+
+    :raises ModelError: the robot has no closed form.
+    """
     is_uniform = len(branch) > 0 and bool((branch == branch[0]).all())
     return closed_form(robot).solve(components(pose_flange_in_root), int(branch[0]) if is_uniform else branch).T
 
@@ -160,14 +169,17 @@ def _whole_turns(robot: RobotModel, angles: Array, turn: Ints) -> Array:
     """Return joint angles (J, 6) [rad] with the whole turns that KUKA's T (J,) states: bit n − 1 for a negative axis n.
 
     Angles within the limits with the stated sign come first, then others within the limits; of these the smallest.
+
+    :param angles: (J, 6) as the closed form returns them [rad].
     """
+    # joints turn by at most two turns either way
     candidates = angles[..., None] + FULL_TURN * np.arange(-2, 3)
     within_limits = (candidates >= robot.lower[:, None] - _ANGLE_TOLERANCE) & (
         candidates <= robot.upper[:, None] + _ANGLE_TOLERANCE
     )
     is_negative = (turn[:, None] >> np.arange(6) & 1).astype(np.bool_)
     has_sign = within_limits & ((candidates < 0.0) == is_negative[..., None])
-    # larger than any angle, so that it decides
+    # steps of the penalty are larger than any angle [rad], so that it decides
     penalty = np.where(has_sign, 0.0, np.where(within_limits, 100.0, 200.0))
     best = np.argmin(np.abs(candidates) + penalty, axis=2)
     return np.asarray(np.take_along_axis(candidates, best[..., None], axis=2)[..., 0])
@@ -178,10 +190,14 @@ _LOOKED_AT = 2_000
 
 
 def joint_margin(robot: RobotModel, q: Array) -> Array:
-    """Return the smallest distance (6,) [rad] of each joint to its limits, negative beyond them; q: (N, 6), N ≥ 1."""
+    """Return the smallest distance (6,) [rad] of each joint to its limits along a path, negative beyond them.
+
+    :param q: (N, 6) joint angles [rad], N ≥ 1.
+    """
     parts = (q[part].T for part in chunks(len(q)))  # by columns: much faster than along short rows
-    ends = np.array([[(angle.min(), angle.max()) for angle in part] for part in parts])
-    return np.asarray(np.minimum(ends[..., 0].min(axis=0) - robot.lower, robot.upper - ends[..., 1].max(axis=0)))
+    extremes = np.array([[(angle.min(), angle.max()) for angle in part] for part in parts])
+    least, largest_angle = extremes[..., 0].min(axis=0), extremes[..., 1].max(axis=0)
+    return np.asarray(np.minimum(least - robot.lower, robot.upper - largest_angle))
 
 
 def smallest_singular_value(robot: RobotModel, q: Array, tool: Array) -> float:
@@ -203,9 +219,10 @@ def smallest_singular_value(robot: RobotModel, q: Array, tool: Array) -> float:
 
     sampled_rows = slice(None, None, stride)
     _, jacobian = tcp(robot.nominal, q[sampled_rows], tools(sampled_rows))
-    squares = np.linalg.eigvalsh(jacobian @ np.swapaxes(jacobian, 1, 2))  # good enough to find the place, and faster
-    centre = int(np.argmin(squares[:, 0])) * stride
-    rows = slice(max(0, centre - stride), centre + stride + 1)
+    # squares of the singular values, ascending: good enough to find the row, and faster
+    squares = np.linalg.eigvalsh(jacobian @ np.swapaxes(jacobian, 1, 2))
+    smallest_row = int(np.argmin(squares[:, 0])) * stride
+    rows = slice(max(0, smallest_row - stride), smallest_row + stride + 1)
     return float(singular_values(robot, q[rows], tools(rows)).min())
 
 
@@ -273,8 +290,10 @@ class ByWrist(Struct, frozen=True, eq=False):
         return wrist
 
     def at(self, motion: Ints, t: Array) -> Array:
-        """Return the orientation of the tool frame (n, 3, 3) in `$BASE` at places (motion, t).
+        """Return the orientation of the tool frame (n, 3, 3) in `$BASE` at places on motions.
 
+        :param motion: (n,) of them, as in the field `motion`.
+        :param t: (n,) share of the motion's line that is behind the tip, in [0, 1].
         :raises UnreachableError: the tip cannot be held on its line on one branch; `rows` are motions.
         """
         row = np.searchsorted(self.motion, motion)

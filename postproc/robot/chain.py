@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -46,50 +47,60 @@ class Chain(Struct, frozen=True, eq=False):
         return len(self.axis)
 
     def with_root(self, root: Array) -> Chain:
-        """Return the chain displaced by (4, 4) in its root [m]."""
+        """Return the chain displaced as a whole by the pose `root` (4, 4), in root axes [m]."""
         return replace(self, placement=np.concatenate([(root @ self.placement[0])[None], self.placement[1:]]))
 
     def with_payload(self, mass: float, centre: Array) -> Chain:
-        """Return the chain with a further mass on its last link; its centre (3,) is given in the flange frame."""
+        """Return the chain with a further mass [kg] on its last link, with its centre (3,) in the flange frame [m]."""
         return self.with_mass(-1, mass, self.flange[:3, :3] @ centre + self.flange[:3, 3])
 
     def with_mass(self, row: int, mass: float, centre: Array) -> Chain:
-        """Return the chain with a further mass, or less of it, on the link of a joint; its centre (3,) in its frame."""
+        """Return the chain with a further mass on the link of a joint.
+
+        :param row: index of the joint.
+        :param mass: [kg]; negative to take mass away.
+        :param centre: (3,) its centre in the frame of the joint [m].
+        """
         masses, centres = self.mass.copy(), self.centre.copy()
         masses[row] += mass
-        if masses[row] != 0.0:
+        if masses[row] != 0.0:  # without mass there is no centre: the old one stays
             centres[row] = (self.mass[row] * self.centre[row] + mass * centre) / masses[row]
         return replace(self, mass=masses, centre=centres)
 
     def joint_frames(self, q: Array) -> tuple[Array, Array]:
-        """Return the frames of the joints before they move (N, J, 4, 4), and of the flange (N, 4, 4), in the root [m].
+        """Return the frames of all joints and of the flange.
 
         For code that needs every frame; for the tool alone `kinematics` is much faster.
 
         :param q: (N, J) coordinates [rad, m].
+        :returns: (N, J, 4, 4) frame of each joint before its own motion; (N, 4, 4) of the flange; both in the root [m].
         """
         frame = np.broadcast_to(np.eye(4), (len(q), 4, 4))
         frames = np.empty((len(q), self.nv, 4, 4))
-        vector = q.T[:, :, None] * self.axis[:, None]
-        turn = rotation_from_vector(vector)  # of all joints at once: a call for each takes several times as long
+        vectors = q.T[:, :, None] * self.axis[:, None]  # (J, N, 3): rotation vectors, or translations
+        rotations = rotation_from_vector(vectors)  # of all joints at once: a call for each takes several times as long
         for joint in range(self.nv):
             frame = frames[:, joint] = frame @ self.placement[joint]
-            move = np.broadcast_to(np.eye(4), (len(q), 4, 4)).copy()
+            motion = np.broadcast_to(np.eye(4), (len(q), 4, 4)).copy()
             if self.turns[joint]:
-                move[:, :3, :3] = turn[joint]
+                motion[:, :3, :3] = rotations[joint]
             else:
-                move[:, :3, 3] = vector[joint]
-            frame = frame @ move
+                motion[:, :3, 3] = vectors[joint]
+            frame = frame @ motion
         return frames, frame @ self.flange
 
 
 class _Axes:
     """Axes of a chain so far: joints and springs.
 
-    :ivar place: (4, 4) pose behind the last axis, in its frame [m].
+    :ivar placement: (4, 4) of the frame of each axis in that of the axis before it [m].
+    :ivar axis: (3,) unit direction of each axis in its frame.
+    :ivar turns: of each axis, whether it turns; else it slides.
+    :ivar place: (4, 4) pose of the end of the chain in the frame of the last axis [m].
     """
 
     def __init__(self) -> None:
+        """Begin without axes, at the root."""
         self.placement: list[Array] = []
         self.axis: list[Array] = []
         self.turns: list[bool] = []
@@ -104,45 +115,58 @@ class _Axes:
         return len(self.axis) - 1
 
 
-def elastic_chain(chain: Chain, springs: Sequence[LinkSpring]) -> tuple[Chain, tuple[int, ...], list[int]]:
+class ElasticChain(NamedTuple):
+    """A chain with a coordinate for each joint and each link spring.
+
+    :param chain: joints and springs in series.
+    :param joint_rows: (6,) coordinates of A1…A6 in it.
+    :param spring_rows: coordinates of the springs, in the order in which they were given.
+    """
+
+    chain: Chain
+    joint_rows: tuple[int, ...]
+    spring_rows: list[int]
+
+
+def elastic_chain(chain: Chain, springs: Sequence[LinkSpring]) -> ElasticChain:
     """Insert one coordinate per link spring into a chain of six joints.
 
     Springs at the beginning of a link follow its joint (for `base`: the root), springs at its end are at the origin of
     the next joint (for A6: the flange). The mass of the link is between the two.
-
-    :returns: the chain, the coordinates of A1…A6 in it, and those of `springs`.
     """
     axes = _Axes()
-    rows: dict[LinkSpring, int] = {}
-    joint_rows: list[int] = []
-    link_of_row: dict[int, int] = {}
-    for index, link in enumerate((BASE, *JOINTS)):
+    spring_row: dict[LinkSpring, int] = {}
+    joint_row: list[int] = []
+    mass_row: list[int] = []  # the last axis before the body of the link
+    for joint, link in enumerate((BASE, *JOINTS), start=-1):  # the link that follows a joint, −1 the base
         link_springs = [spring for spring in springs if spring.link == link]
-        if index:
-            joint_rows.append(axes.add(chain.axis[index - 1], turns=True))
-        rows |= {s: axes.add(s.direction, turns=not s.slides) for s in link_springs if not s.at_end}
-        if index:
-            link_of_row[len(axes.axis) - 1] = index - 1
-        axes.place = axes.place @ (chain.placement[index] if index < len(JOINTS) else chain.flange)
-        rows |= {s: axes.add(s.direction, turns=not s.slides) for s in link_springs if s.at_end}
+        if link != BASE:
+            joint_row.append(axes.add(chain.axis[joint], turns=True))
+        spring_row |= {s: axes.add(s.direction, turns=not s.slides) for s in link_springs if not s.at_end}
+        if link != BASE:
+            mass_row.append(len(axes.axis) - 1)
+        axes.place = axes.place @ (chain.flange if link == JOINTS[-1] else chain.placement[joint + 1])
+        spring_row |= {s: axes.add(s.direction, turns=not s.slides) for s in link_springs if s.at_end}
 
-    def over_axes(values: Array, source: dict[int, int], default: float) -> Array:
-        """Return an array over all axes: at row r the value `source[r]`, elsewhere a default."""
+    def over_axes(values: Array, rows: list[int], default: float) -> Array:
+        """Return an array over all axes: the values (6, ...) of joints or links at their rows, elsewhere a default."""
         array = np.full((len(axes.axis), *values.shape[1:]), default)
-        array[list(source)] = values[list(source.values())]
+        array[rows] = values
         return array
 
-    joints = {row: joint for joint, row in enumerate(joint_rows)}
-    result = Chain(
-        placement=np.array(axes.placement),
-        axis=np.array(axes.axis),
-        turns=np.array(axes.turns),
-        flange=axes.place,
-        mass=over_axes(chain.mass, link_of_row, 0.0),
-        centre=over_axes(chain.centre, link_of_row, 0.0),
-        lower=over_axes(chain.lower, joints, -np.inf),
-        upper=over_axes(chain.upper, joints, np.inf),
-        speed=over_axes(chain.speed, joints, np.inf),
-        effort=over_axes(chain.effort, joints, 0.0),
+    return ElasticChain(
+        Chain(
+            placement=np.array(axes.placement),
+            axis=np.array(axes.axis),
+            turns=np.array(axes.turns),
+            flange=axes.place,
+            mass=over_axes(chain.mass, mass_row, 0.0),
+            centre=over_axes(chain.centre, mass_row, 0.0),
+            lower=over_axes(chain.lower, joint_row, -np.inf),
+            upper=over_axes(chain.upper, joint_row, np.inf),
+            speed=over_axes(chain.speed, joint_row, np.inf),
+            effort=over_axes(chain.effort, joint_row, 0.0),
+        ),
+        tuple(joint_row),
+        [spring_row[spring] for spring in springs],
     )
-    return result, tuple(joint_rows), [rows[spring] for spring in springs]

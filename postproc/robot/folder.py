@@ -41,6 +41,12 @@ from postproc.robot.parameters import LinkMass, LinkSpring, Parameter
 
 _WRIST = JOINTS[3:]
 """Joints whose gears may be coupled."""
+_SUM_ROUNDING = 1e-6
+"""Relative excess of a sum of parts over the whole that rounding of the written numbers explains."""
+_ASYMMETRY = 1e-6
+"""Relative difference of mirrored values of a covariance that rounding of the written numbers explains."""
+_NEGATIVE_EIGENVALUE = -1e-9
+"""Least eigenvalue of a covariance, in shares of its largest value, that rounding explains."""
 
 
 def shipped_models() -> dict[str, Path]:
@@ -80,13 +86,7 @@ def load(folder: str | Path) -> RobotModel:
     file_name = str(folder / "model.toml")
     _check_joint_names(content, file_name)
     for name, spring in content.joints.items():
-        if spring.fades > spring.compliance_urad_per_Nm * (1 + 1e-6):
-            raise ModelError(
-                f"[joints.{name}]: the sum of the stiffening parts exceeds the compliance",
-                file=file_name,
-                advice="Reduce the stiffening parts, or raise the compliance.",
-            )
-        _check_terms(name, spring, file_name)
+        _check_spring(name, spring, file_name)
     _check_covariance(content, file_name)
     _check_angles(content.geometry_error, file_name)
     if content.discrepancy is not None:
@@ -142,16 +142,13 @@ def _check_discrepancy(discrepancy: DiscrepancyEntry, file_name: str) -> None:
 
 
 def assemble(name: str, content: ModelFile, nominal: Chain) -> RobotModel:
-    """Build a `RobotModel` from the content of `model.toml` and the controller's geometry."""
-    placement, flange = nominal.placement.copy(), nominal.flange
-    for place, entry in content.geometry.items():
-        if place == FLANGE:
-            flange = flange @ _placement(entry)
-        else:
-            placement[JOINTS.index(place)] = placement[JOINTS.index(place)] @ _placement(entry)
-    actual = replace(nominal, placement=placement, flange=flange)
-    if (payload := content.payload) is not None:
-        actual = actual.with_payload(payload.mass_kg, np.array([payload.X_mm, payload.Y_mm, payload.Z_mm]) * M_PER_MM)
+    """Build a `RobotModel` from the content of `model.toml` and the controller's geometry.
+
+    :param name: of the model folder.
+    :param content: checked, as `load` does.
+    :param nominal: geometry, limits and masses of robot.urdf.
+    """
+    actual = _actual_chain(content, nominal)
     values, load_range = parameters.stated_values(content), content.measured
     covariance, stated_spread = _covariance(content)
     rigid = RobotModel(
@@ -185,16 +182,38 @@ def assemble(name: str, content: ModelFile, nominal: Chain) -> RobotModel:
     return rigid.with_link_springs(springs).with_values(values)
 
 
-def _check_terms(name: str, spring: JointSpring, file_name: str) -> None:
-    """Refuse couplings outside the wrist, and waves over the pose without an angle or stated twice.
+def _actual_chain(content: ModelFile, nominal: Chain) -> Chain:
+    """Return the calibrated chain of a model file, with the payload that it carried during the measurements."""
+    placement, flange = nominal.placement.copy(), nominal.flange
+    for place, entry in content.geometry.items():
+        if place == FLANGE:
+            flange = flange @ _placement(entry)
+        else:
+            placement[JOINTS.index(place)] = placement[JOINTS.index(place)] @ _placement(entry)
+    actual = replace(nominal, placement=placement, flange=flange)
+    if (payload := content.payload) is None:
+        return actual
+    return actual.with_payload(payload.mass_kg, np.array([payload.X_mm, payload.Y_mm, payload.Z_mm]) * M_PER_MM)
 
-    :raises ModelError: there is one.
+
+def _check_spring(name: str, spring: JointSpring, file_name: str) -> None:
+    """Check the entry of one joint: its fading parts, its couplings and its waves over the pose.
+
+    :param name: of the joint, ``A1`` … ``A6``.
+    :raises ModelError: fading parts exceed the compliance, a coupling is outside the wrist or stated at the later of
+        its joints, or a wave has no angle or is stated twice.
     """
-    valid = _WRIST[_WRIST.index(name) + 1 :] if name in _WRIST else ()
-    unknown_joints = [second for second in spring.coupling if second not in valid]
-    if unknown_joints:
+    if spring.fades > spring.compliance_urad_per_Nm * (1 + _SUM_ROUNDING):
         raise ModelError(
-            f"[joints.{name}] coupling: {name} and {unknown_joints[0]} are no pair of the wrist",
+            f"[joints.{name}]: the sum of the stiffening parts exceeds the compliance",
+            file=file_name,
+            advice="Reduce the stiffening parts, or raise the compliance.",
+        )
+    later_wrist_joints = _WRIST[_WRIST.index(name) + 1 :] if name in _WRIST else ()
+    wrong_joints = [second for second in spring.coupling if second not in later_wrist_joints]
+    if wrong_joints:
+        raise ModelError(
+            f"[joints.{name}] coupling: {name} and {wrong_joints[0]} are no pair of the wrist",
             file=file_name,
             advice="State those of A4 with A5 or A6 in [joints.A4.coupling], of A5 with A6 in [joints.A5.coupling].",
         )
@@ -216,6 +235,9 @@ def _covariance(content: ModelFile) -> tuple[Covariance | None, tuple[Parameter,
 
     `sigma_percent` counts for parameters that [covariance] does not name, independent of all others. K_c and s_0 are
     identified together: where the table names one of them, the spread of K_c is not used.
+
+    :returns: the covariance, None without a table and without spreads; the parameters with a stated spread, which are
+        the last ones of the covariance.
     """
     table, law = content.covariance, content.compensator
     names = [] if table is None else [name for name in table.parameters if name != FORCES]
@@ -240,7 +262,10 @@ def _covariance(content: ModelFile) -> tuple[Covariance | None, tuple[Parameter,
 
 
 def _force_factor(content: ModelFile, covariance: Covariance | None) -> ForceFactor | None:
-    """Return the cutting law that the model was identified with, and the covariance of its factor; None without one."""
+    """Return the cutting law that the model was identified with, and the covariances of its factor; None without a law.
+
+    Parameters that [covariance] does not name, whose spread is stated, are independent of the factor.
+    """
     law, table = content.forces, content.covariance
     if law is None or table is None or covariance is None:
         return None
@@ -267,7 +292,7 @@ def _geometry_error(entry: GeometryErrorEntry | None) -> GeometryError | None:
 
 
 def _placement(entry: Displacement) -> Array:
-    """Return the pose (4, 4) [m] of a displacement in mm, with its rotation vector in degrees."""
+    """Return the pose (4, 4) [m] of a displacement, which a file states in mm and as a rotation vector in degrees."""
     pose = np.eye(4)
     pose[:3, :3] = rotation_from_vector(np.array([entry.RX_deg, entry.RY_deg, entry.RZ_deg]) * RAD_PER_DEG)
     pose[:3, 3] = np.array([entry.X_mm, entry.Y_mm, entry.Z_mm]) * M_PER_MM
@@ -288,9 +313,9 @@ def _check_angles(entry: GeometryErrorEntry | None, file_name: str) -> None:
 
 
 def _check_covariance(content: ModelFile, file_name: str) -> None:
-    """Check [covariance] against the model.
+    """Check [covariance], and that it names the factor of the forces exactly if [forces] states their law.
 
-    :raises ModelError: names, size or values do not fit.
+    :raises ModelError: a name is not that of a parameter, the size does not fit, or the matrix is no covariance.
     """
     covariance = content.covariance
     if (content.forces is not None) != (covariance is not None and FORCES in covariance.parameters):
@@ -312,9 +337,9 @@ def _check_covariance(content: ModelFile, file_name: str) -> None:
     if matrix is None:
         problem = f"[covariance] matrix is neither {size}×{size} nor the lower triangle of that"
         raise ModelError(problem, file=file_name, advice="Give a row for each parameter, with as many numbers in each.")
-    if not np.allclose(matrix, matrix.T, rtol=1e-6, atol=0.0) or np.linalg.eigvalsh(matrix).min(
-        initial=0.0
-    ) < -1e-9 * np.abs(matrix).max(initial=0.0):
+    is_symmetric = np.allclose(matrix, matrix.T, rtol=_ASYMMETRY, atol=0.0)
+    least_allowed = _NEGATIVE_EIGENVALUE * np.abs(matrix).max(initial=0.0)
+    if not is_symmetric or np.linalg.eigvalsh(matrix).min(initial=0.0) < least_allowed:
         raise ModelError(
             "[covariance] matrix is not symmetric positive semidefinite",
             file=file_name,
@@ -338,10 +363,8 @@ def sourced_values(content: ModelFile, nominal: Chain) -> Iterator[SourcedValue]
         )
         yield SourcedValue(f"calibrated {name}", value, entry.source, entry.assumed)
     for name, gear in content.transmission.items():
-        first_order, second_order = (
-            f"{gear.sin_urad:.3g}, {gear.cos_urad:.3g}",
-            f"{gear.sin2_urad:.3g}, {gear.cos2_urad:.3g}",
-        )
+        first_order = f"{gear.sin_urad:.3g}, {gear.cos_urad:.3g}"
+        second_order = f"{gear.sin2_urad:.3g}, {gear.cos2_urad:.3g}"
         value = f"{first_order} µrad once a turn (sin, cos), {second_order} µrad twice"
         yield SourcedValue(f"transmission {name}", value, gear.source, gear.assumed)
     yield from _bound_values(content)
@@ -370,14 +393,16 @@ def _joint_values(content: ModelFile) -> Iterator[SourcedValue]:
 
 def _compensator_values(content: ModelFile) -> Iterator[SourcedValue]:
     """Yield the values of the gravity compensator, if the model has one."""
-    if (spring_law := content.compensator) is not None:
-        value = f"L {spring_law.L_mm:g}, a_x {spring_law.a_x_mm:g}, a_y {spring_law.a_y_mm:g} mm"
-        geometry_source = spring_law.geometry_source or spring_law.source
-        is_assumed = spring_law.assumed and not spring_law.geometry_source
-        yield SourcedValue("compensator geometry", value, geometry_source, is_assumed)
-        stiffness = f"K_c {spring_law.stiffness_N_per_m:g} N/m{_sigma(spring_law.sigma_percent)}"
-        value = f"{stiffness}, s_0 {spring_law.free_length_mm:g} mm"
-        yield SourcedValue("compensator spring", value, spring_law.source, spring_law.assumed)
+    if (entry := content.compensator) is None:
+        return
+    geometry = f"L {entry.L_mm:g}, a_x {entry.a_x_mm:g}, a_y {entry.a_y_mm:g} mm"
+    geometry_source = entry.geometry_source or entry.source
+    is_assumed = entry.assumed and not entry.geometry_source
+    yield SourcedValue("compensator geometry", geometry, geometry_source, is_assumed)
+    stiffness = f"K_c {entry.stiffness_N_per_m:g} N/m{_sigma(entry.sigma_percent)}"
+    yield SourcedValue(
+        "compensator spring", f"{stiffness}, s_0 {entry.free_length_mm:g} mm", entry.source, entry.assumed
+    )
 
 
 def _angles(entry: GeometryErrorEntry) -> str:
@@ -387,7 +412,7 @@ def _angles(entry: GeometryErrorEntry) -> str:
 
 
 def _bound_values(content: ModelFile) -> Iterator[SourcedValue]:
-    """Yield the bound of the model's error as lines of the listing."""
+    """Yield what is known of the model's error: unmodelled error, error of the geometry, range of the measurements."""
     if (discrepancy := content.discrepancy) is not None:
         pairs = zip(discrepancy.u95_mm, discrepancy.load_N, strict=False)
         value = ", ".join(f"{u95:.2g} mm at {load:.0f} N" for u95, load in pairs)
@@ -402,7 +427,10 @@ def _bound_values(content: ModelFile) -> Iterator[SourcedValue]:
 
 
 def _nominal_values(content: ModelFile, nominal: Chain) -> Iterator[SourcedValue]:
-    """Yield masses, geometry and speeds as the URDF has them."""
+    """Yield the masses of the links (identified ones first), the geometry and the speeds of the joints [°/s].
+
+    :param nominal: masses and speeds of robot.urdf; the masses count for links without an identified one.
+    """
     stated_masses = dict(LinkMass.from_file(content))
     masses = ", ".join(
         f"{stated_masses.get(LinkMass(name), mass):.4g}" for name, mass in zip(JOINTS, nominal.mass, strict=True)
@@ -419,9 +447,11 @@ def _nominal_values(content: ModelFile, nominal: Chain) -> Iterator[SourcedValue
 
 def _basis(spring: JointSpring) -> Basis:
     """Return where the compliance of a joint comes from, if it was not identified."""
-    return "scaled" if spring.scaled_from else "assumed" if spring.assumed else "published"
+    if spring.scaled_from:
+        return "scaled"
+    return "assumed" if spring.assumed else "published"
 
 
 def _sigma(percent: float | None) -> str:
-    """Return a relative standard deviation in brackets with a leading space, "" without one."""
+    """Return a relative standard deviation [%] in brackets with a leading space, "" without one."""
     return "" if percent is None else f" (σ {percent:g} %)"

@@ -11,6 +11,7 @@ from __future__ import annotations
 import datetime
 from collections.abc import Mapping
 from itertools import pairwise
+from typing import NamedTuple
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -24,6 +25,7 @@ from postproc.robot import urdf
 from postproc.robot.chain import Chain
 from postproc.robot.folder import load, shipped_models
 from postproc.robot.model_file import FLANGE, JOINTS, JointSpring, Masses, ModelFile, SourcedEntry
+from postproc.robot.parameters import PER_URAD
 from postproc.robot.rating import rated_payload
 from postproc.robot.urdf import AnyArm
 
@@ -33,6 +35,9 @@ _FLANGE_AXES = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
 """The flange at zero: {A 0, B 90, C 0}."""
 _TOLERANCE = 1e-3
 """Angles [rad] and lengths [m] by which the arm may miss KUKA's zero position."""
+_PERPENDICULAR = 1e-9
+"""Added to the cosine of an axis before its sign is taken: an axis that is perpendicular, to rounding, is not turned
+round."""
 _ROUND = 7
 """Decimals of lengths [m]; further ones are rounding of the file."""
 _REFERENCE = "kuka_kr270"
@@ -119,11 +124,28 @@ def adopt(text: str, file: str, name: str | None = None) -> AdoptedModel:
     return AdoptedModel(chain, content, tuple(notes), old_frames)
 
 
-def _to_kuka_form(arm: AnyArm, file: str) -> tuple[Chain, Array, list[str]]:
-    """Return the chain with KUKA's signs and zero positions, where the old frames are, and notes on what changed."""
-    base = _pose_of_base(arm, file)
+class _KukaForm(NamedTuple):
+    """An arm in KUKA's conventions.
+
+    :param chain: with KUKA's signs and zero positions.
+    :param old_frames: (7, 4, 4) `AdoptedModel.moved` [m].
+    :param notes: on what was changed, and how tool0 is turned against KUKA's flange.
+    """
+
+    chain: Chain
+    old_frames: Array
+    notes: list[str]
+
+
+def _to_kuka_form(arm: AnyArm, file: str) -> _KukaForm:
+    """Return an arm with KUKA's signs and zero positions.
+
+    :param file: name of the URDF, for messages.
+    :raises ModelError: the flange is missing, a link is not unique, or no pose of the arm is KUKA's zero position.
+    """
+    first_link = np.linalg.inv(_pose_of_base(arm, file))
     placement = arm.chain.placement.copy()
-    placement[0] = np.linalg.inv(base) @ placement[0]
+    placement[0] = first_link @ placement[0]
     source, zero = _count_from_kuka_zero(replace(arm.chain, placement=placement, flange=_pose_of_flange(arm, file)))
     frames, flange = (array[0] for array in source.joint_frames(np.zeros((1, len(JOINTS)))))
     axis = np.einsum("jab,jb->ja", frames[:, :3, :3], source.axis)
@@ -133,7 +155,7 @@ def _to_kuka_form(arm: AnyArm, file: str) -> tuple[Chain, Array, list[str]]:
     centre = np.einsum("jab,jb->ja", frames[:, :3, :3], source.centre) + frames[:, :3, 3] - origin
     placement = np.tile(np.eye(4), (len(JOINTS), 1, 1))
     placement[:, :3, 3] = np.round(np.diff(origin, axis=0, prepend=0.0), _ROUND)
-    old_frames = np.concatenate([np.linalg.inv(base)[None], frames])
+    old_frames = np.concatenate([first_link[None], frames])
     old_frames[1:, :3, 3] -= origin
     tip = np.eye(4)
     tip[:3, :3], tip[:3, 3] = _FLANGE_AXES, np.round(flange[:3, 3] - origin[-1], _ROUND)
@@ -147,12 +169,20 @@ def _to_kuka_form(arm: AnyArm, file: str) -> tuple[Chain, Array, list[str]]:
         lower=np.where(sign > 0, source.lower, -source.upper),
         upper=np.where(sign > 0, source.upper, -source.lower),
     )
+    return _KukaForm(chain, old_frames, _change_notes(sign, zero, flange))
+
+
+def _change_notes(sign: Array, zero: Array, flange: Array) -> list[str]:
+    """Return a sentence for each convention in which a URDF differs from KUKA's.
+
+    :param sign: (6,) −1 for joints that turn the other way.
+    :param zero: (6,) angles of KUKA's zero position as the URDF counts them [rad].
+    :param flange: (4, 4) of the URDF in the root at KUKA's zero position.
+    """
+    notes = []
     reversed_joints = ", ".join(name for name, direction in zip(JOINTS, sign, strict=True) if direction < 0)
-    notes = (
-        [f"joints turn the other way than KUKA's, signs and limits are changed: {reversed_joints}"]
-        if reversed_joints
-        else []
-    )
+    if reversed_joints:
+        notes.append(f"joints turn the other way than KUKA's, signs and limits are changed: {reversed_joints}")
     if zero.any():
         offsets = ", ".join(
             f"{name} {-angle * DEG_PER_RAD:.4g}°" for name, angle in zip(JOINTS, zero * sign, strict=True) if angle
@@ -162,37 +192,21 @@ def _to_kuka_form(arm: AnyArm, file: str) -> tuple[Chain, Array, list[str]]:
     if abs(angle) > _TOLERANCE:
         turn = f"by {angle * DEG_PER_RAD:.4g}°: $TOOL is in KUKA's flange frame, {{A 0, B 90, C 0}} at zero"
         notes.append(f"tool0 is turned about its axis against KUKA's flange {turn}")
-    return chain, old_frames, notes
+    return notes
 
 
 def _count_from_kuka_zero(arm: Chain) -> tuple[Chain, Array]:
     """Return the arm with its joints counted from KUKA's zero position, and the angles (6,) of that position [rad].
 
-    With all joints at zero a KUKA arm is stretched out along +X: the upper arm and the axes of A4 and A6 along X, the
-    axis of A5 along Y. One joint after the other is turned to it; A6 is not: the flange may be turned about its axis.
+    One joint after the other is turned to it; A6 is not: the flange may be turned about its axis.
     """
     zero = np.zeros(len(JOINTS))
-    x, y = np.eye(3)[:2]
     for joint in range(len(JOINTS) - 1):
         frames, flange = (array[0] for array in arm.joint_frames(zero[None]))
         axes = np.einsum("jab,jb->ja", frames[:, :3, :3], arm.axis)
-        points = frames[:, :3, 3]
-        if joint == 0:  # the upper arm may point anywhere: the front is where the axis of A2 is
-            normal = np.cross(axes[0], axes[1])
-            offset = (points[1] - points[0]) @ normal
-            goal, direction = (
-                (x, normal * offset) if abs(offset) > _TOLERANCE else (y, axes[1] * np.sign(axes[1] @ y + 1e-9))
-            )
-        elif joint == 1:
-            upper_arm = points[2] - points[1]
-            goal, direction = x, upper_arm - axes[1] * (upper_arm @ axes[1])
-        elif joint == 2:
-            goal, direction = x, axes[3] * np.sign(axes[3] @ (points[4] - points[2]) + 1e-9)
-        elif joint == 3:
-            goal, direction = y, axes[4] * np.sign(axes[4] @ y + 1e-9)
-        else:
-            goal, direction = x, flange[:3, 2]
+        goal, direction = _zero_goal(joint, axes, frames[:, :3, 3], flange)
         axis = axes[joint]
+        # angle about the axis from the direction to the goal, both projected on the plane perpendicular to it
         angle = float(
             np.arctan2(axis @ np.cross(direction, goal), direction @ goal - (direction @ axis) * (goal @ axis))
         )
@@ -202,8 +216,41 @@ def _count_from_kuka_zero(arm: Chain) -> tuple[Chain, Array]:
     return replace(arm, placement=placement, lower=arm.lower - zero, upper=arm.upper - zero), zero
 
 
+def _zero_goal(joint: int, axes: Array, points: Array, flange: Array) -> tuple[Array, Array]:
+    """Return what a joint must bring into line at KUKA's zero position: goal (3,), and direction (3,) on the arm.
+
+    With all joints at zero a KUKA arm is stretched out along +X: the upper arm and the axes of A4 and A6 along X, the
+    axis of A5 along Y.
+
+    :param joint: 0…4; the joints before it are at zero already.
+    :param axes: (6, 3) of the joints, root frame; `points` (6, 3) on them [m].
+    :param flange: (4, 4) in the root, its Z outward.
+    """
+    x, y = np.eye(3)[:2]
+    if joint == 0:  # the upper arm may point anywhere: the front is where the axis of A2 is
+        normal = np.cross(axes[0], axes[1])
+        offset = (points[1] - points[0]) @ normal
+        return (x, normal * offset) if abs(offset) > _TOLERANCE else (y, _towards(axes[1], y))
+    if joint == 1:
+        upper_arm = points[2] - points[1]
+        return x, upper_arm - axes[1] * (upper_arm @ axes[1])
+    if joint == 2:
+        return x, _towards(axes[3], points[4] - points[2])
+    if joint == 3:
+        return y, _towards(axes[4], y)
+    return x, flange[:3, 2]
+
+
+def _towards(axis: Array, direction: Array) -> Array:
+    """Return an axis (3,), turned round if it points away from a direction (3,)."""
+    return np.asarray(axis * np.sign(axis @ direction + _PERPENDICULAR))
+
+
 def _pose_of_base(arm: AnyArm, file: str) -> Array:
-    """Return the controller's root frame in the first link: `base`, else `base_link`, else that link's own frame."""
+    """Return the controller's root frame (4, 4) in the first link [m]: `base`, else `base_link`, else that link itself.
+
+    :raises ModelError: several links could be it.
+    """
     for name in ("base", "base_link"):
         pose = _frame(arm, name, -1, file)
         if pose is not None:
@@ -212,9 +259,11 @@ def _pose_of_base(arm: AnyArm, file: str) -> Array:
 
 
 def _pose_of_flange(arm: AnyArm, file: str) -> Array:
-    """Return KUKA's flange in the frame of the last joint.
+    """Return a flange (4, 4) with its Z outward in the frame of the last joint [m]: `tool0`, else `flange`.
 
     Z of `tool0` points out. X of `flange` does, or Z, as in the models of this package: the axis of A6 shows which.
+
+    :raises ModelError: neither is on the last link, or several links could be it.
     """
     kuka_axes = np.eye(4)
     kuka_axes[:3, :3] = _FLANGE_AXES
@@ -229,7 +278,13 @@ def _pose_of_flange(arm: AnyArm, file: str) -> Array:
 
 
 def _frame(arm: AnyArm, link: str, carrier: int, file: str) -> Array | None:
-    """Return the pose of a named link that a joint carries, or of the only one with a prefix before that name."""
+    """Return the pose (4, 4) [m] of a named link that a joint carries, or of the only one whose name ends in that name.
+
+    None if there is neither.
+
+    :param carrier: 0…5 the joint, in whose frame the pose is; −1: the base.
+    :raises ModelError: the names of several links end in the name.
+    """
     poses = {name: pose for name, (joint, pose) in arm.frames.items() if joint == carrier}
     names = [name for name in poses if name == link] or [
         name for name in poses if name.endswith((f"_{link}", f"/{link}"))
@@ -242,7 +297,12 @@ def _frame(arm: AnyArm, link: str, carrier: int, file: str) -> Array | None:
 
 
 def _check_zero(axis: Array, origin: Array, flange: Array, file: str) -> None:
-    """Refuse an arm that no angles of its joints bring into KUKA's zero position."""
+    """Check that an arm, stretched out as well as its joints can, is in KUKA's zero position.
+
+    :param axis: (6, 3) unit axes of the joints, root frame; `origin` (6, 3) points on them [m].
+    :param flange: (4, 4) in the root [m], its Z outward.
+    :raises ModelError: an axis is not parallel to that of a KUKA arm, or arm or flange do not point along +X.
+    """
     misalignment = 1.0 - np.abs(np.einsum("ja,ja->j", axis, _AXES))
     advice = (
         "With all joints at zero a KUKA arm is stretched out along +X: A1 turns about Z, A2, A3 and A5 about Y, A4 and "
@@ -269,6 +329,9 @@ def _origins(point: Array, flange: Array) -> Array:
     """Return a point on each axis (6, 3), root frame [m]: the points that KUKA's drawings give dimensions of.
 
     A1 at the height of A2; A2 and A3 in the plane of A1; A4 above A3; A5 on the axis of A4; A6 at the flange.
+
+    :param point: (6, 3) any point on each axis at KUKA's zero position, root frame [m].
+    :param flange: (3,) the origin of the flange there [m].
     """
     origin = point.copy()
     origin[0, 2] = point[1, 2]
@@ -280,31 +343,39 @@ def _origins(point: Array, flange: Array) -> Array:
 
 
 def _compliances(chain: Chain, payload: float | None) -> tuple[list[float], str]:
-    """Return compliances [µrad/(N·m)] by the size of the arm, and how they were found.
+    """Return compliances of A1…A6 [µrad/(N·m)] by the size of the arm, and in words how they follow from the reference.
 
     In arms built alike, torsional stiffness grows with the cube of the size and the load moment (payload times reach)
     with its fourth power. The reach alone is no size: of one class, the longer arm carries less and is not stiffer.
     The KR 270-2 is the reference: its values are published.
+
+    :param payload: rated [kg]; None if it is not known.
     """
     reference = load(shipped_models()[_REFERENCE])
     reference_reach, reach = _reach(reference.nominal), _reach(chain)
-    mm = f"{reference_reach * MM_PER_M:.0f}", f"{reach * MM_PER_M:.0f}"
+    reference_mm, reach_mm = f"{reference_reach * MM_PER_M:.0f}", f"{reach * MM_PER_M:.0f}"
     if payload is not None:
         factor = (_REFERENCE_PAYLOAD * reference_reach / (payload * reach)) ** 0.75
-        sizes = f"{_REFERENCE_PAYLOAD:.0f} kg at {mm[0]} mm to {payload:.0f} kg at {mm[1]} mm"
+        sizes = f"{_REFERENCE_PAYLOAD:.0f} kg at {reference_mm} mm to {payload:.0f} kg at {reach_mm} mm"
         reason = f"scaled by the load moment to the power of -3/4 ({sizes})"
     elif reach < reference_reach:
         factor = (reference_reach / reach) ** 3
-        reason = f"scaled by the cube of the reach ({mm[0]} to {mm[1]} mm)"
+        reason = f"scaled by the cube of the reach ({reference_mm} to {reach_mm} mm)"
     else:
         factor = 1.0
-        reason = f"unchanged, since the payload of this longer arm ({mm[1]} mm) is not in its name"
-    compliance = reference.compliance[list(reference.actuated)] * 1e6 * factor
+        reason = f"unchanged, since the payload of this longer arm ({reach_mm} mm) is not in its name"
+    compliance = reference.compliance[list(reference.actuated)] * PER_URAD * factor
     return [float(f"{value:.2g}") for value in compliance], f"that of the KR 270-2, {reason}"
 
 
 def _masses(chain: Chain, payload: float | None, file: str) -> tuple[Masses, list[str]]:
-    """Return the entry of the link masses, assumed where some are missing or their sum is implausible, and notes."""
+    """Return the entry of the link masses, and notes for the user.
+
+    They are marked as assumed where some are missing, or where their sum does not fit the size of the arm.
+
+    :param payload: rated [kg]; None if it is not known.
+    :param file: name of the URDF, the source of the masses.
+    """
     massless = [name for name, mass in zip(JOINTS, chain.mass, strict=True) if mass < _LIGHTEST]
     if len(massless) == len(JOINTS):
         note = "no link has a mass: give <inertial> in robot.urdf where the weight of the links is to count"
@@ -332,13 +403,20 @@ def _masses(chain: Chain, payload: float | None, file: str) -> tuple[Masses, lis
 
 
 def _reach(chain: Chain) -> float:
-    """Return the distance of the wrist from the axis of A1 with the arm stretched out [m]."""
-    step = chain.placement[:, :3, 3]
-    return float(step[1, 0] + np.linalg.norm(step[2]) + np.linalg.norm(step[3] + step[4]))
+    """Return the distance of the wrist from the axis of A1 with the arm stretched out [m].
+
+    :param chain: in KUKA's form: A2 is ahead of A1 along X.
+    """
+    offset = chain.placement[:, :3, 3]
+    upper_arm, forearm = np.linalg.norm(offset[2]), np.linalg.norm(offset[3] + offset[4])
+    return float(offset[1, 0] + upper_arm + forearm)
 
 
 def _model_text(chain: Chain, name: str, shapes: Mapping[tuple[int, str], str]) -> bytes:
-    """Return robot.urdf of an arm in KUKA's conventions; `shapes`: the mesh of each carrier and use."""
+    """Return robot.urdf of an arm in KUKA's conventions.
+
+    :param shapes: (carrier, "visual" or "collision") → name of the mesh; carrier 0…5: the joint, −1: the base.
+    """
     lines = [
         '<?xml version="1.0"?>',
         "<!-- Joints A1..A6 with KUKA's signs; root frame = $ROBROOT; at zero the arm is stretched out along +X. -->",
@@ -365,6 +443,7 @@ def _link_lines(chain: Chain, carrier: int, link: str, shapes: Mapping[tuple[int
     """Return the element of a link: its mass, and its meshes by use.
 
     :param carrier: joint that the link follows, 0 for A1, −1 for the base, whose mass no joint carries.
+    :param shapes: (carrier, "visual" or "collision") → name of the mesh.
     """
     content = []
     if carrier >= 0 and chain.mass[carrier] > 0.0:
@@ -400,5 +479,5 @@ def _joint_lines(chain: Chain, row: int, parent: str, child: str) -> list[str]:
 
 
 def _numbers(values: Array) -> str:
-    """Return numbers for an attribute; zero has no sign."""
+    """Return numbers (n,) as the text of an attribute, with a space between them; zero has no sign."""
     return " ".join(f"{without_negative_zero(value):.10g}" for value in values)

@@ -155,8 +155,9 @@ class GeometryError(Struct, frozen=True, eq=False):
         Beyond the measured angles it grows as the error of a straight line does that was fitted to readings spread
         evenly over a span: at a share x of the span beyond its end the variance is 1 + 12·(½ + x)² times that of the
         mean of the readings (Draper, Smith 1998, "Applied regression analysis", 1.4), 2 on average inside and 4 at the
-        end; what it grows by from there counts for each joint. What the readings do not hold at all, such as the waves
-        of a gear that did not turn, comes in by x, and in full at one span beyond.
+        end; what it grows by from there counts for each joint: 12·(x + x²), 6·(x + x²) times the average, which is
+        `u95`². What the readings do not hold at all, such as the waves of a gear that did not turn, comes in by x, and
+        in full at one span beyond.
         """
         beyond = np.maximum(np.maximum(self.lower - q, q - self.upper), 0.0)
         share = beyond / np.maximum(self.upper - self.lower, _SPAN_LEAST)
@@ -241,7 +242,7 @@ class OverPose(Struct, frozen=True, eq=False):
         return np.asarray(self.cos @ np.cos(phase) + self.sin @ np.sin(phase))
 
     def slopes(self, q: Array) -> Array:
-        """Return the derivatives (6, 6, n) of the compliance of the first joint by the angle of the second."""
+        """Return ∂(compliance of joint j)/∂q_i (6, 6, n) [1/(N·m)], in row j and column i, at angles q (6, n) [rad]."""
         phase = self.turns @ q
         by_phase = self.sin[:, :, None] * np.cos(phase) - self.cos[:, :, None] * np.sin(phase)
         return np.asarray(np.einsum("jkn,ki->jin", by_phase, self.turns))
@@ -323,11 +324,12 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
         return self.compliance - self._initial_compliance(self.terms)
 
     def _initial_compliance(self, terms: Iterable[tuple[Spring, float]]) -> Array:
-        """Return the compliance (nv,) of terms at small torque."""
+        """Return what terms add to the compliance (nv,) of their coordinates at small torque [rad/(N·m), m/N]."""
         zero, compliance = np.zeros(1), np.zeros(self.actual.nv)
         for parameter, value in terms:
             if parameter.is_compliance:
-                compliance[self.row(parameter)] += value * parameter.effect(zero, zero)[1][0]
+                _, slope = parameter.effect(zero, zero)
+                compliance[self.row(parameter)] += value * slope[0]
         return compliance
 
     @cached_property
@@ -353,7 +355,10 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
         return compliance
 
     def pairs(self, parameter: Spring) -> tuple[tuple[int, int], ...]:
-        """Return the coordinates that a spring deflects, each with the coordinate whose torque does so."""
+        """Return the coordinates that a spring deflects, each with the coordinate whose torque deflects it.
+
+        :raises ModelError: this robot does not have the spring.
+        """
         row = self.row(parameter)
         if not isinstance(parameter, GearCoupling):
             return ((row, row),)
@@ -378,7 +383,10 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
         return row
 
     def value(self, parameter: Parameter) -> float:
-        """Return the (linear) value of a parameter, SI; zero where the robot has no such spring or compensator."""
+        """Return the (linear) value of a parameter, SI; zero where the robot has no such spring or compensator.
+
+        :raises ModelError: the parameter is of a kind that no robot has.
+        """
         if isinstance(parameter, CompensatorTorque):
             return 0.0 if self.compensator is None else parameter.of(self.compensator)
         if isinstance(parameter, LinkMass):
@@ -411,7 +419,11 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
         return f"measured on this robot, but for {names}: {origin}"
 
     def _stated_basis(self) -> str:
-        """Return the basis of the compliances that were not identified, the worst by name."""
+        """Return where the compliances come from that were not identified, in words.
+
+        The best basis among them comes first; joints with another one follow by name, as in "from published values,
+        A4, A5 assumed".
+        """
         joints = dict.fromkeys(
             parameter.joint for parameter in self.stated_spread if isinstance(parameter, JointCompliance)
         )
@@ -428,6 +440,7 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
 
         :param for_drawing: True for <visual> shapes, False for <collision> shapes; a link with only the other kind
             has that.
+        :returns: surfaces in the frames of their joints [m], the base first; the sentences.
         """
         carriers = {geometry.carrier for geometry in self.geometries if geometry.drawn == for_drawing}
         selection = [
@@ -488,9 +501,11 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
         )
 
     def with_values(self, values: Mapping[Parameter, float]) -> RobotModel:
-        """Return the robot with other (linear) values of some parameters, SI."""
+        """Return the robot with other (linear) values of some parameters, SI.
+
+        :raises ModelError: the robot does not have a spring or link of them.
+        """
         steady, terms = self.steady.copy(), dict(self.terms)
-        law = self.compensator
         for parameter, value in values.items():
             if not isinstance(parameter, Spring):
                 continue
@@ -498,28 +513,38 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
                 steady[self.row(parameter)] = value
             else:
                 terms[parameter] = value
-        if law is not None and any(isinstance(parameter, CompensatorTorque) for parameter in values):
-            if (size := values.get(CompensatorSize())) is not None:
-                law = law.with_spring(size, size * law.free_length)
-            else:
-                law = law.with_spring(*(values.get(parameter, self.value(parameter)) for parameter in COMPENSATOR))
-        with np.errstate(divide="ignore"):
+        with np.errstate(divide="ignore"):  # rigid springs: infinite stiffness
             stiffness = np.diag(1.0 / (steady + self._initial_compliance(terms.items())))
-        heavier = self._with_masses({p: value for p, value in values.items() if isinstance(p, LinkMass)})
-        return replace(heavier, stiffness=stiffness, terms=tuple(terms.items()), compensator=law)
+        robot = self._with_masses({p: value for p, value in values.items() if isinstance(p, LinkMass)})
+        compensator = self._compensator_with(values)
+        return replace(robot, stiffness=stiffness, terms=tuple(terms.items()), compensator=compensator)
+
+    def _compensator_with(self, values: Mapping[Parameter, float]) -> Compensator | None:
+        """Return the compensator with the values of its parameters among `values`, SI; None without compensator."""
+        law = self.compensator
+        if law is None or not any(isinstance(parameter, CompensatorTorque) for parameter in values):
+            return law
+        if (size := values.get(CompensatorSize())) is not None:
+            return law.with_spring(size, size * law.free_length)
+        stiffness, preload = (values.get(parameter, self.value(parameter)) for parameter in COMPENSATOR)
+        return law.with_spring(stiffness, preload)
 
     def _with_masses(self, masses: Mapping[LinkMass, float]) -> RobotModel:
         """Return the robot with other masses of links [kg]; the payload is unchanged."""
-        nominal, actual, with_payload = self.nominal, self.actual, self.loaded
+        nominal, actual, loaded = self.nominal, self.actual, self.loaded
+        has_payload = loaded is not actual
         for link, mass in masses.items():
             difference, centre, row = mass - self.value(link), nominal.centre[link.index], self.row(link)
             nominal = nominal.with_mass(link.index, difference, centre)
-            bare, actual = actual, actual.with_mass(row, difference, centre)
-            with_payload = actual if with_payload is bare else with_payload.with_mass(row, difference, centre)
-        return replace(self, nominal=nominal, actual=actual, loaded=with_payload)
+            actual = actual.with_mass(row, difference, centre)
+            loaded = loaded.with_mass(row, difference, centre) if has_payload else actual
+        return replace(self, nominal=nominal, actual=actual, loaded=loaded)
 
     def with_root(self, root: Array) -> RobotModel:
-        """Return the model whose real arm, not that of the controller, stands displaced by (4, 4) in its root [m]."""
+        """Return the model whose real arm is displaced as a whole; the controller's geometry is unchanged.
+
+        :param root: (4, 4) displacement in the root of the robot [m].
+        """
         actual = self.actual.with_root(root)
         loaded = actual if self.loaded is self.actual else self.loaded.with_root(root)
         return replace(self, actual=actual, loaded=loaded)
@@ -541,7 +566,7 @@ def waves(q: Array) -> Array:
 
 
 def _missing_parameter(parameter: Parameter) -> ModelError:
-    """Return the error for a covariance of a parameter that the model lacks."""
+    """Return the error for a parameter that the model lacks: [covariance] is where files name parameters."""
     return ModelError(
         f"[covariance] names {parameter.name!r}, which the model does not have",
         advice="Identify the model anew, or remove [covariance].",

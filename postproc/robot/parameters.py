@@ -82,15 +82,28 @@ class Parameter(Struct, frozen=True):
         """Yield the parameters of this kind that a model file holds, with their (linear) values, SI."""
 
     @abstractmethod
-    def write(self, tables: dict[str, Any], value: float, half: float, source: str) -> None:
-        """Put a value and the half width of its 95 % interval, in units of the file, into tables of model.toml."""
+    def write(self, tables: dict[str, Any], value: float, half_width: float, source: str) -> None:
+        """Put a value into tables of model.toml.
+
+        :param tables: name → content, e.g. ``joints`` → ``A1`` → entry; they are changed.
+        :param value: in units of the file.
+        :param half_width: of its 95 % interval, in units of the file; most entries have no key for it.
+        :param source: where the value comes from, in words.
+        """
 
     def partners(self) -> tuple[Parameter, ...]:
-        """Return the other parameters that its value in model.toml depends on."""
+        """Return the other parameters with which its value in model.toml is converted: one depends on the other there.
+
+        The whole compliance of a joint in model.toml contains the parts that fade; s₀ is the preload divided by K_c.
+        """
         return ()
 
     def file_value(self, values: Mapping[Parameter, float]) -> tuple[float, dict[Parameter, float]]:
-        """Return the value in units of the file, and its derivatives by the linear values `values` (SI)."""
+        """Return the value in units of the file, and its derivatives by linear values.
+
+        :param values: linear values (SI) of this parameter and of its partners.
+        :returns: the value; parameter → derivative of the value, for those of `values` on which it depends.
+        """
         return self.per_si * values[self], {self: self.per_si}
 
 
@@ -108,7 +121,7 @@ class Spring(Parameter, frozen=True):
     signed: ClassVar[bool] = False
 
     def effect(self, torque: Array, rest: Array) -> tuple[Array, Array]:
-        """Return the deflection (N,) per unit of the parameter, and its derivative by the torque.
+        """Return the deflection per unit of the parameter (N,), and its derivative by the torque (N,).
 
         :param torque: (N,) on the spring, in addition to `rest` [N·m, N].
         :param rest: (N,) torque at which the deflection is zero [N·m, N].
@@ -127,7 +140,11 @@ class CompensatorTorque(Parameter, frozen=True):
 
     @abstractmethod
     def effect(self, law: Compensator, q2: Array) -> tuple[Array, Array]:
-        """Return the torque U_c′ (N,) and the stiffness U_c″ per unit of the parameter at q2 (N,) [rad]."""
+        """Return the torque U_c′ (N,) and the stiffness U_c″ (N,) on joint 2 per unit of the parameter.
+
+        :param law: gives the geometry, and of `CompensatorSize` the free length.
+        :param q2: (N,) angle of joint 2 [rad].
+        """
 
     @abstractmethod
     def of(self, law: Compensator) -> float:
@@ -140,17 +157,17 @@ class CompensatorTorque(Parameter, frozen=True):
 
     @property
     def place(self) -> str:
-        """Return the compensator."""
+        """Return the compensator and its joint, in words."""
         return f"the compensator at {self.joint}"
 
     @classmethod
     def from_name(cls, name: str) -> Self | None:
-        """Return the parameter if this is its name."""
+        """Return the parameter if `name` is its name in files, else None."""
         return cls() if name == cls().name else None
 
 
 class _JointSpring(Spring, frozen=True):
-    """A spring of the gear of one joint."""
+    """A spring of the gear of one joint, ``A1`` … ``A6``."""
 
     joint: str
 
@@ -186,24 +203,27 @@ class JointCompliance(_JointSpring, frozen=True):
 
     @classmethod
     def from_name(cls, name: str) -> Self | None:
-        """Return the compliance of a joint."""
+        """Return the compliance with a name in files like ``k1``, or None."""
         return next((cls(joint) for joint in JOINTS if name == cls(joint).name), None)
 
     @classmethod
     def from_file(cls, content: ModelFile) -> Iterator[tuple[Self, float]]:
-        """Yield the compliances of [joints] without the parts that fade."""
+        """Yield the compliances of [joints] without the parts that fade [rad/(N·m)]."""
         for joint in JOINTS:
             spring = content.joints[joint]
             yield cls(joint), (spring.compliance_urad_per_Nm - spring.fades) / PER_URAD
 
-    def write(self, tables: dict[str, Any], value: float, half: float, source: str) -> None:
-        """Write [joints.A1]."""
-        tables["joints"][self.joint] = {"source": source, "compliance_urad_per_Nm": value, "ci95": half}
+    def write(self, tables: dict[str, Any], value: float, half_width: float, source: str) -> None:
+        """Put compliance and half width of its 95 % interval [µrad/(N·m)] into [joints.A1] of the tables of a file."""
+        tables["joints"][self.joint] = {"source": source, "compliance_urad_per_Nm": value, "ci95": half_width}
 
     def file_value(self, values: Mapping[Parameter, float]) -> tuple[float, dict[Parameter, float]]:
-        """Return the compliance at small torque, fading parts included."""
-        slopes = dict.fromkeys((p for p in values if p == self or self in p.partners()), self.per_si)
-        return sum(slope * values[p] for p, slope in slopes.items()), slopes
+        """Return the compliance at small torque [µrad/(N·m)], and its derivatives by this part and the fading ones.
+
+        :param values: linear values [rad/(N·m)]: of this parameter, and of the parts that fade, if there are any.
+        """
+        parts = [part for part in values if part == self or self in part.partners()]
+        return sum(self.per_si * values[part] for part in parts), dict.fromkeys(parts, self.per_si)
 
 
 class FadingPart(_NonlinearSpring, frozen=True):
@@ -225,37 +245,40 @@ class FadingPart(_NonlinearSpring, frozen=True):
 
     @property
     def title(self) -> str:
-        """Return joint and torque in words."""
+        """Heading in reports: joint and torque, in words."""
         return f"{JointCompliance(self.joint).name}, fades beyond {self.torque:g} N·m"
 
     @classmethod
     def from_name(cls, name: str) -> Self | None:
-        """Return the part of a name like ``k6@6.2``, with the mark of the class."""
-        head, _, torque = name.partition(cls.mark)
-        whole = JointCompliance.from_name(head)
+        """Return the part with a name in files like ``k6@6.2``, or None; `mark` is between joint and torque."""
+        compliance_name, _, torque = name.partition(cls.mark)
+        compliance = JointCompliance.from_name(compliance_name)
         try:
-            return None if whole is None else cls(whole.joint, float(torque))
+            return None if compliance is None else cls(compliance.joint, float(torque))
         except ValueError:
             return None
 
     @classmethod
     def from_file(cls, content: ModelFile) -> Iterator[tuple[Self, float]]:
-        """Yield the parts under `key` of [joints]."""
+        """Yield the parts under `key` of [joints], with their compliances at small torque [rad/(N·m)]."""
         for joint in JOINTS:
             for part in getattr(content.joints[joint], cls.key):
                 yield cls(joint, part.torque_Nm), part.compliance_urad_per_Nm / PER_URAD
 
-    def write(self, tables: dict[str, Any], value: float, half: float, source: str) -> None:
-        """Add to `key` of the joint."""
+    def write(self, tables: dict[str, Any], value: float, half_width: float, source: str) -> None:
+        """Add the part to those under `key` of its joint in the tables of a file; `value` [µrad/(N·m)]."""
         part = {"torque_Nm": self.torque, "compliance_urad_per_Nm": value}
         tables["joints"][self.joint].setdefault(self.key, []).append(part)
 
     def partners(self) -> tuple[Parameter, ...]:
-        """Return the compliance of the joint, which contains the part."""
+        """Return the compliance of the joint, which contains the part in model.toml."""
         return (JointCompliance(self.joint),)
 
     def effect(self, torque: Array, rest: Array) -> tuple[Array, Array]:
-        """Return T·(f(u) − f(u₀)) and f′(u)."""
+        """Return T·(asinh u − asinh u₀) (N,) and its derivative by the torque, 1/√(1 + u²) (N,).
+
+        T is `self.torque`, u₀ = rest/T, u = (torque + rest)/T; torques (N,) [N·m].
+        """
         u0 = rest / self.torque
         u = torque / self.torque + u0
         return self.torque * (np.arcsinh(u) - np.arcsinh(u0)), 1.0 / np.sqrt(1.0 + u**2)
@@ -274,11 +297,14 @@ class Knee(FadingPart, frozen=True):
 
     @property
     def title(self) -> str:
-        """Return joint and torque in words."""
+        """Heading in reports: joint and torque, in words."""
         return f"{JointCompliance(self.joint).name}, up to {self.torque:g} N·m"
 
     def effect(self, torque: Array, rest: Array) -> tuple[Array, Array]:
-        """Return T·(f(u) − f(u₀)) and f′(u)."""
+        """Return T·(f(u) − f(u₀)) (N,) with f(u) = u/(1 + u⁴)^¼, and its derivative f′(u) = (1 + u⁴)^(−5/4) (N,).
+
+        T is `self.torque`, u₀ = rest/T, u = (torque + rest)/T; torques (N,) [N·m].
+        """
         u0 = rest / self.torque
         u = torque / self.torque + u0
         loaded_base, rest_base = 1.0 + u**4, 1.0 + u0**4
@@ -303,7 +329,7 @@ class Backlash(_NonlinearSpring, frozen=True):
 
     @property
     def title(self) -> str:
-        """Return the name of the joint for headings."""
+        """Heading in reports: what it is, and of which joint."""
         return f"{self.key.replace('_', ' ')} of {self.joint}"
 
     @property
@@ -318,26 +344,29 @@ class Backlash(_NonlinearSpring, frozen=True):
 
     @classmethod
     def from_name(cls, name: str) -> Self | None:
-        """Return the parameter of a name like ``A4.backlash@3``, with the key of the class."""
-        head, _, torque = name.partition(f".{cls.key}@")
+        """Return the parameter with a name in files like ``A4.backlash@3``, `key` between joint and torque, or None."""
+        joint, _, torque = name.partition(f".{cls.key}@")
         try:
-            return cls(head, float(torque)) if head in JOINTS else None
+            return cls(joint, float(torque)) if joint in JOINTS else None
         except ValueError:
             return None
 
     @classmethod
     def from_file(cls, content: ModelFile) -> Iterator[tuple[Self, float]]:
-        """Yield the entries under `key` of [joints]."""
+        """Yield the entries under `key` of [joints], with their angles [rad]."""
         for joint in JOINTS:
             if (play := getattr(content.joints[joint], cls.key)) is not None:
                 yield cls(joint, play.torque_Nm), play.angle_urad / PER_URAD
 
-    def write(self, tables: dict[str, Any], value: float, half: float, source: str) -> None:
-        """Write `key` of the joint."""
+    def write(self, tables: dict[str, Any], value: float, half_width: float, source: str) -> None:
+        """Put the angle [µrad] and its torque under `key` of the joint in the tables of a file."""
         tables["joints"][self.joint][self.key] = {"angle_urad": value, "torque_Nm": self.torque}
 
     def effect(self, torque: Array, rest: Array) -> tuple[Array, Array]:
-        """Return tanh(v) − tanh(v₀) and its derivative by the torque."""
+        """Return tanh(v) − tanh(v₀) (N,), and its derivative by the torque (N,) [1/(N·m)].
+
+        v = (torque + rest)/T and v₀ = rest/T, T is `self.torque`; torques (N,) [N·m].
+        """
         angle, rest_angle = np.tanh((torque + rest) / self.torque), np.tanh(rest / self.torque)
         return angle - rest_angle, (1.0 - angle**2) / self.torque
 
@@ -353,7 +382,10 @@ class LostMotion(Backlash, frozen=True):
     with_rest_torque: ClassVar[bool] = False
 
     def effect(self, torque: Array, rest: Array) -> tuple[Array, Array]:
-        """Return tanh(v) and its derivative by the torque."""
+        """Return tanh(torque/T) (N,), and its derivative by the torque (N,) [1/(N·m)]; T is `self.torque`.
+
+        :param torque: (N,) of the load alone [N·m]; the torque at rest has no effect.
+        """
         angle = np.tanh(torque / self.torque)
         return angle, (1.0 - angle**2) / self.torque
 
@@ -380,24 +412,24 @@ class GearCoupling(_JointSpring, frozen=True):
 
     @property
     def title(self) -> str:
-        """Return the two joints for headings."""
+        """Heading in reports: the two joints."""
         return f"coupling of {self.joint} and {self.second}"
 
     @classmethod
     def from_name(cls, name: str) -> Self | None:
-        """Return the coupling of a name like ``k45``."""
+        """Return the coupling with a name in files like ``k45``, or None."""
         pairs = (cls(joint, second) for index, joint in enumerate(JOINTS) for second in JOINTS[index + 1 :])
         return next((pair for pair in pairs if pair.name == name), None)
 
     @classmethod
     def from_file(cls, content: ModelFile) -> Iterator[tuple[Self, float]]:
-        """Yield the entries under `key` of [joints]."""
+        """Yield the entries under `key` of [joints], with their compliances [rad/(N·m)]."""
         for joint in JOINTS:
             for second, value in content.joints[joint].coupling.items():
                 yield cls(joint, second), value / PER_URAD
 
-    def write(self, tables: dict[str, Any], value: float, half: float, source: str) -> None:
-        """Add to `key` of the first joint."""
+    def write(self, tables: dict[str, Any], value: float, half_width: float, source: str) -> None:
+        """Put the compliance [µrad/(N·m)] under `key` of the first joint in the tables of a file."""
         tables["joints"][self.joint].setdefault(self.key, {})[self.second] = value
 
 
@@ -423,8 +455,9 @@ class PoseWave(_JointSpring, frozen=True):
     @property
     def angle(self) -> str:
         """Return the angle of the wave, e.g. ``A2-2A3``."""
-        parts = (f"{turns:+d}{joint}" for turns, joint in zip(self.turns, JOINTS, strict=True) if turns)
-        return re.sub(r"(?<=[+-])1(?=A)", "", "".join(parts)).removeprefix("+")
+        terms = "".join(f"{turns:+d}{joint}" for turns, joint in zip(self.turns, JOINTS, strict=True) if turns)
+        without_ones = re.sub(r"(?<=[+-])1(?=A)", "", terms)
+        return without_ones.removeprefix("+")
 
     @property
     def name(self) -> str:
@@ -433,33 +466,36 @@ class PoseWave(_JointSpring, frozen=True):
 
     @property
     def title(self) -> str:
-        """Return joint and wave for headings."""
+        """Heading in reports: joint and wave."""
         return f"{JointCompliance(self.joint).name} over the pose, {self.wave}({self.angle})"
 
     @classmethod
     def from_name(cls, name: str) -> Self | None:
-        """Return the wave of a name like ``k3.cos(A2-A3)``."""
+        """Return the wave with a name in files like ``k3.cos(A2-A3)``, or None.
+
+        Only the name as `name` writes it counts: joints in order, each once, without a leading plus.
+        """
         match = re.fullmatch(r"(k[1-6])\.(cos|sin)\(((?:[+-]?[1-9]?A[1-6])+)\)", name)
         if match is None:
             return None
         turns = [0] * len(JOINTS)
         for sign, count, joint in re.findall(r"([+-]?)([1-9]?)(A[1-6])", match[3]):
             turns[JOINTS.index(joint)] = int(f"{sign}{count or 1}")
-        whole = JointCompliance.from_name(match[1])
-        wave = None if whole is None else cls(whole.joint, tuple(turns), match[2])
+        compliance = JointCompliance.from_name(match[1])
+        wave = None if compliance is None else cls(compliance.joint, tuple(turns), match[2])
         return wave if wave is not None and wave.name == name else None
 
     @classmethod
     def from_file(cls, content: ModelFile) -> Iterator[tuple[Self, float]]:
-        """Yield the waves under `key` of [joints]."""
+        """Yield the waves under `key` of [joints], with their amplitudes [rad/(N·m)]."""
         for joint in JOINTS:
             for entry in content.joints[joint].over_pose:
                 for wave, value in (("cos", entry.cos_urad_per_Nm), ("sin", entry.sin_urad_per_Nm)):
                     if value is not None:
                         yield cls(joint, entry.turns, wave), value / PER_URAD
 
-    def write(self, tables: dict[str, Any], value: float, half: float, source: str) -> None:
-        """Add to `key` of the joint."""
+    def write(self, tables: dict[str, Any], value: float, half_width: float, source: str) -> None:
+        """Put the amplitude [µrad/(N·m)] under `key` of the joint; cosine and sine of the same turns share an entry."""
         entries = tables["joints"][self.joint].setdefault(self.key, [])
         if not entries or entries[-1]["turns"] != self.turns:
             entries.append({"turns": self.turns})
@@ -495,7 +531,7 @@ class LinkSpring(Spring, frozen=True):
 
     @property
     def place(self) -> str:
-        """Return the link."""
+        """Return the link, in words."""
         return "the base" if self.link == BASE else f"the link of {self.link}"
 
     @property
@@ -520,20 +556,20 @@ class LinkSpring(Spring, frozen=True):
 
     @classmethod
     def from_name(cls, name: str) -> Self | None:
-        """Return the spring of a name like ``A2.end_RX``."""
+        """Return the spring with a name in files like ``A2.end_RX``, or None."""
         link, _, axis = name.partition(".")
         return cls(link, axis) if link in (BASE, *JOINTS) and axis in LINK_AXES else None
 
     @classmethod
     def from_file(cls, content: ModelFile) -> Iterator[tuple[Self, float]]:
-        """Yield the springs of [links] that are not rigid, in the order of the chain."""
+        """Yield the springs of [links] that are not rigid, the base first, with their compliances [m/N, rad/(N·m)]."""
         for spring in (cls(link, axis) for link in (BASE, *JOINTS) for axis in LINK_AXES if link in content.links):
             value = getattr(content.links[spring.link], spring.key)
             if value > 0.0:
                 yield spring, value / PER_URAD
 
-    def write(self, tables: dict[str, Any], value: float, half: float, source: str) -> None:
-        """Write one direction of [links.A2]."""
+    def write(self, tables: dict[str, Any], value: float, half_width: float, source: str) -> None:
+        """Put the compliance [µm/N, µrad/(N·m)] into [links.A2] of the tables of a file."""
         tables["links"].setdefault(self.link, {"source": source})[self.key] = value
 
 
@@ -554,12 +590,12 @@ class CompensatorStiffness(CompensatorTorque, frozen=True):
 
     @classmethod
     def from_file(cls, content: ModelFile) -> Iterator[tuple[Self, float]]:
-        """Yield K_c of [compensator]."""
+        """Yield K_c of [compensator] [N/m], if there is one."""
         if content.compensator is not None:
             yield cls(), content.compensator.stiffness_N_per_m
 
-    def write(self, tables: dict[str, Any], value: float, half: float, source: str) -> None:
-        """Write into [compensator]."""
+    def write(self, tables: dict[str, Any], value: float, half_width: float, source: str) -> None:
+        """Put K_c [N/m] into [compensator] of the tables of a file; a fit's negative value as zero."""
         tables["compensator"] |= {"stiffness_N_per_m": max(value, 0.0), "source": source, "assumed": False}
 
     def of(self, law: Compensator) -> float:
@@ -571,7 +607,7 @@ class CompensatorStiffness(CompensatorTorque, frozen=True):
         return (CompensatorPreload(),)
 
     def effect(self, law: Compensator, q2: Array) -> tuple[Array, Array]:
-        """Return U_c′ and U_c″ of a spring of 1 N/m without free length."""
+        """Return U_c′ (N,) [N·m] and U_c″ (N,) [N·m/rad] of a spring of 1 N/m without free length at q2 (N,) [rad]."""
         return law.gradient_columns(q2)[..., 0], law.stiffness_columns(q2)[..., 0]
 
 
@@ -592,17 +628,17 @@ class CompensatorPreload(CompensatorTorque, frozen=True):
 
     @property
     def symbol(self) -> str:
-        """Name of the fitted value."""
+        """Name of the fitted value in messages, ``K_c*s_0``."""
         return "K_c*s_0"
 
     @classmethod
     def from_file(cls, content: ModelFile) -> Iterator[tuple[Self, float]]:
-        """Yield K_c·s₀ of [compensator]."""
+        """Yield K_c·s₀ of [compensator] [N], if there is one."""
         if (entry := content.compensator) is not None:
             yield cls(), entry.stiffness_N_per_m * entry.free_length_mm / MM_PER_M
 
-    def write(self, tables: dict[str, Any], value: float, half: float, source: str) -> None:
-        """Write into [compensator]."""
+    def write(self, tables: dict[str, Any], value: float, half_width: float, source: str) -> None:
+        """Put s₀ [mm] into [compensator] of the tables of a file; a fit's negative value as zero."""
         tables["compensator"]["free_length_mm"] = max(value, 0.0)
 
     def of(self, law: Compensator) -> float:
@@ -614,7 +650,7 @@ class CompensatorPreload(CompensatorTorque, frozen=True):
         return (CompensatorStiffness(),)
 
     def file_value(self, values: Mapping[Parameter, float]) -> tuple[float, dict[Parameter, float]]:
-        """Return s₀ [mm]; zero without spring."""
+        """Return s₀ [mm] and its derivatives by preload and stiffness; zero without derivatives if K_c ≤ 0."""
         stiffness, preload = values[CompensatorStiffness()], values[self]
         if stiffness <= 0.0:
             return 0.0, {}
@@ -625,7 +661,7 @@ class CompensatorPreload(CompensatorTorque, frozen=True):
         return MM_PER_M * preload / stiffness, slopes
 
     def effect(self, law: Compensator, q2: Array) -> tuple[Array, Array]:
-        """Return U_c′ and U_c″ per newton of preload."""
+        """Return U_c′ (N,) [N·m] and U_c″ (N,) [N·m/rad] per newton of preload at q2 (N,) [rad]."""
         return law.gradient_columns(q2)[..., 1], law.stiffness_columns(q2)[..., 1]
 
 
@@ -656,7 +692,7 @@ class LinkMass(Parameter, frozen=True):
 
     @property
     def title(self) -> str:
-        """Return the heading: the mass of a link."""
+        """Heading in reports: the mass of a link."""
         return f"mass of the link of {self.joint}"
 
     @property
@@ -671,20 +707,20 @@ class LinkMass(Parameter, frozen=True):
 
     @classmethod
     def from_name(cls, name: str) -> Self | None:
-        """Return the mass of a name like ``A2.mass``."""
+        """Return the mass with a name in files like ``A2.mass``, or None."""
         joint = name.removesuffix(_MASS)
         return cls(joint) if joint in JOINTS and name.endswith(_MASS) else None
 
     @classmethod
     def from_file(cls, content: ModelFile) -> Iterator[tuple[Self, float]]:
-        """Yield the masses of [masses], which replace those of robot.urdf."""
+        """Yield the masses of [masses] [kg], which replace those of robot.urdf."""
         for joint in JOINTS:
             mass = None if content.masses is None else getattr(content.masses, f"{joint}_kg")
             if mass is not None:
                 yield cls(joint), mass
 
-    def write(self, tables: dict[str, Any], value: float, half: float, source: str) -> None:
-        """Write into [masses]."""
+    def write(self, tables: dict[str, Any], value: float, half_width: float, source: str) -> None:
+        """Put the mass [kg] into [masses] of the tables of a file; a fit's negative value as zero."""
         tables["masses"][f"{self.joint}_kg"] = max(value, 0.0)
 
 
@@ -696,7 +732,7 @@ class CompensatorSize(CompensatorStiffness, frozen=True):
         return ()
 
     def effect(self, law: Compensator, q2: Array) -> tuple[Array, Array]:
-        """Return U_c′ and U_c″ of a spring of 1 N/m."""
+        """Return U_c′ (N,) [N·m] and U_c″ (N,) [N·m/rad] of 1 N/m with the law's free length at q2 (N,) [rad]."""
         gradient, stiffness = law.gradient_columns(q2), law.stiffness_columns(q2)
         return (
             gradient[..., 0] + law.free_length * gradient[..., 1],
@@ -723,7 +759,7 @@ COMPENSATOR: tuple[Parameter, ...] = (CompensatorStiffness(), CompensatorPreload
 
 
 def parameter_of_name(name: str) -> Parameter | None:
-    """Return the parameter with a name in files, or None.
+    """Return the parameter with a name in files, of whatever kind, or None.
 
     >>> parameter_of_name("k6@6.2")
     FadingPart(joint='A6', torque=6.2)
@@ -737,7 +773,10 @@ def stated_values(content: ModelFile) -> dict[Parameter, float]:
 
 
 def file_slopes(parameters: Iterable[Parameter], values: Mapping[Parameter, float]) -> Array:
-    """Return ∂(values in units of the file)/∂(linear values) (n, n) of parameters whose partners are among them."""
+    """Return ∂(values in units of the file)/∂(linear values) (n, n) of parameters whose partners are among them.
+
+    :param values: linear values (SI) of these parameters.
+    """
     order = list(parameters)
     jacobian = np.zeros((len(order), len(order)))
     for row, parameter in enumerate(order):

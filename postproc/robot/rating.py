@@ -16,7 +16,10 @@ _OVERLOAD = 1.2
 
 
 def exceeded_rating(mass: float, *names: str) -> float | None:
-    """Return the payload [kg] that names of an arm state if a weight [kg] on it is questionable; None if not."""
+    """Return the payload [kg] that names of an arm state if a load on it exceeds this by far; None if not.
+
+    :param mass: of the load [kg].
+    """
     rating = rated_payload(*names)
     return rating if rating is not None and mass > _OVERLOAD * rating else None
 

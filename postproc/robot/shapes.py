@@ -38,7 +38,7 @@ class LinkShape(Struct, frozen=True, eq=False):
     faces: NDArray[np.int64]
 
     def transform(self, pose: Array) -> LinkShape:
-        """Return the surface in another frame, `pose` (4, 4) of its frame in that one."""
+        """Return the surface in another frame; `pose` (4, 4): the present frame in that one [m]."""
         return replace(self, points=self.points @ pose[:3, :3].T + pose[:3, 3])
 
     def hull(self) -> LinkShape:
@@ -58,7 +58,7 @@ class LinkShape(Struct, frozen=True, eq=False):
 
 
 def read(geometries: Iterable[Geometry], urdf: Path) -> tuple[list[LinkShape], list[str]]:
-    """Return the surface of each geometry that can be read, and a sentence for each that cannot.
+    """Return the surface of each geometry that can be read, in metres, and a sentence for each that cannot.
 
     :param urdf: the file that names them: relative names are looked for next to it, `package://` names in its package
         and next to the folders above it.
@@ -76,7 +76,11 @@ def read(geometries: Iterable[Geometry], urdf: Path) -> tuple[list[LinkShape], l
 
 
 def _mesh(geometry: Geometry, urdf: Path) -> Any:
-    """Return a geometry as a `trimesh.Trimesh` [m]."""
+    """Return a geometry in its own frame as a `trimesh.Trimesh` [m]; meshes before their scale.
+
+    :param urdf: the file that names it.
+    :raises ModelError: the mesh is missing or cannot be read, or the kind is unknown.
+    """
     if geometry.kind == "mesh":
         places = _places(geometry.file, urdf)
         path = next((place for place in places if place.is_file()), None)
@@ -105,7 +109,7 @@ def _place_list(places: list[Path]) -> str:
 
 
 def _places(name: str, urdf: Path) -> list[Path]:
-    """Return the possible paths of a file that a URDF names, the likeliest first.
+    """Return the possible paths of a file that a URDF at the path `urdf` names, the likeliest first.
 
     `package://NAME/…` is below a folder of that name, which is above the URDF or next to a folder above it; or below
     the folder above it whose package.xml states the name.
@@ -144,27 +148,31 @@ def simplify(surface: LinkShape, face_limit: int) -> tuple[LinkShape, float]:
 def _cluster(surface: LinkShape, cell: float) -> tuple[LinkShape, float]:
     """Return the surface with one point for each cell of a grid, and the largest displacement of a point [m].
 
-    Vertex clustering (Rossignac and Borrel 1993).
+    Triangles with two corners in one cell are left out, and of triangles with the same corners all but one. Source:
+    vertex clustering (Rossignac and Borrel 1993).
+
+    :param cell: edge of the cells [m].
     """
-    key = np.floor(surface.points / cell).astype(np.int64)
-    _, of, count = np.unique(key, axis=0, return_inverse=True, return_counts=True)
-    points = np.stack([np.bincount(of, weights=values) for values in surface.points.T], axis=1) / count[:, None]
-    displacement = float(np.linalg.norm(points[of] - surface.points, axis=1).max(initial=0.0))
-    faces = of[surface.faces]
-    faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
-    _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
-    point_rows, new_index = np.unique(faces[np.sort(first)], return_inverse=True)
-    return replace(surface, points=points[point_rows], faces=new_index.reshape(-1, 3)), displacement
+    grid_cell = np.floor(surface.points / cell).astype(np.int64)
+    _, cluster, count = np.unique(grid_cell, axis=0, return_inverse=True, return_counts=True)
+    means = np.stack([np.bincount(cluster, weights=values) for values in surface.points.T], axis=1) / count[:, None]
+    displacement = float(np.linalg.norm(means[cluster] - surface.points, axis=1).max(initial=0.0))
+    faces = cluster[surface.faces]
+    has_area = (faces != np.roll(faces, 1, axis=1)).all(axis=1)  # no two corners in one cell
+    faces = faces[has_area]
+    _, first_rows = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)  # of triangles with the same corners
+    used_means, corners = np.unique(faces[np.sort(first_rows)], return_inverse=True)
+    return replace(surface, points=means[used_means], faces=corners.reshape(-1, 3)), displacement
 
 
 def join_by_carrier(surfaces: Iterable[LinkShape]) -> list[LinkShape]:
-    """Return one surface for each carrier, in their order."""
+    """Return one surface for each carrier with the triangles of all its surfaces, the base first."""
     by_carrier: dict[int, list[LinkShape]] = {}
     for surface in surfaces:
         by_carrier.setdefault(surface.carrier, []).append(surface)
     merged_surfaces = []
     for carrier, parts in sorted(by_carrier.items()):
-        first = np.cumsum([0, *(len(part.points) for part in parts)])
-        faces = np.concatenate([part.faces + start for part, start in zip(parts, first, strict=False)])
+        first_points = np.cumsum([0, *(len(part.points) for part in parts)])  # row of each part's first point
+        faces = np.concatenate([part.faces + first for part, first in zip(parts, first_points, strict=False)])
         merged_surfaces.append(LinkShape(carrier, np.concatenate([part.points for part in parts]), faces))
     return merged_surfaces

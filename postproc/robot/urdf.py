@@ -24,6 +24,8 @@ _LARGEST = 1e9
 
 _SIZES = {"box": (("size", 3),), "cylinder": (("radius", 1), ("length", 1)), "sphere": (("radius", 1),)}
 """Attributes of the primitives, with their number of values."""
+_SHORTEST_AXIS = 1e-6
+"""A direction shorter than this is none: the specification asks for unit vectors."""
 _QUARTER = 1e-4
 """In files of others, angles this close to a right angle [rad] are right ones: many are written with four decimals."""
 
@@ -96,6 +98,8 @@ def geometries(text: str, file: str) -> tuple[Geometry, ...]:
 
 
 class _RefusedError(Exception):
+    """The file is no URDF of a six-axis arm: problem and advice of the `ModelError` that names the file."""
+
     def __init__(self, problem: str, advice: str | None = None) -> None:
         super().__init__(problem)
         self.problem, self.advice = problem, advice
@@ -105,40 +109,48 @@ _NO_TREE = _RefusedError("the links are not one tree", "Each link but the first 
 
 
 class _Reader:
-    """Walks from link to link and puts down what each joint carries."""
+    """Walks from link to link and puts down what each joint carries.
+
+    :ivar quarter: angles this close to a right angle [rad] are right ones.
+    :ivar name: of the robot.
+    :ivar links: name → element.
+    :ivar child_joints: link → the joints on it.
+    :ivar joints: the revolute joints in series.
+    :ivar placement: (4, 4) of the frame of each of them in that of the joint before it [m].
+    :ivar moments: mass [kg] of what each of them carries, and its mass times centre of mass (3,) [kg·m].
+    :ivar frames: `AnyArm.frames`.
+    """
 
     def __init__(self, text: str, quarter: float) -> None:
+        """Read a URDF.
+
+        :raises _RefusedError: it is no URDF, its links are not one tree, or its joints are not revolute and in series.
+        """
         self.quarter = quarter
-        try:
-            robot = ET.fromstring(text)
-        except ET.ParseError as cause:
-            raise _RefusedError(f"not a URDF: {cause}", "The file must be XML with one <robot>.") from None
-        if robot.tag != "robot":
-            raise _RefusedError(f"not a URDF: its outermost element is <{robot.tag}>, not <robot>")
+        robot = _root_element(text)
         self.name = robot.get("name", "")
         self.links = {_attribute(link, "name"): link for link in robot.findall("link")}
         joints = {_attribute(joint, "name"): joint for joint in robot.findall("joint")}
         if len(self.links) < len(robot.findall("link")) or len(joints) < len(robot.findall("joint")):
             raise _RefusedError("two links or two joints have the same name")
-        self.below: dict[str, list[ET.Element]] = {name: [] for name in self.links}
+        self.child_joints: dict[str, list[ET.Element]] = {name: [] for name in self.links}
         children = []
         for joint in joints.values():
             parent, child = (_attribute(_element(joint, end), "link") for end in ("parent", "child"))
             for link in (parent, child):
                 if link not in self.links:
                     raise _RefusedError(f"joint {joint.get('name')} names link {link!r}, which the file does not have")
-            self.below[parent].append(joint)
+            self.child_joints[parent].append(joint)
             children.append(child)
         roots = set(self.links) - set(children)
         if len(roots) != 1 or len(children) != len(set(children)):
             raise _NO_TREE
-        self.root = roots.pop()
         self.joints: list[ET.Element] = []
         self.placement: list[Array] = []
         self.moments: list[tuple[float, Array]] = []
         self.frames: dict[str, tuple[int, Array]] = {}
-        self._visit(self.root, np.eye(4), -1)
-        if len(self.frames) < len(self.links):
+        self._visit(roots.pop(), np.eye(4), -1)
+        if len(self.frames) < len(self.links):  # links in a ring, apart from the tree
             raise _NO_TREE
 
     def chain(self) -> Chain:
@@ -158,7 +170,10 @@ class _Reader:
         return self._chain(flange)
 
     def any_arm(self) -> AnyArm:
-        """Return the arm, whatever its joints are called."""
+        """Return the arm, whatever its joints are called.
+
+        :raises _RefusedError: it does not have six revolute joints.
+        """
         if len(self.joints) != len(JOINTS):
             names = ", ".join(str(joint.get("name")) for joint in self.joints) or "none"
             raise _RefusedError(
@@ -167,7 +182,10 @@ class _Reader:
         return AnyArm(self.name, self._chain(np.eye(4)), self.frames)
 
     def geometries(self) -> Iterator[Geometry]:
-        """Yield the shapes of all links."""
+        """Yield the shapes of all links, the <visual> ones of each first.
+
+        :raises _RefusedError: a size or scale is missing, no number or not finite.
+        """
         for link, (carrier, pose) in self.frames.items():
             for tag in ("visual", "collision"):
                 for shape in self.links[link].findall(tag):
@@ -201,7 +219,12 @@ class _Reader:
         )
 
     def _visit(self, link: str, pose: Array, carrier: int) -> None:
-        """Add a link at `pose` in the frame of joint `carrier` (−1: the root), and recursively the links on it."""
+        """Add a link, and recursively the links on it.
+
+        :param pose: (4, 4) of the link in the frame of its carrier [m].
+        :param carrier: 0…5 the joint that carries it; −1: none, the link is fixed to the root.
+        :raises _RefusedError: a mass is negative, a joint is of another type, or joints are parallel.
+        """
         inertial = self.links[link].find("inertial")
         if inertial is not None and carrier >= 0:
             mass = _numbers(_element(inertial, "mass"), "value", 1)[0]
@@ -210,7 +233,7 @@ class _Reader:
             mass_sum, moment = self.moments[carrier]
             self.moments[carrier] = mass_sum + mass, moment + mass * (pose @ self._origin(inertial))[:3, 3]
         self.frames[link] = carrier, pose
-        for joint in self.below[link]:
+        for joint in self.child_joints[link]:
             name, kind = joint.get("name"), joint.get("type")
             child, place = _attribute(_element(joint, "child"), "link"), pose @ self._origin(joint)
             if kind == "fixed":
@@ -221,7 +244,7 @@ class _Reader:
                     f"joint {name} is {kind if kind != 'revolute' else 'a mimic of another'}",
                     "Only six revolute joints and fixed ones are possible.",
                 )
-            if carrier != len(self.joints) - 1:
+            if carrier != len(self.joints) - 1:  # another joint was met after that which carries this link
                 raise _RefusedError(
                     f"joint {name} is parallel to {self.joints[carrier + 1].get('name')}, not in series with it"
                 )
@@ -231,8 +254,11 @@ class _Reader:
             self._visit(child, np.eye(4), len(self.joints) - 1)
 
     def _origin(self, parent: ET.Element) -> Array:
-        """Return the frame (4, 4) of a joint or link in its parent [m]; angles close to right ones are rounded to
-        them.
+        """Return the pose (4, 4) [m] that the <origin> of an element states; without one, no displacement.
+
+        Angles close to right ones are rounded to them.
+
+        :raises _RefusedError: a number is missing, no number or not finite.
         """
         pose, origin = np.eye(4), parent.find("origin")
         if origin is not None:
@@ -241,6 +267,20 @@ class _Reader:
             pose[:3, :3] = rotation_from_angles(np.where(np.abs(angles - right) < self.quarter, right, angles))
             pose[:3, 3] = _numbers(origin, "xyz", 3, "0 0 0")
         return pose
+
+
+def _root_element(text: str) -> ET.Element:
+    """Return the element <robot> of a URDF.
+
+    :raises _RefusedError: the text is no XML, or its outermost element is another.
+    """
+    try:
+        robot = ET.fromstring(text)
+    except ET.ParseError as cause:
+        raise _RefusedError(f"not a URDF: {cause}", "The file must be XML with one <robot>.") from None
+    if robot.tag != "robot":
+        raise _RefusedError(f"not a URDF: its outermost element is <{robot.tag}>, not <robot>")
+    return robot
 
 
 def _attribute(element: ET.Element, name: str) -> str:
@@ -268,13 +308,13 @@ def _element(parent: ET.Element, tag: str) -> ET.Element:
 def _numbers(element: ET.Element, name: str, count: int, default: str | None = None) -> Array:
     """Return the numbers (count,) of an attribute; without a default it must exist.
 
-    :raises _RefusedError: missing, of another number, or not finite.
+    :raises _RefusedError: the attribute is missing, or is not this many finite numbers of plausible size.
     """
     text = element.get(name, default) if default is not None else _attribute(element, name)
     try:
         values = np.array([float(word) for word in str(text).split()])
     except ValueError:
-        values = np.zeros(0)
+        values = np.zeros(0)  # refused by its length below
     if len(values) != count:
         raise _RefusedError(f'<{element.tag} {name}="{text}">: {count} number{"s" * (count > 1)} expected')
     if not (np.abs(values) <= _LARGEST).all():
@@ -290,7 +330,7 @@ def _axis(joint: ET.Element) -> Array:
     element = joint.find("axis")
     axis = np.array([1.0, 0.0, 0.0]) if element is None else _numbers(element, "xyz", 3)
     length = float(np.sqrt(axis @ axis))
-    if length < 1e-6:
+    if length < _SHORTEST_AXIS:
         raise _RefusedError(f"joint {joint.get('name')} has no axis")
     return np.asarray(axis / length)
 
