@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -24,11 +25,37 @@ _OFF_CIRCLE = 100.0
 """A point whose distance from a circle is so many times that of start and first point is not of the arc (assumed)."""
 
 
-def arcs_through(start: Array, via: Array, end: Array) -> tuple[Array, Array, Array, Bools]:
-    """Return centres (n, 3), axes (n, 3) and angles (n,) > 0 [rad] of arcs through three points, (n, 3) each [m].
+class ArcColumns(NamedTuple):
+    """Arcs of motions in `$BASE`; NaN for motions without an arc.
 
-    :returns: besides (n,) True where the three points lie on a straight line, or two of them coincide: no circle.
+    :ivar centre: (M, 3) [m]; `normal`: (M, 3) unit axes; `sweep`: (M,) angles about them [rad].
     """
+
+    centre: Array
+    normal: Array
+    sweep: Array
+
+    @classmethod
+    def unset(cls, count: int) -> ArcColumns:
+        """Return the columns of motions without an arc, to be filled in."""
+        return cls(np.full((count, 3), np.nan), np.full((count, 3), np.nan), np.full(count, np.nan))
+
+
+class ArcsThroughPoints(NamedTuple):
+    """Arcs through three points each.
+
+    :ivar centre: (n, 3) [m]; `normal`: (n, 3) unit axes; `sweep`: (n,) angles about them > 0 [rad].
+    :ivar is_flat: (n,) True where the points are on a straight line, or two of them coincide: there is no circle.
+    """
+
+    centre: Array
+    normal: Array
+    sweep: Array
+    is_flat: Bools
+
+
+def arcs_through(start: Array, via: Array, end: Array) -> ArcsThroughPoints:
+    """Return the arcs from `start` through `via` to `end`, (n, 3) each [m]."""
     to_via, to_end = via - start, end - start
     via_square, end_square, chord_square = (
         np.einsum("ni,ni->n", v, v) for v in (to_via, to_end, to_end - to_via)
@@ -44,7 +71,8 @@ def arcs_through(start: Array, via: Array, end: Array) -> tuple[Array, Array, Ar
     start_vector, end_vector = start - centre, end - centre
     sine = np.einsum("ni,ni->n", np.cross(start_vector, end_vector), normal)
     angle = np.arctan2(sine, np.einsum("ni,ni->n", start_vector, end_vector))
-    return centre, normal, np.where(angle > 0.0, angle, angle + 2.0 * np.pi), is_flat
+    sweep = np.where(angle > 0.0, angle, angle + 2.0 * np.pi)
+    return ArcsThroughPoints(centre, normal, sweep, is_flat)
 
 
 class Circle(Struct, frozen=True, eq=False):

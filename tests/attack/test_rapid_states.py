@@ -55,7 +55,8 @@ def nothing(*_args, **_options):
 
 def arguments_by_value(routine, arguments, scope):
     for parameter, expression, is_given in effects.bound_arguments(routine, arguments, scope):
-        yield Parameter(parameter.name, parameter.type, False, parameter.optional), expression, is_given
+        by_value = Parameter(parameter.name, parameter.type, False, parameter.optional)
+        yield effects.BoundArgument(by_value, expression, is_given)
 
 
 def no_names(*_args):
@@ -69,7 +70,7 @@ def module_data_first(scope, name):
 def rounds_that_keep_the_counter(execution_, loop, values_, scope, routine, depth):
     for value in values_:
         scope.inner[loop.name] = Variable("NUM", value)
-        execution_._block(loop.body, scope, routine, depth)
+        execution_._execute_block(loop.body, scope, routine, depth)
 
 
 def first_case_only(execution_, statement, condition, scope):
@@ -100,14 +101,14 @@ FAULTS = {
     "parameters are copies": (133, execution, "bound_arguments", arguments_by_value),
     "elements given to a routine are copies": (1705, Execution, "_is_shared", lambda *_: False),
     "a routine that may end early keeps its data": (181, Execution, "_leave", returns_at_once),
-    "GOTO is passed over": (52, Execution, "_jump", goes_on),
+    "GOTO is passed over": (52, Execution, "_execute_jump", goes_on),
     "branches that may run change nothing": (181, Execution, "_forget", nothing),
     "module data hide local data": (8, Scope, "find", module_data_first),
-    "the variable of FOR outlives it": (129, Execution, "_rounds", rounds_that_keep_the_counter),
+    "the variable of FOR outlives it": (129, Execution, "_follow_rounds", rounds_that_keep_the_counter),
     "CASE has one value": (450, Execution, "_holds", first_case_only),
     "local data are data of the module": (73, Execution, "_declare", data_of_all_routines),
     "forces in branches count for nothing": (1092, Execution, "_check_forces", nothing),
-    "loops without moves are passed over": (6, Execution, "_loop_without_moves", nothing),
+    "loops without moves are passed over": (6, Execution, "_execute_loop_without_moves", nothing),
 }
 
 

@@ -25,6 +25,7 @@ from msgspec.structs import replace
 
 from postproc.cell import Rotary
 from postproc.chunks import Runs, in_chunks
+from postproc.dialects.circles import ArcColumns
 from postproc.dialects.gcode.arcs import SAME_MM, ArcFault, Arcs, ArcWords, read_arcs
 from postproc.dialects.gcode.cycles import CycleEvent
 from postproc.dialects.gcode.line_states import LineStates, active_values, take_rows
@@ -611,15 +612,7 @@ def _rotations(frames: Array, frame: Ints, swivel: Swivel | None, orientation: A
     return np.broadcast_to(frames[0, :3, :3] @ orientation, (len(frame), 3, 3))
 
 
-class _ArcColumns(NamedTuple):
-    """Centre (M, 3) [m], unit axis (M, 3) and angle (M,) [rad] of motions in `$BASE`; NaN for those without an arc."""
-
-    centre: Array
-    normal: Array
-    sweep: Array
-
-
-def _arcs_in_base(selected: _MotionMoves, kind: Ints, frame: Ints) -> _ArcColumns:
+def _arcs_in_base(selected: _MotionMoves, kind: Ints, frame: Ints) -> ArcColumns:
     """Return the arcs of motions in `$BASE`.
 
     :param kind: (M,) of each motion; `frame`: (M,) its row of the program frames.
@@ -627,10 +620,10 @@ def _arcs_in_base(selected: _MotionMoves, kind: Ints, frame: Ints) -> _ArcColumn
     empty = np.broadcast_to(np.nan, (len(kind), 3))  # takes no memory
     arc_motions = np.flatnonzero(kind == CIRC)
     if not len(arc_motions):
-        return _ArcColumns(empty, empty, empty[:, 0])
+        return ArcColumns(empty, empty, empty[:, 0])
     arcs, frames = selected.arcs, selected.moves.frames
     arc_rows = np.searchsorted(selected.circular, selected.index[arc_motions])
-    columns = _ArcColumns(empty.copy(), empty.copy(), empty[:, 0].copy())
+    columns = ArcColumns(empty.copy(), empty.copy(), empty[:, 0].copy())
     columns.centre[arc_motions] = _points_in_base(frames, frame[arc_motions], arcs.centre[arc_rows])
     columns.normal[arc_motions] = np.einsum("nij,nj->ni", frames[frame[arc_motions], :3, :3], arcs.normal[arc_rows])
     columns.sweep[arc_motions] = arcs.sweep[arc_rows]

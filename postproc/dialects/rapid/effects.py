@@ -8,6 +8,7 @@ nor CONST; it is assumed not to call back.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from typing import NamedTuple
 
 from postproc.dialects.rapid.instructions import BY_NAME, MOVES, PURE, READING, RESULT_OPTIONS, is_of_rapid
 from postproc.dialects.rapid.syntax import (
@@ -76,7 +77,7 @@ class Effects:
         routine = self.routines.get(name)
         if routine is not None:
             bound = bound_arguments(routine, arguments, Scope({}))
-            expressions = (expression for parameter, expression, _ in bound if parameter.changeable)
+            expressions = (argument.expression for argument in bound if argument.parameter.changeable)
             yield from (base_name(expression) for expression in expressions if expression is not None)
         elif name not in PURE:
             yield from (base_name(argument) for argument in changed_arguments(arguments))
@@ -134,18 +135,30 @@ def called_names(statements: tuple[Statement, ...]) -> set[str]:
     return names | {instruction.name.removeprefix("%") for instruction in instructions}
 
 
-def bound_arguments(
-    routine: Routine, arguments: Sequence[Argument], scope: Scope
-) -> Iterator[tuple[Parameter, Expression | None, bool | None]]:
-    """Yield the parameters of a routine with their arguments, and whether they are given, None if that is not known.
+class BoundArgument(NamedTuple):
+    """A parameter of a routine with its argument in a call.
+
+    :ivar expression: the argument; None: the call has none.
+    :ivar is_given: whether the call gives the parameter; None: that is not known.
+    """
+
+    parameter: Parameter
+    expression: Expression | None
+    is_given: bool | None
+
+
+def bound_arguments(routine: Routine, arguments: Sequence[Argument], scope: Scope) -> Iterator[BoundArgument]:
+    """Yield the parameters of a routine with their arguments in a call.
 
     An argument that passes an optional parameter on is given if that is.
+
+    :param scope: of the call; it knows which parameters of the calling routine are given.
     """
     positional = iter([argument.value for argument in arguments if not argument.name])
     options = {argument.name: argument for argument in arguments if argument.name}
     for parameter in routine.parameters:
         if not parameter.optional:
-            yield parameter, next(positional, None), True
+            yield BoundArgument(parameter, next(positional, None), True)
             continue
         argument = options.get(parameter.name)
         expression = None if argument is None else argument.value
@@ -153,4 +166,4 @@ def bound_arguments(
         is_given: bool | None = argument is not None
         if isinstance(source, str) and source in scope.presence:
             is_given = scope.presence[source]
-        yield parameter, expression, is_given
+        yield BoundArgument(parameter, expression, is_given)

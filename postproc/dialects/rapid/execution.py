@@ -19,7 +19,7 @@ from typing import Any, NoReturn, TypeGuard
 from msgspec import Struct, field
 from msgspec.structs import replace
 
-from postproc.dialects.rapid.effects import Effects, bound_arguments, called_names, results
+from postproc.dialects.rapid.effects import BoundArgument, Effects, bound_arguments, called_names, results
 from postproc.dialects.rapid.instructions import (
     CONSTANT,
     COUNTING,
@@ -102,11 +102,15 @@ _TARGET_FUNCTIONS = ("OFFS", "RELTOOL", "CALCROBT", "CALCJOINTT", "CROBT", "CJOI
 class ExecutedProgram(Struct, eq=False):
     """What a program does.
 
-    :ivar notes: comments with the number of the motion that follows, or of the one in whose line it stands.
-    :ivar rounds: loops with motions that ran once: values of their variable in each round (or just the rounds).
+    :ivar moves: motions in order of execution.
+    :ivar notes: comments with the number of the motion that follows, or of the one in whose line it is.
+    :ivar rounds: offset of a loop with motions → its runs: the loop, and the values of its variable in each round of
+        FOR, or the numbers of the rounds of WHILE.
     :ivar calls: for each routine with motions the calls of it, in order.
-    :ivar foreign: routines that are called and in no module: name → (offset, calls).
-    :ivar relied: PERS data whose values of the file are used.
+    :ivar foreign: routines that are called and in no module: name → (offset of the first call, number of calls).
+    :ivar errors: what cannot be followed.
+    :ivar followed: names of the routines that run.
+    :ivar assumed: name → type of the tools and work objects that are taken from the cell.
     """
 
     moves: list[Move] = field(default_factory=list)
@@ -160,7 +164,7 @@ class Execution:
                 self.data[declaration.name] = _initial_variable(declaration)
         self.result = ExecutedProgram()
         self.setting = Setting()
-        self.count = 0
+        self.statement_count = 0
         self._moving: dict[str, bool] = {}
         self._checked_functions: set[str] = set()
         reachable_names = self._reachable_routines(entry)
@@ -182,7 +186,7 @@ class Execution:
         """
         scope = Scope(self.data)
         try:
-            self._routine(self.entry, scope, 0)
+            self._execute_routine(self.entry, scope, 0)
         except _End:
             pass
         except RecursionError:
@@ -230,7 +234,11 @@ class Execution:
             self._forget_data_of(call.value)
 
     def _check_function(self, function: Routine, statement: Statement) -> None:
-        """Check that a function neither moves the robot nor has comments of forces."""
+        """Check that a function neither moves the robot nor has comments of forces.
+
+        :param statement: that calls it.
+        :raises RapidError: it does.
+        """
         if function.name in self._checked_functions:
             return
         if self._routine_moves(function):
@@ -315,60 +323,71 @@ class Execution:
 
     # --- statements
 
-    def _routine(self, routine: Routine, scope: Scope, depth: int) -> None:
+    def _execute_routine(self, routine: Routine, scope: Scope, depth: int) -> None:
         """Execute the statements of a routine.
 
+        :param scope: its parameters and data; `depth`: number of calls around it.
         :raises RapidError: calls are nested too deeply.
         """
         if depth > _DEEPEST:
             raise RapidError(f"{routine.name} calls itself", routine.start, _KEEP)
         self.result.followed.add(routine.name)
         with contextlib.suppress(_Return):
-            self._block(routine.body, scope, routine, depth)
+            self._execute_block(routine.body, scope, routine, depth)
 
-    def _block(self, statements: tuple[Statement, ...], scope: Scope, routine: Routine, depth: int) -> None:
+    def _execute_block(self, statements: tuple[Statement, ...], scope: Scope, routine: Routine, depth: int) -> None:
         """Execute the statements of a block in order.
 
+        :param routine: in which they are executed; `depth`: number of calls around it.
         :raises RapidError: more than `_MOST_STATEMENTS` were executed.
         """
         for statement in statements:
-            self.count += 1
-            if self.count > _MOST_STATEMENTS:
+            self.statement_count += 1
+            if self.statement_count > _MOST_STATEMENTS:
                 problem = f"the program runs for more than {_MOST_STATEMENTS} statements"
                 raise RapidError(problem, statement.start, _KEEP)
-            self._statement(statement, scope, routine, depth)
+            self._execute_statement(statement, scope, routine, depth)
 
-    def _statement(self, statement: Statement, scope: Scope, routine: Routine, depth: int) -> None:
-        """Execute a statement by its kind."""
+    def _execute_statement(self, statement: Statement, scope: Scope, routine: Routine, depth: int) -> None:
+        """Execute a statement by its kind.
+
+        :param routine: in which they are executed; `depth`: number of calls around it.
+        """
         if self.effects.has_functions:
             self._forget_results_of_functions(statement, scope)
         match statement:
             case Instruction():
-                self._instruction(statement, scope, depth)
+                self._execute_instruction(statement, scope, depth)
             case Comment():
-                self._comment(statement)
+                self._note_comment(statement)
             case Assignment():
-                self._assign(statement, scope)
+                self._execute_assignment(statement, scope)
             case Declaration():
                 self._declare(statement, scope, routine)
             case Conditional():
-                self._conditional(statement, scope, routine, depth)
+                self._execute_conditional(statement, scope, routine, depth)
             case Loop():
-                self._loop(statement, scope, routine, depth)
+                self._execute_loop(statement, scope, routine, depth)
             case Jump():
-                self._jump(statement, routine, scope)
+                self._execute_jump(statement, routine, scope)
 
-    def _comment(self, comment: Comment) -> None:
+    def _note_comment(self, comment: Comment) -> None:
+        """Record a comment: in the line of a move with that move, else with the next one."""
         count = len(self.result.moves)
         self.result.notes.append((comment, count - 1 if comment.trailing and count else count))
 
     def _leave(self, routine: Routine, scope: Scope, reason: str) -> NoReturn:
-        """Leave a routine without moves in which it is not known what runs: all that it may change is not known."""
+        """Leave a routine without moves in which it is not known what runs: all that it may change is not known.
+
+        :param reason: why it is not known.
+        :raises RapidError: the routine has a comment of forces.
+        :raises _Return: always else.
+        """
         self._check_forces(routine.body, reason)
         self._forget(routine.body, f"{routine.name} may change it, of which it is not known what runs: {reason}", scope)
         raise _Return
 
-    def _jump(self, jump: Jump, routine: Routine, scope: Scope) -> None:
+    def _execute_jump(self, jump: Jump, routine: Routine, scope: Scope) -> None:
         """Execute RETURN; leave a routine without moves at GOTO.
 
         :raises RapidError: moves would be skipped.
@@ -394,7 +413,7 @@ class Execution:
             _interrupt_variable(variable, f"the handler of {routine.name}")
         scope.inner[declaration.name] = variable
 
-    def _assign(self, statement: Assignment, scope: Scope) -> None:
+    def _execute_assignment(self, statement: Assignment, scope: Scope) -> None:
         """Assign a value; data gets unknown if the value or the element is."""
         try:
             value, _ = evaluate(statement.value, scope)
@@ -404,8 +423,12 @@ class Execution:
             if variable is not None:
                 variable.forget(cause.problem if isinstance(cause, UnknownValueError) else "its place is not known")
 
-    def _conditional(self, statement: Conditional, scope: Scope, routine: Routine, depth: int) -> None:
-        """Execute the branch taken; where that is unknown, make unknown what the branches may change."""
+    def _execute_conditional(self, statement: Conditional, scope: Scope, routine: Routine, depth: int) -> None:
+        """Execute the branch taken; where that is unknown, make unknown what the branches may change.
+
+        :param routine: in which they are executed; `depth`: number of calls around it.
+        :raises RapidError: a branch that is not known moves the robot.
+        """
         for number_of_branch, (condition, body) in enumerate(statement.branches):
             try:
                 is_taken = condition is None or self._holds(statement, condition, scope)
@@ -414,7 +437,7 @@ class Execution:
                 self._skip(bodies, cause.problem, scope, routine)
                 return
             if is_taken:
-                self._block(body, scope, routine, depth)
+                self._execute_block(body, scope, routine, depth)
                 return
 
     def _holds(self, statement: Conditional, condition: Expression, scope: Scope) -> bool:
@@ -425,7 +448,12 @@ class Execution:
         return any(subject == evaluate(item, scope)[0] for item in condition.items)
 
     def _skip(self, statements: tuple[Statement, ...], reason: str, scope: Scope, routine: Routine) -> None:
-        """Skip statements that may or may not be executed."""
+        """Skip statements that may or may not be executed: what they may change is not known from here on.
+
+        :param reason: why that is not known.
+        :raises RapidError: they may move the robot, or skip moves of the routine.
+        :raises _Return: they may leave the routine, which has no moves.
+        """
         moving = self.moves(statements)
         if moving is not None:
             problem = f"it is not known before the program runs whether {moving.name} is executed: {reason}"
@@ -445,50 +473,63 @@ class Execution:
                     raise RapidError(problem, statement.start, "Put the moves of the part into a routine without it.")
                 self._leave(routine, scope, reason)
 
-    def _loop(self, loop: Loop, scope: Scope, routine: Routine, depth: int) -> None:
-        """Execute a loop; one with moves is recorded with the values of its rounds."""
+    def _execute_loop(self, loop: Loop, scope: Scope, routine: Routine, depth: int) -> None:
+        """Execute a loop; one with moves is recorded with the values of its rounds.
+
+        :param routine: in which they are executed; `depth`: number of calls around it.
+        """
         if self.moves(loop.body) is None:
-            self._loop_without_moves(loop, scope, routine, depth)
+            self._execute_loop_without_moves(loop, scope, routine, depth)
             return
         first = len(self.result.moves)
         values = (
-            self._for_loop(loop, scope, routine, depth) if loop.name else self._while_loop(loop, scope, routine, depth)
+            self._execute_for(loop, scope, routine, depth)
+            if loop.name
+            else self._execute_while(loop, scope, routine, depth)
         )
         if len(self.result.moves) > first:
             self.result.rounds.setdefault(loop.start, []).append((loop, values))
 
-    def _loop_without_moves(self, loop: Loop, scope: Scope, routine: Routine, depth: int) -> None:
-        """Follow a loop without moves while its conditions are known; then mark the data that it changes as unknown."""
+    def _execute_loop_without_moves(self, loop: Loop, scope: Scope, routine: Routine, depth: int) -> None:
+        """Follow a loop without moves while its conditions are known; then mark the data that it changes as unknown.
+
+        :param routine: in which they are executed; `depth`: number of calls around it.
+        """
         reason = "it is too long"
         try:
             if loop.name:
                 values = _loop_values(loop, scope)
                 if len(values) <= _MOST_ROUNDS:
-                    self._rounds(loop, values, scope, routine, depth)
+                    self._follow_rounds(loop, values, scope, routine, depth)
                     return
             for _ in range(0 if loop.name else _MOST_ROUNDS):
                 if not truth(loop.bounds[0], scope):
                     return
-                self._block(loop.body, scope, routine, depth)
+                self._execute_block(loop.body, scope, routine, depth)
                 if self.effects.has_functions:
                     self._forget_results_of_functions(loop, scope)
         except UnknownValueError as cause:
             reason = cause.problem
         self._skip(loop.body, f"the rounds of a loop are not known: {reason}", scope, routine)
 
-    def _rounds(self, loop: Loop, values: list[float], scope: Scope, routine: Routine, depth: int) -> None:
-        """Follow the rounds of FOR."""
+    def _follow_rounds(self, loop: Loop, values: list[float], scope: Scope, routine: Routine, depth: int) -> None:
+        """Follow the rounds of FOR; its variable hides data of the same name until the end.
+
+        :param values: of the variable, one for each round.
+        :param routine: in which they are executed; `depth`: number of calls around it.
+        """
         outer_variable = scope.inner.get(loop.name)
         for value in values:
             scope.inner[loop.name] = Variable("NUM", value)
-            self._block(loop.body, scope, routine, depth)
+            self._execute_block(loop.body, scope, routine, depth)
         scope.inner.pop(loop.name, None)
         if outer_variable is not None:
             scope.inner[loop.name] = outer_variable
 
-    def _for_loop(self, loop: Loop, scope: Scope, routine: Routine, depth: int) -> list[float]:
+    def _execute_for(self, loop: Loop, scope: Scope, routine: Routine, depth: int) -> list[float]:
         """Execute FOR; return the values of its variable.
 
+        :param routine: in which they are executed; `depth`: number of calls around it.
         :raises RapidError: its bounds are unknown.
         """
         try:
@@ -496,12 +537,13 @@ class Execution:
         except UnknownValueError as cause:
             problem = f"the number of rounds of FOR is not known before the program runs: {cause.problem}"
             raise RapidError(problem, loop.start, "Write its bounds as numbers.") from None
-        self._rounds(loop, values, scope, routine, depth)
+        self._follow_rounds(loop, values, scope, routine, depth)
         return values
 
-    def _while_loop(self, loop: Loop, scope: Scope, routine: Routine, depth: int) -> list[float]:
+    def _execute_while(self, loop: Loop, scope: Scope, routine: Routine, depth: int) -> list[float]:
         """Execute WHILE; return the numbers of its rounds.
 
+        :param routine: in which they are executed; `depth`: number of calls around it.
         :raises RapidError: its condition is unknown.
         """
         (condition,) = loop.bounds
@@ -517,7 +559,7 @@ class Execution:
                 advice = "Put the moves of the part into a routine of its own, without the loop."
                 raise RapidError(problem, loop.start, advice) from None
             rounds.append(float(len(rounds)))
-            self._block(loop.body, scope, routine, depth)
+            self._execute_block(loop.body, scope, routine, depth)
             if self.effects.has_functions:
                 self._forget_results_of_functions(loop, scope)
 
@@ -526,17 +568,18 @@ class Execution:
 
         Nothing after the loop is reached.
 
+        :param routine: in which they are executed; `depth`: number of calls around it.
         :raises RapidError: the second round differs, or the loop begins with a move whose start differs.
         :raises _End: always, at the end.
         """
         move_count = len(self.result.moves)
-        self._block(loop.body, scope, routine, depth)
+        self._execute_block(loop.body, scope, routine, depth)
         state_after_first = self._state(scope)
         first_end, note_count = len(self.result.moves), len(self.result.notes)
         setting_after_first = self.setting
         calls, rounds = {name: list(calls) for name, calls in self.result.calls.items()}, dict(self.result.rounds)
         rounds = {start: list(runs) for start, runs in rounds.items()}
-        self._block(loop.body, scope, routine, depth)
+        self._execute_block(loop.body, scope, routine, depth)
         first, second = self.result.moves[move_count:first_end], self.result.moves[first_end:]
         is_same = len(first) == len(second) and all(map(equal, first, second))
         if not is_same or self._state(scope) != state_after_first or self.setting != setting_after_first:
@@ -551,15 +594,16 @@ class Execution:
         raise _End
 
     def _state(self, scope: Scope) -> list[tuple[str, Any]]:
-        """Return names and values of the data that have changed since the program began; constants do not."""
+        """Return names and values of the data that have not the value of their declaration; constants have it."""
         variables = (*self.data.items(), *scope.inner.items())
         return [(name, variable.value) for name, variable in variables if not variable.literal]
 
     # --- instructions
 
-    def _instruction(self, statement: Instruction, scope: Scope, depth: int) -> None:
+    def _execute_instruction(self, statement: Instruction, scope: Scope, depth: int) -> None:
         """Execute an instruction: a move, a setting, a call, or one whose effect on data is known.
 
+        :param depth: number of calls around the present routine.
         :raises RapidError: it may move the robot in an unknown way.
         """
         name = statement.name.removeprefix("%")
@@ -574,11 +618,11 @@ class Execution:
             except UnknownValueError as cause:
                 self._refuse(statement, cause.problem, _OPEN_DATA if self.result.foreign else _NUMBERS)
         elif name in self.routines and self.routines[name].kind == "PROC":
-            self._call(statement, self.routines[name], scope, depth)
+            self._execute_call(statement, self.routines[name], scope, depth)
         elif name in SETTINGS:
-            self._set(statement, scope)
+            self._execute_setting(statement, scope)
         elif name in COUNTING:
-            self._count(statement, scope)
+            self._execute_counting(statement, scope)
         elif is_unfollowed_motion(name):
             self._refuse(statement, f"{name} moves the robot or changes how it moves, which is not followed", _KEEP)
         elif name in self.effects.routines:
@@ -588,7 +632,7 @@ class Execution:
             self._refuse(statement, problem, _FOREIGN)
         else:
             if name == "CONNECT":
-                self._connect(statement)
+                self._check_connect(statement)
             is_reading = name in READING or name in CONSTANT
             for argument in results(statement) if is_reading else changed_arguments(statement.arguments):
                 _forget_variable(scope.find(base_name(argument)), f"{name} may change it")
@@ -605,7 +649,7 @@ class Execution:
         if len(self.result.errors) > MAX_ERRORS:
             raise self.result.errors.pop()
 
-    def _connect(self, statement: Instruction) -> None:
+    def _check_connect(self, statement: Instruction) -> None:
         """Record an error if the trap routine of CONNECT moves the robot."""
         value = statement.arguments[0].value
         routine = self.effects.routines.get(value.value) if value is not None else None
@@ -613,7 +657,7 @@ class Execution:
             problem = f"the interrupt {routine.name} moves the robot at a time that is not known"
             self._refuse(statement, problem, _KEEP)
 
-    def _count(self, statement: Instruction, scope: Scope) -> None:
+    def _execute_counting(self, statement: Instruction, scope: Scope) -> None:
         """Execute Incr, Decr, Add or Clear; the number becomes unknown if it cannot be calculated."""
         target = next(changed_arguments(statement.arguments), None)
         variable = None if target is None else scope.find(base_name(target))
@@ -627,7 +671,7 @@ class Execution:
         except (UnknownValueError, ValueError, IndexError):
             variable.forget(f"{statement.name} changes it")
 
-    def _set(self, statement: Instruction, scope: Scope) -> None:
+    def _execute_setting(self, statement: Instruction, scope: Scope) -> None:
         """Execute an instruction that changes how moves are executed: ConfJ, SingArea, CirPathMode, VelSet."""
         switches = {argument.name for argument in statement.arguments if argument.name}
         setting, name = self.setting, statement.name
@@ -649,8 +693,12 @@ class Execution:
             fields["speed"] = (percent / 100.0, limit)
         self.setting = Setting(**fields)  # type: ignore[arg-type]
 
-    def _call(self, statement: Instruction, routine: Routine, scope: Scope, depth: int) -> None:
-        """Call a routine: bind its parameters, execute it, and forget data that it may have changed."""
+    def _execute_call(self, statement: Instruction, routine: Routine, scope: Scope, depth: int) -> None:
+        """Call a routine: bind its parameters, execute it, and forget data that it may have changed.
+
+        :param routine: in which they are executed; `depth`: number of calls around it.
+        :raises RapidError: the routine cannot be followed.
+        """
         inner = Scope(self.data)
         bound = list(bound_arguments(routine, statement.arguments, scope))
         handler_names = self.effects.changed_by_handler(routine)
@@ -672,7 +720,7 @@ class Execution:
             inner.presence[parameter.name] = is_given
         if self._routine_moves(routine):
             self.result.calls.setdefault(routine.name, []).append(statement)
-        self._routine(routine, inner, depth + 1)
+        self._execute_routine(routine, inner, depth + 1)
         for parameter, expression, _ in bound:
             if parameter.changeable and expression is not None and not _is_data_name(expression, scope):
                 _forget_variable(scope.find(base_name(expression)), f"{routine.name} may change it")
@@ -692,11 +740,11 @@ class Execution:
         self,
         routine: Routine,
         parameter: Parameter,
-        bound: list[tuple[Parameter, Expression | None, bool | None]],
+        bound: list[BoundArgument],
     ) -> bool:
         """Return whether a routine may change the data that a parameter is an element of, under another name too.
 
-        :param bound: parameters of the routine with their arguments, and whether these are given.
+        :param bound: parameters of the routine with their arguments.
         """
         names = [base_name(expression) for _, expression, _ in bound if expression is not None]
         base = next(base_name(value) for item, value, _ in bound if item is parameter and value is not None)
@@ -718,9 +766,8 @@ def _check_names(modules: tuple[Module, ...]) -> None:
     """
     clash = name_clash(modules)
     if clash is not None:
-        item, names = clash
-        problem = f"{item.name} is declared in two modules, {names[0]} and {names[1]}"
-        raise RapidError(problem, item.start, "Give one of them another name, or convert each module by itself.")
+        problem = f"{clash.item.name} is declared in two modules, {clash.first_module} and {clash.second_module}"
+        raise RapidError(problem, clash.item.start, "Give one of them another name, or convert each module by itself.")
 
 
 def _check_functions(modules: tuple[Module, ...]) -> None:

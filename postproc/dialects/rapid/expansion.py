@@ -15,7 +15,7 @@ from msgspec import Struct
 
 from postproc.dialects.rapid.execution import ExecutedProgram, Execution, RapidError
 from postproc.dialects.rapid.loaded import LoadedModules
-from postproc.dialects.rapid.syntax import Loop, Module, Parser, Routine, modules
+from postproc.dialects.rapid.syntax import Instruction, Loop, Module, Parser, Routine, modules
 from postproc.dialects.rapid.values import Value
 from postproc.dialects.text import line_spans
 from postproc.program import Ints
@@ -126,33 +126,43 @@ def _first_changes(text: str, program_modules: Sequence[Module], execution: Exec
     ]
     if outermost:
         return [_unroll(text, loop, values) for loop, values in outermost]
-    routines = {routine.name: routine for module in program_modules for routine in module.routines}
-    changes: list[_Change] = []
     for name, calls in execution.calls.items():
         call_starts = {call.start for call in calls}
-        if len(calls) < 2 or len(call_starts) < len(calls) or any(change.copied for change in changes):
-            continue
-        routine = routines[name]
-        copies: list[tuple[int, str]] = []
-        for number, call in enumerate(sorted(calls, key=lambda call: call.start)[1:], 2):
-            copy = _free_name(text[slice(*routine.name_span)], number, routines)
-            word = re.compile(r'%[ \t]*"[^"]*"[ \t]*%|\w+').match(text, call.start)
-            if word is None or word[0].startswith("%"):
-                problem = f"{name} is called more than once, by its name as text"
-                raise RapidError(problem, call.start, f"Call it as {name};")
-            changes.append(_Change(word.start(), word.end(), ((-1, copy),)))
-            name_start, name_stop = routine.name_span
-            copies += [(-1, _line_end(text)), (routine.start, text[routine.start : name_start]), (-1, copy)]
-            copies.append((name_stop, text[name_stop : routine.stop]))
-        changes.append(_Change(routine.stop, routine.stop, tuple(copies), copied=name))
-    if not changes:
-        start = next(start for start, count in move_counts.items() if count > 1)
-        raise RapidError("a loop or routine with moves runs more than once", start, "Write its moves one by one.")
+        if len(calls) > 1 and len(call_starts) == len(calls):
+            return _copies(text, program_modules, name, calls)
+    start = next(start for start, count in move_counts.items() if count > 1)
+    raise RapidError("a loop or routine with moves runs more than once", start, "Write its moves one by one.")
+
+
+def _copies(text: str, program_modules: Sequence[Module], name: str, calls: Sequence[Instruction]) -> list[_Change]:
+    """Return the changes that give each call of a routine but the first a copy of it, below the routine.
+
+    :param calls: of the routine, each in a statement of its own.
+    :raises RapidError: a call has the name of the routine as text.
+    """
+    routines = {routine.name: routine for module in program_modules for routine in module.routines}
+    routine = routines[name]
+    name_start, name_stop = routine.name_span
+    changes: list[_Change] = []
+    pieces: list[tuple[int, str]] = []
+    for number, call in enumerate(sorted(calls, key=lambda call: call.start)[1:], 2):
+        copy_name = _free_name(text[name_start:name_stop], number, routines)
+        word = re.compile(r'%[ \t]*"[^"]*"[ \t]*%|\w+').match(text, call.start)
+        if word is None or word[0].startswith("%"):
+            problem = f"{name} is called more than once, by its name as text"
+            raise RapidError(problem, call.start, f"Call it as {name};")
+        changes.append(_Change(word.start(), word.end(), ((-1, copy_name),)))
+        pieces += [(-1, _line_end(text)), (routine.start, text[routine.start : name_start]), (-1, copy_name)]
+        pieces.append((name_stop, text[name_stop : routine.stop]))
+    changes.append(_Change(routine.stop, routine.stop, tuple(pieces), copied=name))
     return changes
 
 
 def _free_name(name: str, number: int, routines: dict[str, Routine]) -> str:
-    """Return the name of a copy of a routine that no routine has, of at most 32 characters as RAPID allows."""
+    """Return the name of a copy of a routine that no routine has, of at most 32 characters as RAPID allows.
+
+    :param name: of the routine, which is cut to make room for the number; `routines`: by name in upper case.
+    """
     copy = f"{name[:28]}_{number}"
     while copy.upper() in routines:
         copy = f"{copy[:30]}c"
@@ -169,6 +179,7 @@ def _unroll(text: str, loop: Loop, values: Sequence[float]) -> _Change:
     """Return the change that writes a loop out: its body once a round, after a comment with the round.
 
     :param values: of the variable of FOR in each round, which replace its name; of WHILE only their number counts.
+    :raises RapidError: a second loop inside FOR has a variable of the same name.
     """
     begin, end = loop.inside
     body = text[begin:end]
@@ -179,21 +190,21 @@ def _unroll(text: str, loop: Loop, values: Sequence[float]) -> _Change:
     indent = re.search(r"[ \t]*\Z", text[: loop.start])
     variable_spans = _uses(text, loop) if loop.name else []
     pieces: list[tuple[int, str]] = []
+    end_of_line = _line_end(text)
+    ends_line = body[:body_stop].endswith(("\n", "\r"))
+    variable = text[loop.start :].split(maxsplit=2)[1]  # as spelled after FOR
     for number, value in enumerate(values, 1):
-        end_of_line = _line_end(text)
-        label = f"{text[loop.start :].split(maxsplit=2)[1]} = {value:g}" if loop.name else f"round {number}"
-        prefix = (
-            ""
-            if number == 1 or not indent
-            else ("" if body[:body_stop].endswith(("\n", "\r")) else end_of_line) + indent[0]
-        )
+        label = f"{variable} = {value:g}" if loop.name else f"round {number}"
+        prefix = ""
+        if number > 1 and indent:
+            prefix = ("" if ends_line else end_of_line) + indent[0]
         pieces.append((-1, f"{prefix}! {label}{end_of_line}"))
         position = begin + offset
         for start, stop in variable_spans:
             pieces += [(position, text[position:start]), (-1, f"{value:.9g}" if value >= 0 else f"({value:.9g})")]
             position = stop
         pieces.append((position, text[position : begin + body_stop]))
-    if body[:body_stop].endswith(("\n", "\r")) and indent:
+    if ends_line and indent:
         pieces.append((-1, f"{indent[0]}! end"))
     return _Change(loop.start, loop.stop, tuple(pieces), is_loop=True)
 
@@ -217,7 +228,11 @@ def _uses(text: str, loop: Loop) -> list[tuple[int, int]]:
 
 
 def _apply_changes(text: str, line: Ints, changes: Sequence[_Change]) -> tuple[str, Ints]:
-    """Return the text with changes, and the line of the file that each of its lines comes from."""
+    """Return the text with changes, and the line of the file that each of its lines comes from.
+
+    :param line: (L,) lines of the file of the lines of the old text.
+    :param changes: which do not overlap.
+    """
     pieces: list[tuple[int, str]] = []  # text, and the offset it comes from; −1 − start of its change for new text
     position = 0
     for change in sorted(changes, key=lambda change: (change.start, change.stop)):

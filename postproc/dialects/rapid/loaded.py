@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
+from typing import NamedTuple
 
 from msgspec import Struct
 from msgspec.structs import replace
@@ -47,9 +48,9 @@ def load_modules(cell: Cell) -> LoadedModules:
     loaded_modules = tuple(module for file in files for module in _modules_of(file))
     clash = name_clash(loaded_modules)
     if clash is not None:
-        item, names = clash
+        module_names = f"{clash.first_module} and {clash.second_module}"
         advice = "Name those modules only that the controller loads with the program."
-        problem = f"[rapid] modules: {item.name} is declared in two of them, {names[0]} and {names[1]}"
+        problem = f"[rapid] modules: {clash.item.name} is declared in two of them, {module_names}"
         raise CellError(problem, advice=advice)
     routine = named_like_rapid(loaded_modules)
     if routine is not None:
@@ -58,10 +59,16 @@ def load_modules(cell: Cell) -> LoadedModules:
     return LoadedModules(loaded_modules, _data(loaded_modules))
 
 
-def name_clash(
-    modules_of_task: Iterable[Module],
-) -> tuple[Declaration | Routine, tuple[str, str]] | None:
-    """Return a declaration whose name two modules declare, and the modules' names; None if all names differ.
+class NameClash(NamedTuple):
+    """Data or a routine whose name another module declares before, and the names of the two modules."""
+
+    item: Declaration | Routine
+    first_module: str
+    second_module: str
+
+
+def name_clash(modules_of_task: Iterable[Module]) -> NameClash | None:
+    """Return the first declaration whose name an earlier module declares too; None if all names differ.
 
     A LOCAL name counts too: which one is meant depends on the module.
     """
@@ -69,9 +76,9 @@ def name_clash(
     for module in modules_of_task:
         items: tuple[Declaration | Routine, ...] = (*module.data, *module.routines)
         for item in items:
-            first = module_of.setdefault(item.name, module.name)
-            if first != module.name:
-                return item, (first, module.name)
+            first_module = module_of.setdefault(item.name, module.name)
+            if first_module != module.name:
+                return NameClash(item, first_module, module.name)
     return None
 
 

@@ -35,6 +35,10 @@ _REFUSED_OPTIONS = {
 }
 
 
+_LARGEST = 1e6
+"""Speeds [mm/s], durations [s] and zones [mm] beyond are mistakes (assumed)."""
+
+
 class Setting(Struct, frozen=True):
     """What instructions have set for the moves that follow.
 
@@ -89,6 +93,8 @@ class Move(Struct, frozen=True, eq=False):
 def stated_move(statement: Instruction, form: Form, scope: Scope, setting: Setting, frames: Frames) -> Move:
     """Return the motion that an instruction states.
 
+    :param form: of its arguments; `setting`: what earlier instructions have set.
+    :param frames: see `Frames`.
     :raises UnknownValueError: a value is not known before the program runs, or an option is not followed.
     """
     expressions = [
@@ -100,7 +106,7 @@ def stated_move(statement: Instruction, form: Form, scope: Scope, setting: Setti
             raise UnknownValueError(f"the move {_REFUSED_OPTIONS[name]} (\\{name})")
         if name not in _OPTIONS:
             raise UnknownValueError(f"\\{name} is not followed")
-    min_count = form.points + 3 + form.before_zone
+    min_count = form.points + 3 + form.before_zone  # points, speed, perhaps a trigger, zone and tool
     if not min_count <= len(expressions) <= min_count + form.behind:
         raise UnknownValueError(f"{statement.name} has {len(expressions)} arguments instead of {min_count}")
     *via_points, end_point = (_target(expressions[k], scope, joints=form.joints) for k in range(form.points))
@@ -158,14 +164,14 @@ def _speed_and_duration(
         argument = options.get(name)
         if argument is not None and argument.value is not None:
             value = number(argument.value, scope)
-            if not 0.0 < value < 1e6:
+            if not 0.0 < value < _LARGEST:
                 raise UnknownValueError(f"\\{name} must be more than 0")
             return (0.0, value / share) if name == "T" else (min(value * share, limit), 0.0)
     value, _ = evaluate(expression, scope)
     if not isinstance(value, list) or len(value) != len(FIELDS["SPEEDDATA"]):
         raise UnknownValueError("the speed is no speeddata")
     tcp = value[0]
-    if isinstance(tcp, bool) or not isinstance(tcp, float) or not 0.0 < tcp < 1e6:
+    if isinstance(tcp, bool) or not isinstance(tcp, float) or not 0.0 < tcp < _LARGEST:
         raise UnknownValueError("the speed of the TCP must be more than 0")
     return min(tcp * share, limit), 0.0
 
@@ -184,13 +190,17 @@ def _zone(expression: Expression, options: dict[str, Argument], scope: Scope) ->
     if not isinstance(value, list) or len(value) != len(FIELDS["ZONEDATA"]) or not isinstance(value[0], bool):
         raise UnknownValueError("the zone is no zonedata")
     distance = value[1]
-    if isinstance(distance, bool) or not isinstance(distance, float) or not 0.0 <= distance < 1e6:
+    if isinstance(distance, bool) or not isinstance(distance, float) or not 0.0 <= distance < _LARGEST:
         raise UnknownValueError("the zone is no distance")
     return 0.0 if value[0] else distance
 
 
 def _frame(expression: Expression, type_: str, scope: Scope, frames: Frames) -> Value:
-    """Return a tool or work object; one that no module declares is that of the cell."""
+    """Return a tool or work object; one that no module declares is that of the cell.
+
+    :param type_: TOOLDATA or WOBJDATA.
+    :raises UnknownValueError: it is unknown, or of another type.
+    """
     if expression.kind == "name" and scope.find(expression.value) is None:
         value = frames(expression.value, type_)
         if value is not None:
@@ -215,12 +225,19 @@ def _data_name(expression: Expression, scope: Scope) -> str:
 
 
 def _numbers(value: Value, *, joints: bool) -> list[float]:
-    """Return the 17 numbers of a robtarget, or the 12 of a jointtarget."""
+    """Return the 17 numbers of a robtarget, or the 12 of a jointtarget.
+
+    :raises UnknownValueError: the value has another form.
+    """
     return record_numbers(value, 6, 6) if joints else record_numbers(value, 3, 4, 4, 6)
 
 
 def _element(expression: Expression, initial: Expression | None, scope: Scope) -> Expression | None:
-    """Return the text of the numbers that an expression names, in the declaration; None if there is none."""
+    """Return the part of a declaration that has the numbers of an expression; None if there is none.
+
+    :param expression: data, or an element of an array; `initial`: the declared value, or None.
+    :raises UnknownValueError: an index is not known.
+    """
     if initial is None or expression.kind not in ("name", "index"):
         return None
     element: Expression = initial

@@ -127,7 +127,10 @@ class _NewModule:
         return WrittenProgram((document,), output_line, "rapid", group_issues(new.issues))
 
     def _check_lines(self) -> None:
-        """Refuse lines of the cell that are not RAPID or move the robot; indent the others."""
+        """Refuse lines of the cell that are not RAPID or move the robot; indent the others.
+
+        :raises CellError: a line is not allowed.
+        """
         for k, cell_lines in self.new.before.items():
             for line in cell_lines:
                 fault = language.line_fault(line)

@@ -21,6 +21,7 @@ from postproc import garbage
 from postproc.cell import Cell
 from postproc.chunks import Runs
 from postproc.dialects import circles
+from postproc.dialects.circles import ArcColumns
 from postproc.dialects.rapid.execution import ExecutedProgram, RapidError
 from postproc.dialects.rapid.expansion import ExpandedProgram, expand
 from postproc.dialects.rapid.language import joints_from_abb, poses, status_from_cfx
@@ -52,6 +53,8 @@ _NORM_TOLERANCE = 1e-3
 """What the sum of the squares of a quaternion may differ from 1: three decimals of each."""
 _LARGEST_COORDINATE = 1e5
 """Largest coordinate of a target or frame [mm] (assumed)."""
+_LEAST_LENGTH = 1e-9
+"""Moves that are shorter [m] are rounding."""
 _TURNS = 1e-6
 """Change of the elements of a rotation matrix that is the rounding of written quaternions."""
 _MOST_NAMES = 5
@@ -99,14 +102,18 @@ class _Reader:
         self.frames: dict[str, _FromCell] = {}
 
     def program(self, forward_kinematics: Callable[[Array], Array], name: str) -> Program:
-        """Return the program."""
+        """Return the program.
+
+        :param forward_kinematics: (6,) joints [rad] → (4, 4) flange in the robot root [m].
+        :raises InputError: the module cannot be followed, or moves nothing.
+        """
         expanded = self._expand(name)
         execution = expanded.executed
         line = self._lines(expanded, np.array([move.statement.start for move in execution.moves], dtype=np.int64))
         if execution.errors:
             lines = self._lines(expanded, np.array([cause.start for cause in execution.errors])).tolist()
             pairs = zip(execution.errors, lines, strict=True)
-            raise combined_error([self._at(cause.problem, at, cause.advice) for cause, at in pairs])
+            raise combined_error([self._error(cause.problem, at, cause.advice) for cause, at in pairs])
         if not execution.moves:
             raise ProgramError(
                 "there are no motions", file=self.document.name, advice="Check that this is the program."
@@ -146,9 +153,9 @@ class _Reader:
         except RapidSyntaxError as cause:
             advice = "Check the file in RobotStudio. If it is accepted there, please report this."
             line = int(np.searchsorted(line_spans(text)[0], cause.start, side="right"))
-            raise self._at(cause.problem, line, advice) from None
+            raise self._error(cause.problem, line, advice) from None
         except RapidError as cause:
-            raise self._at(cause.problem, max(cause.line, 1), cause.advice) from None
+            raise self._error(cause.problem, max(cause.line, 1), cause.advice) from None
 
     @staticmethod
     def _lines(expanded: ExpandedProgram, start: Ints) -> Ints:
@@ -156,7 +163,11 @@ class _Reader:
         return np.asarray(expanded.line[np.searchsorted(line_spans(expanded.text)[0], start, side="right") - 1])
 
     def _entry(self, modules: Sequence[Module], name: str) -> Routine:
-        """Return the routine that is the program: that of the file's name, main, or the only one nobody calls."""
+        """Return the routine that is the program: that of the file's name, main, or the only one nobody calls.
+
+        :param name: of the program, for which a routine is looked for too.
+        :raises ProgramError: there is none, or several may be meant.
+        """
         routines = {
             routine.name: routine for module in modules for routine in module.routines if routine.kind == "PROC"
         }
@@ -184,7 +195,11 @@ class _Reader:
         )
 
     def _cell_frame(self, name: str, type_: str) -> Value | None:
-        """Return [tool] or [base] of the cell for data of another module."""
+        """Return [tool] or [base] of the cell for data of another module.
+
+        :param name: of the data; `type_`: TOOLDATA or WOBJDATA.
+        :raises UnknownValueError: data of this type and another name were asked for before.
+        """
         type_names = self.names.setdefault(type_, set())
         type_names.add(name)
         if len(type_names) > 1:
@@ -197,7 +212,10 @@ class _Reader:
         return self.frames[type_]
 
     def _notes(self, expanded: ExpandedProgram) -> tuple[tuple[Comment, ...], tuple[ForceNote, ...]]:
-        """Return the force comments, and the force notes with the motion that each precedes."""
+        """Return the force comments, and as many force notes with the motion that each precedes.
+
+        :raises InputError: force comments cannot be read.
+        """
         comments: list[Comment] = []
         notes: list[ForceNote] = []
         errors: list[InputError] = []
@@ -250,9 +268,9 @@ class _Reader:
             line=line,
             target=Poses.of(pose),
             joints=Runs.of(joints),
-            centre=arcs[0],
-            normal=arcs[1],
-            sweep=arcs[2],
+            centre=arcs.centre,
+            normal=arcs.normal,
+            sweep=arcs.sweep,
             feed=self._tcp_speed(moves, kind, start, pose, arcs, line),
             base=base,
             tool=tool,
@@ -281,7 +299,7 @@ class _Reader:
         joints[has_joints] = joints_from_abb(angles[:, :6].astype(np.float32).astype(np.float64))
         return target_numbers, joints
 
-    def _at(self, problem: str, line: int, advice: str) -> ProgramError:
+    def _error(self, problem: str, line: int, advice: str) -> ProgramError:
         """Return an error at a line of the file."""
         starts, stops = line_spans(self.document.text)
         line_text = self.document.text[starts[line - 1] : stops[line - 1]].strip()
@@ -292,7 +310,12 @@ class _Reader:
     ) -> tuple[Ints, Array]:
         """Return the row of the frame of each motion (M,), and the frames (n, 4, 4) [m].
 
+        Equal values have one row. Values of the same object are not compared by their text, for speed.
+
+        :param line: (M,) lines of the moves.
         :param values: of each motion, and whether they are data with a name: others share no row with these.
+        :param pose_of: returns the frame of a value.
+        :raises ProgramError: a value is no frame.
         """
         rows: dict[tuple[int, bool], int] = {}
         keys: dict[tuple[str, bool], int] = {}
@@ -308,7 +331,7 @@ class _Reader:
                         frames.append(pose_of(value))
                     except UnknownValueError as cause:
                         advice = "Give it as a plain declaration in this file."
-                        raise self._at(cause.problem, int(line[k]), advice) from None
+                        raise self._error(cause.problem, int(line[k]), advice) from None
                     row = keys[key] = len(frames) - 1
                 rows[id(value), is_named] = row
             frame_rows[k] = row
@@ -354,18 +377,18 @@ class _Reader:
         """
         is_too_far = np.abs(numbers[:, :3]) > _LARGEST_COORDINATE
         if is_too_far.any():
-            raise self._at(
+            raise self._error(
                 "no robot reaches this target", int(line[np.argmax(is_too_far.any(axis=1))]), "Coordinates are in mm."
             )
         is_not_unit = np.abs(np.einsum("ni,ni->n", numbers[:, 3:7], numbers[:, 3:7]) - 1.0) > _NORM_TOLERANCE
         if is_not_unit.any():
             advice = "The squares of q1…q4 must add up to 1: give them with more decimals."
-            raise self._at("the orientation is not a unit quaternion", int(line[np.argmax(is_not_unit)]), advice)
+            raise self._error("the orientation is not a unit quaternion", int(line[np.argmax(is_not_unit)]), advice)
         has_invalid_axis_data = (
             (numbers[:, 7:11] != np.round(numbers[:, 7:11])).any(axis=1) | (numbers[:, 10] < 0) | (numbers[:, 10] > 7)
         )
         if has_invalid_axis_data.any():
-            raise self._at(
+            raise self._error(
                 "the configuration (cf1, cf4, cf6, cfx) is not understood",
                 int(line[np.argmax(has_invalid_axis_data)]),
                 "It has four whole numbers, the last from 0 to 7.",
@@ -384,27 +407,29 @@ class _Reader:
                 f"the external axis {name} is at {values[row, column]:g}: where it carries robot or part is not known"
             )
             advice = f"Post the program with {name} at 0, or at 9E9 if it takes no part."
-            raise self._at(problem, int(line[row]), advice)
+            raise self._error(problem, int(line[row]), advice)
 
-    def _arcs(
-        self, moves: list[Move], start: Array, pose: Array, line: Ints, circular: Bools
-    ) -> tuple[Array, Array, Array]:
-        """Return centre (M, 3), normal (M, 3) and sweep (M,) of circles; NaN for other motions."""
+    def _arcs(self, moves: list[Move], start: Array, pose: Array, line: Ints, circular: Bools) -> ArcColumns:
+        """Return the arcs of circles.
+
+        :param start: (M, 4, 4) poses at the starts of the motions; `pose`: at their ends [m].
+        :param line: (M,) lines of the moves; `circular`: (M,) which are circles.
+        :raises ProgramError: three points are not on a circle, or a point on it is not valid.
+        """
         rows = np.flatnonzero(circular)
-        centre, normal = np.full((len(line), 3), np.nan), np.full((len(line), 3), np.nan)
-        sweep = np.full(len(line), np.nan)
+        columns = ArcColumns.unset(len(line))
         if len(rows):
             via_numbers = np.array([move.via.numbers for move in moves if move.via is not None])
             self._check(via_numbers, line[rows])
             via_points = poses(via_numbers[:, :7])[:, :3, 3]
-            centre[rows], normal[rows], sweep[rows], is_degenerate = circles.arcs_through(
-                start[rows, :3, 3], via_points, pose[rows, :3, 3]
-            )
-            if is_degenerate.any():
-                circle_line = int(line[rows[np.argmax(is_degenerate)]])
+            arcs = circles.arcs_through(start[rows, :3, 3], via_points, pose[rows, :3, 3])
+            if arcs.is_flat.any():
+                circle_line = int(line[rows[np.argmax(arcs.is_flat)]])
                 problem = "the three points of the circle are on a line or coincide"
-                raise self._at(problem, circle_line, "Write MoveL, or give the circle another point.")
-        return centre, normal, sweep
+                raise self._error(problem, circle_line, "Write MoveL, or give the circle another point.")
+            for column, values in zip(columns, arcs, strict=False):
+                column[rows] = values
+        return columns
 
     def _turning(self, moves: list[Move], kind: Ints, start: Array, pose: Array, line: Ints) -> tuple[Bools, Bools]:
         r"""Return which motions (M,) turn the tool by the wrist axes (SingArea\Wrist), and which with their path.
@@ -432,17 +457,17 @@ class _Reader:
         for is_invalid, problem in faults:
             if is_invalid.any():
                 advice = "Use SingArea\\Off and CirPathMode\\ObjectFrame, or keep the orientation along this move."
-                raise self._at(problem, int(line[np.argmax(is_invalid)]), advice)
+                raise self._error(problem, int(line[np.argmax(is_invalid)]), advice)
         by_wrist = (area == "WRIST") & (kind == LIN)
         return by_wrist, (kind == CIRC) & (mode == "PATHFRAME")
 
     def _tcp_speed(
-        self, moves: list[Move], kind: Ints, start: Array, pose: Array, arcs: tuple[Array, Array, Array], line: Ints
+        self, moves: list[Move], kind: Ints, start: Array, pose: Array, arcs: ArcColumns, line: Ints
     ) -> Array:
         """Return the speed of the TCP (M,) [m/s], as the controller stores it; NaN for joint interpolation.
 
         :param start: (M, 4, 4) poses at the starts of the motions; `pose`: at their ends [m].
-        :param arcs: centre, normal and sweep of circles.
+        :param line: (M,) lines of the moves.
         :raises ProgramError: a move without length has a duration.
         """
         speed = _single([move.speed for move in moves]) * M_PER_MM
@@ -450,11 +475,11 @@ class _Reader:
         timed_rows = np.flatnonzero((duration > 0.0) & (kind != PTP))
         if len(timed_rows):
             length = norm(pose[timed_rows, :3, 3] - start[timed_rows, :3, 3])
-            radius = norm(start[timed_rows, :3, 3] - arcs[0][timed_rows])
-            length = np.where(kind[timed_rows] == CIRC, radius * arcs[2][timed_rows], length)
-            if (length < 1e-9).any():
+            radius = norm(start[timed_rows, :3, 3] - arcs.centre[timed_rows])
+            length = np.where(kind[timed_rows] == CIRC, radius * arcs.sweep[timed_rows], length)
+            if (length < _LEAST_LENGTH).any():
                 move_line = int(line[timed_rows[np.argmin(length)]])
-                raise self._at("a move without length has a duration (\\T)", move_line, "Give it a speed instead.")
+                raise self._error("a move without length has a duration (\\T)", move_line, "Give it a speed instead.")
             speed[timed_rows] = length / duration[timed_rows]
         return np.where(kind == PTP, np.nan, speed)
 

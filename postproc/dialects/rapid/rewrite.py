@@ -14,6 +14,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from itertools import accumulate
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -62,10 +63,19 @@ def rewrite(
 
     :param joints: joint angles of the targets, which give their configurations.
     :param comment_forces: forces that comments must give to the targets, or None.
+    :raises TypeError: the program was not read from RAPID.
     """
     if not isinstance(program.layout, Layout):
         raise TypeError("the program was not read from RAPID")
     return _Rewriter(program, program.layout, targets, joints, comment_forces).write()
+
+
+class _SharedData(NamedTuple):
+    """Data with numbers that moves name, the edits that give it a corrected target, and that target as text."""
+
+    target: Target
+    edits: list[Edit]
+    text: str
 
 
 class _Rewriter:
@@ -99,9 +109,9 @@ class _Rewriter:
         self.degrees = abb_from_joints(q)
         self.conf = configuration(q, np.asarray(joints.status[np.arange(len(self.row))]))
         self.lowered = self._lowered_moves()
-        self.shared: dict[int, tuple[Target, list[Edit], str]] = {}
-        """Data with numbers that moves name: offset of the numbers → (target, its edits, its text)."""
-        self.places: dict[int, Expression] = {}
+        self.shared: dict[int, _SharedData] = {}
+        """Data with numbers that moves name, by the offset of the numbers."""
+        self.data_arguments: dict[int, Expression] = {}
         """Arguments that name data, by offset."""
 
     def _lowered_moves(self) -> set[int]:
@@ -112,7 +122,7 @@ class _Rewriter:
         return set(np.flatnonzero(self.program.motions.feed < as_read).tolist())
 
     def write(self) -> WrittenProgram:
-        """Make all edits of the module, and return it with the line of its first move."""
+        """Make all edits of the module, and return it with the line of each target."""
         document = self.program.documents[0]
         forces = self._forces()
         is_divided = np.bincount(self.row, minlength=len(self.moves)) > 1
@@ -130,10 +140,10 @@ class _Rewriter:
             if needs_speed or row in self.lowered:
                 self._set_speed(row)
             if is_corrected[k]:
-                self._change(row, k, uses)
+                self._change_end(row, k, uses)
             elif self.moves[row].kind == CIRC and self.targets.kind[k] == LIN:
                 self._straighten(self.moves[row])
-        self._settle(uses)
+        self._rewrite_shared_data(uses)
         if not self.edits:
             line = self._line_of_moves()
             return WrittenProgram((document,), line, "rapid", tuple(self.issues))
@@ -141,13 +151,13 @@ class _Rewriter:
         return WrittenProgram((replace(document, text=text),), line, "rapid", tuple(self.issues))
 
     def _line_of_moves(self) -> Ints:
-        """Return the line of the file of each target."""
+        """Return the line (K,) of the file of each target, in a module without edits."""
         return np.asarray(self.program.motions.line[self.row], dtype=np.int64)
 
     # --- lines before a move
 
     def _forces(self) -> dict[int, str]:
-        """Return the force comments that targets need beyond those of the program."""
+        """Return the force comments that targets need beyond those of the program, by rows of the targets."""
         if self.comment_forces is None:
             return {}
         note_motions = np.array([note.before for note in self.program.notes], dtype=np.int64)
@@ -277,7 +287,7 @@ class _Rewriter:
 
     # --- the end of a move
 
-    def _change(self, row: int, k: int, uses: dict[int, list[tuple[int, str]]]) -> None:
+    def _change_end(self, row: int, k: int, uses: dict[int, list[tuple[int, str]]]) -> None:
         """Give a move another end.
 
         :param row: the move; `k`: row of the target at its end; `uses`: see `_rewrite_point`.
@@ -322,12 +332,17 @@ class _Rewriter:
             self.edits.append(Edit(expression.start, expression.stop, whole))
             return
         edits = self._literal_edits(literal, target, place, turn, k)
-        self.shared.setdefault(literal.start, (target, edits, whole))
+        self.shared.setdefault(literal.start, _SharedData(target, edits, whole))
         uses.setdefault(literal.start, []).append((expression.start, whole))
-        self.places[expression.start] = expression
+        self.data_arguments[expression.start] = expression
 
-    def _settle(self, uses: dict[int, list[tuple[int, str]]]) -> None:
-        """Change the numbers of data, or write them into the moves that use them."""
+    def _rewrite_shared_data(self, uses: dict[int, list[tuple[int, str]]]) -> None:
+        """Change the numbers of data, or write them into the moves that use them.
+
+        Data is changed if all moves that use it get the same target, and if nothing but them names it.
+
+        :param uses: see `_rewrite_point`.
+        """
         if not uses:
             return
         mentions = Counter(re.findall(r"[^\W\d]\w*", self.text.upper()))
@@ -342,15 +357,16 @@ class _Rewriter:
                         starts.add(target.expression.start)
                         name_counts[target.data.name] += 1
         for start, texts in uses.items():
-            target, edits, whole = self.shared[start]
-            assert target.data is not None
-            has_one_text = len(texts) == len(arguments[start]) and all(text == whole for _, text in texts)
-            is_only_named_here = mentions[target.data.name] == 1 + name_counts[target.data.name]
+            shared = self.shared[start]
+            assert shared.target.data is not None
+            data_name = shared.target.data.name
+            has_one_text = len(texts) == len(arguments[start]) and all(text == shared.text for _, text in texts)
+            is_only_named_here = mentions[data_name] == 1 + name_counts[data_name]
             if has_one_text and is_only_named_here:
-                self.edits += edits
+                self.edits += shared.edits
             else:
-                for place, text in texts:
-                    expression = self.places[place]
+                for argument_start, text in texts:
+                    expression = self.data_arguments[argument_start]
                     self.edits.append(Edit(expression.start, expression.stop, text))
 
     def _literal_edits(

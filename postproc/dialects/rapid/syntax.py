@@ -183,6 +183,8 @@ _NUMBER_IN_LIST = re.compile(r"[0-9.]+")
 _FIRST, _NUMBERS = 2, 17
 """Group of the target in this pattern, and how many numbers it has: x, y, z, q1…q4, cf1…cfx, eax_a…eax_f."""
 _OPERATORS = (("OR", "XOR"), ("AND",), ("=", "<>", "<", ">", "<=", ">="), ("+", "-"), ("*", "/", "DIV", "MOD"))
+_COMPARISON, _SUM, _PRODUCT = 2, 3, 4
+"""Indices in `_OPERATORS`; operators bind the tighter, the further behind they are."""
 _ENDS = {"ENDIF", "ELSE", "ELSEIF", "ENDFOR", "ENDWHILE", "ENDTEST", "CASE", "DEFAULT", "ENDPROC", "ENDFUNC"}
 _ENDS |= {"ENDTRAP", "ERROR", "UNDO", "BACKWARD", "ENDMODULE"}
 _KINDS = ("CONST", "PERS", "VAR")
@@ -193,8 +195,11 @@ _DEEPEST = 200
 class Parser:
     """Parser of a text from an offset on.
 
-    After each step, `kind`, `word` (upper case), `start` and `stop` are the token that comes next, and `behind` is the
-    end of the one before.
+    :ivar kind: of the next token: ``name``, ``number``, ``string``, ``symbol``, ``end`` of the text, or ``?``.
+    :ivar word: its text, names in upper case; `start` and `stop`: its offsets.
+    :ivar behind: end of the token before it.
+    :ivar comments: comments that no block has yet.
+    :ivar depth: number of expressions and blocks that are open.
     """
 
     def __init__(self, text: str, start: int = 0) -> None:
@@ -229,7 +234,10 @@ class Parser:
         return RapidSyntaxError(f"{expectation} is expected instead of {token!r}", self.start)
 
     def take(self, word: str) -> None:
-        """Go beyond a word or symbol."""
+        """Go beyond a word or symbol.
+
+        :raises RapidSyntaxError: another token is here.
+        """
         if self.word != word or self.kind not in ("name", "symbol"):
             raise self.fault(word)
         self.step()
@@ -242,7 +250,10 @@ class Parser:
         return False
 
     def identifier(self) -> str:
-        """Go beyond a name; return it in upper case."""
+        """Go beyond a name; return it in upper case.
+
+        :raises RapidSyntaxError: no name is here.
+        """
         if self.kind != "name" or self.word in WORDS:
             raise self.fault("a name")
         name = self.word
@@ -263,14 +274,14 @@ class Parser:
         if self.depth > _DEEPEST:
             raise RapidSyntaxError("brackets or statements are nested too deeply", self.start)
         start = self.start
-        if level in (0, 2) and self.word == "NOT" and self.kind == "name":
+        if level in (0, _COMPARISON) and self.word == "NOT" and self.kind == "name":
             self.step()  # the lowest level: NOT a AND b is NOT (a AND b)
             operand = self.expression(level + 1)
             left = Expression("operation", start, self.behind, "NOT", (operand,))
-        elif level == 3 and self.kind == "symbol" and self.word in ("-", "+"):
+        elif level == _SUM and self.kind == "symbol" and self.word in ("-", "+"):
             sign = self.word
             self.step()
-            operand = self.expression(4)
+            operand = self.expression(_PRODUCT)
             if operand.kind == "number":
                 left = Expression("number", start, self.behind, -operand.value if sign == "-" else operand.value)
             else:
@@ -286,7 +297,10 @@ class Parser:
         return left
 
     def _factor(self) -> Expression:
-        """Parse a number, string, aggregate, bracket or reference."""
+        """Parse a number, string, aggregate, bracket or reference.
+
+        :raises RapidSyntaxError: there is none.
+        """
         start, kind = self.start, self.kind
         if kind == "number":
             value = float(self.word)
@@ -309,7 +323,10 @@ class Parser:
         return self._reference()
 
     def _list(self) -> Expression:
-        """Parse an aggregate in [ ]; plain numbers by one pattern, for speed."""
+        """Parse an aggregate in [ ]; plain numbers by one pattern, for speed.
+
+        :raises RapidSyntaxError: it is not valid.
+        """
         start = self.start
         if (match := _PLAIN.match(self.text, start)) is not None:
             self.stop = match.end()
@@ -323,7 +340,10 @@ class Parser:
         return Expression("list", start, self.behind, None, tuple(items))
 
     def _reference(self) -> Expression:
-        """Read a name with indices and components, or a call of a function."""
+        """Read a name with indices and components, or a call of a function.
+
+        :raises RapidSyntaxError: it is not valid.
+        """
         start = self.start
         expression = Expression("name", start, self.stop, self.identifier())
         if self.word == "(" and self.kind == "symbol":
@@ -334,7 +354,10 @@ class Parser:
         return self._components(expression)
 
     def arguments(self, end: str) -> tuple[Argument, ...]:
-        """Parse arguments up to the symbol `end`, which remains the next token."""
+        """Parse arguments up to the symbol `end`, which remains the next token.
+
+        :raises RapidSyntaxError: they are not valid.
+        """
         items: list[Argument] = []
         while self.word != end or self.kind != "symbol":
             if items and not self.accept(",") and not (self.word == "\\" and self.kind == "symbol"):
@@ -353,7 +376,10 @@ class Parser:
     # --- statements
 
     def block(self) -> tuple[Statement, ...]:
-        """Parse statements up to the word that ends them, which remains the next token."""
+        """Parse statements up to the word that ends them, which remains the next token.
+
+        :raises RapidSyntaxError: a statement is not valid, or the text ends.
+        """
         self.depth += 1  # each block in another one has an expression before it, which is counted and refused
         statements: list[Statement] = []
         while True:
@@ -371,7 +397,10 @@ class Parser:
         return comments
 
     def statement(self) -> Statement:
-        """Parse a statement and go beyond it."""
+        """Parse a statement and go beyond it.
+
+        :raises RapidSyntaxError: it is not valid.
+        """
         start, word = self.start, self.word
         if self.kind == "symbol" and word == "%":
             return self._late_call()
@@ -381,12 +410,10 @@ class Parser:
             return self._plain_move(match)
         if word in ("LOCAL", "TASK", *_KINDS):
             return self.declaration()
-        handler = {"IF": self._if, "TEST": self._test, "FOR": self._for_statement, "WHILE": self._while_statement}.get(
-            word
-        )
-        if handler is not None:
+        structures = {"IF": self._if, "TEST": self._test, "FOR": self._for_statement, "WHILE": self._while_statement}
+        if word in structures:
             self.step()
-            return handler(start)
+            return structures[word](start)
         if word in ("RETURN", "RAISE", "RETRY", "TRYNEXT", "EXIT", "GOTO", "CONNECT"):
             return self._jump(start, word)
         if word in WORDS:
@@ -418,7 +445,11 @@ class Parser:
         return Expression("list", start, stop, None, items)
 
     def _jump(self, start: int, word: str) -> Statement:
-        """Parse CONNECT, RETURN, GOTO and the like."""
+        """Parse CONNECT, RETURN, GOTO and the like.
+
+        :param start: offset of its first word.
+        :raises RapidSyntaxError: it is not valid.
+        """
         self.step()
         if word == "CONNECT":
             self.expression()
@@ -432,7 +463,10 @@ class Parser:
         return Jump(start, self.behind, word)
 
     def _late_call(self) -> Statement:
-        """Parse a call by a text, ``%"name"% arguments;``: an instruction named ``%NAME``, or ``%`` if not literal."""
+        """Parse a call by a text, ``%"name"% arguments;``: an instruction named ``%NAME``, or ``%`` if not literal.
+
+        :raises RapidSyntaxError: it is not valid.
+        """
         start = self.start
         self.take("%")
         name = self.expression()
@@ -443,7 +477,11 @@ class Parser:
         return Instruction(start, self.behind, f"%{routine_name}", arguments)
 
     def _simple(self, start: int) -> Statement:
-        """Parse an assignment, an instruction or a label, which all begin with a name."""
+        """Parse an assignment, an instruction or a label, which all begin with a name.
+
+        :param start: offset of its first word.
+        :raises RapidSyntaxError: it is not valid.
+        """
         name = Expression("name", start, self.stop, self.word)
         self.step()
         if self.kind == "symbol" and self.word == ":":
@@ -462,7 +500,10 @@ class Parser:
         return Instruction(start, self.behind, name.value, arguments)
 
     def _components(self, expression: Expression) -> Expression:
-        """Parse indices { } and components . after an expression."""
+        """Parse indices { } and components . after an expression.
+
+        :raises RapidSyntaxError: they are not valid.
+        """
         start = expression.start
         while self.kind == "symbol" and self.word in "{.":
             if self.accept("{"):
@@ -478,7 +519,11 @@ class Parser:
         return expression
 
     def _if(self, start: int) -> Statement:
-        """Parse IF with its branches."""
+        """Parse IF with its branches.
+
+        :param start: offset of its first word.
+        :raises RapidSyntaxError: it is not valid.
+        """
         condition = self.expression()
         if not self.accept("THEN"):  # compact IF: one statement
             statement = self.statement()
@@ -494,7 +539,11 @@ class Parser:
         return Conditional(start, self.behind, tuple(branches))
 
     def _test(self, start: int) -> Statement:
-        """Parse TEST with its cases."""
+        """Parse TEST with its cases.
+
+        :param start: offset of its first word.
+        :raises RapidSyntaxError: it is not valid.
+        """
         subject = self.expression()
         branches: list[tuple[Expression | None, tuple[Statement, ...]]] = []
         while self.word in ("CASE", "DEFAULT"):
@@ -511,7 +560,11 @@ class Parser:
         return Conditional(start, self.behind, tuple(branches), subject)
 
     def _for_statement(self, start: int) -> Statement:
-        """Parse FOR with its bounds."""
+        """Parse FOR with its bounds.
+
+        :param start: offset of its first word.
+        :raises RapidSyntaxError: it is not valid.
+        """
         name = self.identifier()
         self.take("FROM")
         bounds = [self.expression()]
@@ -522,11 +575,19 @@ class Parser:
         return self._loop(start, name, tuple(bounds), "ENDFOR")
 
     def _while_statement(self, start: int) -> Statement:
-        """Parse WHILE."""
+        """Parse WHILE.
+
+        :param start: offset of its first word.
+        :raises RapidSyntaxError: it is not valid.
+        """
         return self._loop(start, "", (self.expression(),), "ENDWHILE")
 
     def _loop(self, start: int, name: str, bounds: tuple[Expression, ...], end: str) -> Statement:
-        """Parse the body of a loop from DO to `end`."""
+        """Parse the body of a loop from DO to `end`.
+
+        :param start: offset of FOR or WHILE; `name`, `bounds`: see `Loop`.
+        :raises RapidSyntaxError: it is not valid.
+        """
         begin = self.stop  # the end of the word DO
         self.take("DO")
         body = self.block()
@@ -535,7 +596,10 @@ class Parser:
         return Loop(start, self.behind, name, bounds, body, span)
 
     def declaration(self) -> Statement:
-        """Read a declaration of data."""
+        """Read a declaration of data.
+
+        :raises RapidSyntaxError: it is not valid.
+        """
         start, local = self.start, False
         while self.word in ("LOCAL", "TASK"):
             local |= self.word == "LOCAL"
@@ -558,7 +622,10 @@ class Parser:
     # --- modules
 
     def modules(self) -> Iterator[Module]:
-        """Read all modules of a file."""
+        """Read all modules of a file.
+
+        :raises RapidSyntaxError: the file is not RAPID.
+        """
         while self.word == "%" and self.kind == "symbol":  # %%% VERSION:1 LANGUAGE:ENGLISH %%%
             end = self.text.find("%%%", self.stop + 2)
             if end < 0:
@@ -572,16 +639,13 @@ class Parser:
             yield self._module()
 
     def _module(self) -> Module:
-        """Parse a module from its name to ENDMODULE: data, routines and types.
+        """Parse a module from its name to ENDMODULE: data and routines; types are skipped.
 
         :raises RapidSyntaxError: it is not valid.
         """
         name = self.identifier()
         if self.accept("("):  # attributes such as SYSMODULE, which have no effect on motion
-            while not self.accept(")"):
-                self.step()
-                if self.kind == "end":
-                    raise self.fault(")")
+            self._skip_beyond(")")
         data: list[Declaration] = []
         routines: list[Routine] = []
         while self.word != "ENDMODULE":
@@ -597,24 +661,18 @@ class Parser:
             elif keyword in ("PROC", "FUNC", "TRAP"):
                 routines.append(self._routine())
             elif keyword in ("RECORD", "ALIAS"):
-                self._type(keyword)
+                self._skip_beyond(";" if keyword == "ALIAS" else "ENDRECORD")
             else:
                 raise self.fault("data or a routine")
         self.step()
         self._remarks()
         return Module(name, tuple(data), tuple(routines))
 
-    def _type(self, word: str) -> None:
-        """Skip a declaration of a type, from RECORD or ALIAS to its end."""
-        end = ";" if word == "ALIAS" else "ENDRECORD"
-        while self.word != end:
-            self.step()
-            if self.kind == "end":
-                raise self.fault(end)
-        self.step()
-
     def _routine(self) -> Routine:
-        """Parse a routine with its parameters, body and error handlers."""
+        """Parse a routine with its parameters, body and error handlers.
+
+        :raises RapidSyntaxError: it is not valid.
+        """
         start = self.start
         self.accept("LOCAL")
         kind = self.word
@@ -638,26 +696,42 @@ class Parser:
         return Routine(kind, name, span, parameters, body, tuple(handler), start, self.behind)
 
     def _parameters(self) -> tuple[Parameter, ...]:
-        """Parse the parameters of a routine up to the closing bracket."""
+        """Parse the parameters of a routine, from behind the opening bracket to behind the closing one.
+
+        :raises RapidSyntaxError: they are not valid.
+        """
         parameters: list[Parameter] = []
         while not self.accept(")"):
-            self.accept(",")
-            is_alternative = self.accept("|")  # of optional parameters of which one is given
-            optional = self.accept("\\") or is_alternative
-            changeable = self.word in ("VAR", "PERS", "INOUT")
-            if changeable:
-                self.step()
-            if self.accept("SWITCH"):
-                parameters.append(Parameter(self.identifier(), "SWITCH", changeable=False, optional=optional))
-                continue
-            type_, name = self.identifier(), self.identifier()
-            if self.accept("{"):
-                while not self.accept("}"):
-                    self.step()
-                    if self.kind == "end":
-                        raise self.fault("}")
-            parameters.append(Parameter(name, type_, changeable, optional))
+            self.accept(",")  # no comma is before the first parameter and before alternatives
+            parameters.append(self._parameter())
         return tuple(parameters)
+
+    def _parameter(self) -> Parameter:
+        r"""Parse a parameter: ``num x``, ``INOUT num x{*}``, the optional ``\switch x``, or its alternative ``|num x``.
+
+        :raises RapidSyntaxError: it is not valid.
+        """
+        is_alternative = self.accept("|")
+        optional = self.accept("\\") or is_alternative
+        changeable = self.word in ("VAR", "PERS", "INOUT")
+        if changeable:
+            self.step()
+        if self.accept("SWITCH"):
+            return Parameter(self.identifier(), "SWITCH", changeable=False, optional=optional)
+        type_, name = self.identifier(), self.identifier()
+        if self.accept("{"):  # the dimensions of an array
+            self._skip_beyond("}")
+        return Parameter(name, type_, changeable, optional)
+
+    def _skip_beyond(self, end: str) -> None:
+        """Skip all tokens up to a word or symbol, and that one.
+
+        :raises RapidSyntaxError: it does not follow.
+        """
+        while not self.accept(end):
+            self.step()
+            if self.kind == "end":
+                raise self.fault(end)
 
 
 def modules(text: str) -> tuple[Module, ...]:

@@ -217,7 +217,10 @@ def truth(expression: Expression, scope: Scope) -> bool:
 
 
 def flat(value: Value) -> Iterator[float]:
-    """Yield the numbers of a record in order."""
+    """Yield the numbers of a record in order.
+
+    :raises UnknownValueError: it has something else than numbers.
+    """
     if isinstance(value, list):
         for item in value:
             yield from flat(item)
@@ -290,7 +293,10 @@ def _field(expression: Expression, scope: Scope) -> tuple[Value, str]:
 
 
 def _list(expression: Expression, scope: Scope) -> tuple[Value, str]:
-    """Return the values of an aggregate, ``[1, [2, 3]]``; its type does not show, so it is empty."""
+    """Return the values of an aggregate, ``[1, [2, 3]]``, and an empty type, as that does not show.
+
+    :raises UnknownValueError: one of the values is not known.
+    """
     return [item.value if item.kind == "number" else evaluate(item, scope)[0] for item in expression.items], ""
 
 
@@ -307,6 +313,11 @@ _ARITHMETIC: dict[str, Callable[[float, float], float]] = {
     "/": lambda a, b: a / b,
     "DIV": lambda a, b: float(math.trunc(a / b)),
     "MOD": lambda a, b: math.fmod(a, b),
+}
+_LOGIC: dict[str, Callable[[bool, bool], bool]] = {
+    "AND": lambda a, b: a and b,
+    "OR": lambda a, b: a or b,
+    "XOR": lambda a, b: a != b,
 }
 _COMPARISONS: dict[str, Callable[[Value, Value], bool]] = {
     "=": lambda a, b: a == b,
@@ -325,20 +336,9 @@ def _operation(expression: Expression, scope: Scope) -> tuple[Value, str]:
     """
     word, items = expression.value, expression.items
     if len(items) == 1:
-        if word == "NOT":
-            return not truth(items[0], scope), "BOOL"
-        value, type_ = evaluate(items[0], scope)
-        sign = -1.0 if word == "-" else 1.0
-        return (
-            [sign * component for component in flat(value)]
-            if isinstance(value, list)
-            else sign * number(items[0], scope)
-        ), type_
-    if word in ("AND", "OR", "XOR"):
-        left_truth, right_truth = truth(items[0], scope), truth(items[1], scope)
-        return {"AND": left_truth and right_truth, "OR": left_truth or right_truth, "XOR": left_truth != right_truth}[
-            word
-        ], "BOOL"
+        return _unary_value(word, items[0], scope)
+    if word in _LOGIC:
+        return _LOGIC[word](truth(items[0], scope), truth(items[1], scope)), "BOOL"
     left, type_ = evaluate(items[0], scope)
     right, right_type = evaluate(items[1], scope)
     if word in _COMPARISONS:
@@ -355,6 +355,20 @@ def _operation(expression: Expression, scope: Scope) -> tuple[Value, str]:
         raise UnknownValueError("the expression cannot be calculated") from None
 
 
+def _unary_value(word: str, operand: Expression, scope: Scope) -> tuple[Value, str]:
+    """Return value and type of an operation on one operand: NOT, or a sign of a number or vector.
+
+    :raises UnknownValueError: the operand is unknown, or of another type.
+    """
+    if word == "NOT":
+        return not truth(operand, scope), "BOOL"
+    value, type_ = evaluate(operand, scope)
+    sign = -1.0 if word == "-" else 1.0
+    if isinstance(value, list):
+        return [sign * component for component in flat(value)], type_
+    return sign * number(operand, scope), type_
+
+
 def _is_decided(left: float, right: float) -> bool:
     """Return whether numbers compare as on the controller, which calculates in single precision."""
     if abs(left - right) > ROUNDING * max(abs(left), abs(right)):
@@ -363,7 +377,13 @@ def _is_decided(left: float, right: float) -> bool:
 
 
 def _arithmetic_value(word: str, left: Value, right: Value) -> Value:
-    """Return the value of an arithmetic operation: numbers, and the vectors of `pos`."""
+    """Return the value of an arithmetic operation on numbers, or on vectors of the type `pos`.
+
+    :param word: operator, one of `_ARITHMETIC`.
+    :raises UnknownValueError: other operands.
+    :raises ArithmeticError: the result is not defined or too large.
+    :raises ValueError: the result is not defined.
+    """
     are_lists = isinstance(left, list), isinstance(right, list)
     if are_lists == (False, False):
         if isinstance(left, bool) or isinstance(right, bool) or isinstance(left, str) or isinstance(right, str):
@@ -480,7 +500,10 @@ def _orient_zyx(values: list[Value], options: dict[str, float]) -> tuple[Value, 
 
 
 def _plain(function: Callable[..., float]) -> Callable[[list[Value], dict[str, float]], tuple[Value, str]]:
-    """Return a function of numbers as a RAPID function without options."""
+    """Return a function of numbers as a RAPID function without options.
+
+    :param function: of one or more numbers; angles in degrees as in RAPID.
+    """
 
     def call(values: list[Value], options: dict[str, float]) -> tuple[Value, str]:
         """Return the value of the function for numbers.
