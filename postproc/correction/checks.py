@@ -115,19 +115,10 @@ def singularities(
     """
     form = kinematics.closed_form(robot)
     is_cartesian = program.motions.kind[sample.motion] != PTP
-
-    def conditions_at(samples: Ints) -> tuple[Bools, ...]:
-        """Return which samples are near wrist, elbow and shoulder singularity, and which follow a jump of joints."""
-        angles = q[samples]
-        jumps = largest(angles - q[np.maximum(samples - 1, 0)]) > _JUMP_ANGLE
-        return (
-            np.abs(angles[:, 4]) < _WRIST_ANGLE,
-            np.abs(form.elbow(angles)) < _ELBOW_ANGLE,
-            np.abs(form.reach(angles)) < SHOULDER_RADIUS,
-            np.asarray(jumps),
-        )
-
-    wrist, elbow, shoulder, has_jump = (is_cartesian & is_met for is_met in in_chunks(conditions_at, np.arange(len(q))))
+    wrist = is_cartesian & (np.abs(q[:, 4]) < _WRIST_ANGLE)
+    elbow = is_cartesian & (np.abs(form.elbow(q)) < _ELBOW_ANGLE)
+    shoulder = is_cartesian & (np.abs(form.reach(q)) < SHOULDER_RADIUS)
+    has_jump = is_cartesian & (largest(np.diff(q, axis=0, prepend=q[:1])) > _JUMP_ANGLE)
     # samples of motions that do not follow each other are not connected: a turn between them is no jump
     has_jump &= (np.diff(sample.motion, prepend=sample.motion[:1]) <= 1) & ~(wrist | elbow | shoulder)
     has_jump &= ~np.isin(sample.motion, sparse_motions)
@@ -344,7 +335,7 @@ def joint_speeds(program: Program, robot: RobotModel, sample: Toolpath, speed: A
     level: Level = "warning" if any(issue.kind == "default-speed" for issue in program.issues) else "error"
     rapid = program.motions.rapid[sample.motion]
     feed = np.nan_to_num(program.motions.feed[sample.motion])
-    (is_too_fast,) = in_chunks(lambda speed: (np.asarray(speed > robot.speed),), speed)
+    is_too_fast = speed > robot.speed
     for axis, name in enumerate(JOINTS):
         for is_of_group, feed_name, advice in (
             (~rapid, "the programmed feed", "Lower the feed to {feed} mm/min"),

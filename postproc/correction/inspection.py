@@ -230,7 +230,7 @@ def stretches_to_examine(path: PathUnderLoad, q: Array, speed: Array) -> tuple[S
     :param speed: (N, 6) joint speeds on the way to each [rad/s].
     """
     limit = _SHARE_OF_SPEED * path.robot_in_cell.robot.speed
-    is_fast = in_chunks(lambda speed: (np.asarray((speed > limit).any(axis=1)),), speed)[0]
+    is_fast = np.asarray((speed > limit).any(axis=1))
     return _arc_stretches(path, q, is_fast), _line_stretches(path, q, is_fast)
 
 

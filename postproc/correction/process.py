@@ -266,10 +266,7 @@ def result_of(task: Task, draft: Draft, corrected_draft: Draft) -> Result:
         shift, cell = norm(deviation - deflection), path.robot_in_cell.cell
         questions += plausibility.frame_question(program, targets.motion, shift, causes_at_rest, cell)
 
-    def corrections(target: Ints) -> tuple[Array]:
-        """Return the distance (n,) [m] of the commanded position of targets from the nominal one."""
-        return (norm(targets.pose[target, :3, 3] - path.sample.pose[row[target], :3, 3]),)
-
+    correction = norm(targets.pose[:, :3, 3] - path.sample.pose[row, :3, 3])
     result = Result(
         program=program,
         robot=task.robot,
@@ -301,7 +298,7 @@ def result_of(task: Task, draft: Draft, corrected_draft: Draft) -> Result:
         exact_forces=path.motions.forces.spread is None,
         turn=task.turn,
         redundancy_deg=None if program.keeps_text else path.robot_in_cell.cell.gcode.redundancy_deg,
-        largest_correction=float(in_chunks(corrections, np.arange(len(row)))[0].max(initial=0.0)),
+        largest_correction=float(correction.max(initial=0.0)),
     )
     return result if draft.simulation is None else _with_simulation(result, draft, draft.simulation)
 

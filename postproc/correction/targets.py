@@ -288,14 +288,10 @@ def corners_of_motions(program: Program, path: Segments, motion: Ints) -> Corner
     :param path: geometry of all motions of the program.
     """
     kind = program.motions.kind[motion]
-
-    def bends(motion: Ints, following: Ints) -> tuple[Array]:
-        """Return the distance (n,) between the unit directions at the end of motions and at the start of the next."""
-        arrive = toolpath.tangent(program, path, motion, np.ones(len(motion)))
-        return (norm(toolpath.tangent(program, path, following, np.zeros(len(motion))) - arrive),)
-
-    (bend,) = in_chunks(bends, motion[:-1], motion[1:])
-    return _corners(bend, path.length[motion], _is_continuous(program, motion, kind))
+    before, after = motion[:-1], motion[1:]
+    arrive = toolpath.tangent(program, path, before, np.ones(len(before)))
+    leave = toolpath.tangent(program, path, after, np.zeros(len(after)))
+    return _corners(norm(leave - arrive), path.length[motion], _is_continuous(program, motion, kind))
 
 
 def programmed_rounding(program: Program, path: Segments, motion: Ints) -> Array:

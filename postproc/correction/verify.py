@@ -290,21 +290,10 @@ def _conditions_of_probes(path: PathUnderLoad, targets: Targets, probes: _Probes
     m, forces, length = path.program.motions, path.motions.forces, path.motions.segments.length
     # at the start, and at an axis target, no correction was possible
     has_no_correction = np.append(True, np.isfinite(m.joints[:-1, 0])) & (not path.robot_in_cell.rest_is_nominal)
-
-    def conditions(target: Ints, share: Array, motion: Ints) -> tuple[Bools, Bools, Bools]:
-        """Return where probes (n,) follow a step of the force, are in a jump of it, and must hold the tolerance.
-
-        :param target: (n,) row of the written target that the place leads to.
-        :param share: (n,) of the way to it.
-        :param motion: (n,) row of the nominal motion.
-        """
-        is_inner, end = share < 1.0, targets.t[target]
-        step = forces.behind_step(motion, end) & is_inner
-        jump = (length[motion] * (end - targets.begin(target)) < _JUMP_LENGTH) & is_inner
-        return step, jump, ~(has_no_correction[motion] & is_inner) & ~step
-
-    step, jump, is_judged = in_chunks(conditions, probes.target, probes.share, probes.motion)
-    return step, jump, is_judged
+    motion, is_inner, end = probes.motion, probes.share < 1.0, targets.t[probes.target]
+    step = forces.behind_step(motion, end) & is_inner
+    jump = (length[motion] * (end - targets.begin(probes.target)) < _JUMP_LENGTH) & is_inner
+    return step, jump, ~(has_no_correction[motion] & is_inner) & ~step
 
 
 def _deviation(
@@ -377,28 +366,18 @@ def _probes(path: PathUnderLoad, selection: TargetSelection, readback: ReadBackP
     limit = _UNEVEN * path.robot_in_cell.tolerance
     is_uneven[arc_rows] = _unevenness(path, selection, readback, arc_rows, correction(arc_rows)) > limit
 
-    def numbers_of_places(target: Ints) -> tuple[Ints]:
-        """Return how many places (n,) the way to each target has."""
-        output_motion = readback.row[target]
-        length, turn, kind = (
-            readback.segments.travel[output_motion],
-            readback.segments.turn[output_motion],
-            m.kind[output_motion],
-        )
-        correction_step = norm(correction(target) - correction(np.maximum(target - 1, 0)))
-        is_steep = (correction_step > _STEEP) | is_uneven[target]
-        is_divided = is_curved[target] | skips_samples[target]
-        number = number_of_places(kind, length, turn, is_curved=is_divided, steep=is_steep)
-        return (number.astype(np.int32),)
-
-    (number,) = in_chunks(numbers_of_places, rows)
-    target, share = toolpath.even_places(rows.astype(np.int32), number)
-
-    def t_of_probes(target: Ints, share: Array) -> tuple[Array]:
-        begin, end = targets.begin(target), targets.t[target]
-        return (np.where(share == 1.0, end, begin + share * (end - begin)),)
-
-    return _Probes(target, share, targets.motion[target], in_chunks(t_of_probes, target, share)[0])
+    correction_step = norm(correction(rows) - correction(np.maximum(rows - 1, 0)))
+    number = number_of_places(
+        m.kind[readback.row],
+        readback.segments.travel[readback.row],
+        readback.segments.turn[readback.row],
+        is_curved=is_curved | skips_samples,
+        steep=(correction_step > _STEEP) | is_uneven,
+    )
+    target, share = toolpath.even_places(rows.astype(np.int32), number.astype(np.int32))
+    begin, end = targets.begin(target), targets.t[target]
+    t = np.where(share == 1.0, end, begin + share * (end - begin))
+    return _Probes(target, share, targets.motion[target], t)
 
 
 def _unevenness(
@@ -411,27 +390,15 @@ def _unevenness(
     :param arc_rows: (n,) targets at the ends of the pieces.
     :param correction: (n, 3) displacement there, `$BASE` [m].
     """
-
-    def largest_differences(
-        motion: Ints, begin: Array, end: Array, output_motion: Ints, correction: Array
-    ) -> tuple[Array]:
-        """Return how far (n,) [m] the written path is from the nominal one, moved by the correction, at its quarters.
-
-        :param motion: (n,) row of the nominal motion; it runs from `begin` to `end` of it.
-        :param output_motion: (n,) row of the written motion.
-        :param correction: (n, 3) mean one of this part [m].
-        """
-        quarters = (
-            toolpath.positions(readback.program, readback.segments, output_motion, np.full(len(output_motion), share))
-            - toolpath.positions(path.program, path.motions.segments, motion, begin + share * (end - begin))
-            for share in (0.25, 0.75)
-        )
-        at_quarter, at_three_quarters = (norm(displacement - correction) for displacement in quarters)
-        return (np.maximum(at_quarter, at_three_quarters),)
-
-    targets = selection.targets
-    pieces = targets.motion[arc_rows], targets.begin(arc_rows), targets.t[arc_rows], readback.row[arc_rows]
-    return in_chunks(largest_differences, *pieces, correction)[0]
+    motion, output_motion = selection.targets.motion[arc_rows], readback.row[arc_rows]
+    begin, end = selection.targets.begin(arc_rows), selection.targets.t[arc_rows]
+    quarters = (
+        toolpath.positions(readback.program, readback.segments, output_motion, np.full(len(output_motion), share))
+        - toolpath.positions(path.program, path.motions.segments, motion, begin + share * (end - begin))
+        for share in (0.25, 0.75)
+    )
+    at_quarter, at_three_quarters = (norm(displacement - correction) for displacement in quarters)
+    return np.maximum(at_quarter, at_three_quarters)
 
 
 def _tolerance_issues(

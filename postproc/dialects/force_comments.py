@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from postproc import decimals
-from postproc.chunks import in_chunks
 from postproc.decimals import Bytes, Number, Part, without_negative_zero
 from postproc.frames import Array
 from postproc.program import FORCE_FRAMES, PTP, Bools, ForceNote, Ints, TargetForces
@@ -38,20 +37,15 @@ def needs_comment(forces: TargetForces, kind: Ints, note: Ints, notes: Sequence[
         """Return frame and wrench (n, 7) of targets (n,), as comments would state them."""
         return np.column_stack([forces.frame[row], round_wrenches(forces.wrench[row])])
 
-    def in_chunk(row: Ints, previous: Ints) -> tuple[Bools]:
-        """Return which targets (n,) need one; `previous` (n,) is the one before each, −1 for none."""
-        is_first = previous < 0
-        state = rounded_states(previous)
-        state[is_first] = start
-        fresh = note[row] != np.where(is_first, -1, note[previous])
-        state[fresh] = states[note[row[fresh]]]
-        # both are rounded to the last decimal: different ones differ by a unit of it or more
-        tolerance = [0.0, *(0.6 * 0.1**_DECIMALS)]
-        return (np.asarray(~(np.abs(rounded_states(row) - state) <= tolerance).all(axis=1)),)
-
-    rows = np.flatnonzero(kind != PTP)
+    row = np.flatnonzero(kind != PTP)
+    state = rounded_states(row)
+    state_before = np.concatenate([np.full((1, state.shape[1]), start), state])[:-1]
+    follows_note = np.diff(note[row], prepend=-1) != 0
+    state_before[follows_note] = states[note[row[follows_note]]]
+    # both are rounded to the last decimal: different ones differ by a unit of it or more
+    tolerance = [0.0, *(0.6 * 0.1**_DECIMALS)]
     needs_comment = np.zeros(len(kind), dtype=np.bool_)
-    needs_comment[rows] = in_chunks(in_chunk, rows, np.append(-1, rows)[:-1])[0]
+    needs_comment[row] = ~(np.abs(state - state_before) <= tolerance).all(axis=1)
     return needs_comment
 
 

@@ -24,7 +24,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc.cell import Rotary
-from postproc.chunks import Runs, in_chunks
+from postproc.chunks import Runs
 from postproc.dialects.circles import ArcColumns
 from postproc.dialects.gcode.arcs import SAME_MM, ArcFault, Arcs, ArcWords, read_arcs
 from postproc.dialects.gcode.cycles import CycleEvent
@@ -165,7 +165,7 @@ def rotation_bound(moves: Moves, axes: Array) -> Array:
     turning_moves = np.flatnonzero((moves.turn[:, 0] != moves.turn[:, 1]).any(axis=1))
     if len(turning_moves):
         angle_pairs = moves.turn[turning_moves] * RAD_PER_DEG
-        angles[turning_moves] = in_chunks(lambda turn: (turning(axes, turn[:, 0], turn[:, 1]),), angle_pairs)[0]
+        angles[turning_moves] = turning(axes, angle_pairs[:, 0], angle_pairs[:, 1])
     return angles
 
 
@@ -224,14 +224,11 @@ def check_turning(rows: LineStates, moves: Moves, is_early: Bools, rotary_axes: 
     axes = rotary_axes.directions
     has_position = ~np.isnan(rows.xyz[moves.row]).all(axis=1) | (moves.code > 0.0)
 
-    def points_away(turn: Array) -> tuple[Bools]:
-        """Return whether the tool points away from the part at begin or end (n,), for angles (n, 2, k) [deg]."""
-        return (any_column(np.stack([direction(axes, turn[:, n] * RAD_PER_DEG)[:, 2] < _LEAST_Z for n in (0, 1)], 1)),)
-
+    points_away = [direction(axes, moves.turn[:, end] * RAD_PER_DEG)[:, 2] < _LEAST_Z for end in (0, 1)]
     faults: dict[int, Fault] = {}
     for is_invalid, problem, advice in (
         (
-            in_chunks(points_away, moves.turn)[0],
+            np.any(points_away, axis=0),
             "the tool points away from the part",
             "Check axes and signs in [rotary].",
         ),
@@ -606,7 +603,7 @@ def _rotations(frames: Array, frame: Ints, swivel: Swivel | None, orientation: A
     :param orientation: (3, 3) of the tool frame in the program frame, without rotary axes.
     """
     if swivel is not None:
-        return in_chunks(lambda angles, frame: (swivel.of(angles, frame),), swivel.end, swivel.frame)[0]
+        return swivel.of(swivel.end, swivel.frame)
     if len(frames) > 1:
         return np.asarray((frames[:, :3, :3] @ orientation)[frame])
     return np.broadcast_to(frames[0, :3, :3] @ orientation, (len(frame), 3, 3))
@@ -648,7 +645,7 @@ def _lengths(moves: Moves, circular: Ints, arcs: Arcs) -> Array:
 
     :param circular: (A,) moves that are arcs; `arcs`: their geometry.
     """
-    (lengths,) = in_chunks(lambda move: (norm(moves.end[move] - moves.begin(move)),), np.arange(len(moves.row)))
+    lengths = norm(moves.end - moves.begin(np.arange(len(moves.row))))
     if len(circular):
         begin = moves.begin(circular)
         axial_length = np.einsum("ni,ni->n", moves.end[circular] - begin, arcs.normal)
@@ -661,10 +658,5 @@ def _points_in_base(frames: Array, frame: Ints, mm: Array) -> Array:
     if len(frames) == 1:
         points: Array = np.einsum("nj,ij->ni", mm, frames[0, :3, :3] * M_PER_MM) + frames[0, :3, 3]
         return points
-
-    def transformed(frame: Ints, mm: Array) -> tuple[Array]:
-        """Return points of some moves in `$BASE` [m]."""
-        move_frames = frames[frame]
-        return (np.einsum("nij,nj->ni", move_frames[:, :3, :3] * M_PER_MM, mm) + move_frames[:, :3, 3],)
-
-    return in_chunks(transformed, frame, mm)[0]
+    rotation, origin = frames[:, :3, :3] * M_PER_MM, frames[:, :3, 3]
+    return np.asarray(np.einsum("nij,nj->ni", rotation[frame], mm) + origin[frame])

@@ -11,7 +11,6 @@ import numpy as np
 from msgspec import Struct
 
 from postproc import kinematics
-from postproc.chunks import in_chunks
 from postproc.collision import Body
 from postproc.correction import Result
 from postproc.dialects.text import line_spans
@@ -411,7 +410,7 @@ def _measures(result: Result) -> Iterator[Array]:
     """Yield the measures (K,) of which a page shows the largest: deviations, correction [m], force [N], bound [m]."""
     yield result.before
     yield result.after
-    yield in_chunks(lambda row: (norm(correction(result, row)),), np.arange(len(result)))[0]
+    yield norm(correction(result, np.arange(len(result))))
     yield result.force
     if result.bound is not None:
         yield result.bound
@@ -424,8 +423,7 @@ def shown_targets(result: Result, linked_rows: Ints) -> ShownTargets:
     :param linked_rows: (n,) rows of the result that tables of the page lead to.
     """
     position, leads_to = drawn_path(result)  # of each point, the row of the target that it leads to
-    points = np.arange(len(leads_to))
-    step = in_chunks(lambda point: (norm(position[point] - position[np.maximum(point - 1, 0)]),), points)[0]
+    step = norm(np.diff(position, axis=0, prepend=position[:1]))
     path_length = np.cumsum(step)[np.flatnonzero(np.diff(leads_to, append=len(result)))]
     seconds = np.cumsum(_durations(result, np.diff(path_length, prepend=0.0)))
     row = page_rows(result, linked_rows)
@@ -507,16 +505,11 @@ def _durations(result: Result, length: Array) -> Array:
 
     :param length: (K,) length of the path to each target [m].
     """
-
-    def durations(row: Ints, length: Array) -> tuple[Array]:
-        """Return the time (n,) [s] to targets, by the length (n,) [m] of the path to each."""
-        motion = result.motion[row]
-        feed, kind = result.program.motions.feed[motion], result.program.motions.kind[motion]
-        joint_time = largest((result.q[row] - result.q[np.maximum(row - 1, 0)]) / result.robot.speed)
-        has_feed = (kind != PTP) & (feed > 0.0)
-        return (np.where(has_feed, length / np.where(has_feed, feed, 1.0), joint_time),)
-
-    return in_chunks(durations, np.arange(len(result)), length)[0]
+    motions = result.program.motions
+    feed, kind = motions.feed[result.motion], motions.kind[result.motion]
+    joint_time = largest(np.diff(result.q, axis=0, prepend=result.q[:1]) / result.robot.speed)
+    has_feed = (kind != PTP) & (feed > 0.0)
+    return np.where(has_feed, length / np.where(has_feed, feed, 1.0), joint_time)
 
 
 def _feed_axes(result: Result, row: Ints) -> Array:

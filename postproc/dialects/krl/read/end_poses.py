@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from msgspec import Struct
 
-from postproc.chunks import Runs, chunks, in_chunks
+from postproc.chunks import Runs, chunks
 from postproc.dialects.circles import arcs_through
 from postproc.dialects.krl.language.motion_statements import MotionStatement
 from postproc.dialects.krl.language.positions import LARGEST_B, Position
@@ -389,7 +389,7 @@ def circle_geometry(trace: Trace, line: Ints, start: Array, via: Array, end: Arr
     :param line: (n,) 1-based lines, for messages.
     :raises ProgramError: the three points lie on a straight line, or two of them coincide.
     """
-    centre, normal, angle, flat = in_chunks(arcs_through, start, via, end)
+    centre, normal, angle, flat = arcs_through(start, via, end)
     if flat.any():
         raise trace.error(
             "the three points of the circle lie on a line or coincide",

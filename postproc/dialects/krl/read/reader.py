@@ -16,7 +16,6 @@ from msgspec.structs import replace
 
 from postproc import garbage
 from postproc.cell import Cell
-from postproc.chunks import in_chunks
 from postproc.dialects.krl.course import Occasion
 from postproc.dialects.krl.language.positions import LARGEST_COORDINATE
 from postproc.dialects.krl.language.routines import Module, Routine, routines
@@ -406,12 +405,8 @@ def _check_size(trace: Trace, rows: MotionColumns) -> None:
 
     :raises ProgramError: for the first motion with one.
     """
-    (is_too_far,) = in_chunks(
-        lambda numbers, via: (
-            any_column(np.abs(numbers) > LARGEST_COORDINATE) | any_column(np.abs(via) > LARGEST_COORDINATE),
-        ),
-        rows.numbers,
-        rows.via,
+    is_too_far = any_column(np.abs(rows.numbers) > LARGEST_COORDINATE) | any_column(
+        np.abs(rows.via) > LARGEST_COORDINATE
     )
     if is_too_far.any():
         row = int(np.argmax(is_too_far))
