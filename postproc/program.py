@@ -667,7 +667,7 @@ class Targets(Struct, frozen=True, eq=False):
     def __len__(self) -> int:
         return len(self.motion)
 
-    def begin(self, row: Ints) -> Array:
+    def begin(self, row: NDArray[np.integer[Any]]) -> Array:
         """Return where on its motion the piece to each of some targets (n,) begins."""
         previous = np.maximum(row - 1, 0)
         return np.where((row == 0) | (self.motion[row] != self.motion[previous]), 0.0, self.t[previous])

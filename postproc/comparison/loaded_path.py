@@ -54,7 +54,7 @@ def deviation(side: PlacedProgram, motion: Ints, q: Array, wrench: Array, displa
     def tip_offset(motion: Ints, q: Array, wrench: Array, displacement: Array) -> tuple[Array]:
         """Return the offsets of some of the motions."""
         tip = side.loaded_tip(motion, q, wrench, displacement)
-        return (side.to_base(motion, tip) - program.motions.target[motion, :3, 3],)
+        return (side.to_base(motion, tip) - program.motions.target.position[motion],)
 
     try:
         return in_chunks(tip_offset, motion, q, wrench, displacement)[0]

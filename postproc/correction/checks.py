@@ -304,7 +304,7 @@ def joint_speed(program: Program, sample: Toolpath, turn: Array, q: Array, posit
     motion_step = np.diff(sample.motion)
     unchanged_frames = [rows[sample.motion[1:]] == rows[sample.motion[:-1]] for rows in (m.base, m.tool)]
     has_same_frames = unchanged_frames[0] & unchanged_frames[1] & (motion_step <= 1) | (motion_step == 0)
-    nominal_travel = norm(np.diff(sample.pose[:, :3, 3], axis=0))
+    nominal_travel = norm(np.diff(sample.pose.position, axis=0))
     travel = np.maximum(nominal_travel, norm(np.diff(position, axis=0)))
     # a run that turns the tool more than it moves it is timed by the controller's orientation speed, not by the feed
     turning_runs = np.flatnonzero(turn[sample.motion[1:]] > _SMALLEST_ROTATION)

@@ -373,7 +373,7 @@ def dense_places(
         neighbours = slice(max(first_sample - 1, 0), last_sample + 1)
         nominal_joints, position_correction = (
             joints.q[neighbours],
-            position[neighbours] - sample.pose[neighbours, :3, 3],
+            position[neighbours] - sample.pose.position[neighbours],
         )
         values = np.column_stack([nominal_joints, q[neighbours] - nominal_joints, position_correction])
         neighbour_values = np.column_stack(
@@ -383,7 +383,7 @@ def dense_places(
         place_joints += (
             2.0 * np.pi * np.round((neighbour_values[:, :6] - place_joints) / (2.0 * np.pi)) + neighbour_values[:, 6:12]
         )
-        yield places, place_joints, places.pose[:, :3, 3] + neighbour_values[:, 12:]
+        yield places, place_joints, places.pose.position + neighbour_values[:, 12:]
 
 
 def origin_issues(program: Program, mode: Mode) -> list[Issue]:
@@ -526,7 +526,7 @@ def path_issues(path: PathUnderLoad, command: Commands) -> list[Issue]:
     :param command: commands of the samples, in `$BASE`.
     """
     program, robot, sample, cell = path.program, path.robot_in_cell.robot, path.sample, path.robot_in_cell.cell
-    q, position, start = command.q, command.pose[:, :3, 3], cell.start_joints
+    q, position, start = command.q, command.pose.position, cell.start_joints
     speed = commanded_speed(path, q, position)
     arcs, lines = stretches_to_examine(path, q, speed)
     limit = cell.output.max_correction_mm * M_PER_MM
@@ -543,7 +543,7 @@ def path_issues(path: PathUnderLoad, command: Commands) -> list[Issue]:
         *checks.joint_speeds(program, robot, sample, speed),
         *checks.joints_at_joins(program, sample, q, start),
         *checks.corrections_at_joins(program, sample, command.pose, path.wrench),
-        *checks.correction_size(program, sample.motion, norm(position - sample.pose[:, :3, 3]), limit),
+        *checks.correction_size(program, sample.motion, norm(position - sample.pose.position), limit),
     ]
     kinds = {issue.kind for issue in issues}
     for stretches, sparse_motions in ((arcs, arcs.motion[:0]), (lines, lines.motion)):

@@ -93,7 +93,7 @@ def uncorrected_deviations(path: PathUnderLoad, rows: Ints, theta: Array) -> tup
         """
         q, wrench, start_theta = path.joints.q[row], path.wrench_in_root(row), theta[row]
         tip, by_tool = path.tip_in_base(row, q, wrench, start_theta)
-        deviation = tip - path.sample.pose[row, :3, 3]
+        deviation = tip - path.sample.pose.position[row]
         by_wrench = () if rest_is_nominal else (tip - path.tip_in_base(row, q, np.zeros_like(wrench), start_theta)[0],)
         return (deviation, *by_wrench) if is_rigid_tool else (deviation, *by_wrench, by_tool)
 
@@ -266,7 +266,7 @@ def result_of(task: Task, draft: Draft, corrected_draft: Draft) -> Result:
         shift, cell = norm(deviation - deflection), path.robot_in_cell.cell
         questions += plausibility.frame_question(program, targets.motion, shift, causes_at_rest, cell)
 
-    correction = norm(targets.pose[:, :3, 3] - path.sample.pose[row, :3, 3])
+    correction = norm(targets.pose.position - path.sample.pose.position[row])
     result = Result(
         program=program,
         robot=task.robot,
@@ -656,7 +656,7 @@ def _refine_until_tolerated(task: Task, motions: MotionsUnderLoad) -> tuple[Task
             if not too_fast:
                 break
             fast_lines = {line for issue in too_fast for line in (issue.source_line or 0, *issue.lines)}
-            q, position = draft.q, draft.path.sample.pose[:, :3, 3]
+            q, position = draft.q, draft.path.sample.pose.position
             slow_motions = inspection.slow_rapids(draft.path, q, position, slowing, fast_lines)
             if slow_motions is None:
                 break

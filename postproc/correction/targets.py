@@ -67,7 +67,7 @@ class CommandedPath(Struct, frozen=True, eq=False):
         starts = toolpath.starts(
             path.program, lambda motion: command.pose[ends[motion]], path.robot_in_cell.start_flange
         )
-        position = command.pose[:, :3, 3]
+        position = command.pose.position
         start = position[np.roll(ends, 1)]
         start[starts.changed] = starts.pose[:, :3, 3]
         return cls(path.sample, path.arcs, position, start, SHARE_OF_TOLERANCE * path.robot_in_cell.tolerance)
@@ -265,7 +265,7 @@ def _piece_geometry(targets: Targets, start: Array, row: Ints) -> tuple[Array, A
     :param row: (n,) rows of the targets.
     """
     motion, previous = targets.motion[row], np.maximum(row - 1, 0)
-    end, previous_end = (np.round(targets.pose[rows, :3, 3], _DECIMALS) for rows in (row, previous))
+    end, previous_end = (np.round(targets.pose.position[rows], _DECIMALS) for rows in (row, previous))
     is_first = (row == 0) | (targets.motion[previous] != motion)
     begin = np.where(is_first[:, None], np.round(start[motion], _DECIMALS), previous_end)
     step = end - begin

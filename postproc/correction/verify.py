@@ -332,7 +332,7 @@ def _deviation(
             travel > _NO_TRAVEL
         )
         last_state = q[-1:], position[-1:]
-        error = driven_program.to_base(output_motion, tip) - nominal.pose[:, :3, 3]
+        error = driven_program.to_base(output_motion, tip) - nominal.pose.position
         deviation[target[~is_inside]] = error[~is_inside]
         return norm(error), is_fast
 
@@ -355,7 +355,7 @@ def _probes(path: PathUnderLoad, selection: TargetSelection, readback: ReadBackP
     targets, m = selection.targets, readback.program.motions
 
     def correction(target: Ints) -> Array:
-        return targets.pose[target, :3, 3] - path.sample.pose[selection.row[target], :3, 3]
+        return targets.pose.position[target] - path.sample.pose.position[selection.row[target]]
 
     rows = np.arange(len(targets))
     arc_rows = np.flatnonzero((path.program.motions.kind[targets.motion] == CIRC) | (m.kind[readback.row] == CIRC))
@@ -435,11 +435,11 @@ def _joint_speeds(path: PathUnderLoad, selection: TargetSelection, readback: Rea
     output_program, robot = readback.program, path.robot_in_cell.robot
     motions = MotionsUnderLoad.of(output_program, path.robot_in_cell, None)
     loaded_path = PathUnderLoad.of(motions, motions.pieces(linearize_arcs=False))
-    speed = inspection.commanded_speed(loaded_path, loaded_path.joints.q, loaded_path.sample.pose[:, :3, 3])
+    speed = inspection.commanded_speed(loaded_path, loaded_path.joints.q, loaded_path.sample.pose.position)
     _, lines = inspection.stretches_to_examine(loaded_path, loaded_path.joints.q, speed)
     issues = list(checks.joint_speeds(output_program, robot, loaded_path.sample, speed))
     for places, place_joints, position in inspection.dense_places(
-        loaded_path, loaded_path.joints.q, loaded_path.sample.pose[:, :3, 3], lines
+        loaded_path, loaded_path.joints.q, loaded_path.sample.pose.position, lines
     ):
         speed = checks.joint_speed(output_program, places, loaded_path.motions.segments.turn, place_joints, position)
         issues += checks.joint_speeds(output_program, robot, places, speed)

@@ -542,7 +542,7 @@ def _circle_deviation(forces: PathForces, arcs: Pieces, compliance: tuple[float,
         t = np.where(share == 1.0, arcs.end, arcs.begin + share * (arcs.end - arcs.begin))
         sample = at(forces.axes.program, forces.axes.path, arcs.motion, t)
         wrench = forces.at(sample)
-        positions.append(sample.pose[:, :3, 3] - compliance[0] * wrench[:, :3] - compliance[1] * wrench[:, 3:])
+        positions.append(sample.pose.position - compliance[0] * wrench[:, :3] - compliance[1] * wrench[:, 3:])
     begin, _, middle, _, end = positions
     centre, radial, tangential, angle = circle_through(begin, middle, end)
     deviation = np.zeros(len(begin))

@@ -209,7 +209,7 @@ def _low_rapids(program: Program) -> tuple[tuple[float, float], ...]:
     Moves to a place where a cut ended before are left out, such as those into a hole between two pecks.
     """
     motions = program.motions
-    ends = motions.target[:][:, :3, 3]
+    ends = motions.target.position
     rapid = np.asarray(motions.rapid)
     if rapid.all():
         return ()
@@ -271,7 +271,7 @@ def _span(program: Program) -> tuple[tuple[float, float, float], tuple[float, fl
     cutting = _cutting(program)
     if not len(cutting):
         return None
-    targets: Array = program.motions.target[:][:, :3, 3]
+    targets: Array = program.motions.target.position
     starts = targets[np.maximum(cutting - 1, 0)]
     starts[:, 2] = targets[cutting, 2]
     points = np.concatenate([targets[cutting], _arc_points(program, cutting), starts]) * MM_PER_M
@@ -293,7 +293,7 @@ def _arc_points(program: Program, cutting: Ints) -> Array:
     path = toolpath.segments(
         program, np.eye(4)
     )  # where the robot stands does not matter: a move precedes the first arc
-    return np.asarray(toolpath.at(program, path, motion, t).pose[:][:, :3, 3])
+    return np.asarray(toolpath.at(program, path, motion, t).pose.position)
 
 
 _DWELL_UNITS = ("ms", "s")

@@ -563,7 +563,7 @@ def home_base(program: Program) -> int:
 def _length_by_base(program: Program) -> Array:
     """Return the length of moves at feed in each `$BASE` (nb,) [m]; arcs as chords, without moves between frames."""
     m = program.motions
-    chord = norm(np.diff(m.target[:][:, :3, 3], axis=0, prepend=0.0))
+    chord = norm(np.diff(m.target.position, axis=0, prepend=0.0))
     is_within = ~m.rapid & (np.diff(m.base, prepend=-1) == 0)
     return np.asarray(np.bincount(m.base[is_within], chord[is_within], minlength=len(program.bases)))
 

@@ -390,7 +390,7 @@ def _stations(samples: PathSamples, max_count: int) -> _Stations:
     m = samples.program.motions
     motion = samples.sample.motion
     cartesian_rows = np.flatnonzero(np.isnan(m.joints[motion, 0]))  # not on moves to joint angles
-    position = samples.sample.pose[cartesian_rows, :3, 3]
+    position = samples.sample.pose.position[cartesian_rows]
     even_rows = np.linspace(0, len(cartesian_rows) - 1, min(max_count, len(cartesian_rows))).astype(np.int64)
     extreme_rows = np.concatenate([position.argmin(axis=0), position.argmax(axis=0)])
     row = cartesian_rows[distinct(np.append(even_rows, extreme_rows))]

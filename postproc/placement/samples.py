@@ -112,5 +112,5 @@ class PathSamples(Struct, frozen=True, eq=False):
     @property
     def travel(self) -> Array:
         """(N,) path length from the sample before [m]; joint interpolation by its chord."""
-        steps = np.append(0.0, norm(np.diff(self.sample.pose[:, :3, 3], axis=0)))
+        steps = np.append(0.0, norm(np.diff(self.sample.pose.position, axis=0)))
         return np.asarray(steps)

@@ -30,7 +30,7 @@ def drawn_path(result: Result, chord: float | None = None) -> tuple[Array, Ints]
         (P,) of the target at the end of the piece that the point lies on. Each target is the last of its points.
     """
     motions = result.program.motions
-    end = result.nominal[:, :3, 3]
+    end = result.nominal.position
     row = np.arange(len(result))
     arcs = np.flatnonzero(motions.kind[result.motion] == CIRC)
     if len(arcs):

@@ -80,7 +80,7 @@ def surfaces(program: Program, robot_in_cell: RobotInCell, probe_data: ProbedSur
     # the axis of the tool frame that points from the spindle to the tip: its column, and the sign from tip to spindle
     column, sign = {"+Z": (2, -1.0), "-Z": (2, 1.0), "+X": (0, -1.0), "-X": (0, 1.0)}[robot_in_cell.spindle]
     axis = sign * place.pose[:, :3, column]
-    lever = probe_data.point - place.pose[:, :3, 3]
+    lever = probe_data.point - place.pose.position
     height = np.einsum("ni,ni->n", lever, axis)
     radial = lever - height[:, None] * axis
     slope = np.einsum("ni,ni->n", probe_data.normal, axis)
@@ -302,7 +302,7 @@ def cut(program: Program, robot_in_cell: RobotInCell, source: ProcessSource, new
         ]
     )
     at = replace(path_states.take(index), weight_wrench=new_surfaces.weight_wrench)
-    return Cut(at, path_states, motion, t, path.sample.pose[:, :3, 3], program)
+    return Cut(at, path_states, motion, t, path.sample.pose.position, program)
 
 
 class ClampedProgram(Struct, frozen=True, eq=False):

@@ -180,7 +180,7 @@ def loads(kinds: list[Kind], cutting: Cutting, process: Process, robot_in_cell: 
     loads_by_kind, first = [], 0
     for feature in row:
         rows = slice(first, first + len(features.probes(feature.kind, cutting)))
-        tip = places.pose[rows, :3, 3] - np.array([feature.x, feature.y, cutting.top])
+        tip = places.pose.position[rows] - np.array([feature.x, feature.y, cutting.top])
         loads_by_kind.append(Loads(tip, wrench[rows], travel[rows], by_lift[rows]))
         first = rows.stop
     return loads_by_kind

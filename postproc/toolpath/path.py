@@ -186,7 +186,7 @@ def _arcs(program: Program, start: Starts) -> Arcs:
     """
     m = program.motions
     motion = np.flatnonzero(m.kind == CIRC)
-    begin, end, normal = start.at(motion)[:, :3, 3], m.target[motion, :3, 3], m.normal[motion]
+    begin, end, normal = start.at(motion)[:, :3, 3], m.target.position[motion], m.normal[motion]
     # the programmed centre may be anywhere on the axis; `Arcs` needs the one at the height of the start
     height = np.einsum("ni,ni->n", begin - m.centre[motion], normal)[:, None] * normal
     climb = np.einsum("ni,ni->n", end - begin, normal)[:, None] * normal
@@ -287,7 +287,7 @@ def tangent(program: Program, path: Segments, motion: Ints, t: Array) -> Array:
     kind = m.kind[motion]
     lines = np.flatnonzero(((kind == LIN) | (kind == SPL)) & (path.length[motion] > 0.0))
     rows = motion[lines]
-    direction[lines] = (m.target[rows, :3, 3] - path.begin(rows)) / path.length[rows, None]
+    direction[lines] = (m.target.position[rows] - path.begin(rows)) / path.length[rows, None]
     arcs = np.flatnonzero(kind == CIRC)
     if len(arcs):
         velocity = path.arcs.velocity(motion[arcs], t[arcs])
@@ -316,7 +316,7 @@ def continues(program: Program, path: Segments) -> Bools:
 def _is_line_continued(program: Program, path: Segments, lines: Ints) -> Bools:
     """Return which lines (n,), rows of `Motions`, go straight on in the line that follows each."""
     m = program.motions
-    begin, corner, end = path.begin(lines), m.target[lines, :3, 3], m.target[lines + 1, :3, 3]
+    begin, corner, end = path.begin(lines), m.target.position[lines], m.target.position[lines + 1]
     chord = end - begin
     corner_distance = norm(np.cross(corner - begin, chord)) / np.maximum(norm(chord), _SAME_LINE)
     return np.asarray((corner_distance < _SAME_LINE) & (np.einsum("ni,ni->n", corner - begin, end - corner) > 0.0))

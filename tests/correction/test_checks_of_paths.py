@@ -14,6 +14,7 @@ from postproc import frames, robot
 from postproc.correction import checks
 from postproc.errors import Issue
 from postproc.kinematics import JointPath
+from postproc.poses import Poses
 from postproc.robot.model import MeasuredRange
 from postproc.toolpath import Toolpath
 from tests.corrections import correct_files
@@ -33,7 +34,7 @@ MADE = program(LINES)
 def sampled(motion, t=None, pose=None):
     motion = np.asarray(motion)
     pose = np.tile(np.eye(4), (len(motion), 1, 1)) if pose is None else pose
-    return Toolpath(motion, np.ones(len(motion)) if t is None else np.asarray(t), pose, np.zeros(len(motion)))
+    return Toolpath(motion, np.ones(len(motion)) if t is None else np.asarray(t), Poses.of(pose), np.zeros(len(motion)))
 
 
 def told(issues):

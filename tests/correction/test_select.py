@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from postproc.correction.targets import CommandedPath, arc_pieces, choose_samples
+from postproc.poses import Poses
 from postproc.program import CIRC, LIN, PTP, SPL
 from postproc.toolpath import Pieces, Toolpath
 
@@ -45,7 +46,7 @@ def commanded(seed):
         last = place[-1]
     motion, t, place = (np.array(column) for column in zip(*rows, strict=True))
     pose = np.tile(np.eye(4), (len(t), 1, 1))
-    return CommandedPath(Toolpath(motion, t, pose, 0 * t), arcs, place, start, LIMIT)
+    return CommandedPath(Toolpath(motion, t, Poses.of(pose), 0 * t), arcs, place, start, LIMIT)
 
 
 def divided(t, place):
@@ -130,7 +131,7 @@ def test_as_many_pieces_of_an_arc_are_needed_as_what_twice_as_large_ones_miss_as
         t += here.tolist()
         bend = 1e-4 * rng.uniform(0.01, 1.0) * np.sin(7.0 * here)
         place += list(np.column_stack([0.05 * np.cos(2 * here), 0.05 * np.sin(2 * here), bend]))
-    sample = Toolpath(np.array(motion), np.array(t), np.tile(np.eye(4), (len(t), 1, 1)), np.zeros(len(t)))
+    sample = Toolpath(np.array(motion), np.array(t), Poses.of(np.tile(np.eye(4), (len(t), 1, 1))), np.zeros(len(t)))
     start = np.tile([0.05, 0.0, 0.0], (8, 1))
     path = CommandedPath(sample, arcs, np.array(place), start, LIMIT)
     found = arc_pieces(path)

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from postproc import robot
 from postproc.correction.targets import _status_and_turn, _unchanged_motions
+from postproc.poses import Poses
 from postproc.program import CIRC, LIN, PTP
 from postproc.toolpath import Toolpath
 from tests.programs import program
@@ -23,7 +24,7 @@ BOUND = 1e-7
 def path_of(kind, count):
     motion = np.repeat(np.arange(len(kind)), count)
     t = np.concatenate([(np.arange(n) + 1) / n for n in count])
-    sample = Toolpath(motion, t, np.tile(np.eye(4), (len(t), 1, 1)), 0 * t)
+    sample = Toolpath(motion, t, Poses.of(np.tile(np.eye(4), (len(t), 1, 1))), 0 * t)
     made = program([("LIN", 0, 0, 0)] * len(kind))
     made = replace(made, motions=replace(made.motions, kind=kind), layout=object())  # a text that is kept
     return SimpleNamespace(program=made, sample=sample)

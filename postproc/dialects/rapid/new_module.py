@@ -217,7 +217,7 @@ class _NewModule:
         target = [b",", *_columns(quaternions(self.targets.pose[k, :3, :3]), _QUATERNION)]
         branch = configuration(self.joints.q[k], self.joints.status[k])
         target += [b",", *_columns(branch.astype(np.float64), 0), f",{NO_EXTERNAL_AXES}]".encode()]
-        end = [b"[", *_columns(self.targets.pose[k, :3, 3] * MM_PER_M, _MILLIMETRES), *target]
+        end = [b"[", *_columns(self.targets.pose.position[k] * MM_PER_M, _MILLIMETRES), *target]
         via: list[Part] = []
         if kind == CIRC:
             via = [b"[", *_columns(self.targets.via[k] * MM_PER_M, _MILLIMETRES), *target, b","]

@@ -381,7 +381,7 @@ class ShownTargets(Struct, frozen=True, eq=False):
 
 def correction(result: Result, row: Ints) -> Array:
     """Return commanded minus nominal positions (n, 3) of targets (n,) [m], `$BASE`, as printed."""
-    return np.asarray(result.printed[row, :3] / MM_PER_M - result.nominal[row, :3, 3])
+    return np.asarray(result.printed[row, :3] / MM_PER_M - result.nominal.position[row])
 
 
 def page_rows(result: Result, linked_rows: Ints) -> Ints:
@@ -514,7 +514,7 @@ def _durations(result: Result, length: Array) -> Array:
 
 def _feed_axes(result: Result, row: Ints) -> Array:
     """Return the axes (P, 3, 3) along, across and normal to the feed as columns in `$BASE`; NaN along the spindle."""
-    m, end = result.program.motions, result.nominal[:, :3, 3]
+    m, end = result.program.motions, result.nominal.position
     motion, previous = result.motion[row], np.maximum(row - 1, 0)
     travel = end[row] - end[previous]
     arcs = np.flatnonzero(m.kind[motion] == CIRC)

@@ -593,7 +593,7 @@ def _triggers_of_motions(
         main.contain_only_comments(trigger_line + 1, line - 1)
         for trigger_line, line in zip(lines.tolist(), following, strict=True)
     ]
-    begin, end = start.at(rows)[:, :3, 3], motions.target[rows, :3, 3]
+    begin, end = start.at(rows)[:, :3, 3], motions.target.position[rows]
     is_arc = motions.kind[rows] == CIRC
     length = np.where(is_arc, norm(begin - motions.centre[rows]) * motions.sweep[rows], norm(end - begin))
     return tuple(triggers(trace, list(zip(lines.tolist(), rows.tolist(), is_attached, strict=True)), length))
