@@ -53,7 +53,7 @@ def test_what_needs_no_correction_stays_as_it_is(seed, axis):
     moved = rng.random(len(path.sample)) < 0.12
     twist = np.zeros((len(moved), 6))
     twist[:, axis] = np.where(moved, 1.01, 0.99) * BOUND
-    pose = path.sample.pose.copy()
+    pose = path.sample.pose[:]
     pose[:, :3, 3], pose[:, :3, :3] = twist[:, :3], Rotation.from_rotvec(twist[:, 3:]).as_matrix()
     whole, kept = _unchanged_motions(path, SimpleNamespace(pose=pose))
     expected = by_loop(kind, path.sample.motion, moved)
