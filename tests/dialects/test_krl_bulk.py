@@ -160,9 +160,26 @@ def told(source, *, bulk):
         return str(error)
     motions = program.motions
     out = {f"motions.{name}": np.asarray(getattr(motions, name)) for name in motions.__struct_fields__}
-    for name in ("line", "notes", "numbers", "missing", "keyword", "target", "tail", "resumed", "orientation"):
+    for name in (
+        "line",
+        "notes",
+        "numbers",
+        "is_missing",
+        "keyword",
+        "target",
+        "tail",
+        "starts_from_joints",
+        "orientation",
+    ):
         out[f"layout.{name}"] = getattr(program.layout, name)
-    for name in ("ignored", "with_path", "distant", "passed", "triggers", "broken_off"):
+    for name in (
+        "ignores_orientation",
+        "turns_with_path",
+        "is_distance_known",
+        "is_in_spline_block",
+        "triggers",
+        "resume_place",
+    ):
         out[f"layout.{name}"] = getattr(program.layout, name)
     for name in ("bases", "tools", "notes", "still", "issues", "after", "joins", "events"):
         out[name] = getattr(program, name)
@@ -214,7 +231,7 @@ def test_numbers_are_where_the_layout_says_in_short_and_in_long_targets(bulk, mo
     found = [[text[start:stop] for start, stop in row if start >= 0] for row in spans.tolist()]
     expected = [re.findall(r"(?<=[XYZABCST] )[0-9.]+", line) for line in lines]
     assert found == [*expected, *expected, expected[0]]
-    assert program.layout.within.itemsize == 2
+    assert program.layout.relative_spans.itemsize == 2
     assert program.motions.status.tolist() == [-1, 2, -1, -1, 2, -1, -1]
 
 

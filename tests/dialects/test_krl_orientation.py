@@ -71,7 +71,7 @@ def test_the_next_motion_starts_with_the_orientation_that_was_kept():
     half = path_of(program, (0.5,))[:, 0, :3, :3]
     wanted = abc(0, 0, 0, 30, 20, 170)[:3, :3]  # A turns about Z of the base: half of the way is half of A
     np.testing.assert_allclose(half[2], wanted, atol=1e-12)
-    assert program.layout.ignored.tolist() == [False, True, False]
+    assert program.layout.ignores_orientation.tolist() == [False, True, False]
 
 
 @pytest.mark.parametrize("angle", [60.0, 360.0, -90.0, 500.0])

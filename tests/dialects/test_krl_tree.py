@@ -168,13 +168,13 @@ def test_parts_of_statements_are_where_the_text_has_them():
         assert source.text[here.start : here.stop] == FEATURES.splitlines()[line - 1].strip()
         return here
 
-    assert on(3).constant
-    assert not on(2).constant
+    assert on(3).is_constant
+    assert not on(2).is_constant
     assert [one.name for one in on(2).names] == ["I", "J"]
-    assert on(4).public
-    assert on(4).declares
+    assert on(4).is_global
+    assert on(4).is_declaration
     assert isinstance(on(4).action, tree.CallStatement)
-    assert not on(5).declares
+    assert not on(5).is_declaration
     assert on(5).action is None
     assert on(6).name == "V"
     assert on(9).condition.operators == ("AND", "OR")
@@ -184,13 +184,13 @@ def test_parts_of_statements_are_where_the_text_has_them():
     path, distance = on(21), on(22)
     assert (path.value.value, path.delay.value) == (-12.5, 20.0)
     assert path.from_start
-    assert not path.distance
-    assert distance.distance
+    assert not path.is_distance
+    assert distance.is_distance
     assert not distance.from_start
     assert len(on(16).values) == 2
-    assert on(27).behind == "C_SPL"
+    assert on(27).extra_text == "C_SPL"
     half = on(41)
-    assert (half.name, half.result) == ("half", "REAL")
+    assert (half.name, half.result_type) == ("half", "REAL")
     assert [(one.name, one.by_value) for one in half.parameters] == [("X", True), ("Y", False)]
 
 
@@ -216,7 +216,7 @@ def test_calls_are_found_wherever_they_are_in_a_statement(line, found):
 def test_what_follows_a_value_is_not_read_as_a_part_of_it():
     here = parser.statement(source_of("DEF part( )\nI=1 2\nEND\n"), 2)
     assert isinstance(here.value, OpaqueText)
-    assert here.value.rest == len("DEF part( )\nI=1 ")
+    assert here.value.excess_start == len("DEF part( )\nI=1 ")
 
 
 def test_a_line_is_read_once(monkeypatch):

@@ -60,11 +60,11 @@ class Branch(Struct, frozen=True):
 class Join(Struct, frozen=True):
     """Control-flow join: branches end at this row.
 
-    :ivar complete: False if possibly none of them runs.
+    :ivar is_exhaustive: True if one of the branches always runs, as with ELSE or DEFAULT.
     """
 
     row: int
-    complete: bool
+    is_exhaustive: bool
 
 
 class RoutineEntry(Struct, frozen=True):
@@ -83,13 +83,13 @@ Step = Lines | UnresolvedStructure | Fork | Branch | Join | RoutineEntry | Routi
 
 
 class Body(Struct, eq=False):
-    """Lines first … last − 1 of the trace, which are contiguous in a file.
+    """Lines first … stop − 1 of the trace, which are contiguous in a file.
 
     :ivar parts: unrolled loops and inlined routines in them, in order.
     """
 
     first: int
-    last: int = 0
+    stop: int = 0
     parts: list[UnrolledLoop | InlinedRoutine] = []
 
 
@@ -159,10 +159,12 @@ class UnrolledLoop(Struct, eq=False):
     :ivar counter: of FOR, as it is spelled; empty for other loops.
     :ivar step: of FOR, each body of which begins with an assignment to its counter; 0 for other loops.
     :ivar has_exit: True if it contains EXIT.
-    :ivar first: first line of the trace; `last` the line after it.
+    :ivar first: its first line of the trace.
+    :ivar stop: line of the trace after its last.
     :ivar bodies: one per iteration; empty if the loop does not run.
-    :ivar plain: the rounds of FOR with a plain body.
-    :ivar endless: True for LOOP without EXIT: its only body is one iteration, which restores the state it began with.
+    :ivar plain_rounds: the rounds of FOR with a plain body.
+    :ivar is_endless: True for LOOP without EXIT: its only body is one iteration, which ends in the state in which it
+        began.
     """
 
     opener: str
@@ -171,10 +173,10 @@ class UnrolledLoop(Struct, eq=False):
     step: int
     has_exit: bool
     first: int
-    last: int = 0
+    stop: int = 0
     bodies: list[Body] = []
-    plain: PlainRounds | None = None
-    endless: bool = False
+    plain_rounds: PlainRounds | None = None
+    is_endless: bool = False
 
 
 class InlinedRoutine(Struct, eq=False):
@@ -196,43 +198,48 @@ class Course(Struct, frozen=True, eq=False):
     :param trace: its rows; the lines of the `.src` itself if nothing is unrolled or inlined.
     :param steps: what runs, in execution order.
     :param body: the lines of the main routine.
-    :param live: (L,) False for lines that do not run: branches that are not taken; None: all may run.
-    :param inlined: inlined routines.
-    :param pinned: inlined routines that are also reached by a call that is not followed: they must stay unchanged.
+    :param may_run: (L,) False for lines that do not run: branches that are not taken; None: all may run.
+    :param inlined_routines: routines whose calls are followed.
+    :param unchanged_routines: those of these that are also reached by a call that is not followed, and must stay as
+        they are.
     :param files: other source and data files of the inlined routines.
-    :param taken: names, upper case, of programs and GLOBAL routines of all folders, if new names are needed.
-    :param counts: row with an assignment to the counter of a FOR → its value; those of plain rounds are left out.
-    :param users: file of an inlined routine → other programs of the folders that name it.
+    :param used_names: names, upper case, of programs and GLOBAL routines of all folders, if new names are needed.
+    :param count_of_row: row with an assignment to the counter of a FOR → its value; those of plain rounds are left out.
+    :param other_callers: file of an inlined routine → other programs of the folders that name the routine.
     """
 
     main: Routine
     trace: Trace
     steps: tuple[Step, ...]
     body: Body
-    live: Bools | None = None
-    inlined: frozenset[Routine] = frozenset()
-    pinned: frozenset[Routine] = frozenset()
+    may_run: Bools | None = None
+    inlined_routines: frozenset[Routine] = frozenset()
+    unchanged_routines: frozenset[Routine] = frozenset()
     files: tuple[Document, ...] = ()
-    taken: frozenset[str] = frozenset()
-    users: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    counts: Mapping[int, int] = field(default_factory=dict)
+    used_names: frozenset[str] = frozenset()
+    other_callers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    count_of_row: Mapping[int, int] = field(default_factory=dict)
 
     @property
     def endless_loop(self) -> UnrolledLoop | None:
         """The LOOP without EXIT at the end of the program; None if there is none."""
         last = self.body.parts[-1] if self.body.parts else None
-        return last if isinstance(last, UnrolledLoop) and last.endless else None
+        return last if isinstance(last, UnrolledLoop) and last.is_endless else None
 
     def counter_value(self, loop: UnrolledLoop, row: int) -> int:
         """Return the value that a row of the trace assigns to the counter of a FOR."""
-        number = loop.plain.counter_value(row) if loop.plain is not None and row < loop.plain.stop_row else None
-        return self.counts[row] if number is None else number
+        number = (
+            loop.plain_rounds.counter_value(row)
+            if loop.plain_rounds is not None and row < loop.plain_rounds.stop_row
+            else None
+        )
+        return self.count_of_row[row] if number is None else number
 
     def counter_values(self) -> Array:
         """Return the values (L,) that the rows of the trace assign to the counter of a FOR; NaN for lines of files."""
         counter = np.full(len(self.trace), np.nan)
-        rows = np.array([*self.counts], dtype=np.int64)
-        counter[rows - 1] = [*self.counts.values()]
+        rows = np.array([*self.count_of_row], dtype=np.int64)
+        counter[rows - 1] = [*self.count_of_row.values()]
         for rounds in self.plain_rounds():
             counter[rounds.first - 1 : rounds.stop_row - 1 : rounds.length] = np.arange(rounds.count) * rounds.step
             counter[rounds.first - 1 : rounds.stop_row - 1 : rounds.length] += rounds.begin
@@ -267,8 +274,8 @@ def _plain_rounds(body: Body) -> Iterator[PlainRounds]:
     for part in body.parts:
         if isinstance(part, InlinedRoutine):
             yield from _plain_rounds(part.body)
-        elif part.plain is not None:
-            yield part.plain
+        elif part.plain_rounds is not None:
+            yield part.plain_rounds
         else:
             for inner in part.bodies:
                 yield from _plain_rounds(inner)

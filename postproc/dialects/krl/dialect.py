@@ -17,6 +17,7 @@ from postproc.dialects.krl.language import scan
 from postproc.dialects.krl.language.names import fault_of, valid_name
 from postproc.dialects.krl.language.parts import (
     MAIN,
+    JoinedProgram,
     called_parts,
     files_of_routines,
     joined_program,
@@ -126,7 +127,9 @@ class _Writer:
         program_files = replace(rewritten, documents=tuple(d for d in rewritten.documents if d.name not in other_names))
         files = [document for document in program.documents if document.name not in other_names]
         limit, layout = cell.output.lines_per_file, program.layout
-        output = write.split_files(program.name, files, program_files, limit, layout.course.taken, layout.broken_off)
+        output = write.split_files(
+            program.name, files, program_files, limit, layout.course.used_names, layout.resume_place
+        )
         other_files = tuple(document for document in rewritten.documents if document.name in other_names)
         issues = [
             _long_file_warning(document, limit)
@@ -142,8 +145,7 @@ class _Writer:
     def mark(self, documents: Sequence[Document], origin: provenance.Origin) -> tuple[tuple[Document, ...], int]:
         """Return the files with the line that says where they come from, below the first DEF.
 
-        :returns: the files, and the 1-based line from which on lines of the main one have moved down by one; 0 if none
-            has.
+        :returns: the files; the 1-based line from which on lines of the main one have moved down by one, 0 if none has.
         """
         return provenance.mark(documents, origin, _COMMENT, DEF_LINE)
 
@@ -215,48 +217,72 @@ class Krl:
     def read(
         self, documents: Sequence[Document], cell: Cell, forward_kinematics: Callable[[Array], Array], name: str
     ) -> Program:
-        """Return a program, see `read.reader`; one in several files as one, see `language.parts`."""
-        joined = joined_program(documents)
-        if joined is None:
-            try:
-                return read_program(documents, cell, forward_kinematics, name)
-            except ProgramError as cause:
-                if (main := _main_program_of(documents[0])) is None:
-                    raise
-                problem = f"this file is a part of {main}, which calls it: without it, {cause.problem}"
-                advice = f"Name {main}.src instead."
-                raise ProgramError(problem, file=cause.file, line=cause.line, text=cause.text, advice=advice) from None
-        stems = {PurePath(file).stem.lower() for file, _ in joined.files}
-        subprograms = [document for document in documents if PurePath(document.name).stem.lower() not in stems]
+        """Return a program, see `read.reader`; one in several files as one, see `language.parts`.
+
+        :param documents: the `.src` first, then its companions.
+        :param forward_kinematics: (6,) joints [rad] → (4, 4) flange in the robot root [m].
+        :raises ProgramError: see `read.reader`; a file is missing; the file is a part of a program and cannot be read
+            without the others.
+        """
+        if (joined := joined_program(documents)) is not None:
+            return _read_joined(joined, documents, cell, forward_kinematics, name)
         try:
-            program = read_program((*joined.documents, *subprograms), cell, forward_kinematics, name)
+            return read_program(documents, cell, forward_kinematics, name)
         except ProgramError as cause:
-            raise joined.error_in_file(cause) from None
-        layout = program.layout
-        if isinstance(layout, Layout):
-            course_names = {document.name for document in layout.course.files}
-            documents = [*(d for d in documents if d.name not in course_names), *layout.course.files]
-            layout = replace(layout, documents=(*joined.documents, *layout.course.files), files=joined.files)
-        name = PurePath(documents[0].name).stem[: -len(MAIN)]
-        unresolved = tuple(joined.motion_in_file(item) for item in program.unresolved)
-        needed_files = tuple(item for item in program.needed if Path(item.path).stem.lower() not in stems)
-        documents = tuple(documents)
-        return replace(
-            program, name=name, documents=documents, unresolved=unresolved, needed=needed_files, layout=layout
-        )
+            if (main := _main_program_of(documents[0])) is None:
+                raise
+            problem = f"this file is a part of {main}, which calls it: without it, {cause.problem}"
+            advice = f"Name {main}.src instead."
+            raise ProgramError(problem, file=cause.file, line=cause.line, text=cause.text, advice=advice) from None
+
+
+def _read_joined(
+    joined: JoinedProgram,
+    documents: Sequence[Document],
+    cell: Cell,
+    forward_kinematics: Callable[[Array], Array],
+    main_name: str,
+) -> Program:
+    """Return a program in several files, read as one text; its name is that of the main program without `MAIN`.
+
+    :param documents: its files and those of its subprograms, the main one first.
+    :param forward_kinematics: (6,) joints [rad] → (4, 4) flange in the robot root [m].
+    :param main_name: name of the main program.
+    :raises ProgramError: see `read.reader`; it names the file that has the line.
+    """
+    stems = {PurePath(file).stem.lower() for file, _ in joined.files}
+    subprograms = [document for document in documents if PurePath(document.name).stem.lower() not in stems]
+    try:
+        program = read_program((*joined.documents, *subprograms), cell, forward_kinematics, main_name)
+    except ProgramError as cause:
+        raise joined.error_in_file(cause) from None
+    layout = program.layout
+    if isinstance(layout, Layout):
+        called_files = layout.course.files
+        called_names = {document.name for document in called_files}
+        documents = [*(document for document in documents if document.name not in called_names), *called_files]
+        layout = replace(layout, documents=(*joined.documents, *called_files), files=joined.files)
+    return replace(
+        program,
+        name=PurePath(joined.documents[0].name).stem[: -len(MAIN)],
+        documents=tuple(documents),
+        unresolved=tuple(joined.motion_in_file(motion) for motion in program.unresolved),
+        needed=tuple(file for file in program.needed if Path(file.path).stem.lower() not in stems),
+        layout=layout,
+    )
 
 
 KRL = Krl()
 
 
-class _File(Struct, frozen=True):
-    """What a file has to do with others; names in upper case.
+class _FileCalls(Struct, frozen=True):
+    """Calls from and to a file; names in upper case.
 
-    :param calls: names that are called in it and that it does not declare itself.
-    :param callable_names: names by which others call its routines.
+    :param called_names: names that it calls and does not declare itself.
+    :param callable_names: names by which other files call its routines.
     """
 
-    calls: frozenset[str]
+    called_names: frozenset[str]
     callable_names: frozenset[str]
 
 
@@ -267,9 +293,9 @@ def callers(paths: Sequence[Path]) -> dict[Path, list[Path]]:
     call a GLOBAL routine: it is a program of its own.
     """
     files = {path: _file_calls(path) for path in paths}
-    calling: dict[str, list[Path]] = {}
+    calling: dict[str, list[Path]] = {}  # name, upper case → files that call it
     for path, file in files.items():
-        for name in file.calls:
+        for name in file.called_names:
             calling.setdefault(name, []).append(path)
     callers_of: dict[Path, list[Path]] = {}
     callees: dict[Path, list[Path]] = {path: [] for path in paths}
@@ -287,16 +313,18 @@ def callers(paths: Sequence[Path]) -> dict[Path, list[Path]]:
     return {path: calling_paths for path, calling_paths in callers_of.items() if calling_paths and path in reachable}
 
 
-def _file_calls(path: Path) -> _File:
+def _file_calls(path: Path) -> _FileCalls:
     """Return the names that a file calls, and those by which others can call it; none if it cannot be read."""
     try:
         text = path.read_bytes().decode("latin-1")
     except OSError:
-        return _File(frozenset(), frozenset())
+        return _FileCalls(frozenset(), frozenset())
     routines = list(scan.whole_routines(text))
     name = path.stem.upper()
     callable_names = {name}
-    if all(routine.empty for routine in routines if routine.name == name):
-        callable_names |= {routine.name for routine in routines if routine.public}
-    calls = scan.called_names(scan.without_comments(text)) if path.stem.lower() != _SELECTION_FILE else set[str]()
-    return _File(frozenset(calls), frozenset(callable_names))
+    if all(routine.is_empty for routine in routines if routine.name == name):
+        callable_names |= {routine.name for routine in routines if routine.is_global}
+    called_names = (
+        scan.called_names(scan.without_comments(text)) if path.stem.lower() != _SELECTION_FILE else set[str]()
+    )
+    return _FileCalls(frozenset(called_names), frozenset(callable_names))

@@ -42,33 +42,35 @@ class Layout(Struct, frozen=True, eq=False):
     :param notes: rows of the trace with the force comments of the program, in order.
     :param numbers: (M, 6) X, Y, Z [mm], A, B, C [deg] that the text commands, missing ones filled in with what the
         controller keeps; for axis and relative targets the Cartesian numbers they amount to.
-    :param missing: (M, 6) True where the text does not give the component.
-    :param begin: (M,) offset of the target; of `elements` that of the point in the data list.
-    :param within: (M, 8, 2) spans of the texts of X, Y, Z, A, B, C, S, T from there, see `spans`; 0 where missing, and
-        throughout for motions in `statements` (their numbers may be elsewhere).
+    :param is_missing: (M, 6) True where the text does not give the component.
+    :param target_start: (M,) offset of the target; of `elements` that of the point in the data list.
+    :param relative_spans: (M, 8, 2) spans of the texts of X, Y, Z, A, B, C, S, T, counted from `target_start`; 0 where
+        missing, and throughout for motions in `statements` (their numbers may be elsewhere). See `spans`.
     :param keyword: (M,) offset of the instruction.
     :param target: (M, 2) span of the target in the statement: ``{…}``, a name or a chain.
     :param tail: (M, 2) span of what follows the target and holds for inserted targets too: approximation, WITH.
     :param via_spans: (M, 3, 2) spans of X, Y, Z of the auxiliary points of circles; −1 as for `spans`.
     :param via_target: (M, 2) span of the auxiliary point; −1 as for `spans`.
-    :param resumed: (M,) True where the controller's previous position is an axis target or the start.
+    :param starts_from_joints: (M,) True where the controller's previous position is an axis target or the start.
     :param orientation: (M,) which of `ORIENTATIONS` `$ORI_TYPE` is; of PTP, which knows none, the first.
-    :param ignored: (M,) True where it makes the controller ignore A, B, C, and the text says others than are commanded.
-    :param with_path: (M,) True for circles with which the tool turns (``$CIRC_TYPE=#PATH``).
-    :param by_wrist: (M,) True for lines on which the wrist axes turn the tool (``$ORI_TYPE=#JOINT``).
-    :param unheeded: (M,) True for SCIRC whose A, B, C of the auxiliary point must not count once it is corrected.
-    :param distant: (M,) True where `$APO.CDIS` is known, so that inserted targets can be approximated.
-    :param passed: (M,) True in spline blocks, where the robot passes the targets without approximation.
+    :param ignores_orientation: (M,) True where `$ORI_TYPE` makes the controller ignore A, B, C of the text, and they
+        differ from those that it commands.
+    :param turns_with_path: (M,) True for circles with which the tool turns (``$CIRC_TYPE=#PATH``).
+    :param is_wrist_led: (M,) True for lines on which the wrist axes turn the tool (``$ORI_TYPE=#JOINT``).
+    :param drops_via_orientation: (M,) True for SCIRC whose auxiliary point has A, B, C that must not count once the
+        circle is corrected.
+    :param is_distance_known: (M,) True where `$APO.CDIS` is known, so that inserted targets can be approximated.
+    :param is_in_spline_block: (M,) True in spline blocks, where the robot passes the targets without approximation.
     :param statements: row → statement, for motions that are not plain lines: named points, chains, CA, relative and
         axis targets.
     :param elements: points of motions of loops; these motions are not in `statements`.
     :param types: declared type by variable, upper case.
-    :param public: variables declared GLOBAL.
-    :param understood: row and offset of names whose use the reader followed.
-    :param copies: names, upper case, of variables that got the text of a point of another one, and of that.
+    :param global_names: variables declared GLOBAL.
+    :param followed_names: rows of the trace and offsets of names whose use the reader followed.
+    :param copies: pairs of names, upper case: a variable that was copied as a point, and the one that it was copied to.
     :param triggers: TRIGGER statements, in order.
     :param carriage: the linear axis E1 that carries the robot.
-    :param broken_off: where RESUME in another file goes back to the program; empty: nowhere.
+    :param resume_place: place, as text, of a RESUME in another file that goes back to the program; empty without.
     :param documents: the one text, and its `.dat`, of a program in several files; empty: the files are the text.
     :param files: then, name of each `.src` and the number that its first line has in the one text.
     """
@@ -77,31 +79,31 @@ class Layout(Struct, frozen=True, eq=False):
     line: Ints
     notes: tuple[int, ...]
     numbers: Array
-    missing: Bools
-    begin: Offsets
-    within: NDArray[np.unsignedinteger[Any]]
+    is_missing: Bools
+    target_start: Offsets
+    relative_spans: NDArray[np.unsignedinteger[Any]]
     keyword: Offsets
     target: Offsets
     tail: Offsets
     via_spans: Offsets
     via_target: Ints
-    resumed: Bools
+    starts_from_joints: Bools
     orientation: Ints
-    ignored: Bools
-    with_path: Bools
-    by_wrist: Bools
-    unheeded: Bools
-    distant: Bools
-    passed: Bools
+    ignores_orientation: Bools
+    turns_with_path: Bools
+    is_wrist_led: Bools
+    drops_via_orientation: Bools
+    is_distance_known: Bools
+    is_in_spline_block: Bools
     statements: Mapping[int, MotionStatement]
     elements: tuple[Elements, ...]
     types: Mapping[str, str]
-    public: frozenset[str]
-    understood: frozenset[tuple[int, int]]
+    global_names: frozenset[str]
+    followed_names: frozenset[tuple[int, int]]
     copies: frozenset[tuple[str, str]]
     triggers: tuple[Trigger, ...]
     carriage: Carriage | None = None
-    broken_off: str = ""
+    resume_place: str = ""
     documents: tuple[Document, ...] = ()
     files: tuple[tuple[str, int], ...] = ()
 
@@ -110,8 +112,8 @@ class Layout(Struct, frozen=True, eq=False):
 
         They are offsets in the file of the motion; for array elements (`elements`) in the data list that declares them.
         """
-        offsets = self.within[rows, columns].astype(np.int32)
-        return np.where(offsets > 0, offsets + self.begin[rows, None, None], -1)
+        offsets = self.relative_spans[rows, columns].astype(np.int32)
+        return np.where(offsets > 0, offsets + self.target_start[rows, None, None], -1)
 
     def places(self, rows: Ints) -> Places | None:
         """Return the files and lines of motions (n,); None if all are in the main file."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from typing import NamedTuple
 
 from msgspec import Struct
 from msgspec.structs import replace
@@ -27,19 +28,19 @@ class DeclaredName(Struct, frozen=True):
     """A declared or initialised name.
 
     :ivar name: upper case.
-    :ivar at: offset of the name.
-    :ivar bounds: ``[3]``, or None.
+    :ivar name_start: offset of the name.
+    :ivar bounds: text of the bracket of an array, such as ``[3]``; None without one.
     :ivar kind: type, upper case; empty for an initialisation alone.
-    :ivar public: declared GLOBAL.
-    :ivar value: offset of its initial value; −1 where there is none.
+    :ivar is_global: it is declared GLOBAL.
+    :ivar value_start: offset of its initial value; −1 where there is none.
     """
 
     name: str
-    at: int
+    name_start: int
     bounds: str | None
     kind: str
-    public: bool
-    value: int
+    is_global: bool
+    value_start: int
 
 
 def declared_in(source: Source, start: int, stop: int) -> Iterator[DeclaredName]:
@@ -57,50 +58,65 @@ def declared_in(source: Source, start: int, stop: int) -> Iterator[DeclaredName]
         if not next_name:
             return
         end = next_name.end()
-        value = end if next_name["equals"] else -1
+        value_start = end if next_name["equals"] else -1
         yield DeclaredName(
-            next_name["name"].upper(), next_name.start("name"), next_name["bounds"], first.kind, first.public, value
+            next_name["name"].upper(),
+            next_name.start("name"),
+            next_name["bounds"],
+            first.kind,
+            first.is_global,
+            value_start,
         )
 
 
 def _first_name(source: Source, match: re.Match[str]) -> DeclaredName:
     """Return the first name that a line declares, from its match of `DECLARATION`."""
-    public = key_word(source.text, match.start(), match.start("name"), "GLOBAL") is not None
-    kind, value = (match["kind"] or "").upper(), match.end() if match["equals"] else -1
-    return DeclaredName(match["name"].upper(), match.start("name"), match["bounds"], kind, public, value)
+    is_global = key_word(source.text, match.start(), match.start("name"), "GLOBAL") is not None
+    kind, value_start = (match["kind"] or "").upper(), match.end() if match["equals"] else -1
+    return DeclaredName(match["name"].upper(), match.start("name"), match["bounds"], kind, is_global, value_start)
 
 
 def _value_stop(source: Source, start: int, stop: int) -> int:
-    """Return where an initial value ends; the end of the line where it cannot be read."""
+    """Return the offset behind an initial value; `stop`, the end of the line, where the value cannot be read."""
     try:
         return value_at(source, start, stop)[1]
     except ProgramError:
         return stop
 
 
-def structure(source: Source, start: int, stop: int) -> tuple[str, dict[str, str]] | None:
-    """Return the name of a STRUC and its members, as of ``STRUC PT INT N,FRAME F``.
+class Structure(NamedTuple):
+    """A type that STRUC declares; names in upper case.
 
-    :returns: upper-case name, and type by name of the members; None if the code is something else.
+    :ivar name: of the type.
+    :ivar members: type of each member, by its name.
+    """
+
+    name: str
+    members: dict[str, str]
+
+
+def structure(source: Source, start: int, stop: int) -> Structure | None:
+    """Return the type that a STRUC declares, such as ``STRUC PT INT N,FRAME F``; None if the code is something else.
+
     :raises ProgramError: brackets are not balanced.
     """
     pieces = [NAME.findall(source.text, *span) for span in list_spans(source, start, stop)]
     while pieces and pieces[0][:1] and pieces[0][0].upper() in ("GLOBAL", "DECL"):
         del pieces[0][0]
-    if not pieces or len(pieces[0]) < 3 or pieces[0][0].upper() != "STRUC":
+    if not pieces or len(pieces[0]) < 3 or pieces[0][0].upper() != "STRUC":  # STRUC, its name, a type or a member
         return None
     name, pieces[0] = pieces[0][1].upper(), pieces[0][2:]
     kind, members = "", dict[str, str]()  # a type holds for all members up to the next type
     for words in pieces:
         kind = words[0].upper() if len(words) > 1 else kind
         members |= {word.upper(): kind for word in words[-1:]}
-    return name, members
+    return Structure(name, members)
 
 
 def declared_names(source: Source) -> tuple[frozenset[str], frozenset[str]]:
-    """Return the names that a `.dat` declares for its own program, and those that are GLOBAL."""
+    """Return the names, upper case, that a `.dat` declares for its own program, and those that it declares GLOBAL."""
     local_names: set[str] = set()
-    public: set[str] = set()
+    global_names: set[str] = set()
     for begin, end in zip(source.starts.tolist(), source.stops.tolist(), strict=True):
         if element := ELEMENT.match(source.text, begin, end):  # most lines of long data lists
             local_names.add(element["name"].upper())
@@ -108,8 +124,8 @@ def declared_names(source: Source) -> tuple[frozenset[str], frozenset[str]]:
         start, stop = code_span(source.text, begin, end)
         if start < stop and source.text[start] != "&":
             for item in declared_in(source, start, stop):
-                (public if item.public else local_names).add(item.name)
-    return frozenset(local_names - public), frozenset(public)
+                (global_names if item.is_global else local_names).add(item.name)
+    return frozenset(local_names - global_names), frozenset(global_names)
 
 
 class DataLine(Struct, frozen=True, eq=False):
@@ -118,13 +134,13 @@ class DataLine(Struct, frozen=True, eq=False):
     :param line: 1-based.
     :param text: with its end.
     :param names: what it declares or gives a value to, upper case.
-    :param public: whether that is GLOBAL.
+    :param is_global: these names are GLOBAL.
     """
 
     line: int
     text: str
     names: frozenset[str]
-    public: bool
+    is_global: bool
 
 
 def data_lines(data: Source) -> list[DataLine]:
@@ -136,30 +152,41 @@ def data_lines(data: Source) -> list[DataLine]:
     for line in range(1, len(data.starts) + 1):
         start, stop = data.code_span(line)
         word = word_at(data.text, start, stop)
-        if word in ("DEFDAT", "ENDDAT") or data.text[start : start + 1] == "&":
-            continue
-        begin, end = int(data.starts[line - 1]), int(data.stops[line - 1])
-        next_start = int(data.starts[line]) if line < len(data.starts) else len(data.text)
-        declarations = list(declared_in(data, start, stop)) if word not in DECLARATIONS else []
-        names = frozenset(item.name for item in declarations) or _other_declared_names(data.text[start:stop], word)
-        public = any(item.public for item in declarations) or _is_public(data.text, start, stop)
-        public = public or not names.isdisjoint(CONTROLLER_DATA)
-        text = data.text[begin:next_start] if next_start > end else data.text[begin:end] + "\r\n"
-        lines.append(DataLine(line, text, names, public))
-    public_names = frozenset().union(*(item.names for item in lines if item.public))
+        if word not in ("DEFDAT", "ENDDAT") and data.text[start : start + 1] != "&":
+            lines.append(_data_line(data, line, word))
+    global_names = frozenset().union(*(item.names for item in lines if item.is_global))
     return [
-        item if item.public or item.names.isdisjoint(public_names) else replace(item, public=True) for item in lines
+        item if item.is_global or item.names.isdisjoint(global_names) else replace(item, is_global=True)
+        for item in lines
     ]
 
 
-def _is_public(text: str, start: int, stop: int) -> bool:
+def _data_line(data: Source, line: int, word: str) -> DataLine:
+    """Return a line of a `.dat` with the names that it declares or gives a value to.
+
+    :param line: 1-based.
+    :param word: its first word, upper case.
+    """
+    start, stop = data.code_span(line)
+    begin, end = int(data.starts[line - 1]), int(data.stops[line - 1])
+    next_start = int(data.starts[line]) if line < len(data.starts) else len(data.text)
+    declarations = list(declared_in(data, start, stop)) if word not in DECLARATIONS else []
+    names = frozenset(item.name for item in declarations) or _other_declared_names(data.text[start:stop], word)
+    is_global = any(item.is_global for item in declarations) or _has_global(data.text, start, stop)
+    text = data.text[begin:next_start] if next_start > end else data.text[begin:end] + "\r\n"  # a last line without end
+    return DataLine(line, text, names, is_global or not names.isdisjoint(CONTROLLER_DATA))
+
+
+def _has_global(text: str, start: int, stop: int) -> bool:
     """Return whether GLOBAL is the first word of a line, or follows DECL."""
-    after_decl = after_word(text, start, stop, "DECL")
-    return after_word(text, max(start, after_decl), stop, "GLOBAL") >= 0
+    decl_stop = after_word(text, start, stop, "DECL")  # −1 without DECL
+    return after_word(text, max(start, decl_stop), stop, "GLOBAL") >= 0
 
 
 def _other_declared_names(code: str, word: str) -> frozenset[str]:
-    """Return the name that a STRUC, ENUM, SIGNAL or CHANNEL declares."""
-    if word not in DECLARATIONS:
-        return frozenset()
-    return frozenset(name.upper() for name in NAME.findall(code)[1:2])
+    """Return the name, upper case, that a STRUC, ENUM, SIGNAL or CHANNEL declares; none for other lines.
+
+    :param word: the first word of the line, upper case.
+    """
+    second_word = NAME.findall(code)[1:2] if word in DECLARATIONS else ()
+    return frozenset(name.upper() for name in second_word)

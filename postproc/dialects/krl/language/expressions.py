@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterable
-from typing import NoReturn
+from typing import NamedTuple, NoReturn
 
 from msgspec.structs import replace
 
@@ -68,7 +68,7 @@ _DEEPEST = 100
 """Beyond any line of a program; a deeper tree is beyond Python's limit of recursion."""
 
 _Read = tuple[Value, int]
-"""A value, and the offset behind it."""
+"""A value, and the offset behind its text."""
 
 
 def value_in(source: Source, start: int, stop: int) -> Value:
@@ -150,7 +150,10 @@ def arithmetic(source: Source, start: int, stop: int, first: _Read | None = None
 
 
 def _product(source: Source, start: int, stop: int, first: _Read | None) -> _Read:
-    """Return factors joined by ``*`` and ``/``, from left to right, and the offset behind them."""
+    """Return factors joined by ``*`` and ``/``, from left to right, and the offset behind them.
+
+    :raises ProgramError: as for `value_at`.
+    """
     return _left_to_right(source, start, stop, first, "*/", _factor)
 
 
@@ -255,16 +258,17 @@ def _in_brackets(source: Source, start: int, stop: int) -> _Read:
     if isinstance(value, UnreadableText):
         raise value.error
     if isinstance(value, Reference):
-        return replace(value, start=start, stop=close + 1, bracketed=True), close + 1
+        return replace(value, start=start, stop=close + 1, is_bracketed=True), close + 1
     if isinstance(value, Number | Operation | Condition | OpaqueText | Chain):
         return replace(value, start=start, stop=close + 1), close + 1
     return Condition((value,), (False,), (), start, close + 1), close + 1
 
 
 def _variable(source: Source, name: re.Match[str], stop: int) -> _Read:
-    """Return the variable, function call, TRUE or FALSE that begins with `name`, and the offset behind it.
+    """Return the variable, function call, TRUE or FALSE that begins with a name, and the offset behind it.
 
     :param name: match of the name in the text of the file.
+    :raises ProgramError: a bracket is not closed.
     """
     text, start, end, upper_name = source.text, name.start(), name.end(), name[0].upper()
     if upper_name in ("TRUE", "FALSE"):
@@ -344,7 +348,10 @@ def unreadable_text(source: Source, start: int, stop: int, error: ProgramError) 
 
 
 def _calls_in(source: Source, start: int, stop: int) -> tuple[Call, ...]:
-    """Return the calls of routines in a piece of code, from left to right, without calls in their arguments."""
+    """Return the calls of routines in a piece of code, from left to right, without calls in their arguments.
+
+    :raises ProgramError: brackets are not balanced.
+    """
     text, call_list = source.text, list[Call]()
     if "(" not in text[start:stop]:
         return ()
@@ -384,23 +391,21 @@ def parse_aggregate(source: Source, start: int, stop: int) -> Aggregate:
     :raises ProgramError: it is not closed, a comma or a component's name is missing, a component is given twice, a
         number is not finite.
     """
-    text = source.text
-    position = start + 1
-    tag = ""
-    items, has_comma, position = _pose(text, start, stop)
+    text, tag = source.text, ""
+    items, has_next, position = _pose(text, start, stop)
     if not items and (match := TAG.match(text, position, stop)):
         tag, position = match["tag"].upper(), match.end()
-    while has_comma:
+    while has_next:
         match = COMPONENT.match(text, position, stop)
         if match:
             literal = match["number"]
-            name, has_comma, position = match["name"].upper(), match["comma"] is not None, match.end()
+            name, has_next, position = match["name"].upper(), match["comma"] is not None, match.end()
             number = float(literal)
             if number - number != 0.0:  # it is not finite
                 number = _finite(source, match, "number")
             value: Value = Number(number, *match.span("number"), literal.lstrip("+-").isdigit())
         else:
-            name, value, has_comma, position = _component(source, start, position, stop)
+            name, value, has_next, position = _component(source, start, position, stop)
         if name in items:
             raise source.error(f"component {name} is given twice", position - 1, advice="Remove one of them.")
         items[name] = value
@@ -408,31 +413,56 @@ def parse_aggregate(source: Source, start: int, stop: int) -> Aggregate:
     return Aggregate(source, start, position + 1, tag, items)
 
 
-def _pose(text: str, start: int, stop: int) -> tuple[dict[str, Value], bool, int]:
-    """Return the components of an aggregate that begins with X, Y, Z, A, B, C as finite numbers.
+class _Components(NamedTuple):
+    """The first components of an aggregate.
 
-    :returns: the components, whether a comma follows them, and the offset behind; for other aggregates none of them,
-        True, and the offset behind the brace at `start`.
+    :ivar items: component, upper case → value.
+    :ivar has_next: whether another component follows: behind a comma, or as the first one.
+    :ivar stop: offset behind them and that comma.
+    """
+
+    items: dict[str, Value]
+    has_next: bool
+    stop: int
+
+
+def _pose(text: str, start: int, stop: int) -> _Components:
+    """Return X, Y, Z, A, B, C of an aggregate that begins with them, all as finite numbers; for others no components.
+
+    :param start: offset of the brace.
     """
     match = _POSE.match(text, start, stop)
     if match is None:
-        return {}, True, start + 1
+        return _Components({}, True, start + 1)
     items: dict[str, Value] = {}
     for name in "XYZABC":
         literal = match[name]
         number = float(literal)
         if number - number != 0.0:  # it is not finite; faster than a call of math.isfinite
-            return {}, True, start + 1
+            return _Components({}, True, start + 1)
         items[name] = Number(number, *match.span(name), literal.lstrip("+-").isdigit())
     has_comma = match["sign"] == ","
-    return items, has_comma, match.end() + has_comma
+    return _Components(items, has_comma, match.end() + has_comma)
 
 
-def _component(source: Source, opening: int, position: int, stop: int) -> tuple[str, Value, bool, int]:
+class _Component(NamedTuple):
+    """A component of an aggregate.
+
+    :ivar name: upper case.
+    :ivar has_comma: whether a comma follows it.
+    :ivar stop: offset behind it and that comma.
+    """
+
+    name: str
+    value: Value
+    has_comma: bool
+    stop: int
+
+
+def _component(source: Source, opening: int, position: int, stop: int) -> _Component:
     """Return a component of an aggregate that is not a plain number.
 
     :param opening: offset of the brace; `position` that of the component.
-    :returns: its name, its value, whether a comma follows, and the offset behind that comma.
     :raises ProgramError: it has no name, no value or no comma after it, or is not finite.
     """
     text = source.text
@@ -450,13 +480,15 @@ def _component(source: Source, opening: int, position: int, stop: int) -> tuple[
         )
     if end >= stop or text[end] not in ",}":
         _raise_aggregate_error(source, opening, end, stop, f"a comma is missing after component {name}")
-    return name, value, text[end] == ",", end + (text[end] == ",")
+    has_comma = text[end] == ","
+    return _Component(name, value, has_comma, end + has_comma)
 
 
 def _raise_aggregate_error(source: Source, opening: int, position: int, stop: int, problem: str) -> NoReturn:
-    """Raise the error in an aggregate: its brace is not closed, or else `problem`.
+    """Raise the error in an aggregate.
 
     :param opening: offset of its ``{``; `position` that of the problem.
+    :raises ProgramError: the brace is not closed; if it is, for `problem`.
     """
     if after_blanks(source.text, position, stop) >= stop or "}" not in source.text[position:stop]:
         raise source.error("the brace { is not closed", opening, "Check that the file is complete.")
@@ -464,7 +496,7 @@ def _raise_aggregate_error(source: Source, opening: int, position: int, stop: in
 
 
 def _finite(source: Source, match: re.Match[str], group: str | int = 0) -> float:
-    """Return the number in a group of a match.
+    """Return the number in a group of a match in the text of a file.
 
     :raises ProgramError: it is not finite.
     """
@@ -536,7 +568,10 @@ def list_spans(source: Source, start: int, stop: int) -> list[tuple[int, int]]:
 
 
 def value_end(source: Source, start: int, stop: int) -> int:
-    """Return where a value that is not parsed ends: at a comma or closing bracket outside of its own brackets."""
+    """Return the offset behind a value that is not parsed: of a comma or closing bracket outside of its own brackets.
+
+    :raises ProgramError: one of its brackets is not closed.
+    """
     text, offset = source.text, start
     while offset < stop and text[offset] not in ",)]}":
         if text[offset] in _PAIRS:

@@ -35,7 +35,7 @@ class Point(Struct, frozen=True, eq=False):
     name: str = ""
 
     @property
-    def inline(self) -> bool:
+    def is_inline(self) -> bool:
         """Whether its numbers are in the statement itself."""
         aggregate = self.position.aggregate
         return aggregate is not None and not self.name and aggregate.start == self.start
@@ -45,45 +45,45 @@ class MotionStatement(Struct, frozen=True, eq=False):
     """One motion statement.
 
     :param line: 1-based row of the execution trace; offsets are those of its file.
-    :param kind: `LIN`, `CIRC` or `PTP`.
+    :param kind: `LIN`, `CIRC`, `PTP` or `SPL`.
     :param keyword: span of the instruction, with ``_REL``.
     :param end: target.
-    :param relative: ``""``, ``"#BASE"`` or ``"#TOOL"``: axes of a ``_REL`` target.
-    :param via: auxiliary point of a CIRC.
-    :param angle: CA [deg], or None.
-    :param tail: offset from which the text applies to inserted targets too: approximation and WITH.
+    :param relative_axes: axes of a ``_REL`` target, ``"#BASE"`` or ``"#TOOL"``; empty for an absolute one.
+    :param via: auxiliary point of a circle; None for other motions.
+    :param angle: CA [deg]; None without it.
+    :param tail_start: offset from which the text applies to inserted targets too: approximation and WITH.
     :param stop: offset behind the code of the line.
     :param approximated: True where `$APO.CDIS` applies.
-    :param behind: span of ``#BASE`` or ``#TOOL`` where it follows the approximation.
+    :param frame_span: span of ``#BASE`` or ``#TOOL`` if it follows the approximation, else None.
     """
 
     line: int
     kind: int
     keyword: tuple[int, int]
     end: Point
-    relative: str
+    relative_axes: str
     via: Point | None
     angle: float | None
-    tail: int
+    tail_start: int
     stop: int
     approximated: bool
-    behind: tuple[int, int] | None = None
+    frame_span: tuple[int, int] | None = None
 
     @property
-    def via_incomplete(self) -> bool:
+    def is_via_incomplete(self) -> bool:
         """Whether the auxiliary point omits X, Y or Z; they are those of the start of the circle."""
         return self.via is not None and any(value != value for value in self.via.position.values[:3])
 
     @property
-    def plain(self) -> bool:
+    def is_plain(self) -> bool:
         """Whether its points are Cartesian, with their numbers in the line: such lines are read all at once."""
-        inline = self.end.inline and (self.via is None or self.via.inline)
+        is_inline = self.end.is_inline and (self.via is None or self.via.is_inline)
         return (
-            inline
-            and not self.via_incomplete
+            is_inline
+            and not self.is_via_incomplete
             and self.angle is None
-            and not self.end.position.axis
-            and not self.relative
+            and not self.end.position.is_axis
+            and not self.relative_axes
         )
 
 
@@ -98,7 +98,7 @@ class Trigger(Struct, frozen=True):
     :param is_attached: only comments and other TRIGGERs are between it and its motion.
     :param from_start: whether its distance counts from the start of the motion, not from the end.
     :param offset: distance along the path [m]; NaN when it is not a number.
-    :param path: span of the number of PATH in its file; None for DISTANCE.
+    :param path_span: span of the number of PATH in its file; None for DISTANCE.
     :param delay: DELAY [s]; NaN when it is not a number.
     :param length: of its motion along the path [m].
     """
@@ -108,7 +108,7 @@ class Trigger(Struct, frozen=True):
     is_attached: bool
     from_start: bool
     offset: float
-    path: tuple[int, int] | None
+    path_span: tuple[int, int] | None
     delay: float
     length: float
 
@@ -116,8 +116,10 @@ class Trigger(Struct, frozen=True):
 def triggers(trace: Trace, rows: Sequence[tuple[int, int, bool]], length: Array) -> Iterator[Trigger]:
     """Yield the TRIGGER statements of an execution trace.
 
-    :param rows: of each its row, the number of the motion that follows, and whether nothing but comments is between.
-    :param length: (n,) lengths of these motions [m].
+    CONST_VEL and STOP WHEN PATH count as triggers at the start or the end of their motion.
+
+    :param rows: `line`, `row` and `is_attached` of each of n triggers, see `Trigger`.
+    :param length: (n,) lengths of their motions along the path [m].
     """
     for (line, row, is_attached), path_length in zip(rows, length.tolist(), strict=True):
         node = statement(*trace.place(line))
@@ -125,15 +127,15 @@ def triggers(trace: Trace, rows: Sequence[tuple[int, int, bool]], length: Array)
             yield Trigger(line, row, is_attached, node.from_start, 0.0, None, 0.0, path_length)
             continue
         offset = delay = float("nan")
-        from_start, path = False, None
+        from_start, path_span = False, None
         if isinstance(node, tree.Trigger) and node.value is not None and node.delay is not None:
             value, delay = _number(node.value), _S_PER_MS * _number(node.delay)
-            from_start = node.from_start or (node.distance and value == 0.0)
-            if not node.distance:
-                offset, path = value * M_PER_MM, (node.value.start, node.value.stop)
-            elif value in (0.0, 1.0):
+            from_start = node.from_start or (node.is_distance and value == 0.0)
+            if not node.is_distance:
+                offset, path_span = value * M_PER_MM, (node.value.start, node.value.stop)
+            elif value in (0.0, 1.0):  # DISTANCE=0 is the start of the motion, 1 its end
                 offset = 0.0
-        yield Trigger(line, row, is_attached, from_start, offset, path, delay, path_length)
+        yield Trigger(line, row, is_attached, from_start, offset, path_span, delay, path_length)
 
 
 def _number(value: Value) -> float:

@@ -131,12 +131,12 @@ def unused_name(name: str, used_names: Iterable[str]) -> str:
 class Names:
     """New names, none of which is taken.
 
-    :param taken: names that they must not have, upper case; new ones are added.
+    :param used_names: names that they must not have, upper case; new ones are added.
     """
 
     def __init__(self, used_names: set[str]) -> None:
         """Collect names that are in use; `_next` has the number to try next for each name."""
-        self.taken = used_names
+        self.used_names = used_names
         self._next: dict[str, int] = {}
 
     def unused_name(self, name: str) -> str:
@@ -146,8 +146,8 @@ class Names:
             tail = f"_{number}"
             candidate = name[: MAX_LENGTH - len(tail)] + tail
             number += 1
-            if candidate.upper() not in self.taken:
+            if candidate.upper() not in self.used_names:
                 break
         self._next[name.upper()] = number
-        self.taken.add(candidate.upper())
+        self.used_names.add(candidate.upper())
         return candidate

@@ -6,7 +6,7 @@ Each line is read once. A statement that is not understood becomes a plain `tree
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import cast
+from typing import NamedTuple, cast
 
 from postproc.dialects.krl.language.declarations import declared_in, structure
 from postproc.dialects.krl.language.expressions import (
@@ -43,6 +43,7 @@ from postproc.dialects.krl.language.tokens import (
 from postproc.dialects.krl.language.tree import (
     Assignment,
     BareWord,
+    Bounds,
     CallStatement,
     Case,
     CyclicInput,
@@ -88,6 +89,32 @@ def statement_at(source: Source, line: int, start: int, stop: int) -> Statement:
     return cast("Statement", node)
 
 
+class _Code(NamedTuple):
+    """The code of one statement.
+
+    :ivar word: its first word, upper case; if that is GLOBAL, the second.
+    :ivar start: offset at which the statement begins, GLOBAL included.
+    :ivar word_start: offset of `word`.
+    :ivar stop: offset behind the statement.
+    """
+
+    source: Source
+    word: str
+    start: int
+    word_start: int
+    stop: int
+
+    @property
+    def word_stop(self) -> int:
+        """Offset behind `word`."""
+        return self.word_start + len(self.word)
+
+    @property
+    def is_global(self) -> bool:
+        """Whether GLOBAL is the first word."""
+        return self.word_start > self.start
+
+
 def statement_in(source: Source, start: int, stop: int) -> Statement:
     """Return the statement in a piece of code; a `FaultyStatement` if it cannot be read."""
     word = word_at(source.text, start, stop)
@@ -95,9 +122,9 @@ def statement_in(source: Source, start: int, stop: int) -> Statement:
     if word == "GLOBAL":
         word_start = after_blanks(source.text, start + len(word), stop)
         word = word_at(source.text, word_start, stop)
+    code = _Code(source, word, start, word_start, stop)
     try:
-        node = _READERS[word](source, word, start, word_start, stop) if word in _READERS else None
-        return node or _ordinary_statement(source, word, start, word_start, stop)
+        return _READERS.get(word, _ordinary_statement)(code)
     except ProgramError as error:
         return FaultyStatement(word, start, stop, error, code=_unparsed_code(source, start, stop))
 
@@ -112,16 +139,19 @@ def _unparsed_code(source: Source, start: int, stop: int) -> Value | None:
         return unreadable_text(source, start, stop, error)
 
 
-def _ordinary_statement(source: Source, word: str, start: int, word_start: int, stop: int) -> Statement:
+def _ordinary_statement(code: _Code) -> Statement:
     """Return a statement that no key word begins: an assignment, a call, a label, or a declaration without DECL.
 
     Anything else is a plain `Statement`.
+
+    :raises ProgramError: brackets are not balanced.
     """
+    source, word, start, word_start, stop = code
     text = source.text
     if word_start == stop or text[word_start] == "&" or (word in RESERVED and word not in TYPES):
         return Statement(word, start, stop, code=_unparsed_code(source, word_start, stop))
     if word in TYPES:
-        return _declaration(source, word, start, word_start, stop)
+        return _declaration(code)
     target, end = operand(source, word_start, stop)
     equals = after_sign(text, end, stop, "=")
     if isinstance(target, Reference) and equals >= 0 and text[equals : equals + 1] != "=":
@@ -132,34 +162,35 @@ def _ordinary_statement(source: Source, word: str, start: int, word_start: int, 
     if isinstance(target, Reference) and colon >= 0 and after_blanks(text, colon, stop) == stop:
         return Label(word, start, stop, target.name)
     if _is_declaration(text, word_start, stop):
-        return _declaration(source, word, start, word_start, stop)
+        return _declaration(code)
     return Statement(word, start, stop, code=_unparsed_code(source, word_start, stop))
 
 
 # --- what declares ---------------------------------------------------------------------------------------------------
 
 
-def _definition(source: Source, word: str, start: int, word_start: int, stop: int) -> Statement | None:
-    """Return DEF or DEFFCT with name, type of the result and parameters; None without a name."""
-    text, position = source.text, after_blanks(source.text, word_start + len(word), stop)
-    result = ""
+def _definition(code: _Code) -> Statement:
+    """Return DEF or DEFFCT with name, type of the result and parameters; a plain `Statement` without a name."""
+    source, word, start, _, stop = code
+    text, name_start, result_type = source.text, after_blanks(source.text, code.word_stop, stop), ""
     if word == "DEFFCT":
-        result = word_at(text, position, stop)
-        position = after_blanks(text, position + len(result), stop)
-        if not result:
-            return None
-        if position < stop and text[position] == "[":
-            position = after_blanks(text, text.find("]", position, stop) + 1, stop)
-    end = position
-    while end < stop and text[end] not in " \t(":
-        end += 1
-    if end == position or position == word_start + len(word):
-        return None
-    bracket = after_sign(text, end, stop, "(")
+        result_type = word_at(text, name_start, stop)
+        name_start = after_blanks(text, name_start + len(result_type), stop)
+        if not result_type:
+            return _ordinary_statement(code)
+        if name_start < stop and text[name_start] == "[":  # the type is an array
+            name_start = after_blanks(text, text.find("]", name_start, stop) + 1, stop)
+    name_stop = name_start
+    while name_stop < stop and text[name_stop] not in " \t(":
+        name_stop += 1
+    if name_stop == name_start or name_start == code.word_stop:
+        return _ordinary_statement(code)
+    bracket = after_sign(text, name_stop, stop, "(")
     close = text.find(")", bracket, stop) if bracket >= 0 else -1
     content = text[bracket : close if close >= 0 else stop] if bracket >= 0 else ""
     parameters = tuple(parameter for part in content.split(",") if (parameter := _parameter(part)) is not None)
-    return Definition(word, start, stop, word_start > start, text[position:end], position, result, parameters)
+    name = text[name_start:name_stop]
+    return Definition(word, start, stop, code.is_global, name, name_start, result_type, parameters)
 
 
 def _parameter(text: str) -> Parameter | None:
@@ -189,47 +220,50 @@ def _is_declaration(text: str, start: int, stop: int) -> bool:
     return end > 0 and (next_offset == stop or text[next_offset] in ",=")
 
 
-def _declaration(source: Source, word: str, start: int, word_start: int, stop: int) -> Statement:
+def _declaration(code: _Code) -> Statement:
     """Return DECL, CONST, STRUC or a type, with the names that it declares."""
+    source, word, start, word_start, stop = code
     names = tuple(declared_in(source, word_start, stop))
-    constant = bool(names) and key_word(source.text, word_start, names[0].at, "CONST") is not None
-    return Declaration(word, start, stop, word_start > start, constant, names, structure(source, word_start, stop))
+    is_constant = bool(names) and key_word(source.text, word_start, names[0].name_start, "CONST") is not None
+    return Declaration(word, start, stop, code.is_global, is_constant, names, structure(source, word_start, stop))
 
 
-def _cyclic_input(source: Source, word: str, start: int, word_start: int, stop: int) -> Statement | None:
+def _cyclic_input(code: _Code) -> Statement:
     """Return ANIN ON, DIGIN ON or SIGNAL with its name; without a name, what `_idle_declaration` returns."""
-    position = word_start + len(word)
-    if word != "SIGNAL":
-        position = after_word(source.text, position, stop, "ON")
-    name_start = after_blanks(source.text, position, stop)
-    name = word_at(source.text, name_start, stop) if 0 <= position < name_start else ""
-    return CyclicInput(word, start, stop, name) if name else _idle_declaration(source, word, start, word_start, stop)
+    text, position = code.source.text, code.word_stop
+    if code.word != "SIGNAL":
+        position = after_word(text, position, code.stop, "ON")
+    name_start = after_blanks(text, position, code.stop)
+    name = word_at(text, name_start, code.stop) if 0 <= position < name_start else ""
+    return CyclicInput(code.word, code.start, code.stop, name) if name else _idle_declaration(code)
 
 
-def _idle_declaration(source: Source, word: str, start: int, word_start: int, stop: int) -> Statement | None:
+def _idle_declaration(code: _Code) -> Statement:
     """Return a declaration that does nothing, such as EXT; a plain statement if the word is none of those."""
-    return IdleDeclaration(word, start, stop) if word in DECLARATIONS else Statement(word, start, stop)
+    kind = IdleDeclaration if code.word in DECLARATIONS else Statement
+    return kind(code.word, code.start, code.stop)
 
 
-def _import(source: Source, word: str, start: int, word_start: int, stop: int) -> Statement | None:
+def _import(code: _Code) -> Statement:
     """Return ``IMPORT type name IS /R1/file..original``; an `IdleDeclaration` if it reads otherwise."""
-    text = source.text
-    kind = NAME.match(text, after_blanks(text, word_start + len(word), stop), stop)
+    text, stop = code.source.text, code.stop
+    kind = NAME.match(text, after_blanks(text, code.word_stop, stop), stop)
     name = NAME.match(text, after_blanks(text, kind.end(), stop), stop) if kind else None
-    dots = text.rfind("..", word_start, stop)
+    dots = text.rfind("..", code.word_start, stop)
     original = NAME.match(text, after_blanks(text, dots + 2, stop), stop) if dots >= 0 else None
-    file = text[text.rfind("/", word_start, dots) + 1 : dots].strip().upper()
+    file = text[text.rfind("/", code.word_start, dots) + 1 : dots].strip().upper()
     if name is None or original is None or key_word(text, name.end(), dots, "IS") is None:
-        return IdleDeclaration(word, start, stop)
-    return Import(word, start, stop, name[0].upper(), original[0].upper(), file)
+        return IdleDeclaration(code.word, code.start, stop)
+    return Import(code.word, code.start, stop, name[0].upper(), original[0].upper(), file)
 
 
 # --- what moves and what follows it ----------------------------------------------------------------------------------
 
 
-def _motion(source: Source, word: str, start: int, word_start: int, stop: int) -> Statement | None:
+def _motion(code: _Code) -> Statement:
     """Return a motion: its points, CA, the axes of a relative target, WITH and approximation."""
-    text, position = source.text, word_start + len(word)
+    source, word, start, _, stop = code
+    text, position = source.text, code.word_stop  # −1 once a point cannot be read
     via = end = angle = None
     is_circle = word.removesuffix("_REL") in CIRCLES
     if is_circle:
@@ -241,25 +275,50 @@ def _motion(source: Source, word: str, start: int, word_start: int, stop: int) -
         comma = after_sign(text, position, stop, ",")
         angle_start = after_word(text, comma, stop, "CA") if comma >= 0 else -1
         if angle_start >= 0:
-            equals = after_sign(text, angle_start, stop, "=")
+            equals = after_sign(text, angle_start, stop, "=")  # −1 without the sign, which may be left out
             angle, position = _point(source, max(angle_start, equals), stop)
-    if position < 0:  # a point cannot be read
+    if position < 0:
         return Motion(word, start, stop, via, end, angle, "", None, Tail(stop, stop, stop))
-    frame, frame_span, tail_end = "", None, stop
-    if word.endswith("_REL"):
-        begin = text.rfind("#", position, stop)
-        frame = text[begin:stop].upper() if begin >= 0 else ""
-        if (next_offset := after_blanks(text, position, stop)) < stop and text[next_offset] == "#":
-            frame = f"#{word_at(text, next_offset + 1, stop)}"
-            position = next_offset + len(frame) if frame in FRAMES else position
-        elif frame in FRAMES and _is_approximation(text, position, begin):
-            frame_span, tail_end = Span(begin, stop), begin
-        frame = frame if frame in FRAMES else ""
-    return Motion(word, start, stop, via, end, angle, frame, frame_span, tail_in(source, position, tail_end))
+    axes = _relative_axes(text, position, stop) if word.endswith("_REL") else _RelativeAxes("", None, position, stop)
+    tail = tail_in(source, axes.tail_start, axes.tail_stop)
+    return Motion(word, start, stop, via, end, angle, axes.frame, axes.span, tail)
+
+
+class _RelativeAxes(NamedTuple):
+    """The axes of a relative motion, and the bounds of its tail.
+
+    :ivar frame: ``#BASE`` or ``#TOOL``; empty if it is not given.
+    :ivar span: of these words if they follow the approximation, else None.
+    :ivar tail_start: offset at which WITH and approximation begin; `tail_stop` is behind them.
+    """
+
+    frame: str
+    span: Span | None
+    tail_start: int
+    tail_stop: int
+
+
+def _relative_axes(text: str, start: int, stop: int) -> _RelativeAxes:
+    """Return the axes of a ``_REL`` motion, which are before or behind its approximation.
+
+    :param start: offset behind the points of the motion; `stop` that behind the statement.
+    """
+    frame_start = after_blanks(text, start, stop)
+    if frame_start < stop and text[frame_start] == "#":
+        frame = f"#{word_at(text, frame_start + 1, stop)}"
+        is_known = frame in FRAMES
+        return _RelativeAxes(frame if is_known else "", None, frame_start + len(frame) if is_known else start, stop)
+    frame_start = text.rfind("#", start, stop)
+    frame = text[frame_start:stop].upper() if frame_start >= 0 else ""
+    if frame not in FRAMES:
+        return _RelativeAxes("", None, start, stop)
+    if _is_approximation(text, start, frame_start):
+        return _RelativeAxes(frame, Span(frame_start, stop), start, frame_start)
+    return _RelativeAxes(frame, None, start, stop)
 
 
 def _point(source: Source, start: int, stop: int) -> tuple[Value, int]:
-    """Return the value at an offset, and the offset behind it; `UnreadableText` and −1 if it cannot be read."""
+    """Return the value at an offset, and the offset behind it; `UnreadableText` and −1 if the value cannot be read."""
     try:
         return value_at(source, start, stop)
     except ProgramError as error:
@@ -320,76 +379,75 @@ def _with_assignment(source: Source, start: int, stop: int) -> Statement:
     return Assignment(word, span.start, span.stop, target, value_in(source, equals, stop))
 
 
-def _spline(source: Source, word: str, start: int, word_start: int, stop: int) -> Statement | None:
+def _spline(code: _Code) -> Statement:
     """Return SPLINE or PTP_SPLINE with its approximation and WITH."""
-    return Spline(word, start, stop, tail_in(source, word_start + len(word), stop))
+    return Spline(code.word, code.start, code.stop, tail_in(code.source, code.word_stop, code.stop))
 
 
-def _end_spline(source: Source, word: str, start: int, word_start: int, stop: int) -> Statement | None:
+def _end_spline(code: _Code) -> Statement:
     """Return ENDSPLINE and the text behind it."""
-    rest_start = word_start + len(word)
-    return EndSpline(
-        word, start, stop, source.text[rest_start:stop].strip(), code=_unparsed_code(source, rest_start, stop)
-    )
+    extra_text = code.source.text[code.word_stop : code.stop].strip()
+    unparsed_code = _unparsed_code(code.source, code.word_stop, code.stop)
+    return EndSpline(code.word, code.start, code.stop, extra_text, code=unparsed_code)
 
 
-def _spline_timing(source: Source, word: str, start: int, word_start: int, stop: int) -> Statement | None:
+def _spline_timing(code: _Code) -> Statement:
     """Return CONST_VEL, TIME_BLOCK or STOP WHEN PATH, and whether it has all that its form requires."""
-    text, position = source.text, word_start + len(word)
-    if word == "STOP":
-        when_end = after_word(text, position, stop, "WHEN")
+    text, stop = code.source.text, code.stop
+    from_start = key_word(text, code.word_start, stop, "ONSTART") is not None
+    unparsed_code = _unparsed_code(code.source, code.word_stop, stop)
+    return SplineTiming(code.word, code.start, stop, _is_complete_timing(code), from_start, code=unparsed_code)
+
+
+def _is_complete_timing(code: _Code) -> bool:
+    """Return whether a statement on the speed of spline motions has all that its form requires.
+
+    The forms are ``CONST_VEL START|END = …``, ``TIME_BLOCK START``, ``TIME_BLOCK PART [= …]``, ``TIME_BLOCK END = …``,
+    and ``STOP WHEN PATH = … IF condition``.
+    """
+    text, stop = code.source.text, code.stop
+    if code.word == "STOP":
+        when_end = after_word(text, code.word_stop, stop, "WHEN")
         position = after_word(text, when_end, stop, "PATH") if when_end >= 0 else -1
     else:
-        words = ("START", "END") if word == "CONST_VEL" else ("START", "END", "PART")
-        position = after_word(text, position, stop, *words)
-    is_complete = position >= 0
-    if is_complete:
-        value_start = after_sign(text, position, stop, "=")
-        has_value = value_start >= 0 and after_blanks(text, value_start, stop) < stop and text[value_start] != "="
-        is_bare = word == "TIME_BLOCK" and text[:position].upper().endswith(("START", "PART")) and position == stop
-        is_complete = (
-            has_value and not (word == "TIME_BLOCK" and text[:position].upper().endswith("START"))
-        ) or is_bare
-    if is_complete and word == "STOP":
-        condition = key_word(text, position, stop, "IF")
-        is_complete = condition is not None and condition.stop < stop
-    on_start = key_word(text, word_start, stop, "ONSTART") is not None
-    return SplineTiming(
-        word, start, stop, is_complete, on_start, code=_unparsed_code(source, word_start + len(word), stop)
-    )
+        words = ("START", "END") if code.word == "CONST_VEL" else ("START", "END", "PART")
+        position = after_word(text, code.word_stop, stop, *words)
+    if position < 0:
+        return False
+    value_start = after_sign(text, position, stop, "=")
+    has_value = value_start >= 0 and after_blanks(text, value_start, stop) < stop and text[value_start] != "="
+    if code.word == "TIME_BLOCK":
+        last_word = text[:position].upper()
+        is_bare = last_word.endswith(("START", "PART")) and position == stop
+        return is_bare or (has_value and not last_word.endswith("START"))
+    condition = key_word(text, position, stop, "IF") if code.word == "STOP" else None
+    return has_value and (code.word != "STOP" or (condition is not None and condition.stop < stop))
 
 
-def _event(source: Source, word: str, start: int, word_start: int, stop: int) -> Statement | None:
-    """Return INTERRUPT or TRIGGER with the statement behind DO.
-
-    :param start: offset of the statement, `word_start` that of the word, behind GLOBAL, and `stop` that of its end.
-    """
+def _event(code: _Code) -> Statement:
+    """Return INTERRUPT or TRIGGER with the statement behind DO."""
+    source, word, start, word_start, stop = code
     do = key_word(source.text, word_start, stop, "DO")
     head = Span(word_start, stop if do is None else do.start)
     action = None if do is None else statement_in(source, after_blanks(source.text, do.stop, stop), stop)
     if word == "TRIGGER":
-        return _trigger(source, start, word_start, stop, head, action)
-    is_declaration = after_word(source.text, word_start + len(word), stop, "DECL") >= 0
-    return Event(
-        word,
-        start,
-        stop,
-        word_start > start,
-        is_declaration,
-        action,
-        code=_unparsed_code(source, head.start, head.stop),
-    )
+        return _trigger(code, head, action)
+    is_declaration = after_word(source.text, code.word_stop, stop, "DECL") >= 0
+    unparsed_code = _unparsed_code(source, head.start, head.stop)
+    return Event(word, start, stop, code.is_global, is_declaration, action, code=unparsed_code)
 
 
-def _trigger(source: Source, start: int, word_start: int, stop: int, head: Span, action: Statement | None) -> Trigger:
+def _trigger(code: _Code, head: Span, action: Statement | None) -> Trigger:
     """Return ``TRIGGER WHEN DISTANCE|PATH = value [ONSTART] DELAY = time DO …``; without values if it reads otherwise.
 
-    :param head: span of what precedes DO; `action` the statement behind it.
+    :param head: span of what precedes DO.
+    :param action: the statement behind DO; None without one.
     """
+    source, word, start, _, stop = code
     text, from_start = source.text, False
     value: Value | None = None
     delay: Value | None = None
-    when_end = after_word(text, word_start + len("TRIGGER"), head.stop, "WHEN")
+    when_end = after_word(text, code.word_stop, head.stop, "WHEN")
     kind_end = after_word(text, when_end, head.stop, "DISTANCE", "PATH") if when_end >= 0 else -1
     is_distance = kind_end >= 0 and text[:kind_end].upper().endswith("DISTANCE")
     value_start = after_sign(text, kind_end, head.stop, "=") if kind_end >= 0 else -1
@@ -400,9 +458,9 @@ def _trigger(source: Source, start: int, word_start: int, stop: int, head: Span,
         from_start = on_start is not None
         value = value_in(source, value_start, on_start.start if on_start is not None else delay_word.start)
         delay = value_in(source, delay_start, head.stop)
-    code = _unparsed_code(source, head.start, head.stop)
+    unparsed_code = _unparsed_code(source, head.start, head.stop)
     return Trigger(
-        "TRIGGER", start, stop, word_start > start, False, action, is_distance, value, from_start, delay, code=code
+        word, start, stop, code.is_global, False, action, is_distance, value, from_start, delay, code=unparsed_code
     )
 
 
@@ -416,47 +474,49 @@ def _stripped_span(text: str, start: int, stop: int) -> Span:
 # --- control structures ----------------------------------------------------------------------------------------------
 
 
-def _if(source: Source, word: str, start: int, word_start: int, stop: int) -> Statement | None:
+def _if(code: _Code) -> Statement:
     """Return IF with its condition, and the text behind THEN."""
-    begin = word_start + len(word)
-    then_word = key_word(source.text, begin, stop, "THEN")
-    head = _stripped_span(source.text, begin, stop if then_word is None else then_word.start)
-    text_after_then = "" if then_word is None else source.text[then_word.stop : stop].strip()
-    condition = value_in(source, head.start, head.stop) if head.start < head.stop else None
-    return If(word, start, stop, condition, then_word is not None, text_after_then)
+    text, begin, stop = code.source.text, code.word_stop, code.stop
+    then_word = key_word(text, begin, stop, "THEN")
+    head = _stripped_span(text, begin, stop if then_word is None else then_word.start)
+    extra_text = "" if then_word is None else text[then_word.stop : stop].strip()
+    condition = value_in(code.source, head.start, head.stop) if head.start < head.stop else None
+    return If(code.word, code.start, stop, condition, then_word is not None, extra_text)
 
 
-def _while(source: Source, word: str, start: int, word_start: int, stop: int) -> Statement | None:
+def _while(code: _Code) -> Statement:
     """Return WHILE or UNTIL with its condition."""
-    return While(word, start, stop, value_in(source, word_start + len(word), stop))
+    return While(code.word, code.start, code.stop, value_in(code.source, code.word_stop, code.stop))
 
 
-def _switch(source: Source, word: str, start: int, word_start: int, stop: int) -> Statement | None:
+def _switch(code: _Code) -> Statement:
     """Return SWITCH with its value."""
-    return Switch(word, start, stop, value_in(source, word_start + len(word), stop))
+    return Switch(code.word, code.start, code.stop, value_in(code.source, code.word_stop, code.stop))
 
 
-def _case(source: Source, word: str, start: int, word_start: int, stop: int) -> Statement | None:
-    """Return CASE with its values."""
-    return Case(word, start, stop, list_in(source, word_start + len(word), stop))
+def _case(code: _Code) -> Statement:
+    """Return CASE with its values.
+
+    :raises ProgramError: brackets are not balanced.
+    """
+    return Case(code.word, code.start, code.stop, list_in(code.source, code.word_stop, code.stop))
 
 
-def _bare_word(source: Source, word: str, start: int, word_start: int, stop: int) -> Statement | None:
+def _bare_word(code: _Code) -> Statement:
     """Return a word that is alone on its line, and the text behind it, which should be empty."""
-    rest_start = word_start + len(word)
-    return BareWord(
-        word, start, stop, source.text[rest_start:stop].strip(), code=_unparsed_code(source, rest_start, stop)
-    )
+    extra_text = code.source.text[code.word_stop : code.stop].strip()
+    unparsed_code = _unparsed_code(code.source, code.word_stop, code.stop)
+    return BareWord(code.word, code.start, code.stop, extra_text, code=unparsed_code)
 
 
 _FOR_ADVICE = "Write FOR counter=first TO last STEP step; STEP may be left out."
 
 
-def _for(source: Source, word: str, start: int, word_start: int, stop: int) -> Statement | None:
-    """Return ``FOR counter = first TO last STEP step``; `error` says why it cannot be read."""
-    text = source.text
-    begin = after_blanks(text, word_start + len(word), stop)
-    name = word_at(text, begin, stop) if begin > word_start + len(word) else ""
+def _for(code: _Code) -> Statement:
+    """Return ``FOR counter = first TO last STEP step``; `For.error` says why it cannot be read."""
+    source, text, stop = code.source, code.source.text, code.stop
+    begin = after_blanks(text, code.word_stop, stop)
+    name = word_at(text, begin, stop) if begin > code.word_stop else ""
     counter = bounds = error = None
     try:
         target, end = operand(source, begin, stop)
@@ -464,15 +524,18 @@ def _for(source: Source, word: str, start: int, word_start: int, stop: int) -> S
         if isinstance(target, Reference) and target.field is None and equals >= 0:
             bounds = _bounds(source, equals, stop)
             counter = None if bounds is None else target
-            error = source.error("FOR is not understood", start, _FOR_ADVICE) if bounds is None else None
+            error = source.error("FOR is not understood", code.start, _FOR_ADVICE) if bounds is None else None
     except ProgramError as cause:
         error = cause
-    code = _unparsed_code(source, begin, stop) if bounds is None else None
-    return For(word, start, stop, name, counter, bounds, error, code=code)
+    unparsed_code = _unparsed_code(source, begin, stop) if bounds is None else None
+    return For(code.word, code.start, stop, name, counter, bounds, error, code=unparsed_code)
 
 
-def _bounds(source: Source, start: int, stop: int) -> tuple[Value, Value, Value | None] | None:
-    """Return the bounds and the step of ``first TO last STEP step``, the step None if left out; None for other code."""
+def _bounds(source: Source, start: int, stop: int) -> Bounds | None:
+    """Return the bounds of a FOR from ``first TO last STEP step``, STEP being optional; None for other code.
+
+    :raises ProgramError: one of the values cannot be read.
+    """
     first, end = value_at(source, start, stop)
     end = after_word(source.text, end, stop, "TO")
     if end < 0:
@@ -481,31 +544,35 @@ def _bounds(source: Source, start: int, stop: int) -> tuple[Value, Value, Value 
     step_start, step = after_word(source.text, end, stop, "STEP"), None
     if step_start >= 0:
         step, end = value_at(source, step_start, stop)
-    return (first, last, step) if after_blanks(source.text, end, stop) == stop else None
+    return Bounds(first, last, step) if after_blanks(source.text, end, stop) == stop else None
 
 
-def _goto(source: Source, word: str, start: int, word_start: int, stop: int) -> Statement | None:
-    """Return GOTO with its label."""
-    begin = after_blanks(source.text, word_start + len(word), stop)
-    return Goto(word, start, stop, word_at(source.text, begin, stop))
+def _goto(code: _Code) -> Statement:
+    """Return GOTO with its label, upper case."""
+    begin = after_blanks(code.source.text, code.word_stop, code.stop)
+    return Goto(code.word, code.start, code.stop, word_at(code.source.text, begin, code.stop))
 
 
-def _return(source: Source, word: str, start: int, word_start: int, stop: int) -> Statement | None:
+def _return(code: _Code) -> Statement:
     """Return RETURN with its value, if it has one."""
-    begin = after_blanks(source.text, word_start + len(word), stop)
-    return Return(word, start, stop, value_in(source, begin, stop) if begin < stop else None)
+    begin = after_blanks(code.source.text, code.word_stop, code.stop)
+    value = value_in(code.source, begin, code.stop) if begin < code.stop else None
+    return Return(code.word, code.start, code.stop, value)
 
 
-def _bas(source: Source, word: str, start: int, word_start: int, stop: int) -> Statement | None:
-    """Return a call of BAS; a plain statement if it is something else."""
-    call, _ = operand(source, word_start, stop)
+def _bas(code: _Code) -> Statement:
+    """Return a call of BAS; a plain statement if it is something else.
+
+    :raises ProgramError: brackets are not balanced.
+    """
+    call, _ = operand(code.source, code.word_start, code.stop)
     if isinstance(call, Call):
-        return CallStatement(word, start, stop, call)
-    return Statement(word, start, stop, code=_unparsed_code(source, word_start, stop))
+        return CallStatement(code.word, code.start, code.stop, call)
+    unparsed_code = _unparsed_code(code.source, code.word_start, code.stop)
+    return Statement(code.word, code.start, code.stop, code=unparsed_code)
 
 
-# arguments: the file, the first word (upper case, behind GLOBAL), offsets of the statement, of that word, of the end
-_Reader = Callable[[Source, str, int, int, int], Statement | None]
+_Reader = Callable[[_Code], Statement]
 _READERS: dict[str, _Reader] = {
     **dict.fromkeys(MOTION_WORDS, _motion),
     **dict.fromkeys(SPLINES, _spline),

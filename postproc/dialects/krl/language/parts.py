@@ -47,10 +47,10 @@ class JoinedProgram(Struct, frozen=True, eq=False):
     files: tuple[tuple[str, int], ...]
 
     def place(self, file: str, line: int) -> tuple[str, int]:
-        """Return the file and the line that a line of the joined text, or of another file, comes from."""
+        """Return the name of the file, and the line in it, that a line of the joined text or of another file is."""
         if file != self.documents[0].name:
             return file, line
-        name, first = [file_and_line for file_and_line in self.files if file_and_line[1] <= line][-1]
+        name, first = next((name, first) for name, first in reversed(self.files) if first <= line)
         return name, line + 1 - first
 
     def motion_in_file(self, motion: UnresolvedMotion) -> UnresolvedMotion:
@@ -79,9 +79,10 @@ class JoinedProgram(Struct, frozen=True, eq=False):
 
 
 def called_parts(main: Document) -> list[tuple[str, int]]:
-    """Return the programs that a main program calls one after the other at its end, and the line of each call.
+    """Return the programs that a main program calls one after the other at its end.
 
-    :returns: names as the calls spell them; none if the file is not the main program of several files.
+    :returns: name of each, as the call spells it, and line of the call; none if the file is not the main program of
+        several files.
     """
     stem = PurePath(main.name).stem
     if not stem.lower().endswith(MAIN.lower()) or len(stem) == len(MAIN):
@@ -221,7 +222,7 @@ def _has_no_parameters(source: Source, line: int) -> bool:
     node = statement(source, line)
     if not isinstance(node, Definition) or node.word != "DEF" or node.parameters:
         return False
-    return after_sign(source.text, node.at + len(node.name), node.stop, "(") >= 0
+    return after_sign(source.text, node.name_start + len(node.name), node.stop, "(") >= 0
 
 
 def _is_end(source: Source, line: int) -> bool:

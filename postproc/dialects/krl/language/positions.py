@@ -35,7 +35,7 @@ class Position(Struct, frozen=True, eq=False):
     """A target or frame whose numbers are known.
 
     :param values: X, Y, Z [mm], A, B, C [deg] for a Cartesian one, A1…A6 [deg] for an axis one; NaN where missing.
-    :param axis: True for A1…A6.
+    :param is_axis: True for A1…A6.
     :param status: S; −1 where none is given.
     :param turn: T; −1 where none is given.
     :param external: E1…E6, NaN where missing; empty if all are.
@@ -43,14 +43,14 @@ class Position(Struct, frozen=True, eq=False):
     """
 
     values: tuple[float, ...]
-    axis: bool = False
+    is_axis: bool = False
     status: int = -1
     turn: int = -1
     external: tuple[float, ...] = ()
     aggregate: Aggregate | None = None
 
     @property
-    def complete(self) -> bool:
+    def is_complete(self) -> bool:
         """Whether no component is missing."""
         return not any(value != value for value in self.values)
 
@@ -94,7 +94,7 @@ def position_from_aggregate(aggregate: Aggregate) -> Position:
         )
     values = [value.value for value in items.values() if isinstance(value, Number)]
     if len(values) == len(CARTESIAN) and tuple(items) == CARTESIAN and aggregate.tag in _CARTESIAN_TAGS:
-        return Position(tuple(values), aggregate=None if aggregate.computed else aggregate)  # nearly all of them
+        return Position(tuple(values), aggregate=None if aggregate.is_computed else aggregate)  # nearly all of them
     numbers = {}
     for name, value in items.items():
         if name not in components or not isinstance(value, Number):
@@ -108,7 +108,7 @@ def position_from_aggregate(aggregate: Aggregate) -> Position:
         _status_or_turn(aggregate, "S", get("S"), MAX_STATUS),
         _status_or_turn(aggregate, "T", get("T"), MAX_TURN),
         tuple([get(name, _NAN) for name in EXTERNAL]) if not _EXTERNAL.isdisjoint(numbers) else (),
-        None if aggregate.computed else aggregate,
+        None if aggregate.is_computed else aggregate,
     )
 
 

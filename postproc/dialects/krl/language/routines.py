@@ -22,49 +22,52 @@ _INCOMPLETE = "Check that the file was transferred completely."
 class Routine(Struct, frozen=True, eq=False):
     """A DEF or DEFFCT.
 
+    Lines are 1-based and in order.
+
     :param source: its file.
     :param name: upper case.
     :param parameters: in order.
-    :param public: True for GLOBAL.
+    :param is_global: True for GLOBAL.
     :param first: line of DEF.
     :param last: line of END.
-    :param plain: (P,) lines of plain motions between, in order.
-    :param settings: lines of plain settings.
-    :param others: other lines with code.
-    :param local: names that it declares, parameters included.
+    :param motion_lines: (P,) lines of plain motions.
+    :param setting_lines: lines of plain settings.
+    :param other_lines: other lines with code.
+    :param local_names: names that it declares, parameters included.
     :param types: declared type of these by name, upper case; a parameter may have none.
-    :param result: type of what a function returns, upper case; empty for DEF.
+    :param result_type: type of what a function returns, upper case; empty for DEF.
     """
 
     source: Source
     name: str
     parameters: tuple[Parameter, ...]
-    public: bool
+    is_global: bool
     first: int
     last: int
-    plain: Ints
-    settings: Sequence[int]
-    others: Sequence[int]
-    local: frozenset[str]
+    motion_lines: Ints
+    setting_lines: Sequence[int]
+    other_lines: Sequence[int]
+    local_names: frozenset[str]
     types: Mapping[str, str]
-    result: str
+    result_type: str
 
     @property
-    def lines(self) -> Sequence[int]:
-        """Lines with code between, plain motions left out."""
-        return sorted([*self.others, *self.settings]) if self.settings else self.others
+    def statement_lines(self) -> Sequence[int]:
+        """Its lines with code that are not plain motions, in order."""
+        return sorted([*self.other_lines, *self.setting_lines]) if self.setting_lines else self.other_lines
 
     @property
-    def motion(self) -> int:
-        """Line of the first plain motion in it; 0 if there is none."""
-        return int(self.plain[0]) if len(self.plain) else 0
+    def first_motion_line(self) -> int:
+        """Its first line with a plain motion; 0 if there is none."""
+        return int(self.motion_lines[0]) if len(self.motion_lines) else 0
 
 
 class Module(Struct, frozen=True, eq=False):
     """A `.src` and its `.dat`.
 
-    :param routines: by name, upper case, in order.
-    :param data: the `.dat`, None if there is none.
+    :param source: the `.src`.
+    :param routines: its routines by name, upper case, in order.
+    :param data: the `.dat`; None if there is none.
     """
 
     source: Source
@@ -89,7 +92,11 @@ class Callee(NamedTuple):
 
 
 class _OpenRoutine(Struct, eq=False):
-    """A routine that has no END yet."""
+    """A routine whose END has not been reached.
+
+    :ivar name: upper case.
+    :ivar line: of its DEF; `lines` are those behind it with code, plain motions and settings left out.
+    """
 
     name: str
     line: int
@@ -102,7 +109,7 @@ def routines(
 ) -> tuple[dict[str, Routine], list[ProgramError]]:
     """Return the routines of a file by name, upper case, and the errors in their bounds.
 
-    Such an error is a DEF without END, or a motion outside of DEF … END.
+    Such an error is a DEF without END, or a motion outside of DEF … END. Of two routines of one name the first counts.
 
     :param lines: 1-based lines that are neither plain motions nor plain settings.
     :param motion_lines: (P,) lines of plain motions, in order.
@@ -111,41 +118,34 @@ def routines(
     routine_of: dict[str, Routine] = {}
     faults: list[ProgramError] = []
     open_routine: _OpenRoutine | None = None
-    text = source.text
+
+    def end_routine(routine: _OpenRoutine, end_line: int) -> None:
+        """Add a routine whose END is on a line."""
+        closed_routine = _closed_routine(source, routine, end_line, motion_lines, settings)
+        routine_of.setdefault(routine.name, closed_routine)
+
     for line in lines:
         start, stop = source.code_span(line)
-        if start == stop or text[start] == "&":
+        if start == stop or source.text[start] == "&":  # an empty line, or one of the header
             continue
         node = statement_at(source, line, start, stop)
         if isinstance(node, Definition):
             if open_routine is not None:
-                faults.append(
-                    source.line_error(
-                        f"DEF {open_routine.name} (line {open_routine.line}) has no END",
-                        line,
-                        advice="Write END before this DEF.",
-                    )
-                )
-                routine_of.setdefault(
-                    open_routine.name, _closed_routine(source, open_routine, line, motion_lines, settings)
-                )
+                problem = f"DEF {open_routine.name} (line {open_routine.line}) has no END"
+                faults.append(source.line_error(problem, line, advice="Write END before this DEF."))
+                end_routine(open_routine, line)
             open_routine = _OpenRoutine(node.name.upper(), line, node)
         elif node.word in ("END", "ENDFCT") and open_routine is not None:
-            routine_of.setdefault(
-                open_routine.name, _closed_routine(source, open_routine, line, motion_lines, settings)
-            )
+            end_routine(open_routine, line)
             open_routine = None
         elif open_routine is not None:
             open_routine.lines.append(line)
         elif isinstance(node, Motion):
-            faults.append(
-                source.line_error(f"{node.word} is outside of DEF … END", line, advice="Move it into a routine.")
-            )
+            problem = f"{node.word} is outside of DEF … END"
+            faults.append(source.line_error(problem, line, advice="Move it into a routine."))
     if open_routine is not None:
         faults.append(source.line_error(f"DEF {open_routine.name} has no END", open_routine.line, _INCOMPLETE))
-        routine_of.setdefault(
-            open_routine.name, _closed_routine(source, open_routine, len(source.starts) + 1, motion_lines, settings)
-        )
+        end_routine(open_routine, len(source.starts) + 1)
     return routine_of, faults
 
 
@@ -154,12 +154,13 @@ def _closed_routine(
 ) -> Routine:
     """Return a routine whose END is on a 1-based line.
 
-    :param motion_lines: (P,) lines of all plain motions of the file, in order; `settings` likewise.
+    :param motion_lines: (P,) lines of all plain motions of the file, in order.
+    :param settings: lines of all plain settings of the file, in order.
     """
     types: dict[str, str] = {}
     for inner_line in open_routine.lines:
         node = statement(source, inner_line)
-        if isinstance(node, Declaration) and not node.public and node.word != "STRUC":
+        if isinstance(node, Declaration) and not node.is_global and node.word != "STRUC":
             types |= {item.name: item.kind for item in node.names}
     motion_lines = motion_lines[slice(*np.searchsorted(motion_lines, [open_routine.line, line]).tolist())]
     settings = settings[bisect_left(settings, open_routine.line) : bisect_left(settings, line)]
@@ -167,7 +168,7 @@ def _closed_routine(
         source,
         open_routine.name,
         open_routine.definition.parameters,
-        open_routine.definition.public,
+        open_routine.definition.is_global,
         open_routine.line,
         line,
         motion_lines,
@@ -175,5 +176,5 @@ def _closed_routine(
         open_routine.lines,
         frozenset({parameter.name for parameter in open_routine.definition.parameters} | types.keys()),
         types,
-        open_routine.definition.result,
+        open_routine.definition.result_type,
     )

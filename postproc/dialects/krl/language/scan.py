@@ -44,13 +44,13 @@ class RoutineHead(Struct, frozen=True):
 
     :param name: upper case.
     :param start: offset of the beginning of its line.
-    :param empty: its body has no code; False where that was not looked at.
+    :param is_empty: its body has no code; False where that was not looked at.
     """
 
     name: str
-    public: bool
+    is_global: bool
     start: int
-    empty: bool = False
+    is_empty: bool = False
 
 
 def routines(text: str) -> Iterator[RoutineHead]:
@@ -68,7 +68,7 @@ def whole_routines(text: str) -> Iterator[RoutineHead]:
 
 def global_routines(text: str) -> frozenset[str]:
     """Return the names, upper case, of GLOBAL routines."""
-    return frozenset(routine.name for routine in routines(text) if routine.public)
+    return frozenset(routine.name for routine in routines(text) if routine.is_global)
 
 
 def global_variables(text: str) -> frozenset[str]:

@@ -20,7 +20,8 @@ _BLANKS = " \t\r"
 class Source(Struct, frozen=True, eq=False):
     """A document and where its lines are.
 
-    :param document: the file; `text` is its content.
+    :param document: the file.
+    :param text: its content.
     :param index: 0 for the `.src`, 1 for the `.dat`, 2 for a `$config.dat` (which is never written).
     :param starts: (L,) offset of the first character of each line.
     :param stops: (L,) offset behind its last character, the line end not included.
@@ -38,8 +39,9 @@ class Source(Struct, frozen=True, eq=False):
 
     @classmethod
     def of(cls, document: Document, index: int) -> Source:
-        """Return the document with its lines.
+        """Return a document with its lines.
 
+        :param index: see `Source.index`.
         :raises ProgramError: the code of a line is longer than `MOST_CHARACTERS`.
         """
         starts, stops = line_spans(document.text)
@@ -64,7 +66,10 @@ class Source(Struct, frozen=True, eq=False):
         return np.searchsorted(self.starts, offset, side="right")
 
     def code_span(self, line: int) -> tuple[int, int]:
-        """Return the span of the code of a 1-based line, without its comment and the blanks around it."""
+        """Return the span of the code of a 1-based line, without its comment and the blanks around it.
+
+        :returns: offset of its first character, and offset behind its last; equal for a line without code.
+        """
         text, start, stop = self.text, self.starts.item(line - 1), self.stops.item(line - 1)
         if (
             start < stop
@@ -101,7 +106,11 @@ class Place(NamedTuple):
 
 
 def code_span(text: str, start: int, stop: int) -> tuple[int, int]:
-    """Return the span of the code within a line: without its comment, stripped."""
+    """Return the span of the code within a line, without its comment and the blanks around it.
+
+    :param start: offset of the line; `stop` that of its end.
+    :returns: offset of the first character of the code, and offset behind its last; equal without code.
+    """
     stop = comment_start(text, start, stop)
     while start < stop and text[start] in _BLANKS:
         start += 1

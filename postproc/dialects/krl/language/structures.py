@@ -29,12 +29,12 @@ class Part(Struct, frozen=True, eq=False):
     """The statements that follow IF, ELSE, CASE, DEFAULT or the head of a loop.
 
     :param head: line of that word.
-    :param beyond: line of the word behind it.
+    :param end: line of the word that ends them: the next ELSE, CASE or DEFAULT, or the closing word.
     :param nodes: its statements.
     """
 
     head: int
-    beyond: int
+    end: int
     nodes: tuple[Node, ...]
 
 
@@ -42,7 +42,8 @@ class Block(Struct, frozen=True, eq=False):
     """A control structure.
 
     :param word: FOR, WHILE, LOOP, REPEAT, IF or SWITCH.
-    :param first: its first line; `last` that of the word that closes it.
+    :param first: its first line.
+    :param last: line of the word that closes it.
     :param parts: one for a loop; one or two for IF; for SWITCH the lines before the first CASE, then each CASE.
     """
 
@@ -54,7 +55,7 @@ class Block(Struct, frozen=True, eq=False):
     def shifted(self, shift: int) -> Block:
         """Return the control structure on other lines: `shift` is added to the number of each."""
         parts = (
-            Part(part.head + shift, part.beyond + shift, tuple(_shifted(node, shift) for node in part.nodes))
+            Part(part.head + shift, part.end + shift, tuple(_shifted(node, shift) for node in part.nodes))
             for part in self.parts
         )
         return Block(self.word, self.first + shift, self.last + shift, tuple(parts))
@@ -81,7 +82,12 @@ def _shifted(node: Node, shift: int) -> Node:
 
 
 class _OpenStructure(Struct, eq=False):
-    """A control structure that is not closed yet; `head` is the line of the word that began its last part."""
+    """A control structure that is not closed yet.
+
+    :ivar first: its first line.
+    :ivar parts: its finished parts.
+    :ivar head: line of the word that began the part that is open; `nodes` its statements so far.
+    """
 
     word: str
     first: int
@@ -106,7 +112,7 @@ def nodes_of(source: Source | Trace, lines: Sequence[int]) -> tuple[Node, ...]:
     if len(lines) == 1:
         return (lines[0],)
     nodes: list[Node] = []
-    open_structures: list[_OpenStructure] = []
+    open_structures: list[_OpenStructure] = []  # the innermost last
     for line in lines:
         word = _control_word(source, line)
         innermost = open_structures[-1] if open_structures else None
@@ -132,7 +138,7 @@ def nodes_of(source: Source | Trace, lines: Sequence[int]) -> tuple[Node, ...]:
 
 
 def _control_word(source: Source | Trace, line: int) -> str:
-    """Return the first word of a line or row if it belongs to a control structure; for others it may be empty."""
+    """Return the first word, upper case, of a line or row; empty for many that belong to no control structure."""
     if isinstance(source, Trace):
         if source.is_count.item(line - 1):
             return ""
@@ -206,16 +212,16 @@ def _structure_errors(source: Source, nodes: Sequence[Node], *, in_loop: bool) -
 
 
 def _line_fault(source: Source, line: int) -> tuple[str, str] | None:
-    """Return the error in a line of a control structure, and the advice; None if it has none."""
+    """Return the problem with a line of a control structure, and the advice; None if it has none."""
     node, own_line_advice = statement(source, line), "Write it on a line of its own."
     if isinstance(node, BareWord):
-        return (f"{node.behind!r} follows {node.word}", own_line_advice) if node.behind else None
+        return (f"{node.extra_text!r} follows {node.word}", own_line_advice) if node.extra_text else None
     if isinstance(node, If):
         if not node.has_then:
             return "IF without THEN", "Write THEN behind the condition, on the same line."
         if node.condition is None:
             return "IF without a condition", "Write it between IF and THEN."
-        return (f"{node.behind!r} follows THEN", own_line_advice) if node.behind else None
+        return (f"{node.extra_text!r} follows THEN", own_line_advice) if node.extra_text else None
     following_words = list(words_in(source.text, node.start + len(node.word), node.stop))
     if any(
         word in MOTION_WORDS and source.text[span.stop : span.stop + 1] in (" ", "\t") for word, span in following_words

@@ -75,7 +75,7 @@ def word_at(text: str, start: int, stop: int) -> str:
 
 
 def after_blanks(text: str, start: int, stop: int) -> int:
-    """Return the offset of the next character that is no blank, `stop` if there is none."""
+    """Return the offset of the first character from `start` on that is no blank; `stop` if there is none."""
     while start < stop and text[start] in BLANKS:
         start += 1
     return start
@@ -107,14 +107,17 @@ def key_word(text: str, start: int, stop: int, word: str) -> Span | None:
 
 
 def operator_at(text: str, start: int, stop: int) -> tuple[str, int]:
-    """Return the comparison or logical operator at an offset, upper case, and the offset behind it; empty if none."""
+    """Return the comparison or logical operator at an offset, and the offset behind it; blanks before it are skipped.
+
+    :returns: the operator in upper case, empty if there is none; the offset behind it, or behind the blanks.
+    """
     start = after_blanks(text, start, stop)
     match = _OPERATOR.match(text, start, stop)
     return (match[0].upper(), match.end()) if match else ("", start)
 
 
 def after_nots(text: str, start: int, stop: int) -> tuple[bool, int]:
-    """Return whether an odd number of NOTs begins at an offset, and the offset behind them."""
+    """Return whether an odd number of NOTs begins at an offset, and the offset behind them and the blanks between."""
     is_negated, start = False, after_blanks(text, start, stop)
     while match := _NOT_WORD.match(text, start, stop):
         is_negated = not is_negated
@@ -160,7 +163,7 @@ def names_in(text: str, start: int = 0, stop: int = sys.maxsize) -> set[str]:
 def occurrences(text: str, start: int, stop: int) -> Iterator[Occurrence]:
     """Yield the names in ``text[start:stop]``, words of KRL among them; no components and no constants of ENUMs.
 
-    >>> [one.name for one in occurrences("LIN {X I, Y P.X}:Q", 0, 18)]
+    >>> [item.name for item in occurrences("LIN {X I, Y P.X}:Q", 0, 18)]
     ['LIN', 'I', 'P', 'Q']
     """
     open_brackets: list[str] = []

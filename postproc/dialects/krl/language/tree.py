@@ -6,11 +6,11 @@ where the statement begins, GLOBAL included, and `stop` is behind its last chara
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 from msgspec import Struct
 
-from postproc.dialects.krl.language.declarations import DeclaredName
+from postproc.dialects.krl.language.declarations import DeclaredName, Structure
 from postproc.dialects.krl.language.tokens import Span
 from postproc.dialects.krl.language.values import Call, Reference, Value
 from postproc.errors import ProgramError
@@ -26,6 +26,8 @@ def _values_of(part: object) -> tuple[Value, ...]:
 
 
 class _Node(Struct, frozen=True, eq=False, kw_only=True):
+    """What all statements have, given by keyword; see `Statement`."""
+
     code: Value | None = None
 
 
@@ -54,7 +56,7 @@ class Statement(_Node, frozen=True, eq=False):
 
 
 class FaultyStatement(Statement, frozen=True, eq=False):
-    """A statement that cannot be read: why."""
+    """A statement that cannot be read, for the reason in `error`."""
 
     error: ProgramError
 
@@ -73,30 +75,32 @@ class Parameter(Struct, frozen=True):
 class Definition(Statement, frozen=True, eq=False):
     """DEF or DEFFCT.
 
-    :param name: as it is spelled, at `at`.
-    :param result: type of what a DEFFCT gives, upper case; empty for DEF.
+    :param is_global: GLOBAL is its first word.
+    :param name: as it is spelled.
+    :param name_start: offset of the name.
+    :param result_type: type of what a DEFFCT gives, upper case; empty for DEF.
     :param parameters: in order.
     """
 
-    public: bool
+    is_global: bool
     name: str
-    at: int
-    result: str
+    name_start: int
+    result_type: str
     parameters: tuple[Parameter, ...]
 
 
 class Declaration(Statement, frozen=True, eq=False):
     """Names that are declared, with their initial values.
 
-    :param public: GLOBAL is its first word.
-    :param constant: CONST: no statement may write the names.
-    :param structure: of STRUC, its name and its members with their types.
+    :param is_global: GLOBAL is its first word.
+    :param is_constant: CONST: no statement may write the names.
+    :param structure: the type that STRUC declares; None for other declarations.
     """
 
-    public: bool
-    constant: bool
+    is_global: bool
+    is_constant: bool
     names: tuple[DeclaredName, ...]
-    structure: tuple[str, dict[str, str]] | None = None
+    structure: Structure | None = None
 
 
 class IdleDeclaration(Statement, frozen=True, eq=False):
@@ -123,24 +127,25 @@ class Import(Statement, frozen=True, eq=False):
 class Tail(Struct, frozen=True, eq=False):
     """What follows the points of a motion: WITH and approximation. It holds for inserted targets too.
 
-    :param given: assignments of WITH; a plain `Statement` for anything else.
-    :param approximation: C_DIS, C_VEL …, upper case, in order; `behind` where the text before them ends.
-    :param rest: text that is not understood.
+    :param with_stop: offset behind WITH, before the approximation; `start` without WITH.
+    :param assignments: assignments of WITH; a plain `Statement` for anything else.
+    :param approximation: C_DIS, C_VEL …, upper case, in order.
+    :param unknown_text: span of a text that is not understood; None if there is none.
     :param error: why WITH cannot be read.
     """
 
     start: int
     stop: int
-    behind: int
-    given: tuple[Statement, ...] = ()
+    with_stop: int
+    assignments: tuple[Statement, ...] = ()
     approximation: tuple[str, ...] = ()
-    rest: Span | None = None
+    unknown_text: Span | None = None
     error: ProgramError | None = None
 
     @property
     def values(self) -> tuple[Value, ...]:
         """The values in it, in the order of the text."""
-        return _values_of(self.given) if self.given else ()
+        return _values_of(self.assignments) if self.assignments else ()
 
 
 class Motion(Statement, frozen=True, eq=False):
@@ -150,7 +155,7 @@ class Motion(Statement, frozen=True, eq=False):
     :param end: target; None where a circle lacks it.
     :param angle: CA, None without it.
     :param frame: ``#BASE`` or ``#TOOL`` of a relative motion; empty if it is not given.
-    :param frame_behind: where that is behind the approximation; None: it is behind the target, or not given.
+    :param frame_span: its span if it follows the approximation; None: it follows the target, or is not given.
     """
 
     PARTS = ("via", "end", "angle", "tail")
@@ -159,7 +164,7 @@ class Motion(Statement, frozen=True, eq=False):
     end: Value | None
     angle: Value | None
     frame: str
-    frame_behind: Span | None
+    frame_span: Span | None
     tail: Tail
 
 
@@ -172,23 +177,23 @@ class Spline(Statement, frozen=True, eq=False):
 
 
 class EndSpline(Statement, frozen=True, eq=False):
-    """ENDSPLINE; `behind` what follows it."""
+    """ENDSPLINE; `extra_text` is what follows it: C_SPL, or nothing."""
 
-    behind: str
+    extra_text: str
 
 
 class If(Statement, frozen=True, eq=False):
     """IF.
 
     :param condition: without THEN all that follows IF; None if there is none.
-    :param behind: what follows THEN.
+    :param extra_text: what follows THEN, where nothing should; empty if nothing does.
     """
 
     PARTS = ("condition",)
 
     condition: Value | None
     has_then: bool
-    behind: str
+    extra_text: str
 
 
 class While(Statement, frozen=True, eq=False):
@@ -215,26 +220,43 @@ class Case(Statement, frozen=True, eq=False):
     cases: tuple[Value, ...]
 
 
+class Bounds(NamedTuple):
+    """The bounds of a FOR.
+
+    :ivar first: first value of the counter.
+    :ivar last: last value.
+    :ivar step: None if it is left out, and 1.
+    """
+
+    first: Value
+    last: Value
+    step: Value | None
+
+
 class For(Statement, frozen=True, eq=False):
     """FOR.
 
     :param name: of the counter, upper case; empty if there is none.
-    :param bounds: first and last number and the step (None: 1); None if it is not understood.
-    :param error: why a number cannot be read.
+    :param counter: None if the statement is not understood.
+    :param bounds: None if it is not understood.
+    :param error: why it cannot be read; None if it can.
     """
 
     PARTS = ("counter", "bounds", "code")
 
     name: str
     counter: Reference | None
-    bounds: tuple[Value, Value, Value | None] | None
+    bounds: Bounds | None
     error: ProgramError | None = None
 
 
 class BareWord(Statement, frozen=True, eq=False):
-    """ELSE, DEFAULT, LOOP, REPEAT, ENDIF … : a word alone on its line; `behind` is what follows nevertheless."""
+    """ELSE, DEFAULT, LOOP, REPEAT, ENDIF … : a word that is alone on its line.
 
-    behind: str
+    :param extra_text: what follows it, where nothing should.
+    """
+
+    extra_text: str
 
 
 class Goto(Statement, frozen=True, eq=False):
@@ -260,29 +282,29 @@ class Return(Statement, frozen=True, eq=False):
 class Event(Statement, frozen=True, eq=False):
     """INTERRUPT or TRIGGER: what it does, and when.
 
-    :param public: GLOBAL.
-    :param declares: INTERRUPT DECL.
+    :param is_global: GLOBAL.
+    :param is_declaration: INTERRUPT DECL.
     :param code: what precedes DO, likewise.
     :param action: the statement behind DO; None without one.
     """
 
     PARTS = ("code", "action")
 
-    public: bool
-    declares: bool
+    is_global: bool
+    is_declaration: bool
     action: Statement | None
 
 
 class Trigger(Event, frozen=True, eq=False):
     """TRIGGER.
 
-    :param distance: True for DISTANCE, False for PATH.
+    :param is_distance: True for DISTANCE, False for PATH.
     :param value: of DISTANCE or PATH; None if the statement is not understood.
     :param from_start: ONSTART.
     :param delay: of DELAY.
     """
 
-    distance: bool
+    is_distance: bool
     value: Value | None
     from_start: bool
     delay: Value | None
@@ -291,11 +313,11 @@ class Trigger(Event, frozen=True, eq=False):
 class SplineTiming(Statement, frozen=True, eq=False):
     """CONST_VEL, TIME_BLOCK, STOP WHEN PATH: how spline motions are driven.
 
-    :param complete: it is as it must be.
+    :param is_complete: it has all that its form requires.
     :param from_start: ONSTART.
     """
 
-    complete: bool
+    is_complete: bool
     from_start: bool
 
 

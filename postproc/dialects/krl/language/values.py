@@ -16,13 +16,13 @@ from postproc.errors import ProgramError
 class Number(Struct, frozen=True):
     """A number.
 
-    `integer` is True where it may be an INT: KRL divides two of these without a remainder.
+    `is_integer` is True where it may be an INT: KRL divides two of these without a remainder.
     """
 
     value: float
     start: int
     stop: int
-    integer: bool = False
+    is_integer: bool = False
 
 
 class Word(Struct, frozen=True):
@@ -39,7 +39,7 @@ class Reference(Struct, frozen=True):
     :param indices: of an element; empty for ``P[ ]``, which is the whole array; None without brackets.
     :param field: all that follows the first point (``BLOCK[2].Z``).
     :param inner: values in the brackets of `field`.
-    :param bracketed: it is in brackets: a routine that gets it cannot write it.
+    :param is_bracketed: it is in brackets: a routine that gets it cannot write it.
     """
 
     name: str
@@ -48,7 +48,7 @@ class Reference(Struct, frozen=True):
     start: int
     stop: int
     inner: tuple[Value, ...] = ()
-    bracketed: bool = False
+    is_bracketed: bool = False
 
 
 class Call(Struct, frozen=True):
@@ -100,13 +100,13 @@ class OpaqueText(Struct, frozen=True):
     """Text that is not understood as a value, perhaps empty.
 
     :param values: calls in it.
-    :param rest: where the text begins that follows a value and does not belong to it; −1 if there is none.
+    :param excess_start: where the text begins that follows a value and does not belong to it; −1 if there is none.
     """
 
     start: int
     stop: int
     values: tuple[Value, ...] = ()
-    rest: int = -1
+    excess_start: int = -1
 
 
 class UnreadableText(Struct, frozen=True, eq=False):
@@ -130,7 +130,7 @@ class Aggregate(Struct, frozen=True, eq=False):
     :param stop: offset behind ``}``.
     :param tag: ``E6POS`` of ``{E6POS: …}``, upper case; empty if there is none.
     :param items: component (upper case) → value.
-    :param computed: True when an assignment to a component changed it, so that no text holds its numbers.
+    :param is_computed: True when an assignment to a component changed it, so that no text holds its numbers.
     :param row: of the execution trace whose statement contains it; 0 in data lists, and in the statement of a motion.
     """
 
@@ -139,7 +139,7 @@ class Aggregate(Struct, frozen=True, eq=False):
     stop: int
     tag: str
     items: Mapping[str, Value]
-    computed: bool = False
+    is_computed: bool = False
     row: int = 0
 
 
@@ -181,4 +181,4 @@ def walk(values: Iterable[Value]) -> Iterator[Value]:
 
 def writable_variable(argument: Value) -> Reference | None:
     """Return the variable that a routine may write through an argument; None if there is none, as for ``(A)``."""
-    return argument if isinstance(argument, Reference) and not argument.bracketed else None
+    return argument if isinstance(argument, Reference) and not argument.is_bracketed else None

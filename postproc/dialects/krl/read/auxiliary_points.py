@@ -92,7 +92,7 @@ def ignores_auxiliary_orientation(
         (ends[0][oriented_circles], ends[1][oriented_circles]),
         tuple(column[oriented_circles] for column in arcs),
         via_angles[oriented_circles],
-        control.with_path[circular[oriented_circles]],
+        control.turns_with_path[circular[oriented_circles]],
         is_strict_circle[oriented_circles],
     )
     for i in np.flatnonzero(turns_otherwise).tolist():
@@ -178,4 +178,4 @@ def _auxiliary_angles(trace: Trace, rows: MotionColumns, row: int, moves: Mappin
 
 def _is_auxiliary_mode_unknown(state: State) -> bool:
     """Return whether `$CIRC_MODE.AUX_PT.ORI` is not known in a state."""
-    return any(field == "auxiliary" for field, _ in state.uncertain)
+    return any(field == "auxiliary" for field, _ in state.uncertain_fields)

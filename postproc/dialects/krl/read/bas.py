@@ -83,7 +83,7 @@ class Bas:
         spline_fields = {field: getattr(state, field) for field in _OF_SPLINES.values()}
         initial_state = State(
             **spline_fields,
-            uncertain=tuple((field, index) for field, index in state.uncertain if field in spline_fields),
+            uncertain_fields=tuple((field, index) for field, index in state.uncertain_fields if field in spline_fields),
         )
         initmov = self.cell.krl.initmov
         if initmov == "bas":
@@ -94,7 +94,7 @@ class Bas:
             return self._without_frames(
                 initial_state, place, "BAS(#INITMOV,0) resets $BASE and $TOOL after they were set"
             )
-        return replace(initial_state, initial=frozenset(("$BASE", "$TOOL")))
+        return replace(initial_state, initial_frames=frozenset(("$BASE", "$TOOL")))
 
     def _without_frames(self, state: State, place: Place, reason: str) -> State:
         """Return a state in which `$BASE` and `$TOOL` are not known, for a reason."""

@@ -32,16 +32,17 @@ class Calls:
     """Follows calls, and expressions with calls in them.
 
     :param run: the program as far as it has run.
-    :param called: runs the routine that was called.
+    :param run_routine: runs the routine that was called.
+    :ivar entered_calls: calls of routines in the execution trace that have not ended, the innermost last.
     """
 
     def __init__(self, run: Run, run_routine: Callable[[], None]) -> None:
         """Begin with no open call, and make this the way in which variables evaluate functions."""
         self.run, self._run_routine = run, run_routine
         run.variables.functions = _PureFunctions(self)
-        self.entered: list[_BoundCall] = []
+        self.entered_calls: list[_BoundCall] = []
 
-    def value(self, place: Place, value: Value, *, is_copied: bool = False) -> VariableValue:
+    def evaluate_with_calls(self, place: Place, value: Value, *, is_copied: bool = False) -> VariableValue:
         """Return the value of an expression, and run the functions in it.
 
         :param is_copied: for a variable that is a point, return the text with its numbers, see `Run.note_copy`.
@@ -57,8 +58,8 @@ class Calls:
         if isinstance(result, Aggregate) and not (isinstance(value, Aggregate) and self.run.is_traced):
             if is_copied and isinstance(value, Reference) and value.field is None:
                 return result
-            return replace(result, computed=True)  # the text of its numbers belongs to another variable
-        if isinstance(result, Aggregate) and not result.computed:
+            return replace(result, is_computed=True)  # the text of its numbers belongs to another variable
+        if isinstance(result, Aggregate) and not result.is_computed:
             return self.run.with_row(result)
         if result == NO_VALUE and not (isinstance(value, Reference) and value.name[0] != "$"):
             return UnknownValue(str(place), why_unknown(self.run.variables, place.source, value))
@@ -71,7 +72,7 @@ class Calls:
         :returns: an `UnknownValue` if the value is not known before run time.
         :raises ProgramError: the routine moves the robot where this cannot be corrected.
         """
-        callee = self.run.library.find(call.name, self.run.level.module)
+        callee = self.run.library.find_callee(call.name, self.run.level.module)
         unknown = UnknownValue(str(place), f"what {call.spelling(place.source)}() gives is not known")
         self._note_stop(place, call)
         if callee is None:
@@ -86,7 +87,7 @@ class Calls:
         self.note_lasting_effects(place, call.name, effects)
         self._check_motion(place, call, *callee, effects)
         if callee.module is self.run.library.program:
-            self.run.reached.add(callee.routine)
+            self.run.called_routines.add(callee.routine)
         if _has_no_effects(effects):
             result = None if self._obstacle(place, call, *callee, effects) else self._run_exactly(place, call, *callee)
             return unknown if result is None else result
@@ -103,18 +104,18 @@ class Calls:
 
     def _note_stop(self, place: Place, call: Call) -> None:
         """Note that RESUME may break off a called routine, and with it the motion that BRAKE has stopped."""
-        if not self.run.resumable or not self.run.is_traced or call.name in PURE or call.name in STANDARD:
+        if not self.run.may_be_broken_off or not self.run.is_traced or call.name in PURE or call.name in STANDARD:
             return
         problem = f"RESUME of an interrupt may break off {call.name} and the motion before it"
         reason = place.error(f"{problem}: where the next motion begins is not known", _COMPLETE_ADVICE)
-        self.run.stops.append((self.run.row, reason))
+        self.run.interruptible_calls.append((self.run.row, reason))
 
     def write_place(self, call: Call, name: str) -> Place | None:
         """Return the place at which a called routine may write a variable; None if there is none.
 
         :param name: stored name of the variable.
         """
-        callee = self.run.library.find(call.name, self.run.level.module)
+        callee = self.run.library.find_callee(call.name, self.run.level.module)
         return None if callee is None else self.run.analysis.effects_of(*callee).writes.get(name)
 
     def _follow_absent(self, place: Place, call: Call) -> None:
@@ -122,7 +123,7 @@ class Calls:
         if call.name in PURE:
             return
         if call.name not in STANDARD:
-            self.run.absent.append((call.spelling(place.source), self.run.reported_line))
+            self.run.absent_calls.append((call.spelling(place.source), self.run.reported_line))
         self._forget_arguments(place, call, None)
 
     def note_lasting_effects(self, place: Place, subject: str, effects: Effects, source: str | None = None) -> None:
@@ -132,19 +133,19 @@ class Calls:
         :param source: the same for errors on later lines.
         :raises ProgramError: frames or speeds may change at any time, or a variable that a caller gave.
         """
-        if not (effects.lasting_write or effects.absent or effects.resumes or effects.anytime):
+        if not (effects.lasting_write or effects.absent_calls or effects.resume or effects.volatile_writes):
             return
         if effects.lasting_write is not None:
             problem = f"{subject} has a parameter that changes at any time from then on ({effects.lasting_write})"
             raise place.error(problem, "Change a variable of a .dat there, or make the parameter :IN.")
-        self.run.absent += [(name, self.run.reported_line) for name in effects.absent.values()]
-        self.run.resumable |= effects.resumes is not None
-        relevant = sorted(RELEVANT.intersection(effects.anytime))
+        self.run.absent_calls += [(name, self.run.reported_line) for name in effects.absent_calls.values()]
+        self.run.may_be_broken_off |= effects.resume is not None
+        relevant = sorted(RELEVANT.intersection(effects.volatile_writes))
         if relevant:
             problem = f"{subject} changes what motions depend on at any time: {', '.join(relevant)}"
-            change_place = str(effects.anytime[relevant[0]])
+            change_place = str(effects.volatile_writes[relevant[0]])
             raise place.error(problem if change_place == str(place) else f"{problem} ({change_place})", SETTING_ADVICE)
-        self.run.note_possible_changes(effects.anytime, source or subject)
+        self.run.note_possible_changes(effects.volatile_writes, source or subject)
 
     def _forget_arguments(self, place: Place, call: Call, routine: Routine | None) -> None:
         """Mark as unknown the variables that a call may write.
@@ -193,31 +194,35 @@ class Calls:
 
         :raises ProgramError: the call cannot be left as it is.
         """
-        if effects.force is not None and self.run.is_traced:
-            self.run.unforced[self.run.row] = f"{call.name} is called, which holds a force comment ({effects.force})"
+        if effects.force_comment is not None and self.run.is_traced:
+            self.run.unknown_force_reasons[self.run.row] = (
+                f"{call.name} is called, which holds a force comment ({effects.force_comment})"
+            )
         motion_place = effects.motion
         if motion_place is None or not self.run.is_traced:
             return
         problem = f"{call.name} is called, which moves the robot ({motion_place})"
-        self.run.unfollowed |= self.run.analysis.reachable_routines(module, routine)
-        if self.run.routine in self.run.unfollowed:
+        self.run.unfollowed_routines |= self.run.analysis.reachable_routines(module, routine)
+        if self.run.routine in self.run.unfollowed_routines:
             raise place.error(f"{problem} and calls this program again", _INLINE_ADVICE)
         dependent_place = self.run.analysis.first_dependent_place(module, routine)
         if dependent_place is not None:
-            self.run.shifted.add(self.run.row)
-        if self.run.keep and (motion_place.source is self.run.routine.source or self.run.level.open):
-            self.run.unresolved.append((self.run.row, place.error(problem)))
+            self.run.position_dependent_calls.add(self.run.row)
+        if self.run.keeps_unresolved and (
+            motion_place.source is self.run.routine.source or self.run.level.open_structures
+        ):
+            self.run.unresolved_motions.append((self.run.row, place.error(problem)))
             return
         if motion_place.source is self.run.routine.source:
             raise place.error(problem, _INLINE_ADVICE)
         advice = "Begin behind the call with a PTP to joint angles, all of A1 … A6."
-        if self.run.level.open:
-            raise place.error(f"{problem} inside {self.run.level.open[-1][0]}", advice)
+        if self.run.level.open_structures:
+            raise place.error(f"{problem} inside {self.run.level.open_structures[-1][0]}", advice)
         name = call.spelling(place.source)
         default_cause = place.error(f"{problem}, in a way that cannot be followed", _INLINE_ADVICE)
-        cause = self.run.elsewhere.get(routine, default_cause)
+        cause = self.run.obstacles.get(routine, default_cause)
         reason = place.error(f"{problem}: where the next motion begins is not known", advice)
-        self.run.moved.append(UntracedCall(self.run.row, reason, name, module, routine, cause))
+        self.run.untraced_calls.append(UntracedCall(self.run.row, reason, name, module, routine, cause))
         cause_text = f"{cause.file}, line {cause.line}: {cause.problem}"
         message = (
             f"{name}() moves the robot ({motion_place}): its motions are not corrected here, because of {cause_text}."
@@ -236,11 +241,11 @@ class Calls:
 
         It does if it moves the robot or contains a force comment.
         """
-        callee = self.run.library.find(call.name, self.run.level.module)
-        if callee is None or callee.routine in self.run.elsewhere:
+        callee = self.run.library.find_callee(call.name, self.run.level.module)
+        if callee is None or callee.routine in self.run.obstacles:
             return None
         effects = self.run.analysis.effects_of(*callee)
-        return callee if effects.motion is not None or effects.force is not None else None
+        return callee if effects.motion is not None or effects.force_comment is not None else None
 
     def enter_routine(self, place: Place, call: Call, module: Module, routine: Routine) -> None:
         """Begin a called routine with motions; statements run in it until `leave_routine`.
@@ -250,16 +255,16 @@ class Calls:
         effects = self.run.analysis.effects_of(module, routine)
         self.note_lasting_effects(place, call.name, effects)
         if module is self.run.library.program:
-            self.run.reached.add(routine)
+            self.run.called_routines.add(routine)
         if obstacle := self._obstacle(place, call, module, routine, effects):
             problem = f"{call.name} is called, which moves the robot, in a way that cannot be followed: {obstacle}"
             raise inexact_error(place, problem, _INLINE_ADVICE, routine)
-        self.entered.append(self._bound_call(place, call, module, routine, is_traced=True))
-        self._begin_routine(self.entered[-1], is_traced=True)
+        self.entered_calls.append(self._bound_call(place, call, module, routine, is_traced=True))
+        self._begin_routine(self.entered_calls[-1], is_traced=True)
 
     def leave_routine(self) -> None:
         """End the routine that was entered last."""
-        self._end_routine(self.entered.pop())
+        self._end_routine(self.entered_calls.pop())
 
     def _run_exactly(self, place: Place, call: Call, module: Module, routine: Routine) -> VariableValue | None:
         """Run a called routine, and return the value that it gives; None if it cannot be run exactly."""
@@ -279,10 +284,10 @@ class Calls:
         """Return why a call cannot be run exactly, for a message; empty if it can."""
         if routine in self.run.stack:
             return "it calls itself"
-        if self.run.resumable:
+        if self.run.may_be_broken_off:
             return "RESUME of an interrupt may break it off"
-        if effects.jumps is not None:
-            return f"it jumps ({effects.jumps})"
+        if effects.jump is not None:
+            return f"it jumps ({effects.jump})"
         if len(self.run.stack) > _DEEPEST:
             return f"more than {_DEEPEST} calls are within each other"
         if len(call.arguments) > len(routine.parameters):
@@ -323,8 +328,8 @@ class Calls:
         }
         references = [(index, reference) for index, reference in by_reference if reference.indices != ()]
         roots = [self.run.stored_name(reference.name) for _, reference in references]
-        self.run.calls += 1
-        scope = self.run.scopes.of_call(module, routine, self.run.calls, arrays)
+        self.run.call_count += 1
+        scope = self.run.scopes.of_call(module, routine, self.run.call_count, arrays)
         argument_values: dict[int, VariableValue] = {}
         arguments = [
             _Argument(index, reference, self.run.variables.key_of(reference))  # as they are before the call
@@ -339,13 +344,13 @@ class Calls:
             if is_empty or is_array:
                 argument_values[index] = NO_VALUE
                 continue
-            value = argument_values[index] = self.value(place, argument, is_copied=is_traced)
+            value = argument_values[index] = self.evaluate_with_calls(place, argument, is_copied=is_traced)
             if is_traced:
                 self.run.note_copy(argument, value, routine.parameters[index].name)
         volatile_names = {
-            scope.stored_name(routine.parameters[index].name): self.run.variables.changing[root]
+            scope.stored_name(routine.parameters[index].name): self.run.variables.volatile_values[root]
             for (index, _), root in zip(references, roots, strict=True)
-            if index < len(routine.parameters) and root in self.run.variables.changing
+            if index < len(routine.parameters) and root in self.run.variables.volatile_values
         }
         kinds = {index: self.run.variables.type_of(reference) for index, reference in references}
         return _BoundCall(
@@ -367,10 +372,10 @@ class Calls:
         :param is_traced: True if it is in the execution trace.
         """
         for index, parameter in enumerate(bound.routine.parameters):
-            if parameter.name in bound.scope.arrays:
+            if parameter.name in bound.scope.array_names:
                 continue  # an array of the caller
             stored_name, kind = bound.scope.stored_name(parameter.name), bound.routine.types.get(parameter.name, "")
-            argument_kind = bound.kinds.get(index, kind)
+            argument_kind = bound.argument_types.get(index, kind)
             if (kind == "REAL" and argument_kind in ("INT", WHOLE)) or (kind == "INT" and argument_kind != "INT"):
                 kind = WHOLE
             if kind:
@@ -378,8 +383,8 @@ class Calls:
             argument_value = bound.argument_values.get(index, NO_VALUE)
             value = convert_to_type(argument_value, kind) if kind else argument_value
             self.run.variables.put(stored_name, argument_value if value == argument_value else value)
-        self.run.variables.changing |= bound.volatile_names
-        self.run.level = Level(bound.module, bound.routine, bound.scope, traced=is_traced)
+        self.run.variables.volatile_values |= bound.volatile_names
+        self.run.level = Level(bound.module, bound.routine, bound.scope, is_traced=is_traced)
         self.run.stack.append(bound.routine)
         self.run.variables.scope = bound.scope
         return self.run.level
@@ -389,7 +394,7 @@ class Calls:
         self.run.stack.pop()
         self.run.level, self.run.variables.scope = bound.caller, bound.caller_scope
         for name in bound.volatile_names:
-            self.run.variables.changing.pop(name, None)
+            self.run.variables.volatile_values.pop(name, None)
 
     def _end_routine(self, bound: _BoundCall) -> None:
         """End a called routine: its caller runs again, with the values that the call leaves in its arguments."""
@@ -409,9 +414,9 @@ class Calls:
 
 def _has_no_effects(effects: Effects) -> bool:
     """Return whether a routine only gives a value: it writes nothing outside, moves nothing, does not jump."""
-    changes = effects.writes or effects.anytime or effects.absent
-    moves = effects.motion or effects.interrupt_motion or effects.force or effects.resumes
-    return not (changes or moves or effects.parameter or effects.lasting_write or effects.jumps)
+    changes = effects.writes or effects.volatile_writes or effects.absent_calls
+    moves = effects.motion or effects.interrupt_motion or effects.force_comment or effects.resume
+    return not (changes or moves or effects.parameter_write or effects.lasting_write or effects.jump)
 
 
 class _PureFunctions(Struct, frozen=True, eq=False):
@@ -424,8 +429,12 @@ class _PureFunctions(Struct, frozen=True, eq=False):
         run = self.calls.run
         if call.name in PURE:
             return True
-        callee = run.library.find(call.name, run.level.module)
-        return callee is not None and bool(callee.routine.result) and _has_no_effects(run.analysis.effects_of(*callee))
+        callee = run.library.find_callee(call.name, run.level.module)
+        return (
+            callee is not None
+            and bool(callee.routine.result_type)
+            and _has_no_effects(run.analysis.effects_of(*callee))
+        )
 
     def value(self, call: Call) -> VariableValue:
         """Return what a call gives, at the statement that runs."""
@@ -436,11 +445,12 @@ class _PureFunctions(Struct, frozen=True, eq=False):
 class _Argument(NamedTuple):
     """An argument that a routine may write.
 
-    :ivar place: its index among the arguments.
+    :ivar number: its index among the arguments, from 0.
+    :ivar reference: the argument.
     :ivar key: the variable that it named when the call began; None if that is not known.
     """
 
-    place: int
+    number: int
     reference: Reference
     key: str | None
 
@@ -448,9 +458,10 @@ class _Argument(NamedTuple):
 class _BoundCall(Struct, frozen=True, eq=False):
     """A call.
 
-    :param references: arguments that the routine may write; `argument_values` the values of all, by place.
-    :param kinds: types of these. A REAL parameter whose argument is an INT, or the other way round, is `WHOLE`: no
-        source says whether the routine sees what it assigned or what the variable keeps of it.
+    :param references: arguments that the routine may write.
+    :param argument_values: values of all arguments, by index.
+    :param argument_types: types of `references`, by index. A REAL parameter whose argument is an INT, or the other way
+        round, is `WHOLE`: no source says whether the routine sees what it assigned or what the variable keeps of it.
     :param volatile_names: stored names of parameters whose arguments may change at any time, and what changes them.
     """
 
@@ -460,7 +471,7 @@ class _BoundCall(Struct, frozen=True, eq=False):
     scope: Scope
     references: list[_Argument]
     argument_values: dict[int, VariableValue]
-    kinds: dict[int, str]
+    argument_types: dict[int, str]
     volatile_names: dict[str, UnknownValue]
     caller: Level
     caller_scope: Scope

@@ -18,7 +18,7 @@ class CollectedMotions:
     :param run: the program as far as it has run.
     :param reader: reads motions with the settings of the run.
     :ivar motions: those read, in order, with the state in force.
-    :ivar still: rows of motions to where the robot is already.
+    :ivar idle_rows: rows of motions to where the robot is already.
     :ivar splines: the spline blocks.
     """
 
@@ -26,7 +26,7 @@ class CollectedMotions:
         """Begin without motions; `_refused` has control structures whose motions were refused."""
         self.run, self.reader = run, reader
         self.motions = MotionCollector()
-        self.still: list[int] = []
+        self.idle_rows: list[int] = []
         self.splines = SplineBlocks(run.settings, reader)
         self._refused: set[Place] = set()
 
@@ -39,19 +39,19 @@ class CollectedMotions:
         if not isinstance(stmt, Motion):
             self.splines.follow_line(place, stmt, run.row)
             return
-        if run.level.open and not keeps_position(stmt):
+        if run.level.open_structures and not keeps_position(stmt):
             self._refuse(place)
             return
         try:
             move, state, names = self.reader.read_motion(place, stmt, run.row)
         except UnresolvedError as cause:
-            if not run.keep:
+            if not run.keeps_unresolved:
                 raise
-            run.unresolved.append((run.row, cause))
+            run.unresolved_motions.append((run.row, cause))
             return
         run.understand(*names)
         if move is None:
-            self.still.append(run.row)
+            self.idle_rows.append(run.row)
         else:
             self.motions.add(move, state)
 
@@ -64,11 +64,11 @@ class CollectedMotions:
         :raises ProgramError: without that option.
         """
         run = self.run
-        opener, open_line = run.level.open[-1]
+        opener, open_line = run.level.open_structures[-1]
         opening_place = Place(place.source, open_line)
         problem = f"motion inside {opener} ({opening_place})"
-        if run.keep:
-            run.unresolved.append((run.row, place.error(problem)))
+        if run.keeps_unresolved:
+            run.unresolved_motions.append((run.row, place.error(problem)))
         elif opening_place not in self._refused:
             self._refused.add(opening_place)
             raise place.error(problem, LOOP_ADVICE)

@@ -50,8 +50,8 @@ def notes_of(
     """
     trace = course.trace
     lines, comments = _force_comments(course)
-    if course.live is not None:
-        live = course.live[lines - 1]
+    if course.may_run is not None:
+        live = course.may_run[lines - 1]
         lines, comments = lines[live], comments[live]
     unknown_reasons = dict(unknown)
     for step in course.steps:
@@ -134,7 +134,7 @@ class _ActiveForce:
                 self._set_force(line, entry.now)
             elif isinstance(event, Join):
                 entry, ends = open_forks.pop()
-                end_forces = [*ends[1:], _ForcePair(self.now, self.last), *([] if event.complete else [entry])]
+                end_forces = [*ends[1:], _ForcePair(self.now, self.last), *([] if event.is_exhaustive else [entry])]
                 self._pass_join(line, end_forces, is_unchecked=event in self.unchecked_joins)
         self._pass_motions(len(self.course.trace))
         return self.notes

@@ -110,10 +110,10 @@ def _leads_to_computed_point(stmt: Motion, set_names: set[str], unset_names: set
     tail, end = stmt.tail, stmt.end
     if stmt.word not in KINDS or stmt.word in (*CIRCLES, "SPL") or stmt.angle is not None or stmt.frame:
         return False
-    if tail.given or tail.rest is not None or tail.error is not None:
+    if tail.assignments or tail.unknown_text is not None or tail.error is not None:
         return False
     if isinstance(end, Reference):
-        is_whole = end.indices is None and end.field is None and not end.bracketed
+        is_whole = end.indices is None and end.field is None and not end.is_bracketed
         return is_whole and end.name in set_names and end.name not in ROBOT_POSITIONS and len(end.name) <= MAX_LENGTH
     if not isinstance(end, Aggregate) or end.tag not in _TAGS or set(end.items) != set(CARTESIAN):
         return False
@@ -124,10 +124,10 @@ def _leads_to_computed_point(stmt: Motion, set_names: set[str], unset_names: set
 
 
 class _Column(Struct, frozen=True, eq=False):
-    """The numbers of a value, one for each round; `integer` is True if they may be INTs."""
+    """The numbers of a value, one for each round; `is_integer` is True if they may be INTs."""
 
     numbers: list[float]
-    integer: bool
+    is_integer: bool
 
 
 class _NoColumnError(Exception):
@@ -139,15 +139,15 @@ class _Rounds:
 
     :ivar columns: of the counter and of variables that are numbers, by name.
     :ivar positions: of variables that are positions, by name.
-    :ivar copied: line of an assignment, the array element that it copies, and the variable that gets the point.
+    :ivar copied_elements: of assignments that copy a point: line, the array element, and the variable that gets it.
     """
 
     def __init__(self, run: Run, rounds: PlainRounds, counter: str) -> None:
         """Begin with the values of the counter alone."""
         self.run, self.count = run, rounds.count
-        self.columns = {counter: _Column([float(number) for number in rounds.indices(0)], integer=True)}
+        self.columns = {counter: _Column([float(number) for number in rounds.indices(0)], is_integer=True)}
         self.positions: dict[str, list[Position]] = {}
-        self.copied: list[tuple[int, Reference, str]] = []
+        self.copied_elements: list[tuple[int, Reference, str]] = []
 
     def assign(self, line: int, stmt: Assignment) -> None:
         """Set a variable to the values of an assignment, one for each round.
@@ -163,12 +163,12 @@ class _Rounds:
             points = [value for value in values if isinstance(value, Aggregate)]
             if len(points) == len(values):
                 self.positions[name] = [_cartesian_position(point) for point in points]
-                if any(not point.computed for point in points):
-                    self.copied.append((line, stmt.value, name))
+                if any(not point.is_computed for point in points):
+                    self.copied_elements.append((line, stmt.value, name))
                 return
         column, kind = self.column(stmt.value), self.run.variables.types.get(key, "")
         self.columns[name] = _as_column(
-            [convert_to_type(Number(number, 0, 0, column.integer), kind) for number in column.numbers]
+            [convert_to_type(Number(number, 0, 0, column.is_integer), kind) for number in column.numbers]
         )
 
     def targets(self, end: Value | None) -> list[Position]:
@@ -195,11 +195,11 @@ class _Rounds:
         :raises _NoColumnError: one of them is not a number, or only some of them are INTs.
         """
         if isinstance(value, Number):
-            return _Column([value.value] * self.count, value.integer)
+            return _Column([value.value] * self.count, value.is_integer)
         if isinstance(value, Reference):
             return self._variable_column(value)
         if isinstance(value, Operation):
-            left = _Column([0.0] * self.count, integer=True) if value.left is None else self.column(value.left)
+            left = _Column([0.0] * self.count, is_integer=True) if value.left is None else self.column(value.left)
             return _operation_column(value.operator, left, self.column(value.right))
         if isinstance(value, Call):
             arguments = [self.column(argument) for argument in value.arguments]
@@ -208,7 +208,7 @@ class _Rounds:
                 numbers = [function(*row) for row in zip(*(column.numbers for column in arguments), strict=True)]
             except (ValueError, OverflowError):
                 raise _NoColumnError from None
-            return _Column(numbers, value.name == "ABS" and all(column.integer for column in arguments))
+            return _Column(numbers, value.name == "ABS" and all(column.is_integer for column in arguments))
         raise _NoColumnError
 
     def _variable_column(self, reference: Reference) -> _Column:
@@ -242,8 +242,8 @@ class _Rounds:
         """
         variables = self.run.variables
         stored_name = self.run.stored_name(name)
-        is_given = any(key.partition("[")[0] == stored_name for key in variables.given)
-        if name in variables.scope.arrays or stored_name in variables.changing or is_given:
+        is_given = any(key.partition("[")[0] == stored_name for key in variables.cell_values)
+        if name in variables.scope.array_names or stored_name in variables.volatile_values or is_given:
             raise _NoColumnError
         return stored_name
 
@@ -254,9 +254,9 @@ def _as_column(values: Sequence[object]) -> _Column:
     :raises _NoColumnError: a value is not a number, or the types differ.
     """
     numbers = [value for value in values if isinstance(value, Number)]
-    if len(numbers) < len(values) or len({number.integer for number in numbers}) != 1:
+    if len(numbers) < len(values) or len({number.is_integer for number in numbers}) != 1:
         raise _NoColumnError
-    return _Column([number.value for number in numbers], numbers[0].integer)
+    return _Column([number.value for number in numbers], numbers[0].is_integer)
 
 
 def _operation_column(operator: str, left: _Column, right: _Column) -> _Column:
@@ -264,7 +264,7 @@ def _operation_column(operator: str, left: _Column, right: _Column) -> _Column:
 
     :raises _NoColumnError: one of them is not known.
     """
-    integer = left.integer and right.integer
+    integer = left.is_integer and right.is_integer
     values = [
         operation_result(operator, a, b, integer=integer) for a, b in zip(left.numbers, right.numbers, strict=True)
     ]
@@ -287,7 +287,7 @@ def _cartesian_position(aggregate: Aggregate) -> Position:
         position = position_from_aggregate(aggregate)
     except ProgramError:
         raise _NoColumnError from None
-    if position.axis:
+    if position.is_axis:
         raise _NoColumnError
     return position
 
@@ -299,7 +299,14 @@ def computed_motions(run: Run, reader: MotionReader, rounds: PlainRounds) -> lis
     :returns: None if the motions are not known.
     """
     head, state = statement(rounds.source, rounds.head), run.settings.state
-    if state.uncertain or state.block or state.base < 0 or state.tool < 0 or not run.is_certain or run.level.open:
+    if (
+        state.uncertain_fields
+        or state.spline_block
+        or state.base < 0
+        or state.tool < 0
+        or not run.is_certain
+        or run.level.open_structures
+    ):
         return None
     if not isinstance(head, For):
         return None
@@ -319,7 +326,7 @@ def computed_motions(run: Run, reader: MotionReader, rounds: PlainRounds) -> lis
         if stmt.end is not None:
             run.variables.note_dependence(stmt.end)
     _note_understood(run, rounds)
-    for line, point, name in values.copied:
+    for line, point, name in values.copied_elements:
         run.copies.add((point.name, name))
         _note_understood_name(run, rounds, line, point)
     columns = (_motions_of_statement(rounds, *motion) for motion in motions)
@@ -337,7 +344,7 @@ def _note_understood(run: Run, rounds: PlainRounds) -> None:
 
 def _note_understood_name(run: Run, rounds: PlainRounds, line: int, name: Reference) -> None:
     """Note that the use of a name on a line of the body is followed, in all rounds."""
-    run.understood.update([(row, name.start) for row in rounds.rows_of_statement(line).tolist()])
+    run.followed_names.update([(row, name.start) for row in rounds.rows_of_statement(line).tolist()])
 
 
 def _motions_of_statement(

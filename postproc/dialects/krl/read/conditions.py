@@ -60,7 +60,7 @@ def constant_cases(heads: Sequence[Statement]) -> dict[float | None, int] | None
             table[None] = index
             break
         for value in head.cases if isinstance(head, Case) else (None,):
-            if not isinstance(value, Number) or not value.integer:
+            if not isinstance(value, Number) or not value.is_integer:
                 return None
             table.setdefault(value.value, index)
     return {None: -2, **table}
@@ -105,7 +105,7 @@ def _apply_bitwise(terms: list[Term], operators: list[str]) -> bool:
         while operator in operators:
             index = operators.index(operator)
             left, right = terms[index], terms[index + 1]
-            if not (isinstance(left, Number) and isinstance(right, Number) and left.integer and right.integer):
+            if not (isinstance(left, Number) and isinstance(right, Number) and left.is_integer and right.is_integer):
                 return False
             value = float(bitwise(int(left.value), int(right.value)))
             terms[index : index + 2] = [Number(value, left.start, right.stop, True)]
@@ -146,7 +146,7 @@ def _number_comparison_holds(operator: str, left: Number, right: Number) -> bool
     None for REALs that are equal within the digits of a controller, unless both are the same 32-bit number.
     """
     a, b = left.value, right.value
-    if not (left.integer and right.integer):
+    if not (left.is_integer and right.is_integer):
         is_close = abs(a - b) <= _CLOSE * max(1.0, abs(a), abs(b))
         if is_close and not (a == b and float(np.float32(a)) == a):
             return None

@@ -98,7 +98,7 @@ class Counter:
         :raises ProgramError: it is zero, not an integer, or not known.
         """
         step = self.run.variables.evaluate(step_value)
-        if isinstance(step, Number) and (not step.integer or step.value == 0.0):
+        if isinstance(step, Number) and (not step.is_integer or step.value == 0.0):
             problem = f"FOR cannot count by STEP {step.value:g}"
             raise self.place.error(problem, "Give a whole number other than 0, as it is or by an INT.")
         return self._integer(step_value)
@@ -111,7 +111,7 @@ class Counter:
         number = self.run.variables.evaluate(value)
         if not isinstance(number, Number):
             raise self._unknown_bounds_error()
-        if not number.integer:
+        if not number.is_integer:
             problem = f"motion inside FOR: one of its bounds is a REAL, {number.value:g}"
             raise inexact_error(self.place, problem, "Give whole numbers, as they are or by an INT.")
         return int(number.value)
@@ -126,7 +126,7 @@ class Counter:
         :raises InexactError: it is not known.
         """
         value = self.run.variables.value(self.key)
-        if not isinstance(value, Number) or not value.integer:
+        if not isinstance(value, Number) or not value.is_integer:
             raise self._unknown_bounds_error()
         return int(value.value)
 

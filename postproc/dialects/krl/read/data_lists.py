@@ -44,7 +44,7 @@ def read_data(
             start += 1
         if is_unfiltered and (element := ELEMENT.match(text, start, stop)):
             name = variables.scope.stored_name(element["name"].upper())
-            variables.initial.add(name)
+            variables.persistent_names.add(name)
             key, value = f"{name}[{int(element['index'])}]", UnparsedValue(source, element.end(), stop)
             if name in FRAME_ARRAYS:
                 variables.note_frame(key, value, f"{source.document.name}, line {line}")
@@ -95,16 +95,16 @@ def _note_line(
     for declarator in names:
         if wanted_names is not None and declarator.name not in wanted_names:
             continue
-        name = _note_declaration(variables, replace(declarator, public=declarator.public or is_global), fill=fill)
+        name = _note_declaration(variables, replace(declarator, is_global=declarator.is_global or is_global), fill=fill)
         if declarator.kind == "STRUC" and (named_structure := structure(source, *source.code_span(line))):
-            variables.structures.setdefault(*named_structure)
-        if declarator.value >= 0 and name.partition("[")[0] in FRAME_ARRAYS:
+            variables.structures.setdefault(named_structure.name, named_structure.members)
+        if declarator.value_start >= 0 and name.partition("[")[0] in FRAME_ARRAYS:
             variables.note_frame(
-                name, UnparsedValue(source, declarator.value, stop), f"{source.document.name}, line {line}"
+                name, UnparsedValue(source, declarator.value_start, stop), f"{source.document.name}, line {line}"
             )
-        if declarator.value >= 0 and not (fill and name in variables):
-            variables.initial.add(variables.scope.stored_name(declarator.name))
-            variables.put(name, UnparsedValue(source, declarator.value, stop))
+        if declarator.value_start >= 0 and not (fill and name in variables):
+            variables.persistent_names.add(variables.scope.stored_name(declarator.name))
+            variables.put(name, UnparsedValue(source, declarator.value_start, stop))
 
 
 def _note_import(variables: Variables, place: Place) -> None:
@@ -112,7 +112,7 @@ def _note_import(variables: Variables, place: Place) -> None:
     stmt = statement(place.source, place.line)
     if isinstance(stmt, Import):
         for name in (variables.scope.stored_name(stmt.name), *stored_originals(stmt)):
-            variables.changing.setdefault(name, UnknownValue(str(place)))
+            variables.volatile_values.setdefault(name, UnknownValue(str(place)))
 
 
 def declare_variables(
@@ -123,11 +123,11 @@ def declare_variables(
     :param row: row of the execution trace with it; 0 if it is not in the trace.
     """
     if declaration.structure is not None:
-        variables.structures[declaration.structure[0]] = declaration.structure[1]
+        variables.structures[declaration.structure.name] = declaration.structure.members
     for declarator in declaration.names:
         name = _note_declaration(variables, declarator)
-        if declarator.value >= 0:
-            variables.put(name, UnparsedValue(source, declarator.value, declaration.stop, row))
+        if declarator.value_start >= 0:
+            variables.put(name, UnparsedValue(source, declarator.value_start, declaration.stop, row))
     return declaration.names
 
 
@@ -137,12 +137,12 @@ def _note_declaration(variables: Variables, declarator: DeclaredName, *, fill: b
     :param fill: a type that is stored already stays.
     """
     name = variables.scope.stored_name(declarator.name)
-    by_call = declarator.name in variables.scope.local  # parameters have their types from the call
+    by_call = declarator.name in variables.scope.local_names  # parameters have their types from the call
     if declarator.kind and not ((fill or by_call) and name in variables.types):
         variables.types[name] = declarator.kind
-        if declarator.public:
-            variables.public.add(name)
-        if name not in variables.initial:
+        if declarator.is_global:
+            variables.global_names.add(name)
+        if name not in variables.persistent_names:
             variables.take_cell_values(name)  # what its type makes of it
     if declarator.bounds is None:
         return name
@@ -166,7 +166,7 @@ def read_shared(
     """
     own_file_names = {name.upper() for name in own_names}
     other_paths = [path for name, path in files.paths.items() if name.endswith(".DAT") and name not in own_file_names]
-    global_names = {path: files.declared(path, scan.global_variables) for path in other_paths}
+    global_names = {path: files.declared_names(path, scan.global_variables) for path in other_paths}
     if not any(global_names.values()):
         return
     declaration_counts = Counter(name for names in global_names.values() for name in names)
@@ -175,7 +175,7 @@ def read_shared(
     unique_names = {name for name in missing_names - local if declaration_counts[name] == 1}
     for name in (name for name in missing_names - local if declaration_counts[name] > 1):
         file_names = ", ".join(sorted(path.name for path, names in global_names.items() if name in names))
-        variables.put(name, UnknownValue(why=f"it is GLOBAL in more than one .dat: {file_names}"))
+        variables.put(name, UnknownValue(reason=f"it is GLOBAL in more than one .dat: {file_names}"))
     for path, names in global_names.items():
         if not unique_names.isdisjoint(names):
             with suppress(ProgramError):  # they have no values then, and a motion that needs one says so

@@ -53,50 +53,51 @@ class Effects(Struct, eq=False):
     """Side effects.
 
     :ivar writes: names, as they are stored, that may get another value while it runs, and where.
-    :ivar anytime: names that may get another value at any time afterwards: by interrupts, triggers, cyclic statements.
+    :ivar volatile_writes: names that may get another value at any time afterwards, by interrupts, triggers and cyclic
+        statements, and where.
     :ivar motion: where the robot moves; None if it does not.
     :ivar interrupt_motion: where a GLOBAL interrupt moves the robot that it declares; None if none does.
-    :ivar return_motion: motion back to the point at which an interrupt stopped the robot.
-    :ivar force: place of a force comment; None if there is none.
-    :ivar absent: called programs that are in no file, by name: as they are spelled.
-    :ivar jumps: GOTO or RESUME, so that it may not run line by line; None if there is none.
-    :ivar resumes: RESUME that may break off the running routine; None if there is none.
-    :ivar parameter: where a parameter without :IN is written; None if none is.
+    :ivar return_motion: place of a motion back to where an interrupt stopped the robot; None if there is none.
+    :ivar force_comment: place of a force comment; None if there is none.
+    :ivar absent_calls: called programs that are in no file, by name: as they are spelled.
+    :ivar jump: place of a GOTO or RESUME, so that the routine may not run line by line; None if there is none.
+    :ivar resume: place of a RESUME that may break off the running routine; None if there is none.
+    :ivar parameter_write: where a parameter without ``:IN`` is written; None if none is.
     :ivar lasting_write: where such a parameter, and so the variable given for it, is said to change at any time from
         then on.
     """
 
     writes: dict[str, Place] = {}
-    anytime: dict[str, Place] = {}
+    volatile_writes: dict[str, Place] = {}
     motion: Place | None = None
     interrupt_motion: Place | None = None
     return_motion: Place | None = None
-    force: Place | None = None
-    absent: dict[str, str] = {}
-    jumps: Place | None = None
-    resumes: Place | None = None
-    parameter: Place | None = None
+    force_comment: Place | None = None
+    absent_calls: dict[str, str] = {}
+    jump: Place | None = None
+    resume: Place | None = None
+    parameter_write: Place | None = None
     lasting_write: Place | None = None
 
     def add(self, effects: Effects) -> None:
         """Add the effects of a called routine."""
         for name, place in effects.writes.items():
             self.writes.setdefault(name, place)
-        self.force = self.force or effects.force
+        self.force_comment = self.force_comment or effects.force_comment
         self._add_common(effects)
 
     def add_action(self, effects: Effects) -> None:
         """Add the effects of the action of an interrupt or a trigger: what it writes may change at any time."""
         for name, place in effects.writes.items():
-            self.anytime.setdefault(name, place)
+            self.volatile_writes.setdefault(name, place)
         self._add_common(effects)
 
     def _add_common(self, effects: Effects) -> None:
         """Add the effects of a called routine or an action that do not depend on when it runs."""
-        self.absent = effects.absent | self.absent
+        self.absent_calls = effects.absent_calls | self.absent_calls
         self.motion = self.motion or effects.motion
         self.return_motion = self.return_motion or effects.return_motion
-        self.resumes = self.resumes or effects.resumes
+        self.resume = self.resume or effects.resume
 
 
 class _DirectEffects(Struct, eq=False):
@@ -106,7 +107,7 @@ class _DirectEffects(Struct, eq=False):
     callees: list[Callee] = []
     action_effects: Effects = field(default_factory=Effects)
     action_callees: list[Callee] = []
-    public: list[_DirectEffects] = []
+    global_interrupts: list[_DirectEffects] = []
     """For each GLOBAL interrupt its action alone."""
     has_actions: bool = False
 
@@ -131,12 +132,12 @@ class Analysis:
         if total is not None:
             return total
         local_effects = self._direct_effects(module, routine).effects
-        total = Effects(jumps=local_effects.jumps, parameter=local_effects.parameter)
+        total = Effects(jump=local_effects.jump, parameter_write=local_effects.parameter_write)
         for node in self._reachable([Callee(module, routine)]):
             direct = self._direct_effects(*node)
             total.add(direct.effects)
             self._add_action_effects(total, direct)
-            for event in direct.public:
+            for event in direct.global_interrupts:
                 action = Effects()
                 self._add_action_effects(action, event)
                 total.interrupt_motion = total.interrupt_motion or action.motion
@@ -154,10 +155,10 @@ class Analysis:
         for callee in self._reachable([Callee(module, routine)]):
             if callee.routine not in self._stored_names:
                 source, scope = callee.routine.source, self.scope_of(*callee)
-                spans = [source.code_span(line) for line in callee.routine.lines]
+                spans = [source.code_span(line) for line in callee.routine.statement_lines]
                 words = {occurrence.name for span in spans for occurrence in occurrences(source.text, *span)}
                 self._stored_names[callee.routine] = frozenset(
-                    scope.stored_name(word) for word in words - callee.routine.local
+                    scope.stored_name(word) for word in words - callee.routine.local_names
                 )
             stored_names |= self._stored_names[callee.routine]
         return frozenset(stored_names)
@@ -165,7 +166,7 @@ class Analysis:
     def may_carry_force(self, module: Module, routine: Routine) -> bool:
         """Return whether a routine, or one that it calls, moves otherwise than by PTP, under which no force acts."""
         for _, node in self._reachable([Callee(module, routine)]):
-            for line in (*node.plain.tolist(), *node.lines):
+            for line in (*node.motion_lines.tolist(), *node.statement_lines):
                 stmt = statement(node.source, line)
                 if isinstance(stmt, Motion | Spline) and not stmt.word.startswith(_RAPID):
                     return True
@@ -184,7 +185,7 @@ class Analysis:
         """Return that statement, and whether the routine certainly moves to a complete target."""
         checked_routines.add(routine)
         depth = 0
-        for line in sorted([*routine.plain.tolist(), *routine.others]):
+        for line in sorted([*routine.motion_lines.tolist(), *routine.other_lines]):
             stmt, is_complete = statement(routine.source, line), False
             depth += (stmt.word in OPENING or stmt.word == "REPEAT") - (stmt.word in _CLOSING)
             if isinstance(stmt, Motion) and keeps_position(stmt):
@@ -193,7 +194,7 @@ class Analysis:
                 return Place(routine.source, line), False
             if isinstance(stmt, Motion):
                 is_complete = True
-            callee = self.library.find(stmt.call.name, module) if isinstance(stmt, CallStatement) else None
+            callee = self.library.find_callee(stmt.call.name, module) if isinstance(stmt, CallStatement) else None
             if callee is not None and callee.routine not in checked_routines:
                 place, is_complete = self._first_dependent_place(*callee, checked_routines)
                 if place is not None:
@@ -227,12 +228,12 @@ class Analysis:
         if not direct.has_actions:
             return
         total.add_action(direct.action_effects)
-        total.lasting_write = total.lasting_write or direct.action_effects.parameter
+        total.lasting_write = total.lasting_write or direct.action_effects.parameter_write
         for node in self._reachable(direct.action_callees):
             node_effects = self._direct_effects(*node)
             total.add_action(node_effects.effects)
             total.add_action(node_effects.action_effects)
-            total.lasting_write = total.lasting_write or node_effects.action_effects.parameter
+            total.lasting_write = total.lasting_write or node_effects.action_effects.parameter_write
 
     def _reachable(self, first: list[Callee]) -> Iterator[Callee]:
         """Yield routines and all routines that they may call, also by interrupts and triggers; each once."""
@@ -252,17 +253,17 @@ class Analysis:
         direct = self._direct.get(routine)
         if direct is None:
             direct = self._direct[routine] = _DirectEffects()
-            if routine.motion:
-                direct.effects.motion = Place(routine.source, routine.motion)
+            if routine.first_motion_line:
+                direct.effects.motion = Place(routine.source, routine.first_motion_line)
             comment_lines = self.force_comment_lines(routine.source)
             if (first := bisect_right(comment_lines, routine.first)) < bisect_left(comment_lines, routine.last):
-                direct.effects.force = Place(routine.source, comment_lines[first])
-            for line in routine.lines:
+                direct.effects.force_comment = Place(routine.source, comment_lines[first])
+            for line in routine.statement_lines:
                 stmt, place = statement(routine.source, line), Place(routine.source, line)
                 if isinstance(stmt, Goto) or stmt.word == "RESUME":
-                    direct.effects.jumps = direct.effects.jumps or place
+                    direct.effects.jump = direct.effects.jump or place
                 if stmt.word == "RESUME":
-                    direct.effects.resumes = direct.effects.resumes or place
+                    direct.effects.resume = direct.effects.resume or place
                 self._read(direct, stmt, Callee(module, routine), place)
         return direct
 
@@ -275,12 +276,12 @@ class Analysis:
         later_statement = _Statement(self, *node, place, direct.action_effects, direct.action_callees)
         if isinstance(stmt, Event):
             later_statement.note_event_effects(stmt)
-            if stmt.public:
+            if stmt.is_global:
                 event_effects = _DirectEffects(has_actions=True)
                 _Statement(
                     self, *node, place, event_effects.action_effects, event_effects.action_callees
                 ).note_event_effects(stmt)
-                direct.public.append(event_effects)
+                direct.global_interrupts.append(event_effects)
         elif isinstance(stmt, CyclicInput):
             later_statement.note_write(stmt.name)
         else:
@@ -298,7 +299,7 @@ class _Statement(Struct, eq=False):
     place: Place
     effects: Effects
     callees: list[Callee]
-    running: Scope | None = None
+    running_scope: Scope | None = None
 
     def note_event_effects(self, event: Event) -> None:
         """Note the effects of an INTERRUPT or a TRIGGER: its action, and functions in condition, PATH and DELAY."""
@@ -338,17 +339,17 @@ class _Statement(Struct, eq=False):
     def note_write(self, name: str) -> None:
         """Note that a statement may write a variable, which may be global, or a parameter without ``:IN``."""
         name = name.upper()
-        if self.running is not None:
-            self.effects.writes.setdefault(self.running.stored_name(name), self.place)
-        elif name not in self.routine.local:
+        if self.running_scope is not None:
+            self.effects.writes.setdefault(self.running_scope.stored_name(name), self.place)
+        elif name not in self.routine.local_names:
             scope = self.analysis.scope_of(self.module, self.routine)
             self.effects.writes.setdefault(scope.stored_name(name), self.place)
         elif any(parameter.name == name and not parameter.by_value for parameter in self.routine.parameters):
-            self.effects.parameter = self.effects.parameter or self.place
+            self.effects.parameter_write = self.effects.parameter_write or self.place
 
     def _note_call(self, call: Call) -> None:
         """Note a call: the variables that it may write, and the routine, or that the routine is in no file."""
-        callee = self.analysis.library.find(call.name, self.module)
+        callee = self.analysis.library.find_callee(call.name, self.module)
         parameters = callee.routine.parameters if callee else ()
         for index, argument in enumerate(call.arguments):
             by_value = index < len(parameters) and parameters[index].by_value
@@ -358,7 +359,7 @@ class _Statement(Struct, eq=False):
         if callee is not None:
             self.callees.append(callee)
         elif call.name not in STANDARD:
-            self.effects.absent.setdefault(call.name, call.spelling(self.place.source))
+            self.effects.absent_calls.setdefault(call.name, call.spelling(self.place.source))
 
 
 def _is_return_motion(motion: Motion) -> bool:
@@ -366,4 +367,4 @@ def _is_return_motion(motion: Motion) -> bool:
     target, tail = motion.end, motion.tail
     if not isinstance(target, Reference) or target.field is not None or target.name not in _RETURN_POSITIONS:
         return False
-    return motion.via is None and not motion.frame and tail.start == tail.behind == tail.stop and not tail.error
+    return motion.via is None and not motion.frame and tail.start == tail.with_stop == tail.stop and not tail.error

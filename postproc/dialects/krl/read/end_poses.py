@@ -36,13 +36,13 @@ _UNCHANGED = 1e-3 * RAD_PER_DEG
 class OrientationControl(Struct, frozen=True, eq=False):
     """Orientation control of M motions, if other than interpolation to their own A, B, C.
 
-    :param constant: (M,) True if the start orientation is kept: ``$ORI_TYPE=#CONSTANT``.
-    :param with_path: (M,) True if it is kept relative to the path: circles under ``$CIRC_TYPE=#PATH``.
+    :param keeps_orientation: (M,) True if the start orientation is kept: ``$ORI_TYPE=#CONSTANT``.
+    :param turns_with_path: (M,) True if it is kept relative to the path: circles under ``$CIRC_TYPE=#PATH``.
     :param via: (M, 3) auxiliary points of circles [mm], NaN where missing.
     """
 
-    constant: Bools
-    with_path: Bools
+    keeps_orientation: Bools
+    turns_with_path: Bools
     via: Array
 
 
@@ -53,8 +53,8 @@ class EndPoses(Struct, frozen=True, eq=False):
     :param pose: (M, 4, 4) the same as poses [m].
     :param joints: (M, 6) of axis targets [rad], NaN elsewhere.
     :param start: where each motion starts.
-    :param resumed: (M,) True where the previous position is an axis target or the start.
-    :param ignored: (M,) True where A, B, C of the text are not those of the target.
+    :param starts_from_joints: (M,) True where the previous position is an axis target or the start.
+    :param ignores_orientation: (M,) True where A, B, C of the text are not those of the target.
     :param circles: row → auxiliary and end point (2, 3) [mm] of relative circles.
     """
 
@@ -62,8 +62,8 @@ class EndPoses(Struct, frozen=True, eq=False):
     pose: Poses
     joints: Runs
     start: Starts
-    resumed: Bools
-    ignored: Bools
+    starts_from_joints: Bools
+    ignores_orientation: Bools
     circles: Mapping[int, Array]
 
 
@@ -87,7 +87,7 @@ class _Follower:
 
     :ivar present: the robot position before the next motion.
     :ivar joints: row → joint angles (6,) [rad] of axis targets.
-    :ivar circles: see `EndPoses.circles`; `resumed` likewise.
+    :ivar circles: see `EndPoses.circles`; `starts_from_joints` likewise.
     """
 
     def __init__(
@@ -113,7 +113,7 @@ class _Follower:
         self.present = present
         self.numbers = numbers
         self.joints: dict[int, Array] = {}
-        self.resumed = np.zeros(len(numbers), dtype=np.bool_)
+        self.starts_from_joints = np.zeros(len(numbers), dtype=np.bool_)
 
     def flange(self) -> Array:
         """Return the present flange (4, 4) in the robot root."""
@@ -140,7 +140,7 @@ class _Follower:
         """Fill in the missing components of the absolute Cartesian targets of rows first … last − 1."""
         if first == last:
             return
-        self.resumed[first] = self.present.numbers is None
+        self.starts_from_joints[first] = self.present.numbers is None
         for part in chunks(last - first):
             self._fill_in_rows(first + part.start, min(first + part.stop, last))
 
@@ -203,22 +203,22 @@ class _Follower:
 
         That is an axis or relative target, a circle with CA, or a motion that keeps the orientation of its start.
         """
-        if move is not None and move.end.position.axis:
+        if move is not None and move.end.position.is_axis:
             self._follow_axis_target(row, move)
             return
         start, control = self.present_numbers(row).copy(), self.control
-        if move is not None and move.relative:
-            self.resumed[row] = self.present.numbers is None
+        if move is not None and move.relative_axes:
+            self.starts_from_joints[row] = self.present.numbers is None
             self.numbers[row] = self._relative_target(move, start)
             if move.via is not None:
-                via = start[:3] + _relative_offset(move.via.position, move.relative, start)
+                via = start[:3] + _relative_offset(move.via.position, move.relative_axes, start)
                 self.circles[row] = np.stack([via, self.numbers[row, :3]])
         else:
-            if control.constant[row]:
+            if control.keeps_orientation[row]:
                 self.numbers[row, 3:] = start[3:]
             self.complete_absolute(row, row + 1)
         angle = None if move is None or move.angle is None else move.angle * RAD_PER_DEG
-        if angle is not None or (control.constant[row] and control.with_path[row]):
+        if angle is not None or (control.keeps_orientation[row] and control.turns_with_path[row]):
             self._end_of_circle(row, start, angle)
         self.arrive(row)
 
@@ -234,7 +234,7 @@ class _Follower:
         centre, axis, sweep = circle_geometry(self.trace, self.line[row : row + 1], begin[None], via[None], end[None])
         if angle is not None:
             self.numbers[row, :3] = MM_PER_M * rotated_point(begin, centre[0], axis[0], angle)
-        if self.control.constant[row] and self.control.with_path[row]:
+        if self.control.keeps_orientation[row] and self.control.turns_with_path[row]:
             pose = pose_from_xyzabc(self.numbers[row])
             pose[:3, :3] = rotation_from_vector(axis[0] * (sweep[0] if angle is None else angle)) @ pose[:3, :3]
             self.numbers[row, 3:] = xyzabc_from_pose(pose)[3:]
@@ -245,17 +245,17 @@ class _Follower:
         :raises ProgramError: angles are missing or relative, and the angles before are not known.
         """
         angles, previous_joints = np.array(move.end.position.values) * RAD_PER_DEG, self.present.joints
-        if previous_joints is None and (move.relative or np.isnan(angles).any()):
+        if previous_joints is None and (move.relative_axes or np.isnan(angles).any()):
             raise self.trace.error(
                 "the joint angles before this motion are not known", move.line, "Give all of A1 … A6, not relative."
             )
         if previous_joints is not None:
             angles = (
                 previous_joints + np.nan_to_num(angles)
-                if move.relative
+                if move.relative_axes
                 else np.where(np.isnan(angles), previous_joints, angles)
             )
-        self.resumed[row] = self.present.numbers is None
+        self.starts_from_joints[row] = self.present.numbers is None
         self.joints[row] = angles
         flange = self.kinematics(angles)
         if self.carriage is not None:
@@ -272,7 +272,7 @@ class _Follower:
         offset = np.nan_to_num(np.array(position.values))
         if np.any(offset[3:] != 0.0):
             raise self.trace.error("relative A, B, C are not supported", move.line, "Write it with LIN or PTP.")
-        return np.concatenate([numbers[:3] + _relative_offset(position, move.relative, numbers), numbers[3:]])
+        return np.concatenate([numbers[:3] + _relative_offset(position, move.relative_axes, numbers), numbers[3:]])
 
 
 def _relative_offset(position: Position, axes: str, numbers: Array) -> Array:
@@ -329,17 +329,18 @@ def end_poses(
     follower = _Follower(
         trace, line, numbers, frames, _RobotPosition(start_flange, start_joints), kinematics, carriage, control
     )
-    own_angles, is_incomplete = numbers[control.constant, 3:], any_column(np.isnan(numbers[:, 3:]))
-    numbers[control.constant, 3:] = np.nan  # missing components keep their previous value
+    own_angles, is_incomplete = numbers[control.keeps_orientation, 3:], any_column(np.isnan(numbers[:, 3:]))
+    numbers[control.keeps_orientation, 3:] = np.nan  # missing components keep their previous value
     special_rows = {
         special_row
         for special_row, move in moves.items()
-        if move.end.position.axis or move.relative or move.angle is not None
+        if move.end.position.is_axis or move.relative_axes or move.angle is not None
     }
     has_new_frame = np.append(True, (np.diff(frames[0]) != 0) | (np.diff(frames[1]) != 0))[: len(line)]
     row = 0
     for special_row in sorted(
-        special_rows | set(np.flatnonzero(control.constant & (has_new_frame | control.with_path)).tolist())
+        special_rows
+        | set(np.flatnonzero(control.keeps_orientation & (has_new_frame | control.turns_with_path)).tolist())
     ):
         follower.complete_absolute(row, special_row)
         follower.follow_special(special_row, moves.get(special_row))
@@ -348,11 +349,11 @@ def end_poses(
 
     pose = poses_from_xyzabc(numbers)
     start = Starts.of(frames, pose.__getitem__, start_flange, predecessors)
-    is_ignored, constant = np.zeros(len(line), dtype=np.bool_), np.flatnonzero(control.constant)
+    is_ignored, constant = np.zeros(len(line), dtype=np.bool_), np.flatnonzero(control.keeps_orientation)
     is_ignored[constant] = any_column(np.abs(own_angles - numbers[constant, 3:]) > _ANGLE_TOLERANCE)
-    _check_ignored(trace, line, is_incomplete, moves, control.constant, is_ignored)
+    _check_ignored(trace, line, is_incomplete, moves, control.keeps_orientation, is_ignored)
     joints = Runs.from_rows(numbers.shape, follower.joints)
-    return EndPoses(numbers, pose, joints, start, follower.resumed, is_ignored, follower.circles)
+    return EndPoses(numbers, pose, joints, start, follower.starts_from_joints, is_ignored, follower.circles)
 
 
 def _check_ignored(
@@ -372,7 +373,7 @@ def _check_ignored(
     all_rows = np.arange(len(line))
     last_ignored_row = np.maximum.accumulate(np.where(is_ignored, all_rows, -1))
     last_free_row = np.maximum.accumulate(np.where(constant, -1, all_rows))
-    is_missing[[axis_row for axis_row, move in moves.items() if move.end.position.axis]] = False
+    is_missing[[axis_row for axis_row, move in moves.items() if move.end.position.is_axis]] = False
     rows = np.flatnonzero(is_missing[1:] & ~constant[1:] & (last_ignored_row > last_free_row)[:-1]) + 1
     if len(rows):
         raise trace.error(

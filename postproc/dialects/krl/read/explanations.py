@@ -45,7 +45,7 @@ def why_unknown(variables: Variables, source: Source, value: Value | VariableVal
             position = variables.position(operand)
             if position is None:
                 return why_unknown(variables, source, operand)
-            if isinstance(operand, Reference) and not position.complete:
+            if isinstance(operand, Reference) and not position.is_complete:
                 return f"not all components of {source.text[operand.start : operand.stop]} are given"
     text = source.text[value.start : value.stop].strip()[:80]
     if not text and isinstance(value, Reference):  # one that a program of the controller reads
@@ -56,8 +56,8 @@ def why_unknown(variables: Variables, source: Source, value: Value | VariableVal
     for side in sides:
         if isinstance(variables.evaluate(side), UnknownValue):
             return why_unknown(variables, source, side)
-    if isinstance(value, Operation) and isinstance(result := variables.evaluate(value), UnknownValue) and result.why:
-        return f"{text}: {result.why}"
+    if isinstance(value, Operation) and isinstance(result := variables.evaluate(value), UnknownValue) and result.reason:
+        return f"{text}: {result.reason}"
     if isinstance(value, Reference) and value.name[0] == "$":
         result = variables.value_of(value)
         if isinstance(result, UnknownValue) and result != NO_VALUE:

@@ -99,9 +99,9 @@ class Flow:
                 index, node = end, nodes[end]
             else:
                 self._follow_statement(Place(source, node), stmt)
-            index = self._label_index(source, nodes, index) if level.jump else index + 1
+            index = self._label_index(source, nodes, index) if level.jump_line else index + 1
             if level.is_broken_off:
-                if self.recorder is not None and level.traced and not level.jump:
+                if self.recorder is not None and level.is_traced and not level.jump_line:
                     self.recorder.record_run_lines(node if isinstance(node, int) else node.last)
                 return
 
@@ -123,15 +123,15 @@ class Flow:
         :raises InexactError: the GOTO is in a loop around motions.
         """
         level, recorder = self.run.level, self.recorder
-        label = self.label_of(source, level.jump)
+        label = self.label_of(source, level.jump_line)
         for number in range(index + 1, len(nodes)):
             line = nodes[number]
             if isinstance(line, int) and recorder is not None and label in self.labels(source, [line]):
-                if level.loops:  # its rounds may be written one after the other, and the label with each
+                if level.loop_depth:  # its rounds may be written one after the other, and the label with each
                     raise inexact_error(
-                        Place(source, level.jump), "GOTO leads to a label in a loop", _JUMP_IN_LOOP_ADVICE
+                        Place(source, level.jump_line), "GOTO leads to a label in a loop", _JUMP_IN_LOOP_ADVICE
                     )
-                level.jump = 0
+                level.jump_line = 0
                 recorder.record_passed_lines(line - 1, live=False)
                 return number
         return len(nodes)
@@ -139,7 +139,7 @@ class Flow:
     def run_called_routine(self) -> None:
         """Run the statements of the routine that was called last."""
         routine, level = self.run.level.routine, self.run.level
-        if not level.traced:
+        if not level.is_traced:
             self._check_statement_count(
                 Place(routine.source, routine.first), self._least_statements.minimum_of_call(level.module, routine)
             )
@@ -163,7 +163,7 @@ class Flow:
         key = node, module
         if key not in self._moving:
             is_own = source is self.run.level.routine.source
-            begin, end = np.searchsorted(self.run.level.routine.plain, [node.first, node.last])
+            begin, end = np.searchsorted(self.run.level.routine.motion_lines, [node.first, node.last])
             has_plain_motion = is_own and bool(begin < end)
             self._moving[key] = has_plain_motion or any(self._statement_moves(source, line) for line in node.lines())
         return self._moving[key]
@@ -197,17 +197,17 @@ class Flow:
     def _follow_statement(self, place: Place, stmt: tree.Statement) -> None:
         """Follow one statement; after EXIT or GOTO its successors are not followed."""
         level, word = self.run.level, stmt.word
-        if level.traced:
+        if level.is_traced:
             self._come_to(place.line)
         self._count_statement(place)
-        if word == "EXIT" and (level.loops or (level.traced and self.recorder is None)):
+        if word == "EXIT" and (level.loop_depth or (level.is_traced and self.recorder is None)):
             level.is_left = True  # in a recorded trace, the loop is around the row that runs
             return
-        if word == "GOTO" and self.recorder is not None and level.traced:
+        if word == "GOTO" and self.recorder is not None and level.is_traced:
             self.recorder.record_run_lines(place.line - 1)
             self.recorder.record_passed_lines(place.line)
             self.run.is_final = False
-            level.jump = place.line
+            level.jump_line = place.line
             return
         self._follow_noting_errors(place, stmt)
 
@@ -231,7 +231,7 @@ class Flow:
         except InexactError:
             raise
         except ProgramError as cause:
-            if not self.run.level.traced:
+            if not self.run.level.is_traced:
                 raise
             self._note_fault(place, cause)
 
@@ -240,9 +240,9 @@ class Flow:
 
         :raises InexactError: more statements run than are followed.
         """
-        if self._still or not self.run.level.traced:
-            self.run.steps += 1
-            if self.run.steps > MOST_STATEMENTS:
+        if self._still or not self.run.level.is_traced:
+            self.run.statement_count += 1
+            if self.run.statement_count > MOST_STATEMENTS:
                 raise inexact_error(place, "too much runs before")
             return
         self._traced += 1
@@ -260,8 +260,8 @@ class Flow:
         :param minimum: lower bound on the number of statements that the code runs.
         :raises InexactError: they exceed the limit, together with those that have run.
         """
-        if self._still or not self.run.level.traced:
-            if self.run.steps + minimum > MOST_STATEMENTS:
+        if self._still or not self.run.level.is_traced:
+            if self.run.statement_count + minimum > MOST_STATEMENTS:
                 raise inexact_error(place, "too much runs before")
         elif self._traced + minimum > self._statement_limit(place.source):
             problem = f"loops and calls around motions are too long: at least {minimum} statements run from here on, "
@@ -275,7 +275,7 @@ class Flow:
         :raises InexactError: its statements are not known before run time, and the call cannot be left as it is.
         """
         run, recorder = self.run, self.recorder
-        if recorder is None or not run.level.traced or not run.is_certain:
+        if recorder is None or not run.level.is_traced or not run.is_certain:
             return False
         callee = self.interpreter.calls.traced_callee(call)
         if callee is None or any(self._call_moves(inner) for inner in calls(call.arguments)):
@@ -287,10 +287,10 @@ class Flow:
         try:
             self._record_call(place, call, recorder, *callee)
         except InexactError:
-            if not run.keep or routine.source is not run.routine.source:
+            if not run.keeps_unresolved or routine.source is not run.routine.source:
                 raise
             undo()
-            recorder.pinned = True
+            recorder.may_call_originals = True
             return False
         except ProgramError:
             undo()
@@ -318,7 +318,7 @@ class Flow:
 
         Values and settings stay as they are: to keep them for each call would take as long as there are variables.
         """
-        run, entered_calls = self.run, self.interpreter.calls.entered
+        run, entered_calls = self.run, self.interpreter.calls.entered_calls
         counts, mark, position = run.finding_counts(), recorder.mark(), run.position()
         call_count, depth = len(entered_calls), len(self._enclosing)
 
@@ -341,7 +341,7 @@ class Flow:
         self._enclosing.append((place, 0))
         self.run_called_routine()
         self._enclosing.pop()
-        if not level.returned:
+        if not level.return_line:
             recorder.record_run_lines(routine.last - 1)
         recorder.record_passed_lines(routine.last - 1, live=False)
         self.interpreter.calls.leave_routine()
@@ -355,7 +355,7 @@ class Flow:
         One with motions or force comments is followed exactly. For others it is enough to mark as unknown what they may
         write if the branch taken is not known.
         """
-        if self.recorder is not None and self.run.level.traced and self.belongs_in_trace(source, block):
+        if self.recorder is not None and self.run.level.is_traced and self.belongs_in_trace(source, block):
             self._follow_or_keep(source, block, self.recorder)
             return
         marks = self.run.finding_counts()
@@ -376,7 +376,7 @@ class Flow:
         :raises InexactError: without that option, the branch taken is not known.
         """
         run = self.run
-        if not run.keep:
+        if not run.keeps_unresolved:
             try:
                 self._follow_exactly(source, block, recorder)
             except InexactError:
@@ -399,15 +399,15 @@ class Flow:
     def follow_roughly(self, source: Source, block: Block) -> None:
         """Mark all variables that a control structure may write as unknown, for any number of iterations."""
         lines = list(block.lines())
-        if self._still or not self.run.level.traced:
-            self.run.steps += len(lines)
+        if self._still or not self.run.level.is_traced:
+            self.run.statement_count += len(lines)
         else:
             self._traced += len(lines)
         marks = self.run.finding_counts()
         for _ in range(1 + (block.word in LOOPS)):  # once more with the values that its own statements leave
             self.run.drop_findings(marks)
             for line in lines:
-                if self.run.level.traced:
+                if self.run.level.is_traced:
                     self._come_to(line)
                 self._follow_noting_errors(Place(source, line), statement(source, line))
 
@@ -426,7 +426,7 @@ class Flow:
             part_index = self._part_taken(source, block)
         except InexactError as cause:
             occasion = Occasion(Place(source, block.first), tuple(self._enclosing))
-            if recorder is None or occasion in self.run.elsewhere:
+            if recorder is None or occasion in self.run.obstacles:
                 raise
             self._follow_branches(source, block, recorder, occasion, cause)
             return
@@ -441,7 +441,7 @@ class Flow:
             self.follow(source, part.nodes)
         if recorder is not None:
             if part is not None and not self.run.level.is_broken_off:
-                recorder.record_run_lines(part.beyond - 1)
+                recorder.record_run_lines(part.end - 1)
             recorder.record_passed_lines(block.last - 1, live=False)
             recorder.record_passed_lines(block.last)
 
@@ -471,13 +471,13 @@ class Flow:
             recorder.record_division(Branch(0))
             run.begin_branch()
             self.follow(source, part.nodes)
-            if level.jump:
+            if level.jump_line:
                 raise inexact_error(
-                    Place(source, level.jump), *undecided_jump(run.variables, Place(source, block.first))
+                    Place(source, level.jump_line), *undecided_jump(run.variables, Place(source, block.first))
                 )
             if level.is_broken_off:
                 raise cause
-            recorder.record_run_lines(part.beyond - 1)
+            recorder.record_run_lines(part.end - 1)
         recorder.record_passed_lines(block.last)
         complete = statement(source, heads[-1]).word in ("ELSE", "DEFAULT")
         recorder.record_division(Join(0, complete))
@@ -494,8 +494,8 @@ class Flow:
         if (
             recorder is None
             or not isinstance(block, Block)
-            or not run.level.traced
-            or run.level.loops
+            or not run.level.is_traced
+            or run.level.loop_depth
             or not run.is_certain
         ):
             return 0
@@ -509,7 +509,7 @@ class Flow:
         try:
             self._part_taken(source, block)
         except InexactError:
-            if occasion in run.elsewhere:
+            if occasion in run.obstacles:
                 return 0
         else:
             return 0
@@ -526,10 +526,10 @@ class Flow:
             returns = end == run.level.routine.last - 1
             self._follow_branch(source, nodes[index + 1 : next_index], recorder, last=returns)
             recorder.record_run_lines(end)
-            recorder.record_division(Join(0, complete=True))
+            recorder.record_division(Join(0, is_exhaustive=True))
             run.join_branches(Place(source, block.last), complete=True)
         except InexactError:
-            if not run.keep:
+            if not run.keeps_unresolved:
                 raise
             undo()
             return 0
@@ -545,7 +545,9 @@ class Flow:
         self.run.begin_branch()
         self.follow(source, nodes, last=last)
         if level.is_broken_off:
-            raise inexact_error(Place(source, level.jump or level.returned), *undecided_jump(self.run.variables, None))
+            raise inexact_error(
+                Place(source, level.jump_line or level.return_line), *undecided_jump(self.run.variables, None)
+            )
 
     def _jump_target(
         self, source: Source, nodes: tuple[Node, ...], index: int, jump: tuple[Node, ...], *, last: bool
@@ -590,13 +592,13 @@ class Flow:
         if not isinstance(stmt, tree.Switch) or self._may_have_effects(stmt.values):
             raise undecided_error(self.run, place)
         selector = self.run.variables.evaluate(stmt.value)
-        if self._still or not self.run.level.traced:
-            self.run.steps += len(block.parts) // _CASES
+        if self._still or not self.run.level.is_traced:
+            self.run.statement_count += len(block.parts) // _CASES
         else:
             self._traced += len(block.parts) // _CASES
         if block not in self._cases:
             self._cases[block] = constant_cases([statement(source, part.head) for part in block.parts[1:]])
-        if isinstance(selector, Number) and selector.integer and (table := self._cases[block]) is not None:
+        if isinstance(selector, Number) and selector.is_integer and (table := self._cases[block]) is not None:
             return 1 + table.get(selector.value, table[None])
         for index, part in enumerate(block.parts[1:], 1):
             case = statement(source, part.head)
@@ -628,7 +630,7 @@ class Flow:
         if counter is not None and words.isdisjoint(ENDS_LOOPS):
             self._check_rounds(source, block, counter, recorder)
         loop = recorder.begin_loop(block, name, step, has_exit="EXIT" in words) if recorder is not None else None
-        level.loops += 1
+        level.loop_depth += 1
         depth = len(self._enclosing)
         self._enclosing.append((Place(source, block.first), 0))
         try:
@@ -636,7 +638,7 @@ class Flow:
                 self._record_plain_rounds(source, block, counter, recorder, loop)
             self._follow_rounds(source, block, counter, recorder, loop)
         finally:
-            level.loops -= 1
+            level.loop_depth -= 1
             del self._enclosing[depth:]
         has_ended = counter is not None and not level.is_broken_off
         level.is_left = False
@@ -697,7 +699,7 @@ class Flow:
         try:
             self._follow_label_rounds(source, nodes[index : end + 1], recorder)
         except InexactError:
-            if not run.keep:
+            if not run.keeps_unresolved:
                 raise
             undo()
             run.variables.restore(values)  # the same statements are followed again
@@ -713,9 +715,9 @@ class Flow:
         :param index: of the node with the label.
         """
         level = self.run.level
-        if self.recorder is None or not level.traced or level.loops or not self.run.is_certain:
+        if self.recorder is None or not level.is_traced or level.loop_depth or not self.run.is_certain:
             return 0
-        jumps = [line for line in level.routine.lines if self.label_of(source, line) == label.name]
+        jumps = [line for line in level.routine.statement_lines if self.label_of(source, line) == label.name]
         for number in range(index + 1, len(nodes) if len(jumps) == 1 else 0):
             block = nodes[number]
             if isinstance(block, Block) and block.word == "IF" and [part.nodes for part in block.parts] == [(*jumps,)]:
@@ -737,7 +739,7 @@ class Flow:
         self._check_comments(source, loop_block, range(jump.first, jump.last))
         loop = recorder.begin_loop(loop_block, "", 0, has_exit=False, closing=jump.first)
         start_count, depth = self._traced, len(self._enclosing)
-        level.loops += 1
+        level.loop_depth += 1
         self._enclosing.append((Place(source, first), 0))
         try:
             while not level.is_broken_off:
@@ -763,7 +765,7 @@ class Flow:
                         place, "GOTO always leads back: no variable of its condition changes", LOOP_ADVICE
                     )
         finally:
-            level.loops -= 1
+            level.loop_depth -= 1
             del self._enclosing[depth:]
         recorder.end_loop(loop, loop_block, None)
 
@@ -790,7 +792,7 @@ class Flow:
 
     def _change_counts(self) -> tuple[int, int]:
         """Return how often variables have changed, and how often frames, speeds and modes have."""
-        return self.run.variables.changes, len(self.run.settings.changes)
+        return self.run.variables.change_count, len(self.run.settings.changes)
 
     def _record_plain_rounds(
         self, source: Source, block: Block, counter: Counter, recorder: Recorder, loop: UnrolledLoop
@@ -824,13 +826,13 @@ class Flow:
             that the next one may use.
         """
         run, level, place = self.run, self.run.level, Place(source, block.first)
-        if recorder is None or level.loops or run.is_forked or not run.is_certain or len(run.stack) > 1:
+        if recorder is None or level.loop_depth or run.is_forked or not run.is_certain or len(run.stack) > 1:
             raise inexact_error(place, "LOOP never ends: there is no EXIT", LOOP_ADVICE)
         self._check_comments(source, block)
         run.is_final = False
         snapshot = run.variables.snapshot()
         loop = recorder.begin_loop(block, "", 0, has_exit=False)
-        loop.endless = True
+        loop.is_endless = True
         self._enclosing.append((place, 1))
         recorder.begin_round(loop, block, None)
         self.follow(source, block.parts[0].nodes)
@@ -843,7 +845,7 @@ class Flow:
             changed_names = first_of(sorted_names, _MOST_NAMES)
             problem = f"LOOP never ends, and its rounds differ: each one changes {changed_names} for the next"
             raise inexact_error(place, problem, "Set it at the beginning of each round.")
-        level.returned = block.last
+        level.return_line = block.last
 
     def _check_rounds(self, source: Source, block: Block, counter: Counter, recorder: Recorder | None) -> None:
         """Refuse a FOR with too many iterations before it is followed.
@@ -855,7 +857,7 @@ class Flow:
             problem = f"FOR has {counter.rounds} rounds, more than {limit}"
             raise inexact_error(Place(source, block.first), problem, "Check its bounds.")
         module = self.run.level.module
-        if not self.run.level.loops and not self._least_statements.may_write(
+        if not self.run.level.loop_depth and not self._least_statements.may_write(
             source, block, counter.statement.name, module
         ):
             rounds = counter.rounds * self._least_statements.minimum_of_round(source, block, module)

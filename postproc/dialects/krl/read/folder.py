@@ -59,11 +59,11 @@ class FolderFiles:
         """The `.src` files by the names, upper case, of their GLOBAL routines; all `.src` files are searched."""
         by_routine: dict[str, Path] = {}
         for path in (path for name, path in self.paths.items() if name.endswith(".SRC")):
-            for name in self.declared(path, scan.global_routines):
+            for name in self.declared_names(path, scan.global_routines):
                 by_routine.setdefault(name, path)
         return by_routine
 
-    def called(self, code: str, own_routines: Set[str] = frozenset()) -> set[Path]:
+    def called_files(self, code: str, own_routines: Set[str] = frozenset()) -> set[Path]:
         """Return the `.src` files whose routines some code may call.
 
         :param code: without comments.
@@ -81,7 +81,7 @@ class FolderFiles:
         while waiting:
             code = scan.without_comments(waiting.pop())
             yield code
-            new_paths = sorted(self.called(code) - visited_paths)
+            new_paths = sorted(self.called_files(code) - visited_paths)
             visited_paths.update(new_paths)
             for path in new_paths:
                 with suppress(ProgramError):  # what calls it says so
@@ -102,7 +102,7 @@ class FolderFiles:
                 f"cannot be read ({cause.strerror})", file=str(path), advice="Check its path, and that you may read it."
             ) from cause
 
-    def declared(self, path: Path, find: Callable[[str], frozenset[str]]) -> frozenset[str]:
+    def declared_names(self, path: Path, find: Callable[[str], frozenset[str]]) -> frozenset[str]:
         """Return the names that `find`, a function of `language.scan`, finds in a file; none if it cannot be read."""
         document = self._given.get(path.name.upper())
         if document is not None:
@@ -128,7 +128,7 @@ def called_files_with_motion(paths: Sequence[Path], search: Sequence[Path]) -> d
             code = scan.without_comments(decode(path.name, path.read_bytes()).text)
         except (OSError, ProgramError):  # what calls it says so
             return False, set()
-        return scan.has_motion(code), files.called(code)
+        return scan.has_motion(code), files.called_files(code)
 
     moving_files: dict[Path, set[Path]] = {}
     for path in paths:
@@ -186,7 +186,7 @@ class Library:
         self._modules: dict[Path, Module | None] = {}
         self._found: dict[str, Callee | None] = {}
 
-    def find(self, name: str, caller: Module) -> Callee | None:
+    def find_callee(self, name: str, caller: Module) -> Callee | None:
         """Return a routine and its module, as seen from the module that calls it; None if it is in no file."""
         routine = caller.routines.get(name)
         if routine is not None:
@@ -201,8 +201,8 @@ class Library:
             if file.endswith(".SUB") and (module := self._module(path)) is not None:
                 yield module
 
-    def found_routines(self) -> Iterator[Callee]:
-        """Yield the routines of other files that `find` has returned."""
+    def called_routines(self) -> Iterator[Callee]:
+        """Yield the routines of other files that `find_callee` has returned."""
         yield from (entry for entry in self._found.values() if entry is not None)
 
     def read_modules(self) -> Iterator[Module]:
@@ -216,7 +216,7 @@ class Library:
     def names(self) -> frozenset[str]:
         """Return the names of the programs and GLOBAL routines of all folders, upper case."""
         paths = (path for path in self.files.paths.values() if path.suffix.upper() != ".DAT")
-        return self.program_names().union(*(self.files.declared(path, scan.global_routines) for path in paths))
+        return self.program_names().union(*(self.files.declared_names(path, scan.global_routines) for path in paths))
 
     def users(self, routines: Collection[Routine]) -> Mapping[str, tuple[str, ...]]:
         """Return the programs that name routines but were not read: file of the routines → names of these programs."""
@@ -238,7 +238,7 @@ class Library:
         writer_names: dict[str, list[str]] = {}
         for file, path in self.files.paths.items() if names else ():
             if file.endswith(".SRC") and file not in read_files and path.stem.upper() not in _OF_THE_CONTROLLER:
-                for name in names & self.files.declared(path, scan.assigned_variables):
+                for name in names & self.files.declared_names(path, scan.assigned_variables):
                     writer_names.setdefault(name, []).append(path.name)
         return {name: tuple(sorted(writer_names[name])) for name in sorted(writer_names)}
 
@@ -248,7 +248,7 @@ class Library:
         The program's own routines come first, then the file of that name, then GLOBAL routines of other files.
         """
         program = self.program.routines.get(name)
-        if program is not None and (program.public or name == self.program.name):
+        if program is not None and (program.is_global or name == self.program.name):
             return Callee(self.program, program)
         path = self.files.paths.get(f"{name}.SRC")
         if path is not None:
@@ -257,7 +257,7 @@ class Library:
             if module is not None and routine is not None:
                 return Callee(module, routine)
         for file, path in self.files.paths.items():
-            if file.endswith(".SRC") and name in self.files.declared(path, scan.global_routines):
+            if file.endswith(".SRC") and name in self.files.declared_names(path, scan.global_routines):
                 module = self._module(path, name)
                 if module is not None and name in module.routines:
                     return Callee(module, module.routines[name])
@@ -326,7 +326,7 @@ def needed(
         links.follow(part)
     for text in data:
         links.follow_data(text)
-    return tuple(links.needed_file(name, moving) for name in sorted(links.called | links.used))
+    return tuple(links.needed_file(name, moving) for name in sorted(links.called_files | links.used_data))
 
 
 def text_of_lines(source: Source, lines: Iterable[int]) -> str:
@@ -352,16 +352,18 @@ def codes_of(module: Module) -> Iterator[Code]:
     module_names = frozenset() if module.data is None else frozenset().union(*declared_names(module.data))
     routine_names = frozenset(module.routines)
     for routine in module.routines.values():
-        yield Code(text_of_lines(routine.source, routine.others), module_names | routine.local, routine_names)
+        yield Code(
+            text_of_lines(routine.source, routine.other_lines), module_names | routine.local_names, routine_names
+        )
 
 
 class _Links:
     """Finds the files that code names, one through the other.
 
-    :ivar called: names, upper case, of files with called routines, and of the data lists of these.
-    :ivar used: names of data lists of which variables are used.
-    :ivar imported: those of these from which data lists import variables.
-    :ivar named: names of the GLOBAL variables that code names.
+    :ivar called_files: names, upper case, of files with called routines, and of the data lists of these.
+    :ivar used_data: names of data lists of which variables are used.
+    :ivar importing_data: those of these from which data lists import variables.
+    :ivar named_variables: names of the GLOBAL variables that code names.
     """
 
     def __init__(self, siblings: dict[str, Path], files: FolderFiles) -> None:
@@ -370,59 +372,59 @@ class _Links:
         :param siblings: other files of the folder of the program, by name, upper case.
         """
         self.siblings, self.files = siblings, files
-        self.called: set[str] = set()
-        self.used: set[str] = set()
-        self.named: set[str] = set()
-        self.imported: set[str] = set()
+        self.called_files: set[str] = set()
+        self.used_data: set[str] = set()
+        self.named_variables: set[str] = set()
+        self.importing_data: set[str] = set()
         self.variables: dict[str, set[str]] = {}
         for name, path in siblings.items():
-            for variable in files.declared(path, scan.global_variables) if name.endswith(".DAT") else ():
+            for variable in files.declared_names(path, scan.global_variables) if name.endswith(".DAT") else ():
                 self.variables.setdefault(variable, set()).add(name)
 
     def follow(self, code: Code) -> None:
         """Note the files that some code names, and those that these name."""
         text = scan.without_comments(code.text)
-        for path in sorted(self.files.called(text, code.routines)):
+        for path in sorted(self.files.called_files(text, code.routines)):
             name = f"{path.stem.upper()}.SRC"
-            if name in self.siblings and name not in self.called:
-                self.called.add(name)
+            if name in self.siblings and name not in self.called_files:
+                self.called_files.add(name)
                 self._follow_file(name)
         if self.variables:
             names = {occurrence.name for occurrence in occurrences(text, 0, len(text))}
             variable_names = (names & self.variables.keys()) - code.names
-            self.named |= variable_names
+            self.named_variables |= variable_names
             for name in sorted(variable_names):
                 self._note_data(self.variables[name])
 
     def follow_data(self, text: str) -> None:
         """Note the data lists from which a data list imports variables."""
         data_names = {name for stem in scan.imported_files(text) if (name := f"{stem}.DAT") in self.siblings}
-        self.imported |= data_names
+        self.importing_data |= data_names
         self._note_data(data_names)
 
     def needed_file(self, name: str, moving: Collection[str]) -> NeededFile:
         """Return a noted file as a file that the program needs."""
         path, source = self.siblings[name], self.siblings.get(f"{PurePath(name).stem}.SRC")
-        if name in self.called:
+        if name in self.called_files:
             uncorrected = name.endswith(".SRC") and scan.has_motion(scan.without_comments(self._text(path)))
             return NeededFile(str(path), moves=name in moving, uncorrected=uncorrected)
         if source is None or not self._moves(source):
             return NeededFile(str(path), moves=False)
-        variables = tuple(sorted(variable for variable in self.named if name in self.variables[variable]))
-        variables = () if name in self.imported else variables
+        variables = tuple(sorted(variable for variable in self.named_variables if name in self.variables[variable]))
+        variables = () if name in self.importing_data else variables
         return NeededFile(str(path), moves=False, program=source.name, variables=variables)
 
     def _note_data(self, names: Collection[str]) -> None:
         """Note data lists of which variables are used, and the data lists from which these import."""
-        for name in sorted(set(names) - self.used):
-            self.used.add(name)
+        for name in sorted(set(names) - self.used_data):
+            self.used_data.add(name)
             self.follow_data(self._text(self.siblings[name]))
 
     def _follow_file(self, name: str) -> None:
         """Note the `.dat` of a called file, and all files that the two name."""
         data = self.siblings.get(f"{PurePath(name).stem}.DAT")
         if data is not None:
-            self.called.add(data.name.upper())
+            self.called_files.add(data.name.upper())
             self.follow_data(self._text(data))
         try:
             module = module_of(

@@ -36,8 +36,8 @@ class Frames:
     :ivar bases: `$BASE` in the robot root, row 0 that of the cell.
     :ivar tools: `$TOOL` in the flange frame, row 0 that of the cell.
     :ivar tool_numbers: row of `tools` → n of each `TOOL_DATA[n]` that a program has put into `$TOOL` as that frame.
-    :ivar doubtful: `$BASE` or `$TOOL` where they were read as values though BAS(#INITMOV,0) had set them, and the cell
-        does not say to what.
+    :ivar is_initmov_open: True if the cell does not say to what BAS(#INITMOV,0) sets `$BASE` and `$TOOL`.
+    :ivar uncertain_names: those of `$BASE` and `$TOOL` that were read as values after such a call.
     """
 
     def __init__(self, variables: Variables, cell: Cell, reasons: Reasons) -> None:
@@ -46,8 +46,8 @@ class Frames:
         self.bases: list[Array] = [cell.base.pose()]
         self.tools: list[Array] = [cell.tool.pose()]
         self.tool_numbers: dict[int, set[int]] = {}
-        self.asks = cell.krl.initmov is None
-        self.doubtful: set[str] = set()
+        self.is_initmov_open = cell.krl.initmov is None
+        self.uncertain_names: set[str] = set()
         self._rows: dict[tuple[str, tuple[float, ...]], int] = {}
         self._folded: set[tuple[str, int]] = set()
 
@@ -77,9 +77,9 @@ class Frames:
             position = self._with_field(state, target, value)
         else:
             position = self.variables.position(value)
-        if position is None or position.axis:
+        if position is None or position.is_axis:
             return self.state_with_unknown_frame(state, name, place, why_unknown(self.variables, place.source, value))
-        if not position.complete:
+        if not position.is_complete:
             return self.state_with_unknown_frame(state, name, place, _missing_components(position))
         if position.largest_coordinate > LARGEST_COORDINATE:
             raise out_of_reach_error(place, position.largest_coordinate)
@@ -103,7 +103,7 @@ class Frames:
         """Return which of `$BASE` and `$TOOL` are frames of the cell though KUKA's #INITMOV would set others."""
         tool = self.variables.position(_array_element("TOOL_DATA", 1))
         kuka_frames = {"$BASE": Position((0.0,) * 6), "$TOOL": tool}
-        return {name for name in state.initial if not self._is_cell_frame(name, kuka_frames[name])}
+        return {name for name in state.initial_frames if not self._is_cell_frame(name, kuka_frames[name])}
 
     def _is_cell_frame(self, name: str, position: Position | None) -> bool:
         """Return whether a position equals `$BASE` or `$TOOL` of the cell."""
@@ -114,14 +114,14 @@ class Frames:
         """Return `$BASE` or `$TOOL` as a state has it, or a component of it; an `UnknownValue` if it is not known."""
         row, frames = (state.base, self.bases) if name == "$BASE" else (state.tool, self.tools)
         if row < 0:  # it holds the index of the reason, see `State.base`
-            return UnknownValue(why=self.reasons.errors[-1 - row].problem)
-        if self.asks and name in self.frames_of_cell(state):
-            self.doubtful.add(name)
+            return UnknownValue(reason=self.reasons.errors[-1 - row].problem)
+        if self.is_initmov_open and name in self.frames_of_cell(state):
+            self.uncertain_names.add(name)
         position = position_from_pose(frames[row])
         if field is None:
             return position
         if field in ANGLES and (name, row) in self._folded:
-            return UnknownValue(why=f"whether {field} is kept as it was given is in no source")
+            return UnknownValue(reason=f"whether {field} is kept as it was given is in no source")
         return component(position, field) if field in CARTESIAN else NO_VALUE
 
     def _with_field(self, state: State, target: Reference, value: Value | VariableValue) -> Position | None:
@@ -148,7 +148,7 @@ class Frames:
             if isinstance(value, UnknownValue) and value != NO_VALUE:
                 reason = value.message_for(key)
             return self.state_with_unknown_frame(state, name, place, reason)
-        if not position.complete:
+        if not position.is_complete:
             return self.state_with_unknown_frame(state, name, place, f"{_missing_components(position)} in {key}")
         state = self._with_frame(state, name, position)
         if name == "$TOOL" and (number := _ELEMENT.search(key)):

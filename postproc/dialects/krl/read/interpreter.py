@@ -63,8 +63,8 @@ class Interpreter:
 
     :param run: the program as far as it has run.
     :param motion: takes a motion of the program, or a line that begins or ends a spline block.
-    :param called: runs the routine that was called.
-    :param entered: inlines the call of a routine with motions in the trace; False if it does not.
+    :param run_routine: runs the routine that was called.
+    :param inline_call: follows the call of a routine with motions as part of the trace; returns False if it does not.
     """
 
     def __init__(
@@ -100,15 +100,15 @@ class Interpreter:
         """
         level, word = self.run.level, stmt.word
         if word in OPENING or word == "REPEAT":
-            level.open.append((word, place.line))
+            level.open_structures.append((word, place.line))
         elif word in _CLOSING:
-            if not level.open or level.open[-1][0] != _CLOSING[word]:
+            if not level.open_structures or level.open_structures[-1][0] != _CLOSING[word]:
                 raise place.error(
                     f"{word} without {_CLOSING[word]}", advice="Check that the control structure is complete."
                 )
-            level.open.pop()
+            level.open_structures.pop()
         elif isinstance(stmt, tree.Goto):
-            lines = [line for word, line in level.open if word in _CONDITIONS]
+            lines = [line for word, line in level.open_structures if word in _CONDITIONS]
             control = Place(place.source, lines[-1]) if lines else None
             raise place.error(*undecided_jump(self.run.variables, control))
         elif isinstance(stmt, tree.Return):
@@ -128,12 +128,12 @@ class Interpreter:
 
         :raises ProgramError: it is not understood, or not allowed here.
         """
-        if not stmt.complete:
+        if not stmt.is_complete:
             raise place.error("the statement is not understood", "Check its spelling.")
         self.follow_functions(place, stmt.values)
         if not self.run.is_traced:
             return
-        if stmt.word != "STOP" and not self.run.settings.state.block:
+        if stmt.word != "STOP" and not self.run.settings.state.spline_block:
             raise place.error(f"{stmt.word} outside of a spline block", "Write it between SPLINE and ENDSPLINE.")
         if stmt.word in _TRIGGER_WORDS:
             self.run.triggers.append(self.run.row)
@@ -145,12 +145,12 @@ class Interpreter:
         """
         level = self.run.level
         if not self.run.is_certain:
-            if not level.traced or len(self.run.stack) > 1:
+            if not level.is_traced or len(self.run.stack) > 1:
                 raise inexact_error(place, "it is not known whether it returns here")
             return
         if stmt.value is not None:
-            level.result = convert_to_type(self.calls.value(place, stmt.value), level.routine.result)
-        level.returned = level.returned or place.line
+            level.result = convert_to_type(self.calls.evaluate_with_calls(place, stmt.value), level.routine.result_type)
+        level.return_line = level.return_line or place.line
 
     def _follow_control_head(self, place: Place, stmt: tree.Statement) -> None:
         """Follow the functions in the head of a control structure; the counter of a FOR becomes unknown."""
@@ -192,7 +192,7 @@ class Interpreter:
             row = self.run.row if self.run.is_traced and self.run.has_rows else 0
             names = declare_variables(self.run.variables, place.source, stmt, row)
             if self.run.is_traced:
-                self.run.understand(*(declarator.at for declarator in names))
+                self.run.understand(*(declarator.name_start for declarator in names))
         elif stmt.word == "EXIT":
             self._check_exit(place)
         elif isinstance(stmt, tree.IdleDeclaration):
@@ -210,8 +210,8 @@ class Interpreter:
         :raises InexactError: it is in a control structure of a followed loop, whose condition is not known.
         """
         level = self.run.level
-        if level.loops and not any(word in LOOPS for word, _ in level.open):
-            word, line = level.open[-1]
+        if level.loop_depth and not any(word in LOOPS for word, _ in level.open_structures):
+            word, line = level.open_structures[-1]
             reason = why_not_decided(self.run.variables, place.source, statement(place.source, line).values)
             problem = "it is not known before the program runs whether the loop is left here: "
             raise inexact_error(
@@ -236,7 +236,7 @@ class Interpreter:
         if self.run.is_certain:
             self.run.settings.change_state(self.run.row, state)
         else:
-            word, open_line = self.run.level.open[-1]
+            word, open_line = self.run.level.open_structures[-1]
             problem = f"what motions depend on is changed inside {word} ({Place(place.source, open_line)})"
             self.run.settings.may_become(self.run.row, state, place.error(problem, SETTING_ADVICE))
 
@@ -252,7 +252,7 @@ class Interpreter:
             return
         old_key = self.run.variables.key_of(target)
         is_copied = target.field is None and self.run.is_traced and place.source is self.run.routine.source
-        value = self.calls.value(place, expression, is_copied=is_copied)
+        value = self.calls.evaluate_with_calls(place, expression, is_copied=is_copied)
         if (
             name in _SUPERPOSED_MOTIONS
             and target.field == "MODE"
@@ -277,7 +277,9 @@ class Interpreter:
             return
         else:
             # an UnknownValue that does not say by itself why the value is not known
-            needs_reason = isinstance(value, UnknownValue) and not (value.where if value.why else target.field is None)
+            needs_reason = isinstance(value, UnknownValue) and not (
+                value.change_place if value.reason else target.field is None
+            )
             if value == NO_VALUE or needs_reason:
                 value = UnknownValue(str(place), why_unknown(self.run.variables, place.source, expression))
             if target.field is None:
@@ -310,13 +312,13 @@ class Interpreter:
         value: Value | VariableValue = expression
         if isinstance(expression, UnreadableText):
             raise expression.error
-        if isinstance(expression, OpaqueText) and expression.rest >= 0:
+        if isinstance(expression, OpaqueText) and expression.excess_start >= 0:
             raise place.error(
-                f"{place.source.text[expression.rest : expression.stop].strip()!r} is not understood",
+                f"{place.source.text[expression.excess_start : expression.stop].strip()!r} is not understood",
                 advice="Check its spelling.",
             )
         if isinstance(expression, Call) or calls([expression]):
-            result = self.calls.value(place, expression)
+            result = self.calls.evaluate_with_calls(place, expression)
             if isinstance(expression, Call) and not isinstance(result, UnknownValue):
                 value = result
         self._change_state(
@@ -335,5 +337,5 @@ class Interpreter:
         if effects.motion is not None:
             raise place.error(f"{event.word} moves the robot ({effects.motion})", IN_ORDER)
         self.calls.note_lasting_effects(place, event.word, effects, f"{event.word} in {place}")
-        if event.public or place.source is self.run.routine.source:
-            self.run.resumed = self.run.resumed or effects.resumes
+        if event.is_global or place.source is self.run.routine.source:
+            self.run.resume_place = self.run.resume_place or effects.resume

@@ -46,9 +46,9 @@ def _absent_program_warnings(main: MainRoutine) -> Iterator[Issue]:
 
     :raises ProgramError: one is known to move the robot.
     """
-    global_names = sorted(main.run.variables.used & main.run.variables.public)
+    global_names = sorted(main.run.variables.used_names & main.run.variables.global_names)
     points = f", nor the GLOBAL {first_of(global_names, _MOST_NAMES)}" if global_names else ""
-    for name, line in main.run.absent:
+    for name, line in main.run.absent_calls:
         if name.upper() in BY_SENSOR:
             raise main.run.routine.source.line_error(
                 f"{name}() moves the robot by what a sensor says: the path is not known",
@@ -68,7 +68,7 @@ def _uncalled_routine_warnings(main: MainRoutine) -> Iterator[Issue]:
     """Yield a warning for each routine of the program that has motions and is not called."""
     program = main.run.library.program
     for routine in program.routines.values():
-        if routine is main.run.routine or routine in main.run.reached:
+        if routine is main.run.routine or routine in main.run.called_routines:
             continue
         motion = main.run.analysis.effects_of(program, routine).motion
         if motion is None or motion.source is not main.run.routine.source:
@@ -83,13 +83,13 @@ def _uncalled_routine_warnings(main: MainRoutine) -> Iterator[Issue]:
 
 def _unreachable_motion_warnings(main: MainRoutine) -> Iterator[Issue]:
     """Yield a warning if motions of the main routine never run because of its RETURN."""
-    routine, source, end = main.run.routine, main.run.routine.source, main.run.level.returned
-    if not end or main.course.live is None or not isinstance(statement(source, end), Return):
+    routine, source, end = main.run.routine, main.run.routine.source, main.run.level.return_line
+    if not end or main.course.may_run is None or not isinstance(statement(source, end), Return):
         return
-    motion_lines = [line for line in routine.others if line > end and isinstance(statement(source, line), Motion)]
-    lines = np.sort([*routine.plain[routine.plain > end].tolist(), *motion_lines]).astype(np.int64)
+    motion_lines = [line for line in routine.other_lines if line > end and isinstance(statement(source, line), Motion)]
+    lines = np.sort([*routine.motion_lines[routine.motion_lines > end].tolist(), *motion_lines]).astype(np.int64)
     rows, index = main.course.rows_of(source, lines)
-    lines = np.delete(lines, index[main.course.live[rows - 1]])
+    lines = np.delete(lines, index[main.course.may_run[rows - 1]])
     if len(lines):
         message = f"Motions are never reached, because of RETURN (line {end}); they are left as they are."
         yield Issue("warning", "never-reached", message, int(lines[0]), subject=routine.name, count=len(lines))
@@ -98,7 +98,7 @@ def _unreachable_motion_warnings(main: MainRoutine) -> Iterator[Issue]:
 def _changed_variable_warnings(main: MainRoutine) -> Iterator[Issue]:
     """Yield a warning if other programs change GLOBAL variables on which motions depend."""
     variables = main.run.variables
-    writers = main.run.library.writers((variables.used & variables.public) - variables.changed.keys())
+    writers = main.run.library.writers((variables.used_names & variables.global_names) - variables.change_places.keys())
     if not writers:
         return
     names = first_of([f"{name} ({', '.join(files[:_MOST_FILES])})" for name, files in writers.items()], _MOST_NAMES)
@@ -114,11 +114,11 @@ def _initial_frame_warnings(
 ) -> Iterator[Issue]:
     """Yield a warning for `$BASE` and `$TOOL` if they are frames of the cell only because no statement sets them."""
     axis = np.zeros(len(rows), dtype=np.bool_)
-    axis[[row for row, move in layout.statements.items() if move.end.position.axis]] = True
+    axis[[row for row, move in layout.statements.items() if move.end.position.is_axis]] = True
     for name, table in (("$BASE", "[base]"), ("$TOOL", "[tool]")):
         is_assumed = np.array([name in main.run.settings.assumed_frames(s) for s in states])
         affected_rows = np.flatnonzero(is_assumed[state] & ~axis)
-        if not len(affected_rows) and name not in main.run.settings.frames.doubtful:
+        if not len(affected_rows) and name not in main.run.settings.frames.uncertain_names:
             continue
         kuka_frame = "BASE(0), that is $ROBROOT" if name == "$BASE" else "TOOL_DATA[1]"
         message = (
@@ -143,8 +143,8 @@ def refuse_routines_with_force_comments(run: Run) -> None:
 
     :raises ProgramError: there is one; it names the statement that cannot be followed.
     """
-    for call in run.moved:
-        force = run.analysis.effects_of(call.module, call.routine).force
+    for call in run.untraced_calls:
+        force = run.analysis.effects_of(call.module, call.routine).force_comment
         if force is not None and run.analysis.may_carry_force(call.module, call.routine):
             raise _uncorrected_error(run, call, f": it contains a force comment ({force})")
 
@@ -155,7 +155,7 @@ def refuse_routines_under_force(run: Run, notes: Sequence[tuple[int, ForceNote]]
     :param notes: force comments of the trace, by its lines.
     :raises ProgramError: there is one; it names the statement that cannot be followed.
     """
-    for call in run.moved:
+    for call in run.untraced_calls:
         acting_notes = [note for line, note in notes if line < call.row][-1:]
         if acting_notes and any(acting_notes[0].wrench) and run.analysis.may_carry_force(call.module, call.routine):
             raise _uncorrected_error(run, call, ": a force comment holds there")
@@ -165,7 +165,7 @@ def unfollowed_calls(run: Run) -> tuple[UnfollowedCall, ...]:
     """Return the calls of routines that are not followed and that may move under force."""
     return tuple(
         UnfollowedCall(run.trace.shown_line(call.row), _uncorrected_error(run, call))
-        for call in run.moved
+        for call in run.untraced_calls
         if run.analysis.may_carry_force(call.module, call.routine)
     )
 

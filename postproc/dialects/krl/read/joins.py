@@ -105,7 +105,7 @@ class _Successors:
     def _is_complete_join(self, number: int) -> bool:
         """Return whether a step is a join of which one branch always runs, as those of an IF with ELSE do."""
         join = self.steps[number]
-        return isinstance(join, Join) and join.complete
+        return isinstance(join, Join) and join.is_exhaustive
 
     def _branches_and_join(self, number: int) -> tuple[list[int], int]:
         """Return the numbers of the branches after a step and of the join that ends them.
@@ -138,7 +138,7 @@ class _Successors:
 def _is_ptp_to_joints(sequence: OrderedMotions, row: int) -> bool:
     """Return whether a motion is an absolute PTP to six joint angles, which ends in one pose wherever it starts."""
     move = sequence.moves.get(row)
-    return move is not None and not move.relative and move.end.position.axis and move.end.position.complete
+    return move is not None and not move.relative_axes and move.end.position.is_axis and move.end.position.is_complete
 
 
 def _first_ambiguous_ptp(sequence: OrderedMotions, rows: slice) -> int:
@@ -239,7 +239,7 @@ def _joined_ends(
             open_forks.append(_OpenFork(fork, entry, [*ends, previous_row] if is_begun else ends, is_begun=True))
             previous_row = entry
         else:
-            ends = [*ends, previous_row, *([] if step.complete else [entry])]
+            ends = [*ends, previous_row, *([] if step.is_exhaustive else [entry])]
             joins.append((step, JoinedEnds(fork, tuple(sorted(set(ends))))))
             previous_row = min(ends)
     run_to(count)
@@ -304,12 +304,12 @@ def transitions(
             open_forks.append((entries, branch_ends, True))
             ends = entries
         else:
-            branch_ends = branch_ends if step.complete else branch_ends | entries
+            branch_ends = branch_ends if step.is_exhaustive else branch_ends | entries
             ends = branch_ends if step in unchecked_joins else {min(branch_ends)}
     run_to(len(line))
     loop = course.endless_loop
     if loop is not None and max(kept_lines, default=0) < max(line, default=0):
-        first, stop = np.searchsorted(line, [loop.first, loop.last]).tolist()
+        first, stop = np.searchsorted(line, [loop.first, loop.stop]).tolist()
         rows = first + np.flatnonzero(previous_rows[first:stop] == previous_rows[first : first + 1])
         for row in rows[previous_rows[rows] != rows].tolist():
             further_transitions.extend((row, end) for end in sorted(ends) if end != previous_rows[row])
@@ -366,11 +366,11 @@ def _raise_combined(faults: Sequence[BranchError]) -> None:
 def _start_dependence(sequence: OrderedMotions, row: int) -> str:
     """Return why a motion depends on more than its start pose, as text for a message."""
     kind, move = int(sequence.rows.kind[row]), sequence.moves.get(row)
-    if kind != PTP and sequence.states[sequence.state[row]].orientation == CONSTANT:
+    if kind != PTP and sequence.states[sequence.state_index[row]].orientation == CONSTANT:
         return "$ORI_TYPE=#CONSTANT keeps the orientation"
     if kind == SPL:
         return "there is an SPL"
-    if move is not None and move.relative:
+    if move is not None and move.relative_axes:
         return "there is a relative motion"
     if move is not None and move.angle is not None:
         return "there is a circle with CA"
@@ -413,12 +413,12 @@ def check_endless_loop(
     :param settings: settings in force, by line.
     :raises ProgramError: an iteration ends in another pose, with other settings or under another force than it began.
     """
-    first, stop = np.searchsorted(line, [loop.first, loop.last]).tolist()
+    first, stop = np.searchsorted(line, [loop.first, loop.stop]).tolist()
     if first < stop:
         problem = _pose_difference(first, stop - 1, motions, start, carriage)
         if problem:
             raise _loop_error(course, loop, f"its round ends {problem}", _LOOP_ADVICE)
-        begin_settings, end_settings = settings_at(settings, np.array([loop.first, loop.last]))
+        begin_settings, end_settings = settings_at(settings, np.array([loop.first, loop.stop]))
         if begin_settings[0] != end_settings[0] or not all(
             np.array_equal(begin_value, end_value)
             for begin_value, end_value in zip(begin_settings[1:], end_settings[1:], strict=True)
@@ -467,7 +467,7 @@ def start_poses(
     :param predecessors: (M,) the motion at whose end each begins; None: the one before it.
     """
     count = len(motions)
-    first, stop = np.searchsorted(line, [loop.first, loop.last]).tolist()
+    first, stop = np.searchsorted(line, [loop.first, loop.stop]).tolist()
     rows = np.append(np.arange(count), min(first, count - 1))  # any motion, if the loop has none
     all_predecessors = np.append(np.arange(count) - 1 if predecessors is None else predecessors, stop - 1)
     return Starts.of(
@@ -486,7 +486,7 @@ def _check_force(course: Course, loop: UnrolledLoop, line: int, notes: Sequence[
     """
     if any(loop.first <= note_line <= line for note_line, _ in notes):
         return
-    acting_notes = [[note for note_line, note in notes if note_line < limit][-1:] for limit in (loop.first, loop.last)]
+    acting_notes = [[note for note_line, note in notes if note_line < limit][-1:] for limit in (loop.first, loop.stop)]
     begin, end = ([(note.wrench, note.frame) for note in group if any(note.wrench)] for group in acting_notes)
     if begin != end:
         raise _loop_error(course, loop, "its round ends under another force than it began with", _FORCE_ADVICE)

@@ -20,19 +20,20 @@ from postproc.errors import ProgramError
 class UnknownValue(Struct, frozen=True):
     """A variable whose value is not known before run time.
 
-    :param where: what changes it, as text for a message; empty if it has no value at all.
-    :param why: why the value that it is set to there is not known.
+    :param change_place: what changes it, as text for a message; empty if it has no value at all.
+    :param reason: why the value that it is set to there is not known.
     """
 
-    where: str = ""
-    why: str = ""
+    change_place: str = ""
+    reason: str = ""
 
     def message_for(self, name: str) -> str:
         """Return the part of a message that says that a variable has no known value, and why."""
-        if self.why:
-            return f"{name} is set to a value that is not known ({': '.join(filter(None, (self.where, self.why)))})"
-        if self.where:
-            return f"{name} is changed while the program runs ({self.where})"
+        if self.reason:
+            place_and_reason = ": ".join(filter(None, (self.change_place, self.reason)))
+            return f"{name} is set to a value that is not known ({place_and_reason})"
+        if self.change_place:
+            return f"{name} is changed while the program runs ({self.change_place})"
         return f"{name} has no value in the program, its .dat, the $config.dat or [krl.values] of the cell"
 
 
@@ -70,23 +71,25 @@ class UnparsedValue(Struct, frozen=True):
 class Scope(Struct, frozen=True):
     """Resolves names to variables.
 
-    :param local: local names of the routine → stored names.
-    :param arrays: names of its parameters that are whole arrays of the caller: `local` has the names of these.
-    :param own: names of the routine's module, or names of the main program that the routine does not see.
-    :param prefix: stored before the names in `own`.
+    :param local_names: local names of the routine → stored names.
+    :param prefixed_names: names that are stored with the prefix: those of the routine's module, or those of the main
+        program that the routine does not see.
+    :param prefix: put before these names.
+    :param array_names: names of its parameters that are whole arrays of the caller; `local_names` has the stored names
+        of these arrays.
     """
 
-    local: Mapping[str, str] = field(default_factory=dict)
-    own: frozenset[str] = frozenset()
+    local_names: Mapping[str, str] = field(default_factory=dict)
+    prefixed_names: frozenset[str] = frozenset()
     prefix: str = ""
-    arrays: frozenset[str] = frozenset()
+    array_names: frozenset[str] = frozenset()
 
     def stored_name(self, name: str) -> str:
         """Return the name under which a variable (upper case) is stored; variables of other scopes have other names."""
         if name[0] == "$":
             return name  # variables of the controller: no file declares its own
-        local = self.local.get(name)
-        return local if local is not None else self.prefix + name if name in self.own else name
+        local = self.local_names.get(name)
+        return local if local is not None else self.prefix + name if name in self.prefixed_names else name
 
 
 def stored_originals(imported: Import) -> tuple[str, str]:

@@ -64,7 +64,7 @@ class LeastStatements:
             if isinstance(stmt, For) and stmt.name == name:
                 return True
             for call in calls(stmt.values):
-                callee = self.run.library.find(call.name, module)
+                callee = self.run.library.find_callee(call.name, module)
                 call_text = source.text[call.start : call.stop].upper()
                 if name in call_text or callee is None:
                     return True
@@ -89,7 +89,7 @@ class LeastStatements:
             if isinstance(stmt, Return | Goto) or stmt.word in ENDS_LOOPS:
                 break
             call = self._certain_call(source, node)
-            callee = None if call is None else self.run.library.find(call.name, module)
+            callee = None if call is None else self.run.library.find_callee(call.name, module)
             count += 1 if callee is None else 1 + self.minimum_of_call(*callee)
         return count
 

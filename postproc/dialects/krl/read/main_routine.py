@@ -60,7 +60,7 @@ _INSTRUCTIONS = MOTION_WORDS | RESERVED | {"BAS"}
 class Start(Struct, frozen=True, eq=False):
     """What a program begins with.
 
-    :param obstacles: see `Run.elsewhere`.
+    :param obstacles: see `Run.obstacles`.
     :param variables: as they are before it.
     :param joints: angles at the start [deg].
     """
@@ -80,7 +80,7 @@ class Start(Struct, frozen=True, eq=False):
         """
         settings = Settings(self.variables.copy_for_run(), self.cell)
         run = Run(self.library, self.main, settings, trace or Trace.of(self.main.source), has_rows=has_rows)
-        run.elsewhere = self.obstacles
+        run.obstacles = self.obstacles
         return CollectedMotions(run, MotionReader(settings, self.joints))
 
 
@@ -109,7 +109,7 @@ def _course(start: Start, *, collects: bool) -> tuple[Course, CollectedMotions |
     collected = start.collected(has_rows=collects)
     run, settings = collected.run, collected.run.settings
     reserved_names = library.program_names() if settings.cell.output.lines_per_file else frozenset[str]()
-    lines, free_settings = _split_plain_settings(main.source, main.others, main.settings)
+    lines, free_settings = _split_plain_settings(main.source, main.other_lines, main.setting_lines)
     nodes = checked_nodes(main.source, nodes_of(main.source, lines))
     settings.follows_numbers = len(free_settings) <= _MOST_SETTINGS  # else plain ones are no statements here
     run.is_final = collects and settings.follows_numbers
@@ -129,22 +129,22 @@ def _course(start: Start, *, collects: bool) -> tuple[Course, CollectedMotions |
     if not _returns_early(main) and not any(flow.belongs_in_trace(main.source, node) for node in control):
         body = Body(main.first + 1, main.last)
         steps = (Lines(main.first + 1, main.last - 1),)
-        return Course(main, run.trace, steps, body, taken=reserved_names), None
+        return Course(main, run.trace, steps, body, used_names=reserved_names), None
     if settings.follows_numbers and len(free_settings):
-        nodes = nodes_of(main.source, main.lines)
+        nodes = nodes_of(main.source, main.statement_lines)
     _note_submit_programs(run)
     flow.follow(main.source, nodes)
-    if run.level.jump:
-        raise _jump_error(main, flow, run.level.jump)
-    if not run.level.returned:
+    if run.level.jump_line:
+        raise _jump_error(main, flow, run.level.jump_line)
+    if not run.level.return_line:
         recorder.record_run_lines(main.last - 1)
     recorder.record_passed_lines(main.last - 1, live=False)
-    course = replace(recorder.course(run.unfollowed), taken=reserved_names)
-    foreign_routines = {routine for routine in course.inlined if routine.source is not main.source}
+    course = replace(recorder.course(run.unfollowed_routines), used_names=reserved_names)
+    foreign_routines = {routine for routine in course.inlined_routines if routine.source is not main.source}
     if foreign_routines:
-        course = replace(course, taken=library.names(), users=library.users(foreign_routines))
+        course = replace(course, used_names=library.names(), other_callers=library.users(foreign_routines))
     is_complete = run.is_final and recorder.is_final and not settings.lacked_numbers
-    if not is_complete or fault_of(main.name) or collected.splines.open is not None or run.level.open:
+    if not is_complete or fault_of(main.name) or collected.splines.open_block is not None or run.level.open_structures:
         return course, None
     run.trace, run.shown_line = course.trace, 0
     return course, collected
@@ -154,7 +154,7 @@ def _jump_error(main: Routine, flow: Flow, line: int) -> ProgramError:
     """Return the error that the label of a GOTO on a line cannot be reached."""
     label = flow.label_of(main.source, line)
     problem = f"there is no label {label} in {main.name}"
-    if label in flow.labels(main.source, main.others):
+    if label in flow.labels(main.source, main.other_lines):
         problem = f"the label {label} precedes GOTO, or is in a control structure that GOTO is not in"
     return main.source.line_error(problem, line, JUMP_ADVICE)
 
@@ -167,8 +167,8 @@ def _may_leave_line(main: Routine, line: int) -> bool:
 
 def _returns_early(main: Routine) -> bool:
     """Return whether RETURN may end the main routine before its last statement."""
-    last = max([*main.others[-1:], *main.plain[-1:].tolist()], default=0)
-    return any(line < last and isinstance(statement(main.source, line), Return) for line in main.others)
+    last = max([*main.other_lines[-1:], *main.motion_lines[-1:].tolist()], default=0)
+    return any(line < last and isinstance(statement(main.source, line), Return) for line in main.other_lines)
 
 
 def _note_submit_programs(run: Run) -> None:
@@ -176,7 +176,7 @@ def _note_submit_programs(run: Run) -> None:
     for module in run.library.submit_programs():
         for routine in module.routines.values():
             effects = run.analysis.effects_of(module, routine)
-            run.note_possible_changes(effects.writes | effects.anytime, f"the submit program {module.name}")
+            run.note_possible_changes(effects.writes | effects.volatile_writes, f"the submit program {module.name}")
 
 
 class MainRoutine:
@@ -186,7 +186,7 @@ class MainRoutine:
     :ivar run: the program as far as it has run.
     :ivar motions: those of the course, in order.
     :ivar rounds: those of loops over the points of an array, read in bulk.
-    :ivar still: lines of motions to where the robot is already.
+    :ivar idle_rows: lines of motions to where the robot is already.
     :ivar splines: the spline blocks.
     """
 
@@ -195,7 +195,7 @@ class MainRoutine:
         self.course = course
         self.run, self.reader = collected.run, collected.reader
         self._collected = collected
-        self.motions, self.still, self.splines = collected.motions, collected.still, collected.splines
+        self.motions, self.idle_rows, self.splines = collected.motions, collected.idle_rows, collected.splines
         self._flow = Flow(self.run, self._take_motion, self._note_fault)
         self._errors: list[ProgramError] = []
         self._broken: set[str] = set()
@@ -226,7 +226,7 @@ class MainRoutine:
     @cached_property
     def _lines(self) -> Sequence[int]:
         """The lines that have code and are neither plain nor in plain rounds."""
-        return self.run.routine.others if self.course.is_straight else self._lines_outside_rounds()
+        return self.run.routine.other_lines if self.course.is_straight else self._lines_outside_rounds()
 
     def follow(self, faults: Sequence[ProgramError]) -> None:
         """Run the statements of the execution trace in order: collect motions, settings and errors.
@@ -255,14 +255,14 @@ class MainRoutine:
             if len(self._errors) > MAX_ERRORS:
                 break
         errors = self._errors
-        if self.splines.open is not None and not errors:
+        if self.splines.open_block is not None and not errors:
             errors.append(
-                self.splines.open.place.error(
+                self.splines.open_block.place.error(
                     "the spline block is not closed", advice="Write ENDSPLINE behind its last motion."
                 )
             )
-        if run.level.open and not errors:
-            word, open_line = run.level.open[-1]
+        if run.level.open_structures and not errors:
+            word, open_line = run.level.open_structures[-1]
             errors.append(
                 run.routine.source.line_error(f"{word} is not closed", open_line, "Check that the file is complete.")
             )
@@ -290,7 +290,9 @@ class MainRoutine:
                     is_free_line[free_lines] = True
         settings = self._settings
         is_free = is_free_line[settings.line]
-        self.run.settings.coming = PlainAssignments(PlainSettings(settings.line[is_free], settings.values[:, is_free]))
+        self.run.settings.plain_assignments = PlainAssignments(
+            PlainSettings(settings.line[is_free], settings.values[:, is_free])
+        )
         return step_lines
 
     def _run_step(self, step: Lines, lines: Sequence[int]) -> None:
@@ -313,7 +315,7 @@ class MainRoutine:
                 self._follow_rounds(node)
                 continue
             self._follow_node(node)
-            if run.level.returned:
+            if run.level.return_line:
                 return
         run.settings.come_to(step.last + 1)
 
@@ -337,7 +339,7 @@ class MainRoutine:
             return
         element_motions, settings = columns
         self.rounds += element_motions
-        run.settings.coming.insert(settings)
+        run.settings.plain_assignments.insert(settings)
         trigger_rows, count = [rounds.rows_of_statement(line) for line in rounds.body.triggers], len(run.triggers)
         end_rows = [rounds.first, rounds.stop_row - rounds.length, *(rows[-1] for rows in trigger_rows)]
         self._follow_lines(np.array(end_rows), rounds)
@@ -352,7 +354,7 @@ class MainRoutine:
         row = node.first if isinstance(node, Block) else node
         place = self.run.come_to(row)
         if number is None:
-            number = self.course.counts.get(row)
+            number = self.course.count_of_row.get(row)
         if number is None:
             self._flow.follow(place.source, (node.shifted(-self.run.shift) if isinstance(node, Block) else place.line,))
             self.run.level.is_left = False  # the next row is the one that runs behind EXIT
@@ -408,7 +410,7 @@ class MainRoutine:
 
     def are_in_one_block(self, first: int, last: int) -> bool:
         """Return whether no spline block ends between two lines."""
-        return not any(first < line < last for line in self.splines.ended)
+        return not any(first < line < last for line in self.splines.end_rows)
 
     def contain_only_comments(self, first: int, last: int) -> bool:
         """Return whether the rows first … last of the trace contain nothing but comments and TRIGGERs."""
@@ -437,7 +439,7 @@ class MainRoutine:
         elif isinstance(step, Branch):
             self.run.begin_branch()
         else:
-            self.run.join_branches(self.run.trace.place(step.row), complete=step.complete)
+            self.run.join_branches(self.run.trace.place(step.row), complete=step.is_exhaustive)
 
     def _pass_structure(self, step: UnresolvedStructure) -> None:
         """Pass over a control structure whose branch taken is not known.
@@ -452,8 +454,8 @@ class MainRoutine:
                 self._flow.follow_roughly(place.source, node.shifted(-run.shift))
         moving = self._moving
         moving = moving[np.searchsorted(moving, step.first) : np.searchsorted(moving, step.last, "right")]
-        run.unresolved += [(line, step.why) for line in moving.tolist()]
-        run.unresolved = [*dict(run.unresolved).items()]
+        run.unresolved_motions += [(line, step.why) for line in moving.tolist()]
+        run.unresolved_motions = [*dict(run.unresolved_motions).items()]
 
     def _note_fault(self, place: Place, cause: ProgramError) -> None:
         """Note an error of a statement, unless it names a variable whose own statement had an error."""

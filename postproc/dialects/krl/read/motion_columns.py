@@ -28,7 +28,8 @@ class MotionColumns(Columns, frozen=True, eq=False):
     :param kind: (R,) `LIN`, `CIRC` or `PTP`.
     :param numbers: (R, 6) X, Y, Z [mm], A, B, C [deg] as the text gives them; NaN where missing.
     :param external: (R, 6) E1…E6, likewise; `posture` (R, 2) S and T, −1 where missing.
-    :param within: (R, 8, 2) spans of the texts of X…T within the target; 0 where missing. In as few bytes as they need.
+    :param relative_spans: (R, 8, 2) spans of the texts of X…T, counted from the start of the target, in as few bytes as
+        they need; 0 where missing.
     :param keyword: (R,) offset of the instruction.
     :param target: (R, 2) span of the target.
     :param tail: (R, 2) span of what follows it: approximation, WITH.
@@ -43,7 +44,7 @@ class MotionColumns(Columns, frozen=True, eq=False):
     numbers: Array
     posture: Ints
     external: Array
-    within: NDArray[np.unsignedinteger[Any]]
+    relative_spans: NDArray[np.unsignedinteger[Any]]
     keyword: Offsets
     target: Offsets
     tail: Offsets
@@ -81,7 +82,7 @@ class MotionCollector:
 
     def add(self, move: MotionStatement, state: State) -> None:
         """Add the next statement, and the state in force for it."""
-        if not move.plain:
+        if not move.is_plain:
             self.special.append((len(self.states), move))
         self.states.append(state)
         self._waiting.append(move)
@@ -114,18 +115,18 @@ def _columns_of(moves: Sequence[MotionStatement]) -> MotionColumns:
         via, via_spans, via_target = via.copy(), via_spans.copy(), via_target.copy()
     for row, move in enumerate(moves):
         position = move.end.position
-        if not position.axis and not move.relative:
+        if not position.is_axis and not move.relative_axes:
             numbers[row] = position.values
         if position.external:
             external[row] = position.external
-        if move.plain and position.aggregate is not None:
+        if move.is_plain and position.aggregate is not None:
             for column, name in enumerate(COLUMNS):
                 item = position.aggregate.items.get(name)
                 if isinstance(item, Number):
                     component_spans[row, column] = item.start - move.end.start, item.stop - move.end.start
         if move.via is not None:
             via[row] = move.via.position.values[:3]
-            if move.plain and move.via.position.aggregate is not None:
+            if move.is_plain and move.via.position.aggregate is not None:
                 via_target[row] = move.via.start, move.via.stop
                 items = move.via.position.aggregate.items
                 via_spans[row] = [(items[name].start, items[name].stop) for name in COLUMNS[:3]]
@@ -140,7 +141,7 @@ def _columns_of(moves: Sequence[MotionStatement]) -> MotionColumns:
         narrow_integers(component_spans),
         _offsets([move.keyword[0] for move in moves]),
         _offsets([(move.end.start, move.end.stop) for move in moves]).reshape(-1, 2),
-        _offsets([(move.tail, move.stop) for move in moves]).reshape(-1, 2),
+        _offsets([(move.tail_start, move.stop) for move in moves]).reshape(-1, 2),
         np.array([move.approximated for move in moves], dtype=np.bool_),
         via,
         via_spans,

@@ -117,12 +117,12 @@ class MotionReader:
         self._check_axis_target(place, motion.word, kind, end, via)
         try:
             self.settings.refuse_uncertain(
-                state, fields_used(kind, axis=end.position.axis, is_approximated=is_approximated)
+                state, fields_used(kind, axis=end.position.is_axis, is_approximated=is_approximated)
             )
         except ProgramError as cause:
             raise unresolved_error(cause) from None
         keyword = (motion.start, motion.start + len(motion.word))
-        frame_span = None if motion.frame_behind is None else (motion.frame_behind.start, motion.frame_behind.stop)
+        frame_span = None if motion.frame_span is None else (motion.frame_span.start, motion.frame_span.stop)
         tail = motion.tail
         move = MotionStatement(
             row, kind, keyword, end, relative, via, angle, tail.start, tail.stop, is_approximated, frame_span
@@ -135,7 +135,7 @@ class MotionReader:
         :raises ProgramError: its WITH or its approximation is not understood.
         """
         state, _ = self.tail_settings(place, LIN, spline.tail)
-        return replace(state, block=spline.word)
+        return replace(state, spline_block=spline.word)
 
     def _point(self, place: Place, value: Value, name_offsets: list[int], row: int) -> Point | None:
         """Return a point of a motion; None if it is the present robot position.
@@ -159,7 +159,7 @@ class MotionReader:
             raise unresolved_error(self._explained(source, value, cause)) from None
         if position is None and name in _HOME and self.variables.evaluate(value) == NO_VALUE:
             self.home_used = self.home_used or row
-            position = Position(self.home, axis=True)
+            position = Position(self.home, is_axis=True)
         if position is None:
             reason = why_unknown(self.variables, source, value)
             raise unresolved_error(place.error(f"the target is not known: {reason}", RUN_TIME_ADVICE))
@@ -193,7 +193,7 @@ class MotionReader:
 
         :raises ProgramError: there are such.
         """
-        if kind != PTP and (end.position.axis or (via and via.position.axis)):
+        if kind != PTP and (end.position.is_axis or (via and via.position.is_axis)):
             raise place.error(f"{word} to axis angles", "Write a Cartesian target, or use PTP.")
 
     def _check_values_beside_with(self, place: Place, subject: str, value: Value | None) -> None:
@@ -219,9 +219,9 @@ class MotionReader:
         text, state = place.source.text, self.settings.state
         if tail.error is not None:
             raise tail.error
-        if tail.rest is not None:
-            raise place.error(f"{tail.rest.of(text)!r} is not understood", advice="Check its spelling.")
-        for item in tail.given:
+        if tail.unknown_text is not None:
+            raise place.error(f"{tail.unknown_text.of(text)!r} is not understood", advice="Check its spelling.")
+        for item in tail.assignments:
             if not isinstance(item, Assignment):
                 raise place.error(f"{text[item.start : item.stop]!r} is not understood", advice="Check its spelling.")
             if item.target.name in RELEVANT:

@@ -51,7 +51,7 @@ class OrderedMotions(NamedTuple):
 
     :param rows: (R,) motions.
     :param states: all states that are in force anywhere.
-    :param state: (R,) which of them.
+    :param state_index: (R,) which of them.
     :param numbers: (R, 2) of these, speed and distance of approximation, see `plain_settings.NUMBERS`, as runs of equal
         ones: plain settings have no states of their own.
     :param moves: row → statement, of those that are not plain.
@@ -59,7 +59,7 @@ class OrderedMotions(NamedTuple):
 
     rows: MotionColumns
     states: list[State]
-    state: Ints
+    state_index: Ints
     numbers: Runs
     moves: dict[int, MotionStatement]
 
@@ -99,7 +99,7 @@ def _merge_order(main: MainRoutine, lines: list[Ints], statement_lines: Ints) ->
     numbers = np.array([[getattr(s, field) for field in NUMBERS] for s in states])[state]
     for row in range(len(NUMBERS)):
         row_values = numbers[place_plain, row]
-        numbers[place_plain, row] = main.run.settings.coming.values_at(row, line, change_lines, row_values)
+        numbers[place_plain, row] = main.run.settings.plain_assignments.values_at(row, line, change_lines, row_values)
     return places, states, state, Runs.of(numbers)
 
 
@@ -122,18 +122,18 @@ def motions_and_layout(
     """
     trace, settings = main.course.trace, main.run.settings
     rows, states, state, _, moves = sequence
-    block = _column(states, state, lambda s: s.block)
+    block = _column(states, state, lambda s: s.spline_block)
     check_words(trace, rows, block)
-    rows = replace(rows, approximated=approximated_motions(rows, block != "", main.splines.approximated))
+    rows = replace(rows, approximated=approximated_motions(rows, block != "", main.splines.approximated_ends))
     base = _column(states, state, lambda s: s.base)
     tool = _column(states, state, lambda s: s.tool)
     _check_settings(settings, rows, states, state, moves)
     base, tool = (
         np.where(column < 0, 0, column) if (column < 0).any() else column for column in (base, tool)
     )  # of axis targets
-    relative = np.array([row for row, move in moves.items() if move.relative], dtype=np.int64)
+    relative = np.array([row for row, move in moves.items() if move.relative_axes], dtype=np.int64)
     uses_root = np.ones(len(rows), dtype=np.bool_)
-    uses_root[[row for row, move in moves.items() if move.end.position.axis]] = False
+    uses_root[[row for row, move in moves.items() if move.end.position.is_axis]] = False
     axis_issues, carriage = external_axes(trace, rows, relative, uses_root, settings.cell.carriage, predecessors)
     frames = base, tool, np.stack(settings.frames.bases), np.stack(settings.frames.tools)
     control = _orientation_control(trace, rows, states, state)
@@ -147,12 +147,12 @@ def motions_and_layout(
         trace, rows, ends, arc_ends, moves, control, settings, (states, state), carriage
     )
 
-    is_missing[[row for row, move in moves.items() if move.end.position.axis or move.relative]] = False
+    is_missing[[row for row, move in moves.items() if move.end.position.is_axis or move.relative_axes]] = False
     sequence = sequence._replace(rows=rows)
     motions = _motions(trace, sequence, (base, tool), ends, (centre, normal, sweep))
-    columns = is_missing, control.with_path, by_wrist, unheeded
+    columns = is_missing, control.turns_with_path, by_wrist, unheeded
     layout = _layout(trace, main, sequence, motions, ends, columns, carriage)
-    has_assumed_speed = _column(states, state, lambda s: s.assumed) & (rows.kind != PTP)
+    has_assumed_speed = _column(states, state, lambda s: s.is_speed_assumed) & (rows.kind != PTP)
     assumptions = _assumption_issues(motions.line, is_missing, has_assumed_speed, moves)
     return (
         motions,
@@ -213,7 +213,7 @@ def _layout(
 ) -> Layout:
     """Return the places of the numbers of the motions in the text.
 
-    :param columns: (R,) each: `Layout.missing`, `with_path`, `by_wrist` and `unheeded`.
+    :param columns: (R,) each: `Layout.is_missing`, `with_path`, `by_wrist` and `unheeded`.
     """
     rows, states, state, _, moves = sequence
     variables = main.run.settings.variables
@@ -224,31 +224,31 @@ def _layout(
         line=rows.line,
         notes=(),
         numbers=ends.numbers,
-        missing=is_missing,
-        begin=_target_begins(rows.target[:, 0], elements),
-        within=rows.within,
+        is_missing=is_missing,
+        target_start=_target_begins(rows.target[:, 0], elements),
+        relative_spans=rows.relative_spans,
         keyword=rows.keyword,
         target=rows.target,
         tail=rows.tail,
         via_spans=rows.via_spans,
         via_target=rows.via_target,
-        resumed=ends.resumed,
+        starts_from_joints=ends.starts_from_joints,
         orientation=np.where(rows.kind == PTP, np.int8(0), _column(states, state, _orientation_index)),
-        ignored=ends.ignored,
-        with_path=with_path,
-        by_wrist=by_wrist,
-        unheeded=unheeded,
-        distant=_column(states, state, lambda s: all(field != "cdis" for field, _ in s.uncertain)),
-        passed=_column(states, state, lambda s: s.block) != "",
+        ignores_orientation=ends.ignores_orientation,
+        turns_with_path=with_path,
+        is_wrist_led=by_wrist,
+        drops_via_orientation=unheeded,
+        is_distance_known=_column(states, state, lambda s: all(field != "cdis" for field, _ in s.uncertain_fields)),
+        is_in_spline_block=_column(states, state, lambda s: s.spline_block) != "",
         statements=moves,
         elements=elements,
         types=dict(variables.types),
-        public=frozenset(variables.public),
-        understood=frozenset(main.run.understood),
+        global_names=frozenset(variables.global_names),
+        followed_names=frozenset(main.run.followed_names),
         copies=frozenset(main.run.copies),
         triggers=_triggers_of_motions(trace, main, rows.line, motions, ends.start),
         carriage=carriage,
-        broken_off="" if main.run.resumed is None else str(main.run.resumed),
+        resume_place="" if main.run.resume_place is None else str(main.run.resume_place),
     )
 
 
@@ -308,7 +308,7 @@ def settings_at(settings: Settings, line: Ints) -> list[tuple[State, Array, Arra
     """
     states, state, _, change_lines = _states_of_lines(settings, line, [])
     numbers = [
-        settings.coming.values_at(row, line, change_lines, _column(states, state, _number_of_state(row)))
+        settings.plain_assignments.values_at(row, line, change_lines, _column(states, state, _number_of_state(row)))
         for row in (0, 1)
     ]
     entries = []
@@ -325,7 +325,7 @@ def settings_at(settings: Settings, line: Ints) -> list[tuple[State, Array, Arra
                     line_state,
                     base=min(line_state.base, 0),
                     tool=min(line_state.tool, 0),
-                    assumed=False,
+                    is_speed_assumed=False,
                     **field_values,
                 ),
                 *frames,
@@ -376,7 +376,7 @@ def _check_settings(
 def setting_errors(main: MainRoutine, plain_parts: list[MotionColumns]) -> Iterator[ProgramError]:
     """Yield the errors of the motions of a program that depend on unknown settings, once for each reason."""
     sequence = ordered_motions(main, plain_parts)
-    yield from _setting_errors(main.run.settings, sequence.rows, sequence.states, sequence.state, sequence.moves)
+    yield from _setting_errors(main.run.settings, sequence.rows, sequence.states, sequence.state_index, sequence.moves)
 
 
 def _setting_errors(
@@ -388,10 +388,10 @@ def _setting_errors(
     """
     reason_keys: set[tuple[str | None, int | None, str]] = set()
     for index, motion_state in enumerate(states):
-        if not motion_state.uncertain and motion_state.base >= 0 and motion_state.tool >= 0:
+        if not motion_state.uncertain_fields and motion_state.base >= 0 and motion_state.tool >= 0:
             continue
         for row in np.flatnonzero(state == index).tolist():
-            axis = row in moves and moves[row].end.position.axis
+            axis = row in moves and moves[row].end.position.is_axis
             fields = fields_used(int(rows.kind[row]), axis=axis, is_approximated=bool(rows.approximated[row]))
             try:
                 settings.refuse_uncertain(motion_state, fields)
@@ -474,7 +474,7 @@ def _check_by_wrist(
 
     :raises ProgramError: the orientation changes on such a motion.
     """
-    may_use_wrist = [s.by_wrist == "#ON" or any(field == "by_wrist" for field, _ in s.uncertain) for s in states]
+    may_use_wrist = [s.by_wrist == "#ON" or any(field == "by_wrist" for field, _ in s.uncertain_fields) for s in states]
     if not any(may_use_wrist):
         return
     is_free = (
@@ -500,7 +500,8 @@ def _circle_columns(
     in_force: tuple[list[State], Ints],
     carriage: Carriage | None,
 ) -> tuple[Array, Array, Array, Bools]:
-    """Return centre (M, 3), normal (M, 3) and sweep (M,) of the circles, NaN elsewhere, and `Layout.unheeded` (M,).
+    """Return centre (M, 3), normal (M, 3) and sweep (M,) of the circles, NaN elsewhere, and
+    `Layout.drops_via_orientation` (M,).
 
     :param given_ends: (n, 3) X, Y, Z of the ends of the n circles as the text gives them [mm].
     :param control: how the orientation is led.
@@ -553,7 +554,9 @@ def _check_circular_angles(
     :raises ProgramError: one changes.
     """
     start, end = ends.start.at(circles)[:, :3, :3], ends.pose[circles, :3, :3]
-    is_turning = (control.with_path[circles] | ~same_orientation(start, end)) & ~control.constant[circles]
+    is_turning = (control.turns_with_path[circles] | ~same_orientation(start, end)) & ~control.keeps_orientation[
+        circles
+    ]
     if is_turning.any():
         raise trace.error(
             "the orientation changes on a circle with CA: where it is reached is not certain",
@@ -644,7 +647,7 @@ def _assumption_issues(
     issues = []
     incomplete = any_column(is_missing)
     for row, move in moves.items():
-        incomplete[row] = not move.end.position.complete or move.via_incomplete
+        incomplete[row] = not move.end.position.is_complete or move.is_via_incomplete
     for rows, kind, message in (
         (
             incomplete,

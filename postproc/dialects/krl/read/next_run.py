@@ -45,7 +45,7 @@ def changed_data_issues(
         return
     cell, library, routine = main.run.settings.cell, main.run.library, main.run.routine
     first_left = main.run.settings.variables
-    start = Start(library, routine, main.run.elsewhere, first_left.next_run(), cell, start_joints)
+    start = Start(library, routine, main.run.obstacles, first_left.next_run(), cell, start_joints)
     try:
         course, collected = course_of(start)
         line = _first_differing_row(main.course, course)
@@ -76,11 +76,11 @@ def kept_values(main: MainRoutine) -> dict[str, str]:
     """
     run, change_places = main.run, main.run.settings.variables.changed_data()
     uses = Uses(run, run.routine.source, run.nodes(run.routine)) if change_places else None
-    volatile_names = run.settings.variables.changing
+    volatile_names = run.settings.variables.volatile_values
     return {
         name: place
         for name, place in change_places.items()
-        if uses is None or name in volatile_names or (uses.uses(name) and not uses.only_counts(name))
+        if uses is None or name in volatile_names or (uses.may_use(name) and not uses.only_counts(name))
     }
 
 
@@ -118,8 +118,8 @@ def _first_difference(
         (first.rows.external, second.rows.external),
         (first.rows.via, second.rows.via),
         (
-            _settings_by_state(first_settings, first)[first.state],
-            _settings_by_state(second_settings, second)[second.state],
+            _settings_by_state(first_settings, first)[first.state_index],
+            _settings_by_state(second_settings, second)[second.state_index],
         ),
         (first.numbers[:], second.numbers[:]),
     ):
@@ -133,7 +133,7 @@ def _first_difference(
 def _are_equal(position: Position, other_position: Position) -> bool:
     """Return whether two positions have the same components, type, S, T and external axes; NaN equals NaN."""
     numbers, other_numbers = (
-        np.array([*p.values, p.axis, p.status, p.turn, *p.external], dtype=np.float64)
+        np.array([*p.values, p.is_axis, p.status, p.turn, *p.external], dtype=np.float64)
         for p in (position, other_position)
     )
     return np.array_equal(numbers, other_numbers, equal_nan=True)

@@ -62,7 +62,7 @@ class PathSettings:
             )
         if not 0.0 < number <= FASTEST:
             raise place.error(f"the speed $VEL.CP is {number:g} m/s", f"Give a speed above 0, up to {FASTEST:g} m/s.")
-        return state.with_values(speed=number, assumed=False)
+        return state.with_values(speed=number, is_speed_assumed=False)
 
     def state_with_distance(self, state: State, place: Place, field: str | None, value: Value | VariableValue) -> State:
         """Return the state after ``$APO.CDIS = value``.

@@ -174,7 +174,7 @@ def _motions_of_lines(
         numbers=numbers[:, :6].copy(),
         posture=compact_postures(np.nan_to_num(numbers[:, 6:8], nan=-1.0).astype(np.int64)),
         external=compact_if_missing(numbers[:, 8:]),
-        within=narrow_integers(
+        relative_spans=narrow_integers(
             np.where(spans < 0, 0, spans - points[:, :1, None] - shift[:, None, None])[:, : len(COLUMNS)]
         ),
         keyword=(keyword + shift).astype(np.int32),

@@ -94,7 +94,13 @@ def _is_motion_to_element(stmt: Statement, counter: str) -> bool:
     if not isinstance(stmt, Motion) or stmt.word not in KINDS or stmt.word in (*CIRCLES, "SPL"):
         return False
     tail, end = stmt.tail, stmt.end
-    if stmt.angle is not None or stmt.frame or tail.given or tail.rest is not None or tail.error is not None:
+    if (
+        stmt.angle is not None
+        or stmt.frame
+        or tail.assignments
+        or tail.unknown_text is not None
+        or tail.error is not None
+    ):
         return False
     if (
         not isinstance(end, Reference)
@@ -115,7 +121,7 @@ def _counter_offset(point: Reference, counter: str) -> int | None:
     offset = 0
     if isinstance(index, Operation) and index.operator in "+-" and isinstance(index.right, Number):
         number = index.right
-        if not number.integer or not 0 <= number.value <= _FARTHEST_STEP:
+        if not number.is_integer or not 0 <= number.value <= _FARTHEST_STEP:
             return None
         offset, index = int(number.value) if index.operator == "+" else -int(number.value), index.left
     is_counter = (
@@ -146,7 +152,7 @@ def columns_of(
     :param run: the program as far as it has run, before the first round.
     """
     state = run.settings.state
-    if state.uncertain or state.block or state.base < 0 or state.tool < 0 or not run.is_certain:
+    if state.uncertain_fields or state.spline_block or state.base < 0 or state.tool < 0 or not run.is_certain:
         return None
     motions = []
     for line in rounds.body.motions:
@@ -201,7 +207,7 @@ def _element_motions(
     head = statement(rounds.source, rounds.head)
     if not isinstance(motion.end, Reference) or not isinstance(head, For):
         return None
-    if motion.end.name in run.variables.scope.arrays:
+    if motion.end.name in run.variables.scope.array_names:
         return None
     numbers = rounds.indices(_counter_offset(motion.end, head.name) or 0)
     literals = run.variables.data_spans(run.stored_name(motion.end.name), numbers)

@@ -189,7 +189,7 @@ class _Reading(Struct, frozen=True, eq=False):
         :raises ProgramError: there are no motions at all.
         """
         is_executed = main.which_run(plain_lines.motion_lines)
-        if not is_executed.any() and not len(main.motions) and not main.rounds and not main.run.unresolved:
+        if not is_executed.any() and not len(main.motions) and not main.rounds and not main.run.unresolved_motions:
             raise ProgramError(
                 "there are no motions", file=self.documents[0].name, advice="Check that this is the program."
             )
@@ -206,14 +206,16 @@ class _Reading(Struct, frozen=True, eq=False):
             certain.
         """
         main, cell, separation = executed_program.main, self.cell, executed_program.separation
-        run, course, sequence, trace = main.run, main.course, separation.ordered, main.course.trace
+        run, course, sequence, trace = main.run, main.course, separation.sequence, main.course.trace
         unchecked_joins = frozenset() if cell.carriage is not None else free_joins(course, sequence)
-        notes = notes_of(course, sequence.rows.line, sequence.rows.kind == PTP, run.unforced, unchecked_joins)
+        notes = notes_of(
+            course, sequence.rows.line, sequence.rows.kind == PTP, run.unknown_force_reasons, unchecked_joins
+        )
         if not cell.krl.keep_unresolved:
             refuse_routines_under_force(run, notes)
-        uncorrected_lines = [line for line, _ in run.unresolved]
+        uncorrected_lines = [line for line, _ in run.unresolved_motions]
         predecessors, joins = predecessors_and_joins(
-            course, sequence, separation.after, uncorrected_lines, unchecked_joins
+            course, sequence, separation.predecessors, uncorrected_lines, unchecked_joins
         )
         _check_size(trace, sequence.rows)
         _check_starts(main, sequence)
@@ -221,7 +223,7 @@ class _Reading(Struct, frozen=True, eq=False):
             main, sequence, cell.start_joints, self.kinematics, predecessors
         )
         issues = [*run.issues, *separation.issues, *assumptions, *executed_program.data_issues]
-        issues += issues_of(main, sequence.states, sequence.state, sequence.rows, layout)
+        issues += issues_of(main, sequence.states, sequence.state_index, sequence.rows, layout)
         issues += _cell_value_issues(executed_program)
         frames = np.stack(run.settings.frames.bases), np.stack(run.settings.frames.tools)
         start_flange = self.kinematics(cell.start_joints)
@@ -245,11 +247,11 @@ class _Reading(Struct, frozen=True, eq=False):
             ),
             events=remarks(course, layout.line),
             notes=tuple(note for _, note in notes),
-            still=trace.shown[distinct(np.array(main.still, dtype=np.int64)) - 1],
+            still=trace.shown[distinct(np.array(main.idle_rows, dtype=np.int64)) - 1],
             issues=(*issues, *loop_issues),
             carriage=layout.carriage,
-            with_path=layout.with_path if layout.with_path.any() else None,
-            by_wrist=layout.by_wrist if layout.by_wrist.any() else None,
+            with_path=layout.turns_with_path if layout.turns_with_path.any() else None,
+            by_wrist=layout.is_wrist_led if layout.is_wrist_led.any() else None,
             after=predecessors,
             joins=(*(join.ends for join in joins), *rounds),
             branches=branches(course, sequence.rows.line),
@@ -271,7 +273,7 @@ class _Reading(Struct, frozen=True, eq=False):
         code = (code for module in (self._with_data(library.program), *other_modules) for code in codes_of(module))
         moving = {
             module.source.document.name.upper()
-            for module, routine in library.found_routines()
+            for module, routine in library.called_routines()
             if main.run.analysis.effects_of(module, routine).motion
         }
         return documents, needed(documents, code, library.files, moving)
@@ -291,7 +293,7 @@ class _Reading(Struct, frozen=True, eq=False):
             read_data(variables, _config_source(self.cell, self.cell.config_dat), fill=True, is_global=True)
         program = self.documents[0]
         program_names = [program.name, *(document.name for document in self.documents if _belongs(document, program))]
-        read_shared(variables, self.code, program_names, self.library.files, self.entry.local)
+        read_shared(variables, self.code, program_names, self.library.files, self.entry.local_names)
         variables.take_cell_values()
         return variables
 
@@ -316,7 +318,7 @@ def _cell_value_issues(executed_program: _ExecutedProgram) -> Iterator[Issue]:
         message = "The home position is in no file of the program: the joints of [start] in the cell are taken for it."
         line = main.course.trace.shown_line(main.reader.home_used)
         yield Issue("info", "home-from-cell", message, line)
-    if relied_names := start.variables.relied:
+    if relied_names := start.variables.used_cell_values:
         cell_values = start.cell.krl.values
         values = ", ".join(f"{name} = {value}" for name, value in cell_values.items() if name.upper() in relied_names)
         message = f"Values of [krl.values] in the cell: {values}. The output holds for these values only."
@@ -419,14 +421,14 @@ def _check_starts(main: MainRoutine, sequence: OrderedMotions) -> None:
 
     :raises ProgramError: there is one.
     """
-    for line, reason in () if main.run.keep else main.run.stops:
+    for line, reason in () if main.run.keeps_unresolved else main.run.interruptible_calls:
         row = int(np.searchsorted(sequence.rows.line, line))
         if row < len(sequence.rows) and depends_on_start(sequence, row):
             raise reason
-    for call in () if main.run.keep else main.run.moved:
+    for call in () if main.run.keeps_unresolved else main.run.untraced_calls:
         row = int(np.searchsorted(sequence.rows.line, call.row))
         if row < len(sequence.rows):
             move = sequence.moves.get(row)
-            position = move.end.position if move is not None and not move.relative else None
-            if position is None or not position.axis or not position.complete:
+            position = move.end.position if move is not None and not move.relative_axes else None
+            if position is None or not position.is_axis or not position.is_complete:
                 raise call.reason

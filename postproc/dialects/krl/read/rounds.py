@@ -22,7 +22,7 @@ def carried_variables(run: Run, source: Source, block: Block, start_values: Snap
     """
     statements = Uses(run, source, block.parts[0].nodes)
     names: list[str] = sorted(run.variables.differing_names(start_values))
-    return [name for name in names if statements.uses(name) and not statements.only_counts(name)]
+    return [name for name in names if statements.may_use(name) and not statements.only_counts(name)]
 
 
 class Uses:
@@ -38,7 +38,7 @@ class Uses:
         lines = [line for node in nodes for line in ([node] if isinstance(node, int) else node.lines())]
         self._words = {line: _words_of_line(source, line) for line in lines}
 
-    def uses(self, name: str) -> bool:
+    def may_use(self, name: str) -> bool:
         """Return whether the statements may use the value that a variable has before them."""
         for line, words in self._words.items():
             stmt = statement(self.source, line)
@@ -59,7 +59,7 @@ class Uses:
 
     def _is_named_in_callees(self, stmt: Statement, name: str) -> bool:
         """Return whether the routines that a statement calls name a variable."""
-        callees = (self.run.library.find(call.name, self.run.level.module) for call in calls(stmt.values))
+        callees = (self.run.library.find_callee(call.name, self.run.level.module) for call in calls(stmt.values))
         return any(name in self.run.analysis.variable_names(*callee) for callee in callees if callee is not None)
 
 

@@ -49,7 +49,9 @@ class Scopes:
             return Scope()
         if module is self.program:
             if routine not in self._routines:
-                self._routines[routine] = Scope(own=self.main.local - routine.local, prefix=self._prefix)
+                self._routines[routine] = Scope(
+                    prefixed_names=self.main.local_names - routine.local_names, prefix=self._prefix
+                )
             return self._routines[routine]
         if module not in self._modules:
             self._modules[module] = self._of_module(module)
@@ -61,53 +63,53 @@ class Scopes:
         :param number: of the call, from 1; it tells the variables of one call from those of another.
         :param arrays: names of parameters that are whole arrays → the names under which these are stored.
         """
-        local_names = {name: f"{name}@{number}" for name in routine.local}
+        local_names = {name: f"{name}@{number}" for name in routine.local_names}
         if arrays:
             local_names |= arrays
-            return replace(self.of(module, routine), local=local_names, arrays=frozenset(arrays))
-        return replace(self.of(module, routine), local=local_names)
+            return replace(self.of(module, routine), local_names=local_names, array_names=frozenset(arrays))
+        return replace(self.of(module, routine), local_names=local_names)
 
     def _of_module(self, module: Module) -> Scope:
         """Return the scope of the routines in another file, and read the data list of that file."""
         variables, data = self.variables, module.data
         own_names, public = (frozenset(), frozenset()) if data is None else declared_names(data)
-        main_names = (frozenset(variables.types) - variables.public) | self.main.local
-        scope = Scope(own=(main_names | own_names) - public - CONTROLLER_DATA, prefix=f"{module.name}/")
+        main_names = (frozenset(variables.types) - variables.global_names) | self.main.local_names
+        scope = Scope(prefixed_names=(main_names | own_names) - public - CONTROLLER_DATA, prefix=f"{module.name}/")
         if data is not None:
-            caller_scope, variables.scope, variables.reading_late = variables.scope, scope, True
+            caller_scope, variables.scope, variables.reads_late_list = variables.scope, scope, True
             with suppress(ProgramError):  # variables of a data list with an error have no values
                 read_data(variables, data, fill=True)
-            variables.scope, variables.reading_late = caller_scope, False
+            variables.scope, variables.reads_late_list = caller_scope, False
         return scope
 
 
 class Level(Struct, eq=False):
     """A routine that runs.
 
-    :ivar traced: True if its motions are in the execution trace: the main routine, and inlined routines.
-    :ivar open: control structures whose branch taken is not known before run time: word and line.
-    :ivar loops: number of nested loops that are followed.
+    :ivar is_traced: True if its motions are in the execution trace: the main routine, and inlined routines.
+    :ivar open_structures: control structures whose branch taken is not known before run time: word and line.
+    :ivar loop_depth: number of nested loops that are followed.
     :ivar is_left: True after EXIT.
-    :ivar jump: line of a GOTO whose label has not been found yet; 0 for none.
-    :ivar returned: line of a RETURN; 0 before.
-    :ivar result: what a function returns.
+    :ivar jump_line: line of a GOTO that has run and whose label has not been reached; 0 if there is none.
+    :ivar return_line: line of the RETURN that has run; 0 if none has.
+    :ivar result: value of a function; `NO_VALUE` until RETURN has run.
     """
 
     module: Module
     routine: Routine
     scope: Scope
-    traced: bool = False
-    open: list[tuple[str, int]] = []
-    loops: int = 0
+    is_traced: bool = False
+    open_structures: list[tuple[str, int]] = []
+    loop_depth: int = 0
     is_left: bool = False
-    jump: int = 0
-    returned: int = 0
+    jump_line: int = 0
+    return_line: int = 0
     result: VariableValue = NO_VALUE
 
     @property
     def is_broken_off(self) -> bool:
         """Whether the following statement does not run next: after RETURN, EXIT, GOTO."""
-        return bool(self.returned or self.is_left or self.jump)
+        return bool(self.return_line or self.is_left or self.jump_line)
 
 
 class UntracedCall(Struct, frozen=True, eq=False):
@@ -131,16 +133,16 @@ class RunPosition(NamedTuple):
     """The routine that runs, and how deep it is in calls, loops and branches.
 
     :ivar depth: number of routines that run.
-    :ivar loops: `Level.loops`; `is_left` is `Level.is_left`.
-    :ivar forks: number of open forks.
+    :ivar loop_depth: `Level.loop_depth`; `is_left` is `Level.is_left`.
+    :ivar fork_count: number of open forks.
     """
 
     level: Level
     depth: int
     scope: Scope
-    loops: int
+    loop_depth: int
     is_left: bool
-    forks: int
+    fork_count: int
 
 
 class _Fork(Struct, eq=False):
@@ -169,25 +171,28 @@ class Run:
     :ivar place: the statement that runs, in the file of its routine.
     :ivar level: the routine that runs.
     :ivar stack: it, and those that called it.
-    :ivar steps: statements of called routines that have run.
-    :ivar calls: calls that have been run.
-    :ivar resumable: True if RESUME may break off the running routine.
-    :ivar resumed: RESUME that returns to the program or to an unknown routine; None if there is none.
+    :ivar statement_count: number of statements that have run in called routines and in control structures without
+        motion.
+    :ivar call_count: number of calls that have been run; it names the local variables of each.
+    :ivar may_be_broken_off: True if RESUME may break off the running routine.
+    :ivar resume_place: RESUME that returns to the program or to an unknown routine; None if there is none.
     :ivar triggers: lines of TRIGGER statements of the main routine.
-    :ivar moved: calls after which the robot position is not known.
-    :ivar stops: rows of calls that an interrupt may break off, and with them the motion before: why a target that
-        depends on where it begins is not known there.
-    :ivar unfollowed: routines reached by calls that move the robot and are not followed.
-    :ivar shifted: lines of calls of unfollowed routines whose first target depends on the robot position.
-    :ivar unforced: line → reason: after such a line the acting force is not known.
-    :ivar understood: row and offset of names in the trace whose use is followed.
-    :ivar copies: names, upper case, of variables that got the text of a point of another one, and of that.
-    :ivar absent: calls of programs that are in no file: name as spelled, and line.
-    :ivar reached: routines of the program itself that it calls.
+    :ivar untraced_calls: calls after which the robot position is not known.
+    :ivar interruptible_calls: rows of calls that an interrupt may break off, and with them the motion before; each with
+        the error for a motion that then depends on where it begins.
+    :ivar unfollowed_routines: routines reached by calls that move the robot and are not followed.
+    :ivar position_dependent_calls: rows of calls of unfollowed routines whose first target depends on the robot
+        position.
+    :ivar unknown_force_reasons: row → reason: after such a row the acting force is not known.
+    :ivar followed_names: rows of the trace and offsets of names whose use is followed.
+    :ivar copies: pairs of names, upper case: a variable that was copied as a point, and the one that it was copied to.
+    :ivar absent_calls: calls of programs that are in no file: name as spelled, and line.
+    :ivar called_routines: routines of the program's own file that have been called.
     :ivar issues: warnings and remarks for the user.
-    :ivar unresolved: (line, reason): motions of the trace that are left uncorrected under `keep`.
-    :ivar elsewhere: routines of other files whose motions are not in the trace, and visits to forks whose branches are
-        not followed; with the reason.
+    :ivar keeps_unresolved: the option `--keep-unresolved`.
+    :ivar unresolved_motions: (line, reason): motions of the trace that are left uncorrected under that option.
+    :ivar obstacles: routines of other files whose motions are not in the trace, and visits to forks whose branches are
+        not followed, each with the reason.
     """
 
     def __init__(self, library: Library, routine: Routine, settings: Settings, trace: Trace, *, has_rows: bool) -> None:
@@ -199,25 +204,25 @@ class Run:
         self.row = self.shift = self.shown_line = 0
         self.is_final = True
         self.place: Place | None = None
-        self.level = Level(library.program, routine, Scope(), traced=True)
+        self.level = Level(library.program, routine, Scope(), is_traced=True)
         self.stack: list[Routine] = [routine]
-        self.steps = self.calls = 0
-        self.resumable = False
-        self.resumed: Place | None = None
+        self.statement_count = self.call_count = 0
+        self.may_be_broken_off = False
+        self.resume_place: Place | None = None
         self.triggers: list[int] = []
-        self.moved: list[UntracedCall] = []
-        self.stops: list[tuple[int, ProgramError]] = []
-        self.unfollowed: set[Routine] = set()
-        self.shifted: set[int] = set()
-        self.unforced: dict[int, str] = {}
-        self.understood: set[tuple[int, int]] = set()
+        self.untraced_calls: list[UntracedCall] = []
+        self.interruptible_calls: list[tuple[int, ProgramError]] = []
+        self.unfollowed_routines: set[Routine] = set()
+        self.position_dependent_calls: set[int] = set()
+        self.unknown_force_reasons: dict[int, str] = {}
+        self.followed_names: set[tuple[int, int]] = set()
         self.copies: set[tuple[str, str]] = set()
-        self.absent: list[tuple[str, int]] = []
-        self.reached: set[Routine] = set()
+        self.absent_calls: list[tuple[str, int]] = []
+        self.called_routines: set[Routine] = set()
         self.issues: list[Issue] = []
-        self.keep = settings.cell.krl.keep_unresolved
-        self.unresolved: list[tuple[int, ProgramError]] = []
-        self.elsewhere: Mapping[Routine | Occasion, ProgramError] = {}
+        self.keeps_unresolved = settings.cell.krl.keep_unresolved
+        self.unresolved_motions: list[tuple[int, ProgramError]] = []
+        self.obstacles: Mapping[Routine | Occasion, ProgramError] = {}
         self._forks: list[_Fork] = []
         self._nodes: dict[Routine, tuple[Node, ...]] = {}
 
@@ -236,15 +241,15 @@ class Run:
 
         :param offsets: of these names in the file.
         """
-        self.understood.update([(self.row, offset) for offset in offsets])
+        self.followed_names.update([(self.row, offset) for offset in offsets])
 
     def note_copy(self, expression: Value, value: VariableValue, name: str) -> None:
         """Note in `copies` that the present statement gives a variable or a parameter the text of a point, if it does.
 
-        :param expression: what the statement assigns, and `value` its value, see `Calls.value`.
+        :param expression: what the statement assigns, and `value` its value, see `Calls.evaluate_with_calls`.
         :param name: of the variable or parameter, upper case.
         """
-        if isinstance(expression, Reference) and isinstance(value, Aggregate) and not value.computed:
+        if isinstance(expression, Reference) and isinstance(value, Aggregate) and not value.is_computed:
             self.understand(expression.start)
             self.copies.add((expression.name, name))
 
@@ -254,7 +259,7 @@ class Run:
         :raises ProgramError: a control structure is not closed properly.
         """
         if routine not in self._nodes:
-            nodes = checked_nodes(routine.source, nodes_of(routine.source, routine.lines))
+            nodes = checked_nodes(routine.source, nodes_of(routine.source, routine.statement_lines))
             if routine is not self.routine:  # whose errors are reported together
                 check_closed(routine.source, nodes)
             self._nodes[routine] = nodes
@@ -281,7 +286,7 @@ class Run:
     def join_branches(self, place: Place, *, complete: bool) -> None:
         """End the last fork: values and settings that differ between its branches become unknown.
 
-        :param at: the line that ends the branches, for messages.
+        :param place: the line that ends the branches, for messages.
         :param complete: True if one of the branches always runs.
         """
         fork = self._forks.pop()
@@ -298,35 +303,43 @@ class Run:
     def position(self) -> RunPosition:
         """Return the present routine and depth of the run, for `return_to`."""
         level = self.level
-        return RunPosition(level, len(self.stack), self.variables.scope, level.loops, level.is_left, len(self._forks))
+        return RunPosition(
+            level, len(self.stack), self.variables.scope, level.loop_depth, level.is_left, len(self._forks)
+        )
 
     def return_to(self, position: RunPosition) -> None:
         """Return to the routine and the depth of the run at an earlier `position`."""
         self.level, self.variables.scope = position.level, position.scope
-        self.level.loops, self.level.is_left = position.loops, position.is_left
-        del self.stack[position.depth :], self._forks[position.forks :]
-        self.level.open.clear()
-        self.level.jump = 0
+        self.level.loop_depth, self.level.is_left = position.loop_depth, position.is_left
+        del self.stack[position.depth :], self._forks[position.fork_count :]
+        self.level.open_structures.clear()
+        self.level.jump_line = 0
 
     def finding_counts(self) -> tuple[int, ...]:
         """Return the number of findings of each kind so far, for `drop_findings`."""
-        return len(self.triggers), len(self.moved), len(self.stops), len(self.absent), len(self.issues)
+        return (
+            len(self.triggers),
+            len(self.untraced_calls),
+            len(self.interruptible_calls),
+            len(self.absent_calls),
+            len(self.issues),
+        )
 
     def drop_findings(self, marks: tuple[int, ...]) -> None:
         """Drop all findings since a call of `finding_counts`, to follow the same statements differently."""
         trigger_count, moved_count, stop_count, absent_count, issue_count = marks
-        del self.triggers[trigger_count:], self.moved[moved_count:], self.stops[stop_count:]
-        del self.absent[absent_count:], self.issues[issue_count:]
+        del self.triggers[trigger_count:], self.untraced_calls[moved_count:], self.interruptible_calls[stop_count:]
+        del self.absent_calls[absent_count:], self.issues[issue_count:]
 
     @property
     def is_traced(self) -> bool:
         """Whether the lines of the present routine are in the execution trace: the main routine, or an inlined one."""
-        return self.level.traced
+        return self.level.is_traced
 
     @property
     def is_certain(self) -> bool:
         """Whether the next statement runs exactly once: no control structure is open."""
-        return not self.level.open
+        return not self.level.open_structures
 
     def stored_name(self, name: str) -> str:
         """Return the name under which a variable of the running routine is stored."""
@@ -340,8 +353,8 @@ class Run:
         """
         for name, place in names.items():
             cause_place = cause if cause.endswith(f"in {place}") else f"{cause}, {place}"
-            self.variables.changing.setdefault(name, UnknownValue(f"by {cause_place}"))
+            self.variables.volatile_values.setdefault(name, UnknownValue(f"by {cause_place}"))
 
     def note_cyclic_change(self, place: Place, name: str) -> None:
         """Note that the statement at a place makes a variable change cyclically; `name` is its stored name."""
-        self.variables.changing.setdefault(name, UnknownValue(str(place)))
+        self.variables.volatile_values.setdefault(name, UnknownValue(str(place)))

@@ -24,7 +24,7 @@ class Settings:
 
     :ivar state: the present state.
     :ivar changes: (line of the program, state in force after it), in order.
-    :ivar coming: plain assignments: the first and the last of them between two statements each create a state.
+    :ivar plain_assignments: those not in force yet; the first and the last between two statements create a state each.
     :ivar follows_numbers: whether plain assignments are followed; if not, speeds and distances have no values.
     :ivar lacked_numbers: whether such a value was asked for nevertheless.
     :ivar frames: the frames that are used.
@@ -33,10 +33,10 @@ class Settings:
     def __init__(self, variables: Variables, cell: Cell) -> None:
         """Begin with the settings of the cell, and let the variables read settings here."""
         self.variables, self.cell = variables, cell
-        variables.current = self.current_value
+        variables.setting_value = self.current_value
         self.state = State()
         self.changes: list[tuple[int, State]] = [(0, self.state)]
-        self.coming = PlainAssignments(no_settings())
+        self.plain_assignments = PlainAssignments(no_settings())
         self.follows_numbers, self.lacked_numbers = True, False
         self._reasons = Reasons()  # shared: whichever part makes a field uncertain, its reason is found by the state
         self.frames = Frames(variables, cell, self._reasons)
@@ -46,16 +46,16 @@ class Settings:
     def current_value(self, name: str, field: str | None) -> VariableValue:
         """Return the present value of a setting of motions, such as `$BASE`, or of a component of it."""
         state = self.state
-        if state.block:
-            return UnknownValue(why="which value it has inside of a spline block is in no source")
+        if state.spline_block:
+            return UnknownValue(reason="which value it has inside of a spline block is in no source")
         if name in ("$BASE", "$TOOL"):
             return self.frames.current_value(state, name, field)
-        for uncertain_field, index in state.uncertain:
+        for uncertain_field, index in state.uncertain_fields:
             if uncertain_field == FIELDS.get(name):
-                return UnknownValue(why=self._reasons.errors[index].problem)
+                return UnknownValue(reason=self._reasons.errors[index].problem)
         if name in ("$WORLD", "$ROBROOT"):
             return ZERO if field is None else component(ZERO, field) if field in CARTESIAN else NO_VALUE
-        if (name, field) == ("$VEL", "CP") and not state.assumed:
+        if (name, field) == ("$VEL", "CP") and not state.is_speed_assumed:
             return self._followed(state.speed)
         if (name, field) == ("$APO", "CDIS"):
             return self._followed(state.cdis / M_PER_MM)
@@ -76,8 +76,8 @@ class Settings:
 
     def come_to(self, line: int) -> None:
         """Put into force the plain assignments before a line of the program."""
-        for setting_line, field, value in self.coming.values_before(line):
-            fields = {field: value, "assumed": False} if field == "speed" else {field: value}
+        for setting_line, field, value in self.plain_assignments.values_before(line):
+            fields = {field: value, "is_speed_assumed": False} if field == "speed" else {field: value}
             self.change_state(setting_line, self.state.with_values(**fields))
 
     def may_become(self, line: int, state: State, reason: ProgramError) -> None:
@@ -85,7 +85,7 @@ class Settings:
 
         :param reason: the error for motions that depend on them.
         """
-        fields = self.state.differing_fields(state) | {field for field, _ in state.uncertain}
+        fields = self.state.differing_fields(state) | {field for field, _ in state.uncertain_fields}
         self.make_uncertain(line, sorted(fields), reason)
 
     def make_uncertain(self, line: int, fields: Iterable[str], reason: ProgramError) -> None:

@@ -41,17 +41,17 @@ class OpenBlock(Struct, frozen=True):
 class SplineBlocks:
     """Follows the spline blocks of a program.
 
-    :ivar open: the one that is open.
-    :ivar approximated: lines of ENDSPLINE C_SPL.
-    :ivar ended: lines of ENDSPLINE.
+    :ivar open_block: the one that is open.
+    :ivar approximated_ends: lines of ENDSPLINE C_SPL.
+    :ivar end_rows: lines of ENDSPLINE.
     """
 
     def __init__(self, settings: Settings, reader: MotionReader) -> None:
         """Begin outside of a spline block."""
         self.settings, self.reader = settings, reader
-        self.open: OpenBlock | None = None
-        self.approximated: list[int] = []
-        self.ended: list[int] = []
+        self.open_block: OpenBlock | None = None
+        self.approximated_ends: list[int] = []
+        self.end_rows: list[int] = []
 
     def follow_line(self, place: Place, stmt: Statement, row: int) -> None:
         """Open or close a spline block.
@@ -60,35 +60,35 @@ class SplineBlocks:
         :raises ProgramError: the line is not understood, a block is open already, or none is.
         """
         if isinstance(stmt, Spline):
-            if self.open is not None:
+            if self.open_block is not None:
                 raise place.error(
-                    f"{stmt.word} inside of a spline block ({self.open.place})",
+                    f"{stmt.word} inside of a spline block ({self.open_block.place})",
                     advice="End that block with ENDSPLINE first.",
                 )
             state = self.reader.block_state(place, stmt)
-            self.open = OpenBlock(row, place, self.settings.state, state)
+            self.open_block = OpenBlock(row, place, self.settings.state, state)
             self.settings.change_state(row, state)
             return
-        if self.open is None:
+        if self.open_block is None:
             raise place.error(
                 "ENDSPLINE without SPLINE",
                 advice="Write SPLINE before the first motion of the block, or remove ENDSPLINE.",
             )
-        tail = stmt.behind if isinstance(stmt, EndSpline) else ""
+        tail = stmt.extra_text if isinstance(stmt, EndSpline) else ""
         if tail.upper() not in ("", "C_SPL"):
             raise place.error(f"{tail!r} is not understood", advice="Check its spelling.")
         if tail:
-            self.approximated.append(row)
-        block_state, end_state = self.open.block_state, self.settings.state
+            self.approximated_ends.append(row)
+        block_state, end_state = self.open_block.block_state, self.settings.state
         changed_fields = block_state.differing_fields(end_state) | {
-            field for field, _ in set(end_state.uncertain) - set(block_state.uncertain)
+            field for field, _ in set(end_state.uncertain_fields) - set(block_state.uncertain_fields)
         }
-        self.settings.change_state(row, self.open.outer_state)
+        self.settings.change_state(row, self.open_block.outer_state)
         if changed_fields:
             problem = "a function that a motion of the spline block calls changes what motions depend on"
             self.settings.make_uncertain(row, sorted(changed_fields), place.error(problem, SETTING_ADVICE))
-        self.ended.append(row)
-        self.open = None
+        self.end_rows.append(row)
+        self.open_block = None
 
 
 def check_words(trace: Trace, rows: MotionColumns, block: np.ndarray) -> None:

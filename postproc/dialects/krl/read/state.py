@@ -42,35 +42,36 @@ class State(Struct, frozen=True):
     :ivar base: row of `Frames.bases`; −1−k when it is not known, for the reason `Reasons.errors[k]`.
     :ivar tool: row of `Frames.tools`; likewise.
     :ivar speed: `$VEL.CP` [m/s].
-    :ivar assumed: True while `$VEL.CP` is the controller's default.
+    :ivar is_speed_assumed: True while `$VEL.CP` is the controller's default.
     :ivar cdis: `$APO.CDIS` [m].
     :ivar orientation: `$ORI_TYPE`.
     :ivar circle: `$CIRC_TYPE`.
     :ivar auxiliary: `$CIRC_MODE.AUX_PT.ORI`.
     :ivar by_wrist: `$SPL_ORI_JOINT_AUTO`.
-    :ivar initial: which of `$BASE` and `$TOOL` BAS(#INITMOV,0) has set.
-    :ivar block: the spline block, ``SPLINE`` or ``PTP_SPLINE``; empty outside of one.
-    :ivar uncertain: (field, index of its reason) of those that are not known; `base` and `tool` are never among them.
+    :ivar initial_frames: which of `$BASE` and `$TOOL` BAS(#INITMOV,0) has set.
+    :ivar spline_block: the spline block, ``SPLINE`` or ``PTP_SPLINE``; empty outside of one.
+    :ivar uncertain_fields: fields that are not known, each with the index of its reason in `Reasons.errors`; `base` and
+        `tool` are never among them.
     """
 
     base: int = 0
     tool: int = 0
     speed: float = DEFAULT_SPEED
-    assumed: bool = True
+    is_speed_assumed: bool = True
     cdis: float = DEFAULT_CDIS * M_PER_MM
     orientation: str = "#VAR"
     circle: str = "#BASE"
     auxiliary: str = "#CONSIDER"
     by_wrist: str = "#OFF"
-    initial: frozenset[str] = frozenset()
-    block: str = ""
-    uncertain: tuple[tuple[str, int], ...] = ()
+    initial_frames: frozenset[str] = frozenset()
+    spline_block: str = ""
+    uncertain_fields: tuple[tuple[str, int], ...] = ()
 
     def with_values(self, **fields: object) -> State:
         """Return the state with other values of some fields, which are known then."""
-        initial = self.initial - {f"${name.upper()}" for name in fields}
-        uncertain = tuple((field, index) for field, index in self.uncertain if field not in fields)
-        return replace(self, initial=initial, uncertain=uncertain, **fields)
+        initial_frames = self.initial_frames - {f"${name.upper()}" for name in fields}
+        uncertain_fields = tuple((field, index) for field, index in self.uncertain_fields if field not in fields)
+        return replace(self, initial_frames=initial_frames, uncertain_fields=uncertain_fields, **fields)
 
     def differing_fields(self, other_state: State) -> set[str]:
         """Return the names of the fields whose values differ from those of another state."""
@@ -93,7 +94,7 @@ class Reasons:
         if field in ("base", "tool"):
             return state.with_values(**{field: -len(self.errors)})
         new_state = state.with_values(**{field: getattr(state, field)})
-        return replace(new_state, uncertain=(*new_state.uncertain, (field, len(self.errors) - 1)))
+        return replace(new_state, uncertain_fields=(*new_state.uncertain_fields, (field, len(self.errors) - 1)))
 
     def refuse_unknown(self, state: State, fields: Iterable[str]) -> None:
         """Refuse a motion that depends on fields of its state whose values are not known.
@@ -104,7 +105,7 @@ class Reasons:
             frame_row = getattr(state, field) if field in ("base", "tool") else 0
             if frame_row < 0:  # an unknown frame holds the index of its reason, see `State.base`
                 raise self.errors[-1 - frame_row]
-            for uncertain_field, index in state.uncertain:
+            for uncertain_field, index in state.uncertain_fields:
                 if uncertain_field == field:
                     raise self.errors[index]
 

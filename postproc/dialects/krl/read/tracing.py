@@ -50,7 +50,7 @@ class Recorder:
     """The execution trace of a program so far.
 
     :param main: the main routine.
-    :ivar pinned: True if routines may also be called unchanged.
+    :ivar may_call_originals: True if routines may also be called unchanged.
     :ivar is_final: False after something was dropped, is kept, or forks: rows and what ran differ then.
     """
 
@@ -58,7 +58,7 @@ class Recorder:
         """Begin with the lines of the file up to the DEF of the main routine."""
         self.main = main
         self.count = 0
-        self.pinned = False
+        self.may_call_originals = False
         self.is_final = True
         self._sources: dict[Source, int] = {main.source: 0}
         # file number, first and last line, line to report or 0 for itself, line of FOR or 0, whether the lines run
@@ -100,7 +100,7 @@ class Recorder:
         first = self.count + 1
         self._record_to(line, live=True)
         self._steps.append(UnresolvedStructure(first, self.count, cause))
-        self.pinned = True
+        self.may_call_originals = True
         self.is_final = False
 
     def record_division(self, step: Fork | Branch | Join) -> None:
@@ -156,7 +156,7 @@ class Recorder:
     def leave_routine(self) -> None:
         """End the routine that was entered last."""
         body = self._open.pop().bodies[0]
-        body.last = self.count + 1
+        body.stop = self.count + 1
         self._steps.append(RoutineExit())
 
     def begin_loop(self, block: Block, counter: str, step: int, *, has_exit: bool, closing: int = 0) -> UnrolledLoop:
@@ -197,7 +197,7 @@ class Recorder:
         self._pieces += round_origin * rounds.count
         starts = range(rounds.first, rounds.stop_row, rounds.length)
         loop.bodies += [Body(start, start + rounds.length) for start in starts]
-        loop.plain = rounds
+        loop.plain_rounds = rounds
         self.count = rounds.stop_row - 1
         self.is_final = False
         self._add_run_lines(rounds.first)
@@ -207,7 +207,7 @@ class Recorder:
         if whole:
             self.record_run_lines(block.last - 1)
         self.record_passed_lines(block.last - 1, live=False)
-        self._open[-1].bodies.pop().last = self.count + 1
+        self._open[-1].bodies.pop().stop = self.count + 1
 
     def end_loop(self, loop: UnrolledLoop, block: Block, number: int | None) -> None:
         """End a loop.
@@ -218,7 +218,7 @@ class Recorder:
             self.record_passed_lines(block.last, live=False)
         self._record_assignment(block, number)
         self._open[-1].cursor = block.last + 1
-        loop.last = self.count + 1
+        loop.stop = self.count + 1
 
     def course(self, callees: Set[Routine]) -> Course:
         """Return the complete trace.
@@ -226,7 +226,7 @@ class Recorder:
         :param callees: routines reached by calls that are not followed.
         """
         main = self.main
-        self.body.last = self.count + 1
+        self.body.stop = self.count + 1
         line = main.last
         for routine in sorted(self._inlined, key=lambda routine: routine.first):
             if routine.source is main.source and routine.first > main.last:
@@ -246,9 +246,9 @@ class Recorder:
             self.body,
             live.astype(np.bool_),
             frozenset(self._inlined),
-            frozenset(self._inlined if self.pinned else self._inlined.keys() & callees),
+            frozenset(self._inlined if self.may_call_originals else self._inlined.keys() & callees),
             tuple(self._files),
-            counts=dict(self._counts),
+            count_of_row=dict(self._counts),
         )
 
     def _record_to(self, line: int, *, live: bool) -> bool:

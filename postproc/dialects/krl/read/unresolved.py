@@ -43,14 +43,14 @@ _OPEN = (
 class SeparatedMotions(Struct, frozen=True, eq=False):
     """The motions of a program, separated by whether they can be corrected.
 
-    :param ordered: those that can.
-    :param after: the motion at whose end each of them begins, see `Program.after`.
+    :param sequence: those that can.
+    :param predecessors: the motion at whose end each of them begins, see `Program.after`.
     :param unresolved: the others.
     :param issues: warnings for the user.
     """
 
-    ordered: OrderedMotions
-    after: Ints | None = None
+    sequence: OrderedMotions
+    predecessors: Ints | None = None
     unresolved: tuple[UnresolvedMotion, ...] = ()
     issues: tuple[Issue, ...] = ()
 
@@ -63,19 +63,19 @@ def without_unresolved(main: MainRoutine, sequence: OrderedMotions) -> Separated
     """
     run, rows = main.run, sequence.rows
     sync_motions = list(_synchronised_motions(main, rows.line))
-    if sync_motions and not run.keep:
+    if sync_motions and not run.keeps_unresolved:
         raise sync_motions[0][1]
-    uncertain_motions = list(_uncertain_motions(run.settings, sequence)) if run.keep else []
-    reasons = dict(run.unresolved)
+    uncertain_motions = list(_uncertain_motions(run.settings, sequence)) if run.keeps_unresolved else []
+    reasons = dict(run.unresolved_motions)
     is_dropped = np.zeros(len(rows), dtype=np.bool_)
     for row, reason in (*uncertain_motions, *sync_motions):
         reasons[int(rows.line[row])] = reason
         is_dropped[row] = True
-    stop_lines = [line for line, _ in run.stops] if run.keep else []
-    if not reasons and not run.moved and not stop_lines:
+    stop_lines = [line for line, _ in run.interruptible_calls] if run.keeps_unresolved else []
+    if not reasons and not run.untraced_calls and not stop_lines:
         return SeparatedMotions(sequence)
     rows_with_open_start: set[int] = set()
-    for line in sorted({*reasons, *(call.row for call in run.moved), *stop_lines}):
+    for line in sorted({*reasons, *(call.row for call in run.untraced_calls), *stop_lines}):
         row = int(np.searchsorted(rows.line, line, side="right"))
         while row < len(rows) and (is_dropped[row] or depends_on_start(sequence, row)):
             if not is_dropped[row]:
@@ -88,7 +88,7 @@ def without_unresolved(main: MainRoutine, sequence: OrderedMotions) -> Separated
     for row in np.flatnonzero(is_dropped).tolist():
         if row in sequence.moves:
             move = sequence.moves[row]
-            run.understood -= {(move.line, point.start) for point in (move.end, move.via) if point is not None}
+            run.followed_names -= {(move.line, point.start) for point in (move.end, move.via) if point is not None}
     new_row = np.cumsum(~is_dropped) - 1
     predecessors = np.arange(int((~is_dropped).sum())) - 1
     begins = [int(new_row[row]) for row in sorted(rows_with_open_start) if row < len(rows)]
@@ -97,7 +97,7 @@ def without_unresolved(main: MainRoutine, sequence: OrderedMotions) -> Separated
     corrected_motions = OrderedMotions(
         rows.take(~is_dropped),
         sequence.states,
-        sequence.state[~is_dropped],
+        sequence.state_index[~is_dropped],
         sequence.numbers.of_rows(~is_dropped),
         moves,
     )
@@ -110,10 +110,10 @@ def without_unresolved(main: MainRoutine, sequence: OrderedMotions) -> Separated
 def _uncertain_motions(settings: Settings, sequence: OrderedMotions) -> Iterator[tuple[int, ProgramError]]:
     """Yield the motions that depend on unknown frames, speeds or modes: the row of each, and the error."""
     for index, motion_state in enumerate(sequence.states):
-        if not motion_state.uncertain and motion_state.base >= 0 and motion_state.tool >= 0:
+        if not motion_state.uncertain_fields and motion_state.base >= 0 and motion_state.tool >= 0:
             continue
-        for row in np.flatnonzero(sequence.state == index).tolist():
-            axis = row in sequence.moves and sequence.moves[row].end.position.axis
+        for row in np.flatnonzero(sequence.state_index == index).tolist():
+            axis = row in sequence.moves and sequence.moves[row].end.position.is_axis
             is_approximated = bool(sequence.rows.approximated[row])
             try:
                 fields = fields_used(int(sequence.rows.kind[row]), axis=axis, is_approximated=is_approximated)
@@ -159,7 +159,7 @@ def _marks(main: MainRoutine) -> list[tuple[int, bool]]:
         return []
     routines = [(module, routine) for module in modules for routine in module.routines.values()]
     sync_words_of = {
-        routine: {_sync_word(routine.source, row) for row in routine.lines} - {""} for _, routine in routines
+        routine: {_sync_word(routine.source, row) for row in routine.statement_lines} - {""} for _, routine in routines
     }
     sync_routines = {routine for routine, routine_words in sync_words_of.items() if routine_words}
     names = {
@@ -171,18 +171,18 @@ def _marks(main: MainRoutine) -> list[tuple[int, bool]]:
     at_any_time = any(
         isinstance(statement(routine.source, row), Event) and _sync_word(routine.source, row, names)
         for _, routine in routines
-        for row in routine.lines
+        for row in routine.statement_lines
     )
     entry_lines = {step.row for step in course.steps if isinstance(step, RoutineEntry)}
     marks = []
     trace = course.trace
-    for row in range(course.body.first, course.body.last):
-        if not trace.is_count[row - 1] and (course.live is None or course.live[row - 1]):
+    for row in range(course.body.first, course.body.stop):
+        if not trace.is_count[row - 1] and (course.may_run is None or course.may_run[row - 1]):
             word = _sync_word(*trace.place(row), names, is_entered=row in entry_lines)
             marks += [(row, not at_any_time and (waiting or word == _WAITING))] if word else []
     loop = course.endless_loop
-    if loop is not None and any(loop.first <= row < loop.last for row, _ in marks):
-        marks += [(loop.first - 1, True), (loop.last, True)]
+    if loop is not None and any(loop.first <= row < loop.stop for row, _ in marks):
+        marks += [(loop.first - 1, True), (loop.stop, True)]
     return sorted(marks)
 
 
@@ -225,15 +225,15 @@ def depends_on_start(sequence: OrderedMotions, row: int, *, arcs: bool = True) -
     :param arcs: False to disregard the shape of arcs.
     """
     move = sequence.moves.get(row)
-    if sequence.rows.kind[row] != PTP and sequence.states[sequence.state[row]].orientation == "#CONSTANT":
+    if sequence.rows.kind[row] != PTP and sequence.states[sequence.state_index[row]].orientation == "#CONSTANT":
         return True
-    if move is not None and (move.via_incomplete or move.angle is not None):
+    if move is not None and (move.is_via_incomplete or move.angle is not None):
         return True
     kind = sequence.rows.kind[row]
-    if (arcs and kind == CIRC) or kind == SPL or (move is not None and bool(move.relative)):
+    if (arcs and kind == CIRC) or kind == SPL or (move is not None and bool(move.relative_axes)):
         return True
     if move is not None:
-        return not move.end.position.complete
+        return not move.end.position.is_complete
     return bool(np.isnan(sequence.rows.numbers[row]).any())
 
 
@@ -264,7 +264,7 @@ def _report_unresolved(
 def _depends_on_position(main: MainRoutine, line: int, reason: ProgramError) -> bool:
     """Return whether the target of an uncorrected motion, or of a called routine, depends on the robot position."""
     stmt = statement(*main.run.trace.place(line))
-    if line in main.run.shifted or (isinstance(stmt, Motion) and depends_on_position(stmt)):
+    if line in main.run.position_dependent_calls or (isinstance(stmt, Motion) and depends_on_position(stmt)):
         return True
     is_here = PARTLY_GIVEN in reason.problem or any(name in reason.problem.upper() for name in ROBOT_POSITIONS)
     return isinstance(stmt, Motion) and is_here

@@ -71,11 +71,11 @@ _OPERATIONS: dict[str, Callable[[float, float], float]] = {
     "*": lambda a, b: a * b,
     "/": lambda a, b: a / b,
 }
-_UNKNOWN_ROUNDING = UnknownValue(why="to which side the quotient of negative INTs is rounded is in no source")
+_UNKNOWN_ROUNDING = UnknownValue(reason="to which side the quotient of negative INTs is rounded is in no source")
 PARTLY_GIVEN = "not all of its components are given, and it had others"
 """Why a position is not known: it may keep the others or lack them, and a motion then keeps those of the robot."""
 _LONE_MEMBER = "its structure had no value as a whole: give all members at once before"
-_BEYOND_INT = UnknownValue(why="what becomes of an INT beyond 32 bits is in no source")
+_BEYOND_INT = UnknownValue(reason="what becomes of an INT beyond 32 bits is in no source")
 _HALF = 1e-5
 """REALs that are closer than this share to the middle between two INTs may be rounded to either: they have fewer
 digits on a controller."""
@@ -127,11 +127,11 @@ class Snapshot(NamedTuple):
     """Values of variables at one moment.
 
     :ivar values: by stored name; elements as ``P[3]``.
-    :ivar changing: names that may change at any time, and what changes them.
+    :ivar volatile_values: names that may change at any time, and what changes them.
     """
 
     values: dict[str, VariableValue | UnparsedValue]
-    changing: dict[str, UnknownValue]
+    volatile_values: dict[str, UnknownValue]
 
 
 class _NoFunctions:
@@ -149,23 +149,23 @@ class _NoFunctions:
 class Variables:
     """Values by name (upper case; elements as ``P[3]``), at one moment of the program's run.
 
-    :ivar changes: how often a value was replaced by another one.
+    :ivar change_count: how often a value was replaced by another one.
     :ivar types: declared type by name, upper case.
     :ivar structures: types of the members of each STRUC, upper case.
-    :ivar public: names declared GLOBAL.
+    :ivar global_names: names declared GLOBAL.
     :ivar scope: which variables the names of the present routine mean.
-    :ivar changing: names that may change at any time, and what changes them.
-    :ivar used: names that a motion, a frame or a speed depends on.
-    :ivar changed: names that the program gives another value, and where first.
-    :ivar given: values that the cell gives, by key.
-    :ivar relied: keys of these that were asked for, by any run.
-    :ivar initial: names that keep their values from run to run: those of data lists, BASE_DATA and TOOL_DATA.
-    :ivar current: present value of one of the `RELEVANT` variables, or of a component of it (name, field); the settings
-        in force have these, see `Settings`.
+    :ivar volatile_values: names that may change at any time, and what changes them.
+    :ivar used_names: names that a motion, a frame or a speed depends on.
+    :ivar change_places: names that the program gives another value, and where first.
+    :ivar cell_values: values that the cell gives, by key.
+    :ivar used_cell_values: keys of these that any run has read.
+    :ivar persistent_names: names that keep their values from run to run: those of data lists, BASE_DATA and TOOL_DATA.
+    :ivar setting_value: function that returns the present value of one of the `RELEVANT` variables, or of one of its
+        components, by name and component (None: the whole); see `Settings.current_value`.
     :ivar functions: those of the program, see `calls`.
-    :ivar late: first values, by key, of data lists that are read when the program first calls their file: they held
-        from its beginning.
-    :ivar reading_late: True while such a list is read.
+    :ivar late_values: initial values, by key, of data lists that are read when the program first calls their file; they
+        have held since the program began.
+    :ivar reads_late_list: True while such a list is read.
     """
 
     def __init__(self, cell: Cell) -> None:
@@ -175,23 +175,23 @@ class Variables:
         """
         self._values: dict[str, VariableValue | UnparsedValue] = {}
         self._elements: defaultdict[str, list[str]] = defaultdict(list)
-        self.changes = 0
+        self.change_count = 0
         self.types: dict[str, str] = {}
         self.structures: dict[str, dict[str, str]] = {}
-        self.public: set[str] = set()
+        self.global_names: set[str] = set()
         self.scope = Scope()
-        self.changing: dict[str, UnknownValue] = {}
-        self.used: set[str] = set()
-        self.changed: dict[str, str] = {}
-        self.initial = set(FRAME_ARRAYS)
-        self.current: Callable[[str, str | None], VariableValue] = _unknown_setting
+        self.volatile_values: dict[str, UnknownValue] = {}
+        self.used_names: set[str] = set()
+        self.change_places: dict[str, str] = {}
+        self.persistent_names = set(FRAME_ARRAYS)
+        self.setting_value: Callable[[str, str | None], VariableValue] = _unknown_setting
         self.functions: Functions = _NoFunctions()
-        self.late: dict[str, VariableValue | UnparsedValue] = {}
-        self.reading_late = False
+        self.late_values: dict[str, VariableValue | UnparsedValue] = {}
+        self.reads_late_list = False
         self._stated = {f"{name}[0]": (ZERO, "the controller, whose number 0 is $NULLFRAME") for name in FRAME_ARRAYS}
-        self.given = {key.upper(): _cell_value(value) for key, value in cell.krl.values.items()}
-        _check_cell_values(self.given)
-        self.relied: set[str] = set()
+        self.cell_values = {key.upper(): _cell_value(value) for key, value in cell.krl.values.items()}
+        _check_cell_values(self.cell_values)
+        self.used_cell_values: set[str] = set()
         for number, base in cell.base_data.items():
             self._put_frame(
                 f"BASE_DATA[{int(number)}]", position_from_pose(base.pose()), f"[base_data.{number}] of the cell"
@@ -237,19 +237,19 @@ class Variables:
         duplicate._values, duplicate._elements = dict(self._values), defaultdict(list)
         for name, keys in self._elements.items():
             duplicate._elements[name] = list(keys)
-        duplicate.types, duplicate.structures, duplicate.public = (
+        duplicate.types, duplicate.structures, duplicate.global_names = (
             dict(self.types),
             dict(self.structures),
-            set(self.public),
+            set(self.global_names),
         )
-        duplicate.changing, duplicate.changed = dict(self.changing), dict(self.changed)
-        duplicate.used, duplicate.initial = set(self.used), set(self.initial)
-        duplicate.late = dict(self.late)
+        duplicate.volatile_values, duplicate.change_places = dict(self.volatile_values), dict(self.change_places)
+        duplicate.used_names, duplicate.persistent_names = set(self.used_names), set(self.persistent_names)
+        duplicate.late_values = dict(self.late_values)
         return duplicate
 
     def take_cell_values(self, name: str = "") -> None:
         """Set variables to the values that the cell gives; with a name, only that one and its elements."""
-        for key, value in self.given.items():
+        for key, value in self.cell_values.items():
             root = key.partition("[")[0]
             if not name or name == root:
                 self.put(key, convert_to_type(value, self.types.get(root, "")))
@@ -257,9 +257,9 @@ class Variables:
     def put(self, key: str, value: VariableValue | UnparsedValue) -> None:
         """Store a value unchanged; `set` converts the values of assignments to the type of the variable."""
         is_new = key not in self._values
-        self.changes += self._values.get(key) != value
-        if self.reading_late:
-            self.late[key] = value
+        self.change_count += self._values.get(key) != value
+        if self.reads_late_list:
+            self.late_values[key] = value
         if is_new and key.endswith("]"):
             array, _, _ = key.partition("[")
             self._elements[array].append(key)
@@ -271,8 +271,8 @@ class Variables:
         :param place: the assignment.
         """
         name = key.partition("[")[0]
-        if name not in self.changed:
-            self.changed[name] = str(place)
+        if name not in self.change_places:
+            self.change_places[name] = str(place)
         if isinstance(value, Number):
             value = convert_to_type(value, self.types.get(name, ""))
         elif isinstance(value, Aggregate) and self._is_ambiguous(key, value):
@@ -297,18 +297,23 @@ class Variables:
         """Set one component of a variable, as ``XP1.X=5`` does; `place` is the assignment."""
         old_value = self.value(key)
         name = key.partition("[")[0]
-        if name not in self.changed:
-            self.changed[name] = str(place)
+        if name not in self.change_places:
+            self.change_places[name] = str(place)
         first = field.partition(".")[0].partition("[")[0]
-        if isinstance(old_value, Position) and field in CARTESIAN and not old_value.axis and isinstance(value, Number):
+        if (
+            isinstance(old_value, Position)
+            and field in CARTESIAN
+            and not old_value.is_axis
+            and isinstance(value, Number)
+        ):
             new_position = with_component(old_value, field, value.value)
             self.put(key, UnknownValue(str(place)) if new_position is None else new_position)
-        elif isinstance(old_value, UnknownValue) and old_value.why:
+        elif isinstance(old_value, UnknownValue) and old_value.reason:
             return
         elif old_value in (None, NO_VALUE) and not isinstance(value, UnknownValue):
             self.put(key, UnknownValue(str(place), _LONE_MEMBER))
         elif not isinstance(old_value, Aggregate):
-            self.put(key, UnknownValue(str(place), value.why if isinstance(value, UnknownValue) else ""))
+            self.put(key, UnknownValue(str(place), value.reason if isinstance(value, UnknownValue) else ""))
         elif (
             "[" not in field
             and (new_structure := _structure_with_member(self, old_value, field.split("."), value)) is not None
@@ -316,9 +321,9 @@ class Variables:
             self.put(key, new_structure)
         elif first not in _COMPONENTS:
             items = {**old_value.items, first: OpaqueText(old_value.start, old_value.stop)}
-            self.put(key, replace(old_value, items=items, computed=True))
+            self.put(key, replace(old_value, items=items, is_computed=True))
         else:
-            self.put(key, UnknownValue(str(place), value.why if isinstance(value, UnknownValue) else ""))
+            self.put(key, UnknownValue(str(place), value.reason if isinstance(value, UnknownValue) else ""))
 
     def forget(self, name: str, place: str) -> None:
         """Mark a variable and all its elements as unknown.
@@ -329,37 +334,37 @@ class Variables:
         """
         if name[0] == "$" and name not in self._values and name not in self._elements:
             return
-        self.changed.setdefault(name, place)
+        self.change_places.setdefault(name, place)
         for key in (name, *self._elements.get(name, ())):
             self._values[key] = UnknownValue(place)
 
     def snapshot(self) -> Snapshot:
         """Return all values, for `restore` and `merge`."""
-        return Snapshot(dict(self._values), dict(self.changing))
+        return Snapshot(dict(self._values), dict(self.volatile_values))
 
     def restore(self, snapshot: Snapshot) -> None:
         """Give all variables the values of a snapshot."""
-        self._values, self.changing = self.late | snapshot.values, dict(snapshot.changing)
+        self._values, self.volatile_values = self.late_values | snapshot.values, dict(snapshot.volatile_values)
 
     def merge(self, snapshot: Snapshot, place: str) -> None:
         """Mark as unknown the variables whose values differ from those of a snapshot: that of another branch.
 
         :param place: the join of the branches, for messages.
         """
-        values, volatile_names = self.late | snapshot.values, snapshot.changing
-        self.changing = volatile_names | self.changing
+        values, volatile_names = self.late_values | snapshot.values, snapshot.volatile_values
+        self.volatile_values = volatile_names | self.volatile_values
         for key in self._values.keys() | values.keys():
             if not self._have_same_value(self._values.get(key), values.get(key)):
                 self._values[key] = UnknownValue(place)
 
     def differing_names(self, snapshot: Snapshot) -> frozenset[str]:
         """Return the names of variables whose values differ from those of a snapshot."""
-        values, volatile_names = self.late | snapshot.values, snapshot.changing
+        values, volatile_names = self.late_values | snapshot.values, snapshot.volatile_values
         keys = self._values.keys() | values.keys()
         names = {
             key.partition("[")[0] for key in keys if not self._have_same_value(self._values.get(key), values.get(key))
         }
-        return frozenset(names | (self.changing.keys() ^ volatile_names.keys()))
+        return frozenset(names | (self.volatile_values.keys() ^ volatile_names.keys()))
 
     def _have_same_value(self, first: object, second: object) -> bool:
         """Return whether two stored values are equal; an aggregate equals the unparsed text that it was read from."""
@@ -370,16 +375,16 @@ class Variables:
         if isinstance(first, UnparsedValue):
             if isinstance(second, Aggregate):
                 is_same_text = second.source is first.source and second.row == first.row
-                return is_same_text and not second.computed and first.start <= second.start < first.stop
+                return is_same_text and not second.is_computed and first.start <= second.start < first.stop
             value = first.value
             return isinstance(value, Number) and isinstance(second, Number) and value.value == second.value
         if not isinstance(first, Aggregate) or not isinstance(second, Aggregate):
             return False
-        return (first.source, first.row, first.start, first.computed, first.items.keys()) == (
+        return (first.source, first.row, first.start, first.is_computed, first.items.keys()) == (
             second.source,
             second.row,
             second.start,
-            second.computed,
+            second.is_computed,
             second.items.keys(),
         ) and all(self._have_same_value(item, second.items[name]) for name, item in first.items.items())
 
@@ -389,12 +394,12 @@ class Variables:
         :param numbers: indices of the elements.
         :returns: None if an element has another value, or may have.
         """
-        if name in self.changing or any(key.partition("[")[0] == name for key in self.given):
+        if name in self.volatile_values or any(key.partition("[")[0] == name for key in self.cell_values):
             return None
         spans, source = [], None
         for number in numbers:
             value = self._values.get(f"{name}[{number}]")
-            if not isinstance(value, UnparsedValue | Aggregate) or (isinstance(value, Aggregate) and value.computed):
+            if not isinstance(value, UnparsedValue | Aggregate) or (isinstance(value, Aggregate) and value.is_computed):
                 return None
             if value.source is not (source := source or value.source) or source.index == 0 or value.row:
                 return None
@@ -416,8 +421,8 @@ class Variables:
 
         :returns: stored name → the place that changes it, as text.
         """
-        change_places = self.changed | {name: value.where for name, value in self.changing.items()}
-        return {name: change_places[name] for name in sorted(self.initial & change_places.keys())}
+        change_places = self.change_places | {name: value.change_place for name, value in self.volatile_values.items()}
+        return {name: change_places[name] for name in sorted(self.persistent_names & change_places.keys())}
 
     def next_run(self) -> Variables:
         """Return the variables as the next run of the program finds them.
@@ -429,21 +434,21 @@ class Variables:
         next_variables._elements = self._elements.copy()
         (
             next_variables.scope,
-            next_variables.changing,
-            next_variables.used,
-            next_variables.changed,
-            next_variables.late,
+            next_variables.volatile_values,
+            next_variables.used_names,
+            next_variables.change_places,
+            next_variables.late_values,
         ) = Scope(), {}, set(), {}, {}
-        for name in self.initial & self.changing.keys():
-            next_variables.forget(name, self.changing[name].where)
-        for name in {key.partition("[")[0] for key in self.given} - self.initial:
+        for name in self.persistent_names & self.volatile_values.keys():
+            next_variables.forget(name, self.volatile_values[name].change_place)
+        for name in {key.partition("[")[0] for key in self.cell_values} - self.persistent_names:
             next_variables.take_cell_values(name)
-        next_variables.changed = {}
+        next_variables.change_places = {}
         return next_variables
 
     def _is_kept_between_runs(self, key: str) -> bool:
         """Return whether a variable keeps its value from one run of the program to the next."""
-        return key[0] == "$" or key.partition("[")[0] in self.initial
+        return key[0] == "$" or key.partition("[")[0] in self.persistent_names
 
     def __contains__(self, key: str) -> bool:
         """Return whether a value is stored under a name."""
@@ -452,11 +457,11 @@ class Variables:
     def value(self, key: str) -> VariableValue | None:
         """Return the value of a variable or an element by its stored name; None if it has none."""
         if key[0] == "$" and (root := key.partition("[")[0]) in RELEVANT:
-            return self.current(root, None)
-        if self.changing and (name := key.partition("[")[0]) in self.changing:
-            return self.changing[name]
-        if key in self.given:
-            self.relied.add(key)
+            return self.setting_value(root, None)
+        if self.volatile_values and (name := key.partition("[")[0]) in self.volatile_values:
+            return self.volatile_values[name]
+        if key in self.cell_values:
+            self.used_cell_values.add(key)
         value = self._values.get(key)
         if isinstance(value, UnparsedValue):
             value = self.evaluate(value.value)
@@ -504,7 +509,7 @@ class Variables:
             items[name] = result if isinstance(result, Number | Word | Aggregate) else OpaqueText(*_span(item))
         if all(result is item for result, item in zip(items.values(), aggregate.items.values(), strict=True)):
             return aggregate
-        return replace(aggregate, items=items, computed=True)
+        return replace(aggregate, items=items, is_computed=True)
 
     def truth(self, condition: Value | None) -> bool | None:
         """Return whether a condition holds; None if that is not known before the program runs."""
@@ -544,7 +549,7 @@ class Variables:
         right = self.evaluate(operation.right)
         if not isinstance(left, Number) or not isinstance(right, Number):
             return next((side for side in (left, right) if isinstance(side, UnknownValue)), NO_VALUE)
-        integer = left.integer and right.integer
+        integer = left.is_integer and right.is_integer
         value = operation_result(operation.operator, left.value, right.value, integer=integer)
         return Number(value, operation.start, operation.stop, integer) if isinstance(value, int | float) else value
 
@@ -560,7 +565,7 @@ class Variables:
         numbers = [argument_value.value for argument_value in argument_values if isinstance(argument_value, Number)]
         if call.name == "INV_POS" and len(argument_values) == 1:
             position = self.position(argument_values[0])
-            return NO_VALUE if position is None or position.axis else position_from_pose(inverse(position.pose()))
+            return NO_VALUE if position is None or position.is_axis else position_from_pose(inverse(position.pose()))
         if (
             function is None
             or len(numbers) < len(argument_values)
@@ -572,7 +577,7 @@ class Variables:
         except ValueError:
             return NO_VALUE
         integer = call.name == "ABS" and all(
-            argument_value.integer for argument_value in argument_values if isinstance(argument_value, Number)
+            argument_value.is_integer for argument_value in argument_values if isinstance(argument_value, Number)
         )
         return Number(value, call.start, call.stop, integer)
 
@@ -584,7 +589,7 @@ class Variables:
         pose, position = np.eye(4), None
         for operand in chain.operands:
             position = self.position(operand)
-            if position is None or position.axis or (isinstance(operand, Reference) and not position.complete):
+            if position is None or position.is_axis or (isinstance(operand, Reference) and not position.is_complete):
                 return NO_VALUE
             pose = pose @ position.pose()
         if position is None:
@@ -609,14 +614,14 @@ class Variables:
     def value_of(self, reference: Reference) -> VariableValue:
         """Return the present value of a variable, an element or a component; `NO_VALUE` if it has none."""
         if reference.name in RELEVANT:  # a setting of motions, such as $BASE
-            return self.current(reference.name, reference.field)
+            return self.setting_value(reference.name, reference.field)
         key = self.key_of(reference)
         value = self.value(key) if key is not None else None
         if value is None and key is not None and reference.indices is not None:
             value = self.value(self.scope.stored_name(reference.name))  # unknown where any element may have changed
-        if isinstance(value, Aggregate) and reference.indices is not None and reference.name in self.scope.arrays:
-            value = replace(value, computed=True)  # the text of its numbers belongs to a variable of another name
-        if isinstance(value, Position) and reference.field in CARTESIAN and not value.axis:
+        if isinstance(value, Aggregate) and reference.indices is not None and reference.name in self.scope.array_names:
+            value = replace(value, is_computed=True)  # the text of its numbers belongs to a variable of another name
+        if isinstance(value, Position) and reference.field in CARTESIAN and not value.is_axis:
             return component(value, reference.field)
         if reference.field is not None:
             value = self._member_of(value, reference.field)
@@ -636,9 +641,9 @@ class Variables:
             item = value.items.get(name) if isinstance(value, Aggregate) else None
             if item is None or not isinstance(value, Aggregate):
                 return None
-            is_computed |= value.computed
+            is_computed |= value.is_computed
             value = self.evaluate(item)
-        return replace(value, computed=True) if is_computed and isinstance(value, Aggregate) else value
+        return replace(value, is_computed=True) if is_computed and isinstance(value, Aggregate) else value
 
     def _convert_member(self, reference: Reference, number: Number) -> VariableValue:
         """Return a number converted to the type of a member of a structure."""
@@ -674,7 +679,7 @@ class Variables:
     def note_dependence(self, value: Value | VariableValue) -> None:
         """Note the variables in a value on which a motion, a frame or a speed depends."""
         if isinstance(value, Reference):
-            self.used.add(self.scope.stored_name(value.name))
+            self.used_names.add(self.scope.stored_name(value.name))
         if not isinstance(value, _WITHOUT_PARTS):
             for part in parts(value):
                 self.note_dependence(part)
@@ -732,7 +737,7 @@ def component(position: Position, field: str) -> VariableValue:
     """
     value = position.values[CARTESIAN.index(field)]
     if field in ANGLES and not _has_unique_angles(position):
-        return UnknownValue(why=f"two sets of A, B, C describe this orientation, and {field} may be that of either")
+        return UnknownValue(reason=f"two sets of A, B, C describe this orientation, and {field} may be that of either")
     return Number(value, 0, 0, False)
 
 
@@ -783,7 +788,7 @@ def _structure_with_member(
         return None
     if not isinstance(member, (Number, Word, Aggregate)):
         return None
-    return replace(structure, items={**structure.items, name: member}, computed=True)
+    return replace(structure, items={**structure.items, name: member}, is_computed=True)
 
 
 def _are_equal_frames(frame: Position, other_frame: Position) -> bool:
@@ -791,7 +796,7 @@ def _are_equal_frames(frame: Position, other_frame: Position) -> bool:
 
     Frames given by joint angles count as different.
     """
-    if frame.axis or other_frame.axis:
+    if frame.is_axis or other_frame.is_axis:
         return False
     pairs = list(zip(frame.values, other_frame.values, strict=True))
     pose = Position(tuple(x if x == x else y for x, y in pairs)).pose()
@@ -802,7 +807,7 @@ def _are_equal_frames(frame: Position, other_frame: Position) -> bool:
 
 def _frame_text(frame: Position) -> str:
     """Return the given components of a frame as KRL writes them, for messages [mm, deg]."""
-    names = AXES if frame.axis else CARTESIAN
+    names = AXES if frame.is_axis else CARTESIAN
     components = [
         f"{name} {without_negative_zero(value):.10g}"
         for name, value in zip(names, np.round(frame.values, 6), strict=True)
@@ -824,18 +829,18 @@ def convert_to_type(value: VariableValue, kind: str) -> VariableValue:
     :returns: an `UnknownValue` if the rounding is not certain.
     """
     if not isinstance(value, Number) or kind == "REAL":
-        return replace(value, integer=False) if isinstance(value, Number) else value
+        return replace(value, is_integer=False) if isinstance(value, Number) else value
     is_whole = value.value == int(value.value)
     if kind == WHOLE and not is_whole:
-        return UnknownValue(why=f"whether {value.value:g} is rounded to an INT is in no source")
+        return UnknownValue(reason=f"whether {value.value:g} is rounded to an INT is in no source")
     if kind in ("INT", WHOLE) and abs(value.value) >= LARGEST_INT:
         return _BEYOND_INT
     if kind == "INT" and not is_whole:
         nearest = round(value.value)
         if abs(abs(value.value - nearest) - 0.5) < _HALF * max(1.0, abs(value.value)):
-            return UnknownValue(why=f"to which side {value.value:g} is rounded is in no source")
-        return replace(value, value=float(nearest), integer=True)
-    return replace(value, integer=is_whole)
+            return UnknownValue(reason=f"to which side {value.value:g} is rounded is in no source")
+        return replace(value, value=float(nearest), is_integer=True)
+    return replace(value, is_integer=is_whole)
 
 
 def _span(value: Value) -> tuple[int, int]:

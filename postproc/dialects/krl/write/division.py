@@ -47,14 +47,15 @@ class CutPoints(Struct, frozen=True, eq=False):
     :param begin: line of its DEF.
     :param end: line of its END.
     :param cuts: lines (n,) before which it may be cut, ascending.
-    :param first: line of its first motion; where it has none of its own, of its first call behind all INTERRUPTs.
+    :param first_motion: line of its first motion; if it has none of its own, that of its first call behind all
+        INTERRUPTs.
     :param declarations: lines that declare.
     """
 
     begin: int
     end: int
     cuts: Ints
-    first: int
+    first_motion: int
     declarations: list[int]
 
 
@@ -88,7 +89,7 @@ def find_cut_points(source: Source, main: Routine) -> CutPoints:
             isinstance(stmt, CyclicInput) and stmt.word == "SIGNAL"
         ):
             declarations.append(line)
-        elif isinstance(stmt, Event) and not stmt.public:
+        elif isinstance(stmt, Event) and not stmt.is_global:
             first_call = 0
         elif not first_call and stmt.word != "BAS" and calls(stmt.values):
             first_call = line
@@ -106,7 +107,7 @@ def _check_divisible(source: Source, line: int, stmt: Statement, first: int) -> 
     """
     if isinstance(stmt, Return | Goto | Label):
         raise division_error(source, f"{stmt.word} leads to another place of it", line)
-    if first and isinstance(stmt, Event) and stmt.declares and not stmt.public:
+    if first and isinstance(stmt, Event) and stmt.is_declaration and not stmt.is_global:
         problem = "an interrupt that is not GLOBAL is declared behind the first motion"
         raise division_error(source, problem, line, f"Declare it before the first motion, or: {ADVICE}")
 
@@ -124,9 +125,9 @@ def part_bounds(
     free_lines = limit - extra_lines
     if free_lines < 1:
         raise division_error(source, f"{limit} lines are not enough for one motion", cut_points.begin)
-    first_cuts = cut_points.cuts[cut_points.cuts <= cut_points.first]
+    first_cuts = cut_points.cuts[cut_points.cuts <= cut_points.first_motion]
     if not len(first_cuts):
-        raise division_error(source, "its first motion is in a fold or control structure", cut_points.first)
+        raise division_error(source, "its first motion is in a fold or control structure", cut_points.first_motion)
     cuts = [int(first_cuts[-1])]
     late_declarations = [line for line in cut_points.declarations if line > cuts[0]]
     if late_declarations:

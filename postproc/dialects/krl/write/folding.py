@@ -40,13 +40,13 @@ class FoldedProgram(Struct, frozen=True):
     :ivar documents: the `.src`, then changed files of routines that it calls.
     :ivar line: (L + 1,) line of the `.src` on which each line of the trace begins now; of lines in other files that
         of the call.
-    :ivar inside: (L + 1,) True where the line is in the `.src`.
+    :ivar is_in_main: (L + 1,) True where the line is in the `.src`.
     :ivar issues: warnings for the user.
     """
 
     documents: tuple[Document, ...]
     line: Ints
-    inside: np.ndarray
+    is_in_main: np.ndarray
     issues: tuple[Issue, ...]
 
 
@@ -62,13 +62,13 @@ def fold(course: Course, main: Routine, new_rows: EditedRows) -> FoldedProgram:
 class _Piece(NamedTuple):
     """Lines of a file.
 
-    :ivar lines: number of lines.
+    :ivar line_count: number of lines.
     :ivar content: texts, and rows first … last − 1 of the trace as they are written.
     :ivar places: (n, first, last): line n of the piece, from 0, is where row `first` of the trace begins now; the rows
         up to the one before `last` follow as they do in the corrected trace.
     """
 
-    lines: int
+    line_count: int
     content: Sequence[str | tuple[int, int]]
     places: Sequence[tuple[int, int, int]] = ()
 
@@ -91,7 +91,7 @@ class _Folder(Struct, eq=False):
     :ivar edited: the rows that are written anew.
     :ivar versions: routine → key of its changes → its text; the first one keeps the name of the routine.
     :ivar names: names in use, once a new one has been needed.
-    :ivar outside: calls of routines in other files.
+    :ivar outside_calls: calls of routines in other files.
     """
 
     course: Course
@@ -99,7 +99,7 @@ class _Folder(Struct, eq=False):
     edited: EditedRows
     versions: defaultdict[Routine, dict[_Key, _Version]] = field(default_factory=lambda: defaultdict(dict))
     names: Names | None = None
-    outside: list[InlinedRoutine] = []
+    outside_calls: list[InlinedRoutine] = []
     issues: list[Issue] = []
     _keys: dict[Body, _Key] = {}
     _calls: dict[InlinedRoutine, _Version] = {}
@@ -125,15 +125,15 @@ class _Folder(Struct, eq=False):
             if source is self.main.source or text != source.text:
                 documents.append(replace(source.document, text=text))
                 self._warn_users(source)
-        for call in self.outside:
-            rows = line[call.body.first : call.body.last]
+        for call in self.outside_calls:
+            rows = line[call.body.first : call.body.stop]
             rows[rows == 0] = line[call.row]
         return FoldedProgram(tuple(documents), line, is_inside, tuple(self.issues))
 
     def _warn_users(self, source: Source) -> None:
         """Warn of other programs in the folder that call routines of a changed file."""
         name = source.document.name
-        if users := self.course.users.get(name, ()):
+        if users := self.course.other_callers.get(name, ()):
             message = (
                 f"{name} is corrected for this program. {', '.join(users)} of its folders call it too, and would "
                 f"move by the correction made here: give them a {name} of their own."
@@ -153,14 +153,14 @@ class _Folder(Struct, eq=False):
             row = body.first
             for part in body.parts:
                 part_begin, part_end = (
-                    (part.row, part.body.last) if isinstance(part, InlinedRoutine) else (part.first, part.last)
+                    (part.row, part.body.stop) if isinstance(part, InlinedRoutine) else (part.first, part.stop)
                 )
                 self._add_changes(changes, row, part_begin)
                 change = self._call_key(part) if isinstance(part, InlinedRoutine) else self._loop_key(part)
                 if change:
                     changes.append((self._line(part_begin), change))
                 row = part_end
-            self._add_changes(changes, row, body.last)
+            self._add_changes(changes, row, body.stop)
             key = self._keys[body] = tuple(changes)
         return key
 
@@ -183,17 +183,17 @@ class _Folder(Struct, eq=False):
         message = f"The rounds of {head} are corrected differently: they are written out, but for those that are alike."
         line = self.course.trace.shown_line(loop.first)
         self.issues.append(Issue("info", "loop-written-out", message, line, subject=f"{head} {line}"))
-        end = self.course.counter_value(loop, loop.bodies[-1].last) if self._sets_counter(loop) else None
+        end = self.course.counter_value(loop, loop.bodies[-1].stop) if self._sets_counter(loop) else None
         return ("rounds", end, *zip(self._counter_values(loop), keys, strict=True))
 
     def _sets_counter(self, loop: UnrolledLoop) -> bool:
         """Return whether the counter of a FOR is set behind its last round."""
-        return loop.step != 0 and loop.last > loop.bodies[-1].last
+        return loop.step != 0 and loop.stop > loop.bodies[-1].stop
 
     def _key_of_lines(self, loop: UnrolledLoop) -> _Key:
         """Return the key of the changes in the lines of a loop without rounds."""
         changes: list[tuple[int, object]] = []
-        self._add_changes(changes, loop.first, loop.last)
+        self._add_changes(changes, loop.first, loop.stop)
         return tuple(changes)
 
     def _call_key(self, call: InlinedRoutine) -> object:
@@ -207,7 +207,7 @@ class _Folder(Struct, eq=False):
         """Return the version of a routine that a call needs; one with other changes is a copy with a new name."""
         versions, routine = self.versions[call.routine], call.routine
         key = self._body_key(call.body)
-        if routine in self.course.pinned and not versions:  # the unchanged text keeps the name
+        if routine in self.course.unchanged_routines and not versions:  # the unchanged text keeps the name
             text = line_text(routine.source, routine.first + 1, routine.last - 1)
             versions[()] = _Version(routine.name, _Piece(line_count(text), (text,)))
         if key not in versions:
@@ -230,11 +230,11 @@ class _Folder(Struct, eq=False):
         for part in body.parts:
             if isinstance(part, InlinedRoutine):
                 pieces += [self._rows_piece(row, part.row), self._call_piece(part)]
-                row = part.body.last
+                row = part.body.stop
             else:
                 pieces += [self._rows_piece(row, part.first), self._loop_piece(part)]
-                row = part.last
-        remaining_lines = self._rows_piece(row, body.last)
+                row = part.stop
+        remaining_lines = self._rows_piece(row, body.stop)
         return _concatenate([*pieces, remaining_lines]) if pieces else remaining_lines
 
     def _rows_piece(self, first: int, last: int) -> _Piece:
@@ -258,7 +258,7 @@ class _Folder(Struct, eq=False):
         It stays a loop if all rounds are corrected alike. Otherwise its rounds are written one after the other.
         """
         if not loop.bodies:
-            return self._rows_piece(loop.first, loop.last - (loop.step != 0))
+            return self._rows_piece(loop.first, loop.stop - (loop.step != 0))
         has_counter = loop.step != 0
         keys = [self._body_key(body) for body in loop.bodies]
         rounds = [self._body_piece(body, body.first + has_counter) for body in loop.bodies]
@@ -271,9 +271,9 @@ class _Folder(Struct, eq=False):
         for first, stop in pairwise([*_run_begins(keys, self._counter_values(loop), loop.step), len(rounds)]):
             pieces += self._equal_rounds(loop, first, rounds[first:stop])
         if self._sets_counter(loop):
-            pieces.append(self._counter_piece(loop, loop.bodies[-1].last, blanks))
+            pieces.append(self._counter_piece(loop, loop.bodies[-1].stop, blanks))
         else:
-            pieces.append(self._rows_piece(loop.bodies[-1].last, loop.last))
+            pieces.append(self._rows_piece(loop.bodies[-1].stop, loop.stop))
         if loop.has_exit:
             pieces.append(_text_piece(f"{blanks}EXIT{end}{blanks}ENDLOOP{end}"))
         return _concatenate(pieces)
@@ -307,7 +307,7 @@ class _Folder(Struct, eq=False):
         version.places.extend(body.places)
         line = self._rows_piece(call.row, call.row + 1)
         if call.routine.source is not self.main.source:
-            self.outside.append(call)
+            self.outside_calls.append(call)
         if version.name == call.routine.name:
             return line
         text, (source, number) = self._text(line), self.course.trace.place(call.row)
@@ -321,13 +321,13 @@ class _Folder(Struct, eq=False):
         if self.names is None:
             sources = dict.fromkeys([*self.course.trace.sources, *(routine.source for routine in self.versions)])
             words = (names_in(source.text) for source in sources)
-            self.names = Names(set(self.course.taken).union(*words))
+            self.names = Names(set(self.course.used_names).union(*words))
         routine = call.routine
         head = statement(routine.source, routine.first)
         spelling = head.name if isinstance(head, Definition) else routine.name
         name = self.names.unused_name(spelling)
         reason = "is corrected differently from call to call"
-        if routine in self.course.pinned:
+        if routine in self.course.unchanged_routines:
             reason = "is also called where calls are not followed, and stays as it is there"
         message = f"{spelling}() {reason}: this one calls its copy {name}()."
         line = self.course.trace.shown_line(call.row)
@@ -359,8 +359,8 @@ class _Folder(Struct, eq=False):
         definition, begin = statement(source, routine.first), int(source.starts[routine.first - 1])
         if not isinstance(definition, Definition):
             return text
-        start, name_start = definition.start - begin, definition.at - begin
-        public = "" if definition.public or source is self.main.source else "GLOBAL "
+        start, name_start = definition.start - begin, definition.name_start - begin
+        public = "" if definition.is_global or source is self.main.source else "GLOBAL "
         return f"{text[:start]}{public}{text[start:name_start]}{name}{text[name_start + len(definition.name) :]}"
 
     # --- text --------------------------------------------------------------------------------------------------------
@@ -412,7 +412,7 @@ def _concatenate(pieces: Iterable[_Piece]) -> _Piece:
     for piece in pieces:
         content += piece.content
         places += [(number + line, first, last) for line, first, last in piece.places]
-        number += piece.lines
+        number += piece.line_count
     return _Piece(number, content, places)
 
 

@@ -163,8 +163,8 @@ class _SwitchLines(Struct, frozen=True):
     """Spindle or coolant that is on where a module ends: lines of the cell to switch it on and off."""
 
     event: Event
-    on: list[str]
-    off: list[str]
+    on_lines: list[str]
+    off_lines: list[str]
 
 
 class _Divider:
@@ -177,13 +177,15 @@ class _Divider:
 
         :raises ProgramError: lines of the cell have an effect that ends with each module.
         """
-        self.new, self.emitter, self.whole, self.joints = emitter.new, emitter, undivided, joints
-        self.first = (0, *starts)
-        name, tail = emitter.program.name, len(str(len(self.first))) + 1
-        self.names = [f"{name[: MAX_LENGTH - tail]}_{index}" for index in range(1, len(self.first) + 1)]
-        self.event_at = [self.new.first_target(event) for event in emitter.program.events]
+        self.new_program, self.emitter, self.undivided, self.joints = emitter.new_program, emitter, undivided, joints
+        self.first_targets = (0, *starts)
+        name, tail = emitter.program.name, len(str(len(self.first_targets))) + 1
+        self.names = [f"{name[: MAX_LENGTH - tail]}_{index}" for index in range(1, len(self.first_targets) + 1)]
+        self.event_targets = [self.new_program.first_target(event) for event in emitter.program.events]
         for event in emitter.program.events:
-            if event.kind in ("m_code", "tool_change") and any(map(_WHILE_RUNNING.match, self.new.lines_of(event))):
+            if event.kind in ("m_code", "tool_change") and any(
+                map(_WHILE_RUNNING.match, self.new_program.lines_of(event))
+            ):
                 raise ProgramError(
                     "the lines of the cell for this block have an effect that ends with each module",
                     file=emitter.program.documents[0].name,
@@ -194,11 +196,11 @@ class _Divider:
 
     def write(self) -> WrittenProgram:
         """Return the written program as one text, with its modules."""
-        text, ends = self.whole.documents[0].text, _line_ends(self.whole)
+        text, ends = self.undivided.documents[0].text, _line_ends(self.undivided)
         head = sum(len(line) + len(LINE_END) for line in self.emitter.header_lines(self.emitter.program.name))
         documents, lines, line_count = [], [], 0
-        output_line = self.whole.output_line
-        for index, (first, stop) in enumerate(pairwise((*self.first, len(output_line)))):
+        output_line = self.undivided.output_line
+        for index, (first, stop) in enumerate(pairwise((*self.first_targets, len(output_line)))):
             top_lines = self.emitter.header_lines(self.names[index], self._order(index))
             head_lines = (
                 len(self.emitter.header_lines(self.emitter.program.name)) if first == 0 else int(output_line[first - 1])
@@ -213,11 +215,11 @@ class _Divider:
                 + body
                 + "".join(line + LINE_END for line in bottom_lines)
             )
-            documents.append(Document(f"{self.names[index]}.src", module_text, self.whole.documents[0].encoding))
+            documents.append(Document(f"{self.names[index]}.src", module_text, self.undivided.documents[0].encoding))
             lines.append(output_line[first:stop] - head_lines + len(top_lines) + line_count)
             line_count += module_text.count("\n")
-        modules = Modules(tuple(documents), self.first, np.concatenate(lines))
-        return replace(self.whole, modules=modules, issues=(*self.whole.issues, self._issue(documents)))
+        modules = Modules(tuple(documents), self.first_targets, np.concatenate(lines))
+        return replace(self.undivided, modules=modules, issues=(*self.undivided.issues, self._issue(documents)))
 
     def _order(self, index: int) -> str:
         """Return the comment that states the place of a module among the others."""
@@ -242,7 +244,9 @@ class _Divider:
         They set system variables, move to the end of the module before, and switch on what was on there.
         """
         state: dict[str, str] = {}
-        previous_lines = (line for row in sorted(self.new.before) if row < k for line in self.new.before[row])
+        previous_lines = (
+            line for row in sorted(self.new_program.before) if row < k for line in self.new_program.before[row]
+        )
         for line in (*self.emitter.start_lines(), *previous_lines):
             match = _STATE.match(line)
             if match:
@@ -252,9 +256,9 @@ class _Divider:
             if self._is_switched_at(switch.event, k):
                 continue  # the program itself switches it here
             event = switch.event
-            cell_lines += switch.on
-            lines += [self.new.words.wait, *switch.on] if switch.on else [f"; {no_lines(event)}"]
-            lines += [self.new.words.dwell.format(number(dwell.value)) for dwell in self._dwells(event)]
+            cell_lines += switch.on_lines
+            lines += [self.new_program.words.wait, *switch.on_lines] if switch.on_lines else [f"; {no_lines(event)}"]
+            lines += [self.new_program.words.dwell.format(number(dwell.value)) for dwell in self._dwells(event)]
         return [
             *lines,
             *(state.values() if calls_program(cell_lines) else ()),
@@ -262,8 +266,8 @@ class _Divider:
 
     def _switch_off_lines(self, k: int) -> list[str]:
         """Return the lines at the end of a module, before target `k`, that switch off what is on."""
-        lines = [line for switch in self._active_switches(k) for line in switch.off]
-        return [self.new.words.wait, *lines] if lines else []
+        lines = [line for switch in self._active_switches(k) for line in switch.off_lines]
+        return [self.new_program.words.wait, *lines] if lines else []
 
     def _active_switches(self, k: int) -> Iterator[_SwitchLines]:
         """Yield the spindle and the coolant if they are on before target `k`.
@@ -273,12 +277,15 @@ class _Divider:
         for off_kind in dict.fromkeys(SWITCHED_OFF.values()):
             switch_events = [
                 event
-                for event, target in zip(self.emitter.program.events, self.event_at, strict=True)
+                for event, target in zip(self.emitter.program.events, self.event_targets, strict=True)
                 if target < k and _SWITCHING.get(event.kind) == off_kind
             ]
             if not switch_events or switch_events[-1].kind == off_kind:
                 continue
-            on_lines, off_lines = self.new.lines_of(switch_events[-1]), self.new.lines_of(Event(0, off_kind, 0))
+            on_lines, off_lines = (
+                self.new_program.lines_of(switch_events[-1]),
+                self.new_program.lines_of(Event(0, off_kind, 0)),
+            )
             if on_lines and not off_lines:
                 raise ProgramError(
                     f"a module would end with the {off_kind.removesuffix('_off')} that this line switches on: the "
@@ -291,12 +298,12 @@ class _Divider:
 
     def _is_switched_at(self, event: Event, k: int) -> bool:
         """Return whether the program itself switches, at target `k`, the device of an event."""
-        off_kind, events = _SWITCHING[event.kind], zip(self.emitter.program.events, self.event_at, strict=True)
+        off_kind, events = _SWITCHING[event.kind], zip(self.emitter.program.events, self.event_targets, strict=True)
         return any(target == k and _SWITCHING.get(program_event.kind) == off_kind for program_event, target in events)
 
     def _dwells(self, event: Event) -> Iterator[Event]:
         """Yield the dwells that follow an event before the same target: they wait until the spindle has its speed."""
-        events, at = self.emitter.program.events, self.event_at
+        events, at = self.emitter.program.events, self.event_targets
         index = max(position for position, program_event in enumerate(events) if program_event is event)
         return (
             event_after

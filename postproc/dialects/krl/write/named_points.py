@@ -38,13 +38,14 @@ class Use(Struct, frozen=True, eq=False):
     :param line: 1-based row of the execution trace.
     :param operand: the point.
     :param texts: component → number to be commanded; None where it stays as it is.
-    :param whole: returns the target as a complete literal, for a statement that cannot name a point of its own.
+    :param complete_literal: returns the target as a complete literal, for statements that cannot name a point of their
+        own.
     """
 
     line: int
     operand: Point
     texts: Mapping[str, str] | None
-    whole: Callable[[], str]
+    complete_literal: Callable[[], str]
 
 
 class NamedPoints(Struct, eq=False):
@@ -60,7 +61,7 @@ class NamedPoints(Struct, eq=False):
     issues: list[Issue] = []
     _uses: dict[_TextPlace, list[Use]] = field(default_factory=lambda: defaultdict(list))
     _names: Names | None = None
-    _motion_only: dict[str, bool] = {}
+    _is_motion_only: dict[str, bool] = {}
 
     def add_use(self, use: Use) -> None:
         """Note the use of a point in a statement; a point whose numbers are in no text is replaced there at once."""
@@ -94,9 +95,9 @@ class NamedPoints(Struct, eq=False):
 
     def _is_used_by_motions_only(self, name: str) -> bool:
         """Return whether motions alone use the values of a variable; the result is stored."""
-        if name not in self._motion_only:
-            self._motion_only[name] = is_used_by_motions_only(name, self.layout, self.mentions)
-        return self._motion_only[name]
+        if name not in self._is_motion_only:
+            self._is_motion_only[name] = is_used_by_motions_only(name, self.layout, self.mentions)
+        return self._is_motion_only[name]
 
     def _correct_declaration(self, use: Use, aggregate: Aggregate) -> None:
         """Replace the numbers of a point in its declaration by the corrected ones."""
@@ -156,7 +157,7 @@ class NamedPoints(Struct, eq=False):
 
     def _replace_by_literal(self, use: Use) -> None:
         """Replace a named point in a statement by a literal with the numbers of its target."""
-        self.replacements[0].add(use.operand.start, use.operand.stop, use.whole(), use.line)
+        self.replacements[0].add(use.operand.start, use.operand.stop, use.complete_literal(), use.line)
         message = "A point that is computed, or that something else uses too, is replaced by numbers in the statement."
         self.issues.append(Issue("info", "point-replaced", message, use.line))
 
@@ -178,7 +179,7 @@ def mentions(course: Course, plain_rows: Ints) -> Mentions:
             names[place] = _names_on_line(*place)
         for name, offset in names[place]:
             places[name].append((row, offset))
-    for routine in course.pinned:
+    for routine in course.unchanged_routines:
         for line in range(routine.first + 1, routine.last):
             for name, offset in _names_on_line(routine.source, line):
                 places[name].append((0, offset))
@@ -206,8 +207,8 @@ def is_used_by_motions_only(name: str, layout: Layout, mentions: Mentions) -> bo
     while len(names) > count:
         count = len(names)
         names |= {name for pair in layout.copies if not names.isdisjoint(pair) for name in pair}
-    is_followed = all(place in layout.understood for name in names for place in mentions.get(name, ()))
-    return is_followed and names.isdisjoint(layout.public)
+    is_followed = all(place in layout.followed_names for name in names for place in mentions.get(name, ()))
+    return is_followed and names.isdisjoint(layout.global_names)
 
 
 def editable_layout(layout: Layout, motions: Motions, mentions: Mentions, files: int, has_one_target: Bools) -> Layout:
@@ -229,7 +230,7 @@ def editable_layout(layout: Layout, motions: Motions, mentions: Mentions, files:
     for elements in layout.elements:
         literal_starts += [(elements.source, 0, start) for start in elements.literal[:, 0].tolist()]
     literal_counts = Counter(literal_starts)
-    editable_elements, statements, array_rows = [], dict(layout.statements), layout.within.copy()
+    editable_elements, statements, array_rows = [], dict(layout.statements), layout.relative_spans.copy()
     for elements in layout.elements:
         is_editable = (
             elements.source.index < files
@@ -247,7 +248,10 @@ def editable_layout(layout: Layout, motions: Motions, mentions: Mentions, files:
         for row, literal in zip(elements.row[~in_place].tolist(), elements.literal[~in_place].tolist(), strict=True):
             statements[row] = _statement_of_element(layout, motions, row, elements, literal)
     return replace(
-        layout, statements=dict(sorted(statements.items())), elements=tuple(editable_elements), within=array_rows
+        layout,
+        statements=dict(sorted(statements.items())),
+        elements=tuple(editable_elements),
+        relative_spans=array_rows,
     )
 
 

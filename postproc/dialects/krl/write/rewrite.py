@@ -80,7 +80,7 @@ class _Rewriter:
     """Collects the edits of all documents.
 
     :ivar row: (K,) motion of each target.
-    :ivar last: (K,) True for the last target of each motion, which is written in its statement.
+    :ivar is_last: (K,) True for the last target of each motion, which is written in its statement.
     """
 
     def __init__(self, program: Program, layout: Layout, targets: Targets, comment_forces: TargetForces | None) -> None:
@@ -95,17 +95,17 @@ class _Rewriter:
         self.replacements = [Replacements() for _ in self.sources]
         self.issues: list[Issue] = []
         self.row = targets.motion
-        self.last = np.append(self.row[1:] != self.row[:-1], True) if len(self.row) else np.zeros(0, dtype=np.bool_)
+        self.is_last = np.append(self.row[1:] != self.row[:-1], True) if len(self.row) else np.zeros(0, dtype=np.bool_)
 
     def write(self) -> WrittenProgram:
         """Make all edits, and return the documents.
 
         :raises ValueError: a number is too large to be written.
         """
-        is_last, keep = self.last, self.targets.keep
+        is_last, keep = self.is_last, self.targets.keep
         if (is_last & keep).all() and not len(_lowered_motions(self.program)):
             return WrittenProgram(self.documents, self.program.motions.line[self.row], "krl")
-        self.commanded = target_numbers(self.program.motions, self.layout, self.targets)
+        self.target_numbers = target_numbers(self.program.motions, self.layout, self.targets)
         moves = self.layout.statements
         has_names = self.layout.elements or any(
             move.end.name or (move.via and move.via.name) for move in moves.values()
@@ -115,7 +115,7 @@ class _Rewriter:
         self.layout = editable_layout(
             self.layout, self.program.motions, self.mentions, len(self.sources), self._has_one_target()
         )
-        self.statements = TargetStatements(self.layout, self.targets, self.commanded)
+        self.statements = TargetStatements(self.layout, self.targets, self.target_numbers)
         is_statement = np.zeros(len(self.program.motions), dtype=np.bool_)
         is_statement[list(self.layout.statements)] = True
         is_plain = is_last & ~is_statement[self.row]
@@ -126,7 +126,7 @@ class _Rewriter:
         self._replace_numbers(np.flatnonzero(is_plain & ~keep))
         for k in np.flatnonzero(is_plain & (self._needs_components() | self._may_change_bits())).tolist():
             self._add_components(int(self.row[k]), k)
-        changes_tail = self.commanded.is_free | self.commanded.unheeding
+        changes_tail = self.target_numbers.is_free | self.target_numbers.drops_via_orientation
         has_tail = np.diff(self.layout.tail[self.row])[:, 0] > len(" WITH ")
         for k in np.flatnonzero(is_last & (changes_tail[self.row] | (is_straightened & has_tail))).tolist():
             row = int(self.row[k])
@@ -164,7 +164,7 @@ class _Rewriter:
         origin = self.layout.line[self.row]
         first = new_rows.begins[origin - 1] + 1
         return tuple(files.values()), files_of_course.line[origin] + np.where(
-            files_of_course.inside[origin], line - first, 0
+            files_of_course.is_in_main[origin], line - first, 0
         )
 
     def _has_one_target(self) -> Bools:
@@ -176,8 +176,8 @@ class _Rewriter:
 
     def _needs_components(self) -> Bools:
         """Return which targets (K,) need components that their text lacks or gives otherwise."""
-        gets_component = self.commanded.written & self.layout.missing[self.row]
-        return np.asarray(gets_component.any(axis=1) | (self.targets.keep & self.commanded.written.any(axis=1)))
+        gets_component = self.target_numbers.is_printed & self.layout.is_missing[self.row]
+        return np.asarray(gets_component.any(axis=1) | (self.targets.keep & self.target_numbers.is_printed.any(axis=1)))
 
     def _may_change_bits(self) -> Bools:
         """Return which targets (K,) may get another status or turn: changed targets of PTP."""
@@ -199,7 +199,7 @@ class _Rewriter:
         for part in chunks(len(k)):
             targets = k[part]
             spans = self.layout.spans(self.row[targets], slice(6)).astype(np.int64)
-            numbers, decimals = self.commanded.numbers[targets], self.commanded.decimals[targets]
+            numbers, decimals = self.target_numbers.numbers[targets], self.target_numbers.decimals[targets]
             for index, replacements in enumerate(self.replacements):
                 in_file = (spans[:, :, 0] >= 0) & (file[self.row[targets]] == index)[:, None]
                 starts, stops = spans[:, :, 0][in_file], spans[:, :, 1][in_file]
@@ -211,7 +211,7 @@ class _Rewriter:
         """Replace X, Y, Z of the auxiliary points of circles, given by their targets (n,)."""
         spans = self.layout.via_spans[self.row[circles]].astype(np.int64).reshape(-1, 2)
         decimals = np.tile(DECIMALS[:3], len(circles))
-        numbers, rows = self.commanded.via[circles].reshape(-1), np.repeat(self.layout.line[self.row[circles]], 3)
+        numbers, rows = self.target_numbers.via[circles].reshape(-1), np.repeat(self.layout.line[self.row[circles]], 3)
         self.replacements[0].add_numbers(spans[:, 0], spans[:, 1], numbers, decimals, rows)
 
     def _add_components(self, row: int, k: int) -> None:
@@ -230,7 +230,7 @@ class _Rewriter:
         """Change the statements of motions that are not plain lines."""
         moves = self.layout.statements
         points = NamedPoints(self.sources, self.layout, self.replacements, self.mentions)
-        for k in np.flatnonzero(self.last).tolist():
+        for k in np.flatnonzero(self.is_last).tolist():
             row = int(self.row[k])
             if row in moves:
                 self._rewrite_statement(row, k, moves[row], points)
@@ -245,26 +245,28 @@ class _Rewriter:
         """
         is_divided = k > 0 and bool(self.row[k - 1] == row)
         becomes_line = move.kind == CIRC and bool(self.targets.kind[k] == LIN)
-        depends_on_start = bool(move.relative) or move.angle is not None
-        start_differs = bool(move.relative or move.via_incomplete) and bool(self.commanded.moved[row])
+        depends_on_start = bool(move.relative_axes) or move.angle is not None
+        start_differs = bool(move.relative_axes or move.is_via_incomplete) and bool(
+            self.target_numbers.start_differs[row]
+        )
         needs_copy = becomes_line or (is_divided and (depends_on_start or move.kind == CIRC)) or start_differs
-        differs = needs_copy or bool(self.commanded.changed[k])
-        if differs and (move.relative or becomes_line):
+        differs = needs_copy or bool(self.target_numbers.is_changed[k])
+        if differs and (move.relative_axes or becomes_line):
             self._replace_text(row, self.statements.absolute_statement(row, k))
-            if move.relative:
-                if move.behind is not None:
-                    self._replace_text(row, Replacement(*move.behind, ""))
+            if move.relative_axes:
+                if move.frame_span is not None:
+                    self._replace_text(row, Replacement(*move.frame_span, ""))
                 self._report("relative-made-absolute", "A relative target is written as an absolute one.", move.line)
             return
         if differs and move.angle is not None:
-            self._replace_text(row, Replacement(move.end.stop, move.tail, ""))
+            self._replace_text(row, Replacement(move.end.stop, move.tail_start, ""))
             self._report("angle-dropped", "CA is dropped: the end point is written as where the arc ends.", move.line)
         texts = self.statements.end_texts(k, move.end, copy=needs_copy) if differs else None
         self._rewrite_point(
             Use(move.line, move.end, texts, partial(self.statements.whole_literal, k, move.end)), points
         )
         if move.via is not None:
-            via = self.commanded.via_texts(k)
+            via = self.target_numbers.via_texts(k)
             self._rewrite_point(
                 Use(move.line, move.via, (via or None) if differs else None, partial(aggregate_text, via)), points
             )
@@ -290,7 +292,7 @@ class _Rewriter:
         free_targets, reset_targets = self._free_orientation_spans()
         lowering_feeds, restoring_feeds = self._feed_statements()
         line_targets = [*trigger_texts, *forces, *free_targets, *reset_targets, *lowering_feeds, *restoring_feeds]
-        for k in np.flatnonzero(~self.last | np.isin(np.arange(len(line)), line_targets)).tolist():
+        for k in np.flatnonzero(~self.is_last | np.isin(np.arange(len(line)), line_targets)).tolist():
             next_line = line_before.get(k, int(line[k]))
             if k in lowering_feeds:
                 lines.add(next_line, self._indent(k) + lowering_feeds[k] + self.statements.line_end(int(self.row[k])))
@@ -300,11 +302,11 @@ class _Rewriter:
                 lines.move_line(trigger.line, next_line, text)
             if k in forces and not self._replace_comment(k, forces[k]):
                 lines.add(next_line, forces[k] + self.statements.line_end(int(self.row[k])))
-            if not self.last[k]:
+            if not self.is_last[k]:
                 text = self.statements.inserted_line(int(self.row[k]), k)
                 lines.add(next_line, text, k)
-                if not self.layout.passed[self.row[k]] and not is_approximated(text):
-                    reason = _BLENDED_STOP if self.layout.distant[self.row[k]] else _UNSURE
+                if not self.layout.is_in_spline_block[self.row[k]] and not is_approximated(text):
+                    reason = _BLENDED_STOP if self.layout.is_distance_known[self.row[k]] else _UNSURE
                     self._report("stop-inserted", reason, int(line[k]))
             if k in reset_targets:
                 kind = ORIENTATIONS[self.layout.orientation[self.row[k]]]
@@ -318,7 +320,7 @@ class _Rewriter:
 
         Consecutive motions share one such pair of lines; spline motions have the setting in their statements instead.
         """
-        rows = np.flatnonzero(self.commanded.is_free)
+        rows = np.flatnonzero(self.target_numbers.is_free)
         pairs = consecutive_motions(self.layout, rows[[not self.statements.is_spline(row) for row in rows.tolist()]])
         first, last = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
         begins, ends = np.searchsorted(self.row, first), np.searchsorted(self.row, last, side="right") - 1
@@ -358,7 +360,7 @@ class _Rewriter:
         if self.comment_forces is None:
             return {}
         comment_line = (
-            line + self.last
+            line + self.is_last
         )  # a comment on the line of a motion holds for it, but not for targets inserted before it
         comment_line[list(line_before)] = list(line_before.values())
         note = np.searchsorted(self.layout.notes, comment_line) - 1
@@ -372,7 +374,7 @@ class _Rewriter:
         :returns: False if there is none on that line, or the target is not written there.
         """
         line = int(self.layout.line[self.row[k]])
-        if not self.last[k] or line not in self.comment_lines:
+        if not self.is_last[k] or line not in self.comment_lines:
             return False
         source, number = self.trace.place(line)
         start, stop = source.starts.item(number - 1), source.stops.item(number - 1)
@@ -397,26 +399,26 @@ class _Rewriter:
             places = place_triggers(
                 tuple(group), int(self.layout.line[row]), self.targets.t[first:stop], float(motions.feed[row])
             )
-            line_before |= dict(zip(range(first, stop), places.at, strict=False))
-            moved_triggers = {trigger for triggers in places.moved for trigger in triggers}
-            for k, triggers in enumerate(places.moved, first):
+            line_before |= dict(zip(range(first, stop), places.target_lines, strict=False))
+            moved_triggers = {trigger for triggers in places.moved_triggers for trigger in triggers}
+            for k, triggers in enumerate(places.moved_triggers, first):
                 if triggers:
                     trigger_texts[k] = [
-                        (trigger, self._trigger_line(trigger, places.paths.get(trigger))) for trigger in triggers
+                        (trigger, self._trigger_line(trigger, places.path_texts.get(trigger))) for trigger in triggers
                     ]
-            for trigger, path in places.paths.items():
-                if trigger not in moved_triggers and trigger.path is not None:
-                    self.replacements[0].add(*trigger.path, path, trigger.line)
-            self.issues += [Issue("error", "trigger", _LOST_TRIGGER, trigger.line) for trigger in places.lost]
+            for trigger, path in places.path_texts.items():
+                if trigger not in moved_triggers and trigger.path_span is not None:
+                    self.replacements[0].add(*trigger.path_span, path, trigger.line)
+            self.issues += [Issue("error", "trigger", _LOST_TRIGGER, trigger.line) for trigger in places.lost_triggers]
         return line_before, trigger_texts
 
     def _trigger_line(self, trigger: Trigger, path: str | None) -> str:
         """Return the line of a TRIGGER, with its line end, and with another PATH if `path` is given."""
         source, line = self.trace.place(trigger.line)
         text, start, stop = source.text, source.starts[line - 1], source.starts[line]
-        if path is None or trigger.path is None:
+        if path is None or trigger.path_span is None:
             return text[start:stop]
-        return text[start : trigger.path[0]] + path + text[trigger.path[1] : stop]
+        return text[start : trigger.path_span[0]] + path + text[trigger.path_span[1] : stop]
 
     def _report(self, kind: str, message: str, line: int) -> None:
         """Add an information on a line for the user."""
@@ -447,7 +449,7 @@ def _check_lowered_feeds(program: Program, layout: Layout) -> None:
             np.full(len(rows), not layout.course.is_straight),
             "this program has loops, branches or calls: its lines run more than once or not always",
         ),
-        (layout.passed[rows], "the motion is in a spline block"),
+        (layout.is_in_spline_block[rows], "the motion is in a spline block"),
         (np.array(["$VEL" in tail for tail in tails]), "the motion sets its speed itself (WITH)"),
     ):
         if is_refused.any():

@@ -38,24 +38,26 @@ class _Variables(Struct, frozen=True, eq=False):
     """Variables that are declared in one place: the DEF of the main routine, or the `.dat`.
 
     :ivar users: name → files that use it, by number.
-    :ivar written: name → line that may write it.
+    :ivar write_lines: name → line that may write it.
     """
 
     users: dict[str, set[int]] = field(default_factory=dict)
-    written: dict[str, int] = field(default_factory=dict)
+    write_lines: dict[str, int] = field(default_factory=dict)
 
     def shared_names(self, *, with_readers: bool) -> set[str]:
         """Return the names that several files use; not `with_readers`: and that the program may write."""
-        return {name for name, files in self.users.items() if len(files) > 1 and (with_readers or name in self.written)}
+        return {
+            name for name, files in self.users.items() if len(files) > 1 and (with_readers or name in self.write_lines)
+        }
 
 
 class Sharing:
     """Finds what the files of a divided program share, and edits both texts so that all of them see it.
 
     :param base: what GLOBAL names begin with.
-    :param others: its own routines, which get files of their own.
+    :param subroutines: its own routines, which get files of their own.
     :param file: (L + 1,) number of the file that will contain each line of the program.
-    :param taken: names, upper case, that are used already; the new ones join them.
+    :param used_names: names, upper case, that are used already; the new ones join them.
     """
 
     def __init__(
@@ -69,7 +71,7 @@ class Sharing:
         used_names: set[str],
     ) -> None:
         """Find what the main routine and the `.dat` declare."""
-        self.base, self.source, self.main, self.others, self.file, self.taken = (
+        self.base, self.source, self.main, self.subroutines, self.file, self.used_names = (
             base,
             source,
             main,
@@ -78,16 +80,16 @@ class Sharing:
             used_names,
         )
         self.data = None if data is None else Source.of(data, 1)
-        self.lines = [] if self.data is None else [item for item in data_lines(self.data) if not item.public]
-        self.stated = {
-            item.line: list(_data_declarations(self.data, item)) for item in self.lines if self.data is not None
+        self.data_lines = [] if self.data is None else [item for item in data_lines(self.data) if not item.is_global]
+        self.declarations_of_line = {
+            item.line: list(_data_declarations(self.data, item)) for item in self.data_lines if self.data is not None
         }
-        self.own, self.kept = _Variables(), _Variables()
-        self.declared = [(line, item) for line in main.lines for item in self._declarations(line)]
-        constant = {line for line, _ in self.declared if self._is_constant(line)}
-        self.local = {item.name for line, item in self.declared if line not in constant}
-        self.hidden = {item.name for line, item in self.declared if line in constant}
-        self.hidden |= {parameter.name for parameter in main.parameters}
+        self.main_variables, self.data_variables = _Variables(), _Variables()
+        self.main_declarations = [(line, item) for line in main.statement_lines for item in self._declarations(line)]
+        constant = {line for line, _ in self.main_declarations if self._is_constant(line)}
+        self.main_names = {item.name for line, item in self.main_declarations if line not in constant}
+        self.unshared_names = {item.name for line, item in self.main_declarations if line in constant}
+        self.unshared_names |= {parameter.name for parameter in main.parameters}
 
     def apply(self) -> tuple[Source, Document | None, dict[str, str]]:
         """Return the edited program, its `.dat`, and the new name of each routine by its old name, upper case.
@@ -97,16 +99,20 @@ class Sharing:
         :raises ProgramError: a shared variable has a type that other files do not know.
         """
         self._note_uses()
-        local_names = _with_line_mates(self.own.shared_names(with_readers=True), self._names_by_line(self.declared))
-        data_names = [(line, item) for line, names in self.stated.items() for item in names]
-        shared_data = _with_line_mates(self.kept.shared_names(with_readers=False), self._names_by_line(data_names))
+        local_names = _with_line_mates(
+            self.main_variables.shared_names(with_readers=True), self._names_by_line(self.main_declarations)
+        )
+        data_names = [(line, item) for line, names in self.declarations_of_line.items() for item in names]
+        shared_data = _with_line_mates(
+            self.data_variables.shared_names(with_readers=False), self._names_by_line(data_names)
+        )
         self._check_types(
             local_names, {item.name: item for _, item in data_names if item.name in shared_data and item.kind}
         )
         new_locals = {name: self._global_name(name) for name in sorted(local_names)}
         public = {name: self._global_name(name) for name in sorted(shared_data)}
-        routines = {item.name: self._global_name(item.name) for item in self.others if not item.public}
-        if not new_locals and not public and not self.others:
+        routines = {item.name: self._global_name(item.name) for item in self.subroutines if not item.is_global}
+        if not new_locals and not public and not self.subroutines:
             return self.source, None if self.data is None else self.data.document, {}
         edits = Replacements()
         declarations = self._move_declarations(new_locals, edits)
@@ -118,12 +124,12 @@ class Sharing:
 
     def _note_uses(self) -> None:
         """Note which files use and write which variables."""
-        data_names = {item.name for names in self.stated.values() for item in names}
-        variables = data_names | self.local
+        data_names = {item.name for names in self.declarations_of_line.values() for item in names}
+        variables = data_names | self.main_names
         if not variables:
             return
-        declaration_lines = {line for line, _ in self.declared}
-        for routine in (self.main, *self.others):
+        declaration_lines = {line for line, _ in self.main_declarations}
+        for routine in (self.main, *self.subroutines):
             for line in range(routine.first + 1, routine.last):
                 start, stop = self.source.code_span(line)
                 names = variables & names_in(self.source.text, start, stop)
@@ -136,14 +142,14 @@ class Sharing:
                     if owner is not None:
                         owner.users.setdefault(name, set()).add(int(self.file[line]))
                         if name in assigned_names:
-                            owner.written.setdefault(name, line)
+                            owner.write_lines.setdefault(name, line)
 
     def _owning_variables(self, name: str, routine: Routine, data_names: Collection[str]) -> _Variables | None:
         """Return the table that contains a variable which a routine names; None if the name is not to be shared."""
-        if routine is self.main and name in self.local:
-            return self.own
-        local_names = self.hidden if routine is self.main else routine.local
-        return self.kept if name in data_names and name not in local_names else None
+        if routine is self.main and name in self.main_names:
+            return self.main_variables
+        local_names = self.unshared_names if routine is self.main else routine.local_names
+        return self.data_variables if name in data_names and name not in local_names else None
 
     def _written_names(self, line: int) -> set[str]:
         """Return the names that a statement may write: by assignment, as argument of a call, as counter of a FOR.
@@ -158,7 +164,7 @@ class Sharing:
         names = {node.target.name} if isinstance(node, Assignment) else set()
         for call in calls(node.values):
             if call.name != "BAS":
-                parameters = next((item.parameters for item in self.others if item.name == call.name), ())
+                parameters = next((item.parameters for item in self.subroutines if item.name == call.name), ())
                 writable_arguments = [
                     argument
                     for index, argument in enumerate(call.arguments)
@@ -175,18 +181,21 @@ class Sharing:
         types = set() if self.data is None else set(_declared_types(self.data))
         if not types:
             return
-        for line, item in self.declared:
+        for line, item in self.main_declarations:
             if item.name in local_names and item.kind in types:
                 raise self._type_error(item.name, item.kind, line)
         for name, item in data_names.items():
             if item.kind in types:
-                raise self._type_error(name, item.kind, self.kept.written[name])
-        for routine in self.others:
+                raise self._type_error(name, item.kind, self.data_variables.write_lines[name])
+        for routine in self.subroutines:
             head = statement(self.source, routine.first)
-            result = {head.result} if isinstance(head, Definition) and head.result else set[str]()
+            result = {head.result_type} if isinstance(head, Definition) and head.result_type else set[str]()
             parameter_names = {parameter.name for parameter in routine.parameters}
             kinds = {
-                item.kind for line in routine.lines for item in self._declarations(line) if item.name in parameter_names
+                item.kind
+                for line in routine.statement_lines
+                for item in self._declarations(line)
+                if item.name in parameter_names
             }
             for kind in types.intersection(kinds | result):
                 raise self._type_error(f"what {routine.name} takes or gives", kind, routine.first)
@@ -201,12 +210,12 @@ class Sharing:
     def _declarations(self, line: int) -> list[DeclaredName]:
         """Return the variables that a line of the program declares."""
         node = statement(self.source, line)
-        return list(node.names) if isinstance(node, Declaration) and not node.public and node.word != "STRUC" else []
+        return list(node.names) if isinstance(node, Declaration) and not node.is_global and node.word != "STRUC" else []
 
     def _is_constant(self, line: int) -> bool:
         """Return whether a line declares constants."""
         node = statement(self.source, line)
-        return isinstance(node, Declaration) and node.constant
+        return isinstance(node, Declaration) and node.is_constant
 
     def _is_type(self, line: int) -> bool:
         """Return whether a line declares a type, whose members and constants may have the names of variables."""
@@ -225,9 +234,9 @@ class Sharing:
     def _global_name(self, name: str) -> str:
         """Return a new GLOBAL name for a name (upper case): it begins with the name of the program."""
         new_name = f"{self.base}_{self._spelling(name)}"[:MAX_LENGTH]
-        if new_name.upper() in self.taken:
-            new_name = unused_name(new_name, self.taken)
-        self.taken.add(new_name.upper())
+        if new_name.upper() in self.used_names:
+            new_name = unused_name(new_name, self.used_names)
+        self.used_names.add(new_name.upper())
         return new_name
 
     def _spelling(self, name: str) -> str:
@@ -241,7 +250,7 @@ class Sharing:
         :param new_names: old name, upper case → GLOBAL name.
         """
         declarations = []
-        for line in dict.fromkeys(line for line, item in self.declared if item.name in new_names):
+        for line in dict.fromkeys(line for line, item in self.main_declarations if item.name in new_names):
             start, stop = self.source.code_span(line)
             text = self.source.text[start:stop]
             edits.add(start, stop, f"; {text}: GLOBAL in the .dat of {self.base}{MAIN}")
@@ -260,9 +269,12 @@ class Sharing:
         :param new_locals: variables of the main routine, old name → new name; `public` likewise those of the `.dat`.
         :param routines: routines, old name → new name.
         """
-        text, removed_lines = self.source.text, {line for line, item in self.declared if item.name in new_locals}
-        for routine in (self.main, *self.others):
-            local_names = self.hidden if routine is self.main else routine.local
+        text, removed_lines = (
+            self.source.text,
+            {line for line, item in self.main_declarations if item.name in new_locals},
+        )
+        for routine in (self.main, *self.subroutines):
+            local_names = self.unshared_names if routine is self.main else routine.local_names
             names = {name: new_name for name, new_name in public.items() if name not in local_names}
             names |= new_locals if routine is self.main else {}
             all_names = names.keys() | routines.keys()
@@ -276,7 +288,7 @@ class Sharing:
                     new_name = routines.get(item.name) if is_call else names.get(item.name)
                     if new_name is not None:
                         edits.add(item.start, item.stop, new_name)
-            if routine in self.others and not routine.public:
+            if routine in self.subroutines and not routine.is_global:
                 start, _ = self.source.code_span(routine.first)
                 edits.add(start, start, "GLOBAL ")
 
@@ -296,7 +308,7 @@ class Sharing:
                 edits.add(stop, stop, " PUBLIC")
             elif word == "ENDDAT":
                 edits.add(start, start, "".join(f"{declaration}\r\n" for declaration in declarations))
-        for data_line in self.lines:
+        for data_line in self.data_lines:
             if not public.keys().isdisjoint(data_line.names):
                 start, stop = self.data.code_span(data_line.line)
                 new_line = text[start:stop]
@@ -309,7 +321,7 @@ class Sharing:
                     start,
                     stop,
                     _global_declaration(new_line)
-                    if any(item.kind for item in self.stated[data_line.line])
+                    if any(item.kind for item in self.declarations_of_line[data_line.line])
                     else new_line,
                 )
         return replace(self.data.document, text=edits.apply(text))

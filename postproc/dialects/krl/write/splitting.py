@@ -56,7 +56,9 @@ def add_data_files(sources: Sequence[Document], data: Document | None) -> Iterat
     ]
     needed_lines = [_needed_lines(lines, document) for document in sources]
     moved_lines = (
-        set().union(*needed_lines[1:]) - needed_lines[0] - {data_line.line for data_line in lines if data_line.public}
+        set().union(*needed_lines[1:])
+        - needed_lines[0]
+        - {data_line.line for data_line in lines if data_line.is_global}
     )
     for index, document in enumerate(sources):
         yield document
@@ -66,7 +68,7 @@ def add_data_files(sources: Sequence[Document], data: Document | None) -> Iterat
             text = "".join(_line_with_end(source, line) for line in all_lines if line not in moved_lines)
             yield replace(data, name=f"{stem}.dat", text=text_with_name(text, stem))
         texts = [
-            data_line.text for data_line in lines if data_line.line in needed_lines[index] and not data_line.public
+            data_line.text for data_line in lines if data_line.line in needed_lines[index] and not data_line.is_global
         ]
         if index and texts:
             text = "".join([*header, f"DEFDAT {stem}\r\n", *texts, "ENDDAT\r\n"])
@@ -169,7 +171,7 @@ class _Splitter:
 
         :raises ProgramError: it has no DEF, or its DEF has parameters.
         """
-        self.whole, self.limit, self.issues = output, limit, list(output.issues)
+        self.undivided, self.limit, self.issues = output, limit, list(output.issues)
         self.source = Source.of(output.documents[0], 0)
         lines = range(1, len(self.source.starts) + 1)
         routine_of, faults = routines(self.source, lines, np.zeros(0, dtype=np.int64))
@@ -181,10 +183,10 @@ class _Splitter:
         if main.parameters:
             raise division_error(self.source, "its DEF has parameters, which are not known in other files", main.first)
         self.main = main
-        self.others = [routine for routine in routine_of.values() if routine is not main]
+        self.subroutines = [routine for routine in routine_of.values() if routine is not main]
         program_words = set(_code_names(self.source))
         self.base = self._name_prefix(name, program_words)
-        self.taken = {*program_words, *used_names, *(f"{self.base}{part}".upper() for part in (MAIN, *lines))}
+        self.used_names = {*program_words, *used_names, *(f"{self.base}{part}".upper() for part in (MAIN, *lines))}
         starts, stops = self.source.starts, self.source.stops
         self.line_end = self.source.text[int(stops[main.first - 1]) : int(starts[main.first])]
 
@@ -195,14 +197,14 @@ class _Splitter:
 
         :raises ProgramError: it cannot be divided.
         """
-        for line in chain.from_iterable(routine.lines for routine in (self.main, *self.others)):
+        for line in chain.from_iterable(routine.statement_lines for routine in (self.main, *self.subroutines)):
             if statement(self.source, line).word == "RESUME":
                 raise division_error(self.source, _RESUME, line)
         files = self._file_contents()
         file_of, number_of = self._line_places(files)
-        data = self.whole.documents[1] if len(self.whole.documents) > 1 else None
+        data = self.undivided.documents[1] if len(self.undivided.documents) > 1 else None
         source, data, new_names = Sharing(
-            self.base, self.source, data, self.main, self.others, file_of, self.taken
+            self.base, self.source, data, self.main, self.subroutines, file_of, self.used_names
         ).apply()
         if new_names:
             names = first_of(
@@ -211,7 +213,7 @@ class _Splitter:
             message = f"Routines of its own are GLOBAL, for all its files to see them: {names}."
             self.issues.append(Issue("info", "global-routines", message))
         if public := [name for name in self._former_global_names() if name.upper() not in new_names]:
-            old_name = self.whole.documents[0].name
+            old_name = self.undivided.documents[0].name
             message = (
                 f"These files have GLOBAL routines as {old_name} has ({first_of(public, _MOST_NAMES)}), which they "
                 f"replace: remove {old_name} from the controller, where calls could reach its uncorrected routines."
@@ -220,25 +222,25 @@ class _Splitter:
         documents = [self._document(file, source) for file in files]
         documents[0] = replace(documents[0], text=text_with_name(documents[0].text, files[0].name))
         return replace(
-            self.whole,
+            self.undivided,
             documents=tuple(add_data_files(documents, data)),
-            output_line=number_of[self.whole.output_line],
+            output_line=number_of[self.undivided.output_line],
             issues=tuple(self.issues),
         )
 
     def _former_global_names(self) -> Iterator[str]:
         """Yield the names, as spelled, of its routines that were GLOBAL before the division."""
-        for routine in self.others:
+        for routine in self.subroutines:
             head = statement(self.source, routine.first)
-            if isinstance(head, Definition) and head.public:
+            if isinstance(head, Definition) and head.is_global:
                 yield head.name
 
     def _file_contents(self) -> list[_File]:
         """Return the files and their contents: the main program, the parts that it calls, files with routines."""
         cut_points, blocks = find_cut_points(self.source, self.main), self._routine_blocks()
         text, starts = self.source.text, self.source.starts
-        first = min(routine.first for routine in (self.main, *self.others))
-        last = max(routine.last for routine in (self.main, *self.others))
+        first = min(routine.first for routine in (self.main, *self.subroutines))
+        last = max(routine.last for routine in (self.main, *self.subroutines))
         header = [range(line, line + 1) for line in range(1, first) if text[starts[line - 1]] == "&"]
         declarations = [range(line, line + 1) for line in cut_points.declarations]
         cuts, issues = part_bounds(self.source, self.base, cut_points, self.limit, len(header) + len(declarations) + 3)
@@ -263,7 +265,7 @@ class _Splitter:
     def _routine_blocks(self) -> list[range]:
         """Return the lines of each routine but the main one, with the comments before it."""
         blocks, last_line = [], 0
-        for routine in sorted((self.main, *self.others), key=lambda routine: routine.first):
+        for routine in sorted((self.main, *self.subroutines), key=lambda routine: routine.first):
             if routine is not self.main:
                 blocks.append(range(last_line + 1 if last_line else routine.first, routine.last + 1))
             last_line = routine.last
@@ -314,7 +316,7 @@ class _Splitter:
             piece if isinstance(piece, str) else text[int(starts[piece.start - 1]) : int(starts[piece.stop - 1])]
             for piece in file.pieces
         ]
-        return replace(self.whole.documents[0], name=f"{file.name}.src", text="".join(pieces))
+        return replace(self.undivided.documents[0], name=f"{file.name}.src", text="".join(pieces))
 
     def _name_prefix(self, name: str, used_names: Collection[str]) -> str:
         """Return the prefix of the file names; the controller accepts them, and the program uses none of them."""

@@ -30,32 +30,36 @@ class TargetNumbers(Struct, frozen=True, eq=False):
 
     :param numbers: (K, 6) X, Y, Z [mm], A, B, C [deg], rounded as printed; of kept targets as in the text.
     :param decimals: (K, 6) decimals to print.
-    :param least: (K, 6) decimals to print even if they are zeros.
-    :param written: (K, 6) True where a number is to be printed: for a changed target the given components and, of the
-        missing ones, those that the controller would not get right; for a kept one only the latter.
+    :param least_decimals: (K, 6) decimals to print even if they are zeros.
+    :param is_printed: (K, 6) True where a number is to be printed: for a changed target the components that its text
+        gives, and of the missing ones those that the controller would not get right; for a kept one only the latter.
     :param via: (K, 3) auxiliary points [mm], rounded to 4 decimals; NaN where there are none.
-    :param changed: (K,) True where the target's text or statement changes.
-    :param moved: (M,) True where a motion's predecessor is commanded elsewhere than in the input.
+    :param is_changed: (K,) True where the target's text or statement changes.
+    :param start_differs: (M,) True where the motion before ends elsewhere than in the input.
     :param is_free: (M,) True where the orientation of a motion under another `$ORI_TYPE` must be led to its own.
-    :param unheeding: (M,) True where the auxiliary orientation of a SCIRC must not count.
+    :param drops_via_orientation: (M,) True where the auxiliary orientation of a SCIRC must not count.
     """
 
     numbers: Array
     decimals: Ints
-    least: Ints
-    written: Bools
+    least_decimals: Ints
+    is_printed: Bools
     via: Array
-    changed: Bools
-    moved: Bools
+    is_changed: Bools
+    start_differs: Bools
     is_free: Bools
-    unheeding: Bools
+    drops_via_orientation: Bools
 
     def texts(self, k: int, columns: Iterable[int]) -> dict[str, str]:
         """Return the numbers of target `k` as printed, by component.
 
         :param columns: which of its six numbers.
         """
-        numbers, decimals, min_decimals = self.numbers[k].tolist(), self.decimals[k].tolist(), self.least[k].tolist()
+        numbers, decimals, min_decimals = (
+            self.numbers[k].tolist(),
+            self.decimals[k].tolist(),
+            self.least_decimals[k].tolist(),
+        )
         return {
             CARTESIAN[column]: fixed_point(numbers[column], decimals[column], min_decimals[column])
             for column in columns
@@ -82,7 +86,7 @@ def target_numbers(motions: Motions, layout: Layout, targets: Targets) -> Target
     start_differs = _starts_at_changed_end(row[is_last], end_differs[is_last], layout)
     orientation_differs = any_column(np.abs(numbers - layout.numbers[row])[:, 3:] > _EQUAL)
     is_free = _starts_at_changed_end(row[is_last], orientation_differs[is_last], layout)
-    is_free[row[orientation_differs | (layout.with_path[row] & ~keep)]] = True
+    is_free[row[orientation_differs | (layout.turns_with_path[row] & ~keep)]] = True
     ignores_angles = layout.orientation == ORIENTATIONS.index(
         IGNORE
     )  # it must not be chosen where the next motion starts, either
@@ -90,15 +94,15 @@ def target_numbers(motions: Motions, layout: Layout, targets: Targets) -> Target
     is_free &= layout.orientation != ORIENTATIONS.index(FREE)
 
     previous = np.concatenate([numbers[:1], numbers[:-1]])
-    is_resumed = is_first & layout.resumed[row]
+    is_resumed = is_first & layout.starts_from_joints[row]
     previous[is_resumed] = layout.numbers[row[is_resumed]]
-    gets_component = layout.missing[row] & (np.abs(numbers - previous) > _EQUAL)
-    incomplete = layout.ignored | any_column(layout.missing[:, 3:])
+    gets_component = layout.is_missing[row] & (np.abs(numbers - previous) > _EQUAL)
+    incomplete = layout.ignores_orientation | any_column(layout.is_missing[:, 3:])
     gets_component[:, 3:] |= (is_free & incomplete)[row, None]
-    lacks_angle = layout.missing[row, 3:] & ~gets_component[:, 3:]
+    lacks_angle = layout.is_missing[row, 3:] & ~gets_component[:, 3:]
     is_partial = any_column(lacks_angle) & ~lacks_angle.all(axis=1) & (np.abs(previous[:, 4]) > LARGEST_B)
     gets_component[:, 3:] |= lacks_angle & is_partial[:, None]
-    is_printed = np.where(keep[:, None], gets_component, ~layout.missing[row] | gets_component)
+    is_printed = np.where(keep[:, None], gets_component, ~layout.is_missing[row] | gets_component)
     return TargetNumbers(
         numbers,
         np.where(keep[:, None], MOST_DECIMALS, decimals).astype(np.int8),
@@ -119,7 +123,7 @@ def _loses_auxiliary_orientation(layout: Layout, start_differs: Bools, targets: 
     """
     is_other_circle = start_differs.copy()
     is_other_circle[targets.motion[~targets.keep]] = True
-    return np.asarray(is_other_circle & layout.unheeded)
+    return np.asarray(is_other_circle & layout.drops_via_orientation)
 
 
 def _starts_at_changed_end(row: Ints, end_differs: Bools, layout: Layout) -> Bools:
@@ -131,7 +135,7 @@ def _starts_at_changed_end(row: Ints, end_differs: Bools, layout: Layout) -> Boo
     follower = row + 1
     has_follower = follower < len(start_differs)
     start_differs[follower[has_follower]] = end_differs[has_follower]
-    return np.asarray(start_differs & ~layout.resumed)
+    return np.asarray(start_differs & ~layout.starts_from_joints)
 
 
 def fixed_point(number: float, decimals: int, min_decimals: int) -> str:
@@ -188,7 +192,7 @@ def _input_decimals(layout: Layout) -> Ints:
         decimals[elements.row] = _decimals_in(elements.source.text, layout.spans(elements.row, slice(6)))
     for row, move in layout.statements.items():
         aggregate = move.end.position.aggregate
-        if aggregate is not None and not move.end.position.axis:
+        if aggregate is not None and not move.end.position.is_axis:
             for column, name in enumerate(CARTESIAN):
                 item = aggregate.items.get(name)
                 if isinstance(item, Number):

@@ -108,13 +108,13 @@ class TargetStatements:
 
     def __init__(self, layout: Layout, targets: Targets, numbers: TargetNumbers) -> None:
         """Keep the text of the program, its targets, and their numbers as printed."""
-        self.layout, self.targets, self.commanded = layout, targets, numbers
+        self.layout, self.targets, self.target_numbers = layout, targets, numbers
 
     def literal(self, row: int) -> Literal | None:
         """Return the literal of the end point of a motion in its statement; None if it has none, but a name."""
         move = self.layout.statements.get(row)
         if move is not None:
-            return None if move.relative else self.inline_literal(move.end)
+            return None if move.relative_axes else self.inline_literal(move.end)
         spans = self.layout.spans(slice(row, row + 1))[0].tolist()
         places = {name: (start, stop) for name, (start, stop) in zip(COLUMNS, spans, strict=True) if start >= 0}
         start, stop = self.layout.target[row].tolist()
@@ -126,7 +126,7 @@ class TargetStatements:
     def inline_literal(self, operand: Point) -> Literal | None:
         """Return the literal of a point; None if its numbers are not in the statement itself."""
         aggregate = operand.position.aggregate
-        return literal_of(aggregate) if aggregate is not None and operand.inline else None
+        return literal_of(aggregate) if aggregate is not None and operand.is_inline else None
 
     def via_point(self, row: int) -> tuple[tuple[int, int] | None, Literal | None]:
         """Return the span of the auxiliary point of a circle, and its literal; None for each of them that does not
@@ -149,11 +149,11 @@ class TargetStatements:
 
         :param copy: True for a copy of the literal, which needs the unchanged numbers too.
         """
-        is_printed = self.commanded.written[k]
+        is_printed = self.target_numbers.is_printed[k]
         columns = [
             column for column in range(6) if is_printed[column] or (copy and CARTESIAN[column] in literal.places)
         ]
-        texts = self.commanded.texts(k, columns)
+        texts = self.target_numbers.texts(k, columns)
         if self.targets.kind[k] == PTP:
             for name, value in (("S", int(self.targets.status[k])), ("T", int(self.targets.turn[k]))):
                 if value >= 0 and name in literal.places:
@@ -176,7 +176,7 @@ class TargetStatements:
         """Return the numbers to be written for the end point of a statement, by component, wherever its text is."""
         aggregate = operand.position.aggregate
         if aggregate is None:
-            return self.commanded.texts(k, range(6))
+            return self.target_numbers.texts(k, range(6))
         return self.number_texts(k, literal_of(aggregate), copy=copy)
 
     def whole_literal(self, k: int, operand: Point | None, *, relative: bool = False) -> str:
@@ -185,7 +185,7 @@ class TargetStatements:
         :param operand: the end point of the statement; None if there is none.
         :param relative: True if it is relative: its external axes are steps.
         """
-        texts = self.commanded.texts(k, range(6))
+        texts = self.target_numbers.texts(k, range(6))
         if operand is None:
             return aggregate_text(texts)
         position = operand.position
@@ -210,7 +210,7 @@ class TargetStatements:
         if literal is not None:
             return edited_literal(literal, replaced_numbers(literal, self.number_texts(k, literal, copy=True)))
         move = self.layout.statements.get(row)
-        return self.whole_literal(k, move.end if move else None, relative=bool(move and move.relative))
+        return self.whole_literal(k, move.end if move else None, relative=bool(move and move.relative_axes))
 
     def instruction_text(self, row: int, k: int) -> str:
         """Return the instruction for a target: that of its motion without ``_REL``, or LIN for a piece of an arc."""
@@ -231,7 +231,7 @@ class TargetStatements:
         end, (span, via) = self.end_text(row, k), self.via_point(row)
         if span is None or self.targets.kind[k] != CIRC:
             return end
-        texts = self.commanded.via_texts(k)
+        texts = self.target_numbers.via_texts(k)
         first = edited_literal(via, replaced_numbers(via, texts)) if via is not None else aggregate_text(texts)
         return first + self.layout.source(row).text[span[1] : int(self.layout.target[row, 0])] + end
 
@@ -251,17 +251,17 @@ class TargetStatements:
         layout = self.layout
         statement = self.statement_text(row, k)
         tail = self.tail_of_target(row, k)
-        is_passed = layout.passed[row] or not layout.distant[row]
+        is_passed = layout.is_in_spline_block[row] or not layout.is_distance_known[row]
         if self.targets.blend[k] > 0.0 and not is_passed and not is_approximated(tail):
             tail += " C_SPL" if statement[:1] in "sS" else " C_PTP" if self.targets.kind[k] == PTP else " C_DIS"
         return self.indent(row) + statement + tail + self.line_end(row)
 
     def tail_of_target(self, row: int, k: int) -> str:
         """Return the text that follows the points of a target: what its motion has there, changed where it must be."""
-        is_free = bool(self.commanded.is_free[row]) and self.is_spline(row)
+        is_free = bool(self.target_numbers.is_free[row]) and self.is_spline(row)
         is_circle = self.via_point(row)[0] is not None and self.is_spline(row)
         is_straightened = is_circle and bool(self.targets.kind[k] == LIN)
-        ignores_auxiliary = is_circle and not is_straightened and bool(self.commanded.unheeding[row])
+        ignores_auxiliary = is_circle and not is_straightened and bool(self.target_numbers.drops_via_orientation[row])
         source, line = self.layout.course.trace.place(self.layout.line.item(row))
         node = statement(source, line) if is_free or is_straightened or ignores_auxiliary else None
         if not isinstance(node, Motion):
@@ -294,7 +294,10 @@ def tail_text(source: Source, tail: Tail, *, free: bool, straight: bool, unheedi
     :param straight: True for a line in place of a circle: settings of circles are left out.
     :param unheeding: True to ignore A, B, C of the auxiliary point.
     """
-    text, assignments = source.text, [assignment for assignment in tail.given if isinstance(assignment, Assignment)]
+    text, assignments = (
+        source.text,
+        [assignment for assignment in tail.assignments if isinstance(assignment, Assignment)],
+    )
     begin = text[tail.start : assignments[0].start] if assignments else " WITH "
     pieces: list[str] = []
     last = tail.start
@@ -313,7 +316,7 @@ def tail_text(source: Source, tail: Tail, *, free: bool, straight: bool, unheedi
         pieces[:1] = [begin, _FREE, *([",", begin[len(begin.rstrip()) :]] if pieces else [])]
     if unheeding and ("$CIRC_MODE", _AUXILIARY) not in names:
         pieces += [", " if pieces else begin, _UNHEEDED]
-    return "".join(pieces) + text[tail.behind : tail.stop]
+    return "".join(pieces) + text[tail.with_stop : tail.stop]
 
 
 def _bits_text(name: str, value: int, text: str) -> dict[str, str]:

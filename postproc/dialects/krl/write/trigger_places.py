@@ -33,7 +33,7 @@ def piece_of(trigger: Trigger, ends: Array, speed: float) -> tuple[int, float] |
     is_after_begin, is_before_end = earliest > begin - _ROUNDING, latest < end + _ROUNDING
     is_after_begin[0] = is_before_end[-1] = True  # beyond the ends of the motion nothing changes
     fits = is_after_begin & is_before_end
-    if trigger.path is None:
+    if trigger.path_span is None:
         fits[slice(1, None) if trigger.from_start else slice(-1)] = False
     if not trigger.is_attached:
         fits[1:] = False
@@ -47,16 +47,16 @@ def piece_of(trigger: Trigger, ends: Array, speed: float) -> tuple[int, float] |
 class PlacedTriggers(Struct, frozen=True, eq=False):
     """The TRIGGERs of one divided motion, and where its inserted targets go.
 
-    :param at: for each inserted target, the 1-based line before which it is.
-    :param moved: for each piece, the TRIGGERs that are to be moved before it.
-    :param paths: for TRIGGERs whose PATH changes, what it must say.
-    :param lost: those that cannot be kept right.
+    :param target_lines: for each inserted target, the 1-based line before which it is.
+    :param moved_triggers: for each piece, the TRIGGERs that are to be moved before it.
+    :param path_texts: for TRIGGERs whose PATH changes, what it must say.
+    :param lost_triggers: those that cannot be kept right.
     """
 
-    at: list[int]
-    moved: list[list[Trigger]]
-    paths: dict[Trigger, str]
-    lost: list[Trigger]
+    target_lines: list[int]
+    moved_triggers: list[list[Trigger]]
+    path_texts: dict[Trigger, str]
+    lost_triggers: list[Trigger]
 
 
 def place_triggers(triggers: Sequence[Trigger], line: int, ends: Array, speed: float) -> PlacedTriggers:
@@ -74,16 +74,16 @@ def place_triggers(triggers: Sequence[Trigger], line: int, ends: Array, speed: f
     for trigger in reversed(triggers):
         piece_and_offset = piece_of(trigger, ends, speed)
         if piece_and_offset is None:
-            placement.lost.append(trigger)
+            placement.lost_triggers.append(trigger)
             continue
         piece, offset = piece_and_offset
-        if trigger.path is not None and abs(offset - trigger.offset) > _ROUNDING:
-            placement.paths[trigger] = decimal_text(offset * MM_PER_M, 3).rstrip("0").rstrip(".")
+        if trigger.path_span is not None and abs(offset - trigger.offset) > _ROUNDING:
+            placement.path_texts[trigger] = decimal_text(offset * MM_PER_M, 3).rstrip("0").rstrip(".")
         if piece > earliest:
-            placement.moved[piece].insert(0, trigger)
+            placement.moved_triggers[piece].insert(0, trigger)
             continue
         earliest = piece
         if trigger.is_attached:
-            placement.at[:piece] = [trigger.line] * piece
-    placement.lost.reverse()
+            placement.target_lines[:piece] = [trigger.line] * piece
+    placement.lost_triggers.reverse()
     return placement
