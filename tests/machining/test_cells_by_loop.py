@@ -103,8 +103,9 @@ def around(x, y):
     a = min(max((float(x) - X) / CELL - 0.5, 0.0), SHAPE[1] - 1.001)
     b = min(max((float(y) - Y) / CELL - 0.5, 0.0), SHAPE[0] - 1.001)
     column, row = int(a), int(b)
+    along, across = a - column, b - row
     return [
-        (row + j, column + i, a - column - i, b - row - j, (a - column if i else 1 - a + column) * (b - row if j else 1 - b + row))
+        (row + j, column + i, along - i, across - j, (along if i else 1 - along) * (across if j else 1 - across))
         for j in (0, 1) for i in (0, 1)
     ]  # fmt: skip
 
@@ -155,7 +156,7 @@ def test_differences_between_surface_and_floor_are_interpolated(has_partly_cut):
     """By a function of the levels, here a depth that is limited; both levels of a cell count by their shares."""
     rng = np.random.default_rng(5)
     stock = random_stock(rng, 0.5 if has_partly_cut else 0.0)
-    x, y, z = random_points(rng, 300)
+    x, y, _ = random_points(rng, 300)
 
     def depth(level):
         return np.minimum(np.maximum(level + 5e-3, 0.0), 2e-3)
