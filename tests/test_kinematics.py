@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -311,3 +313,61 @@ def test_load_stiffness_of_a_force_or_moment_along_one_axis_alone(axis):
         change = np.eye(6)[joint] * STEP
         plus, minus = (kinematics.tcp(arm.nominal, q + sign * change, TOOL)[1] for sign in (1, -1))
         np.testing.assert_allclose((plus - minus)[:, axis] / (2 * STEP), hessian[:, :, joint], atol=1e-8)
+
+
+@pytest.fixture(scope="module")
+def wrist_led():
+    """Return three lines on which A4 to A6 turn the tool, of eight motions, and what they are made of."""
+    robot_model = robot.load(robot.find("kuka_kr270"))
+    begin = np.radians([[0, -80, 100, 10, 50, 5], [20, -70, 95, -20, 60, 30], [-15, -85, 110, 40, 45, -60.0]])
+    end = np.radians([[4, -78, 98, 40, 62, 5], [20.5, -70, 95, -60, 40, 90], [-15, -84, 109, 40, 75, -60.0]])
+    tools = np.array([TOOL, TOOL @ frames.pose_from_xyzabc([0, 0, 50, 20, 0, 0]), TOOL])
+    bases = np.array(
+        [frames.pose_from_xyzabc([0, 0, 0, *angles])[:3, :3] for angles in ([0, 0, 0], [30, 5, -8], [0, 90, 0])]
+    )
+    motion = np.array([1, 4, 6])
+    tip = np.stack([kinematics.tcp(robot_model.nominal, q, tools)[0][:, :3, 3] for q in (begin, end)], axis=1)
+    return robot_model, motion, begin, end, tip, bases, tools
+
+
+def test_the_wrist_turns_the_tool_in_proportion_while_its_tip_is_on_the_line(wrist_led):
+    """The closed form, of the tip on the line with that orientation, has A4 to A6 in proportion between both ends."""
+    robot_model, motion, begin, end, tip, bases, tools = wrist_led
+    wrist = kinematics.ByWrist.of(robot_model, 8, motion, (begin, end), tip, bases, tools)
+    assert wrist.active.tolist() == [False, True, False, False, True, False, True, False]
+    places, share = np.array([6, 1, 4, 4, 1, 6]), np.array([0.0, 0.3, 0.9, 1.0, 0.55, 0.4])
+    for m, t, orientation in zip(places, share, wrist.at(places, share), strict=True):
+        row = motion.tolist().index(m)
+        pose = np.eye(4)
+        pose[:3, :3] = bases[row] @ orientation
+        pose[:3, 3] = (1 - t) * tip[row, 0] + t * tip[row, 1]
+        branches = kinematics.closed_form(robot_model).branches((pose @ np.linalg.inv(tools[row]))[None])[0]
+        q = (1 - t) * begin[row] + t * end[row]
+        gap = np.abs((branches[:, 3:] - q[3:] + np.pi) % (2 * np.pi) - np.pi).max(axis=1)
+        assert np.nanmin(gap) < 1e-9
+        assert np.abs(branches[np.nanargmin(gap), :3] - q[:3]).max() < np.radians(8.0)
+
+
+def test_the_rotation_on_a_line_led_by_the_wrist_is_its_sum_with_a_margin(wrist_led):
+    """A fifth more than the rotation on eight pieces; motions that the wrist does not lead have none."""
+    robot_model, motion, begin, end, tip, bases, tools = wrist_led
+    wrist = kinematics.ByWrist.of(robot_model, 8, motion, (begin, end), tip, bases, tools)
+    for _row, m in enumerate(motion):
+        orientations = wrist.at(np.full(9, m), np.linspace(0.0, 1.0, 9))
+        total = sum(Rotation.from_matrix(a.T @ b).magnitude() for a, b in itertools.pairwise(orientations))
+        assert wrist.travel[m] == pytest.approx(1.2 * total, rel=1e-9)
+    assert (wrist.travel[~wrist.active] == 0.0).all()
+
+
+def test_lines_on_which_the_wrist_cannot_lead_are_named(wrist_led):
+    """Their ends are on two branches, or the tip is out of reach between them."""
+    robot_model, motion, begin, end, tip, bases, tools = wrist_led
+    far, other_branch = tip.copy(), end.copy()
+    far[2, 1] += [9.0, 0.0, 0.0]
+    other_branch[0, 4] = -other_branch[0, 4]
+    bent = tip.copy()
+    bent[0, 1] = kinematics.tcp(robot_model.nominal, other_branch[:1], tools[:1])[0][0, :3, 3]
+    for ends, tips, rows in ((end, far, (6,)), (other_branch, bent, (1,))):
+        with pytest.raises(kinematics.UnreachableError) as refused:
+            kinematics.ByWrist.of(robot_model, 8, motion, (begin, ends), tips, bases, tools)
+        assert refused.value.rows == rows
