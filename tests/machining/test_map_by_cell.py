@@ -456,3 +456,22 @@ def test_the_mean_thickness_counts_both_levels_of_a_cell():
     empty = replace(stock, high=stock.floor)
     assert empty.top == -np.inf
     assert Footprint.empty().path is None
+
+
+def test_a_long_map_counts_its_cells_by_both_sides():
+    """1 m by 2 mm in cells of 0.1 mm is small; 7 m by 0.1 m is too large."""
+    stocks.from_box(np.zeros(3), np.array([1.0, 0.002, 0.01]), 1e-4)
+    with pytest.raises(ForceError, match=r"1004 × 70004 cells"):
+        stocks.from_box(np.zeros(3), np.array([0.1, 7.0, 0.01]), 1e-4)
+    with pytest.raises(ForceError, match=r"70004 × 1004 cells"):
+        stocks.from_box(np.zeros(3), np.array([7.0, 0.1, 0.01]), 1e-4)
+
+
+@pytest.mark.parametrize(("covered", "sixteenths"), [(0.1, 0), (0.2, 4), (0.4, 8), (0.7, 12), (0.9, 16)])
+def test_a_mesh_covers_sixteenths_of_a_cell(covered, sixteenths):
+    """By the middles of four columns of a cell, at its sides along x and y."""
+    vertices, faces = prism(0.0, (0.012, 0.008 + covered * CELL, 0.006))
+    stock = stocks.from_mesh(vertices, faces, CELL)
+    last = stock.share[10, 5]
+    assert last == pytest.approx(1.0 - sixteenths / 16 if sixteenths else 0.0)
+    assert (stock.high[10, 5] > stock.floor[10, 5]) == (sixteenths > 0)
