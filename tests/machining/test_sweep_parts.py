@@ -525,3 +525,43 @@ def test_the_parts_of_an_edge_are_in_order():
     pieces = edge(CUTTERS["bull"], CELL)
     assert pieces.part.tolist() == sorted(pieces.part.tolist())
     assert {BOTTOM, CORNER, SIDE} == set(pieces.part.tolist())
+
+
+def test_a_tool_that_leans_may_touch_what_is_its_radius_and_a_millimetre_below_its_tip():
+    made = made_sweep([CUTTERS["flat"]] * 2)
+    heights = (5e-3 + 0.99e-3, 5e-3 + 1.01e-3, -1.0)
+    places = [[9.0, 9.0, height] for height in heights]
+    given = segments_of(places, [[9.0, 9.0, height + 0.01] for height in heights], [0, 1, 1], leans=True)
+    assert made._can_touch(given, 0.0).tolist() == [True, False, True]
+
+
+@pytest.mark.parametrize("shape", CUTTERS)
+@pytest.mark.parametrize("lean", [-12.0, 0.0, 12.0])
+def test_what_a_leaning_tool_enters_next_is_its_front(shape, lean):
+    """On a path along x, leaning back, upright or forwards: cells at its side ahead of the tip, and none behind it.
+
+    With the lean the side at the surface is displaced along the path; cells a cell from the side may be either.
+    """
+    stock, cutter = stocks.from_box(*BOX, 0.5e-3), CUTTERS[shape]
+    x = np.linspace(0.025, 0.0262, 13)
+    tips = np.column_stack([x, np.full(13, 0.02), np.full(13, -6e-3)])
+    axis = np.array([math.sin(math.radians(lean)), 0.0, math.cos(math.radians(lean))])
+    swept = tilted.sweep(stock, cutter, tips, np.tile(axis, (13, 1)), 0.0)
+    columns = stock.high.shape[1]
+
+    def of(footprint):
+        row, column = np.divmod(footprint.cell, columns)
+        return stock.x + (column + 0.5) * 0.5e-3 - tips[-1, 0], stock.y + (row + 0.5) * 0.5e-3 - 0.02
+
+    surface = 6e-3 * math.tan(math.radians(lean))  # of the axis at the surface, along the path
+    ahead, across = of(swept.front)
+    if lean >= 0.0:  # leaning back, the end face moves into the material too
+        assert (ahead > -0.5e-3).all()
+    behind, beside = of(swept.footprint)
+    gap = 5e-3 - np.hypot((behind - surface) * math.cos(math.radians(lean)), beside)
+    is_at_side = (gap < 0.2e-3) & (behind - surface > 1e-3)
+    assert not is_at_side.any()
+    front_gap = 5e-3 - np.hypot((ahead - surface) * math.cos(math.radians(lean)), across)
+    assert (front_gap < 0.3e-3).sum() > 10
+    if lean > 0.0 and shape == "flat":  # leaning forwards, all cells at the end sink no more: its lower side rises
+        assert (front_gap < 1.5e-3).all()
