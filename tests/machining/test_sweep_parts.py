@@ -505,6 +505,25 @@ def test_the_depth_of_a_tool_in_a_block_is_that_of_points_in_its_solid(shape, le
         assert depth == pytest.approx(expected, abs=0.6e-3)
 
 
+@pytest.mark.parametrize("shape", CUTTERS)
+@pytest.mark.parametrize(
+    ("lean", "turn", "tip"), [(70.0, 180.0, (0.07, 0.02, -2e-3)), (75.0, 90.0, (0.03, -0.02, 0.0))]
+)
+def test_a_shank_in_a_block_counts_where_the_tip_is_beside_it(shape, lean, turn, tip):
+    """Its lowest line enters the block at the side: by the height of the axis there and the radius across it."""
+    cell = 0.5e-3
+    axis, radius = direction(lean, turn), 5e-3 - cell
+    gap = tip[0] - 0.06 if turn == 180.0 else -tip[1]
+    sine, cosine = math.sin(math.radians(lean)), math.cos(math.radians(lean))
+    # below the axis by the radius, square to it; that line is at the side of the block further along the axis
+    along = (gap - radius * cosine) / sine
+    expected = -(tip[2] + along * cosine - radius * sine)
+    depth = leaning.depth_inside(stocks.from_box(*BOX, cell), CUTTERS[shape], np.array([tip]), axis[None])
+    assert depth == pytest.approx(expected, abs=1.2e-3)
+    away = direction(lean, turn + 180.0)
+    assert leaning.depth_inside(stocks.from_box(*BOX, cell), CUTTERS[shape], np.array([tip]), away[None]) == 0.0
+
+
 def test_points_of_a_tool_are_compared_with_the_level_of_the_larger_part_of_a_cell():
     """Only between floor and surface; a point beside the map is in no material."""
     cell = 1e-3
