@@ -195,3 +195,75 @@ def test_a_rapid_move_that_a_longer_tool_begins_in_the_stock_says_so(tmp_path, l
         assert ["The new tool is 20 mm longer" in message for message in said] == [True] * longer
     text = gcode("G0 X-30 Y30 Z5", "G1 X30 F2400", "Z-1", "G0 X35", "Z5")
     assert "longer" not in collisions(swept(tmp_path, text, [])[1])[0].message
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_body_touches_cells_that_it_covers_in_part_and_reaches_into(seed):
+    """Cell by cell, by the corner of each that is nearest to the path: half a diagonal is added to the radius."""
+    rng = np.random.default_rng(seed)
+    stock = stocks.from_box(np.array([0.0, 0.0, -0.01]), np.array([0.02, 0.015, 0.0]), 1e-3)
+    stock.high[:] = np.where(
+        rng.random(stock.high.shape) < 0.06, rng.uniform(-4e-3, 0.0, stock.high.shape), stock.floor
+    )
+    stock.floor[:] = np.where(rng.random(stock.high.shape) < 0.5, stock.floor, stock.high)
+    body = Cutter(2e-3, 0.0, 1)
+    begin = rng.uniform([-0.004, -0.004, -5e-3], [0.024, 0.019, -1e-3], (60, 3))
+    end = begin + rng.uniform(-5e-3, 5e-3, (60, 3)) * [1, 1, 0]
+    found, rows = touches(stock, body, begin, end), stock.high.shape
+    t = np.linspace(0.0, 1.0, 201)[:, None]
+    compared = 0
+    for n in range(60):
+        places = begin[n] + t * (end[n] - begin[n])
+        gaps = []
+        for row, column in np.ndindex(rows):
+            if stock.high[row, column] <= max(begin[n, 2] + 1e-6, float(stock.floor[row, column])):
+                continue
+            x, y = stock.x + (column + 0.5) * 1e-3, stock.y + (row + 0.5) * 1e-3
+            gaps.append(float(np.hypot(places[:, 0] - x, places[:, 1] - y).min()) - 2e-3 - 0.7072e-3)
+        nearest = min(gaps, default=1.0)
+        if abs(nearest) > 5e-5:
+            compared += 1
+            assert found[n] == (nearest < 0.0)
+    assert compared > 50
+    assert 5 < found.sum() < 55
+
+
+@pytest.mark.parametrize(("depth", "is_hit"), [(0.9e-6, False), (1.1e-6, True)])
+def test_a_body_that_is_flush_with_the_stock_does_not_touch_it(depth, is_hit):
+    stock = stocks.from_box(np.array([0.0, 0.0, -0.01]), np.array([0.02, 0.015, 0.0]), 1e-3)
+    place = np.array([[0.01, 0.008, -depth]])
+    assert touches(stock, Cutter(2e-3, 0.0, 1), place, place).tolist() == [is_hit]
+
+
+@pytest.mark.parametrize(("radius", "need", "height", "corner", "expected"), [
+    (2.9, 0.0, 1.0, 0.0, True), (3.1, 0.0, 1.0, 0.0, False), (1.9, 1.0, 1.0, 0.0, True), (2.1, 1.0, 1.0, 0.0, False),
+    (2.0, 0.5, 0.4, 0.0, False), (2.0, 0.5, 0.6, 0.0, True), (3.0, 0.0, 0.9, 5.0, False), (3.0, 0.0, 1.1, 5.0, True),
+    (2.0, 1.0, 1.9, 5.0, False), (2.0, 1.0, 2.1, 5.0, True),
+])  # fmt: skip
+def test_a_part_inside_of_what_the_cutter_sweeps_needs_no_comparison(radius, need, height, corner, expected):
+    """A cutter of radius 5 less two cells of 1; a ball is 1 above its tip at a distance of 3 [mm]."""
+    guard = Guard([], 1e-3 * need)
+    part = Part("shank", 1e-3 * radius, 1e-3 * height)
+    assert guard._is_in_sweep(part, Cutter(5e-3, 1e-3 * corner, 2), 1e-3) is expected
+
+
+@pytest.mark.parametrize(("gap", "closest"), [(-0.5, 0.0), (0.0, 0.0), (0.7, 0.7), (1.4, 1.4), (1.6, None)])
+def test_the_distance_of_a_part_above_the_stock_is_recorded_if_it_is_below_the_needed_one(gap, closest):
+    """1.5 mm are needed; of several segments of a motion the smallest distance remains."""
+    stock = stocks.from_box(np.array([0.0, 0.0, -0.01]), np.array([0.02, 0.015, 0.0]), 1e-3)
+    guard, part = Guard([], 1.5e-3), Part("holder", 3e-3, 4e-3)
+
+    def record(distance):
+        place = np.array([[0.01, 0.008, 1e-3 * distance - 4e-3]])
+        guard._record_distance(part, stock, 7, (place, place + np.array([1e-3, 0.0, 0.0])))
+
+    record(gap)
+    if closest is None:
+        assert guard.close == {}
+        return
+    assert guard.close[("holder", 7)] == pytest.approx(1e-3 * closest, abs=6e-5)
+    record(gap + 0.2)
+    assert guard.close[("holder", 7)] == pytest.approx(1e-3 * closest, abs=6e-5)
+    record(gap - 0.2)
+    assert guard.close[("holder", 7)] == pytest.approx(1e-3 * max(closest - 0.2, 0.0), abs=6e-5)
+    assert list(guard.close) == [("holder", 7)]

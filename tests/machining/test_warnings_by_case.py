@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from postproc import toolpath
 from postproc.errors import ForceError
-from postproc.machining import identification, resolution, source
+from postproc.machining import identification, profiles, resolution, source
 from postproc.machining import sweep as sweep_module
 from postproc.machining.process import ToolTable
 from postproc.machining.remaining import Guard, Part
@@ -195,6 +196,26 @@ def test_drilling_cycles_of_mills_are_lines_that_move_rapidly_and_cut_along_the_
     assert estimate._mill_drilling_issues(replace(made, layout="krl"), found, none) == []
     assert estimate._mill_drilling_issues(MADE, found, none) == []
     assert estimate._mill_drilling_issues(made, replace(found, torque=np.zeros(4)), none) == []
+
+
+@pytest.mark.parametrize(
+    ("kinds", "lines", "texts", "expected"),
+    [
+        (("RAPID", "LIN", "RAPID"), (5, 5, 5), {}, True),
+        (("RAPID", "LIN", "LIN"), (5, 5, 5), {}, True),
+        (("LIN", "LIN", "LIN"), (5, 5, 5), {}, False),  # no rapid move
+        (("RAPID", "LIN", "RAPID", "LIN"), (5, 5, 6, 5), {}, False),  # another line within it
+        (("RAPID", "LIN", "LIN"), (4, 5, 5), {}, False),
+    ],
+)
+def test_a_line_is_a_drilling_cycle_if_its_moves_follow_each_other_and_one_is_rapid(kinds, lines, texts, expected):
+    made = program([(kind, 0, 0, -k) for k, kind in enumerate(kinds)])
+    made = replace(made, motions=replace(made.motions, line=np.array(lines)))
+    path = toolpath.segments(made, np.eye(4))
+    moves = np.flatnonzero([kind == "LIN" and line == 5 for kind, line in zip(kinds, lines, strict=True)])
+    assert profiles._is_drilling_cycle(made, path, 2, moves, "G81 Z-5 R2") is expected
+    assert profiles._is_drilling_cycle(made, path, 0, moves, "G81 Z-5 R2") is False
+    assert profiles._is_drilling_cycle(made, path, 2, moves, "M98 P100") is False
 
 
 def straight(begin, end, motion=None, cutting=None):
