@@ -33,6 +33,16 @@ def test_a_diameter_is_read_in_each_of_its_forms(text):
         assert cutter_of(text, inches=True).diameter_mm == pytest.approx(304.8)
 
 
+def test_lengths_in_inches_are_millimetres_to_a_nanometre():
+    cutter = cutter_of("D=1/3in CR=1/7in bull", inches=False)
+    assert (cutter.diameter_mm, cutter.corner_radius_mm) == (8.466667, 3.628571)
+    assert stock_size([Comment(1, "stock size X=1/3in Y=1/7in Z=2/3in")], inches=False) == (
+        8.466667,
+        3.628571,
+        16.933333,
+    )
+
+
 @pytest.mark.parametrize(
     ("text", "shape", "corner", "flutes"),
     [
