@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from msgspec.structs import replace
 
 from postproc import frames, toolpath
+from postproc.machining import tool_path
 from postproc.machining.estimate import _no_contact_error, _scale_issues
 from postproc.machining.tool_path import Directions, Shift, straight_segments, tool_states
 from tests.toolpath.setting import BASES, START, begins, mixed, point
@@ -203,3 +205,28 @@ def test_tool_speed_and_hand_of_each_motion_are_those_of_the_last_statements_bef
         if not given and tool.rpm is not None:
             rpm, hand = tool.rpm, -1 if tool.spindle == "M4" else 1
         assert (found.keys[found.tool[k]], found.rpm[k], found.hand[k], found.number[k]) == (key, rpm, hand, number)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_segments_are_divided_at_the_places_of_a_displacement(seed):
+    """Segment by segment, also where motions have none, and up to the end of the last."""
+    rng = np.random.default_rng(seed)
+    rows, places = [], []
+    for motion in range(1, 9):
+        if rng.random() < 0.25:
+            continue  # a motion without segments
+        bounds = [0.0, *np.sort(rng.uniform(0.05, 0.95, rng.integers(0, 3))), 1.0]
+        rows += [(motion, first, last) for first, last in itertools.pairwise(bounds)]
+    for motion in range(1, 9):
+        places += [(motion, t) for t in np.sort(rng.uniform(0.0, 1.0, rng.integers(0, 4)))]
+        if rng.random() < 0.3:
+            places.append((motion, 1.0))
+    motion, first, last = (np.array(column) for column in zip(*rows, strict=True))
+    at_motion, at_t = (np.array(column) for column in zip(*places, strict=True))
+    shift = SimpleNamespace(motion=at_motion.astype(int), t=at_t)
+    expected = []
+    for k, (begin, end) in zip(motion, zip(first, last, strict=True), strict=True):
+        cuts = [t for row, t in places if row == k and begin + 1e-9 < t < end - 1e-9]
+        expected += [(k, a, b) for a, b in itertools.pairwise([begin, *cuts, end])]
+    found = tool_path._divided_at_shift(motion.astype(int), first, last, shift)
+    np.testing.assert_allclose(np.column_stack(found), expected, atol=1e-12)
