@@ -10,6 +10,7 @@ response of the robot.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -70,6 +71,7 @@ class PathForces(Struct, frozen=True, eq=False):
         """Return the wrench (N, 6) at samples of the path [N, N·m], `$BASE` axes of their motions."""
 
         def wrench_columns(knots: Ints) -> Array:
+            """Return force and moment (k, 2, 3, 1) at knots (k,), in their frames."""
             return self.wrench.take(knots).reshape(-1, 2, 3, 1)
 
         def in_chunk(rows: Ints) -> tuple[Array]:
@@ -87,7 +89,7 @@ class PathForces(Struct, frozen=True, eq=False):
         return None if spread is None else self._columns_in_base(lambda knots: spread.take(knots, axis=0), sample)
 
     def factor_at(self, sample: Toolpath) -> Array:
-        """Return `factor` (N,) at samples: that of the next knot."""
+        """Return the standard deviation of one factor of the whole wrench (N,) at samples: that of the next knot."""
         return np.asarray(self.factor[self._next_knot(sample)])
 
     def spread_in_root(self, sample: Toolpath) -> Array | None:
@@ -136,15 +138,18 @@ class PathForces(Struct, frozen=True, eq=False):
         return _wrench_before(self.wrench.take(self.first[1:] - 1), self.frame, self.axes)
 
     def behind_step(self, motion: Ints, t: Array) -> Bools:
-        """Return which places (motion, t), n of them, are just behind a start with a possible step of the force.
+        """Return which of n places are just behind a start of a motion with a possible step of the force (n,).
 
         Just behind are 1.5 times `BEHIND_STEP`: the sample at that distance, and rounding.
+
+        :param motion: (n,) rows of `Motions`, and `t` (n,) the places on them, in [0, 1].
         """
         return np.asarray(~self.ramped[motion] & (self.axes.path.length[motion] * t < 1.5 * BEHIND_STEP))
 
     def _next_knot(self, sample: Toolpath) -> Ints:
         """Return the knot (N,) at or after each sample on its motion, the last one where there is none."""
         first, last = self.first[sample.motion], self.first[sample.motion + 1] - 1
+        # motion + t is one increasing key of places, see `place`
         return np.clip(np.searchsorted(self.place, sample.motion + sample.t), first, last)
 
     def _columns_in_base(self, columns: Callable[[Ints], Array], sample: Toolpath) -> Array:
@@ -156,6 +161,7 @@ class PathForces(Struct, frozen=True, eq=False):
         :param columns: returns those (n, 2, 3, m) at knots (n,), in their frames.
         """
         t, right = sample.t, self._next_knot(sample)
+        # at a knot, and before the first one of a motion, the knot itself counts: left is right there
         left = np.where(self.t[right] > t, np.maximum(right - 1, self.first[sample.motion]), right)
         values, frame = columns(right), self.knot_frame[right]
         inner_rows = np.flatnonzero(left != right)
@@ -246,51 +252,96 @@ def _resolve(knots: Knots, axes: Axes, ramp: float, issues: tuple[Issue, ...], b
     motion moves to the end of the ramp.
 
     :param ramp: length over which a force builds up if it is given for a whole motion [m].
+    :param issues: warnings and notes for the user, and `by_law` the motions whose forces a cutting law computes.
     """
     motions = np.arange(len(axes.program.motions))
     first = np.searchsorted(knots.motion, np.append(motions, len(motions)))
     last = first[1:] - 1
-    has_ramp, frame = knots.ramped[last], knots.frame[last]
-    wrench = knots.wrench.take(last, axis=0)
-    start, start_frame = _wrench_before(wrench, frame, axes), np.full(len(motions), BASE)
-    steady = _continuous(wrench, frame, start, axes)
-    start[steady], start_frame[steady] = wrench[steady], frame[steady]
-    changes = has_ramp & (any_column(start != wrench) | (start_frame != frame))
-    del wrench
-    spread = at_start = None
-    if knots.sigma.any():
-        spread = knots.sigma.reshape(-1, 2, 3, 1) * np.eye(3)
-        at_start = axes.at_start(spread[last], frame)
-        at_start[steady] = spread[last[steady]]
-        changes |= has_ramp & (at_start != spread[last]).any(axis=(1, 2, 3))
+    start = _start_forces(knots, last, axes)
+    has_ramp = knots.ramped[last]
+    changes = has_ramp & _differs(start, knots, last)
     ramp_knots = first[:-1][changes]  # a ramped motion has one knot
-    if knots.factor.any():
-        previous = predecessors(axes.program)[changes]
-        start_factor = np.where(previous >= 0, knots.factor[last[previous]], 0.0)
-        factor = np.insert(knots.factor, ramp_knots, start_factor)
-    else:
-        factor = constant(0.0, len(knots.factor) + len(ramp_knots))
-    if spread is not None and at_start is not None:
-        spread = np.insert(spread, ramp_knots, at_start[changes], axis=0)
-    length = axes.path.length[changes]
     t = knots.t.copy()
-    t[ramp_knots] = ramp / np.maximum(length, ramp)  # a motion shorter than the ramp is all ramp
+    t[ramp_knots] = ramp / np.maximum(axes.path.length[changes], ramp)  # a motion shorter than the ramp is all ramp
     t = np.insert(t, ramp_knots, 0.0)
+    spread = None
+    if start.spread is not None:
+        spread = np.insert(_spread(knots.sigma), ramp_knots, start.spread[changes], axis=0)
     first = first + np.concatenate([[0], np.cumsum(changes)])
     return PathForces(
-        axes,
-        compact(first, np.int32),
-        np.repeat(motions, np.diff(first)) + t,
-        t,
-        Runs.of(np.insert(knots.wrench, ramp_knots, start[changes], axis=0)),
-        compact(np.insert(knots.frame, ramp_knots, start_frame[changes]), np.int8),
-        spread,
-        factor,
-        compact(frame, np.int8),
-        has_ramp,
-        issues,
-        by_law,
+        axes=axes,
+        first=compact(first, np.int32),
+        place=np.repeat(motions, np.diff(first)) + t,
+        t=t,
+        wrench=Runs.of(np.insert(knots.wrench, ramp_knots, start.wrench[changes], axis=0)),
+        knot_frame=compact(np.insert(knots.frame, ramp_knots, start.frame[changes]), np.int8),
+        spread=spread,
+        factor=_factors_with_ramps(knots.factor, last, changes, ramp_knots, axes.program),
+        frame=compact(knots.frame[last], np.int8),
+        ramped=has_ramp,
+        issues=issues,
+        by_law=by_law,
     )
+
+
+class _StartForces(NamedTuple):
+    """The forces at the start of each motion, before its ramp.
+
+    :param wrench: (M, 6) [N, N·m], in the axes that `frame` names.
+    :param frame: (M,) `BASE`; the frame of the motion where its force continues the one before.
+    :param spread: (M, 2, 3, 3) L of the covariances L·Lᵀ of force and moment, in the same axes; None if all are zero.
+    """
+
+    wrench: Array
+    frame: Ints
+    spread: Array | None
+
+
+def _start_forces(knots: Knots, last: Ints, axes: Axes) -> _StartForces:
+    """Return the forces with which ramps begin: those at the end of the motion before, or those of the motion.
+
+    :param last: (M,) the last knot of each motion.
+    """
+    wrench, frame = knots.wrench.take(last, axis=0), knots.frame[last]
+    start_wrench, start_frame = _wrench_before(wrench, frame, axes), np.full(len(last), BASE)
+    steady = _continuous(wrench, frame, start_wrench, axes)
+    start_wrench[steady], start_frame[steady] = wrench[steady], frame[steady]
+    if not knots.sigma.any():
+        return _StartForces(start_wrench, start_frame, None)
+    spread = _spread(knots.sigma[last])
+    start_spread = axes.at_start(spread, frame)
+    start_spread[steady] = spread[steady]
+    return _StartForces(start_wrench, start_frame, start_spread)
+
+
+def _differs(start: _StartForces, knots: Knots, last: Ints) -> Bools:
+    """Return the motions (M,) whose force, or its frame or standard deviation, is not that at their start.
+
+    :param last: (M,) the last knot of each motion.
+    """
+    differs = any_column(start.wrench != knots.wrench.take(last, axis=0)) | (start.frame != knots.frame[last])
+    if start.spread is not None:
+        differs |= (start.spread != _spread(knots.sigma[last])).any(axis=(1, 2, 3))
+    return np.asarray(differs)
+
+
+def _spread(sigma: Array) -> Array:
+    """Return L (n, 2, 3, 3) of the covariances L·Lᵀ of force and moment, from standard deviations (n, 6)."""
+    return np.asarray(sigma.reshape(-1, 2, 3, 1) * np.eye(3))
+
+
+def _factors_with_ramps(factor: Array, last: Ints, changes: Bools, ramp_knots: Ints, program: Program) -> Array:
+    """Return the standard deviations of the factor at knots, with those of the knots that are inserted for ramps.
+
+    An inserted knot gets that of the motion before, 0 at the start of the program.
+
+    :param factor: (K,) at the knots; `last` (M,): the last knot of each motion.
+    :param changes: (M,) True for motions with an inserted knot; `ramp_knots`: the knots before which they are inserted.
+    """
+    if not factor.any():
+        return constant(0.0, len(factor) + len(ramp_knots))
+    previous = predecessors(program)[changes]
+    return np.insert(factor, ramp_knots, np.where(previous >= 0, factor[last[previous]], 0.0))
 
 
 def _wrench_before(wrench: Array, frame: Ints, axes: Axes) -> Array:
@@ -352,7 +403,7 @@ def _travel(program: Program, path: Segments, knots: Knots, axis: str) -> tuple[
 
 _NO_CHANGE = 1e-9
 """Changes of the force below this [N, N·m] count as none (assumed)."""
-_STEP = 1e-8
+_STEP_SIZE = 1e-8
 """Displacement [m] below which a change of the force from motion to motion does not count as a step (assumed)."""
 
 
@@ -365,15 +416,15 @@ def displacement_estimate(forces: PathForces, compliance: tuple[float, float]) -
     motion = np.repeat(np.arange(len(m)), np.diff(forces.first))
     change, bends = _changes(forces, motion)
     step_size = _displacement_sizes(_steps(forces), compliance)
-    step = np.flatnonzero(step_size > _STEP)
+    step = np.flatnonzero(step_size > _STEP_SIZE)
     step_place = np.minimum(0.5, BEHIND_STEP / np.maximum(path.length[step], BEHIND_STEP))
     rotating_size, swings = _turning_displacements(forces, motion, compliance)
     knot_rows = np.flatnonzero(bends | (m.kind[motion] == CIRC))
-    places = np.append(motion[knot_rows], step), np.append(forces.t[knot_rows], step_place)
-    order = np.lexsort(places[::-1])
+    place_motion, place_t = np.append(motion[knot_rows], step), np.append(forces.t[knot_rows], step_place)
+    order = np.lexsort((place_t, place_motion))  # by motion, then by t
     return DisplacementEstimate(
-        motion=places[0][order],
-        t=places[1][order],
+        motion=place_motion[order],
+        t=place_t[order],
         change=np.append(_displacement_sizes(change, compliance)[knot_rows], step_size[step])[order],
         bends=np.append(bends[knot_rows], np.ones(len(step), dtype=np.bool_))[order],
         turning=rotating_size,
@@ -391,7 +442,7 @@ def _displacement_sizes(wrench: Array, compliance: tuple[float, float]) -> Array
 
 
 def _largest_of_motions(forces: PathForces, values: Array) -> Array:
-    """Return the largest of values (K,) >= 0 at knots for each motion (M,).
+    """Return for each motion the largest (M,) of values (K,) at its knots, which are 0 or larger.
 
     A knot at the start of a ramp has the force of the motion before: it does not count.
     """
@@ -509,25 +560,38 @@ def swing_places(forces: PathForces, compliance: tuple[float, float], limit: flo
     begin, end = np.zeros(len(motion)), np.ones(len(motion))
     motions, places = [motion[:0]], [begin[:0]]
     while len(motion):
-        displacements = []
-        for share in _QUARTERS:
-            wrench = forces.at(at(program, path, motion, begin + share * (end - begin)))
-            displacements.append(np.hstack([compliance[0] * wrench[:, :3], compliance[1] * wrench[:, 3:]]))
-        start_displacement, end_displacement = displacements[0], displacements[-1]
-        deviations = [
-            norm(displacement - start_displacement - share * (end_displacement - start_displacement))
-            for share, displacement in zip(_QUARTERS, displacements, strict=True)
-        ]
         length_share = end - begin
-        is_too_coarse = (np.maximum.reduce(deviations) > limit) & (
-            np.minimum(length_share, length_share * path.length[motion]) > _SHORTEST
-        )
+        is_divisible = np.minimum(length_share, length_share * path.length[motion]) > _SHORTEST
+        is_too_coarse = is_divisible & (_line_deviation(forces, motion, begin, end, compliance) > limit)
         motion, begin, end = motion[is_too_coarse], begin[is_too_coarse], end[is_too_coarse]
         middle = 0.5 * (begin + end)
         motions.append(motion)
         places.append(middle)
+        # both halves of each piece are the pieces of the next round
         motion, begin, end = np.tile(motion, 2), np.append(begin, middle), np.append(middle, end)
     return np.concatenate(motions), np.concatenate(places)
+
+
+def _line_deviation(
+    forces: PathForces, motion: Ints, begin: Array, end: Array, compliance: tuple[float, float]
+) -> Array:
+    """Return the largest deviation (n,) [m] of the displacement on pieces of motions from a linear change.
+
+    Compared at quarters is the displacement by the force, that by moments as three components of its own.
+
+    :param motion: (n,) motion of each piece; `begin` and `end` (n,) its ends as positions on the motion, in [0, 1].
+    :param compliance: approximate compliance at the tip per force [m/N] and per moment [m/(N·m)].
+    """
+    displacements = []
+    for share in _QUARTERS:
+        wrench = forces.at(at(forces.axes.program, forces.axes.path, motion, begin + share * (end - begin)))
+        displacements.append(np.hstack([compliance[0] * wrench[:, :3], compliance[1] * wrench[:, 3:]]))
+    start_displacement, end_displacement = displacements[0], displacements[-1]
+    deviations = [
+        norm(displacement - start_displacement - share * (end_displacement - start_displacement))
+        for share, displacement in zip(_QUARTERS, displacements, strict=True)
+    ]
+    return np.asarray(np.maximum.reduce(deviations))
 
 
 def _circle_deviation(forces: PathForces, arcs: Pieces, compliance: tuple[float, float]) -> Array:
@@ -543,12 +607,11 @@ def _circle_deviation(forces: PathForces, arcs: Pieces, compliance: tuple[float,
         sample = at(forces.axes.program, forces.axes.path, arcs.motion, t)
         wrench = forces.at(sample)
         positions.append(sample.pose.position - compliance[0] * wrench[:, :3] - compliance[1] * wrench[:, 3:])
-    begin, _, middle, _, end = positions
-    centre, radial, tangential, angle = circle_through(begin, middle, end)
+    begin, _, middle, _, end = positions  # at five shares, see `_QUARTERS`
+    arc = circle_through(begin, middle, end)
     deviation = np.zeros(len(begin))
     for share, position in zip(_QUARTERS, positions, strict=True):
-        part_angle = (angle * share)[:, None]
-        deviation = np.maximum(
-            deviation, norm(position - centre - np.cos(part_angle) * radial - np.sin(part_angle) * tangential)
-        )
+        angle = (arc.angle * share)[:, None]
+        on_circle = np.cos(angle) * arc.radial, np.sin(angle) * arc.tangential
+        deviation = np.maximum(deviation, norm(position - arc.centre - on_circle[0] - on_circle[1]))
     return deviation

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
@@ -27,7 +27,11 @@ BASE, TOOL, FEED = range(3)
 
 
 class ByLaw(Struct, frozen=True, eq=False):
-    """Motions (n,) whose forces a cutting law computes, and its numbers: their errors are one common factor."""
+    """Motions whose forces a cutting law computes: the errors of these forces are one common factor.
+
+    :param numbers: of the law, by which two laws are compared.
+    :param motion: (n,) rows of `Motions`.
+    """
 
     numbers: tuple[float, ...]
     motion: Ints
@@ -90,7 +94,10 @@ class Knots(Columns, frozen=True, eq=False):
     ) -> Knots:
         """Return one wrench (n, 6) for the whole of each motion (n,), ramped at its start.
 
-        :param sigma: (n, 6) standard deviations, `factor` (n,) of one factor, see `Knots`; None: zero.
+        :param motion: (n,) rows of `Motions`, ascending.
+        :param wrench: (n, 6) force and moment [N, N·m], in the axes that `frame` (n,) names.
+        :param sigma: (n, 6) standard deviations of the components of the wrenches [N, N·m]; None: zero.
+        :param factor: (n,) standard deviation of one factor of the whole wrench, see `Knots`; None: zero.
         """
         return replace(
             cls.along(motion, np.ones(len(motion)), wrench, frame, sigma, factor),
@@ -114,7 +121,7 @@ class Knots(Columns, frozen=True, eq=False):
         :param wrench: (n, 6) force and moment [N, N·m].
         :param frame: (n,) the axes in which the wrenches are given.
         :param sigma: (n, 6) standard deviations of the components of the wrenches [N, N·m]; None: zero.
-        :param factor: (n,) the part of `sigma`, relative, by which a whole wrench may be off; None: zero.
+        :param factor: (n,) standard deviation of one factor of the whole wrench, see `Knots`; None: zero.
         """
         sigma = np.broadcast_to(0.0, np.shape(wrench)) if sigma is None else sigma
         factor = constant(0.0, len(motion)) if factor is None else factor
@@ -124,7 +131,10 @@ class Knots(Columns, frozen=True, eq=False):
         return len(self.motion)
 
     def or_fallback(self, fallback: Knots) -> Knots:
-        """Return these knots, plus those of `fallback` for motions without a knot here; other data is left out."""
+        """Return these knots, plus those of `fallback` for motions without a knot here.
+
+        Issues, cutting law and stock of both are left out.
+        """
         extra_knots = fallback.take(~np.isin(fallback.motion, self.motion))
         # stable: the knots of one motion stay in order
         order = np.argsort(np.append(self.motion, extra_knots.motion), kind="stable")
@@ -138,8 +148,8 @@ class Knots(Columns, frozen=True, eq=False):
             too large, or have several frames on one motion.
         """
         count = len(self.motion)
-        shapes = [np.shape(array) for array in (self.t, self.frame, self.ramped, self.factor)]
-        if shapes != [(count,)] * 4 or [np.shape(array) for array in (self.wrench, self.sigma)] != [(count, 6)] * 2:
+        has_rows = all(np.shape(array) == (count,) for array in (self.t, self.frame, self.ramped, self.factor))
+        if not has_rows or any(np.shape(array) != (count, 6) for array in (self.wrench, self.sigma)):
             raise ForceError(f"the arrays of the source of forces {name} do not have one row per knot")
         for is_invalid, problem in self._faults(len(program.motions)):
             if np.any(is_invalid):
@@ -149,33 +159,32 @@ class Knots(Columns, frozen=True, eq=False):
                 raise ForceError(text, file=program.documents[0].name, line=line, advice="Report this to its author.")
         return self
 
-    def _faults(self, motion_count: int) -> tuple[tuple[Bools, str], ...]:
-        """Return the possible faults of knots: where each is, (K,) or (K − 1,) True, and its description.
+    def _faults(self, motion_count: int) -> Iterator[tuple[Bools, str]]:
+        """Yield the faults that knots may have: (K,) True at knots that have it, and its description.
 
         :param motion_count: number of motions of the program.
         """
+        yield (self.motion < 0) | (self.motion >= motion_count), "a motion that does not exist"
+        # ranges are negated because a comparison with NaN is False
+        yield ~((self.t >= 0.0) & (self.t <= 1.0)), "a place outside a motion (t in 0…1)"
+        is_wrong_wrench = any_column(~(np.abs(self.wrench) <= MOST_FORCE))
+        yield is_wrong_wrench, "a force that is not finite, or larger than any robot carries"
+        is_wrong_sigma = any_column(~((self.sigma >= 0.0) & (self.sigma <= MOST_FORCE)))
+        is_wrong_factor = ~((self.factor >= 0.0) & (self.factor < np.inf))
+        yield is_wrong_sigma | is_wrong_factor, "a standard deviation that is not finite, negative or too large"
+        yield (self.frame < 0) | (self.frame >= len(FORCE_FRAMES)), "an unknown frame"
+        yield from self._order_faults()
+
+    def _order_faults(self) -> Iterator[tuple[Bools, str]]:
+        """Yield the faults that a knot may have with the next one: (K,) True at the first of the two, and a text."""
         same_motion = np.diff(self.motion) == 0
-        return (
-            ((self.motion < 0) | (self.motion >= motion_count), "a motion that does not exist"),
-            (~((self.t >= 0.0) & (self.t <= 1.0)), "a place outside a motion (t in 0…1)"),
-            (
-                any_column(~(np.abs(self.wrench) <= MOST_FORCE)),
-                "a force that is not finite, or larger than any robot carries",
-            ),
-            (
-                any_column(~((self.sigma >= 0.0) & (self.sigma <= MOST_FORCE)))
-                | ~((self.factor >= 0.0) & (self.factor < np.inf)),
-                "a standard deviation that is not finite, negative or too large",
-            ),
-            ((self.frame < 0) | (self.frame >= len(FORCE_FRAMES)), "an unknown frame"),
-            (np.append(np.diff(self.motion) < 0, False), "motions out of order"),
-            (np.append(same_motion & (np.diff(self.t) <= 0.0), False), "places on one motion out of order"),
-            (np.append(same_motion & (np.diff(self.frame) != 0), False), "two frames on one motion"),
-            (
-                np.append(same_motion & (self.ramped[1:] | self.ramped[:-1]), False),
-                "a ramped motion with several knots",
-            ),
-        )
+        for is_wrong, problem in (
+            (np.diff(self.motion) < 0, "motions out of order"),
+            (same_motion & (np.diff(self.t) <= 0.0), "places on one motion out of order"),
+            (same_motion & (np.diff(self.frame) != 0), "two frames on one motion"),
+            (same_motion & (self.ramped[1:] | self.ramped[:-1]), "a ramped motion with several knots"),
+        ):
+            yield np.append(is_wrong, False), problem  # the last knot has no next one
 
 
 class ForceSource(Protocol):
@@ -211,9 +220,10 @@ def extensions() -> list[str]:
 def read(path: Path) -> ForceSource:
     """Read a file of forces with the reader for its extension.
 
-    Any other file is read as CSV.
+    A file of an extension without a reader is read as CSV.
 
     :raises ForceError: the file is unusable, or the reader of another package fails.
+    :raises PostprocError: from the reader of another package.
     """
     extension = path.suffix.lower()
     if extension not in READERS:
@@ -230,7 +240,8 @@ def read(path: Path) -> ForceSource:
 def _read_by(entry: EntryPoint, path: Path) -> ForceSource:
     """Read a file with the reader of another package; errors name that package.
 
-    :raises ForceError: the reader fails in any way. Errors of the `PostprocError` family pass unchanged.
+    :raises ForceError: the reader fails with any other error than a `PostprocError`.
+    :raises PostprocError: from the reader, unchanged.
     """
     package = entry.dist.name if entry.dist is not None else entry.value
     try:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -80,15 +81,14 @@ class ForceTable(Struct, frozen=True, eq=False):
                 raise call.error
         self._check_rows(program)
         # rows of one first line are a block: its rows are the knots of each motion that starts on its lines
-        begins = np.flatnonzero(np.diff(self.first, prepend=-1))
-        line, number = program.motions.line, np.diff(np.append(begins, len(self.row)))
-        block = np.searchsorted(self.first[begins], line, side="right") - 1
-        rapid = program.motions.rapid
+        block_begins = np.flatnonzero(np.diff(self.first, prepend=-1))
+        block_sizes = np.diff(np.append(block_begins, len(self.row)))
+        line, rapid = program.motions.line, program.motions.rapid
+        block = np.searchsorted(self.first[block_begins], line, side="right") - 1  # of each motion; −1: before all
         has_knots = ~rapid | ~np.isin(line, line[~rapid])
-        motion = np.flatnonzero((block >= 0) & (line <= self.last[begins[block]]) & has_knots)
-        count = number[block[motion]]
-        index = ragged_range(count)
-        row = np.repeat(begins[block[motion]], count) + index
+        motion = np.flatnonzero((block >= 0) & (line <= self.last[block_begins[block]]) & has_knots)
+        count = block_sizes[block[motion]]
+        row = np.repeat(block_begins[block[motion]], count) + ragged_range(count)
         is_constant = np.isnan(self.t[row])
         t = np.where(is_constant, 1.0, self.t[row])
         knot_motion, wrench, frame = np.repeat(motion, count), self.wrench[row], self.frame[row]
@@ -108,7 +108,10 @@ class ForceTable(Struct, frozen=True, eq=False):
             yield Issue("warning", "force-on-still", message, lines[0], count=len(lines), lines=lines)
 
     def _check_rows(self, program: Program) -> None:
-        """Check that every row names at least one line on which a motion starts."""
+        """Check that every row names at least one line on which a motion starts.
+
+        :raises ForceError: a row names none.
+        """
         lines = np.sort(np.concatenate([program.motions.line, program.still]))
         is_empty = np.searchsorted(lines, self.first, side="left") == np.searchsorted(lines, self.last, side="right")
         if is_empty.any():
@@ -137,22 +140,52 @@ def read_force_csv(path: Path) -> ForceTable:
         path, _REQUIRED_COLUMNS, _OPTIONAL, ForceError, ("frame",), ("line_end", "t", *_SIGMAS, *_PERCENT)
     )
     columns = _Columns(str(path), at.astype(np.int64), numbers, texts.get("frame", []), faults)
-    first, last, usable = columns.lines()
-    wrench, sigma, factor = columns.wrench()
+    lines, wrenches = columns.lines(), columns.wrench()
     frame = columns.frame()
     t = columns.places()
-    begin, end = (np.where(usable, column, 0.0).astype(np.int64) for column in (first, last))
-    order = np.lexsort((columns.row, begin))
-    columns.check_order(order, (begin, end, t, frame), usable)
+    order = np.lexsort((columns.row, lines.first))
+    columns.check_order(order, lines, t, frame)
     if faults:
         raise combined_error(faults)
     if not len(columns.row):
         advice = "Add the rows, or convert without this file if the program cuts nothing."
         raise ForceError("a header without rows: the file states no force", file=str(path), advice=advice)
     return ForceTable(
-        str(path), columns.row[order], begin[order], end[order], t[order], wrench[order], frame[order], sigma[order],
-        factor[order],
-    )  # fmt: skip
+        file=str(path),
+        row=columns.row[order],
+        first=lines.first[order],
+        last=lines.last[order],
+        t=t[order],
+        wrench=wrenches.wrench[order],
+        frame=frame[order],
+        sigma=wrenches.sigma[order],
+        factor=wrenches.factor[order],
+    )
+
+
+class _SourceLines(NamedTuple):
+    """Source lines to which the R rows of a force CSV apply.
+
+    :param first: (R,) the first line, and `last` (R,) the last one; 0 where they are invalid.
+    :param valid: (R,) True where both are valid line numbers.
+    """
+
+    first: Ints
+    last: Ints
+    valid: Bools
+
+
+class _Wrenches(NamedTuple):
+    """The wrenches of the R rows of a force CSV.
+
+    :param wrench: (R, 6) [N, N·m], in the axes of the row.
+    :param sigma: (R, 6) standard deviations of its components [N, N·m].
+    :param factor: (R,) the part of them that may be one factor, see `Knots`.
+    """
+
+    wrench: Array
+    sigma: Array
+    factor: Array
 
 
 class _Columns(Struct, frozen=True, eq=False):
@@ -169,54 +202,60 @@ class _Columns(Struct, frozen=True, eq=False):
     frames: Sequence[str]
     errors: list[ForceError]
 
-    def lines(self) -> tuple[Array, Array, Bools]:
-        """Return the first and the last source line of each row (R,), and (R,) True where both are valid."""
+    def lines(self) -> _SourceLines:
+        """Return the source lines of each row, and add errors for invalid ones."""
         first = self.numbers["line"]
         last = self.numbers.get("line_end", first)
         last = np.where(np.isnan(last), first, last)
-        usable = np.ones(len(first), dtype=np.bool_)
+        valid = np.ones(len(first), dtype=np.bool_)
         # a fault of `line` is not reported again as one of the `line_end` that is copied from it
         for label, column, is_separate in (("line", first, True), ("line_end", last, last != first)):
             is_invalid = (column != np.floor(column)) | ~((column >= 1.0) & (column <= _MOST_LINES))
             is_new_fault = is_invalid & is_separate & np.isfinite(column)
             self.check(is_new_fault, f"{label} is {{:g}}", column, "Give a line number of the program, counted from 1.")
-            usable &= ~is_invalid
-        self.check(usable & (last < first), "line_end is before line", last)
-        return first, last, usable
+            valid &= ~is_invalid
+        self.check(valid & (last < first), "line_end is before line", last)
+        first_line, last_line = (np.where(valid, column, 0.0).astype(np.int64) for column in (first, last))
+        return _SourceLines(first_line, last_line, valid)
 
-    def wrench(self) -> tuple[Array, Array, Array]:
-        """Return wrenches and their standard deviations, both (R, 6) [N, N·m], and the deviations (R,) of one factor.
+    def wrench(self) -> _Wrenches:
+        """Return the wrench of each row and its standard deviations, and add errors for invalid values.
 
         Percentages give the deviation of all six components; a column of one component replaces it.
         """
-        wrench, sigma = np.zeros((len(self.row), 6)), np.zeros((len(self.row), 6))
+        wrench = np.zeros((len(self.row), 6))
         for index, name in enumerate(WRENCH):
             if name in self.numbers:
                 wrench[:, index] = self.numbers[name]
                 advice = "This is more than any robot carries: give newtons and newton metres."
                 self.check(np.abs(wrench[:, index]) > MOST_FORCE, f"{name} is {{:g}}", wrench[:, index], advice)
-        percent, by_factor = (self.numbers.get(name, np.full(len(self.row), np.nan)) for name in _PERCENT)
-        for name, values in zip(_PERCENT, (percent, by_factor), strict=True):
-            self.check(
-                ~((values >= 0.0) & (values < np.inf) | np.isnan(values)), f"{name} is {{:g}}", values, _NOT_NEGATIVE
-            )
-        factor = np.nan_to_num(np.where(np.isnan(percent), by_factor, percent)) / 100.0
-        sigma += np.abs(wrench) * factor[:, None]
-        has_both = np.isfinite(percent) & np.isfinite(by_factor)
+        percent, factor_percent = (self._deviations(name, np.inf) for name in _PERCENT)
+        factor = np.nan_to_num(np.where(np.isnan(percent), factor_percent, percent)) / 100.0
+        sigma = np.abs(wrench) * factor[:, None]
+        has_both = np.isfinite(percent) & np.isfinite(factor_percent)
         for index, name in enumerate(_SIGMAS):
-            values = self.numbers.get(name, np.full(len(self.row), np.nan))
-            self.check(
-                ~((values >= 0.0) & (values <= MOST_FORCE) | np.isnan(values)),
-                f"{name} is {{:g}}",
-                values,
-                _NOT_NEGATIVE,
-            )
-            has_both |= np.isfinite(values) & np.isfinite(percent)
-            sigma[:, index] = np.where(np.isnan(values), sigma[:, index], values)
+            deviations = self._deviations(name, MOST_FORCE)
+            has_both |= np.isfinite(deviations) & np.isfinite(percent)
+            sigma[:, index] = np.where(np.isnan(deviations), sigma[:, index], deviations)
         self.check(
             has_both, "standard deviations in addition to sigma_percent = {:g}", percent, "Give one or the other."
         )
-        return wrench, sigma, factor
+        return _Wrenches(wrench, sigma, factor)
+
+    def _deviations(self, name: str, most: float) -> Array:
+        """Return a column of standard deviations (R,), NaN where none is given.
+
+        Errors are added for those below 0 or above `most`.
+        """
+        values = self.numbers.get(name, np.full(len(self.row), np.nan))
+        is_wrong = ~((values >= 0.0) & (values <= most) | np.isnan(values))
+        self.check(
+            is_wrong,
+            f"{name} is {{:g}}",
+            values,
+            "Give a standard deviation, 0 or larger, in newtons, newton metres or percent.",
+        )
+        return values
 
     def frame(self) -> Ints:
         """Return the frames (R,) as indices in `FORCE_FRAMES`; BASE where none is given, −1 for unknown ones."""
@@ -233,16 +272,17 @@ class _Columns(Struct, frozen=True, eq=False):
         self.check(~((t >= 0.0) & (t <= 1.0) | np.isnan(t)), "t is {:g}", t, advice)
         return t
 
-    def check_order(self, order: Ints, values: tuple[Ints, Ints, Array, Ints], usable: Bools) -> None:
+    def check_order(self, order: Ints, lines: _SourceLines, t: Array, frame: Ints) -> None:
         """Check that rows of one line are in order of t and have one frame, and that no other rows share a line.
 
-        A row is compared with the one before it, after sorting by `order` (R,).
+        A row is compared with the one before it. Rows without valid lines are not reported again.
 
-        :param values: first line, last line, t and frame of each row (R,).
-        :param usable: (R,) False for rows with other faults, which are not reported again.
+        :param order: (R,) rows, sorted by their first lines.
+        :param t: (R,) position on the move of each row, and `frame` (R,) its frame; see `ForceTable`.
         """
-        begin, end, t, frame = (column[order] for column in values)
-        usable, rank = usable[order], np.argsort(order)  # the rank of each row of the file
+        begin, end, usable = lines.first[order], lines.last[order], lines.valid[order]
+        t, frame = t[order], frame[order]
+        rank = np.argsort(order)  # of each row of the file
         shares_line = np.append(False, (np.diff(begin) == 0) & (np.diff(end) == 0)) & ~np.isnan(t)
         shares_line &= ~np.isnan(np.append(np.nan, t[:-1]))
         previous_end = np.append(0, np.maximum.accumulate(end)[:-1])
@@ -266,7 +306,9 @@ class _Columns(Struct, frozen=True, eq=False):
         """Add an error for each wrong row, up to one more than are shown.
 
         :param is_wrong: (R,) True for those rows.
-        :param problem: format of the message, with one field for the value (R,) of the row.
+        :param problem: format of the message, with one field for the value of the row.
+        :param values: (R,) of the rows.
+        :param advice: for all of them.
         :param valid: names that the value may be, for the advice.
         """
         for index in np.flatnonzero(is_wrong)[: MAX_ERRORS + 1].tolist():
@@ -275,7 +317,6 @@ class _Columns(Struct, frozen=True, eq=False):
             self.errors.append(ForceError(text, file=self.file, line=int(self.row[index]), advice=row_advice))
 
 
-_NOT_NEGATIVE = "Give a standard deviation, 0 or larger, in newtons, newton metres or percent."
 _STEP = "Sort the rows of a move by t; give a step as two positions close to each other."
 
 
@@ -284,6 +325,8 @@ _SAME_PLACE = 1e-9
 _NO_CHANGE = 1e-6
 """Changes of the force below this [N, N·m] count as none: the file has three decimals."""
 
+_SAME_FACTOR = 1e-9
+"""Standard deviations of a factor that differ by less count as equal (assumed)."""
 _SAME_FORCE = 2e-3
 """Forces of two passes of a line that differ by less [N, N·m] count as equal: the file has three decimals."""
 
@@ -321,50 +364,57 @@ def piece_knots(forces: PathForces, targets: Targets, at_end: TargetForces, outp
     :param row: (K,) motion of the written program that ends at each target.
     :returns: knots; `motion` is here the row of the target at the end of the piece, and t the place on the piece.
     """
-    has_ramp = forces.ramped[targets.motion]
+    # a ramped force is given for the whole piece, as it acts at its end
     target, share = _knot_places(forces, targets)
-    is_whole = has_ramp[target]
-    frame = np.where(is_whole, at_end.frame[target], _piece_frames(forces, targets)[target])
+    is_ramped = forces.ramped[targets.motion[target]]
+    frame = np.where(is_ramped, at_end.frame[target], _piece_frames(forces, targets)[target])
     begin, end = targets.begin(target), targets.t[target]
     program, path = forces.axes.program, forces.axes.path
     nominal = at(program, path, targets.motion[target], np.where(share == 1.0, end, begin + share * (end - begin)))
     output_place = at(output_axes.program, output_axes.path, row[target], share)
     wrench = output_axes.out_of_base(forces.at(nominal).reshape(-1, 2, 3, 1), frame, output_place).reshape(-1, 6)
-    wrench[is_whole] = at_end.wrench[target[is_whole]]
+    wrench[is_ramped] = at_end.wrench[target[is_ramped]]
     spread = forces.spread_at(nominal)
     sigma = np.zeros_like(wrench)
     if spread is not None:
         sigma = norm(output_axes.out_of_base(spread, frame, output_place)).reshape(-1, 6)
-    return _merge_knots(Knots(target, share, wrench, frame, sigma, forces.factor_at(nominal), is_whole))
+    return _merge_knots(Knots(target, share, wrench, frame, sigma, forces.factor_at(nominal), is_ramped))
 
 
 def once_a_line(knots: Knots, line: Ints) -> tuple[Knots, Ints]:
-    """Return the knots of one pass of each line, in order of lines, and targets (n,) whose force differs from it.
+    """Return the knots of the first pass of each line, in order of lines, and targets whose force differs from it.
 
     A line is passed several times in loops; a force file has one force for all of its passes.
 
     :param knots: as from `piece_knots`.
     :param line: (K,) line of each target in the written program.
+    :returns: the knots, and the targets (n,) of later passes with another force, ascending.
     """
     target, begin, count = np.unique(knots.motion, return_index=True, return_counts=True)
     _, first, line_of_target = np.unique(line[target], return_index=True, return_inverse=True)
-    differing_targets = []
-    for k in np.flatnonzero(first[line_of_target] != np.arange(len(target))).tolist():
-        first_pass = first[line_of_target[k]]
-        is_same = count[k] == count[first_pass]
-        if is_same:
-            pass_rows, first_rows = (slice(begin[i], begin[i] + count[i]) for i in (k, first_pass))
-            is_same = bool((knots.frame[pass_rows] == knots.frame[first_rows]).all())
-            for values, tolerance in (
-                (knots.t, _SAME_PLACE), (knots.wrench, _SAME_FORCE),
-                (knots.sigma, _SAME_FORCE), (knots.factor, _SAME_PLACE),
-            ):  # fmt: skip
-                is_same &= bool(np.abs(values[pass_rows] - values[first_rows]).max() <= tolerance)
-        if not is_same:
-            differing_targets.append(target[k])
-    knot_rows = np.flatnonzero(np.isin(knots.motion, target[first]))
-    return knots.take(knot_rows[np.argsort(line[knots.motion[knot_rows]], kind="stable")]), np.array(
-        differing_targets, dtype=np.int64
+    first_pass = first[line_of_target]  # of the line of each target, as a row of `target`
+    later_passes = np.flatnonzero(first_pass != np.arange(len(target)))
+    differs = [
+        not _is_same_force(knots, *(slice(begin[i], begin[i] + count[i]) for i in (k, first_pass[k])))
+        for k in later_passes.tolist()
+    ]
+    rows = np.flatnonzero(np.isin(knots.motion, target[first]))
+    rows = rows[np.argsort(line[knots.motion[rows]], kind="stable")]
+    return knots.take(rows), target[later_passes[np.array(differs, dtype=np.bool_)]]
+
+
+def _is_same_force(knots: Knots, first: slice, second: slice) -> bool:
+    """Return whether two passes of a line have the same force; `first` and `second` are the knots of the passes."""
+    if first.stop - first.start != second.stop - second.start or (knots.frame[first] != knots.frame[second]).any():
+        return False
+    return all(
+        np.abs(values[first] - values[second]).max() <= tolerance
+        for values, tolerance in (
+            (knots.t, _SAME_PLACE),
+            (knots.wrench, _SAME_FORCE),
+            (knots.sigma, _SAME_FORCE),
+            (knots.factor, _SAME_FACTOR),
+        )
     )
 
 

@@ -132,14 +132,12 @@ def errors(robot_in_cell: RobotInCell, q: Array, tool: Array, load: Load) -> tup
     motion that turn on the way; NaN if the model has none.
 
     :param tool: (4, 4) or (n, 4, 4) in the flange frame [m].
-    :param load: see `PathSamples.load`.
     """
-    wrench, spread, pose, is_scaled = load
-    deflection = _deflections(robot_in_cell, q, tool, wrench, pose)
-    series = _in_series(robot_in_cell.tool_spring, pose)
+    deflection = _deflections(robot_in_cell, q, tool, load.wrench, load.pose)
+    series = _in_series(robot_in_cell.tool_spring, load.pose)
     with np.errstate(invalid="ignore", divide="ignore"):
         u95 = elastostatics.position_bound(
-            robot_in_cell.robot, q, tool, wrench, spread, series, is_proportional=is_scaled
+            robot_in_cell.robot, q, tool, load.wrench, load.spread, series, is_proportional=load.is_scaled
         )
     return np.full(len(q), np.nan) if u95 is None else u95, deflection
 
@@ -150,7 +148,12 @@ def _in_series(spring: ToolSpring | None, pose: Array) -> Array | None:
 
 
 def _deflections(robot_in_cell: RobotInCell, q: Array, tool: Array, wrench: Array, pose: Array) -> Array:
-    """Return the deviation (n,) [m] of the tip from nominal without correction; NaN without equilibrium."""
+    """Return the deviation (n,) [m] of the tip from nominal without correction; NaN without equilibrium.
+
+    :param q: (n, 6) joint angles [rad]; `tool` (4, 4) or (n, 4, 4) in the flange frame [m].
+    :param wrench: (n, 6) on the tool at its tip, root axes [N, N·m].
+    :param pose: (n, 4, 4) nominal tool frames in the root [m].
+    """
     deflection = np.full(len(q), np.nan)
     rows = np.arange(len(q))
     while len(rows):

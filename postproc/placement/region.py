@@ -11,6 +11,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -180,6 +181,32 @@ class _Stations(Struct, frozen=True, eq=False):
     first_joints: Array
 
 
+class _JointPath(NamedTuple):
+    """The joint angles of a program at its stations.
+
+    :param q: (n, 6) [rad].
+    :param reason: to refuse a station, the first one of `drive.REASONS`; `FREE` for none.
+    :param margin: smallest distance of a joint to its limits [rad], NaN out of reach.
+    """
+
+    q: Array
+    reason: int
+    margin: float
+
+
+class _Errors(NamedTuple):
+    """The errors of a program at its stations that cut.
+
+    :param deflection: the largest one [m]; NaN without equilibrium.
+    :param u95: the largest expected error (95 %) [m]; NaN where the model has none.
+    :param singular: the smallest singular value of the Jacobian at all stations.
+    """
+
+    deflection: float
+    u95: float
+    singular: float
+
+
 class Programs:
     """Several programs in one cell, to be judged at places."""
 
@@ -232,17 +259,22 @@ class Programs:
         return nearest if best is None else best
 
     def _judge(self, place: Array, turn: float, branch: int, stations: Sequence[_Stations]) -> JudgedPlace:
-        """Return the judgement of a place (5,): the first reason to refuse it, or its largest expected error."""
+        """Return the judgement of a place (5,) [mm, deg]: the first reason to refuse it, or its largest expected error.
+
+        :param turn: of the tool about its axis, added to that of the cell [rad].
+        :param branch: of the inverse kinematics at the start.
+        :param stations: of each program.
+        """
         base_motion, e1_shift = self._motion_to(place)
         coordinates = tuple(map(float, place))
         joint_paths: list[tuple[_Stations, Array]] = []
         margin = np.inf
         for group in stations:
-            q, reason, group_margin = self._joint_path(group, base_motion, e1_shift, turn, branch)
-            margin = min(margin, group_margin)
-            if reason != FREE:
-                return JudgedPlace(coordinates, reason, margin=group_margin, turn=turn, branch=branch)
-            joint_paths.append((group, q))
+            path = self._joint_path(group, base_motion, e1_shift, turn, branch)
+            margin = min(margin, path.margin)
+            if path.reason != FREE:
+                return JudgedPlace(coordinates, path.reason, margin=path.margin, turn=turn, branch=branch)
+            joint_paths.append((group, path.q))
         if self.bodies is not None:
             for bodies, (group, q) in zip(self.bodies, joint_paths, strict=True):
                 reason = self._collision_reason(bodies, group, q, base_motion, e1_shift)
@@ -251,15 +283,19 @@ class Programs:
         deflection = u95 = 0.0
         singular = np.inf
         for group, q in joint_paths:
-            program_deflection, program_u95, value = self._errors(group, base_motion, e1_shift, turn, q)
-            if not np.isfinite(program_deflection):
+            errors = self._errors(group, base_motion, e1_shift, turn, q)
+            if not np.isfinite(errors.deflection):
                 return JudgedPlace(coordinates, drive.SINGULAR, margin=margin, turn=turn, branch=branch)
-            deflection, u95 = max(deflection, program_deflection), float(np.maximum(u95, program_u95))
-            singular = min(singular, value)
+            # np.maximum keeps NaN: without a bound for one program there is none for all
+            deflection, u95 = max(deflection, errors.deflection), float(np.maximum(u95, errors.u95))
+            singular = min(singular, errors.singular)
         return JudgedPlace(coordinates, FREE, deflection, u95, margin, singular, turn, branch)
 
     def _motion_to(self, place: Array) -> tuple[Array, Array]:
-        """Return the motion (4, 4) of the part from its place in the cell, and how far E1 carries the robot (3,)."""
+        """Return the motion (4, 4) of the part from its place in the cell, and how far E1 carries the robot (3,) [m].
+
+        :param place: (5,) X, Y, Z, A and E1 [mm, deg].
+        """
         base = self.robot_in_cell.cell.base
         pose = pose_from_xyzabc([*place[:4], base.B, base.C])
         direction = self.robot_in_cell.cell.carriage
@@ -267,18 +303,18 @@ class Programs:
 
     def _joint_path(
         self, group: _Stations, base_motion: Array, e1_shift: Array, turn: float, branch: int
-    ) -> tuple[Array, int, float]:
-        """Return joint angles (n, 6) [rad] at stations, the worst reason to refuse them, and the smallest joint margin.
+    ) -> _JointPath:
+        """Return the joint angles at stations, and the first reason to refuse one of them.
 
         :param base_motion: (4, 4) motion of `$BASE` that the place makes, root axes [m].
         :param e1_shift: (3,) by which E1 carries the robot to the place [m].
         :param turn: of the tool about its axis [rad]; `branch` of the inverse kinematics at the start.
-        :returns: the reason as an index in `drive.REASONS`, `FREE` for none; the margin [rad], NaN out of reach.
         """
         flange = product(base_motion, self._flange(group, turn))
         flange[:, :3, 3] -= group.shift + e1_shift
         branches = np.where(group.branch >= 0, group.branch, branch)
         is_one_branch = bool((branches == branches[0]).all())
+        # rows of samples before the stations, then of the stations; one branch for all is solved faster
         q = drive.solve(self.robot, kinematics.components(flange), int(branches[0]) if is_one_branch else branches)
         margins, count = drive.margins(self.robot, q), len(group.row)
         step = np.nan_to_num(wrap_angles(q[:, count:] - q[:, :count]))
@@ -287,13 +323,14 @@ class Programs:
         at_stations = Margins(*(getattr(margins, name)[count:] for name in Margins.__struct_fields__))
         reasons = drive.reason(at_stations, speed, jump, self.keep)
         margin = float(np.nanmin(at_stations.joint, initial=np.inf))
+        # whole turns can be counted where all samples are stations and no target states joint angles
         if count == len(group.samples) and np.isnan(group.samples.program.motions.joints).all():
             reasons[self._winds_past_limits(q[:, count:])] = drive.LIMIT
         violations = reasons[reasons != FREE]
-        return (
-            q[:, count:].T,
-            int(violations.min()) if len(violations) else FREE,
-            margin if np.isfinite(margin) else np.nan,
+        return _JointPath(
+            q=q[:, count:].T,
+            reason=int(violations.min()) if len(violations) else FREE,
+            margin=margin if np.isfinite(margin) else np.nan,
         )
 
     @cache  # noqa: B019 - lives as long as the search
@@ -312,9 +349,9 @@ class Programs:
         """
         cuts = group.cuts
         rows = group.row[cuts]
-        wrench, spread, pose, is_scaled = group.samples.load(rows, np.full(len(rows), turn))
-        pose[:, :3, 3] += group.shift[len(group.row) :][cuts]
-        return wrench, spread, pose, is_scaled
+        load = group.samples.load(rows, np.full(len(rows), turn))
+        load.pose[:, :3, 3] += group.shift[len(group.row) :][cuts]
+        return load
 
     def _collision_reason(self, bodies: Bodies, group: _Stations, q: Array, base_motion: Array, e1_shift: Array) -> int:
         """Return the reason if bodies come too close at stations, or on the move from [start] to them; else `FREE`.
@@ -330,11 +367,10 @@ class Programs:
         if bodies.is_closer(q, group.row, shift, base_motion):
             return drive.COLLISION
         approach = np.concatenate([self.robot_in_cell.cell.start_joints[None], group.first_joints])
+        # stations that are not all samples are no path: only the move to the first one is looked at
         used = count if count == len(group.samples) else 1
-        path, rows = (
-            np.concatenate([approach, q[:used]]),
-            np.append(np.full(len(approach), group.row[0]), group.row[:used]),
-        )
+        path = np.concatenate([approach, q[:used]])
+        rows = np.append(np.full(len(approach), group.row[0]), group.row[:used])
         shift = np.concatenate([np.repeat(shift[:1], len(approach), axis=0), shift[:used]])
         is_hit = bodies.is_hit_along_path(path, rows, np.zeros(len(path), dtype=bool), shift, base_motion)
         if is_hit[len(approach) + 1 :].any():
@@ -353,10 +389,8 @@ class Programs:
         low, high = self.robot.lower[joints, None] + self.keep.joint, self.robot.upper[joints, None] - self.keep.joint
         return np.asarray(((angle < low) | (angle > high)).any(axis=0))
 
-    def _errors(
-        self, group: _Stations, base_motion: Array, e1_shift: Array, turn: float, q: Array
-    ) -> tuple[float, float, float]:
-        """Return the largest deflection and expected error (95 %) on cuts [m], and the smallest singular value.
+    def _errors(self, group: _Stations, base_motion: Array, e1_shift: Array, turn: float, q: Array) -> _Errors:
+        """Return the largest errors at stations that cut.
 
         :param base_motion: (4, 4) motion of `$BASE` that the place makes, root axes [m].
         :param e1_shift: (3,) by which E1 carries the robot to the place [m].
@@ -367,19 +401,23 @@ class Programs:
         tool = toolpath.tool_of(samples.program, samples.sample.motion[group.row])
         singular = float(kinematics.singular_values(self.robot, q, tool).min())
         if not len(cuts):
-            return 0.0, 0.0, singular
-        wrench, spread, pose, is_scaled = self._load(group, turn)
+            return _Errors(0.0, 0.0, singular)
+        load = self._load(group, turn)
         rotation = base_motion[:3, :3]
-        wrench = (wrench.reshape(-1, 2, 3) @ rotation.T).reshape(-1, 6)
+        wrench = (load.wrench.reshape(-1, 2, 3) @ rotation.T).reshape(-1, 6)
+        spread = load.spread
         if spread is not None:
             spread = (rotation @ spread.reshape(len(spread), 2, 3, -1)).reshape(spread.shape)
         shift = group.shift[len(group.row) :][cuts]
-        pose = product(base_motion, pose)
+        pose = product(base_motion, load.pose)
         pose[:, :3, 3] -= shift + e1_shift
         u95, deflection = drive.errors(
-            self.robot_in_cell, q[cuts], tool if tool.ndim == 2 else tool[cuts], (wrench, spread, pose, is_scaled)
+            self.robot_in_cell,
+            q[cuts],
+            tool if tool.ndim == 2 else tool[cuts],
+            Load(wrench, spread, pose, load.is_scaled),
         )
-        return float(deflection.max()), float(u95.max()), singular
+        return _Errors(float(deflection.max()), float(u95.max()), singular)
 
 
 def _stations(samples: PathSamples, max_count: int) -> _Stations:
@@ -472,18 +510,15 @@ def search(
     progress: Callable[[int, int], None] | None = None,
     assess: Assess | None = None,
 ) -> Search:
-    """Find the best place in a region.
+    """Find the best place in a region: by a grid, a finer slice at its best place, and steps from the best of all.
 
-    :param progress: called with places done and in all.
+    :param progress: called with the number of places done and of all.
     :param assess: converts the programs at today's place and at the best one; None: samples decide.
     """
     cell = programs.robot_in_cell.cell
     today = programs.judge(np.array([cell.base.X, cell.base.Y, cell.base.Z, cell.base.A, 0.0]), all_samples=True)
     today = _assess(today, assess)
-    lines = [
-        np.linspace(region.low[k], region.high[k], _COARSE[axis]) if k in region.free else np.array([region.low[k]])
-        for k, axis in enumerate(AXES)
-    ]
+    lines = _grid_lines(region)
     grid = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, len(AXES))
     has_slice = {0, 1} <= set(region.free)
     total = len(grid) + (_SLICE**2 if has_slice else 0)
@@ -507,7 +542,7 @@ def search(
         for place_x, place_y in itertools.product(x, y):
             judged(np.array([place_x, place_y, *slice_centre[2:]]))
     starts = sorted((place for place in judgements if place.reachable), key=lambda place: place.cost)[:_STARTS]
-    steps = np.array([0.5 * float(np.diff(line[:2]).sum()) for line in lines])
+    steps = np.array([0.5 * float(np.diff(line[:2]).sum()) for line in lines])  # half of the grid's; 0 where it has one
     for start in starts:
         _descend(judged, region, start, steps)
     best, refusals = _best_by_conversion(programs, region, judgements, assess)
@@ -516,6 +551,14 @@ def search(
         best = today
     slice_lines = tuple(x.tolist()), tuple(y.tolist())
     return Search(today, best, tuple(judgements), slice_lines, tuple(slice_centre.tolist()), refusals)
+
+
+def _grid_lines(region: Region) -> list[Array]:
+    """Return the coordinates of the grid along each of the five axes [mm, deg]: one where an axis is not free."""
+    return [
+        np.linspace(region.low[k], region.high[k], _COARSE[axis]) if k in region.free else np.array([region.low[k]])
+        for k, axis in enumerate(AXES)
+    ]
 
 
 def _assess(place: JudgedPlace, assess: Assess | None) -> JudgedPlace:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from msgspec import Struct
 
@@ -20,8 +22,19 @@ _TURN = np.radians(5.0)
 AXIS = {"+Z": (0.0, 0.0, 1.0), "-Z": (0.0, 0.0, -1.0), "+X": (1.0, 0.0, 0.0), "-X": (-1.0, 0.0, 0.0)}
 
 
-Load = tuple[Array, Array | None, Array, Bools]
-"""Loads at n places, see `PathSamples.load`."""
+class Load(NamedTuple):
+    """Loads of the tool at n samples, root axes.
+
+    :param wrench: (n, 6) on the tool at its tip [N, N·m].
+    :param spread: `force_spread` of `elastostatics.position_bound`; None if the forces are certain.
+    :param pose: (n, 4, 4) tool frame in the root [m].
+    :param is_scaled: (n,) `is_proportional` of `elastostatics.position_bound`.
+    """
+
+    wrench: Array
+    spread: Array | None
+    pose: Array
+    is_scaled: Bools
 
 
 class PathSamples(Struct, frozen=True, eq=False):
@@ -84,18 +97,14 @@ class PathSamples(Struct, frozen=True, eq=False):
         return toolpath.flange_from_tcp(self.program, motion, self._turned_poses(rows, turn), t)
 
     def load(self, rows: Ints, turn: Array) -> Load:
-        """Return the load at samples (n,) with the tool turned by angles (n,) [rad], root axes.
-
-        :returns: wrench (n, 6) [N, N·m]; `force_spread` of `elastostatics.position_bound`; the tool frame (n, 4, 4) in
-            the root [m]; `is_scaled` (n,) of `position_bound`.
-        """
+        """Return the load at samples (n,) with the tool turned by angles (n,) [rad], root axes."""
         pose = self._turned_poses(rows, turn)
         motion, t = self.sample.motion[rows], self.sample.t[rows]
         samples = Toolpath(motion, t, Poses.of(pose), self.sample.distance[rows])
         wrench = toolpath.wrench_in_root(self.program, motion, self.forces.at(samples))
         spread = self.forces.spread_in_root(samples)
         is_scaled = self.robot_in_cell.has_model_factor(self.forces, motion)
-        return wrench, spread, toolpath.pose_in_root(self.program, motion, pose, t), is_scaled
+        return Load(wrench, spread, toolpath.pose_in_root(self.program, motion, pose, t), is_scaled)
 
     def _turned_poses(self, rows: Ints, turn: Array) -> Array:
         """Return the tool poses (n, 4, 4) of samples (n,), turned about the tool axis by `turn` (n,) [rad]."""

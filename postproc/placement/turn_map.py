@@ -12,7 +12,8 @@ free (Bellman 1957).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import itertools
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +21,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc import kinematics
-from postproc.frames import FULL_TURN, RAD_PER_DEG, Array, inverse, wrap_angles
+from postproc.frames import FULL_TURN, MM_PER_M, RAD_PER_DEG, Array, inverse, wrap_angles
 from postproc.kinematics.components import components, product
 from postproc.placement import drive
 from postproc.placement.bodies import Bodies
@@ -59,6 +60,8 @@ _STEADY = 0.003
 _TURNING_PRICE = 5e-5
 """Expected error [m] that a cut must save to turn at `_PER_MM`; less in proportion. Assumed: nothing measures what a
 fast turn of the wrist costs on the part."""
+_HAND_SHARE = 0.1
+"""Share of `_STEADY` that A4 or A6 costs for each radian of a joint interpolation, which cuts nothing (assumed)."""
 _EASY = 15.0 * RAD_PER_DEG
 """Margin of joints and wrist beyond which more margin is worth little [rad]."""
 
@@ -209,6 +212,16 @@ class TurnMap(Struct, frozen=True, eq=False):
     winding: Array
     u95: Array
     deflection: Array
+
+    @property
+    def step(self) -> float:
+        """Step of `offset` [rad]."""
+        return float(self.offset[1] - self.offset[0])
+
+    @property
+    def base_at_ends(self) -> Array:
+        """(K,) turn at the end of each bin to which `offset` adds [rad]."""
+        return np.asarray(self.base[np.append(self.blocks.first[1:], len(self.base)) - 1])
 
     def reasons(self, keep: LeastMargins) -> Ints:
         """Return why cells (K, J) are refused, see `drive.REASONS`."""
@@ -454,7 +467,7 @@ class Line(Struct, frozen=True, eq=False):
 
 
 class BlockedMap(Struct, frozen=True):
-    """There is no line: `block` cannot be passed, `cells` are the reasons of its bins."""
+    """There is no line: every turn is refused up to the block `block`, which no line passes."""
 
     block: int
 
@@ -470,38 +483,33 @@ def line_through(
 ) -> Line | BlockedMap:
     """Find the line through the map with the smallest expected error, under the limits of the joints.
 
+    :param keep: margins to keep.
     :param start: (6,) joint angles before the program [rad]: A4 and A6 are counted from there.
     :param turn_at_feed: whether the turn may change on cuts; else on rapid moves only.
     :param is_circle: whether the map is a whole circle of turns.
+    :returns: the line, or the first block that no line passes.
     """
-    reasons = turn_map.reasons(keep)
-    is_forbidden = drive.any_bad(reasons)
-    costs = _costs(turn_map, is_forbidden)
+    is_forbidden = drive.any_bad(turn_map.reasons(keep))
+    lowest, highest = _limits(robot, keep)
+    search = _LineSearch(
+        turn_map=turn_map,
+        is_forbidden=is_forbidden,
+        costs=_costs(turn_map, is_forbidden),
+        start=np.asarray(start)[list(WINDING)],
+        lowest=lowest,
+        highest=highest,
+        turn_at_feed=turn_at_feed,
+        is_circle=is_circle,
+    )
     blocks = turn_map.blocks
-    step = float(turn_map.offset[1] - turn_map.offset[0])
-    turn_count = len(turn_map.offset)
-    bins = np.searchsorted(blocks.block, np.arange(len(blocks.length) + 1))
-    state = np.full((3, 3, turn_count), np.inf)
-    sources: list[tuple[Ints, Ints, Ints]] = []
-    windings = _limits(robot, keep)
-    base = turn_map.base[np.append(blocks.first[1:], len(turn_map.base)) - 1]
-    last_q: Array | None = None
-    for b in range(len(blocks.length)):
-        part = slice(int(bins[b]), int(bins[b + 1]))
-        if blocks.begins[b]:
-            state, source = _begin(turn_map, part, is_forbidden, costs.cell, start, state, last_q, windings)
-        else:
-            base_change = float(base[part.stop - 1] - base[part.start - 1])
-            steps = _steps(turn_map, b, part, step, base_change, turn_at_feed=turn_at_feed)
-            changes = steps, np.abs(steps * step + base_change)
-            state, source = _advance(
-                turn_map, b, part, changes, is_forbidden, costs, state, windings, is_circle=is_circle
-            )
-        sources.append(source)
-        if not np.isfinite(state).any():
+    bounds = np.searchsorted(blocks.block, np.arange(len(blocks.length) + 1)).tolist()
+    cost, origins = np.full((3, 3, len(turn_map.offset)), np.inf), list[_Origins]()
+    for b, bins in enumerate(itertools.starmap(slice, itertools.pairwise(bounds))):
+        cost, origin = search.begin(bins, cost) if blocks.begins[b] else search.advance(b, bins, cost)
+        origins.append(origin)
+        if not np.isfinite(cost).any():
             return BlockedMap(b)
-        last_q = turn_map.q[part.stop - 1]
-    return _trace_line(turn_map, state, sources, base)
+    return _trace_line(turn_map, cost, origins)
 
 
 class _Costs(NamedTuple):
@@ -541,83 +549,44 @@ def _limits(robot: RobotModel, keep: LeastMargins) -> tuple[Array, Array]:
     return robot.lower[joints] + keep.joint, robot.upper[joints] - keep.joint
 
 
-def _begin(
-    turn_map: TurnMap,
-    part: slice,
-    bad: Bools,
-    cost: Array,
-    start: Array,
-    state: Array,
-    last_q: Array | None,
-    limits: tuple[Array, Array],
-) -> tuple[Array, tuple[Ints, Ints, Ints]]:
-    """Begin at a joint interpolation: it takes A4 and A6 the short way from where they are."""
-    joints = list(WINDING)
-    hand_angles = turn_map.q[part.stop - 1][:, joints]
-    turn_count = len(hand_angles)
-    usable = ~bad[part].any(axis=0)
-    column_cost = cost[part].sum(axis=0)
-    next_state = np.full((3, 3, turn_count), np.inf)
-    source = tuple(np.zeros((3, 3, turn_count), dtype=np.int64) for _ in range(3))
-    if last_q is None:
-        sources = [(0, 0, 0, np.asarray(start)[joints], 0.0)]
-    else:
-        # from every turn before, by the cheapest of its states
-        flat = state.reshape(9, turn_count)
-        best = flat.argmin(axis=0)
-        sources = [
-            (
-                int(best[j]) // 3,
-                int(best[j]) % 3,
-                j,
-                last_q[j, joints] + FULL_TURN * _offsets(best[j]),
-                float(flat[best[j], j]),
-            )
-            for j in range(turn_count)
-            if np.isfinite(flat[best[j], j])
-        ]
-    for n4, n6, j, q, source_cost in sources:
-        whole = np.rint((q - hand_angles) / FULL_TURN)
-        angle = hand_angles + FULL_TURN * whole
-        fits = usable & ((angle >= limits[0]) & (angle <= limits[1])).all(axis=1) & (np.abs(whole) <= 1).all(axis=1)
-        hand_turn = np.abs(angle - q).max(axis=1)
-        value = source_cost + column_cost + _STEADY * 0.1 * hand_turn
-        for k in np.flatnonzero(fits).tolist():
-            at = (int(whole[k, 0]) + 1, int(whole[k, 1]) + 1, k)
-            if value[k] < next_state[at]:
-                next_state[at] = value[k]
-                source[0][at], source[1][at], source[2][at] = n4, n6, j
-    return next_state, (source[0], source[1], source[2])
+class _Origins(NamedTuple):
+    """The states from which those at the end of a block, (3, 3, J), are reached at least cost.
 
+    A state is the number of whole turns of A4 and of A6 (−1, 0 or 1, as index 0, 1 or 2) and a column of the map.
 
-def _offsets(index: int) -> Array:
-    """Return the whole turns (2,) to add to A4 and A6, −1, 0 or 1 each, of one of their nine combinations.
-
-    :param index: 0…8 is three times the turns of A4 plus those of A6, each plus 1; 4 is no turn.
+    :param turns4: (3, 3, J) index of the whole turns of A4 at the start of the block; `turns6` (3, 3, J): of A6.
+    :param column: (3, 3, J) column of the map at the start of the block.
+    :param step: (3, 3, J) change of the turn on the block, in steps of the map; None: the block begins with its turn.
     """
-    return np.array([index // 3 - 1, index % 3 - 1], dtype=float)
+
+    turns4: Ints
+    turns6: Ints
+    column: Ints
+    step: Ints | None
 
 
-def _steps(turn_map: TurnMap, b: int, part: slice, step: float, base_change: float, *, turn_at_feed: bool) -> Ints:
-    """Return the changes (D,) of the turn on a block, in steps of the map; 0 is one of them.
+class _State(NamedTuple):
+    """A state at the start of a block.
 
-    :param base_change: change of the turn along the columns of the map [rad].
+    :param place: index of the whole turns of A4 and A6, and column of the map, as in `_Origins`.
+    :param angle: (2,) of A4 and A6 [rad].
+    :param cost: of the cheapest line to it.
     """
-    blocks = turn_map.blocks
-    millimetres = float(blocks.length[b]) * 1e3
-    if not blocks.cuts[b]:
-        limit = _RAPID_PER_MM * millimetres
-    elif turn_at_feed:
-        limit = min(_PER_MM * millimetres, _PER_SECOND * float(blocks.time[b]))
-    else:
-        return np.array([0])
-    limit = min(limit, _PER_BIN * (part.stop - part.start), _LARGEST)
-    first_step, last_step = (
-        int(np.ceil((-limit - base_change) / step - _EXACT)),
-        int(np.floor((limit - base_change) / step + _EXACT)),
-    )
-    turn_count = len(turn_map.offset)
-    return np.arange(max(min(first_step, 0), 1 - turn_count), min(max(last_step, 0), turn_count - 1) + 1)
+
+    place: tuple[int, int, int]
+    angle: Array
+    cost: float
+
+
+class _Changes(NamedTuple):
+    """Changes of the turn on a block.
+
+    :param step: (D,) in steps of the map; 0 is one of them.
+    :param size: (D,) their sizes with the change along a column of the map [rad].
+    """
+
+    step: Ints
+    size: Array
 
 
 class _Crossing(NamedTuple):
@@ -626,8 +595,8 @@ class _Crossing(NamedTuple):
     :param source: (J, D) column at the start of the block.
     :param price: (J, D) cost; infinite where the way is blocked.
     :param extra_turns: (J, D, 2) whole turns of A4 and A6 by which the way differs from the angles of the map.
-    :param low_angle: (J, D, 2) least angle of A4 and A6 on the way, counted from that of the map at its start [rad];
-        high_angle: largest.
+    :param low_angle: (J, D, 2) least angle of A4 and A6 on the way, counted from that of the map at its start [rad].
+    :param high_angle: (J, D, 2) largest one.
     """
 
     source: Ints
@@ -637,89 +606,174 @@ class _Crossing(NamedTuple):
     high_angle: Array
 
 
-def _advance(
-    turn_map: TurnMap,
-    b: int,
-    part: slice,
-    changes: tuple[Ints, Array],
-    bad: Bools,
-    costs: _Costs,
-    state: Array,
-    limits: tuple[Array, Array],
-    *,
-    is_circle: bool,
-) -> tuple[Array, tuple[Ints, Ints, Ints]]:
-    """Advance the states (3, 3, J) over a block.
+class _HandAngles(NamedTuple):
+    """Angles of A4 and A6 on ways over a block (J, D, 2) [rad], counted from those of the map at its start.
 
-    :param changes: changes of the turn (D,) in steps of the map, and the whole change (D,) with that of its columns
-        [rad].
+    :param low: the least ones; `high` the largest; `end` those at the end.
     """
-    crossing = _crossing(turn_map, b, part, changes, bad, costs, is_circle=is_circle)
-    steps, turn_count = changes[0], len(turn_map.offset)
-    next_state = np.empty((3, 3, turn_count))
-    best_step, source4, source6 = (np.empty((3, 3, turn_count), dtype=np.int64) for _ in range(3))
-    columns_of_map = np.arange(turn_count)
-    for n4 in range(3):
-        for n6 in range(3):
+
+    low: Array
+    high: Array
+    end: Array
+
+
+class _LineSearch(Struct, frozen=True, eq=False):
+    """The search of a line through a map of K bins and J turns, block by block.
+
+    :param turn_map: the map.
+    :param is_forbidden: (K, J) True for cells that are refused.
+    :param costs: of the cells.
+    :param start: (2,) angles of A4 and A6 before the program [rad].
+    :param lowest: (2,) least permitted angles of A4 and A6 [rad]; `highest` (2,) the largest.
+    :param turn_at_feed: whether the turn may change on cuts.
+    :param is_circle: whether the map is a whole circle of turns.
+    """
+
+    turn_map: TurnMap
+    is_forbidden: Bools
+    costs: _Costs
+    start: Array
+    lowest: Array
+    highest: Array
+    turn_at_feed: bool
+    is_circle: bool
+
+    def begin(self, bins: slice, cost: Array) -> tuple[Array, _Origins]:
+        """Return costs (3, 3, J) and origins of states at the end of a block that begins anew, with any turn.
+
+        The joint interpolation to it takes A4 and A6 the short way from where they are.
+
+        :param bins: of the block.
+        :param cost: (3, 3, J) of the states before the block; those before the first block of the path do not count.
+        """
+        end_angle = self.turn_map.q[bins.stop - 1][:, WINDING]
+        is_free = ~self.is_forbidden[bins].any(axis=0)
+        cell_cost = self.costs.cell[bins].sum(axis=0)
+        next_cost = np.full(cost.shape, np.inf)
+        turns4, turns6, column = (np.zeros(cost.shape, dtype=np.int64) for _ in range(3))
+        for state in self._states(bins, cost):
+            turns = np.rint((state.angle - end_angle) / FULL_TURN)
+            angle = end_angle + FULL_TURN * turns
+            fits = is_free & self._is_permitted(angle, angle) & (np.abs(turns) <= 1).all(axis=1)
+            value = state.cost + cell_cost + _STEADY * _HAND_SHARE * np.abs(angle - state.angle).max(axis=1)
+            rows = np.flatnonzero(fits)
+            index4, index6 = turns[rows].T.astype(np.int64) + 1
+            is_cheaper = value[rows] < next_cost[index4, index6, rows]
+            at = index4[is_cheaper], index6[is_cheaper], rows[is_cheaper]
+            next_cost[at] = value[rows[is_cheaper]]
+            turns4[at], turns6[at], column[at] = state.place
+        return next_cost, _Origins(turns4, turns6, column, None)
+
+    def _states(self, bins: slice, cost: Array) -> Iterator[_State]:
+        """Yield the states from which a block may begin: of every turn before, the one that costs least.
+
+        :param bins: of the block.
+        :param cost: (3, 3, J) of the states before it.
+        """
+        if bins.start == 0:
+            yield _State((0, 0, 0), self.start, 0.0)
+            return
+        angle = self.turn_map.q[bins.start - 1][:, WINDING]
+        for j in range(cost.shape[2]):
+            index4, index6 = np.unravel_index(int(cost[:, :, j].argmin()), (3, 3))
+            least = float(cost[index4, index6, j])
+            if np.isfinite(least):
+                turns = np.array([index4 - 1.0, index6 - 1.0])
+                yield _State((int(index4), int(index6), j), angle[j] + FULL_TURN * turns, least)
+
+    def _is_permitted(self, low_angle: Array, high_angle: Array) -> Bools:
+        """Return where (...,) least and largest angles (..., 2) of A4 and A6 [rad] are within the limits."""
+        return np.asarray(((low_angle >= self.lowest) & (high_angle <= self.highest)).all(axis=-1))
+
+    def advance(self, b: int, bins: slice, cost: Array) -> tuple[Array, _Origins]:
+        """Return costs (3, 3, J) and origins of states at the end of a block that continues the one before.
+
+        :param b: the block; `bins` its bins.
+        :param cost: (3, 3, J) of the states at its start.
+        """
+        changes = self._changes(b, bins)
+        crossing = self.crossing(b, bins, changes)
+        next_cost = np.empty(cost.shape)
+        turns4, turns6, column, step = (np.empty(cost.shape, dtype=np.int64) for _ in range(4))
+        columns = np.arange(cost.shape[2])
+        for n4, n6 in itertools.product(range(3), repeat=2):
             start4, start6 = n4 - crossing.extra_turns[..., 0], n6 - crossing.extra_turns[..., 1]
-            is_allowed = (start4 >= 0) & (start4 <= 2) & (start6 >= 0) & (start6 <= 2)
             index4, index6 = np.clip(start4, 0, 2), np.clip(start6, 0, 2)
-            whole = FULL_TURN * (np.stack([index4, index6], axis=2) - 1)
-            is_allowed &= (crossing.low_angle + whole >= limits[0]).all(axis=2)
-            is_allowed &= (crossing.high_angle + whole <= limits[1]).all(axis=2)
-            value = np.where(is_allowed, state[index4, index6, crossing.source] + crossing.price, np.inf)
-            best = value.argmin(axis=1)
-            next_state[n4, n6] = value[columns_of_map, best]
-            best_step[n4, n6] = steps[best]
-            source4[n4, n6], source6[n4, n6] = index4[columns_of_map, best], index6[columns_of_map, best]
-    return next_state, (source4, source6, best_step + _STEP_MARK)
+            turns = FULL_TURN * (np.stack([index4, index6], axis=2) - 1)
+            is_allowed = (start4 == index4) & (start6 == index6)
+            is_allowed &= self._is_permitted(crossing.low_angle + turns, crossing.high_angle + turns)
+            value = np.where(is_allowed, cost[index4, index6, crossing.source] + crossing.price, np.inf)
+            best = columns, value.argmin(axis=1)
+            next_cost[n4, n6], column[n4, n6], step[n4, n6] = value[best], crossing.source[best], changes.step[best[1]]
+            turns4[n4, n6], turns6[n4, n6] = index4[best], index6[best]
+        return next_cost, _Origins(turns4, turns6, column, step)
 
+    def _changes(self, b: int, bins: slice) -> _Changes:
+        """Return the changes of the turn that are permitted on a block, and at least the one along a column."""
+        turn_map, blocks = self.turn_map, self.turn_map.blocks
+        step, turn_count = turn_map.step, len(turn_map.offset)
+        base = turn_map.base_at_ends
+        base_change = float(base[bins.stop - 1] - base[bins.start - 1])
+        millimetres = float(blocks.length[b]) * MM_PER_M
+        if not blocks.cuts[b]:
+            limit = _RAPID_PER_MM * millimetres
+        elif self.turn_at_feed:
+            limit = min(_PER_MM * millimetres, _PER_SECOND * float(blocks.time[b]))
+        else:
+            return _Changes(np.array([0]), np.abs(np.array([0]) * step + base_change))
+        limit = min(limit, _PER_BIN * (bins.stop - bins.start), _LARGEST)
+        first = min(int(np.ceil((-limit - base_change) / step - _EXACT)), 0)
+        last = max(int(np.floor((limit - base_change) / step + _EXACT)), 0)
+        steps = np.arange(max(first, 1 - turn_count), min(last, turn_count - 1) + 1)
+        return _Changes(steps, np.abs(steps * step + base_change))
 
-def _crossing(
-    turn_map: TurnMap,
-    b: int,
-    part: slice,
-    changes: tuple[Ints, Array],
-    bad: Bools,
-    costs: _Costs,
-    *,
-    is_circle: bool,
-) -> _Crossing:
-    """Return the ways over a block, see `_advance`."""
-    blocks, (steps, turn_change) = turn_map.blocks, changes
-    turn_count, joints = len(turn_map.offset), list(WINDING)
-    source = np.arange(turn_count)[:, None] - steps  # (target, change)
-    is_blocked = np.zeros(source.shape, dtype=bool) if is_circle else (source < 0) | (source >= turn_count)
-    source = source % turn_count
-    share = np.append(0.0, blocks.share[part])
-    price = np.zeros(source.shape)
-    angle = turn_map.q[part.start - 1][source][..., joints]
-    low_angle, high_angle = angle.copy(), angle.copy()
-    turning = _turning_speed(turn_map, b, steps)
-    length = max(float(blocks.length[b]) * 1e3, 1.0)
-    turning_price = _TURNING_PRICE * turn_change / (_PER_MM * length)
-    columns = source
-    for n, k in enumerate(range(part.start, part.stop)):
-        start_columns = columns
-        columns = _column(source + steps * share[n + 1], turn_count)
-        is_blocked |= _is_bad_between(bad[k], source + steps * share[n : n + 2, None, None])
-        middle_columns = _column(source + steps * (0.5 * (share[n] + share[n + 1])), turn_count)
-        price += costs.cell[k][middle_columns] + costs.turning(k, middle_columns, turning_price)
-        if blocks.cuts[b] and len(steps) > 1:
-            is_blocked |= ~(turn_map.speed[k][columns] + turn_map.rate[k][columns] * turning <= 1.0)
-        winding = turn_map.winding[k][start_columns]
-        low_angle = np.minimum(low_angle, angle + winding[..., 1])
-        high_angle = np.maximum(high_angle, angle + winding[..., 2])
-        angle = angle + winding[..., 0]
-        angle = angle + wrap_angles(turn_map.q[k][columns][..., joints] - turn_map.q[k][start_columns][..., joints])
-        low_angle, high_angle = np.minimum(low_angle, angle), np.maximum(high_angle, angle)
-    end = turn_map.q[part.stop - 1][np.arange(turn_count)][:, None, joints]
-    with np.errstate(invalid="ignore"):
-        extra_turns = np.rint((angle - end) / FULL_TURN)
-        is_unsure = np.isnan(extra_turns).any(axis=2)
-    price = price + _STEADY * turn_change * (1.0 + turn_change / (_PER_MM * length))
-    price = np.where(is_blocked | is_unsure, np.inf, price)
-    return _Crossing(source, price, np.nan_to_num(extra_turns).astype(np.int64), low_angle, high_angle)
+    def crossing(self, b: int, bins: slice, changes: _Changes) -> _Crossing:
+        """Return the ways over a block with some changes of the turn; see `advance`."""
+        turn_map, blocks, steps = self.turn_map, self.turn_map.blocks, changes.step
+        turn_count = len(turn_map.offset)
+        source = np.arange(turn_count)[:, None] - steps
+        is_blocked = np.zeros(source.shape, dtype=bool) if self.is_circle else (source < 0) | (source >= turn_count)
+        source = source % turn_count
+        share = np.append(0.0, blocks.share[bins])  # of the change, at the start and at the end of each bin
+        columns = [_column(source + steps * end_share, turn_count) for end_share in share]
+        length = max(float(blocks.length[b]) * MM_PER_M, 1.0)
+        turning_price = _TURNING_PRICE * changes.size / (_PER_MM * length)
+        turning = _turning_speed(turn_map, b, steps)
+        price = np.zeros(source.shape)
+        for n, k in enumerate(range(bins.start, bins.stop)):
+            is_blocked |= _is_bad_between(self.is_forbidden[k], source + steps * share[n : n + 2, None, None])
+            middle_columns = _column(source + steps * (0.5 * (share[n] + share[n + 1])), turn_count)
+            price += self.costs.cell[k][middle_columns] + self.costs.turning(k, middle_columns, turning_price)
+            if blocks.cuts[b] and len(steps) > 1:
+                end_columns = columns[n + 1]
+                is_blocked |= ~(turn_map.speed[k][end_columns] + turn_map.rate[k][end_columns] * turning <= 1.0)
+        angles = self._hand_angles(bins, columns)
+        with np.errstate(invalid="ignore"):
+            extra_turns = np.rint((angles.end - turn_map.q[bins.stop - 1][:, None, WINDING]) / FULL_TURN)
+        is_blocked |= np.isnan(extra_turns).any(axis=2)
+        price = price + _STEADY * changes.size * (1.0 + changes.size / (_PER_MM * length))
+        price = np.where(is_blocked, np.inf, price)
+        return _Crossing(source, price, np.nan_to_num(extra_turns).astype(np.int64), angles.low, angles.high)
+
+    def _hand_angles(self, bins: slice, columns: Sequence[Ints]) -> _HandAngles:
+        """Return the angles of A4 and A6 on ways over a block.
+
+        :param columns: (J, D) columns at the start of the block and at the end of each bin.
+        """
+        turn_map = self.turn_map
+        angle = turn_map.q[bins.start - 1][columns[0]][..., WINDING]
+        low, high = angle.copy(), angle.copy()
+        for k, (start_columns, end_columns) in zip(
+            range(bins.start, bins.stop), itertools.pairwise(columns), strict=True
+        ):
+            in_all, least, most = np.moveaxis(turn_map.winding[k][start_columns], -1, 0)
+            low, high = np.minimum(low, angle + least), np.maximum(high, angle + most)
+            angle = angle + in_all
+            # from the column at the start of the bin to that at its end
+            end_q = turn_map.q[k]
+            angle = angle + wrap_angles(end_q[end_columns][..., WINDING] - end_q[start_columns][..., WINDING])
+            low, high = np.minimum(low, angle), np.maximum(high, angle)
+        return _HandAngles(low, high, angle)
 
 
 def _turning_speed(turn_map: TurnMap, b: int, steps: Ints) -> Array:
@@ -727,7 +781,7 @@ def _turning_speed(turn_map: TurnMap, b: int, steps: Ints) -> Array:
     time = float(turn_map.blocks.time[b])
     if not time > 0.0:
         return np.zeros(len(steps))
-    return np.asarray(np.abs(steps) * (turn_map.offset[1] - turn_map.offset[0]) / time)
+    return np.asarray(np.abs(steps) * turn_map.step / time)
 
 
 def _is_bad_between(bad: Bools, places: Array) -> Bools:
@@ -751,31 +805,23 @@ def _column(place: Array, count: int) -> Ints:
 
 _EXACT = 1e-9
 """Places that are this near a column [columns] are on it but for rounding."""
-_STEP_MARK = 1_000_000
-"""Added to changes of the turn, to distinguish them from turns of the block before."""
 
 
-def _trace_line(turn_map: TurnMap, state: Array, sources: list[tuple[Ints, Ints, Ints]], base: Array) -> Line:
-    """Return the line that ends in the cheapest state."""
-    turn_count = len(turn_map.offset)
-    at = np.unravel_index(int(np.argmin(state)), state.shape)
-    n4, n6, j = (int(index) for index in at)
-    blocks = turn_map.blocks
-    bins = np.append(np.flatnonzero(np.diff(blocks.block)), len(blocks.block) - 1)
-    chain: list[tuple[int, int | None]] = []
-    for source4, source6, marks in reversed(sources):
-        mark = int(marks[n4, n6, j])
-        start4, start6 = int(source4[n4, n6, j]), int(source6[n4, n6, j])
-        if mark >= _STEP_MARK // 2:
-            chain.append((j, mark - _STEP_MARK))
-            n4, n6, j = start4, start6, (j - (mark - _STEP_MARK)) % turn_count
-        else:
-            chain.append((j, None))
-            n4, n6, j = start4, start6, mark
-    step = float(turn_map.offset[1] - turn_map.offset[0])
-    knots = np.empty(len(chain))
-    offset = 0.0
-    for b, (column, change) in enumerate(reversed(chain)):
-        offset = float(turn_map.offset[column]) if change is None else offset + change * step
-        knots[b] = offset + base[bins[b]]
-    return Line(knots, float(state.min()))
+def _trace_line(turn_map: TurnMap, cost: Array, origins: Sequence[_Origins]) -> Line:
+    """Return the line that ends in the state that costs least.
+
+    :param cost: (3, 3, J) of the states at the end of the path.
+    :param origins: of the states at the end of each block.
+    """
+    state = tuple(int(index) for index in np.unravel_index(int(np.argmin(cost)), cost.shape))
+    columns_and_steps: list[tuple[int, int | None]] = []  # from the last block to the first
+    for origin in reversed(origins):
+        columns_and_steps.append((state[2], None if origin.step is None else int(origin.step[state])))
+        state = (int(origin.turns4[state]), int(origin.turns6[state]), int(origin.column[state]))
+    last_bins = np.append(np.flatnonzero(np.diff(turn_map.blocks.block)), len(turn_map.blocks.block) - 1)
+    offsets, offset = [], 0.0
+    for column, step in reversed(columns_and_steps):
+        # steps are summed, not looked up: on a circle the turn goes on beyond the last column
+        offset = float(turn_map.offset[column]) if step is None else offset + step * turn_map.step
+        offsets.append(offset)
+    return Line(np.array(offsets) + turn_map.base_at_ends[last_bins], float(cost.min()))

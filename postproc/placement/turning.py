@@ -184,7 +184,7 @@ def _error_and_margin(samples: PathSamples, blocks: Blocks, branch: int, line: L
     error = np.nan_to_num(column.error[:, 0])
     margins = (column.margin.joint, column.margin.wrist, column.margin.elbow)
     total = float(blocks.cut_length.sum())
-    rms = float(np.sqrt(blocks.cut_length @ error**2 / total)) if total > 0.0 else 0.0
+    rms = float(np.sqrt(blocks.cut_length @ error**2 / total)) if total > 0.0 else 0.0  # 0 without cuts
     return rms, min(float(values.min()) for values in margins)
 
 
@@ -195,6 +195,10 @@ def _free_line(
 
     The map looks at some samples of long paths, and at no joint interpolations: they depend on both turns. A line that
     still has collisions after some rounds is returned: the path is checked again when it is converted.
+
+    :param branch: of the inverse kinematics; `keep` the margins to keep.
+    :param bodies: whose collisions count; None: none do.
+    :returns: the line, or the block that none passes; and the map with the closed cells.
     """
     for _ in range(_ROUNDS):
         line = _find(samples, whole, keep, mode, is_circle=True)
@@ -214,7 +218,13 @@ def _free_line(
 def _today_is_as_good(
     samples: PathSamples, whole: TurnMap, branch: int, keep: LeastMargins, line: Line, bodies: Bodies | None
 ) -> bool:
-    """Return whether the turn of the cell keeps the margins everywhere, and a line saves too little to change it."""
+    """Return whether the turn of the cell keeps the margins everywhere, and a line saves too little to change it.
+
+    Too little is a share `drive.REAL` of the RMS of the expected error along cuts.
+
+    :param branch: of the inverse kinematics; `keep` the margins to keep.
+    :param bodies: whose collisions count; None: none do.
+    """
     no_turn = np.zeros(len(samples))
     at_line = _sample_turns(samples, whole.blocks, line.knots)
     weight = whole.blocks.cut_length
@@ -222,8 +232,9 @@ def _today_is_as_good(
         turn_map.evaluate(samples, whole.blocks, branch, base, _NO_OFFSET, None).error[:, 0]
         for base in (no_turn, at_line)
     )
-    if not np.sqrt(weight @ today**2) <= (1.0 + drive.REAL) * np.sqrt(weight @ best**2):
+    if not np.sqrt(weight @ today**2) <= (1.0 + drive.REAL) * np.sqrt(weight @ best**2):  # also where an error is NaN
         return False
+    # every other turn is closed, so that only the line of the cell is left
     other_turns = np.broadcast_to(np.abs(wrap_angles(whole.offset)) > _SAME_TURN, whole.u95.shape)
     hit = other_turns if whole.hit is None else whole.hit | other_turns
     cell_line = _find(samples, replace(whole, hit=hit), keep, "best", is_circle=True)
@@ -233,7 +244,10 @@ def _today_is_as_good(
 
 
 def _is_hit(samples: PathSamples, blocks: Blocks, branch: int, line: Line, bodies: Bodies) -> Bools:
-    """Return at, or before, which samples (N,) of a line bodies come too close, from [start] on."""
+    """Return at, or before, which samples (N,) of a line bodies come too close, from [start] on.
+
+    :param branch: of the inverse kinematics.
+    """
     robot_in_cell, motion = samples.robot_in_cell, samples.sample.motion
     rows = np.arange(len(samples))
     turn = _sample_turns(samples, blocks, line.knots)
@@ -250,8 +264,7 @@ def _close_cells(samples: PathSamples, whole: TurnMap, line: Line, is_hit: Bools
     turn = _sample_turns(samples, whole.blocks, line.knots)
     rows = np.flatnonzero(is_hit)
     bins = np.searchsorted(whole.blocks.first, rows, side="right") - 1
-    step = whole.offset[1] - whole.offset[0]
-    place = (turn[rows] - whole.offset[0]) / step
+    place = (turn[rows] - whole.offset[0]) / whole.step  # in columns of the map, which is a circle
     assert whole.hit is not None
     hit = whole.hit.copy()
     for column in (np.floor(place), np.ceil(place)):
@@ -284,7 +297,11 @@ def _refine_line(
     mode: Mode,
     bodies: Bodies | None,
 ) -> Line | None:
-    """Return the cheapest line next to one, on a fine map around it; None if there is none."""
+    """Return the cheapest line next to one, on a fine map around it; None if no line passes.
+
+    :param branch: of the inverse kinematics; `keep` the margins to keep.
+    :param bodies: whose collisions count; None: none do.
+    """
     base = _sample_turns(samples, blocks, line.knots)
     fine_map = turn_map.evaluate(samples, blocks, branch, base, _FINE, bodies)
     fine_line = _find(samples, fine_map, keep, mode, is_circle=False)
@@ -292,10 +309,11 @@ def _refine_line(
 
 
 def _sample_turns(samples: PathSamples, blocks: Blocks, knots: Array) -> Array:
-    """Return the turn (N,) [rad] at samples for turns at the ends of blocks."""
+    """Return the turn (N,) [rad] at samples for turns (B,) at the ends of blocks [rad]."""
     ends = blocks.turn_of_motions(samples, knots)
     motion, t = samples.sample.motion, samples.sample.t
-    begin = np.append(ends[0], ends[:-1])  # of a joint interpolation the end is the only sample
+    # a joint interpolation does not turn in proportion, but its end, t = 1, is its only sample
+    begin = np.append(ends[0], ends[:-1])
     return np.asarray(begin[motion] + t * (ends - begin)[motion])
 
 
@@ -315,7 +333,12 @@ def _turn_issue(turn: Turn) -> Issue:
 def _blocked_error(
     samples: PathSamples, whole: TurnMap, block: BlockedMap, mode: Mode, branch: int, bodies: Bodies | None
 ) -> Issue:
-    """Return the error that names the motion that no line passes, the reasons there, and bodies that are too close."""
+    """Return the error that names the motion that no line passes, the reasons there, and bodies that are too close.
+
+    The bin named is the first one of the block without a free turn, or its last one.
+
+    :param branch: of the inverse kinematics; `bodies` those compared, None without [collision].
+    """
     blocks = whole.blocks
     rows = np.flatnonzero(blocks.block == block.block)
     reasons = whole.reasons(BARE)[rows]
@@ -323,32 +346,39 @@ def _blocked_error(
     row = int(np.argmax(is_closed)) if is_closed.any() else len(rows) - 1
     counts = np.bincount(reasons[row], minlength=len(REASONS))
     turn_count = reasons.shape[1]
-    parts = [f"{REASONS[k]} at {100.0 * n / turn_count:.0f} % of all turns" for k, n in enumerate(counts) if k and n]
+    parts = [
+        f"{REASONS[k]} at {100.0 * count / turn_count:.0f} % of all turns"
+        for k, count in enumerate(counts)
+        if k != drive.FREE and count
+    ]
     motion = np.array([int(samples.sample.motion[blocks.first[rows[row]]])])
-    if bodies is not None and counts[drive.COLLISION]:
+    if bodies is not None and counts[drive.COLLISION]:  # collision is the last of the reasons, so the last part
         columns = np.flatnonzero(reasons[row] == drive.COLLISION)
         parts[-1] += f": {_closest_bodies(samples, whole, int(rows[row]), columns, branch, bodies)}"
+    reason_text = f" ({', '.join(parts)} here)" if parts else ""
     if is_closed.any():
         problem = (
             f"no turn of the tool about its axis can be driven here ({', '.join(parts)}). Move the part or [start]."
         )
     elif mode == "best":
         problem = (
-            "no single turn of the tool about its axis can be driven through this operation"
-            + (f" ({', '.join(parts)} here)" if parts else "")
-            + '. Set [gcode] redundancy = "path", or move the part.'
+            f"no single turn of the tool about its axis can be driven through this operation{reason_text}. "
+            'Set [gcode] redundancy = "path", or move the part.'
         )
     else:
         problem = (
             "the tool cannot be turned about its axis quickly enough to stay where the robot can drive"
-            + (f" ({', '.join(parts)} here)" if parts else "")
-            + ". Lower the feed, move the part or choose other [start] joints."
+            f"{reason_text}. Lower the feed, move the part or choose other [start] joints."
         )
     return samples.program.motions.issue("error", "redundancy", problem, motion)
 
 
 def _closest_bodies(samples: PathSamples, whole: TurnMap, row: int, columns: Ints, branch: int, bodies: Bodies) -> str:
-    """Return in words which bodies are too close in a bin of the map, at that of some turns where they are farthest."""
+    """Return in words which bodies are too close in a bin of the map, at that of some turns where they are farthest.
+
+    :param row: the bin; `columns` (c,) the turns that are compared, columns of the map.
+    :param branch: of the inverse kinematics.
+    """
     first = whole.blocks.first
     last = int(first[row + 1]) if row + 1 < len(first) else len(samples)
     sample_rows = distinct(np.linspace(first[row], last - 1, _MAX_ROWS).astype(np.int64))
@@ -356,9 +386,9 @@ def _closest_bodies(samples: PathSamples, whole: TurnMap, row: int, columns: Int
     turn = whole.base[rows] + whole.offset[column]
     flange = components(samples.flange(rows, turn))
     clearance = bodies.clearance(drive.solve(samples.robot_in_cell.robot, flange, branch).T, rows)
-    distance = clearance.distance.reshape(len(sample_rows), -1)
-    best = int(distance.min(axis=0).argmax())
-    k = int(distance[:, best].argmin()) * len(columns) + best
+    distance = clearance.distance.reshape(len(sample_rows), len(columns))
+    best_column = int(distance.min(axis=0).argmax())
+    k = int(distance[:, best_column].argmin()) * len(columns) + best_column  # the same pose in the flat arrays
     first_body, second_body = (bodies.name(int(values[k])) for values in (clearance.first, clearance.second))
     distance_text = (
         f"{clearance.distance[k] * MM_PER_M:.2g} mm from" if clearance.distance[k] > 0.0 else "in contact with"
@@ -405,30 +435,62 @@ def chosen_start(program: Program, robot_in_cell: RobotInCell) -> ChosenStart:
     samples = PathSamples.of(program, robot_in_cell, None)
     if m.status[0] >= 0:
         return _start(_stated_joints(program, samples), "with the status and turn that it states")
-    rows = _samples_on_one_branch(program, samples)
     turn_is_free = robot_in_cell.cell.gcode.redundancy != "constant" and not program.keeps_text
     turns = drive.TURNS if turn_is_free else np.zeros(1)
-    joint_paths = [[_solve(samples, rows, turn, branch) for turn in turns] for branch in range(_BRANCHES)]
-    margin = np.array([[_margin(robot_in_cell, q) for q in branch_paths] for branch_paths in joint_paths])
-    at_best_turn = margin.max(axis=1)
-    worst, reach_count = at_best_turn.min(axis=1), np.isfinite(at_best_turn).sum(axis=1)
-    worst = np.where(np.isfinite(margin[:, :, 0].max(axis=1)), worst, -np.inf)
-    easy = [
-        -np.abs(np.nan_to_num(q[0][[3, 5], 0], nan=_LARGE_ANGLE)).sum() for q in joint_paths
-    ]  # of branches alike: A4, A6 near 0
-    free = _free_of_collisions(samples, rows, joint_paths, worst)
-    order = sorted(
-        range(_BRANCHES), key=lambda k: (free[k], round(float(worst[k]), 6), reach_count[k], easy[k]), reverse=True
-    )
-    best = order[0]
-    if not np.isfinite(margin[best, :, 0]).any():
+    branches = _Branches.of(samples, _samples_on_one_branch(program, samples), turns)
+    best, second = branches.order[:2]
+    q = branches.start_path(best)
+    if q is None:
         raise _first_target_error(program, _NO_WAY, "Move the part, or give [start] joints.")
-    q = joint_paths[best][int(margin[best, :, 0].argmax())]
-    if not np.isfinite(worst[best]):
+    if not np.isfinite(branches.margin[best]):
         return _start(q[:, 0], "on the branch that reaches most of the program")
     # The room along a constant turn says nothing of a path whose turn is still to be chosen.
     joints = q[:, 0] if turn_is_free else _unwind(robot_in_cell, q)
-    return _start(joints, _reason(best, order[1], worst, free))
+    return _start(joints, _reason(best, second, branches.margin, branches.is_free))
+
+
+class _Branches(Struct, frozen=True, eq=False):
+    """The eight branches of the arm along some samples of a program.
+
+    :param joint_paths: by branch and turn of the tool, joint angles (6, n) [rad].
+    :param margins: (8, turns, n) of each sample [rad], see `_margin`.
+    :param margin: (8,) least margin of each branch along the samples, each at its best turn [rad]; −inf if a sample, or
+        the first one, cannot be driven.
+    :param is_free: (8,) whether a branch is without collision, see `_free_of_collisions`.
+    """
+
+    joint_paths: list[list[Array]]
+    margins: Array
+    margin: Array
+    is_free: list[bool]
+
+    @classmethod
+    def of(cls, samples: PathSamples, rows: Ints, turns: Array) -> _Branches:
+        """Return the branches at samples (n,) for turns of the tool about its axis [rad]."""
+        joint_paths = [[_solve(samples, rows, turn, branch) for turn in turns] for branch in range(_BRANCHES)]
+        margins = np.array([[_margin(samples.robot_in_cell, q) for q in paths] for paths in joint_paths])
+        can_start = np.isfinite(margins[:, :, 0].max(axis=1))
+        margin = np.where(can_start, margins.max(axis=1).min(axis=1), -np.inf)
+        return cls(joint_paths, margins, margin, _free_of_collisions(samples, rows, joint_paths, margin))
+
+    @property
+    def order(self) -> list[int]:
+        """The branches, the best one first: without collision, with most margin, with most samples in reach.
+
+        Of branches alike, A4 and A6 nearest to zero at the start decide.
+        """
+        reach_count = np.isfinite(self.margins.max(axis=1)).sum(axis=1)
+        hand_angle = [np.abs(np.nan_to_num(paths[0][[3, 5], 0], nan=_LARGE_ANGLE)).sum() for paths in self.joint_paths]
+        return sorted(
+            range(_BRANCHES),
+            key=lambda k: (self.is_free[k], round(float(self.margin[k]), 6), reach_count[k], -hand_angle[k]),
+            reverse=True,
+        )
+
+    def start_path(self, branch: int) -> Array | None:
+        """Return the joint angles (6, n) [rad] of a branch at its best turn of the start; None: it cannot start."""
+        at_start = self.margins[branch, :, 0]
+        return self.joint_paths[branch][int(at_start.argmax())] if np.isfinite(at_start).any() else None
 
 
 def _stated_joints(program: Program, samples: PathSamples) -> Array:

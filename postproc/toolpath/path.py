@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from msgspec import Struct
@@ -337,11 +337,25 @@ def _is_arc_continued(program: Program, path: Segments, arcs: Ints) -> Bools:
     return np.asarray(is_same_arc & (np.einsum("ni,ni->n", m.normal[arcs], m.normal[arcs + 1]) > np.cos(_SAME_AXIS)))
 
 
-def circle_through(a: Array, b: Array, c: Array) -> tuple[Array, Array, Array, Array]:
+class ArcsThroughPoints(NamedTuple):
+    """Circular arcs through n triples of points, in the frame and unit of length of the points.
+
+    :param centre: (n, 3).
+    :param radial: (n, 3) vectors from the centres to the first points.
+    :param tangential: (n, 3) the same turned by 90° in the direction of travel.
+    :param angle: (n,) from the first points to the last ones, in (0, 2π) [rad].
+    """
+
+    centre: Array
+    radial: Array
+    tangential: Array
+    angle: Array
+
+
+def circle_through(a: Array, b: Array, c: Array) -> ArcsThroughPoints:
     """Return the arcs from points a through b to c, each (n, 3) in one frame and unit of length.
 
-    :returns: centre (n, 3); vector from it to a (n, 3); the same turned by 90° in the direction of travel (n, 3); angle
-        from a to c (n,) in (0, 2π) [rad]. Points on one line give centre a and vectors of zero.
+    Points on one line give centre a and vectors of zero.
     """
     ab, ac = b - a, c - a
     normal = np.cross(ab, ac)
@@ -356,7 +370,7 @@ def circle_through(a: Array, b: Array, c: Array) -> tuple[Array, Array, Array, A
     tangential = np.cross(unit, radial)
     to_c = c - centre
     angle = np.arctan2(np.einsum("ni,ni->n", to_c, tangential), np.einsum("ni,ni->n", to_c, radial)) % (2.0 * np.pi)
-    return centre, radial, tangential, angle
+    return ArcsThroughPoints(centre, radial, tangential, angle)
 
 
 Place = Array | float | None

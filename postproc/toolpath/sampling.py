@@ -7,7 +7,7 @@ it takes depends on how the displacement by the force turns and grows along it.
 
 from __future__ import annotations
 
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
 from msgspec import Struct
@@ -192,9 +192,9 @@ def pieces(
     :param linearize_arcs: pieces are chords that keep half the tolerance.
     """
     arcs = path.arcs
-    arc, begin, end, change = _stretches(arcs.motion, estimate, tolerance)
-    motion = arcs.motion[arc]
-    share = end - begin
+    stretches = _stretches(arcs.motion, estimate, tolerance)
+    arc, motion = stretches.arc, arcs.motion[stretches.arc]
+    share = stretches.end - stretches.begin
     angle, radius = arcs.sweep[arc] * share, norm(arcs.radial)[arc]
     step = _STEP * np.sqrt(tolerance / _REFERENCE_TOLERANCE)
     samples = share * np.maximum(path.travel[motion] / step, path.turn[motion] / _SAMPLE_ROTATION)
@@ -202,20 +202,41 @@ def pieces(
         samples = np.maximum(samples, angle * np.sqrt(radius / tolerance) / 2.0)
     min_pieces = np.maximum(1, np.ceil(angle / _LARGEST_ANGLE - 1e-9).astype(np.int64))
     turning = estimate.turning[motion] + estimate.size[motion] * radius / _DEFLECTION_LENGTH
-    growing = change + share * (
+    growing = stretches.change + share * (
         norm(arcs.climb)[arc] + np.abs(arcs.growth[arc]) * radius + estimate.size[motion] * path.turn[motion]
     )
     path_error = (_TURNING * angle**2 * turning + _GROWING * angle * growing) / min_pieces**2
     uncertain = (path_error > _CERTAIN * tolerance) & (not linearize_arcs)
     even_number = 2 * np.ceil(np.maximum(angle / _COARSE_ANGLE, min_pieces) / 2.0 - 1e-9).astype(np.int64)
-    return Pieces(motion, begin, end, np.where(uncertain, even_number, min_pieces), min_pieces, samples, uncertain)
+    return Pieces(
+        motion,
+        stretches.begin,
+        stretches.end,
+        np.where(uncertain, even_number, min_pieces),
+        min_pieces,
+        samples,
+        uncertain,
+    )
 
 
-def _stretches(arcs: Ints, estimate: DisplacementEstimate, tolerance: float) -> tuple[Ints, Array, Array, Array]:
+class _Stretches(NamedTuple):
+    """S stretches of arcs between the places where the force bends, in order.
+
+    :param arc: (S,) its arc, a row of those that are divided.
+    :param begin: (S,) where it begins on the arc, in [0, 1), and `end` (S,) where it ends.
+    :param change: (S,) change of the displacement on it [m]; 0 on arcs on which it changes by too little to matter.
+    """
+
+    arc: Ints
+    begin: Array
+    end: Array
+    change: Array
+
+
+def _stretches(arcs: Ints, estimate: DisplacementEstimate, tolerance: float) -> _Stretches:
     """Return the stretches of arcs (A,), rows of `Motions`, between the places where the force bends.
 
-    :returns: the arc of each (S,), a row of `arcs`; where it begins and ends; and the change of the displacement on it
-        (S,) [m]: zero for arcs on which it changes by too little to matter.
+    :param tolerance: largest path error [m].
     """
     rows = np.flatnonzero(np.isin(estimate.motion, arcs))
     arc_of_row = np.searchsorted(arcs, estimate.motion[rows])
@@ -233,7 +254,7 @@ def _stretches(arcs: Ints, estimate: DisplacementEstimate, tolerance: float) -> 
     stretch = np.searchsorted(arc + begin, arc_of_row + estimate.t[rows]) - 1
     is_inside = estimate.t[rows] > 0.0
     change: Array = np.bincount(stretch[is_inside], estimate.change[rows][is_inside], len(arc)).astype(float)
-    return arc, begin, end, change
+    return _Stretches(arc, begin, end, change)
 
 
 def places(

@@ -150,10 +150,10 @@ def test_the_price_of_a_way_is_that_of_the_columns_in_the_middle_of_its_bins():
     )  # fmt: skip
     cell = np.random.default_rng(5).uniform(1.0, 2.0, shape)
     prices = [
-        turn_map._crossing(
-            found, 1, slice(1, 3), (steps, np.abs(steps) * 0.1), zero > 0.0,
-            turn_map._Costs(values, zero, np.zeros(5)), is_circle=True,
-        ).price
+        turn_map._LineSearch(
+            found, zero > 0.0, turn_map._Costs(values, zero, np.zeros(5)), np.zeros(2),
+            np.full(2, -9.0), np.full(2, 9.0), turn_at_feed=True, is_circle=True,
+        ).crossing(1, slice(1, 3), turn_map._Changes(steps, np.abs(steps) * 0.1)).price
         for values in (cell, zero)
     ]  # fmt: skip
     for target in range(12):

@@ -312,8 +312,12 @@ def test_the_turns_that_are_tried_divide_the_circle():
 )
 def test_a_cut_turns_by_what_its_length_and_its_time_allow_and_no_more(millimetres, seconds, change, limit):
     blocks = SimpleNamespace(length=[millimetres * 1e-3], time=[seconds], cuts=[True])
-    columns = SimpleNamespace(blocks=blocks, offset=np.arange(120))
-    steps = turn_map._steps(columns, 0, slice(0, 9), np.radians(3.0), np.radians(change), turn_at_feed=True)
+    base_at_ends = np.append(np.zeros(9), np.radians(change))
+    columns = SimpleNamespace(blocks=blocks, offset=np.arange(120), step=np.radians(3.0), base_at_ends=base_at_ends)
+    search = turn_map._LineSearch(
+        columns, None, None, None, None, None, turn_at_feed=True, is_circle=True
+    )  # fmt: skip
+    steps = search._changes(0, slice(1, 10)).step
     assert steps.tolist() == [k for k in range(-119, 120) if abs(3.0 * k + change) <= limit + 1e-6]
 
 
