@@ -8,6 +8,11 @@ from typing import Any
 from click.testing import CliRunner, Result
 
 from postproc.cli import main
+from tests.places import CELL_FILE
+
+CELL_OPTION = ("--cell", CELL_FILE)
+CELL_IN_NUMBERS = ("--robot", "kuka_kr270", "--base", "1500,-200,700", "--tool", "0,0,350")
+"""Options that state a cell without a file."""
 
 
 def invoke(*arguments: object, cell: object = None, **options: object) -> Result:
@@ -33,6 +38,14 @@ def run(*arguments: object, code: int | tuple[int, ...] = 0, cell: object = None
 def printed(*arguments: object, code: int | tuple[int, ...] = 0, cell: object = None) -> str:
     """Run a command and return what it prints; see `run`."""
     return run(*arguments, code=code, cell=cell).output
+
+
+def convert(*arguments: object, code: int | tuple[int, ...] = 0, cell: object = CELL_FILE) -> Result:
+    """Run `convert` into the folder `out`; see `run`.
+
+    :param arguments: programs and options; without any, the program part.nc.
+    """
+    return run("convert", *(arguments or ("part.nc",)), "-o", "out", code=code, cell=cell)
 
 
 def comparison(

@@ -61,6 +61,13 @@ def signals_are_heard():
         signal.signal(number, signal.SIG_IGN)
 
 
+@pytest.fixture
+def work_folder(tmp_path, monkeypatch):
+    """Folder of the test, in which it works: relative paths are below it."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
 @pytest.fixture(scope="session")
 def browser():
     """One browser for all tests of a process: Playwright's own loop runs once in a thread."""

@@ -7,13 +7,13 @@ from functools import cache
 import numpy as np
 from msgspec.structs import replace
 
-from postproc import robot
 from postproc.correction import ExpectedErrors, Mode, Result
 from postproc.errors import Issue
 from postproc.frames import Array, pose_from_xyzabc, xyzabc_from_pose
 from postproc.poses import Poses
 from postproc.program import LIN, Document, Motions, Program
 from postproc.robot import RobotModel
+from tests.kr270 import ROBOT
 
 
 def program(count: int = 100) -> Program:
@@ -103,7 +103,7 @@ def _errors(of: Result, chance: float = 0.99) -> ExpectedErrors | None:
 
 @cache
 def _robot() -> RobotModel:
-    return robot.load(robot.find("kuka_kr270"))
+    return ROBOT
 
 
 def down(distance: Array) -> Array:

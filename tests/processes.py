@@ -13,6 +13,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 from tests.places import SAMPLES
 
@@ -25,6 +26,7 @@ LONG = 300.0
 _CUSTOMIZE = """
 import importlib, os, time
 from pathlib import Path
+from typing import Any
 
 def held(function, nth, place):
     calls = []
@@ -43,6 +45,16 @@ place = Path(__file__).parent
 target = importlib.import_module(module)
 setattr(target, name, held(getattr(target, name), int(nth), place))
 """
+
+
+def run_process(*arguments: object, text: bool = True, **options: Any) -> subprocess.CompletedProcess[Any]:
+    """Run `postproc` in a process of its own to its end.
+
+    :param text: whether its output is text; bytes otherwise.
+    :param options: of `subprocess.run`: cwd, env, input.
+    """
+    words = [*COMMAND, *map(str, arguments)]
+    return subprocess.run(words, capture_output=True, text=text, timeout=LONG, check=False, **options)
 
 
 class Held:

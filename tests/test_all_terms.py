@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from postproc import elastostatics, files, frames, kinematics, robot
+from postproc import elastostatics, frames, kinematics, robot
 from postproc.elastostatics import balance, equilibrium
 from postproc.elastostatics.equilibrium import springs_at_target
 from postproc.errors import ModelError, NotConvergedError
@@ -31,13 +31,12 @@ from postproc.robot.model_file import (
     Stiffening,
     TransmissionEntry,
 )
+from tests.kr270 import FOLDER
 from tests.oracle import whole_arm
 from tests.oracle.whole_arm import WholeArm, slopes, twist
 from tests.test_pinocchio import any_urdf
 
-FOLDER = robot.find("kuka_kr270")
 KUKA = (FOLDER / "robot.urdf").read_text(encoding="utf-8")
-PLAIN = files.read_toml(FOLDER / "model.toml", ModelFile, ModelError)
 TOOL = frames.pose_from_xyzabc([230.0, -120.0, 350.0, 10.0, -20.0, 30.0])
 PAYLOAD = (60.0, (0.1, -0.2, 0.15))
 NO_PAYLOAD = (0.0, (0.0, 0.0, 0.0))

@@ -8,6 +8,7 @@ from msgspec.structs import replace
 
 from postproc import elastostatics, robot
 from tests.benchmarks.bound import TOOL, against_chance
+from tests.kr270 import ROBOT
 
 
 def test_95_percent_of_random_parameters_forces_and_discrepancies_stay_within_the_bound():
@@ -36,10 +37,9 @@ def test_a_bound_without_one_of_its_sources_would_be_noticed(monkeypatch, left_o
 
 def test_a_part_of_a_gear_that_is_zero_is_bounded_at_the_torque_at_rest():
     """Parts that the readings do not narrow are in [covariance] alone, with a value of zero."""
-    plain = robot.load(robot.find("kuka_kr270"))
     part = robot.Knee("A3", 800.0)
     model = replace(
-        plain,
+        ROBOT,
         carries_weight=True,
         covariance=robot.Covariance((robot.JointCompliance("A3"), part), np.diag([0.0, 1e-2])),
     )

@@ -19,14 +19,12 @@ from postproc.version import VERSION
 from tests.processes import CELL_16, Held, programs, written
 
 distributed = pytest.importorskip("distributed", reason="an extra: pip install 'postproc[dask]'")
-pytestmark = pytest.mark.filterwarnings("default")  # what Dask leaves open when it is shut down is not ours
+pytestmark = [
+    pytest.mark.usefixtures("work_folder"),
+    pytest.mark.filterwarnings("default"),  # what Dask leaves open when it is shut down is not ours
+]
 SETTINGS = Settings(Path(CELL_16))
 BOUND = re.compile(r"Scheduler at:\s+(t\w+://\S+)")
-
-
-@pytest.fixture(autouse=True)
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
 
 
 def work(address: str, *tls: Path) -> dict[str, object]:

@@ -15,8 +15,7 @@ HEAD = "G21 G90 G17\nG0 X0 Y0 Z10\nG1 Z-1 F600\n"
 
 
 @pytest.fixture(autouse=True)
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def input_files(work_folder):
     cell(20)
     program(60)
 

@@ -10,6 +10,7 @@ from postproc import elastostatics, frames, kinematics, robot
 from postproc.elastostatics import balance
 from postproc.elastostatics.equilibrium import springs_at_target
 from postproc.errors import NotConvergedError
+from tests.kr270 import FOLDER, ROBOT
 from tests.oracle.arm import Arm
 
 TOOL = frames.pose_from_xyzabc([30.0, -20.0, 350.0, 10.0, -20.0, 30.0])
@@ -117,11 +118,10 @@ def test_joint_stiffness_in_place_2_is_equation_4(pair):
 
 
 def test_scale_of_the_paper_200_random_poses_deflect_by_about_5_9_mm_rms():
-    model = robot.load(robot.find("kuka_kr270"))
     rng = np.random.default_rng(6)
-    q = rng.uniform(model.lower, model.upper, (200, 6))
+    q = rng.uniform(ROBOT.lower, ROBOT.upper, (200, 6))
     wrench = np.tile([0.0, 0.0, -2700.0, 0.0, 0.0, 0.0], (200, 1))
-    twist = elastostatics.deflect(model, q, frames.pose_from_xyzabc([0, 0, 350, 0, 0, 0]), wrench).twist
+    twist = elastostatics.deflect(ROBOT, q, frames.pose_from_xyzabc([0, 0, 350, 0, 0, 0]), wrench).twist
     rms = np.sqrt(np.mean(np.sum(twist[:, :3] ** 2, axis=1)))
     assert 4.7e-3 < rms < 7.1e-3  # 5.9 mm ± 20 %: the paper's poses and load point are not published
 
@@ -138,8 +138,7 @@ def test_a_load_beyond_the_springs_is_an_error_and_not_a_number(pair):
 def test_the_compliance_of_a_robot_without_masses_needs_no_pinocchio(monkeypatch):
     monkeypatch.setattr(kinematics.hessian, "import_module", lambda name: pytest.fail(f"{name} is imported"))
     kinematics.hessian.pinocchio_model.cache_clear()
-    folder = robot.find("kuka_kr270")
-    whole, arm = robot.load(folder), Arm.load(folder)
+    whole, arm = robot.load(FOLDER), Arm.load(FOLDER)
     chain = replace(whole.nominal, mass=np.zeros(6))
     light = replace(whole, nominal=chain, actual=chain, loaded=chain, compensator=None)
     q = np.radians([[10.0, -70.0, 105.0, 20.0, 50.0, 30.0]])

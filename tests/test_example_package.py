@@ -15,7 +15,6 @@ import pytest
 from tests.places import CELL_FILE, ROOT
 
 PLUGIN = ROOT / "samples" / "plugin"
-CELL = str(CELL_FILE)
 
 
 @pytest.fixture(scope="module")
@@ -32,10 +31,10 @@ def installed(tmp_path_factory):
     return folder / "site"
 
 
-def convert(site: Path, folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+def convert_with_package(site: Path, folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     path = os.pathsep.join([str(site), str(ROOT)])
     return subprocess.run(
-        [sys.executable, "-m", "postproc", "convert", *arguments, "--cell", CELL, "-o", "out"],
+        [sys.executable, "-m", "postproc", "convert", *arguments, "--cell", str(CELL_FILE), "-o", "out"],
         capture_output=True, text=True, check=False, cwd=folder, env=os.environ | {"PYTHONPATH": path},
     )  # fmt: skip
 
@@ -54,7 +53,7 @@ def targets(path: Path) -> np.ndarray:
 
 
 def test_its_format_and_its_forces_give_what_gcode_and_a_table_of_the_same_forces_give(installed, folder):
-    done = convert(installed, folder, "part.points", "--forces", "part.dyn")
+    done = convert_with_package(installed, folder, "part.points", "--forces", "part.dyn")
     assert done.returncode == 0, done.stderr
     # the same path and forces by hand: 20 mm down, 80, 40, 80 mm, 20 mm up
     lines = ["G21 G90 G94", "G0 X0 Y0 Z20", "G1 Z0 F600", "G1 X80 F1500", "G1 Y40", "G1 X0", "G1 Z20 F600", "M30"]
@@ -69,7 +68,7 @@ def test_its_format_and_its_forces_give_what_gcode_and_a_table_of_the_same_force
     }
     rows = [f"{line},{t},{x},{y},{z}" for line, knots in forces.items() for t, x, y, z in knots]
     (folder / "same.csv").write_text("\n".join(["line,t,Fx,Fy,Fz", *rows]))
-    same = convert(installed, folder, "same.nc", "--forces", "same.csv")
+    same = convert_with_package(installed, folder, "same.nc", "--forces", "same.csv")
     assert same.returncode == 0, same.stderr
     mine, other = (targets(folder / "out" / f"{name}.targets.csv") for name in ("part", "same"))
     assert len(mine) > 6  # places inserted where the force bends
@@ -79,7 +78,7 @@ def test_its_format_and_its_forces_give_what_gcode_and_a_table_of_the_same_force
 
 def test_what_is_wrong_in_its_files_is_told_with_the_line(installed, folder):
     (folder / "part.points").write_text("0 0 20\n1 2\n0 0 0 600\n0 0 0 -600\n")
-    done = convert(installed, folder, "part.points")
+    done = convert_with_package(installed, folder, "part.points")
     assert done.returncode == 1
     assert "part.points:2: no point" in done.stderr
     assert "part.points:4: no point" in done.stderr
@@ -91,17 +90,17 @@ def test_a_broken_package_explains_itself_and_stops_nothing(installed, folder, m
     site = folder / "site"
     shutil.copytree(installed, site)
     (site / "postproc_example" / f"{module}.py").write_text("import no_such_module\n")
-    done = convert(site, folder, "part.points", "--forces", "part.dyn")
+    done = convert_with_package(site, folder, "part.points", "--forces", "part.dyn")
     assert done.returncode == 1
     assert "postproc-example" in done.stderr
     assert "no_such_module" in done.stderr
     assert "Traceback" not in done.stderr
     assert not (folder / "out").exists()
     shutil.copy(ROOT / "samples" / "pocket.nc", folder)
-    assert convert(site, folder, "pocket.nc").returncode == 0
+    assert convert_with_package(site, folder, "pocket.nc").returncode == 0
 
 
 def test_without_it_the_format_is_not_known(folder):
-    done = convert(folder, folder, "part.points")
+    done = convert_with_package(folder, folder, "part.points")
     assert done.returncode == 1
     assert "unknown kind of program '.points'" in done.stderr

@@ -22,8 +22,7 @@ POINTS = "DEFDAT points PUBLIC\nDECL GLOBAL FRAME AWAY={X 50,Y 0,Z 30,A 0,B 0,C 
 
 
 @pytest.fixture(autouse=True)
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def input_files(work_folder):
     Path("cell.toml").write_text(CELL_FILE.read_text())
     Path("in").mkdir()
 

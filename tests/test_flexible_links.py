@@ -7,16 +7,14 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from postproc import elastostatics, files, kinematics, robot
+from postproc import elastostatics, kinematics, robot
 from postproc.elastostatics import balance
 from postproc.elastostatics.equilibrium import springs_at_target
 from postproc.errors import ModelError
 from postproc.robot import parameters
-from postproc.robot.model_file import Gravity, ModelFile, Stiffening
+from postproc.robot.model_file import Gravity, Stiffening
+from tests.kr270 import CONTENT, FOLDER, ROBOT
 
-FOLDER = robot.find("kuka_kr270")
-CONTENT = files.read_toml(FOLDER / "model.toml", ModelFile, ModelError)
-PLAIN = robot.load(FOLDER)
 TOOL = np.eye(4)
 TOOL[:3, 3] = [0.2, -0.06, 0.18]
 PARAMETERS = ["k1", "k2", "k1@500", "K_c", "s_0", "A2.RX", "A5.Z"]
@@ -36,7 +34,7 @@ def flexible(translation=0.02, rotation=0.1, **changes):
         for name, spring in CONTENT.joints.items()
     }
     content = msgspec.structs.replace(CONTENT, **({"links": links, "joints": joints} | changes))
-    return robot.assemble("flexible", content, PLAIN.nominal)
+    return robot.assemble("flexible", content, ROBOT.nominal)
 
 
 def cases(count=20, force=2000.0):
@@ -50,7 +48,7 @@ def test_links_that_hardly_bend_change_nothing():
     stiff = flexible(1e-9, 1e-9, joints=CONTENT.joints)
     assert stiff.actual.nv == 6 + 7 * 9
     for function in (elastostatics.deflect, elastostatics.linear_deflection):
-        one, other = function(stiff, q, TOOL, wrench), function(PLAIN, q, TOOL, wrench)
+        one, other = function(stiff, q, TOOL, wrench), function(ROBOT, q, TOOL, wrench)
         if function is elastostatics.deflect:
             one, other = one.twist, other.twist
         np.testing.assert_allclose(one, other, atol=2e-8)
@@ -242,7 +240,7 @@ def test_95_percent_of_random_parameters_stay_within_the_bound():
     spread = 0.05
     names = ["k1", "k2", "k3", "k4", "k5", "k6"]
     values = np.array([CONTENT.joints[j].compliance_urad_per_Nm for j in robot.JOINTS])
-    model = replace(PLAIN, covariance=robot.Covariance.of(names, np.diag((spread * values) ** 2)))
+    model = replace(ROBOT, covariance=robot.Covariance.of(names, np.diag((spread * values) ** 2)))
     q, wrench = cases(30, 600.0)
     bound = elastostatics.position_bound(model, q, TOOL, wrench)
     nominal = elastostatics.deflect(model, q, TOOL, wrench).twist[:, :3]
@@ -253,7 +251,7 @@ def test_95_percent_of_random_parameters_stay_within_the_bound():
         error = elastostatics.deflect(other, q, TOOL, wrench).twist[:, :3] - nominal
         inside.append(np.linalg.norm(error, axis=1) <= bound)
     assert np.mean(inside) == pytest.approx(0.95, abs=0.02)
-    assert elastostatics.position_bound(replace(PLAIN, covariance=None), q, TOOL, wrench) is None
+    assert elastostatics.position_bound(replace(ROBOT, covariance=None), q, TOOL, wrench) is None
 
 
 @pytest.mark.parametrize("name", ["k9", "A2.RQ", "k2@x", "K_theta2_0", "A2.RX"])  # A2.RX: the robot has no such spring

@@ -9,10 +9,9 @@ from msgspec.structs import replace
 from postproc import elastostatics, files, robot
 from postproc.errors import ModelError
 from postproc.robot.folder import assemble
-from postproc.robot.model_file import CovarianceTable, ForcesEntry, ModelFile
+from postproc.robot.model_file import CovarianceTable, ForcesEntry
+from tests.kr270 import CONTENT, FOLDER
 
-FOLDER = robot.find("kuka_kr270")
-CONTENT = files.read_toml(FOLDER / "model.toml", ModelFile, ModelError)
 NAMES = ["k1", "k2", "k3", "k4", "k5", "k6"]
 LAW = (700.0, 200.0, 50.0, 20.0, 10.0, 1.0, 0.0, 10.0)
 ENTRY = ForcesEntry(source="test", cutting_N_per_mm2=LAW[:3], edge_N_per_mm=LAW[3:6], mc=LAW[6], sigma_percent=LAW[7])

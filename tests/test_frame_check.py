@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from postproc import robot
 from postproc.jobs.frame_check import as_text, check_frames
 from tests.commands import run
+from tests.kr270 import FOLDER
 from tests.oracle.arm import Arm, abc
-from tests.places import ROOT
+from tests.places import CELL_FILE, ROOT
 
 BASE, TOOL = (1500.0, -200.0, 700.0, 10.0, 0.0, 0.0), (3.0, -2.0, 350.0, 0.0, 0.0, 0.0)
 POINTS = np.array([[0, 0, 0], [200, 0, 0], [0, 150, 0], [200, 150, 40], [100, 75, 0]], dtype=float)
@@ -22,7 +22,7 @@ TURNS = (0.0, 0.0, 0.0, 0.0, 90.0)
 
 def touching(turns, tilts=(0.0, 0.0, 0.0, 0.0, 0.0)):
     """Joint angles [deg] at which the oracle arm has its tip at the points, the tool down, turned and tilted."""
-    arm = Arm.load(robot.find("kuka_kr270"))
+    arm = Arm.load(FOLDER)
     rows = []
     for point, turn, tilt in zip(POINTS, turns, tilts, strict=True):
         target = abc(*BASE) @ abc(*point, turn + 180.0, tilt, 180.0)
@@ -128,7 +128,7 @@ def test_frames_of_an_arm_that_sags_are_those_at_which_its_tip_touches(tmp_path)
     """With frames = "model", what the sag under a payload does to a $BASE that the controller measured is found."""
     mass, centre = 90.0, np.array([0.0, 50.0, 200.0])
     payload = f"payload = {{mass_kg = {mass}, X = {centre[0]}, Y = {centre[1]}, Z = {centre[2]}}}"
-    arm = dataclasses.replace(Arm.load(robot.find("kuka_kr270")), payload=(mass, centre / 1e3))
+    arm = dataclasses.replace(Arm.load(FOLDER), payload=(mass, centre / 1e3))
     joints = []
     for k, start in enumerate(np.radians(touching(TURNS, TILTS))):
         target = abc(*BASE) @ abc(*POINTS[k], TURNS[k] + 180.0, TILTS[k], 180.0)
@@ -212,7 +212,7 @@ def test_the_example_of_the_reference_agrees_with_the_sample_cell(tmp_path):
     text = (ROOT / "docs" / "reference" / "checks.md").read_text()
     points = tmp_path / "points.csv"
     points.write_text(text.split("```csv\n")[1].split("```")[0])
-    output = run("check", "frames", points, "--cell", ROOT / "samples" / "cell_kr270.toml").output
+    output = run("check", "frames", points, "--cell", CELL_FILE).output
     assert output.startswith("Both frames agree with the points.")
     (stated,) = re.findall(r"errors of \$TOOL up to (\S+ mm)", output)
     assert f"and 0.5 mm, {stated}" in text

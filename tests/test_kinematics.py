@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from postproc import frames, kinematics, robot
 from postproc.errors import ModelError, PostprocError
+from tests.kr270 import FOLDER, ROBOT
 from tests.oracle.arm import Arm
 
 TOOL = frames.pose_from_xyzabc([30.0, -20.0, 350.0, 10.0, -20.0, 30.0])
@@ -154,10 +155,9 @@ def test_out_of_reach_names_the_rows(model):
 
 
 def test_an_arm_without_spherical_wrist_is_refused(tmp_path):
-    folder = robot.find("kuka_kr270")
     for name in ("robot.urdf", "model.toml"):
         (tmp_path / name).write_text(
-            (folder / name).read_text(encoding="utf-8").replace('xyz="0.23 0 0"', 'xyz="0.23 0 0.02"'), encoding="utf-8"
+            (FOLDER / name).read_text(encoding="utf-8").replace('xyz="0.23 0 0"', 'xyz="0.23 0 0.02"'), encoding="utf-8"
         )
     with pytest.raises(ModelError, match="spherical wrist"):
         kinematics.closed_form(robot.load(tmp_path))
@@ -165,7 +165,6 @@ def test_an_arm_without_spherical_wrist_is_refused(tmp_path):
 
 def test_a_path_of_many_ptp_and_lin_moves_takes_the_branch_and_the_turns_that_each_asks_for():
     """Every joint angle is chosen first; the path is asked for by poses, S and T alone."""
-    arm = robot.load(robot.find("kuka_kr270"))
     wanted = np.radians(
         [
             [10, -70, 100, 150, 40, 120],  # PTP with S and T
@@ -188,22 +187,21 @@ def test_a_path_of_many_ptp_and_lin_moves_takes_the_branch_and_the_turns_that_ea
     bits = ((wanted[ptp] < 0.0) * 2 ** np.arange(6)).sum(axis=1)
     status = np.array([2, -1, -1, 2, 6, 6, -1])
     turn = np.where([True, False, False, False, True, True, False], bits, -1)
-    poses = np.array([Arm.load(robot.find("kuka_kr270")).nominal_tcp(row, np.eye(4)) for row in wanted])
+    poses = np.array([Arm.load(FOLDER).nominal_tcp(row, np.eye(4)) for row in wanted])
     start = np.radians([0.0, -90.0, 90.0, 0.0, 60.0, 0.0])
-    path = kinematics.follow(arm, poses.__getitem__, start, free, axes, status, turn)
+    path = kinematics.follow(ROBOT, poses.__getitem__, start, free, axes, status, turn)
     np.testing.assert_allclose(np.degrees(path.q), np.degrees(wanted), atol=1e-7)
     assert path.branch.tolist() == [2, 2, 2, 2, 6, 6, 2, 6, 6, 6, 6]
-    assert kinematics.status_of(arm, wanted).tolist() == path.branch.tolist()
+    assert kinematics.status_of(ROBOT, wanted).tolist() == path.branch.tolist()
 
 
 def test_turns_beyond_the_limits_are_taken_only_where_none_inside_has_the_sign_that_is_asked_for():
-    arm = robot.load(robot.find("kuka_kr270"))
     q = np.radians([[10.0, -70, 100, 30, 40, 20]])
-    pose = Arm.load(robot.find("kuka_kr270")).nominal_tcp(q[0], np.eye(4))[None]
+    pose = Arm.load(FOLDER).nominal_tcp(q[0], np.eye(4))[None]
 
     def solved(turn):
         path = kinematics.follow(
-            arm, pose.__getitem__, q[0], np.array([True]), np.full((1, 6), np.nan), np.array([2]), np.array([turn])
+            ROBOT, pose.__getitem__, q[0], np.array([True]), np.full((1, 6), np.nan), np.array([2]), np.array([turn])
         )
         return np.degrees(path.q[0]).round(6).tolist()
 
@@ -215,17 +213,16 @@ def test_turns_beyond_the_limits_are_taken_only_where_none_inside_has_the_sign_t
 
 
 def test_a_path_without_solution_names_all_its_rows_and_one_that_starts_on_the_other_branch_stays_there():
-    arm = robot.load(robot.find("kuka_kr270"))
-    oracle = Arm.load(robot.find("kuka_kr270"))
+    oracle = Arm.load(FOLDER)
     q = np.radians([[10.0, -70, 100, 30, -40, 20], [12.0, -70, 100, 30, -42, 20]])
     pose = np.array([oracle.nominal_tcp(row, np.eye(4)) for row in q])
     none = (np.zeros(2, dtype=bool), np.empty((0, 6)), np.empty(0), np.empty(0))
-    path = kinematics.follow(arm, pose.__getitem__, q[0], *none)
+    path = kinematics.follow(ROBOT, pose.__getitem__, q[0], *none)
     np.testing.assert_allclose(path.q, q, atol=1e-9)
     assert path.branch.tolist() == [6, 6]
     pose[:, 0, 3] += 9.0
     with pytest.raises(kinematics.UnreachableError, match="2 poses") as found:
-        kinematics.follow(arm, pose.__getitem__, q[0], *none)
+        kinematics.follow(ROBOT, pose.__getitem__, q[0], *none)
     assert found.value.rows == (0, 1)
 
 
@@ -239,11 +236,10 @@ def test_a_path_without_solution_names_all_its_rows_and_one_that_starts_on_the_o
     ],
 )
 def test_an_arm_whose_first_axes_are_not_vertical_and_parallel_is_refused(tmp_path, old, new):
-    folder = robot.find("kuka_kr270")
-    text = (folder / "robot.urdf").read_text(encoding="utf-8")
+    text = (FOLDER / "robot.urdf").read_text(encoding="utf-8")
     assert old in text
     (tmp_path / "robot.urdf").write_text(text.replace(old, new, 1), encoding="utf-8")
-    (tmp_path / "model.toml").write_bytes((folder / "model.toml").read_bytes())
+    (tmp_path / "model.toml").write_bytes((FOLDER / "model.toml").read_bytes())
     with pytest.raises(ModelError, match="vertical A1, parallel A2 and A3"):
         kinematics.closed_form(robot.load(tmp_path))
 
@@ -262,16 +258,15 @@ def test_twists_by_components_are_exact_on_both_sides_of_the_series(size):
 
 
 def test_signs_of_joints_at_zero_are_not_left_to_rounding():
-    arm = robot.load(robot.find("kuka_kr270"))
     small = np.outer([-2e-6, -0.5e-6, 0.0, 0.5e-6], np.ones(6))
     assert kinematics.turn_of(small).tolist() == [0b111111, 0, 0, 0]
     q = np.tile(np.radians([0.0, -90.0, 90.0, 0.0, 0.0, 0.0]), (4, 1))
     q[:, 4] = small[:, 4]
-    form = kinematics.closed_form(arm)
+    form = kinematics.closed_form(ROBOT)
     assert form.branch_of(q).tolist() == [6, 2, 2, 2]  # within 1e-6 rad of A4 and A6 in line: as with A5 > 0
-    assert kinematics.status_of(arm, q).tolist() == [6, 6, 2, 2]  # S is the sign as it is
-    poses = np.array([Arm.load(robot.find("kuka_kr270")).nominal_tcp(row, np.eye(4)) for row in q])
-    in_line = kinematics.branch_joints(arm, poses[2:3], np.array([2]))
+    assert kinematics.status_of(ROBOT, q).tolist() == [6, 6, 2, 2]  # S is the sign as it is
+    poses = np.array([Arm.load(FOLDER).nominal_tcp(row, np.eye(4)) for row in q])
+    in_line = kinematics.branch_joints(ROBOT, poses[2:3], np.array([2]))
     np.testing.assert_allclose(in_line, q[2:3], rtol=0, atol=1e-9)  # A4 is 0 where only its sum with A6 counts
 
 
@@ -279,15 +274,14 @@ def test_without_pinocchio_what_needs_it_says_so(monkeypatch):
     def missing(name):
         raise ImportError(name)
 
-    model = robot.load(robot.find("kuka_kr270"))
     monkeypatch.setattr(kinematics.hessian, "import_module", missing)
     kinematics.hessian.pinocchio_model.cache_clear()
     with pytest.raises(PostprocError, match="needs Pinocchio, which is not installed"):
-        kinematics.gravity_stiffness(model.loaded, np.zeros((1, 6)))
+        kinematics.gravity_stiffness(ROBOT.loaded, np.zeros((1, 6)))
 
 
 def test_margins_of_poses_with_tools_of_their_own_and_of_few_and_many_rows():
-    arm, oracle = robot.load(robot.find("kuka_kr270")), Arm.load(robot.find("kuka_kr270"))
+    oracle = Arm.load(FOLDER)
     q = np.radians([10.0, -70, 105, 20, 50, -30]) + np.random.default_rng(9).uniform(-0.3, 0.3, (40, 6))
     tools = frames.pose_from_xyzabc(np.random.default_rng(9).uniform(-100.0, 100.0, (40, 6)))
 
@@ -297,21 +291,20 @@ def test_margins_of_poses_with_tools_of_their_own_and_of_few_and_many_rows():
         return np.linalg.svd([*linear, *angular], compute_uv=False)[-1]
 
     each = [smallest(row, tool) for row, tool in zip(q, tools, strict=True)]
-    np.testing.assert_allclose(kinematics.singular_values(arm, q, tools), each, rtol=1e-9)
-    assert kinematics.smallest_singular_value(arm, q, tools) == pytest.approx(min(each), rel=1e-9)
+    np.testing.assert_allclose(kinematics.singular_values(ROBOT, q, tools), each, rtol=1e-9)
+    assert kinematics.smallest_singular_value(ROBOT, q, tools) == pytest.approx(min(each), rel=1e-9)
     many = np.repeat(q, 200, axis=0)
-    assert kinematics.smallest_singular_value(arm, many, np.repeat(tools, 200, axis=0)) == pytest.approx(min(each))
+    assert kinematics.smallest_singular_value(ROBOT, many, np.repeat(tools, 200, axis=0)) == pytest.approx(min(each))
 
 
 @pytest.mark.parametrize("axis", range(6))
 def test_load_stiffness_of_a_force_or_moment_along_one_axis_alone(axis):
-    arm = robot.load(robot.find("kuka_kr270"))
-    q = np.random.default_rng(10).uniform(arm.lower, arm.upper, (3, 6))
+    q = np.random.default_rng(10).uniform(ROBOT.lower, ROBOT.upper, (3, 6))
     wrench = np.tile(np.eye(6)[axis], (3, 1))
-    hessian = kinematics.load_stiffness(kinematics.tcp(arm.nominal, q, TOOL)[1], wrench)
+    hessian = kinematics.load_stiffness(kinematics.tcp(ROBOT.nominal, q, TOOL)[1], wrench)
     for joint in range(6):
         change = np.eye(6)[joint] * STEP
-        plus, minus = (kinematics.tcp(arm.nominal, q + sign * change, TOOL)[1] for sign in (1, -1))
+        plus, minus = (kinematics.tcp(ROBOT.nominal, q + sign * change, TOOL)[1] for sign in (1, -1))
         np.testing.assert_allclose((plus - minus)[:, axis] / (2 * STEP), hessian[:, :, joint], atol=1e-8)
 
 

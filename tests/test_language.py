@@ -7,15 +7,14 @@ import shutil
 
 import pytest
 
-from postproc import files, robot
-from postproc.errors import ModelError
+from postproc import robot
 from postproc.identification import model_folder
-from postproc.robot.model_file import ModelFile
 from tests.commands import invoke
-from tests.places import SAMPLES
+from tests.kr270 import CONTENT
+from tests.places import CELL_FILE, SAMPLES
 from tests.plan import setting
 
-KUKA, ABB = SAMPLES / "cell_kr270.toml", SAMPLES / "cell_irb6700.toml"
+KUKA, ABB = CELL_FILE, SAMPLES / "cell_irb6700.toml"
 
 
 @pytest.mark.parametrize(
@@ -62,7 +61,7 @@ def test_every_shipped_model_says_what_its_controller_reads():
 def test_an_identified_model_reads_what_its_prior_reads():
     prior = model_folder.read_prior(robot.find("abb_irb6700_200_260"), None, "")
     assert model_folder.constant_springs_only(prior).language == "rapid"
-    assert files.read_toml(robot.find("kuka_kr270") / "model.toml", ModelFile, ModelError).language == "krl"
+    assert CONTENT.language == "krl"
 
 
 def test_a_plan_for_an_arm_that_does_not_read_krl_has_no_krl_and_says_so(tmp_path):

@@ -19,16 +19,14 @@ from postproc.robot import shapes
 from postproc.robot.model_file import ModelFile
 from postproc.robot.shapes import LinkShape
 from tests.commands import invoke
+from tests.kr270 import ROBOT
 from tests.robot_urdfs import ros_urdf
+
+pytestmark = pytest.mark.usefixtures("work_folder")
 
 SIGNS = (-1, 1, -1, 1, -1, 1)
 ZERO = np.radians([0.0, -90.0, 90.0, 0.0, 0.0, 0.0])
 LINKS = ("base_link", *(f"link_{number}" for number in range(1, 7)))
-
-
-@pytest.fixture(autouse=True)
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
 
 
 def boxes(rng) -> list[trimesh.Trimesh]:
@@ -61,7 +59,7 @@ def meshes_in_a_package(rng, suffix: str, scale: float = 1.0):
         mesh.copy().apply_scale(scale).export(f"arm_support/meshes/{number}.{suffix}")
     factor = f"{1 / scale} " * 3
     text, places = with_shapes(
-        ros_urdf(robot.load(robot.find("kuka_kr270")), SIGNS, rng, zero=ZERO),
+        ros_urdf(ROBOT, SIGNS, rng, zero=ZERO),
         lambda number: (
             f'<visual>ORIGIN<geometry><mesh filename="package://arm_support/meshes/{number}.{suffix}" '
             f'scale="{factor.strip()}"/></geometry></visual>'
@@ -138,7 +136,7 @@ def test_a_wrong_place_would_be_noticed():
 def test_primitives_and_collision_shapes():
     rng = np.random.default_rng(5)
     text, _ = with_shapes(
-        ros_urdf(robot.load(robot.find("kuka_kr270")), SIGNS, rng),
+        ros_urdf(ROBOT, SIGNS, rng),
         lambda number: (
             "<collision>ORIGIN<geometry>"
             + ('<cylinder radius="0.1" length="0.5"/>', '<sphere radius="0.2"/>', '<box size="1 2 3"/>')[number % 3]
@@ -169,7 +167,7 @@ def test_meshes_that_are_not_there_are_a_remark():
 
 
 def test_an_arm_without_shapes_says_so():
-    Path("arm.urdf").write_text(ros_urdf(robot.load(robot.find("kuka_kr270")), SIGNS))
+    Path("arm.urdf").write_text(ros_urdf(ROBOT, SIGNS))
     assert any("solids of revolution" in note for note in add_robot(Path("arm.urdf"), "mine").notes)
 
 

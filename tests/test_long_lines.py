@@ -20,7 +20,7 @@ from postproc.errors import MAX_ERRORS, CellError, ForceError, ProgramError
 from postproc.jobs import read_documents
 from postproc.program import FORCE_COMMENT, parse_force_note
 from tests import commands
-from tests.places import ROOT
+from tests.places import CELL_FILE
 
 LONG = 100_000
 
@@ -108,7 +108,7 @@ def test_what_is_no_file_is_refused_with_its_cause(tmp_path):
 def test_links_that_lead_to_themselves_are_named(tmp_path, monkeypatch, loop):
     monkeypatch.chdir(tmp_path)
     Path("a.nc").write_text("G21 G90\nG0 X0 Y0 Z20\nM30\n")
-    shutil.copy(ROOT / "samples" / "cell_kr270.toml", "cell.toml")
+    shutil.copy(CELL_FILE, "cell.toml")
     Path("f.csv").write_text("line,Fx,Fy,Fz\n2,1,2,3\n")
     Path(loop).unlink()
     Path(loop).symlink_to(loop)

@@ -7,11 +7,10 @@ import xml.etree.ElementTree as ET
 import numpy as np
 import pytest
 
-from postproc import kinematics, robot
+from postproc import kinematics
+from tests.kr270 import FOLDER, ROBOT
 from tests.oracle.arm import Arm
 
-FOLDER = robot.find("kuka_kr270")
-ROBOT = robot.load(FOLDER)
 ORACLE = Arm.load(FOLDER)
 TOOL = np.eye(4)
 TOOL[:3, 3] = [0.05, -0.02, 0.35]

@@ -18,6 +18,7 @@ from postproc.plan import milling
 from postproc.program import parse_force_note
 from postproc.testpart import probing
 from tests.commands import invoke
+from tests.kr270 import CELL, FOLDER, ROBOT
 from tests.places import SAMPLES
 
 EXPERIMENT = """\
@@ -65,8 +66,7 @@ def material(folder):
 
 
 def model_file(folder):
-    source = robots.find("kuka_kr270")
-    for path in source.iterdir():
+    for path in FOLDER.iterdir():
         if path.is_file():
             (folder / path.name).write_bytes(path.read_bytes())
     text = (folder / "model.toml").read_text(encoding="utf-8")
@@ -119,9 +119,8 @@ def mode(folder):
 
 
 def milled_poses(folder):
-    given = cell.load(SAMPLES / "cell_kr270.toml")
     path = written(folder, "t.csv", "A1,A2,A3,A4,A5,A6,Fx,Fy,Fz,wight\n")
-    milling.from_file(path, robots.load(robots.find("kuka_kr270")), given)
+    milling.from_file(path, ROBOT, CELL)
 
 
 def probed(folder):

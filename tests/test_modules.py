@@ -14,7 +14,6 @@ import pytest
 from msgspec.structs import replace
 
 from postproc import cell as cells
-from postproc import robot as robots
 from postproc.correction import process
 from postproc.dialects.krl import write
 from postproc.dialects.krl.write import modules
@@ -22,7 +21,7 @@ from postproc.program import SWITCHED_OFF, EventKind
 from tests import commands
 from tests.attack.krl_interpreter import Controller
 from tests.corrections import read_files
-from tests.kr270 import ROBOT
+from tests.kr270 import FOLDER, ROBOT
 from tests.oracle import krl_grammar
 from tests.oracle.arm import Arm, abc
 from tests.places import CELL_FILE
@@ -51,8 +50,7 @@ run = partial(commands.run, cell="cell.toml")
 
 
 @pytest.fixture(autouse=True)
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def input_files(work_folder):
     cell()
     Path("job.nc").write_text(program())
 
@@ -115,7 +113,7 @@ def test_executed_one_after_another_they_make_the_motions_of_the_program_in_one_
     found = converted()
     assert len(found) >= 3
     whole, joined = seen(executed(Path("whole/job.src"))), []
-    arm = Arm.load(robots.find("kuka_kr270"))
+    arm = Arm.load(FOLDER)
     last = None
     for path in found:
         assert path.stat().st_size <= LIMIT

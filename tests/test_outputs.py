@@ -11,17 +11,15 @@ from postproc.errors import Issue, ProgramError
 from postproc.files import foreign_single, seal, write_whole
 from postproc.program import Document
 from tests import fabricated
-from tests.commands import invoke, run
+from tests.commands import convert, invoke, run
 from tests.places import CELL_FILE
 
-CELL = str(CELL_FILE)
 PART = {"part.src", "part.targets.csv", "part.report.html", "part.report.json"}
 
 
 @pytest.fixture(autouse=True)
-def computed(tmp_path, monkeypatch):
+def computed(work_folder, monkeypatch):
     """Made-up results; what stands in the program chooses what happens."""
-    monkeypatch.chdir(tmp_path)
 
     def read(documents, _robot, _cell, name, _dialect):
         if "odd" in documents[0].text:
@@ -41,10 +39,6 @@ def computed(tmp_path, monkeypatch):
     monkeypatch.setattr("postproc.correction.read", read)
     monkeypatch.setattr("postproc.correction.process", process)
     Path("part.nc").write_text("G0 X0\n")
-
-
-def convert(*arguments: str, code: int = 0):
-    return run("convert", *(arguments or ("part.nc",)), "-o", "out", cell=CELL, code=code)
 
 
 def names(folder: str = "out") -> set[str]:
@@ -125,7 +119,7 @@ def test_the_program_of_another_language_does_not_stay_beside_the_report_of_the_
         return fabricated.with_changes(result, documents=(Document("part.mod", "MODULE part\nENDMODULE\n"),))
 
     monkeypatch.setattr("postproc.correction.process", process)
-    cell = str(Path(CELL).with_name("cell_irb6700.toml"))
+    cell = CELL_FILE.with_name("cell_irb6700.toml")
     done = invoke("convert", "part.nc", "--to", "rapid", "-o", "out", cell=cell)
     assert done.exit_code == 0, done.output
     assert names() == PART - {"part.src"} | {"part.mod"}
@@ -174,10 +168,10 @@ def test_an_unusable_cell_leaves_the_earlier_programs_and_names_them():
 def test_predict_and_convert_leave_each_others_results():
     convert()
     before = content()
-    run("predict", "part.nc", "-o", "out", cell=CELL)
+    run("predict", "part.nc", "-o", "out", cell=CELL_FILE)
     assert names() - set(before) == {f"part.predict.{kind}" for kind in ("targets.csv", "report.html", "report.json")}
     assert {name: content()[name] for name in before} == before
-    run("predict", "part.nc", "-o", "out", cell=CELL)
+    run("predict", "part.nc", "-o", "out", cell=CELL_FILE)
     convert()
 
 

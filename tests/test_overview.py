@@ -4,23 +4,16 @@ from pathlib import Path
 
 import pytest
 
-from tests.commands import run
+from tests.commands import convert
 from tests.html_page import read_page
-from tests.places import CELL_FILE
 
-CELL = str(CELL_FILE)
 PART = "G21 G90\nG0 X0 Y0 Z5\n(FORCE FX=100)\nG1 X10 Y0 Z0 F600\nX20\n"
 
 
 @pytest.fixture(autouse=True)
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def input_files(work_folder):
     for name in ("one", "two", "three"):
         Path(f"{name}.nc").write_text(PART)
-
-
-def _convert(*arguments, code=0):
-    return run("convert", *arguments, "-o", "out", cell=CELL, code=code)
 
 
 def _listed():
@@ -29,21 +22,21 @@ def _listed():
 
 
 def test_a_folder_of_several_programs_has_an_overview_that_later_runs_renew():
-    done = _convert("one.nc", "two.nc")
+    done = convert("one.nc", "two.nc")
     assert f"overview: {Path('out', 'index.html')}" in done.stdout
     assert _listed() == {"one", "two"}
-    _convert("three.nc")
+    convert("three.nc")
     assert _listed() == {"one", "two", "three"}
 
 
 def test_a_single_program_has_none():
-    _convert("one.nc")
+    convert("one.nc")
     assert not Path("out/index.html").exists()
 
 
 def test_a_program_of_which_nothing_came_stands_in_it():
     Path("gone.nc").write_text("G1 X1 Y2 Q3\n")
-    _convert("one.nc", "gone.nc", code=1)
+    convert("one.nc", "gone.nc", code=1)
     assert _listed() == {"one", "gone"}
     assert "gone.nc:1" in read_page(Path("out/index.html").read_bytes()).text("failed")
 
@@ -51,11 +44,11 @@ def test_a_program_of_which_nothing_came_stands_in_it():
 def test_an_index_of_somebody_else_is_not_replaced():
     Path("out").mkdir()
     Path("out/index.html").write_text("<h1>mine</h1>")
-    done = _convert("one.nc", "two.nc", code=1)
+    done = convert("one.nc", "two.nc", code=1)
     assert "not written by postproc" in done.stderr
     assert "index.html" in done.stderr
     assert sorted(path.name for path in Path("out").iterdir()) == ["index.html"]
-    _convert("one.nc")  # one program has no overview: that of somebody else stays
+    convert("one.nc")  # one program has no overview: that of somebody else stays
     assert Path("out/index.html").read_text() == "<h1>mine</h1>"
-    _convert("one.nc", "two.nc", "--overwrite")
+    convert("one.nc", "two.nc", "--overwrite")
     assert _listed() == {"one", "two"}

@@ -16,7 +16,8 @@ from postproc.identification.fit import gauss_newton, to_file_units
 from postproc.identification.measurement_model import Structure, measured_displacements, predict
 from postproc.robot import parameters
 from samples.paper_study import harness, simulator
-from tests.test_flexible_links import CONTENT, PLAIN, TOOL, cases, flexible
+from tests.kr270 import CONTENT, FOLDER, ROBOT
+from tests.test_flexible_links import TOOL, cases, flexible
 
 JOINT = st.sampled_from(robot.JOINTS)
 ANY = st.one_of(
@@ -99,7 +100,7 @@ def test_torques_of_the_compensator_add_up_to_its_law():
 def test_a_model_file_comes_back_from_the_parameters_of_its_robot():
     masses = msgspec.structs.replace(CONTENT.masses, A3_kg=180.0)
     content = msgspec.structs.replace(CONTENT, links=flexible_links(), masses=masses)
-    model = robot.assemble("x", content, PLAIN.nominal)
+    model = robot.assemble("x", content, ROBOT.nominal)
     stated = parameters.stated_values(content)
     for parameter, value in stated.items():
         assert model.value(parameter) == pytest.approx(value, rel=1e-12)
@@ -159,12 +160,12 @@ def test_a_new_kind_is_one_class(tmp_path, monkeypatch):
     """Equilibrium, derivative, fit, values in files and bound take it as it is."""
     monkeypatch.setattr(parameters, "KINDS", (*parameters.KINDS, Play))
     play = parameters.parameter_of_name("play_A4")
-    true = PLAIN.with_values({play: 200e-6, robot.JointCompliance("A3"): 0.5e-6})
+    true = ROBOT.with_values({play: 200e-6, robot.JointCompliance("A3"): 0.5e-6})
     rng = np.random.default_rng(3)
     q, f = simulator.plan(rng, 12)
     data = harness.load(simulator.write(tmp_path, q, f, rng.normal(size=(12, 2, 3, 3, 3))))
-    structure = Structure((*robot.JOINT_COMPLIANCES, play), PLAIN)
-    placement = harness.placed(PLAIN, data)
+    structure = Structure((*robot.JOINT_COMPLIANCES, play), ROBOT)
+    placement = harness.placed(ROBOT, data)
     values = np.array([true.value(parameter) for parameter in structure.parameters])
     moved, slopes = predict(structure, values, data, placement)
     h = 1e-6
@@ -206,7 +207,7 @@ def placed_readings(data, moved):
     ],
 )
 def test_a_covariance_that_none_can_be_is_refused(tmp_path, matrix, is_valid):
-    shutil.copytree(robot.find("kuka_kr270"), tmp_path / "arm")
+    shutil.copytree(FOLDER, tmp_path / "arm")
     with (tmp_path / "arm" / "model.toml").open("a", encoding="utf-8") as file:
         file.write(f'\n[covariance]\nparameters = ["k2", "k3"]\nmatrix = {matrix}\n')
     if is_valid:

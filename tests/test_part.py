@@ -18,7 +18,6 @@ from tests.commands import run
 from tests.html_page import read_page
 from tests.places import CELL_FILE
 
-CELL = str(CELL_FILE)
 PASSES = "".join(f"G1 X{60 if k % 2 == 0 else 0} Y{4 * k}\nY{4 * k + 4}\n" for k in range(5))
 PROGRAM = f"G21 G90\nT1 M6\nS8000 M3\nG0 X0 Y0 Z5\n(FORCE FX=100 FZ=150)\nG1 Z0 F600\n{PASSES}G0 Z20\n"
 WITHOUT_FORCES = PROGRAM.replace("(FORCE FX=100 FZ=150)", "(the process gives the forces)")
@@ -42,8 +41,7 @@ def box(path, sides, middle=(30, 10, -1)):
 
 
 @pytest.fixture(autouse=True)
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def input_files(work_folder):
     Path("part.nc").write_text(PROGRAM)
     Path("process.toml").write_text(PROCESS)
     box("part.stl", SIDES)
@@ -52,7 +50,7 @@ def folder(tmp_path, monkeypatch):
 def _run(command, *arguments, code=0, folder=True):
     if "--process" in arguments:  # it computes all forces
         Path("part.nc").write_text(Path("part.nc").read_text().replace("(FORCE FX=100 FZ=150)", "(computed)"))
-    return run(command, *arguments, *(["-o", "out"] if folder else []), cell=CELL, code=code)
+    return run(command, *arguments, *(["-o", "out"] if folder else []), cell=CELL_FILE, code=code)
 
 
 def test_the_face_that_is_milled_is_off_by_the_upright_part_of_the_deviation():
@@ -76,7 +74,7 @@ def test_the_face_that_is_milled_is_off_by_the_upright_part_of_the_deviation():
 
 
 def test_with_the_shapes_of_the_tools_what_they_do_not_touch_is_not_told():
-    cell, robot = load_setup(Settings(Path(CELL)))
+    cell, robot = load_setup(Settings(CELL_FILE))
     result = process(read_program("part.nc", robot, cell), robot, cell)
     found = surface_of(result, Path("part.stl"), Path("process.toml"))
     upper = (found.corners[:, :, 2] > -1e-9).all(axis=1)
@@ -84,7 +82,7 @@ def test_with_the_shapes_of_the_tools_what_they_do_not_touch_is_not_told():
 
 
 def test_the_shape_of_the_tool_of_a_robot_program_is_that_of_its_number():
-    cell, robot = load_setup(Settings(Path(CELL)))
+    cell, robot = load_setup(Settings(CELL_FILE))
     frame = "{X 0,Y 0,Z 350,A 0,B 0,C 0}"
     lines = "".join(f"LIN {{X {x},Y {y},Z 0,A 180,B 0,C 180}}\n" for y in range(0, 22, 4) for x in (0, 60))
     Path("part.dat").write_text(f"DEFDAT part\nTOOL_DATA[7]={frame}\nENDDAT\n")
@@ -129,7 +127,7 @@ END
     Path("two.src").write_text(krl)
     box("part.stl", (50, 30, 2), (30, 20, -1))
     assert "State the frame of the mesh" in _run("convert", "two.src", "--part", "part.stl", code=1).output
-    cell = Path(CELL).read_text() + "\n[part]\nX = 1500.0\nY = -200.0\nZ = 700.0\n"
+    cell = CELL_FILE.read_text() + "\n[part]\nX = 1500.0\nY = -200.0\nZ = 700.0\n"
     Path("cell.toml").write_text(cell)
     run("convert", "two.src", "--part", "part.stl", "-o", "out", cell="cell.toml")
     corners, facets = (read_page(Path("out/two.report.html").read_bytes()).columns(n) for n in ("corners", "facets"))

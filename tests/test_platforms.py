@@ -17,7 +17,8 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 from tests.commands import invoke, run
-from tests.places import ROOT
+from tests.kr270 import CELL_TEXT, ROBOT
+from tests.places import CELL_FILE, ROOT
 from tests.robot_urdfs import ROS, ros_urdf
 
 WINDOWS = {"sys_platform": "win32", "platform_system": "Windows", "os_name": "nt", "extra": ""}
@@ -94,10 +95,6 @@ def test_a_package_without_a_wheel_for_windows_would_be_noticed():
     assert pip_for_windows("pin>=4.0").returncode != 0
 
 
-def convert(*arguments: str) -> None:
-    run("convert", *arguments)
-
-
 def test_all_but_identify_and_plan_runs_without_pinocchio(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(sys.modules, "pinocchio", None)  # an import is an ImportError
@@ -134,7 +131,7 @@ def test_identify_and_plan_say_at_once_that_pinocchio_is_missing_and_how_to_get_
     Path("experiment.toml").write_text(
         'robot = "kuka_kr270"\nsigma_mm = 0.03\n[load_point]\nX = 0\nY = 0\nZ = 200\n[points.P1]\nX = 1\nY = 0\nZ = 0\n'
     )
-    Path("cell.toml").write_bytes((ROOT / "samples" / "cell_kr270.toml").read_bytes())
+    Path("cell.toml").write_bytes(CELL_FILE.read_bytes())
     arguments = [str(ROOT / "robot_models" / "kuka_kr270") if each == "robot" else each for each in arguments]
     monkeypatch.setitem(sys.modules, "pinocchio", None)
     done = invoke(*arguments)
@@ -163,7 +160,7 @@ def test_files_with_the_line_ends_and_marks_of_windows_give_the_same_program(pro
         for name in (program, "cell_kr270.toml", *forces):
             (Path(folder) / name).write_bytes(text(ROOT / "samples" / name))
         cell = ["--cell", f"{folder}/cell_kr270.toml", "-o", f"{folder}/out"]
-        convert(f"{folder}/{program}", *cell, *(f"--forces={folder}/{name}" for name in forces))
+        run("convert", f"{folder}/{program}", *cell, *(f"--forces={folder}/{name}" for name in forces))
     stem = Path(program).stem
     assert without_origin(Path(f"windows/out/{stem}.src")) == without_origin(Path(f"unix/out/{stem}.src")) != b""
     tables = [Path(f"{folder}/out/{stem}.targets.csv").read_bytes() for folder in ("unix", "windows")]
@@ -171,20 +168,19 @@ def test_files_with_the_line_ends_and_marks_of_windows_give_the_same_program(pro
 
 
 def test_paths_in_a_cell_may_be_written_with_backslashes(tmp_path, monkeypatch):
-    from postproc import robot
 
     monkeypatch.chdir(tmp_path)
-    Path("arm.urdf").write_bytes(ros_urdf(robot.load(robot.find("kuka_kr270")), (1,) * 6, names=ROS).encode())
+    Path("arm.urdf").write_bytes(ros_urdf(ROBOT, (1,) * 6, names=ROS).encode())
     assert invoke("robots", "add", "arm.urdf", "-o", "models/mine", "--name", "mine").exit_code == 0
     Path("R1/System").mkdir(parents=True)
     Path("R1/System/$config.dat").write_text("DEFDAT $CONFIG\nBASE_DATA[3]={X 1500,Y -200,Z 700,A 0,B 0,C 0}\nENDDAT\n")
     Path("lib").mkdir()
     Path("lib/raise.src").write_text("DEF raise()\n$VEL.CP=0.1\nEND\n")
-    text = (ROOT / "samples" / "cell_kr270.toml").read_text(encoding="utf-8").partition("[base_data.3]")[0]
+    text = CELL_TEXT.partition("[base_data.3]")[0]
     text = text.replace('robot = "kuka_kr270"', "robot = 'models\\mine'\nconfig_dat = 'R1\\System\\$config.dat'")
     Path("cell.toml").write_text(f"{text}\n[krl]\nsearch = ['.\\lib']\n")
     lines = ["DEF part()", "$BASE=BASE_DATA[3]", "raise()", "PTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}"]
     lines += ["LIN {X 10,Y 10,Z 20,A 180,B 0,C 180}", "LIN {X 60,Y 10,Z 20,A 180,B 0,C 180}", "END"]
     Path("part.src").write_text("\n".join([*lines, ""]))
-    convert("part.src", "--cell", "cell.toml")
+    run("convert", "part.src", "--cell", "cell.toml")
     assert Path("corrected/part.src").is_file()

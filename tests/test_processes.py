@@ -15,12 +15,15 @@ from pathlib import Path
 import pytest
 
 from tests.commands import invoke
-from tests.places import SAMPLES
+from tests.places import CELL_FILE
 from tests.plan import setting
-from tests.processes import CELL_16, COMMAND, ENDINGS, LONG, Held, programs, written
+from tests.processes import CELL_16, COMMAND, ENDINGS, LONG, Held, programs, run_process, written
 
 resource = pytest.importorskip("resource", reason="POSIX")
-pytestmark = pytest.mark.skipif(os.name != "posix", reason="POSIX signals and devices")
+pytestmark = [
+    pytest.mark.usefixtures("work_folder"),
+    pytest.mark.skipif(os.name != "posix", reason="POSIX signals and devices"),
+]
 CONVERT = ("convert", ".", "--cell", CELL_16, "-o", "out")
 COMPUTING, MAKING = "postproc.correction:process", "postproc.files.writing:_write"
 REPLACING = "postproc.files.writing:_replace"
@@ -30,16 +33,6 @@ MOUNTING = (
         ["unshare", "--mount", "mount", "-t", "tmpfs", "tmpfs", "/mnt"], capture_output=True, check=False
     ).returncode
 )  # as root, if the container permits it; what stands in for it otherwise is never skipped
-
-
-@pytest.fixture(autouse=True)
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
-
-
-def run(*arguments: str, **options) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, timeout=LONG, check=False, **options)
 
 
 def converted() -> None:
@@ -236,7 +229,7 @@ def test_a_full_disk_leaves_what_was_there_names_the_file_and_says_what_is_of_an
     else:
         subprocess.run(filled, shell=True, check=True)
         largest = max(sizes) - missing
-        done = run(*CONVERT, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (largest, largest)))
+        done = run_process(*CONVERT, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (largest, largest)))
         Path("out").rename("after")
     assert done.returncode == 1
     first, *rest = done.stderr.splitlines()
@@ -276,7 +269,7 @@ def test_ctrl_c_ends_the_search_of_plan_with_the_best_plan_and_a_termination_wit
     Path("poses.csv").write_text("A1,A2,A3,A4,A5,A6,Fx,Fy,Fz\n0,-70,110,0,50,0,100,50,300\n")
     size = ("--configurations", "4", "--q2-levels", "2")
     held = Held("postproc.plan.planning:random_values:1", "plan", "--experiment", "experiment.toml", "--cell",
-                str(SAMPLES / "cell_kr270.toml"), "--poses", "poses.csv", *size, "-o", "out/plan.csv")  # fmt: skip
+                str(CELL_FILE), "--poses", "poses.csv", *size, "-o", "out/plan.csv")  # fmt: skip
     held.waiting()
     held.signal(number)
     ended, stdout, stderr = held.end()

@@ -11,6 +11,8 @@ import pytest
 from tests.commands import run
 from tests.processes import CELL_16, COMMAND, LONG, programs, written
 
+pytestmark = pytest.mark.usefixtures("work_folder")
+
 WRITER = """
 import sys
 from pathlib import Path
@@ -21,11 +23,6 @@ sys.stdin.readline()
 for _ in range(int(sys.argv[3])):
     write_whole(folder, {name: own for name in ("part.src", "part.csv", "part.json")})
 """
-
-
-@pytest.fixture(autouse=True)
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
 
 
 def sets(folder: str) -> dict[str, bytes]:

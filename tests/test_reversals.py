@@ -9,8 +9,8 @@ from msgspec.structs import replace
 from postproc import elastostatics, robot
 from postproc.frames import rotation_from_vector
 from postproc.robot import Backlash, LostMotion
+from tests.kr270 import ROBOT
 
-KR270 = robot.load(robot.find("kuka_kr270"))
 TOOL = np.eye(4)
 TOOL[2, 3] = 0.35
 POSE = np.radians([[10.0, -70.0, 100.0, 20.0, 50.0, 0.0]])
@@ -48,8 +48,8 @@ def _total(model: robot.RobotModel, q: np.ndarray, wrench: np.ndarray) -> np.nda
 
 def test_reversals_are_where_the_total_torque_changes_its_sign():
     q, wrench = _sweep()
-    torque = _total(KR270, q, wrench)
-    found = elastostatics.reversals(KR270, q, TOOL, wrench)
+    torque = _total(ROBOT, q, wrench)
+    found = elastostatics.reversals(ROBOT, q, TOOL, wrench)
     expected = {
         (row + 1, joint)
         for joint in range(6)
@@ -65,14 +65,14 @@ def test_reversals_are_where_the_total_torque_changes_its_sign():
 @pytest.mark.parametrize("kind", [Backlash, LostMotion])
 def test_the_step_is_what_the_tool_moves_as_the_gear_turns_over(kind):
     """Against the equilibrium on both sides of the reversal, at a torque that hardly bends the springs."""
-    model = replace(KR270, terms=((kind("A1", 1.0), ANGLE),))
+    model = replace(ROBOT, terms=((kind("A1", 1.0), ANGLE),))
     q, wrench = _sweep()
     found = elastostatics.reversals(model, q, TOOL, wrench)
     (at,) = np.flatnonzero(found.joint == 0)
     small = np.zeros((2, 6))
     small[:, 1] = (-20.0, 20.0)
     both = np.repeat(POSE, 2, axis=0)
-    loose, tight = (elastostatics.deflect(each, both, TOOL, small).twist[:, :3] for each in (model, KR270))
+    loose, tight = (elastostatics.deflect(each, both, TOOL, small).twist[:, :3] for each in (model, ROBOT))
     step = np.linalg.norm(np.diff(loose - tight, axis=0))
     assert found.step[at] == pytest.approx(step, rel=1e-3)
     assert found.step[at] > 1e-4
@@ -82,10 +82,10 @@ def test_the_step_is_what_the_tool_moves_as_the_gear_turns_over(kind):
 def test_backlash_under_the_weights_turns_over_with_the_total_torque():
     """In gears that carry the weights, the load and the torque at rest press on a flank together."""
     backlash = {Backlash(joint, 1e-6): ANGLE for joint in ("A3", "A4", "A5")}
-    model = replace(KR270.with_values(backlash), carries_weight=True)
+    model = replace(ROBOT.with_values(backlash), carries_weight=True)
     q, wrench = _sweep()
     wrench[:, 2] = 6.0 * wrench[:, 1]
-    torque = _total(KR270, q, wrench)
+    torque = _total(ROBOT, q, wrench)
     found = elastostatics.reversals(model, q, TOOL, wrench)
     for joint in (2, 3, 4):
         expected = np.flatnonzero(torque[1:, joint] * torque[:-1, joint] < 0.0) + 1
@@ -98,21 +98,21 @@ def test_backlash_under_the_weights_turns_over_with_the_total_torque():
 def test_a_torque_that_only_comes_near_zero_does_not_reverse():
     q, wrench = _sweep()
     wrench[:, 1] = np.abs(wrench[:, 1]) + 30.0
-    found = elastostatics.reversals(KR270, q, TOOL, wrench)
+    found = elastostatics.reversals(ROBOT, q, TOOL, wrench)
     assert 0 not in found.joint
 
 
 def test_the_bound_counts_the_flank_only_where_it_is_not_known():
     """Against draws of the flank, the upper one with the probability that gives the model's own mean."""
     lost = LostMotion("A1", 300.0)
-    model = replace(KR270, terms=((lost, ANGLE),), covariance=replace(KR270.covariance, matrix=np.zeros((7, 7))))
+    model = replace(ROBOT, terms=((lost, ANGLE),), covariance=replace(ROBOT.covariance, matrix=np.zeros((7, 7))))
     q, wrench = _sweep(9)
     bound = elastostatics.position_bound(model, q, TOOL, wrench)
     assert bound[4] == pytest.approx(1.96 * ANGLE * _lever(), rel=0.03)
     assert bound[[0, 8]].max() < 0.1 * bound[4]
     assert (np.diff(bound[:5]) > 0.0).all()
     rng = np.random.default_rng(7)
-    torque = _total(KR270, q, wrench)[:, 0]
+    torque = _total(ROBOT, q, wrench)[:, 0]
     mean = np.tanh(torque[3] / 300.0)
     drawn = np.where(rng.random(100_000) < 0.5 * (1.0 + mean), 1.0, -1.0) - mean
     assert bound[3] == pytest.approx(1.96 * np.sqrt(np.mean(drawn**2)) * ANGLE * _lever(), rel=0.03)
@@ -122,7 +122,7 @@ def test_the_bound_counts_the_flank_only_where_it_is_not_known():
 
 
 def test_the_bound_counts_what_the_payload_does():
-    payload = KR270.with_payload(150.0, np.array([0.0, 0.0, 0.2]))
+    payload = ROBOT.with_payload(150.0, np.array([0.0, 0.0, 0.2]))
     only = replace(payload, covariance=robot.Covariance.of(["k3"], [[(0.25 * 0.416) ** 2]]))
     bound = elastostatics.position_bound(only, POSE, TOOL, np.zeros((1, 6)))[0]
     softer = replace(only, stiffness=np.diag(np.diag(only.stiffness) / np.array([1.0, 1.0, 1.001, 1.0, 1.0, 1.0])))
@@ -132,5 +132,5 @@ def test_the_bound_counts_what_the_payload_does():
 
 def _lever() -> float:
     """Distance of the tip from the axis of A1."""
-    tip = (KR270.nominal.joint_frames(POSE)[1][0] @ TOOL)[:3, 3]
+    tip = (ROBOT.nominal.joint_frames(POSE)[1][0] @ TOOL)[:3, 3]
     return float(np.hypot(tip[0], tip[1]))

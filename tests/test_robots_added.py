@@ -13,15 +13,13 @@ from postproc import kinematics, robot
 from postproc.errors import InputError, ModelError
 from postproc.jobs.first_steps import add_robot
 from tests.commands import invoke, run
+from tests.kr270 import ROBOT
 from tests.robot_urdfs import PREFIXED, ROS, ROS_A, ros_urdf
+
+pytestmark = pytest.mark.usefixtures("work_folder")
 
 SIGNS = ((1, 1, 1, 1, 1, 1), (-1, 1, -1, 1, -1, 1), (-1, -1, -1, -1, -1, -1))
 TITLE = "KUKA KR 270-2 (2000 series)"
-
-
-@pytest.fixture(autouse=True)
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
 
 
 def written(text: str) -> Path:
@@ -52,16 +50,15 @@ def test_the_arm_added_stands_where_pinocchio_says_that_the_urdf_stands(shipped,
 
 
 def test_the_comment_of_each_joint_states_its_limits_in_degrees():
-    source = robot.load(robot.find("kuka_kr270"))
-    folder = add_robot(written(ros_urdf(source, SIGNS[0])), "mine").folder
+    folder = add_robot(written(ros_urdf(ROBOT, SIGNS[0])), "mine").folder
     comments = re.findall(r"<!-- (\S+)° to (\S+)°, (\S+)°/s -->", (folder / "robot.urdf").read_text())
     stated = np.array(comments, dtype=float).T
-    for values, limits in zip(stated, (source.lower, source.upper, source.speed), strict=True):
+    for values, limits in zip(stated, (ROBOT.lower, ROBOT.upper, ROBOT.speed), strict=True):
         np.testing.assert_allclose(values, np.degrees(limits), rtol=1e-3)
 
 
 def test_weights_turn_the_joints_as_in_the_urdf():
-    path = written(ros_urdf(robot.load(robot.find("kuka_kr270")), SIGNS[1], np.random.default_rng(1)))
+    path = written(ros_urdf(ROBOT, SIGNS[1], np.random.default_rng(1)))
     added = robot.load(add_robot(path, "mine").folder)
     model = pin.buildModelFromUrdf(str(path))
     q = np.random.default_rng(2).uniform(added.lower, added.upper, (5, 6))
@@ -73,9 +70,9 @@ def test_weights_turn_the_joints_as_in_the_urdf():
 
 @pytest.mark.parametrize("names", [ROS, ROS_A, PREFIXED])
 def test_names_of_joints_and_links_do_not_matter(names):
-    added = add_robot(written(ros_urdf(robot.load(robot.find("kuka_kr270")), SIGNS[0], names=names)), "mine")
+    added = add_robot(written(ros_urdf(ROBOT, SIGNS[0], names=names)), "mine")
     own = robot.load(added.folder).nominal
-    np.testing.assert_allclose(own.placement, robot.load(robot.find("kuka_kr270")).nominal.placement, atol=1e-9)
+    np.testing.assert_allclose(own.placement, ROBOT.nominal.placement, atol=1e-9)
 
 
 def test_angles_written_with_four_decimals_leave_no_tilt():
@@ -123,20 +120,18 @@ def renamed(shipped: str, name: str) -> str:
     ],
 )
 def test_compliances_are_scaled_by_the_load_moment_that_the_name_states(shipped, name, payload):
-    known = robot.load(robot.find("kuka_kr270"))
     added = robot.load(add_robot(written(renamed(shipped, name)), "mine").folder)
     moment = 270.0 * REACH["kuka_kr270"] / (payload * REACH[shipped])
-    np.testing.assert_allclose(added.compliance / known.compliance, moment**0.75, rtol=0.05)
+    np.testing.assert_allclose(added.compliance / ROBOT.compliance, moment**0.75, rtol=0.05)
 
 
 def test_without_a_payload_a_longer_arm_is_not_taken_to_be_stiffer():
-    known = robot.load(robot.find("kuka_kr270"))
     small = robot.load(add_robot(written(renamed("kuka_kr16_2", "arm")), "small").folder)
     np.testing.assert_allclose(
-        small.compliance / known.compliance, (REACH["kuka_kr270"] / REACH["kuka_kr16_2"]) ** 3, rtol=0.05
+        small.compliance / ROBOT.compliance, (REACH["kuka_kr270"] / REACH["kuka_kr16_2"]) ** 3, rtol=0.05
     )
     long = robot.load(add_robot(written(renamed("kuka_kr240_r2900_2", "arm")), "long").folder)
-    np.testing.assert_allclose(long.compliance / known.compliance, 1.0, rtol=0.05)
+    np.testing.assert_allclose(long.compliance / ROBOT.compliance, 1.0, rtol=0.05)
 
 
 @pytest.mark.parametrize(("factor", "believed"), [(0.2, False), (1.0, True), (4.0, False)])
@@ -155,9 +150,8 @@ def test_masses_that_no_arm_of_the_size_has_are_assumed_and_named(factor, believ
 @pytest.mark.parametrize("signs", SIGNS)
 @pytest.mark.parametrize("zero", [(0, 90, -90, 0, 0, 0), (30, -90, 90, -20, 45, 0), (0, 0, 0, 0, -90, 0)])
 def test_a_zero_position_that_differs_from_kukas_is_changed(signs, zero):
-    shipped = robot.load(robot.find("kuka_kr270"))
     angles = np.radians(zero)
-    path = written(ros_urdf(shipped, signs, np.random.default_rng(4), zero=angles))
+    path = written(ros_urdf(ROBOT, signs, np.random.default_rng(4), zero=angles))
     added = add_robot(path, "mine")
     own = robot.load(added.folder)
     model = pin.buildModelFromUrdf(str(path))
@@ -170,8 +164,8 @@ def test_a_zero_position_that_differs_from_kukas_is_changed(signs, zero):
         np.testing.assert_allclose(poses[row], (base.inverse() * tool0).homogeneous, atol=1e-6)
         expected = pin.computeGeneralizedGravity(model, data, (q[row] - angles) * signs) * signs
         np.testing.assert_allclose(kinematics.gravity_torque(own.nominal, q[row : row + 1])[0], expected, atol=2.0)
-    np.testing.assert_allclose(own.lower, shipped.lower, atol=1e-9)
-    np.testing.assert_allclose(own.upper, shipped.upper, atol=1e-9)
+    np.testing.assert_allclose(own.lower, ROBOT.lower, atol=1e-9)
+    np.testing.assert_allclose(own.upper, ROBOT.upper, atol=1e-9)
     moved = ", ".join(f"A{joint} {angle}°" for joint, angle in enumerate(zero, 1) if angle)
     assert f"the URDF's zero position is not KUKA's, but {moved} there: angles and limits are changed" in added.notes
 
@@ -193,7 +187,7 @@ def test_the_name_that_is_given_is_the_title_in_reports():
     ],
 )  # fmt: skip
 def test_an_arm_that_cannot_be_taken_over_is_told_and_nothing_is_written(old, new, message):
-    text = ros_urdf(robot.load(robot.find("kuka_kr270")), SIGNS[0])
+    text = ros_urdf(ROBOT, SIGNS[0])
     assert old in text
     with pytest.raises(ModelError, match=message):
         add_robot(written(text.replace(old, new, 1)), "mine")
@@ -201,23 +195,21 @@ def test_an_arm_that_cannot_be_taken_over_is_told_and_nothing_is_written(old, ne
 
 
 def test_a_link_of_a_gripper_or_of_the_floor_is_not_taken_for_the_flange_or_the_root():
-    text = ros_urdf(robot.load(robot.find("kuka_kr270")), SIGNS[0])
+    text = ros_urdf(ROBOT, SIGNS[0])
     more = (
         '<link name="gripper_tool0"/><link name="table_base"/><joint name="g" type="fixed"><parent link="tool0"/>'
         '<child link="gripper_tool0"/><origin xyz="0 0 0.2"/></joint><joint name="t" type="fixed">'
         '<parent link="world"/><child link="table_base"/><origin xyz="1 0 0"/></joint></robot>'
     )
     added = robot.load(add_robot(written(text.replace("</robot>", more)), "mine").folder)
-    np.testing.assert_allclose(
-        added.nominal.placement, robot.load(robot.find("kuka_kr270")).nominal.placement, atol=1e-9
-    )
+    np.testing.assert_allclose(added.nominal.placement, ROBOT.nominal.placement, atol=1e-9)
     ambiguous = text.replace("</robot>", more).replace('"tool0"', '"kr_tool0"')
     with pytest.raises(ModelError, match="several links could be tool0: kr_tool0, gripper_tool0"):
         add_robot(written(ambiguous), "other")
 
 
 def test_a_flange_that_is_turned_about_its_axis_is_told_and_kukas_is_taken():
-    text = ros_urdf(robot.load(robot.find("kuka_kr270")), SIGNS[0])
+    text = ros_urdf(ROBOT, SIGNS[0])
     turned = text.replace('<parent link="flange"/><child link="tool0"/>', '<parent link="flange"/><child link="mid"/>')
     turned = turned.replace(
         "</robot>",
@@ -226,9 +218,7 @@ def test_a_flange_that_is_turned_about_its_axis_is_told_and_kukas_is_taken():
     )
     added = add_robot(written(turned), "mine")
     assert [note for note in added.notes if "against KUKA's flange by 60°" in note]
-    np.testing.assert_allclose(
-        robot.load(added.folder).nominal.flange, robot.load(robot.find("kuka_kr270")).nominal.flange, atol=1e-9
-    )
+    np.testing.assert_allclose(robot.load(added.folder).nominal.flange, ROBOT.nominal.flange, atol=1e-9)
 
 
 @pytest.mark.parametrize("name", ["kuka_kr270", "kuka_kr16_2", "kuka_kr120_r2700_2"])
@@ -241,13 +231,13 @@ def test_the_urdf_of_a_shipped_model_is_read_with_z_of_its_flange_pointing_out(n
 
 
 def test_line_ends_and_byte_order_mark_of_windows_are_read():
-    text = ros_urdf(robot.load(robot.find("kuka_kr270")), SIGNS[0])
+    text = ros_urdf(ROBOT, SIGNS[0])
     Path("arm.urdf").write_bytes(b"\xef\xbb\xbf" + text.replace("\n", "\r\n").encode())
     assert robot.load(add_robot(Path("arm.urdf"), "mine").folder).title == "mine"
 
 
 def test_a_wrist_whose_axes_do_not_cross_is_refused():
-    text = ros_urdf(robot.load(robot.find("kuka_kr270")), SIGNS[0])
+    text = ros_urdf(ROBOT, SIGNS[0])
     shifted = text.replace('xyz="0.230000000000 0.000000000000', 'xyz="0.230000000000 0.100000000000')
     assert shifted != text
     with pytest.raises(ModelError, match="spherical wrist"):
@@ -255,7 +245,7 @@ def test_a_wrist_whose_axes_do_not_cross_is_refused():
 
 
 def test_a_model_that_is_there_is_replaced_with_overwrite_only():
-    path = written(ros_urdf(robot.load(robot.find("kuka_kr270")), SIGNS[0]))
+    path = written(ros_urdf(ROBOT, SIGNS[0]))
     add_robot(path, "mine")
     Path("mine/model.toml").write_text("# my own numbers\n")
     with pytest.raises(InputError, match="holds a robot model already"):
@@ -267,7 +257,7 @@ def test_a_model_that_is_there_is_replaced_with_overwrite_only():
 
 @pytest.mark.parametrize("name", ["kuka_kr270", "../up", "1st", ""])
 def test_a_name_that_cannot_be_is_refused(name):
-    path = written(ros_urdf(robot.load(robot.find("kuka_kr270")), SIGNS[0]))
+    path = written(ros_urdf(ROBOT, SIGNS[0]))
     if name == "":
         path.write_text(path.read_text().replace(TITLE, "270"))
     with pytest.raises(InputError, match=r"Give (another )?--name"):
@@ -275,7 +265,7 @@ def test_a_name_that_cannot_be_is_refused(name):
 
 
 def test_the_command_tells_what_is_assumed_and_what_to_write_into_the_cell():
-    path = written(ros_urdf(robot.load(robot.find("kuka_kr270")), SIGNS[0]))
+    path = written(ros_urdf(ROBOT, SIGNS[0]))
     done = run("robots", "add", path, "--name", "mine", "-o", "models/mine")
     assert "compliances are ASSUMED" in done.stderr
     assert 'robot = "models/mine"' in done.stdout
@@ -295,7 +285,7 @@ def test_speeds_have_a_source_of_their_own_where_they_are_not_the_robots():
 
 
 def test_lengths_in_millimetres_are_refused():
-    text = ros_urdf(robot.load(robot.find("kuka_kr270")), SIGNS[0])
+    text = ros_urdf(ROBOT, SIGNS[0])
     numbers = re.compile(r'(?<=<origin xyz=")[^"]*')
     text = numbers.sub(lambda match: " ".join(f"{1e3 * float(word):g}" for word in match[0].split()), text)
     with pytest.raises(ModelError, match=r"reaches \S+ m. Lengths of a URDF are in metres"):

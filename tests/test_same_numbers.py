@@ -16,7 +16,6 @@ from postproc.report.formatting import two_digits
 from tests import commands
 from tests.places import CELL_FILE, SAMPLES
 
-CELL = str(CELL_FILE)
 SQUARE = "G21 G90 G17\nG0 X0 Y0 Z20\nG0 Z-1\nG1 X80 F900\nG3 X80 Y30 I0 J15\nG1 X40\nG1 X38.2\nG1 Y0\nG0 Z20\nM2\n"
 FORCES = "line,Fx,Fy,Fz,frame,sigma_percent\n4,-160,220,90,FEED,10\n5,-160,220,90,FEED,10\n" + "".join(
     f"{line},{fx},-150,200,BASE,10\n" for line, fx in ((6, 60), (7, -260), (8, 180))
@@ -32,7 +31,7 @@ rpm = 8000
 box = { X = [8, 110], Y = [-20, 60], Z = [-20, 0] }
 resolution_mm = 0.8
 """
-run = partial(commands.printed, cell=CELL)
+run = partial(commands.printed, cell=CELL_FILE)
 
 
 def reports(folder, kind):

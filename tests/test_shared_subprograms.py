@@ -20,8 +20,7 @@ START = "BAS(#INITMOV,0)\n$VEL.CP=0.05\nPTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 20
 
 
 @pytest.fixture(autouse=True)
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def input_files(work_folder):
     Path("cell.toml").write_text(CELL_FILE.read_text())
     for name, force in (("one", 200), ("two", -300), ("three", 200)):
         program(name, force)

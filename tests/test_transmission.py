@@ -6,17 +6,16 @@ import msgspec
 import numpy as np
 import pytest
 
-from postproc import elastostatics, files, frames, kinematics, robot
+from postproc import elastostatics, frames, kinematics, robot
 from postproc.elastostatics import compensate
 from postproc.errors import ModelError
-from postproc.robot import LinkSprings, ModelFile
+from postproc.robot import LinkSprings
 from postproc.robot.model_file import TransmissionEntry
 from tests.commands import invoke
+from tests.kr270 import CONTENT, FOLDER
 from tests.oracle.pinocchio_arm import Arm
 
-FOLDER = robot.find("kuka_kr270")
 URDF = (FOLDER / "robot.urdf").read_text(encoding="utf-8")
-CONTENT = files.read_toml(FOLDER / "model.toml", ModelFile, ModelError)
 NOMINAL = robot.load(FOLDER).nominal
 TOOL = frames.pose_from_xyzabc([130.0, -20.0, 350.0, 10.0, -20.0, 30.0])
 KEYS = ("sin_urad", "cos_urad", "sin2_urad", "cos2_urad")

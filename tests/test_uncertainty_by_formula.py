@@ -13,13 +13,13 @@ from postproc.elastostatics.equilibrium import linear_compliance
 from postproc.elastostatics.reversals import flank_covariance
 from postproc.elastostatics.uncertainty import LENGTH_95, length_bound, loads, sources_of_error
 from postproc.robot import Backlash, LostMotion
+from tests.kr270 import ROBOT
 
-KR270 = robot.load(robot.find("kuka_kr270"))
 TOOL = np.eye(4)
 TOOL[:3, 3] = 0.1, -0.05, 0.35
 Q = np.radians([[10.0, -70.0, 100.0, 20.0, 50.0, 0.0], [-30.0, -60.0, 90.0, 80.0, -40.0, 60.0]])
 WRENCH = np.array([[300.0, -200.0, 400.0, 20.0, -30.0, 10.0], [-100.0, 500.0, -50.0, -10.0, 15.0, 25.0]])
-REACTION = linear_compliance(KR270, Q, TOOL, WRENCH)[:, :3]
+REACTION = linear_compliance(ROBOT, Q, TOOL, WRENCH)[:, :3]
 
 
 @pytest.mark.parametrize("values", [(1.0, 1.0, 1.0), (1.0, 0.5, 0.2), (1.0, 0.9, 0.1), (4.0, 4.0, 0.0)])
@@ -42,7 +42,7 @@ def test_length_95_is_the_root_of_the_chi_square_of_three():
     assert pytest.approx(np.sqrt(chi2.ppf(0.95, 3)), rel=1e-7) == LENGTH_95
 
 
-def sources(model=KR270, spread=None, in_series=None, proportional=(False, False)):
+def sources(model=ROBOT, spread=None, in_series=None, proportional=(False, False)):
     """Errors at both poses without what turns."""
     return sources_of_error(model, *loads(Q, TOOL, WRENCH, spread, in_series, None, np.array(proportional)))
 
@@ -82,7 +82,7 @@ def test_the_factor_of_forces_counts_with_the_parameters_where_the_law_is_its_ow
     """At the second pose alone: its column is C·w, its covariance that of the file, and the last cause is left out."""
     covariance = robot.Covariance.of(["k1", "k2"], [[0.04, 0.001], [0.001, 0.01]])
     factor = robot.ForceFactor((1.0,), np.array([0.002, -0.003, 0.09]))
-    model = replace(KR270, covariance=covariance, force_factor=factor)
+    model = replace(ROBOT, covariance=covariance, force_factor=factor)
     spread = np.random.default_rng(3).normal(size=(2, 6, 13))
     errors = sources(model, spread, proportional=(False, True))
     plain = sources(model, spread)
@@ -105,7 +105,7 @@ def test_the_factor_of_forces_counts_with_the_parameters_where_the_law_is_its_ow
 def test_sources_of_the_robot_add_up_as_covariances():
     everywhere = robot.GeometryError(3e-4, np.full(6, -np.inf), np.full(6, np.inf))
     off = robot.Discrepancy(np.array([1.0, 1e4]), np.array([1e-4, 1e-4]))
-    model = replace(KR270, geometry_error=everywhere, discrepancy=off, terms=((Backlash("A1", 1e9), 1e-4),))
+    model = replace(ROBOT, geometry_error=everywhere, discrepancy=off, terms=((Backlash("A1", 1e9), 1e-4),))
     errors = sources(model)
     assert set(errors.other) == {
         "the calibrated geometry", "the unmodelled error of the robot model", "lost motion of the gears",
@@ -114,7 +114,7 @@ def test_sources_of_the_robot_add_up_as_covariances():
     np.testing.assert_allclose(
         errors.other["the unmodelled error of the robot model"][1], np.eye(3) * (1e-4 / LENGTH_95) ** 2
     )
-    by_parameters = errors.slopes @ KR270.covariance.matrix @ errors.slopes.transpose(0, 2, 1)
+    by_parameters = errors.slopes @ ROBOT.covariance.matrix @ errors.slopes.transpose(0, 2, 1)
     np.testing.assert_allclose(errors.by_robot, by_parameters + sum(errors.other.values()), rtol=1e-12)
     assert set(sources().other) == {"lost motion of the gears"}
     bound = uncertainty.position_bound(model, Q, TOOL, WRENCH)
@@ -125,7 +125,7 @@ def test_sources_of_the_robot_add_up_as_covariances():
 def lever(joint: int, row: int) -> np.ndarray:
     """What a radian of a joint displaces the tip by at a pose (3,), by differences [m]."""
     step = 1e-6 * np.eye(6)[joint]
-    plus, minus = (KR270.nominal.joint_frames((Q[row] + s * step)[None])[1][0] @ TOOL for s in (1, -1))
+    plus, minus = (ROBOT.nominal.joint_frames((Q[row] + s * step)[None])[1][0] @ TOOL for s in (1, -1))
     return (plus[:3, 3] - minus[:3, 3]) / 2e-6
 
 
@@ -133,7 +133,7 @@ def lever(joint: int, row: int) -> np.ndarray:
 def test_flanks_that_are_not_known_scatter_the_tool_by_the_lever_of_the_joint(kind):
     """b² (1 − tanh²(τ/T)) along the lever of A1 and of A3; at a joint that turns, b² whatever the torque."""
     values = {"A1": 1e-4, "A3": 2e-4}
-    model = replace(KR270, terms=tuple((kind(joint, 300.0), value) for joint, value in values.items()))
+    model = replace(ROBOT, terms=tuple((kind(joint, 300.0), value) for joint, value in values.items()))
     torque = np.array([[WRENCH[n, :3] @ lever(j, n) for j in (0, 2)] for n in range(2)])
     axes = [np.array([0.0, 0.0, -1.0]), None]
     for n in range(2):
@@ -149,8 +149,8 @@ def test_flanks_that_are_not_known_scatter_the_tool_by_the_lever_of_the_joint(ki
             share = 1.0 if turning[n, joint] else 1.0 - np.tanh(torque[n, column] / 300.0) ** 2
             expected += value**2 * share * np.outer(lever(joint, n), lever(joint, n))
         np.testing.assert_allclose(found[n], expected, rtol=1e-6, atol=1e-16)
-    assert not flank_covariance(KR270, Q, TOOL, WRENCH, turning).any()
-    zero = replace(KR270, terms=((kind("A1", 300.0), 0.0),))
+    assert not flank_covariance(ROBOT, Q, TOOL, WRENCH, turning).any()
+    zero = replace(ROBOT, terms=((kind("A1", 300.0), 0.0),))
     assert not flank_covariance(zero, Q, TOOL, WRENCH, turning).any()
 
 
@@ -174,7 +174,7 @@ def forces_on_a1(torques) -> np.ndarray:
 )
 def test_a_direction_changes_between_the_last_and_the_next_torque_that_counts(torques, expected):
     q = np.repeat(Q[:1], 4, axis=0)
-    found = elastostatics.reversals(KR270, q, TOOL, forces_on_a1(torques))
+    found = elastostatics.reversals(ROBOT, q, TOOL, forces_on_a1(torques))
     pairs = [(int(a), int(b)) for a, b, j in zip(found.before, found.row, found.joint, strict=True) if j == 0]
     assert pairs == expected
     assert (np.diff(found.row) >= 0).all()
@@ -182,7 +182,7 @@ def test_a_direction_changes_between_the_last_and_the_next_torque_that_counts(to
 
 @pytest.mark.parametrize("torque", [2.0, 4.0])
 def test_a_gear_with_lost_motion_changes_its_flank_beyond_its_own_torque(torque):
-    model = replace(KR270, terms=((LostMotion("A1", torque), 1e-4), (Backlash("A6", 1e-3), 0.0)))
+    model = replace(ROBOT, terms=((LostMotion("A1", torque), 1e-4), (Backlash("A6", 1e-3), 0.0)))
     q = np.repeat(Q[:1], 4, axis=0)
     found = elastostatics.reversals(model, q, TOOL, forces_on_a1((5.0, 3.0, -3.0, -5.0)))
     (at,) = np.flatnonzero(found.joint == 0)

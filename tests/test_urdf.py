@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from postproc import frames, robot
+from postproc import frames
 from postproc.errors import ModelError
 from postproc.robot import urdf
+from tests.kr270 import FOLDER
 
-TEXT = (robot.find("kuka_kr270") / "robot.urdf").read_text(encoding="utf-8")
+TEXT = (FOLDER / "robot.urdf").read_text(encoding="utf-8")
 LIMIT = '<limit lower="-1" upper="1" velocity="1" effort="0"/>'
 
 

@@ -14,10 +14,10 @@ from postproc.jobs.cell_edit import edit, fields_of, frame_tables, kept_frames, 
 from postproc.jobs.program_needs import ProgramNeeds, needs_of
 from postproc.jobs.setup_form import CHECKED, OFFERED, setup_form, start_arguments
 from tests.app.test_window import looked_at, opened
-from tests.commands import run
+from tests.commands import CELL_IN_NUMBERS, run
 from tests.kr270 import CELL_TEXT
 from tests.pages.browser import needs_chromium
-from tests.places import ROOT
+from tests.places import CELL_FILE
 
 PART = """G21 G90
 {comment}
@@ -32,7 +32,6 @@ M30
 TWO = PART.format(comment="(T1 D=10. CR=0. - flat end mill)").replace(
     "M30", "T5 M6\nG0 X9 Y9 Z5\nG1 Z-1 F99\nG0 Z9\nM30"
 )
-CELL = ["--robot", "kuka_kr270", "--base", "1500,-200,700", "--tool", "0,0,350"]
 PROCESS = ["--material", "al_7075_hss", "--flutes", "3"]
 
 
@@ -75,7 +74,7 @@ def test_the_place_of_a_stock_whose_size_comments_state_is_a_guess_too(tmp_path)
     program.write_text(PART.format(comment=size))
     field, options = stock_field(program, {})
     assert (field.text, field.is_guess, field.is_checked, options) == ("X=-125:175,Y=-100:100,Z=-18:0", True, False, [])
-    done = run("start", program, *CELL, *PROCESS, "-o", tmp_path / "out")
+    done = run("start", program, *CELL_IN_NUMBERS, *PROCESS, "-o", tmp_path / "out")
     assert "The stock is assumed" in done.output
 
 
@@ -91,7 +90,7 @@ def test_a_stated_stock_is_not_assumed_even_if_it_is_the_one_that_is_offered(pro
     output = program.parent / "out"
     stock = ["--stock", guess] if is_stated else []
     for _ in range(2):  # also with the answers of an earlier start
-        done = run("start", program, *CELL, *PROCESS, *stock, "-o", output)
+        done = run("start", program, *CELL_IN_NUMBERS, *PROCESS, *stock, "-o", output)
         assert ("The stock is assumed" in done.output) == (not is_stated)
         assert tomllib.loads((output / "part.process.toml").read_text())["stock"].get("assumed", False) == (
             not is_stated
@@ -142,7 +141,7 @@ def test_frames_by_number_and_work_offsets_that_a_cell_lacks_are_named_and_can_b
 def test_a_program_with_two_tools_leads_to_a_frame_for_each(browser, window):
     (window.workspace.folder / "two.nc").write_text(TWO)
     window.workspace.results.mkdir()
-    shutil.copy(ROOT / "samples" / "cell_kr270.toml", window.workspace.cell)
+    shutil.copy(CELL_FILE, window.workspace.cell)
     window.workspace.cell.write_text(CELL_TEXT.split("[tools")[0])
     with opened(browser, window) as page:
         page.get_by_role("link", name="two.nc", exact=True).click()

@@ -73,7 +73,7 @@ def on_rail(rng):
 @cache
 def rail():
     _, robot = carried.setup("cell_kr270.toml")
-    text = (carried.SAMPLES / "cell_kr270.toml").read_text(encoding="utf-8")
+    text = (carried.CELL_FILE).read_text(encoding="utf-8")
     with tempfile.TemporaryDirectory() as name:
         path = Path(name) / "cell.toml"
         path.write_text(text + "\n[external_axes.E1]\ndirection = [0, 1, 0]\n", encoding="utf-8")

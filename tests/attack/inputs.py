@@ -23,7 +23,8 @@ from postproc.program import Program
 from postproc.robot import RobotModel
 from tests.attack.gcode_generator import Generator
 from tests.dialects.gcode_reading import CELL, forward
-from tests.places import ROOT
+from tests.kr270 import CELL_TEXT, FOLDER
+from tests.places import CELL_FILE
 
 SCRAPS = [
     "9" * 400, "1e300", "-1e300", "1e-300", "nan", "inf", "-", ".", "..", "0", "-0.0", "1" + "0" * 5000, "\0", "\r",
@@ -97,7 +98,7 @@ def _attempt(work: Callable[[], str], data: bytes) -> str:
 
 @cache
 def _setup() -> tuple[Cell, RobotModel, Program]:
-    cell = cells.load(ROOT / "samples" / "cell_kr270.toml")
+    cell = cells.load(CELL_FILE)
     robot = jobs.load_robot(cell.robot)
     program = correction.read([decode("part.nc", SMALL.encode())], robot, cell, "part", "gcode")
     return cell, robot, program
@@ -143,7 +144,7 @@ def spoilt_forces(seed: int) -> str:
 def spoilt_cell(seed: int) -> str:
     """Spoil a cell file, read it, and convert with what is accepted."""
     _, robot, _ = _setup()
-    data = spoilt((ROOT / "samples" / "cell_kr270.toml").read_text(encoding="utf-8"), random.Random(seed))
+    data = spoilt(CELL_TEXT, random.Random(seed))
 
     def work(path: Path) -> str:
         cell = cells.load(path)
@@ -156,9 +157,8 @@ def spoilt_model(seed: int) -> str:
     """Spoil a file of a robot model, read it, and convert with what is accepted."""
     rng = random.Random(seed)
     cell, _, _ = _setup()
-    folder = robots.find("kuka_kr270")
     victim = rng.choice(["model.toml", "model.toml", "robot.urdf"])
-    contents = {name: (folder / name).read_bytes() for name in ("model.toml", "robot.urdf")}
+    contents = {name: (FOLDER / name).read_bytes() for name in ("model.toml", "robot.urdf")}
     contents[victim] = data = spoilt(contents[victim].decode(), rng)
 
     def work(path: Path) -> str:

@@ -24,7 +24,6 @@ from pathlib import Path
 import numpy as np
 from msgspec.structs import replace
 
-from postproc import cell as cells
 from postproc import correction
 from postproc import robot as robots
 from postproc.cell import Frame, Tool
@@ -32,10 +31,10 @@ from postproc.dialects.text import decode
 from postproc.errors import PostprocError
 from tests.attack.krl_interpreter import Choices, Controller, Invalid, components
 from tests.attack.krl_jobs import Job
+from tests.kr270 import CELL
 from tests.oracle.arm import Arm, abc
 from tests.oracle.elastic import inverse, loaded_tip
 from tests.oracle.krl_grammar import check
-from tests.places import SAMPLES
 
 MOST_RUNS = 12
 """Sequences of inputs that are tried of each job."""
@@ -54,10 +53,9 @@ class Wrong(AssertionError):
 @cache
 def setup():
     """Cell, robot, and the arm of the oracle."""
-    cell = cells.load(SAMPLES / "cell_kr270.toml")
-    folder = robots.find(cell.robot)
+    folder = robots.find(CELL.robot)
     base = {"3": Frame(X=1500.0, Y=-200.0, Z=700.0), "4": Frame(X=1510.0, Y=-190.0, Z=705.0, A=5.0)}
-    cell = replace(cell, base_data=base, tool_data={"2": Tool(Z=350.0)}, krl=replace(cell.krl, initmov="cell"))
+    cell = replace(CELL, base_data=base, tool_data={"2": Tool(Z=350.0)}, krl=replace(CELL.krl, initmov="cell"))
     return cell, robots.load(folder), Arm.load(folder)
 
 

@@ -15,6 +15,7 @@ from msgspec.structs import replace
 
 from postproc import elastostatics, robot
 from postproc.robot.model import Discrepancy
+from tests.kr270 import ROBOT
 
 TOOL = np.eye(4)
 TOOL[:3, 3] = [0.2, -0.06, 0.18]
@@ -29,14 +30,13 @@ def against_chance(runs: int, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
     direction; the discrepancy is 0.2 mm.
     """
     rng = np.random.default_rng(seed)
-    plain = robot.load(robot.find("kuka_kr270"))
-    assert plain.compensator is not None
-    values = np.append(1e6 / np.diag(plain.stiffness), plain.compensator.stiffness)
+    assert ROBOT.compensator is not None
+    values = np.append(1e6 / np.diag(ROBOT.stiffness), ROBOT.compensator.stiffness)
     mixed = 0.6 * np.eye(len(values)) + 0.4 * rng.uniform(-1.0, 1.0, (len(values), len(values)))
     sigma = np.append(rng.uniform(0.1, 0.15, 6), 0.25) * values
     factor = sigma[:, None] * mixed / np.linalg.norm(mixed, axis=1)[:, None]
     model = replace(
-        plain,
+        ROBOT,
         covariance=robot.Covariance.of(_NAMES, factor @ factor.T),
         discrepancy=Discrepancy(np.array([500.0]), np.array([2e-4])),
     )
@@ -53,7 +53,7 @@ def against_chance(runs: int, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
         other = replace(
             model,
             stiffness=np.diag(1e6 / drawn[:6]),
-            compensator=replace(plain.compensator, stiffness=float(drawn[6])),
+            compensator=replace(ROBOT.compensator, stiffness=float(drawn[6])),
         )
         force = wrench + np.einsum("nij,nj->ni", spread, rng.normal(size=(_POSES, 6)))
         tip = elastostatics.deflect(other, q, TOOL, force).twist[:, :3] + off[:, None] * rng.normal(size=(_POSES, 3))

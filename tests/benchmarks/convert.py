@@ -31,7 +31,6 @@ from tests.benchmarks import programs
 from tests.benchmarks.budget import ORDER
 from tests.places import CELL_FILE, ROOT
 
-CELL = str(CELL_FILE)
 PARSE = "import sys\nfrom pygcode import Line\nfor text in open(sys.argv[1]):\n    Line(text.rstrip('\\n'))"
 POSTPROC = "from postproc.cli import main; main()"
 IMPORTS = "import numpy, pinocchio, click"
@@ -70,13 +69,13 @@ def convert(path: Path) -> tuple[Cost, int]:
     """Convert a program as users do, into a new folder; return what it took and the number of targets."""
     out = path.parent / "out"
     shutil.rmtree(out, ignore_errors=True)
-    done = cost("-c", POSTPROC, "convert", str(path), "--cell", CELL, "-o", str(out))
+    done = cost("-c", POSTPROC, "convert", str(path), "--cell", str(CELL_FILE), "-o", str(out))
     return done, json.loads((out / f"{path.stem}.report.json").read_bytes())["targets"]
 
 
 def budget(path: Path) -> dict[str, float]:
     """Return where the processor's time of a `convert` goes, seconds by stage."""
-    done = cost("-m", "tests.benchmarks.budget", str(path), "--cell", CELL, "-o", str(path.parent / "out"))
+    done = cost("-m", "tests.benchmarks.budget", str(path), "--cell", str(CELL_FILE), "-o", str(path.parent / "out"))
     stages: dict[str, float] = json.loads(done.said.splitlines()[-1])
     return stages
 

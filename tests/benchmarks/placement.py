@@ -27,7 +27,7 @@ from postproc.correction import collisions
 from postproc.correction.process import corrected_commands
 from postproc.under_load import MotionsUnderLoad, PathUnderLoad, RobotInCell
 from tests.benchmarks.process import surface
-from tests.places import ROOT
+from tests.kr270 import CELL
 
 COLLISION = cells.Collision(
     holder=[
@@ -65,8 +65,7 @@ def main() -> None:
     options = argparse.ArgumentParser(description=__doc__)
     options.add_argument("--targets", type=int, default=200_000)
     chosen = options.parse_args()
-    cell = postproc.load_cell(ROOT / "samples" / "cell_kr270.toml")
-    cell = replace(cell, gcode=replace(cell.gcode, redundancy="path"), start=cells.Start((0, -90, 100, 0, 80, 0)))
+    cell = replace(CELL, gcode=replace(CELL.gcode, redundancy="path"), start=cells.Start((0, -90, 100, 0, 80, 0)))
     robot = postproc.load_robot(cell.robot)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "part.nc"

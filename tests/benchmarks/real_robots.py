@@ -37,6 +37,7 @@ from scipy.spatial.transform import Rotation
 from postproc import elastostatics, kinematics, robot
 from postproc.identification import Choices, geometry_folder, identify_folder
 from postproc.identification.measurement_model import kabsch
+from tests.kr270 import ROBOT
 
 HEADER = "config,load,repeat,point,A1,A2,A3,A4,A5,A6,Fx,Fy,Fz,Mx,My,Mz,X,Y,Z"
 FANUC_MDH = np.array(  # α, a, θ, d of each joint: its repository, core/config.py
@@ -93,7 +94,7 @@ def write_robot(folder: Path, name: str, text: str) -> None:
     """Write a model folder with the compliances of a KR 270 as the start of the search."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "robot.urdf").write_text(text)
-    published = robot.load(robot.find("kuka_kr270")).compliance * 1e6
+    published = ROBOT.compliance * 1e6
     lines = [f'name = "{name}"']
     for joint, value in zip(robot.JOINTS, published, strict=True):
         lines.append(f'[joints.{joint}]\ncompliance_urad_per_Nm = {value:.4g}\nsource = "of a KR 270"\nassumed = true')

@@ -19,10 +19,10 @@ import msgspec
 import numpy as np
 from msgspec import Struct
 
-from postproc import cell as cells
 from postproc import correction, forces, robot
 from postproc.frames import pose_from_xyzabc
 from postproc.jobs.started_program import read_program
+from tests.kr270 import CELL
 from tests.oracle import elastic
 from tests.oracle.arm import Arm
 from tests.places import ROOT
@@ -100,8 +100,7 @@ def trial(name: str, sigma: float, runs: int, targets: int, *, one_factor: bool,
 
 def _corrected(name: str, sigma: float) -> tuple[correction.Result, np.ndarray]:
     """Return the result of the program on a robot, and `$BASE` in the root."""
-    cell = cells.load(ROOT / "samples" / "cell_kr270.toml")
-    cell = msgspec.structs.replace(cell, robot=name, gcode=msgspec.structs.replace(cell.gcode, approximation_mm=0.0))
+    cell = msgspec.structs.replace(CELL, robot=name, gcode=msgspec.structs.replace(CELL.gcode, approximation_mm=0.0))
     model = robot.load(ROOT / "robot_models" / name)
     with tempfile.TemporaryDirectory() as folder:
         program, table = Path(folder) / "square.nc", Path(folder) / "square.csv"

@@ -13,15 +13,10 @@ import pytest
 from postproc.errors import Issue, ProgramError
 from tests import fabricated
 from tests.commands import invoke
-from tests.places import SAMPLES
+from tests.kr270 import FOLDER
+from tests.places import CELL_FILE, SAMPLES
 
-CELL_270, CELL_16 = str(SAMPLES / "cell_kr270.toml"), str(SAMPLES / "cell_kr16.toml")
-
-
-@pytest.fixture
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
+CELL_270, CELL_16 = str(CELL_FILE), str(SAMPLES / "cell_kr16.toml")
 
 
 @pytest.fixture
@@ -49,7 +44,7 @@ def _touch(*names: str) -> None:
         Path(name).write_text("G0 X0\n")
 
 
-def test_one_program_prints_its_summary_and_what_was_written(folder, computed):
+def test_one_program_prints_its_summary_and_what_was_written(work_folder, computed):
     _touch("part.nc")
     done = invoke("convert", "part.nc", "--cell", CELL_270)
     assert done.exit_code == 0
@@ -60,7 +55,7 @@ def test_one_program_prints_its_summary_and_what_was_written(folder, computed):
     assert done.stderr == ""
 
 
-def test_many_programs_print_a_table_and_the_worst_exit_code(folder, computed):
+def test_many_programs_print_a_table_and_the_worst_exit_code(work_folder, computed):
     _touch("a.nc", "bad.nc", "far.nc")
     done = invoke("convert", "*.nc", "--cell", CELL_270)
     assert done.exit_code == 1
@@ -71,7 +66,7 @@ def test_many_programs_print_a_table_and_the_worst_exit_code(folder, computed):
     assert "far.nc: nothing is written" in done.stderr
 
 
-def test_json_prints_json_only(folder, computed):
+def test_json_prints_json_only(work_folder, computed):
     _touch("a.nc", "far.nc", "bad.nc")
     done = invoke("convert", "*.nc", "--cell", CELL_270, "--json")
     content = json.loads(done.stdout)
@@ -83,7 +78,7 @@ def test_json_prints_json_only(folder, computed):
     assert far["issues"][0]["source_line"] == 12
 
 
-def test_predict_writes_reports_and_no_program(folder, computed):
+def test_predict_writes_reports_and_no_program(work_folder, computed):
     _touch("part.nc")
     done = invoke("predict", "part.nc", "--cell", CELL_270, "-o", "out")
     assert done.exit_code == 0
@@ -94,7 +89,7 @@ def test_predict_writes_reports_and_no_program(folder, computed):
     ]
 
 
-def test_nominal_beyond_a_stated_tolerance_is_written_and_exits_with_3(folder, computed):
+def test_nominal_beyond_a_stated_tolerance_is_written_and_exits_with_3(work_folder, computed):
     _touch("part.nc")
     done = invoke("convert", "part.nc", "--cell", CELL_270, "--nominal", "--tolerance", "0.1")
     assert done.exit_code == 3
@@ -120,7 +115,7 @@ def test_nominal_beyond_a_stated_tolerance_is_written_and_exits_with_3(folder, c
         ["undo"],
     ],
 )
-def test_wrong_usage_exits_with_2(folder, arguments):
+def test_wrong_usage_exits_with_2(work_folder, arguments):
     _touch("a.nc", "b.nc", "forces.csv")
     done = invoke(*arguments)
     assert done.exit_code == 2, done.output
@@ -148,7 +143,7 @@ def _edited(text: str, old: str, new: str) -> None:
         ("[tool]", "[tool", "not valid TOML"),
     ],
 )
-def test_unusable_cell_exits_with_1_and_names_the_place(folder, old, new, message):
+def test_unusable_cell_exits_with_1_and_names_the_place(work_folder, old, new, message):
     _touch("part.nc")
     _edited(Path(CELL_270).read_text(), old, new)
     done = invoke("convert", "part.nc", "--cell", "cell.toml")
@@ -173,7 +168,7 @@ def test_unusable_cell_exits_with_1_and_names_the_place(folder, old, new, messag
         (b"\x00\xff\xfe", "not UTF-8"),
     ],
 )
-def test_unusable_forces_exit_with_1_and_name_the_place(folder, content, message):
+def test_unusable_forces_exit_with_1_and_name_the_place(work_folder, content, message):
     Path("forces.csv").write_bytes(content if isinstance(content, bytes) else content.encode())
     program = str(SAMPLES / "long_lin.src")
     done = invoke("convert", program, "--cell", CELL_16, "--forces", "forces.csv", "-o", "out")
@@ -191,11 +186,10 @@ def test_unusable_forces_exit_with_1_and_name_the_place(folder, content, message
         ("[joints.A1]", "[joints.A7]"),
     ],
 )
-def test_unusable_robot_model_exits_with_1_and_names_the_file(folder, old, new):
-    from postproc import robot
+def test_unusable_robot_model_exits_with_1_and_names_the_file(work_folder, old, new):
 
     Path("my_robot").mkdir()
-    for file in robot.find("kuka_kr270").iterdir():
+    for file in FOLDER.iterdir():
         Path("my_robot", file.name).write_text(file.read_text().replace(old, new))
     _edited(Path(CELL_270).read_text(), "kuka_kr270", "my_robot")
     _touch("part.nc")
@@ -204,11 +198,10 @@ def test_unusable_robot_model_exits_with_1_and_names_the_file(folder, old, new):
     assert "model.toml" in done.stderr
 
 
-def test_robot_with_a_nan_in_its_urdf_is_refused(folder):
-    from postproc import robot
+def test_robot_with_a_nan_in_its_urdf_is_refused(work_folder):
 
     Path("my_robot").mkdir()
-    for file in robot.find("kuka_kr270").iterdir():
+    for file in FOLDER.iterdir():
         Path("my_robot", file.name).write_text(file.read_text().replace("1.25", "nan", 1))
     assert "nan" in Path("my_robot/robot.urdf").read_text()
     _edited(Path(CELL_270).read_text(), "kuka_kr270", "my_robot")
@@ -227,7 +220,7 @@ def test_robot_with_a_nan_in_its_urdf_is_refused(folder):
         (b"DEF part()\nLIN {X NaN,Y 0,Z 0,A 0,B 0,C 0}\nEND\n", "part.src:2"),
     ],
 )
-def test_unusable_program_exits_with_1_and_names_the_line(folder, content, message):
+def test_unusable_program_exits_with_1_and_names_the_line(work_folder, content, message):
     Path("part.src").write_bytes(content)
     done = invoke("convert", "part.src", "--cell", CELL_270)
     assert done.exit_code == 1
@@ -255,7 +248,7 @@ def _aggregate(joints: list[float]) -> str:
         ([[0, -70, 110, 0, 20, 0], [0, -70, 110, 0, -20, 0]], 4, "singularity"),
     ],
 )
-def test_moves_that_cannot_be_done_exit_with_1_and_name_the_line(folder, moves, line, message):
+def test_moves_that_cannot_be_done_exit_with_1_and_name_the_line(work_folder, moves, line, message):
     texts = [f"LIN {_aggregate(move)}" if isinstance(move, list) else move for move in moves]
     head = ["DEF part()", "PTP {A1 0,A2 -70,A3 110,A4 0,A5 20,A6 0}"]
     Path("part.src").write_text("\n".join([*head, *texts, "END", ""]))
@@ -266,7 +259,7 @@ def test_moves_that_cannot_be_done_exit_with_1_and_name_the_line(folder, moves, 
     assert not Path("corrected").exists()
 
 
-def test_a_force_file_that_lies_beside_and_is_not_given_is_named(folder):
+def test_a_force_file_that_lies_beside_and_is_not_given_is_named(work_folder):
     Path("part.nc").write_text("G21 G90\nG0 X0 Y0 Z20\nG1 Z-2 F600\nX40\nM30\n")
     assert "is next to it" not in invoke("predict", "part.nc", "--cell", CELL_270, "-o", "out").stdout
     Path("part.forces.csv").write_text("line,Fx,Fy,Fz\n4,-100,50,20\n")
@@ -308,7 +301,7 @@ def test_a_console_that_cannot_show_a_character_is_no_reason_to_stop():
     assert b"?rad/(N?m)" in done.stdout
 
 
-def test_real_program_is_converted_in_a_process_of_its_own(folder):
+def test_real_program_is_converted_in_a_process_of_its_own(work_folder):
     done = subprocess.run(
         [sys.executable, "-c", "from postproc.cli import main; main()", "convert", str(SAMPLES / "inline.src"),
          "--cell", CELL_270, "-o", "out", "--json"],
@@ -326,7 +319,7 @@ def test_real_program_is_converted_in_a_process_of_its_own(folder):
     assert all(written[line - 1].split()[0] in ("LIN", "PTP", "CIRC") for line in lines)
 
 
-def test_a_krl_program_is_written_under_another_name(folder):
+def test_a_krl_program_is_written_under_another_name(work_folder):
     sample = str(SAMPLES / "inline.src")
     assert invoke("convert", sample, "--cell", CELL_270, "-o", "out").exit_code == 0
     assert invoke("convert", sample, "--cell", CELL_270, "-o", "named", "--name", "Other_1").exit_code == 0
@@ -345,7 +338,7 @@ def test_a_krl_program_is_written_under_another_name(folder):
     assert "corrected by postproc" in again.stderr
 
 
-def test_processes_give_the_same_files_as_one_after_the_other(folder):
+def test_processes_give_the_same_files_as_one_after_the_other(work_folder):
     source = (SAMPLES / "inline.src").read_bytes()
     for index in range(3):
         Path(f"p{index}.src").write_bytes(source.replace(b"DEF inline", f"DEF p{index}".encode()))
@@ -367,7 +360,7 @@ def test_processes_give_the_same_files_as_one_after_the_other(folder):
     assert one == two
 
 
-def test_a_program_in_which_nothing_was_corrected_says_so_in_its_first_line(folder):
+def test_a_program_in_which_nothing_was_corrected_says_so_in_its_first_line(work_folder):
     stand = "PTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 20}"
     cut = [f"LIN {{X {x},Y 0,Z 10,A 0,B 0,C 180}}" for x in (0, 50)]
     lines = ["DEF part()", "BAS(#INITMOV,0)", "$VEL.CP=0.05", stand, ";FORCE FX=200 FY=100 FZ=-100"]

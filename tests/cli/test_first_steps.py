@@ -18,6 +18,8 @@ from tests.commands import invoke
 from tests.oracle.arm import Arm, abc
 from tests.places import ROOT
 
+pytestmark = pytest.mark.usefixtures("work_folder")
+
 CONFIG = """&ACCESS RVO
 DEFDAT  $CONFIG
 DECL FRAME BASE_DATA[32]
@@ -27,11 +29,6 @@ TOOL_DATA[2]={X 10,Y 0.0,Z 412.125,A 0.0,B 0.0,C 0.0}
 ENDDAT
 """
 FRAMES = ("--base", "1500,-200,700", "--tool", "0,0,350")
-
-
-@pytest.fixture(autouse=True)
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
 
 
 def keys(frame):

@@ -14,7 +14,7 @@ from postproc.errors import InputError
 from postproc.jobs import answers, guided_start
 from postproc.jobs.program_needs import needs_of
 from postproc.machining import process as processes
-from tests.commands import invoke
+from tests.commands import CELL_IN_NUMBERS, invoke
 from tests.places import ROOT
 
 PART = """%
@@ -58,13 +58,11 @@ G0 Z20
 M5
 M30
 """
-CELL = ("--robot", "kuka_kr270", "--base", "1500,-200,700", "--tool", "0,0,350")
-ALL = (*CELL, "--material", "al_6082_t6_carbide", "--flutes", "3")
+ALL = (*CELL_IN_NUMBERS, "--material", "al_6082_t6_carbide", "--flutes", "3")
 
 
 @pytest.fixture(autouse=True)
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def input_files(work_folder):
     Path("part.nc").write_text(PART)
     Path("many.nc").write_text(MANY)
 
@@ -169,7 +167,7 @@ def test_an_axis_that_is_only_ever_zero_is_no_rotary_axis():
     Path("a.nc").write_text(FOURTH_AXIS)
     needs = needs_of(Path("a.nc"))
     assert (needs.rotary, needs.refusal) == ((), "")
-    made = invoke("init", "a.nc", *CELL)
+    made = invoke("init", "a.nc", *CELL_IN_NUMBERS)
     assert made.exit_code == 0, made.output
     assert "it converts" in made.output
     Path("a.nc").write_text(FOURTH_AXIS.replace("X50.", "X50. A-.5"))
@@ -256,7 +254,7 @@ def test_options_alone_make_cell_process_and_a_corrected_program():
 
 
 def test_forces_in_comments_need_no_process():
-    done = invoke("start", str(ROOT / "samples" / "pocket.nc"), *CELL, "-o", "out")
+    done = invoke("start", str(ROOT / "samples" / "pocket.nc"), *CELL_IN_NUMBERS, "-o", "out")
     assert done.exit_code == 0, done.output
     assert not list(Path("out").glob("*.process.toml"))
 
@@ -327,7 +325,7 @@ def test_where_the_tolerance_is_not_held_a_better_place_is_offered(monkeypatch):
 
 
 def test_an_option_that_is_no_answer_is_wrong_usage():
-    done = invoke("start", "part.nc", *CELL, "--material", "cheese", "--flutes", "3")
+    done = invoke("start", "part.nc", *CELL_IN_NUMBERS, "--material", "cheese", "--flutes", "3")
     assert done.exit_code == 2
     assert "--material" in done.output
     assert "al_6082_t6_carbide" in done.output
@@ -359,7 +357,7 @@ def test_init_writes_indexed_axes_with_their_points():
     Path("a.nc").write_text(
         "G21 G90\nM3 S9000\nG0 X0 Y0 Z50\nG0 A30\nG1 Z20 F500\nG1 X50\nG0 Z50\nG81 X5 Z25 R40 F200\nG80\nM30\n"
     )
-    done = invoke("init", "a.nc", *CELL, "--rotary-kind", "indexed", "--rotary-point", "A=0,0,-120")
+    done = invoke("init", "a.nc", *CELL_IN_NUMBERS, "--rotary-kind", "indexed", "--rotary-point", "A=0,0,-120")
     assert done.exit_code == 0, done.output
     assert "no answer makes" not in done.output  # cycles are read with indexed axes only
     rotary = cells.load("cell.toml").rotary

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.places import SAMPLES
+from tests.places import CELL_FILE, SAMPLES
 
-CONVERT = ("convert", SAMPLES / "pocket.nc", "--cell", SAMPLES / "cell_kr270.toml", "-o", "out")
+CONVERT = ("convert", SAMPLES / "pocket.nc", "--cell", CELL_FILE, "-o", "out")
 
 
 def shell(command, folder, *arguments):
@@ -43,7 +43,7 @@ def test_quiet_prints_errors_alone(tmp_path):
     done = shell("--quiet", tmp_path, *CONVERT)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
     assert (tmp_path / "out" / "pocket.src").is_file()
-    done = shell("--quiet", tmp_path, "convert", "none.nc", "--cell", SAMPLES / "cell_kr270.toml")
+    done = shell("--quiet", tmp_path, "convert", "none.nc", "--cell", CELL_FILE)
     assert done.returncode == 1
     assert "none.nc" in done.stderr
 

@@ -9,9 +9,8 @@ import sys
 
 import pytest
 
-from postproc import robot
+from tests.kr270 import ROBOT
 
-MODEL = robot.load(robot.find("kuka_kr270"))
 RUN = "import sys; from postproc.cli import main\ntry: main({!r})\nfinally: print('rich' in sys.modules)"
 
 
@@ -42,7 +41,7 @@ def test_a_terminal_shows_a_table_no_wider_than_itself_and_nothing_is_cut_off(co
     text = re.sub(r"\x1b\[[0-9;]*m", "", shown.decode())
     assert "\x1b[1m" in shown.decode()
     assert max(map(len, text.splitlines())) <= columns
-    for entry in MODEL.sources:
+    for entry in ROBOT.sources:
         assert words(entry.name) | words(entry.value) | words(entry.source) <= words(text)
 
 
@@ -52,5 +51,5 @@ def test_piped_the_table_is_plain_and_rich_is_not_imported():
     )
     assert "\x1b" not in done.stdout
     assert done.stdout.splitlines()[-1] == "False"
-    for entry in MODEL.sources:
+    for entry in ROBOT.sources:
         assert any(entry.name in line and entry.source in line for line in done.stdout.splitlines())

@@ -28,9 +28,8 @@ FAULT = (
 
 
 @pytest.fixture(autouse=True)
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+def temporary_files(work_folder, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(work_folder))
 
 
 def oops(*_, **__):

@@ -7,11 +7,10 @@ import itertools
 import numpy as np
 import pinocchio as pin
 
-from postproc import robot
 from postproc.collision import Scene, bodies
+from tests.kr270 import FOLDER, ROBOT
 
-KR270 = robot.load(robot.find("kuka_kr270"))
-_MODEL = pin.buildModelFromUrdf(str(robot.find("kuka_kr270") / "robot.urdf"))
+_MODEL = pin.buildModelFromUrdf(str(FOLDER / "robot.urdf"))
 _DATA = _MODEL.createData()
 _FLANGE = _MODEL.getFrameId("flange")
 
@@ -49,12 +48,12 @@ def from_box(points, place, edges) -> np.ndarray:
 
 
 def scene(*parts) -> Scene:
-    return Scene(KR270, parts)
+    return Scene(ROBOT, parts)
 
 
 def random_scene(rng):
     """A cylinder and a capsule on the arm, a box, and a short motion by it; and their numbers."""
-    q = rng.uniform(0.5 * KR270.lower, 0.5 * KR270.upper)
+    q = rng.uniform(0.5 * ROBOT.lower, 0.5 * ROBOT.upper)
     steps = rng.normal(0, rng.choice([0.01, 0.05, 0.2]), (rng.integers(2, 6), 6))
     path = q + np.cumsum(steps, axis=0)
     begin = rng.uniform(-0.1, 0.1, 3)

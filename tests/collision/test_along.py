@@ -14,7 +14,8 @@ import pytest
 from postproc.collision import Solids, bodies, clearance, hits, path_hits
 from postproc.collision.along import motion_bound
 from postproc.collision.distance import link_frames
-from tests.collision.setting import KR270, frame, pose, random_scene, sampled, scene
+from tests.collision.setting import frame, pose, random_scene, sampled, scene
+from tests.kr270 import ROBOT
 
 
 def check(rng) -> str:
@@ -118,7 +119,7 @@ def test_a_body_may_be_nearer_by_as_far_as_it_moves_to_the_commanded_angles(carr
         bodies.box("b", carrier, "arm", pose(np.eye(3), [0.1, -0.2, 0.15]), np.array([0.2, 0.3, 0.1])),
         bodies.box("far", -1, "obstacle", pose(np.eye(3), [20, 0, 0]), np.ones(3)),
     )
-    q = rng.uniform(KR270.lower, KR270.upper, (30, 6))
+    q = rng.uniform(ROBOT.lower, ROBOT.upper, (30, 6))
     off = rng.normal(0.0, 1e-3, (30, 6))
     corners = np.array([[x, y, z] for x in (0.0, 0.2) for y in (-0.35, -0.05) for z in (0.1, 0.2)])
     moved, bound, centre, radius = [], [], [0.1, -0.2, 0.15, 1.0], np.linalg.norm([0.1, 0.15, 0.05])
@@ -165,8 +166,8 @@ def test_no_point_of_a_body_moves_further_than_the_bound(carrier, reference):
     nearness = []
     for size in (0.003, 0.03, 0.3, 1.0):
         for _ in range(10):
-            q = rng.uniform(KR270.lower, KR270.upper) + np.outer([0.0, 1.0], rng.normal(0.0, size, 6))
-            bound = motion_bound(solids, 0, 1, q, link_frames(KR270.nominal, q))[0]
+            q = rng.uniform(ROBOT.lower, ROBOT.upper) + np.outer([0.0, 1.0], rng.normal(0.0, size, 6))
+            bound = motion_bound(solids, 0, 1, q, link_frames(ROBOT.nominal, q))[0]
             there = []
             for share in np.linspace(0.0, 1.0, 21):
                 between = q[0] + share * (q[1] - q[0])

@@ -14,12 +14,12 @@ from postproc.collision import Scene, Solids, bodies, clearance, cylinders, insc
 from postproc.collision.distance import link_frames
 from postproc.errors import CellError, ModelError
 from postproc.robot import urdf
-from tests.collision.setting import KR270, frame, pose, scene
+from tests.collision.setting import frame, pose, scene
+from tests.kr270 import CELL, CELL_TEXT, ROBOT
 from tests.places import ROOT
 
 TURN = pin.exp3(np.array([0.4, -0.5, 0.6]))
 BEGIN, END = np.array([0.1, -0.2, 0.3]), np.array([0.4, 0.2, 0.3])  # 0.5 m apart
-CELL = cells.load(ROOT / "samples" / "cell_kr270.toml")
 
 
 def in_body(body: bodies.Body, points) -> np.ndarray:
@@ -119,7 +119,7 @@ def test_the_holder_is_behind_the_tip_along_the_axis_of_the_tool(axis, column, s
     parts = [*HOLDER, HolderTable(mesh="guard.stl"), HolderTable(mesh="guard.stl", name="hose")]
     cell = replace(CELL, folder=str(tmp_path), collision=Collision(holder=parts), tool=replace(CELL.tool, axis=axis))
     tool = pose(TURN, [0.1, 0.2, 0.3])
-    held = Scene.of(KR270, cell, tool=tool).bodies[-5:]
+    held = Scene.of(ROBOT, cell, tool=tool).bodies[-5:]
     assert [(body.name, body.of, body.carrier) for body in held] == [
         ("cutter", "cutter", 6), ("holder 2", "tool", 6), ("spindle", "tool", 6), ("holder 4", "tool", 6),
         ("hose", "tool", 6),
@@ -133,7 +133,7 @@ def test_the_holder_is_behind_the_tip_along_the_axis_of_the_tool(axis, column, s
         np.testing.assert_allclose(
             [mesh.points.min(axis=0), mesh.points.max(axis=0)], [[0.1, 0.2, 0.3], [0.4, 0.6, 0.8]]
         )
-    own = Scene.of(KR270, cell).bodies[-5]  # $TOOL of the cell
+    own = Scene.of(ROBOT, cell).bodies[-5]  # $TOOL of the cell
     np.testing.assert_allclose(
         own.pose[:3, 3], CELL.tool.pose()[:3, 3] + 0.03 * sign * CELL.tool.pose()[:3, column], atol=1e-12
     )
@@ -141,14 +141,14 @@ def test_the_holder_is_behind_the_tip_along_the_axis_of_the_tool(axis, column, s
 
 def test_obstacles_have_their_names_kinds_and_frames(tmp_path):
     trimesh.creation.box(bounds=[[100, 200, 300], [400, 600, 800]]).export(tmp_path / "vice.stl")
-    text = (ROOT / "samples" / "cell_kr270.toml").read_text(encoding="utf-8")
     box = "box = { X = [100, 400], Y = [200, 600], Z = [300, 800] }"
     (tmp_path / "cell.toml").write_text(
-        f"{text}\n[collision]\nobstacles = [ {{ frame = 'root', {box} }}, {{ frame = 'base', part = true, {box} }}, "
+        f"{CELL_TEXT}\n[collision]\nobstacles = [ {{ frame = 'root', {box} }}, "
+        f"{{ frame = 'base', part = true, {box} }}, "
         f"{{ frame = 'base', name = 'jaw', mesh = 'vice.stl' }}, {{ frame = 'root', mesh = 'vice.stl' }} ]\n"
     )
     cell = cells.load(tmp_path / "cell.toml")
-    placed = Scene.of(KR270, cell)
+    placed = Scene.of(ROBOT, cell)
     assert [(b.name, b.of, b.kind, b.with_base, b.carrier) for b in placed.bodies[-4:]] == [
         ("obstacle 1", "obstacle", "box", False, -1),
         ("obstacle 2", "part", "box", True, -1),
@@ -161,7 +161,7 @@ def test_obstacles_have_their_names_kinds_and_frames(tmp_path):
         np.testing.assert_allclose(body.sphere[0], expected, atol=1e-6)
     assert placed.bodies[-4].size == pytest.approx((0.3, 0.4, 0.5))
     assert len(placed.remarks) == 1
-    assert Scene.of(KR270, CELL).bodies == ()
+    assert Scene.of(ROBOT, CELL).bodies == ()
 
 
 def test_obstacles_in_base_move_with_it_and_others_stay():
@@ -195,7 +195,7 @@ def test_a_point_is_in_a_mesh_where_the_formula_of_the_ring_says_so():
     solids = Solids(scene(ball, ring(place)))
     assert solids.convex == [True, False]
     shift = local @ TURN.T
-    frames = link_frames(KR270.nominal, np.repeat(q, len(local), axis=0), shift)
+    frames = link_frames(ROBOT.nominal, np.repeat(q, len(local), axis=0), shift)
     solid = solids.distance(0, 1, frames, solid=True)
     np.testing.assert_array_equal(solid == 0.0, depth > 0.0)
     assert 50 < (depth > 0.0).sum() < 250
@@ -219,13 +219,13 @@ def test_a_mesh_is_convex_if_it_fills_its_hull():
 def test_bodies_that_may_be_near_are_all_that_are_and_few_others(need):
     """The bound by spheres and boxes never misses a pair, and is the distance of the sphere from the box at most."""
     rng = np.random.default_rng(5)
-    q = rng.uniform(0.4 * KR270.lower, 0.4 * KR270.upper, (300, 6))
+    q = rng.uniform(0.4 * ROBOT.lower, 0.4 * ROBOT.upper, (300, 6))
     place = pose(TURN, frame(q[0], 6)[:3, 3])
     what = scene(
         bodies.cylinder("c", 6, "tool", BEGIN, END, 0.08),
         bodies.box("b", -1, "obstacle", place, np.array([0.8, 0.6, 0.4])),
     )
-    solids, frames = Solids(what), link_frames(KR270.nominal, q)
+    solids, frames = Solids(what), link_frames(ROBOT.nominal, q)
     near, exact = solids.may_be_near(0, 1, frames, need), solids.distance(0, 1, frames, solid=True)
     assert near[exact < need].all()
     centre, radius = np.array([0.25, 0.0, 0.3]), np.hypot(0.25, 0.08)
@@ -246,7 +246,7 @@ def test_touching_bodies_are_closer_than_nothing():
     for gap, is_touching in ((-0.01, True), (0.01, False)):
         cube = bodies.box("b", -1, "obstacle", pose(np.eye(3), at + np.array([0.0, 0.0, 0.6 + gap])), np.ones(3))
         solids = Solids(scene(ball, cube))
-        assert solids.is_closer(link_frames(KR270.nominal, np.zeros((1, 6))), 0.0) is is_touching
+        assert solids.is_closer(link_frames(ROBOT.nominal, np.zeros((1, 6))), 0.0) is is_touching
 
 
 def test_another_mesh_takes_the_place_of_the_last_body():
@@ -255,7 +255,7 @@ def test_another_mesh_takes_the_place_of_the_last_body():
     ball = bodies.capsule("ball", 6, "tool", np.zeros(3), np.array([0, 0, 1e-9]), 0.05)
     solids = Solids(scene(ball, ring(pose(np.eye(3), at + np.array([9.0, 0.0, 0.0])))))
     other = solids.replace_last(ring(pose(np.eye(3), at)))
-    frames = link_frames(KR270.nominal, q)
+    frames = link_frames(ROBOT.nominal, q)
     assert other.distance(0, 1, frames, solid=True)[0] == pytest.approx(0.15, abs=1e-4)
     assert solids.distance(0, 1, frames, solid=True)[0] == pytest.approx(9.0 - 0.35, abs=1e-4)
     np.testing.assert_allclose(other.spheres[1][0], at, atol=1e-9)
@@ -276,7 +276,7 @@ def test_another_mesh_takes_the_place_of_the_last_body():
 
 
 def test_bodies_of_the_arm_are_named_by_their_joint():
-    named = {body.carrier: body.name for body in Scene.of(KR270, replace(CELL, collision=Collision())).bodies}
+    named = {body.carrier: body.name for body in Scene.of(ROBOT, replace(CELL, collision=Collision())).bodies}
     assert named == {-1: "base of the robot", **{k: f"link of A{k + 1}" for k in range(5)}}
 
 
@@ -290,7 +290,7 @@ def test_the_arm_has_the_collision_shapes_of_its_urdf_and_capsules_where_the_cel
     )
     text = (ROOT / "robot_models" / "kuka_kr270" / "robot.urdf").read_text(encoding="utf-8")
     text = text.replace('<link name="link_3">', f'<link name="link_3">{shapes}', 1)
-    arm = replace(KR270, geometries=urdf.geometries(text, "robot.urdf"), urdf=str(tmp_path / "robot.urdf"))
+    arm = replace(ROBOT, geometries=urdf.geometries(text, "robot.urdf"), urdf=str(tmp_path / "robot.urdf"))
     placed = Scene.of(arm, replace(CELL, collision=Collision()))
     (link,) = placed.bodies
     assert (link.name, link.carrier, link.of, link.kind, placed.remarks) == ("link of A3", 2, "arm", "mesh", ())
@@ -312,4 +312,4 @@ def test_without_bodies_to_compare_no_distance_is_found():
 def test_a_missing_mesh_is_refused(tmp_path):
     cell = replace(CELL, folder=str(tmp_path), collision=Collision(holder=[HolderTable(mesh="none.stl")]))
     with pytest.raises(CellError, match=r"no such file: mesh of \[collision\]"):
-        Scene.of(KR270, cell)
+        Scene.of(ROBOT, cell)

@@ -12,14 +12,14 @@ from postproc import cell as cells
 from postproc import robot
 from postproc.cell import Collision, HolderTable
 from postproc.collision import Scene, bodies, clearance
-from tests.collision.setting import KR270, frame, from_box, pose, random_scene, sampled, scene
-from tests.places import ROOT
+from tests.collision.setting import frame, from_box, pose, random_scene, sampled, scene
+from tests.kr270 import CELL, CELL_TEXT, ROBOT
 
 HALF_MM = 0.5e-3
 
 
 def poses(count, seed):
-    return np.random.default_rng(seed).uniform(KR270.lower, KR270.upper, (count, 6))
+    return np.random.default_rng(seed).uniform(ROBOT.lower, ROBOT.upper, (count, 6))
 
 
 def plane(place):
@@ -127,7 +127,7 @@ def test_from_box_itself():
 def test_a_free_arm_does_not_touch_itself(name):
     """Assumed capsules invent no collision of the arm with itself around the usual pose; a long tool bar does hit."""
     arm = robot.load(robot.find(name))
-    cell = replace(cells.load(ROOT / "samples" / "cell_kr270.toml"), collision=Collision())
+    cell = replace(CELL, collision=Collision())
     rng = np.random.default_rng(1)
     q = np.radians([0, -80, 100, 0, 60, 0]) + rng.uniform(-1, 1, (60, 6)) * np.radians([60, 35, 35, 60, 50, 90])
     assert clearance(Scene.of(arm, cell), np.clip(q, arm.lower, arm.upper)).distance.min() > 0.01
@@ -141,13 +141,12 @@ def test_a_free_arm_does_not_touch_itself(name):
 def test_obstacles_in_base_are_where_the_given_base_is(tmp_path):
     """A box and a mesh of it, turned by 90° about Z: (x, y, z) of `$BASE` is (1 − y, 2 + x, 3 + z) of the root."""
     trimesh.creation.box(bounds=[[100, 200, 300], [400, 600, 800]]).export(tmp_path / "part.stl")
-    text = (ROOT / "samples" / "cell_kr270.toml").read_text(encoding="utf-8")
     (tmp_path / "cell.toml").write_text(
-        f"{text}\n[collision]\nobstacles = [ {{ frame = 'base', mesh = 'part.stl' }}, "
+        f"{CELL_TEXT}\n[collision]\nobstacles = [ {{ frame = 'base', mesh = 'part.stl' }}, "
         "{ frame = 'base', box = { X = [100, 400], Y = [200, 600], Z = [300, 800] } } ]\n"
     )
     base = pose(np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]), [1.0, 2.0, 3.0])
-    placed = Scene.of(KR270, cells.load(tmp_path / "cell.toml"), base=base).bodies[-2:]
+    placed = Scene.of(ROBOT, cells.load(tmp_path / "cell.toml"), base=base).bodies[-2:]
     for body in placed:
         np.testing.assert_allclose(body.points.min(axis=0), [0.4, 2.1, 3.3], atol=1e-6)
         np.testing.assert_allclose(body.points.max(axis=0), [0.8, 2.4, 3.8], atol=1e-6)

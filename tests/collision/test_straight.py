@@ -7,7 +7,8 @@ import pytest
 
 from postproc.collision import Solids, bodies, hits, pair_hits, path_hits
 from postproc.collision.distance import link_frames
-from tests.collision.setting import KR270, frame, pose, scene
+from tests.collision.setting import frame, pose, scene
+from tests.kr270 import ROBOT
 
 Q = np.radians([20.0, -80.0, 100.0, 30.0, 60.0, 10.0])
 TIP = np.linalg.solve(frame(Q, 6), np.append(frame(Q, 6)[:3, 3] + [0.3, 0.2, 0.1], 1.0))[:3]
@@ -149,9 +150,9 @@ def test_only_the_pairs_that_are_given_are_compared():
 
 def test_frames_of_all_links_are_those_of_another_library_carried_by_the_axis():
     rng = np.random.default_rng(4)
-    q, moved = rng.uniform(KR270.lower, KR270.upper, (3, 6)), rng.normal(0, 1, (3, 3))
+    q, moved = rng.uniform(ROBOT.lower, ROBOT.upper, (3, 6)), rng.normal(0, 1, (3, 3))
     for shift in (None, moved):
-        frames = link_frames(KR270.nominal, q, shift)
+        frames = link_frames(ROBOT.nominal, q, shift)
         for row in range(3):
             for carrier in range(-1, 7):
                 expected = frame(q[row], carrier).copy()

@@ -14,13 +14,9 @@ import pytest
 from tests.commands import invoke, run
 from tests.comparison.krl_moves import TURNED, circ, lin
 from tests.kr270 import CELL_TEXT
-from tests.places import SAMPLES
+from tests.places import CELL_FILE, SAMPLES
 
-
-@pytest.fixture(autouse=True)
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
+pytestmark = pytest.mark.usefixtures("work_folder")
 
 
 def program(name, *moves, tool="Z 350", at=""):
@@ -168,7 +164,7 @@ def test_another_approximation_is_told():
 def test_corners_that_approximation_cuts_count_against_gcode(distance, everywhere, corner):
     """Square lines of 40 mm or more, $APO.CDIS = 20: the parabola is 20·√2/4 = 7.07 mm from the corner."""
     Path("pocket.nc").write_bytes((SAMPLES / "pocket.nc").read_bytes())
-    cell = str(SAMPLES / "cell_kr270.toml")
+    cell = str(CELL_FILE)
     assert invoke("convert", "pocket.nc", "-o", ".", cell=cell).exit_code == 0
     lines = Path("pocket.src").read_bytes().decode("cp1252").split("\r\n")
     lines = [line for line in lines if "postproc" not in line]  # without its origin
@@ -221,7 +217,7 @@ def corrected(force, cell):
     arc = circ((100, 80), (140, 40)).removesuffix("}") + at[2] + "}"
     moves = [f";FORCE {force}", lin(60, 40, more=at[1]), arc, lin(140, 20, more=at[3])]
     program("nominal", *moves, at=at[0])
-    convert("nominal.src", cell)
+    convert_in_cell("nominal.src", cell)
     lines = Path("out/nominal.src").read_text(encoding="utf-8").splitlines()
     return [line for line in lines if not line.startswith(";POSTPROC")]
 
@@ -234,7 +230,7 @@ def outwards(arc, by):
     return re.sub(r"X [-\d.]+,Y [-\d.]+", moved, arc, count=1)
 
 
-def convert(source, cell):
+def convert_in_cell(source, cell):
     Path("cell.toml").write_text(cell, encoding="utf-8")
     run("convert", source, "-o", "out", "--overwrite", cell="cell.toml")
 
@@ -262,6 +258,6 @@ def test_a_moved_auxiliary_point_of_a_corrected_arc_is_told(force, cell):
 @pytest.mark.parametrize("name", ["pocket", "plate"])
 def test_arcs_of_corrected_samples_are_where_they_should_be(name):
     Path(f"{name}.nc").write_bytes((SAMPLES / f"{name}.nc").read_bytes())
-    convert(f"{name}.nc", CELL_TEXT)
+    convert_in_cell(f"{name}.nc", CELL_TEXT)
     content, _ = compared(f"{name}.nc", f"out/{name}.src", code=0)
     assert "between" not in kinds(content)

@@ -16,7 +16,6 @@ from tests import commands
 from tests.html_page import read_page
 from tests.places import CELL_FILE
 
-CELL = str(CELL_FILE)
 GCODE = """G21 G90 G17
 (ROUGHING)
 G0 X0 Y0 Z20
@@ -58,18 +57,16 @@ END
 
 
 @pytest.fixture(autouse=True)
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def input_files(work_folder):
     Path("part.nc").write_text(GCODE)
     Path("other.src").write_text(OTHERS)
-    return tmp_path
 
 
-run = partial(commands.printed, cell=CELL)
+run = partial(commands.printed, cell=CELL_FILE)
 
 
-def convert(*arguments):
-    run("convert", *(arguments or ("part.nc",)), "-o", "out")
+def corrected_text():
+    commands.convert()
     return Path("out/part.src").read_bytes().decode()
 
 
@@ -93,7 +90,7 @@ def targets():
 
 
 def test_a_corrected_program_against_its_gcode_is_what_convert_said_of_it():
-    convert()
+    corrected_text()
     content = compare("part.nc", "out/part.src")
     said = json.loads(Path("out/part.report.json").read_text())
     rows = targets()
@@ -114,7 +111,7 @@ def test_a_corrected_program_against_its_gcode_is_what_convert_said_of_it():
 
 
 def test_every_pair_is_the_one_that_convert_made():
-    convert()
+    corrected_text()
     compare("part.nc", "out/part.src")
     made = {int(row["output_line"]): (int(row["source_line"]), float(row["t"])) for row in targets()}
     with Path("found/part.compare.pairs.csv").open(newline="") as file:
@@ -127,7 +124,7 @@ def test_every_pair_is_the_one_that_convert_made():
 
 
 def test_operations_are_told_apart():
-    convert()
+    corrected_text()
     one, other = compare("part.nc", "out/part.src")["operations"]
     assert (one["name"], other["name"]) == ("ROUGHING", "FINISHING")
     assert one["offset"]["max_mm"] > other["offset"]["max_mm"] > 0.0
@@ -135,7 +132,7 @@ def test_operations_are_told_apart():
 
 
 def test_a_moved_point_is_the_largest_offset_and_its_line_is_named():
-    text = convert()
+    text = corrected_text()
     row = [row for row in targets() if row["source_line"] == "13"][-1]
     old = f"X {row['X_cmd']},"
     edited_file = edited(text, old, f"X {float(row['X_cmd']) + 3.0:.4f},")
@@ -149,7 +146,7 @@ def test_a_moved_point_is_the_largest_offset_and_its_line_is_named():
 
 
 def test_inserted_targets_are_told_by_what_they_cut():
-    text = convert()
+    text = corrected_text()
     content = compare("part.nc", "out/part.src")
     rows = [row for row in targets() if float(row["t"]) < 1.0 and row["rapid"] == "0"]
     said = json.loads(Path("out/part.report.json").read_text())
@@ -170,7 +167,7 @@ def test_inserted_targets_are_told_by_what_they_cut():
 
 @pytest.mark.parametrize("digit", range(3))
 def test_one_edited_digit_fails_the_comparison(digit):
-    text = convert()
+    text = corrected_text()
     row = [row for row in targets() if row["rapid"] == "0"][3 * digit + 2]
     line = int(row["output_line"])
     lines = text.splitlines(keepends=True)
@@ -183,7 +180,7 @@ def test_one_edited_digit_fails_the_comparison(digit):
 
 
 def test_a_changed_speed_is_named_with_both_lines():
-    text = convert()
+    text = corrected_text()
     first = re.search(r"\$VEL\.CP ?= ?0\.0250*\b.*", text)
     assert first is not None
     content = compare("part.nc", edited(text, first[0], "$VEL.CP=0.04"), code=3)
@@ -195,7 +192,7 @@ def test_a_changed_speed_is_named_with_both_lines():
 
 
 def test_a_missing_line_leaves_its_target_alone():
-    text = convert()
+    text = corrected_text()
     row = [row for row in targets() if row["source_line"] == "13"][-1]
     line = text.splitlines(keepends=True)[int(row["output_line"]) - 1]
     Path("out/part.src").write_bytes(text.replace(line, "").encode())
@@ -207,7 +204,7 @@ def test_a_missing_line_leaves_its_target_alone():
 
 
 def test_another_base_is_named_and_moves_every_target():
-    text = convert()
+    text = corrected_text()
     found = re.search(r"\$BASE ?= ?\{X 1500[^}]*\}", text)
     assert found is not None
     content = compare("part.nc", edited(text, found[0], found[0].replace("X 1500", "X 1502")), code=3)
@@ -248,7 +245,7 @@ def test_an_added_line_is_told_apart_from_inserted_ones():
 
 def test_an_arc_that_is_sent_astray_by_its_auxiliary_point_is_told():
     """No target shows it: both ends of the arc stand where they should."""
-    text = convert()
+    text = corrected_text()
     line = next(line for line in text.splitlines() if line.startswith("CIRC"))
     told = compare("part.nc", "out/part.src")
     assert [issue for issue in told["issues"] if issue["kind"] == "between"] == []
@@ -389,7 +386,7 @@ def test_a_nominal_program_and_one_made_from_another_are_called_that():
 
 def test_gcode_is_no_second_program_and_inputs_are_not_replaced():
     assert "this one is G-code" in run("compare", "other.src", "part.nc", code=1)
-    convert()
+    corrected_text()
     run("compare", "part.nc", "out/part.src", "-o", "found")
     Path("found/part.compare.pairs.csv").write_text("mine\n")
     assert "part.compare.pairs.csv" in run("compare", "part.nc", "out/part.src", "-o", "found", code=1)
@@ -397,7 +394,7 @@ def test_gcode_is_no_second_program_and_inputs_are_not_replaced():
 
 
 def test_page_and_terminal_say_what_the_json_says():
-    convert()
+    corrected_text()
     content = compare("part.nc", "out/part.src")
     shown = run("compare", "part.nc", "out/part.src", "-o", "found")
     assert f"{content['pairs']} pairs, {content['inserted']} inserted" in shown

@@ -13,7 +13,7 @@ import pytest
 from msgspec.structs import replace
 from scipy.spatial.transform import Rotation, Slerp
 
-from postproc import frames, robot
+from postproc import frames
 from postproc.comparison.differences import _distance_of_way, _inserted_rotations
 from postproc.comparison.loaded_path import Ways
 from postproc.comparison.partners import pair_targets
@@ -22,6 +22,7 @@ from postproc.poses import Poses
 from postproc.program import CIRC, PTP
 from postproc.under_load import RobotInCell
 from tests.comparison.test_named import CELL, ROBOT
+from tests.kr270 import FOLDER
 from tests.oracle.arm import Arm
 from tests.programs import program
 
@@ -240,7 +241,7 @@ def test_joints_at_a_place_bring_the_flange_there():
     path = Path(ONE, TURNED, base=BASE, tool=TOOL)
     motion, t = np.array([1, 3, 4, 6]), np.array([0.3, 0.5, 1.0, 0.01])
     found = path.placed.joints_at(motion, t)
-    arm = Arm.load(robot.find("kuka_kr270"))
+    arm = Arm.load(FOLDER)
     for q, k, share in zip(found, motion.tolist(), t.tolist(), strict=True):
         np.testing.assert_allclose(arm.tcp(q, np.eye(4)), path.flange(k, share), atol=1e-9)
 

@@ -12,7 +12,6 @@ from tests import commands
 from tests.comparison.krl_moves import TURNED
 from tests.places import CELL_FILE
 
-CELL = str(CELL_FILE)
 PART = f"""DEF part( )
 $BASE={{X 1500,Y -200,Z 700,A 0,B 0,C 0}}
 $TOOL={{X 0,Y 0,Z 350,A 0,B 0,C 0}}
@@ -38,13 +37,12 @@ END
 
 
 @pytest.fixture(autouse=True)
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def input_files(work_folder):
     Path("nominal").mkdir()
     Path("nominal/part.src").write_text(PART)
 
 
-run = partial(commands.printed, cell=CELL, code=(0, 3))
+run = partial(commands.printed, cell=CELL_FILE, code=(0, 3))
 
 
 def lines(*options):
@@ -56,7 +54,7 @@ def lines(*options):
 def compared(text):
     Path("edited").mkdir()
     Path("edited/part.src").write_text("\n".join([*text, ""]))
-    return commands.comparison("nominal/part.src", "edited/part.src", cell=CELL, code=(0, 3))
+    return commands.comparison("nominal/part.src", "edited/part.src", cell=CELL_FILE, code=(0, 3))
 
 
 def line_of(text, part):

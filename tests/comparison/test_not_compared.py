@@ -32,8 +32,7 @@ END
 
 
 @pytest.fixture(autouse=True)
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def input_files(work_folder):
     Path("nominal").mkdir()
     Path("nominal/job.src").write_text(JOB)
 

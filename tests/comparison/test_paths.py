@@ -14,7 +14,8 @@ from tests import commands
 from tests.comparison.krl_moves import TURNED, circ, lin
 from tests.places import CELL_FILE
 
-CELL = str(CELL_FILE)
+pytestmark = pytest.mark.usefixtures("work_folder")
+
 HEAD = """DEF {name}( )
 $VEL.CP=0.05
 $BASE={{X 1500,Y -200,Z 700,A 0,B 0,C 0}}
@@ -25,18 +26,13 @@ SQUARE = [(0, 0), (40, 0), (40, 30), (0, 30), (0, 0)]
 FORCE = ";FORCE FX=-150 FY=120 FZ=200"
 
 
-@pytest.fixture(autouse=True)
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-
-
 def program(name, *moves):
     Path(f"{name}.src").write_text("\n".join([HEAD.format(name=name), *moves, "END", ""]))
     return f"{name}.src"
 
 
-run = partial(commands.printed, cell=CELL)
-comparison = partial(commands.comparison, cell=CELL)
+run = partial(commands.printed, cell=CELL_FILE)
+comparison = partial(commands.comparison, cell=CELL_FILE)
 
 
 def unmarked(path):

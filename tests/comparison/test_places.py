@@ -15,7 +15,8 @@ from tests.comparison.krl_moves import TURNED
 from tests.html_page import read_page
 from tests.places import CELL_FILE
 
-CELL = str(CELL_FILE)
+pytestmark = pytest.mark.usefixtures("work_folder")
+
 HEAD = """DEF {name}( )
 BAS (#INITMOV,0 )
 $VEL.CP=0.05
@@ -25,13 +26,8 @@ PTP {{A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}}
 """
 
 
-@pytest.fixture(autouse=True)
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-
-
-run = partial(commands.printed, cell=CELL)
-comparison = partial(commands.comparison, cell=CELL)
+run = partial(commands.printed, cell=CELL_FILE)
+comparison = partial(commands.comparison, cell=CELL_FILE)
 
 
 def krl(path, count=30):

@@ -73,15 +73,13 @@ FORCES = "line,Fx,Fy,Fz,line_end\n{first},-250,180,120,{last}\n"
 
 
 @pytest.fixture(autouse=True)
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def input_files(work_folder):
     Path("cell.toml").write_text(CELL_TEXT, encoding="utf-8")
     text = HEAD + BODY
     Path("Milling.src").write_text(text)
     Path("forces.csv").write_text(
         FORCES.format(first=line_of(text, "LIN {X 40.000,Y 0.0"), last=len(text.splitlines()) - 2)
     )
-    return tmp_path
 
 
 def line_of(text, part):

@@ -11,7 +11,6 @@ from tests import commands
 from tests.comparison.krl_moves import TURNED
 from tests.places import CELL_FILE
 
-CELL = str(CELL_FILE)
 PROGRAM = f"""DEF part( )
 DECL INT n
 $VEL.CP=0.05
@@ -51,11 +50,11 @@ STATEMENTS = [
 def folder(tmp_path_factory):
     place = tmp_path_factory.mktemp("statements")
     (place / "part.src").write_text(PROGRAM)
-    commands.printed("convert", str(place / "part.src"), "-o", str(place / "out"), cell=CELL)
+    commands.printed("convert", str(place / "part.src"), "-o", str(place / "out"), cell=CELL_FILE)
     return place
 
 
-run = partial(commands.printed, cell=CELL)
+run = partial(commands.printed, cell=CELL_FILE)
 
 
 def differences(folder, text):

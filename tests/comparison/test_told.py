@@ -14,13 +14,12 @@ import pytest
 
 from postproc import cell as cells
 from postproc import correction, jobs
-from postproc import robot as robots
 from postproc.comparison import compare
 from tests import commands
 from tests.attack.compared import HEAD
 from tests.comparison.krl_moves import TURNED
 from tests.corrections import read_back
-from tests.kr270 import CELL_TEXT
+from tests.kr270 import CELL_TEXT, FOLDER
 from tests.places import SAMPLES
 
 PROGRAM = (
@@ -44,8 +43,7 @@ END
 
 
 @pytest.fixture(autouse=True)
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def input_files(work_folder):
     Path("cell.toml").write_text(CELL_TEXT, encoding="utf-8")
     Path("part.src").write_text(PROGRAM)
 
@@ -135,7 +133,7 @@ source = "made up"
 @pytest.fixture(params=["nominal geometry", "calibrated geometry"])
 def robot(request, tmp_path):
     if request.param == "calibrated geometry":
-        shutil.copytree(robots.find("kuka_kr270"), tmp_path / "model")
+        shutil.copytree(FOLDER, tmp_path / "model")
         with (tmp_path / "model/model.toml").open("a", encoding="utf-8") as file:
             file.write(GEOMETRY)
         Path("cell.toml").write_text(CELL_TEXT.replace('"kuka_kr270"', '"model"'), encoding="utf-8")
@@ -169,7 +167,7 @@ def test_what_each_would_cut_is_what_predict_and_convert_say(robot, name):
 
 
 def test_the_row_between_counts_a_calibrated_geometry():
-    shutil.copytree(robots.find("kuka_kr270"), "model")
+    shutil.copytree(FOLDER, "model")
     with Path("model/model.toml").open("a", encoding="utf-8") as file:
         file.write(GEOMETRY)
     Path("cell.toml").write_text(CELL_TEXT.replace('"kuka_kr270"', '"model"'), encoding="utf-8")

@@ -45,8 +45,7 @@ FORCES = "line,Fx,Fy,Fz,frame,line_end\n5,200,-200,90,TOOL,7\n"
 
 
 @pytest.fixture(autouse=True)
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def input_files(work_folder):
     Path("part.nc").write_text(PROGRAM)
     Path("forces.csv").write_text(FORCES)
 

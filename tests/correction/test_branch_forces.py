@@ -4,10 +4,9 @@ import re
 
 import pytest
 
-from postproc import cell as cells
 from postproc import correction, forces, robot
 from tests.corrections import read_files
-from tests.places import SAMPLES
+from tests.kr270 import CELL
 
 HEAD = "DEF part()\nPTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}\n$VEL.CP=0.05\n"
 BRANCHES = ("X 0,Y 0", "IF $IN[1] THEN", "X 20,Y 10", "X 30,Y 0", "ELSE", "X 20,Y -10", "X 30,Y 0", "ENDIF", "X 50,Y 0")
@@ -18,10 +17,9 @@ def processed(lines, rows, tmp_path, mode="convert"):
     text = HEAD + "".join(f"LIN {{{line},Z 0,A 180,B 0,C 180}}\n" if line[0] == "X" else f"{line}\n" for line in lines)
     table = tmp_path / "part.csv"
     table.write_text("line,Fx,Fy,Fz\n" + "".join(f"{line},{force},20,30\n" for line, force in rows.items()))
-    cell = cells.load(SAMPLES / "cell_kr270.toml")
-    model = robot.load(robot.find(cell.robot))
-    program = read_files({"part.src": f"{text}END\n"}, cell, model)
-    return correction.process(program, model, cell, forces.read(table), mode)
+    model = robot.load(robot.find(CELL.robot))
+    program = read_files({"part.src": f"{text}END\n"}, CELL, model)
+    return correction.process(program, model, CELL, forces.read(table), mode)
 
 
 @pytest.mark.parametrize(
@@ -58,10 +56,9 @@ def test_a_round_of_an_endless_loop_that_turns_a6_all_the_way_is_refused(angles,
     """Its second round would begin with A6 one turn farther, the fifth beyond its limit."""
     first, *_ = lines = [f"LIN {{{ROUND.format(angle)}}}\n" for angle in (0, *angles)]
     text = f"{HEAD}{first}; FORCE FZ=100\n{first}LOOP\n{''.join(lines[1:])}ENDLOOP\nEND\n"
-    cell = cells.load(SAMPLES / "cell_kr270.toml")
-    model = robot.load(robot.find(cell.robot))
-    program = read_files({"part.src": text}, cell, model)
-    errors = [issue for issue in correction.process(program, model, cell).issues if issue.level == "error"]
+    model = robot.load(robot.find(CELL.robot))
+    program = read_files({"part.src": text}, CELL, model)
+    errors = [issue for issue in correction.process(program, model, CELL).issues if issue.level == "error"]
     assert [error.kind for error in errors] == ["branch-joints"] * turned
     angles_of = [re.search(r"end with A6 at (-?\d+)° and (-?\d+)°", error.message) for error in errors]
     assert [float(found[2]) - float(found[1]) for found in angles_of] == [360.0] * turned

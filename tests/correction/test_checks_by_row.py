@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from postproc import robot
 from postproc.chunks import Runs
 from postproc.correction import checks
 from postproc.errors import Issue
@@ -17,9 +16,9 @@ from postproc.program import LIN, PTP
 from postproc.robot import MeasuredRange
 from postproc.toolpath import Toolpath
 from tests.collision.setting import frame
+from tests.kr270 import ROBOT
 from tests.programs import program
 
-MODEL = robot.load(robot.find("kuka_kr270"))
 MADE = program([("PTP", 0, 0, 50), ("LIN", 0, 0, 0), ("LIN", 100, 0, 0), ("RAPID", 100, 0, 50), ("PTP", 0, 0, 50)])
 NORMAL = np.radians([10.0, -70.0, 105.0, 20.0, 50.0, 30.0])
 STRETCHED = -np.arctan2(0.055, 1.1)
@@ -49,7 +48,7 @@ def lines(issues) -> dict[str, tuple]:
 
 def test_joints_beyond_either_limit_are_named_with_the_first_angle():
     q = angles(A1=np.radians([0, 185.0, 185.5, 186.0, 0]), A2=np.radians([-70, -70, -146.25, -70, -70]))
-    issues = list(checks.joint_limits(MADE, MODEL, sample(range(5)), q))
+    issues = list(checks.joint_limits(MADE, ROBOT, sample(range(5)), q))
     assert lines(issues) == {"joint-limit-A1": ("error", 3, 2), "joint-limit-A2": ("error", 3, 1)}
     assert issues[0].message == (
         "A1 = 185.500° is outside its limits -185…185°. Move the part, turn the tool about its axis ([gcode] "
@@ -58,14 +57,14 @@ def test_joints_beyond_either_limit_are_named_with_the_first_angle():
     assert "A2 = -146.250° is outside its limits -146…0°" in issues[1].message
     limits, step = np.radians([0, 185.0, -185.0, 0, 0]), np.array([0.0, 1.0, -1.0, 0.0, 0.0])
     at_limit = angles(A1=limits + 5e-10 * step)
-    assert list(checks.joint_limits(MADE, MODEL, sample(range(5)), at_limit)) == []
+    assert list(checks.joint_limits(MADE, ROBOT, sample(range(5)), at_limit)) == []
     beyond = angles(A1=limits + 1.5e-9 * step)
-    assert lines(checks.joint_limits(MADE, MODEL, sample(range(5)), beyond)) == {"joint-limit-A1": ("error", 2, 2)}
+    assert lines(checks.joint_limits(MADE, ROBOT, sample(range(5)), beyond)) == {"joint-limit-A1": ("error", 2, 2)}
     nan = angles(A1=[0, np.nan, 0, 0, 0])
-    assert lines(checks.joint_limits(MADE, MODEL, sample(range(5)), nan)) == {"joint-limit-A1": ("error", 2, 1)}
+    assert lines(checks.joint_limits(MADE, ROBOT, sample(range(5)), nan)) == {"joint-limit-A1": ("error", 2, 1)}
     home = replace(MADE, motions=replace(MADE.motions, joints=np.zeros((5, 6))))
     assert (
-        "choose another [machine] home or start" in next(checks.joint_limits(home, MODEL, sample(range(5)), q)).message
+        "choose another [machine] home or start" in next(checks.joint_limits(home, ROBOT, sample(range(5)), q)).message
     )
 
 
@@ -81,11 +80,11 @@ LINEAR = program([("LIN", 10 * k, 0, 0) for k in range(5)])
 )
 def test_poses_near_a_singularity_are_named_on_path_motions(changes, kind, words):
     q = angles(**changes)
-    (issue,) = checks.singularities(LINEAR, MODEL, sample(range(5)), q, np.zeros(0, dtype=int))
+    (issue,) = checks.singularities(LINEAR, ROBOT, sample(range(5)), q, np.zeros(0, dtype=int))
     assert (issue.kind, issue.level, issue.source_line, issue.count) == (kind, "error", 3, 2)
     assert words in issue.message
     ptp = program([("PTP", 10 * k, 0, 0) for k in range(5)])
-    assert list(checks.singularities(ptp, MODEL, sample(range(5)), q, np.zeros(0, dtype=int))) == []
+    assert list(checks.singularities(ptp, ROBOT, sample(range(5)), q, np.zeros(0, dtype=int))) == []
 
 
 def test_a_wrist_above_the_axis_of_a1_is_named_within_five_millimetres():
@@ -98,7 +97,7 @@ def test_a_wrist_above_the_axis_of_a1_is_named_within_five_millimetres():
             at = frame([0.0, middle, 0.0, 0.0, 0.5, 0.0], 4)[0, 3]
             low, high = (middle, high) if at < ahead else (low, middle)
         rows.append([0.0, low, 0.0, 0.0, 0.5, 0.0])
-    (issue,) = checks.singularities(LINEAR, MODEL, sample(range(3)), np.array(rows), np.zeros(0, dtype=int))
+    (issue,) = checks.singularities(LINEAR, ROBOT, sample(range(3)), np.array(rows), np.zeros(0, dtype=int))
     assert (issue.kind, issue.source_line, issue.count) == ("shoulder-singularity", 2, 2)
     assert "the wrist is above the A1 axis" in issue.message
 
@@ -115,15 +114,15 @@ def test_a_wrist_above_the_axis_of_a1_is_named_within_five_millimetres():
 def test_a_joint_that_turns_by_more_than_45_degrees_between_samples_is_named(joint, degrees, kind):
     start = NORMAL[int(joint[1]) - 1]
     q = angles(**{joint: start + np.radians([0, 0, degrees, degrees, degrees])})
-    issues = list(checks.singularities(LINEAR, MODEL, sample(range(5)), q, np.zeros(0, dtype=int)))
+    issues = list(checks.singularities(LINEAR, ROBOT, sample(range(5)), q, np.zeros(0, dtype=int)))
     assert [issue.kind for issue in issues] == ([kind] if kind else [])
     if not kind:
         return
     assert (issues[0].source_line, issues[0].count) == (3, 1)
     assert ("A4 and A6 turn by more than 45° at once" in issues[0].message) is (kind == "wrist-singularity")
-    assert list(checks.singularities(LINEAR, MODEL, sample(range(5)), q, np.array([2]))) == []
+    assert list(checks.singularities(LINEAR, ROBOT, sample(range(5)), q, np.array([2]))) == []
     apart = [0, 1, 3, 4, 4]  # a motion between is not sampled
-    assert list(checks.singularities(LINEAR, MODEL, sample(apart), q, np.zeros(0, dtype=int))) == []
+    assert list(checks.singularities(LINEAR, ROBOT, sample(apart), q, np.zeros(0, dtype=int))) == []
 
 
 @pytest.mark.parametrize(
@@ -161,22 +160,22 @@ def test_status_and_turn_that_the_angles_do_not_have_are_named():
         turn=np.array([good_turn, good_turn, good_turn ^ 0b100000, good_turn]),
     )  # fmt: skip
     made = replace(ptp, motions=motions)
-    issues = list(checks.status_and_turn(made, MODEL, sample(range(4)), q))
+    issues = list(checks.status_and_turn(made, ROBOT, sample(range(4)), q))
     assert [(issue.kind, issue.source_line, issue.count) for issue in issues] == [
         ("status-turn", 2, 1), ("status-turn", 3, 1),
     ]  # fmt: skip
     assert "has the status S of this target" in issues[0].message
     assert "has the turn T of this target" in issues[1].message
     lines_too = replace(made, motions=replace(motions, kind=np.array([LIN, LIN, PTP, LIN])))
-    (issue,) = checks.status_and_turn(lines_too, MODEL, sample(range(4)), q)  # of lines the controller ignores them
+    (issue,) = checks.status_and_turn(lines_too, ROBOT, sample(range(4)), q)  # of lines the controller ignores them
     assert issue.source_line == 3
     inside = sample([2, 2], t=[0.5, 1.0])
-    assert len(list(checks.status_and_turn(lines_too, MODEL, inside, q[[1, 2]]))) == 1
+    assert len(list(checks.status_and_turn(lines_too, ROBOT, inside, q[[1, 2]]))) == 1
     zero = replace(ptp, motions=replace(motions, status=np.zeros(4, dtype=int), turn=np.full(4, -1)))
-    (issue,) = checks.status_and_turn(zero, MODEL, sample(range(4)), q)
+    (issue,) = checks.status_and_turn(zero, ROBOT, sample(range(4)), q)
     assert (issue.source_line, issue.count) == (1, 3)
     none = replace(ptp, motions=replace(motions, status=np.full(4, -1), turn=np.full(4, -1)))
-    assert list(checks.status_and_turn(none, MODEL, sample(range(4)), q)) == []
+    assert list(checks.status_and_turn(none, ROBOT, sample(range(4)), q)) == []
 
 
 def test_an_arc_along_which_the_tool_turns_with_the_path_does_not_turn_it_by_its_sweep():
@@ -199,15 +198,15 @@ def test_an_angle_within_a_hundredth_of_a_degree_of_zero_has_no_sign(degrees, is
     q = angles(1, A1=np.radians(degrees), A5=np.radians(degrees))
     for status, turn in ((-1, 0b000011), (6, -1)):
         made = replace(ptp, motions=replace(ptp.motions, status=np.array([status]), turn=np.array([turn])))
-        assert len(list(checks.status_and_turn(made, MODEL, sample([0]), q))) == is_wrong
+        assert len(list(checks.status_and_turn(made, ROBOT, sample([0]), q))) == is_wrong
 
 
 def test_start_joints_beyond_a_limit_and_a5_at_zero():
     start = np.radians([0.0, 0.25, 100.0, 0.0, 0.19, 0.0])
-    issues = list(checks.start_joints(MADE, MODEL, start))
+    issues = list(checks.start_joints(MADE, ROBOT, start))
     assert lines(issues) == {"start-joints": ("error", 1, 1), "start-singular": ("warning", 1, 1)}
     assert "A2 is outside its limits by 0.250°" in issues[0].message
-    assert list(checks.start_joints(MADE, MODEL, np.radians([0.0, 0.0, 100.0, 0.0, 0.21, 0.0]))) == []
+    assert list(checks.start_joints(MADE, ROBOT, np.radians([0.0, 0.0, 100.0, 0.0, 0.21, 0.0]))) == []
 
 
 @pytest.mark.parametrize(("degrees", "told"), [(149.0, False), (151.0, True), (-151.0, True)])
@@ -254,16 +253,16 @@ def test_a_first_move_below_its_target_or_clearance_is_a_warning(z, clearance, w
 def test_a_ptp_that_changes_the_posture_is_told_with_both_states():
     start = NORMAL.copy()
     q = angles(A5=[-0.5, -0.5, 0.5, -0.5, 0.5])  # the posture on the lines between is not its subject
-    issues = list(checks.posture(MADE, MODEL, sample(range(5)), JointPath(q, np.zeros(5, dtype=int)), start))
+    issues = list(checks.posture(MADE, ROBOT, sample(range(5)), JointPath(q, np.zeros(5, dtype=int)), start))
     assert lines(issues) == {"posture": ("info", 1, 2)}
     assert "status S from 2 to 6" in issues[0].message
     start[4] = -0.5
-    (issue,) = checks.posture(MADE, MODEL, sample(range(5)), JointPath(q, np.zeros(5, dtype=int)), start)
+    (issue,) = checks.posture(MADE, ROBOT, sample(range(5)), JointPath(q, np.zeros(5, dtype=int)), start)
     assert (issue.source_line, issue.count) == (5, 1)
     assert "status S from 6 to 2" in issue.message
     second = program([("LIN", 0, 0, 0), ("PTP", 100, 0, 0)])
     turned = JointPath(angles(2, A5=[-0.5, 0.5]), np.zeros(2, dtype=int))
-    assert lines(checks.posture(second, MODEL, sample([0, 1]), turned, NORMAL)) == {"posture": ("info", 2, 1)}
+    assert lines(checks.posture(second, ROBOT, sample([0, 1]), turned, NORMAL)) == {"posture": ("info", 2, 1)}
 
 
 def test_joint_speeds_are_angles_over_the_time_of_the_longer_way_at_the_feed():
@@ -310,13 +309,13 @@ def test_a_motion_in_other_frames_is_not_timed_from_the_one_before(change):
 @pytest.mark.parametrize("is_default", [False, True])
 def test_joints_that_are_too_fast_are_named_with_the_feed_that_is_slow_enough(is_default):
     speed = np.zeros((5, 6))
-    speed[1, 1], speed[2, 1], speed[3, 4] = 1.2 * MODEL.speed[1], 1.5 * MODEL.speed[1], 2.0 * MODEL.speed[4]
-    speed[2, 0] = MODEL.speed[0]
+    speed[1, 1], speed[2, 1], speed[3, 4] = 1.2 * ROBOT.speed[1], 1.5 * ROBOT.speed[1], 2.0 * ROBOT.speed[4]
+    speed[2, 0] = ROBOT.speed[0]
     made = replace(MADE, issues=(Issue("warning", "default-speed", ""),)) if is_default else MADE
-    issues = list(checks.joint_speeds(made, MODEL, sample(range(5)), speed))
+    issues = list(checks.joint_speeds(made, ROBOT, sample(range(5)), speed))
     level = "warning" if is_default else "error"
     assert lines(issues) == {"joint-speed-A2": (level, 2, 2), "joint-speed-A5": (level, 4, 1)}
-    limit = np.degrees(MODEL.speed[1])
+    limit = np.degrees(ROBOT.speed[1])
     assert issues[0].message == (
         f"A2 would turn at {1.5 * limit:.0f}°/s at the programmed feed (limit {limit:.0f}°/s). Lower the feed to 2000 "
         "mm/min or turn the tool about its axis."
@@ -394,10 +393,10 @@ def test_loads_beyond_ten_percent_over_the_measured_ones_are_named():
     wrench[:, :3] = np.array([0.5, 1.0, 1.0, 1.0, 0.2])[:, None] * force
     measured = np.abs(torque) * np.array([1.0 / 1.09, 1.0 / 1.11, 10.0, 10.0, 10.0, 1e9])
     measured[5] = 1.0
-    model = replace(MODEL, measured=MeasuredRange(measured, ""))
+    model = replace(ROBOT, measured=MeasuredRange(measured, ""))
     issues = list(checks.torque_warnings(MADE, model, np.arange(5), angles(), tool, wrench))
     assert lines(issues) == {"beyond-measured-A2": ("warning", 2, 3)}
     assert f"up to {abs(torque[1]):.0f} N·m on A2; the robot model was measured up to {measured[1]:.0f}" in (
         issues[0].message
     )
-    assert list(checks.torque_warnings(MADE, MODEL, np.arange(5), angles(), tool, wrench)) == []
+    assert list(checks.torque_warnings(MADE, ROBOT, np.arange(5), angles(), tool, wrench)) == []

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
-from postproc import frames, robot
+from postproc import frames
 from postproc.correction import checks
 from postproc.errors import Issue
 from postproc.kinematics import JointPath
@@ -18,11 +18,10 @@ from postproc.poses import Poses
 from postproc.robot.model import MeasuredRange
 from postproc.toolpath import Toolpath
 from tests.corrections import correct_files
+from tests.kr270 import FOLDER, ROBOT
 from tests.oracle.arm import Arm
 from tests.programs import program
 
-FOLDER = robot.find("kuka_kr270")
-MODEL = robot.load(FOLDER)
 ARM = Arm.load(FOLDER)
 STRETCHED = -np.arctan2(55.0, 1100.0)
 """A3 of the KR 270 with the wrist centre on the line through axes 2 and 3: 55 mm below, 1100 mm ahead."""
@@ -42,7 +41,7 @@ def told(issues):
 
 
 def singular(q, motion=(1, 2, 3), made=MADE, apart=()):
-    return list(checks.singularities(made, MODEL, sampled(motion), np.asarray(q), np.array(apart, dtype=np.int64)))
+    return list(checks.singularities(made, ROBOT, sampled(motion), np.asarray(q), np.array(apart, dtype=np.int64)))
 
 
 def changed(axis, *values):
@@ -115,23 +114,23 @@ def test_of_the_first_sample_nothing_is_known_that_it_could_jump_from():
 
 @pytest.mark.parametrize("axis", range(6))
 def test_joint_angles_beyond_a_limit_are_errors_with_the_angle(axis):
-    for limit, sign in ((MODEL.lower[axis], -1.0), (MODEL.upper[axis], 1.0)):
+    for limit, sign in ((ROBOT.lower[axis], -1.0), (ROBOT.upper[axis], 1.0)):
         fine = changed(axis, limit, limit + sign * 5e-10)
-        assert not list(checks.joint_limits(MADE, MODEL, sampled((1, 2)), fine))
+        assert not list(checks.joint_limits(MADE, ROBOT, sampled((1, 2)), fine))
         q = changed(axis, limit, limit + sign * 1e-3, limit + sign * 2e-3)
-        (issue,) = checks.joint_limits(MADE, MODEL, sampled((1, 2, 3)), q)
+        (issue,) = checks.joint_limits(MADE, ROBOT, sampled((1, 2, 3)), q)
         assert (issue.kind, issue.level, issue.lines) == (f"joint-limit-A{axis + 1}", "error", (3, 4))
         angle = np.degrees(limit + sign * 1e-3)
-        low, high = np.degrees([MODEL.lower[axis], MODEL.upper[axis]])
+        low, high = np.degrees([ROBOT.lower[axis], ROBOT.upper[axis]])
         assert f"A{axis + 1} = {angle:.3f}° is outside its limits {low:g}…{high:g}°" in issue.message
         q[0, axis] = np.nan
-        (issue,) = checks.joint_limits(MADE, MODEL, sampled((1, 2, 3)), q)
+        (issue,) = checks.joint_limits(MADE, ROBOT, sampled((1, 2, 3)), q)
         assert issue.lines == (2, 3, 4)
 
 
 def test_each_joint_beyond_its_limits_is_an_error_of_its_own():
-    q = np.array([MODEL.upper + 0.1, MODEL.lower - 0.1])
-    found = told(checks.joint_limits(MADE, MODEL, sampled((2, 3)), q))
+    q = np.array([ROBOT.upper + 0.1, ROBOT.lower - 0.1])
+    found = told(checks.joint_limits(MADE, ROBOT, sampled((2, 3)), q))
     assert found == [(f"joint-limit-A{n}", "error", (3, 4)) for n in range(1, 7)]
 
 
@@ -196,7 +195,7 @@ TO = program([("PTP", 0, 0, 50), ("LIN", 0, 0, 0), ("PTP", 100, 0, 0)])
 def status(q, s=-1, t=-1, **changes):
     m = TO.motions
     made = replace(TO, motions=replace(m, status=np.array([-1, -1, s]), turn=np.array([-1, -1, t]), **changes))
-    return told(checks.status_and_turn(made, MODEL, sampled((0, 1, 2, 2), (1.0, 1.0, 0.5, 1.0)), np.array([q] * 4)))
+    return told(checks.status_and_turn(made, ROBOT, sampled((0, 1, 2, 2), (1.0, 1.0, 0.5, 1.0)), np.array([q] * 4)))
 
 
 def test_status_of_a_ptp_is_compared_bit_by_bit():
@@ -225,13 +224,13 @@ def test_turn_of_a_ptp_is_compared_axis_by_axis(axis):
 
 @pytest.mark.parametrize("axis", range(6))
 def test_start_joints_beyond_a_limit_name_the_joint_and_by_how_much(axis):
-    for limit, sign in ((MODEL.lower, -1.0), (MODEL.upper, 1.0)):
+    for limit, sign in ((ROBOT.lower, -1.0), (ROBOT.upper, 1.0)):
         at = changed(axis, limit[axis] + sign * np.radians(0.5))[0]
-        (issue,) = checks.start_joints(MADE, MODEL, at)
+        (issue,) = checks.start_joints(MADE, ROBOT, at)
         assert (issue.kind, issue.level, issue.source_line) == ("start-joints", "error", 1)
         assert f"A{axis + 1} is outside its limits by 0.500°" in issue.message
-        assert not list(checks.start_joints(MADE, MODEL, changed(axis, limit[axis] + sign * 5e-10)[0]))
-    near = [told(checks.start_joints(MADE, MODEL, changed(4, np.radians(angle))[0])) for angle in (-0.19, 0.19, 0.21)]
+        assert not list(checks.start_joints(MADE, ROBOT, changed(axis, limit[axis] + sign * 5e-10)[0]))
+    near = [told(checks.start_joints(MADE, ROBOT, changed(4, np.radians(angle))[0])) for angle in (-0.19, 0.19, 0.21)]
     assert near == [[("start-singular", "warning", ())]] * 2 + [[]]
 
 
@@ -258,7 +257,7 @@ def test_a_ptp_to_another_posture_than_the_one_before_is_told():
     sample = sampled((0, 1, 2, 2, 3), (1.0, 1.0, 0.5, 1.0, 1.0))
 
     def found(q, start=Q):
-        return list(checks.posture(two, MODEL, sample, JointPath(q, np.full(5, 2)), start))
+        return list(checks.posture(two, ROBOT, sample, JointPath(q, np.full(5, 2)), start))
 
     assert not found(q)
     (issue,) = found(q, changed(4, -0.5)[0])
@@ -332,15 +331,15 @@ def test_a_piece_that_turns_the_tool_by_more_than_200_degrees_a_second_is_not_ti
 @pytest.mark.parametrize("axis", range(6))
 def test_joint_speeds_beyond_the_limit_are_errors_with_the_speed(axis):
     speed = np.zeros((3, 6))
-    speed[1:, axis] = MODEL.speed[axis] * np.array([0.999, 1.25])
+    speed[1:, axis] = ROBOT.speed[axis] * np.array([0.999, 1.25])
     slow = replace(MADE, motions=replace(MADE.motions, rapid=np.zeros(4, dtype=bool)))
 
     def found(made, speed=speed):
-        return list(checks.joint_speeds(made, MODEL, sampled((1, 2, 3)), speed))
+        return list(checks.joint_speeds(made, ROBOT, sampled((1, 2, 3)), speed))
 
     (issue,) = found(slow)
     assert (issue.kind, issue.level, issue.lines) == (f"joint-speed-A{axis + 1}", "error", (4,))
-    degrees = np.degrees(MODEL.speed[axis])
+    degrees = np.degrees(ROBOT.speed[axis])
     assert f"{1.25 * degrees:.0f}°/s at the programmed feed (limit {degrees:.0f}°/s). Lower the feed" in issue.message
     guessed = replace(slow, issues=(Issue("warning", "default-speed", ""),))
     assert [issue.level for issue in found(guessed)] == ["warning"]
@@ -349,7 +348,7 @@ def test_joint_speeds_beyond_the_limit_are_errors_with_the_speed(axis):
     assert "at the speed of rapid moves" in issue.message
     assert "Lower rapid_m_per_s" in issue.message
     both = speed.copy()
-    both[1, axis] = 1.5 * MODEL.speed[axis]
+    both[1, axis] = 1.5 * ROBOT.speed[axis]
     assert [(issue.lines, "rapid" in issue.message) for issue in found(fast, both)] == [((3,), False), ((4,), True)]
 
 
@@ -408,12 +407,12 @@ def test_loads_beyond_those_measured_are_warnings_with_both_torques(sign):
         for share, beyond in ((1.09, False), (1.11, True)):
             measured = np.full(6, 1e9)
             measured[joint] = torque[joint] / share
-            model = replace(MODEL, measured=MeasuredRange(measured, ""))
+            model = replace(ROBOT, measured=MeasuredRange(measured, ""))
             found = list(checks.torque_warnings(MADE, model, np.array([2, 3]), q, tool, wrenches))
             assert told(found) == ([(f"beyond-measured-A{joint + 1}", "warning", (4,))] if beyond else [])
         assert f"up to {torque[joint]:.0f} N·m on A{joint + 1}" in found[0].message
         assert f"measured up to {measured[joint]:.0f}:" in found[0].message
-    assert not list(checks.torque_warnings(MADE, replace(MODEL, measured=None), np.array([2, 3]), q, tool, wrenches))
+    assert not list(checks.torque_warnings(MADE, replace(ROBOT, measured=None), np.array([2, 3]), q, tool, wrenches))
 
 
 def test_a_circle_that_turns_the_tool_with_the_path_names_the_setting():

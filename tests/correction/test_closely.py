@@ -11,18 +11,17 @@ from msgspec.structs import replace
 from msgspec.structs import replace as changed
 
 from postproc import cell as cells
-from postproc import correction, kinematics, robot, toolpath
+from postproc import correction, kinematics, toolpath
 from postproc.correction import inspection
 from postproc.poses import Poses
 from postproc.program import CIRC, LIN
 from postproc.under_load import MotionsUnderLoad, PathUnderLoad, RobotInCell
-from tests.kr270 import CELL
+from tests.kr270 import CELL, FOLDER, ROBOT
 from tests.oracle.arm import Arm
 from tests.programs import program
 
 CELL = changed(CELL, start=cells.Start(joints=(0.0, -70.0, 110.0, 0.0, 50.0, 0.0)))
-MODEL = robot.load(robot.find("kuka_kr270"))
-ARM = Arm.load(robot.find("kuka_kr270"))
+ARM = Arm.load(FOLDER)
 TOOL = np.eye(4)
 TOOL[2, 3] = 0.35
 RNG = np.random.default_rng(8)
@@ -52,7 +51,7 @@ def circle(posture, normal, radius_mm, feed, begin_deg=0.0, sweep_deg=360.0):
     return made, np.array(joints)
 
 
-def errors(made, model=MODEL, start=None):
+def errors(made, model=ROBOT, start=None):
     cell = CELL
     if start is not None:
         cell = changed(CELL, start=changed(CELL.start, joints=tuple(np.degrees(start).tolist())))
@@ -66,7 +65,7 @@ def test_joints_are_as_fast_as_in_the_middle_of_the_arc(case):
     sweep, radius = (360.0, 180.0, 75.0)[case % 3], 20.0
     made, q = circle(POSTURES[case], NORMALS[case], radius, 0.1, 17.0 * case, sweep)
     slope = np.abs(np.diff(q, axis=0)).max(axis=0) / (np.radians(3.0) * radius / 1000.0)
-    fastest = MODEL.speed / slope
+    fastest = ROBOT.speed / slope
     made.motions.feed[1] = 0.985 * fastest.min()
     assert errors(made) == []
     faster = made.motions.feed.copy()
@@ -80,9 +79,9 @@ def test_a_limit_passed_in_the_middle_of_an_arc_is_found(axis):
     made, q = circle(POSTURES[axis], NORMALS[axis], 20.0, 0.01, 25.0)
     highest, span = q[:, axis].max(), np.ptp(q[:, axis])
     for upper, found in ((highest - 0.01 * span, [f"joint-limit-A{axis + 1}"]), (highest + 0.01 * span, [])):
-        limits = MODEL.upper.copy()
+        limits = ROBOT.upper.copy()
         limits[axis] = upper
-        assert errors(made, replace(MODEL, upper=limits), q[q[:, axis].argmin()]) == found
+        assert errors(made, replace(ROBOT, upper=limits), q[q[:, axis].argmin()]) == found
 
 
 @pytest.mark.parametrize("begin", [-33.0, -90.0, -95.0, -150.0])
@@ -119,7 +118,7 @@ def test_a_slow_circle_about_a_wrist_singularity_passes(case):
 def test_a_line_that_passes_a_limit_between_its_samples_is_refused():
     """A line across the plane of A1: reach, and with it A2 and A3, have their extreme between its ends."""
     made = program([("PTP", 0, 190.5, 0), ("LIN", 0, 209.5, 0)], orientation=CELL.tool_pose_in_program())
-    motions = MotionsUnderLoad.of(made, RobotInCell.of(MODEL, CELL), None)
+    motions = MotionsUnderLoad.of(made, RobotInCell.of(ROBOT, CELL), None)
     path = PathUnderLoad.of(motions, motions.pieces(linearize_arcs=False))
     assert len(path) == 2
     middle = toolpath.at(made, motions.segments, np.array([1]), np.array([0.5]))
@@ -127,9 +126,9 @@ def test_a_line_that_passes_a_limit_between_its_samples_is_refused():
     beyond = np.maximum(*path.joints.q) < inside - 1e-6
     assert beyond.any()
     for axis in np.flatnonzero(beyond).tolist():
-        upper = MODEL.upper.copy()
+        upper = ROBOT.upper.copy()
         upper[axis] = 0.5 * (path.joints.q[:, axis].max() + inside[axis])
-        assert errors(made, replace(MODEL, upper=upper)) == [f"joint-limit-A{axis + 1}"]
+        assert errors(made, replace(ROBOT, upper=upper)) == [f"joint-limit-A{axis + 1}"]
 
 
 def arcs_and_lines():
@@ -143,7 +142,7 @@ def arcs_and_lines():
     turned = made.motions.target[:]
     turned[8, :3, :3] = turned[8, :3, :3] @ np.array([[np.cos(1), 0, np.sin(1)], [0, 1, 0], [-np.sin(1), 0, np.cos(1)]])
     made = replace(made, motions=replace(made.motions, target=Poses.of(turned)))
-    motions = MotionsUnderLoad.of(made, RobotInCell.of(MODEL, CELL), None)
+    motions = MotionsUnderLoad.of(made, RobotInCell.of(ROBOT, CELL), None)
     path = PathUnderLoad.of(motions, motions.pieces(linearize_arcs=False))
     return path
 
@@ -156,10 +155,10 @@ def test_an_arc_at_whose_end_a_joint_comes_near_its_limit_is_examined(arc, axis)
     q = np.tile(np.radians([0.0, -70.0, 110.0, 20.0, 50.0, 0.0]), (len(path), 1))
     last = np.flatnonzero(path.sample.motion == arc)[-1]
     for gap, examined in ((7.5, [arc]), (10.5, [])):
-        q[:, axis] = MODEL.upper[axis] - np.radians(gap + 5.0)
+        q[:, axis] = ROBOT.upper[axis] - np.radians(gap + 5.0)
         q[last:, axis] += np.radians(5.0)
         start = changed(CELL.start, joints=tuple(np.degrees(q[0])))
-        near = RobotInCell.of(MODEL, changed(CELL, start=start))
+        near = RobotInCell.of(ROBOT, changed(CELL, start=start))
         path = replace(path, motions=replace(path.motions, robot_in_cell=near))
         arcs, _ = inspection.stretches_to_examine(path, q, np.zeros((len(path), 6)))
         assert arcs.motion.tolist() == examined
@@ -169,7 +168,7 @@ def test_arcs_and_pieces_of_lines_are_examined_where_joints_limits_and_singulari
     """All joints and speeds by chance; the rules of the module in plain loops, motion by motion."""
     path = arcs_and_lines()
     motions, made = path.motions, path.program
-    form, sample, kind = kinematics.closed_form(MODEL), path.sample, made.motions.kind
+    form, sample, kind = kinematics.closed_form(ROBOT), path.sample, made.motions.kind
     # how near to zero: A5, the wrist ahead of A1 and A3 from the stretched arm
     step_of = np.array([0.3, 0.3, 0.3, 4.0, 4.0, 4.0])
     found_arcs, found_lines = 0, 0
@@ -180,26 +179,26 @@ def test_arcs_and_pieces_of_lines_are_examined_where_joints_limits_and_singulari
         ) * random.choice([0.02, 0.2, 2.0])
         near = random.integers(14)  # which limit or singularity the path is near
         if near < 6:
-            q[:, near] += random.choice([MODEL.lower, MODEL.upper])[near] - q[random.integers(len(q)), near]
+            q[:, near] += random.choice([ROBOT.lower, ROBOT.upper])[near] - q[random.integers(len(q)), near]
         elif near == 6:
             q[:, 4] -= q[random.integers(len(q)), 4]
         elif near == 7:
             q[:, 2] -= float(form.elbow(q)[random.integers(len(q))])
         elif near in (8, 9):
             q[:, 1:3] += np.radians([-70.0, -67.86]) + random.normal(size=2) * 0.01 - q[random.integers(len(q)), 1:3]
-        speed = MODEL.speed * random.uniform(0.0, 0.8 if seed % 3 == 0 else 0.7, (len(path), 6))
+        speed = ROBOT.speed * random.uniform(0.0, 0.8 if seed % 3 == 0 else 0.7, (len(path), 6))
         cell = changed(CELL, start=changed(CELL.start, joints=tuple(np.degrees(q[0] + random.normal(size=6) * 0.01))))
-        other = replace(path, motions=replace(motions, robot_in_cell=RobotInCell.of(MODEL, cell)))
+        other = replace(path, motions=replace(motions, robot_in_cell=RobotInCell.of(ROBOT, cell)))
         arcs, lines = inspection.stretches_to_examine(other, q, speed)
 
         states = [cell.start_joints, *q]
         wrist, ahead, elbow = ([float(of(np.array([x]))[0]) for x in states] for of in (
             lambda x: x[:, 4], form.reach, form.elbow))  # fmt: skip
-        room = [[*np.minimum(x - MODEL.lower, MODEL.upper - x), abs(a), abs(b), abs(c)]
+        room = [[*np.minimum(x - ROBOT.lower, ROBOT.upper - x), abs(a), abs(b), abs(c)]
                 for x, a, b, c in zip(states, wrist, ahead, elbow, strict=True)]  # fmt: skip
         step = [[*np.abs(states[n + 1] - states[n]), *(abs(of[n + 1] - of[n]) for of in (wrist, ahead, elbow))]
                 for n in range(len(q))]  # fmt: skip
-        fast = (speed > 0.75 * MODEL.speed).any(axis=1)
+        fast = (speed > 0.75 * ROBOT.speed).any(axis=1)
         expected = []
         for motion in np.flatnonzero(kind == CIRC):
             rows = np.flatnonzero(sample.motion == motion)

@@ -12,6 +12,7 @@ import pytest
 import trimesh
 
 from tests.commands import invoke
+from tests.kr270 import CELL_TEXT
 from tests.places import ROOT
 
 PROGRAM = """G21 G90 G17 G94
@@ -29,15 +30,13 @@ VICE = "{ name = 'vice', box = { X = [20, 60], Y = [-80, -40], Z = [-20, 60] } }
 
 
 @pytest.fixture(autouse=True)
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def input_files(work_folder):
     Path("part.nc").write_text(PROGRAM)
 
 
 def converted(collision: str | None, *more: str, program: str = "part.nc"):
     """Exit code, output and report of `convert` in the cell of the samples with this [collision]."""
-    text = (ROOT / "samples" / "cell_kr270.toml").read_text()
-    Path("cell.toml").write_text(text if collision is None else f"{text}\n[collision]\n{collision}\n")
+    Path("cell.toml").write_text(CELL_TEXT if collision is None else f"{CELL_TEXT}\n[collision]\n{collision}\n")
     done = invoke("convert", program, "-o", "out", *more, cell="cell.toml")
     report = Path("out/part.report.json")
     return done.exit_code, done.output, json.loads(report.read_text()) if report.exists() else None
@@ -203,8 +202,7 @@ def milled(first: str, then: str, collision: str = MILL, command: str = "convert
         '[material]\nname = "al_7075_t6_carbide"\n[tools.1]\ndiameter_mm = 20\nflutes = 4\n[stock]\n'
         "box = { X = [0, 100], Y = [-30, 30], Z = [-30, 0] }\nresolution_mm = 1.0\n"
     )
-    text = (ROOT / "samples" / "cell_kr270.toml").read_text()
-    Path("cell.toml").write_text(f"{text}\n[collision]\n{collision}\n")
+    Path("cell.toml").write_text(f"{CELL_TEXT}\n[collision]\n{collision}\n")
     arguments = [command, "part.nc", "--cell", "cell.toml", "-o", "out", "--process", "process.toml", "--overwrite"]
     done = invoke(*arguments)
     return done.exit_code, done.output
@@ -324,17 +322,15 @@ def test_a_rapid_of_the_cutter_through_a_stated_part_is_an_error_without_a_proce
 
 def test_a_collision_on_the_way_from_the_start_says_so():
     part = "obstacles = [ { name = 'blank', box = { X = [0, 300], Y = [0, 300], Z = [-60, 0] } } ]"
-    text = (ROOT / "samples" / "cell_kr270.toml").read_text()
     # the tip starts 105 mm below the origin of $BASE
-    text = text.replace("[0, -90, 100, 0, 80, 0]", "[0, -70, 110, 0, 50, 0]")
+    text = CELL_TEXT.replace("[0, -90, 100, 0, 80, 0]", "[0, -70, 110, 0, 50, 0]")
     Path("cell.toml").write_text(f"{text}\n[collision]\n{HOLDER}\n{part}\n")
     Path("part.nc").write_text("G21 G90 G17\nG0 X50 Y100 Z40\nX60\nM30\n")
     done = invoke("convert", "part.nc", "-o", "out", cell="cell.toml")
     assert done.exit_code == 1
     assert "part.nc:2: collision: cutter touches or is inside blank on the way from [start] to the first" in done.output
     Path("part.nc").write_text("G21 G90 G17\nG0 X50 Y100 Z40\nZ-30\nM30\n")
-    higher = (ROOT / "samples" / "cell_kr270.toml").read_text()
-    Path("cell.toml").write_text(f"{higher}\n[collision]\n{HOLDER}\n{part}\n")
+    Path("cell.toml").write_text(f"{CELL_TEXT}\n[collision]\n{HOLDER}\n{part}\n")
     done = invoke("convert", "part.nc", "-o", "out", cell="cell.toml")
     assert done.exit_code == 1
     assert "part.nc:3: collision: cutter touches or is inside blank; " in done.output

@@ -6,21 +6,20 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from postproc import correction, robot
+from postproc import correction
 from postproc.poses import Poses
 from postproc.robot import MeasuredRange
-from tests.kr270 import CELL
+from tests.kr270 import CELL, FOLDER, ROBOT
 from tests.oracle.arm import Arm
 from tests.programs import program
 
-MODEL = robot.load(robot.find("kuka_kr270"))
-ARM = Arm.load(robot.find("kuka_kr270"))
+ARM = Arm.load(FOLDER)
 TOOL = CELL.tool.pose()
 FORCE = [(2, (120.0, 50.0, 90.0, 4.0, -3.0, 2.0))]
 NORMAL = (10.0, -70.0, 105.0, 20.0, 50.0, 30.0)
 
 
-def between(first, last, model=MODEL, cell=CELL, **settings):
+def between(first, last, model=ROBOT, cell=CELL, **settings):
     """Result of a straight cutting move from joint angles to others [deg], and a little back."""
     poses = [ARM.tcp(np.radians(angles), TOOL) for angles in (first, first, last, last)]
     poses[3][:3, 3] += 0.05 * (poses[0][:3, 3] - poses[2][:3, 3])
@@ -79,9 +78,9 @@ def test_each_joint_that_would_turn_too_fast_is_refused(axis):
     """One joint may turn by 0.4 % of its speed only, as the move turns all of them by a degree or two."""
     last = tuple(angle + 1.5 for angle in NORMAL)
     assert not between(NORMAL, last, feed=0.05).failed
-    slow = MODEL.speed.copy()
+    slow = ROBOT.speed.copy()
     slow[axis] *= 0.004
-    result = between(NORMAL, last, model=replace(MODEL, speed=slow), feed=0.05)
+    result = between(NORMAL, last, model=replace(ROBOT, speed=slow), feed=0.05)
     assert [issue.kind for issue in result.issues if issue.level == "error"] == [f"joint-speed-A{axis + 1}"]
     assert result.documents == ()
 
@@ -90,7 +89,7 @@ def test_a_correction_larger_than_allowed_and_loads_beyond_those_measured_are_fo
     small = replace(CELL, output=replace(CELL.output, max_correction_mm=0.01))
     result = between(NORMAL, near(A1=11.0), cell=small)
     assert [issue.kind for issue in result.issues if issue.level == "error"] == ["correction-size"]
-    model = replace(MODEL, measured=MeasuredRange(np.full(6, 0.01), ""))
+    model = replace(ROBOT, measured=MeasuredRange(np.full(6, 0.01), ""))
     result = between(NORMAL, near(A1=11.0), model=model)
     kinds = {issue.kind for issue in result.issues if issue.level == "warning"}
     assert {f"beyond-measured-A{n}" for n in range(1, 7)} <= kinds

@@ -12,6 +12,7 @@ from postproc import cell as cells
 from postproc import correction, report, robot
 from tests.correction.simulated import MICROMETRE, check_targets, convert, rows_of, simulator, written
 from tests.corrections import correct_files, read_files
+from tests.kr270 import CELL
 from tests.places import SAMPLES
 
 
@@ -188,12 +189,11 @@ def test_the_ramp_of_a_feed_force_on_a_small_arc_is_held_between_targets_too(lin
 def test_a_tool_that_gives_way_is_corrected_and_told_apart():
     import msgspec
 
-    cell = cells.load(SAMPLES / "cell_kr270.toml")
-    soft = msgspec.structs.replace(cell, tool_compliance=cells.ToolCompliance(X_um_per_N=0.2, Y_um_per_N=0.2))
-    model = robot.load(robot.find(cell.robot))
+    soft = msgspec.structs.replace(CELL, tool_compliance=cells.ToolCompliance(X_um_per_N=0.2, Y_um_per_N=0.2))
+    model = robot.load(robot.find(CELL.robot))
     text = "G21 G90 G17\nG0 X0 Y0 Z20\n(FORCE FX=300 FZ=100)\nG1 Z0 F600\nG1 X60\nG3 X60 Y40 I0 J20\nG0 Z20\nM2\n"
     program = read_files({"part.nc": text}, soft, model)
-    result, rigid = (correction.process(program, model, each) for each in (soft, cell))
+    result, rigid = (correction.process(program, model, each) for each in (soft, CELL))
     cutting = ~result.rapid
     np.testing.assert_allclose(result.deflection_by_tool[cutting][:, 0], 60e-6, rtol=1e-3)  # 300 N · 0.2 µm/N
     assert result.after[cutting].max() < MICROMETRE

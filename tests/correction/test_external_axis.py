@@ -12,10 +12,9 @@ from postproc.cell import ExternalAxis
 from postproc.errors import CellError, ProgramError
 from tests.correction.simulated import rows_of, simulator
 from tests.corrections import read_files
-from tests.kr270 import CELL, ROBOT
+from tests.kr270 import CELL, CELL_TEXT, ROBOT
 from tests.oracle import cell_sim
 from tests.oracle.arm import abc
-from tests.places import SAMPLES
 
 DIRECTION = (0.6, 0.8, 0.0)
 RAIL = changed(CELL, external_axes={"E1": ExternalAxis((3.0, 4.0, 0.0))})
@@ -196,7 +195,7 @@ def test_other_external_axes_are_refused(lines, cell, says):
 )
 def test_a_cell_that_cannot_be_meant_is_refused(table, says, tmp_path):
     path = tmp_path / "cell.toml"
-    path.write_text((SAMPLES / "cell_kr270.toml").read_text() + f"\n{table}\n")
+    path.write_text(CELL_TEXT + f"\n{table}\n")
     with pytest.raises(CellError, match=says):
         cells.load(path)
 

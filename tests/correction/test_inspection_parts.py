@@ -13,8 +13,9 @@ from postproc.correction import checks, inspection
 from postproc.correction.inspection import Slowing, Stretches
 from postproc.poses import Poses
 from postproc.program import CIRC, LIN, Event
-from tests.collision.setting import KR270, frame
+from tests.collision.setting import frame
 from tests.correction.test_closely import CELL, arcs_and_lines
+from tests.kr270 import ROBOT
 
 PATH = arcs_and_lines()
 
@@ -327,7 +328,7 @@ def test_arcs_of_whole_steps_of_five_degrees_have_as_many_parts():
     path = SimpleNamespace(
         program=SimpleNamespace(motions=motions),
         sample=SimpleNamespace(motion=count),
-        robot_in_cell=SimpleNamespace(robot=KR270, cell=SimpleNamespace(start_joints=np.zeros(6))),
+        robot_in_cell=SimpleNamespace(robot=ROBOT, cell=SimpleNamespace(start_joints=np.zeros(6))),
     )
     found = inspection._arc_stretches(path, np.zeros((len(degrees), 6)), np.ones(len(degrees), dtype=bool))
     assert (found.motion.tolist(), found.parts.tolist()) == (count.tolist(), parts)

@@ -10,7 +10,8 @@ from msgspec.structs import replace
 
 from postproc.correction import checks
 from postproc.program import LIN, PTP, SPL
-from tests.correction.test_each_check import CELL, MODEL, NORMAL, between, near
+from tests.correction.test_each_check import NORMAL, between, near
+from tests.kr270 import CELL, ROBOT
 
 NO_SINGULARITY = "axes move by themselves: a singular pose is no obstacle"
 OWN_SPEED = "the controller drives the axes at speeds within their limits"
@@ -35,13 +36,13 @@ def planted(check, kind):
     """Kinds of errors of a program with a fault of this check on its third motion, of this kind."""
     kinds = np.array([PTP, LIN, kind, LIN])
     settings = {"kind": kinds, "rapid": np.array([True, False, kind == PTP, False])}
-    first, last, model, cell = NORMAL, near(A1=11.0), MODEL, CELL
+    first, last, model, cell = NORMAL, near(A1=11.0), ROBOT, CELL
     if check == "joint_limits":
         first, last = near(A1=184.0), near(A1=185.2)
     elif check == "singularities":
         first, last = near(A5=3.0), near(A5=0.1)
     elif check == "joint_speeds":
-        model = replace(MODEL, speed=MODEL.speed * np.where(np.arange(6) == 0, 1e-4, 1.0))
+        model = replace(ROBOT, speed=ROBOT.speed * np.where(np.arange(6) == 0, 1e-4, 1.0))
         settings["feed"] = 0.05
     else:
         cell = replace(CELL, output=replace(CELL.output, max_correction_mm=1e-3))

@@ -4,10 +4,8 @@ import gc
 import tracemalloc
 
 from postproc import correction
-from postproc.cell import load as load_cell
 from postproc.dialects.text import decode
-from postproc.robot import find, load
-from tests.places import SAMPLES
+from tests.kr270 import CELL, ROBOT
 
 MOST = 830
 """Bytes for each target at the peak (783 today): poses, forces, joint angles, texts, and what computing them takes."""
@@ -18,13 +16,12 @@ READING = 200
 def peak_of_reading(count: int) -> int:
     """Return the largest memory that reading a KRL program of `count` lines takes [bytes]."""
     gc.collect()
-    cell, robot = load_cell(SAMPLES / "cell_kr270.toml"), load(find("kuka_kr270"))
     lines = "".join(f"LIN {{X {0.1 * n:.4f},Y 50,Z 5,A 0,B 0,C 180}} C_DIS\r\n" for n in range(count))
     head = "DEF part( )\r\n$APO.CDIS=0.02\r\n$VEL.CP=0.01\r\n"
     document = decode("part.src", f"{head}{lines}END\r\n".encode())
     tracemalloc.start()
     try:
-        program = correction.read([document], robot, cell, "part", "krl")
+        program = correction.read([document], ROBOT, CELL, "part", "krl")
         most = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
@@ -35,13 +32,12 @@ def peak_of_reading(count: int) -> int:
 def peak(count: int) -> int:
     """Return the largest memory of a conversion of `count` lines [bytes]."""
     gc.collect()
-    cell, robot = load_cell(SAMPLES / "cell_kr270.toml"), load(find("kuka_kr270"))
     lines = "".join(f"X{0.1 * (n % 900):.1f} Y{0.1 * (n // 900):.1f}\n" for n in range(count))
     text = f"G21 G90\nM3 S1000\n(FORCE FX=100 FZ=50)\nG0 X0 Y0 Z0\nG1 F1000\n{lines}M2\n"
     tracemalloc.start()
     try:
-        program = correction.read([decode("part.nc", text.encode())], robot, cell, "part", "gcode")
-        result = correction.process(program, robot, cell)
+        program = correction.read([decode("part.nc", text.encode())], ROBOT, CELL, "part", "gcode")
+        result = correction.process(program, ROBOT, CELL)
         most = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()

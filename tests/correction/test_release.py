@@ -9,15 +9,14 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from postproc import correction, robot
+from postproc import correction
 from postproc.cell import ExternalAxis
 from postproc.dialects.krl.dialect import Krl
 from postproc.poses import Poses
 from tests.corrections import read_files
-from tests.kr270 import CELL
+from tests.kr270 import CELL, ROBOT
 from tests.programs import program
 
-MODEL = robot.load(robot.find("kuka_kr270"))
 MOVES = [
     ("PTP", 0, 0, 50), ("LIN", 0, 0, 0), ("LIN", 40, 0, 0), ("CIRC", 60, 20, 0, 40, 20, 0, 90.0, (0, 0, 1)),
     ("LIN", 60, 50, 0), ("LIN", 60, 50, 30),
@@ -28,7 +27,7 @@ _NUMBER = r"-?\d+\.?\d*"
 
 def convert(made=None, cell=CELL):
     made = program(MOVES, notes=FORCE, orientation=CELL.tool_pose_in_program()) if made is None else made
-    return correction.process(made, MODEL, cell)
+    return correction.process(made, ROBOT, cell)
 
 
 def errors(result):

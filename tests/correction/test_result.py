@@ -8,19 +8,18 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from postproc import cell as cells
 from postproc import correction, files, robot
 from postproc.correction.result import HeldFeed, Result, share_beyond, statistics, weighted_quantile
 from postproc.elastostatics import Reversals
 from postproc.errors import Issue, ModelError
 from postproc.robot import urdf
 from postproc.robot.model_file import Displacement, Gravity, ModelFile
+from tests.kr270 import CELL, FOLDER, ROBOT
 from tests.oracle.whole_arm import WholeArm
-from tests.places import SAMPLES
 from tests.programs import program
 
 MADE = program([("PTP", 0, 0, 50), ("LIN", 0, 0, 0), ("RAPID", 100, 0, 0), ("LIN", 100, 50, 0)])
-EMPTY = Result(MADE, robot.load(robot.find("kuka_kr270")), "+Z", "convert", ())
+EMPTY = Result(MADE, ROBOT, "+Z", "convert", ())
 
 
 def test_statistics_weigh_cutting_targets_by_their_length():
@@ -104,24 +103,22 @@ def test_a_result_without_a_path_has_no_targets():
 @pytest.mark.parametrize("reference", ["calibrated", "rigid"])
 def test_deflection_is_by_the_force_alone_and_deviation_is_from_nominal(reference):
     """A robot whose geometry, and with `rigid` its weight too, takes the tool off its nominal position at rest."""
-    folder = robot.find("kuka_kr270")
     file = replace(
-        files.read_toml(folder / "model.toml", ModelFile, ModelError),
+        files.read_toml(FOLDER / "model.toml", ModelFile, ModelError),
         gravity=Gravity(reference),
         geometry={"A3": Displacement(source="test", X_mm=0.4, Z_mm=-0.3, RY_deg=0.02)},
     )
-    urdf_text = (folder / "robot.urdf").read_text(encoding="utf-8")
+    urdf_text = (FOLDER / "robot.urdf").read_text(encoding="utf-8")
     model = robot.assemble("displaced", file, urdf.read(urdf_text, "robot.urdf"))
     arm, tool = WholeArm(urdf_text, file), np.eye(4)
     tool[:3, 3] = [0.0, 0.0, 0.35]
     force = (120.0, 50.0, 90.0, 4.0, -3.0, 2.0)
-    cell = cells.load(SAMPLES / "cell_kr270.toml")
     made = program(
         [("PTP", 0, 0, 50), ("LIN", 0, 0, 0), ("LIN", 30, 0, 0)],
         notes=[(3, force)],
-        orientation=cell.tool_pose_in_program(),
+        orientation=CELL.tool_pose_in_program(),
     )
-    result = correction.process(made, model, cell, mode="predict")
+    result = correction.process(made, model, CELL, mode="predict")
     base = np.array([1500.0, -200.0, 700.0]) / 1e3
     row = int(np.flatnonzero((result.motion == 2) & (result.t == 1.0))[0])
     loaded, rest = (arm.equilibrium(result.q[row], tool, load)[1][:3, 3] for load in (np.array(force), np.zeros(6)))

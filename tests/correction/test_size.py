@@ -4,13 +4,13 @@ import json
 import re
 
 from tests.commands import run
+from tests.kr270 import CELL_TEXT
 from tests.places import ROOT
 
 
-def convert(tmp_path, *options, more=""):
+def converted_pocket(tmp_path, *options, more=""):
     cell = tmp_path / "cell.toml"
-    text = (ROOT / "samples" / "cell_kr270.toml").read_text()
-    cell.write_text(text.replace("[output]", f"[output]\n{more}"))
+    cell.write_text(CELL_TEXT.replace("[output]", f"[output]\n{more}"))
     arguments = ["convert", str(ROOT / "samples" / "pocket.nc"), "--cell", str(cell), "-o", str(tmp_path / "out")]
     run(*arguments, "--overwrite", *options)
     return (tmp_path / "out" / "pocket.src").read_bytes(), json.loads(
@@ -19,18 +19,18 @@ def convert(tmp_path, *options, more=""):
 
 
 def test_a_program_larger_than_the_memory_of_the_controller_gets_a_warning(tmp_path):
-    text, report = convert(tmp_path, more="program_memory_MB = 0.05")
+    text, report = converted_pocket(tmp_path, more="program_memory_MB = 0.05")
     assert report["size_bytes"] == len(text) > 60_000
     told = [issue for issue in report["issues"] if issue["kind"] == "program-memory"]
     assert [issue["level"] for issue in told] == ["warning"]
     assert "the program has 0.078" in told[0]["message"]
     limit = len(text) / 1e6 + 1e-3
-    _, report = convert(tmp_path, more=f"program_memory_MB = {limit}")
+    _, report = converted_pocket(tmp_path, more=f"program_memory_MB = {limit}")
     assert "program-memory" not in {issue["kind"] for issue in report["issues"]}
 
 
 def test_targets_have_no_trailing_zeros(tmp_path):
-    text, _ = convert(tmp_path, "--nominal")
+    text, _ = converted_pocket(tmp_path, "--nominal")
     lines = [line for line in text.decode().split("\r\n") if line.startswith(("LIN {", "CIRC {"))]
     assert len(lines) > 100
     assert not [line for line in lines if re.search(r"\.\d*0[,}]|\.[,}]", line)]

@@ -9,14 +9,13 @@ import pytest
 from msgspec.structs import replace
 from scipy.spatial.transform import Rotation
 
-from postproc import robot
 from postproc.correction.targets import _status_and_turn, _unchanged_motions
 from postproc.poses import Poses
 from postproc.program import CIRC, LIN, PTP
 from postproc.toolpath import Toolpath
+from tests.kr270 import ROBOT
 from tests.programs import program
 
-MODEL = robot.load(robot.find("kuka_kr270"))
 BOUND = 1e-7
 """A target that is commanded nearer than this to where it was is as it was [m, rad]."""
 
@@ -68,12 +67,12 @@ def test_status_and_turn_are_given_where_the_program_gives_them_and_its_other_bi
     motions = SimpleNamespace(kind=np.array([PTP, PTP, LIN, PTP, PTP]), status=np.array([1 + 24, -1, 5, 2, 8]),
                               turn=np.array([-1, 0, 9, 64 + 5, 63]))  # fmt: skip
     made = SimpleNamespace(motions=motions, keeps_text=True)
-    status, turn = _status_and_turn(made, MODEL, np.array([0, 1, 4]), q)
+    status, turn = _status_and_turn(made, ROBOT, np.array([0, 1, 4]), q)
     assert status.tolist() == [2 + 24, -1, 2 + 8]
     assert turn.tolist() == [-1, own_turn[1], own_turn[2]]
-    status, turn = _status_and_turn(made, MODEL, np.array([3, 2, 3]), q)
+    status, turn = _status_and_turn(made, ROBOT, np.array([3, 2, 3]), q)
     assert (turn[0], turn[2]) == (64 + own_turn[0], 64 + own_turn[2])
     made.keeps_text = False
-    status, turn = _status_and_turn(made, MODEL, np.array([0, 2, 4]), q)
+    status, turn = _status_and_turn(made, ROBOT, np.array([0, 2, 4]), q)
     assert status.tolist() == [own_status[0], -1, own_status[2]]
     assert turn.tolist() == [own_turn[0], -1, own_turn[2]]

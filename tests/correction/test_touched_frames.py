@@ -12,10 +12,9 @@ from postproc import correction, robot
 from postproc.comparison import compare
 from postproc.dialects.text import decode
 from postproc.frames import xyzabc_from_pose
+from tests.kr270 import CELL, FOLDER
 from tests.oracle.arm import Arm, abc, rpy
-from tests.places import ROOT
 
-CELL = cells.load(ROOT / "samples" / "cell_kr270.toml")
 SIDE = 400.0
 """Side of the square that is cut [mm]."""
 PART = abc(1500, -200, 700, 3.0, 0.0, 0.0)
@@ -36,13 +35,12 @@ DOWN = rpy(np.pi, 0.0, np.pi)
 
 def arm_and_robot(folder, payload=0.0, tilt_deg=0.0):
     """The oracle and the model of one arm: with a payload, and an axis A3 that stands oblique."""
-    source = robot.find("kuka_kr270")
-    arm = Arm.load(source)
+    arm = Arm.load(FOLDER)
     centre = np.array([0.0, 50.0, 200.0]) / 1e3
     arm.payload = (payload, centre)
     if not tilt_deg:
-        return arm, robot.load(source)
-    shutil.copytree(source, folder / "arm")
+        return arm, robot.load(FOLDER)
+    shutil.copytree(FOLDER, folder / "arm")
     with (folder / "arm" / "model.toml").open("a", encoding="utf-8") as file:
         file.write(f'\n[geometry.A3]\nRY_deg = {tilt_deg}\nsource = "calibrated"\n')
     arm.origins = list(arm.origins)

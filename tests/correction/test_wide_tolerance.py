@@ -7,7 +7,7 @@ import json
 import pytest
 
 from tests.commands import printed
-from tests.places import SAMPLES
+from tests.places import CELL_FILE, SAMPLES
 
 
 @pytest.mark.parametrize(("tolerance", "state"), [("0.05", "ok"), ("3", "warning")])
@@ -16,7 +16,7 @@ def test_a_program_that_is_worse_at_its_worst_place_is_not_green(tmp_path, toler
         "convert",
         SAMPLES / "pocket.nc",
         "--cell",
-        SAMPLES / "cell_kr270.toml",
+        CELL_FILE,
         "--tolerance",
         tolerance,
         "-o",

@@ -16,11 +16,11 @@ from postproc.dialects.apt import reader, statements
 from postproc.dialects.text import decode
 from postproc.errors import InputError, ProgramError
 from postproc.program import CIRC, LIN, PTP, Motions, Program
-from postproc.robot import find, load
 from tests.corrections import correct_files
 from tests.dialects.gcode_reading import CELL, forward
 from tests.dialects.gcode_reading import read as read_gcode
-from tests.places import SAMPLES
+from tests.kr270 import ROBOT
+from tests.places import CELL_FILE
 
 HEAD = "UNITS/MM\nFEDRAT/600,MMPM\nRAPID\nGOTO/0,0,9\n"
 
@@ -210,7 +210,7 @@ def test_tool_vectors_give_the_same_targets_as_rotary_axes(axes):
 
 
 def test_a_whole_conversion_writes_the_same_targets():
-    cell, robot = load_cell(SAMPLES / "cell_kr270.toml"), load(find("kuka_kr270"))
+    cell = load_cell(CELL_FILE)
     gcode = """(FORCE FX=-110 FY=-190 FZ=130 FRAME=FEED)
 G21 G90
 G0 X0 Y0 Z20
@@ -238,7 +238,7 @@ FINI
 """
     results = []
     for name, text in (("part.nc", gcode), ("part.apt", apt)):
-        results.append(correct_files({name: text}, cell, robot))
+        results.append(correct_files({name: text}, cell, ROBOT))
     one, other = (result.documents[0].text for result in results)
     moves = [
         [line for line in text.splitlines() if line.startswith(("LIN", "PTP", "CIRC", "$VEL"))] for text in (one, other)

@@ -9,7 +9,7 @@ from postproc.errors import ProgramError
 from postproc.program import LIN
 from tests.commands import invoke
 from tests.dialects.gcode_reading import CELL, ends, read
-from tests.places import ROOT
+from tests.places import CELL_FILE
 
 HIGH_FEED = (
     "(Using high feed G1 F5000. instead of G0.)\nG90 G94 G17 G21\nG53 G0 Z0.\nT1 M6\nS9000 M3\nG54\n"
@@ -70,8 +70,7 @@ def test_other_moves_before_the_position_is_known_are_refused(text, problem):
 def test_a_force_on_a_move_from_start_is_an_error(tmp_path):
     program = tmp_path / "part.nc"
     forces = tmp_path / "part.csv"
-    cell = ROOT / "samples" / "cell_kr270.toml"
-    (tmp_path / "cell.toml").write_text(cell.read_text() + "\n[machine]\nclearance_Z = 100\n")
+    (tmp_path / "cell.toml").write_text(CELL_FILE.read_text() + "\n[machine]\nclearance_Z = 100\n")
 
     def convert(text, *options):
         program.write_text(text)
@@ -143,7 +142,7 @@ def test_brackets_that_a_control_might_read_otherwise_are_refused(comment):
 @pytest.mark.parametrize(("name", "what"), [("a.spf", "Siemens Sinumerik"), ("a.prg", "several use .prg")])
 def test_extensions_of_other_controls_are_named(tmp_path, name, what):
     (tmp_path / name).write_text("G0 X0 Y0 Z5\nG1 X9 F90\nM2\n")
-    done = invoke("predict", tmp_path / name, cell=ROOT / "samples/cell_kr270.toml")
+    done = invoke("predict", tmp_path / name, cell=CELL_FILE)
     assert done.exit_code == 1
     assert what in done.output
     assert "--dialect gcode" in done.output.replace("\n", " ")

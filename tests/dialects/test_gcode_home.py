@@ -11,7 +11,7 @@ from postproc.cell import Cell, IndexedAxis, Machine, Rotary
 from postproc.errors import CellError, ProgramError
 from postproc.program import PTP
 from tests.dialects.gcode_reading import CELL, ends, outcome, read
-from tests.places import SAMPLES
+from tests.kr270 import CELL_TEXT
 
 AT_HOME = replace(CELL, machine=Machine(home=[3.0, -4.0, 200.0]))
 
@@ -77,9 +77,8 @@ def test_with_a_tilted_tool_home_as_a_place_is_an_error_but_for_indexed_axes() -
 
 def test_home_with_another_count_of_numbers_is_an_error(tmp_path: Path) -> None:
     file = tmp_path / "cell.toml"
-    text = (SAMPLES / "cell_kr270.toml").read_text()
-    assert "[machine]" not in text
-    file.write_text(text + "\n[machine]\nhome = [0, 0, 200, 0]\n")
+    assert "[machine]" not in CELL_TEXT
+    file.write_text(CELL_TEXT + "\n[machine]\nhome = [0, 0, 200, 0]\n")
     with pytest.raises(CellError, match="home has 4 numbers"):
         postproc.load_cell(file)
 

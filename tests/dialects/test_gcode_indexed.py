@@ -13,7 +13,7 @@ from postproc.errors import CellError, ProgramError
 from postproc.program import CIRC, LIN
 from tests.commands import run
 from tests.dialects.gcode_reading import CELL, ends, outcome, read
-from tests.places import SAMPLES
+from tests.kr270 import CELL_TEXT
 
 A_AXIS = IndexedAxis(point=(0.0, 12.0, -120.0), direction=(1.0, 0.0, 0.0))
 C_AXIS = IndexedAxis(point=(30.0, -20.0, 0.0), direction=(0.0, 0.0, 2.0))
@@ -171,7 +171,7 @@ def test_tip_control_that_the_program_itself_ends_is_off() -> None:
 )
 def test_a_cell_that_contradicts_itself_is_refused(tmp_path: Path, lines: str, problem: str) -> None:
     file = tmp_path / "cell.toml"
-    file.write_text((SAMPLES / "cell_kr270.toml").read_text() + f"\n[rotary]\n{lines}\n")
+    file.write_text(CELL_TEXT + f"\n[rotary]\n{lines}\n")
     with pytest.raises(CellError, match=problem):
         postproc.load_cell(file)
 
@@ -186,7 +186,7 @@ def test_a_turned_work_offset_is_refused_where_a_program_uses_it(tmp_path: Path)
     assert "turn [base] instead" in str(caught.value)
     file = tmp_path / "cell.toml"  # G54 is used by a program that names no work offset
     rotary = '\n[rotary]\naxes = ["A"]\nkind = "indexed"\nA = { point = [0, 0, 0], direction = [1, 0, 0] }\n'
-    text = (SAMPLES / "cell_kr270.toml").read_text().replace("[work_offsets.G54]", "[work_offsets.G54]\nC = 10.0", 1)
+    text = CELL_TEXT.replace("[work_offsets.G54]", "[work_offsets.G54]\nC = 10.0", 1)
     file.write_text(text + rotary)
     with pytest.raises(CellError, match=r"G54\] is turned"):
         postproc.load_cell(file)
@@ -194,7 +194,7 @@ def test_a_turned_work_offset_is_refused_where_a_program_uses_it(tmp_path: Path)
 
 def test_an_indexed_part_is_converted_as_a_user_would(tmp_path: Path) -> None:
     axis = "[rotary]\naxes = ['A']\nkind = 'indexed'\nA = { point = [0, 0, -120], direction = [1, 0, 0] }\n"
-    (tmp_path / "cell.toml").write_text((SAMPLES / "cell_kr270.toml").read_text() + "\n" + axis)
+    (tmp_path / "cell.toml").write_text(CELL_TEXT + "\n" + axis)
     program = "G21 G90\nM3 S9000\nG0 X0 Y0\nG0 Z150\nG0 A30\nG0 X20 Y5\nZ60\nG1 Z50 F900\nX60\nG0 Z150\nM5\nM30\n"
     (tmp_path / "part.nc").write_text(program)
     arguments = ["convert", str(tmp_path / "part.nc"), "--cell", str(tmp_path / "cell.toml"), "-o", str(tmp_path / "o")]

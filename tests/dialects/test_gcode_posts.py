@@ -10,7 +10,7 @@ from postproc.cell import Frame, Machine
 from postproc.program import CIRC, PTP
 from tests.commands import run
 from tests.dialects.gcode_reading import CELL, ends, outcome, read
-from tests.places import SAMPLES
+from tests.kr270 import CELL_TEXT
 
 POSTS = Path(__file__).parent / "posts"
 HERE = replace(
@@ -48,8 +48,10 @@ def test_a_program_as_posts_print_it_is_read_as_it_stands(name: str) -> None:
 
 
 def test_all_of_them_are_converted(tmp_path: Path) -> None:
-    text = (SAMPLES / "cell_kr270.toml").read_text()
-    text += "[machine]\nhome = [0, -90, 100, 0, 20, 0]\nclearance_Z = 100\n[tools.1]\nZ = 350\n[tools.2]\nZ = 390\n"
+    text = (
+        CELL_TEXT
+        + "[machine]\nhome = [0, -90, 100, 0, 20, 0]\nclearance_Z = 100\n[tools.1]\nZ = 350\n[tools.2]\nZ = 390\n"
+    )
     (tmp_path / "cell.toml").write_text(text)
     options = ["convert", str(POSTS), "--cell", str(tmp_path / "cell.toml"), "-o", str(tmp_path / "out")]
     run(*options, code=(0, 3))

@@ -17,7 +17,7 @@ from postproc.errors import ProgramError
 from postproc.program import CIRC, LIN, PTP, Program, direction, tilt_to, turning
 from postproc.robot import RobotModel
 from tests.dialects.gcode_reading import CELL, START_FLANGE, ends, outcome, read
-from tests.places import SAMPLES
+from tests.places import CELL_FILE, SAMPLES
 
 HOME = (0.0, -90.0, 90.0, 0.0, 10.0, 0.0)
 HEAD = "G21 G90 G17\nG0 A0 B0 C0\nG0 X0 Y0 Z9 F600\n"
@@ -229,14 +229,14 @@ def five_axes(text: str, robot: RobotModel, own: Cell) -> Program:
 
 
 def test_a_jump_of_the_axis_along_the_tool_is_no_target_of_its_own() -> None:
-    own = replace(postproc.load_cell(SAMPLES / "cell_kr270.toml"), rotary=Rotary(axes=["C", "B"], kind="tcp"))
+    own = replace(postproc.load_cell(CELL_FILE), rotary=Rotary(axes=["C", "B"], kind="tcp"))
     robot = postproc.load_robot(own.robot)
     program = five_axes("G21 G90\nG0 X0 Y0 Z50\nG1 X5 F900\nC180\nX9 C-180\nX12\nM30\n", robot, own)
     assert len(postproc.process(program, robot, own)) == 4
 
 
 def test_targets_are_inserted_so_that_the_robot_turns_the_tool_as_the_axes_do() -> None:
-    own = postproc.load_cell(SAMPLES / "cell_kr270.toml")
+    own = postproc.load_cell(CELL_FILE)
     own = replace(own, rotary=Rotary(axes=["C", "B"], kind="tcp"), base=Frame(X=1500.0, Y=-200.0, Z=700.0))
     robot = postproc.load_robot(own.robot)
     lines = ["G21 G90", "G0 B0 C0", "G0 X0 Y0 Z50", "(FORCE FX=100 FY=50 FZ=80)", "G1 Z0 F1200"]

@@ -21,8 +21,8 @@ from tests.attack.krl_interpreter import Controller
 from tests.commands import invoke
 from tests.dialects.krl_programs import CELL, check_commands, forward
 from tests.effort import calls_for_each
+from tests.kr270 import CELL_TEXT
 from tests.oracle.arm import abc
-from tests.places import ROOT
 
 MILLING = changed(
     CELL,
@@ -230,7 +230,7 @@ def test_after_a_routine_that_changes_the_tool_all_is_as_programmed():
     [("CHANGE({T})", ["CHANGE(1)", "CHANGE(2)"]), ("HALT", []), ("$OUT[{T}]=TRUE", []), ("; CHANGE({T})", [])],
 )
 def test_the_path_behind_a_tool_change_that_calls_a_program_is_named_as_not_checked(tmp_path, change, named):
-    cell = (ROOT / "samples" / "cell_kr270.toml").read_text(encoding="utf-8").partition("[collision]")[0]
+    cell = CELL_TEXT.partition("[collision]")[0]
     cell = re.sub(r"^tool_change = .*$", f'tool_change = ["{change}"]', cell, flags=re.MULTILINE)
     (tmp_path / "cell.toml").write_text(f"{cell}\n[tools.1]\nZ = 300\n[tools.2]\nZ = 310\n", encoding="utf-8")
     lines = "G21 G90 G17 G94", "T1 M6", "G0 X0 Y0 Z30", "G1 X50 F600", "T2 M6", "G0 X0 Y0 Z30", "T1 M6", "M30", ""

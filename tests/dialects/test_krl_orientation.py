@@ -18,7 +18,7 @@ from tests.dialects.krl_programs import CELL, body, check_commands, forward, rea
 from tests.dialects.test_krl_rewriting import keep_unmoved, up
 from tests.oracle import cell_sim
 from tests.oracle.arm import abc
-from tests.places import SAMPLES
+from tests.places import CELL_FILE
 
 FULL = "LIN {X 0,Y 0,Z 0,A 10,B 20,C 170}"
 FRAMES = ("$BASE={X 1500,Y -200,Z 700,A 0,B 0,C 0}", "$TOOL={X 0,Y 0,Z 350,A 0,B 0,C 0}")
@@ -390,7 +390,7 @@ def test_corrected_programs_hold_the_tool_where_it_was_in_the_cell(kind, circle)
     modes = (f"$ORI_TYPE={kind}", f"$CIRC_TYPE={circle}")
     force = ";FORCE FX=-110 FY=190 FZ=130"
     text = body(*FRAMES, "$VEL.CP=0.05", "LIN {X 0,Y 0,Z 0,A 180,B 0,C 180}", *modes, force, *arcs)
-    cell = cells.load(SAMPLES / "cell_kr270.toml")
+    cell = cells.load(CELL_FILE)
     model = robot.load(robot.find(cell.robot))
     program = read_files({"part.src": text}, cell, model)
     result = correction.process(program, model, cell)

@@ -11,7 +11,7 @@ from postproc.correction import process
 from postproc.errors import CellError
 from tests.attack.krl_interpreter import Controller
 from tests.corrections import read_files
-from tests.kr270 import CELL, ROBOT
+from tests.kr270 import CELL, CELL_TEXT, ROBOT
 from tests.oracle import krl_grammar
 from tests.oracle.arm import abc
 from tests.places import ROOT
@@ -67,8 +67,9 @@ def test_loaded_it_leaves_what_LIN_leaves(both):
 
 
 def test_a_krc2_has_no_spline_motions(tmp_path):
-    text = (ROOT / "samples" / "cell_kr270.toml").read_text()
-    text = text.replace("[gcode]", '[gcode]\nmotions = "SLIN"').replace("[output]", '[output]\ncontroller = "KRC2"')
+    text = CELL_TEXT.replace("[gcode]", '[gcode]\nmotions = "SLIN"').replace(
+        "[output]", '[output]\ncontroller = "KRC2"'
+    )
     (tmp_path / "cell.toml").write_text(text)
     with pytest.raises(CellError, match="a KRC2 has no spline motions"):
         cells.load(tmp_path / "cell.toml")

@@ -15,7 +15,7 @@ from postproc.errors import ForceError, ProgramError
 from postproc.program import LIN, PTP, SPL
 from tests.corrections import read_files
 from tests.dialects.krl_programs import CELL, body, forward, numbers, read, read_documents, targets
-from tests.places import SAMPLES
+from tests.places import CELL_FILE, SAMPLES
 
 HEAD = ("$BASE={X 1500,Y -200,Z 700,A 0,B 0,C 0}", "$TOOL={X 0,Y 0,Z 350,A 0,B 0,C 0}", "$VEL.CP=0.05")
 START = "LIN {X 0,Y 0,Z 0,A 0,B 0,C 180}"
@@ -150,7 +150,7 @@ def test_a_stop_of_a_motion_that_stands_alone_is_kept():
 
 @pytest.fixture(scope="module")
 def cell_and_robot():
-    cell = load(SAMPLES / "cell_kr270.toml")
+    cell = load(CELL_FILE)
     return cell, robots.load(robots.find(cell.robot, SAMPLES))
 
 

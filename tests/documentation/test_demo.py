@@ -10,8 +10,8 @@ import runpy
 import numpy as np
 import pytest
 
-from postproc import robot
 from tests.commands import invoke
+from tests.kr270 import FOLDER
 from tests.oracle.arm import Arm, abc
 from tests.places import SAMPLES
 from tests.testpart import demo as demo_part
@@ -34,7 +34,7 @@ def expected(folder, name):
 def true_errors(folder, name):
     """Distance [mm] of the tool of the simulated robot from the nominal place at cutting targets, as corrected."""
     simulator = runpy.run_path(str(SAMPLES / "paper_study" / "simulator.py"))
-    arm, true = Arm.load(robot.find("kuka_kr270")), simulator["paper_like"](np.random.default_rng(1))
+    arm, true = Arm.load(FOLDER), simulator["paper_like"](np.random.default_rng(1))
     rows = list(csv.DictReader((folder / name / "bracket.targets.csv").read_text().splitlines()))
     errors = []
     for row in [row for row in rows if row["rapid"] == "0"][::6]:

@@ -28,8 +28,8 @@ from postproc.testpart import probing
 from tests.commands import run
 from tests.documentation import pages, schema
 from tests.documentation.pages import block, described
-from tests.kr270 import CELL, ROBOT
-from tests.places import ROOT
+from tests.kr270 import CELL, CELL_TEXT, FOLDER, ROBOT
+from tests.places import CELL_FILE, ROOT
 
 
 def write(folder: Path, title: str, language: str = "toml") -> Path:
@@ -39,7 +39,7 @@ def write(folder: Path, title: str, language: str = "toml") -> Path:
 
 
 def model(path: Path) -> robot.RobotModel:
-    shutil.copy(robot.find("kuka_kr270") / "robot.urdf", path.parent)
+    shutil.copy(FOLDER / "robot.urdf", path.parent)
     return robot.load(path.parent)
 
 
@@ -163,7 +163,7 @@ def results(readme, tmp_path_factory):
         ["identify", "elastostatics", of["measurements.csv"], *experiment, "--geometry", "-o", of["model"]],
         ["predict", str(samples / "pocket.nc"), "--cell", str(folder / "cell.toml"), "-o", str(folder)],
         [
-            *("plan", *experiment, "--cell", str(ROOT / "samples" / "cell_kr270.toml")),
+            *("plan", *experiment, "--cell", str(CELL_FILE)),
             *("--program", str(ROOT / "samples" / "pocket.nc"), "--measured", of["measurements.csv"]),
             *("--configurations", "2", "--q2-levels", "2", "--test-poses", "4", "-o", of["plan.csv"]),
         ],
@@ -217,8 +217,7 @@ def _with_bodies(folder: Path) -> Path:
     """Return a cell with a spindle and an obstacle."""
     box = "{ X = [0, 9], Y = [0, 9], Z = [0, 9] }"
     bodies = f"holder = [ {{ diameter_mm = 60, length_mm = 300 }} ]\nobstacles = [ {{ box = {box} }} ]"
-    cell = (ROOT / "samples" / "cell_kr270.toml").read_text(encoding="utf-8")
-    (folder / "bodies.toml").write_text(f"{cell}\n[collision]\n{bodies}\n", encoding="utf-8")
+    (folder / "bodies.toml").write_text(f"{CELL_TEXT}\n[collision]\n{bodies}\n", encoding="utf-8")
     return folder / "bodies.toml"
 
 
@@ -250,24 +249,22 @@ def _with_a_part(folder: Path) -> Path:
     floor = trimesh.creation.box(bounds=[[-10.0, -4.0, -10.0], [50.0, 4.0, -1.0]])
     floor.export(folder / "floor.stl")
     arguments = ["--part", str(folder / "floor.stl"), "-o", str(folder / "cut")]
-    run("convert", *_slot(folder), *arguments, cell=ROOT / "samples" / "cell_kr270.toml")
+    run("convert", *_slot(folder), *arguments, cell=CELL_FILE)
     return folder / "cut" / "held.report.json"
 
 
 def _with_held_feeds(folder: Path) -> Path:
     """Return the report of a program whose feed was lowered as far as that helps."""
-    stated = (ROOT / "samples" / "cell_kr270.toml").read_text(encoding="utf-8")
     hold = '\n[part]\ntolerance_mm = 0.02\n[output]\nfeed = "hold"\n'
-    (folder / "hold.toml").write_text(stated.replace("\n[output]\n", hold), encoding="utf-8")
+    (folder / "hold.toml").write_text(CELL_TEXT.replace("\n[output]\n", hold), encoding="utf-8")
     run("convert", *_slot(folder), "-o", folder / "held", cell=folder / "hold.toml", code=3)
     return folder / "held" / "held.report.json"
 
 
 def _in_modules(folder: Path) -> Path:
     """Return the report of a program that is written as modules."""
-    stated = (ROOT / "samples" / "cell_kr270.toml").read_text(encoding="utf-8")
     small = "\n[output]\ndivide_into_modules = true\nprogram_memory_MB = 0.0075\n"
-    (folder / "small.toml").write_text(stated.replace("\n[output]\n", small), encoding="utf-8")
+    (folder / "small.toml").write_text(CELL_TEXT.replace("\n[output]\n", small), encoding="utf-8")
     cut = "G1 Z-1 F500\n" + "".join(f"X{n} Y{n % 2}\n" for n in range(100)) + "G0 Z50\n"
     (folder / "slots.nc").write_text(f"G21 G90\nG0 X0 Y0 Z50\n{cut}X0\n{cut}M2\n")
     arguments = ["convert", str(folder / "slots.nc"), "--cell", str(folder / "small.toml"), "-o", str(folder / "slots")]
@@ -285,7 +282,7 @@ def _forces_with_a_warning(folder: Path) -> Path:
         '[tools.2]\nshape = "drill"\ndiameter_mm = 5\nflutes = 2\n'
         "[stock]\nresolution_mm = 1.0\nbox = { X = [-10, 50], Y = [-20, 20], Z = [-10, 0] }\n"
     )
-    arguments = ["forces", str(folder / "slot.nc"), "--cell", str(ROOT / "samples" / "cell_kr270.toml")]
+    arguments = ["forces", str(folder / "slot.nc"), "--cell", str(CELL_FILE)]
     arguments += ["--process", str(folder / "slot.process.toml"), "-o", str(folder / "slot.forces.csv")]
     run(*arguments)
     return folder / "slot.forces.json"

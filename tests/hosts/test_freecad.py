@@ -15,9 +15,9 @@ import trimesh
 
 from postproc.hosts import install_post
 from tests.commands import run
+from tests.places import CELL_FILE
 
 HERE = Path(__file__).parent
-CELL = (HERE.parent.parent / "samples" / "cell_kr270.toml").resolve()
 FREECAD = shutil.which("freecadcmd") or shutil.which("FreeCADCmd")
 
 pytestmark = pytest.mark.skipif(FREECAD is None, reason="FreeCAD is not installed (Debian: apt install freecad)")
@@ -33,21 +33,21 @@ def posted(tmp_path_factory):
     for name in ("out", "cut", "round", "by", "a", "b", "c", "d"):  # FreeCAD asks for a folder that is not there
         (folder / name).mkdir()
     (folder / "taken").write_text("a file where a folder should be")
-    by_material = f"--cell {CELL} --material al_6082_t6_carbide"
-    ours = {"processor": "kuka_compensated", "arguments": f"--cell {CELL}"}
+    by_material = f"--cell {CELL_FILE} --material al_6082_t6_carbide"
+    ours = {"processor": "kuka_compensated", "arguments": f"--cell {CELL_FILE}"}
     runs = {
         "linuxcnc": {"processor": "linuxcnc", "arguments": "--no-show-editor", "file": str(folder / "theirs.ngc")},
         "corrected": {**ours, "file": str(folder / "out" / "bracket.src")},
         "nominal": {
             **ours,
-            "arguments": f"--cell {CELL} --nominal --name flat --out-dir {folder / 'flat'}",
+            "arguments": f"--cell {CELL_FILE} --nominal --name flat --out-dir {folder / 'flat'}",
             "file": str(folder / "x.src"),
         },
         "no cell": {**ours, "arguments": f"--cell {folder / 'none.toml'}", "file": str(folder / "a" / "bad.src")},
         "no argument": {**ours, "arguments": "", "file": str(folder / "b" / "bad.src")},
         "no folder": {
             **ours,
-            "arguments": f"--cell {CELL} --out-dir {folder / 'taken'}",
+            "arguments": f"--cell {CELL_FILE} --out-dir {folder / 'taken'}",
             "file": str(folder / "a" / "bad.src"),
         },
         "far": {**ours, "arguments": f"--cell {folder / 'far.toml'}", "file": str(folder / "c" / "bad.src")},
@@ -55,7 +55,7 @@ def posted(tmp_path_factory):
         "v-bit": {**ours, "arguments": f"{by_material}", "file": str(folder / "b" / "bad.src"), "tool": "v-bit"},
         "no material": {
             **ours,
-            "arguments": f"--cell {CELL} --material cheese",
+            "arguments": f"--cell {CELL_FILE} --material cheese",
             "file": str(folder / "c" / "bad.src"),
         },
         "two sources": {
@@ -67,12 +67,12 @@ def posted(tmp_path_factory):
         "round": {**ours, "arguments": by_material, "file": str(folder / "round" / "bracket.src"), "stock": "cylinder"},
         "process": {
             **ours,
-            "arguments": f"--cell {CELL} --process {folder / 'cut' / 'bracket.process.toml'}",
+            "arguments": f"--cell {CELL_FILE} --process {folder / 'cut' / 'bracket.process.toml'}",
             "file": str(folder / "by" / "bracket.src"),
         },
         "still": {**ours, "file": str(folder / "d" / "bad.src"), "inactive": ["Profile", "Pocket", "Drilling"]},
     }
-    (folder / "far.toml").write_text(CELL.read_text().replace("X = 1500.0", "X = 3500.0"))
+    (folder / "far.toml").write_text(CELL_FILE.read_text().replace("X = 1500.0", "X = 3500.0"))
     (folder / "settings.json").write_text(json.dumps({"runs": list(runs.values())}))
     environment = {**os.environ, "LC_ALL": "C.UTF-8", "HOME": str(folder)}
     done = subprocess.run(
@@ -94,7 +94,7 @@ def _rows(path):
 
 def test_the_post_gives_what_convert_makes_of_freecads_linuxcnc_post(posted):
     folder, _ = posted
-    run("convert", folder / "theirs.ngc", "-o", folder / "theirs", cell=CELL)
+    run("convert", folder / "theirs.ngc", "-o", folder / "theirs", cell=CELL_FILE)
     theirs, ours = (
         _rows(path) for path in (folder / "theirs" / "theirs.targets.csv", folder / "out" / "bracket.targets.csv")
     )
@@ -149,7 +149,7 @@ def test_forces_come_from_stock_tools_and_speeds_of_the_job(posted):
         assert line in told
     assert "X = [-1.000000, 101.000000], Y = [-1.000000, 61.000000], Z = [-1.000000, 21.000000]" in told
     (folder / "own.toml").write_text(told)
-    command = ["forces", str(folder / "cut" / "bracket.moves.nc"), "--cell", str(CELL), "--process"]
+    command = ["forces", str(folder / "cut" / "bracket.moves.nc"), "--cell", str(CELL_FILE), "--process"]
     shutil.copy(folder / "cut" / "bracket.moves.txt", folder / "cut" / "bracket.moves.nc")
     done = run(*command, folder / "own.toml", "-o", folder / "own.csv", "--json")
     largest = max(float(row["Fx"]) ** 2 + float(row["Fy"]) ** 2 + float(row["Fz"]) ** 2 for row in _rows(

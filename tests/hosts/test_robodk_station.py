@@ -33,8 +33,7 @@ def arm(name="KUKA KR 210 R2700-2", joints=JOINTS, model="kuka_kr210_r2700_2"):
 
 
 @pytest.fixture(autouse=True)
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def input_files(work_folder):
     Path("milling.rdk").write_bytes(b"RDK")
 
 

@@ -17,7 +17,8 @@ from postproc.identification import moved_device, plausibility, validation
 from postproc.identification.measurement_model import Placement
 from postproc.identification.readings import Measurements, _check_sets
 from postproc.identification.validation import ValidatedLevel, _Displacements
-from tests.collision.setting import KR270, frame
+from tests.collision.setting import frame
+from tests.kr270 import ROBOT
 
 POINTS = np.array([[0.1, 0.0, 0.2], [-0.12, 0.05, 0.25], [0.02, -0.15, 0.3]])
 SIGMA = 1e-5
@@ -173,7 +174,7 @@ def test_the_same_load_before_and_after_a_larger_one_is_a_pair(seed):
 
 def placed(rng, configs=5):
     """Configurations, points and the place of the root in the device."""
-    q = rng.uniform(0.4 * KR270.lower, 0.4 * KR270.upper, (configs, 6))
+    q = rng.uniform(0.4 * ROBOT.lower, 0.4 * ROBOT.upper, (configs, 6))
     root = pose_from_xyzabc([1200.0, -300.0, 500.0, 35.0, -20.0, 70.0])
     placement = Placement(
         root_in_device=root, points=POINTS[:2], covariance=np.eye(12), residual=np.zeros((configs, 2, 3))
@@ -203,7 +204,7 @@ def test_derivatives_by_twists_of_root_and_joint_frames_are_differences_of_anoth
     """A joint frame is that of the link before it, turned as at joint angle 0: it does not turn with the joint."""
     rng = np.random.default_rng(2)
     data, placement = placed(rng)
-    slopes = moved_device._frame_derivatives(KR270, data, placement)
+    slopes = moved_device._frame_derivatives(ROBOT, data, placement)
     assert slopes.shape == (5, 2, 3, 42)
     for number in range(7):
 
@@ -212,7 +213,7 @@ def test_derivatives_by_twists_of_root_and_joint_frames_are_differences_of_anoth
                 return np.eye(4)
             turned = frame(angles, number - 1)
             back = np.eye(4)
-            back[:3, :3] = Rotation.from_rotvec(-angles[number - 1] * KR270.nominal.axis[number - 1]).as_matrix()
+            back[:3, :3] = Rotation.from_rotvec(-angles[number - 1] * ROBOT.nominal.axis[number - 1]).as_matrix()
             return turned @ back
 
         for axis in range(6):
@@ -224,7 +225,7 @@ def test_derivatives_by_twists_of_root_and_joint_frames_are_differences_of_anoth
 
 def test_derivatives_by_points_are_differences_of_another_arm():
     data, placement = placed(np.random.default_rng(3))
-    slopes = moved_device._point_derivatives(KR270, data, placement)
+    slopes = moved_device._point_derivatives(ROBOT, data, placement)
     for column in range(6):
         offset = np.zeros((2, 3))
         offset.flat[column] = 1e-3
@@ -235,8 +236,8 @@ def test_derivatives_by_points_are_differences_of_another_arm():
 def test_derivatives_by_the_sag_of_joints_are_their_angles_times_the_weight_on_them():
     """The weight's torque by differences of the potential energy is that of the model; a joint turns all behind it."""
     data, placement = placed(np.random.default_rng(4))
-    slopes = moved_device._sag_derivatives(KR270, data, placement)
-    torque = moved_device.elastostatics.balance.static_torque(KR270, data.q.T).T
+    slopes = moved_device._sag_derivatives(ROBOT, data, placement)
+    torque = moved_device.elastostatics.balance.static_torque(ROBOT, data.q.T).T
     for joint in range(6):
         step = np.zeros(6)
         step[joint] = 1e-6

@@ -6,14 +6,14 @@ import pytest
 
 from tests.commands import run
 from tests.pages import browser as browsers
-from tests.places import ROOT
+from tests.places import CELL_FILE, ROOT
 
 
 @pytest.fixture(scope="session")
 def results(tmp_path_factory):
     """Folder with the results of `convert` and `predict` for samples/pocket.nc."""
     folder = tmp_path_factory.mktemp("pages")
-    arguments = [str(ROOT / "samples" / "pocket.nc"), "--cell", str(ROOT / "samples" / "cell_kr270.toml")]
+    arguments = [str(ROOT / "samples" / "pocket.nc"), "--cell", str(CELL_FILE)]
     for command in ("convert", "predict"):
         run(command, *arguments, "-o", folder, catch_exceptions=False)
     return folder

@@ -5,14 +5,13 @@ from __future__ import annotations
 import numpy as np
 from msgspec.structs import replace
 
-from postproc import cell as cells
 from postproc import report
 from postproc.cell import Box, Collision, HolderTable, ObstacleTable
 from postproc.collision import Scene
 from postproc.correction.collisions import SmallestClearance
 from tests import fabricated
+from tests.kr270 import CELL
 from tests.pages import browser as browsers
-from tests.places import ROOT
 
 pytestmark = browsers.needs_chromium
 
@@ -20,7 +19,7 @@ pytestmark = browsers.needs_chromium
 def test_tool_and_obstacles_are_drawn_where_they_are(browser, tmp_path):
     result = fabricated.result(20)
     cell = replace(
-        cells.load(ROOT / "samples" / "cell_kr270.toml"),
+        CELL,
         collision=Collision(
             holder=[HolderTable(diameter_mm=60, length_mm=80)],
             obstacles=[ObstacleTable(name="vice", box=Box((20, 60), (40, 80), (-20, 60)))],

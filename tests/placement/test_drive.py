@@ -9,7 +9,8 @@ from postproc.frames import wrap_angles
 from postproc.kinematics.components import components
 from postproc.placement import drive
 from postproc.placement.drive import COLLISION, FREE, LIMIT, REACH, SINGULAR, SPEED, LeastMargins, Margins
-from tests.collision.setting import KR270, frame
+from tests.collision.setting import frame
+from tests.kr270 import ROBOT
 
 
 def test_angles_are_wrapped_to_half_a_turn():
@@ -19,7 +20,7 @@ def test_angles_are_wrapped_to_half_a_turn():
 
 def poses(count: int = 40) -> np.ndarray:
     """Joint angles within the limits, A4 and A6 within half a turn."""
-    low, high = KR270.lower.copy(), KR270.upper.copy()
+    low, high = ROBOT.lower.copy(), ROBOT.upper.copy()
     low[[3, 5]], high[[3, 5]] = -3.1, 3.1
     return np.random.default_rng(6).uniform(low, high, (count, 6))
 
@@ -27,10 +28,10 @@ def poses(count: int = 40) -> np.ndarray:
 def test_solved_angles_reach_the_flange_within_half_a_turn_of_the_middle_of_the_limits():
     q = poses()
     flange = components(np.array([frame(row, 6) for row in q]))
-    middle = 0.5 * (KR270.lower + KR270.upper)
+    middle = 0.5 * (ROBOT.lower + ROBOT.upper)
     is_back = np.zeros(len(q), dtype=bool)
     for branch in range(8):
-        solved = drive.solve(KR270, flange, branch)
+        solved = drive.solve(ROBOT, flange, branch)
         good = np.isfinite(solved).all(axis=0)
         for row in np.flatnonzero(good):
             np.testing.assert_allclose(frame(solved[:, row], 6), frame(q[row], 6), atol=1e-9)
@@ -42,8 +43,8 @@ def test_solved_angles_reach_the_flange_within_half_a_turn_of_the_middle_of_the_
 def test_margins_are_those_of_the_arm_in_space():
     """The wrist centre is the frame of A5; the elbow angle is that between the upper arm and the line to the wrist."""
     q = poses()
-    margins = drive.margins(KR270, q.T)
-    np.testing.assert_allclose(margins.joint, np.minimum(q - KR270.lower, KR270.upper - q).min(axis=1), atol=1e-12)
+    margins = drive.margins(ROBOT, q.T)
+    np.testing.assert_allclose(margins.joint, np.minimum(q - ROBOT.lower, ROBOT.upper - q).min(axis=1), atol=1e-12)
     np.testing.assert_allclose(margins.wrist, np.abs(q[:, 4]), atol=1e-12)
     for row, angles in enumerate(q):
         shoulder, elbow, wrist = (frame(angles, carrier)[:3, 3] for carrier in (1, 2, 4))
@@ -51,9 +52,9 @@ def test_margins_are_those_of_the_arm_in_space():
         upper, fore = elbow - shoulder, wrist - elbow
         cosine = upper @ fore / np.linalg.norm(upper) / np.linalg.norm(fore)
         assert margins.elbow[row] == pytest.approx(np.arccos(cosine), abs=1e-6)
-    beyond = drive.margins(KR270, (KR270.upper + 0.1)[:, None])
+    beyond = drive.margins(ROBOT, (ROBOT.upper + 0.1)[:, None])
     assert beyond.joint[0] == pytest.approx(-0.1)
-    assert np.isnan(drive.margins(KR270, np.full((6, 1), np.nan)).joint[0])
+    assert np.isnan(drive.margins(ROBOT, np.full((6, 1), np.nan)).joint[0])
 
 
 KEEP = LeastMargins(joint=0.1, wrist=0.2, elbow=0.3, shoulder=0.4, speed=0.9, jump=0.5)
@@ -97,7 +98,7 @@ def test_margins_are_those_of_the_documentation_and_the_least_ones_just_what_a_c
 
 def test_the_largest_share_of_a_joint_speed_counts():
     step = np.array([[0.2, 0.0], [-0.9, 0.0], [0.1, 0.0], [0.0, -0.3], [0.0, 0.1], [0.0, 0.0]])
-    share = drive.timed_speed(KR270, step, np.array([0.5, np.inf]))
-    assert share[0] == pytest.approx(max(0.2 / KR270.speed[0], 0.9 / KR270.speed[1]) / 0.5)
+    share = drive.timed_speed(ROBOT, step, np.array([0.5, np.inf]))
+    assert share[0] == pytest.approx(max(0.2 / ROBOT.speed[0], 0.9 / ROBOT.speed[1]) / 0.5)
     assert share[1] == 0.0
-    assert drive.timed_speed(KR270, step, np.array([0.5, 2.0]))[1] == pytest.approx(0.3 / KR270.speed[3] / 2.0)
+    assert drive.timed_speed(ROBOT, step, np.array([0.5, 2.0]))[1] == pytest.approx(0.3 / ROBOT.speed[3] / 2.0)

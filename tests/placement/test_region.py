@@ -21,9 +21,10 @@ from postproc.placement.region import Region
 from postproc.under_load import RobotInCell
 from tests.commands import invoke, run
 from tests.corrections import read_files
+from tests.kr270 import CELL_TEXT
 from tests.oracle.arm import Arm, abc
 from tests.placement.setting import cell, read
-from tests.places import SAMPLES
+from tests.places import CELL_FILE
 
 PART = """G21 G90
 (FORCE FX=-110 FY=-190 FZ=130 FRAME=BASE)
@@ -246,7 +247,7 @@ def test_a_krl_program_with_a_base_of_its_own_is_refused():
 def test_a_krl_program_that_sets_the_numbers_of_the_cell_as_its_base_is_refused(tmp_path, monkeypatch):
     """It would stay where it is when [base] is moved to the place that is found."""
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "cell.toml").write_bytes((SAMPLES / "cell_kr270.toml").read_bytes())
+    (tmp_path / "cell.toml").write_bytes(CELL_FILE.read_bytes())
     frame = "$BASE={X 1500,Y -200,Z 700,A 0,B 0,C 0}"
     body = "$VEL.CP=0.05\nPTP {X 0,Y 0,Z 60,A 180,B 0,C 180}\nLIN {X 20}\nEND\n"
     (tmp_path / "own.src").write_text(f"DEF own()\n{frame}\n{body}")
@@ -267,11 +268,10 @@ END
 
 
 @pytest.fixture
-def numbered(tmp_path, monkeypatch):
+def numbered(work_folder):
     """Folder with a program in BASE_DATA[3], and the text of a cell whose [base_data.3] is its [base]."""
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "part.src").write_text(NUMBERED)
-    return (SAMPLES / "cell_kr270.toml").read_text()
+    (work_folder / "part.src").write_text(NUMBERED)
+    return CELL_TEXT
 
 
 def placed(text, program="part.src", code=0):
@@ -364,7 +364,7 @@ def test_a_search_whose_conversions_are_all_refused_does_not_contradict_itself(t
     )
     (tmp_path / "part.nc").write_text(PART)
     command = ("place", tmp_path / "part.nc", "-o", tmp_path / "out", "--region", "X=1400:1500")
-    done = run(*command, cell=SAMPLES / "cell_kr270.toml", code=1)
+    done = run(*command, cell=CELL_FILE, code=1)
     content = json.loads((tmp_path / "out" / "place.json").read_text("utf-8"))
     assert "No place in the region can be driven" not in done.output
     assert "part.nc, line 3: bodies touch" in content["sentence"]
@@ -375,7 +375,7 @@ def test_a_search_whose_conversions_are_all_refused_does_not_contradict_itself(t
 def test_a_search_without_a_result_removes_the_place_of_an_earlier_one(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "part.nc").write_text(PART)
-    (tmp_path / "cell.toml").write_bytes((SAMPLES / "cell_kr270.toml").read_bytes())
+    (tmp_path / "cell.toml").write_bytes(CELL_FILE.read_bytes())
     command = ("place", "part.nc", "-o", "out", "--region")
     run(*command, "X=1400:1410", cell="cell.toml")
     assert (tmp_path / "out" / "place.toml").is_file()
@@ -391,7 +391,7 @@ def test_a_search_without_a_result_removes_the_place_of_an_earlier_one(tmp_path,
 
 def test_the_command_writes_map_table_and_base(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "cell_kr270.toml").write_bytes((SAMPLES / "cell_kr270.toml").read_bytes())
+    (tmp_path / "cell_kr270.toml").write_bytes(CELL_FILE.read_bytes())
     (tmp_path / "part.nc").write_text(PART)
     command = "place part.nc --cell cell_kr270.toml --region X=1200:1800,A=-20:20 -o out"
     done = run(*command.split())
@@ -416,11 +416,10 @@ def test_the_command_writes_map_table_and_base(tmp_path, monkeypatch):
 
 def test_the_command_keeps_a_clearance_and_asks_for_bodies_if_there_are_none(tmp_path):
     (tmp_path / "part.nc").write_text(PART)
-    text = (SAMPLES / "cell_kr270.toml").read_text()
-    (tmp_path / "bare.toml").write_text(text)
+    (tmp_path / "bare.toml").write_text(CELL_TEXT)
     box = "[[collision.obstacles]]\nname = 'vice'\nbox = { X = [-80, -40], Y = [-150, 150], Z = [-50, 200] }\n"
     (tmp_path / "cell.toml").write_text(
-        f"{text}\n[collision]\nholder = [ {{ diameter_mm = 20, length_mm = 90 }} ]\n{box}"
+        f"{CELL_TEXT}\n[collision]\nholder = [ {{ diameter_mm = 20, length_mm = 90 }} ]\n{box}"
     )
     command = ["place", str(tmp_path / "part.nc"), "--region", "X=1400:1450", "-o", str(tmp_path / "out")]
     done = invoke(*command, "--clearance-mm", "10", cell=tmp_path / "bare.toml")
@@ -459,7 +458,7 @@ def test_the_command_prints_the_turn_of_the_tool_and_keeps_that_of_the_cell_if_n
 
 def test_no_place_in_the_region_is_said_and_is_no_success(tmp_path):
     (tmp_path / "part.nc").write_text(PART)
-    (tmp_path / "cell.toml").write_bytes((SAMPLES / "cell_kr270.toml").read_bytes())
+    (tmp_path / "cell.toml").write_bytes(CELL_FILE.read_bytes())
     arguments = [str(tmp_path / "part.nc"), "--cell", str(tmp_path / "cell.toml"), "-o", str(tmp_path / "out")]
     done = invoke("place", *arguments, "--region", "X=4000:5000,Y=-300:300")
     assert done.exit_code == 1
@@ -472,7 +471,7 @@ def test_no_place_in_the_region_is_said_and_is_no_success(tmp_path):
 
 def test_without_forces_no_error_is_claimed(tmp_path):
     (tmp_path / "part.nc").write_text("G21 G90\nG0 X20 Y20 Z20\nG1 Z-3 F600\nX60\nG0 Z20\n")
-    (tmp_path / "cell.toml").write_bytes((SAMPLES / "cell_kr270.toml").read_bytes())
+    (tmp_path / "cell.toml").write_bytes(CELL_FILE.read_bytes())
     arguments = [str(tmp_path / "part.nc"), "--cell", str(tmp_path / "cell.toml"), "-o", str(tmp_path / "out")]
     run("place", *arguments, "--region", "X=1400:1600")
     sentence = json.loads((tmp_path / "out" / "place.json").read_text("utf-8"))["sentence"]

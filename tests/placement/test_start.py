@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from postproc import correction, kinematics, robot
+from postproc import correction, kinematics
 from postproc.cell import Box, Collision, ObstacleTable, Start
 from postproc.collision import link_frames
 from postproc.placement import turning
 from postproc.placement.turning import chosen_start
 from postproc.under_load import RobotInCell
 from tests.commands import invoke
+from tests.kr270 import CELL_TEXT, FOLDER
 from tests.oracle import cell_sim
 from tests.oracle.arm import Arm
 from tests.placement.setting import ROBOTS, around, cell, read
-from tests.places import SAMPLES
 
 PART = "G21 G90\nG0 X0 Y-100 Z60\nG1 Z0 F600\nX200 F2000\nY100\nX0\nG0 Z60\nM30\n"
 KRL = "DEF part()\n$VEL.CP=0.05\nPTP {{X 0,Y 0,Z 60,A 0,B 0,C 180{0}}}\nLIN {{X 0,Y 0,Z 5,A 0,B 0,C 180}}\nEND\n"
@@ -125,8 +125,7 @@ def _flange(program, model, own):
 
 def without_start(tmp_path, name="part.nc", text=PART):
     (tmp_path / name).write_text(text)
-    whole = (SAMPLES / "cell_kr270.toml").read_text()
-    (tmp_path / "cell.toml").write_text(re.sub(r"\[start\]\njoints.*\n", "", whole))
+    (tmp_path / "cell.toml").write_text(re.sub(r"\[start\]\njoints.*\n", "", CELL_TEXT))
     return lambda *command: invoke(command[0], tmp_path / command[1], *command[2:], cell=tmp_path / "cell.toml")
 
 
@@ -142,7 +141,7 @@ def test_what_is_written_starts_there_and_is_read_back_the_same(tmp_path):
     moves = cell_sim.read(text)
     line = next(line for line in text.splitlines() if line.startswith("PTP {A1"))
     angles = [float(each) for each in re.findall(r"A\d ([-\d.]+)", line)]
-    sim = cell_sim.Cell(Arm.load(robot.find("kuka_kr270")), angles, (1500, -200, 700, 0, 0, 0), (0, 0, 350, 0, 0, 0))
+    sim = cell_sim.Cell(Arm.load(FOLDER), angles, (1500, -200, 700, 0, 0, 0), (0, 0, 350, 0, 0, 0))
     steps = np.diff([np.degrees(q) for _, _, _, q in sim.run(moves, shares=(0.5, 1.0))], axis=0)
     assert np.abs(steps).max() < 30.0
     again = run("predict", "out/part.src", "-o", str(tmp_path / "again"))

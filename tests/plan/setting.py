@@ -7,14 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from postproc import robot
 from postproc.identification.readings import read_experiment
 from postproc.plan import Options, milling, plan_measurements
 from postproc.plan.site import site_of
-from tests.kr270 import CELL, ROBOT
+from tests.kr270 import CELL, FOLDER, ROBOT
 from tests.oracle.arm import Arm as Oracle
 
-ORACLE = Oracle.load(robot.find("kuka_kr270"))
+ORACLE = Oracle.load(FOLDER)
 LOAD_POINT = [0.210, -0.060, 0.180]
 POINTS = {"P1": [0.118, 0.021, 0.262], "P2": [-0.077, 0.104, 0.255], "P3": [-0.049, -0.121, 0.301]}
 SIGMA = 0.03e-3

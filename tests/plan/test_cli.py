@@ -17,7 +17,7 @@ from postproc.kinematics import tcp
 from postproc.plan import search
 from tests.commands import invoke
 from tests.html_page import read_page
-from tests.places import SAMPLES
+from tests.places import CELL_FILE, SAMPLES
 from tests.plan import setting
 from tests.plan.setting import AROUND, BASIC, RIG
 from tests.plan.test_directions import simulated
@@ -33,7 +33,7 @@ QUICK = ("--configurations", "6", "--q2-levels", "3", "--test-poses", "6")
 def run(folder, *arguments, text=BASIC + RIG + AROUND):
     setting.experiment(folder, text)
     (folder / "tests.csv").write_text(POSES)
-    common = ["plan", "--experiment", str(folder / "experiment.toml"), "--cell", str(SAMPLES / "cell_kr270.toml")]
+    common = ["plan", "--experiment", str(folder / "experiment.toml"), "--cell", str(CELL_FILE)]
     return invoke(*common, *arguments, "-o", folder / "out" / "plan.csv")
 
 
@@ -174,7 +174,7 @@ def test_wrong_usage_is_exit_code_2(tmp_path):
 def test_an_input_is_never_overwritten(tmp_path):
     setting.experiment(tmp_path)
     (tmp_path / "plan.csv").write_text(POSES)
-    arguments = ["plan", "--experiment", str(tmp_path / "experiment.toml"), "--cell", str(SAMPLES / "cell_kr270.toml")]
+    arguments = ["plan", "--experiment", str(tmp_path / "experiment.toml"), "--cell", str(CELL_FILE)]
     arguments += ["--poses", str(tmp_path / "plan.csv"), "-o", str(tmp_path / "plan.csv"), *QUICK]
     result = invoke(*arguments)
     assert result.exit_code == 1

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from postproc import cell, robot
+from postproc import cell
 from postproc.correction import read
 from postproc.elastostatics import Reversals
 from postproc.errors import Issue
@@ -17,7 +17,7 @@ from postproc.report.deviation import data as places
 from postproc.report.path import drawn_path, operation_starts, operations
 from tests import fabricated
 from tests.html_page import ReadPage, read_page
-from tests.places import ROOT
+from tests.kr270 import CELL_TEXT, ROBOT
 
 _SECTIONS = {"verdict", "numbers", "view3d", "along", "histogram", "worst", "place", "issues", "operations", "model"}
 
@@ -269,10 +269,9 @@ M30
 @pytest.mark.parametrize("machine", ["clearance_Z = 200.0", "home = [0, -90, 90, 0, 30, 0]"])
 def test_a_comment_before_a_move_to_home_and_a_tool_change_names_what_is_cut_with_that_tool(tmp_path, machine):
     """The third operation has no comment of its own: it is called by its tool."""
-    text = (ROOT / "samples" / "cell_kr270.toml").read_text(encoding="utf-8")
-    (tmp_path / "cell.toml").write_text(f"{text}\n[machine]\n{machine}\n", encoding="utf-8")
-    model, setup = robot.load(robot.find("kuka_kr270")), cell.load(tmp_path / "cell.toml")
-    program = read([Document("part.nc", _HOME)], model, setup, "part", "gcode")
+    (tmp_path / "cell.toml").write_text(f"{CELL_TEXT}\n[machine]\n{machine}\n", encoding="utf-8")
+    setup = cell.load(tmp_path / "cell.toml")
+    program = read([Document("part.nc", _HOME)], ROBOT, setup, "part", "gcode")
     cutting = np.flatnonzero(~program.motions.rapid)
     starts = operation_starts(program, np.arange(len(program.motions)))
     last = np.array(sorted(starts))[np.searchsorted(sorted(starts), cutting, side="right") - 1]

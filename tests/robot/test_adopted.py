@@ -13,22 +13,22 @@ from postproc.errors import ModelError
 from postproc.frames import rotation_from_vector
 from postproc.robot import urdf
 from postproc.robot.from_urdf import adopt
+from tests.kr270 import ROBOT
 from tests.robot_urdfs import ros_urdf
 
 DRAWN = ["kuka_kr270", "kuka_kr240_r2900_2", "kuka_kr500_r2830"]
 """Models whose joints are where the drawings give dimensions of."""
-KR270 = robot.load(robot.find("kuka_kr270"))
 SIGNS = ((1, 1, 1, 1, 1, 1), (-1, 1, -1, 1, -1, 1), (1, -1, 1, -1, 1, -1))
 
 
-def arm(model=KR270, **changes):
+def arm(model=ROBOT, **changes):
     """The robot with other fields of its nominal chain."""
     return replace(model, nominal=replace(model.nominal, **changes))
 
 
 def placed(joint: int, xyz) -> np.ndarray:
     """Placements of the KR 270 with another place of one joint [m]."""
-    placement = KR270.nominal.placement.copy()
+    placement = ROBOT.nominal.placement.copy()
     placement[joint, :3, 3] = xyz
     return placement
 
@@ -53,7 +53,7 @@ def test_an_arm_with_frames_anywhere_on_its_axes_has_the_numbers_of_the_shipped_
 @pytest.mark.parametrize("signs", SIGNS)
 def test_frames_of_the_file_are_given_in_those_that_replace_them(signs):
     """A point of each link of the file, in the root by the file's chain and by the adopted one, at zero of both."""
-    text = ros_urdf(KR270, signs, np.random.default_rng(3))
+    text = ros_urdf(ROBOT, signs, np.random.default_rng(3))
     adopted, source = adopt(text, "arm.urdf"), urdf.read_any(text, "arm.urdf")
     base = source.frames["base"][1]
     of_file = np.linalg.inv(base) @ np.concatenate([[np.eye(4)], source.chain.joint_frames(np.zeros((1, 6)))[0][0]])
@@ -77,7 +77,7 @@ def test_the_file_that_is_written_is_read_as_the_same_chain():
 
 def with_reach(factor: float) -> str:
     """The KR 270 with all lengths times a factor."""
-    placement, flange = KR270.nominal.placement.copy(), KR270.nominal.flange.copy()
+    placement, flange = ROBOT.nominal.placement.copy(), ROBOT.nominal.flange.copy()
     placement[:, :3, 3] *= factor
     flange[:3, 3] *= factor
     model = arm(placement=placement, flange=flange)
@@ -116,7 +116,7 @@ def test_only_lengths_that_an_arm_has_are_taken(reach, is_arm):
 @pytest.mark.parametrize(("share", "is_believed"), [(0.49, False), (0.51, True), (1.99, True), (2.01, False)])
 def test_masses_are_believed_within_a_factor_of_two_of_those_of_the_size(name, usual, share, is_believed):
     total = share * usual
-    model = arm(mass=KR270.nominal.mass * total / KR270.nominal.mass.sum())
+    model = arm(mass=ROBOT.nominal.mass * total / ROBOT.nominal.mass.sum())
     text = ros_urdf(model, SIGNS[0]).replace(f'<robot name="{model.title}">', f'<robot name="{name}">')
     adopted = adopt(text, "arm.urdf")
     assert adopted.content.masses.assumed is not is_believed
@@ -126,7 +126,7 @@ def test_masses_are_believed_within_a_factor_of_two_of_those_of_the_size(name, u
 
 
 def test_links_without_a_mass_are_named_and_the_masses_assumed():
-    mass = KR270.nominal.mass * [1, 1, 1, 0.5, 1, 1]
+    mass = ROBOT.nominal.mass * [1, 1, 1, 0.5, 1, 1]
     mass[[4, 5]] = 0.0099, 0.0
     adopted = adopt(ros_urdf(arm(mass=mass), SIGNS[0]), "arm.urdf")
     assert adopted.content.masses.assumed
@@ -155,7 +155,7 @@ def test_an_arm_beside_the_root_keeps_its_place():
 
 def turned(joint: int, vector) -> np.ndarray:
     """Placements of the KR 270 with the frame of one joint turned [rad]."""
-    placement = KR270.nominal.placement.copy()
+    placement = ROBOT.nominal.placement.copy()
     placement[joint, :3, :3] = rotation_from_vector(np.array(vector, dtype=float))
     return placement
 
@@ -166,7 +166,7 @@ def translation(x, y, z) -> np.ndarray:
     return pose
 
 
-FLANGE = KR270.nominal.flange
+FLANGE = ROBOT.nominal.flange
 
 
 def tilted(angle: float) -> np.ndarray:
@@ -195,7 +195,7 @@ def test_an_arm_that_has_no_zero_position_of_kukas_is_refused(changes, message):
 def test_axes_that_miss_kukas_by_less_than_a_milliradian_are_taken_for_them():
     for joint, vector in ((1, [8e-4, 0.0, 0.0]), (3, [0.0, 0.0, 8e-4])):
         np.testing.assert_array_equal(
-            adopt(ros_urdf(arm(placement=turned(joint, vector)), SIGNS[0]), "arm.urdf").chain.axis, KR270.nominal.axis
+            adopt(ros_urdf(arm(placement=turned(joint, vector)), SIGNS[0]), "arm.urdf").chain.axis, ROBOT.nominal.axis
         )
 
 
@@ -205,18 +205,18 @@ def test_a_flange_that_is_tilted_by_less_than_a_milliradian_is_straight():
 
 
 def test_an_arm_without_a_flange_is_refused():
-    text = ros_urdf(KR270, SIGNS[0]).replace('"tool0"', '"hand"').replace('"flange"', '"plate"')
+    text = ros_urdf(ROBOT, SIGNS[0]).replace('"tool0"', '"hand"').replace('"flange"', '"plate"')
     with pytest.raises(ModelError, match="no link named tool0 or flange behind the last joint"):
         adopt(text, "arm.urdf")
 
 
 def test_the_flange_is_taken_where_there_is_no_tool0_and_the_base_link_where_there_is_no_base():
-    text = ros_urdf(KR270, SIGNS[0]).replace('"tool0"', '"hand"').replace('"base"', '"foot"')
+    text = ros_urdf(ROBOT, SIGNS[0]).replace('"tool0"', '"hand"').replace('"base"', '"foot"')
     chain = adopt(text, "arm.urdf").chain
-    np.testing.assert_allclose(chain.flange, KR270.nominal.flange, atol=1e-7)
-    np.testing.assert_allclose(chain.placement, KR270.nominal.placement, atol=1e-7)
+    np.testing.assert_allclose(chain.flange, ROBOT.nominal.flange, atol=1e-7)
+    np.testing.assert_allclose(chain.placement, ROBOT.nominal.placement, atol=1e-7)
     neither = adopt(text.replace('"base_link"', '"socket"'), "arm.urdf").chain  # the first link: it is the floor's
-    np.testing.assert_allclose(neither.placement[0, :3, 3], KR270.nominal.placement[0, :3, 3] + [2, 3, 1], atol=1e-7)
+    np.testing.assert_allclose(neither.placement[0, :3, 3], ROBOT.nominal.placement[0, :3, 3] + [2, 3, 1], atol=1e-7)
 
 
 def test_the_payload_is_that_of_the_name_in_the_urdf_and_the_compensator_is_noted():

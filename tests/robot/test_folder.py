@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from postproc import files, robot
+from postproc import robot
 from postproc.errors import ModelError
 from postproc.robot.folder import sourced_values
 from postproc.robot.model_file import (
@@ -27,9 +27,8 @@ from postproc.robot.model_file import (
     Stiffening,
     TransmissionEntry,
 )
+from tests.kr270 import CONTENT, FOLDER
 
-FOLDER = robot.find("kuka_kr270")
-CONTENT = files.read_toml(FOLDER / "model.toml", ModelFile, ModelError)
 NOMINAL = robot.load(FOLDER).nominal
 MODEL, URDF = ((FOLDER / name).read_text(encoding="utf-8") for name in ("model.toml", "robot.urdf"))
 

@@ -6,16 +6,13 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from postproc import files, frames, robot
+from postproc import frames, robot
 from postproc.errors import ModelError
 from postproc.robot import parameters
 from postproc.robot.model import Discrepancy, OverPose
 from postproc.robot.model_file import Displacement, Masses, ModelFile, PayloadEntry
 from tests import test_all_terms
-
-FOLDER = robot.find("kuka_kr270")
-CONTENT = files.read_toml(FOLDER / "model.toml", ModelFile, ModelError)
-KR270 = robot.load(FOLDER)
+from tests.kr270 import CONTENT, ROBOT
 
 
 @pytest.fixture(scope="module")
@@ -25,11 +22,11 @@ def content() -> ModelFile:
 
 @pytest.fixture(scope="module")
 def model(content):
-    return robot.assemble("all", content, KR270.nominal)
+    return robot.assemble("all", content, ROBOT.nominal)
 
 
 def assembled(**changes) -> robot.RobotModel:
-    return robot.assemble("arm", replace(CONTENT, **changes), KR270.nominal)
+    return robot.assemble("arm", replace(CONTENT, **changes), ROBOT.nominal)
 
 
 def test_discrepancy_is_constant_below_the_measured_loads_linear_between_and_in_proportion_above():
@@ -131,46 +128,46 @@ def test_values_that_are_set_are_read_back_and_all_others_stay(content, model):
 
 
 def test_the_size_of_the_compensator_changes_its_stiffness_and_keeps_the_free_length():
-    law = KR270.with_values({robot.CompensatorSize(): 3e5}).compensator
+    law = ROBOT.with_values({robot.CompensatorSize(): 3e5}).compensator
     assert (law.stiffness, law.free_length) == pytest.approx((3e5, 0.458))
-    stiffer = KR270.with_values({robot.CompensatorStiffness(): 3e5}).compensator
+    stiffer = ROBOT.with_values({robot.CompensatorStiffness(): 3e5}).compensator
     assert stiffer.stiffness * stiffer.free_length == pytest.approx(1.2e5 * 0.458)
 
 
 def test_a_payload_moves_the_centre_of_the_last_link_and_of_no_other():
     centre = np.array([0.1, -0.2, 0.15])
-    loaded = KR270.with_payload(60.0, centre)
-    chain, last = KR270.nominal, KR270.nominal.centre[-1]
+    loaded = ROBOT.with_payload(60.0, centre)
+    chain, last = ROBOT.nominal, ROBOT.nominal.centre[-1]
     at = chain.flange[:3, :3] @ centre + chain.flange[:3, 3]
     mass = chain.mass[-1] + 60.0
     np.testing.assert_allclose(loaded.loaded.mass, [*chain.mass[:-1], mass])
     np.testing.assert_allclose(loaded.loaded.centre[-1], (chain.mass[-1] * last + 60.0 * at) / mass, atol=1e-15)
     np.testing.assert_array_equal(loaded.loaded.centre[:-1], chain.centre[:-1])
-    assert loaded.actual is KR270.actual
-    assert KR270.with_payload(0.0, centre) is KR270
+    assert loaded.actual is ROBOT.actual
+    assert ROBOT.with_payload(0.0, centre) is ROBOT
 
 
 def test_the_payload_of_the_measurements_is_part_of_the_actual_arm_and_not_of_the_nominal_one():
     entry = PayloadEntry(source="test", mass_kg=50.0, X_mm=100.0, Y_mm=-200.0, Z_mm=150.0)
     model = assembled(payload=entry)
-    expected = KR270.with_payload(50.0, np.array([0.1, -0.2, 0.15])).loaded
+    expected = ROBOT.with_payload(50.0, np.array([0.1, -0.2, 0.15])).loaded
     np.testing.assert_allclose(model.actual.centre, expected.centre, atol=1e-15)
     np.testing.assert_allclose(model.actual.mass, expected.mass)
-    np.testing.assert_array_equal(model.nominal.mass, KR270.nominal.mass)
+    np.testing.assert_array_equal(model.nominal.mass, ROBOT.nominal.mass)
     assert model.loaded is model.actual
 
 
 def test_other_masses_of_links_leave_the_payload_as_it_is():
-    loaded = KR270.with_payload(60.0, np.array([0.1, -0.2, 0.15]))
+    loaded = ROBOT.with_payload(60.0, np.array([0.1, -0.2, 0.15]))
     lighter = loaded.with_values({robot.LinkMass("A6"): 0.0, robot.LinkMass("A3"): 100.0})
     payload_alone = loaded.nominal.flange[:3, :3] @ [0.1, -0.2, 0.15] + loaded.nominal.flange[:3, 3]
     np.testing.assert_allclose(lighter.loaded.centre[-1], payload_alone, atol=1e-12)
     assert lighter.loaded.mass[-1] == pytest.approx(60.0)
     assert (lighter.nominal.mass[[2, 5]] == [100.0, 0.0]).all()
     assert (lighter.actual.mass[[2, 5]] == [100.0, 0.0]).all()
-    np.testing.assert_allclose(lighter.actual.centre[:5], KR270.actual.centre[:5], atol=1e-15)
-    without = KR270.with_values({robot.LinkMass(joint): 0.0 for joint in robot.JOINTS})
-    assert KR270.has_weight
+    np.testing.assert_allclose(lighter.actual.centre[:5], ROBOT.actual.centre[:5], atol=1e-15)
+    without = ROBOT.with_values({robot.LinkMass(joint): 0.0 for joint in robot.JOINTS})
+    assert ROBOT.has_weight
     assert not without.has_weight
     assert without.with_payload(1.0, np.zeros(3)).has_weight
 
@@ -189,15 +186,15 @@ def test_calibrated_geometry_is_a_displacement_in_the_axes_of_the_joint_or_flang
     move = np.eye(4)
     move[:3, :3] = frames.rotation_from_vector(np.radians([0.1, 0.2, -0.3]))
     move[:3, 3] = [1e-3, -2e-3, 3e-3]
-    np.testing.assert_allclose(model.actual.placement[3], KR270.nominal.placement[3] @ move, atol=1e-15)
-    np.testing.assert_allclose(model.actual.flange, KR270.nominal.flange @ move, atol=1e-15)
-    np.testing.assert_array_equal(np.delete(model.actual.placement, 3, 0), np.delete(KR270.nominal.placement, 3, 0))
-    np.testing.assert_array_equal(model.nominal.flange, KR270.nominal.flange)
+    np.testing.assert_allclose(model.actual.placement[3], ROBOT.nominal.placement[3] @ move, atol=1e-15)
+    np.testing.assert_allclose(model.actual.flange, ROBOT.nominal.flange @ move, atol=1e-15)
+    np.testing.assert_array_equal(np.delete(model.actual.placement, 3, 0), np.delete(ROBOT.nominal.placement, 3, 0))
+    np.testing.assert_array_equal(model.nominal.flange, ROBOT.nominal.flange)
 
 
 def test_whether_the_geometry_is_nominal(model):
     shift = Displacement(source="test", X_mm=1.0)
-    assert KR270.geometry_is_nominal
+    assert ROBOT.geometry_is_nominal
     assert not model.geometry_is_nominal
     for place in ("A2", "flange"):
         assert not assembled(geometry={place: shift}).geometry_is_nominal
@@ -218,11 +215,11 @@ def test_spreads_of_masses_and_of_the_compensator_are_shares_of_their_values():
 
 def test_springs_of_links_are_rigid_until_they_have_values():
     springs = [robot.LinkSpring("A6", "X"), robot.LinkSpring("base", "RX"), robot.LinkSpring("A6", "X")]
-    model = KR270.with_link_springs(springs)
+    model = ROBOT.with_link_springs(springs)
     assert model.link_springs == (springs[1], springs[0])
-    np.testing.assert_allclose(model.compliance, [0.0, *KR270.compliance, 0.0], rtol=1e-12)
+    np.testing.assert_allclose(model.compliance, [0.0, *ROBOT.compliance, 0.0], rtol=1e-12)
     assert model.compliance[0] == model.compliance[-1] == 0.0
-    assert KR270.with_link_springs([]) is KR270
+    assert ROBOT.with_link_springs([]) is ROBOT
 
 
 def test_a_law_of_forces_is_the_same_within_a_millionth():

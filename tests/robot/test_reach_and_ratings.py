@@ -12,15 +12,16 @@ from postproc import robot
 from postproc.errors import ModelError
 from postproc.robot import from_urdf
 from postproc.robot.rating import exceeded_rating, rated_payload
-from tests.robot.test_adopted import KR270, placed
+from tests.kr270 import ROBOT
+from tests.robot.test_adopted import placed
 from tests.robot.test_folder import MODEL, written
 
 
 @pytest.mark.parametrize("wrist", [(0.0, 0.0, 0.0), (0.2, 0.0, 0.0), (0.15, 0.0, 0.1)])
 def test_the_reach_is_the_largest_distance_of_the_wrist_from_the_axis_of_a1(wrist):
     """By a search over A2 and A3, whose axes are horizontal: from the axis of A2, and that from the axis of A1."""
-    placement = placed(4, KR270.nominal.placement[4, :3, 3] + wrist)
-    chain = replace(KR270.nominal, placement=placement)
+    placement = placed(4, ROBOT.nominal.placement[4, :3, 3] + wrist)
+    chain = replace(ROBOT.nominal, placement=placement)
     a3 = np.linspace(-np.pi, np.pi, 2001)
     q = np.zeros((len(a3), 6))
     q[:, 2] = a3

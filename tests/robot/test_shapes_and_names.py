@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from postproc import robot
 from postproc.errors import ModelError
 from postproc.frames import rotation_from_angles
 from postproc.robot import shapes, urdf
 from postproc.robot.rating import rated_payload
 from postproc.robot.shapes import LinkShape
+from tests.kr270 import FOLDER
 
-TEXT = (robot.find("kuka_kr270") / "robot.urdf").read_text(encoding="utf-8")
+TEXT = (FOLDER / "robot.urdf").read_text(encoding="utf-8")
 
 
 def pose(xyz, roll_pitch_yaw) -> np.ndarray:

@@ -11,14 +11,14 @@ from msgspec.structs import replace
 from scipy.spatial.transform import Rotation
 
 from postproc import cell as cells
-from postproc import forces, frames, robot
+from postproc import forces, frames
 from postproc.program import Carriage
 from postproc.under_load import SHARE_OF_TOLERANCE, ImpossiblePathError, MotionsUnderLoad, PathUnderLoad, RobotInCell
-from tests.kr270 import CELL, ROBOT
+from tests.kr270 import CELL, FOLDER, ROBOT
 from tests.oracle.arm import Arm
 from tests.programs import program
 
-ARM = Arm.load(robot.find(CELL.robot))
+ARM = Arm.load(FOLDER)
 DOWN = CELL.tool_pose_in_program()
 SOFT = cells.ToolCompliance(0.3, 0.2, 0.05, 20.0, 10.0, 5.0)
 PAYLOAD = cells.Payload(mass_kg=80.0, X=50.0, Y=-100.0, Z=150.0)

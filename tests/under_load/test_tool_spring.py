@@ -11,13 +11,13 @@ from scipy.optimize import root
 from scipy.spatial.transform import Rotation
 
 from postproc import cell as cells
-from postproc import elastostatics, robot
+from postproc import elastostatics
 from postproc.elastostatics import ToolSpring
 from postproc.under_load import RobotInCell
-from tests.kr270 import CELL, ROBOT
+from tests.kr270 import CELL, FOLDER, ROBOT
 from tests.oracle.arm import Arm
 
-ARM = Arm.load(robot.find(CELL.robot))
+ARM = Arm.load(FOLDER)
 TOOL = CELL.tool.pose()
 SOFT = cells.ToolCompliance(0.3, 0.2, 0.05, 20.0, 10.0, 5.0)
 SETTING = RobotInCell.of(ROBOT, msgspec.structs.replace(CELL, tool_compliance=SOFT))
